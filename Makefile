@@ -1,0 +1,37 @@
+# make demo   flies a scripted flight on embedded fakes, over real sockets and a real serial port path
+# make test   style, types and tests
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: demo test clean
+
+demo: $(VENV)/.demo
+	$(BIN)/flying-vines demo
+
+test: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest
+
+$(BIN)/pip:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "flying-vines needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) -V)"; exit 2; }
+	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { \
+	  echo "Python's venv module is not complete here; installing Debian's python3-venv"; \
+	  $$([ "$$(id -u)" = 0 ] || echo sudo -n) sh -c 'apt-get update -q && apt-get install -qy python3-venv' \
+	  || { echo "that needs a password: sudo apt install python3-venv, then again"; exit 2; }; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.demo: pyproject.toml $(BIN)/pip
+	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[analysis]'
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml $(BIN)/pip
+	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@touch $@ $(VENV)/.demo
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

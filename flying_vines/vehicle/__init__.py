@@ -1,0 +1,1 @@
+"""The vehicle side: MAVLink in, intents and telemetry out."""

@@ -1,0 +1,1 @@
+"""The vine: bend angle, pressure, and pressure profiles over time."""

@@ -1,0 +1,1 @@
+"""Missions with vine items: files that ground stations read."""
