@@ -1,0 +1,47 @@
+"""Where a link goes, in MAVLink's customary notation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+FORMS = "serial:/dev/NAME[:BAUD], udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT"
+DEFAULT_BAUD = 115200
+
+
+@dataclass(frozen=True, slots=True)
+class SerialAddress:
+    """A serial port. USB serial devices ignore the baud rate."""
+
+    path: str
+    baud: int = DEFAULT_BAUD
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkAddress:
+    """A UDP port to listen on (udpin) or to send to (udpout), or a TCP server to connect to."""
+
+    kind: Literal["udpin", "udpout", "tcp"]
+    host: str
+    port: int
+
+
+Address = SerialAddress | NetworkAddress
+
+
+def parse_address(text: str) -> Address:
+    """Raises `ValueError` with a sentence when `text` is none of the forms."""
+    kind, _, rest = text.partition(":")
+    if kind == "serial" and rest:
+        path, _, baud = rest.rpartition(":")
+        if path and baud.isdigit():
+            return SerialAddress(path, int(baud))
+        return SerialAddress(rest)
+    host, _, port = rest.rpartition(":")
+    if host and port.isdigit() and 0 < int(port) < 65536:
+        match kind:
+            case "udpin" | "udp":
+                return NetworkAddress("udpin", host, int(port))
+            case "udpout" | "tcp":
+                return NetworkAddress(kind, host, int(port))
+    raise ValueError(f"'{text}' is no link: give {FORMS}")

@@ -1,0 +1,373 @@
+"""One TOML profile of the whole rig, decoded into frozen structures. Unknown keys are errors."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from flying_vines.address import parse_address
+from flying_vines.vine.curve import BendCurve
+from flying_vines.vine.profile import Profile, Sine, flatten
+
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+
+CARRIERS = {
+    "script_message": 217,
+    "gripper": 211,
+    "winch": 42600,
+    "actuator": 187,
+    "user_1": 31010,
+    "user_2": 31011,
+    "user_3": 31012,
+    "user_4": 31013,
+    "user_5": 31014,
+}
+"""MAVLink commands that carry a vine item, by the name that the configuration uses for them."""
+
+
+class ConfigError(Exception):
+    """The configuration cannot be used; the text says which file, key and line, and what to do."""
+
+
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    pass
+
+
+class Vehicle(_Table, frozen=True):
+    link: str = "udpin:0.0.0.0:14540"
+    system_id: Annotated[int, Meta(ge=0, le=255)] = 0
+    component_id: Annotated[int, Meta(ge=1, le=255)] = 191
+    rc_rate_Hz: Annotated[float, Meta(ge=4, le=50)] = 20.0
+
+
+class Firmware(_Table, frozen=True):
+    link: str = "serial:/dev/ttyACM0"
+
+
+class Switch(_Table, frozen=True):
+    positions: tuple[str, ...] = ("straight", "bend-half", "bend-full")
+    channel: Annotated[int, Meta(ge=1, le=18)] = 9
+    debounce_s: Annotated[float, Meta(ge=0.1, le=2)] = 0.15
+    settle_s: Annotated[float, Meta(ge=0.2, le=10)] = 1.0
+    hysteresis_us: Annotated[float, Meta(ge=0, le=60)] = 25.0
+    throttle_channel: Annotated[int, Meta(ge=0, le=18)] = 3
+    throttle_failsafe_us: Annotated[float, Meta(ge=0, le=1200)] = 975.0
+
+    def __post_init__(self) -> None:
+        if len(self.positions) not in (2, 3, 6):
+            raise ValueError(f"a switch has 2, 3 or 6 positions, not {len(self.positions)}")
+
+
+class Item(_Table, frozen=True):
+    """What a mission item or command of the vehicle means for the vine."""
+
+    command: str | int
+    match: dict[Literal["param1", "param2", "param3", "param4"], float] = {}
+    profile: str | None = None
+    bend: Literal["param1", "param2", "param3", "param4"] | None = None
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.command, str) and self.command not in CARRIERS:
+            raise ValueError(
+                f"unknown command '{self.command}': give one of {', '.join(CARRIERS)}, or a MAV_CMD number"
+            )
+        if (self.profile is None) == (self.bend is None):
+            raise ValueError("an item needs either profile or bend")
+
+    @property
+    def command_id(self) -> int:
+        return CARRIERS[self.command] if isinstance(self.command, str) else self.command
+
+
+class Vine(_Table, frozen=True):
+    curve: tuple[tuple[float, float], ...] = ((0.0, 0.0), (2.0, 0.0), (20.7, 60.0))
+
+    def __post_init__(self) -> None:
+        BendCurve(self.curve)
+
+
+class Limits(_Table, frozen=True):
+    max_kPa: Annotated[float, Meta(gt=0, le=200)] = 20.7
+    max_rate_kPa_per_s: Annotated[float, Meta(gt=0, le=2000)] = 60.0
+    max_bent_s: Positive = 120.0
+    overpressure_kPa: Annotated[float, Meta(gt=0, le=206)] = 25.0
+
+    def __post_init__(self) -> None:
+        if self.overpressure_kPa <= self.max_kPa:
+            raise ValueError("overpressure_kPa must be above max_kPa")
+
+
+class Interlocks(_Table, frozen=True):
+    bench_mode: bool = False
+    min_altitude_m: NotNegative = 2.0
+    reserve_kPa: NotNegative = 40.0
+
+
+class Losses(_Table, frozen=True):
+    """How long each thing may be silent, and what the vine does then."""
+
+    rc_s: Annotated[float, Meta(ge=0.3, le=10)] = 1.0
+    autopilot_s: Annotated[float, Meta(ge=1.5, le=30)] = 3.0
+    telemetry_s: Annotated[float, Meta(ge=0.1, le=2)] = 0.3
+    on_rc_loss: Literal["vent", "hold"] = "vent"
+    on_autopilot_loss: Literal["vent", "hold"] = "vent"
+    hold_at_most_s: Positive = 30.0
+
+
+class Pneumatics(_Table, frozen=True):
+    """What is known of the rig, for the reservoir estimate (as in the paper's demonstration)."""
+
+    reservoir_volume_L: Positive = 2.0
+    full_kPa: Positive = 690.0
+    cv_volume_L: Positive = 0.1
+    evp_flow_resistance_kPa_s_per_SL: Positive = 2042.0
+    cycle_swing_kPa: Positive = 20.7
+    cycle_rate_kPa_per_s: Positive = 22.8
+
+
+class Telemetry(_Table, frozen=True):
+    rate_Hz: Annotated[float, Meta(ge=0.1, le=10)] = 2.0
+    low_reservoir_cycles: Annotated[float, Meta(ge=0)] = 10.0
+
+
+class Config(_Table, frozen=True):
+    """The whole profile."""
+
+    profiles: dict[str, Profile]
+    vehicle: Vehicle = Vehicle()
+    firmware: Firmware = Firmware()
+    switch: Switch = Switch()
+    items: tuple[Item, ...] = ()
+    vine: Vine = Vine()
+    limits: Limits = Limits()
+    interlocks: Interlocks = Interlocks()
+    losses: Losses = Losses()
+    pneumatics: Pneumatics = Pneumatics()
+    telemetry: Telemetry = Telemetry()
+
+
+def default_text() -> str:
+    """The commented profile that `config init` writes."""
+    return resources.files("flying_vines").joinpath("default.toml").read_text(encoding="utf-8")
+
+
+def default() -> Config:
+    return parse(default_text(), "the built-in profile")
+
+
+def load(path: Path) -> Config:
+    """Read and check a profile.
+
+    Raises `ConfigError` with one line that names the file, the key and the line.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file; `flying-vines config init {path}` writes one") from None
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not a UTF-8 text file"
+        raise ConfigError(f"{path}: cannot be read: {reason}") from None
+    return parse(text, str(path))
+
+
+def parse(text: str, source: str) -> Config:
+    """Check the text of a profile; `source` is what errors call it."""
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        place = re.search(r"\(at (?:line (\d+), column \d+|end of document)\)", str(error))
+        line = int(place[1]) if place and place[1] else len(text.splitlines())
+        raise ConfigError(f"{source}:{line}: not TOML: {str(error).split(' (at')[0]}") from None
+    try:
+        inside: _Key = ()
+        for name, profile in _profiles_of(raw):
+            inside = ("profiles", name)
+            msgspec.convert(profile, Profile)
+        inside = ()
+        config = msgspec.convert(raw, Config)
+    except msgspec.ValidationError as error:
+        raise _explain(text, source, str(error), inside) from None
+    for key, reason in _contradictions(config):
+        raise ConfigError(f"{_place(text, source, key)}: {_dotted(key)}: {reason}")
+    return config
+
+
+_Key = tuple[str | int, ...]
+
+
+def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:
+    """The profiles one by one: decoded together, an error in one would not say in which."""
+    profiles = raw.get("profiles")
+    return list(profiles.items()) if isinstance(profiles, dict) else []
+
+
+def _contradictions(config: Config) -> list[tuple[_Key, str]]:
+    """What no single table can know: keys that do not fit each other."""
+    found: list[tuple[_Key, str]] = []
+    curve = BendCurve(config.vine.curve)
+    for table, link in (("vehicle", config.vehicle.link), ("firmware", config.firmware.link)):
+        try:
+            parse_address(link)
+        except ValueError as error:
+            found.append(((table, "link"), str(error)))
+    if not _all_finite(msgspec.to_builtins(config)):
+        found.append(((), "a number is nan or inf"))
+    for name, profile in config.profiles.items():
+        try:
+            segments = tuple(flatten(config.profiles, name))
+        except ValueError as error:
+            found.append((("profiles", name), str(error)))
+            continue
+        for segment in segments:
+            for value in (getattr(segment, key, None) for key in ("to_deg", "from_deg")):
+                if value is not None and not curve.min_deg <= value <= curve.max_deg:
+                    angles = f"{curve.min_deg:g}…{curve.max_deg:g}°"
+                    found.append((("profiles", name), f"{value:g}° is outside the bend curve's {angles}"))
+            for value in (getattr(segment, key, None) for key in ("to_kPa", "from_kPa")):
+                if value is not None and not 0 <= value <= config.limits.max_kPa:
+                    limit = f"0…{config.limits.max_kPa:g} kPa (limits.max_kPa)"
+                    found.append((("profiles", name), f"{value:g} kPa is outside {limit}"))
+            if isinstance(segment, Sine):
+                found.extend(_too_fast(config, curve, name, profile, segment))
+    for i, name in enumerate(config.switch.positions):
+        if name and name not in config.profiles:
+            found.append((("switch", "positions", i), _no_profile(config, name)))
+    for i, item in enumerate(config.items):
+        if item.profile is not None and item.profile not in config.profiles:
+            found.append((("items", i, "profile"), _no_profile(config, item.profile)))
+    if curve.max_kPa > config.limits.max_kPa:
+        reason = f"the curve goes to {curve.max_kPa:g} kPa, above limits.max_kPa = {config.limits.max_kPa:g}"
+        found.append((("vine", "curve"), reason))
+    if config.pneumatics.cycle_swing_kPa > config.limits.max_kPa:
+        found.append((("pneumatics", "cycle_swing_kPa"), "is above limits.max_kPa"))
+    return found
+
+
+def _too_fast(
+    config: Config, curve: BendCurve, name: str, profile: Profile, sine: Sine
+) -> list[tuple[_Key, str]]:
+    low, high = (
+        (curve.pressure_kPa(sine.from_deg), curve.pressure_kPa(sine.to_deg))
+        if sine.from_deg is not None and sine.to_deg is not None
+        else (sine.from_kPa or 0.0, sine.to_kPa or 0.0)
+    )
+    steepest = math.pi * sine.frequency_Hz * abs(high - low)
+    limit = min(profile.rate_kPa_per_s or math.inf, config.limits.max_rate_kPa_per_s)
+    if steepest <= limit:
+        return []
+    return [(("profiles", name), f"the sine needs {steepest:.0f} kPa/s, the rate limit is {limit:g} kPa/s")]
+
+
+def _no_profile(config: Config, name: str) -> str:
+    near = difflib.get_close_matches(name, config.profiles, n=1)
+    return f"there is no profile '{name}'" + (f"; did you mean '{near[0]}'?" if near else "")
+
+
+def _all_finite(value: object) -> bool:
+    if isinstance(value, dict):
+        return all(_all_finite(v) for v in value.values())
+    if isinstance(value, list | tuple):
+        return all(_all_finite(v) for v in value)
+    return not isinstance(value, float) or math.isfinite(value)
+
+
+def _explain(text: str, source: str, error: str, inside: _Key) -> ConfigError:
+    """Turn msgspec's `... - at `$.a.b[1]`` into a line that names the key and the line."""
+    message, _, path = error.partition(" - at ")
+    key: _Key = inside + tuple(
+        int(part[1:-1]) if part.startswith("[") else part.strip(".")
+        for part in re.findall(r"\.[^.\[]+|\[\d+\]", path.strip("`").removeprefix("key in "))
+    )
+    unknown = re.search(r"unknown field `(.+?)`", message)
+    if unknown:
+        key = (*key, unknown[1])
+        message = "unknown key"
+        near = difflib.get_close_matches(unknown[1], _known_keys(key[:-1]), n=1)
+        if near:
+            message += f"; did you mean '{near[0]}'?"
+    missing = re.search(r"missing required field `(.+?)`", message)
+    if missing:
+        message = f"'{missing[1]}' is missing"
+    name = _dotted(key)
+    return ConfigError(f"{_place(text, source, key)}: {name + ': ' if name else ''}{_plain(message)}")
+
+
+def _plain(message: str) -> str:
+    return message.replace("`", "").replace("Expected", "expected").replace("Object", "the table")
+
+
+def _known_keys(path: _Key) -> list[str]:
+    """The keys that the table at `path` may have."""
+    here: object = Config
+    for part in path:
+        if isinstance(part, str):
+            here = _TABLES.get(part, here)
+    return list(getattr(here, "__struct_fields__", ()))
+
+
+_TABLES = {
+    "vehicle": Vehicle,
+    "firmware": Firmware,
+    "switch": Switch,
+    "vine": Vine,
+    "limits": Limits,
+    "interlocks": Interlocks,
+    "losses": Losses,
+    "pneumatics": Pneumatics,
+    "telemetry": Telemetry,
+    "items": Item,
+    "profiles": Profile,
+}
+
+
+def _dotted(key: _Key) -> str:
+    dotted = ""
+    for part in key:
+        dotted += f"[{part}]" if isinstance(part, int) else f".{part}" if dotted else str(part)
+    return dotted
+
+
+def _place(text: str, source: str, key: _Key) -> str:
+    """`source:line` of a key, or of the nearest table around it."""
+    lines = _lines_of_keys(text)
+    for length in range(len(key), 0, -1):
+        if key[:length] in lines:
+            return f"{source}:{lines[key[:length]]}"
+    return source
+
+
+def _lines_of_keys(text: str) -> dict[_Key, int]:
+    """Where each table and each key of a TOML text stands; tomllib does not say."""
+    lines: dict[_Key, int] = {}
+    elements: dict[_Key, int] = {}
+    table: _Key = ()
+    for number, content in enumerate(text.splitlines(), start=1):
+        if header := _HEADER.match(content):
+            table = _split(header[2])
+            if header[1] == "[[":
+                elements[table] = elements.get(table, -1) + 1
+                table = (*table, elements[table])
+            lines.setdefault(table, number)
+        elif assignment := _ASSIGNMENT.match(content):
+            lines.setdefault((*table, *_split(assignment[1])), number)
+    return lines
+
+
+_KEY = r"(?:[A-Za-z0-9_-]+|\"[^\"]*\"|'[^']*')"
+_KEYS = rf"({_KEY}(?:\s*\.\s*{_KEY})*)"
+_HEADER = re.compile(rf"\s*(\[\[?)\s*{_KEYS}\s*\]")
+_ASSIGNMENT = re.compile(rf"\s*{_KEYS}\s*=")
+
+
+def _split(dotted: str) -> _Key:
+    return tuple(part.strip("\"'") for part in re.findall(_KEY, dotted))

@@ -1,0 +1,513 @@
+"""The one machine that decides: time-stamped events in, actions out. No clock, no port, no await.
+
+One bend, from end to end: a MAVLink message -> vehicle state -> trigger -> intent -> safety -> motion ->
+setpoint -> firmware; and back: telemetry -> reservoir estimate -> named values. `run`, `replay` and `demo`
+feed the same machine, so the same events always give the same decisions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from firmware_link import host as fw
+from firmware_link import protocol
+from flying_vines.config import Config
+from flying_vines.intent import BendTo, ClearFaults, Hold, Intent, SetPressure, StartProfile, Vent
+from flying_vines.notice import Notice, Severity
+from flying_vines.reservoir import CyclesLeft, ReservoirEstimate, floor_kPa
+from flying_vines.safety import Conditions, Demand, Entered, Left, Ruling, Safety
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.triggers import Trigger
+from flying_vines.vehicle.vehicle import Output, Vehicle
+from flying_vines.vine.curve import BendCurve
+from flying_vines.vine.motion import Motion
+from flying_vines.vine.profile import Segment, Step, flatten, plan
+
+TICK_S = 0.02
+"""How often `Tick` is due, and how far a setpoint looks ahead."""
+
+MIN_RATE_KPA_PER_S = 1.0
+
+
+# Events: what happens.
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleMessage:
+    """A MAVLink message of anyone on the vehicle's link."""
+
+    t: float
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class FirmwareMessage:
+    """A message of the phloSAR's firmware."""
+
+    t: float
+    message: protocol.Message
+
+
+@dataclass(frozen=True, slots=True)
+class LinkChanged:
+    """A link came up or went down; `why` is a sentence for people."""
+
+    t: float
+    link: Literal["vehicle", "firmware"]
+    up: bool
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Time passed."""
+
+    t: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """The service is to end: vent."""
+
+    t: float
+
+
+Event = VehicleMessage | FirmwareMessage | LinkChanged | Tick | Stop
+
+
+# Actions: what is to be done.
+
+
+@dataclass(frozen=True, slots=True)
+class ToVehicle:
+    message: Message
+    system_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class ToFirmware:
+    message: protocol.HostMessage
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """A trigger and what came of it."""
+
+    t: float
+    trigger: str
+    what: dict[str, object]
+    intent: str | None
+    safety: Literal["accepted", "limited", "refused"]
+    reason: str
+    setpoint_kPa: float
+    """What the vine is going to (gauge); the present setpoint when refused."""
+
+
+Action = ToVehicle | ToFirmware | Decision | Notice
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Everything that a display or a log shows of one moment. Gauge kPa, degrees; NaN is unknown."""
+
+    t: float
+    vehicle: str
+    mode: str
+    armed: bool
+    altitude_m: float
+    rc: str
+    switch_position: int | None
+    firmware: str
+    reservoir_kPa: float
+    cv_kPa: float
+    command_kPa: float
+    bend_deg: float
+    evp_opening: float
+    dvp_opening: float
+    solenoid: bool
+    cycles: CyclesLeft | None
+    doing: str
+    safe_state: dict[str, str] = field(default_factory=dict)
+    last: Decision | None = None
+
+
+class Core:
+    """One vine on one vehicle. `handle` takes every event, in time order, and returns what to do, in order.
+
+    `mission` is the vehicle's mission where it is known beforehand; otherwise it is read from the autopilot.
+    """
+
+    def __init__(self, config: Config, mission: Sequence[MissionItem] = ()) -> None:
+        self.config = config
+        self.last: Decision | None = None
+        self._curve = BendCurve(config.vine.curve)
+        self._vehicle = Vehicle(config, mission)
+        self._rc_in_use = False
+        self._firmware = fw.HostSession(repeat_s=TICK_S)
+        self._firmware_was_ready = False
+        self._firmware_problem = "not connected"
+        self._safety = Safety(config)
+        self._reservoir = ReservoirEstimate(config.pneumatics)
+        self._low_told = False
+        self._motion: Motion | None = None
+        self._stopped = False
+        self._actions: list[Action] = []
+
+    def handle(self, event: Event) -> list[Action]:
+        """What is to be done about `event`."""
+        self._actions = []
+        match event:
+            case VehicleMessage(t, message):
+                self._take(t, self._vehicle.handle(t, message))
+            case FirmwareMessage(t, message):
+                self._on_firmware(t, message)
+            case LinkChanged(t, "vehicle", up):
+                self._vehicle.link_changed(up)
+            case LinkChanged(t, _, up, why):
+                self._on_firmware_link(t, up, why)
+            case Tick(t):
+                self._on_tick(t)
+            case Stop(t):
+                self._stop_moving(t)
+                self._stopped = True
+        return self._actions
+
+    # The vehicle's side.
+
+    def _take(self, t: float, outputs: Sequence[Output]) -> None:
+        for output in outputs:
+            if isinstance(output, Trigger):
+                decision = self._decide(t, output)
+                self._send(*self._vehicle.acknowledge(output, decision.safety != "refused"))
+            elif isinstance(output, Notice):
+                self._tell(output)
+            else:
+                self._send(output)
+
+    # The firmware's side.
+
+    def _on_firmware_link(self, t: float, up: bool, why: str) -> None:
+        if up:
+            self._firmware.opened(t)
+            self._firmware_problem = "does not answer"
+        else:
+            self._firmware.closed(t)
+            self._firmware_problem = why or "disconnected"
+        self._look(t)
+
+    def _on_firmware(self, t: float, message: protocol.Message) -> None:
+        for event in self._firmware.receive(t, message):
+            match event:
+                case fw.Ready(welcome):
+                    self._firmware_was_ready = True
+                    self._notice(t, Severity.INFO, f"phloSAR ready ({welcome.firmware_build})")
+                case fw.TelemetryReceived(telemetry):
+                    self._reservoir.update(t, telemetry.cv_kPa, telemetry.reservoir_kPa)
+                    if telemetry.faults or telemetry.cv_kPa > self.config.limits.overpressure_kPa:
+                        self._look(t)
+                case fw.FirmwareReset(reason):
+                    self._firmware_problem = "restarted"
+                    self._enter(t, self._safety.latch("firmware_reset", f"phloSAR restarted: {reason}"))
+                case fw.Incompatible(reason):
+                    self._firmware_problem = reason
+                    self._notice(t, Severity.ERROR, f"{reason}")
+                case fw.CommandRefused(refusal):
+                    self._motion = None
+                    said = refusal.reason.name.lower().replace("_", " ")
+                    self._notice(t, Severity.WARNING, f"phloSAR refused: {said}")
+
+    # Deciding.
+
+    def _decide(self, t: float, trigger: Trigger) -> Decision:
+        """Let safety look at a trigger, carry its intent out or say why not."""
+        intent = trigger.intent
+        if intent is None:
+            return self._record(t, trigger, Ruling("refused", trigger.problem))
+        if isinstance(intent, ClearFaults):
+            return self._record(t, trigger, self._clear_faults(t))
+        if isinstance(intent, Vent):
+            if trigger.by_person:
+                self._clear_faults(t)
+            self._stop_moving(t)
+            return self._record(t, trigger, Ruling("accepted"))
+        now = self._conditions(t)
+        if isinstance(intent, Hold):
+            return self._record(t, trigger, self._hold(t, now))
+        problem, segments, rate_kPa_per_s, wanted_kPa = self._segments(intent)
+        if problem:
+            return self._record(t, trigger, Ruling("refused", problem))
+        start_kPa = self._setpoint_kPa(t)
+        limit_kPa = self.config.limits.max_kPa
+        trajectory = plan(segments, self._curve, start_kPa, rate_kPa_per_s, limit_kPa)
+        top_kPa = plan(segments, self._curve, 0.0, rate_kPa_per_s, limit_kPa).peak_kPa
+        demand = Demand(
+            releases=trajectory.rise_kPa <= 0.0 and trajectory.final_kPa <= start_kPa,
+            peak_kPa=top_kPa,
+            wanted_kPa=max(wanted_kPa, top_kPa),
+            rate_kPa_per_s=rate_kPa_per_s,
+            spending_kPa=self._reservoir.spending_kPa(trajectory.rise_kPa),
+            floor_kPa=floor_kPa(self.config.pneumatics, rate_kPa_per_s),
+        )
+        if trigger.by_person and demand.releases and trajectory.final_kPa <= 0.0:
+            self._clear_faults(t)
+        ruling = self._safety.judge(demand, now)
+        if ruling.verdict == "refused":
+            return self._record(t, trigger, ruling)
+        if ruling.rate_scale < 1.0:
+            rate_kPa_per_s = max(MIN_RATE_KPA_PER_S, rate_kPa_per_s * ruling.rate_scale)
+            trajectory = plan(segments, self._curve, start_kPa, rate_kPa_per_s, limit_kPa)
+        if demand.releases and trajectory.final_kPa <= 0.0 and self._motion is None:
+            self._stop_moving(t)
+        else:
+            self._motion = Motion(trajectory, t, rate_kPa_per_s, str(intent))
+            self._drive(t)
+        return self._record(t, trigger, ruling)
+
+    def _segments(self, intent: Intent) -> tuple[str, list[Segment], float, float]:
+        """A problem or "", what to do, how fast at most, and the pressure asked for."""
+        rate_kPa_per_s = self.config.limits.max_rate_kPa_per_s
+        match intent:
+            case StartProfile(name):
+                own = self.config.profiles[name].rate_kPa_per_s
+                rate_kPa_per_s = min(rate_kPa_per_s, own or rate_kPa_per_s)
+                return "", list(flatten(self.config.profiles, name)), rate_kPa_per_s, 0.0
+            case BendTo(angle_deg):
+                if not self._curve.min_deg <= angle_deg <= self._curve.max_deg:
+                    angles = f"{self._curve.min_deg:g}…{self._curve.max_deg:g}°"
+                    return f"{angle_deg:g}° is outside the vine's {angles}", [], rate_kPa_per_s, 0.0
+                return "", [Step(to_deg=angle_deg)], rate_kPa_per_s, 0.0
+            case SetPressure(target_kPa):
+                if target_kPa < 0.0:
+                    return f"{target_kPa:g} kPa is below ambient", [], rate_kPa_per_s, 0.0
+                return "", [Step(to_kPa=target_kPa)], rate_kPa_per_s, target_kPa
+        raise AssertionError(intent)
+
+    def _hold(self, t: float, now: Conditions) -> Ruling:
+        if self._motion is None:
+            return Ruling("refused", "the vine is vented")
+        if self._safety.reasons:
+            return Ruling("refused", "; ".join(self._safety.reasons.values()))
+        self._freeze(t)
+        return Ruling("accepted")
+
+    def _freeze(self, t: float) -> None:
+        here = Step(to_kPa=self._setpoint_kPa(t))
+        rate = self.config.limits.max_rate_kPa_per_s
+        trajectory = plan([here], self._curve, here.to_kPa or 0.0, rate, self.config.limits.max_kPa)
+        self._motion = Motion(trajectory, t, rate, "hold")
+        self._drive(t)
+
+    def _clear_faults(self, t: float) -> Ruling:
+        now = self._conditions(t)
+        cleared = self._safety.clear(now)
+        if now.faults:
+            self._to_firmware(self._firmware.clear_faults(t, now.faults))
+        if cleared:
+            self._notice(t, Severity.NOTICE, f"cleared {', '.join(cleared)}")
+        return Ruling("accepted")
+
+    def _record(self, t: float, trigger: Trigger, ruling: Ruling) -> Decision:
+        motion = self._motion
+        decision = Decision(
+            t=t,
+            trigger=trigger.kind,
+            what=trigger.what,
+            intent=None if trigger.intent is None else str(trigger.intent),
+            safety=ruling.verdict,
+            reason=ruling.reason,
+            setpoint_kPa=round(motion.trajectory.aim_kPa, 3) if motion else 0.0,
+        )
+        self.last = decision
+        self._actions.append(decision)
+        if ruling.verdict == "refused":
+            asked = decision.intent or trigger.kind.replace("_", " ")
+            self._notice(t, Severity.WARNING, f"refused {asked}: {ruling.reason}")
+        elif ruling.verdict == "limited":
+            self._notice(t, Severity.NOTICE, f"{decision.intent} limited {ruling.reason}")
+        return decision
+
+    # Moving.
+
+    def _setpoint_kPa(self, t: float) -> float:
+        """Where the vine is wanted, or where it is while nothing wants it anywhere."""
+        if self._motion is not None:
+            return self._motion.setpoint_kPa(t)
+        telemetry = self._firmware.telemetry
+        return min(max(0.0, telemetry.cv_kPa), self.config.limits.max_kPa) if telemetry else 0.0
+
+    def _drive(self, t: float) -> None:
+        """Tell the firmware what holds until the next tick."""
+        if self._motion is not None and self._motion.releases(t) and self._near_zero():
+            self._motion = None
+        command: fw.Command = fw.VENTING
+        if self._motion is not None:
+            command = fw.Regulate(self._motion.setpoint_kPa(t + TICK_S), self._motion.rate_kPa_per_s)
+        self._to_firmware(self._firmware.command(t, command))
+
+    def _near_zero(self) -> bool:
+        telemetry = self._firmware.telemetry
+        return telemetry is None or telemetry.cv_kPa < 1.0
+
+    def _stop_moving(self, t: float) -> None:
+        self._motion = None
+        self._to_firmware(self._firmware.command(t, fw.VENTING))
+
+    # Watching.
+
+    def _on_tick(self, t: float) -> None:
+        self._take(t, self._vehicle.tick(t))
+        self._look(t)
+        if not self._stopped:
+            self._drive(t)
+        self._to_firmware(self._firmware.tick(t))
+        self._warn_of_low_reservoir(t)
+        if self._vehicle.state.found:
+            self._report(t)
+
+    def _conditions(self, t: float) -> Conditions:
+        telemetry = self._firmware.telemetry
+        heartbeat_at = self._vehicle.state.heartbeat_at
+        rc_problem = self._vehicle.rc.problem(t)
+        if rc_problem is None:
+            self._rc_in_use = (
+                self._rc_in_use or self._vehicle.state.armed or self.config.interlocks.bench_mode
+            )
+        elif not self._vehicle.state.armed and self._motion is None:
+            self._rc_in_use = False
+        return Conditions(
+            armed=self._vehicle.state.armed,
+            altitude_m=self._vehicle.state.altitude_m(t),
+            rc_problem=rc_problem if self._rc_in_use else None,
+            autopilot_age_s=None if heartbeat_at is None else t - heartbeat_at,
+            firmware_ready=self._firmware.state is fw.SessionState.READY,
+            firmware_was_ready=self._firmware_was_ready,
+            firmware_problem=self._firmware_problem,
+            telemetry_age_s=self._firmware.telemetry_age(t),
+            faults=telemetry.faults if telemetry else protocol.Fault.NONE,
+            cv_kPa=telemetry.cv_kPa if telemetry else math.nan,
+            reservoir_kPa=self._reservoir.reservoir_kPa,
+            moving=self._motion is not None,
+            moving_s=t - self._motion.started_at if self._motion else 0.0,
+        )
+
+    def _look(self, t: float) -> None:
+        """Let safety look, and do what it says."""
+        for change in self._safety.watch(t, self._conditions(t)):
+            if isinstance(change, Entered):
+                self._enter(t, change)
+            else:
+                self._leave(t, change)
+
+    def _enter(self, t: float, change: Entered) -> None:
+        hold = change.response == "hold" and self._motion is not None
+        mattered = self._motion is not None or self._vehicle.state.armed
+        if hold:
+            self._freeze(t)
+        else:
+            self._stop_moving(t)
+        if change.name == "autopilot":
+            self._vehicle.forget_radio()
+        if mattered:
+            trigger = Trigger(t, "failsafe", {"loss": change.name}, Hold() if hold else Vent())
+            self._record(t, trigger, Ruling("accepted", change.reason))
+        done = "holding" if hold else "vented"
+        self._notice(t, Severity.WARNING, f"{change.reason}, {done}")
+
+    def _leave(self, t: float, change: Left) -> None:
+        over = {
+            "rc": "RC is back, waiting for a fresh move",
+            "autopilot": "autopilot is back",
+            "serial": "phloSAR is back",
+            "telemetry": "phloSAR telemetry is back",
+            "firmware_fault": "firmware fault cleared",
+        }
+        self._notice(t, Severity.NOTICE, f"{over.get(change.name, change.name)}")
+
+    def _warn_of_low_reservoir(self, t: float) -> None:
+        cycles = self._reservoir.cycles_left()
+        if cycles is None:
+            return
+        threshold = self.config.telemetry.low_reservoir_cycles
+        if cycles.expected < threshold and not self._low_told:
+            self._low_told = True
+            pressure = self._reservoir.reservoir_kPa
+            left = f"{cycles.expected:.0f} cycles left"
+            self._notice(t, Severity.WARNING, f"bottle low, {pressure:.0f} kPa, {left}")
+        elif cycles.expected > 1.5 * threshold + 1:
+            self._low_told = False
+
+    def _report(self, t: float) -> None:
+        status = mavlink.MAV_STATE_ACTIVE if self._motion else mavlink.MAV_STATE_STANDBY
+        if self._safety.reasons:
+            status = mavlink.MAV_STATE_CRITICAL
+        boot_ms = self._vehicle.state.time_boot_ms(t)
+        self._send(*self._vehicle.component.due(t, boot_ms, self._named_values(t), status))
+
+    def _named_values(self, t: float) -> dict[str, float]:
+        telemetry = self._firmware.telemetry
+        if telemetry is None:
+            return {}
+        cycles = self._reservoir.cycles_left()
+        return {
+            "RES_KPA": telemetry.reservoir_kPa,
+            "CYC_LEFT": cycles.expected if cycles else math.nan,
+            "CV_KPA": telemetry.cv_kPa,
+            "CMD_KPA": self._commanded_kPa(t),
+            "BEND_DEG": self._curve.angle_deg(telemetry.cv_kPa),
+        }
+
+    def _commanded_kPa(self, t: float) -> float:
+        return self._motion.setpoint_kPa(t) if self._motion else 0.0
+
+    def snapshot(self, t: float) -> Snapshot:
+        """What a display shows at time `t`."""
+        telemetry = self._firmware.telemetry
+        vehicle = (
+            f"{self._vehicle.state.kind} {self._vehicle.state.system_id}"
+            if self._vehicle.state.found
+            else "none heard"
+        )
+        altitude_m = self._vehicle.state.altitude_m(t)
+        ready = self._firmware.state is fw.SessionState.READY
+        return Snapshot(
+            t=t,
+            vehicle=vehicle,
+            mode=self._vehicle.state.mode,
+            armed=self._vehicle.state.armed,
+            altitude_m=math.nan if altitude_m is None else altitude_m,
+            rc=self._vehicle.rc.problem(t) or "good",
+            switch_position=self._vehicle.switch.position,
+            firmware="ready" if ready else self._firmware_problem,
+            reservoir_kPa=telemetry.reservoir_kPa if telemetry else math.nan,
+            cv_kPa=telemetry.cv_kPa if telemetry else math.nan,
+            command_kPa=self._commanded_kPa(t),
+            bend_deg=self._curve.angle_deg(telemetry.cv_kPa) if telemetry else math.nan,
+            evp_opening=telemetry.evp_opening if telemetry else 0.0,
+            dvp_opening=telemetry.dvp_opening if telemetry else 0.0,
+            solenoid=telemetry.solenoid if telemetry else False,
+            cycles=self._reservoir.cycles_left(),
+            doing=self._motion.name if self._motion else "vented",
+            safe_state=self._safety.reasons,
+            last=self.last,
+        )
+
+    # Sending.
+
+    def _send(self, *messages: Message) -> None:
+        self._actions.extend(ToVehicle(message, self._vehicle.state.system_id) for message in messages)
+
+    def _to_firmware(self, messages: Sequence[protocol.HostMessage]) -> None:
+        self._actions.extend(ToFirmware(message) for message in messages)
+
+    def _notice(self, t: float, severity: Severity, text: str) -> None:
+        self._tell(Notice(t, severity, f"Vine: {text}"))
+
+    def _tell(self, notice: Notice) -> None:
+        self._actions.append(notice)
+        self._vehicle.component.say(notice.t, notice.severity, notice.text)

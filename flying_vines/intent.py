@@ -1,0 +1,62 @@
+"""What the pilot or the mission wants, before safety has looked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class StartProfile:
+    """Run the named profile of the configuration."""
+
+    name: str
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True, slots=True)
+class BendTo:
+    """Bend to an angle and stay there."""
+
+    angle_deg: float
+
+    def __str__(self) -> str:
+        return f"bend {self.angle_deg:g}°"
+
+
+@dataclass(frozen=True, slots=True)
+class SetPressure:
+    """Go to a pressure (gauge) and hold it."""
+
+    target_kPa: float
+
+    def __str__(self) -> str:
+        return f"{self.target_kPa:g} kPa"
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """Stay where the vine is."""
+
+    def __str__(self) -> str:
+        return "hold"
+
+
+@dataclass(frozen=True, slots=True)
+class Vent:
+    """Let the air out, now: always allowed."""
+
+    def __str__(self) -> str:
+        return "vent"
+
+
+@dataclass(frozen=True, slots=True)
+class ClearFaults:
+    """A person says that latched faults have been seen to."""
+
+    def __str__(self) -> str:
+        return "clear faults"
+
+
+Intent = StartProfile | BendTo | SetPressure | Hold | Vent | ClearFaults

@@ -1,0 +1,24 @@
+"""Something that a person should read, on the screen here and on the ground station."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class Severity(IntEnum):
+    """As in MAVLink's MAV_SEVERITY."""
+
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """A sentence for people, at time `t`."""
+
+    t: float
+    severity: Severity
+    text: str

@@ -1,0 +1,268 @@
+"""What may move, how far, and what happens when something is lost: one pure state machine.
+
+Losses last until they end, latched faults until a person clears them, limits act once. While any of them
+holds, the vine vents (or, where the configuration says so, holds for a while) and nothing bends. When they
+are over the vine stays as it is: only a fresh trigger moves it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from firmware_link.protocol import Fault
+from flying_vines.config import Config
+
+LANDING_MARGIN_M = 0.5
+"""The altitude interlock lets go of a bent vine this much lower than it lets one bend."""
+
+FAULT_SENTENCES = {
+    Fault.DEAD_MAN: "dead-man timer ran out",
+    Fault.CV_OVERPRESSURE: "over-pressure in the vine",
+    Fault.RESERVOIR_OVERPRESSURE: "over-pressure in the bottle",
+    Fault.CV_SENSOR: "vine pressure sensor",
+    Fault.RESERVOIR_SENSOR: "bottle pressure sensor",
+    Fault.WATCHDOG_RESET: "watchdog reset",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """All that safety looks at, at one moment. Pressures are gauge kPa, NaN when unknown."""
+
+    armed: bool = False
+    altitude_m: float | None = None
+    rc_problem: str | None = None
+    """Why RC cannot be believed; None when it can, or when this flight does without RC."""
+    autopilot_age_s: float | None = None
+    """Since its last heartbeat; None when none was ever heard."""
+    firmware_ready: bool = False
+    firmware_was_ready: bool = False
+    firmware_problem: str = "not connected"
+    telemetry_age_s: float = math.inf
+    faults: Fault = Fault.NONE
+    cv_kPa: float = math.nan
+    reservoir_kPa: float = math.nan
+    moving: bool = False
+    """Whether the vine is held or moved under pressure."""
+    moving_s: float = 0.0
+    """Since the trigger that moved it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Demand:
+    """What an intent would take."""
+
+    releases: bool
+    """It only lets air out."""
+    peak_kPa: float = 0.0
+    wanted_kPa: float = 0.0
+    """What was asked for, before the curve and the limits clipped it."""
+    rate_kPa_per_s: float = 0.0
+    spending_kPa: float = 0.0
+    """What it is expected to take from the reservoir."""
+    floor_kPa: float = 0.0
+    """What the reservoir must hold for the wanted rate."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ruling:
+    """What safety makes of an intent."""
+
+    verdict: Literal["accepted", "limited", "refused"]
+    reason: str = ""
+    rate_scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Entered:
+    """A loss, fault or limit began; `response` is what the vine does."""
+
+    name: str
+    reason: str
+    response: Literal["vent", "hold"]
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """It is over. Nothing moves until a fresh trigger."""
+
+    name: str
+
+
+class Safety:
+    """Feed it `watch` often, ask it `judge` for every intent."""
+
+    def __init__(self, config: Config) -> None:
+        self._limits = config.limits
+        self._interlocks = config.interlocks
+        self._losses = config.losses
+        self._present: dict[str, str] = {}
+        self._latched: dict[str, str] = {}
+        self._held_since: dict[str, float] = {}
+        self._tripped: set[str] = set()
+
+    @property
+    def reasons(self) -> dict[str, str]:
+        """Losses and latched faults that hold now, by name, with a sentence each."""
+        return {**self._present, **self._latched}
+
+    def watch(self, t: float, now: Conditions) -> list[Entered | Left]:
+        """What began and what ended at time `t`."""
+        changes: list[Entered | Left] = []
+        for name, look in _LATCHING.items():
+            reason = look(self, now)
+            if reason and name not in self._latched:
+                self._latched[name] = reason
+                changes.append(Entered(name, reason, "vent"))
+        for name, look in _LOSSES.items():
+            reason = look(self, now)
+            if reason and name not in self._present:
+                self._present[name] = reason
+                response = self._response(name)
+                if response == "hold":
+                    self._held_since[name] = t
+                changes.append(Entered(name, reason, response))
+            elif not reason and name in self._present:
+                del self._present[name]
+                self._held_since.pop(name, None)
+                changes.append(Left(name))
+        for name, since in list(self._held_since.items()):
+            if t - since > self._losses.hold_at_most_s:
+                del self._held_since[name]
+                changes.append(Entered(name, f"{self._present[name]}, held long enough", "vent"))
+        for name, look in _LIMITS.items():
+            reason = look(self, now) if now.moving else None
+            if not reason:
+                self._tripped.discard(name)
+            elif name not in self._tripped:
+                self._tripped.add(name)
+                changes.append(Entered(name, reason, "vent"))
+        return changes
+
+    def _response(self, name: str) -> Literal["vent", "hold"]:
+        if name == "rc":
+            return self._losses.on_rc_loss
+        if name == "autopilot":
+            return self._losses.on_autopilot_loss
+        return "vent"
+
+    def latch(self, name: str, reason: str) -> Entered:
+        """A fault that is an event, not a condition."""
+        self._latched[name] = reason
+        return Entered(name, reason, "vent")
+
+    def clear(self, now: Conditions) -> list[str]:
+        """A person clears latched faults; those whose cause is still there stay. Returns what was cleared."""
+        cleared = [name for name in self._latched if name not in _LATCHING or not _LATCHING[name](self, now)]
+        for name in cleared:
+            del self._latched[name]
+        return cleared
+
+    def judge(self, demand: Demand, now: Conditions) -> Ruling:
+        """Whether an intent may be carried out. Letting air out always may."""
+        if demand.releases:
+            return Ruling("accepted")
+        problem = self._problem(demand, now)
+        if problem:
+            return Ruling("refused", problem)
+        if demand.wanted_kPa > demand.peak_kPa + 1e-6:
+            return Ruling("limited", f"to {demand.peak_kPa:g} kPa")
+        left_kPa = now.reservoir_kPa - demand.peak_kPa
+        if left_kPa < demand.floor_kPa:
+            return Ruling(
+                "limited", f"slower: bottle at {now.reservoir_kPa:.0f} kPa", left_kPa / demand.floor_kPa
+            )
+        return Ruling("accepted")
+
+    def _problem(self, demand: Demand, now: Conditions) -> str | None:
+        if self.reasons:
+            return "; ".join(self.reasons.values())
+        if not now.firmware_ready:
+            return f"phloSAR {now.firmware_problem}"
+        if not now.telemetry_age_s <= self._losses.telemetry_s:
+            return "no telemetry from the phloSAR"
+        if not self._interlocks.bench_mode:
+            if now.autopilot_age_s is None:
+                return "no autopilot heard"
+            if not now.armed:
+                return "not armed"
+            if now.altitude_m is None:
+                return "altitude not known"
+            if now.altitude_m < self._interlocks.min_altitude_m:
+                return f"at {now.altitude_m:.1f} m, below {self._interlocks.min_altitude_m:g} m"
+        needed_kPa = demand.peak_kPa + self._interlocks.reserve_kPa + demand.spending_kPa
+        if not now.reservoir_kPa >= needed_kPa:
+            return f"bottle at {now.reservoir_kPa:.0f} kPa, needs {needed_kPa:.0f}"
+        return None
+
+    # One sentence each, or None.
+
+    def _overpressure(self, now: Conditions) -> str | None:
+        if now.cv_kPa > self._limits.overpressure_kPa:
+            return f"vine at {now.cv_kPa:.1f} kPa, limit {self._limits.overpressure_kPa:g}"
+        return None
+
+    def _rc(self, now: Conditions) -> str | None:
+        return f"RC lost: {now.rc_problem}" if now.rc_problem else None
+
+    def _autopilot(self, now: Conditions) -> str | None:
+        if now.autopilot_age_s is not None and now.autopilot_age_s > self._losses.autopilot_s:
+            return f"autopilot silent for {self._losses.autopilot_s:g} s"
+        return None
+
+    def _serial(self, now: Conditions) -> str | None:
+        if now.firmware_was_ready and not now.firmware_ready:
+            return f"phloSAR {now.firmware_problem}"
+        return None
+
+    def _telemetry(self, now: Conditions) -> str | None:
+        if now.firmware_ready and not now.telemetry_age_s <= self._losses.telemetry_s:
+            return "phloSAR telemetry stale"
+        return None
+
+    def _firmware_fault(self, now: Conditions) -> str | None:
+        if not now.faults:
+            return None
+        names = [sentence for fault, sentence in FAULT_SENTENCES.items() if fault in now.faults]
+        return f"firmware fault: {', '.join(names) or f'0x{int(now.faults):04x}'}"
+
+    def _reservoir(self, now: Conditions) -> str | None:
+        if now.reservoir_kPa < self._interlocks.reserve_kPa:
+            return f"bottle low: {now.reservoir_kPa:.0f} kPa"
+        return None
+
+    def _disarmed(self, now: Conditions) -> str | None:
+        return "disarmed" if not now.armed and not self._interlocks.bench_mode else None
+
+    def _altitude(self, now: Conditions) -> str | None:
+        lowest_m = self._interlocks.min_altitude_m - LANDING_MARGIN_M
+        if self._interlocks.bench_mode or lowest_m <= 0:
+            return None
+        if now.altitude_m is None:
+            return "altitude no longer known"
+        return f"landing, at {now.altitude_m:.1f} m" if now.altitude_m < lowest_m else None
+
+    def _duration(self, now: Conditions) -> str | None:
+        if now.moving_s > self._limits.max_bent_s:
+            return f"bent for {self._limits.max_bent_s:g} s"
+        return None
+
+
+_Look = Callable[[Safety, Conditions], str | None]
+_LATCHING: dict[str, _Look] = {"overpressure": Safety._overpressure}
+_LOSSES: dict[str, _Look] = {
+    "rc": Safety._rc,
+    "autopilot": Safety._autopilot,
+    "serial": Safety._serial,
+    "telemetry": Safety._telemetry,
+    "firmware_fault": Safety._firmware_fault,
+}
+_LIMITS: dict[str, _Look] = {
+    "reservoir": Safety._reservoir,
+    "disarmed": Safety._disarmed,
+    "altitude": Safety._altitude,
+    "duration": Safety._duration,
+}

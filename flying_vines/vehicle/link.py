@@ -1,0 +1,158 @@
+"""Transports for MAVLink: UDP, TCP and serial, each opened again by itself whenever it is lost.
+
+All have the shape of `firmware_link.serial_port.SerialPort`: `run()` until cancelled, `write()` that never
+blocks, `on_bytes` called from the event loop, `on_state(up, why)` when the link comes or goes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Protocol
+
+from flying_vines.address import Address, NetworkAddress, SerialAddress
+
+RETRY_S = 1.0
+MOST_PEERS = 4
+PEER_FORGOTTEN_S = 30.0
+MAX_QUEUED_BYTES = 64 * 1024
+
+OnBytes = Callable[[bytes], None]
+OnState = Callable[[bool, str], None]
+
+
+class Link(Protocol):
+    """Bytes to and from somewhere."""
+
+    async def run(self) -> None:
+        """Keep the link open until cancelled."""
+
+    def write(self, data: bytes) -> bool:
+        """Send, or drop and say False."""
+
+
+def open_link(address: Address, on_bytes: OnBytes, on_state: OnState) -> Link:
+    """The transport for an address; nothing happens before `run`."""
+    if isinstance(address, SerialAddress):
+        from firmware_link.serial_port import SerialPort
+
+        return SerialPort(address.path, address.baud, on_bytes, on_state)
+    if address.kind == "tcp":
+        return TcpLink(address, on_bytes, on_state)
+    return UdpLink(address, on_bytes, on_state)
+
+
+class UdpLink(asyncio.DatagramProtocol):
+    """UDP: `udpout` sends to one address, `udpin` listens and answers those that it heard lately."""
+
+    def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
+        self._address = address
+        self._on_bytes = on_bytes
+        self._on_state = on_state
+        self._transport: asyncio.DatagramTransport | None = None
+        self._peers: dict[tuple[str, int], float] = {}
+        self._why_down = ""
+
+    async def run(self) -> None:
+        loop = asyncio.get_running_loop()
+        here = (self._address.host, self._address.port)
+        listening = self._address.kind == "udpin"
+        while True:
+            try:
+                transport, _ = await loop.create_datagram_endpoint(
+                    lambda: self,
+                    local_addr=here if listening else None,
+                    remote_addr=None if listening else here,
+                )
+            except OSError as error:
+                self._down(f"{self._address.kind}:{here[0]}:{here[1]}: {error.strerror or error}")
+                await asyncio.sleep(RETRY_S)
+                continue
+            self._transport = transport
+            self._why_down = ""
+            self._on_state(True, "")
+            try:
+                await loop.create_future()
+            finally:
+                self._transport = None
+                transport.close()
+
+    def _down(self, why: str) -> None:
+        if why != self._why_down:
+            self._why_down = why
+            self._on_state(False, why)
+
+    def write(self, data: bytes) -> bool:
+        if self._transport is None:
+            return False
+        if self._address.kind == "udpout":
+            self._transport.sendto(data)
+            return True
+        now = asyncio.get_running_loop().time()
+        for peer, heard_at in list(self._peers.items()):
+            if now - heard_at > PEER_FORGOTTEN_S:
+                del self._peers[peer]
+            else:
+                self._transport.sendto(data, peer)
+        return bool(self._peers)
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        if addr not in self._peers and len(self._peers) >= MOST_PEERS:
+            del self._peers[min(self._peers, key=lambda peer: self._peers[peer])]
+        self._peers[addr] = asyncio.get_running_loop().time()
+        self._on_bytes(data)
+
+    def error_received(self, exc: Exception) -> None:
+        """Nobody listens on the other side yet: what is sent next may arrive."""
+
+
+class TcpLink(asyncio.Protocol):
+    """A TCP client."""
+
+    def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
+        self._address = address
+        self._on_bytes = on_bytes
+        self._on_state = on_state
+        self._transport: asyncio.Transport | None = None
+        self._lost: asyncio.Future[None] | None = None
+        self._why_down = ""
+
+    async def run(self) -> None:
+        loop = asyncio.get_running_loop()
+        host, port = self._address.host, self._address.port
+        while True:
+            self._lost = loop.create_future()
+            try:
+                transport, _ = await loop.create_connection(lambda: self, host, port)
+            except OSError as error:
+                self._down(f"tcp:{host}:{port}: {error.strerror or error}")
+                await asyncio.sleep(RETRY_S)
+                continue
+            self._transport = transport
+            self._why_down = ""
+            self._on_state(True, "")
+            try:
+                await self._lost
+            finally:
+                self._transport = None
+                transport.abort()
+            self._down(f"tcp:{host}:{port}: the connection was closed")
+            await asyncio.sleep(RETRY_S)
+
+    def _down(self, why: str) -> None:
+        if why != self._why_down:
+            self._why_down = why
+            self._on_state(False, why)
+
+    def write(self, data: bytes) -> bool:
+        if self._transport is None or self._transport.get_write_buffer_size() > MAX_QUEUED_BYTES:
+            return False
+        self._transport.write(data)
+        return True
+
+    def data_received(self, data: bytes) -> None:
+        self._on_bytes(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._lost is not None and not self._lost.done():
+            self._lost.set_result(None)

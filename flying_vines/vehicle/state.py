@@ -1,0 +1,160 @@
+"""What the autopilot says of the vehicle: who it is, armed or not, how high, which clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.codec import Message
+
+ALTITUDE_FRESH_S = 2.0
+CHOOSING_S = 2.0
+"""How long after the first autopilot's heartbeat a second one still makes the choice ambiguous."""
+
+LONGEST_BOOT_MS = 15_000
+"""An autopilot that was up for longer than this and says it is ready has booted again."""
+
+KINDS = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot", mavlink.MAV_AUTOPILOT_PX4: "px4"}
+
+COPTER_MODES = {
+    0: "STABILIZE", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 9: "LAND",
+    16: "POSHOLD", 17: "BRAKE", 21: "SMART_RTL", 27: "AUTO RTL",
+}  # fmt: skip
+PX4_MAIN_MODES = {1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED"}
+PX4_AUTO_MODES = {1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6: "LAND"}
+
+
+@dataclass(frozen=True, slots=True)
+class Rebooted:
+    """The autopilot's clock started anew: streams and routes are gone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The autopilot that we serve was heard for the first time."""
+
+    system_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ambiguous:
+    """Two autopilots on the link and none configured: neither is served."""
+
+    system_ids: tuple[int, int]
+
+
+VehicleEvent = Rebooted | Found | Ambiguous
+
+
+class VehicleState:
+    """The state of one vehicle, from the messages of its autopilot alone.
+
+    `system_id` 0 takes the only autopilot that is heard: never a ground station, a gimbal, another companion
+    or a second vehicle.
+    """
+
+    def __init__(self, system_id: int = 0) -> None:
+        self._configured_id = system_id
+        self._found_at: float | None = None
+        self._ambiguous = False
+        self._boot_offset_s: float | None = None
+        self._altitude_m = 0.0
+        self._altitude_at: float | None = None
+        self.system_id = 0
+        self.kind = "unknown"
+        self.armed = False
+        self.mode = ""
+        self.heartbeat_at: float | None = None
+
+    @property
+    def found(self) -> bool:
+        return self.system_id != 0
+
+    def altitude_m(self, t: float) -> float | None:
+        """Height above home, or None when the autopilot has not said it lately."""
+        if self._altitude_at is None or t - self._altitude_at > ALTITUDE_FRESH_S:
+            return None
+        return self._altitude_m
+
+    def time_boot_ms(self, t: float) -> int:
+        """Our time `t` on the autopilot's clock; 0 before that clock is known."""
+        if self._boot_offset_s is None:
+            return 0
+        return max(0, int((t - self._boot_offset_s) * 1000)) & 0xFFFFFFFF
+
+    def is_ours(self, message: Message) -> bool:
+        """Whether a message comes from the autopilot that we serve."""
+        return (
+            self.system_id != 0
+            and message.get_srcSystem() == self.system_id
+            and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
+        )
+
+    def handle(self, t: float, message: Message) -> list[VehicleEvent]:
+        """Take in one message of anyone."""
+        kind = message.get_type()
+        events: list[VehicleEvent] = []
+        if kind == "HEARTBEAT":
+            events.extend(self._choose(t, message))
+        if not self.is_ours(message):
+            return events
+        if kind == "HEARTBEAT":
+            self.heartbeat_at = t
+            self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+            self.kind = KINDS.get(message.autopilot, "other")
+            self.mode = _mode_name(self.kind, message.custom_mode)
+        elif kind == "GLOBAL_POSITION_INT":
+            self._altitude_m = message.relative_alt / 1000.0
+            self._altitude_at = t
+            events.extend(self._clock(t, message.time_boot_ms))
+        elif kind in ("SYSTEM_TIME", "ATTITUDE"):
+            events.extend(self._clock(t, message.time_boot_ms))
+        elif kind == "STATUSTEXT" and message.text.startswith("ArduPilot Ready"):
+            # No stream runs after a reboot, so this text may be long before any clock.
+            if self.time_boot_ms(t) > LONGEST_BOOT_MS:
+                self._boot_offset_s = None
+                events.append(Rebooted())
+        return events
+
+    def _choose(self, t: float, message: Message) -> list[VehicleEvent]:
+        system = message.get_srcSystem()
+        if (
+            message.autopilot == mavlink.MAV_AUTOPILOT_INVALID
+            or message.type in (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER)
+            or message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1
+            or self._ambiguous
+            or system in (0, self.system_id)
+        ):
+            return []
+        if self._configured_id:
+            if system != self._configured_id:
+                return []
+        elif self._found_at is not None:
+            if t - self._found_at > CHOOSING_S:
+                return []
+            pair = (self.system_id, system)
+            self.system_id, self._ambiguous = 0, True
+            self.armed = False
+            return [Ambiguous(pair)]
+        self.system_id, self._found_at = system, t
+        return [Found(system)]
+
+    def _clock(self, t: float, time_boot_ms: int) -> list[VehicleEvent]:
+        offset_s = t - time_boot_ms / 1000.0
+        known = self._boot_offset_s
+        if known is None or offset_s < known:
+            self._boot_offset_s = offset_s
+        elif offset_s > known + 2.0:
+            # A clock that lags more and more than any link delay: it started anew.
+            self._boot_offset_s = offset_s
+            return [Rebooted()]
+        return []
+
+
+def _mode_name(kind: str, custom_mode: int) -> str:
+    if kind == "px4":
+        main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
+        name = PX4_MAIN_MODES.get(main, f"MODE {main}")
+        return f"{name}.{PX4_AUTO_MODES.get(sub, sub)}" if main == 4 else name
+    return COPTER_MODES.get(custom_mode, f"MODE {custom_mode}")

@@ -1,0 +1,77 @@
+"""The messages that we need from the autopilot: asked for, watched, asked for again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.codec import Message
+
+ASK_SPACING_S = 0.1
+ASK_AGAIN_S = 3.0
+MISSING_AFTER_S = 5.0
+
+
+@dataclass(slots=True)
+class _Stream:
+    message_id: int
+    rate_Hz: float
+    essential: bool
+    asked_at: float | None = None
+    heard_at: float | None = None
+
+
+class Streams:
+    """Which message streams come, and the SET_MESSAGE_INTERVAL requests that make them come.
+
+    Rates are per link and lost when the autopilot reboots, so a stream that stays silent is asked for again.
+    """
+
+    def __init__(self, rc_rate_Hz: float) -> None:
+        self._streams = {
+            "RC_CHANNELS": _Stream(mavlink.MAVLINK_MSG_ID_RC_CHANNELS, rc_rate_Hz, False),
+            "SYS_STATUS": _Stream(mavlink.MAVLINK_MSG_ID_SYS_STATUS, 10.0, True),
+            "GLOBAL_POSITION_INT": _Stream(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 5.0, True),
+            "MISSION_CURRENT": _Stream(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT, 5.0, False),
+            "SYSTEM_TIME": _Stream(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, 1.0, False),
+        }
+        self._asked_at = float("-inf")
+
+    def handle(self, t: float, message: Message) -> None:
+        """Take in a message of our autopilot."""
+        stream = self._streams.get(message.get_type())
+        if stream is not None:
+            stream.heard_at = t
+
+    def forget(self) -> None:
+        """The autopilot rebooted: everything must be asked for again, now."""
+        for stream in self._streams.values():
+            stream.asked_at = stream.heard_at = None
+
+    def requests(self, t: float, system_id: int) -> list[Message]:
+        """At most one request a call, spaced so that small buffers do not overflow."""
+        if t - self._asked_at < ASK_SPACING_S:
+            return []
+        for stream in self._streams.values():
+            never_asked = stream.asked_at is None
+            silent = stream.heard_at is None or t - stream.heard_at > max(2.0, 3.0 / stream.rate_Hz)
+            if never_asked or (silent and t - (stream.asked_at or 0.0) >= ASK_AGAIN_S):
+                stream.asked_at = self._asked_at = t
+                return [
+                    mavlink.MAVLink_command_long_message(
+                        system_id, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0,
+                        stream.message_id, 1e6 / stream.rate_Hz, 0, 0, 0, 0, 0,
+                    )
+                ]  # fmt: skip
+        return []
+
+    def missing(self, t: float) -> list[str]:
+        """The essential messages that were asked for and do not come."""
+        return [
+            name
+            for name, stream in self._streams.items()
+            if stream.essential
+            and stream.asked_at is not None
+            and t - max(stream.asked_at, stream.heard_at or float("-inf")) > MISSING_AFTER_S
+        ]

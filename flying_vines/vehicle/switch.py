@@ -1,0 +1,91 @@
+"""A switch on an RC channel that acts only on a move that was seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+BOUNDARIES_US = {
+    2: (1500.0,),
+    3: (1300.0, 1700.0),
+    6: (1230.5, 1360.5, 1490.5, 1620.5, 1749.5),
+}
+"""Between positions; for six as ArduPilot's flight mode channel has them."""
+
+SAMPLING_SLACK_S = 0.01
+"""Samples jitter: a debounce of three sample times must not wait for a fourth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """The switch came to rest in another position, counted from 0 at the lowest pulse width."""
+
+    position: int
+    before: int
+
+
+@dataclass(frozen=True, slots=True)
+class MovedUnseen:
+    """The switch is believed again and stands elsewhere than before: nobody saw the move, so nothing acts."""
+
+    position: int
+    before: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """The switch is believed from now on, and its next move counts."""
+
+    position: int
+
+
+class Switch:
+    """Debounce, hysteresis, and silence after every loss until a fresh move.
+
+    `sample` takes the pulse width while the radio link is good, `lose` says that it is not. After start and
+    after each loss the pulse width must stay in one position for `settle_s`; only then do moves count.
+    """
+
+    def __init__(self, positions: int, debounce_s: float, settle_s: float, hysteresis_us: float) -> None:
+        self._boundaries = BOUNDARIES_US[positions]
+        self._debounce_s = debounce_s - SAMPLING_SLACK_S
+        self._settle_s = settle_s - SAMPLING_SLACK_S
+        self._hysteresis_us = hysteresis_us
+        self._candidate: int | None = None
+        self._candidate_since = 0.0
+        self._before_loss: int | None = None
+        self.position: int | None = None
+
+    def lose(self) -> None:
+        if self.position is not None:
+            self._before_loss = self.position
+        self.position = None
+        self._candidate = None
+
+    def sample(self, t: float, pulse_us: float) -> Move | MovedUnseen | Ready | None:
+        seen = self._band(pulse_us)
+        if seen != self._candidate:
+            self._candidate, self._candidate_since = seen, t
+        steady_s = t - self._candidate_since
+        if self.position is None:
+            return self._settle(seen) if steady_s >= self._settle_s else None
+        if seen == self.position or steady_s < self._debounce_s:
+            return None
+        before, self.position = self.position, seen
+        return Move(seen, before)
+
+    def _settle(self, seen: int) -> MovedUnseen | Ready:
+        before, self._before_loss = self._before_loss, None
+        self.position = seen
+        if before is not None and before != seen:
+            return MovedUnseen(seen, before)
+        return Ready(seen)
+
+    def _band(self, pulse_us: float) -> int:
+        """The position of a pulse width; the one it is in reaches a hysteresis further on both sides."""
+        here = self._candidate
+        if here is not None:
+            low = self._boundaries[here - 1] if here > 0 else float("-inf")
+            high = self._boundaries[here] if here < len(self._boundaries) else float("inf")
+            if low - self._hysteresis_us < pulse_us < high + self._hysteresis_us:
+                return here
+        return sum(pulse_us >= boundary for boundary in self._boundaries)

@@ -1,0 +1,141 @@
+"""One vehicle as the vine sees it: messages in; triggers, notices and our own messages out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from flying_vines.config import Config
+from flying_vines.intent import Vent
+from flying_vines.notice import Notice, Severity
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.commands import Commands
+from flying_vines.vehicle.component import Component, answer_timesync
+from flying_vines.vehicle.mission import ArduPilotWatch, Execution, MissionBook, Px4Watch
+from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.rc import RadioLink
+from flying_vines.vehicle.state import Ambiguous, Found, Rebooted, VehicleState
+from flying_vines.vehicle.streams import Streams
+from flying_vines.vehicle.switch import Move, MovedUnseen, Switch
+from flying_vines.vehicle.triggers import Rules, Trigger
+
+Output = Trigger | Notice | Message
+"""What follows from a message or from time passing: something to decide, to tell, or to send."""
+
+
+class Vehicle:
+    """Everything on the MAVLink side of one vehicle. Sans-IO; all times are seconds of one clock."""
+
+    def __init__(self, config: Config, mission: Sequence[MissionItem] = ()) -> None:
+        self.state = VehicleState(config.vehicle.system_id)
+        self.rc = RadioLink(config.switch, config.losses.rc_s)
+        switch = config.switch
+        self.switch = Switch(len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us)
+        self.component = Component(config.telemetry.rate_Hz)
+        self._channel = switch.channel
+        self._rules = Rules(config)
+        self._streams = Streams(config.vehicle.rc_rate_Hz)
+        self._missing: list[str] = []
+        self._book = MissionBook(mission)
+        self._ardupilot = ArduPilotWatch(self._book)
+        self._px4 = Px4Watch(self._book)
+        self._commands = Commands(self._rules, config.vehicle.component_id)
+
+    def handle(self, t: float, message: Message) -> list[Output]:
+        """Take in a message of anyone on the link."""
+        out: list[Output] = []
+        for event in self.state.handle(t, message):
+            match event:
+                case Found(system_id):
+                    out.append(Notice(t, Severity.INFO, f"Vine: serving vehicle {system_id}"))
+                case Ambiguous((one, other)):
+                    text = f"Vine: autopilots {one} and {other}: set vehicle.system_id"
+                    out.append(Notice(t, Severity.ERROR, text))
+                case Rebooted():
+                    out.extend(self._rebooted(t))
+        from_autopilot = self.state.is_ours(message)
+        kind = message.get_type()
+        if kind in ("COMMAND_LONG", "COMMAND_INT") and self.state.found:
+            out.extend(self._commands.handle(t, message, self.state.system_id, from_autopilot, self._px4))
+        if from_autopilot:
+            self._streams.handle(t, message)
+            self.rc.handle(t, message)
+            self._px4.handle(message)
+            self._book.handle(t, message)
+            out.extend(self._book.acknowledgement(message, self.state.system_id))
+            if self.state.kind != "px4":
+                out.extend(self._item_triggers(t, self._ardupilot.handle(t, message)))
+            if kind == "RC_CHANNELS":
+                out.extend(self._sample_switch(t))
+            elif kind == "TIMESYNC":
+                out.extend(answer_timesync(message, int(t * 1e9)))
+        return out
+
+    def tick(self, t: float) -> list[Output]:
+        """Let time pass: waiting triggers, and what we ask of the autopilot."""
+        out: list[Output] = []
+        if self.rc.problem(t) is not None:
+            self.switch.lose()
+        if not self.state.found:
+            return out
+        if self.state.kind != "px4":
+            out.extend(self._item_triggers(t, self._ardupilot.due(t)))
+        out.extend(self._streams.requests(t, self.state.system_id))
+        out.extend(self._book.requests(t, self.state.system_id))
+        missing = self._streams.missing(t)
+        if missing and missing != self._missing:
+            text = f"Vine: the autopilot does not send {', '.join(missing)}"
+            out.append(Notice(t, Severity.WARNING, text))
+        self._missing = missing
+        return out
+
+    def link_changed(self, up: bool) -> None:
+        """The link to the vehicle came up or went down."""
+        if up:
+            self._streams.forget()
+        else:
+            self.forget_radio()
+
+    def forget_radio(self) -> None:
+        """What was heard of the radio no longer holds: the switch waits for a fresh move."""
+        self.rc.forget()
+        self.switch.lose()
+
+    def acknowledge(self, trigger: Trigger, accepted: bool) -> list[Message]:
+        """What is owed to the sender of the command behind a trigger."""
+        return self._commands.acknowledge(trigger, accepted)
+
+    def _rebooted(self, t: float) -> list[Output]:
+        self._streams.forget()
+        self.forget_radio()
+        self._ardupilot = ArduPilotWatch(self._book)
+        self._book.doubt(t)
+        return [
+            Notice(t, Severity.WARNING, "Vine: autopilot rebooted, vented"),
+            Trigger(t, "link", {"event": "autopilot rebooted"}, Vent()),
+        ]
+
+    def _sample_switch(self, t: float) -> list[Output]:
+        if self.rc.problem(t) is not None:
+            self.switch.lose()
+            return []
+        seen = self.switch.sample(t, self.rc.switch_us)
+        if isinstance(seen, MovedUnseen):
+            text = f"Vine: switch ch{self._channel} moved while RC was lost, move it again"
+            return [Notice(t, Severity.NOTICE, text)]
+        if isinstance(seen, Move):
+            intent = self._rules.for_position(seen.position)
+            what: dict[str, object] = {
+                "channel": self._channel,
+                "position": seen.position,
+                "from": seen.before,
+            }
+            if intent is not None:
+                return [Trigger(t, "switch", what, intent, by_person=True)]
+        return []
+
+    def _item_triggers(self, t: float, executions: Sequence[Execution]) -> list[Trigger]:
+        return [
+            self._rules.item_trigger(t, execution)
+            for execution in executions
+            if execution.command in self._rules.commands
+        ]

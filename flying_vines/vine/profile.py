@@ -1,0 +1,223 @@
+"""Pressure profiles over time: what a named bend does, as a function of time and of where it starts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import msgspec
+
+from flying_vines.vine.curve import BendCurve
+
+DEEPEST_NESTING = 8
+MOST_PIECES = 10_000
+
+
+class _Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
+    """One part of a profile."""
+
+
+class Step(_Segment, tag="step", frozen=True):
+    """Go to a value as fast as the rate limit allows."""
+
+    to_deg: float | None = None
+    to_kPa: float | None = None
+
+    def __post_init__(self) -> None:
+        _exactly_one(self.to_deg, self.to_kPa, "to_deg", "to_kPa")
+
+
+class Ramp(_Segment, tag="ramp", frozen=True):
+    """Go to a value evenly, in `over_s` seconds or longer if the rate limit asks for it."""
+
+    over_s: float
+    to_deg: float | None = None
+    to_kPa: float | None = None
+
+    def __post_init__(self) -> None:
+        _exactly_one(self.to_deg, self.to_kPa, "to_deg", "to_kPa")
+        _positive(self.over_s, "over_s")
+
+
+class HoldFor(_Segment, tag="hold", frozen=True):
+    """Stay for `for_s` seconds."""
+
+    for_s: float
+
+    def __post_init__(self) -> None:
+        _positive(self.for_s, "for_s")
+
+
+class Sine(_Segment, tag="sine", frozen=True):
+    """Swing between two values, starting at the first, for a number of cycles."""
+
+    frequency_Hz: float
+    cycles: float = 1.0
+    from_deg: float | None = None
+    to_deg: float | None = None
+    from_kPa: float | None = None
+    to_kPa: float | None = None
+
+    def __post_init__(self) -> None:
+        in_deg = self.from_deg is not None and self.to_deg is not None
+        in_kPa = self.from_kPa is not None and self.to_kPa is not None
+        given = sum(x is not None for x in (self.from_deg, self.to_deg, self.from_kPa, self.to_kPa))
+        if given != 2 or not (in_deg or in_kPa):
+            raise ValueError("a sine needs from_deg and to_deg, or from_kPa and to_kPa")
+        _positive(self.frequency_Hz, "frequency_Hz")
+        _positive(self.cycles, "cycles")
+
+
+class Sub(_Segment, tag="profile", frozen=True):
+    """Another profile of the configuration, a number of times."""
+
+    name: str
+    repeat: int = 1
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.repeat <= 1000:
+            raise ValueError("repeat must be 1 to 1000")
+
+
+Segment = Step | Ramp | HoldFor | Sine | Sub
+
+
+class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A named sequence of segments; after the last one its value is held."""
+
+    segments: tuple[Segment, ...]
+    repeat: int = 1
+    rate_kPa_per_s: float | None = None
+    """Slower than the general limit, if given."""
+
+    def __post_init__(self) -> None:
+        if not self.segments:
+            raise ValueError("a profile needs at least one segment")
+        if not 1 <= self.repeat <= 1000:
+            raise ValueError("repeat must be 1 to 1000")
+        if self.rate_kPa_per_s is not None:
+            _positive(self.rate_kPa_per_s, "rate_kPa_per_s")
+
+
+def _exactly_one(a: float | None, b: float | None, name_a: str, name_b: str) -> None:
+    if (a is None) == (b is None):
+        raise ValueError(f"give either {name_a} or {name_b}")
+
+
+def _positive(value: float, name: str) -> None:
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError(f"{name} must be above 0")
+
+
+def flatten(profiles: Mapping[str, Profile], name: str, _inside: tuple[str, ...] = ()) -> Iterator[Segment]:
+    """The segments of a profile in order, repeats and sub-profiles unrolled.
+
+    Raises `ValueError` naming the profile when one contains itself, is missing, or grows beyond
+    `MOST_PIECES` segments.
+    """
+    if name not in profiles:
+        raise ValueError(f"there is no profile '{name}'")
+    if name in _inside:
+        raise ValueError(f"profile '{name}' contains itself")
+    if len(_inside) >= DEEPEST_NESTING:
+        raise ValueError(f"profile '{name}' is nested more than {DEEPEST_NESTING} deep")
+    pieces = 0
+    for _ in range(profiles[name].repeat):
+        for segment in profiles[name].segments:
+            inner: Iterator[Segment] = (
+                (s for _ in range(segment.repeat) for s in flatten(profiles, segment.name, (*_inside, name)))
+                if isinstance(segment, Sub)
+                else iter((segment,))
+            )
+            for piece in inner:
+                pieces += 1
+                if pieces > MOST_PIECES:
+                    raise ValueError(f"profile '{name}' unrolls to more than {MOST_PIECES} segments")
+                yield piece
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """A profile made definite: where it starts, how it moves, how long it takes.
+
+    `pressure_kPa(t)` is the gauge pressure wanted `t` seconds after the start, continuous and never steeper
+    than the rate limit; after `duration_s` it stays at `final_kPa`.
+    """
+
+    pieces: tuple[tuple[float, float, Callable[[float], float]], ...]
+    start_kPa: float
+    aim_kPa: float
+    """Where it goes first: the first segment's value, of a swing the far end."""
+    final_kPa: float
+    peak_kPa: float
+    rise_kPa: float
+    """The sum of all rises: what the air is needed for."""
+    duration_s: float
+
+    def pressure_kPa(self, t: float) -> float:
+        if t <= 0.0:
+            return self.start_kPa
+        for begin, end, value in self.pieces:
+            if t < end:
+                return value(t - begin)
+        return self.final_kPa
+
+
+def plan(
+    segments: Sequence[Segment], curve: BendCurve, start_kPa: float, rate_kPa_per_s: float, max_kPa: float
+) -> Trajectory:
+    """Make segments definite, from `start_kPa` (gauge), within the rate and pressure limits.
+
+    A swing that is too fast for the rate limit is slowed down; a value above `max_kPa` is clipped to it.
+    """
+
+    def wanted(deg: float | None, kPa: float | None) -> float:
+        pressure = curve.pressure_kPa(deg) if deg is not None else kPa or 0.0
+        return min(max(pressure, 0.0), max_kPa)
+
+    pieces: list[tuple[float, float, Callable[[float], float]]] = []
+    t, at, peak, rise = 0.0, start_kPa, start_kPa, 0.0
+    aims: list[float] = []
+
+    def move(to: float, least_s: float) -> None:
+        nonlocal t, at, peak, rise
+        takes = max(abs(to - at) / rate_kPa_per_s, least_s)
+        if takes > 0.0:
+            pieces.append((t, t + takes, _line(at, to, takes)))
+            t += takes
+        rise += max(0.0, to - at)
+        at, peak = to, max(peak, to)
+
+    for segment in segments:
+        if isinstance(segment, Step):
+            aims.append(wanted(segment.to_deg, segment.to_kPa))
+            move(aims[-1], 0.0)
+        elif isinstance(segment, Ramp):
+            aims.append(wanted(segment.to_deg, segment.to_kPa))
+            move(aims[-1], segment.over_s)
+        elif isinstance(segment, HoldFor):
+            move(at, segment.for_s)
+        elif isinstance(segment, Sine):
+            low = wanted(segment.from_deg, segment.from_kPa)
+            high = wanted(segment.to_deg, segment.to_kPa)
+            aims.append(high)
+            move(low, 0.0)
+            fastest_Hz = rate_kPa_per_s / (math.pi * abs(high - low)) if high != low else math.inf
+            frequency_Hz = min(segment.frequency_Hz, fastest_Hz)
+            takes = segment.cycles / frequency_Hz
+            swing = _swing(low, high, frequency_Hz)
+            pieces.append((t, t + takes, swing))
+            t += takes
+            rise += abs(high - low) * math.ceil(segment.cycles)
+            at, peak = swing(takes), max(peak, low, high)
+    aim = aims[0] if aims else at
+    return Trajectory(tuple(pieces), start_kPa, aim, at, peak, rise, t)
+
+
+def _line(start: float, end: float, takes: float) -> Callable[[float], float]:
+    return lambda t: start + (end - start) * t / takes
+
+
+def _swing(low: float, high: float, frequency_Hz: float) -> Callable[[float], float]:
+    return lambda t: low + (high - low) * 0.5 * (1.0 - math.cos(2.0 * math.pi * frequency_Hz * t))
