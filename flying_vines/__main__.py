@@ -1,0 +1,5 @@
+"""`python -m flying_vines` is `flying-vines`."""
+
+from flying_vines.cli import main
+
+main()

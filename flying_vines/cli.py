@@ -1,0 +1,277 @@
+"""The commands, thin: parse, call, print. What each needs is imported when it runs."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from flying_vines import config as configuration
+from flying_vines.config import Config, ConfigError
+from flying_vines.vehicle.mission_item import MissionItem
+
+BAD_INPUT = 2
+FLIGHTS = Path("flights")
+SNAPSHOT_S = 0.05
+
+
+def main(argv: Sequence[str] | None = None) -> NoReturn:
+    """The `flying-vines` command. Exit status 2 and one line on standard error for bad input."""
+    arguments = _parser().parse_args(argv)
+    try:
+        status = arguments.run(arguments)
+    except ConfigError as error:
+        _fail(str(error))
+    except KeyboardInterrupt:
+        status = 130
+    except BrokenPipeError:
+        # Whoever read our output has seen enough; Python's own flush at exit must not complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = 0
+    sys.exit(status)
+
+
+def _fail(sentence: str) -> NoReturn:
+    print(f"flying-vines: {sentence}", file=sys.stderr)
+    sys.exit(BAD_INPUT)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="flying-vines", description="A soft robot arm on a drone.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    demo = commands.add_parser("demo", help="fly a scripted flight on embedded fakes")
+    demo.add_argument("--out", type=Path, default=FLIGHTS, help="where the flight's folder goes (flights)")
+    demo.add_argument("--plain", action="store_true", help="one line an event instead of the live view")
+    demo.set_defaults(run=_demo)
+
+    run = commands.add_parser("run", help="serve a vehicle and a phloSAR")
+    run.add_argument("--config", type=Path, required=True, metavar="FILE", help="the profile")
+    run.add_argument("--out", type=Path, default=FLIGHTS, help="where the flight log goes (flights)")
+    run.add_argument("--plain", action="store_true", help="one line an event instead of the live view")
+    run.set_defaults(run=_run)
+
+    replay = commands.add_parser("replay", help="what the service would have done about a recording")
+    replay.add_argument("tlog", type=Path, metavar="FILE.tlog")
+    replay.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
+    replay.add_argument("--mission", type=Path, metavar="FILE.waypoints", help="where the stream has none")
+    replay.add_argument("--pace", type=float, default=0.0, help="1: as recorded; 0: as fast as it goes")
+    replay.add_argument("--json", action="store_true", help="an array of objects instead of a table")
+    replay.set_defaults(run=_replay)
+
+    config = commands.add_parser("config", help="write or check a profile")
+    actions = config.add_subparsers(required=True, metavar="ACTION")
+    init = actions.add_parser("init", help="write a commented profile")
+    init.add_argument("file", type=Path, nargs="?", default=Path("flying-vines.toml"))
+    init.add_argument("--force", action="store_true", help="over a file that is there")
+    init.set_defaults(run=_config_init)
+    check = actions.add_parser("check", help="say exactly what is wrong with a profile")
+    check.add_argument("file", type=Path)
+    check.set_defaults(run=_config_check)
+
+    fake = commands.add_parser("fake", help="one end of the link, alone")
+    fakes = fake.add_subparsers(required=True, metavar="WHAT")
+    autopilot = fakes.add_parser("autopilot", help="a fake autopilot on UDP")
+    autopilot.add_argument("--kind", choices=("ardupilot", "px4"), default="ardupilot")
+    autopilot.add_argument("--to", default="127.0.0.1:14540", metavar="HOST:PORT", help="the companion")
+    autopilot.add_argument("--gcs", metavar="HOST:PORT", help="a ground station as well")
+    autopilot.add_argument("--mission", type=Path, metavar="FILE.waypoints")
+    autopilot.add_argument("--fly", action="store_true", help="take off at once, or fly the mission")
+    autopilot.set_defaults(run=_fake_autopilot)
+    phlosar = fakes.add_parser("phlosar", help="a fake phloSAR on a pseudo-terminal; prints its path")
+    phlosar.add_argument("--link", type=Path, metavar="PATH", help="a stable name for the port")
+    phlosar.add_argument("--reservoir-kPa", type=float, default=690.0, dest="reservoir_kPa")
+    phlosar.add_argument("--rig", type=Path, metavar="RIG.toml")
+    phlosar.set_defaults(run=_fake_phlosar)
+    return parser
+
+
+def _demo(arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from flying_vines.demo import fly, summary
+
+    console = Console()
+    live = console.is_terminal and not arguments.plain
+    try:
+        flight = asyncio.run(fly(arguments.out, console, live))
+    except OSError as error:
+        _fail(f"{error.filename or arguments.out}: {error.strerror}")
+    console.print(summary(flight))
+    for surprise in flight.unasked:
+        console.print(f"Not asked for: {surprise}", style="bold red")
+    seen = ", ".join(f"{name} {value:.1f}" for name, value in sorted(flight.values.items()))
+    console.print(f"\nThe ground station's last values: {seen}", highlight=False)
+    console.print(f"Log      {flight.folder / 'flight.jsonl'}", highlight=False, soft_wrap=True)
+    if flight.picture:
+        console.print(f"Picture  {flight.picture}", highlight=False, soft_wrap=True)
+    console.print("Everything went as it should." if flight.passed else "The flight FAILED.", style="bold")
+    return 0 if flight.passed else 1
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    config = configuration.load(arguments.config)
+    return asyncio.run(_serve(config, arguments))
+
+
+async def _serve(config: Config, arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+    from rich.live import Live
+
+    from flying_vines.core import Action
+    from flying_vines.record.flight_log import FlightLog
+    from flying_vines.service import Service
+    from flying_vines.terminal import LiveView, plain_printer
+
+    try:
+        log = FlightLog(arguments.out)
+    except OSError as error:
+        _fail(f"{arguments.out}: no flight log can be written there: {error.strerror}")
+    console = Console()
+    loop = asyncio.get_running_loop()
+    view = LiveView(loop.time(), config.limits.max_kPa, config.pneumatics.full_kPa)
+    live = console.is_terminal and not arguments.plain
+    show = view.take if live else plain_printer(console, loop.time())
+
+    def on_action(action: Action) -> None:
+        log.action(action)
+        show(action)
+
+    service = Service(config, on_action)
+    for name in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(name, service.stop)
+    console.print(f"Vehicle {config.vehicle.link}, phloSAR {config.firmware.link}, log {log.path}")
+    serving = asyncio.create_task(service.run())
+    screen = Live(console=console, refresh_per_second=5, transient=True) if live else None
+    problems: dict[str, str] = {}
+    if screen:
+        screen.start()
+    try:
+        while not serving.done():
+            snapshot = service.core.snapshot(service.now)
+            log.snapshot(snapshot)
+            if screen:
+                screen.update(view.render(snapshot))
+            elif problems != service.link_problems:
+                problems = dict(service.link_problems)
+                for link, why in problems.items():
+                    console.print(f"{link} link: {why or 'open'}", soft_wrap=True)
+            await asyncio.wait([serving], timeout=SNAPSHOT_S)
+        await serving
+    finally:
+        if screen:
+            screen.stop()
+        log.close()
+    if log.failed:
+        console.print(log.failed)
+    console.print("Vented. Stopped.")
+    return 0
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    from flying_vines.core import Decision
+    from flying_vines.replay import as_json, replay
+    from flying_vines.vehicle.tlog import TlogError, TlogReader
+
+    config = configuration.load(arguments.config) if arguments.config else configuration.default()
+    mission = _mission(arguments.mission)
+    if not arguments.pace >= 0.0:
+        _fail("--pace must not be below 0")
+    try:
+        reader = TlogReader(arguments.tlog)
+        actions = replay(reader.frames(), config, mission, arguments.pace)
+        decisions = [action for action in actions if isinstance(action, Decision)]
+    except TlogError as error:
+        _fail(str(error))
+    if arguments.json:
+        print(json.dumps([as_json(decision) for decision in decisions], indent=1))
+    else:
+        from rich.console import Console
+
+        from flying_vines.terminal import decision_table
+
+        Console().print(decision_table(decisions))
+    if reader.skipped_bytes:
+        print(
+            f"flying-vines: {arguments.tlog}: {reader.skipped_bytes} bytes of it are no MAVLink frame",
+            file=sys.stderr,
+        )
+    return 0
+
+
+def _config_init(arguments: argparse.Namespace) -> int:
+    path: Path = arguments.file
+    try:
+        with path.open("w" if arguments.force else "x", encoding="utf-8") as file:
+            file.write(configuration.default_text())
+    except FileExistsError:
+        _fail(f"{path} is there already; --force writes over it")
+    except OSError as error:
+        _fail(f"{path}: cannot be written: {error.strerror}")
+    print(f"Wrote {path}. Check it with: flying-vines config check {path}")
+    return 0
+
+
+def _config_check(arguments: argparse.Namespace) -> int:
+    config = configuration.load(arguments.file)
+    print(
+        f"{arguments.file}: good. Switch on channel {config.switch.channel}, {len(config.profiles)} "
+        f"profiles, {len(config.items)} item rules, up to {config.limits.max_kPa:g} kPa."
+    )
+    return 0
+
+
+def _fake_autopilot(arguments: argparse.Namespace) -> int:
+    from flying_vines.fakes.autopilot import Autopilot
+    from flying_vines.fakes.autopilot_udp import AutopilotServer
+
+    mission = _mission(arguments.mission)
+    script: list[tuple[float, Callable[[Autopilot], None]]] = []
+    if arguments.fly:
+        fly = Autopilot.start_mission if mission else lambda autopilot: autopilot.takeoff(10.0)
+        script.append((3.0, fly))
+    try:
+        autopilot = Autopilot(arguments.kind, mission=mission)
+        gcs = f"udpout:{arguments.gcs}" if arguments.gcs else None
+        server = AutopilotServer(autopilot, f"udpout:{arguments.to}", gcs, script)
+    except ValueError as error:
+        _fail(str(error))
+    print(f"A fake {arguments.kind} sends to {arguments.to}. Ctrl-C ends it.", flush=True)
+    asyncio.run(server.run())
+    return 0
+
+
+def _fake_phlosar(arguments: argparse.Namespace) -> int:
+    from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
+    from flying_vines.pneumatics.rig import RigError, load_rig
+
+    try:
+        rig = load_rig(arguments.rig) if arguments.rig else None
+        phlosar = SimulatedPhlosar(rig, reservoir_kPa=arguments.reservoir_kPa, adc_bits=12)
+        with PtyPhlosar(phlosar, arguments.link) as port:
+            print(arguments.link or port.path, flush=True)
+            asyncio.run(port.run())
+    except RigError as error:
+        _fail(str(error))
+    except OSError as error:
+        _fail(f"{arguments.link}: {error.strerror or error}")
+    return 0
+
+
+def _mission(path: Path | None) -> Sequence[MissionItem]:
+    if path is None:
+        return ()
+    from missions.waypoints import WaypointsError, read_waypoints
+
+    try:
+        return read_waypoints(path)
+    except WaypointsError as error:
+        _fail(str(error))
+    except OSError as error:
+        _fail(f"{path}: {error.strerror}")

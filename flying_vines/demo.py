@@ -1,0 +1,397 @@
+"""A scripted flight: the real service between a fake autopilot and a fake phloSAR, step by step, checked.
+
+Each step does one thing to the world and says what must come of it, and by when. The flight has passed when
+every expectation was met and nothing moved that was not asked to.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from flying_vines import config as configuration
+from flying_vines.config import Config
+from flying_vines.core import Action, Decision, Snapshot
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.autopilot_udp import AutopilotServer
+from flying_vines.fakes.ground_station import GroundStation
+from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
+from flying_vines.notice import Notice
+from flying_vines.record.flight_log import FlightLog
+from flying_vines.service import Service
+from flying_vines.terminal import LiveView, event_line
+from flying_vines.vehicle.mission_item import MissionItem
+
+HOME = (-35.363262, 149.165237)
+NORTH_DEG_PER_M = 1 / 111_320
+LOOK_S = 0.05
+SWITCH_CHANNEL = 9
+LOW, MIDDLE, HIGH = 1000, 1500, 2000
+CRUISE_M = 6.0
+LEAK_KPA_PER_S = 300.0
+EMPTY_KPA = 30.0
+
+
+@dataclass
+class World:
+    """What a step can act on and look at."""
+
+    config: Config
+    autopilot: Autopilot
+    phlosar: SimulatedPhlosar
+    ground: GroundStation
+    decisions: list[Decision] = field(default_factory=list)
+    notices: list[Notice] = field(default_factory=list)
+    snapshot: Snapshot | None = None
+
+    def decided(self, since: float, trigger: str, safety: str, reason: str = "", **what: object) -> bool:
+        """Whether a trigger was decided like this since a time."""
+        return any(
+            d.t >= since
+            and (d.trigger, d.safety) == (trigger, safety)
+            and reason in d.reason
+            and all(d.what.get(key) == value for key, value in what.items())
+            for d in self.decisions
+        )
+
+    def noticed(self, since: float, text: str) -> bool:
+        return any(n.t >= since and text in n.text for n in self.notices)
+
+    @property
+    def bend_deg(self) -> float:
+        return self.snapshot.bend_deg if self.snapshot else 0.0
+
+    @property
+    def vented(self) -> bool:
+        """As the plant itself knows it, not as telemetry says."""
+        return self.phlosar.cv_kPa < 1.0 and self.phlosar.drive.evp == 0.0
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """What must become true after a step, within a time."""
+
+    what: str
+    within_s: float
+    met: Callable[[World, float], bool]
+    """Of the world and of the time at which the step began."""
+
+
+@dataclass(frozen=True)
+class Step:
+    at_s: float
+    title: str
+    act: Callable[[World], None]
+    expect: tuple[Expectation, ...]
+
+
+@dataclass
+class Outcome:
+    """An expectation and when, after its step, it was met; None while it was not."""
+
+    step: Step
+    expectation: Expectation
+    began: float
+    met_after_s: float | None = None
+
+
+def demo_mission() -> list[MissionItem]:
+    """Home, take-off, a waypoint, the vine item, a waypoint far enough away to last the flight."""
+    return [
+        _position(0, 16, 0.0, 584.0, frame=0),
+        _position(1, 22, 0.0, CRUISE_M),
+        _position(2, 16, 5.0, CRUISE_M),
+        MissionItem(3, 217, (1.0, 40.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+        _position(4, 16, 200.0, CRUISE_M),
+    ]
+
+
+def _position(seq: int, command: int, north_m: float, altitude_m: float, frame: int = 3) -> MissionItem:
+    latitude = HOME[0] + north_m * NORTH_DEG_PER_M
+    return MissionItem(seq, command, (0.0, 0.0, 0.0, 0.0, latitude, HOME[1], altitude_m), frame=frame)
+
+
+def _switch(pulse_us: int) -> Callable[[World], None]:
+    return lambda w: w.autopilot.set_rc(SWITCH_CHANNEL, pulse_us)
+
+
+def _switched(position: int, safety: str = "accepted", reason: str = "") -> Expectation:
+    said = f"switch seen in position {position}, bend {safety}"
+    return Expectation(
+        said, 1.0, lambda w, since: w.decided(since, "switch", safety, reason, position=position)
+    )
+
+
+def _bends_to(angle_deg: float) -> Expectation:
+    return Expectation(f"vine at {angle_deg:g}°", 2.0, lambda w, since: abs(w.bend_deg - angle_deg) < 4.0)
+
+
+def _vented(within_s: float) -> Expectation:
+    return Expectation("vine vented", within_s, lambda w, since: w.vented)
+
+
+def _lost(loss: str, within_s: float) -> Expectation:
+    return Expectation(
+        f"safe state entered: {loss}",
+        within_s,
+        lambda w, since: w.decided(since, "failsafe", "accepted", loss=loss),
+    )
+
+
+def _told(text: str, within_s: float) -> Expectation:
+    return Expectation(f"pilot told: “{text}”", within_s, lambda w, since: w.noticed(since, text))
+
+
+def _open_leak(w: World) -> None:
+    w.phlosar.reservoir_leak_kPa_per_s = LEAK_KPA_PER_S
+
+
+def _unseen_move(w: World) -> None:
+    w.autopilot.set_rc(SWITCH_CHANNEL, HIGH)
+
+
+FIVE_VALUES = {"RES_KPA", "CYC_LEFT", "CV_KPA", "CMD_KPA", "BEND_DEG"}
+
+SCRIPT = (
+    Step(
+        0.5,
+        "Power on",
+        lambda w: None,
+        (
+            Expectation(
+                "phloSAR answers", 3.0, lambda w, _: bool(w.snapshot and w.snapshot.firmware == "ready")
+            ),
+            Expectation("RC heard", 4.0, lambda w, _: bool(w.snapshot and w.snapshot.rc == "good")),
+            Expectation(
+                "ground station sees all five values", 5.0, lambda w, _: w.ground.values.keys() >= FIVE_VALUES
+            ),
+        ),
+    ),
+    Step(
+        2.5,
+        "Arm and take off",
+        lambda w: w.autopilot.takeoff(CRUISE_M),
+        (
+            Expectation("armed", 2.0, lambda w, _: bool(w.snapshot and w.snapshot.armed)),
+            Expectation("above 4 m", 5.0, lambda w, _: bool(w.snapshot and w.snapshot.altitude_m > 4.0)),
+        ),
+    ),
+    Step(5.5, "Switch to the middle", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
+    Step(7.0, "Switch up", _switch(HIGH), (_switched(2), _bends_to(60.0))),
+    Step(8.5, "Switch down", _switch(LOW), (_switched(0), _vented(2.0))),
+    Step(
+        10.5,
+        "Fly the mission: item 3 bends to 40°",
+        lambda w: w.autopilot.start_mission(),
+        (
+            Expectation(
+                "mission item 3 seen, bend accepted",
+                5.0,
+                lambda w, since: w.decided(since, "mission_item", "accepted", seq=3),
+            ),
+            Expectation("vine at 40°", 6.0, lambda w, since: abs(w.bend_deg - 40.0) < 4.0),
+        ),
+    ),
+    Step(14.5, "RC is lost", lambda w: w.autopilot.lose_rc("frozen"), (_lost("rc", 2.0), _vented(3.0))),
+    Step(16.0, "The pilot moves the switch, unseen", _unseen_move, ()),
+    Step(
+        16.5,
+        "RC returns",
+        lambda w: w.autopilot.return_rc(),
+        (_told("RC is back", 1.0), _told("move it again", 2.5), _vented(2.5)),
+    ),
+    Step(19.5, "A fresh move of the switch", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
+    Step(
+        21.0,
+        "The bottle runs low",
+        _open_leak,
+        (_told("bottle low", 4.0), _lost("reservoir", 4.0), _vented(4.5)),
+    ),
+    Step(
+        24.5,
+        "Switch up with an empty bottle",
+        _switch(HIGH),
+        (_switched(2, "refused", "bottle at"), _told("refused bend-full", 1.0)),
+    ),
+    Step(
+        25.0,
+        "Land",
+        lambda w: w.autopilot.land(),
+        (
+            Expectation("landed and disarmed", 12.0, lambda w, _: bool(w.snapshot and not w.snapshot.armed)),
+            Expectation("still vented", 12.0, lambda w, _: w.vented),
+            Expectation(
+                "ground station got the refusal",
+                8.0,
+                lambda w, _: any("refused bend-full" in text for text in w.ground.texts),
+            ),
+        ),
+    ),
+)
+
+ASKED_FOR = {"switch": 5, "mission_item": 1, "command": 0}
+"""How many triggers of each kind the script makes; the move while RC is lost is none."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What came of a scripted flight."""
+
+    outcomes: list[Outcome]
+    unasked: list[str]
+    folder: Path
+    picture: Path | None
+    values: dict[str, float]
+
+    @property
+    def passed(self) -> bool:
+        return not self.unasked and all(o.met_after_s is not None for o in self.outcomes)
+
+
+async def fly(out: Path, console: Console, live: bool) -> Flight:
+    """Fly the script in real time; the log and its picture go to a new folder under `out`."""
+    log = FlightLog(out)
+    ground = GroundStation()
+    ground_port = await ground.listen()
+    companion_port = _free_udp_port()
+    phlosar = SimulatedPhlosar(reservoir_kPa=690.0, adc_bits=12)
+    autopilot = Autopilot("ardupilot", mission=demo_mission(), rc_failsafe_mode=None)
+    autopilot.set_rc(SWITCH_CHANNEL, LOW)
+    with PtyPhlosar(phlosar) as port:
+        base = configuration.default()
+        config = msgspec.structs.replace(
+            base,
+            vehicle=msgspec.structs.replace(base.vehicle, link=f"udpin:127.0.0.1:{companion_port}"),
+            firmware=msgspec.structs.replace(base.firmware, link=f"serial:{port.path}"),
+        )
+        world = World(config, autopilot, phlosar, ground)
+        server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
+        began = asyncio.get_running_loop().time()
+        view = LiveView(began, config.limits.max_kPa, config.pneumatics.full_kPa)
+
+        def on_action(action: Action) -> None:
+            log.action(action)
+            view.take(action)
+            if isinstance(action, Decision):
+                world.decisions.append(action)
+            elif isinstance(action, Notice):
+                world.notices.append(action)
+            line = None if live else event_line(action, began)
+            if line is not None:
+                console.print(line, soft_wrap=True)
+
+        service = Service(config, on_action)
+        async with asyncio.TaskGroup() as tasks:
+            running = [tasks.create_task(part.run()) for part in (server, port, ground)]
+            serving = tasks.create_task(service.run())
+            outcomes = await _direct(world, service, log, view, console, live)
+            service.stop()
+            await serving
+            for task in running:
+                task.cancel()
+    log.close()
+    picture = _draw(log, console)
+    return Flight(outcomes, _unasked(world), log.folder, picture, dict(ground.values))
+
+
+async def _direct(
+    world: World, service: Service, log: FlightLog, view: LiveView, console: Console, live: bool
+) -> list[Outcome]:
+    """Do the steps in time, and look whether what they say comes true."""
+    began = service.now
+    waiting = list(SCRIPT)
+    outcomes: list[Outcome] = []
+    last_look_s = SCRIPT[-1].at_s + max(e.within_s for e in SCRIPT[-1].expect)
+    screen = Live(console=console, refresh_per_second=10, transient=True) if live else None
+    if screen:
+        screen.start()
+    try:
+        while True:
+            now = service.now
+            while waiting and now - began >= waiting[0].at_s:
+                step = waiting.pop(0)
+                outcomes.extend(Outcome(step, expectation, now) for expectation in step.expect)
+                title = Text(f"{now - began:7.2f}  ▶ {step.title}", style="bold magenta")
+                view.say(title)
+                if not live:
+                    console.print(title)
+                step.act(world)
+            world.snapshot = service.core.snapshot(now)
+            log.snapshot(world.snapshot)
+            if world.phlosar.reservoir_kPa < EMPTY_KPA:
+                world.phlosar.reservoir_leak_kPa_per_s = 0.0
+            for outcome in outcomes:
+                late = now - outcome.began > outcome.expectation.within_s
+                if outcome.met_after_s is None and not late and outcome.expectation.met(world, outcome.began):
+                    outcome.met_after_s = now - outcome.began
+            if screen:
+                screen.update(view.render(world.snapshot, "Flying Vines demo"))
+            done = all(o.met_after_s is not None for o in outcomes)
+            if not waiting and (done or now - began > last_look_s):
+                return outcomes
+            await asyncio.sleep(LOOK_S)
+    finally:
+        if screen:
+            screen.stop()
+
+
+def _unasked(world: World) -> list[str]:
+    """What was triggered that the script did not ask for, and what the vine should not have done."""
+    found = []
+    for kind, asked in ASKED_FOR.items():
+        times = sum(d.trigger == kind for d in world.decisions)
+        if times != asked:
+            found.append(f"{times} triggers of kind {kind}, the script makes {asked}")
+    return found
+
+
+def _draw(log: FlightLog, console: Console) -> Path | None:
+    try:
+        from flying_vines.record.picture import draw_flight
+    except ModuleNotFoundError as error:
+        console.print(f"No picture: {error.name} is missing; pip install 'flying-vines[analysis]' brings it.")
+        return None
+    from flying_vines.record.flight_log import read_log
+
+    path = log.folder / "flight.png"
+    draw_flight(read_log(log.path), path, "Flying Vines demo flight")
+    return path
+
+
+def summary(flight: Flight) -> Table:
+    """The script's steps, what each had to bring about, and whether it did."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("at, s", justify="right")
+    table.add_column("step")
+    table.add_column("must happen")
+    table.add_column("after, s", justify="right")
+    table.add_column("")
+    shown: Step | None = None
+    for outcome in flight.outcomes:
+        first = outcome.step is not shown
+        shown = outcome.step
+        met = outcome.met_after_s
+        table.add_row(
+            f"{outcome.step.at_s:g}" if first else "",
+            outcome.step.title if first else "",
+            outcome.expectation.what,
+            f"{met:.2f}" if met is not None else f"> {outcome.expectation.within_s:g}",
+            Text("ok", style="green") if met is not None else Text("FAILED", style="bold red"),
+        )
+    return table
+
+
+def _free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

@@ -1,0 +1,125 @@
+"""A flight as a picture: what was asked, what the vine did, what the bottle had left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+from matplotlib import pyplot as plt
+
+BLUE, ORANGE, GREEN, PURPLE, RED, GREY = "#2563a8", "#d9730d", "#2f8f5b", "#7a4fb5", "#c4312f", "#8a8f98"
+MARKS = {"accepted": GREEN, "limited": ORANGE, "refused": RED}
+LABEL_BOX = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
+
+
+def draw_flight(entries: Iterable[dict[str, Any]], path: Path, title: str) -> None:
+    """Draw the log's entries into a PNG: pressures, bend angle, openings, reservoir, triggers over time."""
+    snapshots, decisions = [], []
+    for entry in entries:
+        if entry["kind"] == "snapshot":
+            snapshots.append(entry)
+        elif entry["kind"] == "decision":
+            decisions.append(entry)
+    if not snapshots:
+        raise ValueError("the log holds no snapshot to draw")
+    start = snapshots[0]["t"]
+    t = [s["t"] - start for s in snapshots]
+
+    def column(name: str) -> list[float]:
+        return [float("nan") if s[name] is None else s[name] for s in snapshots]
+
+    figure, axes = plt.subplots(
+        4, 1, figsize=(12, 10), sharex=True, height_ratios=[3.2, 1.6, 1.4, 1.8], layout="constrained"
+    )
+    pressure, bend, opening, reservoir = axes
+    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
+
+    pressure.plot(t, column("command_kPa"), color=ORANGE, lw=1.6, label="setpoint")
+    pressure.plot(t, column("cv_kPa"), color=BLUE, lw=1.3, label="vine (CV)")
+    pressure.set_ylabel("kPa gauge")
+    top = max(25.0, 1.1 * max(x for x in column("cv_kPa") if x == x))
+    pressure.set_ylim(-1.0, 1.75 * top)
+    pressure.set_yticks(range(0, int(top) + 1, 5))
+    pressure.legend(loc="upper right", ncols=2, frameon=False)
+    _mark_decisions(pressure, decisions, start, t[-1], top)
+
+    bend.plot(t, column("bend_deg"), color=PURPLE, lw=1.3)
+    bend.set_ylabel("bend, °")
+    bend.set_ylim(bottom=-2)
+
+    opening.fill_between(t, column("evp_opening"), color=BLUE, alpha=0.6, lw=0, step="post")
+    opening.fill_between(t, [-x for x in column("dvp_opening")], color=GREEN, alpha=0.7, lw=0, step="post")
+    solenoid = [-1.25 if s["solenoid"] else float("nan") for s in snapshots]
+    opening.plot(t, solenoid, color=GREY, lw=4, solid_capstyle="butt")
+    opening.set_ylim(-1.5, 1.1)
+    opening.set_yticks([-1.25, -0.5, 0.5], ["solenoid", "DVP", "EVP"])
+    opening.set_ylabel("openings")
+
+    reservoir.plot(t, column("reservoir_kPa"), color=BLUE, lw=1.3)
+    reservoir.set_ylabel("reservoir, kPa", color=BLUE)
+    reservoir.set_ylim(bottom=0)
+    reservoir.set_xlabel("time, s")
+    cycles = reservoir.twinx()
+    known = [(x, s["cycles"]) for x, s in zip(t, snapshots, strict=True) if s["cycles"]]
+    if known:
+        xs = [x for x, _ in known]
+        cycles.fill_between(
+            xs, [c["low"] for _, c in known], [c["high"] for _, c in known], color=PURPLE, alpha=0.15, lw=0
+        )
+        cycles.plot(xs, [c["expected"] for _, c in known], color=PURPLE, lw=1.3)
+    cycles.set_ylabel("cycles left, 90 % interval", color=PURPLE)
+    cycles.set_ylim(bottom=0)
+
+    for axis in axes:
+        _shade_safe_states(axis, t, snapshots)
+        axis.grid(color="#e6e8eb", lw=0.6)
+        axis.set_axisbelow(True)
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.set_xlim(t[0], t[-1])
+    cycles.spines["top"].set_visible(False)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _mark_decisions(
+    axis: Any, decisions: list[dict[str, Any]], start: float, width: float, top: float
+) -> None:
+    rows: list[float] = []
+    for decision in decisions:
+        x = decision["t"] - start
+        color = MARKS[decision["safety"]]
+        # Each label goes to the lowest row whose last label ended before it.
+        text = f"{decision['trigger'].replace('_', ' ')}: {decision['intent'] or '?'}"
+        if decision["safety"] != "accepted" or decision["trigger"] == "failsafe":
+            text += f"\n{decision['reason'][:34]}"
+        longest = max(len(line) for line in text.split("\n"))
+        row = next((i for i, end in enumerate(rows) if end < x), len(rows))
+        rows[row : row + 1] = [x + width * 0.0068 * longest]
+        y = top * (1.05 + 0.13 * (row % 5))
+        axis.axvline(x, ymax=(y + 1) / (1.75 * top + 1), color=color, lw=0.9, alpha=0.8)
+        axis.text(
+            x + width * 0.003,
+            y,
+            text,
+            fontsize=7.5,
+            color=color,
+            va="bottom",
+            linespacing=0.95,
+            bbox=LABEL_BOX,
+        )
+
+
+def _shade_safe_states(axis: Any, t: list[float], snapshots: list[dict[str, Any]]) -> None:
+    begin: float | None = None
+    for x, snapshot in zip(t, snapshots, strict=True):
+        if snapshot["safe_state"] and begin is None:
+            begin = x
+        elif not snapshot["safe_state"] and begin is not None:
+            axis.axvspan(begin, x, color=RED, alpha=0.08, lw=0)
+            begin = None
+    if begin is not None:
+        axis.axvspan(begin, t[-1], color=RED, alpha=0.08, lw=0)

@@ -1,0 +1,147 @@
+"""The service on a terminal: a live view for those who watch, one line an event for those who log."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+
+from rich.console import Console, Group
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from flying_vines.core import Action, Decision, Snapshot
+from flying_vines.notice import Notice, Severity
+
+VERDICT_STYLE = {"accepted": "green", "limited": "yellow", "refused": "red"}
+SEVERITY_STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTICE: "cyan"}
+BAR_WIDTH = 24
+
+
+def describe(what: dict[str, object]) -> str:
+    """A trigger's source, for people."""
+    if "channel" in what:
+        return f"ch{what['channel']} position {what['position']}"
+    if "loss" in what:
+        return str(what["loss"]).replace("_", " ")
+    if "event" in what:
+        return str(what["event"])
+    parts = []
+    if "seq" in what:
+        parts.append(f"item {'?' if what['seq'] is None else what['seq']}")
+    if "command" in what:
+        parts.append(f"command {what['command']}")
+    params = what.get("params")
+    if isinstance(params, list):
+        parts.append("(" + ", ".join(f"{p:g}" for p in params) + ")")
+    return " ".join(parts)
+
+
+def decision_table(decisions: Sequence[Decision]) -> Table:
+    """What was asked and what came of it, a row each."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("t, s", "trigger", "what", "intent", "safety", "setpoint, kPa", "why"):
+        table.add_column(name, justify="right" if "," in name else "left")
+    for d in decisions:
+        style = VERDICT_STYLE[d.safety]
+        table.add_row(
+            f"{d.t:.2f}",
+            d.trigger.replace("_", " "),
+            describe(d.what),
+            d.intent or "–",
+            Text(d.safety, style=style),
+            f"{d.setpoint_kPa:.1f}",
+            d.reason,
+        )
+    return table
+
+
+def event_line(action: Action, began: float) -> Text | None:
+    """One line for a decision or a notice; None for what nobody reads."""
+    if isinstance(action, Decision):
+        line = Text(f"{action.t - began:7.2f}  ")
+        line.append(f"{action.trigger.replace('_', ' ')} ", style="bold")
+        line.append(f"{describe(action.what)} → {action.intent or '?'}: ")
+        line.append(action.safety, style=VERDICT_STYLE[action.safety])
+        if action.reason:
+            line.append(f" ({action.reason})")
+        return line
+    if isinstance(action, Notice):
+        return Text(
+            f"{action.t - began:7.2f}  {action.text}", style=SEVERITY_STYLE.get(action.severity, "dim")
+        )
+    return None
+
+
+class LiveView:
+    """What a person watches: feed it actions, render it with a snapshot."""
+
+    def __init__(self, began: float, max_kPa: float, full_kPa: float, lines: int = 12) -> None:
+        self._began = began
+        self._max_kPa = max_kPa
+        self._full_kPa = full_kPa
+        self._events: deque[Text] = deque(maxlen=lines)
+
+    def take(self, action: Action) -> None:
+        line = event_line(action, self._began)
+        if line is not None:
+            self._events.append(line)
+
+    def say(self, text: Text) -> None:
+        self._events.append(text)
+
+    def render(self, s: Snapshot, title: str = "Flying Vines") -> Panel:
+        """The whole screen."""
+        grid = Table.grid(padding=(0, 2))
+        grid.add_column(style="dim", no_wrap=True)
+        grid.add_column(no_wrap=True)
+        grid.add_column(no_wrap=True)
+        altitude = "" if math.isnan(s.altitude_m) else f"{s.altitude_m:.1f} m"
+        armed = Text("armed", style="bold yellow") if s.armed else Text("disarmed", style="dim")
+        grid.add_row("vehicle", f"{s.vehicle}  {s.mode}  {altitude}", armed)
+        rc_style = "green" if s.rc == "good" else "red"
+        position = "–" if s.switch_position is None else str(s.switch_position)
+        grid.add_row("RC", Text(s.rc, style=rc_style), f"switch {position}")
+        firmware_style = "green" if s.firmware == "ready" else "red"
+        valves = (
+            f"EVP {s.evp_opening:4.0%}  DVP {s.dvp_opening:4.0%}  solenoid {'open' if s.solenoid else 'shut'}"
+        )
+        grid.add_row("phloSAR", Text(s.firmware, style=firmware_style), valves)
+        grid.add_row("", "", "")
+        grid.add_row("command", _bar(s.command_kPa, self._max_kPa, "yellow"), f"{_number(s.command_kPa)} kPa")
+        cv = f"{_number(s.cv_kPa)} kPa   bend {_number(s.bend_deg, 0)}°"
+        grid.add_row("vine", _bar(s.cv_kPa, self._max_kPa, "blue"), cv)
+        reservoir = f"{_number(s.reservoir_kPa, 0)} kPa   {_cycles(s)}"
+        grid.add_row("reservoir", _bar(s.reservoir_kPa, self._full_kPa, "cyan"), reservoir)
+        state = Text(s.doing, style="bold")
+        if s.safe_state:
+            state = Text("SAFE: " + "; ".join(s.safe_state.values()), style="bold red")
+        grid.add_row("doing", state, "")
+        return Panel(Group(grid, Text(""), *self._events), title=f"{title}   {s.t - self._began:6.1f} s")
+
+
+def _cycles(s: Snapshot) -> str:
+    c = s.cycles
+    return f"{c.expected:.0f} cycles left ({c.low:.0f}…{c.high:.0f})" if c else "cycles left not known"
+
+
+def _number(value: float, digits: int = 1) -> str:
+    return "–" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def _bar(value: float, full: float, style: str) -> Text:
+    share = 0.0 if math.isnan(value) else min(max(value / full, 0.0), 1.0)
+    filled = round(share * BAR_WIDTH)
+    return Text("█" * filled, style=style).append("░" * (BAR_WIDTH - filled), style="dim")
+
+
+def plain_printer(console: Console, began: float) -> Callable[[Action], None]:
+    """Prints an event a line, for terminals that are no screen."""
+
+    def show(action: Action) -> None:
+        line = event_line(action, began)
+        if line is not None:
+            console.print(line, soft_wrap=True)
+
+    return show
