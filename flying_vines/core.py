@@ -33,6 +33,8 @@ TICK_S = 0.02
 """How often `Tick` is due, and how far a setpoint looks ahead."""
 
 MIN_RATE_KPA_PER_S = 1.0
+SPEAK_FIRST_S = 1.5
+"""How long we listen for an autopilot before we say anything ourselves."""
 
 
 # Events: what happens.
@@ -151,10 +153,12 @@ class Core:
         self._rc_in_use = False
         self._firmware = fw.HostSession(repeat_s=TICK_S)
         self._firmware_was_ready = False
+        self._max_kPa = config.limits.max_kPa
         self._firmware_problem = "not connected"
         self._safety = Safety(config)
         self._reservoir = ReservoirEstimate(config.pneumatics)
         self._low_told = False
+        self._alone_since: float | None = None
         self._motion: Motion | None = None
         self._stopped = False
         self._actions: list[Action] = []
@@ -206,6 +210,7 @@ class Core:
             match event:
                 case fw.Ready(welcome):
                     self._firmware_was_ready = True
+                    self._max_kPa = min(self.config.limits.max_kPa, welcome.cv_limit_kPa)
                     self._notice(t, Severity.INFO, f"phloSAR ready ({welcome.firmware_build})")
                 case fw.TelemetryReceived(telemetry):
                     self._reservoir.update(t, telemetry.cv_kPa, telemetry.reservoir_kPa)
@@ -218,9 +223,8 @@ class Core:
                     self._firmware_problem = reason
                     self._notice(t, Severity.ERROR, f"{reason}")
                 case fw.CommandRefused(refusal):
-                    self._motion = None
                     said = refusal.reason.name.lower().replace("_", " ")
-                    self._notice(t, Severity.WARNING, f"phloSAR refused: {said}")
+                    self._enter(t, Entered("refused_by_firmware", f"phloSAR refused: {said}", "vent"))
 
     # Deciding.
 
@@ -229,6 +233,8 @@ class Core:
         intent = trigger.intent
         if intent is None:
             return self._record(t, trigger, Ruling("refused", trigger.problem))
+        if self._stopped:
+            return self._record(t, trigger, Ruling("refused", "the service is stopping"))
         if isinstance(intent, ClearFaults):
             return self._record(t, trigger, self._clear_faults(t))
         if isinstance(intent, Vent):
@@ -243,18 +249,18 @@ class Core:
         if problem:
             return self._record(t, trigger, Ruling("refused", problem))
         start_kPa = self._setpoint_kPa(t)
-        limit_kPa = self.config.limits.max_kPa
+        limit_kPa = self._max_kPa
         trajectory = plan(segments, self._curve, start_kPa, rate_kPa_per_s, limit_kPa)
         top_kPa = plan(segments, self._curve, 0.0, rate_kPa_per_s, limit_kPa).peak_kPa
         demand = Demand(
-            releases=trajectory.rise_kPa <= 0.0 and trajectory.final_kPa <= start_kPa,
+            releases=trajectory.rise_kPa <= 0.0 and trajectory.final_kPa <= 0.0,
             peak_kPa=top_kPa,
             wanted_kPa=max(wanted_kPa, top_kPa),
             rate_kPa_per_s=rate_kPa_per_s,
             spending_kPa=self._reservoir.spending_kPa(trajectory.rise_kPa),
             floor_kPa=floor_kPa(self.config.pneumatics, rate_kPa_per_s),
         )
-        if trigger.by_person and demand.releases and trajectory.final_kPa <= 0.0:
+        if trigger.by_person and demand.releases:
             self._clear_faults(t)
         ruling = self._safety.judge(demand, now)
         if ruling.verdict == "refused":
@@ -262,7 +268,7 @@ class Core:
         if ruling.rate_scale < 1.0:
             rate_kPa_per_s = max(MIN_RATE_KPA_PER_S, rate_kPa_per_s * ruling.rate_scale)
             trajectory = plan(segments, self._curve, start_kPa, rate_kPa_per_s, limit_kPa)
-        if demand.releases and trajectory.final_kPa <= 0.0 and self._motion is None:
+        if demand.releases and self._motion is None:
             self._stop_moving(t)
         else:
             self._motion = Motion(trajectory, t, rate_kPa_per_s, str(intent))
@@ -299,7 +305,7 @@ class Core:
     def _freeze(self, t: float) -> None:
         here = Step(to_kPa=self._setpoint_kPa(t))
         rate = self.config.limits.max_rate_kPa_per_s
-        trajectory = plan([here], self._curve, here.to_kPa or 0.0, rate, self.config.limits.max_kPa)
+        trajectory = plan([here], self._curve, here.to_kPa or 0.0, rate, self._max_kPa)
         self._motion = Motion(trajectory, t, rate, "hold")
         self._drive(t)
 
@@ -339,7 +345,7 @@ class Core:
         if self._motion is not None:
             return self._motion.setpoint_kPa(t)
         telemetry = self._firmware.telemetry
-        return min(max(0.0, telemetry.cv_kPa), self.config.limits.max_kPa) if telemetry else 0.0
+        return min(max(0.0, telemetry.cv_kPa), self._max_kPa) if telemetry else 0.0
 
     def _drive(self, t: float) -> None:
         """Tell the firmware what holds until the next tick."""
@@ -367,8 +373,7 @@ class Core:
             self._drive(t)
         self._to_firmware(self._firmware.tick(t))
         self._warn_of_low_reservoir(t)
-        if self._vehicle.state.found:
-            self._report(t)
+        self._report(t)
 
     def _conditions(self, t: float) -> Conditions:
         telemetry = self._firmware.telemetry
@@ -446,11 +451,28 @@ class Core:
         status = mavlink.MAV_STATE_ACTIVE if self._motion else mavlink.MAV_STATE_STANDBY
         if self._safety.reasons:
             status = mavlink.MAV_STATE_CRITICAL
+        if not self._vehicle.state.found:
+            self._speak_first(t)
+            return
         boot_ms = self._vehicle.state.time_boot_ms(t)
         self._send(*self._vehicle.component.due(t, boot_ms, self._named_values(t), status))
 
+    def _speak_first(self, t: float) -> None:
+        """Some peers send nothing before they have heard something (a port that waits for its client)."""
+        self._alone_since = t if self._alone_since is None else self._alone_since
+        if t - self._alone_since >= SPEAK_FIRST_S:
+            status = mavlink.MAV_STATE_STANDBY
+            system_id = self.config.vehicle.system_id or 1
+            messages = self._vehicle.component.due(t, 0, {}, status)
+            self._actions.extend(ToVehicle(message, system_id) for message in messages)
+
+    def _fresh_telemetry(self, t: float) -> protocol.Telemetry | None:
+        """The latest telemetry, unless it is too old to be shown as the present."""
+        fresh = self._firmware.telemetry_age(t) <= self.config.losses.telemetry_s
+        return self._firmware.telemetry if fresh else None
+
     def _named_values(self, t: float) -> dict[str, float]:
-        telemetry = self._firmware.telemetry
+        telemetry = self._fresh_telemetry(t)
         if telemetry is None:
             return {}
         cycles = self._reservoir.cycles_left()
@@ -467,7 +489,7 @@ class Core:
 
     def snapshot(self, t: float) -> Snapshot:
         """What a display shows at time `t`."""
-        telemetry = self._firmware.telemetry
+        telemetry = self._fresh_telemetry(t)
         vehicle = (
             f"{self._vehicle.state.kind} {self._vehicle.state.system_id}"
             if self._vehicle.state.found
