@@ -126,6 +126,9 @@ class Snapshot:
     rc: str
     switch_position: int | None
     firmware: str
+    round_trip_s: float | None
+    """Of the latest ping to the firmware."""
+    telemetry_gaps: int
     reservoir_kPa: float
     cv_kPa: float
     command_kPa: float
@@ -506,6 +509,8 @@ class Core:
             rc=self._vehicle.rc.problem(t) or "good",
             switch_position=self._vehicle.switch.position,
             firmware="ready" if ready else self._firmware_problem,
+            round_trip_s=self._firmware.round_trip_s,
+            telemetry_gaps=self._firmware.telemetry_gaps,
             reservoir_kPa=telemetry.reservoir_kPa if telemetry else math.nan,
             cv_kPa=telemetry.cv_kPa if telemetry else math.nan,
             command_kPa=self._commanded_kPa(t),

@@ -29,7 +29,7 @@ def describe(what: dict[str, object]) -> str:
         return str(what["event"])
     parts = []
     if "seq" in what:
-        parts.append(f"item {'?' if what['seq'] is None else what['seq']}")
+        parts.append(f"#{'?' if what['seq'] is None else what['seq']}")
     if "command" in what:
         parts.append(f"command {what['command']}")
     params = what.get("params")
@@ -107,7 +107,9 @@ class LiveView:
         valves = (
             f"EVP {s.evp_opening:4.0%}  DVP {s.dvp_opening:4.0%}  solenoid {'open' if s.solenoid else 'shut'}"
         )
-        grid.add_row("phloSAR", Text(s.firmware, style=firmware_style), valves)
+        grid.add_row(
+            "phloSAR", Text(s.firmware, style=firmware_style).append(_health(s), style="dim"), valves
+        )
         grid.add_row("", "", "")
         grid.add_row("command", _bar(s.command_kPa, self._max_kPa, "yellow"), f"{_number(s.command_kPa)} kPa")
         cv = f"{_number(s.cv_kPa)} kPa   bend {_number(s.bend_deg, 0)}°"
@@ -119,6 +121,12 @@ class LiveView:
             state = Text("SAFE: " + "; ".join(s.safe_state.values()), style="bold red")
         grid.add_row("doing", state, "")
         return Panel(Group(grid, Text(""), *self._events), title=f"{title}   {s.t - self._began:6.1f} s")
+
+
+def _health(s: Snapshot) -> str:
+    if s.round_trip_s is None:
+        return ""
+    return f"  {1000 * s.round_trip_s:.1f} ms, {s.telemetry_gaps} gaps"
 
 
 def _cycles(s: Snapshot) -> str:

@@ -1,0 +1,77 @@
+"""Flight modes: their names here, and how HEARTBEAT shows them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Kind = Literal["ardupilot", "px4"]
+
+ARMED_FLAG = 128
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """A flight mode as HEARTBEAT shows it; `base` is base_mode while disarmed."""
+
+    name: str
+    custom: int
+    base: int
+
+
+_ARDUPILOT = {
+    mode.name: mode
+    for mode in (
+        Mode("STABILIZE", 0, 81),
+        Mode("AUTO", 3, 89),
+        Mode("GUIDED", 4, 89),
+        Mode("LOITER", 5, 89),
+        Mode("RTL", 6, 89),
+        Mode("LAND", 9, 81),
+    )
+}
+
+_PX4 = {
+    mode.name: mode
+    for mode in (
+        Mode("POSCTL", 3 << 16, 81),
+        Mode("STABILIZE", 7 << 16, 81),
+        Mode("TAKEOFF", 4 << 16 | 2 << 24, 29),
+        Mode("HOLD", 4 << 16 | 3 << 24, 29),
+        Mode("MISSION", 4 << 16 | 4 << 24, 29),
+        Mode("RTL", 4 << 16 | 5 << 24, 29),
+        Mode("LAND", 4 << 16 | 6 << 24, 29),
+    )
+}
+
+_PX4_ALIASES = {"AUTO": "MISSION", "GUIDED": "HOLD", "LOITER": "HOLD"}
+
+
+def modes_of(kind: Kind) -> dict[str, Mode]:
+    """All modes that the autopilot has here, by name."""
+    return dict(_ARDUPILOT if kind == "ardupilot" else _PX4)
+
+
+def mode_named(kind: Kind, name: str) -> Mode:
+    """The mode of that name.
+
+    On PX4 AUTO, GUIDED and LOITER mean MISSION, HOLD and HOLD, so that one script can fly both.
+    ValueError if there is none.
+    """
+    modes = modes_of(kind)
+    key = name.upper()
+    if kind == "px4":
+        key = _PX4_ALIASES.get(key, key)
+    if key not in modes:
+        raise ValueError(f"{kind} has no mode {name!r} here; it has {', '.join(modes)}")
+    return modes[key]
+
+
+def mode_numbered(kind: Kind, custom: int) -> Mode | None:
+    """The mode with that custom_mode number, None if there is none."""
+    return next((mode for mode in modes_of(kind).values() if mode.custom == custom), None)
+
+
+def mission_mode(kind: Kind) -> Mode:
+    """The mode that flies the mission."""
+    return mode_named(kind, "AUTO")

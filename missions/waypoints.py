@@ -1,0 +1,110 @@
+"""Read and write QGC WPL 110 files, the plain-text plan format that every ground station knows.
+
+A header line, then one line per item: seq, current, frame, command, param1…4, x (latitude), y (longitude), z,
+autocontinue, separated by tabs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from flying_vines.vehicle.mission_item import MissionItem
+
+_HEADER = "QGC WPL 110"
+_COLUMNS = 12
+_UINT16 = 65535
+_UINT8 = 255
+
+
+class WaypointsError(ValueError):
+    """A plan file that cannot be read, or items that no file can hold; says which line and why."""
+
+
+def read_waypoints(path: str | Path) -> list[MissionItem]:
+    """The items of the file, in order; their seq counts up from 0.
+
+    Blank lines are skipped, columns may be separated by any white space, and `nan` is a number.
+
+    Raises:
+        WaypointsError: wrong header, column count, not a number, a number out of range, or seq out of order.
+        OSError: the file cannot be opened.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise WaypointsError(f"{path}, line 1: this is not a text file") from error
+    found = lines[0].strip() if lines else ""
+    if found.split() != _HEADER.split():
+        raise WaypointsError(f"{path}, line 1: the header must be {_HEADER!r}, not {found[:40]!r}")
+    items: list[MissionItem] = []
+    for number, line in enumerate(lines[1:], start=2):
+        if line.strip():
+            items.append(_Line(f"{path}, line {number}", line.split()).item(len(items)))
+    return items
+
+
+def write_waypoints(path: str | Path, items: Sequence[MissionItem]) -> None:
+    """Write the items; what `read_waypoints` reads back is equal to them, number by number.
+
+    Raises:
+        WaypointsError: the items' seq does not count up from 0.
+        OSError: the file cannot be written.
+    """
+    lines = [_HEADER]
+    for seq, item in enumerate(items):
+        if item.seq != seq:
+            raise WaypointsError(f"{path}, line {seq + 2}: seq must be {seq}, not {item.seq}")
+        p1, p2, p3, p4, x, y, z = map(_number, item.params)
+        columns = [str(seq), str(int(item.current)), str(item.frame), str(item.command)]
+        columns += [p1, p2, p3, p4, x, y, z, str(int(item.autocontinue))]
+        lines.append("\t".join(columns))
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _number(value: float) -> str:
+    # repr is the shortest text that reads back as the same float.
+    return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
+
+
+class _Line:
+    """One line's columns, and where it stands for the error messages."""
+
+    def __init__(self, where: str, columns: list[str]) -> None:
+        if len(columns) != _COLUMNS:
+            raise WaypointsError(f"{where}: an item has {_COLUMNS} columns, this line has {len(columns)}")
+        self._where = where
+        self._columns = columns
+
+    def item(self, seq: int) -> MissionItem:
+        found = self._whole(0, "seq", _UINT16)
+        if found != seq:
+            raise WaypointsError(f"{self._where}: seq must be {seq}, not {found}")
+        names = ("param1", "param2", "param3", "param4", "x", "y", "z")
+        p1, p2, p3, p4, x, y, z = (self._real(index, name) for index, name in enumerate(names, start=4))
+        return MissionItem(
+            seq=seq,
+            command=self._whole(3, "command", _UINT16),
+            params=(p1, p2, p3, p4, x, y, z),
+            frame=self._whole(2, "frame", _UINT8),
+            current=bool(self._whole(1, "current", 1)),
+            autocontinue=bool(self._whole(11, "autocontinue", 1)),
+        )
+
+    def _whole(self, index: int, name: str, highest: int) -> int:
+        text = self._columns[index]
+        try:
+            value = int(text)
+        except ValueError:
+            raise WaypointsError(f"{self._where}: {name} must be a whole number, not {text[:40]!r}") from None
+        if not 0 <= value <= highest:
+            raise WaypointsError(f"{self._where}: {name} must be 0 to {highest}, not {value}")
+        return value
+
+    def _real(self, index: int, name: str) -> float:
+        text = self._columns[index]
+        try:
+            return float(text)
+        except ValueError:
+            raise WaypointsError(f"{self._where}: {name} must be a number, not {text[:40]!r}") from None

@@ -1,0 +1,132 @@
+"""QGC WPL 110 files: what is read, what is refused, and that writing loses nothing."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.vehicle.mission_item import MissionItem
+from missions.waypoints import WaypointsError, read_waypoints, write_waypoints
+
+RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
+EXAMPLES = Path(__file__).parents[2] / "missions" / "examples"
+
+HEADER = "QGC WPL 110\n"
+ITEM = "0\t1\t0\t16\t0\t0\t0\t0\t-35.36\t149.16\t584\t1\n"
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "plan.waypoints"
+    path.write_text(text)
+    return path
+
+
+def test_reads_what_an_autopilot_gave_back() -> None:
+    items = read_waypoints(RECORDINGS / "ardupilot_vine_mission.waypoints")
+    assert [item.seq for item in items] == list(range(12))
+    assert items[3] == MissionItem(3, 217, (1.0, 40.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    assert items[2].params[4:] == (-35.3629925, 149.165237, 12.0)
+    assert items[2].frame == 3 and items[2].autocontinue and not items[2].current
+
+
+def test_nan_is_a_number() -> None:
+    items = read_waypoints(RECORDINGS / "px4_vine_mission.waypoints")
+    assert math.isnan(items[0].params[3])
+    assert items[0].current
+    assert items[6].params[:4] == (1.0, 1.0, 2.0, 0.5)
+
+
+def test_windows_line_ends_byte_order_mark_and_blank_lines_are_no_trouble(tmp_path: Path) -> None:
+    text = "\ufeff" + (HEADER + "\n" + ITEM + "\n\n").replace("\n", "\r\n")
+    path = tmp_path / "plan.waypoints"
+    path.write_bytes(text.encode("utf-8"))
+    assert len(read_waypoints(path)) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "says"),
+    [
+        ("", 1, "header"),
+        ("QGC WPL 120\n" + ITEM, 1, "header"),
+        (ITEM, 1, "header"),
+        (HEADER + "0 1 0 16 0 0 0 0 1 2 3\n", 2, "12 columns, this line has 11"),
+        (HEADER + ITEM + ITEM.replace("0\t1", "1\t0", 1).replace("584", "high"), 3, "z must be a number"),
+        (HEADER + ITEM.replace("\t16\t", "\tsixteen\t"), 2, "command must be a whole number, not 'sixteen'"),
+        (HEADER + ITEM.replace("\t16\t", "\t1.5\t"), 2, "command must be a whole number"),
+        (HEADER + ITEM.replace("\t16\t", "\t70000\t"), 2, "command must be 0 to 65535, not 70000"),
+        (HEADER + ITEM + ITEM, 3, "seq must be 1, not 0"),
+        (HEADER + "\n" + ITEM.replace("0\t1", "1\t1", 1), 3, "seq must be 0, not 1"),
+    ],
+)
+def test_an_error_names_file_line_and_what_is_wrong(tmp_path: Path, text: str, line: int, says: str) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(WaypointsError) as error:
+        read_waypoints(path)
+    message = str(error.value)
+    assert message.startswith(f"{path}, line {line}: ")
+    assert says in message
+    assert "\n" not in message
+
+
+def test_a_binary_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "plan.waypoints"
+    path.write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(WaypointsError, match="not a text file"):
+        read_waypoints(path)
+
+
+def test_only_items_in_order_are_written(tmp_path: Path) -> None:
+    with pytest.raises(WaypointsError, match="line 2: seq must be 0, not 3"):
+        write_waypoints(tmp_path / "plan.waypoints", [MissionItem(3, 16, (0.0,) * 7)])
+
+
+numbers = st.floats(allow_nan=False)
+items_strategy = st.lists(
+    st.builds(
+        MissionItem,
+        seq=st.just(0),
+        command=st.integers(0, 65535),
+        params=st.tuples(numbers, numbers, numbers, numbers, numbers, numbers, numbers),
+        frame=st.integers(0, 255),
+        current=st.booleans(),
+        autocontinue=st.booleans(),
+    ),
+    max_size=5,
+)
+
+
+@settings(deadline=None)
+@given(items_strategy)
+def test_what_is_written_reads_back_equal(items: list[MissionItem]) -> None:
+    numbered = [
+        MissionItem(seq, item.command, item.params, item.frame, item.current, item.autocontinue)
+        for seq, item in enumerate(items)
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "plan.waypoints"
+        write_waypoints(path, numbered)
+        assert read_waypoints(path) == numbered
+
+
+def test_the_example_is_a_mission_that_arducopter_takes_unchanged() -> None:
+    items = read_waypoints(EXAMPLES / "bridge_inspection.waypoints")
+    stored = Autopilot("ardupilot", mission=items).items
+    assert [(item.command, item.params[:4]) for item in stored] == [
+        (item.command, item.params[:4]) for item in items
+    ]
+
+
+def test_every_vine_item_of_the_example_follows_a_waypoint_and_is_followed_by_one() -> None:
+    items = read_waypoints(EXAMPLES / "bridge_inspection.waypoints")
+    vine = [item for item in items if item.command == 217]
+    assert [item.params[:2] for item in vine] == [(1.0, 40.0), (0.0, 0.0)] * 2
+    for item in vine:
+        assert items[item.seq - 1].command == 16
+        assert items[item.seq + 1].command in (16, 93)
+    assert items[-1].command == 21
