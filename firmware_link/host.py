@@ -1,0 +1,389 @@
+"""The host's side of the conversation, as a state machine over time: no port, no clock.
+
+Whatever interrupts the conversation (a closed port, a firmware that restarted, a refusal), the session
+falls back to venting, and only a new command ends that: hardware must not resume what nobody asks for
+any more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+
+from firmware_link.protocol import (
+    PROTOCOL_VERSION,
+    ClearFaults,
+    Fault,
+    Hello,
+    HostMessage,
+    Message,
+    Ping,
+    Pong,
+    Refusal,
+    RefusalReason,
+    Setpoint,
+    Telemetry,
+    Units,
+    Vent,
+    Welcome,
+)
+
+
+class SessionState(Enum):
+    """Where the conversation stands."""
+
+    CLOSED = "closed"
+    """There is no port."""
+    GREETING = "greeting"
+    """There is a port; nobody with our protocol has answered yet."""
+    READY = "ready"
+    """Commands are repeated, telemetry is believed."""
+    INCOMPATIBLE = "incompatible"
+    """Someone answered whom we must not command. Greeting goes on: new firmware may be flashed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Regulate:
+    """A command: go to `target_kPa`, slewing at most `rate_kPa_per_s`.
+
+    ValueError for what is not a number or absurdly large, a rate that is not positive, or a time-to-live
+    beyond 1…65535. What the rig can do is for the firmware to say.
+    """
+
+    target_kPa: float
+    rate_kPa_per_s: float
+    ttl_ms: int = 250
+
+    def __post_init__(self) -> None:
+        if not abs(self.target_kPa) <= _ABSURD:
+            raise ValueError(f"target {self.target_kPa} kPa is not a pressure")
+        if not 0 < self.rate_kPa_per_s <= _ABSURD:
+            raise ValueError(f"rate {self.rate_kPa_per_s} kPa/s is not a positive rate")
+        if not 1 <= self.ttl_ms <= 0xFFFF:
+            raise ValueError(f"time-to-live {self.ttl_ms} ms is not within 1…65535")
+
+
+@dataclass(frozen=True, slots=True)
+class Venting:
+    """A command: inflation valve closed, solenoid open."""
+
+
+VENTING = Venting()
+Command = Regulate | Venting
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """The handshake is done; the session vents until it is commanded otherwise."""
+
+    welcome: Welcome
+
+
+@dataclass(frozen=True, slots=True)
+class FirmwareReset:
+    """The firmware restarted. The command is forgotten; the session greets (or has greeted) anew."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Incompatible:
+    """The firmware must not be commanded by this host; `reason` is a sentence for people."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetryReceived:
+    """Telemetry of a READY session, whose every number is one."""
+
+    telemetry: Telemetry
+
+
+@dataclass(frozen=True, slots=True)
+class CommandRefused:
+    """The firmware refused a command. When it was the current one, the session vents from here on."""
+
+    refusal: Refusal
+
+
+HostEvent = Ready | FirmwareReset | Incompatible | TelemetryReceived | CommandRefused
+
+_ABSURD = 1e6
+"""kPa and kPa/s. Keeps a float that does not fit the wire's out of a session that is running."""
+_HELLO_PERIOD_S = 0.5
+_PING_PERIOD_S = 1.0
+_LATEST_PONG_S = 5.0
+_CLOCK_SAMPLES = 16
+_HALF_DEVICE_CLOCK_MS = 1 << 31
+_FULL_DEVICE_CLOCK_MS = 1 << 32
+# A timer that ticks a hair early still counts as due; otherwise a 10 ms timer repeats every 30 ms.
+_EARLY_S = 1e-4
+
+
+class _Every:
+    """Says when a period has passed; never in bursts to catch up."""
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._due_s = -math.inf
+
+    def now(self) -> None:
+        self._due_s = -math.inf
+
+    def start(self, t: float) -> None:
+        self._due_s = t + self._period_s
+
+    def due(self, t: float) -> bool:
+        if t < self._due_s - _EARLY_S:
+            return False
+        following = self._due_s + self._period_s
+        self._due_s = following if following > t else t + self._period_s
+        return True
+
+
+class HostSession:
+    """One firmware, as seen from the host. All times are seconds of one monotonic clock, not negative.
+
+    Feed it `opened`, `closed`, every message received, and a tick at least every `repeat_s`; send what
+    `tick`, `command` and `clear_faults` return, in order. It never raises on anything received.
+    """
+
+    def __init__(self, repeat_s: float = 0.02, first_nonce: int = 1) -> None:
+        self.state = SessionState.CLOSED
+        self.welcome: Welcome | None = None
+        """Of the firmware that is (or was last) READY."""
+        self.telemetry: Telemetry | None = None
+        """The latest since the port was opened."""
+        self.telemetry_gaps = 0
+        """Telemetry frames that did not come, or came with something that is not a number."""
+        self.round_trip_s: float | None = None
+        """Of the latest ping."""
+        self.clock_offset_s: float | None = None
+        """Device clock minus host clock, from the quickest of the last pings."""
+        self._hello = _Every(_HELLO_PERIOD_S)
+        self._repeat = _Every(repeat_s)
+        self._ping = _Every(_PING_PERIOD_S)
+        self._nonce = (first_nonce - 1) & 0xFFFFFFFF
+        self._number = 0
+        self._command: Command = VENTING
+        self._first_vent_owed = True
+        self._telemetry_s: float | None = None
+        self._device_time_ms: int | None = None
+        self._ready_s = 0.0
+        self._clock: deque[tuple[float, float]] = deque(maxlen=_CLOCK_SAMPLES)
+        self._reported: Refusal | None = None
+        self._incompatible_because: str | None = None
+
+    @property
+    def current_command(self) -> Command:
+        """What is being repeated while READY."""
+        return self._command
+
+    @property
+    def number(self) -> int:
+        """Of the current command; the firmware has accepted it when telemetry carries the same."""
+        return self._number
+
+    def telemetry_age(self, t: float) -> float:
+        """Seconds since the last telemetry; infinite when there was none."""
+        return math.inf if self._telemetry_s is None else t - self._telemetry_s
+
+    def opened(self, t: float) -> None:
+        """The port is open (again)."""
+        self.telemetry = None
+        self._telemetry_s = None
+        self._incompatible_because = None
+        self._greet()
+
+    def closed(self, t: float) -> None:
+        """The port is gone."""
+        self._forget_command()
+        self.state = SessionState.CLOSED
+
+    def command(self, t: float, command: Command) -> list[HostMessage]:
+        """From now on repeat `command`; what is returned must be sent at once.
+
+        While not READY the command is forgotten and nothing is sent: give it again when READY. A command
+        equal to the current one changes nothing.
+        """
+        if self.state is not SessionState.READY:
+            return []
+        owed = self._pay_first_vent()
+        if command == self._command:
+            return owed
+        self._adopt(command)
+        self._repeat.start(t)
+        return [*owed, self._current_message()]
+
+    def clear_faults(self, t: float, mask: Fault) -> list[HostMessage]:
+        """Ask to unlatch the faults in `mask`; nothing while not READY. Does not end venting."""
+        return [ClearFaults(int(mask) & 0xFFFF)] if self.state is SessionState.READY else []
+
+    def tick(self, t: float) -> list[HostMessage]:
+        """What is due to be sent at `t`."""
+        if self.state is SessionState.CLOSED:
+            return []
+        if self.state is not SessionState.READY:
+            return [Hello(PROTOCOL_VERSION, self._nonce)] if self._hello.due(t) else []
+        due: list[HostMessage] = []
+        if self._repeat.due(t):
+            due = self._pay_first_vent() or [self._current_message()]
+        if self._ping.due(t):
+            due.append(Ping(round(t * 1e6)))
+        return due
+
+    def receive(self, t: float, message: Message) -> list[HostEvent]:
+        """What a message from the firmware means. A host's messages (an echo on the line) mean nothing."""
+        if self.state is SessionState.CLOSED:
+            return []
+        match message:
+            case Welcome():
+                return self._on_welcome(t, message)
+            case Telemetry():
+                return self._on_telemetry(t, message)
+            case Refusal():
+                return self._on_refusal(message)
+            case Pong():
+                self._on_pong(t, message)
+        return []
+
+    def _on_welcome(self, t: float, welcome: Welcome) -> list[HostEvent]:
+        if welcome.nonce != self._nonce:
+            return []
+        if self.state is SessionState.READY:
+            if self.welcome is not None and welcome.boot_id == self.welcome.boot_id:
+                return []
+            return self._reset("it answered with another boot id")
+        reason = _why_incompatible(welcome)
+        if reason is not None:
+            return self._incompatible(reason)
+        events: list[HostEvent] = []
+        if self.welcome is not None and self.welcome.boot_id != welcome.boot_id:
+            events.append(FirmwareReset("it has another boot id than before"))
+        self.welcome = welcome
+        self.state = SessionState.READY
+        self._ready_s = t
+        self._repeat.now()
+        self._ping.now()
+        return [*events, Ready(welcome)]
+
+    def _on_telemetry(self, t: float, telemetry: Telemetry) -> list[HostEvent]:
+        # Before the handshake these bytes may be another version's telemetry.
+        if self.state is not SessionState.READY:
+            return []
+        if not self._follow_device_clock(telemetry.device_time_ms):
+            return self._reset(f"its clock went back to {telemetry.device_time_ms} ms")
+        pressures = (telemetry.setpoint_kPa, telemetry.cv_kPa, telemetry.reservoir_kPa)
+        if not all(map(math.isfinite, pressures)):
+            self.telemetry_gaps += 1
+            return []
+        self.telemetry = telemetry
+        self._telemetry_s = t
+        return [TelemetryReceived(telemetry)]
+
+    def _follow_device_clock(self, time_ms: int) -> bool:
+        """False when the clock ran backwards (and did not merely wrap)."""
+        before, self._device_time_ms = self._device_time_ms, time_ms
+        if before is None:
+            return True
+        passed_ms = (time_ms - before) % _FULL_DEVICE_CLOCK_MS
+        if passed_ms >= _HALF_DEVICE_CLOCK_MS:
+            return False
+        if self.welcome is not None:
+            self.telemetry_gaps += max(0, round(passed_ms * self.welcome.telemetry_Hz / 1000) - 1)
+        return True
+
+    def _on_refusal(self, refusal: Refusal) -> list[HostEvent]:
+        if refusal.reason is RefusalReason.VERSION and self.state is not SessionState.READY:
+            if self.state is SessionState.INCOMPATIBLE:
+                return []
+            return self._incompatible(f"The firmware does not speak protocol version {PROTOCOL_VERSION}.")
+        if self.state is not SessionState.READY:
+            return []
+        if refusal.reason in (RefusalReason.NO_HANDSHAKE, RefusalReason.VERSION):
+            return self._reset("it no longer knows this session")
+        if isinstance(self._command, Regulate) and refusal.number == self._number:
+            self._adopt(VENTING)
+            self._repeat.now()
+        # What was on its way is refused as well: once is enough to know.
+        if refusal == self._reported:
+            return []
+        self._reported = refusal
+        return [CommandRefused(refusal)]
+
+    def _on_pong(self, t: float, pong: Pong) -> None:
+        sent_s = pong.host_time_us / 1e6
+        round_trip_s = t - sent_s
+        # Microseconds are rounded, so an instant answer may seem to come before the question.
+        if self.state is not SessionState.READY or not -1e-6 <= round_trip_s <= _LATEST_PONG_S:
+            return
+        if sent_s < self._ready_s - 1e-6:
+            return
+        self.round_trip_s = max(0.0, round_trip_s)
+        self._clock.append((self.round_trip_s, pong.device_time_ms / 1e3 - (sent_s + t) / 2))
+        self.clock_offset_s = min(self._clock)[1]
+
+    def _reset(self, reason: str) -> list[HostEvent]:
+        self._greet()
+        return [FirmwareReset(reason)]
+
+    def _incompatible(self, reason: str) -> list[HostEvent]:
+        self.state = SessionState.INCOMPATIBLE
+        if reason == self._incompatible_because:
+            return []
+        self._incompatible_because = reason
+        return [Incompatible(reason)]
+
+    def _greet(self) -> None:
+        self._forget_command()
+        self.state = SessionState.GREETING
+        self._nonce = (self._nonce + 1) & 0xFFFFFFFF
+        self._hello.now()
+        self._device_time_ms = None
+        self._clock.clear()
+        self.round_trip_s = None
+        self.clock_offset_s = None
+
+    def _forget_command(self) -> None:
+        self._command = VENTING
+        self._first_vent_owed = True
+        self._reported = None
+
+    def _pay_first_vent(self) -> list[HostMessage]:
+        if not self._first_vent_owed:
+            return []
+        self._first_vent_owed = False
+        self._adopt(VENTING)
+        return [self._current_message()]
+
+    def _adopt(self, command: Command) -> None:
+        self._command = command
+        # 0 is what telemetry says before the first command.
+        self._number = self._number % 0xFFFF + 1
+
+    def _current_message(self) -> HostMessage:
+        command = self._command
+        if isinstance(command, Regulate):
+            return Setpoint(command.target_kPa, command.rate_kPa_per_s, command.ttl_ms, self._number)
+        return Vent(self._number)
+
+
+def _why_incompatible(welcome: Welcome) -> str | None:
+    """A sentence, or None when this host may command the firmware."""
+    who = f"The firmware {welcome.firmware_build!r}"
+    if welcome.protocol_version != PROTOCOL_VERSION:
+        return (
+            f"{who} speaks protocol version {welcome.protocol_version}, this host speaks {PROTOCOL_VERSION}: "
+            f"update the {'host' if welcome.protocol_version > PROTOCOL_VERSION else 'firmware'}."
+        )
+    if welcome.units != Units.KPA_GAUGE:
+        return f"{who} counts in units of code {welcome.units}, not in kPa gauge (1)."
+    limits = (welcome.cv_limit_kPa, welcome.reservoir_limit_kPa, welcome.rate_limit_kPa_per_s)
+    if not all(math.isfinite(limit) and limit > 0 for limit in limits):
+        return f"{who} names limits that are not positive numbers: {limits}."
+    if welcome.dead_man_ms == 0 or welcome.telemetry_Hz == 0:
+        return f"{who} has no dead-man or no telemetry."
+    return None

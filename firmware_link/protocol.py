@@ -1,0 +1,394 @@
+"""What host and firmware say to each other: one definition for both sides.
+
+A frame's payload is type (u8), sequence (u8, per direction, wraps), body; everything little-endian.
+Pressures are kPa gauge. `docs/serial-protocol.md` is the same in prose, with golden vectors.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from enum import IntEnum, IntFlag
+from typing import Any, ClassVar, Self
+
+from firmware_link.framing import FrameDecoder, encode_frame
+
+PROTOCOL_VERSION = 1
+
+# The errors, as a tree:
+#
+#   LinkError
+#   └── ProtocolError
+#       ├── UnknownMessageError     a type that this version does not know
+#       └── MalformedMessageError   a known type whose length or contents are wrong
+
+
+class LinkError(Exception):
+    """Anything that this package raises."""
+
+
+class ProtocolError(LinkError):
+    """Bytes that are no message, or a message that does not fit its bytes."""
+
+
+class UnknownMessageError(ProtocolError):
+    """A message type that this protocol version does not know."""
+
+
+class MalformedMessageError(ProtocolError):
+    """A known message type whose length or contents are wrong."""
+
+
+class Mode(IntEnum):
+    """What the firmware is doing."""
+
+    VENT = 0
+    REGULATE = 1
+    FAULT = 2
+
+
+class Fault(IntFlag):
+    """Why the firmware vents by itself. Each bit latches until `ClearFaults`."""
+
+    NONE = 0
+    DEAD_MAN = 1 << 0
+    CV_OVERPRESSURE = 1 << 1
+    RESERVOIR_OVERPRESSURE = 1 << 2
+    CV_SENSOR = 1 << 3
+    RESERVOIR_SENSOR = 1 << 4
+    WATCHDOG_RESET = 1 << 5
+
+
+class RefusalReason(IntEnum):
+    """Why the firmware did not do what it was told."""
+
+    NO_HANDSHAKE = 1
+    VERSION = 2
+    OUT_OF_RANGE = 3
+    FAULT_LATCHED = 4
+    NOT_A_NUMBER = 5
+
+
+class Units(IntEnum):
+    """What the firmware's pressures are in."""
+
+    KPA_GAUGE = 1
+
+
+@dataclass(frozen=True, slots=True)
+class _Body:
+    """A message's fields, in the order of its layout."""
+
+    TYPE: ClassVar[int]
+    LAYOUT: ClassVar[struct.Struct]
+
+    def pack(self) -> bytes:
+        """The body's bytes; MalformedMessageError when a value does not fit its field."""
+        try:
+            return self.LAYOUT.pack(*self._to_wire())
+        except (struct.error, OverflowError) as error:
+            raise MalformedMessageError(f"{self} does not fit its layout: {error}") from None
+
+    @classmethod
+    def unpack(cls, body: bytes) -> Self:
+        """The message; MalformedMessageError when the body's length or contents are wrong."""
+        if len(body) != cls.LAYOUT.size:
+            raise MalformedMessageError(
+                f"{cls.__name__} has a body of {cls.LAYOUT.size} bytes, but {len(body)} came"
+            )
+        return cls._from_wire(cls.LAYOUT.unpack(body))
+
+    def _to_wire(self) -> Sequence[Any]:
+        return [getattr(self, field.name) for field in fields(self)]
+
+    @classmethod
+    def _from_wire(cls, values: tuple[Any, ...]) -> Self:
+        return cls(*values)
+
+
+@dataclass(frozen=True, slots=True)
+class Hello(_Body):
+    """Host to device: who is there? Ends any regulation. `nonce` comes back in `Welcome`."""
+
+    TYPE: ClassVar[int] = 0x01
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BI")
+
+    protocol_version: int
+    nonce: int
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint(_Body):
+    """Host to device: regulate towards `target_kPa`, slewing at most `rate_kPa_per_s`, for `ttl_ms`.
+
+    `number` is the host's running number of commands; telemetry carries the last one accepted.
+    """
+
+    TYPE: ClassVar[int] = 0x02
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<ffHH")
+
+    target_kPa: float
+    rate_kPa_per_s: float
+    ttl_ms: int
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Vent(_Body):
+    """Host to device: close the inflation valve, open the solenoid. Always accepted."""
+
+    TYPE: ClassVar[int] = 0x03
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<H")
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class ClearFaults(_Body):
+    """Host to device: unlatch the faults in `mask` that are no longer present."""
+
+    TYPE: ClassVar[int] = 0x04
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<H")
+
+    mask: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ping(_Body):
+    """Host to device: how long is the way, and what time is it there?"""
+
+    TYPE: ClassVar[int] = 0x05
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<Q")
+
+    host_time_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class Welcome(_Body):
+    """Device to host, in answer to `Hello`: what the firmware is and what it will not exceed.
+
+    `boot_id` differs after every reset. Later versions may only append to this message, so that every
+    host can read from every firmware which version it speaks.
+    """
+
+    TYPE: ClassVar[int] = 0x81
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BII16sBfffHH")
+
+    protocol_version: int
+    nonce: int
+    boot_id: int
+    firmware_build: str
+    units: int
+    cv_limit_kPa: float
+    reservoir_limit_kPa: float
+    rate_limit_kPa_per_s: float
+    dead_man_ms: int
+    telemetry_Hz: int
+
+    @classmethod
+    def unpack(cls, body: bytes) -> Self:
+        """As every message; of another version's the part that this version knows."""
+        if body and body[0] != PROTOCOL_VERSION:
+            body = body[: cls.LAYOUT.size]
+        # Spelled out: zero-argument super() does not survive the class copy that slots=True makes.
+        return super(Welcome, cls).unpack(body)
+
+    def _to_wire(self) -> Sequence[Any]:
+        build = self.firmware_build
+        if len(build) > 16 or not build.isascii() or not (build.isprintable() or not build):
+            raise MalformedMessageError(
+                f"firmware build {build!r} is not up to 16 printable ASCII characters"
+            )
+        values = [getattr(self, field.name) for field in fields(self)]
+        values[3] = build.encode("ascii")
+        return values
+
+    @classmethod
+    def _from_wire(cls, values: tuple[Any, ...]) -> Self:
+        build = values[3].rstrip(b"\x00").decode("latin-1")
+        if not build.isascii() or not (build.isprintable() or not build):
+            raise MalformedMessageError("Welcome's firmware build is not printable ASCII")
+        wire: list[Any] = [*values[:3], build, *values[4:]]
+        return cls(*wire)
+
+
+_FULL_OPENING = 0xFFFF
+
+
+def _opening_to_wire(opening: float) -> int:
+    if not 0.0 <= opening <= 1.0:
+        raise MalformedMessageError(f"opening {opening} is not within 0…1")
+    return round(opening * _FULL_OPENING)
+
+
+@dataclass(frozen=True, slots=True)
+class Telemetry(_Body):
+    """Device to host, `telemetry_Hz` times a second, from power-up on.
+
+    `number` is the last setpoint or vent accepted, 0 before the first. `setpoint_kPa` is what the
+    regulator holds now (on its way to the target), 0 outside REGULATE. While `faults` names a sensor,
+    its pressure is the last reading that was believed. Openings travel as 0…65535.
+    """
+
+    TYPE: ClassVar[int] = 0x82
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IBHHfffHHB")
+
+    device_time_ms: int
+    mode: Mode
+    faults: Fault
+    number: int
+    setpoint_kPa: float
+    cv_kPa: float
+    reservoir_kPa: float
+    evp_opening: float
+    dvp_opening: float
+    solenoid: bool
+
+    def _to_wire(self) -> Sequence[Any]:
+        return (
+            self.device_time_ms,
+            self.mode,
+            self.faults,
+            self.number,
+            self.setpoint_kPa,
+            self.cv_kPa,
+            self.reservoir_kPa,
+            _opening_to_wire(self.evp_opening),
+            _opening_to_wire(self.dvp_opening),
+            self.solenoid,
+        )
+
+    @classmethod
+    def _from_wire(cls, values: tuple[Any, ...]) -> Self:
+        time_ms, mode, faults, number, setpoint, cv, reservoir, evp, dvp, solenoid = values
+        if mode > max(Mode):
+            raise MalformedMessageError(f"Telemetry's mode {mode} is not one of 0, 1, 2")
+        if solenoid > 1:
+            raise MalformedMessageError(f"Telemetry's solenoid is {solenoid}, not 0 or 1")
+        return cls(
+            device_time_ms=time_ms,
+            mode=Mode(mode),
+            faults=Fault(faults),
+            number=number,
+            setpoint_kPa=setpoint,
+            cv_kPa=cv,
+            reservoir_kPa=reservoir,
+            evp_opening=evp / _FULL_OPENING,
+            dvp_opening=dvp / _FULL_OPENING,
+            solenoid=bool(solenoid),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal(_Body):
+    """Device to host: command `number` (0 for a message without one) was not carried out.
+
+    This layout and that of `Hello` are the same in every protocol version.
+    """
+
+    TYPE: ClassVar[int] = 0x83
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<HB")
+
+    number: int
+    reason: RefusalReason
+
+    @classmethod
+    def _from_wire(cls, values: tuple[Any, ...]) -> Self:
+        number, reason = values
+        try:
+            return cls(number, RefusalReason(reason))
+        except ValueError:
+            raise MalformedMessageError(f"Refusal's reason {reason} is not known") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Pong(_Body):
+    """Device to host, in answer to `Ping`."""
+
+    TYPE: ClassVar[int] = 0x84
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<QI")
+
+    host_time_us: int
+    device_time_ms: int
+
+
+HostMessage = Hello | Setpoint | Vent | ClearFaults | Ping
+DeviceMessage = Welcome | Telemetry | Refusal | Pong
+Message = HostMessage | DeviceMessage
+
+_TYPES: dict[int, type[Message]] = {
+    kind.TYPE: kind for kind in (Hello, Setpoint, Vent, ClearFaults, Ping, Welcome, Telemetry, Refusal, Pong)
+}
+_HEADER_SIZE = 2
+
+
+def encode(message: Message, sequence: int) -> bytes:
+    """One whole frame; MalformedMessageError when a value does not fit its field."""
+    return encode_frame(bytes((message.TYPE, sequence & 0xFF)) + message.pack())
+
+
+def decode(payload: bytes) -> tuple[Message, int]:
+    """The message and its sequence number from a frame's payload; ProtocolError when it is none."""
+    if len(payload) < _HEADER_SIZE:
+        raise MalformedMessageError(f"a payload of {len(payload)} bytes has no room for type and sequence")
+    kind = _TYPES.get(payload[0])
+    if kind is None:
+        raise UnknownMessageError(
+            f"message type 0x{payload[0]:02X} is not known to version {PROTOCOL_VERSION}"
+        )
+    return kind.unpack(payload[_HEADER_SIZE:]), payload[1]
+
+
+class Codec:
+    """Bytes and messages of one end of one link. `decode` never raises, whatever the bytes."""
+
+    def __init__(self) -> None:
+        self.lost_frames = 0
+        """By the sequence numbers; a jump of half the circle or more is a restart, not a loss."""
+        self.unknown_messages = 0
+        """Frames with a good CRC that are no message of this version."""
+        self._frames = FrameDecoder()
+        self._sequence_out = 0
+        self._sequence_in: int | None = None
+
+    @property
+    def good_frames(self) -> int:
+        return self._frames.good_frames
+
+    @property
+    def bad_frames(self) -> int:
+        """Frames with a wrong CRC, and runs of bytes that are no frame."""
+        return self._frames.bad_frames
+
+    def restart(self) -> None:
+        """For a line that was opened anew: forget half a frame and the sequence, keep the counts."""
+        frames = FrameDecoder()
+        frames.good_frames, frames.bad_frames = self._frames.good_frames, self._frames.bad_frames
+        self._frames = frames
+        self._sequence_in = None
+
+    def encode(self, message: Message) -> bytes:
+        """One whole frame with the next sequence number; MalformedMessageError as `pack`."""
+        frame = encode(message, self._sequence_out)
+        self._sequence_out = (self._sequence_out + 1) & 0xFF
+        return frame
+
+    def decode(self, data: bytes) -> list[Message]:
+        """The messages whose frames end within `data`, in order."""
+        messages: list[Message] = []
+        for payload in self._frames.feed(data):
+            if len(payload) >= _HEADER_SIZE:
+                self._note_sequence(payload[1])
+            try:
+                messages.append(decode(payload)[0])
+            except ProtocolError:
+                self.unknown_messages += 1
+        return messages
+
+    def _note_sequence(self, sequence: int) -> None:
+        if self._sequence_in is not None:
+            missing = (sequence - self._sequence_in - 1) & 0xFF
+            if missing < 0x80:
+                self.lost_frames += missing
+        self._sequence_in = sequence

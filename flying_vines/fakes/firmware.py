@@ -1,0 +1,257 @@
+"""The emulated firmware: what the microcontroller runs, byte for byte on the wire, without one.
+
+The rules are those of `docs/serial-protocol.md`. No clock, no port: bytes, pressures and the time come
+in, bytes and valve openings go out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from firmware_link.protocol import (
+    PROTOCOL_VERSION,
+    ClearFaults,
+    Codec,
+    DeviceMessage,
+    Fault,
+    Hello,
+    Message,
+    Mode,
+    Ping,
+    Pong,
+    Refusal,
+    RefusalReason,
+    Setpoint,
+    Telemetry,
+    Units,
+    Vent,
+    Welcome,
+)
+from flying_vines.fakes.regulator import SAFE, Drive, Regulator, RegulatorSettings
+
+__all__ = ["SAFE", "Drive", "Firmware", "FirmwareSettings", "RegulatorSettings"]
+
+_MAX_OUTPUT_BYTES = 4096
+"""As a microcontroller's: what nobody fetches is lost, and counted."""
+
+
+@dataclass(frozen=True)
+class FirmwareSettings:
+    """What is compiled into the firmware."""
+
+    build: str = "emulated"
+    cv_limit_kPa: float = 30.0
+    """Above it the CV is vented and the fault latches."""
+    setpoint_margin_kPa: float = 2.0
+    """How far below the limit setpoints must stay, so that an overshoot is not a fault."""
+    reservoir_limit_kPa: float = 760.0
+    rate_limit_kPa_per_s: float = 200.0
+    dead_man_ms: int = 300
+    telemetry_Hz: int = 100
+    sensor_least_kPa: float = -15.0
+    cv_sensor_most_kPa: float = 206.8
+    reservoir_sensor_most_kPa: float = 1034.0
+    regulator: RegulatorSettings = field(default_factory=RegulatorSettings)
+
+    @property
+    def setpoint_most_kPa(self) -> float:
+        return self.cv_limit_kPa - self.setpoint_margin_kPa
+
+
+class Firmware:
+    """One board, from power-up on. Call `step` a thousand times a second; `now_us` never goes back.
+
+    Bytes that arrive before the first step are lost, as on a board that is still booting.
+    """
+
+    def __init__(self, settings: FirmwareSettings | None = None, boot_id: int = 1) -> None:
+        self.settings = settings or FirmwareSettings()
+        self.boot_id = boot_id & 0xFFFFFFFF
+        self.dropped_output_bytes = 0
+        self._now_us: int | None = None
+        self._power_up(Fault.NONE)
+
+    @property
+    def mode(self) -> Mode:
+        if self._faults:
+            return Mode.FAULT
+        return Mode.VENT if self._regulator is None else Mode.REGULATE
+
+    @property
+    def faults(self) -> Fault:
+        """The latched ones."""
+        return self._faults
+
+    @property
+    def number(self) -> int:
+        """Of the last setpoint or vent accepted; 0 before the first."""
+        return self._number
+
+    def reset(self, *, watchdog: bool = False) -> None:
+        """A power cycle, or a watchdog's reset, which latches its fault: everything is forgotten."""
+        self.boot_id = (self.boot_id + 1) & 0xFFFFFFFF
+        self._power_up(Fault.WATCHDOG_RESET if watchdog else Fault.NONE)
+
+    def receive(self, data: bytes) -> None:
+        """Bytes from the host. Acted upon at once, as of the last step's time."""
+        if self._now_us is None:
+            return
+        for message in self._codec.decode(data):
+            self._handle(message)
+
+    def take_output(self) -> bytes:
+        """What is to be sent to the host, once."""
+        output = bytes(self._output)
+        self._output.clear()
+        return output
+
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+        """What the valves are told from now on, given what the sensors read."""
+        if self._now_us is None:
+            self._boot_us = self._telemetry_us = now_us
+            dt_s = 0.001
+        else:
+            # Two steps at one time still need a slope.
+            dt_s = max(1, now_us - self._now_us) / 1e6
+        self._now_us = now_us
+        self._look(cv_kPa, reservoir_kPa)
+        if self._regulator is not None and now_us >= self._deadline_us:
+            self._latch(Fault.DEAD_MAN)
+        regulator = self._regulator
+        drive = SAFE if regulator is None else regulator.step(dt_s, self._cv_kPa, self._reservoir_kPa)
+        if now_us >= self._telemetry_us:
+            self._send_telemetry(now_us, drive)
+        return drive
+
+    def _power_up(self, faults: Fault) -> None:
+        self._faults = faults
+        self._present = Fault.NONE
+        self._regulator: Regulator | None = None
+        self._deadline_us = 0
+        self._greeted = False
+        self._number = 0
+        self._cv_kPa = 0.0
+        self._reservoir_kPa = 0.0
+        self._codec = Codec()
+        self._output = bytearray()
+        self._now_us = None
+        self._boot_us = 0
+        self._telemetry_us = 0
+
+    def _look(self, cv_kPa: float, reservoir_kPa: float) -> None:
+        """Keep readings that can be believed, latch what is wrong with them."""
+        settings = self.settings
+        present = Fault.NONE
+        # Written so that NaN is never within.
+        if settings.sensor_least_kPa <= cv_kPa <= settings.cv_sensor_most_kPa:
+            self._cv_kPa = cv_kPa
+            if cv_kPa > settings.cv_limit_kPa:
+                present = Fault.CV_OVERPRESSURE
+        else:
+            present = Fault.CV_SENSOR
+        if settings.sensor_least_kPa <= reservoir_kPa <= settings.reservoir_sensor_most_kPa:
+            self._reservoir_kPa = reservoir_kPa
+            if reservoir_kPa > settings.reservoir_limit_kPa:
+                present |= Fault.RESERVOIR_OVERPRESSURE
+        else:
+            present |= Fault.RESERVOIR_SENSOR
+        self._present = present
+        if present:
+            self._latch(present)
+
+    def _latch(self, fault: Fault) -> None:
+        self._faults |= fault
+        self._regulator = None
+
+    def _handle(self, message: Message) -> None:
+        match message:
+            case Hello():
+                self._on_hello(message)
+            case Setpoint():
+                self._on_setpoint(message)
+            case Vent(number):
+                self._regulator = None
+                self._number = number
+            case ClearFaults(mask):
+                if self._greeted:
+                    self._faults &= ~(Fault(mask) & ~self._present)
+                else:
+                    self._send(Refusal(0, RefusalReason.NO_HANDSHAKE))
+            case Ping(host_time_us):
+                self._send(Pong(host_time_us, self._device_time_ms()))
+
+    def _on_hello(self, hello: Hello) -> None:
+        settings = self.settings
+        self._regulator = None
+        self._greeted = hello.protocol_version == PROTOCOL_VERSION
+        self._send(
+            Welcome(
+                protocol_version=PROTOCOL_VERSION,
+                nonce=hello.nonce,
+                boot_id=self.boot_id,
+                firmware_build=settings.build,
+                units=Units.KPA_GAUGE,
+                cv_limit_kPa=settings.cv_limit_kPa,
+                reservoir_limit_kPa=settings.reservoir_limit_kPa,
+                rate_limit_kPa_per_s=settings.rate_limit_kPa_per_s,
+                dead_man_ms=settings.dead_man_ms,
+                telemetry_Hz=settings.telemetry_Hz,
+            )
+        )
+        if not self._greeted:
+            self._send(Refusal(0, RefusalReason.VERSION))
+
+    def _on_setpoint(self, setpoint: Setpoint) -> None:
+        reason = self._why_refused(setpoint)
+        if reason is not None:
+            self._send(Refusal(setpoint.number, reason))
+            return
+        assert self._now_us is not None
+        settings = self.settings
+        if self._regulator is None:
+            self._regulator = Regulator(settings.regulator, self._cv_kPa)
+        self._regulator.aim(setpoint.target_kPa, min(setpoint.rate_kPa_per_s, settings.rate_limit_kPa_per_s))
+        self._deadline_us = self._now_us + 1000 * min(setpoint.ttl_ms, settings.dead_man_ms)
+        self._number = setpoint.number
+
+    def _why_refused(self, setpoint: Setpoint) -> RefusalReason | None:
+        if not self._greeted:
+            return RefusalReason.NO_HANDSHAKE
+        if not (math.isfinite(setpoint.target_kPa) and math.isfinite(setpoint.rate_kPa_per_s)):
+            return RefusalReason.NOT_A_NUMBER
+        within = 0.0 <= setpoint.target_kPa <= self.settings.setpoint_most_kPa
+        if not within or setpoint.rate_kPa_per_s <= 0.0 or setpoint.ttl_ms == 0:
+            return RefusalReason.OUT_OF_RANGE
+        return RefusalReason.FAULT_LATCHED if self._faults else None
+
+    def _send_telemetry(self, now_us: int, drive: Drive) -> None:
+        period_us = 1_000_000 // self.settings.telemetry_Hz
+        self._telemetry_us += period_us
+        if self._telemetry_us <= now_us:
+            self._telemetry_us = now_us + period_us
+        self._send(
+            Telemetry(
+                device_time_ms=self._device_time_ms(),
+                mode=self.mode,
+                faults=self._faults,
+                number=self._number,
+                setpoint_kPa=0.0 if self._regulator is None else self._regulator.setpoint_kPa,
+                cv_kPa=self._cv_kPa,
+                reservoir_kPa=self._reservoir_kPa,
+                evp_opening=drive.evp,
+                dvp_opening=drive.dvp,
+                solenoid=drive.solenoid,
+            )
+        )
+
+    def _device_time_ms(self) -> int:
+        assert self._now_us is not None
+        return ((self._now_us - self._boot_us) // 1000) & 0xFFFFFFFF
+
+    def _send(self, message: DeviceMessage) -> None:
+        frame = self._codec.encode(message)
+        if len(self._output) + len(frame) > _MAX_OUTPUT_BYTES:
+            self.dropped_output_bytes += len(frame)
+        else:
+            self._output += frame

@@ -1,0 +1,139 @@
+"""What a rig is believed to be: the numbers of a `rig.toml`."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+
+
+class RigError(ValueError):
+    """A rig file that cannot be used; its text is one sentence for people."""
+
+
+@dataclass(frozen=True)
+class Reservoir:
+    """The bottle."""
+
+    volume_L: Positive = 2.0
+
+
+@dataclass(frozen=True)
+class ControlVolume:
+    """The actuator that is inflated. The default is the vine's."""
+
+    volume_L: Positive = 0.1
+
+
+@dataclass(frozen=True)
+class Evp:
+    """The inflation valve, fully open. The default is 23.5 SLPM at 690 kPa wherever the air goes."""
+
+    flow_resistance_kPa_s_per_SL: Positive = 2042.0
+
+
+@dataclass(frozen=True)
+class Dvp:
+    """The Venturi's supply valve, fully open."""
+
+    flow_resistance_kPa_s_per_SL: Positive = 618.0
+
+
+@dataclass(frozen=True)
+class Solenoid:
+    """The outlet to the vacuum port, open."""
+
+    flow_resistance_kPa_s_per_SL: Positive = 70.0
+
+
+@dataclass(frozen=True)
+class Venturi:
+    """The vacuum pump: `full_vacuum_kPa` below ambient from `rated_supply_kPa` on."""
+
+    full_vacuum_kPa: NotNegative = 55.0
+    rated_supply_kPa: Positive = 600.0
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Standard deviations of the readings' noise."""
+
+    cv_noise_std_kPa: NotNegative = 0.15
+    reservoir_noise_std_kPa: NotNegative = 1.2
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A rig. `cv` is None when the reservoir discharges to atmosphere.
+
+    `tolerance_percent` says, for keys such as `reservoir.volume_L`, how well a number is believed;
+    ask `tolerance`, which knows what holds for the rest.
+    """
+
+    reservoir: Reservoir = Reservoir()
+    cv: ControlVolume | None = ControlVolume()
+    evp: Evp = Evp()
+    dvp: Dvp = Dvp()
+    solenoid: Solenoid = Solenoid()
+    venturi: Venturi = Venturi()
+    sensors: Sensors = Sensors()
+    tolerance_percent: dict[str, NotNegative] = field(default_factory=dict)
+
+    def tolerance(self, key: str) -> float:
+        """Percent to which the number at `key` is believed: 1 unless the rig says otherwise."""
+        return self.tolerance_percent.get(key, 1.0)
+
+
+def load_rig(path: Path | str) -> Rig:
+    """The rig in a TOML file; a table that is missing has its nominal values, but no `[cv]` means none.
+
+    RigError when the file cannot be read, names something unknown, or holds an impossible number.
+    """
+    try:
+        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise RigError(f"{path} cannot be read: {error}") from None
+    try:
+        return rig_from(content)
+    except RigError as error:
+        raise RigError(f"{path}: {error}") from None
+
+
+def rig_from(content: Mapping[str, Any]) -> Rig:
+    """The rig in a decoded TOML file, as `load_rig`."""
+    for table in content:
+        if table not in _TABLES:
+            raise RigError(f"there is no table {table!r} in a rig: the tables are {', '.join(_TABLES)}.")
+    for key, value in _flat(content):
+        if key.removeprefix("tolerance_percent.") not in _KEYS:
+            raise RigError(f"{key!r} is no number of a rig: the numbers are {', '.join(_KEYS)}.")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise RigError(f"{key} is {value}, which is not a number.")
+    tolerances = content.get("tolerance_percent", {})
+    if isinstance(tolerances, Mapping):
+        tolerances = dict(_flat(tolerances))
+    try:
+        return msgspec.convert({"cv": None, **content, "tolerance_percent": tolerances}, Rig)
+    except msgspec.ValidationError as error:
+        raise RigError(f"{error}.") from None
+
+
+def _flat(tables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted keys and values: `a.b = 1` under a table and `"a.b" = 1` are the same."""
+    for key, value in tables.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value
+
+
+_TABLES = tuple(field.name for field in fields(Rig))
+_KEYS = tuple(key for key, _ in _flat(asdict(Rig())))

@@ -1,0 +1,455 @@
+"""The emulated firmware: handshake, dead-man, latches, and what must never happen."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_link.protocol import (
+    PROTOCOL_VERSION,
+    ClearFaults,
+    Codec,
+    Fault,
+    Hello,
+    HostMessage,
+    Message,
+    Mode,
+    Ping,
+    Pong,
+    Refusal,
+    RefusalReason,
+    Setpoint,
+    Telemetry,
+    Vent,
+    Welcome,
+)
+from flying_vines.fakes.firmware import SAFE, Drive, Firmware, FirmwareSettings
+from flying_vines.fakes.regulator import Regulator, RegulatorSettings
+
+
+class Bench:
+    """A firmware with its sensors in our hands and a host's codec."""
+
+    def __init__(self, firmware_settings: FirmwareSettings | None = None) -> None:
+        self.firmware = Firmware(firmware_settings)
+        self.codec = Codec()
+        self.now_ms = 0
+        self.cv_kPa = 0.0
+        self.reservoir_kPa = 690.0
+        self.drive = SAFE
+        self.run(1)
+        self.answers()
+
+    def run(self, steps: int) -> Drive:
+        for _ in range(steps):
+            self.drive = self.firmware.step(self.now_ms * 1000, self.cv_kPa, self.reservoir_kPa)
+            self.now_ms += 1
+        return self.drive
+
+    def send(self, *messages: HostMessage) -> None:
+        for message in messages:
+            self.firmware.receive(self.codec.encode(message))
+
+    def answers(self) -> list[Message]:
+        return self.codec.decode(self.firmware.take_output())
+
+    def refusals(self) -> list[Refusal]:
+        return [answer for answer in self.answers() if isinstance(answer, Refusal)]
+
+    def greet(self) -> None:
+        self.send(Hello(PROTOCOL_VERSION, 7))
+        self.answers()
+
+
+@pytest.fixture
+def bench() -> Bench:
+    bench = Bench()
+    bench.greet()
+    return bench
+
+
+def bend(number: int = 1, target_kPa: float = 15.0, rate: float = 50.0, ttl_ms: int = 250) -> Setpoint:
+    return Setpoint(target_kPa, rate, ttl_ms, number)
+
+
+def modes(bench: Bench) -> tuple[Mode, Fault]:
+    return bench.firmware.mode, bench.firmware.faults
+
+
+def test_it_vents_from_power_up_and_says_so() -> None:
+    bench = Bench()
+    assert bench.run(1) == SAFE
+    bench.run(10)
+    (telemetry,) = bench.answers()
+    assert isinstance(telemetry, Telemetry)
+    assert (telemetry.mode, telemetry.solenoid, telemetry.number) == (Mode.VENT, True, 0)
+
+
+def test_the_handshake() -> None:
+    bench = Bench()
+    bench.send(Hello(PROTOCOL_VERSION, 99))
+    (answer,) = bench.answers()
+    assert isinstance(answer, Welcome)
+    assert (answer.protocol_version, answer.nonce, answer.boot_id) == (PROTOCOL_VERSION, 99, 1)
+    assert (answer.cv_limit_kPa, answer.dead_man_ms, answer.telemetry_Hz) == (30.0, 300, 100)
+
+
+def test_another_version_is_refused_and_so_are_its_setpoints() -> None:
+    bench = Bench()
+    bench.send(Hello(PROTOCOL_VERSION + 1, 99), bend(number=4))
+    answers = bench.answers()
+    assert isinstance(answers[0], Welcome)
+    assert answers[1:] == [Refusal(0, RefusalReason.VERSION), Refusal(4, RefusalReason.NO_HANDSHAKE)]
+
+
+def test_before_the_handshake_only_vent_and_ping_are_heard() -> None:
+    bench = Bench()
+    bench.send(bend(number=3), ClearFaults(0xFFFF), Vent(8), Ping(123))
+    assert bench.answers() == [
+        Refusal(3, RefusalReason.NO_HANDSHAKE),
+        Refusal(0, RefusalReason.NO_HANDSHAKE),
+        Pong(123, 0),
+    ]
+    assert bench.firmware.number == 8
+
+
+def test_telemetry_comes_at_its_rate(bench: Bench) -> None:
+    bench.run(1000)
+    times = [answer.device_time_ms for answer in bench.answers() if isinstance(answer, Telemetry)]
+    assert len(times) == 100
+    assert {after - before for before, after in pairwise(times)} == {10}
+
+
+def test_telemetry_says_what_is_held(bench: Bench) -> None:
+    bench.cv_kPa = 2.0
+    bench.run(1)
+    bench.send(bend(number=12, rate=50.0))
+    bench.run(100)
+    telemetry = bench.answers()[-1]
+    assert isinstance(telemetry, Telemetry)
+    assert (telemetry.mode, telemetry.number, telemetry.cv_kPa) == (Mode.REGULATE, 12, 2.0)
+    assert telemetry.setpoint_kPa == pytest.approx(2.0 + 0.1 * 50.0, abs=0.6)
+    assert telemetry.evp_opening == 1.0
+
+
+@pytest.mark.parametrize(
+    ("setpoint", "reason"),
+    [
+        (bend(target_kPa=math.nan), RefusalReason.NOT_A_NUMBER),
+        (bend(target_kPa=math.inf), RefusalReason.NOT_A_NUMBER),
+        (bend(rate=math.nan), RefusalReason.NOT_A_NUMBER),
+        (bend(target_kPa=-0.1), RefusalReason.OUT_OF_RANGE),
+        (bend(target_kPa=28.1), RefusalReason.OUT_OF_RANGE),
+        (bend(rate=0.0), RefusalReason.OUT_OF_RANGE),
+        (bend(rate=-1.0), RefusalReason.OUT_OF_RANGE),
+        (bend(ttl_ms=0), RefusalReason.OUT_OF_RANGE),
+    ],
+)
+def test_setpoints_that_are_refused(bench: Bench, setpoint: Setpoint, reason: RefusalReason) -> None:
+    bench.send(setpoint)
+    assert bench.refusals() == [Refusal(1, reason)]
+    assert bench.run(5) == SAFE
+
+
+def test_a_refused_setpoint_leaves_what_is_held(bench: Bench) -> None:
+    bench.send(bend(number=1), bend(number=2, target_kPa=99.0))
+    assert bench.refusals() == [Refusal(2, RefusalReason.OUT_OF_RANGE)]
+    bench.run(1)
+    assert (bench.firmware.mode, bench.firmware.number) == (Mode.REGULATE, 1)
+
+
+def test_silence_vents_and_latches(bench: Bench) -> None:
+    bench.send(bend(ttl_ms=100))
+    bench.run(99)
+    assert modes(bench) == (Mode.REGULATE, Fault.NONE)
+    assert bench.run(1) == SAFE
+    assert modes(bench) == (Mode.FAULT, Fault.DEAD_MAN)
+    bench.send(bend(number=2))
+    assert bench.refusals() == [Refusal(2, RefusalReason.FAULT_LATCHED)]
+    bench.send(ClearFaults(Fault.DEAD_MAN))
+    assert modes(bench) == (Mode.VENT, Fault.NONE)
+    bench.send(bend(number=3))
+    bench.run(1)
+    assert modes(bench) == (Mode.REGULATE, Fault.NONE)
+
+
+def test_no_time_to_live_outlasts_the_dead_man(bench: Bench) -> None:
+    bench.send(bend(ttl_ms=65535))
+    bench.run(299)
+    assert bench.firmware.mode is Mode.REGULATE
+    bench.run(1)
+    assert bench.firmware.faults == Fault.DEAD_MAN
+
+
+def test_repetition_keeps_it_alive(bench: Bench) -> None:
+    for _ in range(50):
+        bench.send(bend(ttl_ms=60))
+        bench.run(50)
+    assert bench.firmware.mode is Mode.REGULATE
+
+
+def test_a_stall_of_the_board_is_no_excuse(bench: Bench) -> None:
+    bench.send(bend())
+    bench.now_ms += 5000
+    assert bench.run(1) == SAFE
+    assert bench.firmware.faults == Fault.DEAD_MAN
+
+
+def test_vent_while_venting_needs_no_repetition(bench: Bench) -> None:
+    bench.send(bend(), Vent(2))
+    bench.run(2000)
+    assert (bench.firmware.mode, bench.firmware.number) == (Mode.VENT, 2)
+
+
+def test_vent_never_runs_the_venturi(bench: Bench) -> None:
+    bench.cv_kPa = 25.0
+    bench.send(Vent(1))
+    assert {bench.run(1) for _ in range(500)} == {SAFE}
+
+
+def test_vent_is_accepted_while_a_fault_is_latched(bench: Bench) -> None:
+    bench.cv_kPa = 31.0
+    bench.run(1)
+    bench.send(Vent(5))
+    assert bench.refusals() == []
+    assert (bench.firmware.number, bench.firmware.mode) == (5, Mode.FAULT)
+
+
+def test_a_new_host_starts_from_vent(bench: Bench) -> None:
+    bench.send(bend())
+    bench.run(5)
+    bench.send(Hello(PROTOCOL_VERSION, 8))
+    assert bench.run(1) == SAFE
+    assert bench.firmware.mode is Mode.VENT
+
+
+@pytest.mark.parametrize(
+    ("cv_kPa", "reservoir_kPa", "fault"),
+    [
+        (30.1, 690.0, Fault.CV_OVERPRESSURE),
+        (math.nan, 690.0, Fault.CV_SENSOR),
+        (-15.1, 690.0, Fault.CV_SENSOR),
+        (207.0, 690.0, Fault.CV_SENSOR),
+        (5.0, 761.0, Fault.RESERVOIR_OVERPRESSURE),
+        (5.0, math.nan, Fault.RESERVOIR_SENSOR),
+        (5.0, -16.0, Fault.RESERVOIR_SENSOR),
+        (5.0, 1100.0, Fault.RESERVOIR_SENSOR),
+        (math.inf, math.inf, Fault.CV_SENSOR | Fault.RESERVOIR_SENSOR),
+    ],
+)
+def test_faults_vent_at_once_and_latch(
+    bench: Bench, cv_kPa: float, reservoir_kPa: float, fault: Fault
+) -> None:
+    bench.send(bend())
+    bench.cv_kPa = 5.0
+    bench.run(20)
+    bench.cv_kPa, bench.reservoir_kPa = cv_kPa, reservoir_kPa
+    assert bench.run(1) == SAFE
+    assert bench.firmware.faults == fault
+    bench.send(ClearFaults(0xFFFF))
+    assert bench.firmware.faults == fault
+    bench.cv_kPa, bench.reservoir_kPa = 5.0, 690.0
+    bench.run(10)
+    assert bench.firmware.faults == fault
+    bench.send(bend(number=2))
+    assert bench.refusals()[-1] == Refusal(2, RefusalReason.FAULT_LATCHED)
+    bench.send(ClearFaults(0))
+    assert bench.firmware.faults == fault
+    bench.send(ClearFaults(fault))
+    assert bench.firmware.mode is Mode.VENT
+
+
+def test_telemetry_of_a_broken_sensor_is_the_last_reading_believed(bench: Bench) -> None:
+    bench.cv_kPa = 4.0
+    bench.run(1)
+    bench.cv_kPa = math.nan
+    bench.run(20)
+    telemetry = bench.answers()[-1]
+    assert isinstance(telemetry, Telemetry)
+    assert (telemetry.cv_kPa, telemetry.faults) == (4.0, Fault.CV_SENSOR)
+
+
+def test_a_power_cycle_forgets_everything_but_the_boot_count(bench: Bench) -> None:
+    bench.send(bend())
+    bench.run(500)
+    assert bench.firmware.faults
+    bench.firmware.reset()
+    bench.run(1)
+    assert (bench.firmware.mode, bench.firmware.faults, bench.firmware.number) == (Mode.VENT, Fault.NONE, 0)
+    bench.send(bend(number=9))
+    assert bench.refusals() == [Refusal(9, RefusalReason.NO_HANDSHAKE)]
+    bench.send(Hello(PROTOCOL_VERSION, 1))
+    (answer,) = bench.answers()
+    assert isinstance(answer, Welcome)
+    assert answer.boot_id == 2
+
+
+def test_a_watchdog_reset_latches() -> None:
+    bench = Bench()
+    bench.firmware.reset(watchdog=True)
+    bench.run(1)
+    bench.greet()
+    bench.send(bend(number=1))
+    assert bench.refusals() == [Refusal(1, RefusalReason.FAULT_LATCHED)]
+    assert bench.firmware.faults == Fault.WATCHDOG_RESET
+
+
+def test_a_board_that_boots_does_not_listen() -> None:
+    firmware = Firmware()
+    firmware.receive(Codec().encode(Hello(PROTOCOL_VERSION, 1)))
+    assert firmware.take_output() == b""
+
+
+def test_output_that_nobody_takes_is_bounded(bench: Bench) -> None:
+    bench.run(20_000)
+    assert bench.firmware.dropped_output_bytes > 0
+    assert len(bench.firmware.take_output()) <= 4096
+
+
+# The regulator, by itself.
+
+
+def test_the_setpoint_starts_at_the_measured_pressure_and_keeps_to_its_rate() -> None:
+    regulator = Regulator(RegulatorSettings(), cv_kPa=6.0)
+    regulator.aim(10.0, 20.0)
+    held = [regulator.setpoint_kPa]
+    for _ in range(400):
+        regulator.step(0.001, 6.0, 690.0)
+        held.append(regulator.setpoint_kPa)
+    assert held[0] == 6.0
+    assert held[-1] == 10.0
+    assert max(after - before for before, after in pairwise(held)) <= 0.0201
+
+
+def test_far_below_the_setpoint_it_is_wide_open() -> None:
+    regulator = Regulator(RegulatorSettings(), cv_kPa=0.0)
+    regulator.aim(10.0, 1000.0)
+    assert [regulator.step(0.001, 0.0, 690.0) for _ in range(20)][-1] == Drive(1.0, 0.0, False)
+
+
+def test_near_the_setpoint_it_is_proportional() -> None:
+    regulator = Regulator(RegulatorSettings(), cv_kPa=10.0)
+    regulator.aim(10.5, 1000.0)
+    drive = [regulator.step(0.001, 10.0, 690.0) for _ in range(20)][-1]
+    assert 0.1 < drive.evp < 0.3
+    assert not drive.solenoid
+
+
+def test_within_the_dead_band_nothing_moves() -> None:
+    regulator = Regulator(RegulatorSettings(), cv_kPa=10.0)
+    regulator.aim(10.0, 1000.0)
+    for cv_kPa in (10.0, 10.2, 10.4):
+        assert {regulator.step(0.001, cv_kPa, 690.0) for _ in range(50)} == {Drive(0.0, 0.0, False)}
+
+
+def test_the_integral_does_not_wind_up() -> None:
+    regulator = Regulator(RegulatorSettings(), cv_kPa=0.0)
+    regulator.aim(20.0, 1000.0)
+    for _ in range(10_000):
+        regulator.step(0.001, 0.0, 690.0)
+    drives = [regulator.step(0.001, 20.1, 690.0) for _ in range(40)]
+    assert drives[-1].evp == 0.0
+
+
+def test_the_integral_stops_where_the_valve_cannot_follow() -> None:
+    regulator = Regulator(RegulatorSettings(), cv_kPa=10.0)
+    regulator.aim(10.8, 1000.0)
+    for _ in range(10_000):
+        drive = regulator.step(0.001, 10.0, 690.0)
+    assert drive.evp == 1.0
+    drives = [regulator.step(0.001, 10.6, 690.0) for _ in range(100)]
+    assert drives[-1].evp < 0.9
+
+
+def test_on_the_way_down_nothing_is_filled_up_again() -> None:
+    regulator = Regulator(RegulatorSettings(), cv_kPa=10.0)
+    regulator.aim(0.0, 5.0)
+    drives = [regulator.step(0.001, 9.5 - 0.005 * ms, 690.0) for ms in range(500)]
+    assert not any(drive.evp for drive in drives)
+
+
+def _falling(cv_slope_kPa_per_s: float, reservoir_kPa: float) -> list[Drive]:
+    """What the valves are told while the setpoint falls from 20 kPa to 0 at 200 kPa/s."""
+    regulator = Regulator(RegulatorSettings(), cv_kPa=20.0)
+    regulator.aim(0.0, 200.0)
+    return [
+        regulator.step(0.001, max(5.0, 20.0 - cv_slope_kPa_per_s * ms / 1000), reservoir_kPa)
+        for ms in range(150)
+    ]
+
+
+def test_air_that_leaves_fast_enough_leaves_by_itself() -> None:
+    drives = _falling(cv_slope_kPa_per_s=190.0, reservoir_kPa=690.0)
+    assert any(drive.solenoid for drive in drives)
+    # Near the end the vessel stands still, at 5 kPa: only there is there a reason to help.
+    assert not any(drive.dvp for drive in drives[:79])
+
+
+def test_the_venturi_helps_air_that_leaves_too_slowly() -> None:
+    drives = _falling(cv_slope_kPa_per_s=20.0, reservoir_kPa=690.0)
+    assert any(drive.dvp == 1.0 for drive in drives)
+    assert all(drive.solenoid for drive in drives if drive.dvp)
+    assert not any(drive.dvp for drive in drives[:30])
+
+
+def test_no_air_is_spent_on_a_venturi_that_would_not_work() -> None:
+    drives = _falling(cv_slope_kPa_per_s=20.0, reservoir_kPa=90.0)
+    assert not any(drive.dvp for drive in drives)
+
+
+# What must never happen, whatever is said and measured.
+
+wild = st.one_of(st.floats(width=32), st.floats(-20.0, 40.0, width=32))
+said: st.SearchStrategy[HostMessage | bytes] = st.one_of(
+    st.builds(Hello, st.sampled_from([PROTOCOL_VERSION, PROTOCOL_VERSION, 2]), st.just(1)),
+    st.builds(Setpoint, st.floats(0.0, 28.0, width=32), st.floats(0.5, 500.0, width=32), st.integers(1, 400),
+              st.integers(0, 65535)),
+    st.builds(Setpoint, wild, wild, st.integers(0, 65535), st.integers(0, 65535)),
+    st.builds(Vent, st.integers(0, 65535)),
+    st.builds(ClearFaults, st.integers(0, 65535)),
+    st.builds(Ping, st.integers(0, 2**64 - 1)),
+    st.binary(max_size=40),
+)  # fmt: skip
+pressures = st.one_of(st.floats(0.0, 29.0), st.floats(0.0, 29.0), st.floats(-20.0, 40.0), st.just(math.nan))
+supplies = st.one_of(
+    st.floats(0.0, 750.0), st.floats(0.0, 750.0), st.floats(-20.0, 1200.0), st.just(math.nan)
+)
+turns = st.tuples(st.lists(said, max_size=3), pressures, supplies, st.integers(1, 150))
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(turns, max_size=12))
+def test_it_never_inflates_when_it_must_not(
+    story: list[tuple[list[HostMessage | bytes], float, float, int]],
+) -> None:
+    bench = Bench()
+    bench.greet()
+    lives_until_ms = -1
+    for messages, cv_kPa, reservoir_kPa, steps in story:
+        for message in messages:
+            if isinstance(message, bytes):
+                # Ended, so that rubbish does not swallow the message after it.
+                bench.firmware.receive(message + b"\x00")
+                continue
+            bench.send(message)
+            if isinstance(message, Setpoint) and not bench.refusals():
+                lives_until_ms = bench.now_ms - 1 + min(message.ttl_ms, 300)
+        bench.cv_kPa, bench.reservoir_kPa = cv_kPa, reservoir_kPa
+        for _ in range(steps):
+            at_ms = bench.now_ms
+            drive = bench.run(1)
+            assert 0.0 <= drive.evp <= 1.0
+            assert 0.0 <= drive.dvp <= 1.0
+            assert not (drive.evp and drive.solenoid)
+            assert drive.solenoid or not drive.dvp
+            if bench.firmware.mode is not Mode.REGULATE or bench.firmware.faults or at_ms >= lives_until_ms:
+                assert drive == SAFE
+        for answer in bench.answers():
+            if isinstance(answer, Telemetry):
+                assert math.isfinite(answer.cv_kPa)
+                assert math.isfinite(answer.reservoir_kPa)
+                assert math.isfinite(answer.setpoint_kPa)

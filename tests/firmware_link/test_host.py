@@ -1,0 +1,391 @@
+"""The host session: handshake, repetition, and what ends them. No time passes here."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_link.host import (
+    VENTING,
+    CommandRefused,
+    FirmwareReset,
+    HostSession,
+    Incompatible,
+    Ready,
+    Regulate,
+    SessionState,
+    TelemetryReceived,
+)
+from firmware_link.protocol import (
+    PROTOCOL_VERSION,
+    ClearFaults,
+    Fault,
+    Hello,
+    HostMessage,
+    Message,
+    Mode,
+    Ping,
+    Pong,
+    Refusal,
+    RefusalReason,
+    Setpoint,
+    Telemetry,
+    Vent,
+    Welcome,
+)
+
+BEND = Regulate(target_kPa=15.0, rate_kPa_per_s=20.0)
+
+
+def welcome(nonce: int, boot_id: int = 1) -> Welcome:
+    return Welcome(PROTOCOL_VERSION, nonce, boot_id, "test", 1, 30.0, 760.0, 200.0, 300, 100)
+
+
+def telemetry(time_ms: int, cv_kPa: float = 1.0) -> Telemetry:
+    return Telemetry(time_ms, Mode.VENT, Fault.NONE, 0, 0.0, cv_kPa, 690.0, 0.0, 0.0, True)
+
+
+def greeting_nonce(session: HostSession, t: float) -> int:
+    (hello,) = session.tick(t)
+    assert isinstance(hello, Hello)
+    return hello.nonce
+
+
+def ready(t: float = 0.0, boot_id: int = 1) -> HostSession:
+    session = HostSession()
+    session.opened(t)
+    session.receive(t, welcome(greeting_nonce(session, t), boot_id))
+    assert session.state is SessionState.READY
+    return session
+
+
+def commands(sent: list[HostMessage]) -> list[HostMessage]:
+    return [message for message in sent if not isinstance(message, Ping)]
+
+
+def test_nothing_is_said_while_closed() -> None:
+    session = HostSession()
+    assert session.tick(0.0) == []
+    assert session.command(0.0, BEND) == []
+    assert session.receive(0.0, telemetry(1)) == []
+    assert session.telemetry_age(5.0) == math.inf
+
+
+def test_greeting_repeats_every_half_second() -> None:
+    session = HostSession()
+    session.opened(10.0)
+    times = [tick / 100 for tick in range(1000, 1200)]
+    assert [t for t in times if session.tick(t)] == [10.0, 10.5, 11.0, 11.5]
+
+
+def test_the_handshake() -> None:
+    session = HostSession(first_nonce=40)
+    session.opened(0.0)
+    assert session.tick(0.0) == [Hello(PROTOCOL_VERSION, 40)]
+    assert session.receive(0.01, welcome(39)) == []
+    assert session.receive(0.02, welcome(40)) == [Ready(welcome(40))]
+    assert session.state is SessionState.READY
+    assert session.welcome == welcome(40)
+
+
+def test_every_opening_has_a_nonce_of_its_own() -> None:
+    session = HostSession()
+    nonces = []
+    for t in (0.0, 1.0, 2.0):
+        session.opened(t)
+        nonces.append(greeting_nonce(session, t))
+        session.closed(t + 0.5)
+    assert len(set(nonces)) == 3
+
+
+def test_a_ready_session_starts_with_vent() -> None:
+    session = ready()
+    assert commands(session.tick(0.0)) == [Vent(1)]
+
+
+def test_a_command_at_once_still_comes_after_the_first_vent() -> None:
+    session = ready()
+    assert session.command(0.0, BEND) == [Vent(1), Setpoint(15.0, 20.0, 250, 2)]
+
+
+def test_the_command_is_repeated_with_its_number() -> None:
+    session = ready()
+    session.tick(0.0)
+    assert session.command(0.1, BEND) == [Setpoint(15.0, 20.0, 250, 2)]
+    sent = [message for tick in range(1, 101) for message in commands(session.tick(0.1 + tick / 100))]
+    assert sent == [Setpoint(15.0, 20.0, 250, 2)] * 50
+
+
+def test_a_late_tick_is_not_made_up_for() -> None:
+    session = ready()
+    session.tick(0.0)
+    assert len(commands(session.tick(5.0))) == 1
+    assert commands(session.tick(5.001)) == []
+
+
+def test_a_new_command_is_sent_at_once_and_an_equal_one_is_not() -> None:
+    session = ready()
+    session.tick(0.0)
+    assert len(session.command(0.1, BEND)) == 1
+    assert session.command(0.101, Regulate(15.0, 20.0)) == []
+    assert session.command(0.102, VENTING) == [Vent(3)]
+    assert session.current_command == VENTING
+
+
+def test_numbers_wrap_past_zero() -> None:
+    session = ready()
+    session.tick(0.0)
+    numbers = [
+        message.number
+        for count in range(70000)
+        for message in session.command(0.0, Regulate(float(count % 2), 1.0))
+        if isinstance(message, Setpoint)
+    ]
+    assert 0 not in numbers
+    assert max(numbers) == 0xFFFF
+    assert numbers[-1] < 10000
+
+
+def test_no_command_survives_a_closed_port() -> None:
+    session = ready()
+    session.command(0.0, BEND)
+    session.closed(1.0)
+    assert session.tick(1.1) == []
+    session.opened(2.0)
+    assert session.command(2.0, BEND) == []
+    session.receive(2.1, welcome(greeting_nonce(session, 2.0)))
+    assert {type(message) for tick in range(50) for message in commands(session.tick(2.1 + tick / 100))} == {
+        Vent
+    }
+
+
+def test_a_clock_that_runs_back_is_a_reset() -> None:
+    session = ready()
+    session.command(0.0, BEND)
+    session.receive(0.1, telemetry(5000))
+    (event,) = session.receive(0.2, telemetry(3))
+    assert isinstance(event, FirmwareReset)
+    assert session.state is SessionState.GREETING
+    assert session.command(0.2, BEND) == []
+    events = session.receive(0.4, welcome(greeting_nonce(session, 0.3), boot_id=2))
+    assert [type(event) for event in events] == [FirmwareReset, Ready]
+    assert commands(session.tick(0.4)) == [Vent(3)]
+
+
+def test_a_clock_that_wraps_is_not_a_reset() -> None:
+    session = ready()
+    session.receive(0.1, telemetry(0xFFFFFFFF))
+    assert session.receive(0.11, telemetry(9)) == [TelemetryReceived(telemetry(9))]
+    assert session.telemetry_gaps == 0
+
+
+def test_another_boot_id_is_a_reset() -> None:
+    session = ready()
+    nonce = session.welcome.nonce if session.welcome else 0
+    assert session.receive(0.1, welcome(nonce)) == []
+    (event,) = session.receive(0.2, welcome(nonce, boot_id=9))
+    assert isinstance(event, FirmwareReset)
+    assert session.state is SessionState.GREETING
+
+
+def test_a_firmware_that_forgot_the_handshake_is_a_reset() -> None:
+    session = ready()
+    session.command(0.0, BEND)
+    (event,) = session.receive(0.1, Refusal(2, RefusalReason.NO_HANDSHAKE))
+    assert isinstance(event, FirmwareReset)
+    assert len(session.tick(0.1)) == 1
+
+
+def test_a_reset_while_the_port_was_closed_is_told() -> None:
+    session = ready()
+    session.closed(1.0)
+    session.opened(2.0)
+    events = session.receive(2.0, welcome(greeting_nonce(session, 2.0), boot_id=2))
+    assert [type(event) for event in events] == [FirmwareReset, Ready]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ({"protocol_version": 2}, "update the host"),
+        ({"protocol_version": 0}, "update the firmware"),
+        ({"units": 2}, "kPa gauge"),
+        ({"cv_limit_kPa": math.nan}, "limits"),
+        ({"rate_limit_kPa_per_s": -1.0}, "limits"),
+        ({"dead_man_ms": 0}, "dead-man"),
+    ],
+)
+def test_whom_we_must_not_command(wrong: dict[str, float], why: str) -> None:
+    session = HostSession()
+    session.opened(0.0)
+    nonce = greeting_nonce(session, 0.0)
+    other = replace(welcome(nonce), **wrong)  # type: ignore[arg-type]
+    (event,) = session.receive(0.1, other)
+    assert isinstance(event, Incompatible)
+    assert why in event.reason
+    assert event.reason.endswith(".")
+    assert session.state is SessionState.INCOMPATIBLE
+    assert session.command(0.1, BEND) == []
+    assert session.receive(0.2, other) == []
+    assert session.receive(0.2, Refusal(0, RefusalReason.VERSION)) == []
+    assert session.receive(0.3, welcome(nonce)) == [Ready(welcome(nonce))]
+
+
+def test_a_refused_version_is_told_once() -> None:
+    session = HostSession()
+    session.opened(0.0)
+    session.tick(0.0)
+    refusal = Refusal(0, RefusalReason.VERSION)
+    assert [type(event) for event in session.receive(0.1, refusal)] == [Incompatible]
+    assert session.receive(0.2, refusal) == []
+
+
+def test_a_refused_command_is_told_once_and_ends_in_vent() -> None:
+    session = ready()
+    session.command(0.0, BEND)
+    refusal = Refusal(2, RefusalReason.FAULT_LATCHED)
+    assert session.receive(0.1, refusal) == [CommandRefused(refusal)]
+    assert session.receive(0.1, refusal) == []
+    assert session.current_command == VENTING
+    assert commands(session.tick(0.1)) == [Vent(3)]
+    assert session.command(0.2, BEND) == [Setpoint(15.0, 20.0, 250, 4)]
+
+
+def test_the_refusal_of_an_older_command_leaves_the_current_one() -> None:
+    session = ready()
+    session.command(0.0, BEND)
+    session.command(0.1, Regulate(10.0, 20.0))
+    assert len(session.receive(0.1, Refusal(2, RefusalReason.OUT_OF_RANGE))) == 1
+    assert session.current_command == Regulate(10.0, 20.0)
+
+
+def test_clearing_faults() -> None:
+    session = HostSession()
+    assert session.clear_faults(0.0, Fault.DEAD_MAN) == []
+    session = ready()
+    assert session.clear_faults(0.0, Fault.DEAD_MAN | Fault.CV_SENSOR) == [ClearFaults(0b1001)]
+    assert session.clear_faults(0.0, ~Fault.NONE) == [ClearFaults(0b111111)]
+
+
+def test_telemetry_and_its_age() -> None:
+    session = ready()
+    assert session.receive(0.1, telemetry(100)) == [TelemetryReceived(telemetry(100))]
+    assert session.telemetry == telemetry(100)
+    assert session.telemetry_age(0.35) == pytest.approx(0.25)
+
+
+def test_telemetry_before_the_handshake_is_not_believed() -> None:
+    session = HostSession()
+    session.opened(0.0)
+    assert session.receive(0.0, telemetry(100)) == []
+    assert session.telemetry is None
+
+
+@pytest.mark.parametrize("field", ["setpoint_kPa", "cv_kPa", "reservoir_kPa"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_not_a_number_counts_as_lost(field: str, value: float) -> None:
+    session = ready()
+    session.receive(0.1, telemetry(100))
+    assert session.receive(0.11, replace(telemetry(110), **{field: value})) == []  # type: ignore[arg-type]
+    assert session.telemetry == telemetry(100)
+    assert session.telemetry_age(0.11) == pytest.approx(0.01)
+    assert session.telemetry_gaps == 1
+    session.receive(0.12, telemetry(120))
+    assert session.telemetry_gaps == 1
+
+
+def test_missing_telemetry_is_counted() -> None:
+    session = ready()
+    for time_ms in (100, 110, 121, 129, 170, 180):
+        session.receive(time_ms / 1000, telemetry(time_ms))
+    assert session.telemetry_gaps == 3
+
+
+def test_ping_gives_round_trip_and_clock() -> None:
+    session = ready(t=100.0)
+    for second, delay_s in enumerate((0.030, 0.002, 0.040)):
+        t = 100.0 + second
+        (ping,) = (message for message in session.tick(t) if isinstance(message, Ping))
+        # Nearly all of the delay is on the way back.
+        device_ms = round((t + 0.001 - 95.0) * 1000)
+        session.receive(t + delay_s, Pong(ping.host_time_us, device_ms))
+    assert session.round_trip_s == pytest.approx(0.040)
+    assert session.clock_offset_s == pytest.approx(-95.0, abs=0.001)
+
+
+def test_pings_once_a_second() -> None:
+    session = ready()
+    pings = [t for t in range(301) for message in session.tick(t / 100) if isinstance(message, Ping)]
+    assert pings == [0, 100, 200, 300]
+
+
+def test_pongs_that_cannot_be_ours_are_passed_over() -> None:
+    session = ready(t=100.0)
+    session.tick(100.0)
+    for host_time_us in (0, 99_900_000, 2**64 - 1):
+        session.receive(100.1, Pong(host_time_us, 1))
+    assert session.round_trip_s is None
+
+
+@pytest.mark.parametrize(
+    ("target", "rate", "ttl"),
+    [
+        (math.nan, 1.0, 250),
+        (math.inf, 1.0, 250),
+        (1e300, 1.0, 250),
+        (1.0, math.nan, 250),
+        (1.0, 0.0, 250),
+        (1.0, -1.0, 250),
+        (1.0, 1.0, 0),
+        (1.0, 1.0, 65536),
+    ],
+)
+def test_a_command_that_makes_no_sense_is_a_mistake(target: float, rate: float, ttl: int) -> None:
+    with pytest.raises(ValueError, match=r"not (a|within)"):
+        Regulate(target, rate, ttl)
+
+
+anything: st.SearchStrategy[Message] = st.one_of(
+    st.builds(welcome, st.integers(1, 4), st.integers(1, 2)),
+    st.builds(telemetry, st.integers(0, 2**32 - 1), st.floats(width=32)),
+    st.builds(Refusal, st.integers(0, 5), st.sampled_from(RefusalReason)),
+    st.builds(Pong, st.integers(0, 2**64 - 1), st.integers(0, 2**32 - 1)),
+    st.builds(Vent, st.integers(0, 5)),
+)
+happenings = st.one_of(
+    anything, st.sampled_from(["open", "close", "tick", "bend", "vent"]), st.floats(0.0, 0.3)
+)
+
+
+@given(st.lists(happenings, max_size=60))
+def test_a_setpoint_is_only_ever_sent_for_a_bend_of_this_readiness(
+    story: list[Message | str | float],
+) -> None:
+    session = HostSession()
+    t, bent = 0.0, False
+    for happening in story:
+        sent: list[HostMessage] = []
+        if isinstance(happening, float):
+            t += happening
+        elif happening == "open":
+            session.opened(t)
+        elif happening == "close":
+            session.closed(t)
+        elif happening == "tick":
+            sent = session.tick(t)
+        elif happening == "bend":
+            sent = session.command(t, BEND)
+            bent = session.state is SessionState.READY
+        elif happening == "vent":
+            sent = session.command(t, VENTING)
+            bent = False
+        elif not isinstance(happening, str):
+            session.receive(t, happening)
+        bent = bent and session.state is SessionState.READY
+        assert bent or not any(isinstance(message, Setpoint) for message in sent)
+        if session.telemetry is not None:
+            assert math.isfinite(session.telemetry.cv_kPa)

@@ -1,0 +1,245 @@
+"""The serial port and the whole link over pseudo-terminals."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import tty
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+
+import pytest
+import serial
+
+from firmware_link.host import FirmwareReset, HostEvent, Ready, Regulate, SessionState, TelemetryReceived
+from firmware_link.link import FirmwareLink
+from firmware_link.protocol import Mode
+from firmware_link.serial_port import MAX_QUEUED_BYTES, SerialPort
+from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
+
+TIMEOUT_S = 5.0
+
+
+class Watch:
+    """Remembers what was called, and lets a test wait until it likes what it sees."""
+
+    def __init__(self) -> None:
+        self.states: list[tuple[bool, str]] = []
+        self.data = b""
+        self.events: list[HostEvent] = []
+        self._changed = asyncio.Event()
+
+    def on_state(self, up: bool, why: str) -> None:
+        self.states.append((up, why))
+        self._changed.set()
+
+    def on_bytes(self, data: bytes) -> None:
+        self.data += data
+        self._changed.set()
+
+    def on_event(self, event: HostEvent) -> None:
+        self.events.append(event)
+        self._changed.set()
+
+    async def until(self, satisfied: Callable[[], bool]) -> None:
+        async with asyncio.timeout(TIMEOUT_S):
+            while not satisfied():
+                self._changed.clear()
+                await self._changed.wait()
+
+
+class Terminal:
+    """The device's end of a pseudo-terminal behind a link of fixed name."""
+
+    def __init__(self, link: Path) -> None:
+        self.device, host = os.openpty()
+        tty.setraw(host)
+        os.set_blocking(self.device, False)
+        link.unlink(missing_ok=True)
+        link.symlink_to(os.ttyname(host))
+        self._host = host
+        self._link = link
+
+    def pull_out(self) -> None:
+        self.unplug()
+        self._link.unlink()
+
+    def unplug(self) -> None:
+        for descriptor in (self.device, self._host):
+            with contextlib.suppress(OSError):
+                os.close(descriptor)
+
+
+@pytest.fixture
+def link(tmp_path: Path) -> Path:
+    return tmp_path / "port"
+
+
+@pytest.fixture
+def terminal(link: Path) -> Iterator[Terminal]:
+    terminal = Terminal(link)
+    yield terminal
+    terminal.unplug()
+
+
+@contextlib.asynccontextmanager
+async def running(port: SerialPort | FirmwareLink | PtyPhlosar) -> AsyncIterator[None]:
+    task = asyncio.create_task(port.run())
+    try:
+        yield
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.wait_for(task, TIMEOUT_S)
+
+
+async def eventually(satisfied: Callable[[], bool]) -> None:
+    for _ in range(1000):
+        if satisfied():
+            return
+        await asyncio.sleep(TIMEOUT_S / 1000)
+    raise TimeoutError
+
+
+async def read_from(descriptor: int, count: int) -> bytes:
+    data = b""
+    async with asyncio.timeout(TIMEOUT_S):
+        while len(data) < count:
+            with contextlib.suppress(BlockingIOError):
+                data += os.read(descriptor, 65536)
+            await asyncio.sleep(0)
+    return data
+
+
+async def test_bytes_both_ways(link: Path, terminal: Terminal) -> None:
+    watch = Watch()
+    port = SerialPort(str(link), 115200, watch.on_bytes, watch.on_state)
+    async with running(port):
+        await watch.until(lambda: port.connected)
+        os.write(terminal.device, bytes(range(256)))
+        await watch.until(lambda: len(watch.data) == 256)
+        assert watch.data == bytes(range(256))
+        assert port.write(bytes(range(256)))
+        assert await read_from(terminal.device, 256) == bytes(range(256))
+    assert not port.connected
+    assert not port.write(b"late")
+    assert port.dropped_bytes == 4
+    assert watch.states == [(True, f"{link} is open")]
+
+
+async def test_it_comes_back_after_being_unplugged(link: Path, terminal: Terminal) -> None:
+    watch = Watch()
+    port = SerialPort(str(link), 115200, watch.on_bytes, watch.on_state)
+    async with running(port):
+        await watch.until(lambda: port.connected)
+        terminal.pull_out()
+        await watch.until(lambda: len(watch.states) == 3)
+        assert "was lost" in watch.states[1][1]
+        assert "is not there" in watch.states[2][1]
+        again = Terminal(link)
+        await watch.until(lambda: port.connected)
+        assert port.write(b"hello again")
+        assert await read_from(again.device, 11) == b"hello again"
+    again.unplug()
+
+
+async def test_writing_to_a_port_that_was_pulled_out_is_survived(link: Path, terminal: Terminal) -> None:
+    watch = Watch()
+    port = SerialPort(str(link), 115200, watch.on_bytes, watch.on_state)
+    async with running(port):
+        await watch.until(lambda: port.connected)
+        terminal.pull_out()
+        port.write(b"into the void")
+        await watch.until(lambda: not port.connected)
+        assert not port.write(b"still")
+
+
+async def test_a_device_that_does_not_read_blocks_nobody(link: Path, terminal: Terminal) -> None:
+    watch = Watch()
+    port = SerialPort(str(link), 115200, watch.on_bytes, watch.on_state)
+    async with running(port):
+        await watch.until(lambda: port.connected)
+        async with asyncio.timeout(TIMEOUT_S):
+            taken = 0
+            while port.write(b"x" * 1000):
+                taken += 1000
+                await asyncio.sleep(0)
+        assert port.dropped_bytes == 1000
+        assert taken >= MAX_QUEUED_BYTES - 1000
+        assert await read_from(terminal.device, taken) == b"x" * taken
+        assert port.write(b"y")
+
+
+async def test_a_port_is_opened_by_one_alone(link: Path, terminal: Terminal) -> None:
+    first, second = Watch(), Watch()
+    one = SerialPort(str(link), 115200, first.on_bytes, first.on_state)
+    two = SerialPort(str(link), 115200, second.on_bytes, second.on_state)
+    async with running(one):
+        await first.until(lambda: one.connected)
+        async with running(two):
+            await second.until(lambda: bool(second.states))
+            assert second.states[0][0] is False
+            assert "in use by another program" in second.states[0][1]
+
+
+async def test_no_permission_says_what_to_do(
+    link: Path, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise serial.SerialException(13, "could not open port")
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    watch = Watch()
+    port = SerialPort(str(link), 115200, watch.on_bytes, watch.on_state)
+    async with running(port):
+        await watch.until(lambda: bool(watch.states))
+    assert "dialout" in watch.states[0][1]
+
+
+async def test_what_is_no_serial_port_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"")
+    watch = Watch()
+    port = SerialPort(str(path), 115200, watch.on_bytes, watch.on_state)
+    async with running(port):
+        await watch.until(lambda: bool(watch.states))
+    assert "could not be opened" in watch.states[0][1]
+
+
+async def test_the_whole_link_regulates_and_outlives_a_reset(link: Path) -> None:
+    watch = Watch()
+    phlosar = SimulatedPhlosar()
+    host = FirmwareLink(str(link), watch.on_event, watch.on_state)
+
+    def bent() -> bool:
+        latest = host.session.telemetry
+        return latest is not None and latest.mode is Mode.REGULATE and latest.cv_kPa > 8.0
+
+    with PtyPhlosar(phlosar, symlink=link) as board:
+        async with running(board), running(host):
+            await watch.until(lambda: any(isinstance(event, Ready) for event in watch.events))
+            host.command(Regulate(target_kPa=10.0, rate_kPa_per_s=100.0))
+            await watch.until(bent)
+            phlosar.reset_firmware()
+            await watch.until(lambda: any(isinstance(event, FirmwareReset) for event in watch.events))
+            await watch.until(lambda: host.session.state is SessionState.READY)
+            received = len(watch.events)
+            await watch.until(lambda: len(watch.events) > received + 5)
+            latest = watch.events[-1]
+            assert isinstance(latest, TelemetryReceived)
+            assert latest.telemetry.mode is Mode.VENT
+            assert host.codec.bad_frames <= 1
+
+
+async def test_ending_the_link_vents(link: Path) -> None:
+    watch = Watch()
+    phlosar = SimulatedPhlosar()
+    host = FirmwareLink(str(link), watch.on_event, watch.on_state)
+    with PtyPhlosar(phlosar, symlink=link) as board:
+        async with running(board):
+            async with running(host):
+                await watch.until(lambda: any(isinstance(event, Ready) for event in watch.events))
+                host.command(Regulate(target_kPa=10.0, rate_kPa_per_s=100.0))
+                await watch.until(lambda: phlosar.firmware.mode is Mode.REGULATE)
+            await eventually(lambda: phlosar.firmware.mode is Mode.VENT)

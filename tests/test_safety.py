@@ -1,0 +1,209 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_link.protocol import Fault
+from flying_vines import config
+from flying_vines.config import Config
+from flying_vines.safety import Conditions, Demand, Entered, Left, Safety
+
+FLYING = Conditions(
+    armed=True,
+    altitude_m=10.0,
+    autopilot_age_s=0.2,
+    firmware_ready=True,
+    firmware_was_ready=True,
+    telemetry_age_s=0.01,
+    cv_kPa=0.0,
+    reservoir_kPa=600.0,
+)
+BENT = dataclasses.replace(FLYING, moving=True, moving_s=5.0, cv_kPa=20.0)
+BEND = Demand(
+    releases=False, peak_kPa=20.0, wanted_kPa=20.0, rate_kPa_per_s=60.0, spending_kPa=5.0, floor_kPa=120.0
+)
+RELEASE = Demand(releases=True)
+
+
+def safety(**tables: object) -> Safety:
+    base: Config = config.default()
+    return Safety(msgspec.structs.replace(base, **tables))
+
+
+def but(conditions: Conditions, **changes: object) -> Conditions:
+    return dataclasses.replace(conditions, **changes)  # type: ignore[arg-type]
+
+
+def test_a_good_flight_bends() -> None:
+    machine = safety()
+    assert machine.watch(0.0, FLYING) == []
+    assert machine.judge(BEND, FLYING).verdict == "accepted"
+
+
+LOSSES: dict[str, dict[str, object]] = {
+    "rc": {"rc_problem": "no RC_CHANNELS for 1 s"},
+    "autopilot": {"autopilot_age_s": 3.1},
+    "serial": {"firmware_ready": False},
+    "telemetry": {"telemetry_age_s": 0.31},
+    "firmware_fault": {"faults": Fault.DEAD_MAN},
+}
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_each_loss_vents_once_refuses_and_ends(name: str) -> None:
+    machine = safety()
+    lost = but(BENT, **LOSSES[name])
+    (entered,) = machine.watch(1.0, lost)
+    assert isinstance(entered, Entered)
+    assert (entered.name, entered.response) == (name, "vent")
+    assert entered.reason
+    assert machine.watch(2.0, lost) == []
+    ruling = machine.judge(BEND, lost)
+    assert ruling.verdict == "refused"
+    assert entered.reason in ruling.reason
+    assert machine.judge(RELEASE, lost).verdict == "accepted"
+    assert machine.watch(3.0, FLYING) == [Left(name)]
+    assert machine.judge(BEND, FLYING).verdict == "accepted"
+
+
+def test_telemetry_of_unknown_age_is_stale() -> None:
+    machine = safety()
+    assert machine.judge(BEND, but(FLYING, telemetry_age_s=math.inf)).verdict == "refused"
+    assert machine.judge(BEND, but(FLYING, telemetry_age_s=math.nan)).verdict == "refused"
+
+
+LIMITS: dict[str, dict[str, object]] = {
+    "reservoir": {"reservoir_kPa": 39.0},
+    "disarmed": {"armed": False},
+    "altitude": {"altitude_m": 1.4},
+    "duration": {"moving_s": 121.0},
+}
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_each_limit_vents_a_bent_vine_once(name: str) -> None:
+    machine = safety()
+    (entered,) = machine.watch(1.0, but(BENT, **LIMITS[name]))
+    assert isinstance(entered, Entered)
+    assert (entered.name, entered.response) == (name, "vent")
+    vented = but(FLYING, **LIMITS[name])
+    assert machine.watch(1.1, vented) == []
+    assert machine.reasons == {}
+
+
+def test_a_lost_altitude_vents_a_bent_vine() -> None:
+    (entered,) = safety().watch(1.0, but(BENT, altitude_m=None))
+    assert isinstance(entered, Entered)
+    assert entered.name == "altitude"
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"armed": False}, "not armed"),
+        ({"altitude_m": None}, "altitude not known"),
+        ({"altitude_m": 1.9}, "below 2 m"),
+        ({"autopilot_age_s": None}, "no autopilot"),
+        ({"firmware_ready": False, "firmware_was_ready": False}, "not connected"),
+        ({"reservoir_kPa": 64.0}, "bottle at 64 kPa, needs 65"),
+        ({"reservoir_kPa": math.nan}, "bottle at nan"),
+    ],
+)
+def test_interlocks_refuse_with_a_reason(change: dict[str, object], reason: str) -> None:
+    machine = safety()
+    now = but(FLYING, **change)
+    machine.watch(0.0, now)
+    ruling = machine.judge(BEND, now)
+    assert ruling.verdict == "refused"
+    assert reason in ruling.reason
+
+
+def test_bench_mode_needs_no_flight() -> None:
+    machine = safety(interlocks=config.Interlocks(bench_mode=True))
+    bench = but(FLYING, armed=False, altitude_m=None, autopilot_age_s=None)
+    machine.watch(0.0, bench)
+    assert machine.judge(BEND, bench).verdict == "accepted"
+    assert machine.watch(0.1, but(bench, moving=True)) == []
+
+
+def test_a_weak_bottle_bends_slower() -> None:
+    ruling = safety().judge(BEND, but(FLYING, reservoir_kPa=80.0))
+    assert ruling.verdict == "limited"
+    assert ruling.rate_scale == pytest.approx((80.0 - 20.0) / 120.0)
+
+
+def test_overpressure_latches_until_a_person_clears_it_and_it_is_gone() -> None:
+    machine = safety()
+    high = but(BENT, cv_kPa=25.5)
+    (entered,) = machine.watch(0.0, high)
+    assert isinstance(entered, Entered)
+    assert entered.name == "overpressure"
+    assert machine.clear(high) == []
+    assert machine.watch(1.0, FLYING) == []
+    assert machine.judge(BEND, FLYING).verdict == "refused"
+    assert machine.clear(FLYING) == ["overpressure"]
+    assert machine.judge(BEND, FLYING).verdict == "accepted"
+
+
+def test_hold_ends_in_venting() -> None:
+    losses = config.Losses(on_rc_loss="hold", hold_at_most_s=30.0)
+    machine = safety(losses=losses)
+    lost = but(BENT, rc_problem="silent")
+    (entered,) = machine.watch(0.0, lost)
+    assert isinstance(entered, Entered)
+    assert entered.response == "hold"
+    assert machine.watch(29.9, lost) == []
+    (entered,) = machine.watch(30.1, lost)
+    assert isinstance(entered, Entered)
+    assert entered.response == "vent"
+    assert machine.watch(40.0, lost) == []
+
+
+CONDITIONS = st.builds(
+    Conditions,
+    armed=st.booleans(),
+    altitude_m=st.none() | st.floats(-5, 50),
+    rc_problem=st.none() | st.just("silent"),
+    autopilot_age_s=st.none() | st.floats(0, 10),
+    firmware_ready=st.booleans(),
+    firmware_was_ready=st.booleans(),
+    telemetry_age_s=st.floats(0, 1) | st.just(math.inf),
+    faults=st.sampled_from([Fault.NONE, Fault.CV_SENSOR, Fault.DEAD_MAN | Fault.CV_OVERPRESSURE]),
+    cv_kPa=st.floats(-5, 40) | st.just(math.nan),
+    reservoir_kPa=st.floats(-5, 800) | st.just(math.nan),
+    moving=st.booleans(),
+    moving_s=st.floats(0, 200),
+)
+
+
+@given(st.lists(CONDITIONS, min_size=1, max_size=30), st.data())
+def test_never_a_bend_while_anything_is_wrong(history: list[Conditions], data: st.DataObject) -> None:
+    machine = safety()
+    latched = False
+    for i, now in enumerate(history):
+        machine.watch(float(i), now)
+        latched = latched or now.cv_kPa > 25.0
+        if data.draw(st.booleans()):
+            machine.clear(now)
+            latched = latched and now.cv_kPa > 25.0
+        accepted = machine.judge(BEND, now).verdict != "refused"
+        fit = (
+            now.armed
+            and now.altitude_m is not None
+            and now.altitude_m >= 2.0
+            and now.rc_problem is None
+            and now.autopilot_age_s is not None
+            and now.autopilot_age_s <= 3.0
+            and now.firmware_ready
+            and now.telemetry_age_s <= 0.3
+            and not now.faults
+            and not latched
+            and now.reservoir_kPa >= 65.0
+        )
+        assert accepted == fit
+        assert machine.judge(RELEASE, now).verdict == "accepted"
