@@ -381,7 +381,12 @@ def _why_incompatible(welcome: Welcome) -> str | None:
         )
     if welcome.units != Units.KPA_GAUGE:
         return f"{who} counts in units of code {welcome.units}, not in kPa gauge (1)."
-    limits = (welcome.cv_limit_kPa, welcome.reservoir_limit_kPa, welcome.rate_limit_kPa_per_s)
+    limits = (
+        welcome.cv_limit_kPa,
+        welcome.setpoint_limit_kPa,
+        welcome.reservoir_limit_kPa,
+        welcome.rate_limit_kPa_per_s,
+    )
     if not all(math.isfinite(limit) and limit > 0 for limit in limits):
         return f"{who} names limits that are not positive numbers: {limits}."
     if welcome.dead_man_ms == 0 or welcome.telemetry_Hz == 0:

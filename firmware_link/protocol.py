@@ -173,7 +173,7 @@ class Welcome(_Body):
     """
 
     TYPE: ClassVar[int] = 0x81
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BII16sBfffHH")
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BII16sBffffHH")
 
     protocol_version: int
     nonce: int
@@ -181,6 +181,7 @@ class Welcome(_Body):
     firmware_build: str
     units: int
     cv_limit_kPa: float
+    setpoint_limit_kPa: float
     reservoir_limit_kPa: float
     rate_limit_kPa_per_s: float
     dead_man_ms: int

@@ -213,7 +213,7 @@ class Core:
             match event:
                 case fw.Ready(welcome):
                     self._firmware_was_ready = True
-                    self._max_kPa = min(self.config.limits.max_kPa, welcome.cv_limit_kPa)
+                    self._max_kPa = min(self.config.limits.max_kPa, welcome.setpoint_limit_kPa)
                     self._notice(t, Severity.INFO, f"phloSAR ready ({welcome.firmware_build})")
                 case fw.TelemetryReceived(telemetry):
                     self._reservoir.update(t, telemetry.cv_kPa, telemetry.reservoir_kPa)

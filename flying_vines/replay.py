@@ -5,61 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-from firmware_link import protocol
 from flying_vines.config import Config
-from flying_vines.core import (
-    TICK_S,
-    Action,
-    Core,
-    Decision,
-    Event,
-    FirmwareMessage,
-    LinkChanged,
-    Tick,
-    ToFirmware,
-    VehicleMessage,
-)
-from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.core import Action, Decision, VehicleMessage
+from flying_vines.simulation import SimulatedWorld
 from flying_vines.vehicle.codec import Codec
 from flying_vines.vehicle.mission_item import MissionItem
-
-
-class SimulatedWorld:
-    """A core whose serial link ends at a simulated phloSAR, in simulated time that starts at 0."""
-
-    def __init__(
-        self, config: Config, phlosar: SimulatedPhlosar | None = None, mission: Sequence[MissionItem] = ()
-    ) -> None:
-        self.core = Core(config, mission)
-        self.phlosar = phlosar or SimulatedPhlosar(reservoir_kPa=config.pneumatics.full_kPa)
-        self.now = 0.0
-        self._codec = protocol.Codec()
-        self._next_tick = 0
-        self._opened = False
-
-    def advance(self, to_t: float) -> Iterator[Action]:
-        """Let time pass, tick by tick; actions come out as they happen."""
-        if not self._opened:
-            self._opened = True
-            yield from self.feed(LinkChanged(0.0, "firmware", True))
-            yield from self.feed(LinkChanged(0.0, "vehicle", True))
-        while (tick_t := self._next_tick * TICK_S) <= to_t:
-            self._next_tick += 1
-            yield from self._live_until(tick_t)
-            yield from self.feed(Tick(tick_t))
-        yield from self._live_until(to_t)
-
-    def feed(self, event: Event) -> Iterator[Action]:
-        """One event, and what the core does about it."""
-        for action in self.core.handle(event):
-            if isinstance(action, ToFirmware):
-                self.phlosar.receive(self._codec.encode(action.message))
-            yield action
-
-    def _live_until(self, t: float) -> Iterator[Action]:
-        self.now = t
-        for message in self._codec.decode(self.phlosar.advance(t)):
-            yield from self.feed(FirmwareMessage(t, message))
 
 
 def replay(

@@ -193,6 +193,7 @@ class Firmware:
                 firmware_build=settings.build,
                 units=Units.KPA_GAUGE,
                 cv_limit_kPa=settings.cv_limit_kPa,
+                setpoint_limit_kPa=settings.setpoint_most_kPa,
                 reservoir_limit_kPa=settings.reservoir_limit_kPa,
                 rate_limit_kPa_per_s=settings.rate_limit_kPa_per_s,
                 dead_man_ms=settings.dead_man_ms,

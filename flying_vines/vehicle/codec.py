@@ -54,7 +54,7 @@ class Codec:
             if message.get_msgId() < 0:
                 self.bad_frames += 1
             elif message.get_type().startswith("UNKNOWN"):
-                continue
+                self._pass_over(message.get_msgbuf())
             elif self._is_new(message):
                 messages.append(message)
         return messages
@@ -63,18 +63,30 @@ class Codec:
         sender = (message.get_srcSystem(), message.get_srcComponent())
         sequence = message.get_seq()
         identity = (sequence, message.get_msgId(), message.get_crc())
-        recent = self._recent.get(sender)
-        if recent is None:
-            recent = self._recent[sender] = deque(maxlen=REMEMBERED_FRAMES)
-        elif identity in recent:
+        recent = self._recent.setdefault(sender, deque(maxlen=REMEMBERED_FRAMES))
+        behind = (self._last_sequence.get(sender, sequence) - sequence) & 0xFF
+        # Of a sender that is forwarded in part the sequence comes round soon; no copy is ahead of its frame.
+        if behind < 128 and identity in recent:
             self.repeated_frames += 1
             return False
         recent.append(identity)
-        previous = self._last_sequence.get(sender)
-        if previous is not None:
-            self.lost_frames += (sequence - previous - 1) & 0xFF if sequence != previous else 0
-        self._last_sequence[sender] = sequence
+        self._count_lost(sender, sequence)
         return True
+
+    def _pass_over(self, frame: bytes) -> None:
+        """A frame that the dialect does not know is not lost; but nothing else in it was checked."""
+        version_2 = frame[0] == mavlink.PROTOCOL_MARKER_V2
+        sequence, system, component = frame[4:7] if version_2 else frame[2:5]
+        if (system, component) in self._last_sequence:
+            self._count_lost((system, component), sequence)
+
+    def _count_lost(self, sender: tuple[int, int], sequence: int) -> None:
+        ahead = (sequence - self._last_sequence.get(sender, sequence - 1)) & 0xFF
+        if 256 - ahead <= REMEMBERED_FRAMES:
+            self.lost_frames = max(0, self.lost_frames - 1)  # it was only late
+            return
+        self.lost_frames += max(0, ahead - 1)
+        self._last_sequence[sender] = sequence
 
     def encode(self, message: Message, system_id: int) -> bytes:
         """One MAVLink 2 frame from our component of the system `system_id`."""

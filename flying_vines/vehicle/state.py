@@ -9,11 +9,29 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.vehicle.codec import Message
 
 ALTITUDE_FRESH_S = 2.0
+LONGEST_DELAY_S = 20.0
+YOUNG_DELAY_S = 2.0
+YOUNG_MS = 60_000
+"""A clock that lags is a link's delay, which can be long; but one that lags and is young started anew."""
+
+REORDERED_MS = 1000
+CLOCK_PERIOD_S = 2**32 / 1000
+CLOCK_DRIFT = 2e-4
 CHOOSING_S = 2.0
 """How long after the first autopilot's heartbeat a second one still makes the choice ambiguous."""
 
 LONGEST_BOOT_MS = 15_000
 """An autopilot that was up for longer than this and says it is ready has booted again."""
+
+NO_VEHICLE = {
+    mavlink.MAV_TYPE_GCS,
+    mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+    mavlink.MAV_TYPE_ANTENNA_TRACKER,
+    mavlink.MAV_TYPE_GIMBAL,
+    mavlink.MAV_TYPE_CAMERA,
+    mavlink.MAV_TYPE_ADSB,
+}
+"""What sends heartbeats of its own, some even as an autopilot, and carries no vine."""
 
 KINDS = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot", mavlink.MAV_AUTOPILOT_PX4: "px4"}
 
@@ -59,6 +77,8 @@ class VehicleState:
         self._found_at: float | None = None
         self._ambiguous = False
         self._boot_offset_s: float | None = None
+        self._clock_at = 0.0
+        self._clock_ms = 0
         self._altitude_m = 0.0
         self._altitude_at: float | None = None
         self.system_id = 0
@@ -96,6 +116,8 @@ class VehicleState:
         kind = message.get_type()
         events: list[VehicleEvent] = []
         if kind == "HEARTBEAT":
+            if not _is_autopilot(message):
+                return events
             events.extend(self._choose(t, message))
         if not self.is_ours(message):
             return events
@@ -113,19 +135,13 @@ class VehicleState:
         elif kind == "STATUSTEXT" and message.text.startswith("ArduPilot Ready"):
             # No stream runs after a reboot, so this text may be long before any clock.
             if self.time_boot_ms(t) > LONGEST_BOOT_MS:
-                self._boot_offset_s = None
+                self._boot_offset_s = self._altitude_at = None
                 events.append(Rebooted())
         return events
 
     def _choose(self, t: float, message: Message) -> list[VehicleEvent]:
         system = message.get_srcSystem()
-        if (
-            message.autopilot == mavlink.MAV_AUTOPILOT_INVALID
-            or message.type in (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER)
-            or message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1
-            or self._ambiguous
-            or system in (0, self.system_id)
-        ):
+        if self._ambiguous or system in (0, self.system_id):
             return []
         if self._configured_id:
             if system != self._configured_id:
@@ -143,13 +159,31 @@ class VehicleState:
     def _clock(self, t: float, time_boot_ms: int) -> list[VehicleEvent]:
         offset_s = t - time_boot_ms / 1000.0
         known = self._boot_offset_s
-        if known is None or offset_s < known:
-            self._boot_offset_s = offset_s
-        elif offset_s > known + 2.0:
-            # A clock that lags more and more than any link delay: it started anew.
-            self._boot_offset_s = offset_s
-            return [Rebooted()]
-        return []
+        if known is None:
+            known = offset_s
+            self._clock_at, self._clock_ms = t, time_boot_ms
+        # The least delay ever seen, as far as the two clocks keep the same pace.
+        known += CLOCK_DRIFT * (t - self._clock_at)
+        fell_back = self._clock_ms - time_boot_ms > REORDERED_MS
+        if fell_back and abs(offset_s - known - CLOCK_PERIOD_S) < LONGEST_DELAY_S:
+            known, fell_back = known + CLOCK_PERIOD_S, False
+        lag_s = offset_s - known
+        if fell_back or lag_s > (LONGEST_DELAY_S if time_boot_ms > YOUNG_MS else YOUNG_DELAY_S):
+            self._boot_offset_s, self._altitude_at = offset_s, None
+            events: list[VehicleEvent] = [Rebooted()]
+        else:
+            self._boot_offset_s = min(known, offset_s)
+            events = []
+        self._clock_at, self._clock_ms = t, time_boot_ms
+        return events
+
+
+def _is_autopilot(message: Message) -> bool:
+    return (
+        message.autopilot != mavlink.MAV_AUTOPILOT_INVALID
+        and message.type not in NO_VEHICLE
+        and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
+    )
 
 
 def _mode_name(kind: str, custom_mode: int) -> str:

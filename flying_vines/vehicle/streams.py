@@ -19,6 +19,7 @@ class _Stream:
     rate_Hz: float
     essential: bool
     asked_at: float | None = None
+    wanted_since: float | None = None
     heard_at: float | None = None
 
 
@@ -47,7 +48,7 @@ class Streams:
     def forget(self) -> None:
         """The autopilot rebooted: everything must be asked for again, now."""
         for stream in self._streams.values():
-            stream.asked_at = stream.heard_at = None
+            stream.asked_at = stream.wanted_since = stream.heard_at = None
 
     def requests(self, t: float, system_id: int) -> list[Message]:
         """At most one request a call, spaced so that small buffers do not overflow."""
@@ -58,6 +59,7 @@ class Streams:
             silent = stream.heard_at is None or t - stream.heard_at > max(2.0, 3.0 / stream.rate_Hz)
             if never_asked or (silent and t - (stream.asked_at or 0.0) >= ASK_AGAIN_S):
                 stream.asked_at = self._asked_at = t
+                stream.wanted_since = t if stream.wanted_since is None else stream.wanted_since
                 return [
                     mavlink.MAVLink_command_long_message(
                         system_id, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0,
@@ -72,6 +74,6 @@ class Streams:
             name
             for name, stream in self._streams.items()
             if stream.essential
-            and stream.asked_at is not None
-            and t - max(stream.asked_at, stream.heard_at or float("-inf")) > MISSING_AFTER_S
+            and stream.wanted_since is not None
+            and t - max(stream.wanted_since, stream.heard_at or float("-inf")) > MISSING_AFTER_S
         ]

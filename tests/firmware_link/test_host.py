@@ -42,7 +42,7 @@ BEND = Regulate(target_kPa=15.0, rate_kPa_per_s=20.0)
 
 
 def welcome(nonce: int, boot_id: int = 1) -> Welcome:
-    return Welcome(PROTOCOL_VERSION, nonce, boot_id, "test", 1, 30.0, 760.0, 200.0, 300, 100)
+    return Welcome(PROTOCOL_VERSION, nonce, boot_id, "test", 1, 30.0, 28.0, 760.0, 200.0, 300, 100)
 
 
 def telemetry(time_ms: int, cv_kPa: float = 1.0) -> Telemetry:

@@ -49,7 +49,7 @@ messages: st.SearchStrategy[Message] = st.one_of(
     st.builds(Vent, u16),
     st.builds(ClearFaults, u16),
     st.builds(Ping, u64),
-    st.builds(Welcome, u8, u32, u32, builds, u8, f32, f32, f32, u16, u16),
+    st.builds(Welcome, u8, u32, u32, builds, u8, f32, f32, f32, f32, u16, u16),
     st.builds(
         Telemetry,
         u32,
@@ -148,10 +148,10 @@ def test_an_unknown_type_says_so() -> None:
 
 
 def test_the_start_of_another_versions_welcome_can_be_read() -> None:
-    welcome = Welcome(PROTOCOL_VERSION + 1, 5, 6, "later", 1, 30.0, 760.0, 200.0, 300, 100)
+    welcome = Welcome(PROTOCOL_VERSION + 1, 5, 6, "later", 1, 30.0, 28.0, 760.0, 200.0, 300, 100)
     payload = bytes([Welcome.TYPE, 0]) + welcome.pack()
     assert decode(payload + b"more in a later version")[0] == welcome
-    ours = Welcome(PROTOCOL_VERSION, 5, 6, "ours", 1, 30.0, 760.0, 200.0, 300, 100)
+    ours = Welcome(PROTOCOL_VERSION, 5, 6, "ours", 1, 30.0, 28.0, 760.0, 200.0, 300, 100)
     with pytest.raises(MalformedMessageError):
         decode(bytes([Welcome.TYPE, 0]) + ours.pack() + b"more")
 
@@ -162,9 +162,9 @@ def test_the_start_of_another_versions_welcome_can_be_read() -> None:
         Vent(-1),
         Vent(0x10000),
         Setpoint(1e300, 1.0, 1, 1),
-        Welcome(1, 0, 0, "seventeen letters", 1, 1.0, 1.0, 1.0, 1, 1),
-        Welcome(1, 0, 0, "Ümlaut", 1, 1.0, 1.0, 1.0, 1, 1),
-        Welcome(1, 0, 0, "a\x00b", 1, 1.0, 1.0, 1.0, 1, 1),
+        Welcome(1, 0, 0, "seventeen letters", 1, 1.0, 1.0, 1.0, 1.0, 1, 1),
+        Welcome(1, 0, 0, "Ümlaut", 1, 1.0, 1.0, 1.0, 1.0, 1, 1),
+        Welcome(1, 0, 0, "a\x00b", 1, 1.0, 1.0, 1.0, 1.0, 1, 1),
         Telemetry(0, Mode.VENT, Fault.NONE, 0, 0.0, 0.0, 0.0, 1.01, 0.0, False),
         Telemetry(0, Mode.VENT, Fault.NONE, 0, 0.0, 0.0, 0.0, float("nan"), 0.0, False),
     ],

@@ -1,0 +1,108 @@
+"""The core in simulated time: as fast as the machine goes, and the same every time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from firmware_link import protocol
+from flying_vines.config import Config
+from flying_vines.core import (
+    TICK_S,
+    Action,
+    Core,
+    Event,
+    FirmwareMessage,
+    LinkChanged,
+    Tick,
+    ToFirmware,
+    ToVehicle,
+    VehicleMessage,
+)
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.vehicle.codec import Codec
+from flying_vines.vehicle.mission_item import MissionItem
+
+COMPANION = "companion"
+
+
+class SimulatedWorld:
+    """A core whose serial link ends at a simulated phloSAR, in simulated time that starts at 0."""
+
+    def __init__(
+        self, config: Config, phlosar: SimulatedPhlosar | None = None, mission: Sequence[MissionItem] = ()
+    ) -> None:
+        self.core = Core(config, mission)
+        self.phlosar = phlosar or SimulatedPhlosar(reservoir_kPa=config.pneumatics.full_kPa)
+        self.now = 0.0
+        self._codec = protocol.Codec()
+        self._next_tick = 0
+        self._opened = False
+
+    def advance(self, to_t: float) -> Iterator[Action]:
+        """Let time pass, tick by tick; actions come out as they happen."""
+        if not self._opened:
+            self._opened = True
+            yield from self.feed(LinkChanged(0.0, "firmware", True))
+            yield from self.feed(LinkChanged(0.0, "vehicle", True))
+        while (tick_t := self._next_tick * TICK_S) <= to_t:
+            self._next_tick += 1
+            yield from self._live_until(tick_t)
+            yield from self.feed(Tick(tick_t))
+        yield from self._live_until(to_t)
+
+    def feed(self, event: Event) -> Iterator[Action]:
+        """One event, and what the core does about it."""
+        for action in self.core.handle(event):
+            if isinstance(action, ToFirmware):
+                self.phlosar.receive(self._codec.encode(action.message))
+            yield action
+
+    def _live_until(self, t: float) -> Iterator[Action]:
+        self.now = t
+        for message in self._codec.decode(self.phlosar.advance(t)):
+            yield from self.feed(FirmwareMessage(t, message))
+
+
+class SimulatedFlight:
+    """A core between a fake autopilot and a simulated phloSAR: act on either between two runs."""
+
+    def __init__(
+        self,
+        config: Config,
+        autopilot: Autopilot | None = None,
+        phlosar: SimulatedPhlosar | None = None,
+        mission: Sequence[MissionItem] = (),
+    ) -> None:
+        self.autopilot = autopilot or Autopilot("ardupilot")
+        self.world = SimulatedWorld(config, phlosar, mission)
+        self._codec = Codec(config.vehicle.system_id, config.vehicle.component_id)
+
+    @property
+    def phlosar(self) -> SimulatedPhlosar:
+        return self.world.phlosar
+
+    @property
+    def core(self) -> Core:
+        return self.world.core
+
+    def run(self, until_t: float, step_s: float = 0.01) -> list[Action]:
+        """Live until `until_t`; every action on the way, in order."""
+        done: list[Action] = []
+        while self.world.now < until_t - 1e-9:
+            t = min(until_t, self.world.now + step_s)
+            actions = list(self.world.advance(t))
+            for link, frame in self.autopilot.advance(t):
+                if link == COMPANION:
+                    for message in self._codec.decode(frame):
+                        actions.extend(self.world.feed(VehicleMessage(t, message)))
+            for action in actions:
+                if isinstance(action, ToVehicle):
+                    frame = self._codec.encode(action.message, action.system_id)
+                    self.autopilot.receive(t, COMPANION, frame)
+            done.extend(actions)
+        return done
+
+    def feed(self, event: Event) -> list[Action]:
+        """One event from outside, now."""
+        return list(self.world.feed(event))
