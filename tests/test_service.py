@@ -1,0 +1,157 @@
+"""The real service over real sockets and a real serial port path, between the fakes."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import socket
+import sys
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from firmware_link.protocol import Fault
+from flying_vines import config
+from flying_vines.core import Action, Decision
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.autopilot_udp import AutopilotServer
+from flying_vines.fakes.ground_station import GroundStation
+from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
+from flying_vines.service import Service
+
+PATIENCE_S = 15.0
+
+
+async def until(true: Callable[[], bool], what: str) -> None:
+    """Wait for something that another task brings about; the test fails when it does not come."""
+    async with asyncio.timeout(PATIENCE_S):
+        while not true():
+            await asyncio.sleep(0.01)
+    assert true(), what
+
+
+@dataclass
+class Bench:
+    """Two fakes on a bench, and the profile of a service between them."""
+
+    autopilot: Autopilot
+    phlosar: SimulatedPhlosar
+    port: PtyPhlosar
+    ground: GroundStation
+    profile: str
+
+    def vented(self) -> bool:
+        return self.phlosar.cv_kPa < 1.0 and self.phlosar.drive.evp == 0.0 and self.phlosar.drive.solenoid
+
+    def bent(self) -> bool:
+        return self.phlosar.cv_kPa > 15.0
+
+
+@pytest.fixture
+async def bench() -> AsyncIterator[Bench]:
+    autopilot = Autopilot("ardupilot")
+    autopilot.set_rc(9, 1000)
+    ground = GroundStation()
+    ground_port = await ground.listen()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        companion_port = probe.getsockname()[1]
+    phlosar = SimulatedPhlosar()
+    server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
+    with PtyPhlosar(phlosar) as port:
+        profile = (
+            config.default_text()
+            .replace("udpin:0.0.0.0:14540", f"udpin:127.0.0.1:{companion_port}")
+            .replace("serial:/dev/ttyACM0", f"serial:{port.path}")
+            .replace("bench_mode = false", "bench_mode = true")
+        )
+        running = [asyncio.create_task(part.run()) for part in (server, port, ground)]
+        yield Bench(autopilot, phlosar, port, ground, profile)
+        for task in running:
+            task.cancel()
+        await asyncio.gather(*running, return_exceptions=True)
+
+
+async def test_a_switch_bends_the_vine_and_the_ground_station_sees_it(bench: Bench) -> None:
+    seen: list[Action] = []
+    service = Service(config.parse(bench.profile, "test"), seen.append)
+    serving = asyncio.create_task(service.run())
+    await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
+    bench.autopilot.set_rc(9, 2000)
+    await until(bench.bent, "the vine bends")
+    await until(lambda: bench.ground.values.get("CV_KPA", 0.0) > 15.0, "the ground station sees it")
+    assert bench.ground.values.keys() == {"RES_KPA", "CYC_LEFT", "CV_KPA", "CMD_KPA", "BEND_DEG"}
+    assert [a.safety for a in seen if isinstance(a, Decision)] == ["accepted"]
+    service.stop()
+    await serving
+    await until(bench.vented, "a stopped service has vented")
+    assert not bench.phlosar.firmware.faults
+
+
+async def start(bench: Bench, tmp_path: Path) -> asyncio.subprocess.Process:
+    """The service as a process of its own, with the vine bent by the switch."""
+    profile = tmp_path / "profile.toml"
+    profile.write_text(bench.profile)
+    arguments = ["run", "--config", str(profile), "--plain", "--out", str(tmp_path / "flights")]
+    process = await asyncio.create_subprocess_exec(
+        sys.executable,
+        "-m",
+        "flying_vines",
+        *arguments,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
+    )
+    await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
+    # A move counts only once the switch is believed, a second after RC is; until then it is told apart.
+    for pulse in (1000, 2000) * 5:
+        bench.autopilot.set_rc(9, pulse)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(2.0):
+                while not bench.bent():
+                    await asyncio.sleep(0.01)
+                return process
+    raise AssertionError("the vine never bent")
+
+
+async def output_of(process: asyncio.subprocess.Process) -> str:
+    text, _ = await process.communicate()
+    return text.decode()
+
+
+async def test_sigterm_vents_and_leaves_no_fault(bench: Bench, tmp_path: Path) -> None:
+    process = await start(bench, tmp_path)
+    process.send_signal(signal.SIGTERM)
+    text = await output_of(process)
+    assert process.returncode == 0, text
+    assert "Vented. Stopped." in text
+    assert "Traceback" not in text
+    await until(bench.vented, "vented")
+    assert not bench.phlosar.firmware.faults
+    (log,) = (tmp_path / "flights").glob("*/flight.jsonl")
+    assert '"kind":"decision"' in log.read_text()
+
+
+async def test_a_killed_service_is_vented_by_the_dead_man(bench: Bench, tmp_path: Path) -> None:
+    process = await start(bench, tmp_path)
+    process.kill()
+    await process.wait()
+    await until(bench.vented, "the dead-man vents")
+    assert bench.phlosar.firmware.faults & Fault.DEAD_MAN
+
+
+async def test_garbage_on_both_links_changes_nothing(bench: Bench) -> None:
+    seen: list[Action] = []
+    service = Service(config.parse(bench.profile, "test"), seen.append)
+    serving = asyncio.create_task(service.run())
+    await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
+    for i in range(200):
+        service._vehicle_bytes(bytes((i * 7 + k * 31) % 256 for k in range(64)))
+        service._firmware_bytes(bytes((i * 11 + k * 17) % 256 for k in range(64)))
+    bench.autopilot.set_rc(9, 2000)
+    await until(bench.bent, "the vine still bends")
+    assert [a.trigger for a in seen if isinstance(a, Decision)] == ["switch"]
+    service.stop()
+    await serving
