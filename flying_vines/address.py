@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
 FORMS = "serial:/dev/NAME[:BAUD], udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT"
 DEFAULT_BAUD = 115200
+_BAUD = re.compile(r"[1-9][0-9]{1,7}")
+_PORT = re.compile(r"[0-9]{1,5}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +37,11 @@ def parse_address(text: str) -> Address:
     kind, _, rest = text.partition(":")
     if kind == "serial" and rest:
         path, _, baud = rest.rpartition(":")
-        if path and baud.isdigit():
+        if path and _BAUD.fullmatch(baud):
             return SerialAddress(path, int(baud))
         return SerialAddress(rest)
     host, _, port = rest.rpartition(":")
-    if host and port.isdigit() and 0 < int(port) < 65536:
+    if host and _PORT.fullmatch(port) and 0 < int(port) < 65536:
         match kind:
             case "udpin" | "udp":
                 return NetworkAddress("udpin", host, int(port))

@@ -148,7 +148,7 @@ async def _serve(config: Config, arguments: argparse.Namespace) -> int:
         loop.add_signal_handler(name, service.stop)
     console.print(f"Vehicle {config.vehicle.link}, phloSAR {config.firmware.link}, log {log.path}")
     serving = asyncio.create_task(service.run())
-    screen = Live(console=console, refresh_per_second=5, transient=True) if live else None
+    screen = Live(console=console, refresh_per_second=5, screen=True) if live else None
     problems: dict[str, str] = {}
     if screen:
         screen.start()
@@ -157,7 +157,7 @@ async def _serve(config: Config, arguments: argparse.Namespace) -> int:
             snapshot = service.core.snapshot(service.now)
             log.snapshot(snapshot)
             if screen:
-                screen.update(view.render(snapshot))
+                screen.update(view.render(snapshot, problems=service.link_problems))
             elif problems != service.link_problems:
                 problems = dict(service.link_problems)
                 for link, why in problems.items():
@@ -230,6 +230,7 @@ def _config_check(arguments: argparse.Namespace) -> int:
 def _fake_autopilot(arguments: argparse.Namespace) -> int:
     from flying_vines.fakes.autopilot import Autopilot
     from flying_vines.fakes.autopilot_udp import AutopilotServer
+    from flying_vines.fakes.console import HELP, type_to
 
     mission = _mission(arguments.mission)
     script: list[tuple[float, Callable[[Autopilot], None]]] = []
@@ -242,8 +243,15 @@ def _fake_autopilot(arguments: argparse.Namespace) -> int:
         server = AutopilotServer(autopilot, f"udpout:{arguments.to}", gcs, script)
     except ValueError as error:
         _fail(str(error))
-    print(f"A fake {arguments.kind} sends to {arguments.to}. Ctrl-C ends it.", flush=True)
-    asyncio.run(server.run())
+    print(f"A fake {arguments.kind} sends to {arguments.to}. Type to fly it; Ctrl-C ends it.", flush=True)
+    print(HELP, flush=True)
+
+    async def serve() -> None:
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(server.run())
+            tasks.create_task(type_to(autopilot))
+
+    asyncio.run(serve())
     return 0
 
 

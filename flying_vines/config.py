@@ -6,16 +6,17 @@ import difflib
 import math
 import re
 import tomllib
+from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 from msgspec import Meta
 
 from flying_vines.address import parse_address
 from flying_vines.vine.curve import BendCurve
-from flying_vines.vine.profile import Profile, Sine, flatten
+from flying_vines.vine.profile import Profile, Segment, Sine, flatten
 
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
@@ -171,7 +172,7 @@ def load(path: Path) -> Config:
     Raises `ConfigError` with one line that names the file, the key and the line.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file; `flying-vines config init {path}` writes one") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -188,6 +189,8 @@ def parse(text: str, source: str) -> Config:
         place = re.search(r"\(at (?:line (\d+), column \d+|end of document)\)", str(error))
         line = int(place[1]) if place and place[1] else len(text.splitlines())
         raise ConfigError(f"{source}:{line}: not TOML: {str(error).split(' (at')[0]}") from None
+    except RecursionError:
+        raise ConfigError(f"{source}: not TOML: nested too deeply") from None
     try:
         inside: _Key = ()
         for name, profile in _profiles_of(raw):
@@ -220,8 +223,9 @@ def _contradictions(config: Config) -> list[tuple[_Key, str]]:
             parse_address(link)
         except ValueError as error:
             found.append(((table, "link"), str(error)))
-    if not _all_finite(msgspec.to_builtins(config)):
-        found.append(((), "a number is nan or inf"))
+    found.extend((key, "is not a finite number") for key in _not_finite(msgspec.to_builtins(config)))
+    if found:
+        return found
     for name, profile in config.profiles.items():
         try:
             segments = tuple(flatten(config.profiles, name))
@@ -273,12 +277,16 @@ def _no_profile(config: Config, name: str) -> str:
     return f"there is no profile '{name}'" + (f"; did you mean '{near[0]}'?" if near else "")
 
 
-def _all_finite(value: object) -> bool:
+def _not_finite(value: object, at: _Key = ()) -> Iterator[_Key]:
+    inner: Any = ()
     if isinstance(value, dict):
-        return all(_all_finite(v) for v in value.values())
-    if isinstance(value, list | tuple):
-        return all(_all_finite(v) for v in value)
-    return not isinstance(value, float) or math.isfinite(value)
+        inner = value.items()
+    elif isinstance(value, list | tuple):
+        inner = enumerate(value)
+    elif isinstance(value, float) and not math.isfinite(value):
+        yield at
+    for key, part in inner:
+        yield from _not_finite(part, (*at, key))
 
 
 def _explain(text: str, source: str, error: str, inside: _Key) -> ConfigError:
@@ -286,7 +294,7 @@ def _explain(text: str, source: str, error: str, inside: _Key) -> ConfigError:
     message, _, path = error.partition(" - at ")
     key: _Key = inside + tuple(
         int(part[1:-1]) if part.startswith("[") else part.strip(".")
-        for part in re.findall(r"\.[^.\[]+|\[\d+\]", path.strip("`").removeprefix("key in "))
+        for part in re.findall(r"\.[^.\[\]]+|\[\d+\]", path.strip("`").removeprefix("key in "))
     )
     unknown = re.search(r"unknown field `(.+?)`", message)
     if unknown:
@@ -295,6 +303,8 @@ def _explain(text: str, source: str, error: str, inside: _Key) -> ConfigError:
         near = difflib.get_close_matches(unknown[1], _known_keys(key[:-1]), n=1)
         if near:
             message += f"; did you mean '{near[0]}'?"
+    if message.startswith("Invalid"):
+        message += f": give one of {', '.join(_choices(key))}"
     missing = re.search(r"missing required field `(.+?)`", message)
     if missing:
         message = f"'{missing[1]}' is missing"
@@ -308,11 +318,22 @@ def _plain(message: str) -> str:
 
 def _known_keys(path: _Key) -> list[str]:
     """The keys that the table at `path` may have."""
+    if "segments" in path:
+        return sorted({field for segment in get_args(Segment) for field in segment.__struct_fields__})
     here: object = Config
     for part in path:
         if isinstance(part, str):
             here = _TABLES.get(part, here)
     return list(getattr(here, "__struct_fields__", ()))
+
+
+def _choices(key: _Key) -> list[str]:
+    """What the value at `key` may be, where that is one of a few words."""
+    if key[-1] == "kind":
+        return [str(segment.__struct_config__.tag) for segment in get_args(Segment)]
+    hint = get_type_hints(_TABLES.get(str(key[0]), Config)).get(str(key[-1]))
+    literals = [part for part in (hint, *get_args(hint)) if get_origin(part) is Literal]
+    return [str(word) for literal in literals for word in get_args(literal)]
 
 
 _TABLES = {
@@ -351,7 +372,7 @@ def _lines_of_keys(text: str) -> dict[_Key, int]:
     lines: dict[_Key, int] = {}
     elements: dict[_Key, int] = {}
     table: _Key = ()
-    for number, content in enumerate(text.splitlines(), start=1):
+    for number, content in enumerate(text.split("\n"), start=1):
         if header := _HEADER.match(content):
             table = _split(header[2])
             if header[1] == "[[":

@@ -135,7 +135,7 @@ class Snapshot:
     bend_deg: float
     evp_opening: float
     dvp_opening: float
-    solenoid: bool
+    solenoid: bool | None
     cycles: CyclesLeft | None
     doing: str
     safe_state: dict[str, str] = field(default_factory=dict)
@@ -176,8 +176,8 @@ class Core:
                 self._on_firmware(t, message)
             case LinkChanged(t, "vehicle", up):
                 self._vehicle.link_changed(up)
-            case LinkChanged(t, _, up, why):
-                self._on_firmware_link(t, up, why)
+            case LinkChanged(t, "firmware", up):
+                self._on_firmware_link(t, up)
             case Tick(t):
                 self._on_tick(t)
             case Stop(t):
@@ -199,13 +199,13 @@ class Core:
 
     # The firmware's side.
 
-    def _on_firmware_link(self, t: float, up: bool, why: str) -> None:
+    def _on_firmware_link(self, t: float, up: bool) -> None:
         if up:
             self._firmware.opened(t)
             self._firmware_problem = "does not answer"
         else:
             self._firmware.closed(t)
-            self._firmware_problem = why or "disconnected"
+            self._firmware_problem = "disconnected"
         self._look(t)
 
     def _on_firmware(self, t: float, message: protocol.Message) -> None:
@@ -425,6 +425,8 @@ class Core:
             trigger = Trigger(t, "failsafe", {"loss": change.name}, Hold() if hold else Vent())
             self._record(t, trigger, Ruling("accepted", change.reason))
         done = "holding" if hold else "vented"
+        if change.name == "serial":
+            done = "its dead-man vents"
         self._notice(t, Severity.WARNING, f"{change.reason}, {done}")
 
     def _leave(self, t: float, change: Left) -> None:
@@ -515,9 +517,9 @@ class Core:
             cv_kPa=telemetry.cv_kPa if telemetry else math.nan,
             command_kPa=self._commanded_kPa(t),
             bend_deg=self._curve.angle_deg(telemetry.cv_kPa) if telemetry else math.nan,
-            evp_opening=telemetry.evp_opening if telemetry else 0.0,
-            dvp_opening=telemetry.dvp_opening if telemetry else 0.0,
-            solenoid=telemetry.solenoid if telemetry else False,
+            evp_opening=telemetry.evp_opening if telemetry else math.nan,
+            dvp_opening=telemetry.dvp_opening if telemetry else math.nan,
+            solenoid=telemetry.solenoid if telemetry else None,
             cycles=self._reservoir.cycles_left(),
             doing=self._motion.name if self._motion else "vented",
             safe_state=self._safety.reasons,

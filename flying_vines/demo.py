@@ -328,7 +328,7 @@ async def _direct(
     began = service.now
     waiting = list(SCRIPT)
     outcomes: list[Outcome] = []
-    screen = Live(console=console, refresh_per_second=10, transient=True) if live else None
+    screen = Live(console=console, refresh_per_second=10, screen=True) if live else None
     if screen:
         screen.start()
     try:

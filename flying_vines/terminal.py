@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from rich.console import Console, Group
 from rich.panel import Panel
@@ -91,8 +91,10 @@ class LiveView:
     def say(self, text: Text) -> None:
         self._events.append(text)
 
-    def render(self, s: Snapshot, title: str = "Flying Vines") -> Panel:
-        """The whole screen."""
+    def render(
+        self, s: Snapshot, title: str = "Flying Vines", problems: Mapping[str, str] | None = None
+    ) -> Panel:
+        """The whole screen. `problems` are those of the links themselves, a sentence each."""
         grid = Table.grid(padding=(0, 2))
         grid.add_column(style="dim", no_wrap=True)
         grid.add_column(no_wrap=True)
@@ -104,9 +106,10 @@ class LiveView:
         position = "–" if s.switch_position is None else str(s.switch_position)
         grid.add_row("RC", Text(s.rc, style=rc_style), f"switch {position}")
         firmware_style = "green" if s.firmware == "ready" else "red"
-        valves = (
-            f"EVP {s.evp_opening:4.0%}  DVP {s.dvp_opening:4.0%}  solenoid {'open' if s.solenoid else 'shut'}"
-        )
+        valves = "valves not known"
+        if s.solenoid is not None:
+            solenoid = "open" if s.solenoid else "shut"
+            valves = f"EVP {s.evp_opening:4.0%}  DVP {s.dvp_opening:4.0%}  solenoid {solenoid}"
         grid.add_row(
             "phloSAR", Text(s.firmware, style=firmware_style).append(_health(s), style="dim"), valves
         )
@@ -120,7 +123,10 @@ class LiveView:
         if s.safe_state:
             state = Text("SAFE: " + "; ".join(s.safe_state.values()), style="bold red")
         grid.add_row("doing", state, "")
-        return Panel(Group(grid, Text(""), *self._events), title=f"{title}   {s.t - self._began:6.1f} s")
+        trouble = [Text(f"{link} link: {why}", style="red") for link, why in (problems or {}).items() if why]
+        return Panel(
+            Group(grid, *trouble, Text(""), *self._events), title=f"{title}   {s.t - self._began:6.1f} s"
+        )
 
 
 def _health(s: Snapshot) -> str:

@@ -47,7 +47,10 @@ class Codec:
             self.bad_frames += 1
             self._mav = self._fresh_parser()
             return []
-        if len(self._mav.buf) - self._mav.buf_index > LARGEST_PARSER_BACKLOG:
+        # pymavlink gives its buffer free only when a chunk happens to end with a frame.
+        del self._mav.buf[: self._mav.buf_index]
+        self._mav.buf_index = 0
+        if len(self._mav.buf) > LARGEST_PARSER_BACKLOG:
             self._mav = self._fresh_parser()
         messages = []
         for message in parsed:

@@ -7,7 +7,7 @@ import math
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.mission import Px4Watch
+from flying_vines.vehicle.mission import Execution, Px4Watch
 from flying_vines.vehicle.triggers import Rules, Trigger, direct_intent
 
 COPIES_WITHIN_S = 6.0
@@ -29,14 +29,16 @@ class Commands:
         self._results: dict[_Key, int] = {}
 
     def handle(
-        self, t: float, message: Message, system_id: int, from_autopilot: bool, px4: Px4Watch
+        self, t: float, message: Message, system_id: int, from_autopilot: bool, px4: Px4Watch | None
     ) -> list[Trigger | Message]:
         """A trigger, or the answer where there is nothing to decide.
 
         A mission item that the autopilot publishes is addressed to no component (PX4) or to us (a script).
+        `px4` is None where the autopilot tells its items in another way: then what it says to no component
+        (ArduPilot's camera commands) would be heard twice.
         """
         to_us = message.target_system == system_id and message.target_component == self._component_id
-        to_all = message.target_system in (0, system_id) and message.target_component == 0
+        to_all = px4 and message.target_system in (0, system_id) and message.target_component == 0
         is_item = from_autopilot and message.command in self._rules.commands
         if not to_us and not (to_all and is_item):
             return []
@@ -45,7 +47,12 @@ class Commands:
             return [_answer(message, result)]
         params = _params(message)
         if is_item:
-            return [self._rules.item_trigger(t, px4.execution(message.command, params), message)]
+            execution = (
+                px4.execution(message.command, params)
+                if px4
+                else Execution(message.command, None, None, params)
+            )
+            return [self._rules.item_trigger(t, execution, message)]
         found = direct_intent(message.command, params)
         if found is None and message.command in self._rules.commands:
             found = self._rules.for_command(message.command, params)

@@ -51,7 +51,7 @@ class Component:
     ) -> list[Message]:
         """What is to be sent at time `t`. `values` are the named values of now; NaN is not sent."""
         messages: list[Message] = []
-        if t - self._heartbeat_at >= HEARTBEAT_S:
+        if t - self._heartbeat_at >= HEARTBEAT_S - 0.001:
             self._heartbeat_at = t
             messages.append(
                 mavlink.MAVLink_heartbeat_message(

@@ -64,8 +64,8 @@ class UdpLink(asyncio.DatagramProtocol):
                     local_addr=here if listening else None,
                     remote_addr=None if listening else here,
                 )
-            except OSError as error:
-                self._down(f"{self._address.kind}:{here[0]}:{here[1]}: {error.strerror or error}")
+            except (OSError, UnicodeError) as error:
+                self._down(f"{self._address.kind}:{here[0]}:{here[1]}: {_reason(error)}")
                 await asyncio.sleep(RETRY_S)
                 continue
             self._transport = transport
@@ -124,8 +124,8 @@ class TcpLink(asyncio.Protocol):
             self._lost = loop.create_future()
             try:
                 transport, _ = await loop.create_connection(lambda: self, host, port)
-            except OSError as error:
-                self._down(f"tcp:{host}:{port}: {error.strerror or error}")
+            except (OSError, UnicodeError) as error:
+                self._down(f"tcp:{host}:{port}: {_reason(error)}")
                 await asyncio.sleep(RETRY_S)
                 continue
             self._transport = transport
@@ -156,3 +156,8 @@ class TcpLink(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         if self._lost is not None and not self._lost.done():
             self._lost.set_result(None)
+
+
+def _reason(error: OSError | UnicodeError) -> str:
+    """Host names that no name server would take end in a `UnicodeError`."""
+    return getattr(error, "strerror", None) or str(error)

@@ -56,9 +56,14 @@ class MissionBook:
         """Something says that the mission is another one now: do not trust the book, read it again."""
         if not self._given:
             self.fresh = False
+        self._arriving, self._expected = {}, None  # what has arrived is of the mission before
         self._changed_at = t
         self._attempts = 0
         self._gave_up_at = None
+
+    def read_since(self, t: float) -> bool:
+        """Whether the book was read from the autopilot after `t`, and nothing has called it in question."""
+        return self.fresh and self._complete_at is not None and self._complete_at >= t
 
     def handle(self, t: float, message: Message) -> None:
         """Take in a message of our autopilot."""
@@ -70,7 +75,11 @@ class MissionBook:
         elif kind == "MISSION_COUNT" and message.mission_type == 0 and message.count <= MOST_ITEMS:
             self._expected, self._arriving = message.count, {}
             self._progress(t)
-        elif kind in ("MISSION_ITEM_INT", "MISSION_ITEM") and message.seq < (self._expected or 0):
+        elif (
+            kind in ("MISSION_ITEM_INT", "MISSION_ITEM")
+            and message.mission_type == 0
+            and message.seq < (self._expected or 0)
+        ):
             self._arriving[message.seq] = _item(message)
             self._progress(t)
 
@@ -88,9 +97,10 @@ class MissionBook:
         if first or (total, mission_id) == (self._total, self._mission_id):
             self._total, self._mission_id = total, mission_id
             return
+        same_id = mission_id == self._mission_id
         self._total, self._mission_id = total, mission_id
         just_read = self._complete_at is not None and t - self._complete_at < SAME_CHANGE_S
-        if just_read and total in (len(self._items), len(self._items) - 1):
+        if just_read and same_id and total in (len(self._items), len(self._items) - 1):
             return  # ArduPilot does not count the home item
         self.doubt(t)
 
@@ -144,8 +154,14 @@ COMMAND_OF_NAME = {
     "SetServo": 183,
     "DigiCamCfg": 202,
     "DigiCamCtrl": 203,
+    "WP": 16,
+    "Takeoff": 22,
+    "Land": 21,
+    "Delay": 93,
 }
 """What ArduPilot calls an item in its status text (AP_Mission, Mission_Command::type())."""
+
+NAMED_COMMANDS = set(COMMAND_OF_NAME.values())
 
 WAIT_FOR_BOOK_S = 2.5
 WAIT_FOR_TEXT_S = 1.0
@@ -153,6 +169,7 @@ PROGRESS_AFTER_REACHED_S = 3.0
 """MISSION_CURRENT comes at 1 Hz or faster: a later change is somebody's jump, not the waypoint's end."""
 CONDITIONAL = {112, 113, 114, 115, 177, 600, 601}
 """CONDITION_* and jumps: items around them may not run although the mission moves on."""
+LAST_NAV_COMMAND, NAV_SCRIPT_TIME = 95, 42702
 
 
 class ArduPilotWatch:
@@ -171,7 +188,7 @@ class ArduPilotWatch:
         self._current: int | None = None
         self._last_sequence: int | None = None
         self._lost_at = -math.inf
-        self._suspected: list[tuple[float, float, int]] = []
+        self._suspected: list[tuple[float, float, MissionItem]] = []
 
     def handle(self, t: float, message: Message) -> list[Execution]:
         kind = message.get_type()
@@ -199,10 +216,15 @@ class ArduPilotWatch:
         reached_at = self._reached.get(before, -math.inf)
         if t - reached_at > PROGRESS_AFTER_REACHED_S:
             return
-        between = [self._book.items.get(seq) for seq in range(before + 1, now)]
-        if any(item is None or item.command in CONDITIONAL for item in between):
-            return
-        self._suspected.extend((t, reached_at, item.seq) for item in between if item is not None)
+        passed: list[MissionItem] = []
+        for seq in range(before + 1, now):
+            item = self._book.items.get(seq)
+            if item is None or item.command in CONDITIONAL:
+                return
+            if _is_nav(item.command):
+                break  # nobody flew there, so what lies behind was jumped over
+            passed.append(item)
+        self._suspected.extend((t, reached_at, item) for item in passed)
 
     def due(self, t: float) -> list[Execution]:
         """The executions that are certain by now."""
@@ -211,16 +233,16 @@ class ArduPilotWatch:
         for told_at, seq, name in self._waiting:
             item = self._book.items.get(seq)
             expected = COMMAND_OF_NAME.get(name)
-            if item is not None and self._book.fresh and expected not in (None, item.command):
+            read_since = self._book.read_since(told_at)
+            fits = item is not None and self._book.fresh and _fits(name, item.command, read_since)
+            if item is not None and self._book.fresh and not fits and t == told_at:
                 self._book.doubt(t)
-            if item is not None and self._book.fresh:
+            if item is not None and fits:
                 executions.append(Execution(item.command, seq, item, item.params))
-            elif expected is None:
-                continue
-            elif t - told_at >= (WAIT_FOR_BOOK_S if self._book.items or self._book.arriving else 0.0):
-                executions.append(Execution(expected, seq, None, None))
-            else:
+            elif t - told_at < (WAIT_FOR_BOOK_S if self._book.items or self._book.arriving else 0.0):
                 still.append((told_at, seq, name))
+            elif expected is not None:
+                executions.append(Execution(expected, seq, None, None))
         self._waiting = still
         executions.extend(self._from_progress(t))
         return executions
@@ -231,13 +253,25 @@ class ArduPilotWatch:
             return []
         self._suspected = [entry for entry in self._suspected if entry not in due]
         executions = []
-        for _, reached_at, seq in due:
-            item = self._book.items.get(seq)
-            untold = self._told.get(seq, -math.inf) < reached_at - 0.5
-            if item is not None and untold and self._lost_at >= reached_at - 0.5:
-                self._told[seq] = t
-                executions.append(Execution(item.command, seq, item, item.params))
+        for _, reached_at, item in due:
+            known = self._book.fresh and self._book.items.get(item.seq) == item
+            untold = self._told.get(item.seq, -math.inf) < reached_at - 0.5
+            if known and untold and self._lost_at >= reached_at - 0.5:
+                self._told[item.seq] = t
+                executions.append(Execution(item.command, item.seq, item, item.params))
         return executions
+
+
+def _is_nav(command: int) -> bool:
+    return command <= LAST_NAV_COMMAND or command == NAV_SCRIPT_TIME
+
+
+def _fits(name: str, command: int, read_since: bool) -> bool:
+    """Whether the item that the book has is the one named; other releases may have other names."""
+    expected = COMMAND_OF_NAME.get(name)
+    if expected is None:
+        return read_since or command not in NAMED_COMMANDS
+    return expected == command
 
 
 class Px4Watch:

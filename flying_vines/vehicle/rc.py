@@ -49,8 +49,9 @@ class RadioLink:
             present = message.onboard_control_sensors_present & RC_BIT
             enabled = message.onboard_control_sensors_enabled & RC_BIT
             self._healthy = bool(message.onboard_control_sensors_health & RC_BIT) or not (present and enabled)
-            outlived = t - (self._failsafe_text_at or t) > TEXT_OUTLIVED_BY_HEALTH_S
-            if self._healthy and present and outlived:
+            good = self._healthy and present and enabled
+            said_at = self._failsafe_text_at
+            if good and said_at is not None and t - said_at > TEXT_OUTLIVED_BY_HEALTH_S:
                 self._failsafe_text_at = None
         elif kind == "STATUSTEXT" and message.text.startswith("Radio Failsafe"):
             self._failsafe_text_at = None if "Cleared" in message.text else t

@@ -132,11 +132,14 @@ class VehicleState:
             events.extend(self._clock(t, message.time_boot_ms))
         elif kind in ("SYSTEM_TIME", "ATTITUDE"):
             events.extend(self._clock(t, message.time_boot_ms))
-        elif kind == "STATUSTEXT" and message.text.startswith("ArduPilot Ready"):
+        elif (
+            kind == "STATUSTEXT"
+            and message.text.startswith("ArduPilot Ready")
+            and self.time_boot_ms(t) > LONGEST_BOOT_MS
+        ):
             # No stream runs after a reboot, so this text may be long before any clock.
-            if self.time_boot_ms(t) > LONGEST_BOOT_MS:
-                self._boot_offset_s = self._altitude_at = None
-                events.append(Rebooted())
+            self._boot_offset_s = self._altitude_at = None
+            events.append(Rebooted())
         return events
 
     def _choose(self, t: float, message: Message) -> list[VehicleEvent]:

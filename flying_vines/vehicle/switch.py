@@ -81,11 +81,15 @@ class Switch:
         return Ready(seen)
 
     def _band(self, pulse_us: float) -> int:
-        """The position of a pulse width; the one it is in reaches a hysteresis further on both sides."""
-        here = self._candidate
-        if here is not None:
+        """The position of a pulse width; the one it is in reaches a hysteresis further on both sides.
+
+        The settled position comes first: a glitch must not pull a switch across that rests near a boundary.
+        """
+        for here in (self.position, self._candidate):
+            if here is None:
+                continue
             low = self._boundaries[here - 1] if here > 0 else float("-inf")
             high = self._boundaries[here] if here < len(self._boundaries) else float("inf")
-            if low - self._hysteresis_us < pulse_us < high + self._hysteresis_us:
+            if low - self._hysteresis_us <= pulse_us <= high + self._hysteresis_us:
                 return here
         return sum(pulse_us >= boundary for boundary in self._boundaries)

@@ -55,7 +55,8 @@ class Vehicle:
         from_autopilot = self.state.is_ours(message)
         kind = message.get_type()
         if kind in ("COMMAND_LONG", "COMMAND_INT") and self.state.found:
-            out.extend(self._commands.handle(t, message, self.state.system_id, from_autopilot, self._px4))
+            px4 = None if self.state.kind == "ardupilot" else self._px4
+            out.extend(self._commands.handle(t, message, self.state.system_id, from_autopilot, px4))
         if from_autopilot:
             self._streams.handle(t, message)
             self.rc.handle(t, message)

@@ -12,6 +12,8 @@ from flying_vines.vine.curve import BendCurve
 
 DEEPEST_NESTING = 8
 MOST_PIECES = 10_000
+LARGEST = 1e6
+"""Of every duration and count: beyond it the arithmetic over time would lose its precision."""
 
 
 class _Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
@@ -67,6 +69,7 @@ class Sine(_Segment, tag="sine", frozen=True):
             raise ValueError("a sine needs from_deg and to_deg, or from_kPa and to_kPa")
         _positive(self.frequency_Hz, "frequency_Hz")
         _positive(self.cycles, "cycles")
+        _positive(self.cycles / self.frequency_Hz, "cycles / frequency_Hz")
 
 
 class Sub(_Segment, tag="profile", frozen=True):
@@ -106,8 +109,8 @@ def _exactly_one(a: float | None, b: float | None, name_a: str, name_b: str) -> 
 
 
 def _positive(value: float, name: str) -> None:
-    if not (math.isfinite(value) and value > 0):
-        raise ValueError(f"{name} must be above 0")
+    if not 0 < value <= LARGEST:
+        raise ValueError(f"{name} must be above 0 and at most {LARGEST:.0f}")
 
 
 def flatten(profiles: Mapping[str, Profile], name: str, _inside: tuple[str, ...] = ()) -> Iterator[Segment]:
@@ -209,7 +212,7 @@ def plan(
             swing = _swing(low, high, frequency_Hz)
             pieces.append((t, t + takes, swing))
             t += takes
-            rise += abs(high - low) * math.ceil(segment.cycles)
+            rise += _risen(low, high, segment.cycles)
             at, peak = swing(takes), max(peak, low, high)
     aim = aims[0] if aims else at
     return Trajectory(tuple(pieces), start_kPa, aim, at, peak, rise, t)
@@ -221,3 +224,12 @@ def _line(start: float, end: float, takes: float) -> Callable[[float], float]:
 
 def _swing(low: float, high: float, frequency_Hz: float) -> Callable[[float], float]:
     return lambda t: low + (high - low) * 0.5 * (1.0 - math.cos(2.0 * math.pi * frequency_Hz * t))
+
+
+def _risen(low: float, high: float, cycles: float) -> float:
+    """The sum of all rises of a swing; one that starts at its upper end falls first."""
+    whole, part = divmod(cycles, 1.0)
+    gone = 0.5 * (1.0 - math.cos(2.0 * math.pi * part))
+    up_first = gone if part <= 0.5 else 1.0
+    down_first = 0.0 if part <= 0.5 else 1.0 - gone
+    return abs(high - low) * (whole + (up_first if high > low else down_first))

@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+import pytest
+
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.console import HELP, obey
+
+
+def test_lines_fly_the_vehicle() -> None:
+    autopilot = Autopilot("ardupilot")
+    autopilot.advance(0.0)
+    for line in ("rc 9 2000", "takeoff 10", ""):
+        assert obey(autopilot, line) == ""
+    autopilot.advance(10.0)
+    assert autopilot.armed
+    assert autopilot.height_m == pytest.approx(10.0)
+    obey(autopilot, "land")
+    autopilot.advance(40.0)
+    assert not autopilot.armed
+
+
+@pytest.mark.parametrize("line", ["help", "takeoff", "rc 9", "land now"])
+def test_what_is_not_understood_gets_the_list(line: str) -> None:
+    assert obey(Autopilot("ardupilot"), line) == HELP
+
+
+@pytest.mark.parametrize("line", ["takeoff high", "rc nine 1500", "mode NONSENSE"])
+def test_what_is_wrong_is_said(line: str) -> None:
+    assert obey(Autopilot("ardupilot"), line).startswith(line.split()[0] + ": ")
