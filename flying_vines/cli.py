@@ -10,11 +10,14 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from flying_vines import config as configuration
 from flying_vines.config import Config, ConfigError
 from flying_vines.vehicle.mission_item import MissionItem
+
+if TYPE_CHECKING:
+    from flying_vines.core import Action
 
 BAD_INPUT = 2
 FLIGHTS = Path("flights")
@@ -124,7 +127,6 @@ async def _serve(config: Config, arguments: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.live import Live
 
-    from flying_vines.core import Action
     from flying_vines.record.flight_log import FlightLog
     from flying_vines.service import Service
     from flying_vines.terminal import LiveView, plain_printer
@@ -186,7 +188,12 @@ def _replay(arguments: argparse.Namespace) -> int:
     try:
         reader = TlogReader(arguments.tlog)
         actions = replay(reader.frames(), config, mission, arguments.pace)
-        decisions = [action for action in actions if isinstance(action, Decision)]
+        show = _shower(live=arguments.pace > 0.0 and not arguments.json)
+        decisions: list[Decision] = []
+        for action in actions:
+            show(action)
+            if isinstance(action, Decision):
+                decisions.append(action)
     except TlogError as error:
         _fail(str(error))
     if arguments.json:
@@ -203,6 +210,17 @@ def _replay(arguments: argparse.Namespace) -> int:
             file=sys.stderr,
         )
     return 0
+
+
+def _shower(live: bool) -> Callable[[Action], None]:
+    """Prints what happens as it happens, for those who replay at the recorded pace."""
+    if not live:
+        return lambda action: None
+    from rich.console import Console
+
+    from flying_vines.terminal import plain_printer
+
+    return plain_printer(Console(), 0.0)
 
 
 def _config_init(arguments: argparse.Namespace) -> int:
