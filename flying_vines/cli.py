@@ -17,7 +17,7 @@ from flying_vines.config import Config, ConfigError
 from flying_vines.vehicle.mission_item import MissionItem
 
 if TYPE_CHECKING:
-    from flying_vines.core import Action
+    from flying_vines.events import Action
 
 BAD_INPUT = 2
 FLIGHTS = Path("flights")
@@ -177,7 +177,7 @@ async def _serve(config: Config, arguments: argparse.Namespace) -> int:
 
 
 def _replay(arguments: argparse.Namespace) -> int:
-    from flying_vines.core import Decision
+    from flying_vines.events import Decision
     from flying_vines.replay import as_json, replay
     from flying_vines.vehicle.tlog import TlogError, TlogReader
 

@@ -9,17 +9,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Literal
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link import host as fw
 from firmware_link import protocol
 from flying_vines.config import Config
+from flying_vines.events import (
+    Action,
+    Decision,
+    Event,
+    FirmwareMessage,
+    LinkChanged,
+    Snapshot,
+    Stop,
+    Tick,
+    ToFirmware,
+    ToVehicle,
+    VehicleMessage,
+)
 from flying_vines.intent import BendTo, ClearFaults, Hold, Intent, SetPressure, StartProfile, Vent
 from flying_vines.notice import Notice, Severity
-from flying_vines.reservoir import CyclesLeft, ReservoirEstimate, floor_kPa
+from flying_vines.reservoir import ReservoirEstimate, floor_kPa
 from flying_vines.safety import Conditions, Demand, Entered, Left, Ruling, Safety
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.mission_item import MissionItem
@@ -35,111 +46,6 @@ TICK_S = 0.02
 MIN_RATE_KPA_PER_S = 1.0
 SPEAK_FIRST_S = 1.5
 """How long we listen for an autopilot before we say anything ourselves."""
-
-
-# Events: what happens.
-
-
-@dataclass(frozen=True, slots=True)
-class VehicleMessage:
-    """A MAVLink message of anyone on the vehicle's link."""
-
-    t: float
-    message: Message
-
-
-@dataclass(frozen=True, slots=True)
-class FirmwareMessage:
-    """A message of the phloSAR's firmware."""
-
-    t: float
-    message: protocol.Message
-
-
-@dataclass(frozen=True, slots=True)
-class LinkChanged:
-    """A link came up or went down; `why` is a sentence for people."""
-
-    t: float
-    link: Literal["vehicle", "firmware"]
-    up: bool
-    why: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Tick:
-    """Time passed."""
-
-    t: float
-
-
-@dataclass(frozen=True, slots=True)
-class Stop:
-    """The service is to end: vent."""
-
-    t: float
-
-
-Event = VehicleMessage | FirmwareMessage | LinkChanged | Tick | Stop
-
-
-# Actions: what is to be done.
-
-
-@dataclass(frozen=True, slots=True)
-class ToVehicle:
-    message: Message
-    system_id: int
-
-
-@dataclass(frozen=True, slots=True)
-class ToFirmware:
-    message: protocol.HostMessage
-
-
-@dataclass(frozen=True, slots=True)
-class Decision:
-    """A trigger and what came of it."""
-
-    t: float
-    trigger: str
-    what: dict[str, object]
-    intent: str | None
-    safety: Literal["accepted", "limited", "refused"]
-    reason: str
-    setpoint_kPa: float
-    """What the vine is going to (gauge); the present setpoint when refused."""
-
-
-Action = ToVehicle | ToFirmware | Decision | Notice
-
-
-@dataclass(frozen=True, slots=True)
-class Snapshot:
-    """Everything that a display or a log shows of one moment. Gauge kPa, degrees; NaN is unknown."""
-
-    t: float
-    vehicle: str
-    mode: str
-    armed: bool
-    altitude_m: float
-    rc: str
-    switch_position: int | None
-    firmware: str
-    round_trip_s: float | None
-    """Of the latest ping to the firmware."""
-    telemetry_gaps: int
-    reservoir_kPa: float
-    cv_kPa: float
-    command_kPa: float
-    bend_deg: float
-    evp_opening: float
-    dvp_opening: float
-    solenoid: bool | None
-    cycles: CyclesLeft | None
-    doing: str
-    safe_state: dict[str, str] = field(default_factory=dict)
-    last: Decision | None = None
 
 
 class Core:
@@ -233,6 +139,7 @@ class Core:
 
     def _decide(self, t: float, trigger: Trigger) -> Decision:
         """Let safety look at a trigger, carry its intent out or say why not."""
+        self._look(t)
         intent = trigger.intent
         if intent is None:
             return self._record(t, trigger, Ruling("refused", trigger.problem))

@@ -20,7 +20,7 @@ from rich.text import Text
 
 from flying_vines import config as configuration
 from flying_vines.config import Config
-from flying_vines.core import Action, Decision, Snapshot
+from flying_vines.events import Action, Decision, Snapshot
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.fakes.autopilot_udp import AutopilotServer
 from flying_vines.fakes.ground_station import GroundStation

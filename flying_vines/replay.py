@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from flying_vines.config import Config
-from flying_vines.core import Action, Decision, VehicleMessage
+from flying_vines.events import Action, Decision, VehicleMessage
 from flying_vines.simulation import SimulatedWorld
 from flying_vines.vehicle.codec import Codec
 from flying_vines.vehicle.mission_item import MissionItem

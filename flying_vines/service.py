@@ -8,10 +8,9 @@ from collections.abc import Callable
 from firmware_link import protocol
 from flying_vines.address import parse_address
 from flying_vines.config import Config
-from flying_vines.core import (
-    TICK_S,
+from flying_vines.core import TICK_S, Core
+from flying_vines.events import (
     Action,
-    Core,
     Event,
     FirmwareMessage,
     LinkChanged,

@@ -6,10 +6,9 @@ from collections.abc import Iterator, Sequence
 
 from firmware_link import protocol
 from flying_vines.config import Config
-from flying_vines.core import (
-    TICK_S,
+from flying_vines.core import TICK_S, Core
+from flying_vines.events import (
     Action,
-    Core,
     Event,
     FirmwareMessage,
     LinkChanged,

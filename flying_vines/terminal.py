@@ -11,7 +11,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.core import Action, Decision, Snapshot
+from flying_vines.events import Action, Decision, Snapshot
 from flying_vines.notice import Notice, Severity
 
 VERDICT_STYLE = {"accepted": "green", "limited": "yellow", "refused": "red"}

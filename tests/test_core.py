@@ -15,7 +15,15 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from firmware_link.protocol import Fault, Setpoint, Vent
 from flying_vines import config
 from flying_vines.config import Config
-from flying_vines.core import Action, Decision, LinkChanged, Stop, ToFirmware, ToVehicle, VehicleMessage
+from flying_vines.events import (
+    Action,
+    Decision,
+    LinkChanged,
+    Stop,
+    ToFirmware,
+    ToVehicle,
+    VehicleMessage,
+)
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.fakes.phlosar import SimulatedPhlosar
 from flying_vines.notice import Notice

@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link import protocol
 from flying_vines import config
-from flying_vines.core import (
-    Core,
+from flying_vines.core import Core
+from flying_vines.events import (
     Event,
     FirmwareMessage,
     LinkChanged,

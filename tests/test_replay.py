@@ -11,7 +11,12 @@ from typing import Any
 import pytest
 
 from flying_vines import config
-from flying_vines.core import Action, Decision, ToFirmware, ToVehicle
+from flying_vines.events import (
+    Action,
+    Decision,
+    ToFirmware,
+    ToVehicle,
+)
 from flying_vines.notice import Notice
 from flying_vines.replay import as_json, replay
 from flying_vines.vehicle.mission_item import MissionItem

@@ -15,7 +15,7 @@ import pytest
 
 from firmware_link.protocol import Fault
 from flying_vines import config
-from flying_vines.core import Action, Decision
+from flying_vines.events import Action, Decision
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.fakes.autopilot_udp import AutopilotServer
 from flying_vines.fakes.ground_station import GroundStation

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TextIO
 
-from flying_vines.core import Action, Decision, Snapshot
+from flying_vines.events import Action, Decision, Snapshot
 from flying_vines.notice import Notice
 
 FLUSH_S = 0.5

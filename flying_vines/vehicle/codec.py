@@ -54,9 +54,9 @@ class Codec:
             self._mav = self._fresh_parser()
         messages = []
         for message in parsed:
-            if message.get_msgId() < 0:
+            if message.get_type() == "BAD_DATA":
                 self.bad_frames += 1
-            elif message.get_type().startswith("UNKNOWN"):
+            elif message.get_msgId() < 0:
                 self._pass_over(message.get_msgbuf())
             elif self._is_new(message):
                 messages.append(message)

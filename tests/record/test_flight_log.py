@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from flying_vines import config
-from flying_vines.core import Core, Decision
+from flying_vines.core import Core
+from flying_vines.events import Decision
 from flying_vines.notice import Notice, Severity
 from flying_vines.record.flight_log import FlightLog, read_log
 from flying_vines.record.picture import draw_flight

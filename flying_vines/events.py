@@ -1,0 +1,115 @@
+"""What goes into the core and what comes out of it: events, actions, and a snapshot for displays and logs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from firmware_link import protocol
+from flying_vines.notice import Notice
+from flying_vines.reservoir import CyclesLeft
+from flying_vines.vehicle.codec import Message
+
+# Events: what happens.
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleMessage:
+    """A MAVLink message of anyone on the vehicle's link."""
+
+    t: float
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class FirmwareMessage:
+    """A message of the phloSAR's firmware."""
+
+    t: float
+    message: protocol.Message
+
+
+@dataclass(frozen=True, slots=True)
+class LinkChanged:
+    """A link came up or went down; `why` is a sentence for people."""
+
+    t: float
+    link: Literal["vehicle", "firmware"]
+    up: bool
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Time passed."""
+
+    t: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """The service is to end: vent."""
+
+    t: float
+
+
+Event = VehicleMessage | FirmwareMessage | LinkChanged | Tick | Stop
+
+
+# Actions: what is to be done.
+
+
+@dataclass(frozen=True, slots=True)
+class ToVehicle:
+    message: Message
+    system_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class ToFirmware:
+    message: protocol.HostMessage
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """A trigger and what came of it."""
+
+    t: float
+    trigger: str
+    what: dict[str, object]
+    intent: str | None
+    safety: Literal["accepted", "limited", "refused"]
+    reason: str
+    setpoint_kPa: float
+    """What the vine is going to (gauge); the present setpoint when refused."""
+
+
+Action = ToVehicle | ToFirmware | Decision | Notice
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Everything that a display or a log shows of one moment. Gauge kPa, degrees; NaN is unknown."""
+
+    t: float
+    vehicle: str
+    mode: str
+    armed: bool
+    altitude_m: float
+    rc: str
+    switch_position: int | None
+    firmware: str
+    round_trip_s: float | None
+    """Of the latest ping to the firmware."""
+    telemetry_gaps: int
+    reservoir_kPa: float
+    cv_kPa: float
+    command_kPa: float
+    bend_deg: float
+    evp_opening: float
+    dvp_opening: float
+    solenoid: bool | None
+    cycles: CyclesLeft | None
+    doing: str
+    safe_state: dict[str, str] = field(default_factory=dict)
+    last: Decision | None = None
