@@ -38,6 +38,10 @@ CARRIERS = {
 class ConfigError(Exception):
     """The configuration cannot be used; the text says which file, key and line, and what to do."""
 
+    def __init__(self, text: str) -> None:
+        # Keys and values are quoted, and may hold anything: it stays one line.
+        super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text))
+
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     pass
@@ -376,6 +380,7 @@ def _lines_of_keys(text: str) -> dict[_Key, int]:
         if header := _HEADER.match(content):
             table = _split(header[2])
             if header[1] == "[[":
+                lines.setdefault(table, number)
                 elements[table] = elements.get(table, -1) + 1
                 table = (*table, elements[table])
             lines.setdefault(table, number)

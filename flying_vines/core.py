@@ -38,7 +38,7 @@ from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vehicle.vehicle import Output, Vehicle
 from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.motion import Motion
-from flying_vines.vine.profile import Segment, Step, flatten, plan
+from flying_vines.vine.profile import Segment, Step, flatten, plan, top_kPa
 
 TICK_S = 0.02
 """How often `Tick` is due, and how far a setpoint looks ahead."""
@@ -58,6 +58,7 @@ class Core:
         self.config = config
         self.last: Decision | None = None
         self._curve = BendCurve(config.vine.curve)
+        self._profiles = {name: tuple(flatten(config.profiles, name)) for name in config.profiles}
         self._vehicle = Vehicle(config, mission)
         self._rc_in_use = False
         self._firmware = fw.HostSession(repeat_s=TICK_S)
@@ -139,7 +140,7 @@ class Core:
 
     def _decide(self, t: float, trigger: Trigger) -> Decision:
         """Let safety look at a trigger, carry its intent out or say why not."""
-        self._look(t)
+        now = self._look(t)
         intent = trigger.intent
         if intent is None:
             return self._record(t, trigger, Ruling("refused", trigger.problem))
@@ -152,7 +153,6 @@ class Core:
                 self._clear_faults(t)
             self._stop_moving(t)
             return self._record(t, trigger, Ruling("accepted"))
-        now = self._conditions(t)
         if isinstance(intent, Hold):
             return self._record(t, trigger, self._hold(t, now))
         problem, segments, rate_kPa_per_s, wanted_kPa = self._segments(intent)
@@ -161,11 +161,11 @@ class Core:
         start_kPa = self._setpoint_kPa(t)
         limit_kPa = self._max_kPa
         trajectory = plan(segments, self._curve, start_kPa, rate_kPa_per_s, limit_kPa)
-        top_kPa = plan(segments, self._curve, 0.0, rate_kPa_per_s, limit_kPa).peak_kPa
+        peak_kPa = top_kPa(segments, self._curve, limit_kPa)
         demand = Demand(
             releases=trajectory.rise_kPa <= 0.0 and trajectory.final_kPa <= 0.0,
-            peak_kPa=top_kPa,
-            wanted_kPa=max(wanted_kPa, top_kPa),
+            peak_kPa=peak_kPa,
+            wanted_kPa=max(wanted_kPa, peak_kPa),
             rate_kPa_per_s=rate_kPa_per_s,
             spending_kPa=self._reservoir.spending_kPa(trajectory.rise_kPa),
             floor_kPa=floor_kPa(self.config.pneumatics, rate_kPa_per_s),
@@ -185,14 +185,14 @@ class Core:
             self._drive(t)
         return self._record(t, trigger, ruling)
 
-    def _segments(self, intent: Intent) -> tuple[str, list[Segment], float, float]:
+    def _segments(self, intent: Intent) -> tuple[str, Sequence[Segment], float, float]:
         """A problem or "", what to do, how fast at most, and the pressure asked for."""
         rate_kPa_per_s = self.config.limits.max_rate_kPa_per_s
         match intent:
             case StartProfile(name):
                 own = self.config.profiles[name].rate_kPa_per_s
                 rate_kPa_per_s = min(rate_kPa_per_s, own or rate_kPa_per_s)
-                return "", list(flatten(self.config.profiles, name)), rate_kPa_per_s, 0.0
+                return "", self._profiles[name], rate_kPa_per_s, 0.0
             case BendTo(angle_deg):
                 if not self._curve.min_deg <= angle_deg <= self._curve.max_deg:
                     angles = f"{self._curve.min_deg:g}…{self._curve.max_deg:g}°"
@@ -311,13 +311,16 @@ class Core:
             moving_s=t - self._motion.started_at if self._motion else 0.0,
         )
 
-    def _look(self, t: float) -> None:
-        """Let safety look, and do what it says."""
-        for change in self._safety.watch(t, self._conditions(t)):
+    def _look(self, t: float) -> Conditions:
+        """Let safety look, and do what it says; how things stand after that."""
+        now = self._conditions(t)
+        changes = self._safety.watch(t, now)
+        for change in changes:
             if isinstance(change, Entered):
                 self._enter(t, change)
             else:
                 self._leave(t, change)
+        return self._conditions(t) if changes else now
 
     def _enter(self, t: float, change: Entered) -> None:
         hold = change.response == "hold" and self._motion is not None

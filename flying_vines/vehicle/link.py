@@ -7,6 +7,8 @@ blocks, `on_bytes` called from the event loop, `on_state(up, why)` when the link
 from __future__ import annotations
 
 import asyncio
+import os
+import socket
 from collections.abc import Callable
 from typing import Protocol
 
@@ -159,5 +161,7 @@ class TcpLink(asyncio.Protocol):
 
 
 def _reason(error: OSError | UnicodeError) -> str:
-    """Host names that no name server would take end in a `UnicodeError`."""
+    """What the operating system calls it; host names that no name server would take are a `UnicodeError`."""
+    if isinstance(error, OSError) and error.errno and not isinstance(error, socket.gaierror):
+        return os.strerror(error.errno)
     return getattr(error, "strerror", None) or str(error)

@@ -63,7 +63,7 @@ class MissionBook:
 
     def read_since(self, t: float) -> bool:
         """Whether the book was read from the autopilot after `t`, and nothing has called it in question."""
-        return self.fresh and self._complete_at is not None and self._complete_at >= t
+        return self.fresh and self._complete_at is not None and self._complete_at > t
 
     def handle(self, t: float, message: Message) -> None:
         """Take in a message of our autopilot."""

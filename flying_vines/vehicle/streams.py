@@ -70,10 +70,11 @@ class Streams:
 
     def missing(self, t: float) -> list[str]:
         """The essential messages that were asked for and do not come."""
+        essential = {name: stream for name, stream in self._streams.items() if stream.essential}
+        # From the last of the requests on, so that several are told in one sentence.
+        since = max(t if s.wanted_since is None else s.wanted_since for s in essential.values())
         return [
             name
-            for name, stream in self._streams.items()
-            if stream.essential
-            and stream.wanted_since is not None
-            and t - max(stream.wanted_since, stream.heard_at or float("-inf")) > MISSING_AFTER_S
+            for name, stream in essential.items()
+            if t - max(since, stream.heard_at or float("-inf")) > MISSING_AFTER_S
         ]

@@ -167,6 +167,17 @@ class Trajectory:
         return self.final_kPa
 
 
+def top_kPa(segments: Sequence[Segment], curve: BendCurve, max_kPa: float) -> float:
+    """The highest gauge pressure that the segments go to, clipped to `max_kPa`."""
+    highest = 0.0
+    for segment in segments:
+        for end in ("to", "from"):
+            deg, kPa = getattr(segment, f"{end}_deg", None), getattr(segment, f"{end}_kPa", None)
+            if deg is not None or kPa is not None:
+                highest = max(highest, curve.pressure_kPa(deg) if deg is not None else kPa or 0.0)
+    return min(highest, max_kPa)
+
+
 def plan(
     segments: Sequence[Segment], curve: BendCurve, start_kPa: float, rate_kPa_per_s: float, max_kPa: float
 ) -> Trajectory:

@@ -1,0 +1,121 @@
+"""The firmware's end of the serial line, on a pseudo-terminal: answers, reports, and sees setpoints move."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tty
+from types import TracebackType
+from typing import Self
+
+from firmware_link.protocol import (
+    PROTOCOL_VERSION,
+    Codec,
+    DeviceMessage,
+    Fault,
+    Hello,
+    Mode,
+    Ping,
+    Pong,
+    Setpoint,
+    Telemetry,
+    Units,
+    Vent,
+    Welcome,
+)
+
+TELEMETRY_HZ = 100
+FULL_KPA = 690.0
+MOVED_KPA = 0.05
+"""Below it a target has not moved: floats on the wire are rounded."""
+
+
+class SerialBoard:
+    """A board whose vine is always where the last setpoint wants it, and whose bottle never empties."""
+
+    def __init__(self, began_s: float) -> None:
+        self.heard = False
+        """Whether the host has said anything at all."""
+        self.telemetry_frames = 0
+        self.dropped_bytes = 0
+        self._began_s = began_s
+        self._codec = Codec()
+        self._mode = Mode.VENT
+        self._number = 0
+        self._target_kPa = 0.0
+        self.fd, self._hosts_fd = os.openpty()
+        tty.setraw(self._hosts_fd)
+        os.set_blocking(self.fd, False)
+        self.path = os.ttyname(self._hosts_fd)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.close(self.fd)
+        os.close(self._hosts_fd)
+
+    def receive(self, now_s: float, data: bytes) -> bool:
+        """Take in what the host sent; whether a setpoint in it has another target than the one before."""
+        moved = False
+        for message in self._codec.decode(data):
+            self.heard = True
+            match message:
+                case Setpoint(target_kPa, _, _, number):
+                    moved = moved or abs(target_kPa - self._target_kPa) > MOVED_KPA
+                    self._mode, self._target_kPa, self._number = Mode.REGULATE, target_kPa, number
+                case Vent(number):
+                    self._mode, self._target_kPa, self._number = Mode.VENT, 0.0, number
+                case Hello(_, nonce):
+                    self._send(_welcome(nonce))
+                case Ping(host_time_us):
+                    self._send(Pong(host_time_us, self._time_ms(now_s)))
+        return moved
+
+    def report(self, now_s: float) -> None:
+        """Send telemetry."""
+        regulating = self._mode is Mode.REGULATE
+        self.telemetry_frames += 1
+        self._send(
+            Telemetry(
+                device_time_ms=self._time_ms(now_s),
+                mode=self._mode,
+                faults=Fault.NONE,
+                number=self._number,
+                setpoint_kPa=self._target_kPa,
+                cv_kPa=self._target_kPa,
+                reservoir_kPa=FULL_KPA,
+                evp_opening=0.3 if regulating else 0.0,
+                dvp_opening=0.0,
+                solenoid=not regulating,
+            )
+        )
+
+    def _time_ms(self, now_s: float) -> int:
+        return int(1e3 * (now_s - self._began_s)) + 1000
+
+    def _send(self, message: DeviceMessage) -> None:
+        frame = self._codec.encode(message)
+        written = 0
+        # A host that does not read (the peers do not) must not stop the measurement.
+        with contextlib.suppress(BlockingIOError):
+            written = os.write(self.fd, frame)
+        self.dropped_bytes += len(frame) - written
+
+
+def _welcome(nonce: int) -> Welcome:
+    return Welcome(
+        protocol_version=PROTOCOL_VERSION,
+        nonce=nonce,
+        boot_id=7,
+        firmware_build="benchmark",
+        units=Units.KPA_GAUGE,
+        cv_limit_kPa=30.0,
+        setpoint_limit_kPa=28.0,
+        reservoir_limit_kPa=760.0,
+        rate_limit_kPa_per_s=200.0,
+        dead_man_ms=300,
+        telemetry_Hz=TELEMETRY_HZ,
+    )
