@@ -79,6 +79,11 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("file", type=Path)
     check.set_defaults(run=_config_check)
 
+    paper = commands.add_parser("paper", help="reproduce the phloSAR paper: its every number beside ours")
+    paper.add_argument("--out", type=Path, metavar="DIR", help="draw the figures there")
+    paper.add_argument("--json", action="store_true", help="one object instead of a table")
+    paper.set_defaults(run=_paper)
+
     fake = commands.add_parser("fake", help="one end of the link, alone")
     fakes = fake.add_subparsers(required=True, metavar="WHAT")
     autopilot = fakes.add_parser("autopilot", help="a fake autopilot on UDP")
@@ -246,6 +251,36 @@ def _config_check(arguments: argparse.Namespace) -> int:
         f"{arguments.file}: good. Switch on channel {config.switch.channel}, {len(config.profiles)} "
         f"profiles, {len(config.items)} item rules, up to {config.limits.max_kPa:g} kPa."
     )
+    return 0
+
+
+def _paper(arguments: argparse.Namespace) -> int:
+    folder: Path | None = arguments.out
+    try:
+        from flying_vines.paper import as_json, compare
+
+        if folder:
+            from flying_vines.paper.figures import draw
+    except ModuleNotFoundError as error:
+        _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
+    try:
+        if folder:
+            folder.mkdir(parents=True, exist_ok=True)
+        comparison = compare()
+        figures = [str(path) for path in draw(comparison.curves, folder)] if folder else []
+    except OSError as error:
+        _fail(f"{error.filename or folder}: {error.strerror}")
+    if arguments.json:
+        print(json.dumps({**as_json(comparison), "figures": figures}, allow_nan=False))
+        return 0
+    from rich.console import Console
+
+    from flying_vines.paper.show import show
+
+    console = Console()
+    show(comparison.rows, comparison.findings, console)
+    for path in figures:
+        console.print(f"Figure   {path}", highlight=False, soft_wrap=True)
     return 0
 
 

@@ -243,9 +243,9 @@ class Core:
         self._actions.append(decision)
         if ruling.verdict == "refused":
             asked = decision.intent or trigger.kind.replace("_", " ")
-            self._notice(t, Severity.WARNING, f"refused {asked}: {ruling.reason}")
+            self._notice(t, Severity.WARNING, f"refused {asked}: {ruling.reason}", True)
         elif ruling.verdict == "limited":
-            self._notice(t, Severity.NOTICE, f"{decision.intent} limited {ruling.reason}")
+            self._notice(t, Severity.NOTICE, f"{decision.intent} limited {ruling.reason}", True)
         return decision
 
     # Moving.
@@ -337,7 +337,7 @@ class Core:
         done = "holding" if hold else "vented"
         if change.name == "serial":
             done = "its dead-man vents"
-        self._notice(t, Severity.WARNING, f"{change.reason}, {done}")
+        self._notice(t, Severity.WARNING, f"{change.reason}, {done}", mattered)
 
     def _leave(self, t: float, change: Left) -> None:
         over = {
@@ -444,8 +444,8 @@ class Core:
     def _to_firmware(self, messages: Sequence[protocol.HostMessage]) -> None:
         self._actions.extend(ToFirmware(message) for message in messages)
 
-    def _notice(self, t: float, severity: Severity, text: str) -> None:
-        self._tell(Notice(t, severity, f"Vine: {text}"))
+    def _notice(self, t: float, severity: Severity, text: str, of_decision: bool = False) -> None:
+        self._tell(Notice(t, severity, f"Vine: {text}", of_decision))
 
     def _tell(self, notice: Notice) -> None:
         self._actions.append(notice)

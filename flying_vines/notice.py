@@ -22,3 +22,5 @@ class Notice:
     t: float
     severity: Severity
     text: str
+    of_decision: bool = False
+    """It says again what a decision of the same moment says, for those who do not see decisions."""

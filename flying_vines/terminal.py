@@ -31,7 +31,7 @@ def describe(what: dict[str, object]) -> str:
     if "seq" in what:
         parts.append(f"#{'?' if what['seq'] is None else what['seq']}")
     if "command" in what:
-        parts.append(f"command {what['command']}")
+        parts.append(str(what["command"]))
     params = what.get("params")
     if isinstance(params, list):
         parts.append("(" + ", ".join(f"{p:g}" for p in params) + ")")
@@ -67,7 +67,7 @@ def event_line(action: Action, began: float) -> Text | None:
         if action.reason:
             line.append(f" ({action.reason})")
         return line
-    if isinstance(action, Notice):
+    if isinstance(action, Notice) and not action.of_decision:
         return Text(
             f"{action.t - began:7.2f}  {action.text}", style=SEVERITY_STYLE.get(action.severity, "dim")
         )

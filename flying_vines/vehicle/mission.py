@@ -25,8 +25,8 @@ MOST_ITEMS = 5000
 class MissionBook:
     """Reads the mission (MAVLink mission protocol, download side) and knows when it must be read anew.
 
-    A download that somebody else asked for, and that is addressed to us, is read as well: so a recording
-    of a companion's link fills the book without anybody answering our requests.
+    A download that somebody else asked for is read as well: so a recording of a companion's link fills the
+    book without anybody answering our requests.
     """
 
     def __init__(self, items: Sequence[MissionItem] = ()) -> None:
@@ -39,6 +39,7 @@ class MissionBook:
         self._complete_at: float | None = None
         self._changed_at: float | None = None
         self._asked_at = -math.inf
+        self._asking = False
         self._attempts = 0
         self._gave_up_at: float | None = None
         self.fresh = bool(items)
@@ -57,6 +58,12 @@ class MissionBook:
         if not self._given:
             self.fresh = False
         self._arriving, self._expected = {}, None  # what has arrived is of the mission before
+        self._changed_at = t
+        self._attempts = 0
+        self._gave_up_at = None
+
+    def refresh(self, t: float) -> None:
+        """Read the mission again, and trust the book meanwhile: not every change is announced."""
         self._changed_at = t
         self._attempts = 0
         self._gave_up_at = None
@@ -100,8 +107,8 @@ class MissionBook:
         same_id = mission_id == self._mission_id
         self._total, self._mission_id = total, mission_id
         just_read = self._complete_at is not None and t - self._complete_at < SAME_CHANGE_S
-        if just_read and same_id and total in (len(self._items), len(self._items) - 1):
-            return  # ArduPilot does not count the home item
+        if just_read and same_id and total == len(self._items) - 1:
+            return  # ArduPilot, which does not count the home item, and has no id
         self.doubt(t)
 
     def requests(self, t: float, system_id: int) -> list[Message]:
@@ -117,7 +124,7 @@ class MissionBook:
         if self._attempts >= MOST_ATTEMPTS:
             self._gave_up_at, self._attempts, self._expected = t, 0, None
             return []
-        self._asked_at = t
+        self._asked_at, self._asking = t, True
         self._attempts += 1
         if self._expected is None:
             return [mavlink.MAVLink_mission_request_list_message(system_id, 1, 0)]
@@ -125,9 +132,15 @@ class MissionBook:
         return [mavlink.MAVLink_mission_request_int_message(system_id, 1, missing, 0)]
 
     def acknowledgement(self, message: Message, system_id: int) -> list[Message]:
-        """The MISSION_ACK that ends a download, when `message` was its last item."""
-        last = message.get_type() == "MISSION_ITEM_INT" and self._expected is None and self.fresh
+        """The MISSION_ACK that ends a download that we asked for, when `message` was its last item."""
+        last = (
+            self._asking
+            and message.get_type() == "MISSION_ITEM_INT"
+            and self._expected is None
+            and self.fresh
+        )
         if last and message.seq == len(self._items) - 1:
+            self._asking = False
             return [mavlink.MAVLink_mission_ack_message(system_id, 1, mavlink.MAV_MISSION_ACCEPTED, 0)]
         return []
 

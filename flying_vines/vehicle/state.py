@@ -14,7 +14,6 @@ YOUNG_DELAY_S = 2.0
 YOUNG_MS = 60_000
 """A clock that lags is a link's delay, which can be long; but one that lags and is young started anew."""
 
-REORDERED_MS = 1000
 CLOCK_PERIOD_S = 2**32 / 1000
 CLOCK_DRIFT = 2e-4
 CHOOSING_S = 2.0
@@ -78,7 +77,6 @@ class VehicleState:
         self._ambiguous = False
         self._boot_offset_s: float | None = None
         self._clock_at = 0.0
-        self._clock_ms = 0
         self._altitude_m = 0.0
         self._altitude_at: float | None = None
         self.system_id = 0
@@ -163,22 +161,17 @@ class VehicleState:
         offset_s = t - time_boot_ms / 1000.0
         known = self._boot_offset_s
         if known is None:
-            known = offset_s
-            self._clock_at, self._clock_ms = t, time_boot_ms
+            known, self._clock_at = offset_s, t
         # The least delay ever seen, as far as the two clocks keep the same pace.
         known += CLOCK_DRIFT * (t - self._clock_at)
-        fell_back = self._clock_ms - time_boot_ms > REORDERED_MS
-        if fell_back and abs(offset_s - known - CLOCK_PERIOD_S) < LONGEST_DELAY_S:
-            known, fell_back = known + CLOCK_PERIOD_S, False
-        lag_s = offset_s - known
-        if fell_back or lag_s > (LONGEST_DELAY_S if time_boot_ms > YOUNG_MS else YOUNG_DELAY_S):
+        self._clock_at = t
+        if abs(offset_s - known - CLOCK_PERIOD_S) < LONGEST_DELAY_S:
+            known += CLOCK_PERIOD_S
+        if offset_s - known > (LONGEST_DELAY_S if time_boot_ms > YOUNG_MS else YOUNG_DELAY_S):
             self._boot_offset_s, self._altitude_at = offset_s, None
-            events: list[VehicleEvent] = [Rebooted()]
-        else:
-            self._boot_offset_s = min(known, offset_s)
-            events = []
-        self._clock_at, self._clock_ms = t, time_boot_ms
-        return events
+            return [Rebooted()]
+        self._boot_offset_s = min(known, offset_s)
+        return []
 
 
 def _is_autopilot(message: Message) -> bool:

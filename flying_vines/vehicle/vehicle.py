@@ -43,6 +43,7 @@ class Vehicle:
     def handle(self, t: float, message: Message) -> list[Output]:
         """Take in a message of anyone on the link."""
         out: list[Output] = []
+        before = (self.state.armed, self.state.mode)
         for event in self.state.handle(t, message):
             match event:
                 case Found(system_id):
@@ -61,6 +62,8 @@ class Vehicle:
             self._streams.handle(t, message)
             self.rc.handle(t, message)
             self._px4.handle(message)
+            if (self.state.armed, self.state.mode) != before and self.state.armed:
+                self._book.refresh(t)
             self._book.handle(t, message)
             out.extend(self._book.acknowledgement(message, self.state.system_id))
             if self.state.kind != "px4":

@@ -1,0 +1,310 @@
+"""Commands: for whom they are, which are copies, and what their sender is told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines import config
+from flying_vines.intent import BendTo, ClearFaults, Hold, SetPressure, StartProfile, Vent
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.commands import COPIES_WITHIN_S, OVERTAKEN_WITHIN_S, Commands
+from flying_vines.vehicle.mission import MissionBook, Px4Watch
+from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.triggers import Rules, Trigger
+
+ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
+US, AUTOPILOT, STATION = 191, (1, 1), (255, 190)
+ACTUATOR, GRIPPER, SET_SERVO = 187, 211, 183
+USER_1, USER_2, USER_3, USER_4, USER_5 = 31010, 31011, 31012, 31013, 31014
+NAN = math.nan
+
+
+def sent(message: Message, sender: tuple[int, int]) -> Message:
+    return mavlink.MAVLink(None).parse_char(message.pack(mavlink.MAVLink(None, *sender)))
+
+
+def command(
+    number: int,
+    params: Sequence[float] = (),
+    confirmation: int = 0,
+    sender: tuple[int, int] = STATION,
+    target: tuple[int, int] = (1, US),
+) -> Message:
+    numbers = [*params, *(7 * [0.0])][:7]
+    return sent(mavlink.MAVLink_command_long_message(*target, number, confirmation, *numbers), sender)
+
+
+def published(
+    number: int = ACTUATOR,
+    params: Sequence[float] = (0.5,),
+    confirmation: int = 0,
+    target: tuple[int, int] = (1, 0),
+) -> Message:
+    """A mission item as PX4 sends it to everybody."""
+    return command(number, params, confirmation, AUTOPILOT, target)
+
+
+class Bench:
+    """Commands, decided at once; keeps what was triggered and what was answered."""
+
+    def __init__(self, items: Sequence[MissionItem] = (), px4: bool = True, accepts: bool = True) -> None:
+        self.commands = Commands(Rules(config.default()), US)
+        self.px4 = Px4Watch(MissionBook(items)) if px4 else None
+        self.accepts = accepts
+        self.triggers: list[Trigger] = []
+        self.answers: list[Message] = []
+
+    def take(self, t: float, message: Message) -> None:
+        from_autopilot = (message.get_srcSystem(), message.get_srcComponent()) == AUTOPILOT
+        for output in self.commands.handle(t, message, 1, from_autopilot, self.px4):
+            if isinstance(output, Trigger):
+                self.triggers.append(output)
+                self.answers += self.commands.acknowledge(output, self.accepts and output.intent is not None)
+            else:
+                self.answers.append(output)
+
+    def results(self) -> list[int]:
+        return [answer.result for answer in self.answers]
+
+
+def test_copies_of_px4_count_once_and_each_is_answered() -> None:
+    bench = Bench()
+    for confirmation in range(4):
+        bench.take(10.0 + 0.5 * confirmation, published(confirmation=confirmation))
+    assert [trigger.intent for trigger in bench.triggers] == [BendTo(30.0)]
+    assert bench.results() == [ACCEPTED] * 4
+    assert {(a.command, a.target_system, a.target_component) for a in bench.answers} == {(ACTUATOR, 1, 1)}
+
+
+def test_copies_back_to_back() -> None:
+    bench = Bench()
+    for confirmation in range(4):
+        bench.take(10.0 + 0.001 * confirmation, published(confirmation=confirmation))
+    assert len(bench.triggers) == 1
+    assert len(bench.answers) == 4
+
+
+@pytest.mark.parametrize("first", [1, 2, 3])
+def test_when_the_first_copies_are_lost_the_next_one_counts(first: int) -> None:
+    bench = Bench()
+    for confirmation in range(first, 4):
+        bench.take(10.0 + 0.5 * confirmation, published(confirmation=confirmation))
+    assert len(bench.triggers) == 1
+    assert len(bench.answers) == 4 - first
+
+
+def test_a_first_copy_that_was_overtaken_is_still_a_copy() -> None:
+    bench = Bench()
+    bench.take(10.0, published(confirmation=1))
+    bench.take(10.0 + OVERTAKEN_WITHIN_S / 2, published(confirmation=0))
+    bench.take(10.9, published(confirmation=2))
+    assert len(bench.triggers) == 1
+    assert bench.results() == [ACCEPTED] * 3
+
+
+def test_a_new_execution_counts_although_it_is_like_the_last() -> None:
+    bench = Bench()
+    for t in (10.0, 10.4, 14.0, 200.0):
+        bench.take(t, published())
+        bench.take(t + 0.1, published(confirmation=1))
+    assert len(bench.triggers) == 4
+    assert len(bench.answers) == 8
+
+
+def test_a_new_execution_after_one_whose_first_copy_was_lost() -> None:
+    bench = Bench()
+    bench.take(10.0, published(confirmation=1))
+    bench.take(10.0 + OVERTAKEN_WITHIN_S + 0.4, published(confirmation=0))
+    assert len(bench.triggers) == 2
+
+
+def test_other_numbers_are_another_command() -> None:
+    bench = Bench()
+    bench.take(10.0, published(params=(0.5,)))
+    bench.take(10.1, published(params=(0.25,), confirmation=1))
+    assert [trigger.intent for trigger in bench.triggers] == [BendTo(30.0), BendTo(15.0)]
+
+
+def test_a_refused_item_is_refused_in_each_copy() -> None:
+    bench = Bench(accepts=False)
+    for confirmation in range(3):
+        bench.take(10.0 + 0.5 * confirmation, published(confirmation=confirmation))
+    assert bench.results() == [DENIED] * 3
+
+
+def test_a_ground_station_that_repeats_after_three_seconds_gets_its_answer_again() -> None:
+    bench = Bench()
+    for confirmation in range(3):
+        bench.take(10.0 + 3.0 * confirmation, command(USER_2, (20.0,), confirmation))
+    assert [trigger.intent for trigger in bench.triggers] == [BendTo(20.0)]
+    assert bench.results() == [ACCEPTED] * 3
+    assert {(a.target_system, a.target_component) for a in bench.answers} == {STATION}
+
+
+def test_a_person_who_presses_again_is_heard_again() -> None:
+    bench = Bench()
+    for t in (10.0, 10.8, 12.0):
+        bench.take(t, command(USER_1, (2.0,)))
+    assert len(bench.triggers) == 3
+    assert all(trigger.by_person for trigger in bench.triggers)
+
+
+def test_two_stations_are_no_copies_of_each_other() -> None:
+    bench = Bench()
+    bench.take(10.0, command(USER_2, (20.0,)))
+    bench.take(10.1, command(USER_2, (20.0,), 1, sender=(254, 190)))
+    assert len(bench.triggers) == 2
+
+
+def test_a_repeat_long_after_is_a_command_of_its_own() -> None:
+    bench = Bench()
+    bench.take(10.0, published())
+    bench.take(10.0 + COPIES_WITHIN_S + 0.1, published(confirmation=1))
+    assert len(bench.triggers) == 2
+
+
+@pytest.mark.parametrize("target", [(1, 1), (1, 154), (2, US), (2, 0), (7, 1)])
+@pytest.mark.parametrize("sender", [STATION, AUTOPILOT, (1, 100)])
+def test_what_is_for_others_is_met_with_silence(target: tuple[int, int], sender: tuple[int, int]) -> None:
+    bench = Bench()
+    for number in (ACTUATOR, USER_1, USER_4, 400):
+        bench.take(10.0, command(number, (0.0,), sender=sender, target=target))
+    assert bench.triggers == []
+    assert bench.answers == []
+
+
+@pytest.mark.parametrize("number", [USER_2, USER_4, 400, 512, 1000, 1001, 2003])
+@pytest.mark.parametrize("sender", [STATION, AUTOPILOT])
+def test_what_is_for_all_and_no_mission_item_is_met_with_silence(
+    number: int, sender: tuple[int, int]
+) -> None:
+    bench = Bench()
+    for target in ((1, 0), (0, 0)):
+        bench.take(10.0, command(number, (0.0,), sender=sender, target=target))
+    assert bench.triggers == []
+    assert bench.answers == []
+
+
+def test_an_item_that_somebody_else_sends_to_all_is_not_the_missions() -> None:
+    bench = Bench()
+    bench.take(10.0, command(ACTUATOR, (0.5,), sender=(1, 100), target=(1, 0)))
+    bench.take(10.0, command(ACTUATOR, (0.5,), sender=STATION, target=(0, 0)))
+    assert bench.triggers == []
+
+
+def test_what_an_ardupilot_sends_to_all_was_told_by_its_texts() -> None:
+    bench = Bench(px4=False)
+    bench.take(10.0, published(GRIPPER, (1.0, 0.0), target=(0, 0)))
+    assert bench.triggers == []
+    assert bench.answers == []
+
+
+def test_a_script_on_an_ardupilot_sends_to_us() -> None:
+    bench = Bench(px4=False)
+    bench.take(10.0, command(USER_1, (1.0, 40.0), sender=AUTOPILOT))
+    (trigger,) = bench.triggers
+    assert (trigger.kind, trigger.intent, trigger.by_person) == ("mission_item", BendTo(40.0), False)
+    assert bench.results() == [ACCEPTED]
+
+
+@pytest.mark.parametrize("number", [SET_SERVO, 400, 512, 31009, 31015, 65535])
+def test_what_we_cannot_do_is_unsupported(number: int) -> None:
+    bench = Bench()
+    bench.take(10.0, command(number))
+    bench.take(10.5, command(number, confirmation=1))
+    assert bench.triggers == []
+    assert bench.results() == [UNSUPPORTED, UNSUPPORTED]
+    assert {answer.command for answer in bench.answers} == {number}
+
+
+@pytest.mark.parametrize(
+    ("number", "params", "intent"),
+    [
+        (USER_1, (0.0,), StartProfile("straight")),
+        (USER_1, (1.0, -25.0), BendTo(-25.0)),
+        (USER_1, (2.0,), StartProfile("reach")),
+        (USER_2, (33.0,), BendTo(33.0)),
+        (USER_3, (12.0,), SetPressure(12.0)),
+        (USER_4, (0.0,), Vent()),
+        (USER_4, (1.0,), Hold()),
+        (USER_5, (1.0,), ClearFaults()),
+        (GRIPPER, (1.0, 0.0), StartProfile("bend-full")),
+        (ACTUATOR, (-0.5,), BendTo(-30.0)),
+    ],
+)
+def test_a_persons_commands(number: int, params: tuple[float, ...], intent: object) -> None:
+    bench = Bench()
+    bench.take(10.0, command(number, params))
+    (trigger,) = bench.triggers
+    assert (trigger.kind, trigger.intent, trigger.by_person) == ("command", intent, True)
+    assert trigger.what["from"] == "255/190"
+    assert bench.results() == [ACCEPTED]
+
+
+@pytest.mark.parametrize(
+    ("number", "params", "problem"),
+    [
+        (USER_1, (NAN,), "no rule"),
+        (USER_1, (1.0, NAN), "not a number"),
+        (USER_1, (7.0,), "no rule"),
+        (USER_2, (NAN,), "not a number"),
+        (USER_2, (math.inf,), "not a number"),
+        (USER_3, (NAN,), "not a number"),
+        (USER_3, (-math.inf,), "not a number"),
+        (USER_4, (NAN,), "param1 must be"),
+        (USER_4, (2.0,), "param1 must be"),
+        (USER_5, (NAN,), "param1 must be"),
+        (USER_5, (0.0,), "param1 must be"),
+        (ACTUATOR, (NAN,), "not a number"),
+        (GRIPPER, (1.0, NAN), "no rule"),
+    ],
+)
+def test_numbers_that_make_no_sense_are_denied_with_a_reason(
+    number: int, params: tuple[float, ...], problem: str
+) -> None:
+    bench = Bench()
+    for confirmation in range(2):
+        bench.take(10.0 + confirmation, command(number, params, confirmation))
+    (trigger,) = bench.triggers
+    assert trigger.intent is None
+    assert problem in trigger.problem
+    assert bench.results() == [DENIED, DENIED]
+
+
+def test_numbers_that_are_not_given_do_not_hide_a_copy() -> None:
+    bench = Bench()
+    for confirmation in range(4):
+        bench.take(10.0 + 0.5 * confirmation, published(ACTUATOR, (0.5, NAN, NAN, NAN), confirmation))
+    assert len(bench.triggers) == 1
+    assert len(bench.answers) == 4
+
+
+def test_the_other_form_of_a_command_is_the_same_to_us() -> None:
+    bench = Bench()
+    numbers = (USER_2, 0, 0, 15.0, 0.0, 0.0, 0.0, 0, 0, 0.0)
+    bench.take(10.0, sent(mavlink.MAVLink_command_int_message(1, US, 0, *numbers), STATION))
+    bench.take(11.0, sent(mavlink.MAVLink_command_int_message(1, 154, 0, *numbers), STATION))
+    assert [trigger.intent for trigger in bench.triggers] == [BendTo(15.0)]
+    assert bench.results() == [ACCEPTED]
+
+
+def test_a_published_item_is_named_by_its_number_in_the_mission() -> None:
+    items = [MissionItem(seq, ACTUATOR, (0.1 * seq, 0, 0, 0, 0, 0, 0)) for seq in range(5)]
+    bench = Bench(items)
+    bench.take(10.0, published(params=(0.3,)))
+    assert bench.triggers[0].what["seq"] == 3
+
+
+def test_what_is_remembered_stays_bounded() -> None:
+    bench = Bench()
+    for i in range(5000):
+        bench.take(0.01 * i, command(USER_2, (float(i),)))
+    assert len(bench.triggers) == 5000
+    assert all(b.t > a.t for a, b in pairwise(bench.triggers))
+    assert len(bench.commands._seen) <= COPIES_WITHIN_S / 0.01 + 2
+    assert len(bench.commands._results) <= COPIES_WITHIN_S / 0.01 + 2

@@ -1,0 +1,355 @@
+"""Transports over real sockets and a pseudo-terminal: both directions, and back by themselves."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import socket
+import tty
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from firmware_link import serial_port
+from flying_vines.address import Address, NetworkAddress, SerialAddress
+from flying_vines.vehicle import link as link_module
+from flying_vines.vehicle.link import MAX_QUEUED_BYTES, MOST_PEERS, Link, open_link
+
+HOST = "127.0.0.1"
+TIMEOUT_S = 5.0
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(link_module, "RETRY_S", 0.02)
+    monkeypatch.setattr(serial_port, "RETRY_S", 0.02)
+
+
+class Watched:
+    """A link under way, what came of it, and a way to wait until it is as wished."""
+
+    def __init__(self, address: Address) -> None:
+        self.data = b""
+        self.states: list[tuple[bool, str]] = []
+        self._changed = asyncio.Event()
+        self.link: Link = open_link(address, self._on_bytes, self._on_state)
+
+    def _on_bytes(self, data: bytes) -> None:
+        self.data += data
+        self._changed.set()
+
+    def _on_state(self, up: bool, why: str) -> None:
+        self.states.append((up, why))
+        self._changed.set()
+
+    @property
+    def up(self) -> bool:
+        return bool(self.states) and self.states[-1][0]
+
+    async def until(self, satisfied: Callable[[], bool]) -> None:
+        async with asyncio.timeout(TIMEOUT_S):
+            while not satisfied():
+                self._changed.clear()
+                await self._changed.wait()
+
+
+@contextlib.asynccontextmanager
+async def running(address: Address) -> AsyncIterator[Watched]:
+    watched = Watched(address)
+    task = asyncio.create_task(watched.link.run())
+    try:
+        yield watched
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+
+class Peer(asyncio.DatagramProtocol):
+    """The other side of a UDP link."""
+
+    def __init__(self) -> None:
+        self.received: asyncio.Queue[tuple[bytes, tuple[str, int]]] = asyncio.Queue()
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        self.received.put_nowait((data, addr))
+
+    async def next(self) -> tuple[bytes, tuple[str, int]]:
+        async with asyncio.timeout(TIMEOUT_S):
+            return await self.received.get()
+
+
+@contextlib.asynccontextmanager
+async def udp_peer(
+    to: tuple[str, int] | None = None,
+) -> AsyncIterator[tuple[Peer, asyncio.DatagramTransport, int]]:
+    loop = asyncio.get_running_loop()
+    local = None if to else (HOST, 0)
+    transport, peer = await loop.create_datagram_endpoint(Peer, local_addr=local, remote_addr=to)
+    try:
+        yield peer, transport, transport.get_extra_info("sockname")[1]
+    finally:
+        transport.close()
+
+
+def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind((HOST, 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+class Server:
+    """A TCP server that can be shut down, with its connections, and opened again on the same port."""
+
+    def __init__(self) -> None:
+        self.port = 0
+        self.readers: asyncio.Queue[asyncio.StreamReader] = asyncio.Queue()
+        self.writers: list[asyncio.StreamWriter] = []
+        self._server: asyncio.Server | None = None
+
+    async def open(self) -> None:
+        self._server = await asyncio.start_server(self._accept, HOST, self.port)
+        self.port = self._server.sockets[0].getsockname()[1]
+
+    async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.writers.append(writer)
+        self.readers.put_nowait(reader)
+
+    async def connection(self) -> asyncio.StreamReader:
+        async with asyncio.timeout(TIMEOUT_S):
+            return await self.readers.get()
+
+    async def close(self) -> None:
+        if self._server is not None:
+            self._server.close()
+        for writer in self.writers:
+            writer.transport.abort()
+        self.writers.clear()
+
+
+@contextlib.asynccontextmanager
+async def tcp_server() -> AsyncIterator[Server]:
+    server = Server()
+    await server.open()
+    try:
+        yield server
+    finally:
+        await server.close()
+
+
+async def test_udp_that_listens_answers_whom_it_hears() -> None:
+    port = free_port()
+    async with running(NetworkAddress("udpin", HOST, port)) as watched:
+        await watched.until(lambda: watched.up)
+        assert not watched.link.write(b"nobody there")
+        async with udp_peer((HOST, port)) as (one, to_us, _), udp_peer((HOST, port)) as (two, also_to_us, _):
+            to_us.sendto(b"one")
+            await watched.until(lambda: watched.data == b"one")
+            also_to_us.sendto(b"two")
+            await watched.until(lambda: watched.data == b"onetwo")
+            assert watched.link.write(b"to all")
+            assert (await one.next())[0] == b"to all"
+            assert (await two.next())[0] == b"to all"
+
+
+async def test_udp_answers_only_so_many() -> None:
+    port = free_port()
+    async with running(NetworkAddress("udpin", HOST, port)) as watched, contextlib.AsyncExitStack() as stack:
+        await watched.until(lambda: watched.up)
+        peers = []
+        for i in range(MOST_PEERS + 1):
+            peer, to_us, _ = await stack.enter_async_context(udp_peer((HOST, port)))
+            to_us.sendto(bytes((i,)))
+            await watched.until(lambda i=i: len(watched.data) == i + 1)  # type: ignore[misc]
+            peers.append(peer)
+        assert watched.link.write(b"x")
+        for peer in peers[1:]:
+            assert (await peer.next())[0] == b"x"
+        assert peers[0].received.empty()
+
+
+async def test_udp_that_sends_speaks_first_and_hears_the_answer() -> None:
+    async with (
+        udp_peer() as (peer, transport, port),
+        running(NetworkAddress("udpout", HOST, port)) as watched,
+    ):
+        await watched.until(lambda: watched.up)
+        assert watched.link.write(b"hello")
+        data, sender = await peer.next()
+        assert data == b"hello"
+        transport.sendto(b"welcome", sender)
+        await watched.until(lambda: watched.data == b"welcome")
+
+
+async def test_udp_to_nobody_goes_on_until_somebody_is_there() -> None:
+    port = free_port()
+    async with running(NetworkAddress("udpout", HOST, port)) as watched:
+        await watched.until(lambda: watched.up)
+        for _ in range(3):
+            watched.link.write(b"anybody?")
+            await asyncio.sleep(0)
+        loop = asyncio.get_running_loop()
+        transport, peer = await loop.create_datagram_endpoint(Peer, local_addr=(HOST, port))
+        try:
+            async with asyncio.timeout(TIMEOUT_S):
+                while peer.received.empty():
+                    # What was refused before is reported instead of the next datagram being sent.
+                    watched.link.write(b"and now?")
+                    with contextlib.suppress(TimeoutError):
+                        await asyncio.wait_for(peer.received.get(), 0.05)
+                        break
+        finally:
+            transport.close()
+        assert watched.states == [(True, "")]
+
+
+async def test_a_udp_port_in_use_gives_a_sentence_and_is_taken_when_it_is_free() -> None:
+    async with udp_peer() as (_, transport, port), running(NetworkAddress("udpin", HOST, port)) as watched:
+        await watched.until(lambda: bool(watched.states))
+        assert watched.states == [(False, f"udpin:{HOST}:{port}: Address already in use")]
+        assert not watched.link.write(b"x")
+        transport.close()
+        await watched.until(lambda: watched.up)
+        assert len(watched.states) == 2
+
+
+async def test_tcp_both_ways() -> None:
+    async with tcp_server() as server, running(NetworkAddress("tcp", HOST, server.port)) as watched:
+        assert not watched.link.write(b"too early")
+        reader = await server.connection()
+        await watched.until(lambda: watched.up)
+        assert watched.link.write(b"hello")
+        async with asyncio.timeout(TIMEOUT_S):
+            assert await reader.readexactly(5) == b"hello"
+        server.writers[0].write(b"welcome")
+        await watched.until(lambda: watched.data == b"welcome")
+
+
+async def test_tcp_comes_back_when_the_server_does() -> None:
+    async with tcp_server() as server, running(NetworkAddress("tcp", HOST, server.port)) as watched:
+        await server.connection()
+        await watched.until(lambda: watched.up)
+        for round_number in range(2):
+            await server.close()
+            await watched.until(lambda: not watched.up)
+            assert not watched.link.write(b"lost")
+            await watched.until(lambda: "refused" in watched.states[-1][1].lower())
+            await server.open()
+            reader = await server.connection()
+            await watched.until(lambda: watched.up)
+            watched.data = b""
+            server.writers[-1].write(b"again")
+            await watched.until(lambda: watched.data == b"again")
+            assert watched.link.write(b"yes")
+            async with asyncio.timeout(TIMEOUT_S):
+                assert await reader.readexactly(3) == b"yes"
+            assert [up for up, _ in watched.states].count(True) == round_number + 2
+
+
+async def test_tcp_says_once_why_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop, tried = asyncio.get_running_loop(), asyncio.Semaphore(0)
+    connect = loop.create_connection
+
+    async def counted(*args: Any) -> Any:
+        tried.release()
+        return await connect(*args)
+
+    monkeypatch.setattr(loop, "create_connection", counted)
+    port = free_port(socket.SOCK_STREAM)
+    async with running(NetworkAddress("tcp", HOST, port)) as watched, asyncio.timeout(TIMEOUT_S):
+        for _ in range(4):
+            await tried.acquire()
+        assert watched.states == [(False, f"tcp:{HOST}:{port}: Connection refused")]
+
+
+async def test_tcp_does_not_queue_without_end_for_a_server_that_does_not_read() -> None:
+    async with tcp_server() as server, running(NetworkAddress("tcp", HOST, server.port)) as watched:
+        await server.connection()
+        await watched.until(lambda: watched.up)
+        written = 0
+        while watched.link.write(bytes(32 * 1024)):
+            written += 32 * 1024
+            assert written < 64 * 1024 * 1024
+        assert not watched.link.write(bytes(MAX_QUEUED_BYTES))
+
+
+@pytest.mark.parametrize("host", ["no-such-host.invalid", "a..b", "x" * 70])
+async def test_a_host_that_does_not_exist_gives_a_sentence(host: str) -> None:
+    async with running(NetworkAddress("tcp", host, 5760)) as watched:
+        await watched.until(lambda: bool(watched.states))
+        assert not watched.up
+        assert watched.states[0][1].startswith(f"tcp:{host}:5760: ")
+        assert "\n" not in watched.states[0][1]
+
+
+@pytest.mark.parametrize("kind", ["udpin", "udpout"])
+async def test_a_host_that_does_not_exist_gives_a_sentence_for_udp_too(kind: str) -> None:
+    address = NetworkAddress("udpin" if kind == "udpin" else "udpout", "a..b", 5760)
+    async with running(address) as watched:
+        await watched.until(lambda: bool(watched.states))
+        assert watched.states[0][0] is False
+        assert watched.states[0][1].startswith(f"{kind}:a..b:5760: ")
+
+
+class Terminal:
+    """The device's end of a pseudo-terminal behind a name that stays."""
+
+    def __init__(self, name: Path) -> None:
+        self.device, self._host = os.openpty()
+        tty.setraw(self._host)
+        os.set_blocking(self.device, False)
+        name.unlink(missing_ok=True)
+        name.symlink_to(os.ttyname(self._host))
+
+    async def read(self, size: int) -> bytes:
+        readable, loop, data = asyncio.Event(), asyncio.get_running_loop(), b""
+        loop.add_reader(self.device, readable.set)
+        try:
+            async with asyncio.timeout(TIMEOUT_S):
+                while len(data) < size:
+                    await readable.wait()
+                    readable.clear()
+                    with contextlib.suppress(BlockingIOError):
+                        data += os.read(self.device, size - len(data))
+        finally:
+            loop.remove_reader(self.device)
+        return data
+
+    def pull_out(self) -> None:
+        for descriptor in (self.device, self._host):
+            os.close(descriptor)
+
+
+async def test_serial_both_ways_and_back_after_it_was_pulled_out(tmp_path: Path) -> None:
+    name = tmp_path / "port"
+    terminal = Terminal(name)
+    try:
+        async with running(SerialAddress(str(name), 57600)) as watched:
+            await watched.until(lambda: watched.up)
+            assert watched.link.write(b"\xfd\x00\n\r\x11")
+            assert await terminal.read(5) == b"\xfd\x00\n\r\x11"
+            os.write(terminal.device, b"\xfe\x13\x03")
+            await watched.until(lambda: watched.data == b"\xfe\x13\x03")
+            terminal.pull_out()
+            await watched.until(lambda: not watched.up)
+            terminal = Terminal(name)
+            await watched.until(lambda: watched.up)
+            os.write(terminal.device, b"back")
+            await watched.until(lambda: watched.data.endswith(b"back"))
+            assert watched.link.write(b"yes")
+            assert await terminal.read(3) == b"yes"
+    finally:
+        terminal.pull_out()
+
+
+async def test_a_serial_port_that_is_not_there_gives_a_sentence(tmp_path: Path) -> None:
+    async with running(SerialAddress(str(tmp_path / "nothing"))) as watched:
+        await watched.until(lambda: bool(watched.states))
+        up, why = watched.states[0]
+        assert not up
+        assert "is not there" in why
+        assert not watched.link.write(b"x")

@@ -1,0 +1,292 @@
+"""The book of the mission: read over a poor link, and read anew whenever it may be another one."""
+
+from __future__ import annotations
+
+import itertools
+import random
+import struct
+from collections.abc import Sequence
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.mission import MOST_ATTEMPTS, RETRY_S, TRY_AGAIN_S, MissionBook
+from flying_vines.vehicle.mission_item import MissionItem
+
+TICK_S = 0.02
+
+
+def sent(message: Message) -> Message:
+    """The message as the other side of a link has it."""
+    return mavlink.MAVLink(None).parse_char(message.pack(mavlink.MAVLink(None, 1, 1)))
+
+
+def item(seq: int, command: int = 16, *params: float) -> MissionItem:
+    p1, p2, p3, p4 = [*params, 0.0, 0.0, 0.0, 0.0][:4]
+    return MissionItem(seq, command, (p1, p2, p3, p4, 0.0, 0.0, 0.0))
+
+
+def mission(size: int, angle_deg: float = 40.0) -> list[MissionItem]:
+    return [item(seq, 217, 1.0, angle_deg + seq) if seq % 3 == 2 else item(seq) for seq in range(size)]
+
+
+def current(total: int, mission_id: int = 0, seq: int = 0) -> Message:
+    """MISSION_CURRENT with its newer fields, which the dialect does not name."""
+    payload = struct.pack("<HHBBIII", seq, total, 0, 0, mission_id, 0, 0)
+    header = bytes((len(payload), 0, 0, 0, 1, 1, 42, 0, 0))
+    checksum = mavlink.x25crc(header + payload + bytes((28,))).crc
+    message = mavlink.MAVLink(None).parse_char(b"\xfd" + header + payload + struct.pack("<H", checksum))
+    assert message.get_type() == "MISSION_CURRENT"
+    return message
+
+
+def text(words: str) -> Message:
+    return sent(mavlink.MAVLink_statustext_message(6, words.encode(), 0, 0))
+
+
+def item_message(one: MissionItem, mission_type: int = 0) -> Message:
+    p1, p2, p3, p4, x, y, z = one.params
+    return sent(
+        mavlink.MAVLink_mission_item_int_message(
+            1, 191, one.seq, one.frame, one.command, 0, 1, p1, p2, p3, p4, int(x), int(y), z, mission_type
+        )
+    )
+
+
+def count_message(count: int, mission_type: int = 0) -> Message:
+    return sent(mavlink.MAVLink_mission_count_message(1, 191, count, mission_type))
+
+
+class Autopilot:
+    """Serves a mission to a book, over a link that loses a share of the frames in both directions."""
+
+    def __init__(self, items: Sequence[MissionItem], loss: float = 0.0, seed: int = 1) -> None:
+        self.items = list(items)
+        self.book = MissionBook()
+        self.loss = loss
+        self.total = len(self.items)
+        self.mission_id = 0
+        self.acknowledged = 0
+        self.requests = 0
+        self.ticks = 0
+        self._dice = random.Random(seed)
+
+    @property
+    def now_s(self) -> float:
+        return self.ticks * TICK_S
+
+    def arrives(self) -> bool:
+        return self._dice.random() >= self.loss
+
+    def deliver(self, message: Message) -> None:
+        self.book.handle(self.now_s, message)
+        self.acknowledged += len(self.book.acknowledgement(message, 1))
+
+    def run(self, for_s: float) -> None:
+        for _ in range(round(for_s / TICK_S)):
+            requests = self.book.requests(self.now_s, 1)
+            assert len(requests) <= 1
+            for request in requests:
+                self.requests += 1
+                if self.arrives() and self.arrives():
+                    self.answer(request)
+            if self.ticks % 10 == 0 and self.arrives():
+                self.deliver(current(self.total, self.mission_id))
+            self.ticks += 1
+
+    def answer(self, request: Message) -> None:
+        assert (request.target_system, request.target_component, request.mission_type) == (1, 1, 0)
+        if request.get_type() == "MISSION_REQUEST_LIST":
+            self.deliver(count_message(len(self.items)))
+        else:
+            self.deliver(item_message(self.items[request.seq]))
+
+    def has_read(self) -> bool:
+        return self.book.fresh and dict(self.book.items) == {one.seq: one for one in self.items}
+
+
+@pytest.mark.parametrize("size", [0, 1, 2, 50])
+def test_a_mission_is_read_at_once_and_then_left_alone(size: int) -> None:
+    autopilot = Autopilot(mission(size))
+    autopilot.run(2.0)
+    assert autopilot.has_read()
+    assert autopilot.acknowledged == (1 if size else 0)
+    assert autopilot.requests == size + 1
+    autopilot.run(60.0)
+    assert autopilot.requests == size + 1
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_lost_requests_and_replies_only_cost_time(seed: int) -> None:
+    autopilot = Autopilot(mission(12), loss=0.3, seed=seed)
+    autopilot.run(60.0)
+    assert autopilot.has_read()
+
+
+def test_replies_that_come_twice_and_late_do_no_harm() -> None:
+    items = mission(6)
+    book = MissionBook()
+    book.handle(0.0, count_message(6))
+    for one in [items[0], items[0], items[3], items[1], items[0], items[5], items[4], items[2]]:
+        book.handle(0.1, item_message(one))
+    assert book.fresh
+    assert [book.items[seq] for seq in range(6)] == items
+    book.handle(0.2, item_message(item(3, 99)))
+    assert book.items[3] == items[3]
+
+
+def test_an_autopilot_that_does_not_answer_is_asked_sparingly() -> None:
+    book = MissionBook()
+    asked = [i * TICK_S for i in range(6000) if book.requests(i * TICK_S, 1)]
+    assert len([t for t in asked if t < TRY_AGAIN_S]) == MOST_ATTEMPTS
+    assert all(b - a >= RETRY_S - 1e-9 for a, b in itertools.pairwise(asked))
+    assert 20 <= len(asked) <= 36
+    assert not book.fresh
+
+
+def test_items_of_fences_and_rally_points_are_no_mission() -> None:
+    items = mission(3)
+    book = MissionBook()
+    book.handle(0.0, count_message(3))
+    book.handle(0.1, item_message(items[0]))
+    book.handle(0.1, item_message(item(1, 5001), mission_type=1))
+    book.handle(0.1, item_message(item(2, 5100), mission_type=2))
+    assert not book.fresh
+    book.handle(0.2, count_message(9, mission_type=1))
+    book.handle(0.3, item_message(items[1]))
+    book.handle(0.3, item_message(items[2]))
+    assert [book.items[seq] for seq in range(3)] == items
+
+
+def test_degrees_and_metres_come_out_of_their_integers() -> None:
+    book = MissionBook()
+    book.handle(0.0, count_message(2))
+    place = mavlink.MAVLink_mission_item_int_message(
+        1, 191, 0, 3, 16, 0, 1, 3.0, 0, 0, 0, -353629925, 1491655123, 12.0, 0
+    )
+    book.handle(0.0, sent(place))
+    action = mavlink.MAVLink_mission_item_int_message(1, 191, 1, 2, 42600, 0, 1, 1, 1, 2, 0.5, 7, 8, 9.0, 0)
+    book.handle(0.0, sent(action))
+    assert book.items[0].params == pytest.approx((3.0, 0, 0, 0, -35.3629925, 149.1655123, 12.0))
+    assert book.items[1].params == (1, 1, 2, 0.5, 7, 8, 9.0)
+
+
+def read(size: int = 12) -> Autopilot:
+    autopilot = Autopilot(mission(size))
+    autopilot.total = size - 1  # as ArduPilot counts, without home
+    autopilot.run(10.0)
+    assert autopilot.has_read()
+    return autopilot
+
+
+def test_another_total_in_flight() -> None:
+    autopilot = read(12)
+    autopilot.items, autopilot.total = mission(15, angle_deg=-20.0), 14
+    autopilot.run(0.2)
+    assert not autopilot.book.fresh
+    autopilot.run(2.0)
+    assert autopilot.has_read()
+
+
+def test_an_upload_whose_totals_come_bit_by_bit_is_read_when_it_is_over() -> None:
+    autopilot = read(12)
+    before = autopilot.requests
+    for total in range(20):
+        autopilot.total = total
+        autopilot.run(0.2)
+    assert autopilot.requests == before
+    assert not autopilot.book.fresh
+    autopilot.items = mission(20)
+    autopilot.run(2.0)
+    assert autopilot.has_read()
+    assert autopilot.requests == before + 21
+
+
+def test_the_same_total_with_another_mission_id() -> None:
+    autopilot = Autopilot(mission(9))
+    autopilot.mission_id = 419266506
+    for angle_deg in (1.0, 2.0, 3.0):
+        autopilot.run(2.0)  # also soon after a reading
+        assert autopilot.has_read()
+        autopilot.items, autopilot.mission_id = mission(9, angle_deg), autopilot.mission_id + 1
+    autopilot.run(2.0)
+    assert autopilot.has_read()
+
+
+def test_the_same_total_that_only_the_text_tells() -> None:
+    autopilot = read(12)
+    autopilot.items = mission(12, angle_deg=5.0)
+    autopilot.run(30.0)
+    assert autopilot.book.fresh
+    autopilot.deliver(text("Flight plan received"))
+    assert not autopilot.book.fresh
+    autopilot.run(2.0)
+    assert autopilot.has_read()
+
+
+def test_another_text_tells_nothing() -> None:
+    autopilot = read(12)
+    for words in ("Flight plan", "Mission: 3 Scripting", "Radio Failsafe"):
+        autopilot.deliver(text(words))
+    assert autopilot.book.fresh
+
+
+def test_a_total_that_is_told_after_the_reading_is_no_change() -> None:
+    autopilot = Autopilot(mission(12))
+    autopilot.total = 0
+    autopilot.run(1.0)
+    asked = autopilot.requests
+    autopilot.total = 11
+    autopilot.run(10.0)
+    assert autopilot.requests == asked
+    assert autopilot.has_read()
+
+
+@pytest.mark.parametrize("ticks", range(1, 13))
+def test_a_mission_that_changes_while_it_is_read_is_not_mixed(ticks: int) -> None:
+    autopilot = Autopilot(mission(12, angle_deg=0.0))
+    autopilot.run(ticks * TICK_S)
+    autopilot.items = mission(12, angle_deg=1000.0)
+    autopilot.deliver(text("Flight plan received"))
+    for _ in range(200):
+        autopilot.run(TICK_S)
+        assert not autopilot.book.fresh or autopilot.has_read()
+    assert autopilot.has_read()
+
+
+def test_a_download_of_somebody_else_is_read_along() -> None:
+    items, book = mission(5), MissionBook()
+    book.handle(0.0, count_message(5))
+    assert book.arriving
+    for one in items:
+        book.handle(0.1, item_message(one))
+    assert not book.arriving
+    assert book.fresh
+    assert book.requests(0.2, 1) == []
+
+
+def test_a_mission_given_beforehand_serves_until_one_was_read() -> None:
+    given = mission(4, angle_deg=7.0)
+    book = MissionBook(given)
+    assert book.fresh
+    assert book.requests(0.0, 1) == []
+    book.handle(1.0, current(3))
+    book.handle(2.0, current(8))
+    assert book.fresh
+    assert book.items[2] == given[2]
+    (request,) = book.requests(3.0, 1)
+    assert request.get_type() == "MISSION_REQUEST_LIST"
+    items = mission(9)
+    book.handle(3.1, count_message(9))
+    for one in items:
+        book.handle(3.2, item_message(one))
+    assert book.items[2] == items[2]
+    book.handle(10.0, current(12))
+    assert not book.fresh
+
+
+def test_a_count_beyond_reason_is_not_asked_for() -> None:
+    book = MissionBook()
+    book.handle(0.0, count_message(65535))
+    assert not book.arriving

@@ -1,0 +1,591 @@
+"""Which mission items ran: told by ArduPilot's texts, by its progress where texts are lost, and by PX4."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from dataclasses import dataclass, field
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.codec import Codec, Message
+from flying_vines.vehicle.mission import (
+    WAIT_FOR_BOOK_S,
+    WAIT_FOR_TEXT_S,
+    ArduPilotWatch,
+    Execution,
+    MissionBook,
+    Px4Watch,
+)
+from flying_vines.vehicle.mission_item import MissionItem
+
+WP, TAKEOFF, LAND, DELAY, SCRIPT, GRIPPER, WINCH = 16, 22, 21, 93, 217, 211, 42600
+CONDITION_DELAY, JUMP, SERVO = 112, 177, 183
+NAMES = {
+    WP: "WP", TAKEOFF: "Takeoff", LAND: "Land", DELAY: "Delay", SCRIPT: "Scripting", GRIPPER: "Gripper",
+    WINCH: "Winch", SERVO: "SetServo", CONDITION_DELAY: "CondDelay", JUMP: "Jump",
+}  # fmt: skip
+NAV = {WP, TAKEOFF, LAND, DELAY}
+PAYLOAD = {SCRIPT, GRIPPER, WINCH}
+TICK_S = 0.02
+
+
+def mission(*commands: int) -> list[MissionItem]:
+    return [
+        MissionItem(seq, command, (float(seq), 40.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        for seq, command in enumerate(commands)
+    ]
+
+
+PLAN = mission(WP, TAKEOFF, WP, SCRIPT, GRIPPER, WP, SCRIPT, WP, LAND)
+"""Home, take-off, and two legs that end in payload items: 3 and 4 behind waypoint 2, 6 behind waypoint 5."""
+
+
+class Air:
+    """What an ArduPilot sends, frame by frame, some of them lost."""
+
+    def __init__(self, items: list[MissionItem], given_beforehand: bool = True) -> None:
+        self.book = MissionBook(items) if given_beforehand else MissionBook()
+        self.watch = ArduPilotWatch(self.book)
+        self.t = 100.0
+        self.found: list[Execution] = []
+        self._mav = mavlink.MAVLink(None, 1, 1)
+        self.wait(0.1)
+
+    def send(self, message: Message, lost: bool = False) -> None:
+        frame = message.pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) % 256
+        if not lost:
+            arrived = mavlink.MAVLink(None).parse_char(frame)
+            self.book.handle(self.t, arrived)
+            self.found += self.watch.handle(self.t, arrived)
+
+    def text(self, words: str, lost: bool = False) -> None:
+        self.send(mavlink.MAVLink_statustext_message(6, words.encode(), 0, 0), lost)
+
+    def runs(self, seq: int, name: str | None = None, lost: bool = False) -> None:
+        self.text(f"Mission: {seq} {name or NAMES[self.book.items[seq].command]}", lost)
+
+    def reaches(self, seq: int, lost: bool = False, text_lost: bool = False) -> None:
+        self.send(mavlink.MAVLink_mission_item_reached_message(seq), lost)
+        self.text(f"Reached command #{seq}", text_lost)
+
+    def current(self, seq: int) -> None:
+        self.send(mavlink.MAVLink_mission_current_message(seq, 9))
+
+    def give_book(self, items: list[MissionItem]) -> None:
+        self.send(mavlink.MAVLink_mission_count_message(1, 191, len(items), 0))
+        for one in items:
+            p1, p2, p3, p4, _, _, z = one.params
+            self.send(
+                mavlink.MAVLink_mission_item_int_message(
+                    1, 191, one.seq, one.frame, one.command, 0, 1, p1, p2, p3, p4, 0, 0, z, 0
+                )
+            )
+
+    def wait(self, for_s: float) -> None:
+        for _ in range(round(for_s / TICK_S)):
+            self.t += TICK_S
+            self.found += self.watch.due(self.t)
+
+    def payloads(self) -> list[int | None]:
+        return [execution.seq for execution in self.found if execution.command in PAYLOAD]
+
+
+def test_each_text_is_one_execution_with_its_numbers() -> None:
+    air = Air(PLAN)
+    air.current(2)
+    air.wait(1.0)
+    air.reaches(2)
+    air.runs(3)
+    (found,) = [execution for execution in air.found if execution.command in PAYLOAD]
+    assert (found.seq, found.command, found.params, found.item) == (3, SCRIPT, PLAN[3].params, PLAN[3])
+    # The second item's text comes behind the next waypoint's.
+    air.runs(5)
+    air.wait(0.006)
+    air.runs(4)
+    air.current(5)
+    air.wait(30.0)
+    assert air.payloads() == [3, 4]
+
+
+def test_an_item_that_runs_again_is_told_again() -> None:
+    air = Air(PLAN)
+    for _ in range(3):  # DO_JUMP, or a pilot's choice of the item
+        air.runs(3)
+        air.wait(5.0)
+    air.runs(3)
+    air.runs(3)
+    assert air.payloads() == [3] * 5
+
+
+@pytest.mark.parametrize(
+    "words", ["Mission: 3", "mission: 3 Scripting", "Mission: x Scripting", "A Mission: 3 S"]
+)
+def test_other_texts_are_no_items(words: str) -> None:
+    air = Air(PLAN)
+    air.text(words)
+    air.wait(5.0)
+    assert air.found == []
+
+
+@pytest.mark.parametrize("words", ["Mission: 3 Scripting fn=1", "Mission: 3 Scripting"])
+def test_more_words_behind_the_name_are_allowed(words: str) -> None:
+    air = Air(PLAN)
+    air.text(words)
+    assert air.payloads() == [3]
+
+
+@pytest.mark.parametrize(("reached_lost", "text_lost"), [(False, False), (True, False), (False, True)])
+def test_a_lost_text_is_made_up_for_once(reached_lost: bool, text_lost: bool) -> None:
+    air = Air(PLAN)
+    air.current(2)
+    air.wait(5.0)
+    air.reaches(2, reached_lost, text_lost)
+    air.runs(3, lost=True)
+    air.runs(5)
+    air.runs(4, lost=True)
+    air.current(5)
+    assert air.payloads() == []
+    air.wait(WAIT_FOR_TEXT_S + 0.1)
+    assert air.payloads() == [3, 4]
+    assert air.found[-1].params == PLAN[4].params
+    for _ in range(50):
+        air.current(5)
+        air.wait(0.2)
+    assert air.payloads() == [3, 4]
+
+
+def test_what_was_made_up_for_is_not_made_up_for_again_by_a_jump_to_and_fro() -> None:
+    air = Air(PLAN)
+    air.current(2)
+    air.reaches(2)
+    air.runs(3, lost=True)
+    air.runs(4)
+    air.current(5)
+    air.wait(WAIT_FOR_TEXT_S + 0.1)
+    for seq in (2, 5):
+        air.runs(seq)
+        air.current(seq)
+        air.wait(0.5)
+    air.wait(10.0)
+    assert air.payloads() == [4, 3]
+
+
+def test_only_the_lost_one_of_two_is_made_up_for() -> None:
+    air = Air(PLAN)
+    air.current(2)
+    air.reaches(2)
+    air.runs(3)
+    air.runs(4, lost=True)
+    air.wait(0.2)
+    air.current(5)
+    air.wait(10.0)
+    assert air.payloads() == [3, 4]
+
+
+def test_a_text_that_comes_late_is_not_made_up_for() -> None:
+    air = Air(PLAN)
+    air.current(2)
+    air.reaches(2)
+    air.text("another", lost=True)
+    air.current(5)
+    air.wait(0.9)
+    air.runs(3)
+    air.runs(4)
+    air.wait(10.0)
+    assert air.payloads() == [3, 4]
+
+
+def test_without_a_lost_frame_an_item_that_was_not_told_did_not_run() -> None:
+    air = Air(PLAN)
+    air.current(2)
+    air.reaches(2)
+    air.current(5)
+    air.wait(10.0)
+    assert air.payloads() == []
+
+
+def test_a_jump_runs_nothing_between() -> None:
+    air = Air(PLAN)
+    air.current(2)
+    air.wait(5.0)
+    air.text("lost", lost=True)
+    air.runs(7)
+    air.current(7)
+    air.wait(10.0)
+    assert air.payloads() == []
+
+
+def test_a_jump_right_after_a_waypoint_runs_only_what_the_waypoint_ran() -> None:
+    air = Air(PLAN)
+    air.current(2)
+    air.wait(5.0)
+    air.reaches(2)
+    air.runs(3, lost=True)
+    air.runs(4)
+    air.wait(0.1)
+    air.runs(7)  # the pilot's choice, before MISSION_CURRENT ever said 5
+    air.current(7)
+    air.wait(10.0)
+    assert air.payloads() == [4, 3]
+
+
+def test_a_jump_long_after_a_waypoint_runs_nothing() -> None:
+    air = Air(PLAN)
+    air.current(2)
+    air.reaches(2)
+    air.wait(3.5)
+    air.text("lost", lost=True)
+    air.current(5)
+    air.wait(10.0)
+    assert air.payloads() == []
+
+
+def test_the_second_pass_of_a_loop_is_made_up_for_too() -> None:
+    air = Air(PLAN)
+    for lost in (False, True, True, False):
+        air.current(2)
+        air.wait(20.0)
+        air.reaches(2)
+        air.runs(3, lost=lost)
+        air.runs(4, lost=lost)
+        air.current(5)
+        air.wait(20.0)
+    assert air.payloads() == [3, 4] * 4
+
+
+@pytest.mark.parametrize("conditional", [112, 113, 114, 115, 177, 600, 601])
+def test_items_around_conditions_are_never_guessed(conditional: int) -> None:
+    air = Air(mission(WP, TAKEOFF, WP, SCRIPT, conditional, GRIPPER, WP, LAND))
+    air.current(2)
+    air.reaches(2)
+    air.text("lost", lost=True)
+    air.current(6)
+    air.wait(10.0)
+    assert air.payloads() == []
+
+
+def test_a_book_that_changes_meanwhile_is_not_guessed_from() -> None:
+    air = Air(PLAN, given_beforehand=False)
+    air.give_book(PLAN)
+    air.current(2)
+    air.reaches(2)
+    air.runs(3, lost=True)
+    air.current(5)
+    air.text("Flight plan received")
+    air.give_book(mission(WP, TAKEOFF, WP, WINCH, WINCH, WP, WINCH, WP, LAND))
+    air.wait(10.0)
+    assert air.payloads() == []
+
+
+def test_before_the_book_is_read_an_item_waits_for_it() -> None:
+    air = Air([], given_beforehand=False)
+    air.send(mavlink.MAVLink_mission_count_message(1, 191, len(PLAN), 0))
+    air.runs(3, "Scripting")
+    air.wait(1.0)
+    assert air.found == []
+    air.give_book(PLAN)
+    air.wait(0.1)
+    assert [(e.seq, e.params) for e in air.found] == [(3, PLAN[3].params)]
+    air.wait(10.0)
+    assert air.payloads() == [3]
+
+
+def test_without_a_book_the_kind_is_told_and_the_numbers_are_not() -> None:
+    air = Air([], given_beforehand=False)
+    air.runs(3, "Scripting")
+    air.runs(7, "SetHome")
+    air.wait(WAIT_FOR_BOOK_S + 0.1)
+    assert [(e.command, e.seq, e.item, e.params) for e in air.found] == [(SCRIPT, 3, None, None)]
+
+
+def test_a_name_against_the_book_has_it_read_again() -> None:
+    air = Air([], given_beforehand=False)
+    air.give_book(PLAN)
+    air.runs(3, "Winch")
+    assert air.found == []
+    assert not air.book.fresh
+    air.wait(0.6)
+    assert air.book.requests(air.t, 1)
+    other = mission(WP, TAKEOFF, WP, WINCH, WP, LAND)
+    air.give_book(other)
+    air.wait(0.1)
+    assert [(e.command, e.seq, e.params) for e in air.found] == [(WINCH, 3, other[3].params)]
+    air.wait(10.0)
+    assert air.payloads() == [3]
+
+
+def test_a_waypoints_name_on_a_payload_items_number_runs_no_payload() -> None:
+    air = Air([], given_beforehand=False)
+    air.give_book(PLAN)
+    air.runs(3, "WP")
+    assert not air.book.fresh
+    air.give_book(mission(WP, TAKEOFF, WP, WP, SCRIPT, LAND))
+    air.wait(10.0)
+    assert air.payloads() == []
+
+
+def test_a_name_that_stays_against_the_book_is_told_without_numbers_and_asked_about_once() -> None:
+    air = Air([], given_beforehand=False)
+    air.give_book(PLAN)
+    air.runs(3, "Winch")
+    air.wait(0.6)
+    air.give_book(PLAN)
+    assert air.book.fresh
+    air.wait(5.0)
+    assert air.book.fresh
+    assert [(e.command, e.seq, e.params) for e in air.found] == [(WINCH, 3, None)]
+
+
+def test_a_name_that_nobody_knows_is_believed_when_the_book_confirms_it() -> None:
+    air = Air([], given_beforehand=False)
+    air.give_book(PLAN)
+    air.runs(3, "ScriptMsg")
+    assert air.found == []
+    air.wait(0.6)
+    air.give_book(PLAN)
+    air.wait(5.0)
+    assert air.payloads() == [3]
+
+
+def test_a_given_mission_of_another_flight_lends_no_numbers() -> None:
+    air = Air(PLAN)
+    air.runs(3, "Winch")
+    air.runs(4)
+    air.wait(5.0)
+    assert [(e.command, e.seq, e.params) for e in air.found] == [
+        (GRIPPER, 4, PLAN[4].params),
+        (WINCH, 3, None),
+    ]
+
+
+# A whole flight, with a model of how ArduPilot runs a mission, over a bad link.
+
+
+@dataclass
+class Flight:
+    """The truth, and the frames that tell of it."""
+
+    items: list[MissionItem]
+    dice: random.Random
+    t: float = 0.0
+    executed: list[tuple[float, int]] = field(default_factory=list)
+    frames: list[tuple[float, bytes]] = field(default_factory=list)
+    nav: int = 1
+    told_at: float = -1.0
+
+    def __post_init__(self) -> None:
+        self.mav = mavlink.MAVLink(None, 1, 1)
+
+    def send(self, message: Message) -> None:
+        self.frames.append((self.t, message.pack(self.mav)))
+        self.mav.seq = (self.mav.seq + 1) % 256
+
+    def text(self, words: str) -> None:
+        self.send(mavlink.MAVLink_statustext_message(6, words.encode(), 0, 0))
+
+    def start(self, seq: int) -> None:
+        command = self.items[seq].command
+        if command in PAYLOAD:
+            self.executed.append((self.t, seq))
+        self.text(f"Mission: {seq} {NAMES[command]}")
+
+    def let_pass(self, for_s: float) -> None:
+        end = self.t + for_s
+        while self.t < end:
+            self.t += 0.05
+            if self.t - self.told_at >= 0.2:
+                self.told_at = self.t
+                self.send(mavlink.MAVLink_mission_current_message(self.nav, len(self.items) - 1))
+            self.send(mavlink.MAVLink_attitude_message(int(self.t * 1000), 0, 0, 0, 0, 0, 0))
+
+    def next_nav(self, after: int) -> int | None:
+        return next((one.seq for one in self.items[after:] if one.command in NAV), None)
+
+    def fly(self) -> None:
+        self.start(1)
+        for _ in range(14):
+            self.let_pass(self.dice.uniform(0.3, 8.0))
+            if self.dice.random() < 0.25:
+                self.jump(self.dice.randrange(1, len(self.items)))
+            elif not self.reach():
+                break
+        self.let_pass(6.0)
+
+    def jump(self, to: int) -> None:
+        nav = self.next_nav(to)
+        if nav is None or self.items[to].command in (JUMP, CONDITION_DELAY):
+            return
+        self.go(to, nav)
+
+    def reach(self) -> bool:
+        done, following = self.nav, self.nav + 1
+        if self.items[done].command == LAND:
+            return False
+        self.send(mavlink.MAVLink_mission_item_reached_message(done))
+        if self.items[done].command == WP:
+            self.text(f"Reached command #{done}")
+        while following < len(self.items) and self.items[following].command in PAYLOAD:
+            following += 1
+        if following < len(self.items) and self.items[following].command == JUMP:
+            target = int(self.items[following].params[0])
+            for seq in range(done + 1, following):
+                self.start(seq)
+            self.go(target, target)
+            return True
+        nav = self.next_nav(done + 1)
+        if nav is None:
+            return False
+        self.go(done + 1, nav)
+        return True
+
+    def go(self, first: int, nav: int) -> None:
+        """Run what stands before the waypoint `nav`, whose own text comes behind the first of them."""
+        self.nav = nav
+        acts = [seq for seq in range(first, nav) if self.items[seq].command != JUMP]
+        for seq in acts[:1]:
+            self.start(seq)
+        self.start(nav)
+        for i, seq in enumerate(acts[:1]):
+            if self.items[seq].command == CONDITION_DELAY:
+                if self.dice.random() < 0.5:  # the next waypoint comes first: what waits is dropped
+                    return
+                self.let_pass(1.5)
+            assert i == 0
+        for seq in acts[1:]:
+            if self.items[seq].command == CONDITION_DELAY:
+                if self.dice.random() < 0.5:
+                    return
+                self.let_pass(1.5)
+            self.t += 0.006
+            self.start(seq)
+
+
+def plan(dice: random.Random) -> list[MissionItem]:
+    commands = [WP, TAKEOFF]
+    for _ in range(dice.randrange(2, 6)):
+        commands.append(WP)
+        commands += dice.choices([SCRIPT, GRIPPER, WINCH], k=dice.choice([0, 1, 1, 2, 3]))
+        if dice.random() < 0.2:
+            commands += [CONDITION_DELAY, SCRIPT]
+        elif dice.random() < 0.2:
+            commands.append(JUMP)
+    commands += [WP, LAND]
+    targets = [seq for seq, command in enumerate(commands) if command == WP and seq > 0]
+    return [
+        MissionItem(seq, command, (float(dice.choice(targets)) if command == JUMP else seq, 0, 0, 0, 0, 0, 0))
+        for seq, command in enumerate(commands)
+    ]
+
+
+def received(flight: Flight, loss: float, copies: float, late_s: float) -> list[tuple[float, Message]]:
+    """The flight's messages behind a link that loses, doubles and delays frames."""
+    dice = flight.dice
+    arriving: list[tuple[float, int, bytes]] = []
+    for t, frame in flight.frames:
+        if dice.random() < loss:
+            continue
+        for _ in range(2 if dice.random() < copies else 1):
+            arriving.append((t + dice.uniform(0.0, late_s), len(arriving), frame))
+    codec = Codec(1, 191)
+    return [(t, message) for t, _, frame in sorted(arriving) for message in codec.decode(frame)]
+
+
+def watched(flight: Flight, messages: list[tuple[float, Message]]) -> list[tuple[float, int]]:
+    watch = ArduPilotWatch(MissionBook(flight.items))
+    found, now = [], 0.0
+    for t, message in [*messages, (flight.t + 10.0, None)]:
+        while now < t:
+            found += [(now, execution) for execution in watch.due(now)]
+            now += TICK_S
+        if message is not None:
+            found += [(t, execution) for execution in watch.handle(t, message)]
+    assert all(execution.item is not None for _, execution in found)
+    return [(t, e.seq) for t, e in found if e.command in PAYLOAD and e.seq is not None]
+
+
+@given(
+    seed=st.integers(0, 2**32),
+    loss=st.sampled_from([0.0, 0.02, 0.2, 0.5]),
+    copies=st.sampled_from([0.0, 0.3]),
+    late_s=st.sampled_from([0.0, 0.01, 0.1]),
+)
+@settings(max_examples=150, deadline=None)
+def test_never_an_item_that_did_not_run_and_never_twice(
+    seed: int, loss: float, copies: float, late_s: float
+) -> None:
+    dice = random.Random(seed)
+    flight = Flight(plan(dice), dice)
+    flight.fly()
+    found = watched(flight, received(flight, loss, copies, late_s))
+    open_executions = list(flight.executed)
+    for t, seq in found:
+        fitting = [one for one in open_executions if one[1] == seq and 0.0 <= t - one[0] <= 5.0]
+        assert fitting, f"item {seq} at {t:.2f} did not run then: {flight.executed}"
+        open_executions.remove(fitting[0])
+    if loss == 0.0:
+        assert open_executions == []
+
+
+def test_at_a_common_loss_hardly_an_item_is_missed() -> None:
+    ran, seen = 0, 0
+    for seed in range(60):
+        dice = random.Random(seed)
+        flight = Flight(plan(dice), dice)
+        flight.fly()
+        ran += len(flight.executed)
+        seen += len(watched(flight, received(flight, 0.05, 0.0, 0.0)))
+    assert ran > 250
+    assert seen / ran > 0.94
+
+
+# PX4.
+
+
+def px4(*items: MissionItem, current: int = 0) -> Px4Watch:
+    watch = Px4Watch(MissionBook(list(items)))
+    watch.handle(mavlink.MAVLink_mission_current_message(current))
+    return watch
+
+
+def actuator(seq: int, value: float) -> MissionItem:
+    nan = float("nan")
+    return MissionItem(seq, 187, (value, nan, nan, nan, 0.0, 0.0, 0.0), frame=2)
+
+
+def test_a_command_of_px4_is_the_item_with_its_numbers() -> None:
+    nan = float("nan")
+    watch = px4(actuator(2, 0.5), actuator(4, -0.1))
+    found = watch.execution(187, (-0.10000000149, nan, nan, nan))  # as a float of 32 bits has it
+    assert (found.command, found.seq) == (187, 4)
+    assert found.item is not None
+    assert found.item.seq == 4
+
+
+@pytest.mark.parametrize(("current", "wanted"), [(0, 2), (2, 2), (3, 2), (6, 6), (7, 6), (12, 11)])
+def test_of_equal_items_it_is_the_one_that_the_mission_is_at(current: int, wanted: int) -> None:
+    nan = float("nan")
+    watch = px4(actuator(2, 1.0), actuator(6, 1.0), actuator(11, 1.0), current=current)
+    assert watch.execution(187, (1.0, nan, nan, nan)).seq == wanted
+
+
+def test_a_command_that_the_book_does_not_have_keeps_its_own_numbers() -> None:
+    watch = px4(actuator(2, 0.5))
+    for command, params in [(187, (0.6, 0.0, 0.0, 0.0)), (211, (0.5, 0.0, 0.0, 0.0))]:
+        found = watch.execution(command, params)
+        assert (found.command, found.seq, found.item, found.params) == (command, None, None, params)
+
+
+def test_the_model_flight_really_runs_what_it_should() -> None:
+    counts: Counter[int] = Counter()
+    for seed in range(40):
+        dice = random.Random(seed)
+        flight = Flight(plan(dice), dice)
+        flight.fly()
+        counts.update(Counter(seq for _, seq in flight.executed).values())
+    assert counts[1] > 100
+    assert counts[2] > 10  # loops and jumps run items again

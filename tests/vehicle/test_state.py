@@ -1,0 +1,287 @@
+"""Whom we serve, and what its clock, height and heartbeats tell."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.state import (
+    ALTITUDE_FRESH_S,
+    Ambiguous,
+    Found,
+    Rebooted,
+    VehicleEvent,
+    VehicleState,
+)
+
+QUADROTOR, ARDUPILOT, PX4 = 2, 3, 12
+ARMED = 0x80
+
+
+def sent(message: Message, system_id: int = 1, component_id: int = 1) -> Message:
+    """The message as the other side of a link has it."""
+    frame = message.pack(mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id))
+    return mavlink.MAVLink(None).parse_char(frame)
+
+
+def heartbeat(
+    system_id: int = 1,
+    component_id: int = 1,
+    vehicle_type: int = QUADROTOR,
+    autopilot: int = ARDUPILOT,
+    base_mode: int = 0,
+    custom_mode: int = 0,
+) -> Message:
+    message = mavlink.MAVLink_heartbeat_message(vehicle_type, autopilot, base_mode, custom_mode, 4, 3)
+    return sent(message, system_id, component_id)
+
+
+def clock(time_boot_ms: int) -> Message:
+    return sent(mavlink.MAVLink_system_time_message(0, time_boot_ms))
+
+
+def position(time_boot_ms: int, height_m: float) -> Message:
+    return sent(
+        mavlink.MAVLink_global_position_int_message(time_boot_ms, 0, 0, 0, int(height_m * 1000), 0, 0, 0, 0)
+    )
+
+
+def text(words: str) -> Message:
+    return sent(mavlink.MAVLink_statustext_message(6, words.encode(), 0, 0))
+
+
+def found() -> VehicleState:
+    state = VehicleState()
+    assert state.handle(0.0, heartbeat()) == [Found(1)]
+    return state
+
+
+OTHERS = {
+    "ground station": heartbeat(255, 190, 6, 8),
+    "ground station with id 1": heartbeat(255, 1, 6, 8),
+    "ground station that says it is an autopilot": heartbeat(255, 1, 6, ARDUPILOT),
+    "gimbal": heartbeat(1, 154, 26, 8),
+    "gimbal in the autopilot's place": heartbeat(7, 1, 26, 8),
+    "camera": heartbeat(1, 100, 30, 8),
+    "onboard computer": heartbeat(1, 191, 18, 8),
+    "onboard computer of another system": heartbeat(9, 1, 18, 8),
+    "ADS-B receiver": heartbeat(3, 156, 27, 8),
+    "ADS-B receiver in the autopilot's place": heartbeat(3, 1, 27, 0),
+    "antenna tracker with an ArduPilot": heartbeat(2, 1, mavlink.MAV_TYPE_ANTENNA_TRACKER, ARDUPILOT),
+    "autopilot's second component": heartbeat(4, 2, QUADROTOR, ARDUPILOT),
+    "system 0": heartbeat(0, 1),
+}
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_only_an_autopilot_is_served(other: str) -> None:
+    state = VehicleState()
+    assert state.handle(0.0, OTHERS[other]) == []
+    assert not state.found
+    assert state.handle(0.5, heartbeat(5)) == [Found(5)]
+    assert state.handle(1.0, OTHERS[other]) == []
+    assert state.system_id == 5
+    assert state.kind == "ardupilot"
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_nobody_else_says_that_the_vehicle_is_armed(other: str) -> None:
+    state = VehicleState()
+    state.handle(0.0, heartbeat(1, base_mode=ARMED))
+    theirs = OTHERS[other]
+    state.handle(1.0, theirs)
+    assert state.armed
+    assert state.heartbeat_at == 0.0
+
+
+def test_a_false_autopilot_in_our_autopilots_own_place_changes_nothing() -> None:
+    state = VehicleState()
+    state.handle(0.0, heartbeat(1, base_mode=ARMED))
+    state.handle(1.0, heartbeat(1, 1, 18, 8))
+    assert (state.armed, state.kind, state.heartbeat_at) == (True, "ardupilot", 0.0)
+
+
+def test_messages_before_the_first_heartbeat_are_nobodys() -> None:
+    state = VehicleState()
+    assert state.handle(0.0, position(5000, 30.0)) == []
+    assert state.altitude_m(0.0) is None
+
+
+@pytest.mark.parametrize("later_s", [0.0, 1.0, 2.0])
+def test_two_autopilots_at_once_are_both_left_alone(later_s: float) -> None:
+    state = VehicleState()
+    state.handle(0.0, heartbeat(1, base_mode=ARMED))
+    assert state.handle(later_s, heartbeat(2)) == [Ambiguous((1, 2))]
+    for t in (later_s + 0.1, later_s + 1.0, later_s + 60.0):
+        assert state.handle(t, heartbeat(1, base_mode=ARMED)) == []
+        assert state.handle(t, heartbeat(2)) == []
+        assert state.handle(t, position(9000, 20.0)) == []
+        assert not state.found
+        assert not state.armed
+        assert not state.is_ours(heartbeat(1))
+
+
+def test_a_second_vehicle_that_comes_later_is_passed_over() -> None:
+    state = found()
+    for t in (2.1, 10.0, 11.0):
+        assert state.handle(t, heartbeat(2, base_mode=ARMED)) == []
+    assert (state.system_id, state.armed) == (1, False)
+
+
+def test_the_configured_vehicle_is_served_among_others() -> None:
+    state = VehicleState(system_id=7)
+    assert state.handle(0.0, heartbeat(1)) == []
+    assert not state.found
+    assert state.handle(0.1, heartbeat(7)) == [Found(7)]
+    assert state.handle(0.2, heartbeat(1)) == []
+    assert state.handle(0.3, heartbeat(7)) == []
+    assert state.system_id == 7
+
+
+def test_armed_and_mode_are_the_autopilots_words() -> None:
+    state = VehicleState()
+    state.handle(0.0, heartbeat(base_mode=ARMED, custom_mode=3))
+    assert (state.armed, state.mode) == (True, "AUTO")
+    state.handle(1.0, heartbeat(custom_mode=77))
+    assert (state.armed, state.mode) == (False, "MODE 77")
+    px4 = VehicleState()
+    px4.handle(0.0, heartbeat(autopilot=PX4, base_mode=ARMED, custom_mode=4 << 16 | 4 << 24))
+    assert (px4.kind, px4.mode) == ("px4", "AUTO.MISSION")
+
+
+def test_height_is_known_only_while_it_is_fresh() -> None:
+    state = found()
+    assert state.altitude_m(0.0) is None
+    state.handle(1.0, position(1000, 12.5))
+    assert state.altitude_m(1.0 + ALTITUDE_FRESH_S) == 12.5
+    assert state.altitude_m(1.01 + ALTITUDE_FRESH_S) is None
+    state.handle(9.0, position(9000, -0.5))
+    assert state.altitude_m(9.0) == -0.5
+
+
+@pytest.mark.parametrize("sign", [text("ArduPilot Ready"), clock(1200)])
+def test_the_height_before_a_reboot_is_no_height_after_it(sign: Message) -> None:
+    state = found()
+    state.handle(10.0, position(90_000, 30.0))
+    assert state.handle(11.5, sign) == [Rebooted()]
+    assert state.altitude_m(11.5) is None
+
+
+def test_a_reboot_is_seen_by_the_clock_once() -> None:
+    state = found()
+    seen: list[VehicleEvent] = []
+    for i in range(20):
+        seen += state.handle(i, clock(60_000 + 1000 * i))
+    for i in range(20, 40):
+        seen += state.handle(i, clock(1000 * (i - 17)))
+    assert seen == [Rebooted()]
+    assert state.time_boot_ms(40.0) == pytest.approx(23_000, abs=20)
+
+
+@pytest.mark.parametrize(
+    ("up_s", "silent_s"),
+    [
+        (3.0, 3.0),
+        (3.0, 30.0),
+        (8.0, 30.0),
+        (30.0, 300.0),
+        (100.0, 3.0),
+        (100.0, 300.0),
+        (1e5, 3.0),
+        (1e5, 300.0),
+    ],
+)
+def test_a_reboot_behind_a_silence_is_seen(up_s: float, silent_s: float) -> None:
+    state = found()
+    state.handle(0.0, clock(int(up_s * 1000)))
+    assert state.handle(silent_s, clock(int((silent_s - 1.3) * 1000))) == [Rebooted()]
+
+
+def test_a_silence_without_a_reboot_is_none() -> None:
+    state = found()
+    state.handle(0.0, clock(5000))
+    assert state.handle(500.0, clock(505_000)) == []
+
+
+def test_ready_is_a_reboot_of_an_autopilot_that_was_up() -> None:
+    state = found()
+    assert state.handle(0.1, text("ArduPilot Ready")) == []
+    state.handle(0.2, clock(100_000))
+    assert state.handle(5.0, text("ArduPilot Ready")) == [Rebooted()]
+    # The same reboot is not told again: neither by a second text nor by the clock when its stream returns.
+    assert state.handle(5.1, text("ArduPilot Ready")) == []
+    assert state.time_boot_ms(6.0) == 0
+    assert state.handle(15.0, clock(11_000)) == []
+    assert state.time_boot_ms(16.0) == 12_000
+
+
+def test_the_first_ready_after_power_up_is_no_reboot() -> None:
+    state = found()
+    state.handle(1.0, clock(1000))
+    assert state.handle(3.0, text("ArduPilot Ready")) == []
+
+
+def test_a_ready_of_somebody_else_is_not_ours() -> None:
+    state = found()
+    state.handle(0.0, clock(100_000))
+    words = mavlink.MAVLink_statustext_message(6, b"ArduPilot Ready", 0, 0)
+    assert state.handle(1.0, sent(words, system_id=2)) == []
+
+
+@given(
+    delays_s=st.lists(st.floats(0.0, 1.9), min_size=2, max_size=60),
+    up_s=st.floats(0.0, 4_000_000.0),
+    period_s=st.floats(0.02, 1.0),
+)
+@settings(max_examples=200, deadline=None)
+def test_delays_of_a_link_are_no_reboot(delays_s: list[float], up_s: float, period_s: float) -> None:
+    state = found()
+    arrives_at = 0.0
+    for i, delay_s in enumerate(delays_s):
+        at_s = i * period_s
+        arrives_at = max(arrives_at, at_s + delay_s)  # what overtakes is tried below
+        assert state.handle(arrives_at, clock(int((up_s + at_s) * 1000))) == []
+        ours_ms = state.time_boot_ms(arrives_at)
+        assert (up_s + arrives_at) * 1000 - 2000 <= ours_ms <= (up_s + arrives_at) * 1000 + 1
+
+
+def test_a_link_that_stalls_and_then_delivers_everything_is_no_reboot() -> None:
+    state = found()
+    for i in range(100):
+        state.handle(i * 0.2, clock(100_000 + i * 200))
+    for i in range(100, 150):
+        assert state.handle(30.0 + i * 0.001, clock(100_000 + i * 200)) == []
+
+
+def test_frames_that_overtook_each_other_are_no_reboot() -> None:
+    state = found()
+    for i in range(0, 200, 2):
+        assert state.handle(i * 0.2, clock(500_000 + (i + 1) * 200)) == []
+        assert state.handle(i * 0.2 + 0.01, clock(500_000 + i * 200)) == []
+
+
+@pytest.mark.parametrize("pace", [1.0 - 1e-4, 1.0 + 1e-4])
+def test_clocks_of_different_pace_are_no_reboot_in_a_week(pace: float) -> None:
+    state = found()
+    for minute in range(7 * 24 * 60):
+        t = minute * 60.0
+        assert state.handle(t, clock(int(t * pace * 1000))) == []
+        assert state.time_boot_ms(t) == pytest.approx(t * pace * 1000, abs=100)
+
+
+def test_the_clock_wraps_after_fifty_days_without_a_reboot() -> None:
+    state = found()
+    start_ms = 2**32 - 5000
+    for i in range(100):
+        time_boot_ms = (start_ms + 200 * i) % 2**32
+        assert state.handle(0.2 * i, clock(time_boot_ms)) == []
+        assert abs(state.time_boot_ms(0.2 * i) - time_boot_ms) <= 20
+
+
+def test_a_reboot_after_forty_days_is_no_wrap() -> None:
+    state = found()
+    state.handle(0.0, clock(40 * 24 * 3600 * 1000))
+    assert state.handle(5.0, clock(2000)) == [Rebooted()]

@@ -1,0 +1,125 @@
+"""Streams: asked for one by one, again where they stay away, and named when they never come."""
+
+from __future__ import annotations
+
+import itertools
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.streams import ASK_AGAIN_S, ASK_SPACING_S, MISSING_AFTER_S, Streams
+
+WANTED_HZ = {65: 20.0, 1: 10.0, 33: 5.0, 42: 5.0, 2: 1.0}
+TICK_S = 0.02
+
+MESSAGES = {
+    65: mavlink.MAVLink_rc_channels_message(0, 16, *(18 * [1500]), 255),
+    1: mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, -1, -1, 0, 0, 0, 0, 0, 0),
+    33: mavlink.MAVLink_global_position_int_message(0, 0, 0, 0, 0, 0, 0, 0, 0),
+    42: mavlink.MAVLink_mission_current_message(0),
+    2: mavlink.MAVLink_system_time_message(0, 0),
+}
+
+
+class Autopilot:
+    """Ticks a `Streams`; sends what it was asked for, unless it is deaf to that message."""
+
+    def __init__(self, deaf_to: set[int] | None = None) -> None:
+        self.streams = Streams(20.0)
+        self.deaf_to = deaf_to or set()
+        self.asked: list[tuple[float, int]] = []
+        self.granted: set[int] = set()
+        self.ticks = 0
+
+    @property
+    def now_s(self) -> float:
+        return self.ticks * TICK_S
+
+    def run(self, for_s: float) -> list[tuple[float, int]]:
+        """What is asked meanwhile: (time, message id)."""
+        before = len(self.asked)
+        for _ in range(round(for_s / TICK_S)):
+            for request in self.streams.requests(self.now_s, 7):
+                self.take(request)
+            for message_id in self.granted:
+                if self.ticks % round(1 / WANTED_HZ[message_id] / TICK_S) == 0:
+                    self.streams.handle(self.now_s, MESSAGES[message_id])
+            self.ticks += 1
+        return self.asked[before:]
+
+    def take(self, request: Message) -> None:
+        assert (request.command, request.target_system, request.target_component) == (511, 7, 1)
+        message_id = int(request.param1)
+        assert 1e6 / request.param2 == WANTED_HZ[message_id]
+        self.asked.append((self.now_s, message_id))
+        if message_id not in self.deaf_to:
+            self.granted.add(message_id)
+
+
+def test_each_is_asked_for_once_and_apart_from_the_others() -> None:
+    autopilot = Autopilot()
+    asked = autopilot.run(60.0)
+    assert sorted(message_id for _, message_id in asked) == sorted(WANTED_HZ)
+    times_s = [t for t, _ in asked]
+    assert all(b - a >= ASK_SPACING_S - 1e-9 for a, b in itertools.pairwise(times_s))
+    assert times_s[-1] < 1.0
+    assert asked[0][1] == 65
+    assert autopilot.streams.missing(60.0) == []
+
+
+def test_never_more_than_one_request_at_a_time() -> None:
+    streams = Streams(20.0)
+    assert all(len(streams.requests(i * 0.001, 1)) <= 1 for i in range(20_000))
+
+
+def test_what_stays_silent_is_asked_for_again_and_named() -> None:
+    autopilot = Autopilot(deaf_to={1, 42})
+    asked = autopilot.run(30.0)
+    for silent in (1, 42):
+        times_s = [t for t, message_id in asked if message_id == silent]
+        assert 8 <= len(times_s) <= 11
+        assert all(b - a >= ASK_AGAIN_S - 1e-9 for a, b in itertools.pairwise(times_s))
+    assert [message_id for _, message_id in asked].count(65) == 1
+    # A switch or a mission may be absent; armed, health and height may not.
+    assert autopilot.streams.missing(autopilot.now_s) == ["SYS_STATUS"]
+
+
+def test_missing_is_said_in_time_and_taken_back() -> None:
+    autopilot = Autopilot(deaf_to={33})
+    autopilot.run(MISSING_AFTER_S - 0.5)
+    assert autopilot.streams.missing(autopilot.now_s) == []
+    autopilot.run(1.5)
+    assert autopilot.streams.missing(autopilot.now_s) == ["GLOBAL_POSITION_INT"]
+    autopilot.deaf_to = set()
+    autopilot.run(4.0)
+    assert autopilot.streams.missing(autopilot.now_s) == []
+
+
+def test_a_stream_that_stops_is_asked_for_again() -> None:
+    autopilot = Autopilot()
+    autopilot.run(10.0)
+    autopilot.granted.remove(33)
+    again = autopilot.run(4.0)
+    assert [message_id for _, message_id in again] == [33]
+    assert again[0][0] < 10.0 + 2.1
+    assert autopilot.run(20.0) == []
+
+
+def test_a_slow_stream_is_not_silent_between_its_messages() -> None:
+    autopilot = Autopilot()
+    autopilot.run(30.0)
+    assert [message_id for _, message_id in autopilot.asked].count(2) == 1
+
+
+def test_after_a_reboot_everything_is_asked_for_at_once() -> None:
+    autopilot = Autopilot()
+    autopilot.run(10.0)
+    autopilot.granted.clear()
+    autopilot.streams.forget()
+    asked = autopilot.run(1.0)
+    assert sorted(message_id for _, message_id in asked) == sorted(WANTED_HZ)
+    assert autopilot.streams.missing(autopilot.now_s) == []
+
+
+def test_nothing_is_missing_before_it_was_asked_for() -> None:
+    assert Streams(20.0).missing(1000.0) == []
