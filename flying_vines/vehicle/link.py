@@ -44,16 +44,33 @@ def open_link(address: Address, on_bytes: OnBytes, on_state: OnState) -> Link:
     return UdpLink(address, on_bytes, on_state)
 
 
-class UdpLink(asyncio.DatagramProtocol):
-    """UDP: `udpout` sends to one address, `udpin` listens and answers those that it heard lately."""
+class _NetworkLink:
+    """What the network's links share: where they go, and telling each change once."""
 
     def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
         self._address = address
         self._on_bytes = on_bytes
         self._on_state = on_state
+        self._why_down = ""
+
+    def _up(self) -> None:
+        self._why_down = ""
+        self._on_state(True, "")
+
+    def _down(self, reason: str) -> None:
+        why = f"{self._address.kind}:{self._address.host}:{self._address.port}: {reason}"
+        if why != self._why_down:
+            self._why_down = why
+            self._on_state(False, why)
+
+
+class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
+    """UDP: `udpout` sends to one address, `udpin` listens and answers those that it heard lately."""
+
+    def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
+        super().__init__(address, on_bytes, on_state)
         self._transport: asyncio.DatagramTransport | None = None
         self._peers: dict[tuple[str, int], float] = {}
-        self._why_down = ""
 
     async def run(self) -> None:
         loop = asyncio.get_running_loop()
@@ -67,22 +84,16 @@ class UdpLink(asyncio.DatagramProtocol):
                     remote_addr=None if listening else here,
                 )
             except (OSError, UnicodeError) as error:
-                self._down(f"{self._address.kind}:{here[0]}:{here[1]}: {_reason(error)}")
+                self._down(_reason(error))
                 await asyncio.sleep(RETRY_S)
                 continue
             self._transport = transport
-            self._why_down = ""
-            self._on_state(True, "")
+            self._up()
             try:
                 await loop.create_future()
             finally:
                 self._transport = None
                 transport.close()
-
-    def _down(self, why: str) -> None:
-        if why != self._why_down:
-            self._why_down = why
-            self._on_state(False, why)
 
     def write(self, data: bytes) -> bool:
         if self._transport is None:
@@ -108,16 +119,13 @@ class UdpLink(asyncio.DatagramProtocol):
         """Nobody listens on the other side yet: what is sent next may arrive."""
 
 
-class TcpLink(asyncio.Protocol):
+class TcpLink(_NetworkLink, asyncio.Protocol):
     """A TCP client."""
 
     def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
-        self._address = address
-        self._on_bytes = on_bytes
-        self._on_state = on_state
+        super().__init__(address, on_bytes, on_state)
         self._transport: asyncio.Transport | None = None
         self._lost: asyncio.Future[None] | None = None
-        self._why_down = ""
 
     async def run(self) -> None:
         loop = asyncio.get_running_loop()
@@ -127,24 +135,18 @@ class TcpLink(asyncio.Protocol):
             try:
                 transport, _ = await loop.create_connection(lambda: self, host, port)
             except (OSError, UnicodeError) as error:
-                self._down(f"tcp:{host}:{port}: {_reason(error)}")
+                self._down(_reason(error))
                 await asyncio.sleep(RETRY_S)
                 continue
             self._transport = transport
-            self._why_down = ""
-            self._on_state(True, "")
+            self._up()
             try:
                 await self._lost
             finally:
                 self._transport = None
                 transport.abort()
-            self._down(f"tcp:{host}:{port}: the connection was closed")
+            self._down("the connection was closed")
             await asyncio.sleep(RETRY_S)
-
-    def _down(self, why: str) -> None:
-        if why != self._why_down:
-            self._why_down = why
-            self._on_state(False, why)
 
     def write(self, data: bytes) -> bool:
         if self._transport is None or self._transport.get_write_buffer_size() > MAX_QUEUED_BYTES:
