@@ -357,7 +357,7 @@ class Core:
         if cycles.expected < threshold and not self._low_told:
             self._low_told = True
             pressure = self._reservoir.reservoir_kPa
-            left = f"{cycles.expected:.0f} cycles left"
+            left = f"{cycles.expected:.0f} cycles left ({cycles.low:.0f}-{cycles.high:.0f})"
             self._notice(t, Severity.WARNING, f"bottle low, {pressure:.0f} kPa, {left}")
         elif cycles.expected > 1.5 * threshold + 1:
             self._low_told = False
