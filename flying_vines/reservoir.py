@@ -1,11 +1,8 @@
 """How much air is left and how many cycles it buys.
 
-The paper's equation for n_cycles is the starting point:
-
-    n = 1/2 (P_r / V_cv - R_v dP/dt / alpha) V_r / dP
-
-It takes the CV as rigid and the Venturi as costing as much as the inflation. A flat pouch needs several times
-as much air, so what a cycle really costs is measured in use, as a multiple of the paper's cost.
+The paper's equation for n_cycles (Eq. 8) is the starting point. It takes the CV as rigid and the Venturi as
+costing as much as the inflation. A flat pouch needs several times as much air, so what a cycle really costs
+is measured in use, as a multiple of the paper's cost.
 """
 
 from __future__ import annotations
@@ -14,9 +11,7 @@ import math
 from dataclasses import dataclass
 
 from flying_vines.config import Pneumatics
-
-STANDARD_PRESSURE_KPA = 101.325
-"""alpha = rho R_u T / M at standard conditions."""
+from flying_vines.pneumatics import paper
 
 PRIOR_COST = 2.2
 PRIOR_COST_SD = 1.4
@@ -33,20 +28,26 @@ REFILL_KPA = 15.0
 Z90 = 1.645
 
 
-def n_cycles(pneumatics: Pneumatics, reservoir_kPa: float) -> float:
-    """Cycles left by the paper's equation (n_cycles), for gauge reservoir pressure; not below 0."""
-    p = pneumatics
-    usable_kPa = reservoir_kPa - floor_kPa(p, p.cycle_rate_kPa_per_s)
-    return max(0.0, usable_kPa / _paper_cost_kPa(p))
+def n_cycles(p: Pneumatics, reservoir_kPa: float) -> float:
+    """Cycles left by the paper's equation, for gauge reservoir pressure; not below 0."""
+    by_paper = paper.n_cycles(
+        reservoir_kPa,
+        reservoir_volume_L=p.reservoir_volume_L,
+        cv_volume_L=p.cv_volume_L,
+        swing_kPa=p.cycle_swing_kPa,
+        rate_kPa_per_s=p.cycle_rate_kPa_per_s,
+        flow_resistance_kPa_s_per_SL=p.evp_flow_resistance_kPa_s_per_SL,
+    )
+    return max(0.0, by_paper)
 
 
-def floor_kPa(pneumatics: Pneumatics, rate_kPa_per_s: float) -> float:
-    """Below this gauge pressure the reservoir no longer fills a CV at `rate_kPa_per_s` (paper, Eq. 4)."""
-    p = pneumatics
-    return p.evp_flow_resistance_kPa_s_per_SL * p.cv_volume_L * rate_kPa_per_s / STANDARD_PRESSURE_KPA
+def floor_kPa(p: Pneumatics, rate_kPa_per_s: float) -> float:
+    """Below this gauge pressure the reservoir no longer fills a CV at `rate_kPa_per_s`."""
+    return paper.least_reservoir_kPa(rate_kPa_per_s, p.evp_flow_resistance_kPa_s_per_SL, p.cv_volume_L)
 
 
 def _paper_cost_kPa(p: Pneumatics) -> float:
+    """What the paper's equation takes a cycle to cost: the rigid CV's air, and as much for the Venturi."""
     return 2.0 * p.cv_volume_L * p.cycle_swing_kPa / p.reservoir_volume_L
 
 
