@@ -177,6 +177,10 @@ COMMAND_OF_NAME = {
 NAMED_COMMANDS = set(COMMAND_OF_NAME.values())
 
 WAIT_FOR_BOOK_S = 2.5
+WAIT_FOR_SCRIPT_S = 0.1
+SAME_SCRIPT_ITEM_S = 0.5
+"""A script on the autopilot was seen to hand an item's numbers over 5 to 17 ms after the item's text."""
+SCRIPT_MESSAGE = 217
 WAIT_FOR_TEXT_S = 1.0
 PROGRESS_AFTER_REACHED_S = 3.0
 """MISSION_CURRENT comes at 1 Hz or faster: a later change is somebody's jump, not the waypoint's end."""
@@ -190,7 +194,8 @@ class ArduPilotWatch:
 
     Each text is one execution (copies of a frame are dropped before). An item whose text never came counts as
     run when the waypoint before it was reached, the mission moved past it, frames were lost on the way, and
-    nothing between is conditional.
+    nothing between is conditional. A script message that a script on the autopilot hands over as a command
+    as well is one execution, whichever of the two comes first.
     """
 
     def __init__(self, book: MissionBook) -> None:
@@ -202,6 +207,19 @@ class ArduPilotWatch:
         self._last_sequence: int | None = None
         self._lost_at = -math.inf
         self._suspected: list[tuple[float, float, MissionItem]] = []
+        self._run: list[tuple[float, tuple[float, ...]]] = []
+        self._handed: list[tuple[float, tuple[float, ...]]] = []
+
+    def handed_over(self, t: float, params: tuple[float, ...]) -> Execution | None:
+        """A script message's numbers, from a script on the autopilot; None when that item has run already."""
+        for entry in self._waiting:
+            if entry[2] == "Scripting":
+                self._waiting.remove(entry)
+                return Execution(SCRIPT_MESSAGE, entry[1], None, params)
+        if _take(self._run, t, params):
+            return None
+        self._handed.append((t, params))
+        return Execution(SCRIPT_MESSAGE, None, None, params)
 
     def handle(self, t: float, message: Message) -> list[Execution]:
         kind = message.get_type()
@@ -250,15 +268,25 @@ class ArduPilotWatch:
             fits = item is not None and self._book.fresh and _fits(name, item.command, read_since)
             if item is not None and self._book.fresh and not fits and t == told_at:
                 self._book.doubt(t)
+            if name == "Scripting" and _take(self._handed, t, item.params if item and fits else None):
+                continue
             if item is not None and fits:
+                if item.command == SCRIPT_MESSAGE:
+                    self._run.append((t, item.params))
                 executions.append(Execution(item.command, seq, item, item.params))
-            elif t - told_at < (WAIT_FOR_BOOK_S if self._book.items or self._book.arriving else 0.0):
+            elif t - told_at < self._patience_s(name):
                 still.append((told_at, seq, name))
             elif expected is not None:
                 executions.append(Execution(expected, seq, None, None))
         self._waiting = still
         executions.extend(self._from_progress(t))
         return executions
+
+    def _patience_s(self, name: str) -> float:
+        """How long an item may wait for its numbers."""
+        if self._book.items or self._book.arriving:
+            return WAIT_FOR_BOOK_S
+        return WAIT_FOR_SCRIPT_S if name == "Scripting" else 0.0
 
     def _from_progress(self, t: float) -> list[Execution]:
         due = [entry for entry in self._suspected if t - entry[0] >= WAIT_FOR_TEXT_S]
@@ -273,6 +301,16 @@ class ArduPilotWatch:
                 self._told[item.seq] = t
                 executions.append(Execution(item.command, item.seq, item, item.params))
         return executions
+
+
+def _take(seen: list[tuple[float, tuple[float, ...]]], t: float, params: tuple[float, ...] | None) -> bool:
+    """Whether these numbers (None: any) were seen just now; if so, they are used up."""
+    seen[:] = [entry for entry in seen if t - entry[0] <= SAME_SCRIPT_ITEM_S]
+    for entry in seen:
+        if params is None or _same(entry[1][:4], params[:4]):
+            seen.remove(entry)
+            return True
+    return False
 
 
 def _is_nav(command: int) -> bool:

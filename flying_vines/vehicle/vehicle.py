@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from flying_vines.config import Config
+from flying_vines.config import CARRIERS, Config
 from flying_vines.intent import Vent
 from flying_vines.notice import Notice, Severity
 from flying_vines.vehicle.codec import Message
@@ -57,7 +57,8 @@ class Vehicle:
         kind = message.get_type()
         if kind in ("COMMAND_LONG", "COMMAND_INT") and self.state.found:
             px4 = None if self.state.kind == "ardupilot" else self._px4
-            out.extend(self._commands.handle(t, message, self.state.system_id, from_autopilot, px4))
+            found = self._commands.handle(t, message, self.state.system_id, from_autopilot, px4)
+            out.extend(answer for output in found for answer in self._once(t, output))
         if from_autopilot:
             self._streams.handle(t, message)
             self.rc.handle(t, message)
@@ -117,6 +118,19 @@ class Vehicle:
             Notice(t, Severity.WARNING, "Vine: autopilot rebooted, vented"),
             Trigger(t, "link", {"event": "autopilot rebooted"}, Vent()),
         ]
+
+    def _once(self, t: float, output: Trigger | Message) -> list[Output]:
+        """Of an item that a script on ArduPilot hands over and that is told by text as well, only one."""
+        if not isinstance(output, Trigger) or output.command is None or self.state.kind != "ardupilot":
+            return [output]
+        if output.kind != "mission_item" or output.command.command != CARRIERS["user_1"]:
+            return [output]
+        command = output.command
+        params = (command.param1, command.param2, command.param3, command.param4)
+        execution = self._ardupilot.handed_over(t, params)
+        if execution is None:
+            return list(self._commands.acknowledge(output, True))
+        return [self._rules.item_trigger(t, execution, command)]
 
     def _sample_switch(self, t: float) -> list[Output]:
         if self.rc.problem(t) is not None:
