@@ -1,0 +1,116 @@
+"""What is read of a true pressure: lag, offset, gain, noise, range, converter, in this order.
+
+    dx/dt = (P − x) / τ        reading = gain · (x + offset) + noise, clipped to the range, in the converter's
+    steps
+
+A pure function of the true pressure, the noise, and one remembered pair; the plant knows nothing of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, floor
+from typing import NamedTuple
+
+
+@dataclass(frozen=True)
+class Adc:
+    """A converter behind a ratiometric sensor: 10 … 90 % of its supply over the span, from 0 kPa on.
+
+    code = round(V · divider / reference · 2^bits), at most 2^bits − 1; without a divider the Teensy LC's 3.3
+    V end below the sensor's 4.5 V: 145 kPa of 206.8, 1050 of 1500.
+    """
+
+    bits: int = 10
+    reference_V: float = 3.3
+    divider: float = 1.0
+    zero_V: float = 0.5
+    span_V: float = 4.0
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.bits <= 24 and self.reference_V > 0.0 and self.divider > 0.0 and self.span_V > 0.0):
+            raise ValueError("a converter has 1 to 24 bits, a reference, a divider and a span above nothing")
+
+    def step_kPa(self, span_kPa: float) -> float:
+        """Pressure per code."""
+        return self.reference_V / self.divider / self.span_V * span_kPa / float(1 << self.bits)
+
+    def code(self, pressure_kPa: float, span_kPa: float) -> int:
+        """What the converter says."""
+        volts = self.zero_V + self.span_V * pressure_kPa / span_kPa
+        code = floor(volts * self.divider / self.reference_V * float(1 << self.bits) + 0.5)
+        return min((1 << self.bits) - 1, max(0, code))
+
+    def pressure_kPa(self, code: int, span_kPa: float) -> float:
+        """What the firmware makes of a code."""
+        volts = code / float(1 << self.bits) * self.reference_V / self.divider
+        return (volts - self.zero_V) / self.span_V * span_kPa
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A gauge pressure sensor; as it stands it is perfect.
+
+    `span_kPa` is 10 … 90 % of its output; it follows the pressure over `lowest_share` … `highest_share` of
+    that.
+    """
+
+    span_kPa: float = 206.84
+    noise_std_kPa: float = 0.0
+    offset_kPa: float = 0.0
+    gain: float = 1.0
+    time_constant_s: float = 0.0
+    lowest_share: float | None = None
+    highest_share: float | None = None
+    adc: Adc | None = None
+
+    def __post_init__(self) -> None:
+        if not (self.span_kPa > 0.0 and self.noise_std_kPa >= 0.0 and self.time_constant_s >= 0.0):
+            raise ValueError("a sensor's span is positive, its noise and lag are not negative")
+
+
+HONEYWELL_30PSI = Sensor(
+    206.84, noise_std_kPa=0.15, time_constant_s=0.001, lowest_share=-0.09375, highest_share=1.09375
+)
+"""ABPDANN030PGAA5. Lag as its update time, ends at 2.5 and 97.5 % of the supply: assumptions."""
+HONEYWELL_15BAR = Sensor(
+    1500.0, noise_std_kPa=1.2, time_constant_s=0.001, lowest_share=-0.09375, highest_share=1.09375
+)
+"""ABPDANN015BGAA5, likewise."""
+
+
+class Seen(NamedTuple):
+    """What a sensor remembers: the true pressure at the last reading, and where its lag is. kPa."""
+
+    true_kPa: float
+    lagged_kPa: float
+
+
+def rested(true_kPa: float) -> Seen:
+    """A sensor that has seen this pressure for long."""
+    return Seen(true_kPa, true_kPa)
+
+
+def read(
+    sensor: Sensor, seen: Seen, true_kPa: float, dt_s: float, standard_normal: float = 0.0
+) -> tuple[Seen, float]:
+    """The reading `dt_s` after the last one, and what to remember; the noise is given, for repeatability.
+
+    The lag is exact for a pressure that went straight from the last reading's to this one's.
+    """
+    lagged_kPa = true_kPa
+    tau_s = sensor.time_constant_s
+    if tau_s > 0.0:
+        lagged_kPa = seen.lagged_kPa
+        if dt_s > 0.0:
+            behind_kPa = tau_s * (true_kPa - seen.true_kPa) / dt_s
+            left = exp(-dt_s / tau_s)
+            lagged_kPa = true_kPa - behind_kPa + (seen.lagged_kPa - seen.true_kPa + behind_kPa) * left
+    reading = sensor.gain * (lagged_kPa + sensor.offset_kPa) + sensor.noise_std_kPa * standard_normal
+    if sensor.lowest_share is not None:
+        reading = max(sensor.lowest_share * sensor.span_kPa, reading)
+    if sensor.highest_share is not None:
+        reading = min(sensor.highest_share * sensor.span_kPa, reading)
+    if sensor.adc is not None:
+        reading = sensor.adc.pressure_kPa(sensor.adc.code(reading, sensor.span_kPa), sensor.span_kPa)
+    return Seen(true_kPa, lagged_kPa), reading
