@@ -11,6 +11,7 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, NoReturn
 
 from flying_vines import config as configuration
@@ -83,6 +84,20 @@ def _parser() -> argparse.ArgumentParser:
     paper.add_argument("--out", type=Path, metavar="DIR", help="draw the figures there")
     paper.add_argument("--json", action="store_true", help="one object instead of a table")
     paper.set_defaults(run=_paper)
+
+    simulate = commands.add_parser("simulate", help="the simulated rig through a scenario, as recorded runs")
+    simulate.add_argument("--rig", type=Path, required=True, metavar="RIG.toml")
+    simulate.add_argument("--scenario", required=True, metavar="FILE", help="or an example: case, discharge")
+    simulate.add_argument("--out", type=Path, required=True, metavar="DIR", help="the case folder")
+    simulate.add_argument("--seed", type=int, default=1, help="of the noise and what is drawn at random (1)")
+    simulate.set_defaults(run=_simulate)
+
+    design = commands.add_parser("design", help="which phloSAR a robot needs: the paper's design guide")
+    design.add_argument("--robot", type=Path, metavar="FILE", help="its profile (default: the paper's vine)")
+    design.add_argument("--parts", type=Path, metavar="DIR", nargs="+", action="extend", default=[])
+    design.add_argument("--out", type=Path, metavar="DIR", help="draw the figures there")
+    design.add_argument("--json", action="store_true", help="one object instead of tables")
+    design.set_defaults(run=_design)
 
     fake = commands.add_parser("fake", help="one end of the link, alone")
     fakes = fake.add_subparsers(required=True, metavar="WHAT")
@@ -279,6 +294,86 @@ def _paper(arguments: argparse.Namespace) -> int:
 
     console = Console()
     show(comparison.rows, comparison.findings, console)
+    for path in figures:
+        console.print(f"Figure   {path}", highlight=False, soft_wrap=True)
+    return 0
+
+
+def _simulate(arguments: argparse.Namespace) -> int:
+    from flying_vines.pneumatics.rig import RigError, load_rig
+
+    folder: Path = arguments.out
+    try:
+        from flying_vines.simulate import (
+            CaseError,
+            ScenarioError,
+            load_scenario,
+            simulate_scenario,
+            write_case,
+        )
+        from flying_vines.simulate.picture import draw_runs
+    except ModuleNotFoundError as error:
+        _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
+    try:
+        rig = load_rig(arguments.rig)
+        scenario = load_scenario(arguments.scenario)
+        began_s = monotonic()
+        try:
+            runs = simulate_scenario(rig, scenario, arguments.seed)
+        except ScenarioError as error:
+            _fail(f"{arguments.scenario}: {error}")
+        took_s = monotonic() - began_s
+        paths = write_case(runs, arguments.rig.read_bytes(), folder)
+        picture = folder / "picture.png"
+        draw_runs(runs, picture, scenario.name or str(arguments.scenario))
+    except (RigError, ScenarioError, CaseError) as error:
+        _fail(str(error))
+    except OSError as error:
+        _fail(f"{error.filename or folder}: {error.strerror}")
+    for path, run in zip(paths, runs, strict=True):
+        print(f"Run      {path}" + (f"  the firmware vented: {run.faults}" if run.faults else ""))
+    print(f"Picture  {picture}")
+    simulated_s = sum(run.length_s for run in scenario.runs)
+    print(
+        f"{simulated_s:.0f} s of the rig, simulated at {simulated_s / max(took_s, 1e-9):.0f} times real time."
+    )
+    return 0
+
+
+def _design(arguments: argparse.Namespace) -> int:
+    folder: Path | None = arguments.out
+    try:
+        from flying_vines.design import catalogue, evaluate
+        from flying_vines.design import robot as profile
+        from flying_vines.design.compass import compass
+        from flying_vines.design.search import Performance, evaluate_all, front
+        from flying_vines.design.show import as_json, show
+
+        if folder:
+            from flying_vines.design.figures import draw
+    except ModuleNotFoundError as error:
+        _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
+    robot = profile.load(arguments.robot) if arguments.robot else profile.demonstration()
+    parts = catalogue(*arguments.parts)
+    evaluation = evaluate(robot, parts.choose(robot.parts, str(arguments.robot or "vine.toml")))
+    tried = evaluate_all(robot, parts)
+    performances: tuple[Performance, ...] = ("cycles", "inflation", "deflation")
+    fronts = {by: front(tried, by) for by in performances}
+    compared = compass(evaluation, evaluate(robot, parts.choose()))
+    figures: list[str] = []
+    try:
+        if folder:
+            folder.mkdir(parents=True, exist_ok=True)
+            figures = [str(path) for path in draw(evaluation, tried, compared, folder)]
+    except OSError as error:
+        _fail(f"{error.filename or folder}: {error.strerror}")
+    if arguments.json:
+        print(json.dumps({**as_json(evaluation, fronts, compared), "figures": figures}, allow_nan=False))
+        return 0
+    from rich.console import Console
+
+    console = Console()
+    show(evaluation, fronts, compared, tried, console)
     for path in figures:
         console.print(f"Figure   {path}", highlight=False, soft_wrap=True)
     return 0

@@ -1,0 +1,250 @@
+"""The kinds of run that a scenario is made of, as they stand in its file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from flying_vines.vine.curve import BendCurve
+from flying_vines.vine.profile import MOST_PIECES, HoldFor, Ramp, Step, Trajectory, plan
+from flying_vines.vine.profile import Sine as Swing
+
+LONGEST_S = 3600.0
+MOST_KPA = 150.0
+"""Of a command: what the control volume's sensor reads with room for an overshoot."""
+FIRMWARE_HZ = 1000
+_NO_CURVE = BendCurve(((0.0, 0.0), (1.0, 0.0)))
+"""Profiles are in kPa here."""
+
+Pressure = Annotated[float, Meta(ge=0, le=MOST_KPA)]
+Opening = Annotated[float, Meta(ge=0, le=1)]
+Duration = Annotated[float, Meta(gt=0, le=LONGEST_S)]
+Frequency = Annotated[float, Meta(gt=0, le=FIRMWARE_HZ / 2)]
+Times = Annotated[int, Meta(ge=1, le=1000)]
+
+
+class Common(
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    forbid_unknown_fields=True,
+    tag_field="kind",
+    omit_defaults=True,
+):
+    """What every kind of run has. A run starts at rest: the control volume at ambient pressure."""
+
+    name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}\Z")] | None = None
+    """In the name of its file; the kind unless given."""
+    reservoir_kPa: Annotated[float, Meta(gt=0, le=900)] = 690.0
+    """At the start."""
+    sample_rate_Hz: Annotated[int, Meta(ge=10, le=FIRMWARE_HZ)] = 50
+
+    def __post_init__(self) -> None:
+        if FIRMWARE_HZ % self.sample_rate_Hz:
+            raise ValueError(
+                f"sample_rate_Hz: {self.sample_rate_Hz} does not divide the firmware's {FIRMWARE_HZ} Hz"
+            )
+        self.check()
+
+    def check(self) -> None:
+        """Raise ValueError where keys do not fit each other."""
+        if not self.length_s <= LONGEST_S:
+            raise ValueError(f"a run of {self.length_s:g} s is longer than {LONGEST_S:.0f} s")
+
+    @property
+    def label(self) -> str:
+        return self.name or str(self.__struct_config__.tag)
+
+    @property
+    def needs_cv(self) -> bool:
+        return True
+
+    @property
+    def length_s(self) -> float:
+        raise NotImplementedError
+
+
+class _Lasting(Common, frozen=True, kw_only=True):
+    duration_s: Duration
+
+    @property
+    def length_s(self) -> float:
+        return self.duration_s
+
+
+class Steps(Common, tag="steps", frozen=True, kw_only=True):
+    """Pressures to go to at once, each held for its time."""
+
+    pressures_kPa: Annotated[tuple[Pressure, ...], Meta(min_length=1, max_length=1000)]
+    hold_s: Duration | tuple[Duration, ...]
+    """One time for all, or as many as there are pressures."""
+
+    @property
+    def holds_s(self) -> tuple[float, ...]:
+        if isinstance(self.hold_s, tuple):
+            return self.hold_s
+        return (self.hold_s,) * len(self.pressures_kPa)
+
+    @property
+    def length_s(self) -> float:
+        return sum(self.holds_s)
+
+    def check(self) -> None:
+        if len(self.holds_s) != len(self.pressures_kPa):
+            count = len(self.pressures_kPa)
+            raise ValueError(f"hold_s: {len(self.holds_s)} times for {count} pressures; give as many, or one")
+        super().check()
+
+
+class _Swinging(_Lasting, frozen=True, kw_only=True):
+    low_kPa: Pressure = 0.0
+    high_kPa: Pressure
+
+    @property
+    def fastest_Hz(self) -> float:
+        raise NotImplementedError
+
+    def check(self) -> None:
+        if not self.low_kPa < self.high_kPa:
+            raise ValueError("high_kPa: must be above low_kPa")
+        if self.fastest_Hz > self.sample_rate_Hz / 2:
+            raise ValueError(
+                f"sample_rate_Hz: {self.sample_rate_Hz} samples a second cannot show {self.fastest_Hz:g} Hz"
+            )
+        super().check()
+
+
+class Sine(_Swinging, tag="sine", frozen=True, kw_only=True):
+    """A swing that starts at its low end."""
+
+    frequency_Hz: Frequency
+
+    @property
+    def fastest_Hz(self) -> float:
+        return self.frequency_Hz
+
+
+class Chirp(_Swinging, tag="chirp", frozen=True, kw_only=True):
+    """A swing whose frequency moves evenly from one to another, by octaves (log) or by hertz (linear)."""
+
+    from_Hz: Frequency
+    to_Hz: Frequency
+    sweep: Literal["log", "linear"] = "log"
+
+    @property
+    def fastest_Hz(self) -> float:
+        return max(self.from_Hz, self.to_Hz)
+
+
+class Prbs(_Lasting, tag="prbs", frozen=True, kw_only=True):
+    """Levels drawn at random, each held for a random time; the seed decides.
+
+    Of pressures, the regulator follows them. Of openings there is no regulation: a share of the moves lets
+    air out instead, with the Venturi shut, half or fully open, and above `most_kPa` nothing more goes in.
+    """
+
+    levels_kPa: tuple[Pressure, ...] = ()
+    levels_opening: tuple[Opening, ...] = ()
+    min_hold_s: Duration = 0.1
+    max_hold_s: Duration = 0.8
+    vent_share: Opening = 0.3
+    most_kPa: Pressure = 60.0
+
+    def check(self) -> None:
+        if bool(self.levels_kPa) == bool(self.levels_opening):
+            raise ValueError("give either levels_kPa or levels_opening")
+        if len(set(self.levels_kPa or self.levels_opening)) < 2:
+            raise ValueError(f"levels_{'kPa' if self.levels_kPa else 'opening'}: give at least two levels")
+        if self.min_hold_s > self.max_hold_s:
+            raise ValueError("max_hold_s: must not be below min_hold_s")
+        if self.min_hold_s * self.sample_rate_Hz < 1.0 - 1e-9:
+            raise ValueError("min_hold_s: is shorter than a sample")
+        super().check()
+
+
+class Discharge(_Lasting, tag="discharge", frozen=True, kw_only=True):
+    """A valve is held open, and nothing regulates. What passes the EVP leaves by the solenoid."""
+
+    valve: Literal["evp", "dvp"] = "evp"
+    opening: Annotated[float, Meta(gt=0, le=1)] = 1.0
+
+    @property
+    def needs_cv(self) -> bool:
+        return False
+
+
+class Bends(Common, tag="bends", frozen=True, kw_only=True):
+    """Inflate, hold, deflate, rest; again and again."""
+
+    cycles: Times
+    bend_kPa: Pressure = 20.7
+    hold_s: Duration = 1.25
+    rest_s: Duration = 1.25
+
+    @property
+    def length_s(self) -> float:
+        return self.cycles * (self.hold_s + self.rest_s)
+
+
+class Valves(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Openings for a time, or until the control volume reads a pressure if that is earlier."""
+
+    for_s: Duration
+    evp: Opening = 0.0
+    dvp: Opening = 0.0
+    solenoid: bool = False
+    until_kPa: Pressure | None = None
+
+
+class Openings(Common, tag="openings", frozen=True, kw_only=True):
+    """Valve openings over time, nothing regulates. The last ones stay for what others left early."""
+
+    valves: Annotated[tuple[Valves, ...], Meta(min_length=1, max_length=10_000)]
+
+    @property
+    def needs_cv(self) -> bool:
+        return any(valves.until_kPa is not None for valves in self.valves)
+
+    @property
+    def length_s(self) -> float:
+        return sum(valves.for_s for valves in self.valves)
+
+
+Segment = Step | Ramp | HoldFor | Swing
+
+
+class Profile(Common, tag="profile", frozen=True, kw_only=True):
+    """A pressure profile by its segments, as in the configuration's profiles, in kPa."""
+
+    segments: Annotated[tuple[Segment, ...], Meta(min_length=1, max_length=1000)]
+    repeat: Times = 1
+    rate_kPa_per_s: Annotated[float, Meta(gt=0, le=2000)] = 60.0
+    settle_s: Annotated[float, Meta(ge=0, le=LONGEST_S)] = 0.0
+    """How long the last value is held."""
+
+    @property
+    def length_s(self) -> float:
+        return self.trajectory().duration_s + self.settle_s
+
+    def trajectory(self) -> Trajectory:
+        """The profile from rest, made definite."""
+        return plan(self.segments * self.repeat, _NO_CURVE, 0.0, self.rate_kPa_per_s, MOST_KPA)
+
+    def check(self) -> None:
+        if len(self.segments) * self.repeat > MOST_PIECES:
+            raise ValueError(f"repeat: unrolls the profile to more than {MOST_PIECES} segments")
+        for index, segment in enumerate(self.segments):
+            for key in ("to", "from"):
+                if getattr(segment, f"{key}_deg", None) is not None:
+                    raise ValueError(
+                        f"segments[{index}].{key}_deg: there is no vine here that bends; give kPa"
+                    )
+                kPa = getattr(segment, f"{key}_kPa", None)
+                if kPa is not None and not 0.0 <= kPa <= MOST_KPA:
+                    raise ValueError(f"segments[{index}].{key}_kPa: {kPa:g} is outside 0…{MOST_KPA:g} kPa")
+        super().check()
+
+
+Kind = Steps | Sine | Chirp | Prbs | Discharge | Bends | Openings | Profile
