@@ -31,8 +31,8 @@ MARGIN_S = 0.005
 SAMPLES_A_FLIP = 30
 """0.6 s: the longest ramp at the default rate limit takes 0.345 s and must be over before the next move."""
 ALIVE_WITHIN_S = 30.0
-SETTLE_S = 2.5
-"""Longer than the service waits before it believes the switch."""
+SETTLE_S = 4.5
+"""The first heartbeat may be 1.8 s away; a second after it the service believes the switch."""
 _RC_PERIOD_S = 1.0 / RC_RATE_HZ
 _TELEMETRY_PERIOD_S = 1.0 / TELEMETRY_HZ
 
