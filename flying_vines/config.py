@@ -6,7 +6,6 @@ import difflib
 import math
 import re
 import tomllib
-from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -15,6 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.address import parse_address
+from flying_vines.toml_text import Key, dotted, key_of, not_finite, one_line, place
 from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.profile import Profile, Segment, Sine, flatten
 
@@ -39,8 +39,7 @@ class ConfigError(Exception):
     """The configuration cannot be used; the text says which file, key and line, and what to do."""
 
     def __init__(self, text: str) -> None:
-        # Keys and values are quoted, and may hold anything: it stays one line.
-        super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text))
+        super().__init__(one_line(text))
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -190,13 +189,13 @@ def parse(text: str, source: str) -> Config:
     try:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        place = re.search(r"\(at (?:line (\d+), column \d+|end of document)\)", str(error))
-        line = int(place[1]) if place and place[1] else len(text.splitlines())
+        at = re.search(r"\(at (?:line (\d+), column \d+|end of document)\)", str(error))
+        line = int(at[1]) if at and at[1] else len(text.splitlines())
         raise ConfigError(f"{source}:{line}: not TOML: {str(error).split(' (at')[0]}") from None
     except RecursionError:
         raise ConfigError(f"{source}: not TOML: nested too deeply") from None
     try:
-        inside: _Key = ()
+        inside: Key = ()
         for name, profile in _profiles_of(raw):
             inside = ("profiles", name)
             msgspec.convert(profile, Profile)
@@ -205,11 +204,8 @@ def parse(text: str, source: str) -> Config:
     except msgspec.ValidationError as error:
         raise _explain(text, source, str(error), inside) from None
     for key, reason in _contradictions(config):
-        raise ConfigError(f"{_place(text, source, key)}: {_dotted(key)}: {reason}")
+        raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
     return config
-
-
-_Key = tuple[str | int, ...]
 
 
 def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:
@@ -218,16 +214,16 @@ def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:
     return list(profiles.items()) if isinstance(profiles, dict) else []
 
 
-def _contradictions(config: Config) -> list[tuple[_Key, str]]:
+def _contradictions(config: Config) -> list[tuple[Key, str]]:
     """What no single table can know: keys that do not fit each other."""
-    found: list[tuple[_Key, str]] = []
+    found: list[tuple[Key, str]] = []
     curve = BendCurve(config.vine.curve)
     for table, link in (("vehicle", config.vehicle.link), ("firmware", config.firmware.link)):
         try:
             parse_address(link)
         except ValueError as error:
             found.append(((table, "link"), str(error)))
-    found.extend((key, "is not a finite number") for key in _not_finite(msgspec.to_builtins(config)))
+    found.extend((key, "is not a finite number") for key in not_finite(msgspec.to_builtins(config)))
     if found:
         return found
     for name, profile in config.profiles.items():
@@ -263,7 +259,7 @@ def _contradictions(config: Config) -> list[tuple[_Key, str]]:
 
 def _too_fast(
     config: Config, curve: BendCurve, name: str, profile: Profile, sine: Sine
-) -> list[tuple[_Key, str]]:
+) -> list[tuple[Key, str]]:
     low, high = (
         (curve.pressure_kPa(sine.from_deg), curve.pressure_kPa(sine.to_deg))
         if sine.from_deg is not None and sine.to_deg is not None
@@ -281,25 +277,10 @@ def _no_profile(config: Config, name: str) -> str:
     return f"there is no profile '{name}'" + (f"; did you mean '{near[0]}'?" if near else "")
 
 
-def _not_finite(value: object, at: _Key = ()) -> Iterator[_Key]:
-    inner: Any = ()
-    if isinstance(value, dict):
-        inner = value.items()
-    elif isinstance(value, list | tuple):
-        inner = enumerate(value)
-    elif isinstance(value, float) and not math.isfinite(value):
-        yield at
-    for key, part in inner:
-        yield from _not_finite(part, (*at, key))
-
-
-def _explain(text: str, source: str, error: str, inside: _Key) -> ConfigError:
+def _explain(text: str, source: str, error: str, inside: Key) -> ConfigError:
     """Turn msgspec's `... - at `$.a.b[1]`` into a line that names the key and the line."""
     message, _, path = error.partition(" - at ")
-    key: _Key = inside + tuple(
-        int(part[1:-1]) if part.startswith("[") else part.strip(".")
-        for part in re.findall(r"\.[^.\[\]]+|\[\d+\]", path.strip("`").removeprefix("key in "))
-    )
+    key: Key = inside + key_of(path)
     unknown = re.search(r"unknown field `(.+?)`", message)
     if unknown:
         key = (*key, unknown[1])
@@ -312,15 +293,15 @@ def _explain(text: str, source: str, error: str, inside: _Key) -> ConfigError:
     missing = re.search(r"missing required field `(.+?)`", message)
     if missing:
         message = f"'{missing[1]}' is missing"
-    name = _dotted(key)
-    return ConfigError(f"{_place(text, source, key)}: {name + ': ' if name else ''}{_plain(message)}")
+    name = dotted(key)
+    return ConfigError(f"{place(text, source, key)}: {name + ': ' if name else ''}{_plain(message)}")
 
 
 def _plain(message: str) -> str:
     return message.replace("`", "").replace("Expected", "expected").replace("Object", "the table")
 
 
-def _known_keys(path: _Key) -> list[str]:
+def _known_keys(path: Key) -> list[str]:
     """The keys that the table at `path` may have."""
     if "segments" in path:
         return sorted({field for segment in get_args(Segment) for field in segment.__struct_fields__})
@@ -331,7 +312,7 @@ def _known_keys(path: _Key) -> list[str]:
     return list(getattr(here, "__struct_fields__", ()))
 
 
-def _choices(key: _Key) -> list[str]:
+def _choices(key: Key) -> list[str]:
     """What the value at `key` may be, where that is one of a few words."""
     if key[-1] == "kind":
         return [str(segment.__struct_config__.tag) for segment in get_args(Segment)]
@@ -353,47 +334,3 @@ _TABLES = {
     "items": Item,
     "profiles": Profile,
 }
-
-
-def _dotted(key: _Key) -> str:
-    dotted = ""
-    for part in key:
-        dotted += f"[{part}]" if isinstance(part, int) else f".{part}" if dotted else str(part)
-    return dotted
-
-
-def _place(text: str, source: str, key: _Key) -> str:
-    """`source:line` of a key, or of the nearest table around it."""
-    lines = _lines_of_keys(text)
-    for length in range(len(key), 0, -1):
-        if key[:length] in lines:
-            return f"{source}:{lines[key[:length]]}"
-    return source
-
-
-def _lines_of_keys(text: str) -> dict[_Key, int]:
-    """Where each table and each key of a TOML text stands; tomllib does not say."""
-    lines: dict[_Key, int] = {}
-    elements: dict[_Key, int] = {}
-    table: _Key = ()
-    for number, content in enumerate(text.split("\n"), start=1):
-        if header := _HEADER.match(content):
-            table = _split(header[2])
-            if header[1] == "[[":
-                lines.setdefault(table, number)
-                elements[table] = elements.get(table, -1) + 1
-                table = (*table, elements[table])
-            lines.setdefault(table, number)
-        elif assignment := _ASSIGNMENT.match(content):
-            lines.setdefault((*table, *_split(assignment[1])), number)
-    return lines
-
-
-_KEY = r"(?:[A-Za-z0-9_-]+|\"[^\"]*\"|'[^']*')"
-_KEYS = rf"({_KEY}(?:\s*\.\s*{_KEY})*)"
-_HEADER = re.compile(rf"\s*(\[\[?)\s*{_KEYS}\s*\]")
-_ASSIGNMENT = re.compile(rf"\s*{_KEYS}\s*=")
-
-
-def _split(dotted: str) -> _Key:
-    return tuple(part.strip("\"'") for part in re.findall(_KEY, dotted))

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 
 from flying_vines.config import ConfigError
+from flying_vines.toml_text import dotted, key_of, place
 
 
 def text_of(path: Path) -> str:
@@ -50,28 +51,15 @@ def decode(text: str, source: str, kind: Any, known: Sequence[str] = ()) -> Any:
 
 def _explain(text: str, source: str, error: str, known: Sequence[str]) -> ConfigError:
     message, _, path = error.partition(" - at ")
-    keys = re.findall(r"[A-Za-z0-9_-]+", path.removeprefix("`$"))
+    key = key_of(path)
     unknown = re.search(r"unknown field `(.+?)`", message)
     if unknown:
-        keys.append(unknown[1])
+        key = (*key, unknown[1])
         near = difflib.get_close_matches(unknown[1], known, n=1)
         message = "unknown key" + (f"; did you mean '{near[0]}'?" if near else "")
     missing = re.search(r"missing required field `(.+?)`", message)
     if missing:
         message = f"'{missing[1]}' is missing"
     message = message.replace("`", "").replace("Expected", "expected")
-    place = source + (f":{line}" if (line := _line(text, keys)) else "")
-    return ConfigError(f"{place}: {'.'.join(keys) + ': ' if keys else ''}{message}")
-
-
-def _line(text: str, keys: Sequence[str]) -> int:
-    """Where the innermost of nested keys stands that can be found; 0 if none can."""
-    found, start = 0, 0
-    lines = text.split("\n")
-    for key in keys:
-        pattern = re.compile(rf"\s*(?:\[+\s*(?:[\w.-]+\.)?{re.escape(key)}\s*\]|{re.escape(key)}\s*[=.])")
-        place = next((n for n in range(start, len(lines)) if pattern.match(lines[n])), None)
-        if place is None:
-            break
-        found, start = place + 1, place
-    return found
+    name = dotted(key)
+    return ConfigError(f"{place(text, source, key)}: {name + ': ' if name else ''}{message}")

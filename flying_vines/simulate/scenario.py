@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import difflib
-import math
 import re
 import tomllib
-from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -15,6 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.simulate.kinds import Kind, Segment, Valves
+from flying_vines.toml_text import dotted, not_finite, one_line
 
 _EXAMPLES = resources.files("flying_vines.simulate") / "examples"
 _KINDS = {str(kind.__struct_config__.tag): kind for kind in get_args(Kind)}
@@ -25,8 +24,7 @@ class ScenarioError(ValueError):
     """A scenario that cannot be run; its text is one line, `file: key: reason`."""
 
     def __init__(self, text: str) -> None:
-        # Keys and values are quoted, and may hold anything.
-        super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text))
+        super().__init__(one_line(text))
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -72,23 +70,12 @@ def parse_scenario(text: str, source: str) -> Scenario:
         raise ScenarioError(f"{source}: not TOML: {error}") from None
     except RecursionError:
         raise ScenarioError(f"{source}: not TOML: nested too deeply") from None
-    for key in _not_finite(content):
-        raise ScenarioError(f"{source}: {key.removeprefix('.')}: is not a finite number")
+    for key in not_finite(content):
+        raise ScenarioError(f"{source}: {dotted(key)}: is not a finite number")
     try:
         return msgspec.convert(content, Scenario)
     except msgspec.ValidationError as error:
         raise ScenarioError(f"{source}: {_explained(content, str(error))}") from None
-
-
-def _not_finite(value: object, at: str = "") -> Iterator[str]:
-    if isinstance(value, dict):
-        for key, part in value.items():
-            yield from _not_finite(part, f"{at}.{key}")
-    elif isinstance(value, list):
-        for index, part in enumerate(value):
-            yield from _not_finite(part, f"{at}[{index}]")
-    elif isinstance(value, float) and not math.isfinite(value):
-        yield at
 
 
 def _explained(content: dict[str, Any], error: str) -> str:
