@@ -14,7 +14,7 @@ from flying_vines.design.evaluate import Evaluation
 from flying_vines.design.search import Performance, front, performance
 from flying_vines.design.show import words
 from flying_vines.pneumatics import paper
-from flying_vines.record.picture import BLUE, GREEN, GREY, LABEL_BOX, ORANGE, PURPLE, RED
+from flying_vines.record.style import BLUE, GREEN, GREY, LABEL_BOX, ORANGE, PURPLE, RED, finish, save
 
 
 def draw(
@@ -36,22 +36,7 @@ def draw(
         "search": _search(evaluation, tried),
         "compass": _compass(compared),
     }
-    paths = []
-    for name, figure in figures.items():
-        path = folder / f"design-{name}.png"
-        figure.savefig(path, dpi=100)
-        plt.close(figure)
-        paths.append(path)
-    return paths
-
-
-def _finish(figure: Any, title: str) -> Any:
-    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
-    for axis in figure.axes:
-        axis.grid(color="#e6e8eb", lw=0.6)
-        axis.set_axisbelow(True)
-        axis.spines[["top", "right"]].set_visible(False)
-    return figure
+    return save(figures, folder, "design")
 
 
 def _speed(e: Evaluation) -> Any:
@@ -109,7 +94,7 @@ def _speed(e: Evaluation) -> Any:
     gain.legend(facecolor="white", edgecolor="none", framealpha=1.0, fontsize=8.5, loc="lower left")
     speed.set_xlim(0, e.fill_kPa)
     speed.set_xlabel("reservoir, kPa gauge")
-    return _finish(figure, f"{robot.name}: how fast ({robot.cv_kind} {robot.cv_volume_L:g} L)")
+    return finish(figure, f"{robot.name}: how fast ({robot.cv_kind} {robot.cv_volume_L:g} L)")
 
 
 def _search(chosen: Evaluation, tried: Sequence[Evaluation]) -> Any:
@@ -178,7 +163,7 @@ def _search(chosen: Evaluation, tried: Sequence[Evaluation]) -> Any:
         axis.margins(x=0.08)
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, frameon=False, fontsize=8.5, ncols=3, loc="outside lower left")
-    return _finish(figure, f"{chosen.robot.name}: what the catalogue offers")
+    return finish(figure, f"{chosen.robot.name}: what the catalogue offers")
 
 
 def _compass(compared: Compass) -> Any:
@@ -217,4 +202,4 @@ def _compass(compared: Compass) -> Any:
         "Your design: the phloSAR's, moved",
         fontsize=9,
     )
-    return _finish(figure, "Pressure supplies and regulators (after the paper's Fig. 2)")
+    return finish(figure, "Pressure supplies and regulators (after the paper's Fig. 2)")

@@ -12,7 +12,7 @@ from matplotlib import pyplot as plt
 from flying_vines.paper.compare import STEP_TEST_S, Curves, FrequencyResponse
 from flying_vines.pneumatics import paper
 from flying_vines.pneumatics.paper_data import curve, stated
-from flying_vines.record.picture import BLUE, GREEN, GREY, ORANGE, PURPLE
+from flying_vines.record.style import BLUE, GREEN, GREY, ORANGE, PURPLE, finish, save
 
 MEASURED: dict[str, Any] = {"color": BLUE, "ls": "none", "marker": "o", "ms": 4, "label": "measured"}
 MODEL: dict[str, Any] = {"color": ORANGE, "lw": 1.8, "label": "paper's model"}
@@ -28,23 +28,7 @@ def draw(curves: Curves, folder: Path) -> list[Path]:
         "sine": _sine,
         "cycles": _cycles,
     }
-    paths = []
-    for name, plot in plots.items():
-        figure = plot(curves)
-        path = folder / f"paper-{name}.png"
-        figure.savefig(path, dpi=100)
-        plt.close(figure)
-        paths.append(path)
-    return paths
-
-
-def _finish(figure: Any, title: str) -> Any:
-    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
-    for axis in figure.axes:
-        axis.grid(color="#e6e8eb", lw=0.6)
-        axis.set_axisbelow(True)
-        axis.spines[["top", "right"]].set_visible(False)
-    return figure
+    return save({name: plot(curves) for name, plot in plots.items()}, folder, "paper")
 
 
 def _discharge(curves: Curves) -> Any:
@@ -86,7 +70,7 @@ def _discharge(curves: Curves) -> Any:
             axis.set_xlim(0, 1.02 * time_s[-1])
     axes[0, 0].set_ylabel("reservoir, kPa gauge")
     axes[1, 0].set_ylabel("measured − model,\n% of P$_{r,0}$")
-    return _finish(figure, "Reservoir discharge (Eq. 3, the paper's Fig. 3)")
+    return finish(figure, "Reservoir discharge (Eq. 3, the paper's Fig. 3)")
 
 
 def _inflation(curves: Curves) -> Any:
@@ -116,7 +100,7 @@ def _inflation(curves: Curves) -> Any:
         )
     axes[0].set_ylabel("control volume, kPa gauge")
     axes[-1].legend(frameon=False, fontsize=8, loc="lower right")
-    return _finish(figure, "Inflation speed (Eq. 4, the paper's Fig. 4)")
+    return finish(figure, "Inflation speed (Eq. 4, the paper's Fig. 4)")
 
 
 def _frequency(curves: Curves) -> Any:
@@ -165,7 +149,7 @@ def _frequency(curves: Curves) -> Any:
             fontsize=10,
         )
     axes[0].set_ylabel("gain")
-    return _finish(figure, "Closed-loop frequency response (Eq. 6 and 7, the paper's Fig. 5)")
+    return finish(figure, "Closed-loop frequency response (Eq. 6 and 7, the paper's Fig. 5)")
 
 
 def _plot_plant(axis: Any, f: FrequencyResponse, style: str, several: bool) -> None:
@@ -210,7 +194,7 @@ def _sine(curves: Curves) -> Any:
     bars.set_ylabel("peak to peak, kPa")
     bars.set_ylim(0, 46)
     bars.legend(frameon=False, fontsize=8, loc="upper right")
-    return _finish(figure, "A 1.2 Hz command, 34 kPa peak to peak (the paper's Fig. 6)")
+    return finish(figure, "A 1.2 Hz command, 34 kPa peak to peak (the paper's Fig. 6)")
 
 
 def _cycles(curves: Curves) -> Any:
@@ -233,4 +217,4 @@ def _cycles(curves: Curves) -> Any:
     axis.set_ylabel("cycles left")
     axis.legend(frameon=False, loc="upper left")
     axis.set_title("0.1 L to 20.7 kPa at 0.55 Hz from a 2 L bottle", loc="left", fontsize=10)
-    return _finish(figure, "Cycles (Eq. 8, the paper's demonstration)")
+    return finish(figure, "Cycles (Eq. 8, the paper's demonstration)")

@@ -6,14 +6,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
-BLUE, ORANGE, GREEN, PURPLE, RED, GREY = "#2563a8", "#d9730d", "#2f8f5b", "#7a4fb5", "#c4312f", "#8a8f98"
+from flying_vines.record.style import BLUE, GREEN, GREY, LABEL_BOX, ORANGE, PURPLE, RED, plain
+
 MARKS = {"accepted": GREEN, "limited": ORANGE, "refused": RED}
-LABEL_BOX = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
 
 
 def draw_flight(entries: Iterable[dict[str, Any]], path: Path, title: str) -> None:
@@ -76,9 +73,7 @@ def draw_flight(entries: Iterable[dict[str, Any]], path: Path, title: str) -> No
 
     for axis in axes:
         _shade_safe_states(axis, t, snapshots)
-        axis.grid(color="#e6e8eb", lw=0.6)
-        axis.set_axisbelow(True)
-        axis.spines[["top", "right"]].set_visible(False)
+        plain(axis)
         axis.set_xlim(t[0], t[-1])
     cycles.spines["top"].set_visible(False)
     figure.savefig(path, dpi=110)

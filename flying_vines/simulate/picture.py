@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib import pyplot as plt
 
-from flying_vines.record.picture import BLUE, GREEN, GREY, ORANGE, RED
+from flying_vines.record.style import BLUE, GREEN, GREY, ORANGE, RED, plain
 from flying_vines.simulate.run import Run
 
 _MOST_ACROSS = 2
@@ -44,9 +44,7 @@ def _draw(run: Run, block: Any, label: str) -> None:
         label += f"  (the firmware vented: {run.faults})"
     axes[0].set_title(label, loc="left", fontsize=10, color=RED if run.faults else "black")
     for axis in axes:
-        axis.grid(color="#e6e8eb", lw=0.6)
-        axis.set_axisbelow(True)
-        axis.spines[["top", "right"]].set_visible(False)
+        plain(axis)
         axis.set_xlim(run.time_s[0], max(run.time_s[-1], run.time_s[0] + 1e-3))
     block.align_ylabels()
 
