@@ -56,7 +56,6 @@ class Core:
 
     def __init__(self, config: Config, mission: Sequence[MissionItem] = ()) -> None:
         self.config = config
-        self.last: Decision | None = None
         self._curve = BendCurve(config.vine.curve)
         self._profiles = {name: tuple(flatten(config.profiles, name)) for name in config.profiles}
         self._vehicle = Vehicle(config, mission)
@@ -166,7 +165,6 @@ class Core:
             releases=trajectory.rise_kPa <= 0.0 and trajectory.final_kPa <= 0.0,
             peak_kPa=peak_kPa,
             wanted_kPa=max(wanted_kPa, peak_kPa),
-            rate_kPa_per_s=rate_kPa_per_s,
             spending_kPa=self._reservoir.spending_kPa(trajectory.rise_kPa),
             floor_kPa=floor_kPa(self.config.pneumatics, rate_kPa_per_s),
         )
@@ -239,7 +237,6 @@ class Core:
             reason=ruling.reason,
             setpoint_kPa=round(motion.trajectory.aim_kPa, 3) if motion else 0.0,
         )
-        self.last = decision
         self._actions.append(decision)
         if ruling.verdict == "refused":
             asked = decision.intent or trigger.kind.replace("_", " ")
@@ -433,7 +430,6 @@ class Core:
             cycles=self._reservoir.cycles_left(),
             doing=self._motion.name if self._motion else "vented",
             safe_state=self._safety.reasons,
-            last=self.last,
         )
 
     # Sending.

@@ -81,7 +81,7 @@ class Decision:
     safety: Literal["accepted", "limited", "refused"]
     reason: str
     setpoint_kPa: float
-    """What the vine is going to (gauge); the present setpoint when refused."""
+    """What the vine is going to (gauge): when refused, where the motion under way goes, or 0."""
 
 
 Action = ToVehicle | ToFirmware | Decision | Notice
@@ -112,4 +112,3 @@ class Snapshot:
     cycles: CyclesLeft | None
     doing: str
     safe_state: dict[str, str] = field(default_factory=dict)
-    last: Decision | None = None

@@ -60,7 +60,6 @@ class Demand:
     peak_kPa: float = 0.0
     wanted_kPa: float = 0.0
     """What was asked for, before the curve and the limits clipped it."""
-    rate_kPa_per_s: float = 0.0
     spending_kPa: float = 0.0
     """What it is expected to take from the reservoir."""
     floor_kPa: float = 0.0

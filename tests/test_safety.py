@@ -24,9 +24,7 @@ FLYING = Conditions(
     reservoir_kPa=600.0,
 )
 BENT = dataclasses.replace(FLYING, moving=True, moving_s=5.0, cv_kPa=20.0)
-BEND = Demand(
-    releases=False, peak_kPa=20.0, wanted_kPa=20.0, rate_kPa_per_s=60.0, spending_kPa=5.0, floor_kPa=120.0
-)
+BEND = Demand(releases=False, peak_kPa=20.0, wanted_kPa=20.0, spending_kPa=5.0, floor_kPa=120.0)
 RELEASE = Demand(releases=True)
 
 
