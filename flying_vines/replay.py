@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from flying_vines.config import Config
 from flying_vines.events import Action, Decision, VehicleMessage
-from flying_vines.simulation import SimulatedWorld
+from flying_vines.simulated_world import SimulatedWorld
 from flying_vines.vehicle.codec import Codec
 from flying_vines.vehicle.mission_item import MissionItem
 

@@ -27,7 +27,7 @@ from flying_vines.events import (
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.fakes.phlosar import SimulatedPhlosar
 from flying_vines.notice import Notice
-from flying_vines.simulation import SimulatedFlight
+from flying_vines.simulated_world import SimulatedFlight
 from flying_vines.vehicle.codec import Codec
 from flying_vines.vehicle.mission_item import MissionItem
 
