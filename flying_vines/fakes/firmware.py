@@ -28,7 +28,14 @@ from firmware_link.protocol import (
     Vent,
     Welcome,
 )
-from flying_vines.fakes.regulator import SAFE, Drive, Regulator, RegulatorSettings
+from flying_vines.fakes.regulator import (
+    SAFE,
+    Drive,
+    RegulatorMemory,
+    RegulatorSettings,
+    begin,
+    regulate,
+)
 
 __all__ = ["SAFE", "Drive", "Firmware", "FirmwareSettings", "RegulatorSettings"]
 
@@ -76,7 +83,7 @@ class Firmware:
     def mode(self) -> Mode:
         if self._faults:
             return Mode.FAULT
-        return Mode.VENT if self._regulator is None else Mode.REGULATE
+        return Mode.VENT if self._regulation is None else Mode.REGULATE
 
     @property
     def faults(self) -> Fault:
@@ -116,10 +123,9 @@ class Firmware:
             dt_s = max(1, now_us - self._now_us) / 1e6
         self._now_us = now_us
         self._look(cv_kPa, reservoir_kPa)
-        if self._regulator is not None and now_us >= self._deadline_us:
+        if self._regulation is not None and now_us >= self._deadline_us:
             self._latch(Fault.DEAD_MAN)
-        regulator = self._regulator
-        drive = SAFE if regulator is None else regulator.step(dt_s, self._cv_kPa, self._reservoir_kPa)
+        drive = self._regulate(dt_s)
         if now_us >= self._telemetry_us:
             self._send_telemetry(now_us, drive)
         return drive
@@ -127,7 +133,8 @@ class Firmware:
     def _power_up(self, faults: Fault) -> None:
         self._faults = faults
         self._present = Fault.NONE
-        self._regulator: Regulator | None = None
+        self._regulation: RegulatorMemory | None = None
+        self._aim = (0.0, 0.0)
         self._deadline_us = 0
         self._greeted = False
         self._number = 0
@@ -160,9 +167,24 @@ class Firmware:
         if present:
             self._latch(present)
 
+    def _regulate(self, dt_s: float) -> Drive:
+        if self._regulation is None:
+            return SAFE
+        target_kPa, rate_kPa_per_s = self._aim
+        self._regulation, drive = regulate(
+            self.settings.regulator,
+            self._regulation,
+            target_kPa,
+            rate_kPa_per_s,
+            dt_s,
+            self._cv_kPa,
+            self._reservoir_kPa,
+        )
+        return drive
+
     def _latch(self, fault: Fault) -> None:
         self._faults |= fault
-        self._regulator = None
+        self._regulation = None
 
     def _handle(self, message: Message) -> None:
         match message:
@@ -171,7 +193,7 @@ class Firmware:
             case Setpoint():
                 self._on_setpoint(message)
             case Vent(number):
-                self._regulator = None
+                self._regulation = None
                 self._number = number
             case ClearFaults(mask):
                 if self._greeted:
@@ -183,7 +205,7 @@ class Firmware:
 
     def _on_hello(self, hello: Hello) -> None:
         settings = self.settings
-        self._regulator = None
+        self._regulation = None
         self._greeted = hello.protocol_version == PROTOCOL_VERSION
         self._send(
             Welcome(
@@ -210,9 +232,10 @@ class Firmware:
             return
         assert self._now_us is not None
         settings = self.settings
-        if self._regulator is None:
-            self._regulator = Regulator(settings.regulator, self._cv_kPa)
-        self._regulator.aim(setpoint.target_kPa, min(setpoint.rate_kPa_per_s, settings.rate_limit_kPa_per_s))
+        if self._regulation is None:
+            self._regulation = begin(self._cv_kPa)
+        # Where to go, and how fast at most.
+        self._aim = setpoint.target_kPa, min(setpoint.rate_kPa_per_s, settings.rate_limit_kPa_per_s)
         self._deadline_us = self._now_us + 1000 * min(setpoint.ttl_ms, settings.dead_man_ms)
         self._number = setpoint.number
 
@@ -237,7 +260,7 @@ class Firmware:
                 mode=self.mode,
                 faults=self._faults,
                 number=self._number,
-                setpoint_kPa=0.0 if self._regulator is None else self._regulator.setpoint_kPa,
+                setpoint_kPa=0.0 if self._regulation is None else self._regulation.setpoint_kPa,
                 cv_kPa=self._cv_kPa,
                 reservoir_kPa=self._reservoir_kPa,
                 evp_opening=drive.evp,

@@ -28,7 +28,7 @@ from firmware_link.protocol import (
     Welcome,
 )
 from flying_vines.fakes.firmware import SAFE, Drive, Firmware, FirmwareSettings
-from flying_vines.fakes.regulator import Regulator, RegulatorSettings
+from flying_vines.fakes.regulator import RegulatorSettings, begin, regulate
 
 
 class Bench:
@@ -313,72 +313,128 @@ def test_output_that_nobody_takes_is_bounded(bench: Bench) -> None:
 # The regulator, by itself.
 
 
+class Regulator:
+    """One regulation on a full bottle, stepped at 1 kHz by what the sensor reads."""
+
+    def __init__(self, cv_kPa: float, target_kPa: float, rate_kPa_per_s: float = 1000.0) -> None:
+        self.memory = begin(cv_kPa)
+        self.target_kPa = target_kPa
+        self.rate_kPa_per_s = rate_kPa_per_s
+
+    def step(self, cv_kPa: float, reservoir_kPa: float = 690.0) -> Drive:
+        self.memory, drive = regulate(
+            RegulatorSettings(),
+            self.memory,
+            self.target_kPa,
+            self.rate_kPa_per_s,
+            0.001,
+            cv_kPa,
+            reservoir_kPa,
+        )
+        return drive
+
+
 def test_the_setpoint_starts_at_the_measured_pressure_and_keeps_to_its_rate() -> None:
-    regulator = Regulator(RegulatorSettings(), cv_kPa=6.0)
-    regulator.aim(10.0, 20.0)
-    held = [regulator.setpoint_kPa]
+    regulator = Regulator(6.0, 10.0, 20.0)
+    held = [regulator.memory.setpoint_kPa]
     for _ in range(400):
-        regulator.step(0.001, 6.0, 690.0)
-        held.append(regulator.setpoint_kPa)
+        regulator.step(6.0)
+        held.append(regulator.memory.setpoint_kPa)
     assert held[0] == 6.0
     assert held[-1] == 10.0
     assert max(after - before for before, after in pairwise(held)) <= 0.0201
 
 
-def test_far_below_the_setpoint_it_is_wide_open() -> None:
-    regulator = Regulator(RegulatorSettings(), cv_kPa=0.0)
-    regulator.aim(10.0, 1000.0)
-    assert [regulator.step(0.001, 0.0, 690.0) for _ in range(20)][-1] == Drive(1.0, 0.0, False)
+def test_far_below_the_setpoint_it_opens_wide_and_not_at_once() -> None:
+    regulator = Regulator(0.0, 10.0)
+    drives = [regulator.step(0.0) for _ in range(150)]
+    assert all(after.evp >= before.evp for before, after in pairwise(drives))
+    assert drives[20].evp < 0.5
+    assert drives[-1] == Drive(1.0, 0.0, False)
 
 
 def test_near_the_setpoint_it_is_proportional() -> None:
-    regulator = Regulator(RegulatorSettings(), cv_kPa=10.0)
-    regulator.aim(10.5, 1000.0)
-    drive = [regulator.step(0.001, 10.0, 690.0) for _ in range(20)][-1]
-    assert 0.1 < drive.evp < 0.3
-    assert not drive.solenoid
+    openings = []
+    for target_kPa in (10.5, 11.0):
+        regulator = Regulator(10.0, target_kPa)
+        openings.append([regulator.step(10.0) for _ in range(2)][-1])
+    # A little of it is the integral, which is near 0.2 in both.
+    assert openings[1].evp - openings[0].evp == pytest.approx(0.5 * 0.03, rel=0.1)
+    assert not any(drive.solenoid for drive in openings)
+
+
+def test_on_less_supply_it_opens_more() -> None:
+    def opening(reservoir_kPa: float) -> float:
+        regulator = Regulator(10.0, 11.0)
+        return [regulator.step(10.0, reservoir_kPa) for _ in range(2)][-1].evp - regulator.memory.integral
+
+    assert opening(100.0) == pytest.approx(opening(690.0) * 791.0 / 201.0)
 
 
 def test_within_the_dead_band_nothing_moves() -> None:
-    regulator = Regulator(RegulatorSettings(), cv_kPa=10.0)
-    regulator.aim(10.0, 1000.0)
-    for cv_kPa in (10.0, 10.2, 10.4):
-        assert {regulator.step(0.001, cv_kPa, 690.0) for _ in range(50)} == {Drive(0.0, 0.0, False)}
+    regulator = Regulator(10.0, 10.0)
+    for cv_kPa in (10.0, 10.25, 9.9):
+        assert {regulator.step(cv_kPa) for _ in range(5000)} == {Drive(0.0, 0.0, False)}
+
+
+def test_the_integral_learns_where_the_valve_opens_and_keeps_it() -> None:
+    regulator = Regulator(10.0, 10.5)
+    while regulator.step(10.0).evp < 0.4:
+        pass
+    # Then air flows, and soon there is enough of it.
+    assert [regulator.step(10.6) for _ in range(20)][-1].evp == 0.0
+    assert regulator.memory.integral == pytest.approx(0.4, abs=0.05)
+    assert [regulator.step(10.3) for _ in range(20)][-1].evp == pytest.approx(0.4, abs=0.05)
 
 
 def test_the_integral_does_not_wind_up() -> None:
-    regulator = Regulator(RegulatorSettings(), cv_kPa=0.0)
-    regulator.aim(20.0, 1000.0)
+    regulator = Regulator(10.0, 10.8)
     for _ in range(10_000):
-        regulator.step(0.001, 0.0, 690.0)
-    drives = [regulator.step(0.001, 20.1, 690.0) for _ in range(40)]
-    assert drives[-1].evp == 0.0
+        drive = regulator.step(10.0)
+    assert drive.evp == pytest.approx(RegulatorSettings().integral_most + 0.8 * 0.03)
+    assert [regulator.step(10.9) for _ in range(20)][-1] == Drive(0.0, 0.0, False)
 
 
-def test_the_integral_stops_where_the_valve_cannot_follow() -> None:
-    regulator = Regulator(RegulatorSettings(), cv_kPa=10.0)
-    regulator.aim(10.8, 1000.0)
-    for _ in range(10_000):
-        drive = regulator.step(0.001, 10.0, 690.0)
-    assert drive.evp == 1.0
-    drives = [regulator.step(0.001, 10.6, 690.0) for _ in range(100)]
-    assert drives[-1].evp < 0.9
+def test_what_runs_towards_the_setpoint_is_braked_before_it() -> None:
+    regulator = Regulator(0.0, 20.0)
+    drives = [regulator.step(0.3 * ms) for ms in range(60)]
+    assert drives[20].evp > 0.3
+    # At 300 kPa/s the last 9 kPa come within the valve's 30 ms.
+    shut = next(ms for ms in range(30, 60) if drives[ms].evp == 0.0)
+    assert 11.0 - 0.25 < 0.3 * shut < 15.0
+
+
+def test_the_solenoid_shuts_before_the_setpoint() -> None:
+    regulator = Regulator(20.0, 10.0)
+    told = [regulator.step(max(10.0, 20.0 - 0.2 * ms)).solenoid for ms in range(50)]
+    shut = next(ms for ms in range(1, 50) if told[ms - 1] and not told[ms])
+    # At 200 kPa/s it lets out 4 kPa after it was told to shut.
+    assert 13.0 < 20.0 - 0.2 * shut < 15.0
+
+
+@pytest.mark.parametrize(("excess_kPa", "wait_ms"), [(0.5, 300), (3.0, 22)])
+def test_a_little_too_much_is_given_time_to_cool(excess_kPa: float, wait_ms: int) -> None:
+    regulator = Regulator(10.0, 10.0)
+    waited = next(ms for ms in range(5000) if regulator.step(10.0 + excess_kPa).solenoid)
+    assert waited == pytest.approx(wait_ms, abs=10)
+
+
+def test_at_a_setpoint_of_nothing_the_way_out_is_open() -> None:
+    regulator = Regulator(0.0, 0.0)
+    assert {regulator.step(0.0) for _ in range(100)} == {SAFE}
 
 
 def test_on_the_way_down_nothing_is_filled_up_again() -> None:
-    regulator = Regulator(RegulatorSettings(), cv_kPa=10.0)
-    regulator.aim(0.0, 5.0)
-    drives = [regulator.step(0.001, 9.5 - 0.005 * ms, 690.0) for ms in range(500)]
+    regulator = Regulator(10.0, 0.0, 5.0)
+    drives = [regulator.step(9.5 - 0.005 * ms) for ms in range(500)]
     assert not any(drive.evp for drive in drives)
 
 
 def _falling(cv_slope_kPa_per_s: float, reservoir_kPa: float) -> list[Drive]:
     """What the valves are told while the setpoint falls from 20 kPa to 0 at 200 kPa/s."""
-    regulator = Regulator(RegulatorSettings(), cv_kPa=20.0)
-    regulator.aim(0.0, 200.0)
+    regulator = Regulator(20.0, 0.0, 200.0)
     return [
-        regulator.step(0.001, max(5.0, 20.0 - cv_slope_kPa_per_s * ms / 1000), reservoir_kPa)
-        for ms in range(150)
+        regulator.step(max(5.0, 20.0 - cv_slope_kPa_per_s * ms / 1000), reservoir_kPa) for ms in range(150)
     ]
 
 

@@ -9,14 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flying_vines.pneumatics.baseline import Inputs
-from flying_vines.pneumatics.plant.ambient import Climb, Recorded, Steady
+from flying_vines.pneumatics.plant.ambient import Climb, Recorded, Steady, air_at
 from flying_vines.pneumatics.plant.effects import Effects
 from flying_vines.pneumatics.plant.flow import Iso6358, Ohm
 from flying_vines.pneumatics.plant.motion import SolenoidTiming, ValveMotion
+from flying_vines.pneumatics.plant.numbers import numbers_of
 from flying_vines.pneumatics.plant.plant import Held, Plant, State, at_rest
-from flying_vines.pneumatics.plant.rates import model_of
+from flying_vines.pneumatics.plant.rates import conditions, flows, rates
 from flying_vines.pneumatics.plant.shape import Compliant, Pouch
-from flying_vines.pneumatics.plant.simulator import Simulator
+from flying_vines.pneumatics.plant.simulator import TICK_S, Simulator
 from flying_vines.pneumatics.plant.tubing import Tubing
 from flying_vines.pneumatics.plant.venturi import Ejector
 from flying_vines.pneumatics.plant.wall import Wall
@@ -141,8 +142,8 @@ def test_the_first_law_at_every_instant(
     cold: float,
 ) -> None:
     """m c_v T of gas and walls changes by enthalpy that passes, heat, and work at the moving wall. In SI."""
-    model = model_of(plant)
-    t_s = 0.02
+    numbers, t_s = numbers_of(plant, TICK_S), 0.02
+    air = air_at(plant.ambient, t_s)
     state = at_rest(plant, reservoir_kPa, cv_kPa, t_s=t_s, pouch_volume_L=0.03)
     state = state._replace(
         reservoir_pV_J=state.reservoir_pV_J * warm,
@@ -153,48 +154,48 @@ def test_the_first_law_at_every_instant(
         dvp_opening=dvp,
     )
     held = Held(evp, dvp, solenoid)
-    rates = State(*model.derivatives(t_s, state, held))
-    flows = model.flows(t_s, state, held)
+    change = State(*rates(numbers, air, 0.0, state, held))
+    flow = flows(numbers, air, 0.0, state, held)
 
     def enthalpy_W(SL_per_s: float, ratio: float) -> float:
         return KG_PER_SL * SL_per_s * C_P * ratio * 293.15
 
     out_of_reservoir = (
-        enthalpy_W(flows.inflation_SL_per_s, flows.inflation_ratio)
-        + enthalpy_W(flows.motive_SL_per_s, flows.motive_ratio)
-        + enthalpy_W(flows.reservoir_leak_SL_per_s, flows.reservoir_leak_ratio)
+        enthalpy_W(flow.inflation_SL_per_s, flow.inflation_ratio)
+        + enthalpy_W(flow.motive_SL_per_s, flow.motive_ratio)
+        + enthalpy_W(flow.reservoir_leak_SL_per_s, flow.reservoir_leak_ratio)
     )
 
     def temperature_rate(air: float, air_rate: float, pV: float, pV_rate: float) -> float:
         return 293.15 / 101.325 * (pV_rate / air - pV * air_rate / air**2)
 
     mass = state.reservoir_air_SL * KG_PER_SL
-    kelvin = model.conditions(t_s, state).reservoir_K
+    kelvin = conditions(numbers, air, state).reservoir_K
     stored_W = C_V * (
         mass
         * temperature_rate(
-            state.reservoir_air_SL, rates.reservoir_air_SL, state.reservoir_pV_J, rates.reservoir_pV_J
+            state.reservoir_air_SL, change.reservoir_air_SL, state.reservoir_pV_J, change.reservoir_pV_J
         )
-        + rates.reservoir_air_SL * KG_PER_SL * kelvin
+        + change.reservoir_air_SL * KG_PER_SL * kelvin
     )
-    assert stored_W == pytest.approx(flows.reservoir_heat_W - out_of_reservoir, rel=1e-9, abs=1e-6)
-    assert rates.reservoir_air_SL == pytest.approx(
-        -(flows.inflation_SL_per_s + flows.motive_SL_per_s + flows.reservoir_leak_SL_per_s), abs=1e-15
+    assert stored_W == pytest.approx(flow.reservoir_heat_W - out_of_reservoir, rel=1e-9, abs=1e-6)
+    assert change.reservoir_air_SL == pytest.approx(
+        -(flow.inflation_SL_per_s + flow.motive_SL_per_s + flow.reservoir_leak_SL_per_s), abs=1e-15
     )
     if plant.rig.cv is None:
         return
 
     if plant.effects.tubing is None:
-        entering = enthalpy_W(flows.inflation_SL_per_s, flows.inflation_ratio) - enthalpy_W(
-            flows.outlet_SL_per_s, flows.outlet_ratio
+        entering = enthalpy_W(flow.inflation_SL_per_s, flow.inflation_ratio) - enthalpy_W(
+            flow.outlet_SL_per_s, flow.outlet_ratio
         )
     else:
-        entering = enthalpy_W(flows.line_to_cv_SL_per_s, flows.line_to_cv_ratio)
-    entering -= enthalpy_W(flows.cv_leak_SL_per_s, flows.cv_leak_ratio)
+        entering = enthalpy_W(flow.line_to_cv_SL_per_s, flow.line_to_cv_ratio)
+    entering -= enthalpy_W(flow.cv_leak_SL_per_s, flow.cv_leak_ratio)
 
     def at(moment_s: float) -> tuple[float, float]:
-        moved = State(*(value + moment_s * rate for value, rate in zip(state, rates, strict=True)))
-        found = model.conditions(t_s + moment_s, moved)
+        moved = State(*(value + moment_s * rate for value, rate in zip(state, change, strict=True)))
+        found = conditions(numbers, air_at(plant.ambient, t_s + moment_s), moved)
         return found.cv_volume_L, found.cv_kPa + found.ambient_kPa
 
     # Small against everything that moves; where a pouch becomes full or flat the two sides differ.
@@ -202,19 +203,18 @@ def test_the_first_law_at_every_instant(
     (volume_before, p_before), (_, p), (volume_after, p_after) = at(-moment_s), at(0.0), at(moment_s)
     work_W = p * (volume_after - volume_before) / (2.0 * moment_s)
     stored_W = (p_after * volume_after - p_before * volume_before) / 0.4 / (2.0 * moment_s)
-    volume_L, gauge_kPa = model.conditions(t_s, state).cv_volume_L, model.conditions(t_s, state).cv_kPa
+    found = conditions(numbers, air, state)
+    volume_L, gauge_kPa = found.cv_volume_L, found.cv_kPa
     flat_L = getattr(plant.effects.cv_shape, "flat_volume_L", plant.rig.cv.volume_L)
     edges_L = (flat_L, plant.rig.cv.volume_L)
     on_an_edge = abs(gauge_kPa) < 1e-3 and min(abs(volume_L - edge_L) for edge_L in edges_L) < 1e-5
     if not on_an_edge:
-        assert stored_W == pytest.approx(entering + flows.cv_heat_W - work_W, rel=1e-4, abs=2e-3)
+        assert stored_W == pytest.approx(entering + flow.cv_heat_W - work_W, rel=1e-4, abs=2e-3)
     if math.isfinite(plant.effects.cv_wall.capacity_J_per_K if plant.effects.cv_wall else math.inf):
         assert plant.effects.cv_wall is not None
-        wall_W = plant.effects.cv_wall.capacity_J_per_K * rates.cv_wall_K
-        outside_W = plant.effects.cv_wall.outer_conductance_W_per_K * (
-            model.conditions(t_s, state).ambient_K - state.cv_wall_K
-        )
-        assert wall_W == pytest.approx(outside_W - flows.cv_heat_W, abs=1e-9, rel=1e-9)
+        wall_W = plant.effects.cv_wall.capacity_J_per_K * change.cv_wall_K
+        outside_W = plant.effects.cv_wall.outer_conductance_W_per_K * (found.ambient_K - state.cv_wall_K)
+        assert wall_W == pytest.approx(outside_W - flow.cv_heat_W, abs=1e-9, rel=1e-9)
 
 
 @settings(max_examples=80, deadline=None)
@@ -263,7 +263,7 @@ def test_what_is_vented_is_what_flowed(plant: Plant, reservoir_kPa: float, told:
             before, t_s = simulator.state, simulator.t_s
             simulator.advance(command)
             ends = [
-                simulator.model.flows(at_s, state, simulator.held)
+                flows(simulator.numbers, air_at(plant.ambient, at_s), 0.0, state, simulator.held)
                 for at_s, state in ((t_s, before), (simulator.t_s, simulator.state))
             ]
             for flow in ends:

@@ -64,7 +64,6 @@ def test_without_effects_it_is_the_baseline(
     cv_kPa = 0.0 if rig.cv is None else cv_kPa
     plant = Plant(rig)
     simulator = Simulator(plant, at_rest(plant, reservoir_kPa, cv_kPa))
-    assert simulator.steps_per_tick == 1
     state = baseline.State(reservoir_kPa, cv_kPa)
     for command in told:
         for _ in range(20):

@@ -8,8 +8,19 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from flying_vines.pneumatics.plant.gas import STANDARD_PRESSURE_KPA, STANDARD_TEMPERATURE_K
+
+
+class Air(NamedTuple):
+    """The air around over a short while, in which it changes by straight lines: at its start, and rates."""
+
+    kPa: float
+    kPa_per_s: float
+    ratio: float
+    """Temperature, to 293.15 K."""
+    ratio_per_s: float
 
 
 @dataclass(frozen=True)
@@ -64,6 +75,17 @@ class Recorded:
 
 
 Ambient = Steady | Climb | Recorded
+
+
+def air_at(ambient: Ambient, t_s: float) -> Air:
+    """The air at an instant."""
+    kPa, kelvin, kPa_per_s = ambient.at(t_s)
+    return Air(kPa, kPa_per_s, kelvin / STANDARD_TEMPERATURE_K, 0.0)
+
+
+def air_between(before: Air, after: Air, dt_s: float) -> Air:
+    """The air from one instant to another `dt_s` later."""
+    return Air(before.kPa, (after.kPa - before.kPa) / dt_s, before.ratio, (after.ratio - before.ratio) / dt_s)
 
 
 def isa_pressure_kPa(altitude_m: float) -> float:

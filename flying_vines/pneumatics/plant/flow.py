@@ -1,21 +1,73 @@
 """What flows through an opening: Ohm's law, or ISO 6358.
 
-A law is a description; `function()` makes it into `flow(p1, p2, θ1, θ2)`: standard litres per second from 1
-to 2 (negative: from 2 to 1), absolute pressures in kPa, temperatures as ratios to 293.15 K.
+A law is a description; `numbers()` are what `flow_SL_per_s` calculates with, the same for every law.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import sqrt
+from typing import NamedTuple
 
 from flying_vines.pneumatics.plant.gas import STANDARD_PRESSURE_KPA
 
-FlowFunction = Callable[[float, float, float, float], float]
-
 _ANR_SL = 101.325 / 100.0
 """ISO 6358 counts at 100 kPa and 20 °C what we count at 101.325 kPa and 20 °C."""
+
+
+class Opening(NamedTuple):
+    """The numbers of a law, and those of an opening that is not there."""
+
+    ohmic: bool = True
+    conductance_SL_per_s_kPa: float = 0.0
+    """1/R, or C."""
+    critical_pressure_ratio: float = 0.0
+    subsonic_index: float = 0.5
+    cracking_kPa: float = 0.0
+    laminar_ratio: float = 1.0
+    temperature_dependent: bool = False
+    one_way: bool = False
+    laminar_share: float = 0.0
+    """φ at the laminar ratio, where nothing has to crack."""
+    steepest_SL_per_s_kPa: float = 0.0
+    """The most that the flow changes per kPa."""
+
+
+def flow_SL_per_s(law: Opening, p1: float, p2: float, theta1: float, theta2: float) -> float:
+    """From 1 to 2 (negative: from 2 to 1); absolute pressures in kPa, temperatures as ratios to 293.15 K."""
+    if law.ohmic:
+        return (p1 - p2) * law.conductance_SL_per_s_kPa
+    if p1 >= p2:
+        return _directed(law, p1, p2, theta1)
+    return 0.0 if law.one_way else -_directed(law, p2, p1, theta2)
+
+
+def _directed(law: Opening, upstream: float, downstream: float, theta: float) -> float:
+    flow = law.conductance_SL_per_s_kPa * upstream
+    if downstream > law.critical_pressure_ratio * upstream or law.cracking_kPa > 0.0:
+        flow *= choked_share(law, upstream, downstream)
+    return flow / sqrt(theta) if law.temperature_dependent else flow
+
+
+def choked_share(law: Opening, upstream: float, downstream: float) -> float:
+    """φ of ISO 6358, for flow in this direction."""
+    if upstream <= downstream:
+        return 0.0
+    b = law.critical_pressure_ratio
+    r = downstream / upstream
+    closing = 1.0 - law.cracking_kPa / upstream
+    if r >= closing:
+        return 0.0
+    laminar = law.laminar_ratio * closing
+    if laminar <= b:
+        # Too little pressure to choke before it cracks: what is left of the law is its last, straight piece.
+        return min(1.0, (closing - r) / (closing - laminar)) if closing > laminar else 1.0
+    if r <= b:
+        return 1.0
+    x = (min(r, laminar) - b) / (closing - b)
+    whole = 1.0 - x * x
+    share = sqrt(whole) if law.subsonic_index == 0.5 else whole**law.subsonic_index
+    return share * (closing - r) / (closing - laminar) if r > laminar else share
 
 
 @dataclass(frozen=True)
@@ -28,17 +80,9 @@ class Ohm:
         if not self.flow_resistance_kPa_s_per_SL > 0.0:
             raise ValueError("a flow resistance is positive")
 
-    def function(self) -> FlowFunction:
-        resistance = self.flow_resistance_kPa_s_per_SL
-
-        def flow(p1: float, p2: float, theta1: float, theta2: float) -> float:
-            return (p1 - p2) / resistance
-
-        return flow
-
-    def steepest_SL_per_s_kPa(self) -> float:
-        """The most that the flow changes per kPa."""
-        return 1.0 / self.flow_resistance_kPa_s_per_SL
+    def numbers(self) -> Opening:
+        per_kPa = 1.0 / self.flow_resistance_kPa_s_per_SL
+        return Opening(conductance_SL_per_s_kPa=per_kPa, steepest_SL_per_s_kPa=per_kPa)
 
 
 @dataclass(frozen=True)
@@ -70,51 +114,26 @@ class Iso6358:
         if not self.subsonic_index > 0.0 or not self.cracking_kPa >= 0.0:
             raise ValueError("a subsonic index is positive, a cracking pressure not negative")
 
-    def ratio(self, upstream_kPa_abs: float, downstream_kPa_abs: float) -> float:
-        """φ, the share of the choked flow, for flow in this direction."""
-        if upstream_kPa_abs <= downstream_kPa_abs:
-            return 0.0
+    def numbers(self) -> Opening:
         b = self.critical_pressure_ratio
-        r = downstream_kPa_abs / upstream_kPa_abs
-        closing = 1.0 - self.cracking_kPa / upstream_kPa_abs
-        if r >= closing:
-            return 0.0
-        laminar = self.laminar_ratio * closing
-        if laminar <= b:
-            # Too little pressure to choke before it cracks: what is left of the law is its last, straight
-            # piece.
-            return min(1.0, (closing - r) / (closing - laminar)) if closing > laminar else 1.0
-        if r <= b:
-            return 1.0
-        x = (min(r, laminar) - b) / (closing - b)
-        whole = 1.0 - x * x
-        part = sqrt(whole) if self.subsonic_index == 0.5 else whole**self.subsonic_index
-        return part * (closing - r) / (closing - laminar) if r > laminar else part
 
-    def function(self) -> FlowFunction:
-        conductance, one_way, ratio = self.sonic_conductance_SL_per_s_kPa, self.one_way, self.ratio
-        b = self.critical_pressure_ratio
-        hot = self.temperature_dependent
-        plain = self.cracking_kPa == 0.0
+        def share(r: float) -> float:
+            return float(max(0.0, 1.0 - ((r - b) / (1.0 - b)) ** 2) ** self.subsonic_index)
 
-        def flow(p1: float, p2: float, theta1: float, theta2: float) -> float:
-            if p1 >= p2:
-                share = 1.0 if plain and p2 <= b * p1 else ratio(p1, p2)
-                whole = conductance * p1 * share
-                return whole / sqrt(theta1) if hot else whole
-            if one_way:
-                return 0.0
-            whole = conductance * p2 * ratio(p2, p1)
-            return -(whole / sqrt(theta2) if hot else whole)
-
-        return flow
-
-    def steepest_SL_per_s_kPa(self) -> float:
-        """The most that the flow changes per kPa: in the laminar piece (at standard temperature)."""
-        b, laminar = self.critical_pressure_ratio, min(self.laminar_ratio, 0.999)
-        x = (laminar - b) / (1.0 - b)
-        share = float(max(0.0, 1.0 - x * x) ** self.subsonic_index)
-        return self.sonic_conductance_SL_per_s_kPa * max(1.0, share / (1.0 - laminar))
+        # Steepest in the laminar piece, at standard temperature.
+        laminar = min(self.laminar_ratio, 0.999)
+        return Opening(
+            False,
+            self.sonic_conductance_SL_per_s_kPa,
+            b,
+            self.subsonic_index,
+            self.cracking_kPa,
+            self.laminar_ratio,
+            self.temperature_dependent,
+            self.one_way,
+            share(self.laminar_ratio),
+            self.sonic_conductance_SL_per_s_kPa * max(1.0, share(laminar) / (1.0 - laminar)),
+        )
 
 
 FlowLaw = Ohm | Iso6358
@@ -150,7 +169,7 @@ def iso6358_matching(
         one_way=one_way,
     )
     supply_kPa_abs = at_kPa + STANDARD_PRESSURE_KPA
-    unit = supply_kPa_abs * shape.ratio(supply_kPa_abs, STANDARD_PRESSURE_KPA)
+    unit = supply_kPa_abs * choked_share(shape.numbers(), supply_kPa_abs, STANDARD_PRESSURE_KPA)
     return Iso6358(
         at_kPa / flow_resistance_kPa_s_per_SL / unit,
         critical_pressure_ratio,

@@ -65,13 +65,6 @@ def dead_zone(command: float, dead_opening: float) -> float:
     return min(1.0, max(0.0, (command - dead_opening) / (1.0 - dead_opening)))
 
 
-def delayed(line: tuple[float, ...], command: float) -> tuple[tuple[float, ...], float]:
-    """A delay line one tick later, and what comes out of it; an empty line delays nothing."""
-    if not line:
-        return line, command
-    return (*line[1:], command), line[0]
-
-
 def ticks(delay_s: float, tick_s: float) -> int:
     """A delay in whole ticks, the nearest."""
     return round(delay_s / tick_s)

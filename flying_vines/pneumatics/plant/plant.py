@@ -21,7 +21,7 @@ class Plant:
 
     def __post_init__(self) -> None:
         if self.rig.cv is not None:
-            self.shape.function(self.rig.cv.volume_L, 0.0)
+            self.shape.numbers(self.rig.cv.volume_L, 0.0)
 
     @property
     def ambient(self) -> Ambient:

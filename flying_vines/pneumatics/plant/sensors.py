@@ -9,7 +9,8 @@ A pure function of the true pressure, the noise, and one remembered pair; the pl
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, floor
+from functools import cached_property
+from math import exp, floor, inf
 from typing import NamedTuple
 
 
@@ -37,14 +38,36 @@ class Adc:
 
     def code(self, pressure_kPa: float, span_kPa: float) -> int:
         """What the converter says."""
-        volts = self.zero_V + self.span_V * pressure_kPa / span_kPa
-        code = floor(volts * self.divider / self.reference_V * float(1 << self.bits) + 0.5)
-        return min((1 << self.bits) - 1, max(0, code))
+        return _code(self, pressure_kPa, span_kPa)
 
     def pressure_kPa(self, code: int, span_kPa: float) -> float:
         """What the firmware makes of a code."""
-        volts = code / float(1 << self.bits) * self.reference_V / self.divider
-        return (volts - self.zero_V) / self.span_V * span_kPa
+        return _pressure_kPa(self, code, span_kPa)
+
+
+def _code(adc: Adc, pressure_kPa: float, span_kPa: float) -> int:
+    volts = adc.zero_V + adc.span_V * pressure_kPa / span_kPa
+    code = floor(volts * adc.divider / adc.reference_V * float(1 << adc.bits) + 0.5)
+    return min((1 << adc.bits) - 1, max(0, code))
+
+
+def _pressure_kPa(adc: Adc, code: int, span_kPa: float) -> float:
+    volts = code / float(1 << adc.bits) * adc.reference_V / adc.divider
+    return (volts - adc.zero_V) / adc.span_V * span_kPa
+
+
+class Transfer(NamedTuple):
+    """The numbers of a sensor."""
+
+    span_kPa: float
+    noise_std_kPa: float
+    offset_kPa: float
+    gain: float
+    time_constant_s: float
+    lowest_kPa: float
+    highest_kPa: float
+    has_adc: bool
+    adc: Adc
 
 
 @dataclass(frozen=True)
@@ -67,6 +90,20 @@ class Sensor:
     def __post_init__(self) -> None:
         if not (self.span_kPa > 0.0 and self.noise_std_kPa >= 0.0 and self.time_constant_s >= 0.0):
             raise ValueError("a sensor's span is positive, its noise and lag are not negative")
+
+    @cached_property
+    def numbers(self) -> Transfer:
+        return Transfer(
+            self.span_kPa,
+            self.noise_std_kPa,
+            self.offset_kPa,
+            self.gain,
+            self.time_constant_s,
+            -inf if self.lowest_share is None else self.lowest_share * self.span_kPa,
+            inf if self.highest_share is None else self.highest_share * self.span_kPa,
+            self.adc is not None,
+            self.adc or Adc(),
+        )
 
 
 HONEYWELL_30PSI = Sensor(
@@ -98,6 +135,13 @@ def read(
 
     The lag is exact for a pressure that went straight from the last reading's to this one's.
     """
+    return reading(sensor.numbers, seen, true_kPa, dt_s, standard_normal)
+
+
+def reading(
+    sensor: Transfer, seen: Seen, true_kPa: float, dt_s: float, standard_normal: float
+) -> tuple[Seen, float]:
+    """`read`, of a sensor's numbers."""
     lagged_kPa = true_kPa
     tau_s = sensor.time_constant_s
     if tau_s > 0.0:
@@ -106,11 +150,8 @@ def read(
             behind_kPa = tau_s * (true_kPa - seen.true_kPa) / dt_s
             left = exp(-dt_s / tau_s)
             lagged_kPa = true_kPa - behind_kPa + (seen.lagged_kPa - seen.true_kPa + behind_kPa) * left
-    reading = sensor.gain * (lagged_kPa + sensor.offset_kPa) + sensor.noise_std_kPa * standard_normal
-    if sensor.lowest_share is not None:
-        reading = max(sensor.lowest_share * sensor.span_kPa, reading)
-    if sensor.highest_share is not None:
-        reading = min(sensor.highest_share * sensor.span_kPa, reading)
-    if sensor.adc is not None:
-        reading = sensor.adc.pressure_kPa(sensor.adc.code(reading, sensor.span_kPa), sensor.span_kPa)
-    return Seen(true_kPa, lagged_kPa), reading
+    kPa = sensor.gain * (lagged_kPa + sensor.offset_kPa) + sensor.noise_std_kPa * standard_normal
+    kPa = min(sensor.highest_kPa, max(sensor.lowest_kPa, kPa))
+    if sensor.has_adc:
+        kPa = _pressure_kPa(sensor.adc, _code(sensor.adc, kPa, sensor.span_kPa), sensor.span_kPa)
+    return Seen(true_kPa, lagged_kPa), kPa

@@ -4,17 +4,49 @@ What is known of the gas inside is not its p V alone but E = p V + g W, where W 
 done on wall and ambient since the smallest volume, and g = γ − 1 with a temperature of its own, 0 when
 isothermal. E has no jump in its rate where a pouch becomes full, as p V has.
 
-A shape is a description; `function(volume_L, g)` makes it into `shape(E, ambient) -> (p, V)`: absolute
-pressures in kPa, litres, kPa·L.
+A shape is a description; `numbers(volume_L, g)` are what `pressure_and_volume` calculates with. All shapes
+are a pouch then: a compliant one has no volume to fill first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import sqrt
+from typing import NamedTuple
 
-ShapeFunction = Callable[[float, float], tuple[float, float]]
+_NO_EDGE_L = -1.0
+
+
+class Chamber(NamedTuple):
+    """The numbers of a shape."""
+
+    flat_L: float
+    """The smallest volume: from where work counts, and what is left in a vacuum."""
+    full_L: float
+    per_kPa: float
+    g: float
+    flat_edge_L: float
+    """E / p_a where the law has a kink; below 0 where it has none."""
+    full_edge_L: float
+
+
+def pressure_and_volume(chamber: Chamber, energy: float, ambient_kPa: float) -> tuple[float, float]:
+    """Absolute pressure in kPa and volume in L, of E in kPa·L."""
+    g, flat, full = chamber.g, chamber.flat_L, chamber.full_L
+    beyond = energy - g * (full - flat) * ambient_kPa
+    rigid_kPa = beyond / full
+    if rigid_kPa >= ambient_kPa:
+        k = chamber.per_kPa
+        if k == 0.0:
+            return rigid_kPa, full
+        rigid_kPa -= ambient_kPa
+        # The positive root of k (1 + g/2) P² + (1 + (1 + g) k p_a) P = rigid, as it survives k → 0.
+        linear = 1.0 + (1.0 + g) * k * ambient_kPa
+        gauge = 2.0 * rigid_kPa / (linear + sqrt(linear * linear + 4.0 * k * (1.0 + 0.5 * g) * rigid_kPa))
+        return ambient_kPa + gauge, full * (1.0 + k * gauge)
+    if energy >= ambient_kPa * flat:
+        return ambient_kPa, (energy / ambient_kPa + g * flat) / (1.0 + g)
+    return energy / flat, flat
 
 
 @dataclass(frozen=True)
@@ -27,31 +59,9 @@ class Compliant:
         if not self.per_kPa >= 0.0:
             raise ValueError("a compliance is not negative")
 
-    def smallest_L(self, volume_L: float) -> float:
-        """From where work counts, and what is left of it in a vacuum."""
-        return volume_L
-
-    def function(self, volume_L: float, g: float) -> ShapeFunction:
-        k = self.per_kPa
-
-        if k == 0.0:
-            return lambda energy, ambient_kPa: (energy / volume_L, volume_L)
-
-        def shape(energy: float, ambient_kPa: float) -> tuple[float, float]:
-            rigid_kPa = energy / volume_L - ambient_kPa
-            if rigid_kPa <= 0.0:
-                return energy / volume_L, volume_L
-            # The positive root of k (1 + g/2) P² + (1 + (1 + g) k p_a) P = rigid, as it survives k → 0.
-            linear = 1.0 + (1.0 + g) * k * ambient_kPa
-            root = sqrt(linear * linear + 4.0 * k * (1.0 + 0.5 * g) * rigid_kPa)
-            gauge = 2.0 * rigid_kPa / (linear + root)
-            return ambient_kPa + gauge, volume_L * (1.0 + k * gauge)
-
-        return shape
-
-    def edges(self, volume_L: float, g: float) -> tuple[float, ...]:
-        """E / p_a where the law has a kink."""
-        return (volume_L,) if self.per_kPa > 0.0 else ()
+    def numbers(self, volume_L: float, g: float) -> Chamber:
+        edge_L = volume_L if self.per_kPa > 0.0 else _NO_EDGE_L
+        return Chamber(volume_L, volume_L, self.per_kPa, g, _NO_EDGE_L, edge_L)
 
     def at(
         self, volume_L: float, kPa: float, ambient_kPa: float, fill_L: float | None
@@ -73,30 +83,11 @@ class Pouch:
         if not (self.flat_volume_L > 0.0 and self.per_kPa >= 0.0):
             raise ValueError("a pouch's flat volume is positive, its compliance not negative")
 
-    def smallest_L(self, volume_L: float) -> float:
-        """From where work counts, and what is left of it in a vacuum."""
-        return self.flat_volume_L
-
-    def function(self, volume_L: float, g: float) -> ShapeFunction:
-        flat = self.flat_volume_L
-        if not flat < volume_L:
+    def numbers(self, volume_L: float, g: float) -> Chamber:
+        flat_L = self.flat_volume_L
+        if not flat_L < volume_L:
             raise ValueError("a pouch's flat volume is smaller than the full one")
-        full = Compliant(self.per_kPa).function(volume_L, g)
-        filling = g * (volume_L - flat)
-
-        def shape(energy: float, ambient_kPa: float) -> tuple[float, float]:
-            beyond = energy - filling * ambient_kPa
-            if beyond >= ambient_kPa * volume_L:
-                return full(beyond, ambient_kPa)
-            if energy >= ambient_kPa * flat:
-                return ambient_kPa, (energy / ambient_kPa + g * flat) / (1.0 + g)
-            return energy / flat, flat
-
-        return shape
-
-    def edges(self, volume_L: float, g: float) -> tuple[float, ...]:
-        """E / p_a where the law has a kink."""
-        return self.flat_volume_L, volume_L + g * (volume_L - self.flat_volume_L)
+        return Chamber(flat_L, volume_L, self.per_kPa, g, flat_L, volume_L + g * (volume_L - flat_L))
 
     def at(
         self, volume_L: float, kPa: float, ambient_kPa: float, fill_L: float | None

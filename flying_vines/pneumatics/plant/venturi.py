@@ -5,12 +5,28 @@ The baseline's Venturi makes P_vac = full_vacuum · u_d · min(1, P_r / rated_su
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import sqrt
+from typing import NamedTuple
 
-from flying_vines.pneumatics.plant.flow import FlowFunction, FlowLaw, Iso6358, Ohm
+from flying_vines.pneumatics.plant.flow import Opening, flow_SL_per_s
 from flying_vines.pneumatics.plant.gas import STANDARD_PRESSURE_KPA
+from flying_vines.pneumatics.rig import Venturi
+
+
+class Suction(NamedTuple):
+    """The numbers of a Venturi."""
+
+    full_vacuum_kPa: float
+    rated_supply_kPa: float
+    stall_supply_kPa: float
+    nozzle_SL_per_s_kPa: float
+    """0: it follows the supply valve as in the baseline."""
+    unlimited: bool
+    """Draws whatever there is to draw."""
+    free_per_motive: float
+    passage_resistance_kPa_s_per_SL: float
+    scales_with_ambient: bool
 
 
 @dataclass(frozen=True)
@@ -45,6 +61,18 @@ class Ejector:
             if what is not None and not what > 0.0:
                 raise ValueError("a nozzle, a suction and a passage are positive")
 
+    def numbers(self, venturi: Venturi) -> Suction:
+        return Suction(
+            venturi.full_vacuum_kPa,
+            venturi.rated_supply_kPa,
+            self.stall_supply_kPa,
+            self.nozzle_conductance_SL_per_s_kPa or 0.0,
+            self.free_suction_per_motive is None,
+            self.free_suction_per_motive or 0.0,
+            self.passage_resistance_kPa_s_per_SL,
+            self.scales_with_ambient,
+        )
+
 
 COVAL_VR09 = Ejector(
     nozzle_conductance_SL_per_s_kPa=1.185e-3, free_suction_per_motive=0.6, scales_with_ambient=True
@@ -72,119 +100,168 @@ def nozzle_supply(
     )
 
 
-OutletFunction = Callable[[float, float, float, float, float, float], float]
-"""(p, θ, p_a, θ_a, P_vac, Q_free) → flow out of the control volume, SL/s."""
+def supply(
+    venturi: Suction,
+    valve: Opening,
+    opening: float,
+    supply_kPa_abs: float,
+    ambient_kPa: float,
+    ratio: float,
+    ambient_ratio: float,
+) -> tuple[float, float]:
+    """Motive flow in SL/s, and how deep the vacuum can be, kPa below ambient, at an opening above 0."""
+    if venturi.nozzle_SL_per_s_kPa == 0.0:
+        motive = opening * flow_SL_per_s(valve, supply_kPa_abs, ambient_kPa, ratio, ambient_ratio)
+        vacuum = opening * min(1.0, (supply_kPa_abs - ambient_kPa) / venturi.rated_supply_kPa)
+    else:
+        motive, before = nozzle_supply(
+            opening * valve.conductance_SL_per_s_kPa,
+            venturi.nozzle_SL_per_s_kPa,
+            supply_kPa_abs,
+            ambient_kPa,
+        )
+        motive /= sqrt(ratio)
+        vacuum = min(1.0, (before - ambient_kPa) / venturi.rated_supply_kPa)
+    # The lowest ratio of pressures stays as it is.
+    if venturi.scales_with_ambient:
+        vacuum *= ambient_kPa / STANDARD_PRESSURE_KPA
+    return motive, venturi.full_vacuum_kPa * vacuum
 
 
-def outlet_into(ejector: Ejector, solenoid: FlowLaw) -> OutletFunction:
-    """The outlet through a solenoid into an ejector that draws only what it can.
+def outlet_SL_per_s(
+    venturi: Suction,
+    solenoid: Opening,
+    p: float,
+    ratio: float,
+    ambient_kPa: float,
+    ambient_ratio: float,
+    vacuum_kPa: float,
+    motive_SL_per_s: float,
+) -> float:
+    """Out of the control volume (at absolute pressure `p`) through the open solenoid and the ejector.
 
     Both flows are the same and the pressure between them follows; with Ohm's solenoid that is two straight
     lines.
     """
-    passage = ejector.passage_resistance_kPa_s_per_SL
-    if isinstance(solenoid, Ohm):
-        resistance = solenoid.flow_resistance_kPa_s_per_SL
+    if venturi.unlimited:
+        return flow_SL_per_s(solenoid, p, ambient_kPa - vacuum_kPa, ratio, ambient_ratio)
+    free = venturi.free_per_motive * motive_SL_per_s if vacuum_kPa > 0.0 else 0.0
+    if solenoid.ohmic:
+        passage = venturi.passage_resistance_kPa_s_per_SL
+        resistance = 1.0 / solenoid.conductance_SL_per_s_kPa
+        gauge = p - ambient_kPa
+        if gauge + vacuum_kPa <= 0.0:
+            return (gauge + vacuum_kPa) / (resistance + passage)
+        if free > 0.0 and gauge < free * resistance:
+            return (gauge + vacuum_kPa) / (resistance + vacuum_kPa / free)
+        return (gauge + free * passage) / (resistance + passage)
+    if solenoid.subsonic_index != 0.5 or solenoid.cracking_kPa > 0.0:
+        port = _port(venturi, solenoid, p, ratio, ambient_kPa, ambient_ratio, vacuum_kPa, free)
+        return flow_SL_per_s(solenoid, p, port, ratio, ambient_ratio)
+    near = ambient_kPa - vacuum_kPa
+    if p > near:
+        return _elliptic(venturi, solenoid, p, ratio, ambient_kPa, ambient_ratio, vacuum_kPa, free)
+    return -_elliptic_back(venturi, solenoid, p, near, ambient_ratio)
 
-        def ohmic(
-            p: float, theta: float, ambient: float, ambient_theta: float, vacuum: float, free: float
-        ) -> float:
-            gauge = p - ambient
-            if gauge + vacuum <= 0.0:
-                return (gauge + vacuum) / (resistance + passage)
-            if free > 0.0 and gauge < free * resistance:
-                return (gauge + vacuum) / (resistance + vacuum / free)
-            return (gauge + free * passage) / (resistance + passage)
 
-        return ohmic
-    if solenoid.subsonic_index == 0.5 and solenoid.cracking_kPa == 0.0:
-        return _elliptic_outlet(passage, solenoid)
-    return _iterated_outlet(passage, solenoid.function())
-
-
-def _elliptic_outlet(passage: float, solenoid: Iso6358) -> OutletFunction:
+def _elliptic(
+    venturi: Suction,
+    solenoid: Opening,
+    p: float,
+    ratio: float,
+    ambient_kPa: float,
+    ambient_ratio: float,
+    vacuum_kPa: float,
+    free: float,
+) -> float:
     """With m = 1/2 the law is an ellipse in r and the ejector a straight line: where they cross."""
-    law, hot = solenoid.function(), solenoid.temperature_dependent
-    b, laminar, conductance = (
-        solenoid.critical_pressure_ratio,
-        solenoid.laminar_ratio,
-        solenoid.sonic_conductance_SL_per_s_kPa,
-    )
-    stretch = 1.0 / ((1.0 - b) * (1.0 - b))
-    end = (1.0 - (laminar - b) ** 2 * stretch) ** 0.5
-    backwards = _iterated_outlet(passage, law)
-
-    def outlet(
-        p: float, theta: float, ambient: float, ambient_theta: float, vacuum: float, free: float
-    ) -> float:
-        if p <= ambient - vacuum or (p <= ambient and free <= 0.0):
-            return backwards(p, theta, ambient, ambient_theta, vacuum, free)
-        # The line has its corner at ambient pressure. It is start + slope · r, r the pressure between over p.
-        beyond = p > ambient and law(p, ambient, theta, ambient_theta) > free
-        per_kPa = 1.0 / passage if beyond or vacuum <= 0.0 else free / vacuum
-        start, slope = free - per_kPa * ambient, per_kPa * p
-        choked = conductance * p / sqrt(theta) if hot else conductance * p
-        if choked - start <= b * slope:
-            return choked
-        squared = choked * choked
-        wide = squared * stretch
-        half = wide * b - start * slope
-        both = wide + slope * slope
-        rest = start * start + wide * b * b - squared
-        r = (half + sqrt(max(0.0, half * half - both * rest))) / both
-        if r > laminar:
-            steep = choked * end / (1.0 - laminar)
-            r = (steep - start) / (steep + slope)
-        return start + slope * r
-
-    return outlet
+    b, laminar = solenoid.critical_pressure_ratio, solenoid.laminar_ratio
+    # The line has its corner at ambient pressure. It is start + slope · r, r the pressure between over p.
+    if vacuum_kPa <= 0.0 or (
+        p > ambient_kPa and flow_SL_per_s(solenoid, p, ambient_kPa, ratio, ambient_ratio) > free
+    ):
+        per_kPa = 1.0 / venturi.passage_resistance_kPa_s_per_SL
+    else:
+        per_kPa = free / vacuum_kPa
+    start, slope = free - per_kPa * ambient_kPa, per_kPa * p
+    choked = solenoid.conductance_SL_per_s_kPa * p
+    if solenoid.temperature_dependent:
+        choked /= sqrt(ratio)
+    if choked - start <= b * slope:
+        return choked
+    if laminar < 1.0:
+        steep = choked * solenoid.laminar_share / (1.0 - laminar)
+        r = (steep - start) / (steep + slope)
+        if r >= laminar:
+            return start + slope * r
+    squared = choked * choked
+    wide = squared / ((1.0 - b) * (1.0 - b))
+    half = wide * b - start * slope
+    both = wide + slope * slope
+    rest = start * start + wide * b * b - squared
+    return start + slope * (half + sqrt(max(0.0, half * half - both * rest))) / both
 
 
-def _iterated_outlet(passage: float, law: FlowFunction) -> OutletFunction:
-    def outlet(
-        p: float, theta: float, ambient: float, ambient_theta: float, vacuum: float, free: float
-    ) -> float:
-        near, far = ambient - vacuum, p
-
-        def surplus(port: float) -> float:
-            gauge = port - ambient
-            if far <= near:
-                drawn = (port - near) / passage
-            elif gauge >= 0.0 or vacuum <= 0.0:
-                drawn = free + gauge / passage
-            else:
-                drawn = free * (1.0 + gauge / vacuum)
-            return law(p, port, theta, ambient_theta) - drawn
-
-        # The ejector's line has its corner at ambient pressure: the root is on one side of it.
-        lower, upper = near, far
-        if near < ambient < far:
-            if surplus(ambient) > 0.0:
-                lower = ambient
-            else:
-                upper = ambient
-        return law(p, _root(surplus, lower, upper), theta, ambient_theta)
-
-    return outlet
-
-
-def vacuum_share(ambient_kPa: float) -> float:
-    """What is left of a vacuum in thin air: p_a / 101.325. The lowest ratio of pressures stays."""
-    return ambient_kPa / STANDARD_PRESSURE_KPA
+def _elliptic_back(venturi: Suction, solenoid: Opening, p: float, near: float, ambient_ratio: float) -> float:
+    """The same backwards: through the passage from a pressure `near`, then the solenoid into less."""
+    if solenoid.one_way:
+        return 0.0
+    b, laminar = solenoid.critical_pressure_ratio, solenoid.laminar_ratio
+    per_kPa = 1.0 / venturi.passage_resistance_kPa_s_per_SL
+    conductance = solenoid.conductance_SL_per_s_kPa
+    if solenoid.temperature_dependent:
+        conductance /= sqrt(ambient_ratio)
+    port = near * per_kPa / (conductance + per_kPa)
+    if p <= b * port:
+        return conductance * port
+    if laminar < 1.0:
+        steep = conductance * solenoid.laminar_share / (1.0 - laminar)
+        port = (steep * p + per_kPa * near) / (steep + per_kPa)
+        if p >= laminar * port:
+            return steep * (port - p)
+    # c² (port² − ((p − b port)/(1 − b))²) = ((near − port)/R)²
+    squared = conductance * conductance
+    wide = squared / ((1.0 - b) * (1.0 - b))
+    line = per_kPa * per_kPa
+    half = wide * b * p + line * near
+    rest = wide * p * p + line * near * near
+    port = rest / (half + sqrt(max(0.0, half * half + (squared - wide * b * b - line) * rest)))
+    return per_kPa * (near - port)
 
 
-def _root(function: Callable[[float], float], a: float, b: float) -> float:
-    """Where a falling or rising function is zero between a and b (Illinois)."""
-    at_a, at_b = function(a), function(b)
+def _port(
+    venturi: Suction,
+    solenoid: Opening,
+    p: float,
+    ratio: float,
+    ambient_kPa: float,
+    ambient_ratio: float,
+    vacuum_kPa: float,
+    free: float,
+) -> float:
+    """The pressure between solenoid and ejector, where both pass the same."""
+    a, b = ambient_kPa - vacuum_kPa, p
+    # The ejector's line has its corner at ambient pressure: the root is on one side of it.
+    if a < ambient_kPa < b:
+        if (
+            _surplus(venturi, solenoid, ambient_kPa, p, ratio, ambient_kPa, ambient_ratio, vacuum_kPa, free)
+            > 0.0
+        ):
+            a = ambient_kPa
+        else:
+            b = ambient_kPa
+    at_a = _surplus(venturi, solenoid, a, p, ratio, ambient_kPa, ambient_ratio, vacuum_kPa, free)
+    at_b = _surplus(venturi, solenoid, b, p, ratio, ambient_kPa, ambient_ratio, vacuum_kPa, free)
     if at_a == 0.0 or a == b:
         return a
     if at_b == 0.0:
         return b
+    # Regula falsi as Illinois does it.
     x = a
     side = 0
     for _ in range(60):
         x = (a * at_b - b * at_a) / (at_b - at_a)
-        at_x = function(x)
+        at_x = _surplus(venturi, solenoid, x, p, ratio, ambient_kPa, ambient_ratio, vacuum_kPa, free)
         if at_x == 0.0:
             return x
         if (at_x > 0.0) == (at_b > 0.0):
@@ -202,3 +279,25 @@ def _root(function: Callable[[float], float], a: float, b: float) -> float:
         if done or abs(b - a) < 1e-9:
             return x
     return x
+
+
+def _surplus(
+    venturi: Suction,
+    solenoid: Opening,
+    port: float,
+    p: float,
+    ratio: float,
+    ambient_kPa: float,
+    ambient_ratio: float,
+    vacuum_kPa: float,
+    free: float,
+) -> float:
+    """What the solenoid passes beyond what the ejector draws from the port."""
+    near, gauge = ambient_kPa - vacuum_kPa, port - ambient_kPa
+    if p <= near:
+        drawn = (port - near) / venturi.passage_resistance_kPa_s_per_SL
+    elif gauge >= 0.0 or vacuum_kPa <= 0.0:
+        drawn = free + gauge / venturi.passage_resistance_kPa_s_per_SL
+    else:
+        drawn = free * (1.0 + gauge / vacuum_kPa)
+    return flow_SL_per_s(solenoid, p, port, ratio, ambient_ratio) - drawn

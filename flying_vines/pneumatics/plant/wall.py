@@ -9,7 +9,43 @@ stays as it is (hA then goes with the mass of gas inside). Both may be given; th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf, isinf
+from math import inf
+from typing import NamedTuple
+
+from flying_vines.pneumatics.baseline import ALPHA_KPA
+from flying_vines.pneumatics.plant.gas import GAMMA, STANDARD_TEMPERATURE_K
+
+_G1 = GAMMA - 1.0
+_PER_G1 = 1.0 / _G1
+_PER_K = 1.0 / STANDARD_TEMPERATURE_K
+
+
+class Heat(NamedTuple):
+    """The numbers of a wall, and those of isothermal gas."""
+
+    own_temperature: bool = False
+    """Whether the gas has one."""
+    per_air: float = 0.0
+    """kPa·L/s for each SL and each 293.15 K."""
+    fixed: float = 0.0
+    """kPa·L/s for each 293.15 K."""
+    per_capacity_K_per_J: float = 0.0
+    """0: the wall is at ambient temperature."""
+    outer_conductance_W_per_K: float = 0.0
+    wall_per_s: float = 0.0
+    """How quickly the wall follows."""
+
+
+def heat_kPa_L_per_s(heat: Heat, air_SL: float, ratio: float, wall_K: float, ambient_ratio: float) -> float:
+    """Into the gas; temperatures as ratios to 293.15 K where they are called so."""
+    wall_ratio = wall_K * _PER_K if heat.per_capacity_K_per_J > 0.0 else ambient_ratio
+    return (heat.per_air * air_SL + heat.fixed) * (wall_ratio - ratio)
+
+
+def wall_K_per_s(heat: Heat, into_gas_kPa_L_per_s: float, wall_K: float, ambient_ratio: float) -> float:
+    """How quickly the wall warms."""
+    from_outside_W = heat.outer_conductance_W_per_K * (ambient_ratio * STANDARD_TEMPERATURE_K - wall_K)
+    return (from_outside_W - into_gas_kPa_L_per_s * _PER_G1) * heat.per_capacity_K_per_J
 
 
 @dataclass(frozen=True)
@@ -30,9 +66,15 @@ class Wall:
         if not (self.conductance_W_per_K >= 0.0 and self.outer_conductance_W_per_K >= 0.0):
             raise ValueError("a wall's conductances are not negative")
 
-    @property
-    def follows_ambient(self) -> bool:
-        return isinf(self.capacity_J_per_K)
+    def numbers(self) -> Heat:
+        return Heat(
+            True,
+            ALPHA_KPA / self.time_constant_s,
+            _G1 * self.conductance_W_per_K * STANDARD_TEMPERATURE_K,
+            1.0 / self.capacity_J_per_K,
+            self.outer_conductance_W_per_K,
+            (self.conductance_W_per_K + self.outer_conductance_W_per_K) / self.capacity_J_per_K,
+        )
 
 
 PET_BOTTLE_2L = Wall(conductance_W_per_K=1.0, capacity_J_per_K=70.0, outer_conductance_W_per_K=1.0)
