@@ -19,6 +19,7 @@ from flying_vines.events import (
 )
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.pneumatics.plant.effects import Effects
 from flying_vines.vehicle.codec import Codec
 from flying_vines.vehicle.mission_item import MissionItem
 
@@ -32,7 +33,10 @@ class SimulatedWorld:
         self, config: Config, phlosar: SimulatedPhlosar | None = None, mission: Sequence[MissionItem] = ()
     ) -> None:
         self.core = Core(config, mission)
-        self.phlosar = phlosar or SimulatedPhlosar(reservoir_kPa=config.pneumatics.full_kPa)
+        # The ideal plant, for it is quick; whoever wants another hands it over.
+        self.phlosar = phlosar or SimulatedPhlosar(
+            effects=Effects(), reservoir_kPa=config.pneumatics.full_kPa
+        )
         self.now = 0.0
         self._codec = protocol.Codec()
         self._next_tick = 0

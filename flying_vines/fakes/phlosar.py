@@ -1,4 +1,4 @@
-"""A phloSAR that is not there: emulated firmware, the baseline plant, noisy sensors, and a serial port."""
+"""A phloSAR that is not there: emulated firmware, the high-fidelity plant, its sensors, and a serial port."""
 
 from __future__ import annotations
 
@@ -12,46 +12,49 @@ from pathlib import Path
 from time import monotonic
 
 from flying_vines.fakes.firmware import SAFE, Drive, Firmware, FirmwareSettings
-from flying_vines.pneumatics.baseline import Inputs, State, step
+from flying_vines.pneumatics.baseline import Inputs
+from flying_vines.pneumatics.plant.effects import Effects
+from flying_vines.pneumatics.plant.plant import at_rest
+from flying_vines.pneumatics.plant.sensors import read, rested
+from flying_vines.pneumatics.plant.simulator import TICK_S, Simulator
+from flying_vines.pneumatics.plant.true_rig import TrueRig
 from flying_vines.pneumatics.rig import Rig
 
-STEP_US = 1000
-_CV_SENSOR_SPAN_KPA = 206.84
-_RESERVOIR_SENSOR_SPAN_KPA = 1500.0
-_ADC_REFERENCE_OF_SPAN = 3.3 / 4.0
-"""The sensors' span is 4 V, the converter's reference 3.3 V."""
+STEP_US = round(TICK_S * 1e6)
 
 
 class SimulatedPhlosar:
     """Firmware and plant, stepped together at 1 kHz. Time starts at 0 and is what `advance` says.
 
+    A rig is as it probably is: with all its effects, and sensors behind a converter of 12 bits. With
+    `effects` it has these and perfect sensors but for the noise: `Effects()` is the paper's ideal one, and
+    quick. A `TrueRig` says everything itself.
+
     The same seed, bytes and times give the same bytes and pressures. `reservoir_kPa` and `cv_kPa` are the
-    true pressures; the firmware sees them with the rig's noise, and through a converter of `adc_bits` if
-    that is given.
+    true pressures; the firmware sees them with noise, and the control volume's at the near end of its tube.
     """
 
     def __init__(
         self,
-        rig: Rig | None = None,
+        rig: Rig | TrueRig | None = None,
         settings: FirmwareSettings | None = None,
         *,
+        effects: Effects | None = None,
         reservoir_kPa: float = 690.0,
         cv_kPa: float = 0.0,
         seed: int = 1,
-        adc_bits: int | None = None,
-        reservoir_leak_kPa_per_s: float = 0.0,
     ) -> None:
-        self.rig = rig or Rig()
+        setup = (rig if isinstance(rig, TrueRig) else _true(rig or Rig(), effects)).setup
         self.firmware = Firmware(settings)
         self.drive: Drive = SAFE
-        self.reservoir_leak_kPa_per_s = reservoir_leak_kPa_per_s
-        self._state = State(reservoir_kPa, cv_kPa)
+        self.reservoir_leak_kPa_per_s = 0.0
+        """A hole that someone made just now, beside the leaks that the rig has."""
+        self._cv_sensor, self._reservoir_sensor = setup.cv_sensor, setup.reservoir_sensor
+        self._seen_cv, self._seen_reservoir = rested(cv_kPa), rested(reservoir_kPa)
+        self._simulator = Simulator(setup.plant, at_rest(setup.plant, reservoir_kPa, cv_kPa))
+        self._conditions = self._simulator.conditions
         self._steps = 0
         self._random = random.Random(seed)
-        self._cv_lsb_kPa = self._reservoir_lsb_kPa = 0.0
-        if adc_bits is not None:
-            self._cv_lsb_kPa = _CV_SENSOR_SPAN_KPA * _ADC_REFERENCE_OF_SPAN / (1 << adc_bits)
-            self._reservoir_lsb_kPa = _RESERVOIR_SENSOR_SPAN_KPA * _ADC_REFERENCE_OF_SPAN / (1 << adc_bits)
         # At time 0 the board has booted and listens.
         self._step_firmware()
 
@@ -61,11 +64,11 @@ class SimulatedPhlosar:
 
     @property
     def reservoir_kPa(self) -> float:
-        return self._state.reservoir_kPa
+        return self._conditions.reservoir_kPa
 
     @property
     def cv_kPa(self) -> float:
-        return self._state.cv_kPa
+        return self._conditions.cv_kPa
 
     def receive(self, data: bytes) -> None:
         """Bytes from the host."""
@@ -86,8 +89,17 @@ class SimulatedPhlosar:
         return b"".join(sent)
 
     def fill(self, reservoir_kPa: float) -> None:
-        """Someone opens the filling valve until the reservoir has this pressure."""
-        self._state = State(reservoir_kPa, self._state.cv_kPa)
+        """Someone opens the filling valve, or another one, until the reservoir has this pressure.
+
+        Its temperature stays as it is.
+        """
+        now = self._conditions
+        ratio = (reservoir_kPa + now.ambient_kPa) / (now.reservoir_kPa + now.ambient_kPa)
+        state = self._simulator.state
+        self._simulator.state = state._replace(
+            reservoir_air_SL=ratio * state.reservoir_air_SL, reservoir_pV_J=ratio * state.reservoir_pV_J
+        )
+        self._conditions = self._simulator.conditions
 
     def reset_firmware(self, *, watchdog: bool = False) -> None:
         """The board's power blinks, or its watchdog barks; the air stays where it is."""
@@ -95,20 +107,24 @@ class SimulatedPhlosar:
         self._step_firmware()
 
     def _step_plant(self) -> None:
-        dt_s = STEP_US / 1e6
-        reservoir_kPa, cv_kPa = step(self.rig, self._state, Inputs(*self.drive), dt_s)
+        self._simulator.advance(Inputs(*self.drive))
+        self._conditions = self._simulator.conditions
         if self.reservoir_leak_kPa_per_s:
-            reservoir_kPa = max(0.0, reservoir_kPa - self.reservoir_leak_kPa_per_s * dt_s)
-        self._state = State(reservoir_kPa, cv_kPa)
+            self.fill(max(0.0, self.reservoir_kPa - self.reservoir_leak_kPa_per_s * TICK_S))
 
     def _step_firmware(self) -> None:
-        sensors, state, gauss = self.rig.sensors, self._state, self._random.gauss
-        cv_kPa = gauss(state.cv_kPa, sensors.cv_noise_std_kPa)
-        reservoir_kPa = gauss(state.reservoir_kPa, sensors.reservoir_noise_std_kPa)
-        if self._cv_lsb_kPa:
-            cv_kPa = round(cv_kPa / self._cv_lsb_kPa) * self._cv_lsb_kPa
-            reservoir_kPa = round(reservoir_kPa / self._reservoir_lsb_kPa) * self._reservoir_lsb_kPa
+        gauss = self._random.gauss
+        self._seen_cv, cv_kPa = read(
+            self._cv_sensor, self._seen_cv, self._conditions.line_kPa, TICK_S, gauss(0.0, 1.0)
+        )
+        self._seen_reservoir, reservoir_kPa = read(
+            self._reservoir_sensor, self._seen_reservoir, self.reservoir_kPa, TICK_S, gauss(0.0, 1.0)
+        )
         self.drive = self.firmware.step(self._steps * STEP_US, cv_kPa, reservoir_kPa)
+
+
+def _true(rig: Rig, effects: Effects | None) -> TrueRig:
+    return TrueRig(rig, likely=True) if effects is None else TrueRig(rig, effects=effects)
 
 
 _TICK_S = 0.005

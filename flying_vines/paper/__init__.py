@@ -6,7 +6,8 @@
     as_json(comparison)     both, for other programs
     figures.draw(comparison.curves, folder)     the pictures (needs matplotlib)
 
-"Ours" is the paper's own equation, or the baseline plant under the emulated firmware's regulator.
+"Ours" is the paper's own equation, or a plant under the emulated firmware's regulator: the baseline, or the
+high-fidelity one as a real rig probably is.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flying_vines.paper.bench import Bench
+from flying_vines.paper.bench import LIKELY, Bench
 from flying_vines.paper.compare import Curves, curves
 from flying_vines.paper.findings import findings
 from flying_vines.paper.rows import Row, table
@@ -35,15 +36,16 @@ class Comparison:
     curves: Curves
 
 
-def compare(bench: Bench | None = None) -> Comparison:
-    """Reproduce the paper on a bench, by default the nominal rig under the emulated firmware (some seconds).
+def compare(bench: Bench | None = None, likely: Bench = LIKELY) -> Comparison:
+    """Reproduce the paper on two benches, by default the nominal rig's and that of a likely one (seconds).
 
     Notes and findings that explain the plant's numbers speak of the nominal rig.
 
     Args:
-        bench: rig, firmware settings and control step; its volumes and pressures are set test by test.
+        bench: rig, effects, sensors and regulator; its volumes and pressures are set test by test.
+        likely: likewise, in place of the high-fidelity plant.
     """
-    found = curves(bench)
+    found = curves(bench, likely)
     rows = table(found)
     return Comparison(rows, findings(rows), found)
 
@@ -80,6 +82,7 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
                 "best_time_constant_s": d.best_time_constant_s,
                 "flow_resistance_kPa_s_per_SL": d.flow_resistance_kPa_s_per_SL,
                 "plant_kPa": _plain(np.interp(d.measured.x, d.plant_time_s, d.plant_kPa)),
+                "likely_kPa": _plain(np.interp(d.measured.x, d.plant_time_s, d.likely_kPa)),
             }
             for d in c.discharges
         ],
@@ -91,10 +94,12 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
                 "reservoir_kPa": s.condition.reservoir_kPa,
                 "time_s": _plain(s.trace.time_s[::20]),
                 "plant_kPa": _plain(s.trace.cv_kPa[::20]),
+                "likely_kPa": _plain(likely.trace.cv_kPa[::20]),
                 "plant_rate_kPa_per_s": s.rate_kPa_per_s,
+                "likely_rate_kPa_per_s": likely.rate_kPa_per_s,
                 "model_rate_kPa_per_s": s.model_rate_kPa_per_s,
             }
-            for s in c.steps
+            for s, likely in zip(c.steps, c.likely_steps, strict=True)
         ],
         "frequency": [
             {
@@ -104,8 +109,9 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
                 "measured_gain": _plain(f.measured.y),
                 "model_gain": _plain(f.model_gain),
                 "plant_gain": _plain(f.plant_gain),
+                "likely_gain": _plain(likely.plant_gain),
             }
-            for f in c.frequencies
+            for f, likely in zip(c.frequencies, c.likely_frequencies, strict=True)
         ],
         "sine": [
             {
@@ -114,8 +120,9 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
                 "time_s": _plain((s.trace.time_s - s.trace.time_s[0])[::10]),
                 "command_kPa": _plain(s.trace.command_kPa[::10]),
                 "plant_kPa": _plain(s.trace.cv_kPa[::10]),
+                "likely_kPa": _plain(likely.trace.cv_kPa[::10]),
             }
-            for s in c.sines
+            for s, likely in zip(c.sines, c.likely_sines, strict=True)
         ],
         "cycles": {
             "reservoir_kPa": _plain(c.cycles.reservoir_kPa),

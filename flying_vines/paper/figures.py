@@ -17,6 +17,7 @@ from flying_vines.record.style import BLUE, GREEN, GREY, ORANGE, PURPLE, finish,
 MEASURED: dict[str, Any] = {"color": BLUE, "ls": "none", "marker": "o", "ms": 4, "label": "measured"}
 MODEL: dict[str, Any] = {"color": ORANGE, "lw": 1.8, "label": "paper's model"}
 PLANT: dict[str, Any] = {"color": GREEN, "lw": 1.4, "label": "ours (baseline plant)"}
+LIKELY: dict[str, Any] = {"color": PURPLE, "lw": 1.4, "label": "ours (high-fidelity plant)"}
 
 
 def draw(curves: Curves, folder: Path) -> list[Path]:
@@ -39,6 +40,7 @@ def _discharge(curves: Curves) -> Any:
         time_s, measured = d.measured.x, d.measured.y
         above.plot(d.model.x, d.model.y, **MODEL)
         above.plot(d.plant_time_s, d.plant_kPa, **{**PLANT, "ls": (0, (2, 4)), "lw": 2.4})
+        above.plot(d.plant_time_s, d.likely_kPa, **LIKELY)
         nearest = f"nearest exponential, τ = {d.best_time_constant_s:.1f} s"
         above.plot(
             d.plant_time_s,
@@ -59,11 +61,14 @@ def _discharge(curves: Curves) -> Any:
         ):
             off = measured - paper.discharge_kPa(time_s, float(measured[0]), tau_s)
             below.plot(time_s, 100.0 * off / measured[0], color=style, lw=1.0, marker=marker, ms=3.5)
+        off = measured - np.interp(time_s, d.plant_time_s, d.likely_kPa)
+        below.plot(time_s, 100.0 * off / measured[0], color=PURPLE, lw=1.0, marker=".", ms=3.5)
         below.axhline(0.0, color="black", lw=0.6)
         below.set_title(
-            f"nRMSE {d.nrmse_percent:.2f} % drawn, {d.nrmse_best_percent:.2f} % nearest",
+            f"nRMSE, %: drawn {d.nrmse_percent:.2f}, nearest {d.nrmse_best_percent:.2f}, "
+            f"high-fidelity {d.nrmse_likely_percent:.2f}",
             loc="left",
-            fontsize=8.5,
+            fontsize=8.0,
         )
         below.set_xlabel("time, s")
         for axis in (above, below):
@@ -75,7 +80,7 @@ def _discharge(curves: Curves) -> Any:
 
 def _inflation(curves: Curves) -> Any:
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.9), layout="constrained")
-    for s, axis in zip(curves.steps, axes, strict=True):
+    for s, likely, axis in zip(curves.steps, curves.likely_steps, axes, strict=True):
         target = s.condition.swing_kPa
         longest = min(1.25 * target / s.slower_kPa_per_s, STEP_TEST_S)
 
@@ -87,6 +92,7 @@ def _inflation(curves: Curves) -> Any:
         axis.plot(*ramp(s.model_rate_kPa_per_s), **{**MODEL, "label": "paper's model (Eq. 4)"})
         shown = s.trace.time_s <= longest
         axis.plot(s.trace.time_s[shown], s.trace.cv_kPa[shown], **PLANT)
+        axis.plot(likely.trace.time_s[shown], likely.trace.cv_kPa[shown], **LIKELY)
         axis.set_xlim(0, longest)
         axis.set_ylim(0, 1.12 * target)
         axis.set_xlabel("time, s")
@@ -94,7 +100,8 @@ def _inflation(curves: Curves) -> Any:
         axis.set_title(
             f"{s.condition.name.upper()}: {s.condition.cv_volume_L:g} L on "
             f"{s.condition.reservoir_kPa:.0f} kPa\n"
-            f"Eq. 4 {s.model_rate_kPa_per_s:.1f}, ours {s.rate_kPa_per_s:.1f} kPa/s; paper ±{error:g} %",
+            f"Eq. 4 {s.model_rate_kPa_per_s:.1f}, ours {s.rate_kPa_per_s:.1f} and "
+            f"{likely.rate_kPa_per_s:.1f} kPa/s; paper ±{error:g} %",
             loc="left",
             fontsize=9.5,
         )
@@ -106,9 +113,10 @@ def _inflation(curves: Curves) -> Any:
 def _frequency(curves: Curves) -> Any:
     figure, axes = plt.subplots(1, 2, figsize=(11, 5.4), sharey=True, layout="constrained")
     tc4, tc5_low, tc5_full = curves.frequencies
-    for axis, responses, baseline, n in (
-        (axes[0], (tc4,), curves.baselines[0], 1),
-        (axes[1], (tc5_full, tc5_low), curves.baselines[1], 2),
+    likely_tc4, likely_low, likely_full = curves.likely_frequencies
+    for axis, responses, likely, baseline, n in (
+        (axes[0], (tc4,), (likely_tc4,), curves.baselines[0], 1),
+        (axes[1], (tc5_full, tc5_low), (likely_full, likely_low), curves.baselines[1], 2),
     ):
         first = responses[0]
         axis.axhline(math.sqrt(0.5), color=GREY, lw=0.8, ls=":")
@@ -130,14 +138,16 @@ def _frequency(curves: Curves) -> Any:
         off = f"{first.model_rms_dB:.1f} dB rms, {first.model_band_rms_dB:.1f} up to 3 cut-offs"
         axis.plot(line.x, line.y, **{**MODEL, "label": f"paper's model: {off}"})
         for f, style in zip(responses, ("-", "--"), strict=False):
-            _plot_plant(axis, f, style, several=len(responses) > 1)
+            _plot_plant(axis, f, {**PLANT, "ls": style}, several=len(responses) > 1)
+        for f, style in zip(likely, ("-", "--"), strict=False):
+            _plot_plant(axis, f, {**LIKELY, "ls": style}, several=len(likely) > 1)
         axis.plot(first.measured.x, first.measured.y, **MEASURED)
         axis.set_xscale("log")
         axis.set_yscale("log")
         axis.set_xlim(0.045, 20)
-        axis.set_ylim(0.03, 1.4)
+        axis.set_ylim(0.018, 1.4)
         axis.set_xticks([0.1, 1, 10], ["0.1", "1", "10"])
-        axis.set_yticks([0.05, 0.1, 0.2, 0.5, 1.0], ["0.05", "0.1", "0.2", "0.5", "1"])
+        axis.set_yticks([0.02, 0.05, 0.1, 0.2, 0.5, 1.0], ["0.02", "0.05", "0.1", "0.2", "0.5", "1"])
         axis.set_yticks([], minor=True)
         axis.set_xlabel("command frequency, Hz")
         axis.legend(frameon=False, fontsize=8.5, loc="lower left")
@@ -152,11 +162,12 @@ def _frequency(curves: Curves) -> Any:
     return finish(figure, "Closed-loop frequency response (Eq. 6 and 7, the paper's Fig. 5)")
 
 
-def _plot_plant(axis: Any, f: FrequencyResponse, style: str, several: bool) -> None:
+def _plot_plant(axis: Any, f: FrequencyResponse, style: dict[str, Any], several: bool) -> None:
     order = np.argsort(f.measured.x)
     supply = f" on {f.supply_kPa:.0f} kPa" if several else ""
-    label = f"ours{supply}: {f.plant_rms_dB:.1f} dB rms, {f.plant_band_rms_dB:.1f} up to 3 cut-offs"
-    axis.plot(f.measured.x[order], f.plant_gain[order], **{**PLANT, "ls": style, "label": label})
+    which = "high-fidelity" if style["color"] == PURPLE else "baseline"
+    label = f"{which}{supply}: {f.plant_rms_dB:.1f} dB rms, {f.plant_band_rms_dB:.1f} up to 3 cut-offs"
+    axis.plot(f.measured.x[order], f.plant_gain[order], **{**style, "label": label})
 
 
 def _sine(curves: Curves) -> Any:
@@ -167,14 +178,19 @@ def _sine(curves: Curves) -> Any:
     time_s = full.trace.time_s - full.trace.time_s[0]
     shown = time_s <= 2.5
     wave.plot(time_s[shown], full.trace.command_kPa[shown], color=ORANGE, lw=1.6, label="command, 1.2 Hz")
-    for s, color in ((full, GREEN), (low, PURPLE)):
-        wave.plot(
-            time_s[shown],
-            s.trace.cv_kPa[shown],
-            color=color,
-            lw=1.5,
-            label=f"ours on {s.supply_kPa:.0f} kPa",
-        )
+    for series, color, which in (
+        (curves.sines, GREEN, "baseline"),
+        (curves.likely_sines, PURPLE, "high-fidelity"),
+    ):
+        for s, style in zip(series, ("-", "--"), strict=True):
+            wave.plot(
+                time_s[shown],
+                s.trace.cv_kPa[shown],
+                color=color,
+                ls=style,
+                lw=1.3,
+                label=f"{which}, {s.supply_kPa:.0f} kPa",
+            )
     wave.set_xlabel("time, s")
     wave.set_ylabel("control volume, kPa gauge")
     wave.set_xlim(0, 2.5)
@@ -185,8 +201,8 @@ def _sine(curves: Curves) -> Any:
     places = np.arange(2)
     for shift, values, color, label in (
         (-0.27, [stated()[f"sine.{n}"].value for n in names], BLUE, "paper, measured"),
-        (0.0, [s.peak_to_peak_kPa for s in curves.sines], GREEN, "ours"),
-        (0.27, [s.peak_to_peak_kPa for s in curves.rated_sines], GREY, "ours, EVP's rated flow"),
+        (0.0, [s.peak_to_peak_kPa for s in curves.sines], GREEN, "baseline plant"),
+        (0.27, [s.peak_to_peak_kPa for s in curves.likely_sines], PURPLE, "high-fidelity plant"),
     ):
         found = bars.bar(places + shift, values, 0.25, color=color, label=label)
         bars.bar_label(found, fmt="%.0f", fontsize=8.5)

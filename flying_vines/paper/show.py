@@ -20,8 +20,8 @@ def show(rows: tuple[Row, ...], findings: tuple[str, ...], console: Console) -> 
     counts = Counter(row.verdict for row in rows)
     console.print(
         f"{counts['agrees']} agree, {counts['differs']} differ, {counts['undecided']} cannot be decided. "
-        "Ours is (e) the paper's equation, (d) its printed data, (p) the baseline plant in closed loop, "
-        "(t) its text."
+        "Ours is (e) the paper's equation, (d) its printed data, (p) the baseline plant and (h) the "
+        "high-fidelity plant in closed loop, (t) its text."
     )
     console.print("\nWhat disagrees in the paper itself", style="bold")
     for number, finding in enumerate(findings, 1):

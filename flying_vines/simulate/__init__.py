@@ -6,21 +6,17 @@
     write_case(runs, rig_toml, folder)                      a case folder
     picture.draw_runs(runs, path, title)                    a picture (needs matplotlib)
 
-The plant is a parameter (`plant.PlantMaker`), the baseline unless another is given. `simulate` needs numpy.
+A `Rig` is simulated by the baseline, a `TrueRig` with what it says is really there. `simulate` needs numpy.
 """
 
 from __future__ import annotations
 
-from flying_vines.simulate.plant import BaselinePlant, Plant, PlantMaker
 from flying_vines.simulate.run import Run, simulate, simulate_scenario
 from flying_vines.simulate.scenario import Scenario, ScenarioError, load_scenario, parse_scenario
 from flying_vines.simulate.write import CaseError, case_files, csv_text, write_case
 
 __all__ = [
-    "BaselinePlant",
     "CaseError",
-    "Plant",
-    "PlantMaker",
     "Run",
     "Scenario",
     "ScenarioError",

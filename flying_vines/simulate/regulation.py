@@ -21,7 +21,7 @@ _OF_THE_ERROR = 0.4
 """How much of an error one hold may make good."""
 _HOLDS_OF_FULL_OPENING = 1.5
 """How far from the setpoint the valves still go fully open."""
-_TOLERATED_HOLDS = 0.15
+_TOLERATED_HOLDS = 0.09
 """How far above the setpoint the solenoid stays shut: one hold of it lets out much more than noise."""
 
 
@@ -37,18 +37,21 @@ def firmware_for(rig: Rig, cv: ControlVolume, reservoir_kPa: float, sample_rate_
     )
     if sample_rate_Hz >= FIRMWARE_HZ:
         return settings
+    hold_s = 1.0 / sample_rate_Hz
     rate_kPa_per_s = ALPHA_KPA * reservoir_kPa / (rig.evp.flow_resistance_kPa_s_per_SL * cv.volume_L)
-    return replace(settings, regulator=_gentler(settings.regulator, rate_kPa_per_s / sample_rate_Hz))
+    return replace(settings, regulator=_patient(settings.regulator, hold_s, rate_kPa_per_s * hold_s))
 
 
-def _gentler(regulator: RegulatorSettings, hold_kPa: float) -> RegulatorSettings:
-    """Gains for valves of which one hold moves the pressure by up to `hold_kPa`."""
+def _patient(regulator: RegulatorSettings, hold_s: float, hold_kPa: float) -> RegulatorSettings:
+    """For valves that stay as they are for `hold_s`, which moves the pressure by up to `hold_kPa`."""
     share = min(1.0, _OF_THE_ERROR / (regulator.proportional_per_kPa * hold_kPa))
-    return replace(
-        regulator,
+    return regulator._replace(
+        filling_lead_s=regulator.filling_lead_s + hold_s,
+        venting_lead_s=regulator.venting_lead_s + hold_s,
+        passive_first_s=regulator.passive_first_s + 2.0 * hold_s,
         on_off_error_kPa=max(regulator.on_off_error_kPa, _HOLDS_OF_FULL_OPENING * hold_kPa),
-        solenoid_opens_kPa=max(regulator.solenoid_opens_kPa, _TOLERATED_HOLDS * hold_kPa),
+        tolerated_kPa=max(regulator.tolerated_kPa, _TOLERATED_HOLDS * hold_kPa),
         proportional_per_kPa=share * regulator.proportional_per_kPa,
-        integral_per_kPa_s=share * regulator.integral_per_kPa_s,
-        derivative_s_per_kPa=share * regulator.derivative_s_per_kPa,
+        integral_per_kPa_s=min(1.0, 1.0 / hold_kPa) * regulator.integral_per_kPa_s,
+        integral_forgets=max(1.0, hold_kPa / 2.0) * regulator.integral_forgets,
     )

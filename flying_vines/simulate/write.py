@@ -9,6 +9,8 @@ from pathlib import Path
 from flying_vines.simulate.run import OPENING_DIGITS, Run
 
 RIG = "rig.toml"
+TRUE_RIG = "truth.toml"
+"""No reader of cases opens it: a diagnosis must not know the answer."""
 _COLUMNS: dict[str, Callable[[float], str]] = {
     "time_s": lambda x: f"{x:.3f}",
     "command_kPa": lambda x: "" if math.isnan(x) else _plain(x, 3),
@@ -36,11 +38,19 @@ def case_files(runs: Sequence[Run]) -> tuple[str, ...]:
     return tuple(f"run_{number}_{run.label}.csv" for number, run in enumerate(runs, start=1))
 
 
-def write_case(runs: Sequence[Run], rig_toml: bytes, folder: Path) -> list[Path]:
+def write_case(
+    runs: Sequence[Run], rig_toml: bytes, folder: Path, true_rig_toml: bytes | None = None
+) -> list[Path]:
     """Make or renew a case folder: where its CSV files are, in the order of the runs.
 
     Files of the same names are written over. CaseError when the folder has a CSV of another scenario, or
     another rig, for that would mix two cases.
+
+    Args:
+        runs: what was recorded.
+        rig_toml: what the rig is believed to be.
+        folder: of the case.
+        true_rig_toml: what is really there, if that is more; written beside, under another name.
     """
     folder.mkdir(parents=True, exist_ok=True)
     names = case_files(runs)
@@ -49,12 +59,15 @@ def write_case(runs: Sequence[Run], rig_toml: bytes, folder: Path) -> list[Path]
         raise CaseError(
             f"{folder}: holds {strangers[0]}, which is no run of this scenario; give another folder"
         )
-    rig = folder / RIG
-    if rig.exists() and rig.read_bytes() != rig_toml:
-        raise CaseError(
-            f"{rig}: is there already and differs from the rig that is simulated; give another folder"
-        )
-    rig.write_bytes(rig_toml)
+    rigs = {folder / RIG: rig_toml, folder / TRUE_RIG: true_rig_toml}
+    for path, text in rigs.items():
+        if path.exists() and path.read_bytes() != text:
+            raise CaseError(
+                f"{path}: is there already and differs from the rig that is simulated; give another folder"
+            )
+    for path, text in rigs.items():
+        if text is not None:
+            path.write_bytes(text)
     paths = [folder / name for name in names]
     for path, run in zip(paths, runs, strict=True):
         path.write_bytes(csv_text(run).encode())

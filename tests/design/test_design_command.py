@@ -26,6 +26,20 @@ def test_alone_it_says_what_the_demonstration_does(capsys: pytest.CaptureFixture
         assert words in out
 
 
+def test_the_page_shows_what_it_says(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert run() == 0
+    said = [line.rstrip() for line in capsys.readouterr().out.split("\n")]
+    page = (Path(__file__).parents[2] / "docs" / "design.md").read_text(encoding="utf-8")
+    (shown,) = (block for block in page.split("```") if block.startswith("\nvine of the demonstration"))
+    lines = shown.strip().split("\n")
+    # The comparison with other supplies stands on the page as a picture.
+    assert lines == said[: len(lines)]
+    assert len(lines) > 50
+
+
 def test_json_has_the_curves_and_the_fronts(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--json") == 0
     found = json.loads(capsys.readouterr().out)

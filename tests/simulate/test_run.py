@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from flying_vines.pneumatics import baseline
 from flying_vines.pneumatics.baseline import ALPHA_KPA, Inputs, State
+from flying_vines.pneumatics.plant.true_rig import TrueRig
 from flying_vines.pneumatics.rig import ControlVolume, Reservoir, Rig, Sensors
 from flying_vines.simulate import (
-    BaselinePlant,
     Run,
     Scenario,
     ScenarioError,
@@ -153,24 +153,55 @@ def test_openings_do_without_one() -> None:
     assert run.true_reservoir_kPa[-1] == run.true_reservoir_kPa[50] < 690.0
 
 
-def test_the_plant_is_a_parameter() -> None:
-    class Leaky(BaselinePlant):
-        def advance(self, inputs: Inputs, dt_s: float) -> State:
-            reservoir_kPa, cv_kPa = super().advance(inputs, dt_s)
-            self._state = State(reservoir_kPa - 2.0 * dt_s, cv_kPa)
-            return self._state
+def test_what_is_really_there_is_simulated_and_what_is_believed_decides() -> None:
+    rig = replace(HALF_LITRE, sensors=QUIET)
+    true = TrueRig(rig, causes={"reservoir_leak": {"flow_resistance_kPa_s_per_SL": 20_000.0}})
+    shut = Openings(valves=(Valves(for_s=5.0),))
+    run = simulate(true, shut)
+    tau_s = 20_000.0 * 2.0 / ALPHA_KPA
+    assert run.reservoir_pressure_kPa == pytest.approx(690.0 * np.exp(-run.time_s / tau_s), rel=1e-9)
+    assert np.array_equal(run.reservoir_pressure_kPa, run.true_reservoir_kPa)
+    doubled = TrueRig(rig, causes={"dead_volume": {"volume_L": 0.5}})
+    fill = Openings(valves=(Valves(for_s=0.5, evp=1.0), Valves(for_s=0.5)))
+    ratio = simulate(doubled, fill).true_cv_kPa[-1] / simulate(rig, fill).true_cv_kPa[-1]
+    assert ratio == pytest.approx(0.5, rel=0.02)
+    # The regulator's gains are those of the rig that is believed: its first word is the same.
+    up = Steps(pressures_kPa=(20.0,), hold_s=0.1)
+    assert simulate(doubled, up).evp_opening[0] == simulate(rig, up).evp_opening[0]
 
-    rig = replace(VINE, sensors=QUIET)
-    run = simulate(rig, Openings(valves=(Valves(for_s=5.0),)), plant=Leaky)
-    assert run.reservoir_pressure_kPa == pytest.approx(690.0 - 2.0 * run.time_s)
+
+def test_sensors_read_what_they_are_said_to_read() -> None:
+    rig = replace(HALF_LITRE, sensors=QUIET)
+    causes = {
+        "cv_sensor_lag": {"time_constant_s": 0.05},
+        "cv_sensor_offset": {"offset_kPa": 0.4},
+        "reservoir_sensor_gain": {"gain": 1.02},
+    }
+    run = simulate(TrueRig(rig, causes=causes), Openings(valves=(Valves(for_s=0.5, evp=1.0),)))
+    assert run.reservoir_pressure_kPa == pytest.approx(1.02 * run.true_reservoir_kPa)
+    # Behind a ramp a lag is behind by its time constant.
+    slope_kPa_per_s = (run.true_cv_kPa[-1] - run.true_cv_kPa[-6]) / 0.1
+    behind_kPa = run.true_cv_kPa[-1] + 0.4 - run.cv_pressure_kPa[-1]
+    assert behind_kPa == pytest.approx(0.05 * slope_kPa_per_s, rel=0.02)
+
+
+def test_a_likely_rig_regulates_all_the_same() -> None:
+    true = TrueRig(HALF_LITRE, likely=True, without=("cv_shape",))
+    kind = Steps(pressures_kPa=(20.0, 10.0, 35.0), hold_s=4.0)
+    run = simulate(true, kind)
+    assert run.faults == ""
+    for end_s, wanted_kPa in ((4.0, 20.0), (8.0, 10.0), (12.0, 35.0)):
+        settled = run.true_cv_kPa[(run.time_s >= end_s - 1.0) & (run.time_s < end_s)]
+        assert settled == pytest.approx(wanted_kPa, abs=1.0)
+    # Behind the converter there are only so many readings.
+    lsb_kPa = 206.84 / 4.0 * 3.3 / 4096
+    steps = run.cv_pressure_kPa / lsb_kPa
+    assert np.ptp(steps - np.round(steps)) < 1e-6
 
 
 def test_what_the_firmware_latches_is_told() -> None:
-    class Bursting(BaselinePlant):
-        def advance(self, inputs: Inputs, dt_s: float) -> State:
-            return State(super().advance(inputs, dt_s).reservoir_kPa, 203.0)
-
-    run = simulate(VINE, Bends(cycles=1), plant=Bursting)
+    true = TrueRig(VINE, causes={"cv_sensor_offset": {"offset_kPa": 203.0}})
+    run = simulate(true, Bends(cycles=1))
     assert run.faults == "cv overpressure"
     assert run.solenoid[1:].all()
     assert not run.evp_opening[1:].any()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import pytest
 
+from flying_vines.pneumatics.plant.true_rig import true_rig_from
 from flying_vines.simulate import ScenarioError, load_scenario, parse_scenario
 from flying_vines.simulate.kinds import Bends, Chirp, Discharge, Openings, Prbs, Profile, Sine, Steps
 from flying_vines.simulate.scenario import examples
@@ -155,9 +157,12 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         load_scenario(tmp_path / "latin")
 
 
-def test_the_guide_s_scenario_can_be_run() -> None:
+def test_the_guide_s_files_can_be_run() -> None:
     guide = (Path(__file__).parents[2] / "docs" / "simulate.md").read_text(encoding="utf-8")
-    text = guide.split("```toml\n")[1].split("```")[0]
-    assert [run.label for run in parse_scenario(text, "guide").runs] == (
+    rig, scenario = (part.split("```")[0] for part in guide.split("```toml\n")[1:])
+    true = true_rig_from(tomllib.loads(rig))
+    assert list(true.causes) == ["cv_leak", "cv_sensor_offset"]
+    assert true.likely
+    assert [run.label for run in parse_scenario(scenario, "guide").runs] == (
         ["sine", "chirp", "prbs_pressure", "profile"]
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from flying_vines.cli import main
-from flying_vines.pneumatics.rig import Rig, load_rig
+from flying_vines.pneumatics.rig import ControlVolume, Rig, load_rig
 from flying_vines.simulate import csv_text, simulate
 from flying_vines.simulate.kinds import Bends, Discharge, Openings, Valves
 
@@ -80,7 +80,7 @@ def test_the_command_makes_a_case_folder(
     lines = files["run_1_bends.csv"].decode().split("\n")
     assert lines[0] == HEADER
     assert len(lines) == 1 + 125 + 1
-    assert lines[1].startswith("0.000,20.700,1,0,0,")
+    assert lines[1].startswith("0.000,20.700,0.2083,0,0,")
     assert lines[-2].startswith("2.480,0.000,0,0,")
     assert files["run_2_shaken.csv"].split(b"\n")[1].startswith(b"0.000,,")
 
@@ -126,18 +126,36 @@ def test_a_rig_may_stand_in_its_case_folder(scenario: Path, tmp_path: Path) -> N
     assert (tmp_path / "rig.toml").read_text() == RIG
 
 
+def test_the_answer_is_kept_apart(scenario: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = tmp_path / "hidden.toml"
+    rig.write_text(RIG + "[causes.cv_leak]\nflow_resistance_kPa_s_per_SL = 300\n[effects]\nlikely = true\n")
+    case = tmp_path / "case"
+    assert run("--rig", rig, "--scenario", scenario, "--out", case) == 0
+    assert load_rig(case / "rig.toml") == Rig(cv=ControlVolume(0.25))
+    assert b"cause" not in (case / "rig.toml").read_bytes()
+    assert (case / "truth.toml").read_bytes() == rig.read_bytes()
+    assert run("--rig", rig, "--scenario", scenario, "--out", case) == 0
+    capsys.readouterr()
+    rig.write_text(RIG + "[causes.cv_leak]\nflow_resistance_kPa_s_per_SL = 400\n")
+    assert run("--rig", rig, "--scenario", scenario, "--out", case) == 2
+    assert f"{case / 'truth.toml'}: is there already and differs" in complaint(capsys)
+
+
 def test_bad_input_is_one_line(
     rig: Path, scenario: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
     bad = tmp_path / "bad.toml"
     bad.write_text('[[runs]]\nkind = "bends"\ncycles = 0\n')
+    leek = tmp_path / "leek.toml"
+    leek.write_text("[cv]\n[causes.cv_leek]\n")
     no_cv = tmp_path / "no_cv.toml"
     no_cv.write_text("")
     for arguments, says in (
         ((rig, bad), f"{bad}: runs[0].cycles: expected int >= 1"),
         ((rig, "casse"), "casse: no such file, nor an example; those are case, discharge"),
         ((tmp_path / "none.toml", scenario), "none.toml cannot be read"),
+        ((leek, scenario), f"{leek}: causes.cv_leek is no cause: the causes are none, reservoir_leak"),
         ((no_cv, scenario), f"{scenario}: runs[0]: bends needs a control volume, and the rig has no [cv]"),
     ):
         assert run("--rig", arguments[0], "--scenario", arguments[1], "--out", out) == 2
