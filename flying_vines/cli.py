@@ -54,6 +54,7 @@ def _parser() -> argparse.ArgumentParser:
     demo = commands.add_parser("demo", help="fly a scripted flight on embedded fakes")
     demo.add_argument("--out", type=Path, default=FLIGHTS, help="where the flight's folder goes (flights)")
     demo.add_argument("--plain", action="store_true", help="one line an event instead of the live view")
+    demo.add_argument("--rig", type=Path, metavar="RIG.toml", help="what is there (default: a likely vine)")
     demo.set_defaults(run=_demo)
 
     run = commands.add_parser("run", help="serve a vehicle and a phloSAR")
@@ -92,12 +93,37 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument("--seed", type=int, default=1, help="of the noise and what is drawn at random (1)")
     simulate.set_defaults(run=_simulate)
 
+    diagnose = commands.add_parser("diagnose", help="what the simulation gets wrong about a recorded rig")
+    diagnose.add_argument("case", type=Path, metavar="CASE", help="a folder with rig.toml and runs, or a run")
+    diagnose.add_argument("--rig", type=Path, metavar="RIG.toml", help="(default: the folder's rig.toml)")
+    diagnose.add_argument("--json", action="store_true", help="one object instead of words")
+    diagnose.set_defaults(run=_diagnose)
+
     design = commands.add_parser("design", help="which phloSAR a robot needs: the paper's design guide")
     design.add_argument("--robot", type=Path, metavar="FILE", help="its profile (default: the paper's vine)")
     design.add_argument("--parts", type=Path, metavar="DIR", nargs="+", action="extend", default=[])
     design.add_argument("--out", type=Path, metavar="DIR", help="draw the figures there")
     design.add_argument("--json", action="store_true", help="one object instead of tables")
     design.set_defaults(run=_design)
+
+    vine = commands.add_parser("vine", help="how far a pressure bends a vine, and what limits it")
+    vine.add_argument(
+        "--vine",
+        metavar="FILE",
+        nargs="+",
+        action="extend",
+        help="or an example: pouch, cpam, fpam (default: all three)",
+    )
+    vine.add_argument("--out", type=Path, metavar="DIR", help="draw the figures there")
+    vine.add_argument("--json", action="store_true", help="one object instead of tables")
+    vine.set_defaults(run=_vine)
+    fit = vine.add_subparsers(metavar="ACTION").add_parser("fit", help="a bend curve out of measured pairs")
+    fit.add_argument("pairs", type=Path, metavar="PAIRS.csv", help="pressure_kPa, angle_deg, up and down")
+    fit.add_argument(
+        "--out", type=Path, metavar="DIR", default=argparse.SUPPRESS, help="draw the figure there"
+    )
+    fit.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="one object instead")
+    fit.set_defaults(run=_vine_fit)
 
     fake = commands.add_parser("fake", help="one end of the link, alone")
     fakes = fake.add_subparsers(required=True, metavar="WHAT")
@@ -111,7 +137,9 @@ def _parser() -> argparse.ArgumentParser:
     phlosar = fakes.add_parser("phlosar", help="a fake phloSAR on a pseudo-terminal; prints its path")
     phlosar.add_argument("--link", type=Path, metavar="PATH", help="a stable name for the port")
     phlosar.add_argument("--reservoir-kPa", type=float, default=690.0, dest="reservoir_kPa")
-    phlosar.add_argument("--rig", type=Path, metavar="RIG.toml")
+    phlosar.add_argument(
+        "--rig", type=Path, metavar="RIG.toml", help="what is there (default: a likely vine)"
+    )
     phlosar.set_defaults(run=_fake_phlosar)
     return parser
 
@@ -120,11 +148,16 @@ def _demo(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
     from flying_vines.demo import fly, summary
+    from flying_vines.pneumatics.plant.true_rig import load_true_rig
+    from flying_vines.pneumatics.rig import RigError
 
     console = Console()
     live = console.is_terminal and not arguments.plain
     try:
-        flight = asyncio.run(fly(arguments.out, console, live))
+        rig = load_true_rig(arguments.rig) if arguments.rig else None
+        flight = asyncio.run(fly(arguments.out, console, live, rig))
+    except RigError as error:
+        _fail(str(error))
     except OSError as error:
         _fail(f"{error.filename or arguments.out}: {error.strerror}")
     console.print(summary(flight))
@@ -269,6 +302,29 @@ def _config_check(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _diagnose(arguments: argparse.Namespace) -> int:
+    try:
+        from flying_vines.discrepancy.case import CaseError, read_case
+        from flying_vines.discrepancy.diagnose import diagnose
+        from flying_vines.discrepancy.show import show
+        from flying_vines.pneumatics.rig import RigError
+    except ModuleNotFoundError as error:
+        _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
+    from rich.console import Console
+
+    try:
+        case = read_case(arguments.case, arguments.rig)
+    except (CaseError, RigError) as error:
+        _fail(str(error))
+    with Console(stderr=True).status("reading") as status:
+        verdict = diagnose(case, progress=status.update)
+    if arguments.json:
+        print(json.dumps(verdict.as_json(), allow_nan=False))
+    else:
+        show(verdict, Console())
+    return 0
+
+
 def _paper(arguments: argparse.Namespace) -> int:
     folder: Path | None = arguments.out
     try:
@@ -283,6 +339,8 @@ def _paper(arguments: argparse.Namespace) -> int:
             folder.mkdir(parents=True, exist_ok=True)
         comparison = compare()
         figures = [str(path) for path in draw(comparison.curves, folder)] if folder else []
+    except ImportError as error:
+        _fail(str(error))
     except OSError as error:
         _fail(f"{error.filename or folder}: {error.strerror}")
     if arguments.json:
@@ -300,6 +358,7 @@ def _paper(arguments: argparse.Namespace) -> int:
 
 
 def _simulate(arguments: argparse.Namespace) -> int:
+    from flying_vines.pneumatics.plant.true_rig import TrueRig, load_true_rig, true_rig_text
     from flying_vines.pneumatics.rig import RigError, load_rig
 
     folder: Path = arguments.out
@@ -315,7 +374,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
     try:
-        rig = load_rig(arguments.rig)
+        rig = load_true_rig(arguments.rig)
         scenario = load_scenario(arguments.scenario)
         began_s = monotonic()
         try:
@@ -323,7 +382,12 @@ def _simulate(arguments: argparse.Namespace) -> int:
         except ScenarioError as error:
             _fail(f"{arguments.scenario}: {error}")
         took_s = monotonic() - began_s
-        paths = write_case(runs, arguments.rig.read_bytes(), folder)
+        given = arguments.rig.read_bytes()
+        try:
+            load_rig(arguments.rig)
+            paths = write_case(runs, given, folder)
+        except RigError:
+            paths = write_case(runs, true_rig_text(TrueRig(rig.believed)).encode(), folder, given)
         picture = folder / "picture.png"
         draw_runs(runs, picture, scenario.name or str(arguments.scenario))
     except (RigError, ScenarioError, CaseError) as error:
@@ -379,6 +443,75 @@ def _design(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _vine(arguments: argparse.Namespace) -> int:
+    folder: Path | None = arguments.out
+    try:
+        from flying_vines.vine.bending import VineError, bend, examples, load_vine
+        from flying_vines.vine.bending.show import as_json, show
+
+        if folder:
+            from flying_vines.vine.bending.figures import draw
+    except ModuleNotFoundError as error:
+        _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
+    figures: list[str] = []
+    try:
+        found = [bend(load_vine(source)) for source in arguments.vine or examples()]
+        if folder:
+            folder.mkdir(parents=True, exist_ok=True)
+            figures = [str(path) for path in draw(found, folder)]
+    except VineError as error:
+        _fail(str(error))
+    except OSError as error:
+        _fail(f"{error.filename or folder}: {error.strerror}")
+    if arguments.json:
+        print(json.dumps({"vines": [as_json(b) for b in found], "figures": figures}, allow_nan=False))
+        return 0
+    from rich.console import Console
+
+    console = Console()
+    for i, b in enumerate(found):
+        if i:
+            console.print()
+        show(b, console)
+    for path in figures:
+        console.print(f"Figure   {path}", highlight=False, soft_wrap=True)
+    return 0
+
+
+def _vine_fit(arguments: argparse.Namespace) -> int:
+    folder: Path | None = arguments.out
+    try:
+        from flying_vines.vine.calibration import PairsError, fit, load_pairs
+        from flying_vines.vine.calibration.show import as_json, show
+
+        if folder:
+            from flying_vines.vine.calibration.figures import draw
+    except ModuleNotFoundError as error:
+        _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
+    figures: list[str] = []
+    try:
+        found = fit(load_pairs(arguments.pairs))
+        if folder:
+            folder.mkdir(parents=True, exist_ok=True)
+            figures = [
+                str(path) for path in draw(found, folder, f"{arguments.pairs.name}: bend against pressure")
+            ]
+    except PairsError as error:
+        _fail(str(error))
+    except OSError as error:
+        _fail(f"{error.filename or folder}: {error.strerror}")
+    if arguments.json:
+        print(json.dumps({**as_json(found), "figures": figures}, allow_nan=False))
+        return 0
+    from rich.console import Console
+
+    console = Console()
+    show(found, console)
+    for path in figures:
+        console.print(f"Figure   {path}", highlight=False, soft_wrap=True)
+    return 0
+
+
 def _fake_autopilot(arguments: argparse.Namespace) -> int:
     from flying_vines.fakes.autopilot import Autopilot
     from flying_vines.fakes.autopilot_udp import AutopilotServer
@@ -409,11 +542,12 @@ def _fake_autopilot(arguments: argparse.Namespace) -> int:
 
 def _fake_phlosar(arguments: argparse.Namespace) -> int:
     from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
-    from flying_vines.pneumatics.rig import RigError, load_rig
+    from flying_vines.pneumatics.plant.true_rig import load_true_rig
+    from flying_vines.pneumatics.rig import RigError
 
     try:
-        rig = load_rig(arguments.rig) if arguments.rig else None
-        phlosar = SimulatedPhlosar(rig, reservoir_kPa=arguments.reservoir_kPa, adc_bits=12)
+        rig = load_true_rig(arguments.rig) if arguments.rig else None
+        phlosar = SimulatedPhlosar(rig, reservoir_kPa=arguments.reservoir_kPa)
         with PtyPhlosar(phlosar, arguments.link) as port:
             print(arguments.link or port.path, flush=True)
             asyncio.run(port.run())

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
@@ -26,10 +26,12 @@ from flying_vines.fakes.autopilot_udp import AutopilotServer
 from flying_vines.fakes.ground_station import GroundStation
 from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.notice import Notice
+from flying_vines.pneumatics.plant.true_rig import TrueRig
 from flying_vines.record.flight_log import FlightLog
 from flying_vines.service import Service
 from flying_vines.terminal import LiveView, event_line
 from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vine import sketch
 
 HOME = (-35.363262, 149.165237)
 NORTH_DEG_PER_M = 1 / 111_320
@@ -39,6 +41,8 @@ LOW, MIDDLE, HIGH = 1000, 1500, 2000
 CRUISE_M = 6.0
 LEAK_KPA_PER_S = 300.0
 EMPTY_KPA = 30.0
+ROOM_FOR_VINE = 110
+"""Columns of a terminal from which on the vine is drawn beside the live view."""
 
 
 @dataclass
@@ -275,13 +279,13 @@ class Flight:
         return not self.unasked and all(o.met_after_s is not None for o in self.outcomes)
 
 
-async def fly(out: Path, console: Console, live: bool) -> Flight:
+async def fly(out: Path, console: Console, live: bool, rig: TrueRig | None = None) -> Flight:
     """Fly the script in real time; the log and its picture go to a new folder under `out`."""
     log = FlightLog(out)
     ground = GroundStation()
     ground_port = await ground.listen()
     companion_port = _free_udp_port()
-    phlosar = SimulatedPhlosar(reservoir_kPa=690.0, adc_bits=12)
+    phlosar = SimulatedPhlosar(rig, reservoir_kPa=690.0)
     autopilot = Autopilot("ardupilot", mission=demo_mission(), rc_failsafe_mode=None)
     autopilot.set_rc(SWITCH_CHANNEL, LOW)
     with PtyPhlosar(phlosar) as port:
@@ -349,13 +353,26 @@ async def _direct(
             for outcome in outcomes:
                 outcome.look(world, now)
             if screen:
-                screen.update(view.render(world.snapshot, "Flying Vines demo"))
+                panel = view.render(world.snapshot, "Flying Vines demo")
+                screen.update(_with_vine(panel, world.bend_deg, console))
             if not waiting and all(o.failed or o.met_after_s is not None for o in outcomes):
                 return outcomes
             await asyncio.sleep(LOOK_S)
     finally:
         if screen:
             screen.stop()
+
+
+def _with_vine(view: RenderableType, bend_deg: float, console: Console) -> RenderableType:
+    """The live view and, where there is room, the vine as it is bent now."""
+    if console.width < ROOM_FOR_VINE:
+        return view
+    both = Table.grid(padding=(0, 1), expand=True)
+    both.add_column(ratio=1)
+    both.add_column(width=sketch.COLUMNS)
+    lines = sketch.sketch(bend_deg, unicode=console.encoding.startswith("utf"))
+    both.add_row(view, Text("\n" + "\n".join(lines), style="green", no_wrap=True))
+    return both
 
 
 def _unasked(world: World) -> list[str]:

@@ -1,16 +1,27 @@
-"""A flight as a picture: what was asked, what the vine did, what the bottle had left."""
+"""A flight as a picture: what was asked, how the vine was bent, what the bottle had left."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from matplotlib import pyplot as plt
 
 from flying_vines.record.style import BLUE, GREEN, GREY, LABEL_BOX, ORANGE, PURPLE, RED, plain
+from flying_vines.vine.drawing import draw_drone, draw_vine, frame
 
 MARKS = {"accepted": GREEN, "limited": ORANGE, "refused": RED}
+DRAWN_LENGTH_M, DRAWN_DIAMETER_M = 0.315, 0.05
+"""A log does not say how long its vine is: it is drawn as the example `pouch` of `flying-vines vine`."""
+DRAWN_WIDTH = 0.085
+"""Of the picture, that a drawn vine takes."""
+LEAST_CHANGE_DEG = 3.0
+"""Of a bend, to be drawn again."""
+SETTLED = 5
+"""Snapshots whose median is drawn."""
 
 
 def draw_flight(entries: Iterable[dict[str, Any]], path: Path, title: str) -> None:
@@ -30,9 +41,9 @@ def draw_flight(entries: Iterable[dict[str, Any]], path: Path, title: str) -> No
         return [float("nan") if s[name] is None else s[name] for s in snapshots]
 
     figure, axes = plt.subplots(
-        4, 1, figsize=(12, 10), sharex=True, height_ratios=[3.2, 1.6, 1.4, 1.8], layout="constrained"
+        5, 1, figsize=(12, 11), sharex=True, height_ratios=[3.2, 1.5, 1.6, 1.4, 1.8], layout="constrained"
     )
-    pressure, bend, opening, reservoir = axes
+    pressure, shape, bend, opening, reservoir = axes
     figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
 
     pressure.plot(t, column("command_kPa"), color=ORANGE, lw=1.6, label="setpoint")
@@ -43,6 +54,8 @@ def draw_flight(entries: Iterable[dict[str, Any]], path: Path, title: str) -> No
     pressure.set_yticks(range(0, int(top) + 1, 5))
     pressure.legend(loc="upper right", ncols=2, frameon=False)
     _mark_decisions(pressure, decisions, start, t[-1], top)
+
+    _draw_vines(shape, t, column("bend_deg"), [d["t"] - start for d in decisions])
 
     bend.plot(t, column("bend_deg"), color=PURPLE, lw=1.3)
     bend.set_ylabel("bend, °")
@@ -75,9 +88,43 @@ def draw_flight(entries: Iterable[dict[str, Any]], path: Path, title: str) -> No
         _shade_safe_states(axis, t, snapshots)
         plain(axis)
         axis.set_xlim(t[0], t[-1])
+    shape.set_axis_off()
     cycles.spines["top"].set_visible(False)
     figure.savefig(path, dpi=110)
     plt.close(figure)
+
+
+def _draw_vines(axis: Any, t: list[float], bend_deg: list[float], decided: list[float]) -> None:
+    """The vine where each decision had brought it: just before the next one, and at the end."""
+    width = max(t[-1] - t[0], 1e-9)
+    drawn: list[tuple[float, float]] = []
+    for moment in (*decided, t[-1]):
+        known = [deg for x, deg in zip(t, bend_deg, strict=True) if x < moment and deg == deg]
+        settled = median(known[-SETTLED:]) if known else math.nan
+        if known and not (drawn and abs(settled - drawn[-1][1]) < LEAST_CHANGE_DEG):
+            drawn.append(((moment - t[0]) / width, settled))
+    drawn = drawn[:: 1 + int(len(drawn) * DRAWN_WIDTH)]
+    for (moment, deg), place in zip(drawn, _side_by_side([x for x, _ in drawn]), strict=True):
+        glyph = axis.inset_axes((place - 0.5 * DRAWN_WIDTH, 0.08, DRAWN_WIDTH, 0.92))
+        draw_drone(glyph)
+        tip = draw_vine(glyph, deg, DRAWN_LENGTH_M, DRAWN_DIAMETER_M, PURPLE)
+        glyph.annotate(
+            f"{deg:.0f}°", tip, xytext=(9, -4), textcoords="offset points", color=PURPLE, fontsize=7.5
+        )
+        frame(glyph, DRAWN_LENGTH_M, DRAWN_DIAMETER_M)
+        axis.plot([place, moment], [0.2, 0.0], transform=axis.transAxes, color=PURPLE, lw=0.7, alpha=0.6)
+
+
+def _side_by_side(wanted: list[float]) -> list[float]:
+    """Places as near to the wanted ones as their width allows, 0…1."""
+    places: list[float] = []
+    for x in wanted:
+        places.append(max(x, places[-1] + DRAWN_WIDTH if places else 0.5 * DRAWN_WIDTH))
+    room = 1.0 - 0.5 * DRAWN_WIDTH
+    for i in reversed(range(len(places))):
+        places[i] = min(places[i], room)
+        room = places[i] - DRAWN_WIDTH
+    return places
 
 
 def _mark_decisions(

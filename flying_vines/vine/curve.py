@@ -1,4 +1,11 @@
-"""Bend angle against actuator pressure, as calibrated."""
+"""Bend angle against actuator pressure, as calibrated, and what of a bend stays when the pressure falls.
+
+Film and fabric rub: on the way down a bend outlasts the pressure that made it. The model is a play
+(backlash), the simplest of the Prandtl-Ishlinskii kind: a bend is named by the pressure that gives it on
+the way up, `bent_kPa`. A pressure above that bends the vine further, one within the hysteresis below it
+changes nothing, and only then the vine straightens. The inverse is exact: an angle that lies further is
+reached at its own pressure, one that lies back at a pressure lower by the hysteresis.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +18,14 @@ class BendCurve:
     """A rising, piecewise linear curve through calibrated pairs (gauge kPa, degrees).
 
     Below the first pair and above the last the curve stays flat. Where several pressures give one angle
-    (a dead zone), the angle maps to the lowest of them.
+    (a dead zone), the angle maps to the lowest of them. The pairs are those of the way up; on the way down
+    each angle is at a pressure lower by `hysteresis_kPa`.
 
-    Raises `ValueError` with a sentence when there are fewer than two pairs, or when they do not rise.
+    Raises `ValueError` with a sentence when there are fewer than two pairs, when they do not rise, or when
+    the hysteresis leaves nothing of them.
     """
 
-    def __init__(self, pairs: Sequence[tuple[float, float]]) -> None:
+    def __init__(self, pairs: Sequence[tuple[float, float]], hysteresis_kPa: float = 0.0) -> None:
         if len(pairs) < 2:
             raise ValueError("the bend curve needs at least two pairs [kPa, deg]")
         self._pressures_kPa = [float(pressure) for pressure, _ in pairs]
@@ -27,6 +36,9 @@ class BendCurve:
             raise ValueError("the pressures of the bend curve must rise from pair to pair")
         if any(b < a for a, b in zip(self._angles_deg, self._angles_deg[1:], strict=False)):
             raise ValueError("the angles of the bend curve must not fall from pair to pair")
+        if not 0.0 <= hysteresis_kPa < self._pressures_kPa[-1] - self._pressures_kPa[0]:
+            raise ValueError("the hysteresis must be 0 or more, and narrower than the bend curve")
+        self.hysteresis_kPa = hysteresis_kPa
 
     @property
     def min_deg(self) -> float:
@@ -41,12 +53,28 @@ class BendCurve:
         """The highest calibrated pressure."""
         return self._pressures_kPa[-1]
 
+    def bent_kPa(self, pressure_kPa: float, before_kPa: float) -> float:
+        """How far the vine is bent at a pressure, as the pressure that bends it so far on the way up.
+
+        Args:
+            pressure_kPa: gauge, now.
+            before_kPa: how far it was bent before.
+        """
+        return min(max(before_kPa, pressure_kPa), pressure_kPa + self.hysteresis_kPa)
+
+    def toward_kPa(self, wanted_kPa: float, bent_kPa: float) -> float:
+        """The gauge pressure that brings the vine from one bend to another, both named as by `bent_kPa`.
+
+        Not below 0: what a wide hysteresis then leaves of the bend, only the vine's own stiffness takes back.
+        """
+        return wanted_kPa if wanted_kPa > bent_kPa else max(0.0, wanted_kPa - self.hysteresis_kPa)
+
     def angle_deg(self, pressure_kPa: float) -> float:
-        """Bend angle at a gauge pressure."""
+        """Bend angle at a gauge pressure on the way up."""
         return _interpolate(self._pressures_kPa, self._angles_deg, pressure_kPa, bisect_right)
 
     def pressure_kPa(self, angle_deg: float) -> float:
-        """Gauge pressure for an angle, clipped to the calibrated range."""
+        """Gauge pressure for an angle on the way up, clipped to the calibrated range."""
         return _interpolate(self._angles_deg, self._pressures_kPa, angle_deg, bisect_left)
 
 

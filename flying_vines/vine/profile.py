@@ -167,6 +167,22 @@ class Trajectory:
         return self.final_kPa
 
 
+def ends_kPa(sine: Sine, curve: BendCurve) -> tuple[float, float]:
+    """The gauge pressures between which a swing goes, its first end first.
+
+    Of angles, the greater one is met on the way up, the smaller one on the way down: there the pressure is
+    lower by the hysteresis, which so delays the turns of the vine and changes none of its ends.
+    """
+    if sine.from_deg is None or sine.to_deg is None:
+        return sine.from_kPa or 0.0, sine.to_kPa or 0.0
+    start, end = curve.pressure_kPa(sine.from_deg), curve.pressure_kPa(sine.to_deg)
+    if start == end:
+        return start, end
+    if start < end:
+        return curve.toward_kPa(start, end), end
+    return start, curve.toward_kPa(end, start)
+
+
 def top_kPa(segments: Sequence[Segment], curve: BendCurve, max_kPa: float) -> float:
     """The highest gauge pressure that the segments go to, clipped to `max_kPa`."""
     highest = 0.0
@@ -179,16 +195,29 @@ def top_kPa(segments: Sequence[Segment], curve: BendCurve, max_kPa: float) -> fl
 
 
 def plan(
-    segments: Sequence[Segment], curve: BendCurve, start_kPa: float, rate_kPa_per_s: float, max_kPa: float
+    segments: Sequence[Segment],
+    curve: BendCurve,
+    start_kPa: float,
+    rate_kPa_per_s: float,
+    max_kPa: float,
+    bent_kPa: float | None = None,
 ) -> Trajectory:
     """Make segments definite, from `start_kPa` (gauge), within the rate and pressure limits.
 
     A swing that is too fast for the rate limit is slowed down; a value above `max_kPa` is clipped to it.
+    Where the vine has a hysteresis, an angle is gone to by the pressure of its side, from `bent_kPa` (as
+    `BendCurve.bent_kPa` names bends; by default as the start's pressure bends it on the way up).
     """
+    bent = start_kPa if bent_kPa is None else bent_kPa
 
     def wanted(deg: float | None, kPa: float | None) -> float:
-        pressure = curve.pressure_kPa(deg) if deg is not None else kPa or 0.0
-        return min(max(pressure, 0.0), max_kPa)
+        nonlocal bent
+        pressure = kPa or 0.0
+        if deg is not None:
+            pressure = curve.toward_kPa(curve.pressure_kPa(deg), bent)
+        pressure = min(max(pressure, 0.0), max_kPa)
+        bent = curve.bent_kPa(pressure, bent)
+        return pressure
 
     pieces: list[tuple[float, float, Callable[[float], float]]] = []
     t, at, peak, rise = 0.0, start_kPa, start_kPa, 0.0
@@ -213,8 +242,7 @@ def plan(
         elif isinstance(segment, HoldFor):
             move(at, segment.for_s)
         elif isinstance(segment, Sine):
-            low = wanted(segment.from_deg, segment.from_kPa)
-            high = wanted(segment.to_deg, segment.to_kPa)
+            low, high = (min(max(end, 0.0), max_kPa) for end in ends_kPa(segment, curve))
             aims.append(high)
             move(low, 0.0)
             fastest_Hz = rate_kPa_per_s / (math.pi * abs(high - low)) if high != low else math.inf
@@ -225,6 +253,10 @@ def plan(
             t += takes
             rise += _risen(low, high, segment.cycles)
             at, peak = swing(takes), max(peak, low, high)
+            halves = math.floor(2.0 * segment.cycles)
+            for turn in range(max(0, halves - 1), halves + 1):
+                bent = curve.bent_kPa(high if turn % 2 else low, bent)
+            bent = curve.bent_kPa(at, bent)
     aim = aims[0] if aims else at
     return Trajectory(tuple(pieces), start_kPa, aim, at, peak, rise, t)
 

@@ -96,3 +96,68 @@ def test_it_stays_flat_beyond_its_ends() -> None:
 def test_what_is_no_curve_gives_a_sentence(curve_pairs: list[tuple[float, float]], reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         BendCurve(curve_pairs)
+
+
+# Hysteresis: a bend outlasts the pressure that made it.
+
+widths = st.floats(0.0, 6.0)
+RISING = ((0.0, 0.0), (2.0, 0.0), (20.7, 60.0))
+
+
+def bent_after(curve: BendCurve, pressures_kPa: list[float]) -> float:
+    bent_kPa = 0.0
+    for pressure_kPa in pressures_kPa:
+        bent_kPa = curve.bent_kPa(pressure_kPa, bent_kPa)
+    return bent_kPa
+
+
+@given(widths, st.lists(st.floats(0, 20.7), max_size=8), st.floats(0, 60))
+def test_the_pressure_toward_an_angle_brings_the_vine_there(
+    width_kPa: float, before_kPa: list[float], angle_deg: float
+) -> None:
+    curve = BendCurve(RISING, width_kPa)
+    bent_kPa = bent_after(curve, before_kPa)
+    wanted_kPa = curve.pressure_kPa(angle_deg)
+    pressure_kPa = curve.toward_kPa(wanted_kPa, bent_kPa)
+    reached_deg = curve.angle_deg(curve.bent_kPa(pressure_kPa, bent_kPa))
+    assert 0.0 <= pressure_kPa <= max(wanted_kPa, 0.0)
+    if pressure_kPa > 0.0 or wanted_kPa >= width_kPa:
+        assert reached_deg == pytest.approx(angle_deg, abs=1e-9)
+    else:
+        assert angle_deg - 1e-9 <= reached_deg <= max(angle_deg, curve.angle_deg(width_kPa)) + 1e-9
+
+
+@given(widths, st.lists(st.floats(0, 20.7), min_size=1, max_size=12))
+def test_a_bend_lies_within_the_hysteresis_above_its_pressure(
+    width_kPa: float, pressures_kPa: list[float]
+) -> None:
+    bent_kPa = bent_after(BendCurve(RISING, width_kPa), pressures_kPa)
+    assert pressures_kPa[-1] <= bent_kPa <= pressures_kPa[-1] + width_kPa
+    assert bent_kPa <= max(pressures_kPa)
+
+
+def test_a_bend_stays_while_the_pressure_falls_by_less_than_the_hysteresis() -> None:
+    curve = BendCurve(RISING, 3.0)
+    assert [curve.bent_kPa(kPa, 15.0) for kPa in (16.0, 15.0, 12.0, 11.0, 0.0)] == [
+        16.0,
+        15.0,
+        15.0,
+        14.0,
+        3.0,
+    ]
+
+
+def test_without_hysteresis_a_bend_is_that_of_its_pressure() -> None:
+    curve = BendCurve(RISING)
+    assert bent_after(curve, [20.7, 3.0, 12.5]) == 12.5
+    assert curve.toward_kPa(9.0, 12.5) == 9.0
+
+
+def test_a_reading_that_is_no_number_changes_no_bend() -> None:
+    assert BendCurve(RISING, 3.0).bent_kPa(math.nan, 15.0) == 15.0
+
+
+@pytest.mark.parametrize("width_kPa", [-0.1, 20.7, math.nan, math.inf])
+def test_a_hysteresis_that_leaves_nothing_is_refused(width_kPa: float) -> None:
+    with pytest.raises(ValueError, match="hysteresis must be 0 or more, and narrower"):
+        BendCurve(RISING, width_kPa)

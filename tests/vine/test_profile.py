@@ -190,6 +190,69 @@ def test_a_wave_that_ends_at_no_pressure_releases(cycles: int) -> None:
     assert Motion(wave, 0.0, 60.0, "wave").releases(wave.duration_s + 0.01)
 
 
+# Hysteresis.
+
+
+def bent_along(curve: BendCurve, trajectory: Trajectory, bent_kPa: float) -> tuple[float, list[float]]:
+    """Where a vine that rubs ends up, and all the angles that it passes."""
+    angles_deg = []
+    for _, pressure_kPa in sampled(trajectory):
+        bent_kPa = curve.bent_kPa(pressure_kPa, bent_kPa)
+        angles_deg.append(curve.angle_deg(bent_kPa))
+    return bent_kPa, angles_deg
+
+
+RUBS = BendCurve([(0, 0), (5, 0), (20.7, 60)], 3.0)
+
+
+@pytest.mark.parametrize("to_deg", [5.0, 30.0, 60.0])
+@pytest.mark.parametrize("before_kPa", [[0.0], [20.7], [20.7, 0.0], [20.7, 10.0], [20.7, 2.0, 14.0]])
+def test_an_angle_is_reached_from_wherever_the_vine_is(to_deg: float, before_kPa: list[float]) -> None:
+    bent_kPa = 0.0
+    for pressure_kPa in before_kPa:
+        bent_kPa = RUBS.bent_kPa(pressure_kPa, bent_kPa)
+    trajectory = plan([Step(to_deg=to_deg)], RUBS, before_kPa[-1], 60.0, MAX_KPA, bent_kPa)
+    assert bent_along(RUBS, trajectory, bent_kPa)[1][-1] == pytest.approx(to_deg, abs=1e-6)
+
+
+def test_up_and_down_again_each_angle_has_a_pressure_for_each_way() -> None:
+    there_and_back: list[Segment] = [Ramp(to_deg=30, over_s=1), Step(to_deg=60), Ramp(to_deg=30, over_s=1)]
+    trajectory = plan(there_and_back, RUBS, 0.0, 60.0, MAX_KPA)
+    assert trajectory.pressure_kPa(1.0) == pytest.approx(RUBS.pressure_kPa(30))
+    assert trajectory.final_kPa == pytest.approx(RUBS.pressure_kPa(30) - 3.0)
+
+
+@pytest.mark.parametrize(("from_deg", "to_deg"), [(10.0, 50.0), (50.0, 10.0)])
+@pytest.mark.parametrize("before_deg", [0.0, 60.0])
+def test_a_swing_meets_both_of_its_angles(from_deg: float, to_deg: float, before_deg: float) -> None:
+    sine = Sine(frequency_Hz=0.5, cycles=2, from_deg=from_deg, to_deg=to_deg)
+    start_kPa = RUBS.pressure_kPa(before_deg)
+    trajectory = plan([sine], RUBS, start_kPa, 200.0, MAX_KPA)
+    _, angles_deg = bent_along(RUBS, trajectory, start_kPa)
+    swinging = angles_deg[len(angles_deg) // 3 :]
+    assert (min(swinging), max(swinging)) == pytest.approx((10.0, 50.0), abs=0.01)
+
+
+@given(segments, st.floats(0, 20), st.floats(0, 6), rates, st.floats(0, 4))
+@settings(max_examples=80, deadline=None)
+def test_with_hysteresis_no_limit_is_passed_and_the_bend_is_known(
+    parts: list[Segment], start_kPa: float, further_kPa: float, rate_kPa_per_s: float, width_kPa: float
+) -> None:
+    curve = BendCurve([(0, 0), (5, 0), (20.7, 60)], width_kPa)
+    bent_kPa = start_kPa + min(further_kPa, width_kPa)
+    trajectory = plan(parts, curve, start_kPa, rate_kPa_per_s, MAX_KPA, bent_kPa)
+    points = sampled(trajectory)
+    for (t0, a), (t1, b) in pairwise(points):
+        assert abs(b - a) <= rate_kPa_per_s * (t1 - t0) * (1 + 1e-6) + 1e-9
+    assert min(kPa for _, kPa in points) >= 0.0
+    assert max(kPa for _, kPa in points) <= MAX_KPA + 1e-9
+    asked = [part.to_deg for part in parts if isinstance(part, Step | Ramp) and part.to_deg is not None]
+    last = next((part for part in reversed(parts) if not isinstance(part, HoldFor)), None)
+    if isinstance(last, Step | Ramp) and last.to_deg is not None:
+        ended_deg = bent_along(curve, trajectory, bent_kPa)[1][-1]
+        assert ended_deg == pytest.approx(min(max(asked[-1], 0.0), 60.0), abs=0.01)
+
+
 # Profiles out of profiles.
 
 
