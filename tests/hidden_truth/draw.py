@@ -1,0 +1,172 @@
+"""The tiers: what is hidden and how hard it is to see.
+
+| tier | what is hidden |
+| --- | --- |
+| `clear` | one cause, as strong as on real rigs |
+| `subtle` | a third of that |
+| `faint` | turned down until the gap is 300 to 3,000 |
+| `worn` | believed numbers off by up to 2.5 %, which is stated; one clear cause, or none in a quarter |
+| `holes` | cells or rows missing, and gaps of 2 s; one clear cause |
+| `short` | one run of 20 s; one clear cause |
+| `pair` | any two clear causes, both of which show |
+| `null` | none: clean, worn, or with holes |
+| `outside` | an effect that is not in the table, clear or a third of that |
+| `hard` | uneven samples, a column missing, only a discharge, noise misstated; a clear cause, or none (1/4) |
+
+What is hidden shows: its gap is above `SHOWS` (of a pair: the gap of the fit that has either cause alone).
+A draw in which it does not is drawn again, as where the Venturi stalls only at pressures that no run came
+down to.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.random import Generator
+
+from hidden_truth import plans
+from hidden_truth.effects import CAUSES, EFFECTS, OUTSIDE, Hidden
+from hidden_truth.gap import gap
+from hidden_truth.plans import FOUR_RUNS, RUN_S, Plan
+from hidden_truth.recording import WITHOUT, make
+from hidden_truth.rig import TOLERANCE_PERCENT, draw_rig, worn
+from hidden_truth.truth import Truth
+
+TIERS = ("clear", "subtle", "faint", "worn", "holes", "short", "pair", "null", "outside", "hard")
+SHOWS = 3_000.0
+FAINT = (300.0, 3_000.0)
+FAINT_AIM = (400.0, 2_500.0)
+SUBTLE = 1.0 / 3.0
+WORN_PERCENT = 2.5
+SHORT_S = 20.0
+HOLES = ("cells", "held", "lost")
+STATED_OFF = ((0.4, 0.7), (1.5, 2.5))
+_ATTEMPTS = 60
+_FADINGS = 16
+
+
+@dataclass(frozen=True)
+class NotDrawn(Exception):
+    """No draw of a tier and seed shows what it hides: the ranges are at fault."""
+
+    tier: str
+    seed: int
+
+
+def draw(tier: str, seed: int) -> Truth:
+    """The case of this tier and seed; the same every time."""
+    if tier not in TIERS:
+        raise ValueError(f"no tier {tier!r}: there are {', '.join(TIERS)}")
+    for attempt in range(_ATTEMPTS):
+        stream = (zlib.crc32(tier.encode()), seed, attempt)
+        rng = np.random.default_rng([*stream, 0])
+        truth = _candidate(tier, seed, stream, rng)
+        shown = _faded(truth, rng) if tier == "faint" else _shown(truth)
+        if shown is not None:
+            return shown
+    raise NotDrawn(tier, seed)
+
+
+def _candidate(tier: str, seed: int, stream: tuple[int, ...], rng: Generator) -> Truth:
+    rig, noise = draw_rig(rng)
+    variant = {
+        "holes": lambda: str(rng.choice(HOLES)),
+        "null": lambda: str(rng.choice(("clean", "worn", *HOLES), p=(0.4, 0.3, 0.1, 0.1, 0.1))),
+        "hard": lambda: str(rng.choice(("uneven", "discharge", "noise", *WITHOUT))),
+        "outside": lambda: str(rng.choice(("clear", "subtle"), p=(0.7, 0.3))),
+    }.get(tier, lambda: "")()
+    if variant == "discharge":
+        rig = replace(rig, cv_L=None)
+    is_worn = "worn" in (tier, variant)
+    stated = noise
+    if variant == "noise":
+        low, high = STATED_OFF[int(rng.integers(2))]
+        stated = replace(
+            noise,
+            cv_kPa=round(noise.cv_kPa * rng.uniform(low, high), 3),
+            reservoir_kPa=round(noise.reservoir_kPa * rng.uniform(low, high), 3),
+        )
+    names: list[str] = []
+    if tier == "pair":
+        names = [str(name) for name in rng.choice(CAUSES, 2, replace=False)]
+    elif tier == "outside":
+        names = [str(rng.choice(OUTSIDE))]
+    elif tier != "null" and not (tier in ("worn", "hard") and rng.random() < 0.25):
+        able = [
+            name
+            for name in CAUSES
+            if (variant != "discharge" or EFFECTS[name].seen_without_cv)
+            and (tier not in ("subtle", "faint") or EFFECTS[name].weaken is not None)
+        ]
+        names = [str(rng.choice(able))]
+    hidden = [Hidden(name, EFFECTS[name].draw(rng, rig)) for name in names]
+    if tier == "subtle" or (variant == "subtle" and hidden[0].effect.weaken is not None):
+        hidden = [one.weaker(SUBTLE) for one in hidden]
+    return Truth(
+        tier=tier,
+        seed=seed,
+        variant=variant,
+        hidden=tuple(hidden),
+        rig=rig,
+        believed=worn(rng, rig, WORN_PERCENT) if is_worn else rig,
+        tolerance_percent=WORN_PERCENT if is_worn else TOLERANCE_PERCENT,
+        noise=noise,
+        stated=stated,
+        plans=_plans(tier, variant, rng),
+        stream=stream,
+    )
+
+
+def _plans(tier: str, variant: str, rng: Generator) -> tuple[Plan, ...]:
+    if variant == "discharge":
+        return (plans.discharge(rng),)
+    if tier == "short":
+        kind = FOUR_RUNS[int(rng.integers(3))]
+        return (kind(rng, plans.steady_time(SHORT_S)),)
+    venturi = variant != "without_dvp"
+    return tuple(
+        kind(
+            rng,
+            plans.uneven_time(rng, RUN_S) if variant == "uneven" else plans.steady_time(RUN_S),
+            venturi,
+        )
+        for kind in FOUR_RUNS
+    )
+
+
+def _shown(truth: Truth) -> Truth | None:
+    """With its gap, and of two causes the one first that explains more; None if something does not show."""
+    runs = make(truth)
+    if not truth.hidden:
+        return replace(truth, gap=gap(truth, runs))
+    if len(truth.hidden) == 2:
+        left = {one: gap(truth, runs, known=(one,)) for one in truth.hidden}
+        if min(left.values()) < SHOWS:
+            return None
+        truth = replace(truth, hidden=tuple(sorted(truth.hidden, key=left.__getitem__)))
+    found = gap(truth, runs)
+    return replace(truth, gap=found) if found >= SHOWS else None
+
+
+def _faded(truth: Truth, rng: Generator) -> Truth | None:
+    """At the share of its strength that has the gap at which it aims, or near enough."""
+    aim = float(np.exp(rng.uniform(*np.log(FAINT_AIM))))
+    strong = truth.hidden[0]
+    low, high = 1e-5, 1.0
+    share = SUBTLE
+    for _ in range(_FADINGS):
+        faded = replace(truth, hidden=(strong.weaker(share),))
+        found = gap(faded, make(faded))
+        if FAINT[0] <= found <= FAINT[1]:
+            return replace(faded, gap=found)
+        if found < aim:
+            low = share
+        else:
+            high = share
+        # A gap grows about as the square of the strength; where that leads outside the bracket, halve it.
+        share *= (aim / max(found, 1.0)) ** 0.5
+        if not low < share < high:
+            share = (low * high) ** 0.5
+    return None

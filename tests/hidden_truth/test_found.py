@@ -1,0 +1,54 @@
+"""What a rig hides is found: named, measured, and worth it on data that the fit never saw."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from flying_vines.discrepancy.case import read_case
+from flying_vines.discrepancy.diagnose import diagnose
+from flying_vines.discrepancy.verdict import Verdict
+from hidden_truth import draw, write
+from hidden_truth.truth import Truth
+
+
+def verdict_on(tier: str, seed: int, folder: Path) -> tuple[Truth, Verdict]:
+    truth = draw(tier, seed)
+    write(folder / "case", truth)
+    return truth, diagnose(read_case(folder / "case"))
+
+
+# A cause of the valves' commands, of the flows, of the gas, and one under worn numbers.
+@pytest.mark.parametrize(("tier", "seed"), [("worn", 3), ("clear", 7), ("clear", 0), ("clear", 5)])
+def test_a_single_cause_is_named_and_measured(tier: str, seed: int, tmp_path: Path) -> None:
+    truth, verdict = verdict_on(tier, seed, tmp_path)
+    (hidden,) = truth.hidden
+    assert verdict.cause == hidden.name
+    assert verdict.also == ()
+    assert verdict.confidence > 0.9
+    (estimate,) = verdict.parameters.values()
+    assert estimate.low < estimate.estimate < estimate.high
+    assert estimate.estimate == pytest.approx(hidden.value, rel=0.02)
+    errors = verdict.held_out
+    assert errors.nrmse_before > 1.2 * errors.nrmse_after
+    assert errors.nrmse_after < 1.2 * errors.noise_floor
+
+
+def test_two_causes_at_once_are_both_found(tmp_path: Path) -> None:
+    truth, verdict = verdict_on("pair", 2, tmp_path)
+    assert {verdict.cause, *(named.cause for named in verdict.also)} == {one.name for one in truth.hidden}
+
+
+def test_a_clean_rig_is_not_accused(tmp_path: Path) -> None:
+    _, verdict = verdict_on("null", 0, tmp_path)
+    assert verdict.cause == "none"
+    assert verdict.confidence > 0.9
+    assert verdict.parameters == {}
+
+
+def test_an_effect_that_nobody_has_named_gets_no_name(tmp_path: Path) -> None:
+    truth, verdict = verdict_on("outside", 0, tmp_path)
+    assert truth.hidden[0].name.startswith("x_")
+    assert verdict.cause == "unexplained"
+    assert verdict.remainder
