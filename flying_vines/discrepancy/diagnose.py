@@ -1,0 +1,152 @@
+"""From a case to its verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import exp
+
+import numpy as np
+
+from flying_vines.discrepancy.case import Case
+from flying_vines.discrepancy.cause import Cause
+from flying_vines.discrepancy.causes import catalogue
+from flying_vines.discrepancy.fit import Problem
+from flying_vines.discrepancy.held_out import held_out
+from flying_vines.discrepancy.intervals import profile
+from flying_vines.discrepancy.noise import noise_kPa, still
+from flying_vines.discrepancy.search import CLAIM, Candidate, Found, Search
+from flying_vines.discrepancy.simulate import believed_keys
+from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED, Estimate, Named, Ranked, Verdict
+
+ALIKE = 9.2
+"""A candidate whose evidence is within a factor of 100 of the best cannot be told apart from it."""
+_SURPRISE = 0.02
+"""How often, before any data, something is there that the catalogue does not hold, and looks like noise."""
+Progress = Callable[[str], None]
+
+
+def diagnose(
+    case: Case, causes: Sequence[Cause] | None = None, progress: Progress = lambda step: None
+) -> Verdict:
+    """Where the baseline simulation departs from a rig's data, why, and what the cause is worth.
+
+    Args:
+        case: the recorded runs and the believed rig.
+        causes: to be considered; the whole catalogue if not given.
+        progress: is told what is being done.
+    """
+    progress("baseline")
+    problem = with_noise(case)
+    found = Search(problem, catalogue() if causes is None else causes).best(progress)
+    progress("held-out runs")
+    return _verdict(problem, found)
+
+
+def with_noise(case: Case) -> Problem:
+    """The case as a problem, with the sensors' noise as stated, or as found where the data contradict."""
+    sensors = case.rig.sensors
+    stated = (sensors.cv_noise_std_kPa or 1e-3, sensors.reservoir_noise_std_kPa or 1e-3)
+    problem = Problem(case, stated)
+    null = problem.fit(problem.start().freed(believed_keys(case.rig)), most_steps=3)
+    left = []
+    for row in range(2):
+        residuals = [
+            np.where((w[row] > 0.0) & still(run), r[row] * stated[row], np.nan)
+            for r, w, run in zip(null.residuals, problem.weights, case.runs, strict=True)
+        ]
+        left.append(noise_kPa(residuals, stated[row]))
+    noise = (left[0], left[1])
+    return problem if noise == stated else Problem(case, noise)
+
+
+def _verdict(problem: Problem, found: Found) -> Verdict:
+    chosen, null = found.chosen, found.search.null
+    best = min(c.score for c in found.tried)
+    errors = held_out(problem, null.fit.point, chosen.fit.point)
+    ranking = _ranking(found.tried, best)
+    left = chosen.patterns[0] if chosen.patterns and not chosen.adequate else None
+    remainder = f"{left.channel}: {left.feature}" if left else ""
+    remarks = list(problem.case.remarks)
+    stated = problem.case.rig.sensors
+    for what, used, said in zip(
+        ("cv", "reservoir"),
+        problem.noise_kPa,
+        (stated.cv_noise_std_kPa, stated.reservoir_noise_std_kPa),
+        strict=True,
+    ):
+        if abs(used - said) > 1e-9:
+            remarks.append(f"{what}_noise_std_kPa is stated as {said:g}; the data say {used:.3g}")
+    if left is not None:
+        return Verdict(
+            UNEXPLAINED, 0.9, (), {}, (), errors, ranking,
+            "Repeat the run that fits worst with one valve moved at a time.", remainder, tuple(remarks),
+        )  # fmt: skip
+    if not chosen.causes:
+        others = [c.score - chosen.score for c in found.tried if c.causes]
+        doubt = sum(exp(-0.5 * max(0.0, d)) for d in others[:5]) * 0.05
+        return Verdict(
+            NONE, 1.0 / (1.0 + doubt + _SURPRISE), (), {}, (), errors, ranking, "", "", tuple(remarks)
+        )
+    main, further = _main_first(chosen, found)
+    alike, confidence = _alike(chosen, main, found)
+    named = _estimates(problem, chosen)
+    experiment = ""
+    if alike:
+        by_name = {cause.name: cause for cause in found.search.catalogue}
+        experiment = by_name[main].experiment
+    return Verdict(
+        cause=main,
+        confidence=confidence,
+        indistinguishable=alike,
+        parameters=named[main],
+        also=tuple(Named(name, named[name]) for name in further),
+        held_out=errors,
+        ranking=ranking,
+        next_experiment=experiment,
+        remainder="",
+        remarks=tuple(remarks),
+    )
+
+
+def _ranking(tried: Sequence[Candidate], best: float) -> tuple[Ranked, ...]:
+    scores: dict[frozenset[str], tuple[tuple[str, ...], float]] = {}
+    for candidate in tried:
+        key = frozenset(candidate.names)
+        if key not in scores or candidate.score < scores[key][1]:
+            scores[key] = (candidate.names, candidate.score)
+    ranked = sorted(scores.values(), key=lambda item: item[1])
+    return tuple(Ranked(names, score - best) for names, score in ranked)
+
+
+def _main_first(chosen: Candidate, found: Found) -> tuple[str, list[str]]:
+    """The cause that explains most by itself, and the others."""
+    alone = {c.names[0]: c.fit.chi2 for c in found.tried if len(c.names) == 1}
+    names = sorted(chosen.names, key=lambda name: alone[name])
+    return names[0], names[1:]
+
+
+def _alike(chosen: Candidate, main: str, found: Found) -> tuple[tuple[str, ...], float]:
+    """What could stand in place of the main cause, and how sure the set of both is."""
+    rest = set(chosen.names) - {main}
+    scores: dict[str, float] = {}
+    for candidate in found.tried:
+        others = set(candidate.names) - rest
+        if rest <= set(candidate.names) and len(others) == 1:
+            (name,) = others
+            scores[name] = min(candidate.score, scores.get(name, np.inf))
+    inside = [name for name, score in scores.items() if score - chosen.score < ALIKE and name != main]
+    weight = {name: exp(-0.5 * (score - chosen.score)) for name, score in scores.items()}
+    weight[NONE] = exp(-0.5 * max(0.0, found.search.null.score - CLAIM - chosen.score))
+    held = weight[main] + sum(weight[name] for name in inside)
+    return tuple(sorted(inside, key=lambda name: scores[name])), held / sum(weight.values()) * (
+        1.0 - _SURPRISE
+    )
+
+
+def _estimates(problem: Problem, chosen: Candidate) -> dict[str, dict[str, Estimate]]:
+    """Parameters of all causes, with their intervals."""
+    named = {}
+    for index, cause in enumerate(chosen.causes):
+        profiles = [profile(problem, chosen.fit, index, number) for number in range(len(cause.parameters))]
+        named[cause.name] = {p.parameter.name: Estimate(p.estimate, p.low, p.high) for p in profiles}
+    return named

@@ -1,0 +1,338 @@
+"""Fitting by simulation error: over all runs at once, initial states included, inputs as recorded.
+
+What is minimised is χ², the sum of squared residuals in units of the sensors' noise, over the parameters of
+the causes, the believed numbers that are set free, and two initial pressures a run (two more after each gap
+in its record). A believed number stays within its tolerance, where all places are equally likely; of that a
+Gaussian of the same variance stands in the sum, so that what the data do not say is left where it was
+believed; likewise what is typical of a parameter. Each step of Gauss and Newton is solved exactly within the
+bounds (Stark & Parker 1995), damped by Levenberg and Marquardt where it would not help.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from flying_vines.discrepancy.case import Case
+from flying_vines.discrepancy.cause import Cause, Values
+from flying_vines.discrepancy.model import Array, Numbers
+from flying_vines.discrepancy.simulate import BELIEVED, Simulation
+
+Bools = NDArray[np.bool_]
+
+MOST_STEPS = 30
+ENOUGH = 0.02
+"""A step that lowers χ² by less ends the fit."""
+_DEVIATION = 1e-5
+_OF_RANGE = 1e-4
+_INITIAL_KPA = (0.1, 0.01)
+"""How far numbers are moved for a derivative: believed ones by this share, parameters by this share of their
+range (along the logarithm where that is moved), initial pressures by this."""
+UNREAD_RESERVOIR_KPA = 600.0
+"""Where a fit begins if nobody recorded the reservoir."""
+_READINGS = 3
+"""The first so many say where a run begins."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a fit is. `deviation` of believed numbers, in shares of them, by key; `values` of the causes."""
+
+    causes: tuple[Cause, ...]
+    values: tuple[Values, ...]
+    deviation: dict[str, float]
+    """Its keys are what is free; the rest is as believed."""
+    initial: Array
+    """(starts, 2) gauge pressures of reservoir and control volume, kPa, run by run."""
+
+    def with_cause(self, cause: Cause, values: Values) -> Point:
+        """The same place with another cause, where it begins."""
+        return replace(self, causes=(*self.causes, cause), values=(*self.values, values))
+
+    def without(self, index: int) -> Point:
+        """The same place without one of the causes."""
+        causes, values = list(self.causes), list(self.values)
+        del causes[index], values[index]
+        return replace(self, causes=tuple(causes), values=tuple(values))
+
+    def pinned(self, index: int, number: int, value: float) -> Point:
+        """The same place, with one parameter of one cause held at a value."""
+        cause, values = self.causes[index], list(self.values[index])
+        values[number] = value
+        parameters = list(cause.parameters)
+        parameters[number] = replace(parameters[number], low=value, high=value, typical=None)
+        causes, every = list(self.causes), list(self.values)
+        causes[index], every[index] = replace(cause, parameters=tuple(parameters)), tuple(values)
+        return replace(self, causes=tuple(causes), values=tuple(every))
+
+    def freed(self, keys: Sequence[str]) -> Point:
+        """The same place, with these believed numbers free and no others."""
+        return replace(self, deviation={key: self.deviation.get(key, 0.0) for key in keys})
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Where a fit ended."""
+
+    point: Point
+    chi2: float
+    """Of the residuals alone."""
+    cost: float
+    """With what is believed."""
+    residuals: tuple[Array, ...]
+    """A run's: (2, n), control volume then reservoir, measured less simulated in units of noise; 0 where
+    nothing was measured."""
+    information: Array
+    """Jᵀ J of all that is free: deviations, causes' parameters (as the fit moves them), initial pressures;
+    with what is believed of the deviations."""
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the same, where the data say anything; without the bounds."""
+        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        inverse = np.linalg.pinv(self.information / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+        covariance: Array = inverse / np.outer(scale, scale)
+        return covariance
+
+
+class Tangents:
+    """Directions in which a fit is free, and what is left of the residuals."""
+
+    def __init__(self, jacobian: Array, residual: Array) -> None:
+        scale = np.linalg.norm(jacobian, axis=0)
+        self._basis, _ = np.linalg.qr(jacobian / np.where(scale > 0.0, scale, 1.0))
+        self._residual = self._beside(residual)
+
+    def gain(self, trace: Array) -> float:
+        """By how much χ² would fall if the residuals could be changed along this trace, too."""
+        own = self._beside(trace)
+        length = float(own @ own)
+        return float(own @ self._residual) ** 2 / length if length > 1e-9 * float(trace @ trace) else 0.0
+
+    def _beside(self, trace: Array) -> Array:
+        beside: Array = trace - self._basis @ (self._basis.T @ trace)
+        return beside
+
+
+class Problem:
+    """A case to be fitted.
+
+    Args:
+        case: the data.
+        noise_kPa: standard deviations of control volume's and reservoir's readings.
+        used: a boolean (n,) for each run: which samples count; all if not given.
+    """
+
+    def __init__(
+        self, case: Case, noise_kPa: tuple[float, float], used: Sequence[Bools] | None = None
+    ) -> None:
+        self.case = case
+        self.noise_kPa = noise_kPa
+        self.simulation = Simulation(case)
+        self.data = [np.stack((run.cv_kPa, run.reservoir_kPa)) for run in case.runs]
+        self.weights = [np.isfinite(data) / np.array(noise_kPa)[:, None] for data in self.data]
+        if used is not None:
+            self.weights = [weight * mask for weight, mask in zip(self.weights, used, strict=True)]
+        self.data = [np.nan_to_num(data) for data in self.data]
+        ends = np.cumsum([len(run.start) for run in self.simulation.runs])
+        self.starts = [
+            slice(end - len(run.start), end) for end, run in zip(ends, self.simulation.runs, strict=True)
+        ]
+        """Of each run, in `Point.initial`."""
+        self.readings = int(sum(np.count_nonzero(weight) for weight in self.weights))
+
+    def start(self) -> Point:
+        """The believed rig, at rest where the first readings are."""
+        initial = []
+        for data, weight, run in zip(self.data, self.weights, self.simulation.runs, strict=True):
+            for i in run.start:
+                reservoir_kPa = _first(data[1, i:], weight[1, i:], UNREAD_RESERVOIR_KPA)
+                initial.append((reservoir_kPa, _first(data[0, i:], weight[0, i:], 0.0)))
+        return Point((), (), {}, np.array(initial))
+
+    def tolerance(self, key: str) -> float:
+        """How well a number is believed, as a share."""
+        return self.case.rig.tolerance(key) / 100.0
+
+    def residuals(self, point: Point, runs: Sequence[int] | None = None) -> list[Array]:
+        """Of these runs (all if not given), as in `Fit`."""
+        numbers = self.numbers(point)
+        causes = list(zip(point.causes, point.values, strict=True))
+        found = []
+        for index in range(len(self.data)) if runs is None else runs:
+            readings = self.simulation.readings(index, numbers, causes, point.initial[self.starts[index]])
+            found.append((self.data[index] - np.stack(readings)) * self.weights[index])
+        return found
+
+    def chi2(self, point: Point) -> float:
+        """The sum of squared residuals at a place."""
+        return _chi2(self.residuals(point))
+
+    def numbers(self, point: Point) -> Numbers:
+        """The believed numbers, as far as they are moved."""
+        believed = self.simulation.believed
+        moved = {BELIEVED[key]: 1.0 + d for key, d in point.deviation.items()}
+        return believed._replace(**{name: getattr(believed, name) * factor for name, factor in moved.items()})
+
+    def tangents(self, fit: Fit) -> Tangents:
+        """What small changes of all that is fitted do to the residuals."""
+        space = _Space(self, fit.point)
+        residual = np.concatenate([r.ravel() for r in fit.residuals])
+        return Tangents(space.jacobian(space.inner(fit.point), fit.residuals), residual)
+
+    def fit(self, start: Point, most_steps: int = MOST_STEPS) -> Fit:
+        """The least χ² near `start`."""
+        space = _Space(self, start)
+        place = space.clipped(space.inner(start))
+        residuals = self.residuals(space.outer(place))
+        cost = _chi2(residuals) + space.believed(place)
+        damping = 1e-7
+        for _ in range(most_steps):
+            information, slope = space.linearised(place, residuals)
+            for _ in range(10):
+                move = space.best_move(place, information, slope, damping)
+                there = space.clipped(place + move)
+                point = space.outer(there)
+                tried = self.residuals(point)
+                lower = _chi2(tried) + space.believed(there)
+                if lower <= cost:
+                    break
+                damping = max(10.0 * damping, 1e-5)
+            else:
+                break
+            gained, cost = cost - lower, lower
+            place, residuals = there, tried
+            damping *= 0.1
+            if gained < ENOUGH:
+                break
+        information, _ = space.linearised(place, residuals)
+        return Fit(space.outer(place), _chi2(residuals), cost, tuple(residuals), information)
+
+
+class _Space:
+    """The numbers that a fit moves, in one row: deviations, parameters, initial pressures run by run."""
+
+    def __init__(self, problem: Problem, start: Point) -> None:
+        self._problem = problem
+        self._start = start
+        self._keys = tuple(start.deviation)
+        self._parameters = [parameter for cause in start.causes for parameter in cause.parameters]
+        self._common = len(self._keys) + len(self._parameters)
+        self._starts = problem.starts
+        tolerances = [problem.tolerance(key) for key in self._keys]
+        low = [-t for t in tolerances] + [p.inner(p.low) for p in self._parameters]
+        high = [*tolerances] + [p.inner(p.high) for p in self._parameters]
+        self._nudges = [_DEVIATION] * len(self._keys)
+        self._nudges += [_OF_RANGE * (p.inner(p.high) - p.inner(p.low)) for p in self._parameters]
+        unbounded = np.full(start.initial.size, np.inf)
+        self._low, self._high = np.append(low, -unbounded), np.append(high, unbounded)
+        typical = [(0.0, t / sqrt(3.0)) for t in tolerances] + [
+            p.typical or (0.0, inf) for p in self._parameters
+        ]
+        self._typical = np.array([mean for mean, _ in typical])
+        self._sureness = np.array([sd**-2.0 for _, sd in typical])
+        """What is believed of deviations and parameters: mean, and one over the variance."""
+
+    def inner(self, point: Point) -> Array:
+        values = [value for values in point.values for value in values]
+        inner = [p.inner(value) for p, value in zip(self._parameters, values, strict=True)]
+        return np.concatenate(([point.deviation[key] for key in self._keys], inner, point.initial.ravel()))
+
+    def outer(self, place: Array) -> Point:
+        keys = len(self._keys)
+        values = [
+            p.outer(x) for p, x in zip(self._parameters, place[keys : self._common].tolist(), strict=True)
+        ]
+        grouped = []
+        for cause in self._start.causes:
+            grouped.append(tuple(values[: len(cause.parameters)]))
+            del values[: len(cause.parameters)]
+        return replace(
+            self._start,
+            values=tuple(grouped),
+            deviation=dict(zip(self._keys, place[:keys].tolist(), strict=True)),
+            initial=place[self._common :].reshape(-1, 2),
+        )
+
+    def believed(self, place: Array) -> float:
+        """What it costs to be elsewhere than believed."""
+        return float(self._sureness @ (place[: self._common] - self._typical) ** 2)
+
+    def clipped(self, place: Array) -> Array:
+        return np.clip(place, self._low, self._high)
+
+    def linearised(self, place: Array, residuals: Sequence[Array]) -> tuple[Array, Array]:
+        """JᵀJ and Jᵀr at a place."""
+        size = len(place)
+        information, slope = np.zeros((size, size)), np.zeros(size)
+        for run, (index, j) in enumerate(self._by_run(place, residuals)):
+            information[np.ix_(index, index)] += j @ j.T
+            slope[index] += j @ residuals[run].ravel()
+        common = np.arange(self._common)
+        information[common, common] += self._sureness
+        slope[common] += self._sureness * (place[common] - self._typical)
+        return information, slope
+
+    def jacobian(self, place: Array, residuals: Sequence[Array]) -> Array:
+        """Of all residuals, (readings, numbers)."""
+        rows = []
+        for index, j in self._by_run(place, residuals):
+            block = np.zeros((j.shape[1], len(place)))
+            block[:, index] = j.T
+            rows.append(block)
+        return np.concatenate(rows)
+
+    def _by_run(self, place: Array, residuals: Sequence[Array]) -> Iterator[tuple[NDArray[np.intp], Array]]:
+        """Run by run: which numbers it depends on, and its residuals' derivatives by them, a row each."""
+        columns = [self._columns(place, residuals, k) for k in range(self._common)]
+        for run, starts in enumerate(self._starts):
+            own = np.arange(self._common + 2 * starts.start, self._common + 2 * starts.stop)
+            jacobian = [column[run] for column in columns]
+            for k in own:
+                nudge = _INITIAL_KPA[(k - self._common) % 2]
+                moved = place.copy()
+                moved[k] += nudge
+                (there,) = self._problem.residuals(self.outer(moved), [run])
+                jacobian.append((there - residuals[run]).ravel() / nudge)
+            yield np.r_[: self._common, own], np.array(jacobian)
+
+    def _columns(self, place: Array, residuals: Sequence[Array], k: int) -> list[Array]:
+        nudge = self._nudges[k]
+        if nudge == 0.0:
+            return [np.zeros(r.size) for r in residuals]
+        if place[k] + nudge > self._high[k]:
+            nudge = -nudge
+        moved = place.copy()
+        moved[k] += nudge
+        there = self._problem.residuals(self.outer(moved))
+        return [(a - b).ravel() / nudge for a, b in zip(there, residuals, strict=True)]
+
+    def best_move(self, place: Array, information: Array, slope: Array, damping: float) -> Array:
+        """The least of the quadratic model within the bounds."""
+        scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
+        scaled = information / np.outer(scale, scale)
+        scaled[np.diag_indices_from(scaled)] += damping + 1e-12
+        lower = np.linalg.cholesky(scaled)
+        target = np.linalg.solve(lower, -slope / scale)
+        low, high = (self._low - place) * scale, (self._high - place) * scale
+        solved = lsq_linear(
+            lower.T, target, (np.minimum(low, -1e-12), np.maximum(high, 1e-12)), method="bvls"
+        )
+        return np.asarray(solved.x / scale)
+
+
+def _chi2(residuals: Sequence[Array]) -> float:
+    chi2 = sum(float(np.vdot(r, r)) for r in residuals)
+    return chi2 if np.isfinite(chi2) else float("inf")
+
+
+def _first(data: Array, weight: Array, guess: float) -> float:
+    """The mean of the first readings, or a guess where there are none."""
+    measured = data[weight > 0.0][:_READINGS]
+    return float(measured.mean()) if len(measured) else guess

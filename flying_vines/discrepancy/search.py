@@ -1,0 +1,186 @@
+"""Which causes explain the data: the null, then each cause by itself, then further ones, as long as it pays.
+
+Every candidate is fitted twice: with the believed numbers exactly as believed, and with all of them free
+within their tolerance. Which of the two holds for a rig is a question to the data as well: the second pays
+for its freedom with the logarithm of how much more the data say of the numbers than was believed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from flying_vines.discrepancy.cause import Cause
+from flying_vines.discrepancy.fit import Fit, Problem, Tangents
+from flying_vines.discrepancy.residuals import Pattern, patterns
+from flying_vines.discrepancy.simulate import believed_keys
+
+CLAIM = 25.0
+"""By so much a cause must lower the score. Of twenty useless ones the best gains 20 once in 10,000 cases."""
+STRUCTURE = 6.0
+"""−log₁₀ of how often noise alone would leave such a pattern, from where on it is none."""
+MOST_CAUSES = 3
+FIRSTS = 5
+"""So many of the best single causes are tried with a second one: one may hide another."""
+PROMISING = 4
+"""So many further causes are fitted fully, those that promise most."""
+SCREEN_STEPS = 3
+LEADERS = 6
+"""So many fits, those that have come lowest in so few steps, are fitted to the end."""
+FEW_SEEDS = 3
+"""Of more, the nearest."""
+OF_RANGE = 1e-3
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Some causes (or none), fitted."""
+
+    problem: Problem
+    fit: Fit
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        return self.fit.point.causes
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(cause.name for cause in self.causes)
+
+    @cached_property
+    def score(self) -> float:
+        """Twice the negative logarithm of the evidence, up to a constant: χ², what moving the believed
+        numbers cost, and for each parameter what the data had to say to fix it."""
+        parameters = sum(len(cause.parameters) for cause in self.causes)
+        return self.fit.chi2 + self.freedom + parameters * float(np.log(self.problem.readings))
+
+    @cached_property
+    def freedom(self) -> float:
+        """What the free believed numbers cost: −2 ln of prior at the fit times posterior width (Laplace)."""
+        deviation = self.fit.point.deviation
+        if not deviation:
+            return 0.0
+        sureness = np.array([3.0 / self.problem.tolerance(key) ** 2 for key in deviation])
+        moved = float(sureness @ np.array(list(deviation.values())) ** 2)
+        k = len(deviation)
+        posterior = self.fit.covariance[:k, :k]
+        _, log_posterior = np.linalg.slogdet(posterior)
+        return moved - float(log_posterior + np.log(sureness).sum())
+
+    @cached_property
+    def patterns(self) -> list[Pattern]:
+        return patterns(self.problem, self.fit)
+
+    @property
+    def adequate(self) -> bool:
+        """Nothing but noise is left."""
+        return not self.patterns or self.patterns[0].surprise < STRUCTURE
+
+
+class Search:
+    """Fits of one problem, with what they led to."""
+
+    def __init__(self, problem: Problem, catalogue: Sequence[Cause]) -> None:
+        self.problem = problem
+        self.catalogue = tuple(catalogue)
+        self.keys = believed_keys(problem.case.rig)
+        start = problem.start()
+        exact = problem.fit(start)
+        moved = problem.fit(exact.point.freed(self.keys))
+        self.nulls = (Candidate(problem, exact), Candidate(problem, moved))
+        self.null = min(self.nulls, key=lambda c: c.score)
+
+    def singles(self) -> list[Candidate]:
+        """Each cause by itself, the best first."""
+        return self._finished(self._begun(self.nulls[1], cause) for cause in self.catalogue)
+
+    def _finished(self, begun: Iterable[Fit]) -> list[Candidate]:
+        """The best first, and of those only the leaders fitted to the end."""
+        fits = sorted(begun, key=lambda fit: fit.chi2)
+        fits[:LEADERS] = [self.problem.fit(fit.point) for fit in fits[:LEADERS]]
+        return [Candidate(self.problem, fit) for fit in sorted(fits, key=lambda fit: fit.chi2)]
+
+    def _begun(self, base: Candidate, cause: Cause) -> Fit:
+        """The first steps of a fit with a further cause, from its best seed."""
+        starts = [base.fit.point.with_cause(cause, values) for values in cause.seeds()]
+        if len(starts) > FEW_SEEDS:
+            starts.sort(key=self.problem.chi2)
+        begun = (self.problem.fit(start, SCREEN_STEPS) for start in starts[:FEW_SEEDS])
+        return min(begun, key=lambda fit: fit.chi2)
+
+    def settled(self, candidate: Candidate) -> Candidate:
+        """The same causes, with the believed numbers exact if that explains the data as well."""
+        exact = Candidate(self.problem, self.problem.fit(candidate.fit.point.freed(())))
+        return min(exact, candidate, key=lambda c: c.score)
+
+    def further(self, bases: Sequence[Candidate]) -> list[Candidate]:
+        """The bases with one more cause, the best first; only those are fitted that promise most."""
+        begun: dict[frozenset[str], Fit] = {}
+        for base in bases:
+            tangents = self.problem.tangents(base.fit)
+            others = [cause for cause in self.catalogue if cause.name not in base.names]
+            others.sort(key=lambda cause: -self._promise(base.fit, tangents, cause))
+            for cause in others[:PROMISING]:
+                together = frozenset((*base.names, cause.name))
+                if together not in begun:
+                    begun[together] = self._begun(base, cause)
+        return self._finished(begun.values())
+
+    def _promise(self, base: Fit, tangents: Tangents, cause: Cause) -> float:
+        """By how much χ² would fall if the cause's trace were scaled, and all that is fitted moved along."""
+        parameter = cause.parameters[0]
+        best = 0.0
+        for values in cause.seeds():
+            seed = parameter.inner(values[0])
+            # Where a seed is neutral only its neighbour leaves a trace.
+            for inner in (seed, seed + OF_RANGE * (parameter.inner(parameter.high) - seed)):
+                point = base.point.with_cause(cause, (parameter.outer(inner), *values[1:]))
+                trace = [a - b for a, b in zip(self.problem.residuals(point), base.residuals, strict=True)]
+                best = max(best, tangents.gain(np.concatenate([t.ravel() for t in trace])))
+        return best
+
+    def best(self, progress: Callable[[str], None] = lambda step: None) -> Found:
+        """Everything that was tried, and what explains the data best."""
+        progress("single causes")
+        bases = self.singles()
+        leaders = [self.settled(c) for c in bases[:FIRSTS]]
+        tried = [*self.nulls, *bases, *leaders]
+        chosen = min([self.null, *leaders], key=lambda c: c.score)
+        if chosen.score > self.null.score - CLAIM:
+            chosen = self.null
+        for count in range(2, MOST_CAUSES + 1):
+            if chosen.adequate:
+                break
+            progress(f"{count} causes together")
+            firsts = bases[:FIRSTS] if count == 2 else bases[:1]
+            bases = self.further(firsts)
+            leaders = [self.settled(c) for c in bases[:FIRSTS]]
+            tried += leaders
+            better = min(leaders, key=lambda c: c.score)
+            if better.score > chosen.score - CLAIM:
+                break
+            chosen = better
+        while len(chosen.causes) > 1:
+            fewer = [self._without(chosen, index) for index in range(len(chosen.causes))]
+            tried += fewer
+            least = min(fewer, key=lambda c: c.score)
+            if least.score > chosen.score + CLAIM:
+                break
+            chosen = least
+        return Found(self, tried, chosen)
+
+    def _without(self, candidate: Candidate, index: int) -> Candidate:
+        """What is left of the evidence without one of the causes."""
+        return self.settled(
+            Candidate(self.problem, self.problem.fit(candidate.fit.point.freed(self.keys).without(index)))
+        )
+
+
+@dataclass(frozen=True)
+class Found:
+    search: Search
+    tried: list[Candidate]
+    chosen: Candidate
