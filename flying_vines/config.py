@@ -16,7 +16,7 @@ from msgspec import Meta
 from flying_vines.address import parse_address
 from flying_vines.toml_text import Key, dotted, key_of, not_finite, one_line, place
 from flying_vines.vine.curve import BendCurve
-from flying_vines.vine.profile import Profile, Segment, Sine, flatten
+from flying_vines.vine.profile import Profile, Segment, Sine, ends_kPa, flatten
 
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
@@ -95,9 +95,13 @@ class Item(_Table, frozen=True):
 
 class Vine(_Table, frozen=True):
     curve: tuple[tuple[float, float], ...] = ((0.0, 0.0), (2.0, 0.0), (20.7, 60.0))
+    hysteresis_kPa: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         BendCurve(self.curve)
+
+    def bend_curve(self) -> BendCurve:
+        return BendCurve(self.curve, self.hysteresis_kPa)
 
 
 class Limits(_Table, frozen=True):
@@ -135,6 +139,8 @@ class Pneumatics(_Table, frozen=True):
     full_kPa: Positive = 690.0
     cv_volume_L: Positive = 0.1
     evp_flow_resistance_kPa_s_per_SL: Positive = 2042.0
+    dvp_flow_resistance_kPa_s_per_SL: Positive = 618.0
+    venturi_least_supply_kPa: NotNegative = 100.0
     cycle_swing_kPa: Positive = 20.7
     cycle_rate_kPa_per_s: Positive = 22.8
 
@@ -217,7 +223,6 @@ def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:
 def _contradictions(config: Config) -> list[tuple[Key, str]]:
     """What no single table can know: keys that do not fit each other."""
     found: list[tuple[Key, str]] = []
-    curve = BendCurve(config.vine.curve)
     for table, link in (("vehicle", config.vehicle.link), ("firmware", config.firmware.link)):
         try:
             parse_address(link)
@@ -226,6 +231,10 @@ def _contradictions(config: Config) -> list[tuple[Key, str]]:
     found.extend((key, "is not a finite number") for key in not_finite(msgspec.to_builtins(config)))
     if found:
         return found
+    try:
+        curve = config.vine.bend_curve()
+    except ValueError as error:
+        return [(("vine", "hysteresis_kPa"), str(error))]
     for name, profile in config.profiles.items():
         try:
             segments = tuple(flatten(config.profiles, name))
@@ -260,11 +269,7 @@ def _contradictions(config: Config) -> list[tuple[Key, str]]:
 def _too_fast(
     config: Config, curve: BendCurve, name: str, profile: Profile, sine: Sine
 ) -> list[tuple[Key, str]]:
-    low, high = (
-        (curve.pressure_kPa(sine.from_deg), curve.pressure_kPa(sine.to_deg))
-        if sine.from_deg is not None and sine.to_deg is not None
-        else (sine.from_kPa or 0.0, sine.to_kPa or 0.0)
-    )
+    low, high = ends_kPa(sine, curve)
     steepest = math.pi * sine.frequency_Hz * abs(high - low)
     limit = min(profile.rate_kPa_per_s or math.inf, config.limits.max_rate_kPa_per_s)
     if steepest <= limit:

@@ -36,7 +36,6 @@ from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.mission_item import MissionItem
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vehicle.vehicle import Output, Vehicle
-from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.motion import Motion
 from flying_vines.vine.profile import Segment, Step, flatten, plan, top_kPa
 
@@ -56,7 +55,8 @@ class Core:
 
     def __init__(self, config: Config, mission: Sequence[MissionItem] = ()) -> None:
         self.config = config
-        self._curve = BendCurve(config.vine.curve)
+        self._curve = config.vine.bend_curve()
+        self._bent_kPa = 0.0
         self._profiles = {name: tuple(flatten(config.profiles, name)) for name in config.profiles}
         self._vehicle = Vehicle(config, mission)
         self._rc_in_use = False
@@ -122,7 +122,8 @@ class Core:
                     self._max_kPa = min(self.config.limits.max_kPa, welcome.setpoint_limit_kPa)
                     self._notice(t, Severity.INFO, f"phloSAR ready ({welcome.firmware_build})")
                 case fw.TelemetryReceived(telemetry):
-                    self._reservoir.update(t, telemetry.cv_kPa, telemetry.reservoir_kPa)
+                    self._bent_kPa = self._curve.bent_kPa(telemetry.cv_kPa, self._bent_kPa)
+                    self._reservoir.update(t, telemetry)
                     if telemetry.faults or telemetry.cv_kPa > self.config.limits.overpressure_kPa:
                         self._look(t)
                 case fw.FirmwareReset(reason):
@@ -159,7 +160,7 @@ class Core:
             return self._record(t, trigger, Ruling("refused", problem))
         start_kPa = self._setpoint_kPa(t)
         limit_kPa = self._max_kPa
-        trajectory = plan(segments, self._curve, start_kPa, rate_kPa_per_s, limit_kPa)
+        trajectory = plan(segments, self._curve, start_kPa, rate_kPa_per_s, limit_kPa, self._bent_kPa)
         peak_kPa = top_kPa(segments, self._curve, limit_kPa)
         demand = Demand(
             releases=trajectory.rise_kPa <= 0.0 and trajectory.final_kPa <= 0.0,
@@ -175,7 +176,7 @@ class Core:
             return self._record(t, trigger, ruling)
         if ruling.rate_scale < 1.0:
             rate_kPa_per_s = max(MIN_RATE_KPA_PER_S, rate_kPa_per_s * ruling.rate_scale)
-            trajectory = plan(segments, self._curve, start_kPa, rate_kPa_per_s, limit_kPa)
+            trajectory = plan(segments, self._curve, start_kPa, rate_kPa_per_s, limit_kPa, self._bent_kPa)
         if demand.releases and self._motion is None:
             self._stop_moving(t)
         else:
@@ -393,7 +394,7 @@ class Core:
             "CYC_LEFT": cycles.expected if cycles else math.nan,
             "CV_KPA": telemetry.cv_kPa,
             "CMD_KPA": self._commanded_kPa(t),
-            "BEND_DEG": self._curve.angle_deg(telemetry.cv_kPa),
+            "BEND_DEG": self._curve.angle_deg(self._bent_kPa),
         }
 
     def _commanded_kPa(self, t: float) -> float:
@@ -423,7 +424,7 @@ class Core:
             reservoir_kPa=telemetry.reservoir_kPa if telemetry else math.nan,
             cv_kPa=telemetry.cv_kPa if telemetry else math.nan,
             command_kPa=self._commanded_kPa(t),
-            bend_deg=self._curve.angle_deg(telemetry.cv_kPa) if telemetry else math.nan,
+            bend_deg=self._curve.angle_deg(self._bent_kPa) if telemetry else math.nan,
             evp_opening=telemetry.evp_opening if telemetry else math.nan,
             dvp_opening=telemetry.dvp_opening if telemetry else math.nan,
             solenoid=telemetry.solenoid if telemetry else None,

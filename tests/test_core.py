@@ -92,8 +92,8 @@ def ground_command(
     return flight.feed(VehicleMessage(flight.world.now, received))
 
 
-def bent() -> SimulatedFlight:
-    flight = airborne()
+def bent(phlosar: SimulatedPhlosar | None = None) -> SimulatedFlight:
+    flight = airborne(phlosar=phlosar)
     flight.autopilot.set_rc(9, HIGH)
     (decision,) = decisions(run_for(flight, 2.0))
     assert decision.safety == "accepted"
@@ -107,8 +107,9 @@ def assert_vented(flight: SimulatedFlight) -> None:
     assert flight.phlosar.cv_kPa < 1.0
 
 
-def test_the_switch_bends_and_straightens() -> None:
-    flight = bent()
+@pytest.mark.parametrize("likely", [False, True])
+def test_the_switch_bends_and_straightens(likely: bool) -> None:
+    flight = bent(SimulatedPhlosar() if likely else None)
     flight.autopilot.set_rc(9, LOW)
     (decision,) = decisions(run_for(flight, 2.0))
     assert (decision.trigger, decision.intent) == ("switch", "straight")

@@ -1,0 +1,220 @@
+"""How true the cycles left are: random rigs that the estimate does not know, flown until the bottle is empty.
+
+    .venv/bin/python benchmarks/cycles_left.py [--rigs N] [--first SEED] [--jobs N] [--each] [--check]
+
+Every rig is the high-fidelity plant under the emulated firmware's regulator; the estimate sees only its
+telemetry. After 5 cycles, after 15 and half way it says how many are left, and then so many are flown as the
+bottle gives: that is the truth, in cycles of the profile, of which smaller swings are a part. Beside it
+stands the paper's formula (Eq. 8) with the same believed numbers at the same pressure. What is drawn, and
+what an end is, is told in `cycles_left_rigs.py` and `cycles_left_flights.py`. Needs numba:
+pip install 'flying-vines[analysis]'.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import count, islice
+from statistics import fmean, median
+
+import numpy as np
+from cycles_left_flights import Flight, fly
+from cycles_left_rigs import draw
+from rich.console import Console
+from rich.table import Table
+
+from firmware_link.protocol import Fault, Mode, Telemetry
+from flying_vines.reservoir import CyclesLeft, ReservoirEstimate, n_cycles
+
+FEWEST_CYCLES = 30.0
+"""A rig whose bottle gives fewer is drawn again: 15 are left to predict after the first 15."""
+MOMENTS = ("after 5 cycles", "after 15 cycles", "half way")
+GOALS = {"after 5 cycles": 0.15, "after 15 cycles": 0.07}
+"""What the relative error of the median rig may be."""
+HELD = 0.85
+"""The share of rigs whose truth the 90 % interval holds, at least."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """What was said at one moment, and what then happened."""
+
+    truth: float
+    estimate: CyclesLeft
+    formula: float
+
+    @property
+    def error(self) -> float:
+        return self.estimate.expected / self.truth - 1.0
+
+    @property
+    def formula_error(self) -> float:
+        return self.formula / self.truth - 1.0
+
+    @property
+    def held(self) -> bool:
+        return self.estimate.low <= self.truth <= self.estimate.high
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One rig."""
+
+    seed: int
+    kind: str
+    total_cycles: float
+    guesses: tuple[Guess, ...]
+
+
+def judge(seed: int) -> Outcome | None:
+    """One rig from filling to the end; None if it gives too few cycles, or outlasts us."""
+    case = draw(seed)
+    flight = fly(case)
+    if flight is None or flight.total_cycles < FEWEST_CYCLES:
+        return None
+    estimate = ReservoirEstimate(case.believed)
+    guesses: list[Guess] = []
+    moments = [_began(flight, cycles) for cycles in (5.0, 15.0, 0.5 * flight.total_cycles)]
+    for t, telemetry in telemetry_of(flight):
+        estimate.update(t, telemetry)
+        # More than one when half way comes early.
+        for index in moments[len(guesses) :]:
+            if t < flight.begins_s[index]:
+                break
+            said = estimate.cycles_left()
+            assert said is not None
+            truth = flight.total_cycles - float(flight.cycles[index])
+            guesses.append(Guess(truth, said, n_cycles(case.believed, estimate.reservoir_kPa)))
+        if len(guesses) == len(moments):
+            break
+    return Outcome(seed, case.kind, flight.total_cycles, tuple(guesses))
+
+
+def _began(flight: Flight, cycles: float) -> int:
+    """The first manoeuvre that began after so many."""
+    return int(np.searchsorted(flight.cycles, cycles - 1e-9))
+
+
+def telemetry_of(flight: Flight) -> Iterator[tuple[float, Telemetry]]:
+    """What the firmware told, message by message, and when."""
+    table = flight.telemetry
+    venting = np.isnan(table["setpoint_kPa"])
+    columns = [
+        table["time_s"],
+        np.where(venting, 0.0, table["setpoint_kPa"]),
+        *(table[name] for name in ("cv_reading_kPa", "reservoir_reading_kPa", "evp", "dvp")),
+    ]
+    told = zip(*(column.tolist() for column in columns), venting, table["solenoid"] > 0.5, strict=True)
+    for t, setpoint, cv, reservoir, evp, dvp, vents, solenoid in told:
+        mode = Mode.VENT if vents else Mode.REGULATE
+        yield t, Telemetry(round(1000 * t), mode, Fault.NONE, 0, setpoint, cv, reservoir, evp, dvp, solenoid)
+
+
+def outcomes(first: int, rigs: int, jobs: int) -> Iterator[Outcome]:
+    """So many rigs; those that give too few cycles are passed over."""
+    if jobs == 1:
+        yield from islice(filter(None, map(judge, count(first))), rigs)
+        return
+    with ProcessPoolExecutor(jobs) as pool:
+        # Not all at once: nobody knows beforehand how many are passed over.
+        found, seed = 0, first
+        while found < rigs:
+            batch = range(seed, seed + max(jobs, rigs - found))
+            for outcome in filter(None, pool.map(judge, batch)):
+                found += 1
+                yield outcome
+                if found == rigs:
+                    return
+            seed = batch.stop
+
+
+def quantity(guesses: Sequence[Guess], errors: Sequence[float]) -> list[str]:
+    """The numbers of one row: errors relative to the truth."""
+    sizes = [abs(error) for error in errors]
+    return [
+        str(len(guesses)),
+        f"{median(sizes):.1%}",
+        f"{median(errors):+.1%}",
+        f"{fmean(size <= 0.15 for size in sizes):.1%}",
+        f"{fmean(size <= 0.07 for size in sizes):.1%}",
+    ]
+
+
+def table_of(found: Sequence[Outcome]) -> Table:
+    table = Table(
+        "", "said by", "rigs", "median error", "signed", "within 15 %", "within 7 %", "interval holds"
+    )
+    for index, moment in enumerate(MOMENTS):
+        kinds = sorted({outcome.kind for outcome in found})
+        groups = [("estimate", found), *((f"  {k}", [o for o in found if o.kind == k]) for k in kinds)]
+        for name, group in groups:
+            guesses = [outcome.guesses[index] for outcome in group]
+            numbers = quantity(guesses, [guess.error for guess in guesses])
+            table.add_row(moment, name, *numbers, f"{fmean(guess.held for guess in guesses):.1%}")
+        guesses = [outcome.guesses[index] for outcome in found]
+        numbers = quantity(guesses, [guess.formula_error for guess in guesses])
+        table.add_row(moment, "paper's Eq. 8", *numbers, "", end_section=True)
+    return table
+
+
+def missed_goals(found: Sequence[Outcome]) -> list[str]:
+    """What falls short, a line each."""
+    missed = []
+    for index, moment in enumerate(MOMENTS):
+        guesses = [outcome.guesses[index] for outcome in found]
+        error = median(abs(guess.error) for guess in guesses)
+        if error > GOALS.get(moment, 1.0):
+            missed.append(f"{moment} the median error is {error:.1%}, the goal {GOALS[moment]:.0%}")
+        held = fmean(guess.held for guess in guesses)
+        if held < HELD:
+            missed.append(
+                f"{moment} the interval holds the truth in {held:.1%} of the rigs, the goal {HELD:.0%}"
+            )
+    return missed
+
+
+def tell(outcome: Outcome) -> str:
+    """One rig, one line."""
+    said = (
+        f"{g.truth:6.1f}: {g.estimate.expected:6.1f} ({g.estimate.low:.1f} to {g.estimate.high:.1f})"
+        f" {g.error:+7.1%}, Eq. 8 {g.formula:7.1f}"
+        for g in outcome.guesses
+    )
+    return f"{outcome.seed:6d} {outcome.kind:9s} " + " | ".join(said)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--rigs", type=int, default=200)
+    parser.add_argument("--first", type=int, default=40_000, help="the first rig's seed")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--each", action="store_true", help="a line for every rig, too")
+    parser.add_argument("--check", action="store_true", help="exit status 1 when a goal is missed")
+    arguments = parser.parse_args()
+    if arguments.rigs < 1 or arguments.jobs < 1:
+        parser.error("--rigs and --jobs must be 1 or more")
+    console = Console(highlight=False, soft_wrap=True, width=120)
+    found: list[Outcome] = []
+    for outcome in outcomes(arguments.first, arguments.rigs, arguments.jobs):
+        found.append(outcome)
+        if arguments.each:
+            console.print(tell(outcome))
+    tried = found[-1].seed - arguments.first + 1
+    totals = [outcome.total_cycles for outcome in found]
+    console.print(
+        f"{len(found)} rigs of {tried} from seed {arguments.first} on: the others give fewer than "
+        f"{FEWEST_CYCLES:g} cycles, or outlast us. A filling gives {min(totals):.0f} to "
+        f"{max(totals):.0f} cycles, in the median {median(totals):.0f}."
+    )
+    console.print(table_of(found))
+    missed = missed_goals(found)
+    for line in missed:
+        console.print(f"missed: {line}")
+    return 1 if missed and arguments.check else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

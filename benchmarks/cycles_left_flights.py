@@ -1,0 +1,111 @@
+"""One rig's program flown again and again, until the bottle no longer meets it.
+
+A manoeuvre is met when the control volume's reading comes to within a tolerance of its top (`tolerance_kPa`:
+1.5 kPa, or a tenth of the swing if that is more) while the setpoint is that near to the top as well. The
+flying ends with the first manoeuvre that is missed three times in a row, from one round of the program to the
+next: once or twice it may be the regulator.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from cycles_left_rigs import HOST_TICK_S, Case, Manoeuvre
+from numpy.typing import NDArray
+
+from flying_vines.fakes.closed_loop import Setpoint, closed_loop
+from flying_vines.pneumatics.plant.plant import at_rest
+from flying_vines.reservoir.flying import tolerance_kPa
+
+Array = NDArray[np.float64]
+
+FIRST_S = 300.0
+"""Flown at first; three times as long as long as the bottle lasts."""
+LONGEST_S = 8100.0
+TELEMETRY_HZ = 100
+MISSES = 3
+SMOOTHED = 3
+"""Readings of the control volume, so that no single one counts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """What the firmware told, a row each 10 ms, and how each manoeuvre went, up to the end."""
+
+    telemetry: NDArray[np.void]
+    begins_s: Array
+    """Of each manoeuvre, up to the one that is missed."""
+    cycles: Array
+    """Flown before each of them began: a manoeuvre counts by its swing."""
+
+    @property
+    def total_cycles(self) -> float:
+        return float(self.cycles[-1])
+
+
+def fly(case: Case) -> Flight | None:
+    """None if the bottle outlasts us."""
+    length_s = FIRST_S
+    while length_s <= LONGEST_S:
+        flight = _fly(case, length_s)
+        if flight is not None:
+            return flight
+        length_s *= 3.0
+    return None
+
+
+def _fly(case: Case, length_s: float) -> Flight | None:
+    begins, setpoints = _setpoints(case, length_s)
+    run = closed_loop(
+        case.plant,
+        setpoints,
+        length_s,
+        at_rest(case.plant, case.fill_kPa),
+        settings=case.regulator,
+        cv_sensor=case.cv_sensor,
+        reservoir_sensor=case.reservoir_sensor,
+        seed=case.seed,
+        record_every=1000 // TELEMETRY_HZ,
+    )
+    table = run.table
+    smooth = np.convolve(table["cv_reading_kPa"], np.full(SMOOTHED, 1.0 / SMOOTHED), "same")
+    setpoint = np.nan_to_num(table["setpoint_kPa"])
+    program = case.program
+    missed = [0] * len(program)
+    for index, (begin_s, end_s) in enumerate(pairwise(begins)):
+        which = index % len(program)
+        rows = slice(round(begin_s * TELEMETRY_HZ), round(end_s * TELEMETRY_HZ))
+        missed[which] = 0 if met(program[which], setpoint[rows], smooth[rows]) else missed[which] + 1
+        if missed[which] == MISSES:
+            first = index - (MISSES - 1) * len(program)
+            kPa = np.array([program[i % len(program)].swing_kPa for i in range(first)])
+            cycles = np.concatenate([[0.0], np.cumsum(kPa)]) / case.believed.cycle_swing_kPa
+            return Flight(table[: rows.stop], np.array(begins[: first + 1]), cycles)
+    return None
+
+
+def met(manoeuvre: Manoeuvre, setpoint_kPa: Array, cv_kPa: Array) -> bool:
+    """Whether the control volume reached the top in the time that it had."""
+    least_kPa = manoeuvre.top_kPa - tolerance_kPa(manoeuvre.swing_kPa)
+    return bool(np.any(cv_kPa[setpoint_kPa >= least_kPa] >= least_kPa))
+
+
+def _setpoints(case: Case, length_s: float) -> tuple[list[float], list[Setpoint]]:
+    """When each manoeuvre begins, and what the host sends every 20 ms: where to be at its next word."""
+    begins: list[float] = []
+    setpoints: list[Setpoint] = []
+    tick, last = round(case.waits_s / HOST_TICK_S), math.floor(length_s / HOST_TICK_S)
+    while tick < last:
+        manoeuvre = case.program[len(begins) % len(case.program)]
+        begins.append(tick * HOST_TICK_S)
+        ticks = round(manoeuvre.length_s / HOST_TICK_S)
+        rate_kPa_per_s = manoeuvre.steepest_kPa_per_s
+        setpoints.extend(
+            Setpoint((tick + i) * HOST_TICK_S, manoeuvre.setpoint_kPa((i + 1) * HOST_TICK_S), rate_kPa_per_s)
+            for i in range(min(ticks, last - tick))
+        )
+        tick += ticks
+    return begins, setpoints

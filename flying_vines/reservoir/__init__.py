@@ -1,0 +1,10 @@
+"""How much air is left, and how many cycles it buys: learned from telemetry, with an interval.
+
+`bottle` keeps the books of air and warmth; `flying` reads from telemetry what was flown; `supply` knows the
+pressure below which it can no longer be flown; `estimate` puts them together. `formula` is the paper's.
+"""
+
+from flying_vines.reservoir.estimate import CyclesLeft, ReservoirEstimate
+from flying_vines.reservoir.formula import floor_kPa, n_cycles
+
+__all__ = ["CyclesLeft", "ReservoirEstimate", "floor_kPa", "n_cycles"]

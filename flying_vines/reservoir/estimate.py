@@ -1,0 +1,331 @@
+"""How much air is left and how many cycles it buys, learned from use.
+
+A cycle takes A + B x kPa of the bottle at pressure x: air for the inflation whatever the pressure; leak over
+the time that a cycle takes at the present rhythm, and Venturi, as x goes. From here down to where the bottle
+no longer fills the control volume in time that makes
+
+    n = ∫ dx / (A + B x) = ln((A + B x₀) / (A + B x₁)) / B
+
+in two parts where the Venturi is left off below some pressure. What is uncertain in any of it makes the
+interval, in ln n.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from firmware_link.protocol import Fault, Telemetry
+from flying_vines.config import Pneumatics
+from flying_vines.pneumatics.paper import STANDARD_TEMPERATURE_K
+from flying_vines.reservoir.bottle import (
+    AMBIENT_KPA,
+    CV_LEAK,
+    FLAT,
+    LEAK,
+    RISE,
+    SIZE,
+    VENTURI,
+    WARMTH,
+    Bottle,
+    Spent,
+    X,
+    conductance_SL_per_s_kPa,
+)
+from flying_vines.reservoir.flying import TRACE, Flying, Inflation
+from flying_vines.reservoir.supply import Demand, least_supply_kPa
+
+FILTER_S = 0.3
+READING_SD_KPA = 1.3
+"""Of one reading: sensor noise and a converter of 10 bits."""
+OFFSET_SD_KPA = 10.0
+"""Of the zero of the reservoir's sensor, and of the ambient pressure that we do not know."""
+REGULATOR_SD = 0.07
+"""Of the least absolute supply: how the regulator lives with it."""
+MODEL_SD = 0.02
+COUNT_SD = 0.4
+"""In cycles: it ends within one."""
+FEWEST = 1e-3
+"""So that there is always a logarithm."""
+FLAT_KEPT = 0.5
+"""Below the pressure at which the Venturi is left off nothing makes a pouch flat again. But what an inflation
+from flat takes more than its rise may as well be a compliance: all or nothing, nobody knows."""
+VENTURI_USED_S = 0.01
+"""In a cycle; less is none."""
+VENTURI_TREND = 0.3
+VENTURI_TREND_SD = 0.35
+"""How the Venturi's time grows as its supply falls: 0 not at all, 1 so that it always takes the same air."""
+MEMORY_CYCLES = 15.0
+"""Over which what is flown is averaged."""
+PRIOR_CYCLES = 0.05
+"""For how many flown ones the profile's own cycle counts."""
+KEPT_INFLATIONS = 10
+REFRESH_S = 0.5
+Z90 = 1.645
+
+
+@dataclass(frozen=True, slots=True)
+class CyclesLeft:
+    """A prediction with its 90 % interval, and what it rests on."""
+
+    expected: float
+    low: float
+    high: float
+    measured_cycles: float
+    """Cycles flown so far that the cost was measured on."""
+    cost_kPa: float
+    """What one cycle takes from the reservoir now, expected."""
+    floor_kPa: float
+    """Below this gauge pressure of the reservoir the flying is no longer kept up, expected."""
+
+
+class _Mix:
+    """What is flown, per cycle: sums that slowly forget."""
+
+    def __init__(self, pneumatics: Pneumatics) -> None:
+        self._cycle_kPa = pneumatics.cycle_swing_kPa
+        self.cycles = PRIOR_CYCLES
+        time_s = 2.0 * pneumatics.cycle_swing_kPa / pneumatics.cycle_rate_kPa_per_s
+        held = 0.5 * pneumatics.cycle_swing_kPa * time_s
+        # As the paper's formula has it, the Venturi takes what a rigid control volume takes.
+        venturi = conductance_SL_per_s_kPa(pneumatics.dvp_flow_resistance_kPa_s_per_SL, pneumatics.full_kPa)
+        rigid_SL = pneumatics.cv_volume_L * pneumatics.cycle_swing_kPa / AMBIENT_KPA
+        venturi_s = rigid_SL / (venturi * (pneumatics.full_kPa + AMBIENT_KPA))
+        self._sums = [PRIOR_CYCLES * v for v in (time_s, pneumatics.cycle_swing_kPa, 1.0, venturi_s, held)]
+        self._venturi_kPa_s = PRIOR_CYCLES * venturi_s * (pneumatics.full_kPa + AMBIENT_KPA)
+
+    def add(self, inflation: Inflation, supply_kPa_abs: float) -> None:
+        cycles = inflation.swing_kPa / self._cycle_kPa
+        keep = math.exp(-cycles / MEMORY_CYCLES)
+        self.cycles = keep * self.cycles + cycles
+        self._sums = [keep * a + b for a, b in zip(self._sums, inflation.spent, strict=True)]
+        self._venturi_kPa_s = keep * self._venturi_kPa_s + inflation.spent.venturi_s * supply_kPa_abs
+
+    def per_cycle(self) -> Spent:
+        return Spent(*(amount / self.cycles for amount in self._sums))
+
+    def venturi_supply_kPa(self) -> float:
+        """Gauge, mean while the Venturi's valve was open."""
+        return self._venturi_kPa_s / max(1e-9, self._sums[3]) - AMBIENT_KPA
+
+    def venturi_kPa_s(self) -> float:
+        return self._venturi_kPa_s / self.cycles
+
+
+class ReservoirEstimate:
+    """Watches telemetry and learns what a cycle costs, what leaks, and where it ends."""
+
+    def __init__(self, pneumatics: Pneumatics) -> None:
+        self._p = pneumatics
+        self._filtered_kPa: float | None = None
+        self._t = 0.0
+        self._flying = Flying()
+        self.bottle: Bottle | None = None
+        self._demand = Demand(pneumatics)
+        self._mix = _Mix(pneumatics)
+        self._inflations: list[Inflation] = []
+        self._warmed_up = False
+        self._measured_cycles = 0.0
+        self._left: CyclesLeft | None = None
+        self._left_at = -math.inf
+
+    @property
+    def reservoir_kPa(self) -> float:
+        """The filtered reading; NaN before the first."""
+        return math.nan if self._filtered_kPa is None else self._filtered_kPa
+
+    def update(self, t: float, telemetry: Telemetry) -> None:
+        """Take in one telemetry message."""
+        reading_kPa = telemetry.reservoir_kPa
+        believed = math.isfinite(reading_kPa) and not telemetry.faults & Fault.RESERVOIR_SENSOR
+        if believed:
+            if self._filtered_kPa is None:
+                self._filtered_kPa = reading_kPa
+            weight = 1.0 - math.exp(-max(0.0, t - self._t) / FILTER_S)
+            self._filtered_kPa += weight * (reading_kPa - self._filtered_kPa)
+            self._t = t
+        if self._filtered_kPa is None or not math.isfinite(telemetry.cv_kPa):
+            return
+        flying = self._flying
+        flying.take(t, telemetry, self._filtered_kPa, believed)
+        if flying.reading_kPa is not None and self.bottle is None:
+            self.bottle = Bottle(self._p, flying.reading_kPa)
+        if self.bottle is None:
+            return
+        if flying.block is not None:
+            self.bottle.spend(flying.block, flying.unseen_s)
+            if flying.reading_kPa is not None:
+                self.bottle.read(flying.reading_kPa, READING_SD_KPA / math.sqrt(flying.readings))
+        if flying.inflation is not None:
+            self._add(flying.inflation, self.bottle)
+
+    def _add(self, inflation: Inflation, bottle: Bottle) -> None:
+        if not self._warmed_up:
+            # A pouch that has lain flat since it was packed: no other cycle is like the first.
+            self._warmed_up = True
+            return
+        self._measured_cycles += inflation.swing_kPa / self._p.cycle_swing_kPa
+        self._mix.add(inflation, bottle.absolute_kPa)
+        self._demand.learn(inflation, self._air_kPa(bottle.possible_mean(), inflation))
+        self._inflations = [*self._inflations[1 - KEPT_INFLATIONS :], inflation]
+        self._left_at = -math.inf
+
+    @staticmethod
+    def _air_kPa(mean: Sequence[float], inflation: Inflation) -> float:
+        return mean[RISE] * inflation.swing_kPa + mean[FLAT] * inflation.spent.flat
+
+    def spending_kPa(self, rise_kPa: float) -> float:
+        """What raising the CV by `rise_kPa` in all will take from the reservoir, expected."""
+        if self.bottle is None:
+            return 2.0 * self._p.cv_volume_L * rise_kPa / self._p.reservoir_volume_L
+        return _Forecast(self._p, self._mix, self.bottle.possible_mean(), 0.0).cost_kPa() * (
+            rise_kPa / self._p.cycle_swing_kPa
+        )
+
+    def cycles_left(self) -> CyclesLeft | None:
+        """None before the first reading. Made anew every half second, and with every cycle."""
+        if self.bottle is not None and abs(self._t - self._left_at) >= REFRESH_S:
+            self._left = self._predict(self.bottle)
+            self._left_at = self._t
+        return self._left
+
+    def _predict(self, bottle: Bottle) -> CyclesLeft:
+        mean = bottle.possible_mean()
+        inflations = self._inflations or [self._believed_inflation()]
+        kappa = math.exp(self._demand.ln)
+        worst = max(inflations, key=lambda i: self._air_kPa(mean, i) / i.given_s)
+        air = self._air_kPa(mean, worst)
+        floor_kPa = least_supply_kPa(worst, air, kappa * air)
+        if worst.spent.venturi_s > VENTURI_USED_S and floor_kPa < self._p.venturi_least_supply_kPa:
+            air = mean[RISE] * worst.swing_kPa + FLAT_KEPT * mean[FLAT] * worst.spent.flat
+            floor_kPa = least_supply_kPa(worst, air, kappa * air)
+        # What was done with less is proof.
+        proven = [i.supply_kPa_abs for i in inflations if i.reached and i.as_hard_as(worst)]
+        floor_kPa = min([floor_kPa, *(supply - AMBIENT_KPA for supply in proven)])
+        more = least_supply_kPa(worst, air * 1.1, kappa * air * 1.1)
+        floor_per_ln = (more - floor_kPa) / math.log(1.1)
+        trend = _Forecast(self._p, self._mix, mean, floor_kPa)
+        expected = trend.cycles()
+        ln = math.log(expected)
+
+        slopes = []
+        for i in range(SIZE):
+            sd = 0.5 * math.sqrt(bottle.covariance[i][i])
+            ends = []
+            for end in (-sd, sd):
+                moved = list(mean)
+                moved[i] += end
+                if RISE <= i < WARMTH:
+                    moved[i] = max(0.0, moved[i])
+                floor = floor_kPa
+                if i in (RISE, FLAT) and air > 0.0:
+                    floor += floor_per_ln * (self._air_kPa(moved, worst) / air - 1.0)
+                ends.append((moved[i], math.log(_Forecast(self._p, self._mix, moved, floor).cycles())))
+            (a, ln_a), (b, ln_b) = ends
+            slopes.append((ln_b - ln_a) / (b - a) if b > a else 0.0)
+        variance = sum(
+            slopes[i] * slopes[k] * bottle.covariance[i][k] for i in range(SIZE) for k in range(SIZE)
+        )
+        floor_sd = math.hypot(
+            OFFSET_SD_KPA,
+            REGULATOR_SD * (floor_kPa + AMBIENT_KPA),
+            floor_per_ln * math.sqrt(self._demand.variance),
+        )
+        variance += (math.log(_Forecast(self._p, self._mix, mean, floor_kPa + floor_sd).cycles()) - ln) ** 2
+        moved_trend = _Forecast(self._p, self._mix, mean, floor_kPa, VENTURI_TREND + VENTURI_TREND_SD)
+        variance += (math.log(moved_trend.cycles()) - ln) ** 2
+        stays_full = _Forecast(self._p, self._mix, mean, floor_kPa, kept=0.0)
+        variance += (math.log(stays_full.cycles()) - ln) ** 2
+        variance += MODEL_SD**2 + (COUNT_SD / max(COUNT_SD, expected)) ** 2
+        spread = math.exp(Z90 * math.sqrt(variance))
+        return CyclesLeft(
+            expected=expected,
+            low=expected / spread,
+            high=min(expected * spread, max(expected, mean[X] / _least_cost_kPa(self._p))),
+            measured_cycles=self._measured_cycles,
+            cost_kPa=trend.cost_kPa(),
+            floor_kPa=floor_kPa,
+        )
+
+    def _believed_inflation(self) -> Inflation:
+        """The profile's own cycle, before there is another: up evenly, and a little time at the top."""
+        swing = self._p.cycle_swing_kPa
+        return Inflation(
+            low_kPa=0.0,
+            top_kPa=swing,
+            given_s=1.2 * swing / self._p.cycle_rate_kPa_per_s,
+            valve_kPa_s=0.0,
+            partly=1.0,
+            supply_kPa_abs=self._p.full_kPa + AMBIENT_KPA,
+            reached=True,
+            setpoints_kPa=tuple(min(swing, 1.2 * swing * (i + 0.5) / TRACE) for i in range(TRACE)),
+            spent=self._mix.per_cycle(),
+        )
+
+
+def _least_cost_kPa(p: Pneumatics) -> float:
+    """A cycle never takes less: a fifth of what the believed volume takes if it is rigid."""
+    return 0.2 * p.cv_volume_L * p.cycle_swing_kPa / p.reservoir_volume_L
+
+
+class _Cost(NamedTuple):
+    """What a cycle takes at pressure x: fixed + per_kPa · x."""
+
+    fixed_kPa: float
+    per_kPa: float
+
+    def at(self, x_kPa: float) -> float:
+        return self.fixed_kPa + self.per_kPa * max(0.0, x_kPa)
+
+    def cycles(self, from_kPa: float, to_kPa: float) -> float:
+        """How many there are on the way down."""
+        fall = from_kPa - to_kPa
+        if self.per_kPa * fall < 1e-6 * self.fixed_kPa:
+            return fall / self.fixed_kPa
+        return math.log(self.at(from_kPa) / self.at(to_kPa)) / self.per_kPa
+
+
+class _Forecast:
+    """What a cycle of the present flying takes, and how many there are down to a floor."""
+
+    def __init__(
+        self,
+        p: Pneumatics,
+        mix: _Mix,
+        mean: Sequence[float],
+        floor_kPa: float,
+        trend: float = VENTURI_TREND,
+        kept: float = FLAT_KEPT,
+    ) -> None:
+        cycle = mix.per_cycle()
+        self._x = mean[X]
+        self._floor = floor_kPa
+        self._time_s = cycle.time_s
+        self._volume_L = p.reservoir_volume_L
+        self._warmth = math.exp(mean[WARMTH])
+        sucked = cycle.venturi_s > VENTURI_USED_S
+        self._venturi_stops = p.venturi_least_supply_kPa if sucked else 0.0
+        least = _least_cost_kPa(p)
+        rigid = max(least, mean[RISE] * cycle.rise_kPa + mean[CV_LEAK] * cycle.held_kPa_s)
+        leak = mean[LEAK] * cycle.time_s
+        flat = mean[FLAT] * cycle.flat
+        self._without = _Cost(rigid + (kept if sucked else 1.0) * flat, leak)
+        slope = mean[VENTURI] * cycle.venturi_s * (1.0 - trend)
+        venturi = mean[VENTURI] * mix.venturi_kPa_s() - slope * mix.venturi_supply_kPa()
+        self._with = _Cost(max(least, rigid + flat + venturi), leak + slope)
+
+    def cost_kPa(self) -> float:
+        return (self._with if self._x > self._venturi_stops else self._without).at(self._x)
+
+    def cycles(self) -> float:
+        end = self._floor
+        # The gas is as cold then as the flying makes it.
+        heat_W = self._volume_L * self._without.at(end) / max(0.1, self._time_s)
+        size = (self._volume_L / 2.0) ** (2.0 / 3.0)
+        end += (end + AMBIENT_KPA) / STANDARD_TEMPERATURE_K * 2.0 * heat_W / (size * self._warmth)
+        if self._x <= end:
+            return FEWEST
+        stops = min(max(self._venturi_stops, end), self._x)
+        return FEWEST + self._with.cycles(self._x, stops) + self._without.cycles(stops, end)
