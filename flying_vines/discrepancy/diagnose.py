@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from math import exp
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from flying_vines.discrepancy.case import Case
 from flying_vines.discrepancy.cause import Cause
@@ -35,11 +36,13 @@ def diagnose(
         causes: to be considered; the whole catalogue if not given.
         progress: is told what is being done.
     """
-    progress("baseline")
-    problem = with_noise(case)
-    found = Search(problem, catalogue() if causes is None else causes).best(progress)
-    progress("held-out runs")
-    return _verdict(problem, found)
+    # The fits themselves run on all cores; small matrices on several more would only wait for each other.
+    with threadpool_limits(1):
+        progress("baseline")
+        problem = with_noise(case)
+        found = Search(problem, catalogue() if causes is None else causes).best(progress)
+        progress("held-out runs")
+        return _verdict(problem, found)
 
 
 def with_noise(case: Case) -> Problem:

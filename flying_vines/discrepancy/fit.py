@@ -160,15 +160,21 @@ class Problem:
         """How well a number is believed, as a share."""
         return self.case.rig.tolerance(key) / 100.0
 
-    def residuals(self, point: Point, runs: Sequence[int] | None = None) -> list[Array]:
-        """Of these runs (all if not given), as in `Fit`."""
+    def simulated(self, point: Point, runs: Sequence[int] | None = None) -> list[Array]:
+        """Readings of these runs (all if not given): (2, n), control volume then reservoir, kPa."""
         numbers = self.numbers(point)
         causes = list(zip(point.causes, point.values, strict=True))
-        found = []
-        for index in range(len(self.data)) if runs is None else runs:
-            readings = self.simulation.readings(index, numbers, causes, point.initial[self.starts[index]])
-            found.append((self.data[index] - np.stack(readings)) * self.weights[index])
-        return found
+        every = range(len(self.data)) if runs is None else runs
+        return [
+            np.stack(self.simulation.readings(i, numbers, causes, point.initial[self.starts[i]]))
+            for i in every
+        ]
+
+    def residuals(self, point: Point, runs: Sequence[int] | None = None) -> list[Array]:
+        """Of these runs (all if not given), as in `Fit`."""
+        every = range(len(self.data)) if runs is None else runs
+        simulated = self.simulated(point, runs)
+        return [(self.data[i] - s) * self.weights[i] for i, s in zip(every, simulated, strict=True)]
 
     def chi2(self, point: Point) -> float:
         """The sum of squared residuals at a place."""

@@ -95,8 +95,7 @@ def _features(problem: Problem, fit: Fit) -> Iterator[tuple[str, str, Array, Arr
     evp = np.concatenate([_before(run.evp_opening) for run in case.runs])
     yield "opening of the inflation valve", "", evp, _classes(evp)
     # As simulated: what was measured shares its noise with the residual.
-    noise = np.array(problem.noise_kPa)[:, None]
-    simulated = [data - r * noise for data, r in zip(problem.data, fit.residuals, strict=True)]
+    simulated = problem.simulated(fit.point)
     for row, label in enumerate(("control volume's pressure", "reservoir's pressure")):
         value = np.concatenate([pressures[row] for pressures in simulated])
         yield label, "kPa", value, _classes(value)

@@ -7,9 +7,12 @@ for its freedom with the logarithm of how much more the data say of the numbers 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -33,6 +36,10 @@ LEADERS = 6
 FEW_SEEDS = 3
 """Of more, the nearest."""
 OF_RANGE = 1e-3
+
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -95,12 +102,12 @@ class Search:
 
     def singles(self) -> list[Candidate]:
         """Each cause by itself, the best first."""
-        return self._finished(self._begun(self.nulls[1], cause) for cause in self.catalogue)
+        return self._finished([(self.nulls[1], cause) for cause in self.catalogue])
 
-    def _finished(self, begun: Iterable[Fit]) -> list[Candidate]:
-        """The best first, and of those only the leaders fitted to the end."""
-        fits = sorted(begun, key=lambda fit: fit.chi2)
-        fits[:LEADERS] = [self.problem.fit(fit.point) for fit in fits[:LEADERS]]
+    def _finished(self, pairs: Sequence[tuple[Candidate, Cause]]) -> list[Candidate]:
+        """Each base with its further cause, the best first; only the leaders are fitted to the end."""
+        fits = sorted(self._map(lambda pair: self._begun(*pair), pairs), key=lambda fit: fit.chi2)
+        fits[:LEADERS] = self._map(lambda fit: self.problem.fit(fit.point), fits[:LEADERS])
         return [Candidate(self.problem, fit) for fit in sorted(fits, key=lambda fit: fit.chi2)]
 
     def _begun(self, base: Candidate, cause: Cause) -> Fit:
@@ -111,6 +118,11 @@ class Search:
         begun = (self.problem.fit(start, SCREEN_STEPS) for start in starts[:FEW_SEEDS])
         return min(begun, key=lambda fit: fit.chi2)
 
+    def _map(self, function: Callable[[T], R], items: Iterable[T]) -> list[R]:
+        """On all cores: most of the time is spent in compiled code, which lets others work meanwhile."""
+        with ThreadPoolExecutor(_cores()) as pool:
+            return list(pool.map(function, items))
+
     def settled(self, candidate: Candidate) -> Candidate:
         """The same causes, with the believed numbers exact if that explains the data as well."""
         exact = Candidate(self.problem, self.problem.fit(candidate.fit.point.freed(())))
@@ -118,16 +130,17 @@ class Search:
 
     def further(self, bases: Sequence[Candidate]) -> list[Candidate]:
         """The bases with one more cause, the best first; only those are fitted that promise most."""
-        begun: dict[frozenset[str], Fit] = {}
-        for base in bases:
-            tangents = self.problem.tangents(base.fit)
-            others = [cause for cause in self.catalogue if cause.name not in base.names]
-            others.sort(key=lambda cause: -self._promise(base.fit, tangents, cause))
-            for cause in others[:PROMISING]:
-                together = frozenset((*base.names, cause.name))
-                if together not in begun:
-                    begun[together] = self._begun(base, cause)
-        return self._finished(begun.values())
+        pairs: dict[frozenset[str], tuple[Candidate, Cause]] = {}
+        for base, others in zip(bases, self._map(self._promising, bases), strict=True):
+            for cause in others:
+                pairs.setdefault(frozenset((*base.names, cause.name)), (base, cause))
+        return self._finished(list(pairs.values()))
+
+    def _promising(self, base: Candidate) -> list[Cause]:
+        """The causes that promise most beside those that are there."""
+        tangents = self.problem.tangents(base.fit)
+        others = [cause for cause in self.catalogue if cause.name not in base.names]
+        return sorted(others, key=lambda cause: -self._promise(base.fit, tangents, cause))[:PROMISING]
 
     def _promise(self, base: Fit, tangents: Tangents, cause: Cause) -> float:
         """By how much χ² would fall if the cause's trace were scaled, and all that is fitted moved along."""
@@ -146,7 +159,7 @@ class Search:
         """Everything that was tried, and what explains the data best."""
         progress("single causes")
         bases = self.singles()
-        leaders = [self.settled(c) for c in bases[:FIRSTS]]
+        leaders = self._map(self.settled, bases[:FIRSTS])
         tried = [*self.nulls, *bases, *leaders]
         chosen = min([self.null, *leaders], key=lambda c: c.score)
         if chosen.score > self.null.score - CLAIM:
@@ -157,7 +170,7 @@ class Search:
             progress(f"{count} causes together")
             firsts = bases[:FIRSTS] if count == 2 else bases[:1]
             bases = self.further(firsts)
-            leaders = [self.settled(c) for c in bases[:FIRSTS]]
+            leaders = self._map(self.settled, bases[:FIRSTS])
             tried += leaders
             better = min(leaders, key=lambda c: c.score)
             if better.score > chosen.score - CLAIM:
@@ -184,3 +197,8 @@ class Found:
     search: Search
     tried: list[Candidate]
     chosen: Candidate
+
+
+def _cores() -> int:
+    """That this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

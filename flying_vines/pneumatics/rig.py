@@ -35,7 +35,7 @@ class ControlVolume:
 
 @dataclass(frozen=True)
 class Evp:
-    """The inflation valve, fully open. The default is 23.5 SLPM at 690 kPa wherever the air goes."""
+    """The inflation valve, fully open. The default is 20.3 SLPM at 690 kPa, behind the paper's discharges."""
 
     flow_resistance_kPa_s_per_SL: Positive = 2042.0
 

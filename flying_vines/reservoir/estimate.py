@@ -193,61 +193,69 @@ class ReservoirEstimate:
 
     def _predict(self, bottle: Bottle) -> CyclesLeft:
         mean = bottle.possible_mean()
-        inflations = self._inflations or [self._believed_inflation()]
-        kappa = math.exp(self._demand.ln)
-        worst = max(inflations, key=lambda i: self._air_kPa(mean, i) / i.given_s)
-        air = self._air_kPa(mean, worst)
-        floor_kPa = least_supply_kPa(worst, air, kappa * air)
-        if worst.spent.venturi_s > VENTURI_USED_S and floor_kPa < self._p.venturi_least_supply_kPa:
-            air = mean[RISE] * worst.swing_kPa + FLAT_KEPT * mean[FLAT] * worst.spent.flat
-            floor_kPa = least_supply_kPa(worst, air, kappa * air)
-        # What was done with less is proof.
-        proven = [i.supply_kPa_abs for i in inflations if i.reached and i.as_hard_as(worst)]
-        floor_kPa = min([floor_kPa, *(supply - AMBIENT_KPA for supply in proven)])
-        more = least_supply_kPa(worst, air * 1.1, kappa * air * 1.1)
-        floor_per_ln = (more - floor_kPa) / math.log(1.1)
-        trend = _Forecast(self._p, self._mix, mean, floor_kPa)
-        expected = trend.cycles()
-        ln = math.log(expected)
-
-        slopes = []
-        for i in range(SIZE):
-            sd = 0.5 * math.sqrt(bottle.covariance[i][i])
-            ends = []
-            for end in (-sd, sd):
-                moved = list(mean)
-                moved[i] += end
-                if RISE <= i < WARMTH:
-                    moved[i] = max(0.0, moved[i])
-                floor = floor_kPa
-                if i in (RISE, FLAT) and air > 0.0:
-                    floor += floor_per_ln * (self._air_kPa(moved, worst) / air - 1.0)
-                ends.append((moved[i], math.log(_Forecast(self._p, self._mix, moved, floor).cycles())))
-            (a, ln_a), (b, ln_b) = ends
-            slopes.append((ln_b - ln_a) / (b - a) if b > a else 0.0)
-        variance = sum(
-            slopes[i] * slopes[k] * bottle.covariance[i][k] for i in range(SIZE) for k in range(SIZE)
-        )
-        floor_sd = math.hypot(
-            OFFSET_SD_KPA,
-            REGULATOR_SD * (floor_kPa + AMBIENT_KPA),
-            floor_per_ln * math.sqrt(self._demand.variance),
-        )
-        variance += (math.log(_Forecast(self._p, self._mix, mean, floor_kPa + floor_sd).cycles()) - ln) ** 2
-        moved_trend = _Forecast(self._p, self._mix, mean, floor_kPa, VENTURI_TREND + VENTURI_TREND_SD)
-        variance += (math.log(moved_trend.cycles()) - ln) ** 2
-        stays_full = _Forecast(self._p, self._mix, mean, floor_kPa, kept=0.0)
-        variance += (math.log(stays_full.cycles()) - ln) ** 2
-        variance += MODEL_SD**2 + (COUNT_SD / max(COUNT_SD, expected)) ** 2
-        spread = math.exp(Z90 * math.sqrt(variance))
+        floor = self._floor(mean)
+        forecast = _Forecast(self._p, self._mix, mean, floor.kPa)
+        expected = forecast.cycles()
+        spread = math.exp(Z90 * math.sqrt(self._variance(bottle, mean, floor, expected)))
         return CyclesLeft(
             expected=expected,
             low=expected / spread,
             high=min(expected * spread, max(expected, mean[X] / _least_cost_kPa(self._p))),
             measured_cycles=self._measured_cycles,
-            cost_kPa=trend.cost_kPa(),
-            floor_kPa=floor_kPa,
+            cost_kPa=forecast.cost_kPa(),
+            floor_kPa=floor.kPa,
         )
+
+    def _floor(self, mean: Sequence[float]) -> _Floor:
+        """Where the inflation that needs the most, of those flown lately, is no longer done in time."""
+        inflations = self._inflations or [self._believed_inflation()]
+        kappa = math.exp(self._demand.ln)
+        worst = max(inflations, key=lambda i: self._air_kPa(mean, i) / i.given_s)
+        air = self._air_kPa(mean, worst)
+        kPa = least_supply_kPa(worst, air, kappa * air)
+        if worst.spent.venturi_s > VENTURI_USED_S and kPa < self._p.venturi_least_supply_kPa:
+            air = mean[RISE] * worst.swing_kPa + FLAT_KEPT * mean[FLAT] * worst.spent.flat
+            kPa = least_supply_kPa(worst, air, kappa * air)
+        # What was done with less is proof.
+        proven = [i.supply_kPa_abs for i in inflations if i.reached and i.as_hard_as(worst)]
+        kPa = min([kPa, *(supply - AMBIENT_KPA for supply in proven)])
+        more_kPa = least_supply_kPa(worst, air * 1.1, kappa * air * 1.1)
+        return _Floor(kPa, (more_kPa - kPa) / math.log(1.1), worst, air)
+
+    def _variance(self, bottle: Bottle, mean: Sequence[float], floor: _Floor, expected: float) -> float:
+        """Of ln n: what it moves by with each thing that is uncertain."""
+        slopes = [self._slope(bottle, mean, floor, i) for i in range(SIZE)]
+        variance = sum(
+            slopes[i] * slopes[k] * bottle.covariance[i][k] for i in range(SIZE) for k in range(SIZE)
+        )
+        floor_sd = math.hypot(
+            OFFSET_SD_KPA,
+            REGULATOR_SD * (floor.kPa + AMBIENT_KPA),
+            floor.kPa_per_ln * math.sqrt(self._demand.variance),
+        )
+        for otherwise in (
+            _Forecast(self._p, self._mix, mean, floor.kPa + floor_sd),
+            _Forecast(self._p, self._mix, mean, floor.kPa, trend=VENTURI_TREND + VENTURI_TREND_SD),
+            _Forecast(self._p, self._mix, mean, floor.kPa, kept=0.0),
+        ):
+            variance += math.log(otherwise.cycles() / expected) ** 2
+        return variance + MODEL_SD**2 + (COUNT_SD / max(COUNT_SD, expected)) ** 2
+
+    def _slope(self, bottle: Bottle, mean: Sequence[float], floor: _Floor, i: int) -> float:
+        """d ln n / d of one of the bottle's states."""
+        half_sd = 0.5 * math.sqrt(bottle.covariance[i][i])
+        ends = []
+        for end in (-half_sd, half_sd):
+            moved = list(mean)
+            moved[i] += end
+            if RISE <= i < WARMTH:
+                moved[i] = max(0.0, moved[i])
+            kPa = floor.kPa
+            if i in (RISE, FLAT) and floor.air_kPa > 0.0:
+                kPa += floor.kPa_per_ln * (self._air_kPa(moved, floor.worst) / floor.air_kPa - 1.0)
+            ends.append((moved[i], math.log(_Forecast(self._p, self._mix, moved, kPa).cycles())))
+        (a, ln_a), (b, ln_b) = ends
+        return (ln_b - ln_a) / (b - a) if b > a else 0.0
 
     def _believed_inflation(self) -> Inflation:
         """The profile's own cycle, before there is another: up evenly, and a little time at the top."""
@@ -268,6 +276,15 @@ class ReservoirEstimate:
 def _least_cost_kPa(p: Pneumatics) -> float:
     """A cycle never takes less: a fifth of what the believed volume takes if it is rigid."""
     return 0.2 * p.cv_volume_L * p.cycle_swing_kPa / p.reservoir_volume_L
+
+
+class _Floor(NamedTuple):
+    """The least supply (gauge), what it grows by with ln of the air, and the inflation that needs it."""
+
+    kPa: float
+    kPa_per_ln: float
+    worst: Inflation
+    air_kPa: float
 
 
 class _Cost(NamedTuple):
