@@ -96,6 +96,7 @@ def _parser() -> argparse.ArgumentParser:
     diagnose = commands.add_parser("diagnose", help="what the simulation gets wrong about a recorded rig")
     diagnose.add_argument("case", type=Path, metavar="CASE", help="a folder with rig.toml and runs, or a run")
     diagnose.add_argument("--rig", type=Path, metavar="RIG.toml", help="(default: the folder's rig.toml)")
+    diagnose.add_argument("--write-rig", type=Path, metavar="FILE", help="the rig with the cause in it")
     diagnose.add_argument("--json", action="store_true", help="one object instead of words")
     diagnose.set_defaults(run=_diagnose)
 
@@ -306,7 +307,9 @@ def _diagnose(arguments: argparse.Namespace) -> int:
     try:
         from flying_vines.discrepancy.case import CaseError, read_case
         from flying_vines.discrepancy.diagnose import diagnose
+        from flying_vines.discrepancy.extended import extended_rig
         from flying_vines.discrepancy.show import show
+        from flying_vines.pneumatics.plant.true_rig import true_rig_text
         from flying_vines.pneumatics.rig import RigError
     except ModuleNotFoundError as error:
         _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
@@ -318,6 +321,11 @@ def _diagnose(arguments: argparse.Namespace) -> int:
         _fail(str(error))
     with Console(stderr=True).status("reading") as status:
         verdict = diagnose(case, progress=status.update)
+    if arguments.write_rig:
+        try:
+            arguments.write_rig.write_text(true_rig_text(extended_rig(case.rig, verdict)), encoding="utf-8")
+        except OSError as error:
+            _fail(f"{arguments.write_rig}: {error.strerror}")
     if arguments.json:
         print(json.dumps(verdict.as_json(), allow_nan=False))
     else:

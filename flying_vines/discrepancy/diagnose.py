@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from math import exp
 
 import numpy as np
@@ -16,13 +17,15 @@ from flying_vines.discrepancy.held_out import held_out
 from flying_vines.discrepancy.intervals import profile
 from flying_vines.discrepancy.noise import noise_kPa, still
 from flying_vines.discrepancy.search import CLAIM, Candidate, Found, Search
-from flying_vines.discrepancy.simulate import believed_keys
+from flying_vines.discrepancy.simulate import BELIEVED, believed_keys
 from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED, Estimate, Named, Ranked, Verdict
 
 ALIKE = 9.2
 """A candidate whose evidence is within a factor of 100 of the best cannot be told apart from it."""
 _SURPRISE = 0.02
 """How often, before any data, something is there that the catalogue does not hold, and looks like noise."""
+_SURPRISE_UNEXPLAINED = 0.1
+"""How often what is left after all is a cause of the catalogue after all, that no fit has found."""
 Progress = Callable[[str], None]
 
 
@@ -63,62 +66,73 @@ def with_noise(case: Case) -> Problem:
 
 
 def _verdict(problem: Problem, found: Found) -> Verdict:
-    chosen, null = found.chosen, found.search.null
-    best = min(c.score for c in found.tried)
-    errors = held_out(problem, null.fit.point, chosen.fit.point)
-    ranking = _ranking(found.tried, best)
-    left = chosen.patterns[0] if chosen.patterns and not chosen.adequate else None
-    remainder = f"{left.channel}: {left.feature}" if left else ""
-    remarks = list(problem.case.remarks)
-    stated = problem.case.rig.sensors
-    for what, used, said in zip(
-        ("cv", "reservoir"),
-        problem.noise_kPa,
-        (stated.cv_noise_std_kPa, stated.reservoir_noise_std_kPa),
-        strict=True,
-    ):
-        if abs(used - said) > 1e-9:
-            remarks.append(f"{what}_noise_std_kPa is stated as {said:g}; the data say {used:.3g}")
+    chosen = found.chosen
+    left = None if chosen.adequate else chosen.patterns[0]
+    unexplained = Verdict(
+        cause=UNEXPLAINED,
+        confidence=1.0 - _SURPRISE_UNEXPLAINED,
+        indistinguishable=(),
+        parameters={},
+        also=(),
+        numbers={},
+        held_out=held_out(problem, found.search.null.fit.point, chosen.fit.point),
+        ranking=_ranking(found.tried),
+        next_experiment="Repeat the run that fits worst with one valve moved at a time.",
+        remainder=f"{left.channel}: {left.feature}" if left else "",
+        remarks=(*problem.case.remarks, *_noise_remarks(problem)),
+    )
     if left is not None:
-        return Verdict(
-            UNEXPLAINED, 0.9, (), {}, (), errors, ranking,
-            "Repeat the run that fits worst with one valve moved at a time.", remainder, tuple(remarks),
-        )  # fmt: skip
+        return unexplained
+    believed = problem.simulation.believed
+    known = replace(
+        unexplained,
+        numbers={
+            key: getattr(believed, BELIEVED[key]) * (1.0 + moved)
+            for key, moved in chosen.fit.point.deviation.items()
+        },
+        next_experiment="",
+    )
     if not chosen.causes:
         others = [c.score - chosen.score for c in found.tried if c.causes]
         doubt = sum(exp(-0.5 * max(0.0, d)) for d in others[:5]) * 0.05
-        return Verdict(
-            NONE, 1.0 / (1.0 + doubt + _SURPRISE), (), {}, (), errors, ranking, "", "", tuple(remarks)
-        )
+        return replace(known, cause=NONE, confidence=1.0 / (1.0 + doubt + _SURPRISE))
     main, further = _main_first(chosen, found)
     alike, confidence = _alike(chosen, main, found)
     named = _estimates(problem, chosen)
-    experiment = ""
-    if alike:
-        by_name = {cause.name: cause for cause in found.search.catalogue}
-        experiment = by_name[main].experiment
-    return Verdict(
+    by_name = {cause.name: cause for cause in found.search.catalogue}
+    return replace(
+        known,
         cause=main,
         confidence=confidence,
         indistinguishable=alike,
         parameters=named[main],
         also=tuple(Named(name, named[name]) for name in further),
-        held_out=errors,
-        ranking=ranking,
-        next_experiment=experiment,
-        remainder="",
-        remarks=tuple(remarks),
+        next_experiment=by_name[main].experiment if alike else "",
     )
 
 
-def _ranking(tried: Sequence[Candidate], best: float) -> tuple[Ranked, ...]:
+def _noise_remarks(problem: Problem) -> list[str]:
+    """Where the data contradict what the rig states."""
+    sensors = problem.case.rig.sensors
+    stated = {
+        "cv_noise_std_kPa": sensors.cv_noise_std_kPa,
+        "reservoir_noise_std_kPa": sensors.reservoir_noise_std_kPa,
+    }
+    return [
+        f"{key} is stated as {said:g}; the data say {used:.3g}"
+        for (key, said), used in zip(stated.items(), problem.noise_kPa, strict=True)
+        if used != said
+    ]
+
+
+def _ranking(tried: Sequence[Candidate]) -> tuple[Ranked, ...]:
     scores: dict[frozenset[str], tuple[tuple[str, ...], float]] = {}
     for candidate in tried:
         key = frozenset(candidate.names)
         if key not in scores or candidate.score < scores[key][1]:
             scores[key] = (candidate.names, candidate.score)
     ranked = sorted(scores.values(), key=lambda item: item[1])
-    return tuple(Ranked(names, score - best) for names, score in ranked)
+    return tuple(Ranked(names, score - ranked[0][1]) for names, score in ranked)
 
 
 def _main_first(chosen: Candidate, found: Found) -> tuple[str, list[str]]:

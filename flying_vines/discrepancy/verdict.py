@@ -50,6 +50,8 @@ class Verdict:
     parameters: dict[str, Estimate]
     also: tuple[Named, ...]
     """Further causes that still improve held-out data."""
+    numbers: dict[str, float]
+    """Believed numbers that the data move within their tolerances, by their keys; all of them, or none."""
     held_out: HeldOut
     ranking: tuple[Ranked, ...]
     next_experiment: str
@@ -68,6 +70,7 @@ class Verdict:
                 {"cause": named.cause, "parameters": _parameters(named.parameters)} for named in self.also
             ],
             "parameters": _parameters(self.parameters),
+            "numbers": self.numbers,
             "held_out": {
                 "nrmse_before": self.held_out.nrmse_before,
                 "nrmse_after": self.held_out.nrmse_after,
