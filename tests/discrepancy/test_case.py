@@ -21,7 +21,7 @@ ROWS = [
     f"{0.05 * i:.2f},{'20,0.5' if i < 20 else ',0'},0,{int(i >= 40)},{min(i, 20) + 0.25},{600 - 0.5 * i}"
     for i in range(60)
 ]
-PUBLIC = Path(__file__).parents[3] / "shared" / "cases"
+RECORDED = Path(__file__).parents[1] / "data" / "cases"
 
 
 @pytest.fixture
@@ -313,10 +313,9 @@ def test_the_discharge_that_the_simulation_writes(tmp_path: Path) -> None:
     assert case.runs[0].to_atmosphere
 
 
-@pytest.mark.skipif(not PUBLIC.is_dir(), reason="the public cases are not there: ../shared/cases")
-def test_the_public_cases_are_read_without_a_remark() -> None:
-    folders = sorted(path for path in PUBLIC.iterdir() if path.is_dir())
-    assert folders
+def test_recorded_cases_are_read_without_a_remark() -> None:
+    folders = sorted(path for path in RECORDED.iterdir() if path.is_dir())
+    assert len(folders) == 4
     for path in folders:
         case = read_case(path)
         assert case.remarks == ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -52,3 +53,23 @@ def test_an_effect_that_nobody_has_named_gets_no_name(tmp_path: Path) -> None:
     assert truth.hidden[0].name.startswith("x_")
     assert verdict.cause == "unexplained"
     assert verdict.remainder
+
+
+@pytest.mark.parametrize(
+    ("case", "within"),
+    [
+        # Whose sensor follows 2.6 ms late, in steps that are not much shorter.
+        ("case_006", 0.2),
+        # Where the believed resistance is itself off by up to 2.5 %.
+        ("case_008", 0.025),
+    ],
+)
+def test_what_another_simulator_hid_is_found(case: str, within: float) -> None:
+    folder = Path(__file__).parents[1] / "data" / "cases"
+    answer = json.loads((folder / "answers.json").read_text(encoding="utf-8"))[case]
+    verdict = diagnose(read_case(folder / case))
+    assert verdict.cause == answer["effect"]
+    assert verdict.also == () and verdict.indistinguishable == ()
+    (estimate,) = verdict.parameters.values()
+    (value,) = answer["parameters"].values()
+    assert estimate.estimate == pytest.approx(value, rel=within)
