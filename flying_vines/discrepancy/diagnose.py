@@ -15,13 +15,15 @@ from flying_vines.discrepancy.causes import catalogue
 from flying_vines.discrepancy.fit import Problem
 from flying_vines.discrepancy.held_out import held_out
 from flying_vines.discrepancy.intervals import profile
-from flying_vines.discrepancy.noise import noise_kPa, still
+from flying_vines.discrepancy.noise import noise_kPa
 from flying_vines.discrepancy.search import CLAIM, Candidate, Found, Search
-from flying_vines.discrepancy.simulate import BELIEVED, believed_keys
+from flying_vines.discrepancy.simulate import BELIEVED
 from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED, Estimate, Named, Ranked, Verdict
 
 ALIKE = 9.2
 """A candidate whose evidence is within a factor of 100 of the best cannot be told apart from it."""
+LEAST_KPA = 1e-3
+"""Noise of a sensor that is stated to have none: what is written is rounded."""
 _SURPRISE = 0.02
 """How often, before any data, something is there that the catalogue does not hold, and looks like noise."""
 _SURPRISE_UNEXPLAINED = 0.1
@@ -39,30 +41,32 @@ def diagnose(
         causes: to be considered; the whole catalogue if not given.
         progress: is told what is being done.
     """
+    every = catalogue() if causes is None else causes
     # The fits themselves run on all cores; small matrices on several more would only wait for each other.
     with threadpool_limits(1):
         progress("baseline")
-        problem = with_noise(case)
-        found = Search(problem, catalogue() if causes is None else causes).best(progress)
+        sensors = case.rig.sensors
+        stated = (sensors.cv_noise_std_kPa or LEAST_KPA, sensors.reservoir_noise_std_kPa or LEAST_KPA)
+        found = Search(Problem(case, stated), every).best(progress)
+        noise = _noise_left(found.chosen)
+        if noise != stated:
+            progress("again, with the noise that the data have")
+            found = Search(Problem(case, noise), every).best(progress)
         progress("held-out runs")
-        return _verdict(problem, found)
+        return _verdict(found.search.problem, found)
 
 
-def with_noise(case: Case) -> Problem:
-    """The case as a problem, with the sensors' noise as stated, or as found where the data contradict."""
-    sensors = case.rig.sensors
-    stated = (sensors.cv_noise_std_kPa or 1e-3, sensors.reservoir_noise_std_kPa or 1e-3)
-    problem = Problem(case, stated)
-    null = problem.fit(problem.start().freed(believed_keys(case.rig)), most_steps=3)
-    left = []
-    for row in range(2):
+def _noise_left(chosen: Candidate) -> tuple[float, float]:
+    """The sensors' noise, as stated, or as what the fit leaves tells where that contradicts."""
+    problem = chosen.problem
+    found = []
+    for row, stated_kPa in enumerate(problem.noise_kPa):
         residuals = [
-            np.where((w[row] > 0.0) & still(run), r[row] * stated[row], np.nan)
-            for r, w, run in zip(null.residuals, problem.weights, case.runs, strict=True)
+            np.where(w[row] > 0.0, r[row] * stated_kPa, np.nan)
+            for r, w in zip(chosen.fit.residuals, problem.weights, strict=True)
         ]
-        left.append(noise_kPa(residuals, stated[row]))
-    noise = (left[0], left[1])
-    return problem if noise == stated else Problem(case, noise)
+        found.append(noise_kPa(residuals, stated_kPa))
+    return found[0], found[1]
 
 
 def _verdict(problem: Problem, found: Found) -> Verdict:

@@ -198,6 +198,9 @@ class Problem:
         place = space.clipped(space.inner(start))
         residuals = self.residuals(space.outer(place))
         cost = _chi2(residuals) + space.believed(place)
+        if not np.isfinite(cost):
+            size = len(place)
+            return Fit(start, inf, inf, tuple(residuals), np.zeros((size, size)))
         damping = 1e-7
         for _ in range(most_steps):
             information, slope = space.linearised(place, residuals)
@@ -317,7 +320,9 @@ class _Space:
         moved = place.copy()
         moved[k] += nudge
         there = self._problem.residuals(self.outer(moved))
-        return [(a - b).ravel() / nudge for a, b in zip(there, residuals, strict=True)]
+        # Where a simulation breaks down nothing is learned of the way there.
+        slopes = [(a - b).ravel() / nudge for a, b in zip(there, residuals, strict=True)]
+        return [np.nan_to_num(slope, nan=0.0, posinf=0.0, neginf=0.0) for slope in slopes]
 
     def best_move(self, place: Array, information: Array, slope: Array, damping: float) -> Array:
         """The least of the quadratic model within the bounds."""
