@@ -34,6 +34,8 @@ _OF_RANGE = 1e-4
 _INITIAL_KPA = (0.1, 0.01)
 """How far numbers are moved for a derivative: believed ones by this share, parameters by this share of their
 range (along the logarithm where that is moved), initial pressures by this."""
+STEEPEST = 1e12
+"""Steeper is no derivative: a simulation has broken down."""
 UNREAD_RESERVOIR_KPA = 600.0
 """Where a fit begins if nobody recorded the reservoir."""
 _READINGS = 3
@@ -308,7 +310,7 @@ class _Space:
                 moved = place.copy()
                 moved[k] += nudge
                 (there,) = self._problem.residuals(self.outer(moved), [run])
-                jacobian.append((there - residuals[run]).ravel() / nudge)
+                jacobian.append(_slope(there, residuals[run], nudge))
             yield np.r_[: self._common, own], np.array(jacobian)
 
     def _columns(self, place: Array, residuals: Sequence[Array], k: int) -> list[Array]:
@@ -320,9 +322,7 @@ class _Space:
         moved = place.copy()
         moved[k] += nudge
         there = self._problem.residuals(self.outer(moved))
-        # Where a simulation breaks down nothing is learned of the way there.
-        slopes = [(a - b).ravel() / nudge for a, b in zip(there, residuals, strict=True)]
-        return [np.nan_to_num(slope, nan=0.0, posinf=0.0, neginf=0.0) for slope in slopes]
+        return [_slope(a, b, nudge) for a, b in zip(there, residuals, strict=True)]
 
     def best_move(self, place: Array, information: Array, slope: Array, damping: float) -> Array:
         """The least of the quadratic model within the bounds."""
@@ -336,6 +336,12 @@ class _Space:
             lower.T, target, (np.minimum(low, -1e-12), np.maximum(high, 1e-12)), method="bvls"
         )
         return np.asarray(solved.x / scale)
+
+
+def _slope(there: Array, here: Array, nudge: float) -> Array:
+    """A derivative; 0 where a simulation breaks down, for nothing is learned of the way there."""
+    slope = (there - here).ravel() / nudge
+    return np.where(np.abs(slope) < STEEPEST, slope, 0.0)
 
 
 def _chi2(residuals: Sequence[Array]) -> float:
