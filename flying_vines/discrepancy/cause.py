@@ -43,8 +43,8 @@ class Parameter:
     """Beyond these no rig is; a fit that ends here is evidence against the cause."""
     seeds: tuple[float, ...]
     """Where fits begin: far enough apart that one of them finds the way."""
-    neutral: float
-    """Where the cause does nothing; may be infinite."""
+    neutral: float | None
+    """Where the cause does nothing; may be infinite. None where it always does something."""
     source: str
     """Of the range."""
     logarithmic: bool = False
@@ -78,8 +78,6 @@ class Cause:
     parameters: tuple[Parameter, ...]
     experiment: str
     """A minute's recording that shows it best."""
-    part: str
-    """Of the rig that it belongs to."""
     numbers: Callable[[Numbers, Values], Numbers] | None = None
     commands: Callable[[Commands, Values], Commands] | None = None
     ambient: Callable[[Array, Array, Values], Array] | None = None

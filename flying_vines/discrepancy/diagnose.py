@@ -102,7 +102,7 @@ def _verdict(problem: Problem, found: Found) -> Verdict:
         return replace(known, cause=NONE, confidence=1.0 / (1.0 + doubt + _SURPRISE))
     main, further = _main_first(chosen, found)
     alike, confidence = _alike(chosen, main, found)
-    named = _estimates(problem, chosen)
+    named = _estimates(chosen)
     by_name = {cause.name: cause for cause in found.search.catalogue}
     return replace(
         known,
@@ -164,10 +164,10 @@ def _alike(chosen: Candidate, main: str, found: Found) -> tuple[tuple[str, ...],
     )
 
 
-def _estimates(problem: Problem, chosen: Candidate) -> dict[str, dict[str, Estimate]]:
+def _estimates(chosen: Candidate) -> dict[str, dict[str, Estimate]]:
     """Parameters of all causes, with their intervals."""
     named = {}
     for index, cause in enumerate(chosen.causes):
-        profiles = [profile(problem, chosen.fit, index, number) for number in range(len(cause.parameters))]
+        profiles = [profile(chosen, index, number) for number in range(len(cause.parameters))]
         named[cause.name] = {p.parameter.name: Estimate(p.estimate, p.low, p.high) for p in profiles}
     return named

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from math import inf, sqrt
 
 import numpy as np
@@ -90,17 +89,6 @@ class Fit:
     residuals: tuple[Array, ...]
     """A run's: (2, n), control volume then reservoir, measured less simulated in units of noise; 0 where
     nothing was measured."""
-    information: Array
-    """Jᵀ J of all that is free: deviations, causes' parameters (as the fit moves them), initial pressures;
-    with what is believed of the deviations."""
-
-    @cached_property
-    def covariance(self) -> Array:
-        """Of the same, where the data say anything; without the bounds."""
-        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
-        inverse = np.linalg.pinv(self.information / np.outer(scale, scale), rcond=1e-12, hermitian=True)
-        covariance: Array = inverse / np.outer(scale, scale)
-        return covariance
 
 
 class Tangents:
@@ -162,6 +150,10 @@ class Problem:
         """How well a number is believed, as a share."""
         return self.case.rig.tolerance(key) / 100.0
 
+    def spread(self, key: str) -> float:
+        """Standard deviation of a number that is anywhere within its tolerance, as a share."""
+        return self.tolerance(key) / sqrt(3.0)
+
     def simulated(self, point: Point, runs: Sequence[int] | None = None) -> list[Array]:
         """Readings of these runs (all if not given): (2, n), control volume then reservoir, kPa."""
         numbers = self.numbers(point)
@@ -191,8 +183,17 @@ class Problem:
     def tangents(self, fit: Fit) -> Tangents:
         """What small changes of all that is fitted do to the residuals."""
         space = _Space(self, fit.point)
-        residual = np.concatenate([r.ravel() for r in fit.residuals])
-        return Tangents(space.jacobian(space.inner(fit.point), fit.residuals), residual)
+        return Tangents(space.jacobian(space.inner(fit.point), fit.residuals), flat(fit.residuals))
+
+    def covariance(self, fit: Fit) -> Array:
+        """Of all that is free (deviations, causes' parameters as the fit moves them, initial pressures), with
+        what is believed of them, where the data say anything; without the bounds."""
+        space = _Space(self, fit.point)
+        information, _ = space.linearised(space.inner(fit.point), fit.residuals)
+        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        inverse = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+        covariance: Array = inverse / np.outer(scale, scale)
+        return covariance
 
     def fit(self, start: Point, most_steps: int = MOST_STEPS) -> Fit:
         """The least χ² near `start`."""
@@ -201,8 +202,7 @@ class Problem:
         residuals = self.residuals(space.outer(place))
         cost = _chi2(residuals) + space.believed(place)
         if not np.isfinite(cost):
-            size = len(place)
-            return Fit(start, inf, inf, tuple(residuals), np.zeros((size, size)))
+            return Fit(start, inf, inf, tuple(residuals))
         damping = 1e-7
         for _ in range(most_steps):
             information, slope = space.linearised(place, residuals)
@@ -222,8 +222,7 @@ class Problem:
             damping *= 0.1
             if gained < ENOUGH:
                 break
-        information, _ = space.linearised(place, residuals)
-        return Fit(space.outer(place), _chi2(residuals), cost, tuple(residuals), information)
+        return Fit(space.outer(place), _chi2(residuals), cost, tuple(residuals))
 
 
 class _Space:
@@ -243,9 +242,8 @@ class _Space:
         self._nudges += [_OF_RANGE * (p.inner(p.high) - p.inner(p.low)) for p in self._parameters]
         unbounded = np.full(start.initial.size, np.inf)
         self._low, self._high = np.append(low, -unbounded), np.append(high, unbounded)
-        typical = [(0.0, t / sqrt(3.0)) for t in tolerances] + [
-            p.typical or (0.0, inf) for p in self._parameters
-        ]
+        typical = [(0.0, problem.spread(key)) for key in self._keys]
+        typical += [p.typical or (0.0, inf) for p in self._parameters]
         self._typical = np.array([mean for mean, _ in typical])
         self._sureness = np.array([sd**-2.0 for _, sd in typical])
         """What is believed of deviations and parameters: mean, and one over the variance."""
@@ -336,6 +334,11 @@ class _Space:
             lower.T, target, (np.minimum(low, -1e-12), np.maximum(high, 1e-12)), method="bvls"
         )
         return np.asarray(solved.x / scale)
+
+
+def flat(residuals: Sequence[Array]) -> Array:
+    """Of all runs in one row."""
+    return np.concatenate([r.ravel() for r in residuals])
 
 
 def _slope(there: Array, here: Array, nudge: float) -> Array:

@@ -32,17 +32,19 @@ class HeldOut:
 
 def held_out(problem: Problem, null: Point, chosen: Point) -> HeldOut:
     """Errors of the null and of the chosen causes, both refitted without what they predict."""
-    before: list[Array] = []
-    after: list[Array] = []
+    before = _nrmse(problem, _errors(problem, null))
+    after = before if chosen is null else _nrmse(problem, _errors(problem, chosen))
+    return HeldOut(before, after, _nrmse(problem, None))
+
+
+def _errors(problem: Problem, point: Point) -> list[Array]:
+    """Squared residuals of what was predicted, split by split, as `_nrmse` takes them."""
+    errors = []
     for shown, scored in _splits(problem):
-        partial = Problem(problem.case, problem.noise_kPa, shown)
-        for point, errors in ((null, before), (chosen, after)):
-            fitted = partial.fit(point).point
-            residuals = problem.residuals(fitted)
-            errors.append(
-                np.concatenate([(r**2)[:, mask] for r, mask in zip(residuals, scored, strict=True)], 1)
-            )
-    return HeldOut(_nrmse(problem, before), _nrmse(problem, after), _nrmse(problem, None))
+        fitted = Problem(problem.case, problem.noise_kPa, shown).fit(point).point
+        squares = [r**2 for r in problem.residuals(fitted)]
+        errors.append(np.concatenate([s[:, mask] for s, mask in zip(squares, scored, strict=True)], 1))
+    return errors
 
 
 def _splits(problem: Problem) -> Iterator[tuple[list[Bools], list[Bools]]]:

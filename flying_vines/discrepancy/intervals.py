@@ -13,8 +13,8 @@ from math import sqrt
 import numpy as np
 
 from flying_vines.discrepancy.cause import Parameter
-from flying_vines.discrepancy.fit import Fit, Problem
 from flying_vines.discrepancy.model import Array
+from flying_vines.discrepancy.search import Candidate
 
 ABOVE = 3.84
 NEAR_ENOUGH = 0.25
@@ -37,13 +37,13 @@ class Profile:
     """(n,) how far χ² is above its least there."""
 
 
-def profile(problem: Problem, fit: Fit, index: int, number: int) -> Profile:
+def profile(candidate: Candidate, index: int, number: int) -> Profile:
     """Of the parameter `number` of the cause `index`."""
-    point = fit.point
+    problem, point = candidate.problem, candidate.fit.point
     cause = point.causes[index]
     parameter, best = cause.parameters[number], point.values[index][number]
     at = len(point.deviation) + sum(len(c.parameters) for c in point.causes[:index]) + number
-    sd = float(np.sqrt(fit.covariance[at, at]))
+    sd = float(np.sqrt(candidate.covariance[at, at]))
     seen = {best: 0.0}
 
     def above(inner: float) -> float:
@@ -51,7 +51,7 @@ def profile(problem: Problem, fit: Fit, index: int, number: int) -> Profile:
         seen[parameter.outer(inner)] = difference = held.cost + parameter.surprise(inner) - least
         return difference
 
-    least = fit.cost
+    least = candidate.fit.cost
     low, high = (
         parameter.outer(_crossing(above, parameter.inner(best), side * 1.96 * sd, parameter.inner(bound)))
         for side, bound in ((-1.0, parameter.low), (1.0, parameter.high))

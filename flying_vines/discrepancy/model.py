@@ -27,10 +27,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from flying_vines.pneumatics.baseline import ALPHA_KPA
+from flying_vines.pneumatics.plant.gas import GAMMA
 
-ALPHA_KPA = 101.325
-GAMMA = 1.4
+Array = NDArray[np.float64]
 
 
 class Numbers(NamedTuple):

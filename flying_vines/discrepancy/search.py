@@ -17,7 +17,8 @@ from typing import TypeVar
 import numpy as np
 
 from flying_vines.discrepancy.cause import Cause
-from flying_vines.discrepancy.fit import Fit, Problem, Tangents
+from flying_vines.discrepancy.fit import Fit, Problem, Tangents, flat
+from flying_vines.discrepancy.model import Array
 from flying_vines.discrepancy.residuals import Pattern, patterns
 from flying_vines.discrepancy.simulate import believed_keys
 
@@ -58,6 +59,11 @@ class Candidate:
         return tuple(cause.name for cause in self.causes)
 
     @cached_property
+    def covariance(self) -> Array:
+        """As `Problem.covariance`."""
+        return self.problem.covariance(self.fit)
+
+    @cached_property
     def score(self) -> float:
         """Twice the negative logarithm of the evidence, up to a constant: χ², what moving the believed
         numbers cost, and for each parameter what the data had to say to fix it."""
@@ -70,10 +76,10 @@ class Candidate:
         deviation = self.fit.point.deviation
         if not deviation:
             return 0.0
-        sureness = np.array([3.0 / self.problem.tolerance(key) ** 2 for key in deviation])
+        sureness = np.array([self.problem.spread(key) ** -2.0 for key in deviation])
         moved = float(sureness @ np.array(list(deviation.values())) ** 2)
         k = len(deviation)
-        posterior = self.fit.covariance[:k, :k]
+        posterior = self.covariance[:k, :k]
         _, log_posterior = np.linalg.slogdet(posterior)
         return moved - float(log_posterior + np.log(sureness).sum())
 
@@ -152,7 +158,7 @@ class Search:
             for inner in (seed, seed + OF_RANGE * (parameter.inner(parameter.high) - seed)):
                 point = base.point.with_cause(cause, (parameter.outer(inner), *values[1:]))
                 trace = [a - b for a, b in zip(self.problem.residuals(point), base.residuals, strict=True)]
-                best = max(best, tangents.gain(np.concatenate([t.ravel() for t in trace])))
+                best = max(best, tangents.gain(flat(trace)))
         return best
 
     def best(self, progress: Callable[[str], None] = lambda step: None) -> Found:

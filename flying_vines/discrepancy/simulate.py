@@ -15,7 +15,9 @@ from flying_vines.discrepancy.cause import Cause, Readings, Values
 from flying_vines.discrepancy.causes import catalogue
 from flying_vines.discrepancy.chain import compiled_run
 from flying_vines.discrepancy.commands import Commands, steps_of, together
-from flying_vines.discrepancy.model import ALPHA_KPA, GAMMA, Array, Numbers
+from flying_vines.discrepancy.model import Array, Numbers
+from flying_vines.pneumatics.baseline import ALPHA_KPA
+from flying_vines.pneumatics.plant.gas import GAMMA
 from flying_vines.pneumatics.rig import Rig
 
 LONGEST_STEP_S = 0.05
@@ -81,7 +83,8 @@ class Simulation:
         run = self.runs[index]
         commands, ambient = run.commands, run.ambient_kPa
         present: dict[str, Values] = {}
-        for cause, x in sorted(causes, key=lambda item: item[0].order):
+        causes = sorted(causes, key=lambda item: item[0].order)
+        for cause, x in causes:
             if cause.numbers is not None:
                 numbers = cause.numbers(numbers, x)
             if cause.commands is not None:
@@ -100,7 +103,7 @@ class Simulation:
             numbers, run.time_s, switch_s, openings, ambient, run.start, initial, longest_s, parameters, out
         )
         readings = Readings(out[:, 0], out[:, 1])
-        for cause, x in sorted(causes, key=lambda item: item[0].order):
+        for cause, x in causes:
             if cause.readings is not None:
                 readings = cause.readings(readings, x)
         return readings

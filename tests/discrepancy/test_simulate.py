@@ -75,6 +75,19 @@ def test_a_cause_is_what_the_truth_says_it_is(cause: Cause, seed: int) -> None:
     assert moved > 1.0, "the cause does nothing in this run"
 
 
+@pytest.mark.parametrize("cause", catalogue(), ids=lambda cause: cause.name)
+def test_a_neutral_cause_does_nothing(cause: Cause) -> None:
+    neutral = cause.parameters[0].neutral
+    if neutral is None:
+        assert cause.name == "compressible_flow"
+        return
+    simulation = Simulation(case_of(random_run(1)))
+    plain = simulation.readings(0, numbers_of(RIG), [], STARTS)
+    ours = simulation.readings(0, numbers_of(RIG), [(cause, (neutral,))], STARTS)
+    assert ours.cv_kPa == pytest.approx(plain.cv_kPa, abs=1e-9)
+    assert ours.reservoir_kPa == pytest.approx(plain.reservoir_kPa, abs=1e-9)
+
+
 def test_without_causes_it_is_the_baseline() -> None:
     run = random_run(3)
     readings = Simulation(case_of(run)).readings(0, numbers_of(RIG), [], STARTS)

@@ -25,6 +25,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Record the ambient pressure as well; or repeat the run on the ground.",
-    part="ambient",
     ambient=ambient,
 )

@@ -11,7 +11,8 @@ from __future__ import annotations
 from math import sqrt
 
 from flying_vines.discrepancy.cause import Cause, Parameter
-from flying_vines.discrepancy.model import ALPHA_KPA, Array, Flows, Moment, Numbers
+from flying_vines.discrepancy.model import Array, Flows, Moment, Numbers
+from flying_vines.pneumatics.baseline import ALPHA_KPA
 
 
 def _share(ratio: float, b: float) -> float:
@@ -44,12 +45,11 @@ CAUSE = Cause(
             low=0.0,
             high=0.95,
             seeds=(0.3,),
-            neutral=1.0,
+            neutral=None,
             typical=(0.35, 0.12),
             source="ISO 6358: 0.5 for an orifice, 0.2 to 0.4 with fittings, 0 for long tubes",
         ),
     ),
     experiment="Discharge the reservoir from full to empty through the open inflation valve.",
-    part="valves",
     flows=flows,
 )

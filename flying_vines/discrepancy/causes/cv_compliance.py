@@ -25,6 +25,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Inflate in several steps to the highest pressure, each with the same opening and duration.",
-    part="cv",
     numbers=numbers,
 )

@@ -31,6 +31,5 @@ CAUSE = Cause(
         "Inflate the control volume as fast as it goes, shut all valves, and record for half a minute: "
         "warm gas lets the pressure fall to a new level."
     ),
-    part="cv",
     numbers=numbers,
 )

@@ -26,6 +26,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Inflate the control volume, shut all valves, and record its pressure for a minute.",
-    part="cv",
     flows=flows,
 )

@@ -24,7 +24,6 @@ CAUSE = Cause(
         ),
     ),
     experiment="Hold a pressure that a gauge of known accuracy shows as well.",
-    part="cv sensor",
     readings=readings,
     order=1,
 )

@@ -25,6 +25,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Inflate quickly, shut all valves at once, and record every millisecond.",
-    part="cv sensor",
     numbers=numbers,
 )

@@ -23,6 +23,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Vent the control volume, wait, and read its sensor.",
-    part="cv sensor",
     readings=readings,
 )

@@ -25,6 +25,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Weigh the control volume and its tubing full of water; or inflate it through a known flow.",
-    part="cv",
     numbers=numbers,
 )

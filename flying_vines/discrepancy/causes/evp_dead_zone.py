@@ -28,7 +28,6 @@ CAUSE = Cause(
         ),
     ),
     experiment="Raise the opening of the inflation valve from 0 to 1 in small steps, a second each.",
-    part="evp",
     commands=commands,
     order=2,
 )

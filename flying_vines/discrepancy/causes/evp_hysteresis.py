@@ -34,7 +34,6 @@ CAUSE = Cause(
         ),
     ),
     experiment="Raise the opening of the inflation valve in small steps and lower it again the same way.",
-    part="evp",
     commands=commands,
     order=1,
 )

@@ -25,6 +25,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Open and shut the inflation valve in pulses of 0.05 to 0.5 s.",
-    part="evp",
     numbers=numbers,
 )

@@ -25,6 +25,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Open the inflation valve fully into a known volume from the full reservoir.",
-    part="evp",
     numbers=numbers,
 )

@@ -31,6 +31,5 @@ CAUSE = Cause(
         "Let air out for some seconds, shut all valves, and record for half a minute: "
         "cooled gas makes the pressure rise again."
     ),
-    part="reservoir",
     numbers=numbers,
 )

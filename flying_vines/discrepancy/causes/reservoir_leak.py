@@ -26,6 +26,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Fill the reservoir, shut all valves, and record its pressure for a minute.",
-    part="reservoir",
     flows=flows,
 )

@@ -24,7 +24,6 @@ CAUSE = Cause(
         ),
     ),
     experiment="Fill to a pressure that a gauge of known accuracy shows as well.",
-    part="reservoir sensor",
     readings=readings,
     order=1,
 )

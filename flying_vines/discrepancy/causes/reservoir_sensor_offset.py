@@ -23,6 +23,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Empty the reservoir, wait, and read its sensor.",
-    part="reservoir sensor",
     readings=readings,
 )

@@ -25,6 +25,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Weigh the reservoir full of water; or discharge it through a known flow.",
-    part="reservoir",
     numbers=numbers,
 )

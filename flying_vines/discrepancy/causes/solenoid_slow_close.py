@@ -35,6 +35,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Vent the inflated control volume in pulses of 0.05 to 0.5 s.",
-    part="solenoid",
     commands=commands,
 )

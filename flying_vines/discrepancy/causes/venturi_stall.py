@@ -24,6 +24,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Empty the control volume with the Venturi again and again until the reservoir is empty.",
-    part="venturi",
     numbers=numbers,
 )
