@@ -9,16 +9,19 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from flying_vines import config as configuration
 from flying_vines.config import Config, ConfigError
 from flying_vines.vehicle.mission_item import MissionItem
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from flying_vines.events import Action
 
 BAD_INPUT = 2
@@ -45,6 +48,48 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 def _fail(sentence: str) -> NoReturn:
     print(f"flying-vines: {sentence}", file=sys.stderr)
     sys.exit(BAD_INPUT)
+
+
+@contextmanager
+def _analysis() -> Iterator[None]:
+    """What follows needs the extra: one line says so where it is not installed."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
+    except ImportError as error:
+        _fail(str(error))
+
+
+@contextmanager
+def _files(where: Path | None, *kinds: type[Exception]) -> Iterator[None]:
+    """What follows reads and writes files, `where` if the system does not say which: one line for what goes
+    wrong, and for errors of these kinds, whose text is one."""
+    try:
+        yield
+    except kinds as error:
+        _fail(str(error))
+    except OSError as error:
+        _fail(f"{error.filename or where}: {error.strerror}")
+
+
+def _show_found(
+    as_json: bool,
+    found: Callable[[], dict[str, Any]],
+    show: Callable[[Console], None],
+    figures: Sequence[Path],
+) -> int:
+    """What was found, as one object or on the terminal, and the figures that were drawn of it."""
+    if as_json:
+        print(json.dumps({**found(), "figures": [str(path) for path in figures]}, allow_nan=False))
+        return 0
+    from rich.console import Console
+
+    console = Console()
+    show(console)
+    for path in figures:
+        console.print(f"Figure   {path}", highlight=False, soft_wrap=True)
+    return 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -154,13 +199,9 @@ def _demo(arguments: argparse.Namespace) -> int:
 
     console = Console()
     live = console.is_terminal and not arguments.plain
-    try:
+    with _files(arguments.out, RigError):
         rig = load_true_rig(arguments.rig) if arguments.rig else None
         flight = asyncio.run(fly(arguments.out, console, live, rig))
-    except RigError as error:
-        _fail(str(error))
-    except OSError as error:
-        _fail(f"{error.filename or arguments.out}: {error.strerror}")
     console.print(summary(flight))
     for surprise in flight.unasked:
         console.print(f"Not asked for: {surprise}", style="bold red")
@@ -304,28 +345,21 @@ def _config_check(arguments: argparse.Namespace) -> int:
 
 
 def _diagnose(arguments: argparse.Namespace) -> int:
-    try:
+    with _analysis():
         from flying_vines.discrepancy.case import CaseError, read_case
         from flying_vines.discrepancy.diagnose import diagnose
         from flying_vines.discrepancy.extended import extended_rig
         from flying_vines.discrepancy.show import show
         from flying_vines.pneumatics.plant.true_rig import true_rig_text
         from flying_vines.pneumatics.rig import RigError
-    except ModuleNotFoundError as error:
-        _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
     from rich.console import Console
 
-    try:
+    with _files(arguments.write_rig, CaseError, RigError):
         case = read_case(arguments.case, arguments.rig)
-    except (CaseError, RigError) as error:
-        _fail(str(error))
-    with Console(stderr=True).status("reading") as status:
-        verdict = diagnose(case, progress=status.update)
-    if arguments.write_rig:
-        try:
+        with _analysis(), Console(stderr=True).status("reading") as status:
+            verdict = diagnose(case, progress=status.update)
+        if arguments.write_rig:
             arguments.write_rig.write_text(true_rig_text(extended_rig(case.rig, verdict)), encoding="utf-8")
-        except OSError as error:
-            _fail(f"{arguments.write_rig}: {error.strerror}")
     if arguments.json:
         print(json.dumps(verdict.as_json(), allow_nan=False))
     else:
@@ -335,34 +369,24 @@ def _diagnose(arguments: argparse.Namespace) -> int:
 
 def _paper(arguments: argparse.Namespace) -> int:
     folder: Path | None = arguments.out
-    try:
+    with _analysis():
         from flying_vines.paper import as_json, compare
 
         if folder:
             from flying_vines.paper.figures import draw
-    except ModuleNotFoundError as error:
-        _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
-    try:
+    from flying_vines.paper.show import show
+
+    with _analysis(), _files(folder):
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
         comparison = compare()
-        figures = [str(path) for path in draw(comparison.curves, folder)] if folder else []
-    except ImportError as error:
-        _fail(str(error))
-    except OSError as error:
-        _fail(f"{error.filename or folder}: {error.strerror}")
-    if arguments.json:
-        print(json.dumps({**as_json(comparison), "figures": figures}, allow_nan=False))
-        return 0
-    from rich.console import Console
-
-    from flying_vines.paper.show import show
-
-    console = Console()
-    show(comparison.rows, comparison.findings, console)
-    for path in figures:
-        console.print(f"Figure   {path}", highlight=False, soft_wrap=True)
-    return 0
+        figures = draw(comparison.curves, folder) if folder else []
+    return _show_found(
+        arguments.json,
+        lambda: as_json(comparison),
+        lambda console: show(comparison.rows, comparison.findings, console),
+        figures,
+    )
 
 
 def _simulate(arguments: argparse.Namespace) -> int:
@@ -370,7 +394,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
     from flying_vines.pneumatics.rig import RigError, load_rig
 
     folder: Path = arguments.out
-    try:
+    with _analysis():
         from flying_vines.simulate import (
             CaseError,
             ScenarioError,
@@ -379,9 +403,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
             write_case,
         )
         from flying_vines.simulate.picture import draw_runs
-    except ModuleNotFoundError as error:
-        _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
-    try:
+    with _files(folder, RigError, ScenarioError, CaseError):
         rig = load_true_rig(arguments.rig)
         scenario = load_scenario(arguments.scenario)
         began_s = monotonic()
@@ -398,10 +420,6 @@ def _simulate(arguments: argparse.Namespace) -> int:
             paths = write_case(runs, true_rig_text(TrueRig(rig.believed)).encode(), folder, given)
         picture = folder / "picture.png"
         draw_runs(runs, picture, scenario.name or str(arguments.scenario))
-    except (RigError, ScenarioError, CaseError) as error:
-        _fail(str(error))
-    except OSError as error:
-        _fail(f"{error.filename or folder}: {error.strerror}")
     for path, run in zip(paths, runs, strict=True):
         print(f"Run      {path}" + (f"  the firmware vented: {run.faults}" if run.faults else ""))
     print(f"Picture  {picture}")
@@ -414,7 +432,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
 
 def _design(arguments: argparse.Namespace) -> int:
     folder: Path | None = arguments.out
-    try:
+    with _analysis():
         from flying_vines.design import catalogue, evaluate
         from flying_vines.design import robot as profile
         from flying_vines.design.compass import compass
@@ -423,8 +441,6 @@ def _design(arguments: argparse.Namespace) -> int:
 
         if folder:
             from flying_vines.design.figures import draw
-    except ModuleNotFoundError as error:
-        _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
     robot = profile.load(arguments.robot) if arguments.robot else profile.demonstration()
     parts = catalogue(*arguments.parts)
     evaluation = evaluate(robot, parts.choose(robot.parts, str(arguments.robot or "vine.toml")))
@@ -432,92 +448,58 @@ def _design(arguments: argparse.Namespace) -> int:
     performances: tuple[Performance, ...] = ("cycles", "inflation", "deflation")
     fronts = {by: front(tried, by) for by in performances}
     compared = compass(evaluation, evaluate(robot, parts.choose()))
-    figures: list[str] = []
-    try:
+    figures: Sequence[Path] = ()
+    with _files(folder):
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
-            figures = [str(path) for path in draw(evaluation, tried, compared, folder)]
-    except OSError as error:
-        _fail(f"{error.filename or folder}: {error.strerror}")
-    if arguments.json:
-        print(json.dumps({**as_json(evaluation, fronts, compared), "figures": figures}, allow_nan=False))
-        return 0
-    from rich.console import Console
-
-    console = Console()
-    show(evaluation, fronts, compared, tried, console)
-    for path in figures:
-        console.print(f"Figure   {path}", highlight=False, soft_wrap=True)
-    return 0
+            figures = draw(evaluation, tried, compared, folder)
+    return _show_found(
+        arguments.json,
+        lambda: as_json(evaluation, fronts, compared),
+        lambda console: show(evaluation, fronts, compared, tried, console),
+        figures,
+    )
 
 
 def _vine(arguments: argparse.Namespace) -> int:
     folder: Path | None = arguments.out
-    try:
+    with _analysis():
         from flying_vines.vine.bending import VineError, bend, examples, load_vine
         from flying_vines.vine.bending.show import as_json, show
 
         if folder:
             from flying_vines.vine.bending.figures import draw
-    except ModuleNotFoundError as error:
-        _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
-    figures: list[str] = []
-    try:
+    figures: Sequence[Path] = ()
+    with _files(folder, VineError):
         found = [bend(load_vine(source)) for source in arguments.vine or examples()]
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
-            figures = [str(path) for path in draw(found, folder)]
-    except VineError as error:
-        _fail(str(error))
-    except OSError as error:
-        _fail(f"{error.filename or folder}: {error.strerror}")
-    if arguments.json:
-        print(json.dumps({"vines": [as_json(b) for b in found], "figures": figures}, allow_nan=False))
-        return 0
-    from rich.console import Console
+            figures = draw(found, folder)
 
-    console = Console()
-    for i, b in enumerate(found):
-        if i:
-            console.print()
-        show(b, console)
-    for path in figures:
-        console.print(f"Figure   {path}", highlight=False, soft_wrap=True)
-    return 0
+    def show_all(console: Console) -> None:
+        for i, b in enumerate(found):
+            if i:
+                console.print()
+            show(b, console)
+
+    return _show_found(arguments.json, lambda: {"vines": [as_json(b) for b in found]}, show_all, figures)
 
 
 def _vine_fit(arguments: argparse.Namespace) -> int:
     folder: Path | None = arguments.out
-    try:
+    with _analysis():
         from flying_vines.vine.calibration import PairsError, fit, load_pairs
         from flying_vines.vine.calibration.show import as_json, show
 
         if folder:
             from flying_vines.vine.calibration.figures import draw
-    except ModuleNotFoundError as error:
-        _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
-    figures: list[str] = []
-    try:
+    figures: Sequence[Path] = ()
+    with _files(folder, PairsError):
         found = fit(load_pairs(arguments.pairs))
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
-            figures = [
-                str(path) for path in draw(found, folder, f"{arguments.pairs.name}: bend against pressure")
-            ]
-    except PairsError as error:
-        _fail(str(error))
-    except OSError as error:
-        _fail(f"{error.filename or folder}: {error.strerror}")
-    if arguments.json:
-        print(json.dumps({**as_json(found), "figures": figures}, allow_nan=False))
-        return 0
-    from rich.console import Console
-
-    console = Console()
-    show(found, console)
-    for path in figures:
-        console.print(f"Figure   {path}", highlight=False, soft_wrap=True)
-    return 0
+            figures = draw(found, folder, f"{arguments.pairs.name}: bend against pressure")
+    return _show_found(arguments.json, lambda: as_json(found), lambda console: show(found, console), figures)
 
 
 def _fake_autopilot(arguments: argparse.Namespace) -> int:
