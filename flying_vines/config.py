@@ -14,7 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.address import parse_address
-from flying_vines.toml_text import Key, dotted, key_of, not_finite, one_line, place
+from flying_vines.toml_text import Key, dotted, explained, located, not_finite, one_line, place, read_text
 from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.profile import Profile, Segment, Sine, ends_kPa, flatten
 
@@ -180,14 +180,7 @@ def load(path: Path) -> Config:
 
     Raises `ConfigError` with one line that names the file, the key and the line.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file; `flying-vines config init {path}` writes one") from None
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not a UTF-8 text file"
-        raise ConfigError(f"{path}: cannot be read: {reason}") from None
-    return parse(text, str(path))
+    return parse(read_text(path, ConfigError, f"; `flying-vines config init {path}` writes one"), str(path))
 
 
 def parse(text: str, source: str) -> Config:
@@ -283,27 +276,10 @@ def _no_profile(config: Config, name: str) -> str:
 
 
 def _explain(text: str, source: str, error: str, inside: Key) -> ConfigError:
-    """Turn msgspec's `... - at `$.a.b[1]`` into a line that names the key and the line."""
-    message, _, path = error.partition(" - at ")
-    key: Key = inside + key_of(path)
-    unknown = re.search(r"unknown field `(.+?)`", message)
-    if unknown:
-        key = (*key, unknown[1])
-        message = "unknown key"
-        near = difflib.get_close_matches(unknown[1], _known_keys(key[:-1]), n=1)
-        if near:
-            message += f"; did you mean '{near[0]}'?"
-    if message.startswith("Invalid"):
-        message += f": give one of {', '.join(_choices(key))}"
-    missing = re.search(r"missing required field `(.+?)`", message)
-    if missing:
-        message = f"'{missing[1]}' is missing"
-    name = dotted(key)
-    return ConfigError(f"{place(text, source, key)}: {name + ': ' if name else ''}{_plain(message)}")
-
-
-def _plain(message: str) -> str:
-    return message.replace("`", "").replace("Expected", "expected").replace("Object", "the table")
+    key, reason = explained(error, _known_keys, inside)
+    if reason.startswith("Invalid"):
+        reason += f": give one of {', '.join(_choices(key))}"
+    return ConfigError(located(text, source, key, reason))
 
 
 def _known_keys(path: Key) -> list[str]:

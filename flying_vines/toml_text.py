@@ -1,14 +1,32 @@
-"""TOML texts and where their keys stand, so that an error is one line that names the line and the key."""
+"""Texts that people wrote, and where TOML keys stand in them: an error is one line that names both."""
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 Key = tuple[str | int, ...]
 """The way to a value: table and key names, and indexes of arrays."""
+
+
+def read_text(path: Path, error: Callable[[str], Exception], absent: str = "") -> str:
+    """The text of a file; raises `error` of one line where it cannot be read.
+
+    `absent` goes on after "no such file" and says what to do.
+    """
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        reason = "cannot be read: it is not a UTF-8 text file"
+    except FileNotFoundError as problem:
+        reason = f"no such file{absent}" if absent else f"cannot be read: {problem.strerror}"
+    except OSError as problem:
+        reason = f"cannot be read: {problem.strerror}"
+    raise error(f"{path}: {reason}")
 
 
 def one_line(text: str) -> str:
@@ -41,6 +59,29 @@ def not_finite(value: object, at: Key = ()) -> Iterator[Key]:
         yield at
     for key, part in inner:
         yield from not_finite(part, (*at, key))
+
+
+def explained(error: str, known: Callable[[Key], Sequence[str]], inside: Key = ()) -> tuple[Key, str]:
+    """Which key msgspec's `... - at `$.a.b[1]`` is about, and in plain words why.
+
+    Args:
+        error: as msgspec says it.
+        known: the keys that a table may have, of which a mistyped one may have meant one.
+        inside: what was decoded is the table at this key.
+    """
+    message, _, path = error.partition(" - at ")
+    key = (*inside, *key_of(path))
+    if unknown := re.search(r"unknown field `(.+?)`", message):
+        near = difflib.get_close_matches(unknown[1], known(key), n=1)
+        return (*key, unknown[1]), "unknown key" + (f"; did you mean '{near[0]}'?" if near else "")
+    if missing := re.search(r"missing required field `(.+?)`", message):
+        return key, f"'{missing[1]}' is missing"
+    return key, message.replace("`", "").replace("Expected", "expected").replace("Object", "the table")
+
+
+def located(text: str, source: str, key: Key, reason: str) -> str:
+    """The line that says where a key stands and what is wrong with it."""
+    return f"{place(text, source, key)}: {dotted(key) + ': ' if key else ''}{reason}"
 
 
 def place(text: str, source: str, key: Key) -> str:

@@ -13,9 +13,10 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.config import ConfigError
-from flying_vines.design.reading import decode, text_of
+from flying_vines.design.reading import decode
 from flying_vines.design.robot import PartNames
 from flying_vines.pneumatics import paper
+from flying_vines.toml_text import read_text
 
 Origin = Literal["printed", "computed", "assumed"]
 
@@ -219,7 +220,7 @@ def catalogue(*folders: Path) -> Catalogue:
         if not folder.is_dir():
             raise ConfigError(f"{folder}: no such folder of parts")
         for path in sorted(folder.glob("*.toml")):
-            parts[path.stem] = parse(text_of(path), str(path))
+            parts[path.stem] = parse(read_text(path, ConfigError), str(path))
     return Catalogue(parts)
 
 

@@ -11,8 +11,9 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.config import ConfigError
-from flying_vines.design.reading import decode, text_of
+from flying_vines.design.reading import decode
 from flying_vines.pneumatics import paper
+from flying_vines.toml_text import read_text
 
 # The bounds keep every result finite.
 Positive = Annotated[float, Meta(ge=1e-6, le=1e6)]
@@ -125,7 +126,7 @@ def demonstration() -> Robot:
 
 def load(path: Path) -> Robot:
     """Read and check a profile; `ConfigError` says in one line which file, line and key is wrong."""
-    return parse(text_of(path), str(path))
+    return parse(read_text(path, ConfigError), str(path))
 
 
 def parse(text: str, source: str) -> Robot:

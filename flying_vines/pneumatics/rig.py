@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
+R = TypeVar("R")
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 
 
@@ -97,12 +98,17 @@ def load_rig(path: Path | str) -> Rig:
 
     RigError when the file cannot be read, names something unknown, or holds an impossible number.
     """
+    return read_rig(path, rig_from)
+
+
+def read_rig(path: Path | str, made_of: Callable[[Mapping[str, Any]], R]) -> R:
+    """What is made of a rig file's tables; RigErrors name the file."""
     try:
         content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise RigError(f"{path} cannot be read: {error}") from None
     try:
-        return rig_from(content)
+        return made_of(content)
     except RigError as error:
         raise RigError(f"{path}: {error}") from None
 

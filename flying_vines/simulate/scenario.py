@@ -13,7 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.simulate.kinds import Kind, Segment, Valves
-from flying_vines.toml_text import dotted, not_finite, one_line
+from flying_vines.toml_text import dotted, not_finite, one_line, read_text
 
 _EXAMPLES = resources.files("flying_vines.simulate") / "examples"
 _KINDS = {str(kind.__struct_config__.tag): kind for kind in get_args(Kind)}
@@ -49,17 +49,8 @@ def load_scenario(source: Path | str) -> Scenario:
     path = Path(source)
     if not path.exists() and str(source) in examples():
         return parse_scenario((_EXAMPLES / f"{source}.toml").read_text(encoding="utf-8"), str(source))
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise ScenarioError(
-            f"{path}: no such file, nor an example; those are {', '.join(examples())}"
-        ) from None
-    except UnicodeDecodeError:
-        raise ScenarioError(f"{path}: cannot be read: it is not a UTF-8 text file") from None
-    except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from None
-    return parse_scenario(text, str(path))
+    absent = f", nor an example; those are {', '.join(examples())}"
+    return parse_scenario(read_text(path, ScenarioError, absent), str(path))
 
 
 def parse_scenario(text: str, source: str) -> Scenario:

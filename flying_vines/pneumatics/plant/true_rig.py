@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import inspect
 import math
-import tomllib
 import types
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields, replace
@@ -34,7 +33,7 @@ from flying_vines.pneumatics.plant.flow import Iso6358, Ohm
 from flying_vines.pneumatics.plant.likely import likely_effects
 from flying_vines.pneumatics.plant.plant import Plant
 from flying_vines.pneumatics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, Sensor
-from flying_vines.pneumatics.rig import Rig, RigError, Sensors, rig_from
+from flying_vines.pneumatics.rig import Rig, RigError, Sensors, read_rig, rig_from
 
 _EFFECTS: dict[str, dict[str, type]] = {
     name: {kind.__name__.lower(): kind for kind in get_args(hint) if kind is not types.NoneType}
@@ -95,14 +94,7 @@ def load_true_rig(path: Path | str) -> TrueRig:
 
     RigError when the file cannot be read, names something unknown, or holds an impossible number.
     """
-    try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise RigError(f"{path} cannot be read: {error}") from None
-    try:
-        return true_rig_from(content)
-    except RigError as error:
-        raise RigError(f"{path}: {error}") from None
+    return read_rig(path, true_rig_from)
 
 
 def true_rig_from(content: Mapping[str, Any]) -> TrueRig:

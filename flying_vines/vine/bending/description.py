@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
-import re
 import tomllib
 from importlib import resources
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import Annotated, get_args
 import msgspec
 from msgspec import Meta
 
-from flying_vines.toml_text import dotted, key_of, not_finite, one_line, place
+from flying_vines.toml_text import explained, located, not_finite, one_line, read_text
 from flying_vines.vine.bending.body import Body
 from flying_vines.vine.bending.cpam import Cpam
 from flying_vines.vine.bending.fpam import Fpam
@@ -64,15 +62,8 @@ def load_vine(source: Path | str) -> Vine:
     path = Path(source)
     if not path.exists() and str(source) in examples():
         return parse_vine(example_text(str(source)), str(source))
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise VineError(f"{path}: no such file, nor an example; those are {', '.join(examples())}") from None
-    except UnicodeDecodeError:
-        raise VineError(f"{path}: cannot be read: it is not a UTF-8 text file") from None
-    except OSError as error:
-        raise VineError(f"{path}: cannot be read: {error.strerror}") from None
-    return parse_vine(text, str(path))
+    absent = f", nor an example; those are {', '.join(examples())}"
+    return parse_vine(read_text(path, VineError, absent), str(path))
 
 
 def parse_vine(text: str, source: str) -> Vine:
@@ -82,7 +73,7 @@ def parse_vine(text: str, source: str) -> Vine:
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise VineError(f"{source}: not TOML: {error}") from None
     for key in not_finite(content):
-        raise VineError(f"{place(text, source, key)}: {dotted(key)}: is not a finite number")
+        raise VineError(located(text, source, key, "is not a finite number"))
     try:
         return msgspec.convert(content, Vine)
     except msgspec.ValidationError as error:
@@ -90,17 +81,8 @@ def parse_vine(text: str, source: str) -> Vine:
 
 
 def _explained(text: str, source: str, error: str) -> VineError:
-    message, _, path = error.partition(" - at ")
-    key = key_of(path)
-    if unknown := re.search(r"unknown field `(.+?)`", message):
-        key = (*key, unknown[1])
-        parts = (Vine, Body, *_KINDS.values())
-        known = [field for part in parts for field in part.__struct_fields__]
-        near = difflib.get_close_matches(unknown[1], known, n=1)
-        message = "unknown key" + (f"; did you mean '{near[0]}'?" if near else "")
-    elif missing := re.search(r"missing required field `(.+?)`", message):
-        message = f"'{missing[1]}' is missing"
-    elif message.startswith("Invalid value") and key[-1:] == ("kind",):
-        message = f"give one of {', '.join(_KINDS)}"
-    message = message.replace("`", "").replace("Expected", "expected").replace("Object", "the table")
-    return VineError(f"{place(text, source, key)}: {dotted(key) + ': ' if key else ''}{message}")
+    parts = (Vine, Body, *_KINDS.values())
+    key, reason = explained(error, lambda key: [field for part in parts for field in part.__struct_fields__])
+    if reason.startswith("Invalid value") and key[-1:] == ("kind",):
+        reason = f"give one of {', '.join(_KINDS)}"
+    return VineError(located(text, source, key, reason))

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flying_vines.toml_text import one_line
+from flying_vines.toml_text import one_line, read_text
 
 Array = NDArray[np.float64]
 
@@ -75,13 +75,7 @@ def load_pairs(path: Path) -> Pairs:
 
     Raises `PairsError` when it cannot be read, or cannot be meant.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise PairsError(f"{path}: cannot be read: it is not a UTF-8 text file") from None
-    except OSError as error:
-        raise PairsError(f"{path}: cannot be read: {error.strerror}") from None
-    return parse_pairs(text, str(path))
+    return parse_pairs(read_text(path, PairsError), str(path))
 
 
 def parse_pairs(text: str, source: str) -> Pairs:
