@@ -9,6 +9,7 @@ next: once or twice it may be the regulator.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -16,12 +17,15 @@ import numpy as np
 from cycles_left_rigs import HOST_TICK_S, Case, Manoeuvre
 from numpy.typing import NDArray
 
+from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines.fakes.closed_loop import Setpoint, closed_loop
 from flying_vines.pneumatics.plant.plant import at_rest
 from flying_vines.reservoir.flying import tolerance_kPa
 
 Array = NDArray[np.float64]
 
+FEWEST_CYCLES = 30.0
+"""A rig whose bottle gives fewer is drawn again: 15 are left to predict after the first 15."""
 FIRST_S = 300.0
 """Flown at first; three times as long as long as the bottle lasts."""
 LONGEST_S = 8100.0
@@ -44,6 +48,11 @@ class Flight:
     @property
     def total_cycles(self) -> float:
         return float(self.cycles[-1])
+
+
+def began(flight: Flight, cycles: float) -> int:
+    """The first manoeuvre that began after so many."""
+    return int(np.searchsorted(flight.cycles, cycles - 1e-9))
 
 
 def fly(case: Case) -> Flight | None:
@@ -91,6 +100,21 @@ def met(manoeuvre: Manoeuvre, setpoint_kPa: Array, cv_kPa: Array) -> bool:
     """Whether the control volume reached the top in the time that it had."""
     least_kPa = manoeuvre.top_kPa - tolerance_kPa(manoeuvre.swing_kPa)
     return bool(np.any(cv_kPa[setpoint_kPa >= least_kPa] >= least_kPa))
+
+
+def telemetry_of(flight: Flight) -> Iterator[tuple[float, Telemetry]]:
+    """What the firmware told, message by message, and when."""
+    table = flight.telemetry
+    venting = np.isnan(table["setpoint_kPa"])
+    columns = [
+        table["time_s"],
+        np.where(venting, 0.0, table["setpoint_kPa"]),
+        *(table[name] for name in ("cv_reading_kPa", "reservoir_reading_kPa", "evp", "dvp")),
+    ]
+    told = zip(*(column.tolist() for column in columns), venting, table["solenoid"] > 0.5, strict=True)
+    for t, setpoint, cv, reservoir, evp, dvp, vents, solenoid in told:
+        mode = Mode.VENT if vents else Mode.REGULATE
+        yield t, Telemetry(round(1000 * t), mode, Fault.NONE, 0, setpoint, cv, reservoir, evp, dvp, solenoid)
 
 
 def _setpoints(case: Case, length_s: float) -> tuple[list[float], list[Setpoint]]:

@@ -135,6 +135,7 @@ class Losses(_Table, frozen=True):
 class Pneumatics(_Table, frozen=True):
     """What is known of the rig, for the reservoir estimate (as in the paper's demonstration)."""
 
+    rig: str = ""
     reservoir_volume_L: Positive = 2.0
     full_kPa: Positive = 690.0
     cv_volume_L: Positive = 0.1

@@ -21,6 +21,7 @@ from flying_vines.events import (
     Event,
     FirmwareMessage,
     LinkChanged,
+    Measured,
     Snapshot,
     Stop,
     Tick,
@@ -30,7 +31,7 @@ from flying_vines.events import (
 )
 from flying_vines.intent import BendTo, ClearFaults, Hold, Intent, SetPressure, StartProfile, Vent
 from flying_vines.notice import Notice, Severity
-from flying_vines.reservoir import ReservoirEstimate, floor_kPa
+from flying_vines.reservoir import Belief, ReservoirEstimate, floor_kPa, nominal
 from flying_vines.safety import Conditions, Demand, Entered, Left, Ruling, Safety
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.mission_item import MissionItem
@@ -51,9 +52,12 @@ class Core:
     """One vine on one vehicle. `handle` takes every event, in time order, and returns what to do, in order.
 
     `mission` is the vehicle's mission where it is known beforehand; otherwise it is read from the autopilot.
+    `belief` is what is known of the rig, where that is more than the configuration's numbers.
     """
 
-    def __init__(self, config: Config, mission: Sequence[MissionItem] = ()) -> None:
+    def __init__(
+        self, config: Config, mission: Sequence[MissionItem] = (), belief: Belief | None = None
+    ) -> None:
         self.config = config
         self._curve = config.vine.bend_curve()
         self._bent_kPa = 0.0
@@ -65,7 +69,8 @@ class Core:
         self._max_kPa = config.limits.max_kPa
         self._firmware_problem = "not connected"
         self._safety = Safety(config)
-        self._reservoir = ReservoirEstimate(config.pneumatics)
+        self._belief = belief or nominal(config.pneumatics)
+        self._reservoir = ReservoirEstimate(self._belief)
         self._low_told = False
         self._alone_since: float | None = None
         self._motion: Motion | None = None
@@ -122,6 +127,7 @@ class Core:
                     self._max_kPa = min(self.config.limits.max_kPa, welcome.setpoint_limit_kPa)
                     self._notice(t, Severity.INFO, f"phloSAR ready ({welcome.firmware_build})")
                 case fw.TelemetryReceived(telemetry):
+                    self._actions.append(Measured(t, telemetry))
                     self._bent_kPa = self._curve.bent_kPa(telemetry.cv_kPa, self._bent_kPa)
                     self._reservoir.update(t, telemetry)
                     if telemetry.faults or telemetry.cv_kPa > self.config.limits.overpressure_kPa:
@@ -167,7 +173,7 @@ class Core:
             peak_kPa=peak_kPa,
             wanted_kPa=max(wanted_kPa, peak_kPa),
             spending_kPa=self._reservoir.spending_kPa(trajectory.rise_kPa),
-            floor_kPa=floor_kPa(self.config.pneumatics, rate_kPa_per_s),
+            floor_kPa=floor_kPa(self._belief.pneumatics, rate_kPa_per_s),
         )
         if trigger.by_person and demand.releases:
             self._clear_faults(t)
@@ -409,6 +415,7 @@ class Core:
             else "none heard"
         )
         altitude_m = self._vehicle.state.altitude_m(t)
+        ambient_kPa = self._vehicle.state.ambient_kPa(t)
         ready = self._firmware.state is fw.SessionState.READY
         return Snapshot(
             t=t,
@@ -431,6 +438,7 @@ class Core:
             cycles=self._reservoir.cycles_left(),
             doing=self._motion.name if self._motion else "vented",
             safe_state=self._safety.reasons,
+            ambient_kPa=math.nan if ambient_kPa is None else ambient_kPa,
         )
 
     # Sending.

@@ -298,6 +298,7 @@ async def fly(out: Path, console: Console, live: bool, rig: TrueRig | None = Non
         world = World(config, autopilot, phlosar, ground)
         server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
         began = asyncio.get_running_loop().time()
+        log.believed(began, config.pneumatics)
         view = LiveView(began, config.limits.max_kPa, config.pneumatics.full_kPa)
 
         def on_action(action: Action) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -84,7 +85,15 @@ class Decision:
     """What the vine is going to (gauge): when refused, where the motion under way goes, or 0."""
 
 
-Action = ToVehicle | ToFirmware | Decision | Notice
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What the firmware said of itself and the pressures, for the log."""
+
+    t: float
+    telemetry: protocol.Telemetry
+
+
+Action = ToVehicle | ToFirmware | Decision | Notice | Measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,3 +121,5 @@ class Snapshot:
     cycles: CyclesLeft | None
     doing: str
     safe_state: dict[str, str] = field(default_factory=dict)
+    ambient_kPa: float = math.nan
+    """Absolute, as the autopilot's barometer has it."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from flying_vines.config import Config
 from flying_vines.events import Action, Decision, VehicleMessage
+from flying_vines.reservoir import Belief
 from flying_vines.simulated_world import SimulatedWorld
 from flying_vines.vehicle.codec import Codec
 from flying_vines.vehicle.mission_item import MissionItem
@@ -18,6 +19,7 @@ def replay(
     mission: Sequence[MissionItem] = (),
     pace: float = 0.0,
     sleep: Callable[[float], None] = time.sleep,
+    belief: Belief | None = None,
 ) -> Iterator[Action]:
     """Everything that the core does about a recording: (unix time in s, frame) in order.
 
@@ -25,7 +27,7 @@ def replay(
     fast, 0 as fast as it goes. A frame whose time lies before its predecessor's is taken at its
     predecessor's.
     """
-    world = SimulatedWorld(config, mission=mission)
+    world = SimulatedWorld(config, mission=mission, belief=belief)
     codec = Codec(config.vehicle.system_id, config.vehicle.component_id)
     began: float | None = None
     started = time.monotonic()

@@ -20,6 +20,7 @@ from flying_vines.events import (
     ToVehicle,
     VehicleMessage,
 )
+from flying_vines.reservoir import Belief
 from flying_vines.vehicle.codec import Codec
 from flying_vines.vehicle.link import open_link
 
@@ -30,8 +31,13 @@ LAST_WORDS_S = 0.3
 class Service:
     """A core between two real links. `on_action` sees every action after it was carried out."""
 
-    def __init__(self, config: Config, on_action: Callable[[Action], None] | None = None) -> None:
-        self.core = Core(config)
+    def __init__(
+        self,
+        config: Config,
+        on_action: Callable[[Action], None] | None = None,
+        belief: Belief | None = None,
+    ) -> None:
+        self.core = Core(config, belief=belief)
         self.link_problems: dict[str, str] = {}
         self._on_action = on_action or (lambda action: None)
         self._mavlink = Codec(config.vehicle.system_id, config.vehicle.component_id)

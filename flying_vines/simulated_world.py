@@ -20,6 +20,7 @@ from flying_vines.events import (
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.fakes.phlosar import SimulatedPhlosar
 from flying_vines.pneumatics.plant.effects import Effects
+from flying_vines.reservoir import Belief
 from flying_vines.vehicle.codec import Codec
 from flying_vines.vehicle.mission_item import MissionItem
 
@@ -30,9 +31,13 @@ class SimulatedWorld:
     """A core whose serial link ends at a simulated phloSAR, in simulated time that starts at 0."""
 
     def __init__(
-        self, config: Config, phlosar: SimulatedPhlosar | None = None, mission: Sequence[MissionItem] = ()
+        self,
+        config: Config,
+        phlosar: SimulatedPhlosar | None = None,
+        mission: Sequence[MissionItem] = (),
+        belief: Belief | None = None,
     ) -> None:
-        self.core = Core(config, mission)
+        self.core = Core(config, mission, belief)
         # The ideal plant, for it is quick; whoever wants another hands it over.
         self.phlosar = phlosar or SimulatedPhlosar(
             effects=Effects(), reservoir_kPa=config.pneumatics.full_kPa

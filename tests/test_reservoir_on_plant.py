@@ -23,7 +23,7 @@ from flying_vines.pneumatics.plant.plant import Plant, at_rest
 from flying_vines.pneumatics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc
 from flying_vines.pneumatics.plant.shape import Compliant, Pouch
 from flying_vines.pneumatics.rig import ControlVolume, Reservoir, Rig
-from flying_vines.reservoir import CyclesLeft, ReservoirEstimate, n_cycles
+from flying_vines.reservoir import CyclesLeft, ReservoirEstimate, n_cycles, nominal
 
 BELIEVED = Pneumatics(reservoir_volume_L=1.0, cv_volume_L=0.25)
 WAIT_S = 8.0
@@ -99,7 +99,7 @@ def told(flown: Flown, seconds: float) -> Iterator[tuple[float, Telemetry]]:
 
 @pytest.mark.parametrize("flown", list(rigs()), ids=["leaking", "compliant", "venturi-and-pouch"])
 def test_what_is_said_early_then_happens(flown: Flown) -> None:
-    estimate = ReservoirEstimate(BELIEVED)
+    estimate = ReservoirEstimate(nominal(BELIEVED))
     said: dict[int, tuple[CyclesLeft, float]] = {}
     best_kPa, missed, cycle = 0.0, 0, 0
     for t, telemetry in told(flown, 700.0):
@@ -131,7 +131,7 @@ def test_on_a_real_bottle_too_a_pause_after_a_burst_changes_little() -> None:
     burst_s = WAIT_S + 10 * 1.9
     tight = replace(likely_effects(pouch=False), reservoir_leak=None)
     flown = Flown(real(0.25, tight), RegulatorSettings(), 1.9, 0.4, burst_s)
-    estimate = ReservoirEstimate(BELIEVED)
+    estimate = ReservoirEstimate(nominal(BELIEVED))
     lowest_kPa = math.inf
     after_burst: CyclesLeft | None = None
     for t, telemetry in told(flown, burst_s + 40.0):

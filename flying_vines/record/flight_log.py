@@ -10,20 +10,23 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TextIO
 
-from flying_vines.events import Action, Decision, Snapshot
+from flying_vines.config import Pneumatics
+from flying_vines.events import Action, Decision, Measured, Snapshot
 from flying_vines.notice import Notice
+from flying_vines.pneumatics.rig import ControlVolume, Dvp, Evp, Reservoir, Rig
 
+NAME = "flight.jsonl"
 FLUSH_S = 0.5
 
 
 class FlightLog:
-    """Writes snapshots, decisions and notices. A disk that fails ends the log, never the flight."""
+    """Writes what happens in a flight. A disk that fails ends the log, never the flight."""
 
     def __init__(self, parent: Path, began: float | None = None) -> None:
         """Raises `OSError` when the folder cannot be made."""
         stamp = time.strftime("%Y-%m-%d_%H-%M-%S", time.localtime(began))
         self.folder = _new_folder(parent, stamp)
-        self.path = self.folder / "flight.jsonl"
+        self.path = self.folder / NAME
         self.failed = ""
         self._file: TextIO | None = self.path.open("w", encoding="utf-8")
         self._flushed_at = -math.inf
@@ -34,6 +37,18 @@ class FlightLog:
             self._write("decision", asdict(action))
         elif isinstance(action, Notice):
             self._write("notice", asdict(action))
+        elif isinstance(action, Measured):
+            self._write("telemetry", {"t": action.t, **asdict(action.telemetry)})
+
+    def believed(self, t: float, numbers: Pneumatics) -> None:
+        """What the rig is believed to be, as the tables of a rig file."""
+        rig = Rig(
+            reservoir=Reservoir(numbers.reservoir_volume_L),
+            cv=ControlVolume(numbers.cv_volume_L),
+            evp=Evp(numbers.evp_flow_resistance_kPa_s_per_SL),
+            dvp=Dvp(numbers.dvp_flow_resistance_kPa_s_per_SL),
+        )
+        self._write("rig", {"t": t, "tables": asdict(rig)})
 
     def snapshot(self, snapshot: Snapshot) -> None:
         self._write("snapshot", asdict(snapshot))
@@ -42,8 +57,8 @@ class FlightLog:
         if self._file is None:
             return
         try:
-            json.dump({"kind": kind, **_finite(fields)}, self._file, separators=(",", ":"))
-            self._file.write("\n")
+            # In one go, for it comes up to a thousand times a second.
+            self._file.write(json.dumps({"kind": kind, **_finite(fields)}, separators=(",", ":")) + "\n")
             if fields["t"] - self._flushed_at > FLUSH_S:
                 self._file.flush()
                 self._flushed_at = fields["t"]

@@ -19,27 +19,19 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from flying_vines.config import Pneumatics
-from flying_vines.pneumatics.paper import ALPHA_KPA, STANDARD_TEMPERATURE_K
+from flying_vines.pneumatics.paper import STANDARD_TEMPERATURE_K
+from flying_vines.reservoir.belief import AMBIENT_KPA, Belief
 
-AMBIENT_KPA = 101.325
 GAMMA = 1.4
+PER_AIR_K = (GAMMA - 1.0) * STANDARD_TEMPERATURE_K
+"""What p V is divided by for the gas's m c_v, in J/K."""
 
 X, GAS, WALL, RISE, FLAT, VENTURI, LEAK, CV_LEAK, WARMTH = range(9)
 """Places in the state, as x, g, w, a, b, v, λ, c, ln h above."""
 SIZE = 9
 
-INNER_W_PER_K = 1.0
-"""hA between the gas of a 2 L bottle and its wall: natural convection, 0.6 to 1.4 W/K."""
-OUTER_W_PER_K = 1.0
-CAPACITY_J_PER_K = 65.0
-"""Of 45 to 70 g of PET."""
-LEAST_RISE = 0.65
-"""Of what a rigid control volume of the believed size takes, the least that any takes."""
-VENTURI_SHARE = 0.7
-VENTURI_SHARE_SD = 0.2
-"""Of its supply valve's flow: the nozzle is in the way as well."""
-WARMTH_SD = 0.4
+LEAST_W_PER_K = 0.1
+"""No bottle is insulated better."""
 MOST_WARMTH = 0.8
 """Either way, in ln h: what no bottle is beyond."""
 
@@ -79,40 +71,34 @@ class Spent(NamedTuple):
     """∫ of the control volume's gauge pressure."""
 
 
-def conductance_SL_per_s_kPa(flow_resistance_kPa_s_per_SL: float, at_kPa: float) -> float:
-    """Of a choked valve, per kPa of absolute supply, that passes at gauge `at_kPa` what Ohm's law gives."""
-    return at_kPa / flow_resistance_kPa_s_per_SL / (at_kPa + AMBIENT_KPA)
+def colder_K(belief: Belief, heat_W: float, supply_kPa_abs: float, warmth: float) -> float:
+    """By how much the gas is colder while it takes so much warmth all the time."""
+    pet = belief.wall
+    gas_J_per_K = supply_kPa_abs * belief.pneumatics.reservoir_volume_L / PER_AIR_K
+    inner_W_per_K = warmth * pet.conductance_W_per_K + gas_J_per_K / pet.time_constant_s
+    colder = heat_W / max(LEAST_W_PER_K, inner_W_per_K)
+    if math.isfinite(pet.capacity_J_per_K):
+        colder += heat_W / max(LEAST_W_PER_K, warmth * pet.outer_conductance_W_per_K)
+    return colder
 
 
 class Bottle:
     """The state, `mean` and `covariance`. Gauge kPa, K, and kPa per kPa, per inflation, per second."""
 
-    def __init__(self, pneumatics: Pneumatics, reading_kPa: float) -> None:
-        self.volume_L = pneumatics.reservoir_volume_L
-        rigid = pneumatics.cv_volume_L / self.volume_L
-        self.pouch_kPa = rigid * AMBIENT_KPA
-        self._least = {RISE: LEAST_RISE * rigid}
-        venturi = (
-            ALPHA_KPA
-            / self.volume_L
-            * conductance_SL_per_s_kPa(pneumatics.dvp_flow_resistance_kPa_s_per_SL, pneumatics.full_kPa)
-        )
-        size = (self.volume_L / 2.0) ** (2.0 / 3.0)
-        self.inner_W_per_K = INNER_W_PER_K * size
-        self.outer_W_per_K = OUTER_W_PER_K * size
-        self._capacity_J_per_K = CAPACITY_J_PER_K * size
+    def __init__(self, belief: Belief, reading_kPa: float) -> None:
+        self._belief = belief
         self._inflated_before = False
         self._odd_ones = 0
         prior = (
             (reading_kPa, 10.0),
             (0.0, FRESH_SD_K),
             (0.0, 0.5),
-            (1.3 * rigid, 0.7 * rigid),
-            (0.3 * self.pouch_kPa, 0.5 * self.pouch_kPa),
-            (VENTURI_SHARE * venturi, VENTURI_SHARE_SD * venturi),
-            (3e-4, 1.5e-3),
-            (0.0, 1.5e-3),
-            (0.0, WARMTH_SD),
+            belief.rise,
+            belief.flat,
+            belief.venturi,
+            belief.leak,
+            belief.cv_leak,
+            (0.0, belief.warmth_sd),
         )
         self.mean = [mean for mean, _ in prior]
         self.covariance = [
@@ -139,17 +125,23 @@ class Bottle:
             spent.held_kPa_s,
         )
         out = sum(rate * amount for rate, amount in zip(m[RISE:WARMTH], per, strict=True))
-        warmth = math.exp(m[WARMTH])
-        gas_J_per_K = p_abs * self.volume_L / ((GAMMA - 1.0) * STANDARD_TEMPERATURE_K)
-        inner = min(0.9, warmth * self.inner_W_per_K * dt / gas_J_per_K)
-        wall = warmth * self.inner_W_per_K * dt / self._capacity_J_per_K
-        outer = warmth * self.outer_W_per_K * dt / self._capacity_J_per_K
-        cooling = (GAMMA - 1.0) * STANDARD_TEMPERATURE_K / p_abs
+        pet, warmth = self._belief.wall, math.exp(m[WARMTH])
+        gas_J_per_K = p_abs * self._belief.pneumatics.reservoir_volume_L / PER_AIR_K
+        learned_J_per_K = warmth * pet.conductance_W_per_K * dt
+        inner_J_per_K = learned_J_per_K + gas_J_per_K * dt / pet.time_constant_s
+        inner = min(0.9, inner_J_per_K / gas_J_per_K)
+        wall = min(0.5, inner_J_per_K / pet.capacity_J_per_K)
+        outer = min(0.5, warmth * pet.outer_conductance_W_per_K * dt / pet.capacity_J_per_K)
+        cooling = PER_AIR_K / p_abs
         apart, below = m[GAS] - m[WALL], m[WALL]
+        learned_K = apart * min(0.9, learned_J_per_K / gas_J_per_K)
         self._spread(
             (1.0 - m[LEAK] * dt, 0.0, 0.0, *(-amount for amount in per), 0.0),
-            (0.0, 1.0 - inner, inner, *(cooling * amount for amount in per), -apart * inner),
-            (0.0, wall, 1.0 - wall - outer, 0.0, 0.0, 0.0, 0.0, 0.0, apart * wall - below * outer),
+            (0.0, 1.0 - inner, inner, *(cooling * amount for amount in per), -learned_K),
+            (
+                *(0.0, wall, 1.0 - wall - outer, 0.0, 0.0, 0.0, 0.0, 0.0),
+                apart * learned_J_per_K / pet.capacity_J_per_K - below * outer,
+            ),
         )
         m[X] -= out
         m[GAS] += cooling * out - apart * inner
@@ -176,7 +168,7 @@ class Bottle:
         odd = (ODD_SHARE * sum(abs(m[RISE + i]) * per[i] for i in range(3))) ** 2
         if spent.rise_kPa and not self._inflated_before:
             # A pouch that has lain flat since it was packed takes air that later inflations may not.
-            odd += (1.2 * self.pouch_kPa) ** 2
+            odd += self._belief.packed_kPa**2
             self._inflated_before = True
         p[X][X] += odd + 1e-4 * spent.time_s
         p[GAS][GAS] += cooling * cooling * odd + 1e-4 * spent.time_s
@@ -226,12 +218,13 @@ class Bottle:
     def possible_mean(self) -> list[float]:
         """The mean, moved along what goes together until nothing gives air back and a rise takes its air."""
         m, p = list(self.mean), self.covariance
+        least = {RISE: self._belief.least_rise}
         for _ in range(3):
             for i in range(RISE, WARMTH):
-                short = self._least.get(i, 0.0) - m[i]
+                short = least.get(i, 0.0) - m[i]
                 if short > 0.0:
                     share = short / p[i][i]
                     m = [value + line[i] * share for value, line in zip(m, p, strict=True)]
         for i in range(RISE, WARMTH):
-            m[i] = max(self._least.get(i, 0.0), m[i])
+            m[i] = max(least.get(i, 0.0), m[i])
         return m

@@ -20,8 +20,8 @@ from typing import NamedTuple
 from firmware_link.protocol import Fault, Telemetry
 from flying_vines.config import Pneumatics
 from flying_vines.pneumatics.paper import STANDARD_TEMPERATURE_K
+from flying_vines.reservoir.belief import AMBIENT_KPA, Belief
 from flying_vines.reservoir.bottle import (
-    AMBIENT_KPA,
     CV_LEAK,
     FLAT,
     LEAK,
@@ -32,7 +32,7 @@ from flying_vines.reservoir.bottle import (
     Bottle,
     Spent,
     X,
-    conductance_SL_per_s_kPa,
+    colder_K,
 )
 from flying_vines.reservoir.flying import TRACE, Flying, Inflation
 from flying_vines.reservoir.supply import Demand, least_supply_kPa
@@ -40,11 +40,11 @@ from flying_vines.reservoir.supply import Demand, least_supply_kPa
 FILTER_S = 0.3
 READING_SD_KPA = 1.3
 """Of one reading: sensor noise and a converter of 10 bits."""
-OFFSET_SD_KPA = 10.0
-"""Of the zero of the reservoir's sensor, and of the ambient pressure that we do not know."""
 REGULATOR_SD = 0.07
 """Of the least absolute supply: how the regulator lives with it."""
 MODEL_SD = 0.02
+UNFLOWN_SD = 0.1
+"""Of a cycle that has not been flown yet: how long it takes, and how the firmware vents it."""
 COUNT_SD = 0.4
 """In cycles: it ends within one."""
 FEWEST = 1e-3
@@ -84,24 +84,28 @@ class CyclesLeft:
 class _Mix:
     """What is flown, per cycle: sums that slowly forget."""
 
-    def __init__(self, pneumatics: Pneumatics) -> None:
-        self._cycle_kPa = pneumatics.cycle_swing_kPa
-        self.cycles = PRIOR_CYCLES
-        time_s = 2.0 * pneumatics.cycle_swing_kPa / pneumatics.cycle_rate_kPa_per_s
-        held = 0.5 * pneumatics.cycle_swing_kPa * time_s
-        # As the paper's formula has it, the Venturi takes what a rigid control volume takes.
-        venturi = conductance_SL_per_s_kPa(pneumatics.dvp_flow_resistance_kPa_s_per_SL, pneumatics.full_kPa)
-        rigid_SL = pneumatics.cv_volume_L * pneumatics.cycle_swing_kPa / AMBIENT_KPA
-        venturi_s = rigid_SL / (venturi * (pneumatics.full_kPa + AMBIENT_KPA))
-        self._sums = [PRIOR_CYCLES * v for v in (time_s, pneumatics.cycle_swing_kPa, 1.0, venturi_s, held)]
-        self._venturi_kPa_s = PRIOR_CYCLES * venturi_s * (pneumatics.full_kPa + AMBIENT_KPA)
+    def __init__(self, belief: Belief) -> None:
+        p = belief.pneumatics
+        self._cycle_kPa = p.cycle_swing_kPa
+        self.cycles = self._believed_cycles = PRIOR_CYCLES
+        time_s = 2.0 * p.cycle_swing_kPa / p.cycle_rate_kPa_per_s
+        held = 0.5 * p.cycle_swing_kPa * time_s
+        cycle = (time_s, belief.cycle_rise_kPa, 1.0, belief.cycle_venturi_s, held)
+        self._sums = [PRIOR_CYCLES * amount for amount in cycle]
+        self._venturi_kPa_s = PRIOR_CYCLES * belief.cycle_venturi_s * (p.full_kPa + AMBIENT_KPA)
 
     def add(self, inflation: Inflation, supply_kPa_abs: float) -> None:
         cycles = inflation.swing_kPa / self._cycle_kPa
         keep = math.exp(-cycles / MEMORY_CYCLES)
         self.cycles = keep * self.cycles + cycles
+        self._believed_cycles *= keep
         self._sums = [keep * a + b for a, b in zip(self._sums, inflation.spent, strict=True)]
         self._venturi_kPa_s = keep * self._venturi_kPa_s + inflation.spent.venturi_s * supply_kPa_abs
+
+    @property
+    def believed_share(self) -> float:
+        """Of what is only believed, and not flown."""
+        return self._believed_cycles / self.cycles
 
     def per_cycle(self) -> Spent:
         return Spent(*(amount / self.cycles for amount in self._sums))
@@ -117,41 +121,42 @@ class _Mix:
 class ReservoirEstimate:
     """Watches telemetry and learns what a cycle costs, what leaks, and where it ends."""
 
-    def __init__(self, pneumatics: Pneumatics) -> None:
-        self._p = pneumatics
+    def __init__(self, belief: Belief) -> None:
+        self._belief = belief
+        self._p = belief.pneumatics
         self._filtered_kPa: float | None = None
         self._t = 0.0
-        self._flying = Flying()
+        self._flying = Flying(belief)
         self.bottle: Bottle | None = None
-        self._demand = Demand(pneumatics)
-        self._mix = _Mix(pneumatics)
+        self._demand = Demand(belief)
+        self._mix = _Mix(belief)
         self._inflations: list[Inflation] = []
-        self._warmed_up = False
+        self._warmed_up = belief.packed_kPa == 0.0
         self._measured_cycles = 0.0
         self._left: CyclesLeft | None = None
         self._left_at = -math.inf
 
     @property
     def reservoir_kPa(self) -> float:
-        """The filtered reading; NaN before the first."""
+        """What the filtered reading means; NaN before the first."""
         return math.nan if self._filtered_kPa is None else self._filtered_kPa
 
     def update(self, t: float, telemetry: Telemetry) -> None:
         """Take in one telemetry message."""
-        reading_kPa = telemetry.reservoir_kPa
-        believed = math.isfinite(reading_kPa) and not telemetry.faults & Fault.RESERVOIR_SENSOR
-        if believed:
+        reservoir_kPa: float | None = None
+        if math.isfinite(telemetry.reservoir_kPa) and not telemetry.faults & Fault.RESERVOIR_SENSOR:
+            reservoir_kPa = self._belief.reservoir_kPa(telemetry.reservoir_kPa)
             if self._filtered_kPa is None:
-                self._filtered_kPa = reading_kPa
+                self._filtered_kPa = reservoir_kPa
             weight = 1.0 - math.exp(-max(0.0, t - self._t) / FILTER_S)
-            self._filtered_kPa += weight * (reading_kPa - self._filtered_kPa)
+            self._filtered_kPa += weight * (reservoir_kPa - self._filtered_kPa)
             self._t = t
         if self._filtered_kPa is None or not math.isfinite(telemetry.cv_kPa):
             return
         flying = self._flying
-        flying.take(t, telemetry, self._filtered_kPa, believed)
+        flying.take(t, telemetry, self._filtered_kPa, reservoir_kPa)
         if flying.reading_kPa is not None and self.bottle is None:
-            self.bottle = Bottle(self._p, flying.reading_kPa)
+            self.bottle = Bottle(self._belief, flying.reading_kPa)
         if self.bottle is None:
             return
         if flying.block is not None:
@@ -180,7 +185,7 @@ class ReservoirEstimate:
         """What raising the CV by `rise_kPa` in all will take from the reservoir, expected."""
         if self.bottle is None:
             return 2.0 * self._p.cv_volume_L * rise_kPa / self._p.reservoir_volume_L
-        return _Forecast(self._p, self._mix, self.bottle.possible_mean(), 0.0).cost_kPa() * (
+        return _Forecast(self._belief, self._mix, self.bottle.possible_mean(), 0.0).cost_kPa() * (
             rise_kPa / self._p.cycle_swing_kPa
         )
 
@@ -194,7 +199,7 @@ class ReservoirEstimate:
     def _predict(self, bottle: Bottle) -> CyclesLeft:
         mean = bottle.possible_mean()
         floor = self._floor(mean)
-        forecast = _Forecast(self._p, self._mix, mean, floor.kPa)
+        forecast = _Forecast(self._belief, self._mix, mean, floor.kPa)
         expected = forecast.cycles()
         spread = math.exp(Z90 * math.sqrt(self._variance(bottle, mean, floor, expected)))
         return CyclesLeft(
@@ -212,14 +217,14 @@ class ReservoirEstimate:
         kappa = math.exp(self._demand.ln)
         worst = max(inflations, key=lambda i: self._air_kPa(mean, i) / i.given_s)
         air = self._air_kPa(mean, worst)
-        kPa = least_supply_kPa(worst, air, kappa * air)
+        kPa = least_supply_kPa(self._belief, worst, air, kappa * air)
         if worst.spent.venturi_s > VENTURI_USED_S and kPa < self._p.venturi_least_supply_kPa:
             air = mean[RISE] * worst.swing_kPa + FLAT_KEPT * mean[FLAT] * worst.spent.flat
-            kPa = least_supply_kPa(worst, air, kappa * air)
+            kPa = least_supply_kPa(self._belief, worst, air, kappa * air)
         # What was done with less is proof.
         proven = [i.supply_kPa_abs for i in inflations if i.reached and i.as_hard_as(worst)]
         kPa = min([kPa, *(supply - AMBIENT_KPA for supply in proven)])
-        more_kPa = least_supply_kPa(worst, air * 1.1, kappa * air * 1.1)
+        more_kPa = least_supply_kPa(self._belief, worst, air * 1.1, kappa * air * 1.1)
         return _Floor(kPa, (more_kPa - kPa) / math.log(1.1), worst, air)
 
     def _variance(self, bottle: Bottle, mean: Sequence[float], floor: _Floor, expected: float) -> float:
@@ -229,17 +234,18 @@ class ReservoirEstimate:
             slopes[i] * slopes[k] * bottle.covariance[i][k] for i in range(SIZE) for k in range(SIZE)
         )
         floor_sd = math.hypot(
-            OFFSET_SD_KPA,
+            self._belief.zero_sd_kPa,
             REGULATOR_SD * (floor.kPa + AMBIENT_KPA),
             floor.kPa_per_ln * math.sqrt(self._demand.variance),
         )
         for otherwise in (
-            _Forecast(self._p, self._mix, mean, floor.kPa + floor_sd),
-            _Forecast(self._p, self._mix, mean, floor.kPa, trend=VENTURI_TREND + VENTURI_TREND_SD),
-            _Forecast(self._p, self._mix, mean, floor.kPa, kept=0.0),
+            _Forecast(self._belief, self._mix, mean, floor.kPa + floor_sd),
+            _Forecast(self._belief, self._mix, mean, floor.kPa, trend=VENTURI_TREND + VENTURI_TREND_SD),
+            _Forecast(self._belief, self._mix, mean, floor.kPa, kept=0.0),
         ):
             variance += math.log(otherwise.cycles() / expected) ** 2
-        return variance + MODEL_SD**2 + (COUNT_SD / max(COUNT_SD, expected)) ** 2
+        unflown = UNFLOWN_SD * self._mix.believed_share
+        return variance + unflown**2 + MODEL_SD**2 + (COUNT_SD / max(COUNT_SD, expected)) ** 2
 
     def _slope(self, bottle: Bottle, mean: Sequence[float], floor: _Floor, i: int) -> float:
         """d ln n / d of one of the bottle's states."""
@@ -253,7 +259,7 @@ class ReservoirEstimate:
             kPa = floor.kPa
             if i in (RISE, FLAT) and floor.air_kPa > 0.0:
                 kPa += floor.kPa_per_ln * (self._air_kPa(moved, floor.worst) / floor.air_kPa - 1.0)
-            ends.append((moved[i], math.log(_Forecast(self._p, self._mix, moved, kPa).cycles())))
+            ends.append((moved[i], math.log(_Forecast(self._belief, self._mix, moved, kPa).cycles())))
         (a, ln_a), (b, ln_b) = ends
         return (ln_b - ln_a) / (b - a) if b > a else 0.0
 
@@ -309,14 +315,15 @@ class _Forecast:
 
     def __init__(
         self,
-        p: Pneumatics,
+        belief: Belief,
         mix: _Mix,
         mean: Sequence[float],
         floor_kPa: float,
         trend: float = VENTURI_TREND,
         kept: float = FLAT_KEPT,
     ) -> None:
-        cycle = mix.per_cycle()
+        cycle, p = mix.per_cycle(), belief.pneumatics
+        self._belief = belief
         self._x = mean[X]
         self._floor = floor_kPa
         self._time_s = cycle.time_s
@@ -340,8 +347,8 @@ class _Forecast:
         end = self._floor
         # The gas is as cold then as the flying makes it.
         heat_W = self._volume_L * self._without.at(end) / max(0.1, self._time_s)
-        size = (self._volume_L / 2.0) ** (2.0 / 3.0)
-        end += (end + AMBIENT_KPA) / STANDARD_TEMPERATURE_K * 2.0 * heat_W / (size * self._warmth)
+        colder = colder_K(self._belief, heat_W, end + AMBIENT_KPA, self._warmth)
+        end += (end + AMBIENT_KPA) / STANDARD_TEMPERATURE_K * colder
         if self._x <= end:
             return FEWEST
         stops = min(max(self._venturi_stops, end), self._x)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from firmware_link.protocol import Telemetry
-from flying_vines.reservoir.bottle import AMBIENT_KPA, Spent
+from firmware_link.protocol import Mode, Telemetry
+from flying_vines.pneumatics.plant.flow import Opening, choked_share
+from flying_vines.reservoir.belief import AMBIENT_KPA, Belief
+from flying_vines.reservoir.bottle import Spent
 
 BLOCK_S = 0.1
 """What a reading of the bottle is averaged over."""
@@ -25,8 +27,6 @@ SHORTEST_S = 0.01
 """Of an inflation; a clock that steps back would make it none."""
 LONGEST_GAP_S = 0.5
 """Longer without telemetry, and nobody knows what the valves did."""
-DEAD_OPENING = 0.3
-"""Up to where a proportional valve stays shut, nominally."""
 WIDE_OPEN = 0.95
 TRACE = 24
 """Setpoints that are kept of an inflation."""
@@ -39,6 +39,15 @@ def tolerance_kPa(swing_kPa: float) -> float:
     return max(1.5, 0.1 * swing_kPa)
 
 
+def driving_kPa(law: Opening, supply_kPa_abs: float, downstream_kPa_abs: float) -> float:
+    """What the conductance of a valve is multiplied with for its flow, inwards and at ambient temperature."""
+    if downstream_kPa_abs >= supply_kPa_abs:
+        return 0.0
+    if law.ohmic:
+        return supply_kPa_abs - downstream_kPa_abs
+    return supply_kPa_abs * choked_share(law, supply_kPa_abs, downstream_kPa_abs)
+
+
 @dataclass(frozen=True, slots=True)
 class Inflation:
     """One rise of the setpoint, and all that went on until the next one began. Gauge kPa."""
@@ -48,7 +57,7 @@ class Inflation:
     given_s: float
     """From the start of the rise until the setpoint leaves the top again."""
     valve_kPa_s: float
-    """∫ absolute supply · effective opening until it was there, with a nominal dead zone."""
+    """∫ driving pressure · effective opening until it was there."""
     partly: float
     """The share of that for which the valve was not wide open."""
     supply_kPa_abs: float
@@ -69,7 +78,9 @@ class Inflation:
 class Flying:
     """Follows telemetry. After `take`, what has become complete is in `block`, `reading_kPa`, `inflation`."""
 
-    def __init__(self) -> None:
+    def __init__(self, belief: Belief) -> None:
+        self._evp_law = belief.evp_law.numbers()
+        self._dead_opening = belief.dead_opening
         self.block: Spent | None = None
         self.unseen_s = 0.0
         """Of the block."""
@@ -86,19 +97,19 @@ class Flying:
         self._rested_s = 0.0
         self._low = self._from = self._top = 0.0
         self._low_at = 0.0
-        self._rising = False
+        self._rising = self._regulating = False
         self._began_at: float | None = None
         self._valve_kPa_s = self._partly_kPa_s = 0.0
         self._begin_block()
         self._begin_inflation()
 
-    def take(self, t: float, telemetry: Telemetry, supply_kPa: float, believed: bool) -> None:
+    def take(self, t: float, telemetry: Telemetry, supply_kPa: float, reservoir_kPa: float | None) -> None:
         """One telemetry message.
 
         Args:
             t: when it came, s.
             supply_kPa: the reservoir's gauge pressure, filtered.
-            believed: whether the message's own reading of it may be used.
+            reservoir_kPa: as this message has it; None if it is not to be believed.
         """
         self.block = self.reading_kPa = self.inflation = None
         if self._t is None:
@@ -120,8 +131,8 @@ class Flying:
             sums[2] += flat
             sums[3] += venturi_s
             sums[4] += held
-        if believed:
-            self._sum_kPa += telemetry.reservoir_kPa
+        if reservoir_kPa is not None:
+            self._sum_kPa += reservoir_kPa
             self._count += 1
         if self._block[0] >= BLOCK_S - 1e-6:
             self._end_block()
@@ -147,7 +158,7 @@ class Flying:
         busy = (
             telemetry.dvp_opening > 0.0
             or telemetry.evp_opening > WORKING_OPENING
-            or setpoint > self._cv + NEAR_KPA
+            or setpoint > max(0.0, self._cv + NEAR_KPA)
             or setpoint > self._setpoint + 1e-3
         )
         self._setpoint = setpoint
@@ -180,6 +191,11 @@ class Flying:
 
     def _follow_setpoint(self, t: float, dt: float, telemetry: Telemetry, supply_kPa: float) -> None:
         setpoint = telemetry.setpoint_kPa
+        regulating = telemetry.mode is Mode.REGULATE
+        if regulating and not self._regulating and not self._rising:
+            # It begins with what is measured: up to there nobody asked for a rise.
+            self._low, self._low_at = setpoint, t
+        self._regulating = regulating
         if not self._rising:
             if setpoint <= self._low + 1e-3:
                 self._low, self._low_at = min(self._low, setpoint), t
@@ -199,8 +215,10 @@ class Flying:
             self._low, self._low_at = setpoint, t
             return
         opening = telemetry.evp_opening
-        effective = max(0.0, (opening - DEAD_OPENING) / (1.0 - DEAD_OPENING))
-        amount = (supply_kPa + AMBIENT_KPA) * effective * dt
+        effective = max(0.0, (opening - self._dead_opening) / (1.0 - self._dead_opening))
+        amount = effective * dt
+        if amount > 0.0:
+            amount *= driving_kPa(self._evp_law, supply_kPa + AMBIENT_KPA, AMBIENT_KPA + self._cv)
         self._valve_kPa_s += amount
         if opening < WIDE_OPEN:
             self._partly_kPa_s += amount

@@ -79,6 +79,8 @@ class VehicleState:
         self._clock_at = 0.0
         self._altitude_m = 0.0
         self._altitude_at: float | None = None
+        self._ambient_kPa = 0.0
+        self._ambient_at: float | None = None
         self.system_id = 0
         self.kind = "unknown"
         self.armed = False
@@ -94,6 +96,12 @@ class VehicleState:
         if self._altitude_at is None or t - self._altitude_at > ALTITUDE_FRESH_S:
             return None
         return self._altitude_m
+
+    def ambient_kPa(self, t: float) -> float | None:
+        """What the barometer reads (absolute), or None when the autopilot has not said it lately."""
+        if self._ambient_at is None or t - self._ambient_at > ALTITUDE_FRESH_S:
+            return None
+        return self._ambient_kPa
 
     def time_boot_ms(self, t: float) -> int:
         """Our time `t` on the autopilot's clock; 0 before that clock is known."""
@@ -128,6 +136,9 @@ class VehicleState:
             self._altitude_m = message.relative_alt / 1000.0
             self._altitude_at = t
             events.extend(self._clock(t, message.time_boot_ms))
+        elif kind == "SCALED_PRESSURE":
+            self._ambient_kPa = message.press_abs / 10.0
+            self._ambient_at = t
         elif kind in ("SYSTEM_TIME", "ATTITUDE"):
             events.extend(self._clock(t, message.time_boot_ms))
         elif (

@@ -11,7 +11,8 @@
     kind = "iso6358"
     sonic_conductance_SL_per_s_kPa = 4.95e-4
 
-Without `[causes]` and `[effects]` it is a plain rig file, and the believed numbers are all there is.
+Without `[causes]` and `[effects]` it is a plain rig file, and the believed numbers are all there is. An empty
+`[causes]` says that somebody has looked, and found none.
 """
 
 from __future__ import annotations
@@ -58,6 +59,13 @@ class TrueRig:
     likely: bool = False
     without: tuple[str, ...] = ()
     """Likely effects that are not there."""
+    none_found: bool = False
+    """There are no causes because none was found, and not because nobody has looked."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether this says what is really there, and not only what is believed."""
+        return bool(self.causes or self.likely or self.none_found or self.effects != Effects())
 
     def __post_init__(self) -> None:
         # What cannot be made is found out here.
@@ -119,6 +127,7 @@ def true_rig_from(content: Mapping[str, Any]) -> TrueRig:
         effects=_checked_effects({name: _effect(name, value) for name, value in effects.items()}),
         likely=likely,
         without=tuple(without),
+        none_found=content.get("causes") == {},
     )
 
 
@@ -128,6 +137,8 @@ def true_rig_text(rig: TrueRig) -> str:
         (name, value) for name, value in asdict(rig.believed).items() if value is not None and value != {}
     ]
     tables += [(f"causes.{name}", dict(parameters)) for name, parameters in rig.causes.items()]
+    if rig.none_found:
+        tables.append(("causes", {}))
     if rig.likely:
         tables.append(("effects", {"likely": True, **({"without": rig.without} if rig.without else {})}))
     for name, kinds in _EFFECTS.items():

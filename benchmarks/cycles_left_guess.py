@@ -1,0 +1,42 @@
+"""What was said of the cycles left at one moment, what then happened, and how near that is over many rigs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import fmean, median
+
+from flying_vines.reservoir import CyclesLeft
+
+
+@dataclass(frozen=True)
+class Guess:
+    """What was said at one moment, and what then happened."""
+
+    truth: float
+    estimate: CyclesLeft
+    formula: float
+
+    @property
+    def error(self) -> float:
+        return self.estimate.expected / self.truth - 1.0
+
+    @property
+    def formula_error(self) -> float:
+        return self.formula / self.truth - 1.0
+
+    @property
+    def held(self) -> bool:
+        return self.estimate.low <= self.truth <= self.estimate.high
+
+
+def quantity(guesses: Sequence[Guess], errors: Sequence[float]) -> list[str]:
+    """The numbers of one row: errors relative to the truth."""
+    sizes = [abs(error) for error in errors]
+    return [
+        str(len(guesses)),
+        f"{median(sizes):.1%}",
+        f"{median(errors):+.1%}",
+        f"{fmean(size <= 0.15 for size in sizes):.1%}",
+        f"{fmean(size <= 0.07 for size in sizes):.1%}",
+    ]
