@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from flying_vines.events import Action
+    from flying_vines.reservoir.calibration import Calibration
 
 BAD_INPUT = 2
 FLIGHTS = Path("flights")
@@ -73,6 +74,19 @@ def _files(where: Path | None, *kinds: type[Exception]) -> Iterator[None]:
         _fail(f"{error.filename or where}: {error.strerror}")
 
 
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    """A bar on the terminal while something long works, which tells it what it does and how far it is."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}")
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("reading", total=1.0)
+        yield lambda step, share: bar.update(task, description=step, completed=share)
+
+
 def _show_found(
     as_json: bool,
     found: Callable[[], dict[str, Any]],
@@ -104,6 +118,7 @@ def _parser() -> argparse.ArgumentParser:
 
     run = commands.add_parser("run", help="serve a vehicle and a phloSAR")
     run.add_argument("--config", type=Path, required=True, metavar="FILE", help="the profile")
+    run.add_argument("--rig", type=Path, metavar="RIG.toml", help="what is known (default: the profile's)")
     run.add_argument("--out", type=Path, default=FLIGHTS, help="where the flight log goes (flights)")
     run.add_argument("--plain", action="store_true", help="one line an event instead of the live view")
     run.set_defaults(run=_run)
@@ -128,6 +143,7 @@ def _parser() -> argparse.ArgumentParser:
 
     paper = commands.add_parser("paper", help="reproduce the phloSAR paper: its every number beside ours")
     paper.add_argument("--out", type=Path, metavar="DIR", help="draw the figures there")
+    paper.add_argument("--diagnose", action="store_true", help="why its measurements depart from its model")
     paper.add_argument("--json", action="store_true", help="one object instead of a table")
     paper.set_defaults(run=_paper)
 
@@ -139,9 +155,26 @@ def _parser() -> argparse.ArgumentParser:
     simulate.set_defaults(run=_simulate)
 
     diagnose = commands.add_parser("diagnose", help="what the simulation gets wrong about a recorded rig")
-    diagnose.add_argument("case", type=Path, metavar="CASE", help="a folder with rig.toml and runs, or a run")
-    diagnose.add_argument("--rig", type=Path, metavar="RIG.toml", help="(default: the folder's rig.toml)")
+    diagnose.add_argument(
+        "case",
+        type=Path,
+        nargs="*",
+        metavar="CASE",
+        help="a folder with rig.toml and runs, a run, or a flight",
+    )
+    diagnose.add_argument("--from-log", type=Path, metavar="LOG", help="a flight log, or a flight's folder")
+    diagnose.add_argument("--rig", type=Path, metavar="RIG.toml", help="(default: what the case says)")
+    diagnose.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that diagnoses the cases")
     diagnose.add_argument("--write-rig", type=Path, metavar="FILE", help="the rig with the cause in it")
+    diagnose.add_argument("--plan", action="store_true", help="CASE is a rig.toml: which runs to record")
+    diagnose.add_argument("--minutes", type=float, metavar="M", help="of a plan's recording (3)")
+    diagnose.add_argument(
+        "--air-SL", type=float, metavar="N", dest="air_SL", help="for a plan (a filling of the reservoir)"
+    )
+    diagnose.add_argument(
+        "--most-kPa", type=float, metavar="P", dest="most_kPa", help="to which a plan inflates (20.7)"
+    )
+    diagnose.add_argument("--out", type=Path, metavar="DIR", help="write a report there, or a plan's files")
     diagnose.add_argument("--json", action="store_true", help="one object instead of words")
     diagnose.set_defaults(run=_diagnose)
 
@@ -186,6 +219,9 @@ def _parser() -> argparse.ArgumentParser:
     phlosar.add_argument(
         "--rig", type=Path, metavar="RIG.toml", help="what is there (default: a likely vine)"
     )
+    phlosar.add_argument(
+        "--telemetry-Hz", type=int, default=100, dest="telemetry_Hz", help="1000 for a diagnosis (100)"
+    )
     phlosar.set_defaults(run=_fake_phlosar)
     return parser
 
@@ -216,10 +252,23 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     config = configuration.load(arguments.config)
-    return asyncio.run(_serve(config, arguments))
+    return asyncio.run(_serve(config, _known(config, arguments.config, arguments.rig), arguments))
 
 
-async def _serve(config: Config, arguments: argparse.Namespace) -> int:
+def _known(config: Config, profile: Path | None, rig: Path | None = None) -> Calibration | None:
+    """What the rig file says that is given, or that the profile names; paths in it start from where it is."""
+    if rig is None and profile and config.pneumatics.rig:
+        rig = profile.parent / config.pneumatics.rig
+    if rig is None:
+        return None
+    from flying_vines.pneumatics.rig import RigError
+    from flying_vines.reservoir.calibration import load_calibration
+
+    with _files(rig, RigError):
+        return load_calibration(rig, config.pneumatics)
+
+
+async def _serve(config: Config, known: Calibration | None, arguments: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.live import Live
 
@@ -233,6 +282,7 @@ async def _serve(config: Config, arguments: argparse.Namespace) -> int:
         _fail(f"{arguments.out}: no flight log can be written there: {error.strerror}")
     console = Console()
     loop = asyncio.get_running_loop()
+    log.believed(loop.time(), known.belief.pneumatics if known else config.pneumatics)
     view = LiveView(loop.time(), config.limits.max_kPa, config.pneumatics.full_kPa)
     live = console.is_terminal and not arguments.plain
     show = view.take if live else plain_printer(console, loop.time())
@@ -241,13 +291,15 @@ async def _serve(config: Config, arguments: argparse.Namespace) -> int:
         log.action(action)
         show(action)
 
-    service = Service(config, on_action)
+    service = Service(config, on_action, known.belief if known else None)
     # What was imported lives as long as we do; the collector need not walk it in flight.
     gc.collect()
     gc.freeze()
     for name in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(name, service.stop)
     console.print(f"Vehicle {config.vehicle.link}, phloSAR {config.firmware.link}, log {log.path}")
+    if known:
+        console.print(f"Rig {known.path}: {known.said}", highlight=False, soft_wrap=True)
     serving = asyncio.create_task(service.run())
     screen = Live(console=console, refresh_per_second=5, screen=True) if live else None
     problems: dict[str, str] = {}
@@ -281,12 +333,14 @@ def _replay(arguments: argparse.Namespace) -> int:
     from flying_vines.vehicle.tlog import TlogError, TlogReader
 
     config = configuration.load(arguments.config) if arguments.config else configuration.default()
+    known = _known(config, arguments.config)
     mission = _mission(arguments.mission)
     if not arguments.pace >= 0.0:
         _fail("--pace must not be below 0")
     try:
         reader = TlogReader(arguments.tlog)
-        actions = replay(reader.frames(), config, mission, arguments.pace)
+        belief = known.belief if known else None
+        actions = replay(reader.frames(), config, mission, arguments.pace, belief=belief)
         show = _shower(live=arguments.pace > 0.0 and not arguments.json)
         decisions: list[Decision] = []
         for action in actions:
@@ -337,38 +391,117 @@ def _config_init(arguments: argparse.Namespace) -> int:
 
 def _config_check(arguments: argparse.Namespace) -> int:
     config = configuration.load(arguments.file)
+    known = _known(config, arguments.file)
     print(
         f"{arguments.file}: good. Switch on channel {config.switch.channel}, {len(config.profiles)} "
         f"profiles, {len(config.items)} item rules, up to {config.limits.max_kPa:g} kPa."
     )
+    if known:
+        print(f"{known.path}: good. {known.said[0].upper()}{known.said[1:]}.")
     return 0
 
 
 def _diagnose(arguments: argparse.Namespace) -> int:
+    if arguments.plan:
+        return _plan(arguments)
+    for option in _OF_A_PLAN:
+        if getattr(arguments, option) is not None:
+            _fail(f"--{option.replace('_', '-')} belongs to --plan")
+    if len(arguments.case) + (arguments.from_log is not None) != 1 or arguments.scheduler:
+        return _diagnose_all(arguments)
     with _analysis():
-        from flying_vines.discrepancy.case import CaseError, read_case
+        from flying_vines.discrepancy.case import CaseError
         from flying_vines.discrepancy.diagnose import diagnose
         from flying_vines.discrepancy.extended import extended_rig
+        from flying_vines.discrepancy.from_log import read_flight
+        from flying_vines.discrepancy.many import read_any
         from flying_vines.discrepancy.show import show
         from flying_vines.pneumatics.plant.true_rig import true_rig_text
         from flying_vines.pneumatics.rig import RigError
+
+        if arguments.out:
+            from flying_vines.discrepancy.report import write_report
     from rich.console import Console
 
     with _files(arguments.write_rig, CaseError, RigError):
-        case = read_case(arguments.case, arguments.rig)
-        with _analysis(), Console(stderr=True).status("reading") as status:
-            verdict = diagnose(case, progress=status.update)
+        if arguments.from_log:
+            case = read_flight(arguments.from_log, arguments.rig)
+        else:
+            case = read_any(arguments.case[0], arguments.rig)
+        if arguments.out:
+            # Not only after all the work is it said that there can be no report.
+            arguments.out.mkdir(parents=True, exist_ok=True)
+        with _analysis(), _progress() as progress:
+            verdict = diagnose(case, progress=progress)
         if arguments.write_rig:
             arguments.write_rig.write_text(true_rig_text(extended_rig(case.rig, verdict)), encoding="utf-8")
+        files = write_report(verdict, case, arguments.out) if arguments.out else []
     if arguments.json:
         print(json.dumps(verdict.as_json(), allow_nan=False))
-    else:
-        show(verdict, Console())
+        return 0
+    console = Console()
+    show(verdict, console)
+    for path in files:
+        console.print(f"Written  {path}", highlight=False, soft_wrap=True)
     return 0
+
+
+_OF_A_PLAN = ("minutes", "air_SL", "most_kPa")
+
+
+def _plan(arguments: argparse.Namespace) -> int:
+    for option in ("from_log", "rig", "scheduler", "write_rig"):
+        if getattr(arguments, option) is not None:
+            _fail(f"--{option.replace('_', '-')} does not go with --plan")
+    if len(arguments.case) != 1:
+        _fail("--plan needs one CASE, the rig.toml of the believed rig")
+    with _analysis():
+        from flying_vines.discrepancy.plan import PlanError, plan
+        from flying_vines.discrepancy.plan.picture import figures
+        from flying_vines.discrepancy.plan.show import show
+        from flying_vines.discrepancy.plan.write import write_plan
+        from flying_vines.pneumatics.rig import RigError, load_rig
+        from flying_vines.record.style import save
+
+    folder: Path | None = arguments.out
+    limits = {name: getattr(arguments, name) for name in _OF_A_PLAN}
+    with _files(folder, PlanError, RigError):
+        rig = load_rig(arguments.case[0])
+        with _analysis(), _progress() as progress:
+            found = plan(rig, **{k: v for k, v in limits.items() if v is not None}, progress=progress)
+        files = write_plan(found, folder) if folder else []
+        drawn = save(figures(found), folder, "plan") if folder else []
+
+    def shown(console: Console) -> None:
+        show(found, console)
+        for path in files:
+            console.print(f"Written  {path}", highlight=False, soft_wrap=True)
+
+    written = {"files": [str(path) for path in files]}
+    return _show_found(arguments.json, lambda: {**found.as_json(), **written}, shown, drawn)
+
+
+def _diagnose_all(arguments: argparse.Namespace) -> int:
+    for option in ("from_log", "write_rig", "out"):
+        if getattr(arguments, option) is not None:
+            _fail(f"--{option.replace('_', '-')} is for one case, on this machine")
+    if not arguments.case:
+        _fail("diagnose needs a CASE, or a flight log: --from-log LOG")
+    with _analysis():
+        from flying_vines.discrepancy.many import ClusterError, diagnose_all
+        from flying_vines.discrepancy.show_many import show_all
+    from rich.console import Console
+
+    outcomes = diagnose_all(arguments.case, scheduler=arguments.scheduler, rig=arguments.rig)
+    with _files(arguments.case[0], ClusterError):
+        every = show_all(outcomes, len(arguments.case), arguments.json, Console())
+    return 0 if every else BAD_INPUT
 
 
 def _paper(arguments: argparse.Namespace) -> int:
     folder: Path | None = arguments.out
+    if arguments.diagnose:
+        return _paper_diagnosis(folder, arguments.json)
     with _analysis():
         from flying_vines.paper import as_json, compare
 
@@ -386,6 +519,27 @@ def _paper(arguments: argparse.Namespace) -> int:
         lambda: as_json(comparison),
         lambda console: show(comparison.rows, comparison.findings, console),
         figures,
+    )
+
+
+def _paper_diagnosis(folder: Path | None, json_wanted: bool) -> int:
+    from rich.console import Console
+
+    with _analysis():
+        from flying_vines.paper.diagnosis import diagnose_paper
+        from flying_vines.paper.diagnosis.show import show
+        from flying_vines.paper.diagnosis.verdict import as_json
+
+        if folder:
+            from flying_vines.paper.diagnosis.figures import draw
+    with _analysis(), _files(folder):
+        if folder:
+            folder.mkdir(parents=True, exist_ok=True)
+        with Console(stderr=True).status("reading") as status:
+            diagnosis = diagnose_paper(status.update)
+        figures = draw(diagnosis, folder) if folder else []
+    return _show_found(
+        json_wanted, lambda: as_json(diagnosis), lambda console: show(diagnosis, console), figures
     )
 
 
@@ -531,13 +685,17 @@ def _fake_autopilot(arguments: argparse.Namespace) -> int:
 
 
 def _fake_phlosar(arguments: argparse.Namespace) -> int:
+    from flying_vines.fakes.firmware import FirmwareSettings
     from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
     from flying_vines.pneumatics.plant.true_rig import load_true_rig
     from flying_vines.pneumatics.rig import RigError
 
+    if not 1 <= arguments.telemetry_Hz <= 1000:
+        _fail("--telemetry-Hz is from 1 to 1000")
     try:
         rig = load_true_rig(arguments.rig) if arguments.rig else None
-        phlosar = SimulatedPhlosar(rig, reservoir_kPa=arguments.reservoir_kPa)
+        settings = FirmwareSettings(telemetry_Hz=arguments.telemetry_Hz)
+        phlosar = SimulatedPhlosar(rig, settings, reservoir_kPa=arguments.reservoir_kPa)
         with PtyPhlosar(phlosar, arguments.link) as port:
             print(arguments.link or port.path, flush=True)
             asyncio.run(port.run())

@@ -57,6 +57,15 @@ class Parameter:
         """What the fit moves."""
         return float(np.log(value)) if self.logarithmic else value
 
+    @property
+    def range(self) -> float:
+        """Of what the fit moves."""
+        return self.inner(self.high) - self.inner(self.low)
+
+    def share(self, value: float) -> float:
+        """How far along its range a value is, 0…1."""
+        return (self.inner(value) - self.inner(self.low)) / self.range if self.range > 0.0 else 0.5
+
     def surprise(self, inner: float) -> float:
         """How far from typical a value is: squared, in standard deviations."""
         if self.typical is None:

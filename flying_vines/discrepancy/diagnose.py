@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from math import exp
+from math import exp, isfinite, sqrt
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -12,13 +12,15 @@ from threadpoolctl import threadpool_limits
 from flying_vines.discrepancy.case import Case
 from flying_vines.discrepancy.cause import Cause
 from flying_vines.discrepancy.causes import catalogue
+from flying_vines.discrepancy.evidence import evidence
 from flying_vines.discrepancy.fit import Problem
-from flying_vines.discrepancy.held_out import held_out
-from flying_vines.discrepancy.intervals import profile
+from flying_vines.discrepancy.held_out import Split, held_out, splits_for, unseen_error
+from flying_vines.discrepancy.intervals import Profile, profile
 from flying_vines.discrepancy.noise import noise_kPa
-from flying_vines.discrepancy.search import CLAIM, Candidate, Found, Search
+from flying_vines.discrepancy.plan import recommend
+from flying_vines.discrepancy.search import CLAIM, Candidate, Found, Progress, Search, silent
 from flying_vines.discrepancy.simulate import BELIEVED
-from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED, Estimate, Named, Ranked, Verdict
+from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED, Estimate, Named, Tried, Verdict
 
 ALIKE = 9.2
 """A candidate whose evidence is within a factor of 100 of the best cannot be told apart from it."""
@@ -28,32 +30,31 @@ _SURPRISE = 0.02
 """How often, before any data, something is there that the catalogue does not hold, and looks like noise."""
 _SURPRISE_UNEXPLAINED = 0.1
 """How often what is left after all is a cause of the catalogue after all, that no fit has found."""
-Progress = Callable[[str], None]
+_SCORED = 5
+"""So many of the best candidates are held against unseen data."""
+_ON_BOUND = 1e-6
+"""Of a parameter's range."""
 
 
-def diagnose(
-    case: Case, causes: Sequence[Cause] | None = None, progress: Progress = lambda step: None
-) -> Verdict:
+def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progress = silent) -> Verdict:
     """Where the baseline simulation departs from a rig's data, why, and what the cause is worth.
 
     Args:
         case: the recorded runs and the believed rig.
         causes: to be considered; the whole catalogue if not given.
-        progress: is told what is being done.
+        progress: is told what is being done, and which share of all is done.
     """
     every = catalogue() if causes is None else causes
     # The fits themselves run on all cores; small matrices on several more would only wait for each other.
     with threadpool_limits(1):
-        progress("baseline")
         sensors = case.rig.sensors
         stated = (sensors.cv_noise_std_kPa or LEAST_KPA, sensors.reservoir_noise_std_kPa or LEAST_KPA)
         found = Search(Problem(case, stated), every).best(progress)
         noise = _noise_left(found.chosen)
         if noise != stated:
-            progress("again, with the noise that the data have")
+            progress("again, with the noise that the data have", 0.0)
             found = Search(Problem(case, noise), every).best(progress)
-        progress("held-out runs")
-        return _verdict(found.search.problem, found)
+        return _verdict(found, progress)
 
 
 def _noise_left(chosen: Candidate) -> tuple[float, float]:
@@ -69,8 +70,16 @@ def _noise_left(chosen: Candidate) -> tuple[float, float]:
     return found[0], found[1]
 
 
-def _verdict(problem: Problem, found: Found) -> Verdict:
-    chosen = found.chosen
+def _verdict(found: Found, progress: Progress) -> Verdict:
+    chosen, problem = found.chosen, found.chosen.problem
+    progress("intervals", 0.85)
+    profiles = [
+        profile(chosen, index, number)
+        for index, cause in enumerate(chosen.causes)
+        for number in range(len(cause.parameters))
+    ]
+    progress("unseen data", 0.9)
+    splits = splits_for(problem, chosen.fit.point, profiles)
     left = None if chosen.adequate else chosen.patterns[0]
     unexplained = Verdict(
         cause=UNEXPLAINED,
@@ -79,11 +88,12 @@ def _verdict(problem: Problem, found: Found) -> Verdict:
         parameters={},
         also=(),
         numbers={},
-        held_out=held_out(problem, found.search.null.fit.point, chosen.fit.point),
-        ranking=_ranking(found.tried),
+        held_out=held_out(problem, splits, found.search.null.fit.point, chosen.fit.point),
+        ranking=_ranking(found.tried, splits),
         next_experiment="Repeat the run that fits worst with one valve moved at a time.",
         remainder=f"{left.channel}: {left.feature}" if left else "",
         remarks=(*problem.case.remarks, *_noise_remarks(problem)),
+        evidence=evidence(found, profiles),
     )
     if left is not None:
         return unexplained
@@ -102,8 +112,7 @@ def _verdict(problem: Problem, found: Found) -> Verdict:
         return replace(known, cause=NONE, confidence=1.0 / (1.0 + doubt + _SURPRISE))
     main, further = _main_first(chosen, found)
     alike, confidence = _alike(chosen, main, found)
-    named = _estimates(chosen)
-    by_name = {cause.name: cause for cause in found.search.catalogue}
+    named = {cause.name: _measured(cause.name, profiles) for cause in chosen.causes}
     return replace(
         known,
         cause=main,
@@ -111,7 +120,7 @@ def _verdict(problem: Problem, found: Found) -> Verdict:
         indistinguishable=alike,
         parameters=named[main],
         also=tuple(Named(name, named[name]) for name in further),
-        next_experiment=by_name[main].experiment if alike else "",
+        next_experiment=recommend(problem.case.rig, {main, *alike}).in_words() if alike else "",
     )
 
 
@@ -129,14 +138,54 @@ def _noise_remarks(problem: Problem) -> list[str]:
     ]
 
 
-def _ranking(tried: Sequence[Candidate]) -> tuple[Ranked, ...]:
-    scores: dict[frozenset[str], tuple[tuple[str, ...], float]] = {}
+def _ranking(tried: Sequence[Candidate], splits: Sequence[Split]) -> tuple[Tried, ...]:
+    best: dict[frozenset[str], Candidate] = {}
     for candidate in tried:
+        if not isfinite(candidate.score):
+            continue
         key = frozenset(candidate.names)
-        if key not in scores or candidate.score < scores[key][1]:
-            scores[key] = (candidate.names, candidate.score)
-    ranked = sorted(scores.values(), key=lambda item: item[1])
-    return tuple(Ranked(names, score - ranked[0][1]) for names, score in ranked)
+        if key not in best or candidate.score < best[key].score:
+            best[key] = candidate
+    ranked = sorted(best.values(), key=lambda candidate: candidate.score)
+    return tuple(
+        Tried(
+            named=tuple(Named(cause.name, _roughly(candidate, cause)) for cause in candidate.causes),
+            on_bound=_on_bound(candidate),
+            chi2_per_reading=candidate.fit.chi2 / candidate.problem.readings,
+            score=candidate.score - ranked[0].score,
+            unseen_nrmse=(
+                unseen_error(candidate.problem, splits, candidate.fit.point) if place < _SCORED else None
+            ),
+        )
+        for place, candidate in enumerate(ranked)
+    )
+
+
+def _roughly(candidate: Candidate, cause: Cause) -> dict[str, Estimate]:
+    """Parameters of one of the causes, with intervals as if χ² were a parabola."""
+    point = candidate.fit.point
+    index = point.causes.index(cause)
+    at = len(point.deviation) + sum(len(c.parameters) for c in point.causes[:index])
+    estimates = {}
+    for number, (parameter, value) in enumerate(zip(cause.parameters, point.values[index], strict=True)):
+        reach = 1.96 * sqrt(max(0.0, candidate.covariance[at + number, at + number]))
+        low, high = (parameter.inner(value) + side * reach for side in (-1.0, 1.0))
+        estimates[parameter.name] = Estimate(
+            value,
+            parameter.outer(max(low, parameter.inner(parameter.low))),
+            parameter.outer(min(high, parameter.inner(parameter.high))),
+        )
+    return estimates
+
+
+def _on_bound(candidate: Candidate) -> tuple[str, ...]:
+    point = candidate.fit.point
+    return tuple(
+        parameter.name
+        for cause, values in zip(point.causes, point.values, strict=True)
+        for parameter, value in zip(cause.parameters, values, strict=True)
+        if parameter.share(value) < _ON_BOUND or parameter.share(value) > 1.0 - _ON_BOUND
+    )
 
 
 def _main_first(chosen: Candidate, found: Found) -> tuple[str, list[str]]:
@@ -164,10 +213,6 @@ def _alike(chosen: Candidate, main: str, found: Found) -> tuple[tuple[str, ...],
     )
 
 
-def _estimates(chosen: Candidate) -> dict[str, dict[str, Estimate]]:
-    """Parameters of all causes, with their intervals."""
-    named = {}
-    for index, cause in enumerate(chosen.causes):
-        profiles = [profile(chosen, index, number) for number in range(len(cause.parameters))]
-        named[cause.name] = {p.parameter.name: Estimate(p.estimate, p.low, p.high) for p in profiles}
-    return named
+def _measured(cause: str, profiles: Sequence[Profile]) -> dict[str, Estimate]:
+    """The parameters of a cause, with their intervals."""
+    return {p.parameter.name: Estimate(p.estimate, p.low, p.high) for p in profiles if p.cause == cause}

@@ -10,7 +10,10 @@ from flying_vines.pneumatics.rig import Rig
 
 
 def extended_rig(rig: Rig, verdict: Verdict) -> TrueRig:
-    """The believed rig with what the verdict found: numbers as fitted, and the named causes in it."""
+    """The believed rig with what the verdict found: numbers as fitted, and the named causes in it.
+
+    What is found to have none says so; what stays unexplained is as it was believed.
+    """
     for key, value in verdict.numbers.items():
         table, name = key.split(".")
         rig = replace(rig, **{table: replace(getattr(rig, table), **{name: value})})
@@ -22,4 +25,5 @@ def extended_rig(rig: Rig, verdict: Verdict) -> TrueRig:
             cause: {name: estimate.estimate for name, estimate in parameters.items()}
             for cause, parameters in causes.items()
         },
+        none_found=verdict.cause == NONE,
     )

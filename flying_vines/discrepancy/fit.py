@@ -5,12 +5,13 @@ the causes, the believed numbers that are set free, and two initial pressures a 
 in its record). A believed number stays within its tolerance, where all places are equally likely; of that a
 Gaussian of the same variance stands in the sum, so that what the data do not say is left where it was
 believed; likewise what is typical of a parameter. Each step of Gauss and Newton is solved exactly within the
-bounds (Stark & Parker 1995), damped by Levenberg and Marquardt where it would not help.
+bounds (Stark & Parker 1995), damped by Levenberg and Marquardt where it would not help; the initial
+pressures, which have no bounds and may be many, are eliminated from it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf, sqrt
 
@@ -22,10 +23,15 @@ from flying_vines.discrepancy.case import Case
 from flying_vines.discrepancy.cause import Cause, Values
 from flying_vines.discrepancy.model import Array, Numbers
 from flying_vines.discrepancy.simulate import BELIEVED, Simulation
+from flying_vines.discrepancy.slopes import RunSlopes, Slopes
 
 Bools = NDArray[np.bool_]
 
 MOST_STEPS = 30
+FIRST_STEPS = 3
+"""That tell which seed leads on."""
+FEW_SEEDS = 3
+"""Of more, the nearest."""
 ENOUGH = 0.02
 """A step that lowers χ² by less ends the fit."""
 _DEVIATION = 1e-5
@@ -94,19 +100,24 @@ class Fit:
 class Tangents:
     """Directions in which a fit is free, and what is left of the residuals."""
 
-    def __init__(self, jacobian: Array, residual: Array) -> None:
-        scale = np.linalg.norm(jacobian, axis=0)
-        self._basis, _ = np.linalg.qr(jacobian / np.where(scale > 0.0, scale, 1.0))
-        self._residual = self._beside(residual)
+    def __init__(self, slopes: Slopes, residuals: Sequence[Array]) -> None:
+        self._slopes = slopes
+        free = slopes.free.T
+        scale = np.linalg.norm(free, axis=0)
+        self._basis, _ = np.linalg.qr(free / np.where(scale > 0.0, scale, 1.0))
+        self._residual = self.beside(residuals)
 
-    def gain(self, trace: Array) -> float:
+    def gain(self, trace: Sequence[Array]) -> float:
         """By how much χ² would fall if the residuals could be changed along this trace, too."""
-        own = self._beside(trace)
+        own = self.beside(trace)
         length = float(own @ own)
-        return float(own @ self._residual) ** 2 / length if length > 1e-9 * float(trace @ trace) else 0.0
+        whole = sum(float(np.vdot(t, t)) for t in trace)
+        return float(own @ self._residual) ** 2 / length if length > 1e-9 * whole else 0.0
 
-    def _beside(self, trace: Array) -> Array:
-        beside: Array = trace - self._basis @ (self._basis.T @ trace)
+    def beside(self, trace: Sequence[Array]) -> Array:
+        """What is left of a trace, (2, n) a run, beside all that the fit can do itself; in one row."""
+        left = np.concatenate([r.beside(t[None])[0] for r, t in zip(self._slopes.runs, trace, strict=True)])
+        beside: Array = left - self._basis @ (self._basis.T @ left)
         return beside
 
 
@@ -183,17 +194,27 @@ class Problem:
     def tangents(self, fit: Fit) -> Tangents:
         """What small changes of all that is fitted do to the residuals."""
         space = _Space(self, fit.point)
-        return Tangents(space.jacobian(space.inner(fit.point), fit.residuals), flat(fit.residuals))
+        return Tangents(space.slopes(space.inner(fit.point), fit.residuals), fit.residuals)
 
     def covariance(self, fit: Fit) -> Array:
-        """Of all that is free (deviations, causes' parameters as the fit moves them, initial pressures), with
-        what is believed of them, where the data say anything; without the bounds."""
+        """Of deviations and causes' parameters as the fit moves them, with what is believed of them, the
+        initial pressures moved along; where the data say anything, without the bounds."""
         space = _Space(self, fit.point)
-        information, _ = space.linearised(space.inner(fit.point), fit.residuals)
+        information, _ = space.believed_too(
+            space.slopes(space.inner(fit.point), fit.residuals), space.inner(fit.point)
+        )
         scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
         inverse = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-12, hermitian=True)
         covariance: Array = inverse / np.outer(scale, scale)
         return covariance
+
+    def begun(self, base: Point, cause: Cause) -> Fit:
+        """The first steps of a fit with a further cause, from its best seed."""
+        starts = [base.with_cause(cause, values) for values in cause.seeds()]
+        if len(starts) > FEW_SEEDS:
+            starts.sort(key=self.chi2)
+        begun = (self.fit(start, FIRST_STEPS) for start in starts[:FEW_SEEDS])
+        return min(begun, key=lambda fit: fit.chi2)
 
     def fit(self, start: Point, most_steps: int = MOST_STEPS) -> Fit:
         """The least χ² near `start`."""
@@ -205,9 +226,9 @@ class Problem:
             return Fit(start, inf, inf, tuple(residuals))
         damping = 1e-7
         for _ in range(most_steps):
-            information, slope = space.linearised(place, residuals)
+            slopes = space.slopes(place, residuals)
             for _ in range(10):
-                move = space.best_move(place, information, slope, damping)
+                move = space.best_move(place, slopes, damping)
                 there = space.clipped(place + move)
                 point = space.outer(there)
                 tried = self.residuals(point)
@@ -239,7 +260,7 @@ class _Space:
         low = [-t for t in tolerances] + [p.inner(p.low) for p in self._parameters]
         high = [*tolerances] + [p.inner(p.high) for p in self._parameters]
         self._nudges = [_DEVIATION] * len(self._keys)
-        self._nudges += [_OF_RANGE * (p.inner(p.high) - p.inner(p.low)) for p in self._parameters]
+        self._nudges += [_OF_RANGE * p.range for p in self._parameters]
         unbounded = np.full(start.initial.size, np.inf)
         self._low, self._high = np.append(low, -unbounded), np.append(high, unbounded)
         typical = [(0.0, problem.spread(key)) for key in self._keys]
@@ -276,45 +297,32 @@ class _Space:
     def clipped(self, place: Array) -> Array:
         return np.clip(place, self._low, self._high)
 
-    def linearised(self, place: Array, residuals: Sequence[Array]) -> tuple[Array, Array]:
-        """JᵀJ and Jᵀr at a place."""
-        size = len(place)
-        information, slope = np.zeros((size, size)), np.zeros(size)
-        for run, (index, j) in enumerate(self._by_run(place, residuals)):
-            information[np.ix_(index, index)] += j @ j.T
-            slope[index] += j @ residuals[run].ravel()
-        common = np.arange(self._common)
-        information[common, common] += self._sureness
-        slope[common] += self._sureness * (place[common] - self._typical)
-        return information, slope
-
-    def jacobian(self, place: Array, residuals: Sequence[Array]) -> Array:
-        """Of all residuals, (readings, numbers)."""
-        rows = []
-        for index, j in self._by_run(place, residuals):
-            block = np.zeros((j.shape[1], len(place)))
-            block[:, index] = j.T
-            rows.append(block)
-        return np.concatenate(rows)
-
-    def _by_run(self, place: Array, residuals: Sequence[Array]) -> Iterator[tuple[NDArray[np.intp], Array]]:
-        """Run by run: which numbers it depends on, and its residuals' derivatives by them, a row each."""
+    def slopes(self, place: Array, residuals: Sequence[Array]) -> Slopes:
+        """The residuals' derivatives."""
         columns = [self._columns(place, residuals, k) for k in range(self._common)]
+        runs = []
         for run, starts in enumerate(self._starts):
-            own = np.arange(self._common + 2 * starts.start, self._common + 2 * starts.stop)
-            jacobian = [column[run] for column in columns]
-            for k in own:
-                nudge = _INITIAL_KPA[(k - self._common) % 2]
+            initial = []
+            for number, nudge in enumerate(_INITIAL_KPA):
                 moved = place.copy()
-                moved[k] += nudge
+                moved[self._common + 2 * starts.start + number : self._common + 2 * starts.stop : 2] += nudge
                 (there,) = self._problem.residuals(self.outer(moved), [run])
-                jacobian.append(_slope(there, residuals[run], nudge))
-            yield np.r_[: self._common, own], np.array(jacobian)
+                initial.append(_slope(there, residuals[run], nudge))
+            common = [column[run] for column in columns]
+            begins = self._problem.simulation.runs[run].start
+            runs.append(RunSlopes(np.array(initial), residuals[run], np.array(common), begins))
+        return Slopes(runs)
+
+    def believed_too(self, slopes: Slopes, place: Array) -> tuple[Array, Array]:
+        """JᵀJ and Jᵀr of what is common to the runs, with what is believed of it."""
+        information, slope = slopes.free @ slopes.free.T, slopes.free @ slopes.left
+        information[np.diag_indices_from(information)] += self._sureness
+        return information, slope + self._sureness * (place[: self._common] - self._typical)
 
     def _columns(self, place: Array, residuals: Sequence[Array], k: int) -> list[Array]:
         nudge = self._nudges[k]
         if nudge == 0.0:
-            return [np.zeros(r.size) for r in residuals]
+            return [np.zeros_like(r) for r in residuals]
         if place[k] + nudge > self._high[k]:
             nudge = -nudge
         moved = place.copy()
@@ -322,28 +330,28 @@ class _Space:
         there = self._problem.residuals(self.outer(moved))
         return [_slope(a, b, nudge) for a, b in zip(there, residuals, strict=True)]
 
-    def best_move(self, place: Array, information: Array, slope: Array, damping: float) -> Array:
+    def best_move(self, place: Array, slopes: Slopes, damping: float) -> Array:
         """The least of the quadratic model within the bounds."""
+        if not self._common:
+            return slopes.initial_move(np.zeros(0))
+        information, slope = self.believed_too(slopes, place)
         scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
         scaled = information / np.outer(scale, scale)
         scaled[np.diag_indices_from(scaled)] += damping + 1e-12
         lower = np.linalg.cholesky(scaled)
         target = np.linalg.solve(lower, -slope / scale)
-        low, high = (self._low - place) * scale, (self._high - place) * scale
+        here = place[: self._common]
+        low, high = (self._low[: self._common] - here) * scale, (self._high[: self._common] - here) * scale
         solved = lsq_linear(
             lower.T, target, (np.minimum(low, -1e-12), np.maximum(high, 1e-12)), method="bvls"
         )
-        return np.asarray(solved.x / scale)
-
-
-def flat(residuals: Sequence[Array]) -> Array:
-    """Of all runs in one row."""
-    return np.concatenate([r.ravel() for r in residuals])
+        move = np.asarray(solved.x / scale)
+        return np.concatenate((move, slopes.initial_move(move)))
 
 
 def _slope(there: Array, here: Array, nudge: float) -> Array:
     """A derivative; 0 where a simulation breaks down, for nothing is learned of the way there."""
-    slope = (there - here).ravel() / nudge
+    slope = (there - here) / nudge
     return np.where(np.abs(slope) < STEEPEST, slope, 0.0)
 
 

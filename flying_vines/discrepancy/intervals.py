@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, isfinite, sqrt
 
 import numpy as np
 
@@ -20,6 +20,8 @@ ABOVE = 3.84
 NEAR_ENOUGH = 0.25
 MOST_FITS = 5
 STEPS = 6
+BLIND = 1e-4
+"""Of a parameter's range: where it is looked first if the curvature does not tell."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,8 @@ def profile(candidate: Candidate, index: int, number: int) -> Profile:
     cause = point.causes[index]
     parameter, best = cause.parameters[number], point.values[index][number]
     at = len(point.deviation) + sum(len(c.parameters) for c in point.causes[:index]) + number
-    sd = float(np.sqrt(candidate.covariance[at, at]))
+    # Where only jumps move the data, the curvature says nothing.
+    sd = float(np.sqrt(candidate.covariance[at, at])) or BLIND * parameter.range
     seen = {best: 0.0}
 
     def above(inner: float) -> float:
@@ -63,13 +66,31 @@ def profile(candidate: Candidate, index: int, number: int) -> Profile:
 
 
 def _crossing(above: Callable[[float], float], best: float, step: float, bound: float) -> float:
-    """Where a profile that is nearly a parabola comes to `ABOVE`, or its bound if that is nearer."""
+    """Where a profile comes to `ABOVE`, or its bound if that is nearer.
+
+    √χ² rises straight from the best where the profile is a parabola; where it is none, the crossing is closed
+    in on from both sides.
+    """
+    outward = 1.0 if step > 0.0 else -1.0
+    under, under_root = best, 0.0
+    over = over_root = inf
+    where = best + step
     for _ in range(MOST_FITS):
-        where = best + step
-        if (where >= bound) if step > 0.0 else (where <= bound):
-            where, step = bound, bound - best
+        where = min(where, bound) if outward > 0.0 else max(where, bound)
         height = above(where)
-        if abs(height / ABOVE - 1.0) < NEAR_ENOUGH or (where == bound and height < ABOVE):
+        if where == bound and height < ABOVE:
+            return bound
+        if abs(height / ABOVE - 1.0) < NEAR_ENOUGH:
+            where = best + (where - best) * sqrt(ABOVE / height)
             break
-        step *= min(3.0, max(0.3, sqrt(ABOVE / max(height, 1e-3))))
-    return where if where == bound else best + step * min(1.5, sqrt(ABOVE / max(height, 1e-3)))
+        root = sqrt(max(height, 0.0))
+        if height < ABOVE:
+            under, under_root = where, root
+        else:
+            over, over_root = where, root
+        if isfinite(over):
+            share = (sqrt(ABOVE) - under_root) / (over_root - under_root)
+            where = under + (over - under) * min(0.9, max(0.1, share))
+        else:
+            where = best + (under - best) * min(3.0, max(1.1, sqrt(ABOVE) / max(under_root, 1e-3)))
+    return min(where, bound) if outward > 0.0 else max(where, bound)

@@ -21,7 +21,7 @@ functions in.
 
 from __future__ import annotations
 
-from math import ceil, exp
+from math import ceil, exp, expm1
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +29,9 @@ from numpy.typing import NDArray
 
 from flying_vines.pneumatics.baseline import ALPHA_KPA
 from flying_vines.pneumatics.plant.gas import GAMMA
+
+SETTLED = 1e-3
+"""Of its opening: so near to what it was told, a valve is there."""
 
 Array = NDArray[np.float64]
 
@@ -164,6 +167,15 @@ def opening_after(numbers: Numbers, told: Told, h: float) -> float:
     return told.evp + (told.opening - told.evp) * exp(-h / numbers.evp_lag_s)
 
 
+def opening_midway(numbers: Numbers, told: Told, h: float) -> float:
+    """With which Simpson's rule gives the valve's mean opening over `h` seconds exactly."""
+    lag_s = numbers.evp_lag_s
+    if lag_s <= 0.0 or abs(h) < 1e-6 * lag_s:
+        return opening_after(numbers, told, 0.5 * h)
+    mean = lag_s / h * -expm1(-h / lag_s)
+    return told.evp + (told.opening - told.evp) * (6.0 * mean - 1.0 - exp(-h / lag_s)) / 4.0
+
+
 def after(numbers: Numbers, told: Told, h: float) -> Told:
     """The same `h` seconds on."""
     ambient = told.ambient_kPa + told.ambient_slope_kPa_per_s * h
@@ -177,13 +189,16 @@ def step(numbers: Numbers, told: Told, state: State, h: float, x: Array) -> Stat
     """The state `h` seconds on."""
     stalled = told.dvp > 0.0 and state.reservoir_kPa < numbers.stall_supply_kPa
     stretched = numbers.cv_compliance_per_kPa > 0.0 and state.cv_kPa >= 0.0
-    k1 = rates(numbers, _at(numbers, told, 0.0, state), state, stalled, stretched, x)
+    begin = opening_after(numbers, told, 0.0)
+    middle = opening_midway(numbers, told, h)
+    end = opening_after(numbers, told, h)
+    k1 = rates(numbers, _at(told, 0.0, begin, state), state, stalled, stretched, x)
     s2 = _moved(state, k1, 0.5 * h)
-    k2 = rates(numbers, _at(numbers, told, 0.5 * h, s2), s2, stalled, stretched, x)
+    k2 = rates(numbers, _at(told, 0.5 * h, middle, s2), s2, stalled, stretched, x)
     s3 = _moved(state, k2, 0.5 * h)
-    k3 = rates(numbers, _at(numbers, told, 0.5 * h, s3), s3, stalled, stretched, x)
+    k3 = rates(numbers, _at(told, 0.5 * h, middle, s3), s3, stalled, stretched, x)
     s4 = _moved(state, k3, h)
-    k4 = rates(numbers, _at(numbers, told, h, s4), s4, stalled, stretched, x)
+    k4 = rates(numbers, _at(told, h, end, s4), s4, stalled, stretched, x)
     sixth = h / 6.0
     return State(
         state.reservoir_kPa + sixth * (k1[0] + 2.0 * (k2[0] + k3[0]) + k4[0]),
@@ -199,10 +214,9 @@ def _moved(state: State, rate: State, h: float) -> State:
     )
 
 
-def _at(numbers: Numbers, told: Told, h: float, state: State) -> Moment:
+def _at(told: Told, h: float, opening: float, state: State) -> Moment:
     slope = told.ambient_slope_kPa_per_s
     ambient = told.ambient_kPa + slope * h
-    opening = opening_after(numbers, told, h)
     return Moment(told.t_s + h, ambient, slope, state[0], state[2], opening, told.dvp, told.solenoid)
 
 
@@ -285,8 +299,9 @@ def run(
     last = len(time_s) - 1
     for i in range(last + 1):
         if started < len(start) and start[started] == i:
+            late = seen - state.cv_kPa if started > 0 else 0.0
             state = State(initial[started, 0], state[1], initial[started, 1], state[3])
-            seen = state.cv_kPa
+            seen = state.cv_kPa + late
             started += 1
         out[i, 0] = seen
         out[i, 1] = state.reservoir_kPa
@@ -301,12 +316,15 @@ def run(
                 until = switch_s[at + 1]
             ambient = ambient_kPa[i] + climb * (now - time_s[i])
             told = Told(now, openings[at, 0], openings[at, 1], openings[at, 2], ambient, climb, opening)
-            steps = max(1, ceil((until - now) / longest_s - 1e-9))
-            h = (until - now) / steps
-            for _ in range(steps):
+            left = until - now
+            while left > 0.0:
+                h = left / max(1, ceil(left / longest_s - 1e-9))
+                if abs(told.opening - told.evp) > SETTLED and h > numbers.evp_lag_s > 0.0:
+                    h = numbers.evp_lag_s
                 before = state.cv_kPa
                 state = careful_step(numbers, told, state, h, x)
                 seen = lagged(numbers.cv_sensor_lag_s, seen, before, state.cv_kPa, h)
                 told = after(numbers, told, h)
+                left = left - h if left - h > 1e-12 else 0.0
             opening = told.opening
             now = until

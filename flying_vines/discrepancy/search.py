@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
@@ -17,7 +18,7 @@ from typing import TypeVar
 import numpy as np
 
 from flying_vines.discrepancy.cause import Cause
-from flying_vines.discrepancy.fit import Fit, Problem, Tangents, flat
+from flying_vines.discrepancy.fit import Fit, Problem, Tangents
 from flying_vines.discrepancy.model import Array
 from flying_vines.discrepancy.residuals import Pattern, patterns
 from flying_vines.discrepancy.simulate import believed_keys
@@ -31,16 +32,22 @@ FIRSTS = 5
 """So many of the best single causes are tried with a second one: one may hide another."""
 PROMISING = 4
 """So many further causes are fitted fully, those that promise most."""
-SCREEN_STEPS = 3
 LEADERS = 6
-"""So many fits, those that have come lowest in so few steps, are fitted to the end."""
-FEW_SEEDS = 3
-"""Of more, the nearest."""
+"""So many fits, those that have come lowest in their first steps, are fitted to the end."""
 OF_RANGE = 1e-3
+THREADS: ContextVar[int] = ContextVar("THREADS", default=0)
+"""That a search may use; 0 is one a core."""
 
+
+Progress = Callable[[str, float], None]
+"""Is told what is being done, and which share of all is done."""
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+
+def silent(step: str, share: float) -> None:
+    """Nobody wants to know."""
 
 
 @dataclass(frozen=True)
@@ -112,21 +119,16 @@ class Search:
 
     def _finished(self, pairs: Sequence[tuple[Candidate, Cause]]) -> list[Candidate]:
         """Each base with its further cause, the best first; only the leaders are fitted to the end."""
-        fits = sorted(self._map(lambda pair: self._begun(*pair), pairs), key=lambda fit: fit.chi2)
+        fits = sorted(
+            self._map(lambda pair: self.problem.begun(pair[0].fit.point, pair[1]), pairs),
+            key=lambda fit: fit.chi2,
+        )
         fits[:LEADERS] = self._map(lambda fit: self.problem.fit(fit.point), fits[:LEADERS])
         return [Candidate(self.problem, fit) for fit in sorted(fits, key=lambda fit: fit.chi2)]
 
-    def _begun(self, base: Candidate, cause: Cause) -> Fit:
-        """The first steps of a fit with a further cause, from its best seed."""
-        starts = [base.fit.point.with_cause(cause, values) for values in cause.seeds()]
-        if len(starts) > FEW_SEEDS:
-            starts.sort(key=self.problem.chi2)
-        begun = (self.problem.fit(start, SCREEN_STEPS) for start in starts[:FEW_SEEDS])
-        return min(begun, key=lambda fit: fit.chi2)
-
     def _map(self, function: Callable[[T], R], items: Iterable[T]) -> list[R]:
         """On all cores: most of the time is spent in compiled code, which lets others work meanwhile."""
-        with ThreadPoolExecutor(_cores()) as pool:
+        with ThreadPoolExecutor(THREADS.get() or cores()) as pool:
             return list(pool.map(function, items))
 
     def settled(self, candidate: Candidate) -> Candidate:
@@ -158,12 +160,12 @@ class Search:
             for inner in (seed, seed + OF_RANGE * (parameter.inner(parameter.high) - seed)):
                 point = base.point.with_cause(cause, (parameter.outer(inner), *values[1:]))
                 trace = [a - b for a, b in zip(self.problem.residuals(point), base.residuals, strict=True)]
-                best = max(best, tangents.gain(flat(trace)))
+                best = max(best, tangents.gain(trace))
         return best
 
-    def best(self, progress: Callable[[str], None] = lambda step: None) -> Found:
+    def best(self, progress: Progress = silent) -> Found:
         """Everything that was tried, and what explains the data best."""
-        progress("single causes")
+        progress("single causes", 0.1)
         bases = self.singles()
         leaders = self._map(self.settled, bases[:FIRSTS])
         tried = [*self.nulls, *bases, *leaders]
@@ -173,7 +175,7 @@ class Search:
         for count in range(2, MOST_CAUSES + 1):
             if chosen.adequate:
                 break
-            progress(f"{count} causes together")
+            progress(f"{count} causes together", 0.2 * count)
             firsts = bases[:FIRSTS] if count == 2 else bases[:1]
             bases = self.further(firsts)
             leaders = self._map(self.settled, bases[:FIRSTS])
@@ -205,6 +207,6 @@ class Found:
     chosen: Candidate
 
 
-def _cores() -> int:
+def cores() -> int:
     """That this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

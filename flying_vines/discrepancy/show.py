@@ -36,6 +36,9 @@ def show(verdict: Verdict, console: Console) -> None:
         facts.add_row("What is left", f"depends most on {verdict.remainder}")
     if verdict.next_experiment:
         facts.add_row("Next", verdict.next_experiment)
+    for cause in catalogue():
+        if cause.name == verdict.cause:
+            facts.add_row("See it", cause.experiment)
     for remark in verdict.remarks:
         facts.add_row("Remark", remark)
     console.print(facts)
@@ -47,10 +50,21 @@ def in_words(verdict: Verdict) -> str:
     if verdict.cause == NONE:
         return "The baseline explains the data to within noise and tolerances."
     if verdict.cause == UNEXPLAINED:
-        return "Something is there that no known cause accounts for."
+        return "Something is there that no known cause accounts for." + _nearest(verdict)
     what = {cause.name: cause.what for cause in catalogue()}
     sentences = [what[verdict.cause], *(what[named.cause] for named in verdict.also)]
     return " And: ".join(sentences)
+
+
+def _nearest(verdict: Verdict) -> str:
+    """What accounts for a part of it, as far as that can be said."""
+    best = verdict.ranking[0]
+    (baseline,) = (tried for tried in verdict.ranking if not tried.causes)
+    over_noise = baseline.chi2_per_reading - 1.0
+    if not best.causes or over_noise <= 0.0:
+        return ""
+    share = (baseline.chi2_per_reading - best.chi2_per_reading) / over_noise
+    return f" Nearest comes {' with '.join(best.causes)}, with {min(share, 1.0):.1%} of what is above noise."
 
 
 def _estimate(estimate: Estimate) -> str:
@@ -58,9 +72,27 @@ def _estimate(estimate: Estimate) -> str:
 
 
 def _ranking(verdict: Verdict) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0), title="What was tried", title_justify="left")
-    table.add_column("causes")
-    table.add_column("−2 ln evidence above the best", justify="right")
-    for ranked in verdict.ranking[:RANKED]:
-        table.add_row(" + ".join(ranked.causes) or "none", f"{ranked.score:,.1f}")
+    table = Table(
+        box=None, padding=(0, 2, 0, 0), title="What was tried, the best first", title_justify="left"
+    )
+    table.add_column("cause, and what it measures", overflow="fold")
+    table.add_column("χ²/n", justify="right")
+    table.add_column("unseen", justify="right")
+    table.add_column("evidence", justify="right")
+    for tried in verdict.ranking[:RANKED]:
+        measures = [
+            f"  {name} {_estimate(estimate)}" + (", on its bound" if name in tried.on_bound else "")
+            for named in tried.named
+            for name, estimate in named.parameters.items()
+        ]
+        table.add_row(
+            "\n".join([" + ".join(tried.causes) or NONE, *measures]),
+            f"{tried.chi2_per_reading:.3f}",
+            "" if tried.unseen_nrmse is None else f"{tried.unseen_nrmse:.2%}",
+            f"{-tried.score / 2.0:,.1f}" if tried.score else "best",
+        )
+    table.caption = (
+        "evidence: its natural logarithm, under the best; unseen: error on data that the fit never saw"
+    )
+    table.caption_justify = "left"
     return table

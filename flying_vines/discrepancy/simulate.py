@@ -26,6 +26,10 @@ _STEP = 0.25
 
 GAP = 8.0
 """Of the usual time between samples: what is longer is a gap."""
+MISSING = 1.7
+"""Likewise: in between a row is missing, if the others come on time."""
+ON_TIME, ON_TIME_SHARE = 0.1, 0.8
+"""They do if so many of the times between samples are as usual, but for this share."""
 
 BELIEVED = {
     "reservoir.volume_L": "reservoir_volume_L",
@@ -95,6 +99,7 @@ class Simulation:
                 present[cause.name] = x
         if run.to_atmosphere:
             numbers = numbers._replace(cv_volume_L=inf, cv_time_constant_s=0.0, cv_compliance_per_kPa=0.0)
+            initial = initial * (1.0, 0.0)
         switch_s, openings = run.switchings if commands is run.commands else together(commands)
         out = np.empty((len(run.time_s), 2))
         longest_s = min(LONGEST_STEP_S, _STEP / _quickest_per_s(numbers))
@@ -142,13 +147,19 @@ def _prepared(run: Run) -> Prepared:
         steps_of(time_s, run.solenoid),
     )
     ambient = np.full(len(time_s), ALPHA_KPA) if run.ambient_kPa is None else run.ambient_kPa
-    return Prepared(time_s, commands, together(commands), ambient, run.to_atmosphere, _starts(time_s))
+    return Prepared(time_s, commands, together(commands), ambient, run.to_atmosphere, _starts(run))
 
 
-def _starts(time_s: Array) -> NDArray[np.intp]:
-    """Where a run begins, and where it begins again after a gap."""
-    between = np.diff(time_s)
-    return np.concatenate(([0], np.flatnonzero(between > GAP * np.median(between)) + 1))
+def _starts(run: Run) -> NDArray[np.intp]:
+    """Where a run begins, and where it begins again: after a gap, and after a missing row in which a valve
+    was moved, nobody knows when."""
+    between = np.diff(run.time_s)
+    usual = np.median(between)
+    again = between > GAP * usual
+    if np.mean(np.abs(between / usual - 1.0) < ON_TIME) > ON_TIME_SHARE:
+        moved = [np.diff(opening) != 0.0 for opening in (run.evp_opening, run.dvp_opening, run.solenoid)]
+        again |= (between > MISSING * usual) & np.any(moved, axis=0)
+    return np.concatenate(([0], np.flatnonzero(again) + 1))
 
 
 def _quickest_per_s(numbers: Numbers) -> float:

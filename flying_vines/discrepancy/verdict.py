@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from flying_vines.discrepancy.evidence import Evidence
 from flying_vines.discrepancy.held_out import HeldOut
 
 NONE = "none"
@@ -29,12 +30,23 @@ class Named:
 
 
 @dataclass(frozen=True)
-class Ranked:
-    """A candidate that was tried: its causes, and how much worse than the best its evidence is."""
+class Tried:
+    """A candidate that was fitted: what its causes measure, and how well it explains the data."""
 
-    causes: tuple[str, ...]
+    named: tuple[Named, ...]
+    """Empty for the baseline alone; intervals by the curvature at the fit."""
+    on_bound: tuple[str, ...]
+    """Parameters that would be where no rig is: evidence against."""
+    chi2_per_reading: float
     score: float
     """−2 ln of the evidence, above the best candidate's."""
+    unseen_nrmse: float | None
+    """As in `HeldOut`; of the best candidates only."""
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(named.cause for named in self.named)
 
 
 @dataclass(frozen=True)
@@ -53,12 +65,15 @@ class Verdict:
     numbers: dict[str, float]
     """Believed numbers that the data move within their tolerances, by their keys; all of them, or none."""
     held_out: HeldOut
-    ranking: tuple[Ranked, ...]
+    ranking: tuple[Tried, ...]
+    """All that was tried, the best evidence first."""
     next_experiment: str
     """What to record to settle what is open; empty when nothing is."""
     remainder: str
     """What is left depends most on this; empty when nothing but noise is left."""
     remarks: tuple[str, ...]
+    evidence: Evidence
+    """The arrays behind it."""
 
     def as_json(self) -> dict[str, Any]:
         """As the rig-data format fixes it."""
@@ -66,19 +81,16 @@ class Verdict:
             "cause": self.cause,
             "confidence": round(self.confidence, 4),
             "indistinguishable": list(self.indistinguishable),
-            "also": [
-                {"cause": named.cause, "parameters": _parameters(named.parameters)} for named in self.also
-            ],
+            "also": [_named(named) for named in self.also],
             "parameters": _parameters(self.parameters),
             "numbers": self.numbers,
             "held_out": {
                 "nrmse_before": self.held_out.nrmse_before,
                 "nrmse_after": self.held_out.nrmse_after,
                 "noise_floor": self.held_out.noise_floor,
+                "gain": list(self.held_out.gain),
             },
-            "ranking": [
-                {"cause": "+".join(r.causes) or NONE, "score": round(r.score, 2)} for r in self.ranking
-            ],
+            "ranking": [_tried(tried) for tried in self.ranking],
             "next_experiment": self.next_experiment,
             "remainder": self.remainder,
             "remarks": list(self.remarks),
@@ -87,3 +99,18 @@ class Verdict:
 
 def _parameters(parameters: dict[str, Estimate]) -> dict[str, dict[str, float]]:
     return {name: {"estimate": e.estimate, "low": e.low, "high": e.high} for name, e in parameters.items()}
+
+
+def _named(named: Named) -> dict[str, Any]:
+    return {"cause": named.cause, "parameters": _parameters(named.parameters)}
+
+
+def _tried(tried: Tried) -> dict[str, Any]:
+    return {
+        "cause": "+".join(tried.causes) or NONE,
+        "score": round(tried.score, 2),
+        "chi2_per_reading": round(tried.chi2_per_reading, 4),
+        "unseen_nrmse": tried.unseen_nrmse,
+        "parameters": {named.cause: _parameters(named.parameters) for named in tried.named},
+        "on_bound": list(tried.on_bound),
+    }

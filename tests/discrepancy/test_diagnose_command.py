@@ -37,8 +37,15 @@ def test_json_is_one_object_of_the_format(case: Path, capsys: pytest.CaptureFixt
     assert 0.0 <= verdict["confidence"] <= 1.0
     (estimate,) = verdict["parameters"].values()
     assert estimate["low"] <= estimate["estimate"] <= estimate["high"]
-    assert set(verdict["held_out"]) == {"nrmse_before", "nrmse_after", "noise_floor"}
-    assert verdict["ranking"][0] == {"cause": verdict["cause"], "score": 0.0}
+    assert set(verdict["held_out"]) == {"nrmse_before", "nrmse_after", "noise_floor", "gain"}
+    low, high = verdict["held_out"]["gain"]
+    assert 0.0 < low < high < 1.0
+    best = verdict["ranking"][0]
+    assert (best["cause"], best["score"], best["on_bound"]) == (verdict["cause"], 0.0, [])
+    assert best["unseen_nrmse"] == verdict["held_out"]["nrmse_after"]
+    ((rough,),) = (parameters.values() for parameters in best["parameters"].values())
+    assert rough["estimate"] == estimate["estimate"]
+    assert rough["high"] - rough["low"] == pytest.approx(estimate["high"] - estimate["low"], rel=0.2)
     assert verdict["also"] == [] and isinstance(verdict["next_experiment"], str)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,64 @@ def test_a_cause_is_what_the_truth_says_it_is(cause: Cause, seed: int) -> None:
     assert moved > 1.0, "the cause does nothing in this run"
 
 
+@pytest.mark.parametrize("lag_s", [0.0005, 0.0023, 0.008])
+def test_a_valve_much_quicker_than_the_samples_is_simulated_as_well(lag_s: float) -> None:
+    """Or it would be mistaken for a delay, which at such samples looks nearly the same."""
+    (cause,) = (cause for cause in catalogue() if cause.name == "evp_lag")
+    run = random_run(6)
+    # Solenoid and valve in turns, at each sample: air that comes early has more time to leave again.
+    run.evp_opening[::2], run.solenoid[::2] = 1.0, 0.0
+    run.evp_opening[1::2], run.solenoid[1::2] = 0.0, 1.0
+    inputs = np.column_stack((run.evp_opening, run.dvp_opening, run.solenoid))
+    truth = replay(
+        with_effects(TrueRig(cv_L=0.25), [Hidden("evp_lag", lag_s)]), inputs, run.time_s, START_KPA
+    )
+    ours = Simulation(case_of(run)).readings(0, numbers_of(RIG), [(cause, (lag_s,))], STARTS)
+    assert ours.cv_kPa == pytest.approx(truth[:, 0], abs=0.003)
+
+
+def without(run: Run, rows: list[int]) -> Run:
+    """The same run, of which these rows are lost."""
+    left = replace(run)
+    for name, values in vars(run).items():
+        if isinstance(values, np.ndarray):
+            object.__setattr__(left, name, np.delete(values, rows))
+    return left
+
+
+def test_after_a_lost_row_in_which_a_valve_was_moved_a_run_begins_again() -> None:
+    run = random_run(7)
+    moved = (np.diff(run.evp_opening) != 0.0) | (np.diff(run.solenoid) != 0.0)
+    at = int(np.flatnonzero(moved)[3]) + 1
+    still = int(np.flatnonzero(~moved[:-1] & ~moved[1:])[40]) + 1
+    lost = without(run, [still, at])
+    (prepared,) = Simulation(case_of(lost)).runs
+    assert prepared.start.tolist() == [0, int(np.searchsorted(lost.time_s, run.time_s[at]))]
+
+
+def test_where_samples_never_come_on_time_no_row_is_missing() -> None:
+    run = random_run(8)
+    random = np.random.default_rng(0)
+    uneven = without(run, sorted(random.choice(np.arange(1, len(run.time_s)), 150, replace=False).tolist()))
+    (prepared,) = Simulation(case_of(uneven)).runs
+    assert prepared.start.tolist() == [0]
+
+
+def test_a_sensor_that_lags_goes_on_lagging_where_a_run_begins_again() -> None:
+    (cause,) = (cause for cause in catalogue() if cause.name == "cv_sensor_lag")
+    run = random_run(7)
+    whole = Simulation(case_of(run)).readings(0, numbers_of(RIG), [(cause, (0.2,))], STARTS)
+    pressures = Simulation(case_of(run)).readings(0, numbers_of(RIG), [], STARTS)
+    moving = int(np.argmax(np.abs(whole.cv_kPa - pressures.cv_kPa)))
+    simulation = Simulation(case_of(run))
+    simulation.runs = (simulation.runs[0]._replace(start=np.array([0, moving])),)
+    # Begun again where it is anyway.
+    starts = np.array([START_KPA, (pressures.reservoir_kPa[moving], pressures.cv_kPa[moving])])
+    again = simulation.readings(0, numbers_of(RIG), [(cause, (0.2,))], starts)
+    # Steps are shorter where a sensor lags.
+    assert again.cv_kPa == pytest.approx(whole.cv_kPa, abs=1e-3)
+
+
 @pytest.mark.parametrize("cause", catalogue(), ids=lambda cause: cause.name)
 def test_a_neutral_cause_does_nothing(cause: Cause) -> None:
     neutral = cause.parameters[0].neutral
@@ -111,8 +170,8 @@ def test_all_causes_together_are_what_the_truth_says_they_are() -> None:
     by_name = {cause.name: cause for cause in catalogue()}
     causes = [(by_name[one.name], (one.value,)) for one in hidden]
     ours = Simulation(case_of(run)).readings(0, numbers_of(RIG), causes, STARTS)
-    assert ours.cv_kPa == pytest.approx(truth[:, 0], abs=0.01)
-    assert ours.reservoir_kPa == pytest.approx(truth[:, 1], abs=0.01)
+    assert ours.cv_kPa == pytest.approx(truth[:, 0], abs=0.003)
+    assert ours.reservoir_kPa == pytest.approx(truth[:, 1], abs=0.003)
 
 
 def test_a_discharge_to_atmosphere_is_an_exponential() -> None:
@@ -123,3 +182,6 @@ def test_a_discharge_to_atmosphere_is_an_exponential() -> None:
     readings = Simulation(case_of(run, rig)).readings(0, numbers_of(rig), [], np.array([[690.0, 0.0]]))
     tau_s = rig.evp.flow_resistance_kPa_s_per_SL * rig.reservoir.volume_L / 101.325
     assert readings.reservoir_kPa == pytest.approx(690.0 * np.exp(-time_s / tau_s), rel=1e-6)
+    # Behind the valve is the air around, whatever a fit makes of a pressure that nobody recorded.
+    other = Simulation(case_of(run, rig)).readings(0, numbers_of(rig), [], np.array([[690.0, -30.0]]))
+    assert other.reservoir_kPa == pytest.approx(readings.reservoir_kPa)
