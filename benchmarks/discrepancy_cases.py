@@ -1,0 +1,135 @@
+"""Many cases in worker processes: drawn, written, looked at, and what came of it.
+
+Each worker has its share of the cores, and sees no others: what a case takes does not depend on how many
+workers there are. Its simulation is compiled before the clock runs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import cache
+from multiprocessing.queues import Queue
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import discrepancy_peers
+from discrepancy_outcome import DIAGNOSE, Key, as_outcome
+
+import flying_vines.discrepancy
+from flying_vines.discrepancy.case import Case, read_case
+from flying_vines.discrepancy.diagnose import diagnose
+from flying_vines.discrepancy.fit import Problem
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parent / "tests"))
+
+from hidden_truth import draw, write  # noqa: E402
+
+_FRESH = HERE / "discrepancy_fresh.py"
+_SOURCES = (Path(flying_vines.discrepancy.__file__).parent, HERE.parent / "tests" / "hidden_truth")
+
+
+class Job(NamedTuple):
+    """A case, who is to look at it, and whether the command is to be run on it as well."""
+
+    by: str
+    tier: str
+    seed: int
+    fresh: bool
+
+    @property
+    def key(self) -> Key:
+        return self.by, self.tier, self.seed
+
+
+def jobs(peers: bool, tiers: Sequence[str], seeds: range) -> Iterator[Job]:
+    """Seed by seed, so that a run that is stopped has seen about as many of every tier."""
+    everyone = (DIAGNOSE, *discrepancy_peers.PEERS) if peers else (DIAGNOSE,)
+    for seed in seeds:
+        for tier in tiers:
+            for by in everyone:
+                yield Job(by, tier, seed, by == DIAGNOSE and seed == seeds.start)
+
+
+def outcomes(jobs: Sequence[Job], workers: int) -> Iterator[dict[str, Any]]:
+    """Rows for a results file, as they come in."""
+    context = multiprocessing.get_context("spawn")
+    shares: Queue[list[int]] = context.Queue()
+    for share in core_shares(workers):
+        shares.put(share)
+    # A fresh process reads these when its numerical libraries are loaded.
+    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    with ProcessPoolExecutor(workers, context, _settle, (shares,)) as pool:
+        waiting = [pool.submit(outcome, job) for job in jobs]
+        try:
+            for done in as_completed(waiting):
+                yield done.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def core_shares(workers: int) -> list[list[int]]:
+    """The cores that this process may use, dealt out."""
+    cores = sorted(os.sched_getaffinity(0))
+    return [cores[first::workers] for first in range(workers)]
+
+
+def _settle(shares: Queue[list[int]]) -> None:
+    os.sched_setaffinity(0, shares.get())
+
+
+def outcome(job: Job) -> dict[str, Any]:
+    """One case. What goes wrong in it is its outcome, and no reason to stop."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "case"
+        truth = write(path, draw(job.tier, job.seed))
+        row: dict[str, Any] = {"by": job.by, "engine": engine(), "truth": truth, "said": None, "error": ""}
+        try:
+            case = read_case(path)
+            _compile(case)
+            began_s, began_cpu_s = time.perf_counter(), time.process_time()
+            row["said"] = _look(job.by)(case)
+            row |= {"cpu_s": time.process_time() - began_cpu_s, "wall_s": time.perf_counter() - began_s}
+            if job.fresh:
+                row["fresh"] = _fresh(path)
+            as_outcome(row)
+        except Exception as error:
+            row |= {"said": None, "error": f"{type(error).__name__}: {error}"}
+        return row
+
+
+def _look(by: str) -> Callable[[Case], dict[str, Any]]:
+    return discrepancy_peers.peer(by) if by != DIAGNOSE else lambda case: diagnose(case).as_json()
+
+
+def _compile(case: Case) -> None:
+    """The first simulation of a process compiles it, or loads what was kept."""
+    problem = Problem(case, (1.0, 1.0))
+    problem.residuals(problem.start())
+
+
+def _fresh(case: Path) -> dict[str, float]:
+    began_s = time.perf_counter()
+    ran = subprocess.run([sys.executable, str(_FRESH), str(case)], capture_output=True, text=True, check=True)
+    told: dict[str, float] = json.loads(ran.stdout)
+    return told | {"wall_s": time.perf_counter() - began_s}
+
+
+@cache
+def engine() -> str:
+    """Of the sources that decide what a case is and what is said of it, a short name."""
+    digest = hashlib.sha256()
+    for folder in _SOURCES:
+        for file in sorted(folder.rglob("*.py")):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:8]

@@ -1,0 +1,31 @@
+"""`flying-vines diagnose CASE` in a process of its own: processor time and peak memory, start included.
+
+Started by `discrepancy_cases.py`. What a parent reads of a child's peak would be the parent's own, where that
+is larger; so the child reads it of itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import sys
+
+from process_cost import cpu_s, memory
+
+from flying_vines.cli import main
+
+
+def run(case: str) -> None:
+    with contextlib.redirect_stdout(io.StringIO()):
+        try:
+            main(["diagnose", case, "--json"])
+        except SystemExit as ended:
+            if ended.code:
+                raise
+    print(json.dumps({"cpu_s": cpu_s(os.getpid()), "peak_MB": memory(os.getpid()).peak_MB}))
+
+
+if __name__ == "__main__":
+    run(sys.argv[1])

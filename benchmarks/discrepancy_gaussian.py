@@ -1,0 +1,189 @@
+"""A Gaussian process for what the baseline lacks, as Kennedy & O'Hagan (2001) have it, on rates of change.
+
+The baseline is refitted within its tolerances; what is left of the rates is learned as a smooth function of
+pressures and openings. It has no name for anything: it says `unexplained` where the process is worth its
+parameters by BIC, and `none` where it is not. Each run is predicted from the others, by simulating the
+baseline with the process added to its rates, as the project's own error on unseen data is found.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from math import log
+from typing import Any
+
+import numpy as np
+from discrepancy_rates import Series, inflation, motive, outlet, per_SL, series
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+from threadpoolctl import threadpool_limits
+
+from flying_vines.discrepancy.case import Case, Run
+from flying_vines.discrepancy.fit import Point, Problem
+from flying_vines.discrepancy.recording import Array
+from flying_vines.discrepancy.simulate import believed_keys
+from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED
+from flying_vines.pneumatics.baseline import Inputs, State, step
+from flying_vines.pneumatics.rig import Rig
+
+MOST_ROWS = 300
+"""That a process learns from, of either pressure: its time goes with their cube."""
+SHOWN_S = 0.5
+"""Of a run that is predicted, for its initial pressures."""
+STEPS = 2
+"""Of the integrator, a sample."""
+LEAST_KPA = 1e-3
+"""Noise of a sensor that is stated to have none."""
+
+
+class Lack:
+    """What the baseline's rate of one pressure lacks, as a function of pressures and openings."""
+
+    def __init__(self, inputs: Array, lacks: Array, like: Lack | None = None) -> None:
+        """`like` lends its scales; without it they are what the data make most likely."""
+        self._middle, self._spread = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-9)
+        self._scale = max(float(lacks.std()), 1e-9)
+        unknown = ConstantKernel(0.3, (1e-4, 1e3)) * RBF(np.ones(inputs.shape[1]), (0.1, 100.0))
+        self._process: Any = GaussianProcessRegressor(
+            unknown + WhiteKernel(0.7, (1e-4, 2.0)) if like is None else like.kernel,
+            optimizer="fmin_l_bfgs_b" if like is None else None,
+        )
+        with warnings.catch_warnings():
+            # An input that does not matter ends at the bound of its scale.
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            self._process.fit((inputs - self._middle) / self._spread, lacks / self._scale)
+
+    @property
+    def kernel(self) -> Any:
+        """As fitted."""
+        return self._process.kernel_
+
+    def there(self, lacks: Array) -> bool:
+        """Whether it is worth its parameters, against noise alone."""
+        n, scaled = len(lacks), lacks / self._scale
+        noise_alone = -0.5 * n * (log(2.0 * np.pi * float(np.mean(scaled**2))) + 1.0)
+        gained = float(self._process.log_marginal_likelihood_value_) - noise_alone
+        return gained > 0.5 * float(self.kernel.n_dims - 1) * log(n)
+
+    def at(self, inputs: Array) -> float:
+        kernel = self.kernel.k1
+        x = ((inputs - self._middle) / self._spread)[None]
+        return self._scale * float((kernel(x, self._process.X_train_) @ self._process.alpha_)[0])
+
+
+Lacks = tuple[Lack, Lack]
+"""Of reservoir and control volume."""
+
+
+def look(case: Case) -> dict[str, Any]:
+    sensors = case.rig.sensors
+    noise_kPa = (sensors.cv_noise_std_kPa or LEAST_KPA, sensors.reservoir_noise_std_kPa or LEAST_KPA)
+    problem = Problem(case, noise_kPa)
+    with threadpool_limits(1):
+        null = problem.fit(problem.start().freed(believed_keys(case.rig))).point
+        rows = _rows(problem, null)
+        every = [_stack(rows, channel) for channel in (0, 1)]
+        lacks = Lack(*every[0]), Lack(*every[1])
+        read = np.concatenate([(run.reservoir_kPa, run.cv_kPa) for run in case.runs], axis=1)
+        was_read = np.isfinite(read).any(axis=1)
+        there = any(
+            lack.there(values) for lack, (_, values), was in zip(lacks, every, was_read, strict=True) if was
+        )
+        said: dict[str, Any] = {"cause": UNEXPLAINED if there else NONE}
+        if len(case.runs) > 1:
+            said["held_out"] = _held_out(problem, null, lacks if there else None)
+    return said
+
+
+def _rows(problem: Problem, point: Point) -> list[tuple[Array, Array]]:
+    """A run's each: inputs (rows, 5), and what the baseline's rates lack (rows, 2)."""
+    rig = _rig(problem, point)
+    return [_lacks(problem.case, rig, s) for s in series(problem, point)]
+
+
+def _rig(problem: Problem, point: Point) -> Rig:
+    """With its numbers as fitted."""
+    rig = problem.case.rig
+    for key, deviation in point.deviation.items():
+        table, name = key.split(".")
+        part = getattr(rig, table)
+        rig = replace(rig, **{table: replace(part, **{name: getattr(part, name) * (1.0 + deviation)})})
+    return rig
+
+
+def _lacks(case: Case, rig: Rig, s: Series) -> tuple[Array, Array]:
+    reservoir_per_SL, cv_per_SL = per_SL(replace(case, rig=rig))
+    into = inflation(rig, s)
+    modelled = (
+        -reservoir_per_SL * (into + motive(rig, s)),
+        cv_per_SL * (into - outlet(rig, s)),
+    )
+    lacks = [s.gain(pressure) - s.mean(rate) for pressure, rate in zip(s.read_kPa, modelled, strict=True)]
+    inputs = [s.mean(values) for values in (s.reservoir_kPa, s.cv_kPa, s.evp, s.dvp, s.solenoid)]
+    return np.stack(inputs, axis=1), np.stack(lacks, axis=1)
+
+
+def _stack(rows: Sequence[tuple[Array, Array]], channel: int) -> tuple[Array, Array]:
+    """Of some runs, so many as a process can take, evenly from all of them."""
+    inputs = np.concatenate([one for one, _ in rows])
+    lacks = np.concatenate([one[:, channel] for _, one in rows])
+    taken = np.unique(np.linspace(0, len(lacks) - 1, MOST_ROWS).astype(int))
+    return inputs[taken], lacks[taken]
+
+
+def _held_out(problem: Problem, null: Point, lacks: Lacks | None) -> dict[str, float]:
+    """Errors over the range of what was measured, both channels alike, without and with the process (None:
+    without it, too)."""
+    case = problem.case
+    squares: list[list[Array]] = [[], []]
+    for i, run in enumerate(case.runs):
+        beginning = run.time_s - run.time_s[0] < SHOWN_S
+        used = [np.ones(len(other.time_s), dtype=np.bool_) for other in case.runs]
+        used[i] = beginning
+        point = Problem(case, problem.noise_kPa, used).fit(null).point
+        baseline = with_it = problem.simulated(point, [i])[0]
+        if lacks is not None:
+            others = [row for k, row in enumerate(_rows(problem, point)) if k != i]
+            learned = Lack(*_stack(others, 0), lacks[0]), Lack(*_stack(others, 1), lacks[1])
+            start = State(*point.initial[problem.starts[i]][0].tolist())
+            with_it = _simulated(_rig(problem, point), run, start, learned)
+        read = np.stack((run.cv_kPa, run.reservoir_kPa))
+        for found, simulated in zip(squares, (baseline, with_it), strict=True):
+            found.append(((read - simulated) ** 2)[:, ~beginning])
+    before, after = (np.concatenate(one, axis=1) for one in squares)
+    read = np.concatenate([np.stack((run.cv_kPa, run.reservoir_kPa)) for run in case.runs], axis=1)
+    noise = np.array(problem.noise_kPa)[:, None] ** 2 * np.ones_like(before)
+    return {
+        "nrmse_before": _nrmse(before, read),
+        "nrmse_after": _nrmse(after, read),
+        "noise_floor": _nrmse(noise, read),
+    }
+
+
+def _simulated(rig: Rig, run: Run, start: State, lacks: Lacks) -> Array:
+    """(2, n) control volume and reservoir: the baseline's steps, and in each what its rates lack."""
+    found = np.empty((2, len(run.time_s)))
+    state = start
+    lengths_s = np.diff(run.time_s, append=run.time_s[-1])
+    for k, dt_s in enumerate(lengths_s.tolist()):
+        found[:, k] = state.cv_kPa, state.reservoir_kPa
+        inputs = Inputs(float(run.evp_opening[k]), float(run.dvp_opening[k]), run.solenoid[k] > 0.5)
+        features = np.array([state.reservoir_kPa, state.cv_kPa, inputs.evp, inputs.dvp, inputs.solenoid])
+        reservoir, cv = (lack.at(features) for lack in lacks)
+        for _ in range(STEPS):
+            state = step(rig, state, inputs, dt_s / STEPS)
+        state = State(state.reservoir_kPa + dt_s * reservoir, state.cv_kPa + dt_s * cv)
+    return found
+
+
+def _nrmse(squares: Array, read: Array) -> float:
+    """`squares` of errors, `read`: (2, n), NaN where nothing was read."""
+    shares = [
+        float(np.nanmean(row) / np.ptp(values[np.isfinite(values)]) ** 2)
+        for row, values in zip(squares, read, strict=True)
+        if np.isfinite(values).any()
+    ]
+    return float(np.sqrt(np.mean(shares)))

@@ -1,0 +1,204 @@
+"""pysindy's sparse regression, with a physicist's library of terms, and a table of what each term means.
+
+dP/dt of either pressure is regressed on the baseline's own terms and on what could stand beside them:
+products of openings and pressures, and what is missed where a valve turns late. The threshold is the one
+that predicts runs which the regression has not seen, or a larger one that does it as well. A term beyond the
+baseline's names a cause; where there is none, the baseline's coefficients may, by which are off together.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from discrepancy_rates import Series, inflation, motive, outlet, per_SL, series, stacked
+from numpy.typing import NDArray
+from pysindy.optimizers import STLSQ
+
+from flying_vines.discrepancy.case import Case
+from flying_vines.discrepancy.fit import Problem
+from flying_vines.discrepancy.recording import Array
+from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED
+
+THRESHOLDS = np.geomspace(1e-3, 0.5, 16)
+"""Of a term's share in the rates."""
+RIDGE = 1e-4
+SURE = 16.0
+"""χ² by which coefficients must be off to mean something."""
+TOGETHER = {
+    "reservoir_volume": (1.0, 1.0, 0.0, 0.0),
+    "evp_restriction": (1.0, 0.0, 1.0, 0.0),
+    "dead_volume": (0.0, 0.0, 1.0, 1.0),
+    "cv_sensor_gain": (0.0, 0.0, 1.0, 0.0),
+}
+"""Which coefficients a cause moves alike: of the reservoir inflation and Venturi, of the control volume
+inflation and outlet."""
+ALIKE = {"cv_sensor_gain": ("reservoir_sensor_gain",)}
+
+Terms = dict[str, Array]
+
+
+class Equation(NamedTuple):
+    """One pressure's, as it was found."""
+
+    extra: dict[str, float]
+    """Causes whose terms are in it: by how much χ² would rise without, all others refitted."""
+    coefficients: Array
+    """Of the baseline's own terms; 1 is as believed."""
+    errors: Array
+    """Their standard errors."""
+
+
+NOT_READ = Equation({}, np.ones(2), np.full(2, np.inf))
+
+
+def look(case: Case) -> dict[str, Any]:
+    problem = Problem(case, (1.0, 1.0))
+    runs = series(problem, problem.start())
+    read = [np.isfinite(run.reservoir_kPa).any() for run in case.runs]
+    reservoir = _equation(case, runs, 0, _reservoir) if all(read) else NOT_READ
+    read = [np.isfinite(run.cv_kPa).any() for run in case.runs]
+    cv = _equation(case, runs, 1, _cv) if all(read) else NOT_READ
+    extra = dict(reservoir.extra)
+    for cause, missed in cv.extra.items():
+        extra[cause] = missed + extra.get(cause, 0.0)
+    if extra:
+        first, *others = sorted(extra, key=lambda cause: -extra[cause])
+        return {"cause": first, "also": [{"cause": cause} for cause in others]}
+    cause = _by_coefficients(case, (reservoir, cv))
+    return {"cause": cause, "indistinguishable": list(ALIKE.get(cause, ()))}
+
+
+def _reservoir(case: Case, s: Series) -> tuple[Terms, Terms]:
+    """The baseline's terms, and others by the cause that they stand for, kPa/s or any unit."""
+    gain, _ = per_SL(case)
+    into, through = inflation(case.rig, s), motive(case.rig, s)
+    own = {"inflation": s.mean(-gain * into), "motive": s.mean(-gain * through)}
+    return own, {
+        "ambient_drop": s.mean(np.ones_like(s.evp)),
+        "reservoir_leak": s.mean(s.reservoir_kPa),
+        "compressible_flow": s.mean((into + through) * s.reservoir_kPa),
+        "reservoir_sensor_offset": s.mean(
+            s.evp / case.rig.evp.flow_resistance_kPa_s_per_SL
+            + s.dvp / case.rig.dvp.flow_resistance_kPa_s_per_SL
+        ),
+        "evp_dead_zone": s.mean(into * (1.0 - s.evp)),
+        "line_delay": s.jumps(np.diff(s.evp, prepend=0.0) * (s.reservoir_kPa - s.cv_kPa)),
+    }
+
+
+def _cv(case: Case, s: Series) -> tuple[Terms, Terms]:
+    _, gain = per_SL(case)
+    into, out = inflation(case.rig, s), outlet(case.rig, s)
+    own = {"inflation": s.mean(gain * into), "outlet": s.mean(-gain * out)}
+    closing = np.maximum(-np.diff(s.solenoid, prepend=0.0), 0.0)
+    # Where it has just closed, what flowed out at the sample before goes on.
+    before = np.concatenate(([0.0], out[:-1]))
+    return own, {
+        "ambient_drop": s.mean(np.ones_like(s.evp)),
+        "cv_leak": s.mean(s.cv_kPa),
+        "compressible_flow": s.mean(into * s.reservoir_kPa),
+        "reservoir_sensor_offset": s.mean(s.evp),
+        "cv_sensor_offset": s.mean(s.solenoid),
+        "cv_compliance": s.mean((into - out) * s.cv_kPa),
+        "evp_dead_zone": s.mean(into * (1.0 - s.evp)),
+        "line_delay": s.jumps(np.diff(s.evp, prepend=0.0) * (s.reservoir_kPa - s.cv_kPa)),
+        "solenoid_slow_close": s.jumps(closing * before),
+        "venturi_stall": s.mean(s.solenoid * s.dvp * (1.0 - s.reservoir_kPa / 690.0)),
+    }
+
+
+def _equation(
+    case: Case, runs: list[Series], channel: int, terms: Callable[[Case, Series], tuple[Terms, Terms]]
+) -> Equation:
+    rates, run = stacked(runs, lambda s: s.gain(s.read_kPa[channel]))
+    if len(runs) == 1:
+        run = np.arange(len(rates)) // -(-len(rates) // 2)
+    own, extra = (
+        {name: np.concatenate([one[name] for one in every]) for name in every[0]}
+        for every in zip(*(terms(case, s) for s in runs), strict=True)
+    )
+    names = [*own, *extra]
+    columns = np.stack([*own.values(), *extra.values()], axis=1)
+    # A valve that is never used has a column of zeros.
+    used = np.flatnonzero(np.linalg.norm(columns, axis=0) > 0.0)
+    coefficients = _sparse(columns[:, used], rates, _threshold(columns[:, used], rates, run))
+    chosen = used[coefficients != 0.0]
+    # By size two terms that nearly cancel would come first.
+    left = _left(columns[:, chosen], rates)
+    found = {
+        names[k]: len(rates) * (_left(columns[:, chosen[chosen != k]], rates) / left - 1.0)
+        for k in chosen
+        if k >= len(own)
+    }
+    return Equation(found, *_least_squares(columns[:, : len(own)], rates))
+
+
+def _left(columns: Array, rates: Array) -> float:
+    """The sum of squares that no mixture of these explains."""
+    return float(np.sum((rates - columns @ np.linalg.lstsq(columns, rates)[0]) ** 2))
+
+
+def _sparse(columns: Array, rates: Array, threshold: float) -> Array:
+    """Which terms, and how much of each."""
+    regression = STLSQ(threshold * float(np.linalg.norm(rates)), alpha=RIDGE, normalize_columns=True)
+    with warnings.catch_warnings():
+        # It warns where a threshold leaves nothing, which is an answer.
+        warnings.simplefilter("ignore")
+        regression.fit(columns, rates[:, None])
+    coefficients: Array = np.asarray(regression.coef_[0], dtype=np.float64)
+    return coefficients
+
+
+def _threshold(columns: Array, rates: Array, run: NDArray[np.int_]) -> float:
+    """The largest whose error on unseen runs is not clearly above the least."""
+    errors = np.array(
+        [
+            [
+                np.mean(
+                    (rates[run == i] - columns[run == i] @ _sparse(columns[run != i], rates[run != i], t))
+                    ** 2
+                )
+                for i in np.unique(run)
+            ]
+            for t in THRESHOLDS
+        ]
+    )
+    mean = errors.mean(axis=1)
+    best = int(np.argmin(mean))
+    # Standard error of the difference to the best: runs differ by themselves.
+    excess = errors - errors[best]
+    doubt = excess.std(axis=1, ddof=1) / np.sqrt(errors.shape[1])
+    return float(THRESHOLDS[np.flatnonzero(excess.mean(axis=1) <= doubt)[-1]])
+
+
+def _least_squares(columns: Array, rates: Array) -> tuple[Array, Array]:
+    """The baseline's terms alone: coefficients and standard errors."""
+    information = columns.T @ columns
+    used = np.diag(information) > 0.0
+    coefficients, errors = np.ones(len(used)), np.full(len(used), np.inf)
+    inverse = np.linalg.inv(information[np.ix_(used, used)])
+    coefficients[used] = inverse @ (columns[:, used].T @ rates)
+    left = rates - columns[:, used] @ coefficients[used]
+    errors[used] = np.sqrt(np.diag(inverse) * float(left @ left) / len(rates))
+    return coefficients, errors
+
+
+def _by_coefficients(case: Case, equations: Sequence[Equation]) -> str:
+    """The cause that moves alike what is off beyond what is believed."""
+    off = np.concatenate([equation.coefficients for equation in equations]) - 1.0
+    errors = np.concatenate([equation.errors for equation in equations])
+    tolerance = case.rig.tolerance("evp.flow_resistance_kPa_s_per_SL") / 100.0
+    weighed = off / np.hypot(errors, tolerance)
+    if float(weighed @ weighed) < SURE:
+        return NONE
+    left = {}
+    for cause, pattern in TOGETHER.items():
+        trace = np.array(pattern) / np.hypot(errors, tolerance)
+        length = float(trace @ trace)
+        along = float(trace @ weighed) ** 2 / length if length > 0.0 else 0.0
+        left[cause] = float(weighed @ weighed) - along
+    best = min(left, key=left.__getitem__)
+    return best if left[best] < SURE else UNEXPLAINED

@@ -1,0 +1,158 @@
+"""When a verdict is right, how far off a number is, and what a stated probability is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from itertools import pairwise
+from math import inf, isinf, sqrt
+from statistics import fmean
+
+from discrepancy_outcome import Interval, Outcome, Said, Truth
+
+from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED
+
+Neutral = Mapping[tuple[str, str], float | None]
+"""Where a parameter of a cause does nothing."""
+
+UNSURE = 0.9
+"""`none` with less confidence leaves open what is there."""
+CONFIDENT = 0.5
+"""A cause that is named with more is claimed."""
+NEAR = 0.1
+"""A parameter is right within this share of its distance from neutral."""
+AT_NOISE = 1.2
+"""An error on unseen data is noise's own up to so many times that."""
+BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 1.0)
+_Z = 1.959964
+
+
+class Judgement(Enum):
+    """Of what was said about what is hidden."""
+
+    RIGHT = "right"
+    ALIKE = "among indistinguishable"
+    OPEN = "left open"
+    WRONG = "wrong"
+
+
+def wilson(count: int, of: int) -> tuple[float, float]:
+    """The 95 % interval of a share of which a sample is known (Wilson 1927)."""
+    if of == 0:
+        return 0.0, 1.0
+    share, z2 = count / of, _Z**2
+    middle = (share + z2 / (2 * of)) / (1 + z2 / of)
+    half = _Z / (1 + z2 / of) * sqrt(share * (1 - share) / of + z2 / (4 * of**2))
+    # At either end rounding must not leave out what was seen.
+    return min(share, middle - half), max(share, middle + half)
+
+
+def judge(truth: Truth, said: Said) -> Judgement:
+    """RIGHT: `none` of a rig that hides nothing, `unexplained` of what the catalogue lacks, the cause of what
+    it holds; where two are hidden, both, in any order."""
+    if truth.outside:
+        return Judgement.RIGHT if said.cause == UNEXPLAINED else Judgement.WRONG
+    hidden = set(truth.hidden)
+    if not hidden:
+        return Judgement.RIGHT if said.cause == NONE else Judgement.WRONG
+    # Of one cause it is not enough to stand beside another that is said to explain more.
+    named = set(said.named) if len(hidden) > 1 else {said.cause}
+    if hidden <= named:
+        return Judgement.RIGHT
+    if hidden <= named.union(said.indistinguishable):
+        return Judgement.ALIKE
+    if said.cause == UNEXPLAINED or (said.cause == NONE and said.confidence and said.confidence < UNSURE):
+        return Judgement.OPEN
+    return Judgement.WRONG
+
+
+def judgement(outcome: Outcome) -> Judgement:
+    """A failure is wrong."""
+    return Judgement.WRONG if outcome.said is None else judge(outcome.truth, outcome.said)
+
+
+def counts(outcome: Outcome) -> bool:
+    """Whether the goal of its tier is met: of twenty seconds it is enough not to claim what is not so."""
+    enough = {Judgement.RIGHT, Judgement.ALIKE}
+    if outcome.truth.tier == "short":
+        enough.add(Judgement.OPEN)
+    return judgement(outcome) in enough
+
+
+def false_names(truth: Truth, said: Said) -> list[str]:
+    """Causes that are claimed and not there."""
+    return [name for name in said.named if name not in truth.hidden]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A parameter of a cause that is there and was named."""
+
+    cause: str
+    name: str
+    true: float
+    interval: Interval
+
+    @property
+    def held(self) -> bool:
+        return self.interval.low <= self.true <= self.interval.high
+
+
+def measured(truth: Truth, said: Said) -> Iterator[Measured]:
+    """Every parameter of which both are known."""
+    for cause, parameters in truth.hidden.items():
+        for name, true in parameters.items():
+            interval = said.named.get(cause, {}).get(name)
+            if interval is not None:
+                yield Measured(cause, name, true, interval)
+
+
+def off(one: Measured, neutral: Neutral) -> float:
+    """The error over the true distance from neutral: from 1 of a scale or gain, from 0 of the rest; of what
+    is neutral at infinity (leaks), or nowhere, over the value itself."""
+    at = neutral.get((one.cause, one.name))
+    distance = one.true if at is None or isinf(at) else one.true - at
+    error = abs(one.interval.estimate - one.true)
+    return error / abs(distance) if distance else inf
+
+
+def holds(truth: Truth, said: Said) -> bool:
+    """Whether what the confidence is about came true; of two hidden causes either is one."""
+    if truth.outside:
+        return said.cause == UNEXPLAINED
+    return not set(truth.hidden or {NONE}).isdisjoint(said.candidates)
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Verdicts of about the same confidence."""
+
+    low: float
+    high: float
+    stated: float
+    """The mean of the confidences."""
+    held: int
+    of: int
+
+
+def reliability(stated: Sequence[tuple[float, bool]]) -> list[Bin]:
+    """Confidences, and whether they came true, by confidence; empty bins are left out."""
+    found = []
+    for low, high in pairwise(BINS):
+        inside = [(p, true) for p, true in stated if low < p <= high or p == low == 0.0]
+        if inside:
+            mean = fmean(p for p, _ in inside)
+            found.append(Bin(low, high, mean, sum(true for _, true in inside), len(inside)))
+    return found
+
+
+def brier(stated: Sequence[tuple[float, bool]]) -> float:
+    """The mean square of what a probability is off: 0 is clairvoyance, 0.25 a coin."""
+    return fmean((p - true) ** 2 for p, true in stated)
+
+
+def over_noise(said: Said) -> float | None:
+    """The error on unseen data in units of noise's own, if it was measured."""
+    error = said.held_out
+    return error.nrmse_after / error.noise_floor if error is not None and error.noise_floor > 0.0 else None
