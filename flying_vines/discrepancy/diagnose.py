@@ -12,9 +12,10 @@ from threadpoolctl import threadpool_limits
 from flying_vines.discrepancy.case import Case
 from flying_vines.discrepancy.cause import Cause
 from flying_vines.discrepancy.causes import catalogue
+from flying_vines.discrepancy.cores import mapped
 from flying_vines.discrepancy.evidence import evidence
 from flying_vines.discrepancy.fit import Problem
-from flying_vines.discrepancy.held_out import Split, held_out, splits_for, unseen_error
+from flying_vines.discrepancy.held_out import HeldOut, Split, held_out, splits_for, unseen_error
 from flying_vines.discrepancy.intervals import Profile, profile
 from flying_vines.discrepancy.noise import noise_kPa
 from flying_vines.discrepancy.plan import recommend
@@ -30,7 +31,7 @@ _SURPRISE = 0.02
 """How often, before any data, something is there that the catalogue does not hold, and looks like noise."""
 _SURPRISE_UNEXPLAINED = 0.1
 """How often what is left after all is a cause of the catalogue after all, that no fit has found."""
-_SCORED = 5
+_SCORED = 4
 """So many of the best candidates are held against unseen data."""
 _ON_BOUND = 1e-6
 """Of a parameter's range."""
@@ -73,13 +74,12 @@ def _noise_left(chosen: Candidate) -> tuple[float, float]:
 def _verdict(found: Found, progress: Progress) -> Verdict:
     chosen, problem = found.chosen, found.chosen.problem
     progress("intervals", 0.85)
-    profiles = [
-        profile(chosen, index, number)
-        for index, cause in enumerate(chosen.causes)
-        for number in range(len(cause.parameters))
-    ]
+    parameters = [(i, n) for i, cause in enumerate(chosen.causes) for n in range(len(cause.parameters))]
+    profiles = mapped(lambda parameter: profile(chosen, *parameter), parameters)
     progress("unseen data", 0.9)
     splits = splits_for(problem, chosen.fit.point, profiles)
+    null = found.search.null
+    errors = held_out(problem, splits, None if chosen is null else null.fit.point)
     left = None if chosen.adequate else chosen.patterns[0]
     unexplained = Verdict(
         cause=UNEXPLAINED,
@@ -88,8 +88,8 @@ def _verdict(found: Found, progress: Progress) -> Verdict:
         parameters={},
         also=(),
         numbers={},
-        held_out=held_out(problem, splits, found.search.null.fit.point, chosen.fit.point),
-        ranking=_ranking(found.tried, splits),
+        held_out=errors,
+        ranking=_ranking(found, splits, errors),
         next_experiment="Repeat the run that fits worst with one valve moved at a time.",
         remainder=f"{left.channel}: {left.feature}" if left else "",
         remarks=(*problem.case.remarks, *_noise_remarks(problem)),
@@ -138,26 +138,28 @@ def _noise_remarks(problem: Problem) -> list[str]:
     ]
 
 
-def _ranking(tried: Sequence[Candidate], splits: Sequence[Split]) -> tuple[Tried, ...]:
+def _ranking(found: Found, splits: Sequence[Split], errors: HeldOut) -> tuple[Tried, ...]:
     best: dict[frozenset[str], Candidate] = {}
-    for candidate in tried:
+    for candidate in found.tried:
         if not isfinite(candidate.score):
             continue
         key = frozenset(candidate.names)
         if key not in best or candidate.score < best[key].score:
             best[key] = candidate
     ranked = sorted(best.values(), key=lambda candidate: candidate.score)
+    known = {(): errors.nrmse_before, found.chosen.names: errors.nrmse_after}
+    for candidate in ranked[:_SCORED]:
+        if candidate.names not in known:
+            known[candidate.names] = unseen_error(candidate.problem, splits, candidate.fit.point)
     return tuple(
         Tried(
             named=tuple(Named(cause.name, _roughly(candidate, cause)) for cause in candidate.causes),
             on_bound=_on_bound(candidate),
             chi2_per_reading=candidate.fit.chi2 / candidate.problem.readings,
             score=candidate.score - ranked[0].score,
-            unseen_nrmse=(
-                unseen_error(candidate.problem, splits, candidate.fit.point) if place < _SCORED else None
-            ),
+            unseen_nrmse=known.get(candidate.names),
         )
-        for place, candidate in enumerate(ranked)
+        for candidate in ranked
     )
 
 

@@ -28,8 +28,8 @@ from flying_vines.discrepancy.slopes import RunSlopes, Slopes
 Bools = NDArray[np.bool_]
 
 MOST_STEPS = 30
-FIRST_STEPS = 3
-"""That tell which seed leads on."""
+FIRST_STEPS, THEN_STEPS = 3, 2
+"""That tell which seed leads on, and how far."""
 FEW_SEEDS = 3
 """Of more, the nearest."""
 ENOUGH = 0.02
@@ -209,16 +209,21 @@ class Problem:
         return covariance
 
     def begun(self, base: Point, cause: Cause) -> Fit:
-        """The first steps of a fit with a further cause, from its best seed."""
+        """The first steps of a fit with a further cause: of it alone from each seed, of all from the best."""
         starts = [base.with_cause(cause, values) for values in cause.seeds()]
         if len(starts) > FEW_SEEDS:
             starts.sort(key=self.chi2)
-        begun = (self.fit(start, FIRST_STEPS) for start in starts[:FEW_SEEDS])
-        return min(begun, key=lambda fit: fit.chi2)
+        alone = (self.fit(start, FIRST_STEPS, moving=len(cause.parameters)) for start in starts[:FEW_SEEDS])
+        return self.fit(min(alone, key=lambda fit: fit.chi2).point, THEN_STEPS)
 
-    def fit(self, start: Point, most_steps: int = MOST_STEPS) -> Fit:
-        """The least χ² near `start`."""
-        space = _Space(self, start)
+    def fit(self, start: Point, most_steps: int = MOST_STEPS, moving: int | None = None) -> Fit:
+        """The least χ² near `start`.
+
+        Args:
+            most_steps: after which it ends wherever it is.
+            moving: so many of the last parameters are moved, and no others; all that are free unless given.
+        """
+        space = _Space(self, start, moving)
         place = space.clipped(space.inner(start))
         residuals = self.residuals(space.outer(place))
         cost = _chi2(residuals) + space.believed(place)
@@ -227,7 +232,7 @@ class Problem:
         damping = 1e-7
         for _ in range(most_steps):
             slopes = space.slopes(place, residuals)
-            for _ in range(10):
+            for _ in range(7):
                 move = space.best_move(place, slopes, damping)
                 there = space.clipped(place + move)
                 point = space.outer(there)
@@ -249,7 +254,7 @@ class Problem:
 class _Space:
     """The numbers that a fit moves, in one row: deviations, parameters, initial pressures run by run."""
 
-    def __init__(self, problem: Problem, start: Point) -> None:
+    def __init__(self, problem: Problem, start: Point, moving: int | None = None) -> None:
         self._problem = problem
         self._start = start
         self._keys = tuple(start.deviation)
@@ -263,6 +268,10 @@ class _Space:
         self._nudges += [_OF_RANGE * p.range for p in self._parameters]
         unbounded = np.full(start.initial.size, np.inf)
         self._low, self._high = np.append(low, -unbounded), np.append(high, unbounded)
+        if moving is not None:
+            held = self._common - moving
+            self._nudges[:held] = [0.0] * held
+            self._low[:held] = self._high[:held] = self.inner(start)[:held]
         typical = [(0.0, problem.spread(key)) for key in self._keys]
         typical += [p.typical or (0.0, inf) for p in self._parameters]
         self._typical = np.array([mean for mean, _ in typical])

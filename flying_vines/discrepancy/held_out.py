@@ -13,12 +13,13 @@ simulation are alike from sample to sample, but hardly from block to block.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flying_vines.discrepancy.cores import mapped
 from flying_vines.discrepancy.fit import Bools, Point, Problem
 from flying_vines.discrepancy.intervals import Profile
 from flying_vines.discrepancy.model import Array
@@ -57,6 +58,8 @@ class Split:
     shown: Problem
     scored: tuple[Bools, ...]
     """Run by run, (n,)."""
+    fitted: Point
+    """The chosen causes, fitted from nothing to what is shown."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +72,16 @@ class _Errors:
     """(blocks, 2) readings."""
 
 
-def held_out(problem: Problem, splits: Sequence[Split], null: Point, chosen: Point) -> HeldOut:
-    """Errors of the null and of the chosen causes, both refitted without what they predict."""
-    before = _errors(problem, splits, null)
-    after = before if chosen is null else _errors(problem, splits, chosen)
+def held_out(problem: Problem, splits: Sequence[Split], null: Point | None) -> HeldOut:
+    """Errors of the null and of the chosen causes, both refitted without what they predict.
+
+    Args:
+        null: the baseline, if it was not chosen itself.
+    """
+    after = _errors(problem, splits, lambda split: split.fitted)
+    before = after
+    if null is not None:
+        before = _errors(problem, splits, lambda split: _refitted(split.shown, null))
     floor = float(_nrmse(problem, _Errors(before.count, before.count)))
     return HeldOut(
         float(_nrmse(problem, before)), float(_nrmse(problem, after)), floor, _gain(problem, before, after)
@@ -80,8 +89,9 @@ def held_out(problem: Problem, splits: Sequence[Split], null: Point, chosen: Poi
 
 
 def unseen_error(problem: Problem, splits: Sequence[Split], point: Point) -> float:
-    """The error of some causes alone, as in `HeldOut`."""
-    return float(_nrmse(problem, _errors(problem, splits, point)))
+    """The error of some causes alone, as in `HeldOut`, but after two steps from where all data have put
+    them: for a table of those that were not chosen."""
+    return float(_nrmse(problem, _errors(problem, splits, lambda split: split.shown.fit(point, 2).point)))
 
 
 def splits_for(problem: Problem, chosen: Point, profiles: Sequence[Profile]) -> list[Split]:
@@ -91,17 +101,19 @@ def splits_for(problem: Problem, chosen: Point, profiles: Sequence[Profile]) -> 
         chosen: the causes that are to be judged.
         profiles: of their parameters.
     """
-    times = [run.time_s - run.time_s[0] for run in problem.case.runs]
-    splits = []
-    for i, time_s in enumerate(times):
-        beginning = _beginnings(time_s, problem.simulation.runs[i].start)
-        others = _split(problem, i, ~beginning)
-        if len(times) > 1 and _fixed(others.shown, _refitted(others.shown, chosen), profiles):
-            splits.append(others)
-            continue
-        odd = (time_s // STRETCH_S) % 2 == 1
-        splits += [_split(problem, i, odd & ~beginning), _split(problem, i, ~odd & ~beginning)]
-    return splits
+    every = mapped(lambda i: _of_run(problem, chosen, profiles, i), range(len(problem.case.runs)))
+    return [split for splits in every for split in splits]
+
+
+def _of_run(problem: Problem, chosen: Point, profiles: Sequence[Profile], i: int) -> list[Split]:
+    time_s = problem.case.runs[i].time_s - problem.case.runs[i].time_s[0]
+    beginning = _beginnings(time_s, problem.simulation.runs[i].start)
+    if len(problem.case.runs) > 1:
+        others = _split(problem, chosen, i, ~beginning)
+        if _fixed(others, profiles):
+            return [others]
+    odd = (time_s // STRETCH_S) % 2 == 1
+    return [_split(problem, chosen, i, unseen & ~beginning) for unseen in (odd, ~odd)]
 
 
 def _beginnings(time_s: Array, start: NDArray[np.intp]) -> Bools:
@@ -113,16 +125,17 @@ def _beginnings(time_s: Array, start: NDArray[np.intp]) -> Bools:
     return beginnings
 
 
-def _split(problem: Problem, i: int, unseen: Bools) -> Split:
+def _split(problem: Problem, chosen: Point, i: int, unseen: Bools) -> Split:
     """These samples of a run, from all the rest."""
     used = [np.ones(len(run.time_s), dtype=np.bool_) for run in problem.case.runs]
     used[i] = ~unseen
-    scored = tuple(~mask for mask in used)
-    return Split(Problem(problem.case, problem.noise_kPa, used), scored)
+    shown = Problem(problem.case, problem.noise_kPa, used)
+    return Split(shown, tuple(~mask for mask in used), _refitted(shown, chosen))
 
 
-def _fixed(shown: Problem, point: Point, profiles: Sequence[Profile]) -> bool:
-    """Whether a parameter cannot lie far outside its interval, for all that is shown."""
+def _fixed(split: Split, profiles: Sequence[Profile]) -> bool:
+    """Whether no parameter can lie far outside its interval, for all that is shown."""
+    shown, point = split.shown, split.fitted
     least = shown.fit(point, 1).cost
     names = [cause.name for cause in point.causes]
     for profile in profiles:
@@ -139,10 +152,10 @@ def _fixed(shown: Problem, point: Point, profiles: Sequence[Profile]) -> bool:
     return True
 
 
-def _errors(problem: Problem, splits: Sequence[Split], point: Point) -> _Errors:
+def _errors(problem: Problem, splits: Sequence[Split], refit: Callable[[Split], Point]) -> _Errors:
     squares, count = [], []
-    for split in splits:
-        residuals = problem.residuals(_refitted(split.shown, point))
+    predicted = mapped(lambda split: problem.residuals(refit(split)), splits)
+    for split, residuals in zip(splits, predicted, strict=True):
         for i, residual in enumerate(residuals):
             time_s = problem.case.runs[i].time_s
             block = ((time_s - time_s[0]) // BLOCK_S).astype(np.intp)

@@ -16,10 +16,10 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from flying_vines.discrepancy.case import Case, read_case
+from flying_vines.discrepancy.cores import THREADS, cores
 from flying_vines.discrepancy.diagnose import diagnose
 from flying_vines.discrepancy.from_log import is_flight, read_flight
 from flying_vines.discrepancy.recording import CaseError
-from flying_vines.discrepancy.search import THREADS, cores
 from flying_vines.discrepancy.verdict import Verdict
 
 AHEAD = 2

@@ -7,17 +7,15 @@ for its freedom with the logarithm of how much more the data say of the numbers 
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextvars import ContextVar
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
+from math import inf
 
 import numpy as np
 
 from flying_vines.discrepancy.cause import Cause
+from flying_vines.discrepancy.cores import mapped
 from flying_vines.discrepancy.fit import Fit, Problem, Tangents
 from flying_vines.discrepancy.model import Array
 from flying_vines.discrepancy.residuals import Pattern, patterns
@@ -34,16 +32,13 @@ PROMISING = 4
 """So many further causes are fitted fully, those that promise most."""
 LEADERS = 6
 """So many fits, those that have come lowest in their first steps, are fitted to the end."""
+REACH, REACH_SHARE = 2000.0, 0.1
+"""By so much χ², and this share of all that there is to explain, a fit that has begun may still fall."""
 OF_RANGE = 1e-3
-THREADS: ContextVar[int] = ContextVar("THREADS", default=0)
-"""That a search may use; 0 is one a core."""
 
 
 Progress = Callable[[str, float], None]
 """Is told what is being done, and which share of all is done."""
-
-T = TypeVar("T")
-R = TypeVar("R")
 
 
 def silent(step: str, share: float) -> None:
@@ -118,18 +113,28 @@ class Search:
         return self._finished([(self.nulls[1], cause) for cause in self.catalogue])
 
     def _finished(self, pairs: Sequence[tuple[Candidate, Cause]]) -> list[Candidate]:
-        """Each base with its further cause, the best first; only the leaders are fitted to the end."""
-        fits = sorted(
-            self._map(lambda pair: self.problem.begun(pair[0].fit.point, pair[1]), pairs),
-            key=lambda fit: fit.chi2,
-        )
-        fits[:LEADERS] = self._map(lambda fit: self.problem.fit(fit.point), fits[:LEADERS])
+        """Each base with its further cause, the best first; only the leaders are fitted to the end.
+
+        Where the first of them leaves nothing but noise, only those that come near it are.
+        """
+        begun = mapped(lambda pair: self.problem.begun(pair[0].fit.point, pair[1]), pairs)
+        first, *others = sorted(begun, key=lambda fit: fit.chi2)
+        first = self.problem.fit(first.point)
+        reach = self._reach(Candidate(self.problem, first))
+        near = [fit for fit in others[: LEADERS - 1] if fit.chi2 < reach]
+        fits = [first, *mapped(lambda fit: self.problem.fit(fit.point), near), *others[len(near) :]]
         return [Candidate(self.problem, fit) for fit in sorted(fits, key=lambda fit: fit.chi2)]
 
-    def _map(self, function: Callable[[T], R], items: Iterable[T]) -> list[R]:
-        """On all cores: most of the time is spent in compiled code, which lets others work meanwhile."""
-        with ThreadPoolExecutor(THREADS.get() or cores()) as pool:
-            return list(pool.map(function, items))
+    def _reach(self, first: Candidate) -> float:
+        """To which χ² a fit may have come and still compete with what has come furthest."""
+        if not first.adequate:
+            return inf
+        return first.fit.chi2 + REACH + REACH_SHARE * (self.null.fit.chi2 - first.fit.chi2)
+
+    def _leaders(self, bases: Sequence[Candidate]) -> list[Candidate]:
+        """The best few, settled."""
+        reach = self._reach(bases[0])
+        return mapped(self.settled, [base for base in bases[:FIRSTS] if base.fit.chi2 < reach])
 
     def settled(self, candidate: Candidate) -> Candidate:
         """The same causes, with the believed numbers exact if that explains the data as well."""
@@ -139,7 +144,7 @@ class Search:
     def further(self, bases: Sequence[Candidate]) -> list[Candidate]:
         """The bases with one more cause, the best first; only those are fitted that promise most."""
         pairs: dict[frozenset[str], tuple[Candidate, Cause]] = {}
-        for base, others in zip(bases, self._map(self._promising, bases), strict=True):
+        for base, others in zip(bases, mapped(self._promising, bases), strict=True):
             for cause in others:
                 pairs.setdefault(frozenset((*base.names, cause.name)), (base, cause))
         return self._finished(list(pairs.values()))
@@ -167,7 +172,7 @@ class Search:
         """Everything that was tried, and what explains the data best."""
         progress("single causes", 0.1)
         bases = self.singles()
-        leaders = self._map(self.settled, bases[:FIRSTS])
+        leaders = self._leaders(bases)
         tried = [*self.nulls, *bases, *leaders]
         chosen = min([self.null, *leaders], key=lambda c: c.score)
         if chosen.score > self.null.score - CLAIM:
@@ -178,7 +183,7 @@ class Search:
             progress(f"{count} causes together", 0.2 * count)
             firsts = bases[:FIRSTS] if count == 2 else bases[:1]
             bases = self.further(firsts)
-            leaders = self._map(self.settled, bases[:FIRSTS])
+            leaders = self._leaders(bases)
             tried += leaders
             better = min(leaders, key=lambda c: c.score)
             if better.score > chosen.score - CLAIM:
@@ -205,8 +210,3 @@ class Found:
     search: Search
     tried: list[Candidate]
     chosen: Candidate
-
-
-def cores() -> int:
-    """That this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -21,6 +21,7 @@ from flying_vines.pneumatics.plant.gas import GAMMA
 from flying_vines.pneumatics.rig import Rig
 
 LONGEST_STEP_S = 0.05
+QUICK_WALL_S = 0.002
 _STEP = 0.25
 """Of the quickest time constant: there Runge–Kutta of fourth order errs by 1e-5 of what is left to settle."""
 
@@ -172,7 +173,10 @@ def _quickest_per_s(numbers: Numbers) -> float:
         GAMMA * ALPHA_KPA * into_cv / n.cv_volume_L,
         GAMMA * ALPHA_KPA * out_of_reservoir / n.reservoir_volume_L,
     ]
-    rates += [1.0 / s for s in (n.reservoir_time_constant_s, n.cv_time_constant_s) if s > 0.0]
+    for wall_s in (n.reservoir_time_constant_s, n.cv_time_constant_s):
+        if wall_s > 0.0:
+            # Where heat comes and goes within milliseconds, gas hardly leaves the ambient temperature.
+            rates.append(_STEP / max(_STEP * wall_s, min(wall_s, QUICK_WALL_S)))
     if n.cv_sensor_lag_s > 0.0:
         # A straight line over a step has to be near what the pressure does there.
         rates.append(10.0 * rates[0])

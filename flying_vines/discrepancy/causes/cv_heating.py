@@ -19,9 +19,9 @@ CAUSE = Cause(
     parameters=(
         Parameter(
             "time_constant_s",
-            low=0.02,
+            low=1e-3,
             high=3000.0,
-            seeds=(0.05, 1.0, 30.0),
+            seeds=(0.005, 0.05, 1.0, 30.0),
             neutral=0.0,
             logarithmic=True,
             source="volumes of 0.1 to 1 L with natural convection: 0.3 to 10 s",

@@ -19,7 +19,7 @@ CAUSE = Cause(
     parameters=(
         Parameter(
             "time_constant_s",
-            low=0.02,
+            low=3e-3,
             high=3000.0,
             seeds=(0.1, 10.0, 300.0),
             neutral=0.0,
