@@ -18,10 +18,10 @@ from rich.console import Console
 from flying_vines.cli import main
 from flying_vines.discrepancy import many
 from flying_vines.discrepancy.case import Case, read_case
+from flying_vines.discrepancy.cores import THREADS
 from flying_vines.discrepancy.diagnose import diagnose
 from flying_vines.discrepancy.many import ClusterError, Outcome, diagnose_all
 from flying_vines.discrepancy.recording import CaseError
-from flying_vines.discrepancy.search import THREADS
 from flying_vines.discrepancy.show_many import show_all
 from flying_vines.discrepancy.verdict import Verdict
 
