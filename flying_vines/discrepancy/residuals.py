@@ -94,6 +94,9 @@ def _features(problem: Problem, fit: Fit) -> Iterator[tuple[str, str, Array, Arr
             yield f"time since the {label} {what}", "s", since, np.where(np.isfinite(since), group, -1.0)
     evp = np.concatenate([_before(run.evp_opening) for run in case.runs])
     yield "opening of the inflation valve", "", evp, _classes(evp)
+    if all(run.ambient_C is not None for run in case.runs):
+        ambient_C = np.concatenate([run.ambient_C for run in case.runs if run.ambient_C is not None])
+        yield "temperature around", "°C", ambient_C, _classes(ambient_C)
     # As simulated: what was measured shares its noise with the residual.
     simulated = problem.simulated(fit.point)
     for row, label in enumerate(("control volume's pressure", "reservoir's pressure")):
