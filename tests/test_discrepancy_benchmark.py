@@ -220,7 +220,7 @@ def test_the_tables_come_from_a_file_alone(tmp_path: Path, capsys: pytest.Captur
     assert ran("--report", str(file)) == 0
     report = capsys.readouterr().out
     lines = [" ".join(line.replace("|", " ").split()) for line in report.splitlines()]
-    assert "clear 2/3 66.7% 21% … 94% 97% 2 0 0 1" in lines
+    assert "clear 2/3 66.7% 21% … 94% 98% 2 0 0 1" in lines
     assert "clear 1 100.0% 21% … 100% 5.00% 0.0% 0% … 79% 0/1" in lines
     assert "evp_lag 1 1 cv_leak + line_delay" in lines
     assert "a cause 50% to 80% 1 55.0% 0.0% 0% … 79% 0.3113" in lines

@@ -232,7 +232,7 @@ class Problem:
         damping = 1e-7
         for _ in range(most_steps):
             slopes = space.slopes(place, residuals)
-            for _ in range(7):
+            for _ in range(10):
                 move = space.best_move(place, slopes, damping)
                 there = space.clipped(place + move)
                 point = space.outer(there)
