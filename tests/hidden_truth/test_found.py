@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,9 @@ from hidden_truth import draw, write
 from hidden_truth.truth import Truth
 
 
-def verdict_on(tier: str, seed: int, folder: Path) -> tuple[Truth, Verdict]:
+def verdict_on(tier: str, seed: int, folder: Path, runs: int = 4) -> tuple[Truth, Verdict]:
     truth = draw(tier, seed)
+    truth = replace(truth, plans=truth.plans[:runs])
     write(folder / "case", truth)
     return truth, diagnose(read_case(folder / "case"))
 
@@ -37,8 +39,23 @@ def test_a_single_cause_is_named_and_measured(tier: str, seed: int, tmp_path: Pa
 
 
 def test_two_causes_at_once_are_both_found(tmp_path: Path) -> None:
-    truth, verdict = verdict_on("pair", 2, tmp_path)
+    truth, verdict = verdict_on("pair", 2, tmp_path, runs=2)
     assert {verdict.cause, *(named.cause for named in verdict.also)} == {one.name for one in truth.hidden}
+
+
+def test_what_the_data_cannot_tell_apart_is_not_told_apart(tmp_path: Path) -> None:
+    """Without the Venturi the baseline is homogeneous in pressure: one sensor's gain is the other's inverse."""
+    truth = draw("hard", 104)
+    (hidden,) = truth.hidden
+    assert (truth.variant, hidden.name) == ("without_dvp", "reservoir_sensor_gain")
+    write(tmp_path / "case", replace(truth, plans=truth.plans[1:3]))
+    verdict = diagnose(read_case(tmp_path / "case"))
+    assert {verdict.cause, *verdict.indistinguishable} >= {"reservoir_sensor_gain", "cv_sensor_gain"}
+    assert verdict.also == ()
+    (estimate,) = verdict.parameters.values()
+    inverse = verdict.cause == "cv_sensor_gain"
+    assert estimate.estimate == pytest.approx(1.0 / hidden.value if inverse else hidden.value, rel=0.01)
+    assert verdict.next_experiment.startswith("Record ")
 
 
 def test_a_clean_rig_is_not_accused(tmp_path: Path) -> None:
@@ -49,7 +66,7 @@ def test_a_clean_rig_is_not_accused(tmp_path: Path) -> None:
 
 
 def test_an_effect_that_nobody_has_named_gets_no_name(tmp_path: Path) -> None:
-    truth, verdict = verdict_on("outside", 0, tmp_path)
+    truth, verdict = verdict_on("outside", 0, tmp_path, runs=2)
     assert truth.hidden[0].name.startswith("x_")
     assert verdict.cause == "unexplained"
     assert verdict.remainder
