@@ -29,6 +29,8 @@ GAP = 8.0
 """Of the usual time between samples: what is longer is a gap."""
 MISSING = 1.7
 """Likewise: in between a row is missing, if the others come on time."""
+BUSY = 3
+"""Valves are busy if one was moved within so many samples."""
 ON_TIME, ON_TIME_SHARE = 0.1, 0.8
 """They do if so many of the times between samples are as usual, but for this share."""
 
@@ -152,14 +154,16 @@ def _prepared(run: Run) -> Prepared:
 
 
 def _starts(run: Run) -> NDArray[np.intp]:
-    """Where a run begins, and where it begins again: after a gap, and after a missing row in which a valve
-    was moved, nobody knows when."""
+    """Where a run begins, and where it begins again: after a gap, and after a missing row while the valves
+    were busy, for nobody knows what they did in it."""
     between = np.diff(run.time_s)
     usual = np.median(between)
     again = between > GAP * usual
     if np.mean(np.abs(between / usual - 1.0) < ON_TIME) > ON_TIME_SHARE:
-        moved = [np.diff(opening) != 0.0 for opening in (run.evp_opening, run.dvp_opening, run.solenoid)]
-        again |= (between > MISSING * usual) & np.any(moved, axis=0)
+        openings = (run.evp_opening, run.dvp_opening, run.solenoid)
+        moved = np.any([np.diff(opening) != 0.0 for opening in openings], axis=0)
+        busy = np.convolve(moved, np.ones(2 * BUSY + 1), mode="same") > 0.0
+        again |= (between > MISSING * usual) & busy
     return np.concatenate(([0], np.flatnonzero(again) + 1))
 
 

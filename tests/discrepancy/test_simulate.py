@@ -101,14 +101,17 @@ def without(run: Run, rows: list[int]) -> Run:
     return left
 
 
-def test_after_a_lost_row_in_which_a_valve_was_moved_a_run_begins_again() -> None:
+def test_after_a_row_that_was_lost_while_the_valves_were_busy_a_run_begins_again() -> None:
     run = random_run(7)
-    moved = (np.diff(run.evp_opening) != 0.0) | (np.diff(run.solenoid) != 0.0)
-    at = int(np.flatnonzero(moved)[3]) + 1
-    still = int(np.flatnonzero(~moved[:-1] & ~moved[1:])[40]) + 1
-    lost = without(run, [still, at])
+    moved = np.flatnonzero((np.diff(run.evp_opening) != 0.0) | (np.diff(run.solenoid) != 0.0)) + 1
+    away = np.abs(np.arange(len(run.time_s))[:, None] - moved).min(axis=1)
+    at, beside = int(moved[3]), int(moved[6]) + 2
+    still = int(np.argmax(away))
+    assert away[still] > 5
+    lost = without(run, [at, beside, still])
     (prepared,) = Simulation(case_of(lost)).runs
-    assert prepared.start.tolist() == [0, int(np.searchsorted(lost.time_s, run.time_s[at]))]
+    begins = [0, *(int(np.searchsorted(lost.time_s, run.time_s[row])) for row in sorted((at, beside)))]
+    assert prepared.start.tolist() == begins
 
 
 def test_where_samples_never_come_on_time_no_row_is_missing() -> None:
