@@ -111,16 +111,16 @@ def _verdict(found: Found, progress: Progress) -> Verdict:
         doubt = sum(exp(-0.5 * max(0.0, d)) for d in others[:5]) * 0.05
         return replace(known, cause=NONE, confidence=1.0 / (1.0 + doubt + _SURPRISE))
     main, further = _main_first(chosen, found)
-    alike, confidence = _alike(chosen, main, found)
+    doubts = _doubts(chosen, (main, *further), found)
     named = {cause.name: _measured(cause.name, profiles) for cause in chosen.causes}
     return replace(
         known,
         cause=main,
-        confidence=confidence,
-        indistinguishable=alike,
+        confidence=_sureness(chosen, main, found),
+        indistinguishable=tuple(dict.fromkeys(name for others in doubts.values() for name in others)),
         parameters=named[main],
         also=tuple(Named(name, named[name]) for name in further),
-        next_experiment=recommend(problem.case.rig, {main, *alike}).in_words() if alike else "",
+        next_experiment=next((_settling(problem.case, *doubt) for doubt in doubts.items()), ""),
     )
 
 
@@ -197,22 +197,42 @@ def _main_first(chosen: Candidate, found: Found) -> tuple[str, list[str]]:
     return names[0], names[1:]
 
 
-def _alike(chosen: Candidate, main: str, found: Found) -> tuple[tuple[str, ...], float]:
-    """What could stand in place of the main cause, and how sure the set of both is."""
-    rest = set(chosen.names) - {main}
-    scores: dict[str, float] = {}
+def _instead(chosen: Candidate, cause: str, found: Found) -> dict[str, float]:
+    """How much worse the evidence is with another cause in place of one of the chosen, by its name."""
+    rest = set(chosen.names) - {cause}
+    worse: dict[str, float] = {}
     for candidate in found.tried:
         others = set(candidate.names) - rest
         if rest <= set(candidate.names) and len(others) == 1:
             (name,) = others
-            scores[name] = min(candidate.score, scores.get(name, np.inf))
-    inside = [name for name, score in scores.items() if score - chosen.score < ALIKE and name != main]
-    weight = {name: exp(-0.5 * (score - chosen.score)) for name, score in scores.items()}
-    weight[NONE] = exp(-0.5 * max(0.0, found.search.null.score - CLAIM - chosen.score))
-    held = weight[main] + sum(weight[name] for name in inside)
-    return tuple(sorted(inside, key=lambda name: scores[name])), held / sum(weight.values()) * (
-        1.0 - _SURPRISE
-    )
+            worse[name] = min(candidate.score - chosen.score, worse.get(name, np.inf))
+    return worse
+
+
+def _doubts(chosen: Candidate, names: Sequence[str], found: Found) -> dict[str, tuple[str, ...]]:
+    """What could as well stand in place of each cause, the likeliest first; of those for which something
+    could."""
+    doubts = {}
+    for cause in names:
+        worse = _instead(chosen, cause, found)
+        alike = [name for name in sorted(worse, key=worse.__getitem__) if worse[name] < ALIKE]
+        if others := tuple(name for name in alike if name not in names):
+            doubts[cause] = others
+    return doubts
+
+
+def _sureness(chosen: Candidate, main: str, found: Found) -> float:
+    """How probable it is that the main cause, or what is like it, is the cause."""
+    worse = _instead(chosen, main, found)
+    worse[NONE] = max(0.0, found.search.null.score - CLAIM - chosen.score)
+    weight = {name: exp(-0.5 * by) for name, by in worse.items()}
+    inside = sum(weight[name] for name, by in worse.items() if name != NONE and by < ALIKE)
+    return inside / sum(weight.values()) * (1.0 - _SURPRISE)
+
+
+def _settling(case: Case, cause: str, others: tuple[str, ...]) -> str:
+    """What to record next."""
+    return recommend(case.rig, {cause, *others}).in_words()
 
 
 def _measured(cause: str, profiles: Sequence[Profile]) -> dict[str, Estimate]:

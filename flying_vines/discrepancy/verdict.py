@@ -58,7 +58,7 @@ class Verdict:
     confidence: float
     """Probability that `cause` and `indistinguishable` hold the cause."""
     indistinguishable: tuple[str, ...]
-    """Others that these data cannot tell apart from it."""
+    """Others that these data cannot tell apart from it, or from one that is in `also`."""
     parameters: dict[str, Estimate]
     also: tuple[Named, ...]
     """Further causes that still improve held-out data."""

@@ -104,8 +104,9 @@ def without(run: Run, rows: list[int]) -> Run:
 def test_after_a_row_that_was_lost_while_the_valves_were_busy_a_run_begins_again() -> None:
     run = random_run(7)
     moved = np.flatnonzero((np.diff(run.evp_opening) != 0.0) | (np.diff(run.solenoid) != 0.0)) + 1
+    assert len(moved) >= 5
     away = np.abs(np.arange(len(run.time_s))[:, None] - moved).min(axis=1)
-    at, beside = int(moved[3]), int(moved[6]) + 2
+    at, beside = int(moved[1]), int(moved[4]) + 2
     still = int(np.argmax(away))
     assert away[still] > 5
     lost = without(run, [at, beside, still])
