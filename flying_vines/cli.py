@@ -441,8 +441,8 @@ def _diagnose(arguments: argparse.Namespace) -> int:
         return 0
     console = Console()
     show(verdict, console)
-    for path in files:
-        console.print(f"Written  {path}", highlight=False, soft_wrap=True)
+    if files:
+        console.print(f"Report   {files[0]}", highlight=False, soft_wrap=True)
     return 0
 
 

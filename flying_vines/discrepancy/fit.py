@@ -116,7 +116,7 @@ class Tangents:
 
     def beside(self, trace: Sequence[Array]) -> Array:
         """What is left of a trace, (2, n) a run, beside all that the fit can do itself; in one row."""
-        left = np.concatenate([r.beside(t[None])[0] for r, t in zip(self._slopes.runs, trace, strict=True)])
+        left = self._slopes.beside(trace)
         beside: Array = left - self._basis @ (self._basis.T @ left)
         return beside
 
@@ -193,8 +193,12 @@ class Problem:
 
     def tangents(self, fit: Fit) -> Tangents:
         """What small changes of all that is fitted do to the residuals."""
+        return Tangents(self.slopes(fit), fit.residuals)
+
+    def slopes(self, fit: Fit) -> Slopes:
+        """The residuals' derivatives by all that is free, at a fit."""
         space = _Space(self, fit.point)
-        return Tangents(space.slopes(space.inner(fit.point), fit.residuals), fit.residuals)
+        return space.slopes(space.inner(fit.point), fit.residuals)
 
     def covariance(self, fit: Fit) -> Array:
         """Of deviations and causes' parameters as the fit moves them, with what is believed of them, the

@@ -22,10 +22,9 @@ from flying_vines.discrepancy.cause import Cause, Values
 from flying_vines.discrepancy.fit import Fit, Point, Problem
 from flying_vines.discrepancy.model import Array
 
+_UNSEEN = 1e-6
 _OF_RANGE = 0.03
 """So far from where it does nothing a cause is put that begins there."""
-_INITIAL_KPA = 0.1
-_UNSEEN = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,26 +45,19 @@ def likeness(problem: Problem, fit: Fit, causes: Sequence[Cause], keys: Sequence
         keys: of the believed numbers that may move.
     """
 
+    slopes = problem.slopes(replace(fit, point=fit.point.freed(keys)))
+    spreads = np.array([problem.spread(key) for key in keys])
+    f = slopes.free[: len(keys)] * spreads[:, None]
+
     def trace(point: Point) -> Array:
         residuals = zip(problem.residuals(point), fit.residuals, strict=True)
-        row: Array = np.concatenate([(there - here).ravel() for there, here in residuals])
-        return np.where(np.isfinite(row), row, 0.0)
+        whole = [there - here for there, here in residuals]
+        return slopes.beside([np.where(np.isfinite(run), run, 0.0) for run in whole])
 
-    free, sure = [], []
-    for key in keys:
-        moved = fit.point.freed(keys)
-        moved.deviation[key] += problem.spread(key)
-        free.append(trace(moved))
-        sure.append(1.0)
-    for place in np.ndindex(fit.point.initial.shape):
-        initial = fit.point.initial.copy()
-        initial[place] += _INITIAL_KPA
-        free.append(trace(replace(fit.point, initial=initial)))
-        sure.append(0.0)
     traces = [max(map(trace, _changed(fit.point, cause)), key=lambda t: float(t @ t)) for cause in causes]
-    t, f = np.array(traces), np.array(free)
+    t = np.array(traces).reshape(len(causes), f.shape[1])
     shared = t @ f.T
-    left = t @ t.T - shared @ np.linalg.pinv(f @ f.T + np.diag(sure), hermitian=True) @ shared.T
+    left = t @ t.T - shared @ np.linalg.inv(f @ f.T + np.eye(len(f))) @ shared.T
     seen = np.sqrt(np.maximum(np.diag(left), 0.0))
     length = np.maximum(seen, _UNSEEN)
     cosine = np.clip(np.abs(left / np.outer(length, length)), 0.0, 1.0)

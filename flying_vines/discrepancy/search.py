@@ -117,6 +117,8 @@ class Search:
 
         Where the first of them leaves nothing but noise, only those that come near it are.
         """
+        if not pairs:
+            return []
         begun = mapped(lambda pair: self.problem.begun(pair[0].fit.point, pair[1]), pairs)
         first, *others = sorted(begun, key=lambda fit: fit.chi2)
         first = self.problem.fit(first.point)
@@ -133,7 +135,7 @@ class Search:
 
     def _leaders(self, bases: Sequence[Candidate]) -> list[Candidate]:
         """The best few, settled."""
-        reach = self._reach(bases[0])
+        reach = self._reach(bases[0]) if bases else inf
         return mapped(self.settled, [base for base in bases[:FIRSTS] if base.fit.chi2 < reach])
 
     def settled(self, candidate: Candidate) -> Candidate:
@@ -185,7 +187,7 @@ class Search:
             bases = self.further(firsts)
             leaders = self._leaders(bases)
             tried += leaders
-            better = min(leaders, key=lambda c: c.score)
+            better = min((chosen, *leaders), key=lambda c: c.score)
             if better.score > chosen.score - CLAIM:
                 break
             chosen = better

@@ -95,3 +95,7 @@ class Slopes:
     def initial_move(self, move: Array) -> Array:
         """As of a run, in the order of `Point.initial`, in one row."""
         return np.concatenate([run.initial_move(move).ravel() for run in self.runs])
+
+    def beside(self, trace: Sequence[Array]) -> Array:
+        """What is left of a trace, (2, n) a run, beside what the initial pressures can do; in one row."""
+        return np.concatenate([run.beside(t[None])[0] for run, t in zip(self.runs, trace, strict=True)])

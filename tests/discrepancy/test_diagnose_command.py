@@ -9,6 +9,9 @@ import pytest
 from hidden_truth import draw, write
 
 from flying_vines.cli import main
+from flying_vines.discrepancy.case import read_case
+from flying_vines.discrepancy.causes import catalogue
+from flying_vines.discrepancy.diagnose import diagnose
 from flying_vines.pneumatics.plant.effects import Effects
 from flying_vines.pneumatics.plant.true_rig import load_true_rig
 
@@ -84,3 +87,12 @@ def test_a_rig_file_with_a_mistake_is_one_line(
     status, out, err = run(capsys, str(case), "--rig", str(rig))
     assert (status, out) == (2, "")
     assert err.count("\n") == 1 and "other.toml" in err and "volume_L" in err
+
+
+def test_whoever_considers_one_cause_or_none_gets_a_verdict(case: Path) -> None:
+    read = read_case(case)
+    (hidden,) = draw("short", 1).hidden
+    by_name = {cause.name: cause for cause in catalogue()}
+    assert diagnose(read, [by_name[hidden.name]]).cause == hidden.name
+    for considered in ([], [by_name["reservoir_leak"]]):
+        assert diagnose(read, considered).cause == "unexplained"

@@ -137,7 +137,7 @@ def page_of(diagnosed: Diagnosed, *pictures: str) -> Page:
 
 @pytest.fixture(scope="module")
 def written(found: Diagnosed, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """What the command says that it has written."""
+    """What the command has written: the page of which it tells, and what lies beside it."""
     folder = tmp_path_factory.mktemp("out") / "new" / "report"
     folder.mkdir(parents=True)
     (folder / "report.html").write_text("an older report, " * 1_000_000)
@@ -146,8 +146,9 @@ def written(found: Diagnosed, tmp_path_factory: pytest.TempPathFactory) -> list[
         patch.setattr("flying_vines.discrepancy.diagnose.diagnose", lambda case, progress: found.verdict)
         main(["diagnose", str(found.case.path), "--out", str(folder)])
     assert exit_.value.code == 0
-    lines = [line for line in out.getvalue().splitlines() if line.startswith("Written")]
-    return [Path(line.removeprefix("Written").strip()) for line in lines]
+    (line,) = (line for line in out.getvalue().splitlines() if line.startswith("Report"))
+    page = Path(line.removeprefix("Report").strip())
+    return [page, *(path for path in sorted(folder.iterdir()) if path != page)]
 
 
 def test_a_report_is_one_page_that_asks_nothing_of_a_network(written: list[Path]) -> None:

@@ -44,7 +44,7 @@ def test_two_causes_at_once_are_both_found(tmp_path: Path) -> None:
 
 
 def test_what_the_data_cannot_tell_apart_is_not_told_apart(tmp_path: Path) -> None:
-    """Without the Venturi the baseline is homogeneous in pressure: one sensor's gain is the other's inverse."""
+    """Without the Venturi all is homogeneous in pressure: one sensor's gain is the inverse of the other's."""
     truth = draw("hard", 104)
     (hidden,) = truth.hidden
     assert (truth.variant, hidden.name) == ("without_dvp", "reservoir_sensor_gain")
