@@ -18,8 +18,10 @@ from flying_vines.discrepancy.search import Candidate
 
 ABOVE = 3.84
 NEAR_ENOUGH = 0.25
-MOST_FITS = 5
+MOST_FITS = 8
 STEPS = 6
+FLAT, WALL = 0.04, 10.0
+"""A profile that has risen so little says nothing of where it will; one whose root is so high is a wall."""
 BLIND = 1e-4
 """Of a parameter's range: where it is looked first if the curvature does not tell."""
 
@@ -90,7 +92,8 @@ def _crossing(above: Callable[[float], float], best: float, step: float, bound: 
             over, over_root = where, root
         if isfinite(over):
             share = (sqrt(ABOVE) - under_root) / (over_root - under_root)
-            where = under + (over - under) * min(0.9, max(0.1, share))
+            where = under + (over - under) * (0.5 if over_root > WALL else min(0.9, max(0.1, share)))
         else:
-            where = best + (under - best) * min(3.0, max(1.1, sqrt(ABOVE) / max(under_root, 1e-3)))
+            most = 30.0 if height < FLAT else 3.0
+            where = best + (under - best) * min(most, max(1.1, sqrt(ABOVE) / max(under_root, 1e-3)))
     return min(where, bound) if outward > 0.0 else max(where, bound)

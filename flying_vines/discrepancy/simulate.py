@@ -154,8 +154,8 @@ def _prepared(run: Run) -> Prepared:
 
 
 def _starts(run: Run) -> NDArray[np.intp]:
-    """Where a run begins, and where it begins again: after a gap, and after a missing row while the valves
-    were busy, for nobody knows what they did in it."""
+    """Where a run begins, and where it begins again: after a gap, and after a missing row in which valves may
+    have been moved unseen: if they were busy, or a regulator was at work, which may open one for a row."""
     between = np.diff(run.time_s)
     usual = np.median(between)
     again = between > GAP * usual
@@ -163,6 +163,8 @@ def _starts(run: Run) -> NDArray[np.intp]:
         openings = (run.evp_opening, run.dvp_opening, run.solenoid)
         moved = np.any([np.diff(opening) != 0.0 for opening in openings], axis=0)
         busy = np.convolve(moved, np.ones(2 * BUSY + 1), mode="same") > 0.0
+        if run.command_kPa is not None:
+            busy |= np.isfinite(run.command_kPa[:-1])
         again |= (between > MISSING * usual) & busy
     return np.concatenate(([0], np.flatnonzero(again) + 1))
 
