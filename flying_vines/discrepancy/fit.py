@@ -6,7 +6,8 @@ in its record). A believed number stays within its tolerance, where all places a
 Gaussian of the same variance stands in the sum, so that what the data do not say is left where it was
 believed; likewise what is typical of a parameter. Each step of Gauss and Newton is solved exactly within the
 bounds (Stark & Parker 1995), damped by Levenberg and Marquardt where it would not help; the initial
-pressures, which have no bounds and may be many, are eliminated from it.
+pressures, which have no bounds and may be many, are eliminated from it, and each goes only as far as its own
+stretch of the record gets better.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ FEW_SEEDS = 3
 """Of more, the nearest."""
 ENOUGH = 0.02
 """A step that lowers χ² by less ends the fit."""
+LESS_TRUST = 0.3
+"""Goes the move of initial pressures that makes their own stretch worse."""
 _DEVIATION = 1e-5
 _OF_RANGE = 1e-4
 _INITIAL_KPA = (0.1, 0.01)
@@ -146,6 +149,7 @@ class Problem:
             slice(end - len(run.start), end) for end, run in zip(ends, self.simulation.runs, strict=True)
         ]
         """Of each run, in `Point.initial`."""
+        self._read = self.start().initial
         self.readings = int(sum(np.count_nonzero(weight) for weight in self.weights))
 
     def start(self) -> Point:
@@ -153,8 +157,10 @@ class Problem:
         initial = []
         for data, weight, run in zip(self.data, self.weights, self.simulation.runs, strict=True):
             for i in run.start:
-                reservoir_kPa = _first(data[1, i:], weight[1, i:], UNREAD_RESERVOIR_KPA)
-                initial.append((reservoir_kPa, _first(data[0, i:], weight[0, i:], 0.0)))
+                # A run begins at rest; where it begins again it may be on its way.
+                few = _READINGS if i == 0 else 1
+                reservoir_kPa = _first(data[1, i:], weight[1, i:], few, UNREAD_RESERVOIR_KPA)
+                initial.append((reservoir_kPa, _first(data[0, i:], weight[0, i:], few, 0.0)))
         return Point((), (), {}, np.array(initial))
 
     def tolerance(self, key: str) -> float:
@@ -214,7 +220,7 @@ class Problem:
 
     def begun(self, base: Point, cause: Cause) -> Fit:
         """The first steps of a fit with a further cause: of it alone from each seed, of all from the best."""
-        starts = [base.with_cause(cause, values) for values in cause.seeds()]
+        starts = [self._well_begun(base.with_cause(cause, values)) for values in cause.seeds()]
         if len(starts) > FEW_SEEDS:
             starts.sort(key=self.chi2)
         alone = (self.fit(start, FIRST_STEPS, moving=len(cause.parameters)) for start in starts[:FEW_SEEDS])
@@ -233,26 +239,40 @@ class Problem:
         cost = _chi2(residuals) + space.believed(place)
         if not np.isfinite(cost):
             return Fit(start, inf, inf, tuple(residuals))
-        damping = 1e-7
+        damping, trust = 1e-7, np.ones(len(start.initial))
         for _ in range(most_steps):
             slopes = space.slopes(place, residuals)
             for _ in range(10):
                 move = space.best_move(place, slopes, damping)
-                there = space.clipped(place + move)
+                there = space.clipped(place + space.trusted(move, trust))
                 point = space.outer(there)
                 tried = self.residuals(point)
                 lower = _chi2(tried) + space.believed(there)
                 if lower <= cost:
                     break
                 damping = max(10.0 * damping, 1e-5)
+                trust[~(self._by_start(tried) <= self._by_start(residuals))] *= LESS_TRUST
             else:
                 break
+            trust = np.minimum(2.0 * trust, 1.0)
             gained, cost = cost - lower, lower
             place, residuals = there, tried
             damping *= 0.1
             if gained < ENOUGH:
                 break
         return Fit(space.outer(place), _chi2(residuals), cost, tuple(residuals))
+
+    def _well_begun(self, point: Point) -> Point:
+        """The same place, with each pair of initial pressures as it is or as first read, whichever is nearer:
+        where a cause was missing a fit may have moved them far away to do its work."""
+        read = replace(point, initial=self._read)
+        nearer = self._by_start(self.residuals(read)) < self._by_start(self.residuals(point))
+        return replace(point, initial=np.where(nearer[:, None], self._read, point.initial))
+
+    def _by_start(self, residuals: Sequence[Array]) -> Array:
+        """(starts,) χ² of what each pair of initial pressures bears on."""
+        runs = zip(residuals, self.simulation.runs, strict=True)
+        return np.concatenate([np.add.reduceat(np.sum(r**2, axis=0), run.start) for r, run in runs])
 
 
 class _Space:
@@ -306,6 +326,12 @@ class _Space:
     def believed(self, place: Array) -> float:
         """What it costs to be elsewhere than believed."""
         return float(self._sureness @ (place[: self._common] - self._typical) ** 2)
+
+    def trusted(self, move: Array, trust: Array) -> Array:
+        """A move that goes only this share of its way in each pair of initial pressures."""
+        shorter = move.copy()
+        shorter[self._common :] *= np.repeat(trust, 2)
+        return shorter
 
     def clipped(self, place: Array) -> Array:
         return np.clip(place, self._low, self._high)
@@ -373,7 +399,7 @@ def _chi2(residuals: Sequence[Array]) -> float:
     return chi2 if np.isfinite(chi2) else float("inf")
 
 
-def _first(data: Array, weight: Array, guess: float) -> float:
+def _first(data: Array, weight: Array, few: int, guess: float) -> float:
     """The mean of the first readings, or a guess where there are none."""
-    measured = data[weight > 0.0][:_READINGS]
+    measured = data[weight > 0.0][:few]
     return float(measured.mean()) if len(measured) else guess
