@@ -23,11 +23,12 @@ from threadpoolctl import threadpool_limits
 
 from flying_vines.discrepancy.case import Case, Run
 from flying_vines.discrepancy.fit import Point, Problem
+from flying_vines.discrepancy.noise import stated_noise_kPa
 from flying_vines.discrepancy.recording import Array
 from flying_vines.discrepancy.simulate import believed_keys
 from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED
 from flying_vines.pneumatics.baseline import Inputs, State, step
-from flying_vines.pneumatics.rig import Rig
+from flying_vines.pneumatics.rig import Rig, with_numbers
 
 MOST_ROWS = 300
 """That a process learns from, of either pressure: its time goes with their cube."""
@@ -35,8 +36,6 @@ SHOWN_S = 0.5
 """Of a run that is predicted, for its initial pressures."""
 STEPS = 2
 """Of the integrator, a sample."""
-LEAST_KPA = 1e-3
-"""Noise of a sensor that is stated to have none."""
 
 
 class Lack:
@@ -79,9 +78,7 @@ Lacks = tuple[Lack, Lack]
 
 
 def look(case: Case) -> dict[str, Any]:
-    sensors = case.rig.sensors
-    noise_kPa = (sensors.cv_noise_std_kPa or LEAST_KPA, sensors.reservoir_noise_std_kPa or LEAST_KPA)
-    problem = Problem(case, noise_kPa)
+    problem = Problem(case, stated_noise_kPa(case.rig))
     with threadpool_limits(1):
         null = problem.fit(problem.start().freed(believed_keys(case.rig))).point
         rows = _rows(problem, null)
@@ -106,12 +103,7 @@ def _rows(problem: Problem, point: Point) -> list[tuple[Array, Array]]:
 
 def _rig(problem: Problem, point: Point) -> Rig:
     """With its numbers as fitted."""
-    rig = problem.case.rig
-    for key, deviation in point.deviation.items():
-        table, name = key.split(".")
-        part = getattr(rig, table)
-        rig = replace(rig, **{table: replace(part, **{name: getattr(part, name) * (1.0 + deviation)})})
-    return rig
+    return with_numbers(problem.case.rig, problem.moved(point))
 
 
 def _lacks(case: Case, rig: Rig, s: Series) -> tuple[Array, Array]:

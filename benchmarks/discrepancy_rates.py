@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from flying_vines.discrepancy.case import Case, Run
 from flying_vines.discrepancy.fit import Point, Problem
 from flying_vines.discrepancy.recording import Array
+from flying_vines.discrepancy.simulate import GAP
 from flying_vines.pneumatics.baseline import ALPHA_KPA
 from flying_vines.pneumatics.rig import Rig
 
 WINDOW_S = 0.2
 FEWEST = 2
 """Samples in a window."""
-HOLE = 8.0
-"""Times the usual step, between readings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +93,7 @@ def series(problem: Problem, point: Point) -> list[Series]:
 
 def _bridged(run: Run) -> NDArray[np.bool_]:
     bridged = np.zeros(len(run.time_s) - 1, dtype=np.bool_)
-    longest_s = HOLE * float(np.median(np.diff(run.time_s)))
+    longest_s = GAP * float(np.median(np.diff(run.time_s)))
     for read in (run.reservoir_kPa, run.cv_kPa):
         there = np.flatnonzero(np.isfinite(read))
         for begin, end in pairwise(there):

@@ -19,13 +19,13 @@ from flying_vines.discrepancy.case import Case
 from flying_vines.discrepancy.cause import Cause, Values
 from flying_vines.discrepancy.causes import catalogue
 from flying_vines.discrepancy.fit import Point, Problem
+from flying_vines.discrepancy.noise import stated_noise_kPa
 from flying_vines.discrepancy.recording import Array
 from flying_vines.discrepancy.verdict import NONE
 
 MOST_CAUSES = 8
 MOST_STEPS = 12
-LEAST_KPA = 1e-3
-"""Noise of a sensor that is stated to have none."""
+
 OF_RANGE = 1e-4
 """How far a parameter is moved for a derivative."""
 BROKEN = 1e6
@@ -38,9 +38,7 @@ class Fit(NamedTuple):
 
 
 def look(case: Case) -> dict[str, Any]:
-    sensors = case.rig.sensors
-    noise_kPa = (sensors.cv_noise_std_kPa or LEAST_KPA, sensors.reservoir_noise_std_kPa or LEAST_KPA)
-    problem = Problem(case, noise_kPa)
+    problem = Problem(case, stated_noise_kPa(case.rig))
     with threadpool_limits(1):
         point = _selected(problem)
     names = [cause.name for cause in point.causes]

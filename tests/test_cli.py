@@ -6,17 +6,9 @@ import json
 from pathlib import Path
 
 import pytest
-
-from flying_vines.cli import main
+from command_line import status as run
 
 RECORDINGS = Path(__file__).parent / "data" / "recordings"
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(a) for a in arguments])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 def complaint(capsys: pytest.CaptureFixture[str]) -> str:

@@ -12,9 +12,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from command_line import status as command
 
 from firmware_link.protocol import Fault, Mode, Telemetry
-from flying_vines import cli, config
+from flying_vines import config
 from flying_vines.config import Pneumatics
 from flying_vines.discrepancy.case import read_case
 from flying_vines.discrepancy.causes import catalogue
@@ -240,13 +241,6 @@ def profile(folder: Path, rig: str) -> Path:
     path = folder / "vine.toml"
     path.write_text(config.default_text().replace('rig = ""', f'rig = "{rig}"'))
     return path
-
-
-def command(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as exit_:
-        cli.main([str(argument) for argument in arguments])
-    assert isinstance(exit_.value.code, int)
-    return exit_.value.code
 
 
 def test_a_profile_names_its_rig_from_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

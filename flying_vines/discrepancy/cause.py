@@ -62,6 +62,10 @@ class Parameter:
         """Of what the fit moves."""
         return self.inner(self.high) - self.inner(self.low)
 
+    def within(self, inner: float) -> float:
+        """The value there, or the bound if that is nearer."""
+        return self.outer(min(max(inner, self.inner(self.low)), self.inner(self.high)))
+
     def share(self, value: float) -> float:
         """How far along its range a value is, 0…1."""
         return (self.inner(value) - self.inner(self.low)) / self.range if self.range > 0.0 else 0.5

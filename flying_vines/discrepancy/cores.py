@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar
 from typing import TypeVar
+
+from flying_vines.pneumatics.plant.compiled import batch
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -22,8 +23,4 @@ def cores() -> int:
 
 def mapped(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
     """The function of each item, in their order."""
-    threads = THREADS.get() or cores()
-    if threads == 1:
-        return [function(item) for item in items]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(function, items))
+    return batch(function, items, threads=THREADS.get() or cores())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import exp, isfinite, sqrt
 
@@ -17,16 +17,13 @@ from flying_vines.discrepancy.evidence import evidence
 from flying_vines.discrepancy.fit import Problem
 from flying_vines.discrepancy.held_out import HeldOut, Split, held_out, splits_for, unseen_error
 from flying_vines.discrepancy.intervals import Profile, profile
-from flying_vines.discrepancy.noise import noise_kPa
+from flying_vines.discrepancy.noise import noise_kPa, stated_noise_kPa
 from flying_vines.discrepancy.plan import recommend
 from flying_vines.discrepancy.search import CLAIM, Candidate, Found, Progress, Search, silent
-from flying_vines.discrepancy.simulate import BELIEVED
 from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED, Estimate, Named, Tried, Verdict
 
 ALIKE = 9.2
 """A candidate whose evidence is within a factor of 100 of the best cannot be told apart from it."""
-LEAST_KPA = 1e-3
-"""Noise of a sensor that is stated to have none: what is written is rounded."""
 _SURPRISE = 0.02
 """How often, before any data, something is there that the catalogue does not hold, and looks like noise."""
 _SURPRISE_UNEXPLAINED = 0.1
@@ -48,8 +45,7 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
     every = catalogue() if causes is None else causes
     # The fits themselves run on all cores; small matrices on several more would only wait for each other.
     with threadpool_limits(1):
-        sensors = case.rig.sensors
-        stated = (sensors.cv_noise_std_kPa or LEAST_KPA, sensors.reservoir_noise_std_kPa or LEAST_KPA)
+        stated = stated_noise_kPa(case.rig)
         found = Search(Problem(case, stated), every).best(progress)
         noise = _noise_left(found.chosen)
         if noise != stated:
@@ -97,15 +93,7 @@ def _verdict(found: Found, progress: Progress) -> Verdict:
     )
     if left is not None:
         return unexplained
-    believed = problem.simulation.believed
-    known = replace(
-        unexplained,
-        numbers={
-            key: getattr(believed, BELIEVED[key]) * (1.0 + moved)
-            for key, moved in chosen.fit.point.deviation.items()
-        },
-        next_experiment="",
-    )
+    known = replace(unexplained, numbers=problem.moved(chosen.fit.point), next_experiment="")
     if not chosen.causes:
         others = [c.score - chosen.score for c in found.tried if c.causes]
         doubt = sum(exp(-0.5 * max(0.0, d)) for d in others[:5]) * 0.05
@@ -120,7 +108,7 @@ def _verdict(found: Found, progress: Progress) -> Verdict:
         indistinguishable=tuple(dict.fromkeys(name for others in doubts.values() for name in others)),
         parameters=named[main],
         also=tuple(Named(name, named[name]) for name in further),
-        next_experiment=next((_settling(problem.case, *doubt) for doubt in doubts.items()), ""),
+        next_experiment=_settling(problem.case, doubts),
     )
 
 
@@ -171,11 +159,9 @@ def _roughly(candidate: Candidate, cause: Cause) -> dict[str, Estimate]:
     estimates = {}
     for number, (parameter, value) in enumerate(zip(cause.parameters, point.values[index], strict=True)):
         reach = 1.96 * sqrt(max(0.0, candidate.covariance[at + number, at + number]))
-        low, high = (parameter.inner(value) + side * reach for side in (-1.0, 1.0))
+        inner = parameter.inner(value)
         estimates[parameter.name] = Estimate(
-            value,
-            parameter.outer(max(low, parameter.inner(parameter.low))),
-            parameter.outer(min(high, parameter.inner(parameter.high))),
+            value, parameter.within(inner - reach), parameter.within(inner + reach)
         )
     return estimates
 
@@ -230,8 +216,11 @@ def _sureness(chosen: Candidate, main: str, found: Found) -> float:
     return inside / sum(weight.values()) * (1.0 - _SURPRISE)
 
 
-def _settling(case: Case, cause: str, others: tuple[str, ...]) -> str:
-    """What to record next."""
+def _settling(case: Case, doubts: Mapping[str, Sequence[str]]) -> str:
+    """What to record next, for the first of the doubts."""
+    if not doubts:
+        return ""
+    cause, others = next(iter(doubts.items()))
     return recommend(case.rig, {cause, *others}).in_words()
 
 

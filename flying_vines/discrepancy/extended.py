@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED, Verdict
+from flying_vines.discrepancy.verdict import NONE, Verdict
 from flying_vines.pneumatics.plant.true_rig import TrueRig
-from flying_vines.pneumatics.rig import Rig
+from flying_vines.pneumatics.rig import Rig, with_numbers
 
 
 def extended_rig(rig: Rig, verdict: Verdict) -> TrueRig:
@@ -14,16 +12,11 @@ def extended_rig(rig: Rig, verdict: Verdict) -> TrueRig:
 
     What is found to have none says so; what stays unexplained is as it was believed.
     """
-    for key, value in verdict.numbers.items():
-        table, name = key.split(".")
-        rig = replace(rig, **{table: replace(getattr(rig, table), **{name: value})})
-    causes = {} if verdict.cause in (NONE, UNEXPLAINED) else {verdict.cause: verdict.parameters}
-    causes |= {named.cause: named.parameters for named in verdict.also}
     return TrueRig(
-        believed=rig,
+        believed=with_numbers(rig, verdict.numbers),
         causes={
-            cause: {name: estimate.estimate for name, estimate in parameters.items()}
-            for cause, parameters in causes.items()
+            named.cause: {name: estimate.estimate for name, estimate in named.parameters.items()}
+            for named in verdict.named
         },
         none_found=verdict.cause == NONE,
     )

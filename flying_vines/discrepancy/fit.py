@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import inf, sqrt
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from scipy.optimize import lsq_linear
 from flying_vines.discrepancy.case import Case
 from flying_vines.discrepancy.cause import Cause, Values
 from flying_vines.discrepancy.model import Array, Numbers
-from flying_vines.discrepancy.simulate import BELIEVED, Simulation
+from flying_vines.discrepancy.simulate import BELIEVED, Simulation, believed_spread
 from flying_vines.discrepancy.slopes import RunSlopes, Slopes
 
 Bools = NDArray[np.bool_]
@@ -168,8 +168,8 @@ class Problem:
         return self.case.rig.tolerance(key) / 100.0
 
     def spread(self, key: str) -> float:
-        """Standard deviation of a number that is anywhere within its tolerance, as a share."""
-        return self.tolerance(key) / sqrt(3.0)
+        """As `believed_spread`."""
+        return believed_spread(self.case.rig, key)
 
     def simulated(self, point: Point, runs: Sequence[int] | None = None) -> list[Array]:
         """Readings of these runs (all if not given): (2, n), control volume then reservoir, kPa."""
@@ -191,11 +191,15 @@ class Problem:
         """The sum of squared residuals at a place."""
         return _chi2(self.residuals(point))
 
+    def moved(self, point: Point) -> dict[str, float]:
+        """The believed numbers that are free, by their keys, where the fit has them."""
+        believed = self.simulation.believed
+        return {key: getattr(believed, BELIEVED[key]) * (1.0 + d) for key, d in point.deviation.items()}
+
     def numbers(self, point: Point) -> Numbers:
         """The believed numbers, as far as they are moved."""
-        believed = self.simulation.believed
-        moved = {BELIEVED[key]: 1.0 + d for key, d in point.deviation.items()}
-        return believed._replace(**{name: getattr(believed, name) * factor for name, factor in moved.items()})
+        moved = {BELIEVED[key]: value for key, value in self.moved(point).items()}
+        return self.simulation.believed._replace(**moved)
 
     def tangents(self, fit: Fit) -> Tangents:
         """What small changes of all that is fitted do to the residuals."""
@@ -210,9 +214,7 @@ class Problem:
         """Of deviations and causes' parameters as the fit moves them, with what is believed of them, the
         initial pressures moved along; where the data say anything, without the bounds."""
         space = _Space(self, fit.point)
-        information, _ = space.believed_too(
-            space.slopes(space.inner(fit.point), fit.residuals), space.inner(fit.point)
-        )
+        information, _ = space.believed_too(self.slopes(fit), space.inner(fit.point))
         scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
         inverse = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-12, hermitian=True)
         covariance: Array = inverse / np.outer(scale, scale)
@@ -221,9 +223,8 @@ class Problem:
     def begun(self, base: Point, cause: Cause) -> Fit:
         """The first steps of a fit with a further cause: of it alone from each seed, of all from the best."""
         starts = [self._well_begun(base.with_cause(cause, values)) for values in cause.seeds()]
-        if len(starts) > FEW_SEEDS:
-            starts.sort(key=self.chi2)
-        alone = (self.fit(start, FIRST_STEPS, moving=len(cause.parameters)) for start in starts[:FEW_SEEDS])
+        nearest = sorted(starts, key=lambda start: start[0])[:FEW_SEEDS]
+        alone = (self.fit(start, FIRST_STEPS, moving=len(cause.parameters)) for _, start in nearest)
         return self.fit(min(alone, key=lambda fit: fit.chi2).point, THEN_STEPS)
 
     def fit(self, start: Point, most_steps: int = MOST_STEPS, moving: int | None = None) -> Fit:
@@ -241,7 +242,7 @@ class Problem:
             return Fit(start, inf, inf, tuple(residuals))
         damping, trust = 1e-7, np.ones(len(start.initial))
         for _ in range(most_steps):
-            slopes = space.slopes(place, residuals)
+            slopes, own = space.slopes(place, residuals), self._by_start(residuals)
             for _ in range(10):
                 move = space.best_move(place, slopes, damping)
                 there = space.clipped(place + space.trusted(move, trust))
@@ -251,7 +252,7 @@ class Problem:
                 if lower <= cost:
                     break
                 damping = max(10.0 * damping, 1e-5)
-                trust[~(self._by_start(tried) <= self._by_start(residuals))] *= LESS_TRUST
+                trust[~(self._by_start(tried) <= own)] *= LESS_TRUST
             else:
                 break
             trust = np.minimum(2.0 * trust, 1.0)
@@ -262,12 +263,14 @@ class Problem:
                 break
         return Fit(space.outer(place), _chi2(residuals), cost, tuple(residuals))
 
-    def _well_begun(self, point: Point) -> Point:
+    def _well_begun(self, point: Point) -> tuple[float, Point]:
         """The same place, with each pair of initial pressures as it is or as first read, whichever is nearer:
-        where a cause was missing a fit may have moved them far away to do its work."""
-        read = replace(point, initial=self._read)
-        nearer = self._by_start(self.residuals(read)) < self._by_start(self.residuals(point))
-        return replace(point, initial=np.where(nearer[:, None], self._read, point.initial))
+        where a cause was missing a fit may have moved them far away to do its work. Its χ² is first."""
+        there = self._by_start(self.residuals(point))
+        read = self._by_start(self.residuals(replace(point, initial=self._read)))
+        chi2 = float(np.where(read < there, read, there).sum())
+        initial = np.where((read < there)[:, None], self._read, point.initial)
+        return chi2 if np.isfinite(chi2) else inf, replace(point, initial=initial)
 
     def _by_start(self, residuals: Sequence[Array]) -> Array:
         """(starts,) χ² of what each pair of initial pressures bears on."""

@@ -8,7 +8,10 @@ from math import sqrt
 import numpy as np
 
 from flying_vines.discrepancy.model import Array
+from flying_vines.pneumatics.rig import Rig
 
+LEAST_KPA = 1e-3
+"""Noise of a sensor that is stated to have none: what is written is rounded."""
 SURE = 6.0
 """Over the square root of how many differences there are: nearer than this share what is stated is kept."""
 _GAUSS = 1.4826
@@ -16,6 +19,12 @@ _GAUSS = 1.4826
 _SECOND_DIFFERENCE = 6.0
 """Its variance over that of independent samples."""
 _FEWEST = 100
+
+
+def stated_noise_kPa(rig: Rig) -> tuple[float, float]:
+    """Standard deviations of control volume's and reservoir's readings, as the rig states them."""
+    sensors = rig.sensors
+    return sensors.cv_noise_std_kPa or LEAST_KPA, sensors.reservoir_noise_std_kPa or LEAST_KPA
 
 
 def noise_kPa(residuals: Sequence[Array], stated_kPa: float) -> float:

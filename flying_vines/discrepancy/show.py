@@ -17,12 +17,9 @@ def show(verdict: Verdict, console: Console) -> None:
     facts.add_column(style="bold")
     facts.add_column(overflow="fold")
     facts.add_row("Verdict", in_words(verdict))
-    for name, estimates in (
-        (verdict.cause, verdict.parameters),
-        *((a.cause, a.parameters) for a in verdict.also),
-    ):
-        for parameter, estimate in estimates.items():
-            facts.add_row(name, f"{parameter}  {_estimate(estimate)}")
+    for named in verdict.named:
+        for parameter, estimate in named.parameters.items():
+            facts.add_row(named.cause, f"{parameter}  {_estimate(estimate)}")
     facts.add_row("Sure", f"{verdict.confidence:.0%}")
     if verdict.indistinguishable:
         facts.add_row("As well", ", ".join(verdict.indistinguishable))
@@ -52,8 +49,7 @@ def in_words(verdict: Verdict) -> str:
     if verdict.cause == UNEXPLAINED:
         return "Something is there that no known cause accounts for." + _nearest(verdict)
     what = {cause.name: cause.what for cause in catalogue()}
-    sentences = [what[verdict.cause], *(what[named.cause] for named in verdict.also)]
-    return " And: ".join(sentences)
+    return " And: ".join(what[named.cause] for named in verdict.named)
 
 
 def _nearest(verdict: Verdict) -> str:

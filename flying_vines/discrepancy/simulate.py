@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from math import inf, nan
+from math import inf, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -49,6 +49,11 @@ BELIEVED = {
 def believed_keys(rig: Rig) -> tuple[str, ...]:
     """Of the numbers that a rig has."""
     return tuple(key for key in BELIEVED if rig.cv is not None or key != "cv.volume_L")
+
+
+def believed_spread(rig: Rig, key: str) -> float:
+    """Standard deviation of a number that is anywhere within its tolerance, as a share."""
+    return rig.tolerance(key) / 100.0 / sqrt(3.0)
 
 
 class Prepared(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -75,6 +76,13 @@ class Verdict:
     evidence: Evidence
     """The arrays behind it."""
 
+    @property
+    def named(self) -> tuple[Named, ...]:
+        """The main cause and the further ones; empty where there is none to name."""
+        if self.cause in (NONE, UNEXPLAINED):
+            return ()
+        return (Named(self.cause, self.parameters), *self.also)
+
     def as_json(self) -> dict[str, Any]:
         """As the rig-data format fixes it."""
         return {
@@ -82,7 +90,7 @@ class Verdict:
             "confidence": round(self.confidence, 4),
             "indistinguishable": list(self.indistinguishable),
             "also": [_named(named) for named in self.also],
-            "parameters": _parameters(self.parameters),
+            "parameters": parameters_json(self.parameters),
             "numbers": self.numbers,
             "held_out": {
                 "nrmse_before": self.held_out.nrmse_before,
@@ -97,12 +105,13 @@ class Verdict:
         }
 
 
-def _parameters(parameters: dict[str, Estimate]) -> dict[str, dict[str, float]]:
+def parameters_json(parameters: Mapping[str, Estimate]) -> dict[str, dict[str, float]]:
+    """Each with the ends of its interval."""
     return {name: {"estimate": e.estimate, "low": e.low, "high": e.high} for name, e in parameters.items()}
 
 
 def _named(named: Named) -> dict[str, Any]:
-    return {"cause": named.cause, "parameters": _parameters(named.parameters)}
+    return {"cause": named.cause, "parameters": parameters_json(named.parameters)}
 
 
 def _tried(tried: Tried) -> dict[str, Any]:
@@ -111,6 +120,6 @@ def _tried(tried: Tried) -> dict[str, Any]:
         "score": round(tried.score, 2),
         "chi2_per_reading": round(tried.chi2_per_reading, 4),
         "unseen_nrmse": tried.unseen_nrmse,
-        "parameters": {named.cause: _parameters(named.parameters) for named in tried.named},
+        "parameters": {named.cause: parameters_json(named.parameters) for named in tried.named},
         "on_bound": list(tried.on_bound),
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -91,6 +91,14 @@ class Rig:
     def tolerance(self, key: str) -> float:
         """Percent to which the number at `key` is believed: 1 unless the rig says otherwise."""
         return self.tolerance_percent.get(key, 1.0)
+
+
+def with_numbers(rig: Rig, numbers: Mapping[str, float]) -> Rig:
+    """The rig with other numbers, by their keys, as `cv.volume_L`."""
+    for key, value in numbers.items():
+        table, name = key.split(".")
+        rig = replace(rig, **{table: replace(getattr(rig, table), **{name: value})})
+    return rig
 
 
 def load_rig(path: Path | str) -> Rig:

@@ -23,7 +23,7 @@ from flying_vines.pneumatics.plant.shape import Pouch
 from flying_vines.pneumatics.plant.true_rig import TrueRig, true_rig_from
 from flying_vines.pneumatics.plant.wall import Wall
 from flying_vines.pneumatics.rig import Rig, RigError, read_rig
-from flying_vines.reservoir.belief import AMBIENT_KPA, Belief, Prior, nominal
+from flying_vines.reservoir.belief import AMBIENT_KPA, LEAST_RISE, Belief, Prior, nominal
 from flying_vines.reservoir.bottle import GAMMA, PER_AIR_K
 
 CHANGED = 0.1
@@ -135,7 +135,7 @@ def _known(p: Pneumatics, there: Setup) -> Belief:
     return Belief(
         pneumatics=p,
         rise=Prior(rise, CHANGED * rise),
-        least_rise=0.65 * rise,
+        least_rise=LEAST_RISE * rise,
         flat=Prior(pouch_kPa, POUCH_CHANGED * pouch_kPa + CHANGED * rise),
         packed_kPa=pouch_kPa,
         venturi=Prior(motive, CHANGED * motive),

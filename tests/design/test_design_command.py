@@ -7,16 +7,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_line import status
 
-from flying_vines.cli import main
 from flying_vines.design import catalogue
 from flying_vines.design.robot import example_text
 
 
 def run(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as exit_:
-        main(["design", *arguments])
-    return int(exit_.value.code or 0)
+    return status("design", *arguments)
 
 
 def test_alone_it_says_what_the_demonstration_does(capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import command_line
 import pytest
 from hidden_truth import draw, write
 
-from flying_vines.cli import main
 from flying_vines.discrepancy.case import read_case
 from flying_vines.discrepancy.causes import catalogue
 from flying_vines.discrepancy.diagnose import diagnose
@@ -25,11 +25,7 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as exit_:
-        main(["diagnose", *arguments])
-    out, err = capsys.readouterr()
-    assert isinstance(exit_.value.code, int)
-    return exit_.value.code, out, err
+    return command_line.run(capsys, "diagnose", *arguments)
 
 
 def test_json_is_one_object_of_the_format(case: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,11 +11,11 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import command_line
 import numpy as np
 import pytest
 from rich.console import Console
 
-from flying_vines.cli import main
 from flying_vines.discrepancy import many
 from flying_vines.discrepancy.case import Case, read_case
 from flying_vines.discrepancy.cores import THREADS
@@ -155,11 +155,7 @@ def test_each_search_keeps_to_its_share_of_the_cores(
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as exit_:
-        main(["diagnose", *arguments])
-    out, err = capsys.readouterr()
-    assert isinstance(exit_.value.code, int)
-    return exit_.value.code, out, err
+    return command_line.run(capsys, "diagnose", *arguments)
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run as run_command
 
 from flying_vines import config as configuration
-from flying_vines.cli import main
 from flying_vines.discrepancy.cause import Cause, Parameter
 from flying_vines.discrepancy.causes import catalogue
 from flying_vines.discrepancy.model import Array
@@ -201,14 +201,6 @@ def test_the_scenario_and_the_profiles_are_readable(made: Plan) -> None:
         assert [item.profile for item in read.items if item.match == {"param1": number}] == [name]
 
 
-def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as exit_:
-        main([*arguments])
-    out, err = capsys.readouterr()
-    assert isinstance(exit_.value.code, int)
-    return exit_.value.code, out, err
-
-
 def test_planned_simulated_and_diagnosed(
     made: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -218,8 +210,11 @@ def test_planned_simulated_and_diagnosed(
         "[cv]\nvolume_L = 0.5\n[venturi]\nrated_supply_kPa = 900\n[causes.evp_lag]\ntime_constant_s = 0.02\n"
     )
     scenario.write_text(scenario_text(made.best))
-    assert run(capsys, "simulate", "--rig", str(truth), "--scenario", str(scenario), "--out", case)[0] == 0
-    status, text, _ = run(capsys, "diagnose", case, "--json")
+    assert (
+        run_command(capsys, "simulate", "--rig", str(truth), "--scenario", str(scenario), "--out", case)[0]
+        == 0
+    )
+    status, text, _ = run_command(capsys, "diagnose", case, "--json")
     assert status == 0
     verdict = json.loads(text)
     assert verdict["cause"] == "evp_lag" and verdict["indistinguishable"] == []
@@ -233,7 +228,7 @@ def test_the_command_on_a_rig_without_control_volume(
     """It can do nothing but discharge, and the service nothing at all."""
     rig, out = tmp_path / "rig.toml", tmp_path / "plan"
     rig.write_text("[reservoir]\nvolume_L = 2\n")
-    status, text, _ = run(
+    status, text, _ = run_command(
         capsys, "diagnose", "--plan", str(rig), "--minutes", "0.7", "--out", str(out), "--json"
     )
     assert status == 0
@@ -263,6 +258,6 @@ def test_what_cannot_be_planned_is_one_line(
 ) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text("[cv]\nvolume_L = 0.1\n")
-    status, out, err = run(capsys, "diagnose", *(argument.format(rig=rig) for argument in arguments))
+    status, out, err = run_command(capsys, "diagnose", *(argument.format(rig=rig) for argument in arguments))
     assert (status, out) == (2, "")
-    assert len(err.strip().splitlines()) == 1 and named in err
+    assert err.count("\n") == 1 and named in err

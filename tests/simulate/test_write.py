@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_line import status
 
-from flying_vines.cli import main
 from flying_vines.pneumatics.rig import ControlVolume, Rig, load_rig
 from flying_vines.simulate import csv_text, simulate
 from flying_vines.simulate.kinds import Bends, Discharge, Openings, Valves
@@ -47,10 +47,7 @@ def scenario(tmp_path: Path) -> Path:
 
 
 def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main(["simulate", *(str(a) for a in arguments)])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
+    return status("simulate", *arguments)
 
 
 def complaint(capsys: pytest.CaptureFixture[str]) -> str:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import status
 
-from flying_vines.cli import main
 from flying_vines.vine.bending.description import example_text
 from flying_vines.vine.calibration.law import Law
 
@@ -18,9 +18,7 @@ LOOP = np.concatenate([np.linspace(0.0, 20.7, 20), np.linspace(20.7, 0.0, 20)])
 
 
 def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main(["vine", *map(str, arguments)])
-    return int(stop.value.code or 0)
+    return status("vine", *arguments)
 
 
 @pytest.fixture

@@ -240,8 +240,9 @@ def recommend(rig: Rig, doubt: Collection[str], most_kPa: float = MOST_KPA) -> R
         looks = [(part, *_worst(layout, apart(layout, part.gram), with_none)) for part in parts]
         if max(look[2] for look in looks) < SETTLED:
             # Floors: before it is said that nothing settles it, full fits.
-            whole = {part.candidate.name: part for part in parts}.values()
-            looks = [(part, *_worst(layout, _look(layout, [part]).matrix, with_none)) for part in whole]
+            looks = [
+                (part, *_worst(layout, _look(layout, [part]).matrix, with_none)) for part in _longest(parts)
+            ]
     commanded = [look for look in looks if look[0].candidate.commanded and look[2] >= SETTLED]
     part, pair, least = max(commanded or looks, key=lambda look: look[2])
     return Recommendation(_planned(part), sqrt(least), pair)
@@ -261,6 +262,11 @@ def _all_parts(layout: Layout, candidates: Sequence[Candidate], progress: Progre
         progress(f"trying {candidate.name}", 0.6 * done / len(candidates))
         parts += parts_of(layout, candidate)
     return parts
+
+
+def _longest(parts: Sequence[Part]) -> list[Part]:
+    """Of each candidate."""
+    return list({part.candidate.name: part for part in parts}.values())
 
 
 def _look(layout: Layout, parts: list[Part]) -> _Look:
@@ -292,7 +298,7 @@ def _open(layout: Layout, matrix: Array) -> tuple[Pair, ...]:
 
 def _open_in_all(layout: Layout, parts: Sequence[Part], pairs: Sequence[Pair]) -> tuple[Pair, ...]:
     """Of some pairs those that all runs together, each at its longest, leave open."""
-    whole = list({part.candidate.name: part for part in parts}.values())
+    whole = _longest(parts)
     floors, check = apart(layout, gram_of(layout, whole)), Check(layout, whole)
     columns = (*layout.names, NONE)
 

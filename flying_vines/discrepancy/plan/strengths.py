@@ -55,7 +55,7 @@ def typical(cause: Cause, rig: Rig) -> float:
     seed = parameter.seeds[len(parameter.seeds) // 2]
     if seed != parameter.neutral:
         return seed
-    return parameter.outer(parameter.inner(seed) + 0.03 * _width(parameter))
+    return parameter.outer(parameter.inner(seed) + 0.03 * parameter.range)
 
 
 def strengths(cause: Cause, rig: Rig) -> tuple[float, ...]:
@@ -80,7 +80,3 @@ def _within(parameter: Parameter, values: Sequence[float]) -> tuple[float, ...]:
 def _is_threshold(parameter: Parameter) -> bool:
     """Many seeds: a place on a scale, and no size."""
     return len(parameter.seeds) > 8
-
-
-def _width(parameter: Parameter) -> float:
-    return parameter.inner(parameter.high) - parameter.inner(parameter.low)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -24,19 +24,18 @@ from numpy.typing import NDArray
 from flying_vines.discrepancy.case import Case
 from flying_vines.discrepancy.cause import Cause, Values
 from flying_vines.discrepancy.model import Array, Numbers
+from flying_vines.discrepancy.noise import stated_noise_kPa
 from flying_vines.discrepancy.plan.library import Candidate
 from flying_vines.discrepancy.plan.rehearsal import rehearsed
 from flying_vines.discrepancy.plan.strengths import strengths, typical
 from flying_vines.discrepancy.recording import Run
-from flying_vines.discrepancy.simulate import BELIEVED, Simulation, believed_keys
+from flying_vines.discrepancy.simulate import BELIEVED, Simulation, believed_keys, believed_spread
 from flying_vines.pneumatics.baseline import ALPHA_KPA
 from flying_vines.pneumatics.rig import Rig
 from flying_vines.simulate.kinds import Kind
 
 Causes = Sequence[tuple[Cause, Values]]
 
-LEAST_KPA = 1e-3
-"""Noise of a sensor that is stated to have none."""
 _RESERVOIR_KPA, _CV_KPA = 1.0, 0.1
 """How far initial pressures are moved for a derivative."""
 
@@ -81,8 +80,9 @@ class Part:
     """That leaves the reservoir on the believed rig."""
     gram: Array
 
-    @property
+    @cached_property
     def kind(self) -> Kind:
+        """As it stands in a scenario."""
         return self.candidate.make(self.count)
 
 
@@ -90,9 +90,15 @@ def layout_of(rig: Rig, causes: Sequence[Cause]) -> Layout:
     values = tuple(strengths(cause, rig) for cause in causes)
     first = np.cumsum([0, *map(len, values)])[:-1]
     usual = [row.index(typical(cause, rig)) for cause, row in zip(causes, values, strict=True)]
-    sensors = rig.sensors
-    noise_kPa = (sensors.cv_noise_std_kPa or LEAST_KPA, sensors.reservoir_noise_std_kPa or LEAST_KPA)
-    return Layout(rig, tuple(causes), values, first, first + np.array(usual), believed_keys(rig), noise_kPa)
+    return Layout(
+        rig=rig,
+        causes=tuple(causes),
+        values=values,
+        first=first,
+        usual=first + np.array(usual),
+        keys=believed_keys(rig),
+        noise_kPa=stated_noise_kPa(rig),
+    )
 
 
 def parts_of(layout: Layout, candidate: Candidate) -> list[Part]:
@@ -130,7 +136,7 @@ def _traces(layout: Layout, run: Run, reservoir_kPa: float) -> tuple[Array, Arra
         for value in values
     ]
     for key in layout.keys:
-        moved = getattr(believed, BELIEVED[key]) * (1.0 + layout.rig.tolerance(key) / 100.0 / sqrt(3.0))
+        moved = getattr(believed, BELIEVED[key]) * (1.0 + believed_spread(layout.rig, key))
         rows.append(readings(numbers=believed._replace(**{BELIEVED[key]: moved})))
     rows += [readings(initial=start + move) for move in ((_RESERVOIR_KPA, 0.0), (0.0, _CV_KPA))]
     traces = (np.array(rows) - baseline) / noise

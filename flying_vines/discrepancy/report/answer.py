@@ -27,7 +27,7 @@ def answer(verdict: Verdict, case_name: str) -> Html:
             paragraph(*_lede(verdict), kind="lede"),
             facts(
                 (
-                    *((code(cause.cause), _measured(cause)) for cause in named(verdict)),
+                    *((code(cause.cause), _measured(cause)) for cause in verdict.named),
                     ("What is left", _remainder(verdict)),
                     ("As well possible", _alike(verdict)),
                     ("Next experiment", verdict.next_experiment),
@@ -36,13 +36,6 @@ def answer(verdict: Verdict, case_name: str) -> Html:
             ),
         )
     )
-
-
-def named(verdict: Verdict) -> tuple[Named, ...]:
-    """The main cause and the further ones; none where there is none to name."""
-    if verdict.cause in (NONE, UNEXPLAINED):
-        return ()
-    return (Named(verdict.cause, verdict.parameters), *verdict.also)
 
 
 def _lede(verdict: Verdict) -> list[str]:

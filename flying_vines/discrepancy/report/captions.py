@@ -10,7 +10,7 @@ from flying_vines.discrepancy.report.likeness import ALIKE, SEEN, alike_pairs
 from flying_vines.discrepancy.report.words import rounded
 from flying_vines.discrepancy.residuals import CHANNELS
 from flying_vines.discrepancy.search import CLAIM
-from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED, Verdict
+from flying_vines.discrepancy.verdict import UNEXPLAINED, Verdict
 
 
 def unseen(verdict: Verdict) -> str:
@@ -77,7 +77,7 @@ def dependence(verdict: Verdict) -> str:
 
 def ranking(verdict: Verdict) -> str:
     colors = "Orange: the baseline. "
-    if verdict.cause not in (NONE, UNEXPLAINED):
+    if verdict.named:
         colors += "Blue: what the verdict names. "
         if verdict.indistinguishable:
             colors += "Purple: what could stand in its place. "

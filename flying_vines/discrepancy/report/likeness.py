@@ -37,7 +37,7 @@ def draw_likeness(verdict: Verdict) -> Figure:
                 matrix.text(x, y, percent, ha="center", va="center", fontsize=6, color=color)
     matrix.set_xticks(range(count), names, rotation=90)
     matrix.set_yticks(range(count), names)
-    found = {verdict.cause, *(named.cause for named in verdict.also), *verdict.indistinguishable}
+    found = {*(named.cause for named in verdict.named), *verdict.indistinguishable}
     for label in (*matrix.get_xticklabels(), *matrix.get_yticklabels()):
         if label.get_text() in found:
             label.set(color=AFTER, fontweight="bold")

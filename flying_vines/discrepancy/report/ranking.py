@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from flying_vines.discrepancy.report.canvas import AFTER, BEFORE, INK, blank, quiet
 from flying_vines.discrepancy.search import CLAIM
-from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED, Tried, Verdict
+from flying_vines.discrepancy.verdict import Tried, Verdict
 from flying_vines.record.style import GREY, PURPLE
 
 MOST = 16
@@ -25,14 +25,13 @@ def color_of(tried: Tried, verdict: Verdict) -> str:
     """By its part in the verdict."""
     if not tried.causes:
         return BEFORE
-    if verdict.cause in (NONE, UNEXPLAINED):
-        return GREY
-    rest = {named.cause for named in verdict.also}
-    if set(tried.causes) == {verdict.cause, *rest}:
+    named = {named.cause for named in verdict.named}
+    if set(tried.causes) == named:
         return AFTER
-    if any(set(tried.causes) == {name, *rest} for name in verdict.indistinguishable):
-        return PURPLE
-    return GREY
+    # In place of one of them, whichever it is.
+    others = set(tried.causes) - named
+    alike = len(others) == 1 and others <= set(verdict.indistinguishable)
+    return PURPLE if alike and len(tried.causes) == len(named) else GREY
 
 
 def draw_ranking(verdict: Verdict) -> Figure:

@@ -9,7 +9,6 @@ from platform import python_version
 import numpy as np
 
 from flying_vines.discrepancy.case import Case
-from flying_vines.discrepancy.report.answer import named
 from flying_vines.discrepancy.report.canvas import models, residuals
 from flying_vines.discrepancy.report.dependence import same, strongest
 from flying_vines.discrepancy.report.markup import Html, Row, code, joined, small, table
@@ -31,7 +30,7 @@ _LIBRARIES = ("flying-vines", "numpy", "scipy", "numba", "matplotlib")
 
 def tried_table(verdict: Verdict) -> Html:
     """Every candidate that was fitted, the best evidence first."""
-    chosen = None if verdict.cause == UNEXPLAINED else {cause.cause for cause in named(verdict)}
+    chosen = None if verdict.cause == UNEXPLAINED else {cause.cause for cause in verdict.named}
     rows = [
         Row(
             (

@@ -58,12 +58,6 @@ class Correlated(Problem):
             found.append(white)
         return found
 
-    def simulated(self, point: Point, runs: Sequence[int] | None = None) -> list[Array]:
-        """As the engine has it; what a discharge empties into is ambient air, and has no pressure to fit."""
-        initial = point.initial.copy()
-        initial[:, 1] = 0.0
-        return super().simulated(replace(point, initial=initial), runs)
-
     def pressures_kPa(self, point: Point) -> Array:
         """What the reservoir's sensor would have read, run after run."""
         return np.concatenate([readings[RESERVOIR] for readings in self.simulated(point)])

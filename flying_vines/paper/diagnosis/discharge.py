@@ -355,11 +355,7 @@ def _estimates(point: Point, found: Worth) -> dict[str, dict[str, Estimate]]:
 
 def _estimate(parameter: Parameter, value: float, shift: float, sd: float) -> Estimate:
     inner = parameter.inner(value) + shift
-
-    def outer(moved: float) -> float:
-        return float(np.clip(parameter.outer(inner + moved), parameter.low, parameter.high))
-
-    return Estimate(outer(0.0), outer(-1.96 * sd), outer(1.96 * sd))
+    return Estimate(*(parameter.within(inner + move) for move in (0.0, -1.96 * sd, 1.96 * sd)))
 
 
 def _alike(null: Candidate, causes: Sequence[Cause]) -> list[Alike]:

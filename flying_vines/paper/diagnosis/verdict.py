@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from math import exp, isnan, sqrt
 from typing import Any
 
+from flying_vines.discrepancy.verdict import parameters_json
 from flying_vines.paper.diagnosis import PaperDiagnosis
 from flying_vines.paper.diagnosis.discharge import ALIKE, HEAT, MORE_AIR, NOISES, Alike, Candidate, Discharges
 from flying_vines.paper.diagnosis.evidence import Array
@@ -306,10 +307,7 @@ def _account(responses: Responses, account: Account, tc5_supply_kPa: float) -> d
 
 
 def _parameters(candidate: Candidate) -> dict[str, dict[str, dict[str, float]]]:
-    return {
-        cause: {name: {"estimate": e.estimate, "low": e.low, "high": e.high} for name, e in values.items()}
-        for cause, values in candidate.estimates.items()
-    }
+    return {cause: parameters_json(values) for cause, values in candidate.estimates.items()}
 
 
 def _plain(values: Array) -> list[float]:

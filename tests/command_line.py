@@ -1,0 +1,22 @@
+"""The command, as the tests give it."""
+
+from __future__ import annotations
+
+import pytest
+
+from flying_vines.cli import main
+
+
+def status(*arguments: object) -> int:
+    """With which it ends."""
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    assert isinstance(stop.value.code, int)
+    return stop.value.code
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    """The same, with what it prints on standard output and standard error."""
+    ended = status(*arguments)
+    out, err = capsys.readouterr()
+    return ended, out, err
