@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from flying_vines import config as configuration
 from flying_vines.config import Config, ConfigError
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -34,7 +34,7 @@ from flying_vines.notice import Notice, Severity
 from flying_vines.reservoir import Belief, ReservoirEstimate, floor_kPa, nominal
 from flying_vines.safety import Conditions, Demand, Entered, Left, Ruling, Safety
 from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vehicle.vehicle import Output, Vehicle
 from flying_vines.vine.motion import Motion

@@ -30,7 +30,7 @@ from flying_vines.pneumatics.plant.true_rig import TrueRig
 from flying_vines.record.flight_log import FlightLog
 from flying_vines.service import Service
 from flying_vines.terminal import LiveView, event_line
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vine import sketch
 
 HOME = (-35.363262, 149.165237)

@@ -10,7 +10,7 @@ from flying_vines.events import Action, Decision, VehicleMessage
 from flying_vines.reservoir import Belief
 from flying_vines.simulated_world import SimulatedWorld
 from flying_vines.vehicle.codec import Codec
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem
 
 
 def replay(

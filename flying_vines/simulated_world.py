@@ -22,7 +22,7 @@ from flying_vines.fakes.phlosar import SimulatedPhlosar
 from flying_vines.pneumatics.plant.effects import Effects
 from flying_vines.reservoir import Belief
 from flying_vines.vehicle.codec import Codec
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem
 
 COMPANION = "companion"
 

@@ -29,7 +29,7 @@ from flying_vines.fakes.phlosar import SimulatedPhlosar
 from flying_vines.notice import Notice
 from flying_vines.simulated_world import SimulatedFlight
 from flying_vines.vehicle.codec import Codec
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem
 
 LOW, MIDDLE, HIGH = 1000, 1500, 2000
 

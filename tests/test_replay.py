@@ -19,7 +19,7 @@ from flying_vines.events import (
 )
 from flying_vines.notice import Notice
 from flying_vines.replay import as_json, replay
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.tlog import TlogReader
 from missions.waypoints import read_waypoints
 

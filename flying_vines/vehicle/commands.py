@@ -7,7 +7,8 @@ import math
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.mission import Execution, Px4Watch
+from flying_vines.vehicle.mission.execution import Execution
+from flying_vines.vehicle.mission.px4 import Px4Watch
 from flying_vines.vehicle.triggers import Rules, Trigger, direct_intent
 
 COPIES_WITHIN_S = 6.0

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from flying_vines.config import CARRIERS, Config
 from flying_vines.intent import BendTo, ClearFaults, Hold, Intent, SetPressure, StartProfile, Vent
 from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.mission import Execution
+from flying_vines.vehicle.mission.execution import Execution
 
 NAME_OF_COMMAND = {number: name for name, number in CARRIERS.items()}
 BEND_TO, SET_PRESSURE, STOP, CLEAR = (CARRIERS[f"user_{n}"] for n in (2, 3, 4, 5))

@@ -10,8 +10,11 @@ from flying_vines.notice import Notice, Severity
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.commands import Commands
 from flying_vines.vehicle.component import Component, answer_timesync
-from flying_vines.vehicle.mission import ArduPilotWatch, Execution, MissionBook, Px4Watch
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.ardupilot import ArduPilotWatch
+from flying_vines.vehicle.mission.book import MissionBook
+from flying_vines.vehicle.mission.execution import Execution
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.px4 import Px4Watch
 from flying_vines.vehicle.rc import RadioLink
 from flying_vines.vehicle.state import Ambiguous, Found, Rebooted, VehicleState
 from flying_vines.vehicle.streams import Streams

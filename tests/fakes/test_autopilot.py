@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.fakes.autopilot import Autopilot, Kind, MissionRefused
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem
 from missions.waypoints import read_waypoints
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem
 from missions.waypoints import WaypointsError, read_waypoints, write_waypoints
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"

@@ -13,8 +13,9 @@ from flying_vines import config
 from flying_vines.intent import BendTo, ClearFaults, Hold, SetPressure, StartProfile, Vent
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.commands import COPIES_WITHIN_S, OVERTAKEN_WITHIN_S, Commands
-from flying_vines.vehicle.mission import MissionBook, Px4Watch
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.book import MissionBook
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.px4 import Px4Watch
 from flying_vines.vehicle.triggers import Rules, Trigger
 
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3

@@ -11,8 +11,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.mission import MOST_ATTEMPTS, RETRY_S, TRY_AGAIN_S, MissionBook
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.book import MOST_ATTEMPTS, RETRY_S, TRY_AGAIN_S, MissionBook
+from flying_vines.vehicle.mission.item import MissionItem
 
 TICK_S = 0.02
 

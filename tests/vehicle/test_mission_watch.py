@@ -12,15 +12,11 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.codec import Codec, Message
-from flying_vines.vehicle.mission import (
-    WAIT_FOR_BOOK_S,
-    WAIT_FOR_TEXT_S,
-    ArduPilotWatch,
-    Execution,
-    MissionBook,
-    Px4Watch,
-)
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.ardupilot import WAIT_FOR_BOOK_S, WAIT_FOR_TEXT_S, ArduPilotWatch
+from flying_vines.vehicle.mission.book import MissionBook
+from flying_vines.vehicle.mission.execution import Execution
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.px4 import Px4Watch
 
 WP, TAKEOFF, LAND, DELAY, SCRIPT, GRIPPER, WINCH = 16, 22, 21, 93, 217, 211, 42600
 CONDITION_DELAY, JUMP, SERVO = 112, 177, 183

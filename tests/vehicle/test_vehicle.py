@@ -12,7 +12,7 @@ from flying_vines import config
 from flying_vines.intent import BendTo, StartProfile, Vent
 from flying_vines.notice import Notice
 from flying_vines.vehicle.codec import Codec, Message
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.tlog import TlogReader
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vehicle.vehicle import Vehicle

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from flying_vines.fakes.autopilot.agenda import Entry
-from flying_vines.fakes.autopilot.legs import DELAY, LAND, RETURN_HOME, Leg, is_nav
+from flying_vines.fakes.autopilot.legs import DELAY, LAND, RETURN_HOME, Leg
 from flying_vines.fakes.autopilot.runner import (
     ACTIVE,
     COMPLETE,
@@ -16,7 +16,7 @@ from flying_vines.fakes.autopilot.runner import (
     Jumps,
     MissionStatus,
 )
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem, is_nav
 
 _DO_SPACING_S = 0.006
 _YAW_S = 2.0

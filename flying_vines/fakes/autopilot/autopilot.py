@@ -12,13 +12,14 @@ from flying_vines.fakes.autopilot.agenda import Agenda, Entry
 from flying_vines.fakes.autopilot.ardupilot import ArduPilotMission
 from flying_vines.fakes.autopilot.flight import Flight, Home
 from flying_vines.fakes.autopilot.mission_protocol import MissionStorage
-from flying_vines.fakes.autopilot.modes import Kind, Mode, mission_mode, mode_named, mode_numbered
+from flying_vines.fakes.autopilot.modes import Mode, mission_mode, mode_named, mode_numbered
 from flying_vines.fakes.autopilot.port import Port, Stream
 from flying_vines.fakes.autopilot.px4 import Command, CommandSender, Px4Mission
 from flying_vines.fakes.autopilot.receiver import RcLoss, Receiver
 from flying_vines.fakes.autopilot.routing import Routes
 from flying_vines.fakes.autopilot.runner import Runner
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.storage import Kind
 
 ARDUPILOT_HOME = Home(-35.363262, 149.165237, 584.09)
 PX4_HOME = Home(47.3977431, 8.5455944, 489.443)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from flying_vines.fakes.autopilot.modes import Kind, Mode, mode_numbered
+from flying_vines.fakes.autopilot.modes import Mode, mode_numbered
 from flying_vines.fakes.autopilot.telemetry import (
     ATTITUDE,
     GLOBAL_POSITION_INT,
@@ -15,6 +15,7 @@ from flying_vines.fakes.autopilot.telemetry import (
     SYSTEM_TIME,
     VFR_HUD,
 )
+from flying_vines.vehicle.mission.storage import Kind
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 

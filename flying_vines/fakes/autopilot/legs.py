@@ -5,23 +5,17 @@ from __future__ import annotations
 import math
 
 from flying_vines.fakes.autopilot.flight import Flight
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem
 
 WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME = 16, 17, 18, 19
 RETURN_HOME, LAND, TAKEOFF, SPLINE, VTOL_TAKEOFF, VTOL_LAND = 20, 21, 22, 82, 84, 85
 GUIDED_ENABLE, DELAY, CONDITION_DELAY, SCRIPT_TIME = 92, 93, 112, 42702
 
-_LAST_NAV = 95
 _AMSL_FRAMES = (0, 5)
 _SPOOL_UP_S = 2.0
 _TURN_S = 10.0
 _RETURN_HEIGHT_M = 15.0
 _RETURN_HOLD_S = 5.0
-
-
-def is_nav(command: int) -> bool:
-    """Whether the vehicle flies (or waits) for it before the mission goes on."""
-    return command <= _LAST_NAV or command == SCRIPT_TIME
 
 
 class Leg:

@@ -12,8 +12,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.fakes.autopilot.agenda import Agenda, Entry
 from flying_vines.fakes.autopilot.flight import Home
-from flying_vines.fakes.autopilot.modes import Kind
-from flying_vines.fakes.autopilot.storage import (
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.storage import (
     ACCEPTED,
     CANCELLED,
     CAPACITY,
@@ -21,11 +21,11 @@ from flying_vines.fakes.autopilot.storage import (
     INVALID_SEQUENCE,
     MISSION_FRAME,
     NO_SPACE,
+    Kind,
     MissionRefused,
     store,
     whole_centimetres,
 )
-from flying_vines.vehicle.mission_item import MissionItem
 
 _ASK_AGAIN_S = 1.0
 _GIVE_UP_S = 8.0

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
-Kind = Literal["ardupilot", "px4"]
+from flying_vines.vehicle.mission.storage import Kind
 
 ARMED_FLAG = 128
 

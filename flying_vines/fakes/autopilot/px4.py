@@ -18,8 +18,8 @@ from flying_vines.fakes.autopilot.runner import (
     Jumps,
     MissionStatus,
 )
-from flying_vines.fakes.autopilot.storage import is_nav_item
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.storage import is_nav_item
 
 TOTAL_BEFORE_FIRST_UPLOAD = 65535
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from flying_vines.fakes.autopilot.modes import Kind
+from flying_vines.vehicle.mission.storage import Kind
 
 AUTOPILOT_COMPONENT = 1
 _CAPACITY = 20

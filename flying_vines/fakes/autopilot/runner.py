@@ -8,7 +8,7 @@ from typing import Protocol
 
 from flying_vines.fakes.autopilot.agenda import Agenda
 from flying_vines.fakes.autopilot.flight import Flight
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem
 
 NO_MISSION, NOT_STARTED, ACTIVE, PAUSED, COMPLETE = 1, 2, 3, 4, 5
 

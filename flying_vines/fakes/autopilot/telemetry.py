@@ -9,9 +9,10 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.fakes.autopilot.flight import CRUISE_M_S, Flight
-from flying_vines.fakes.autopilot.modes import ARMED_FLAG, Kind, Mode
+from flying_vines.fakes.autopilot.modes import ARMED_FLAG, Mode
 from flying_vines.fakes.autopilot.receiver import Receiver
 from flying_vines.fakes.autopilot.runner import MissionStatus
+from flying_vines.vehicle.mission.storage import Kind
 
 HEARTBEAT, SYS_STATUS, SYSTEM_TIME, ATTITUDE, GLOBAL_POSITION_INT = 0, 1, 2, 30, 33
 MISSION_CURRENT, RC_CHANNELS, VFR_HUD, TIMESYNC, AUTOPILOT_VERSION = 42, 65, 74, 111, 148

@@ -19,3 +19,12 @@ class MissionItem:
     frame: int = 0
     current: bool = False
     autocontinue: bool = True
+
+
+NAV_SCRIPT_TIME = 42702
+_LAST_NAV = 95
+
+
+def is_nav(command: int) -> bool:
+    """Whether the vehicle flies (or waits) for it before the mission goes on."""
+    return command <= _LAST_NAV or command == NAV_SCRIPT_TIME

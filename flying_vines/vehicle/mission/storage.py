@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
+from typing import Literal
 
-from flying_vines.fakes.autopilot.legs import is_nav
-from flying_vines.fakes.autopilot.modes import Kind
-from flying_vines.vehicle.mission_item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem, is_nav
+
+Kind = Literal["ardupilot", "px4"]
 
 ACCEPTED, ERROR, UNSUPPORTED_FRAME, UNSUPPORTED, NO_SPACE = 0, 1, 2, 3, 4
 INVALID_PARAM1, INVALID_SEQUENCE, CANCELLED = 6, 13, 15

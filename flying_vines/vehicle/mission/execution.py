@@ -1,0 +1,27 @@
+"""That a mission item ran."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from flying_vines.vehicle.mission.item import MissionItem
+
+
+@dataclass(frozen=True, slots=True)
+class Execution:
+    """A mission item ran. `item` is None where only its number and kind are known."""
+
+    command: int
+    seq: int | None
+    item: MissionItem | None
+    params: tuple[float, ...] | None
+
+
+def same_numbers(a: Sequence[float], b: Sequence[float]) -> bool:
+    """Equal as far as 32-bit floats and text files carry them."""
+    return all(
+        math.isclose(x, y, rel_tol=1e-5, abs_tol=1e-6) or (math.isnan(x) and math.isnan(y))
+        for x, y in zip(a, b, strict=True)
+    )
