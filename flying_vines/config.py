@@ -23,16 +23,19 @@ NotNegative = Annotated[float, Meta(ge=0)]
 
 CARRIERS = {
     "script_message": 217,
+    "script_time": 42702,
     "gripper": 211,
     "winch": 42600,
     "actuator": 187,
+    "relay": 181,
+    "servo": 183,
+    "aux_function": 218,
     "user_1": 31010,
-    "user_2": 31011,
-    "user_3": 31012,
-    "user_4": 31013,
-    "user_5": 31014,
 }
 """MAVLink commands that carry a vine item, by the name that the configuration uses for them."""
+
+Param = Literal["param1", "param2", "param3", "param4", "param5", "param6", "param7"]
+"""Of a mission item or command; the last three are an item's x, y and z."""
 
 
 class ConfigError(Exception):
@@ -51,6 +54,7 @@ class Vehicle(_Table, frozen=True):
     system_id: Annotated[int, Meta(ge=0, le=255)] = 0
     component_id: Annotated[int, Meta(ge=1, le=255)] = 191
     rc_rate_Hz: Annotated[float, Meta(ge=4, le=50)] = 20.0
+    signing_key: str = ""
 
 
 class Firmware(_Table, frozen=True):
@@ -74,23 +78,31 @@ class Switch(_Table, frozen=True):
 class Item(_Table, frozen=True):
     """What a mission item or command of the vehicle means for the vine."""
 
-    command: str | int
-    match: dict[Literal["param1", "param2", "param3", "param4"], float] = {}
+    command: str | int | tuple[str | int, ...]
+    match: dict[Param, float] = {}
     profile: str | None = None
-    bend: Literal["param1", "param2", "param3", "param4"] | None = None
+    bend: Param | None = None
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        if isinstance(self.command, str) and self.command not in CARRIERS:
-            raise ValueError(
-                f"unknown command '{self.command}': give one of {', '.join(CARRIERS)}, or a MAV_CMD number"
-            )
+        for name in self._commands:
+            if isinstance(name, str) and name not in CARRIERS:
+                raise ValueError(
+                    f"unknown command '{name}': give one of {', '.join(CARRIERS)}, or a MAV_CMD number"
+                )
+        if not self._commands:
+            raise ValueError("an item needs a command")
         if (self.profile is None) == (self.bend is None):
             raise ValueError("an item needs either profile or bend")
 
     @property
-    def command_id(self) -> int:
-        return CARRIERS[self.command] if isinstance(self.command, str) else self.command
+    def command_ids(self) -> tuple[int, ...]:
+        """The MAV_CMD numbers, in the order given."""
+        return tuple(CARRIERS[name] if isinstance(name, str) else name for name in self._commands)
+
+    @property
+    def _commands(self) -> tuple[str | int, ...]:
+        return self.command if isinstance(self.command, tuple) else (self.command,)
 
 
 class Vine(_Table, frozen=True):
@@ -117,6 +129,7 @@ class Limits(_Table, frozen=True):
 
 class Interlocks(_Table, frozen=True):
     bench_mode: bool = False
+    armed_at_start: bool = True
     min_altitude_m: NotNegative = 2.0
     reserve_kPa: NotNegative = 40.0
 
@@ -148,7 +161,21 @@ class Pneumatics(_Table, frozen=True):
 
 class Telemetry(_Table, frozen=True):
     rate_Hz: Annotated[float, Meta(ge=0.1, le=10)] = 2.0
+    fuel_status: bool = False
     low_reservoir_cycles: Annotated[float, Meta(ge=0)] = 10.0
+
+
+class Calibration(_Table, frozen=True):
+    """The staircase of pressures that a calibration goes up and down."""
+
+    steps: Annotated[int, Meta(ge=1, le=50)] = 6
+    hold_s: Annotated[float, Meta(ge=0.5, le=60)] = 3.0
+
+
+class State(_Table, frozen=True):
+    """Where the service keeps what must survive it."""
+
+    folder: str = ""
 
 
 class Config(_Table, frozen=True):
@@ -165,6 +192,8 @@ class Config(_Table, frozen=True):
     losses: Losses = Losses()
     pneumatics: Pneumatics = Pneumatics()
     telemetry: Telemetry = Telemetry()
+    calibration: Calibration = Calibration()
+    state: State = State()
 
 
 def default_text() -> str:
@@ -203,7 +232,7 @@ def parse(text: str, source: str) -> Config:
         config = msgspec.convert(raw, Config)
     except msgspec.ValidationError as error:
         raise _explain(text, source, str(error), inside) from None
-    for key, reason in _contradictions(config):
+    for key, reason in contradictions(config):
         raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
     return config
 
@@ -214,8 +243,8 @@ def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:
     return list(profiles.items()) if isinstance(profiles, dict) else []
 
 
-def _contradictions(config: Config) -> list[tuple[Key, str]]:
-    """What no single table can know: keys that do not fit each other."""
+def contradictions(config: Config) -> list[tuple[Key, str]]:
+    """What no single table can know: keys that do not fit each other, and why."""
     found: list[tuple[Key, str]] = []
     for table, link in (("vehicle", config.vehicle.link), ("firmware", config.firmware.link)):
         try:
@@ -255,6 +284,12 @@ def _contradictions(config: Config) -> list[tuple[Key, str]]:
     if curve.max_kPa > config.limits.max_kPa:
         reason = f"the curve goes to {curve.max_kPa:g} kPa, above limits.max_kPa = {config.limits.max_kPa:g}"
         found.append((("vine", "curve"), reason))
+    stairs = config.calibration
+    calibrates_s = (2 * stairs.steps + 1) * stairs.hold_s
+    calibrates_s += 2 * config.limits.max_kPa / config.limits.max_rate_kPa_per_s
+    if calibrates_s > config.limits.max_bent_s:
+        reason = f"takes {calibrates_s:.0f} s, longer than limits.max_bent_s = {config.limits.max_bent_s:g}"
+        found.append((("calibration",), reason))
     if config.pneumatics.cycle_swing_kPa > config.limits.max_kPa:
         found.append((("pneumatics", "cycle_swing_kPa"), "is above limits.max_kPa"))
     return found
@@ -313,6 +348,8 @@ _TABLES = {
     "losses": Losses,
     "pneumatics": Pneumatics,
     "telemetry": Telemetry,
+    "calibration": Calibration,
+    "state": State,
     "items": Item,
     "profiles": Profile,
 }

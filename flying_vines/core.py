@@ -17,6 +17,7 @@ from firmware_link import protocol
 from flying_vines.config import Config
 from flying_vines.events import (
     Action,
+    Calibrated,
     Decision,
     Event,
     FirmwareMessage,
@@ -29,7 +30,19 @@ from flying_vines.events import (
     ToVehicle,
     VehicleMessage,
 )
-from flying_vines.intent import BendTo, ClearFaults, Hold, Intent, SetPressure, StartProfile, Vent
+from flying_vines.intent import (
+    ArmPneumatics,
+    BendTo,
+    ClearFaults,
+    DisarmPneumatics,
+    Hold,
+    Intent,
+    SetPressure,
+    StartCalibration,
+    StartProfile,
+    StopCalibration,
+    Vent,
+)
 from flying_vines.notice import Notice, Severity
 from flying_vines.reservoir import Belief, ReservoirEstimate, floor_kPa, nominal
 from flying_vines.safety import Conditions, Demand, Entered, Left, Ruling, Safety
@@ -39,6 +52,7 @@ from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vehicle.vehicle import Output, Vehicle
 from flying_vines.vine.motion import Motion
 from flying_vines.vine.profile import Segment, Step, flatten, plan, top_kPa
+from flying_vines.vine.staircase import Readings, staircase
 
 TICK_S = 0.02
 """How often `Tick` is due, and how far a setpoint looks ahead."""
@@ -74,6 +88,8 @@ class Core:
         self._low_told = False
         self._alone_since: float | None = None
         self._motion: Motion | None = None
+        self._calibration: tuple[Motion, Readings] | None = None
+        self._pneumatics_armed = config.interlocks.armed_at_start
         self._stopped = False
         self._actions: list[Action] = []
 
@@ -130,6 +146,7 @@ class Core:
                     self._actions.append(Measured(t, telemetry))
                     self._bent_kPa = self._curve.bent_kPa(telemetry.cv_kPa, self._bent_kPa)
                     self._reservoir.update(t, telemetry)
+                    self._read_level(t, telemetry)
                     if telemetry.faults or telemetry.cv_kPa > self.config.limits.overpressure_kPa:
                         self._look(t)
                 case fw.FirmwareReset(reason):
@@ -152,15 +169,9 @@ class Core:
             return self._record(t, trigger, Ruling("refused", trigger.problem))
         if self._stopped:
             return self._record(t, trigger, Ruling("refused", "the service is stopping"))
-        if isinstance(intent, ClearFaults):
-            return self._record(t, trigger, self._clear_faults(t))
-        if isinstance(intent, Vent):
-            if trigger.by_person:
-                self._clear_faults(t)
-            self._stop_moving(t)
-            return self._record(t, trigger, Ruling("accepted"))
-        if isinstance(intent, Hold):
-            return self._record(t, trigger, self._hold(t, now))
+        settled = self._without_air(t, intent, trigger.by_person)
+        if settled is not None:
+            return self._record(t, trigger, settled)
         problem, segments, rate_kPa_per_s, wanted_kPa = self._segments(intent)
         if problem:
             return self._record(t, trigger, Ruling("refused", problem))
@@ -187,8 +198,40 @@ class Core:
             self._stop_moving(t)
         else:
             self._motion = Motion(trajectory, t, rate_kPa_per_s, str(intent))
+            if isinstance(intent, StartCalibration):
+                self._calibration = self._motion, Readings(self.config.calibration.hold_s)
             self._drive(t)
         return self._record(t, trigger, ruling)
+
+    def _without_air(self, t: float, intent: Intent, by_person: bool) -> Ruling | None:
+        """Carry out what takes no air, or say why not; None for what does take some."""
+        match intent:
+            case ClearFaults() | ArmPneumatics() | StartCalibration() if not by_person:
+                return Ruling("refused", "only a person may do that")
+            case ClearFaults():
+                return self._clear_faults(t)
+            case ArmPneumatics():
+                self._pneumatics_armed = True
+                return Ruling("accepted")
+            case DisarmPneumatics():
+                self._pneumatics_armed = False
+                self._stop_moving(t)
+                return Ruling("accepted")
+            case Vent():
+                if by_person:
+                    self._clear_faults(t)
+                self._stop_moving(t)
+                return Ruling("accepted")
+            case Hold():
+                return self._hold(t)
+            case StartCalibration() if self._motion is not None:
+                return Ruling("refused", "vent the vine first")
+            case StopCalibration() if self._calibration is None:
+                return Ruling("refused", "none is under way")
+            case StopCalibration():
+                self._stop_moving(t)
+                return Ruling("accepted")
+        return None
 
     def _segments(self, intent: Intent) -> tuple[str, Sequence[Segment], float, float]:
         """A problem or "", what to do, how fast at most, and the pressure asked for."""
@@ -207,9 +250,13 @@ class Core:
                 if target_kPa < 0.0:
                     return f"{target_kPa:g} kPa is below ambient", [], rate_kPa_per_s, 0.0
                 return "", [Step(to_kPa=target_kPa)], rate_kPa_per_s, target_kPa
+            case StartCalibration():
+                stairs = self.config.calibration
+                segments = list(staircase(self._max_kPa, stairs.steps, stairs.hold_s))
+                return "", segments, rate_kPa_per_s, 0.0
         raise AssertionError(intent)
 
-    def _hold(self, t: float, now: Conditions) -> Ruling:
+    def _hold(self, t: float) -> Ruling:
         if self._motion is None:
             return Ruling("refused", "the vine is vented")
         if self._safety.reasons:
@@ -278,6 +325,30 @@ class Core:
         self._motion = None
         self._to_firmware(self._firmware.command(t, fw.VENTING))
 
+    # Calibrating.
+
+    def _read_level(self, t: float, telemetry: protocol.Telemetry) -> None:
+        if self._calibration is not None:
+            motion, readings = self._calibration
+            readings.take(t, motion.setpoint_kPa(t), telemetry.cv_kPa, telemetry.reservoir_kPa)
+
+    def _follow_calibration(self, t: float) -> None:
+        """Tell how far it is; and what it found, or that something else took its place."""
+        if self._calibration is None:
+            return
+        motion, readings = self._calibration
+        if self._motion is motion and not motion.over(t):
+            self._send(*self._vehicle.progress(t, motion.share(t)))
+            return
+        self._calibration = None
+        if motion.over(t):
+            levels = tuple((level.asked_kPa, level.read_kPa) for level in readings.held)
+            self._actions.append(Calibrated(t, levels))
+            self._notice(t, Severity.NOTICE, f"calibrated: {readings.summary()}")
+        else:
+            self._notice(t, Severity.WARNING, "calibration ended early")
+        self._send(*self._vehicle.end_command(motion.over(t)))
+
     # Watching.
 
     def _on_tick(self, t: float) -> None:
@@ -285,6 +356,7 @@ class Core:
         self._look(t)
         if not self._stopped:
             self._drive(t)
+        self._follow_calibration(t)
         self._to_firmware(self._firmware.tick(t))
         self._warn_of_low_reservoir(t)
         self._report(t)
@@ -300,6 +372,7 @@ class Core:
         elif not self._vehicle.state.armed and self._motion is None:
             self._rc_in_use = False
         return Conditions(
+            pneumatics_armed=self._pneumatics_armed,
             armed=self._vehicle.state.armed,
             altitude_m=self._vehicle.state.altitude_m(t),
             rc_problem=rc_problem if self._rc_in_use else None,
@@ -436,7 +509,7 @@ class Core:
             dvp_opening=telemetry.dvp_opening if telemetry else math.nan,
             solenoid=telemetry.solenoid if telemetry else None,
             cycles=self._reservoir.cycles_left(),
-            doing=self._motion.name if self._motion else "vented",
+            doing=self._motion.name if self._motion else "vented" if self._pneumatics_armed else "disarmed",
             safe_state=self._safety.reasons,
             ambient_kPa=math.nan if ambient_kPa is None else ambient_kPa,
         )

@@ -93,7 +93,15 @@ class Measured:
     telemetry: protocol.Telemetry
 
 
-Action = ToVehicle | ToFirmware | Decision | Notice | Measured
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """A calibration came to its end: each level that was held, asked and read (gauge kPa), in order."""
+
+    t: float
+    levels_kPa: tuple[tuple[float, float], ...]
+
+
+Action = ToVehicle | ToFirmware | Decision | Notice | Measured | Calibrated
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,4 +59,47 @@ class ClearFaults:
         return "clear faults"
 
 
-Intent = StartProfile | BendTo | SetPressure | Hold | Vent | ClearFaults
+@dataclass(frozen=True, slots=True)
+class ArmPneumatics:
+    """A person says that the vine may bend."""
+
+    def __str__(self) -> str:
+        return "arm the pneumatics"
+
+
+@dataclass(frozen=True, slots=True)
+class DisarmPneumatics:
+    """Let the air out, and bend for nobody until a person arms."""
+
+    def __str__(self) -> str:
+        return "disarm the pneumatics"
+
+
+@dataclass(frozen=True, slots=True)
+class StartCalibration:
+    """Go through the vine's pressures and compare what is there with what was asked for."""
+
+    def __str__(self) -> str:
+        return "calibrate"
+
+
+@dataclass(frozen=True, slots=True)
+class StopCalibration:
+    """End a calibration before its time."""
+
+    def __str__(self) -> str:
+        return "stop the calibration"
+
+
+Intent = (
+    StartProfile
+    | BendTo
+    | SetPressure
+    | Hold
+    | Vent
+    | ClearFaults
+    | ArmPneumatics
+    | DisarmPneumatics
+    | StartCalibration
+    | StopCalibration
+)

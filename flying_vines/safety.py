@@ -32,6 +32,8 @@ FAULT_SENTENCES = {
 class Conditions:
     """All that safety looks at, at one moment. Pressures are gauge kPa, NaN when unknown."""
 
+    pneumatics_armed: bool = True
+    """Whether a person lets the vine bend at all; `armed` is the vehicle."""
     armed: bool = False
     altitude_m: float | None = None
     rc_problem: str | None = None
@@ -95,13 +97,17 @@ class Safety:
     """Feed it `watch` often, ask it `judge` for every intent."""
 
     def __init__(self, config: Config) -> None:
-        self._limits = config.limits
-        self._interlocks = config.interlocks
-        self._losses = config.losses
+        self.configure(config)
         self._present: dict[str, str] = {}
         self._latched: dict[str, str] = {}
         self._held_since: dict[str, float] = {}
         self._tripped: set[str] = set()
+
+    def configure(self, config: Config) -> None:
+        """Look by other limits from now on; what holds or is latched stays so."""
+        self._limits = config.limits
+        self._interlocks = config.interlocks
+        self._losses = config.losses
 
     @property
     def reasons(self) -> dict[str, str]:
@@ -179,6 +185,8 @@ class Safety:
     def _problem(self, demand: Demand, now: Conditions) -> str | None:
         if self.reasons:
             return "; ".join(self.reasons.values())
+        if not now.pneumatics_armed:
+            return "the pneumatics are disarmed"
         if not now.firmware_ready:
             return f"phloSAR {now.firmware_problem}"
         if not now.telemetry_age_s <= self._losses.telemetry_s:

@@ -188,6 +188,8 @@ def test_a_key_like_no_other_is_named_without_a_guess() -> None:
             3, "items[0].match", "expected float, got str",
         ),
         ("[[items]]\ncommand = 4.5\nprofile = 'straight'", 2, "items[0].command", "expected int | str"),
+        ("[[items]]\ncommand = []\nprofile = 'straight'", 1, "items[0]", "needs a command"),
+        ("[[items]]\ncommand = ['winch', 'x']\nbend = 'param1'", 1, "items[0]", "unknown command 'x'"),
         ("[[items]]\ncommand = 'griper'\nprofile = 'straight'", 1, "items[0]", "unknown command 'griper'"),
         ("[[items]]\ncommand = 'gripper'", 1, "items[0]", "needs either profile or bend"),
         ("[[items]]\ncommand = 5\nprofile = 'x'\nbend = 'param1'", 1, "items[0]", "either profile or bend"),
@@ -332,10 +334,15 @@ def test_positions_may_be_empty_and_commands_may_be_numbers() -> None:
     text = "[switch]\npositions = ['', 'straight']\n[[items]]\ncommand = 31010\nbend = 'param1'\n"
     parsed = config.parse(text + PROFILES, "my.toml")
     assert parsed.switch.positions == ("", "straight")
-    assert parsed.items[0].command_id == 31010
+    assert parsed.items[0].command_ids == (31010,)
     for name, number in CARRIERS.items():
         item = config.parse(f"[[items]]\ncommand = '{name}'\nbend = 'param1'\n{PROFILES}", "my.toml").items[0]
-        assert item.command_id == number
+        assert item.command_ids == (number,)
+
+
+def test_one_rule_may_serve_several_commands() -> None:
+    text = "[[items]]\ncommand = ['script_message', 'user_1', 42]\nbend = 'param7'\n"
+    assert config.parse(text + PROFILES, "my.toml").items[0].command_ids == (217, 31010, 42)
 
 
 # Anything at all.

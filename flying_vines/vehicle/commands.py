@@ -6,6 +6,7 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.intent import StartCalibration
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.px4 import Px4Watch
@@ -16,6 +17,7 @@ COPIES_WITHIN_S = 6.0
 confirmation field counts them."""
 OVERTAKEN_WITHIN_S = 0.6
 """A first copy can arrive this much later than the repeat that overtook it."""
+PROGRESS_S = 1.0
 
 _Key = tuple[object, ...]
 
@@ -28,6 +30,13 @@ class Commands:
         self._component_id = component_id
         self._seen: dict[_Key, tuple[float, bool]] = {}
         self._results: dict[_Key, int] = {}
+        self._under_way: Message | None = None
+        self._percent = 0
+        self._progress_at = -math.inf
+
+    def _for_us(self, message: Message, system_id: int) -> bool:
+        """Whether it is for us, and nobody else."""
+        return bool(message.target_system == system_id and message.target_component == self._component_id)
 
     def handle(
         self, t: float, message: Message, system_id: int, from_autopilot: bool, px4: Px4Watch | None
@@ -38,11 +47,13 @@ class Commands:
         `px4` is None where the autopilot tells its items in another way: then what it says to no component
         (ArduPilot's camera commands) would be heard twice.
         """
-        to_us = message.target_system == system_id and message.target_component == self._component_id
+        to_us = self._for_us(message, system_id)
         to_all = px4 and message.target_system in (0, system_id) and message.target_component == 0
         is_item = from_autopilot and message.command in self._rules.commands
         if not to_us and not (to_all and is_item):
             return []
+        if self._under_way is not None and _key(message) == _key(self._under_way):
+            return [_answer(message, mavlink.MAV_RESULT_IN_PROGRESS, self._percent)]
         if self._is_copy(t, message):
             result = self._results.get(_key(message), mavlink.MAV_RESULT_ACCEPTED)
             return [_answer(message, result)]
@@ -60,17 +71,35 @@ class Commands:
         if found is None:
             self._results[_key(message)] = mavlink.MAV_RESULT_UNSUPPORTED
             return [_answer(message, mavlink.MAV_RESULT_UNSUPPORTED)]
-        sender = f"{message.get_srcSystem()}/{message.get_srcComponent()}"
-        what: dict[str, object] = {"command": message.command, "params": list(params), "from": sender}
-        return [Trigger(t, "command", what, *found, by_person=not from_autopilot, command=message)]
+        what = {"command": message.command, "params": list(params[:4]), "from": _sender(message)}
+        by_person = message.get_srcSystem() != system_id
+        return [Trigger(t, "command", what, *found, by_person=by_person, command=message)]
 
     def acknowledge(self, trigger: Trigger, accepted: bool) -> list[Message]:
         """The COMMAND_ACK for the command behind a trigger, if there is one."""
         if trigger.command is None:
             return []
         result = mavlink.MAV_RESULT_ACCEPTED if accepted else mavlink.MAV_RESULT_DENIED
+        if accepted and isinstance(trigger.intent, StartCalibration):
+            self._under_way, self._percent, self._progress_at = trigger.command, 0, trigger.t
+            result = mavlink.MAV_RESULT_IN_PROGRESS
         self._results[_key(trigger.command)] = result
         return [_answer(trigger.command, result)]
+
+    def progress(self, t: float, share: float) -> list[Message]:
+        """What the sender of a long command is told now and then: how much of it, 0…1, is done."""
+        if self._under_way is None or t - self._progress_at < PROGRESS_S:
+            return []
+        self._progress_at, self._percent = t, int(100 * share)
+        return [_answer(self._under_way, mavlink.MAV_RESULT_IN_PROGRESS, self._percent)]
+
+    def end(self, result: int) -> list[Message]:
+        """The last answer to the sender of a long command: how it ended (MAV_RESULT)."""
+        running, self._under_way = self._under_way, None
+        if running is None:
+            return []
+        self._results[_key(running)] = result
+        return [_answer(running, result)]
 
     def _is_copy(self, t: float, message: Message) -> bool:
         self._seen = {key: seen for key, seen in self._seen.items() if t - seen[0] < COPIES_WITHIN_S}
@@ -83,8 +112,15 @@ class Commands:
         return copy
 
 
-def _params(message: Message) -> tuple[float, float, float, float]:
-    return (message.param1, message.param2, message.param3, message.param4)
+def _params(message: Message) -> tuple[float, ...]:
+    first = (message.param1, message.param2, message.param3, message.param4)
+    if message.get_type() == "COMMAND_INT":
+        return (*first, float(message.x), float(message.y), message.z)
+    return (*first, message.param5, message.param6, message.param7)
+
+
+def _sender(message: Message) -> str:
+    return f"{message.get_srcSystem()}/{message.get_srcComponent()}"
 
 
 def _key(message: Message) -> _Key:
@@ -92,7 +128,7 @@ def _key(message: Message) -> _Key:
     return (message.get_srcSystem(), message.get_srcComponent(), message.command, *numbers)
 
 
-def _answer(message: Message, result: int) -> Message:
+def _answer(message: Message, result: int, percent: int = 0) -> Message:
     return mavlink.MAVLink_command_ack_message(
-        message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()
+        message.command, result, percent, 0, message.get_srcSystem(), message.get_srcComponent()
     )

@@ -3,16 +3,50 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from flying_vines.config import CARRIERS, Config
-from flying_vines.intent import BendTo, ClearFaults, Hold, Intent, SetPressure, StartProfile, Vent
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.config import CARRIERS, Config, Param
+from flying_vines.intent import (
+    ArmPneumatics,
+    BendTo,
+    ClearFaults,
+    DisarmPneumatics,
+    Hold,
+    Intent,
+    SetPressure,
+    StartCalibration,
+    StartProfile,
+    StopCalibration,
+    Vent,
+)
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.mission.execution import Execution
 
+FLOAT32 = 1e-6
+"""How far a number of the configuration may lie from itself as MAVLink carries it."""
+
 NAME_OF_COMMAND = {number: name for name, number in CARRIERS.items()}
-BEND_TO, SET_PRESSURE, STOP, CLEAR = (CARRIERS[f"user_{n}"] for n in (2, 3, 4, 5))
+
+BEND_TO, SET_PRESSURE = mavlink.MAV_CMD_USER_2, mavlink.MAV_CMD_USER_3
+CHOICES: dict[int, tuple[tuple[str, Intent | None], ...]] = {
+    mavlink.MAV_CMD_USER_4: (
+        ("vent", Vent()),
+        ("hold", Hold()),
+        ("disarm", DisarmPneumatics()),
+        ("arm", ArmPneumatics()),
+    ),
+    mavlink.MAV_CMD_USER_5: (
+        ("nothing", None),
+        ("clear faults", ClearFaults()),
+        ("start a calibration", StartCalibration()),
+        ("stop it", StopCalibration()),
+    ),
+}
+"""What param1 = 0, 1, 2, 3 of a command asks for. No autopilot carries these out itself: until ArduPilot has
+heard of us it executes what is addressed to us."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +75,7 @@ class Rules:
     def __init__(self, config: Config) -> None:
         self._items = config.items
         self._positions = config.switch.positions
-        self.commands = {item.command_id for item in config.items}
+        self.commands = {command for item in config.items for command in item.command_ids}
 
     def for_position(self, position: int) -> Intent | None:
         """What a switch position asks for; None where the configuration leaves it empty."""
@@ -54,7 +88,7 @@ class Rules:
         if params is None:
             return None, f"{name}: its numbers are not known, the mission was not read"
         for item in self._items:
-            if item.command_id != command or not _matches(item.match, params):
+            if command not in item.command_ids or not _matches(item.match, params):
                 continue
             if item.profile is not None:
                 return StartProfile(item.profile), ""
@@ -81,19 +115,23 @@ def direct_intent(command: int, params: Sequence[float]) -> tuple[Intent | None,
         return (BendTo(value), "") if math.isfinite(value) else (None, "the angle is not a number")
     if command == SET_PRESSURE:
         return (SetPressure(value), "") if math.isfinite(value) else (None, "the pressure is not a number")
-    if command == STOP:
-        if value in (0, 1):
-            return (Hold() if value else Vent(), "")
-        return None, "param1 must be 0 (vent) or 1 (hold)"
-    if command == CLEAR:
-        return (ClearFaults(), "") if value == 1 else (None, "param1 must be 1 (clear faults)")
-    return None
+    choices = CHOICES.get(command)
+    if choices is None:
+        return None
+    for number, (_, intent) in enumerate(choices):
+        if intent is not None and value == number:
+            return intent, ""
+    offered = ", ".join(f"{n} ({name})" for n, (name, intent) in enumerate(choices) if intent is not None)
+    return None, f"param1 must be one of {offered}"
 
 
-def _matches(wanted: dict[str, float] | object, params: Sequence[float]) -> bool:
-    assert isinstance(wanted, dict)
-    return all(math.isclose(_param(params, key), value, abs_tol=1e-6) for key, value in wanted.items())
+def _matches(wanted: Mapping[Param, float], params: Sequence[float]) -> bool:
+    return all(
+        math.isclose(_param(params, key), value, rel_tol=FLOAT32, abs_tol=FLOAT32)
+        for key, value in wanted.items()
+    )
 
 
-def _param(params: Sequence[float], key: str) -> float:
-    return params[int(key.removeprefix("param")) - 1]
+def _param(params: Sequence[float], key: Param) -> float:
+    index = int(key.removeprefix("param")) - 1
+    return params[index] if index < len(params) else 0.0

@@ -23,6 +23,14 @@ class Motion:
     def over(self, t: float) -> bool:
         return t - self.started_at >= self.trajectory.duration_s
 
+    def share(self, t: float) -> float:
+        """How much of it, 0…1, has been done."""
+        return (
+            min(1.0, (t - self.started_at) / self.trajectory.duration_s)
+            if self.trajectory.duration_s
+            else 1.0
+        )
+
     def releases(self, t: float) -> bool:
         """Whether it has come to its end, and that end is no pressure."""
         return self.over(t) and self.trajectory.final_kPa <= 0.0

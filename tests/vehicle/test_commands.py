@@ -10,7 +10,18 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines import config
-from flying_vines.intent import BendTo, ClearFaults, Hold, SetPressure, StartProfile, Vent
+from flying_vines.intent import (
+    ArmPneumatics,
+    BendTo,
+    ClearFaults,
+    DisarmPneumatics,
+    Hold,
+    SetPressure,
+    StartCalibration,
+    StartProfile,
+    StopCalibration,
+    Vent,
+)
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.commands import COPIES_WITHIN_S, OVERTAKEN_WITHIN_S, Commands
 from flying_vines.vehicle.mission.book import MissionBook
@@ -18,7 +29,7 @@ from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.px4 import Px4Watch
 from flying_vines.vehicle.triggers import Rules, Trigger
 
-ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
+ACCEPTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = 0, 2, 3, 4, 5
 US, AUTOPILOT, STATION = 191, (1, 1), (255, 190)
 ACTUATOR, GRIPPER, SET_SERVO = 187, 211, 183
 USER_1, USER_2, USER_3, USER_4, USER_5 = 31010, 31011, 31012, 31013, 31014
@@ -233,7 +244,10 @@ def test_what_we_cannot_do_is_unsupported(number: int) -> None:
         (USER_3, (12.0,), SetPressure(12.0)),
         (USER_4, (0.0,), Vent()),
         (USER_4, (1.0,), Hold()),
+        (USER_4, (2.0,), DisarmPneumatics()),
+        (USER_4, (3.0,), ArmPneumatics()),
         (USER_5, (1.0,), ClearFaults()),
+        (USER_5, (3.0,), StopCalibration()),
         (GRIPPER, (1.0, 0.0), StartProfile("bend-full")),
         (ACTUATOR, (-0.5,), BendTo(-30.0)),
     ],
@@ -258,7 +272,8 @@ def test_a_persons_commands(number: int, params: tuple[float, ...], intent: obje
         (USER_3, (NAN,), "not a number"),
         (USER_3, (-math.inf,), "not a number"),
         (USER_4, (NAN,), "param1 must be"),
-        (USER_4, (2.0,), "param1 must be"),
+        (USER_4, (4.0,), "0 (vent), 1 (hold), 2 (disarm), 3 (arm)"),
+        (USER_4, (1.5,), "param1 must be"),
         (USER_5, (NAN,), "param1 must be"),
         (USER_5, (0.0,), "param1 must be"),
         (ACTUATOR, (NAN,), "not a number"),
@@ -275,6 +290,62 @@ def test_numbers_that_make_no_sense_are_denied_with_a_reason(
     assert trigger.intent is None
     assert problem in trigger.problem
     assert bench.results() == [DENIED, DENIED]
+
+
+def test_a_calibration_is_answered_until_it_ends() -> None:
+    bench = Bench()
+    start = command(USER_5, (2.0,))
+    bench.take(10.0, start)
+    assert [trigger.intent for trigger in bench.triggers] == [StartCalibration()]
+    told = [bench.commands.progress(10.0 + 0.02 * tick, tick / 1000) for tick in range(1000)]
+    percents = [answer.progress for answers in told for answer in answers]
+    assert percents == sorted(percents) and len(percents) == 19
+    assert {answer.result for answers in told for answer in answers} == {IN_PROGRESS}
+    bench.take(29.0, command(USER_5, (2.0,), confirmation=3))
+    bench.take(29.5, start)
+    assert len(bench.triggers) == 1
+    assert [(answer.result, answer.progress) for answer in bench.answers] == [
+        (IN_PROGRESS, 0),
+        (IN_PROGRESS, percents[-1]),
+        (IN_PROGRESS, percents[-1]),
+    ]
+    (last,) = bench.commands.end(FAILED)
+    assert (last.command, last.result, last.target_system) == (USER_5, FAILED, STATION[0])
+    assert bench.commands.progress(40.0, 1.0) == bench.commands.end(ACCEPTED) == []
+
+
+def test_a_calibration_that_was_refused_is_not_under_way() -> None:
+    bench = Bench(accepts=False)
+    bench.take(10.0, command(USER_5, (2.0,)))
+    assert bench.results() == [DENIED]
+    assert bench.commands.progress(20.0, 0.5) == []
+
+
+def test_only_what_comes_from_a_ground_station_is_a_persons() -> None:
+    bench = Bench()
+    for sender in ((1, 195), AUTOPILOT, STATION):
+        bench.take(10.0, command(USER_4, (3.0,), sender=sender))
+    assert [trigger.by_person for trigger in bench.triggers] == [False, False, True]
+
+
+@pytest.mark.parametrize("param", [4, 5, 6])
+def test_all_seven_numbers_count(param: int) -> None:
+    rules = config.parse(
+        f"[[items]]\ncommand = 'actuator'\nmatch = {{ param{param + 1} = 5 }}\nbend = 'param1'\n"
+        "[profiles.straight]\nsegments = [{ kind = 'step', to_kPa = 0 }]\n[switch]\npositions = ['', '']\n",
+        "test",
+    )
+    numbers = [12.0, *(6 * [0.0])]
+    commands = Commands(Rules(rules), US)
+    (other,) = commands.handle(1.0, command(ACTUATOR, numbers), 1, False, None)
+    numbers[param] = 5.0
+    (trigger,) = commands.handle(2.0, command(ACTUATOR, numbers), 1, False, None)
+    assert isinstance(other, Trigger) and isinstance(trigger, Trigger)
+    assert (other.intent, trigger.intent) == (None, BendTo(12.0))
+    integers = (ACTUATOR, 0, 0, *numbers[:4], *(int(number) for number in numbers[4:6]), numbers[6])
+    message = sent(mavlink.MAVLink_command_int_message(1, US, 0, *integers), (254, 190))
+    (whole,) = commands.handle(3.0, message, 1, False, None)
+    assert isinstance(whole, Trigger) and whole.intent == BendTo(12.0)
 
 
 def test_numbers_that_are_not_given_do_not_hide_a_copy() -> None:
