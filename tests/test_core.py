@@ -198,7 +198,7 @@ def test_an_autopilot_reboot_asks_for_the_streams_again() -> None:
         for a in actions
         if isinstance(a, ToVehicle) and a.message.get_type() == "COMMAND_LONG" and a.message.command == 511
     }
-    assert asked == {65, 1, 33, 42, 2}
+    assert asked == {65, 1, 33, 42, 2, 29}
     assert flight.core.snapshot(flight.world.now).rc == "good"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -10,7 +11,14 @@ from flying_vines.vehicle.codec import Message
 
 ASK_SPACING_S = 0.1
 ASK_AGAIN_S = 3.0
+REFUSED_S = 30.0
+"""What an autopilot says it does not have is not asked for soon again: ArduPilot tells the pilot."""
+ANSWER_WITHIN_S = 0.5
+"""The answer does not say what it answers, so nothing else is asked meanwhile."""
 MISSING_AFTER_S = 5.0
+
+
+_REFUSALS = {mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_UNSUPPORTED, mavlink.MAV_RESULT_FAILED}
 
 
 @dataclass(slots=True)
@@ -21,6 +29,7 @@ class _Stream:
     asked_at: float | None = None
     wanted_since: float | None = None
     heard_at: float | None = None
+    refused_at: float = -math.inf
 
 
 class Streams:
@@ -36,29 +45,41 @@ class Streams:
             "GLOBAL_POSITION_INT": _Stream(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 5.0, True),
             "MISSION_CURRENT": _Stream(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT, 5.0, False),
             "SYSTEM_TIME": _Stream(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, 1.0, False),
+            "SCALED_PRESSURE": _Stream(mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE, 1.0, False),
         }
-        self._asked_at = float("-inf")
+        self._asked_at = -math.inf
+        self._asked: _Stream | None = None
 
     def handle(self, t: float, message: Message) -> None:
         """Take in a message of our autopilot."""
-        stream = self._streams.get(message.get_type())
+        kind = message.get_type()
+        stream = self._streams.get(kind)
         if stream is not None:
             stream.heard_at = t
+        elif kind == "COMMAND_ACK" and message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+            if self._awaited(t) and self._asked is not None and message.result in _REFUSALS:
+                self._asked.refused_at = t
+            self._asked = None
 
     def forget(self) -> None:
         """The autopilot rebooted: everything must be asked for again, now."""
         for stream in self._streams.values():
             stream.asked_at = stream.wanted_since = stream.heard_at = None
+            stream.refused_at = -math.inf
+        self._asked = None
 
     def requests(self, t: float, system_id: int) -> list[Message]:
         """At most one request a call, spaced so that small buffers do not overflow."""
-        if t - self._asked_at < ASK_SPACING_S:
+        if t - self._asked_at < ASK_SPACING_S or self._awaited(t):
             return []
         for stream in self._streams.values():
+            if not stream.essential and t - stream.refused_at < REFUSED_S:
+                continue
             never_asked = stream.asked_at is None
             silent = stream.heard_at is None or t - stream.heard_at > max(2.0, 3.0 / stream.rate_Hz)
             if never_asked or (silent and t - (stream.asked_at or 0.0) >= ASK_AGAIN_S):
                 stream.asked_at = self._asked_at = t
+                self._asked = stream
                 stream.wanted_since = t if stream.wanted_since is None else stream.wanted_since
                 return [
                     mavlink.MAVLink_command_long_message(
@@ -68,6 +89,10 @@ class Streams:
                 ]  # fmt: skip
         return []
 
+    def _awaited(self, t: float) -> bool:
+        """Whether the answer to the last request may still come."""
+        return self._asked is not None and t - self._asked_at < ANSWER_WITHIN_S
+
     def missing(self, t: float) -> list[str]:
         """The essential messages that were asked for and do not come."""
         essential = {name: stream for name, stream in self._streams.items() if stream.essential}
@@ -76,5 +101,5 @@ class Streams:
         return [
             name
             for name, stream in essential.items()
-            if t - max(since, stream.heard_at or float("-inf")) > MISSING_AFTER_S
+            if t - max(since, stream.heard_at or -math.inf) > MISSING_AFTER_S
         ]

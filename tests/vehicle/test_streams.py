@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import itertools
 
+import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.streams import ASK_AGAIN_S, ASK_SPACING_S, MISSING_AFTER_S, Streams
+from flying_vines.vehicle.streams import ASK_AGAIN_S, ASK_SPACING_S, MISSING_AFTER_S, REFUSED_S, Streams
 
-WANTED_HZ = {65: 20.0, 1: 10.0, 33: 5.0, 42: 5.0, 2: 1.0}
+WANTED_HZ = {65: 20.0, 1: 10.0, 33: 5.0, 42: 5.0, 2: 1.0, 29: 1.0}
 TICK_S = 0.02
 
 MESSAGES = {
@@ -18,6 +19,7 @@ MESSAGES = {
     33: mavlink.MAVLink_global_position_int_message(0, 0, 0, 0, 0, 0, 0, 0, 0),
     42: mavlink.MAVLink_mission_current_message(0),
     2: mavlink.MAVLink_system_time_message(0, 0),
+    29: mavlink.MAVLink_scaled_pressure_message(0, 1013.2, 0.0, 2000),
 }
 
 
@@ -52,6 +54,7 @@ class Autopilot:
         message_id = int(request.param1)
         assert 1e6 / request.param2 == WANTED_HZ[message_id]
         self.asked.append((self.now_s, message_id))
+        self.streams.handle(self.now_s, mavlink.MAVLink_command_ack_message(511, 0, 0, 0, 7, 191))
         if message_id not in self.deaf_to:
             self.granted.add(message_id)
 
@@ -123,3 +126,34 @@ def test_after_a_reboot_everything_is_asked_for_at_once() -> None:
 
 def test_nothing_is_missing_before_it_was_asked_for() -> None:
     assert Streams(20.0).missing(1000.0) == []
+
+
+@pytest.mark.parametrize(
+    ("result", "pause_s"), [(0, ASK_AGAIN_S), (2, REFUSED_S), (3, REFUSED_S), (4, REFUSED_S)]
+)
+def test_what_the_autopilot_does_not_have_is_not_asked_for_soon_again(result: int, pause_s: float) -> None:
+    streams = Streams(20.0)
+    asked: list[tuple[float, int]] = []
+    for tick in range(round(100.0 / TICK_S)):
+        t = tick * TICK_S
+        for request in streams.requests(t, 1):
+            asked.append((t, int(request.param1)))
+            answer = result if asked[-1][1] in (29, 33) else 0
+            streams.handle(t + 0.01, mavlink.MAVLink_command_ack_message(511, answer, 0, 0, 1, 191))
+    # What we cannot do without is asked for as often as ever, whatever the answer.
+    for message_id, expected_s in ((29, pause_s), (33, ASK_AGAIN_S), (42, ASK_AGAIN_S)):
+        times_s = [t for t, asked_id in asked if asked_id == message_id]
+        gaps_s = [b - a for a, b in itertools.pairwise(times_s)]
+        assert gaps_s and all(expected_s - 1e-6 <= gap <= expected_s + 0.7 for gap in gaps_s)
+
+
+def test_a_late_refusal_is_of_no_request() -> None:
+    streams = Streams(20.0)
+    for tick in range(200):
+        streams.requests(tick * TICK_S, 1)
+    for _ in range(10):
+        streams.handle(30.0, mavlink.MAVLink_command_ack_message(511, 2, 0, 0, 1, 191))
+    asked = {
+        int(request.param1) for tick in range(200) for request in streams.requests(30.0 + tick * TICK_S, 1)
+    }
+    assert asked == set(WANTED_HZ)

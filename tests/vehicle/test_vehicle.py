@@ -114,9 +114,8 @@ def test_a_move_while_the_radio_is_lost_is_only_told() -> None:
     link.text("Radio Failsafe Cleared")
     link.run(3.0, 2000)
     assert link.triggers == []
-    assert [notice.text for notice in link.notices][
-        -1
-    ] == "Vine: switch ch9 moved while RC was lost, move it again"
+    told = [notice.text for notice in link.notices]
+    assert told.count("Vine: switch ch9 moved while RC was lost, move it again") == 1
 
 
 def test_silence_of_the_radio_wants_a_fresh_move() -> None:
@@ -167,12 +166,12 @@ def test_what_a_second_vehicle_says_moves_nothing() -> None:
 def test_a_reboot_vents_and_everything_is_asked_anew() -> None:
     link = Link()
     link.run(5.0, 1000, boot_ms=100_000)
-    assert {m.param1 for _, m in link.sent if m.get_type() == "COMMAND_LONG"} == {65, 1, 33, 42, 2}
+    assert {m.param1 for _, m in link.sent if m.get_type() == "COMMAND_LONG"} == {65, 1, 33, 42, 2, 29}
     link.sent.clear()
     link.text("ArduPilot Ready")
     assert [trigger.intent for trigger in link.triggers] == [Vent()]
-    link.wait(1.0)
-    assert {m.param1 for _, m in link.sent if m.get_type() == "COMMAND_LONG"} == {65, 1, 33, 42, 2}
+    link.wait(4.0)
+    assert {m.param1 for _, m in link.sent if m.get_type() == "COMMAND_LONG"} == {65, 1, 33, 42, 2, 29}
     link.run(3.0, 2000)
     assert len(link.triggers) == 1  # where the switch stands now was not seen
 
