@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import stat
 import sys
 from collections.abc import Callable
 
@@ -46,7 +48,10 @@ def obey(autopilot: Autopilot, line: str) -> str:
 
 
 async def type_to(autopilot: Autopilot) -> None:
-    """Obey standard input, line by line, until it ends."""
+    """Obey standard input, line by line, until it ends; where nobody can type there (a service), at once."""
+    kind = os.fstat(sys.stdin.fileno()).st_mode
+    if not (sys.stdin.isatty() or stat.S_ISFIFO(kind) or stat.S_ISSOCK(kind)):
+        return
     reader = asyncio.StreamReader()
     loop = asyncio.get_running_loop()
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)

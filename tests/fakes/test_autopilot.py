@@ -4,337 +4,31 @@ from __future__ import annotations
 
 import math
 import random
-import struct
-from collections.abc import Callable, Iterable, Sequence
-from itertools import groupby
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import pytest
+from autopilot_world import (
+    LAND,
+    TAKEOFF,
+    WAYPOINT,
+    World,
+    changes,
+    flown,
+    home,
+    item,
+    plan,
+    rc_health,
+    upload,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.fakes.autopilot import Autopilot, Kind, MissionRefused
 from flying_vines.vehicle.mission.item import MissionItem
-from missions.waypoints import read_waypoints
-
-RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
-
-RC_RECEIVER = 0x10000
-STREAMS_HZ = {65: 10, 1: 2, 33: 5, 30: 5, 74: 5, 42: 2, 2: 1}
-
-Heard = tuple[float, Any]
-
-
-class Peer:
-    """Someone on a link: speaks, and keeps what the autopilot says to it."""
-
-    def __init__(self, world: World, link: str, system: int, component: int, kind: int) -> None:
-        self.world = world
-        self.link = link
-        self.kind = kind
-        self.heard: list[Heard] = []
-        self.frames: list[bytes] = []
-        self._mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
-        self._ears = mavlink.MAVLink(None)
-
-    def say(self, message: Any) -> None:
-        frame = message.pack(self._mav)
-        self._mav.seq = (self._mav.seq + 1) % 256
-        self.world.autopilot.receive(self.world.t, self.link, bytes(frame))
-
-    def hello(self) -> None:
-        self.say(mavlink.MAVLink_heartbeat_message(self.kind, 8, 0, 0, 4, 3))
-
-    def command(self, command: int, *params: float, to: tuple[int, int] = (1, 1)) -> None:
-        seven = (*params, *(0.0,) * (7 - len(params)))
-        self.say(mavlink.MAVLink_command_long_message(*to, command, 0, *seven))
-
-    def hear(self, frame: bytes) -> None:
-        self.frames.append(frame)
-        for message in self._ears.parse_buffer(frame) or []:
-            self.heard.append((self.world.t, message))
-
-    def of(self, *names: str) -> list[Any]:
-        return [message for _, message in self.heard if message.get_type() in names]
-
-    def texts(self) -> list[str]:
-        return [message.text for message in self.of("STATUSTEXT")]
-
-    def forget(self) -> None:
-        self.heard.clear()
-        self.frames.clear()
-
-
-class World:
-    """An autopilot, a companion and a ground station, and the time."""
-
-    def __init__(self, autopilot: Autopilot, answer: Callable[[Peer, Any], None] | None = None) -> None:
-        self.autopilot = autopilot
-        autopilot.add_link("gcs")
-        self.t = 0.0
-        self.companion = Peer(self, "companion", 1, 191, 18)
-        self.gcs = Peer(self, "gcs", 255, 190, 6)
-        self._answer = answer
-        self.to(0.0)
-
-    def to(self, t: float) -> None:
-        steps = max(1, round((t - self.t) / 0.01))
-        start = self.t
-        for step in range(1, steps + 1):
-            self.t = start + (t - start) * step / steps
-            for link, frame in self.autopilot.advance(self.t):
-                peer = self.companion if link == "companion" else self.gcs
-                before = len(peer.heard)
-                peer.hear(frame)
-                if self._answer is not None:
-                    for _, message in peer.heard[before:]:
-                        self._answer(peer, message)
-
-    def on(self, seconds: float) -> None:
-        self.to(self.t + seconds)
-
-    def request_streams(self) -> None:
-        self.companion.hello()
-        for message_id, rate_hz in STREAMS_HZ.items():
-            self.companion.command(511, message_id, 1e6 / rate_hz)
-
-
-def upload(items: Sequence[MissionItem]) -> Callable[[Peer, Any], None]:
-    """Answers requests for items as a ground station does during an upload."""
-
-    def answer(peer: Peer, message: Any) -> None:
-        if peer.link != "gcs" or message.get_type() not in ("MISSION_REQUEST", "MISSION_REQUEST_INT"):
-            return
-        item = items[message.seq]
-        scale = 1.0 if item.frame == 2 else 1e7
-        x, y = round(item.params[4] * scale), round(item.params[5] * scale)
-        head = (1, 1, item.seq, item.frame, item.command, 0, 1)
-        peer.say(mavlink.MAVLink_mission_item_int_message(*head, *item.params[:4], x, y, item.params[6]))
-
-    return answer
-
-
-def recording(name: str) -> list[Heard]:
-    """The messages of a .tlog with the time since the first."""
-    data = (RECORDINGS / f"{name}.tlog").read_bytes()
-    ears = mavlink.MAVLink(None)
-    ears.robust_parsing = True
-    heard: list[Heard] = []
-    first_us, at = -1, 0
-    while at < len(data):
-        (unix_us,) = struct.unpack_from(">Q", data, at)
-        length = 12 + data[at + 9] + (13 if data[at + 10] & 1 else 0)
-        first_us = unix_us if first_us < 0 else first_us
-        for message in ears.parse_buffer(data[at + 8 : at + 8 + length]) or []:
-            if message.get_srcSystem() == 1:
-                heard.append(((unix_us - first_us) / 1e6, message))
-        at += 8 + length
-    return heard
-
-
-def changes(values: Iterable[Any]) -> list[Any]:
-    """The values without repeats in a row."""
-    return [value for value, _ in groupby(values)]
-
-
-def timed_changes(
-    heard: Iterable[Heard], name: str, view: Callable[[Any], object]
-) -> list[tuple[float, object]]:
-    out: list[tuple[float, object]] = []
-    for t, message in heard:
-        if message.get_type() == name and (not out or out[-1][1] != view(message)):
-            out.append((t, view(message)))
-    return out
-
-
-def rc_values(message: Any) -> tuple[int, ...]:
-    channels = tuple(getattr(message, f"chan{channel}_raw") for channel in range(1, 19))
-    return (*channels, message.chancount, message.rssi)
-
-
-def rc_health(message: Any) -> bool:
-    return bool(message.onboard_control_sensors_health & RC_RECEIVER)
-
-
-def heartbeat(message: Any) -> tuple[int, int, int]:
-    return message.base_mode, message.custom_mode, message.system_status
-
-
-def mission_events(heard: Iterable[Heard]) -> list[str | int]:
-    """Status texts and reached items in order, without what only the simulator or the EKF says."""
-    events: list[str | int] = []
-    for _, message in heard:
-        if message.get_type() == "STATUSTEXT" and not message.text.startswith(("EKF3", "SIM ")):
-            events.append(message.text)
-        elif message.get_type() == "MISSION_ITEM_REACHED":
-            events.append(message.seq)
-    return events
-
-
-# Replays of the recordings' stimuli
-
-
-def test_rc_switch_as_recorded() -> None:
-    real = recording("rc_switch")
-    world = World(Autopilot("ardupilot"))
-    autopilot = world.autopilot
-    autopilot.set_mode("GUIDED")
-    autopilot.set_rc(8, 1800)
-    world.to(1.0)
-    offset_s, start_s = 1.0, 0.05
-    world.request_streams()
-    script: list[tuple[float, Callable[[], None]]] = [(0.01, lambda: autopilot.takeoff(10.0))]
-    moves = [(10.016, 1500), (14.016, 2000), (18.017, 1500), (21.017, 1000), (24.017, 2000), (28.017, 1000)]
-    moves += [(31.018, 2000), (34.018, 1000), (34.518, 2000), (35.018, 1000), (35.518, 1500), (36.019, 2000)]
-    moves += [(47.025, 1000), (55.036, 1500), (58.036, 2000), (70.048, 1000)]
-    script += [(at_s, lambda us=us: autopilot.set_rc(9, us)) for at_s, us in moves]  # type: ignore[misc]
-    script += [
-        (39.024, lambda: autopilot.lose_rc("frozen")),
-        (49.030, autopilot.return_rc),
-        (53.036, lambda: autopilot.set_mode("GUIDED")),
-        (62.042, lambda: autopilot.lose_rc("jump")),
-        (67.048, autopilot.return_rc),
-        (72.054, autopilot.land),
-    ]
-    for at_s, stimulus in sorted(script, key=lambda entry: entry[0]):
-        world.to(offset_s + start_s + at_s)
-        stimulus()
-    world.to(offset_s + 88.0)
-    fake = [(t - offset_s, message) for t, message in world.companion.heard if t >= offset_s]
-
-    for name, view, tolerance_s in (("RC_CHANNELS", rc_values, 0.16), ("SYS_STATUS", rc_health, 0.55)):
-        seen, expected = timed_changes(fake, name, view), timed_changes(real, name, view)
-        assert [value for _, value in seen] == [value for _, value in expected]
-        for (fake_s, _), (real_s, _) in zip(seen[1:], expected[1:], strict=True):
-            assert fake_s == pytest.approx(real_s, abs=tolerance_s)
-    modes = [changes(heartbeat(m) for _, m in heard if m.get_type() == "HEARTBEAT") for heard in (fake, real)]
-    assert modes[0] == modes[1]
-    assert mission_events(fake) == mission_events(real)
-
-
-def test_ardupilot_mission_as_recorded() -> None:
-    real = recording("ardupilot_vine_mission")
-    items = read_waypoints(RECORDINGS / "ardupilot_vine_mission.waypoints")
-    world = World(Autopilot("ardupilot"), upload(items))
-    world.gcs.hello()
-    world.request_streams()
-    world.to(3.0)
-    world.gcs.say(mavlink.MAVLink_mission_count_message(1, 1, len(items)))
-    world.to(6.08)
-    world.autopilot.start_mission()
-    world.to(100.0)
-    fake = world.companion.heard
-
-    assert mission_events(fake) == mission_events(real)
-    for name, view in (
-        ("MISSION_CURRENT", lambda m: (m.seq, m.mission_state, m.mission_mode)),
-        ("HEARTBEAT", heartbeat),
-    ):
-        seen = [changes(view(m) for _, m in heard if m.get_type() == name) for heard in (fake, real)]
-        assert seen[0] == seen[1]
-    totals = [
-        [m.param_value for _, m in heard if getattr(m, "param_id", "") == "MIS_TOTAL"]
-        for heard in (fake, real)
-    ]
-    assert totals[0] == totals[1]
-    # As in the autopilot's own log: items 3, 5, 7 and 9.
-    assert [item.seq for _, item in world.autopilot.payload_log] == [3, 5, 7, 9]
-    assert "Flight plan received" in world.gcs.texts()
-
-
-def test_px4_mission_as_recorded() -> None:
-    real = recording("px4_vine_mission")
-    items = read_waypoints(RECORDINGS / "px4_vine_mission.waypoints")
-    uploading = upload(items)
-
-    def answer(peer: Peer, message: Any) -> None:
-        uploading(peer, message)
-        of_mission = {item.command for item in items}
-        if (
-            peer.link == "companion"
-            and message.get_type() == "COMMAND_LONG"
-            and message.command in of_mission
-        ):
-            peer.say(mavlink.MAVLink_command_ack_message(message.command, 0, 0, 0, 1, 1))
-
-    world = World(Autopilot("px4"), answer)
-    world.gcs.hello()
-    world.request_streams()
-    world.to(3.0)
-    world.gcs.say(mavlink.MAVLink_mission_count_message(1, 1, len(items)))
-    world.to(6.02)
-    world.autopilot.start_mission()
-    world.to(90.0)
-    fake = world.companion.heard
-
-    def commands(heard: list[Heard]) -> list[str]:
-        return [str(message) for _, message in heard if message.get_type() == "COMMAND_LONG"]
-
-    assert commands(fake) == commands(real)
-    assert [m for _, m in fake if m.get_type() == "STATUSTEXT"] == []
-    beats = [changes(heartbeat(m) for _, m in heard if m.get_type() == "HEARTBEAT") for heard in (fake, real)]
-    assert beats[0] == beats[1]
-    reached = [
-        changes(m.seq for _, m in heard if m.get_type() == "MISSION_ITEM_REACHED") for heard in (fake, real)
-    ]
-    # The real one polls: which of two items reached at once is hidden is chance.
-    assert set(reached[1]) <= set(reached[0])
-    assert set(reached[0]) - set(reached[1]) <= {item.seq - 1 for item in items if item.frame == 2}
-    totals = [
-        changes(m.total for _, m in heard if m.get_type() == "MISSION_CURRENT") for heard in (fake, real)
-    ]
-    assert totals[0] == totals[1] == [65535, 11]
-
-
-@pytest.mark.parametrize(
-    ("kind", "name"), [("ardupilot", "ardupilot_vine_mission"), ("px4", "px4_vine_mission")]
-)
-def test_a_mission_downloads_as_recorded(kind: Kind, name: str) -> None:
-    real = [str(m) for _, m in recording(name) if m.get_type() == "MISSION_ITEM_INT"]
-    items = read_waypoints(RECORDINGS / f"{name}.waypoints")
-    world = World(Autopilot(kind, mission=items))
-    world.companion.say(mavlink.MAVLink_mission_request_list_message(1, 1))
-    for seq in range(len(items)):
-        world.companion.say(mavlink.MAVLink_mission_request_int_message(1, 1, seq))
-    world.on(0.1)
-    assert world.companion.of("MISSION_COUNT")[0].count == len(items)
-    fake = [str(message) for message in world.companion.of("MISSION_ITEM_INT")]
-    # Only PX4 marks the current item.
-    assert [text.replace("current : 1", "current : 0") for text in fake] == [
-        text.replace("current : 1", "current : 0") for text in real[: len(items)]
-    ]
-
 
 # ArduPilot's mission quirks
-
-
-def home() -> MissionItem:
-    return MissionItem(0, 16, (0.0,) * 7)
-
-
-def item(seq: int, command: int, *params: float, frame: int = 3) -> MissionItem:
-    p1, p2, p3, p4, x, y, z = (*params, *(0.0,) * (7 - len(params)))
-    return MissionItem(seq, command, (p1, p2, p3, p4, x, y, z), frame)
-
-
-def plan(*commands: tuple[float, ...]) -> list[MissionItem]:
-    """Home, then the given (command, param1, …) one after the other."""
-    return [home(), *(item(seq, int(c[0]), *c[1:]) for seq, c in enumerate(commands, start=1))]
-
-
-TAKEOFF = (22, 0, 0, 0, 0, 0, 0, 5)
-WAYPOINT = (16, 0, 0, 0, 0, -35.3631, 149.165237, 5)
-LAND = (21,)
-
-
-def flown(mission: list[MissionItem], seconds: float = 60.0) -> World:
-    world = World(Autopilot("ardupilot", mission=mission))
-    world.companion.hello()
-    world.autopilot.start_mission()
-    world.on(seconds)
-    return world
 
 
 def test_of_two_do_items_the_second_text_comes_after_the_next_nav_item() -> None:
@@ -396,55 +90,6 @@ def test_loiter_and_back_restarts_only_the_nav_item_and_set_current_fires_a_do_i
     assert len(world.autopilot.payload_log) == 1
     world.gcs.say(mavlink.MAVLink_mission_set_current_message(1, 1, 3))
     assert [done.seq for _, done in world.autopilot.payload_log] == [3, 3]
-
-
-def recorded_events(name: str) -> list[object]:
-    """The mission's texts and reached items of an .events.txt, in order."""
-    events: list[object] = []
-    for line in (RECORDINGS / f"{name}.events.txt").read_text().splitlines():
-        _, kind, rest = line.split(maxsplit=2)
-        if kind == "MISSION_ITEM_REACHED":
-            events.append(int(rest.strip("()").split(",")[0]))
-        elif kind == "STATUSTEXT" and rest.startswith(("Mission: ", "Reached ")):
-            events.append(rest)
-    return events
-
-
-def test_forty_six_kinds_of_items_run_in_the_recorded_order() -> None:
-    def waypoint(metres: float, hold_s: float = 0.0) -> tuple[float, ...]:
-        return (16, hold_s, 0, 0, 0, -35.363262 + metres * 9e-6, 149.165237, 15)
-
-    world = flown(
-        plan(
-            *((22, 0, 0, 0, 0, 0, 0, 15), (217, 7, 1.5, -2.25, 300), waypoint(20)),
-            *((181, 0, 1), (183, 9, 1900), (211, 1, 0), (42600, 1, 1, 2, 0.5), (218, 300, 2), waypoint(40)),
-            *((42702, 5, 4), (201,), (178, 0, 5), (202, 3, 60, 4, 100, 5, 6, 7), (203, 1), (203,)),
-            *((2000,), (2001,), (206, 20), (531, 1, 2), (2500,), (2501,), waypoint(60, 3)),
-            *(
-                (600,),
-                (206,),
-                (182,),
-                (184,),
-                (216,),
-                (208,),
-                (215,),
-                (207,),
-                (222,),
-                (1000,),
-                (193,),
-                (189,),
-            ),
-            *((93, 4), (112, 1.5), (217, 8), (115,), (114, 1), (217, 9), waypoint(90)),
-            *((217, 10), (218,), (211, 1, 1), (21,), (217, 11)),
-        ),
-        seconds=100.0,
-    )
-    fake = mission_events(world.companion.heard)
-    # The recording begins after the take-off's own text.
-    assert [e for e in fake if isinstance(e, int) or e.startswith(("Mission: ", "Reached "))] == [
-        "Mission: 1 Takeoff",
-        *recorded_events("mission_do_items"),
-    ]
 
 
 # Storage and upload
@@ -633,6 +278,7 @@ def test_named_values_and_texts_reach_the_ground_station_unchanged(kind: Kind) -
     world = World(Autopilot(kind))
     world.gcs.hello()
     world.companion.hello()
+    world.on(0.02)
     world.companion.say(mavlink.MAVLink_named_value_float_message(1, b"VINE_BEND", 40.0))
     world.companion.say(mavlink.MAVLink_statustext_message(6, b"vine bent"))
     world.on(0.1)
@@ -696,7 +342,7 @@ def test_a_reboot_is_silent_then_knows_nobody() -> None:
     assert world.companion.frames == []
     world.on(5.0)
     assert world.companion.frames[0][4] == 0
-    assert {message.get_type() for _, message in world.companion.heard} == {"HEARTBEAT", "TIMESYNC"}
+    assert {message.get_type() for _, message in world.companion.heard} == {"HEARTBEAT"}
     world.request_streams()
     world.on(1.0)
     assert world.companion.of("RC_CHANNELS")[0].time_boot_ms < before_ms
@@ -814,6 +460,7 @@ def test_time_may_be_cut_in_any_way() -> None:
 
 KINDS = st.sampled_from(["ardupilot", "px4"])
 FLOATS = st.floats(width=32)
+UINT16 = st.integers(0, 65535)
 
 
 @settings(max_examples=150, deadline=None)
@@ -860,7 +507,7 @@ SEVEN = st.tuples(FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
 @st.composite
 def strange_messages(draw: st.DrawFn) -> Any:
     to = draw(ADDRESS)
-    which = draw(st.integers(0, 6))
+    which = draw(st.integers(0, 13))
     if which == 0:
         return mavlink.MAVLink_command_long_message(*to, draw(MORE_COMMANDS), draw(BYTES), *draw(SEVEN))
     if which == 1:
@@ -876,6 +523,25 @@ def strange_messages(draw: st.DrawFn) -> Any:
         return mavlink.MAVLink_mission_request_message(*to, draw(st.integers(0, 5)))
     if which == 5:
         return mavlink.MAVLink_request_data_stream_message(*to, draw(BYTES), draw(st.integers(0, 65535)), 1)
+    if which == 6:
+        name = draw(
+            st.sampled_from([b"", b"_HASH_CHECK", b"SYSID_MYGCS", b"MAV_1_FORWARD", b"RC_OVERRIDE_TIME"])
+        )
+        return mavlink.MAVLink_param_set_message(*to, name, draw(FLOATS), draw(BYTES))
+    if which == 7:
+        return mavlink.MAVLink_param_request_read_message(*to, b"X", draw(st.integers(-5, 40)))
+    if which == 8:
+        return mavlink.MAVLink_param_request_list_message(*to)
+    if which == 9:
+        return mavlink.MAVLink_rc_channels_override_message(*to, *draw(st.tuples(*[UINT16] * 18)))
+    if which == 10:
+        payload = draw(st.binary(min_size=251, max_size=251))
+        return mavlink.MAVLink_file_transfer_protocol_message(0, *to, payload)
+    if which == 11:
+        first, last = draw(st.integers(-2, 5)), draw(st.integers(-2, 5))
+        return mavlink.MAVLink_mission_write_partial_list_message(*to, first, last)
+    if which == 12:
+        return mavlink.MAVLink_named_value_float_message(0, draw(st.binary(max_size=10)), draw(FLOATS))
     return mavlink.MAVLink_set_mode_message(1, 1, draw(st.sampled_from([3, 4, 6, 9, 67371008, 0])))
 
 

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import pytest
 
 from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.console import HELP, obey
+from flying_vines.fakes.console import HELP, obey, type_to
 
 
 def test_lines_fly_the_vehicle() -> None:
@@ -27,3 +30,12 @@ def test_what_is_not_understood_gets_the_list(line: str) -> None:
 @pytest.mark.parametrize("line", ["takeoff high", "rc nine 1500", "mode NONSENSE"])
 def test_what_is_wrong_is_said(line: str) -> None:
     assert obey(Autopilot("ardupilot"), line).startswith(line.split()[0] + ": ")
+
+
+async def test_where_nobody_can_type_nothing_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with Path("/dev/null").open() as nobody:
+        monkeypatch.setattr(sys, "stdin", nobody)
+        await type_to(Autopilot("ardupilot"))
+    assert capfd.readouterr() == ("", "")

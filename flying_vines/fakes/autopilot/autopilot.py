@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.fakes.autopilot import commands, legs, telemetry
+from flying_vines.fakes.autopilot import commands, files, legs, sensors, telemetry
 from flying_vines.fakes.autopilot.agenda import Agenda, Entry
 from flying_vines.fakes.autopilot.ardupilot import ArduPilotMission
 from flying_vines.fakes.autopilot.flight import Flight, Home
+from flying_vines.fakes.autopilot.forwarding import Forwarder
 from flying_vines.fakes.autopilot.mission_protocol import MissionStorage
 from flying_vines.fakes.autopilot.modes import Mode, mission_mode, mode_named, mode_numbered
-from flying_vines.fakes.autopilot.port import Port, Stream
+from flying_vines.fakes.autopilot.parameters import Parameters
+from flying_vines.fakes.autopilot.port import COMPANION, KNOWN, PX4_ALSO_KNOWS, Port
 from flying_vines.fakes.autopilot.px4 import Command, CommandSender, Px4Mission
+from flying_vines.fakes.autopilot.rc_input import RcInput
 from flying_vines.fakes.autopilot.receiver import RcLoss, Receiver
 from flying_vines.fakes.autopilot.routing import Routes
 from flying_vines.fakes.autopilot.runner import Runner
+from flying_vines.fakes.autopilot.snapshot import Snapshot
+from flying_vines.fakes.autopilot.streams import Streams
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import Kind
 
@@ -29,17 +34,19 @@ _UPTIME_S = 30.0
 _REBOOT_SILENCE_S = 1.25
 _CALIBRATION_S = 2.0
 _READY_S = 1.41
+_ORIGIN_S = 19.0
 _NO_SPACE_S = 0.5
 _DISARM_AFTER_LANDING_S = 2.0
-_TIMESYNC_S = 10.0
-_FROZEN_FAILSAFE_S = 1.0
-_JUMP_FAILSAFE_S = 0.05
 _REACHED_AGAIN_S = 1.0
 _REACHED_TIMES = 10
 _FASTEST_STREAM_S = 0.0025
 _FASTEST_GROUP_HZ = 50
+_RUNTIME_EVERY_S = 31.0
+_UNIX_AT_START_S = 1_795_211_406.0
 _WARNING, _INFO = 4, 6
 _GCS = 6
+_LINKS = 255
+_MAVLINK_CAMERA, _CAMERA_ITEMS = 5, (202, 203)
 
 _MISSION_MESSAGES = frozenset(
     {
@@ -50,8 +57,11 @@ _MISSION_MESSAGES = frozenset(
         "MISSION_REQUEST_INT",
         "MISSION_REQUEST_LIST",
         "MISSION_CLEAR_ALL",
+        "MISSION_ACK",
+        "MISSION_WRITE_PARTIAL_LIST",
     }
 )
+_PARAMETER_MESSAGES = frozenset({"PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"})
 
 
 class Autopilot:
@@ -70,44 +80,53 @@ class Autopilot:
         system_id: int = 1,
         mission: Sequence[MissionItem] = (),
         *,
-        links: Sequence[str] = ("companion",),
+        links: Sequence[str] = (COMPANION,),
         home: Home | None = None,
         rc_present: bool = True,
         rc_failsafe_mode: str | None = "RTL",
-        command_timeout_s: float = 0.0,
+        parameters: Mapping[str, float] | None = None,
+        signing_key: bytes | None = None,
+        unix_s: float = _UNIX_AT_START_S,
     ) -> None:
         """A disarmed vehicle on the ground at `home`.
 
         `mission` is stored as an upload would be (MissionRefused if it holds what the autopilot does not
         take); on ArduPilot its item 0 is home. `links` are those that hear heartbeats from the start; others
         appear when they are first heard. `rc_failsafe_mode` is ArduPilot's mode after RC loss in flight, None
-        to stay; PX4 goes on in its mode. `command_timeout_s` is PX4's MIS_COMMAND_TOUT.
+        to stay; PX4 goes on in its mode. `parameters` are those that differ from the factory's, such as PX4's
+        MIS_COMMAND_TOUT. With a `signing_key` (32 bytes) it signs what it sends, and hears only
+        what is signed with it, except on a link named "usb". `unix_s` is what its clock says at the start.
         """
         self.kind: Kind = kind
         self.system_id = system_id
         self.agenda = Agenda()
         self.flight = Flight(home or (ARDUPILOT_HOME if kind == "ardupilot" else PX4_HOME))
-        self.receiver = Receiver(rc_present)
+        self._rc = RcInput(kind, rc_present, self.agenda, self._rc_failsafe_changed)
         self.payload_log: list[tuple[float, MissionItem]] = []
         self.performed: list[tuple[float, int]] = []
         self.armed = False
         self.mode: Mode = mode_named(kind, "STABILIZE" if kind == "ardupilot" else "HOLD")
         self._failsafe_mode = mode_named(kind, rc_failsafe_mode) if rc_failsafe_mode is not None else None
-        self._command_timeout_s = command_timeout_s
+        self._unix_s = unix_s
+        self._key = signing_key
         self._epoch_s: float | None = None
         self._outbox: list[tuple[str, bytes]] = []
         self._texts: list[tuple[str, int]] = []
         self._reached: int | None = None
         self._ports: dict[str, Port] = {}
         self._routes = Routes(kind, system_id)
+        self._forwarder = Forwarder(kind, self.agenda, self._put_out)
+        self._streams = Streams(kind, self.agenda, self._snapshot, self._send)
+        own = {"SYSID_THISMAV": system_id, "MAV_SYS_ID": system_id}
+        self.parameters = Parameters(
+            kind, {**(parameters or {}), **own}, self.agenda, self._send_to, self._tell, self.text
+        )
         self._sender = CommandSender(self.agenda, self._send_command)
         self._storage = MissionStorage(
             kind, self.flight.home, self.agenda, self._send_to, self._mission_changed
         )
         self._runner: Runner = self._new_runner()
         self._leg: legs.Leg | None = None
-        self._rc_failsafe = False
-        self._rc_timer: Entry | None = None
         self._reached_again: Entry | None = None
         self._grounded_s: float | None = None
         self._muted_until_s = -1.0
@@ -124,6 +143,10 @@ class Autopilot:
         self._come_up()
 
     # What is known about it
+
+    @property
+    def receiver(self) -> Receiver:
+        return self._rc.receiver
 
     @property
     def items(self) -> list[MissionItem]:
@@ -152,9 +175,12 @@ class Autopilot:
     def add_link(self, name: str) -> None:
         """Make a link known, so that it hears heartbeats."""
         if name not in self._ports:
-            port = self._ports[name] = Port(name, self.system_id)
+            known = KNOWN if self.kind == "ardupilot" else KNOWN | PX4_ALSO_KNOWS
+            port = Port(name, self.system_id, len(self._ports) % _LINKS, self._key, known)
+            port.forwards = self._forwards(name)
+            self._ports[name] = port
             if self._running:
-                self._default_streams(port)
+                self._streams.begin(port)
 
     def receive(self, t: float, link: str, data: bytes) -> None:
         """Bytes that arrived on `link` at `t`. Never raises, whatever the bytes."""
@@ -163,6 +189,7 @@ class Autopilot:
             return
         self.add_link(link)
         port = self._ports[link]
+        port.tell_time(self._unix_now_s)
         for message in port.decode(data):
             self._hear(port, message)
             self.flush()
@@ -188,6 +215,7 @@ class Autopilot:
         self.armed = True
         self._grounded_s = None
         if self.kind == "ardupilot":
+            self._tell_home()
             self.text("Arming motors")
         self.flush()
 
@@ -250,23 +278,11 @@ class Autopilot:
         "frozen": RC_CHANNELS goes on with the last values. "jump": the receiver's failsafe values.
         "silent": no more RC_CHANNELS, which ArduPilot never does (ValueError).
         """
-        how = how or ("frozen" if self.kind == "ardupilot" else "silent")
-        if how == "silent" and self.kind == "ardupilot":
-            raise ValueError("ArduPilot never stops RC_CHANNELS: lose_rc takes 'frozen' or 'jump' there")
-        self.receiver.lose(how)
-        if self.kind == "ardupilot" and not self._rc_failsafe:
-            self._cancel_rc_timer()
-            delay_s = _JUMP_FAILSAFE_S if how == "jump" else _FROZEN_FAILSAFE_S
-            self._rc_timer = self.agenda.after(delay_s, self._enter_rc_failsafe)
+        self._rc.lose(how)
 
     def return_rc(self) -> None:
         """The RC link is back, with the sticks as they are now."""
-        self.receiver.restore()
-        self._cancel_rc_timer()
-        if self._rc_failsafe:
-            self._rc_failsafe = False
-            self.text("Radio Failsafe Cleared", _WARNING)
-            self.flush()
+        self._rc.restore()
 
     def reboot(self) -> None:
         """Restart on the ground: silence for 1.25 s, then as if never spoken to; the mission is kept."""
@@ -279,11 +295,14 @@ class Autopilot:
         place = self.flight
         self.flight = Flight(place.home)
         self.flight.north_m, self.flight.east_m = place.north_m, place.east_m
-        self.receiver.reboot()
+        self._rc.reboot()
+        self._forwarder.reboot()
+        self._streams.reboot()
+        self.parameters.reboot()
         self._storage.reboot()
         self._runner = self._new_runner()
-        self._leg = self._rc_timer = self._reached_again = None
-        self._rc_failsafe = self.armed = False
+        self._leg = self._reached_again = None
+        self.armed = False
         self._texts, self._reached = [], None
         self.mode = mode_named(self.kind, "STABILIZE" if self.kind == "ardupilot" else "HOLD")
         now_s = self.agenda.now_s
@@ -291,6 +310,7 @@ class Autopilot:
         self.agenda.at(self._ready_s, self._come_up)
         if self.kind == "ardupilot":
             self.agenda.at(self._ready_s + _READY_S, self._say_ready)
+            self.agenda.at(self._ready_s + _ORIGIN_S, self._tell_home)
 
     def mute(self, seconds: float) -> None:
         """Cut all links: nothing is sent or heard for so long, while the vehicle flies on."""
@@ -306,6 +326,9 @@ class Autopilot:
 
     def executed(self, item: MissionItem) -> None:
         self.payload_log.append((self.now_s, item))
+        hands_on = self.kind == "ardupilot" and self.parameters["CAM1_TYPE"] == _MAVLINK_CAMERA
+        if hands_on and item.command in _CAMERA_ITEMS:
+            self._tell(mavlink.MAVLink_command_long_message(0, 0, item.command, 0, *item.params))
 
     def flush(self) -> None:
         if self._reached is not None:
@@ -323,12 +346,16 @@ class Autopilot:
     def _new_runner(self) -> Runner:
         if self.kind == "ardupilot":
             return ArduPilotMission(self)
-        return Px4Mission(self, self._sender, self._command_timeout_s)
+        return Px4Mission(self, self._sender, lambda: self.parameters["MIS_COMMAND_TOUT"])
 
     def _come_up(self) -> None:
         self._running = True
         for port in self._ports.values():
-            self._default_streams(port)
+            port.forwards = self._forwards(port.name)
+            self._streams.begin(port)
+        if self.kind == "ardupilot":
+            runtime_s = self.agenda.now_s - self._boot_s
+            self.agenda.after(_RUNTIME_EVERY_S - runtime_s % _RUNTIME_EVERY_S, self._count_runtime)
         self._ticks = 0
         self._first_tick_s = self.agenda.now_s
         self._schedule_tick()
@@ -338,22 +365,24 @@ class Autopilot:
         self._ticks += 1
         self.agenda.at(self._first_tick_s + self._ticks * _TICK_S, self._tick)
 
+    def _tell_home(self) -> None:
+        for port in self._ports.values():
+            self._streams.once(port, sensors.GPS_GLOBAL_ORIGIN)
+            self._streams.once(port, telemetry.HOME_POSITION)
+
     def _say_ready(self) -> None:
         self.text("ArduPilot Ready")
         self.flush()
 
-    def _default_streams(self, port: Port) -> None:
-        self._stream(port, telemetry.HEARTBEAT, 1.0, first_s=0.0)
+    def _forwards(self, link: str) -> bool:
+        """PX4 reads at boot whether a link takes part in forwarding; ArduPilot's all do."""
         if self.kind == "ardupilot":
-            self._stream(port, telemetry.TIMESYNC, _TIMESYNC_S, first_s=0.0)
+            return True
+        return bool(self.parameters["MAV_1_FORWARD" if link == COMPANION else "MAV_0_FORWARD"])
 
-    def _activate(self, port: Port) -> None:
-        if port.active:
-            return
-        port.active = True
-        if self.kind == "px4":
-            self._stream(port, telemetry.ATTITUDE, 1 / 98)
-            self._stream(port, telemetry.MISSION_CURRENT, 1.0)
+    def _count_runtime(self) -> None:
+        self.agenda.after(_RUNTIME_EVERY_S, self._count_runtime)
+        self.parameters.change("STAT_RUNTIME", int(self.agenda.now_s - self._boot_s))
 
     def _tick(self) -> None:
         self._schedule_tick()
@@ -399,39 +428,54 @@ class Autopilot:
             self.flight.hold()
         if self.kind == "ardupilot":
             for port in self._ports.values():
-                self._send_stream(port, telemetry.HEARTBEAT)
+                self._streams.once(port, telemetry.HEARTBEAT)
         return True
 
     def _take_off(self, height_m: float) -> None:
         item = MissionItem(0, legs.TAKEOFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m), 3)
         self._leg = legs.Leg(self.flight, item, self.agenda.now_s)
 
-    def _enter_rc_failsafe(self) -> None:
-        self._rc_failsafe = True
-        self.text("Radio Failsafe", _WARNING)
-        if self._failsafe_mode is not None and self.armed and self.flight.airborne:
+    def _rc_failsafe_changed(self, on: bool) -> None:
+        self.text("Radio Failsafe" if on else "Radio Failsafe Cleared", _WARNING)
+        if on and self._failsafe_mode is not None and self.armed and self.flight.airborne:
             self._select(self._failsafe_mode)
         self.flush()
 
-    def _cancel_rc_timer(self) -> None:
-        if self._rc_timer is not None:
-            self._rc_timer.cancel()
-            self._rc_timer = None
+    def _override_rc(self, message: Any) -> None:
+        holds_s = 0.0
+        if self.kind == "ardupilot":
+            if message.get_srcSystem() != self.parameters["SYSID_MYGCS"]:
+                return
+            holds_s = self.parameters["RC_OVERRIDE_TIME"]
+        channels_us = [getattr(message, f"chan{channel}_raw") for channel in range(1, 19)]
+        self._rc.override(channels_us, holds_s)
 
     def _mission_changed(self) -> None:
         self._runner.replaced()
+        if self.kind == "ardupilot":
+            self.parameters.change("MIS_TOTAL", len(self.items))
+            return
         for port in self._ports.values():
-            if self.kind == "px4":
-                self._send_stream(port, telemetry.MISSION_CURRENT)
-            elif port.active:
-                self._send(port, telemetry.parameter("MIS_TOTAL", len(self.items)))
+            self._streams.once(port, telemetry.MISSION_CURRENT)
 
     # Sending
+
+    @property
+    def _unix_now_s(self) -> float:
+        return self._unix_s + self.agenda.now_s
+
+    def _tell(self, message: Any) -> None:
+        for port in self._ports.values():
+            if port.active:
+                self._send(port, message)
 
     def _send(self, port: Port, message: Any) -> None:
         if not self._running:
             return
-        frame = port.encode(message)
+        port.tell_time(self._unix_now_s)
+        self._put_out(port, port.encode(message))
+
+    def _put_out(self, port: Port, frame: bytes) -> None:
         if self.agenda.now_s >= self._muted_until_s:
             self._outbox.append((port.name, frame))
 
@@ -439,9 +483,7 @@ class Autopilot:
         self._send(self._ports[link], message)
 
     def _send_reached(self, seq: int, times_left: int) -> None:
-        for port in self._ports.values():
-            if port.active:
-                self._send(port, mavlink.MAVLink_mission_item_reached_message(seq))
+        self._tell(mavlink.MAVLink_mission_item_reached_message(seq))
         if self._reached_again is not None:
             self._reached_again.cancel()
             self._reached_again = None
@@ -451,76 +493,49 @@ class Autopilot:
 
     def _send_command(self, command: Command, confirmation: int) -> None:
         target = self.system_id, command.target_component
-        message = mavlink.MAVLink_command_long_message(
-            *target, command.command, confirmation, *command.params
+        self._tell(
+            mavlink.MAVLink_command_long_message(*target, command.command, confirmation, *command.params)
         )
-        for port in self._ports.values():
-            if port.active:
-                self._send(port, message)
 
-    def _snapshot(self) -> telemetry.Snapshot:
+    def _snapshot(self) -> Snapshot:
         now_s = self.agenda.now_s
-        return telemetry.Snapshot(
+        return Snapshot(
             kind=self.kind,
             mode=self.mode,
             armed=self.armed,
             calibrating=now_s - self._ready_s < _CALIBRATION_S,
-            rc_failsafe=self._rc_failsafe,
+            rc_failsafe=self._rc.failsafe,
             boot_s=now_s - self._boot_s,
+            unix_s=self._unix_now_s,
             flight=self.flight,
             receiver=self.receiver,
             mission=self._runner.status(self.mode == self._mission_mode),
             mission_id=self._storage.mission_id,
         )
 
-    def _send_stream(self, port: Port, message_id: int) -> None:
-        if port.active or message_id in (telemetry.HEARTBEAT, telemetry.TIMESYNC):
-            message = telemetry.telemetry(message_id, self._snapshot())
-            if message is not None:
-                self._send(port, message)
-
-    def _stream(self, port: Port, message_id: int, interval_s: float, first_s: float | None = None) -> None:
-        """Send it every `interval_s` from now on; 0 to stop."""
-        stream = port.streams.pop(message_id, None)
-        if stream is not None:
-            stream.entry.cancel()
-        if interval_s <= 0.0:
-            return
-
-        begin_s = self.agenda.now_s + (interval_s if first_s is None else first_s)
-
-        def send(count: int = 1) -> None:
-            # Counted, not added up, so that the rate is exact for hours.
-            entry = self.agenda.at(begin_s + count * interval_s, lambda: send(count + 1))
-            port.streams[message_id] = Stream(interval_s, entry)
-            self._send_stream(port, message_id)
-
-        port.streams[message_id] = Stream(interval_s, self.agenda.at(begin_s, send))
-
     # Hearing
 
     def _hear(self, port: Port, message: Any) -> None:
-        self._activate(port)
+        self._streams.activate(port)
+        kind, frame = message.get_type(), bytes(message.get_msgbuf())
+        if kind not in KNOWN:
+            for other in self._ports.values():
+                self._forwarder.pass_on(port, other, frame)
+            return
         source = message.get_srcSystem(), message.get_srcComponent()
         self._routes.learn(*source, port.name)
-        kind = message.get_type()
         if kind == "HEARTBEAT":
             port.hears_gcs |= message.type == _GCS
             for other in self._ports.values():
-                if other.active and other is not port:
-                    self._pass_on(other, message)
+                self._forwarder.pass_on(port, other, frame)
             return
         system = getattr(message, "target_system", 0)
         component = getattr(message, "target_component", 0)
         decision = self._routes.decide(port.name, system, component)
         for link in decision.forward:
-            self._pass_on(self._ports[link], message)
+            self._forwarder.pass_on(port, self._ports[link], frame)
         if decision.local:
             self._obey(port, message, kind)
-
-    def _pass_on(self, port: Port, message: Any) -> None:
-        if self.agenda.now_s >= self._muted_until_s:
-            self._outbox.append((port.name, bytes(message.get_msgbuf())))
 
     def _obey(self, port: Port, message: Any, kind: str) -> None:
         if kind in ("COMMAND_LONG", "COMMAND_INT"):
@@ -533,7 +548,20 @@ class Autopilot:
         elif kind == "MISSION_SET_CURRENT":
             if message.seq < len(self.items):
                 self._runner.set_current(message.seq)
-                self._send_stream(port, telemetry.MISSION_CURRENT)
+                self._streams.once(port, telemetry.MISSION_CURRENT)
+        elif kind in _PARAMETER_MESSAGES:
+            self.parameters.handle(port.name, message)
+        elif kind == "RC_CHANNELS_OVERRIDE":
+            self._override_rc(message)
+        elif kind == "NAMED_VALUE_FLOAT" and self.kind == "px4":
+            self._streams.hear_value(message)
+        elif kind == "FILE_TRANSFER_PROTOCOL":
+            reply = files.answer(message)
+            if reply is not None:
+                self._send(port, reply)
+        elif kind == "PING" and self.kind == "px4" and not message.target_system:
+            to = message.get_srcSystem(), message.get_srcComponent()
+            self._send(port, mavlink.MAVLink_ping_message(message.time_usec, message.seq, *to))
         elif kind == "SET_MODE":
             mode = mode_numbered(self.kind, message.custom_mode)
             if mode is not None:
@@ -542,7 +570,7 @@ class Autopilot:
             rate_hz = min(message.req_message_rate, _FASTEST_GROUP_HZ)
             on = bool(message.start_stop and rate_hz)
             for message_id in commands.stream_group(message.req_stream_id):
-                self._stream(port, message_id, 1.0 / rate_hz if on else 0.0)
+                self._streams.every(port, message_id, 1.0 / rate_hz if on else 0.0)
         elif kind == "TIMESYNC" and message.tc1 == 0:
             own_ns = int((self.agenda.now_s - self._boot_s) * 1e9)
             self._send(port, mavlink.MAVLink_timesync_message(own_ns, message.ts1))
@@ -552,16 +580,33 @@ class Autopilot:
         result = self._carry_out(port, message.command, params)
         target = message.get_srcSystem(), message.get_srcComponent()
         self._send(port, mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, *target))
-        if message.command == commands.REQUEST_MESSAGE and result == commands.ACCEPTED:
-            self._send_stream(port, commands.whole(params[0]))
+        if result == commands.ACCEPTED:
+            self._answer(port, message.command, params)
         if message.command == commands.REBOOT and result == commands.ACCEPTED:
             self.reboot()
+
+    def _answer(self, port: Port, command: int, params: tuple[float, ...]) -> None:
+        """What was asked for, behind the acknowledgement."""
+        match command:
+            case commands.REQUEST_MESSAGE:
+                self._streams.once(port, commands.whole(params[0]))
+            case commands.GET_HOME:
+                self._streams.once(port, telemetry.HOME_POSITION)
+            case commands.REQUEST_CAPABILITIES:
+                self._streams.once(port, telemetry.AUTOPILOT_VERSION)
+            case commands.GET_MESSAGE_INTERVAL:
+                message_id = commands.whole(params[0])
+                stream = port.streams.get(message_id)
+                interval_us = round(stream.interval_s * 1e6) if stream else -1
+                self._send(port, mavlink.MAVLink_message_interval_message(message_id, interval_us))
 
     def _carry_out(self, port: Port, command: int, params: tuple[float, ...]) -> int:
         match command:
             case commands.SET_MESSAGE_INTERVAL:
                 return self._set_interval(port, commands.whole(params[0]), params[1])
-            case commands.REQUEST_MESSAGE:
+            case commands.GET_HOME | commands.REQUEST_CAPABILITIES:
+                return commands.ACCEPTED
+            case commands.REQUEST_MESSAGE | commands.GET_MESSAGE_INTERVAL:
                 known = telemetry.streamable(commands.whole(params[0]))
                 return commands.ACCEPTED if known else commands.FAILED
             case commands.ARM:
@@ -615,7 +660,7 @@ class Autopilot:
             return commands.DENIED
         default_s = 1.0 if message_id == telemetry.HEARTBEAT else 0.0
         interval_s = max(interval_us / 1e6, _FASTEST_STREAM_S) if interval_us > 0.0 else default_s
-        self._stream(port, message_id, interval_s if interval_us >= 0.0 else 0.0)
+        self._streams.every(port, message_id, interval_s if interval_us >= 0.0 else 0.0)
         return commands.ACCEPTED
 
 

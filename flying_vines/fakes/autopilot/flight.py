@@ -55,6 +55,7 @@ class Flight:
         self.yaw_rad = 0.0
         self.airborne = False
         self.landing = False
+        self.taking_off = False
         self._target: tuple[float, float, float] | None = None
 
     @property
@@ -65,6 +66,10 @@ class Flight:
     def here(self) -> tuple[float, float, float]:
         return self.north_m, self.east_m, self.height_m
 
+    @property
+    def target(self) -> tuple[float, float, float]:
+        return self._target or self.here
+
     def distance_to_target_m(self) -> float:
         """Along the ground."""
         if self._target is None:
@@ -72,19 +77,20 @@ class Flight:
         return math.hypot(self._target[0] - self.north_m, self._target[1] - self.east_m)
 
     def fly_to(self, north_m: float, east_m: float, height_m: float) -> None:
-        self.landing = False
+        self.landing = self.taking_off = False
         self._target = (north_m, east_m, height_m)
 
     def take_off_to(self, height_m: float) -> None:
         self.airborne = True
         self.fly_to(self.north_m, self.east_m, max(height_m, self.height_m))
+        self.taking_off = True
 
     def hold(self) -> None:
-        self.landing = False
+        self.landing = self.taking_off = False
         self._target = None
 
     def land(self) -> None:
-        self.landing = True
+        self.landing, self.taking_off = True, False
         self._target = None
 
     def step(self, dt_s: float) -> None:

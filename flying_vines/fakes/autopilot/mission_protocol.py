@@ -12,14 +12,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.fakes.autopilot.agenda import Agenda, Entry
 from flying_vines.fakes.autopilot.flight import Home
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.storage import (
     ACCEPTED,
     CANCELLED,
     CAPACITY,
     ERROR,
     INVALID_SEQUENCE,
-    MISSION_FRAME,
     NO_SPACE,
     Kind,
     MissionRefused,
@@ -30,7 +29,6 @@ from flying_vines.vehicle.mission.storage import (
 _ASK_AGAIN_S = 1.0
 _GIVE_UP_S = 8.0
 _INFO = 6
-_GLOBAL_FRAMES = (0, 3, 5, 6, 10, 11)
 
 
 @dataclass(slots=True)
@@ -97,6 +95,10 @@ class MissionStorage:
                 self.items = []
                 self._change()
                 self._ack(link, *_reply(message), ACCEPTED)
+            case "MISSION_ACK":
+                self._heed(link, message)
+            case "MISSION_WRITE_PARTIAL_LIST":
+                self._begin_partial(link, message)
 
     def _handle_other_type(self, link: str, message: Any) -> None:
         """Fences and rally points: none, and none can be stored."""
@@ -106,6 +108,8 @@ class MissionStorage:
         elif message.get_type() == "MISSION_COUNT":
             result = NO_SPACE if message.count else ACCEPTED
             self._send(link, mavlink.MAVLink_mission_ack_message(*to, result, mission_type=kind))
+        elif message.get_type() == "MISSION_CLEAR_ALL":
+            self._send(link, mavlink.MAVLink_mission_ack_message(*to, ACCEPTED, mission_type=kind))
 
     def _change(self) -> None:
         self.mission_id = zlib.crc32(repr(self.items).encode()) if self.items else 0
@@ -129,6 +133,27 @@ class MissionStorage:
             self._finish(self._upload)
         else:
             self._ask()
+
+    def _begin_partial(self, link: str, message: Any) -> None:
+        """Some items of the mission anew, which PX4 does not do."""
+        if self._kind == "px4":
+            return
+        first, last = message.start_index, message.end_index
+        if not 0 <= first <= last < len(self.items):
+            self._ack(link, *_reply(message), ERROR)
+            return
+        self._stop()
+        self._upload = _Upload(link, *_reply(message), last + 1, self._agenda.now_s + _GIVE_UP_S)
+        self._upload.next_seq = first
+        self._ask()
+
+    def _heed(self, link: str, message: Any) -> None:
+        """Whoever uploads may give up; ArduPilot does not listen and goes on asking."""
+        upload = self._upload
+        if upload is None or self._kind == "ardupilot" or message.type != CANCELLED:
+            return
+        if (upload.link, upload.system, upload.component) == (link, *_reply(message)):
+            self._stop()
 
     def _ask(self) -> None:
         upload = self._upload
@@ -228,20 +253,21 @@ def _reply(message: Any) -> tuple[int, int]:
     return message.get_srcSystem(), message.get_srcComponent()
 
 
-def _scale(frame: int) -> float:
-    return 1e7 if frame in _GLOBAL_FRAMES else 1.0
+def _scale(command: int, frame: int) -> float:
+    return 1e7 if has_place(command, frame) else 1.0
 
 
 def _to_int(item: MissionItem, value: float) -> int:
     if not math.isfinite(value):
         return 0
-    return max(-(1 << 31), min((1 << 31) - 1, round(value * _scale(item.frame))))
+    return max(-(1 << 31), min((1 << 31) - 1, round(value * _scale(item.command, item.frame))))
 
 
 def _item_of(message: Any) -> MissionItem:
     x, y = float(message.x), float(message.y)
-    if message.get_type() == "MISSION_ITEM_INT" and message.frame != MISSION_FRAME:
-        x, y = x / _scale(message.frame), y / _scale(message.frame)
+    if message.get_type() == "MISSION_ITEM_INT":
+        scale = _scale(message.command, message.frame)
+        x, y = x / scale, y / scale
     first_four = message.param1, message.param2, message.param3, message.param4
     return MissionItem(
         message.seq,

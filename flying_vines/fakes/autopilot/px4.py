@@ -25,10 +25,12 @@ TOTAL_BEFORE_FIRST_UPLOAD = 65535
 
 _RETRIES_S = (1.0, 0.5, 0.5)
 _QUEUE = 8
+_SHORTEST_WAIT_S = 0.02
 _TO_PARAM1 = {530, 534, 2000, 2001}
 _WAITING = {211, 42600}
 _SUBMODE_IN_MISSION, _SUBMODE_SUSPENDED = 1, 2
 _GIMBAL, _GIMBAL_CONTROL, _STOP_CAMERA_TRIGGER = 1000, 1001, 2003
+_START_PICTURES, _STOP_PICTURES, _CAMERA = 2000, 2001, 100
 _NAN = float("nan")
 
 
@@ -81,16 +83,17 @@ class Px4Mission:
     other DO items are over at once, so that a burst of them shows only the last as reached.
     """
 
-    def __init__(self, host: Host, sender: CommandSender, command_timeout_s: float = 0.0) -> None:
+    def __init__(self, host: Host, sender: CommandSender, command_timeout_s: Callable[[], float]) -> None:
         self._host = host
         self._sender = sender
-        self._timeout_s = max(0.02, command_timeout_s)
+        self._timeout_s = command_timeout_s
         self._state = NOT_STARTED
         self._seq = 0
         self._jumps = Jumps()
         self._leg: Leg | None = None
         self._wait: Entry | None = None
         self._uploaded = bool(host.items)
+        self._pictures = False
 
     def status(self, in_mission_mode: bool) -> MissionStatus:
         total = len(self._host.items)
@@ -118,7 +121,7 @@ class Px4Mission:
         self._leg = None
         if self._state == ACTIVE:
             self._state = PAUSED
-            self._stop_trigger()
+            self._stop_cameras()
             self._release_gimbal()
 
     def disarmed(self) -> None:
@@ -126,7 +129,7 @@ class Px4Mission:
         self._leg = None
         if self._state == ACTIVE:
             self._state = COMPLETE
-            self._stop_trigger()
+            self._stop_cameras()
 
     def set_current(self, seq: int) -> None:
         self._stop_waiting()
@@ -174,7 +177,7 @@ class Px4Mission:
                 self._issue(burst[:-1])
                 self._issue([item], reached=False)
                 self._host.flush()
-                self._wait = self._host.agenda.after(self._timeout_s, self._waited)
+                self._wait = self._host.agenda.after(max(_SHORTEST_WAIT_S, self._timeout_s()), self._waited)
                 return
             self._seq += 1
         self._issue(burst)
@@ -197,6 +200,7 @@ class Px4Mission:
     def _issue(self, burst: Sequence[MissionItem], reached: bool = True) -> None:
         for item in burst:
             self._host.executed(item)
+            self._pictures |= item.command == _START_PICTURES
             if reached:
                 self._host.reached(item.seq)
         # Only so many fit into the queue between navigator and MAVLink.
@@ -215,5 +219,8 @@ class Px4Mission:
         self._sender.send(Command(_GIMBAL, (_NAN, _NAN, _NAN, _NAN, 2.0, 0.0, 0.0)), repeat=False)
         self._sender.send(Command(_GIMBAL_CONTROL, (-3.0, -3.0, -1.0, -1.0, 0.0, 0.0, 0.0)), repeat=False)
 
-    def _stop_trigger(self) -> None:
+    def _stop_cameras(self) -> None:
         self._sender.send(Command(_STOP_CAMERA_TRIGGER, (-1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)))
+        if self._pictures:
+            self._pictures = False
+            self._sender.send(Command(_STOP_PICTURES, (0.0,) * 7, _CAMERA), repeat=False)

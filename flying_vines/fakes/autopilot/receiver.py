@@ -1,27 +1,49 @@
-"""The RC receiver: what the sticks say, and what the autopilot sees of it."""
+"""The RC receiver: sticks, what a ground station says instead, and what the autopilot sees of both."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
+
+from flying_vines.vehicle.mission.storage import Kind
 
 RcLoss = Literal["frozen", "jump", "silent"]
 
 CHANNELS = 16
 _AT_REST_US = (1500, 1500, 1000, 1500, 1800, 1000, 1000, 1000, 1000) + (1500,) * 7
 _JUMP_US = (1500, 1500, 950) + (1500,) * 13
+_UNCHANGED_US, _RELEASED_US = (0, 65535), 65534
 
 
 class Receiver:
-    """Sticks in, channel values out.
+    """Sticks and overrides in, channel values out.
 
-    `values_us` is what the autopilot has: the sticks; while lost the last values ("frozen", "silent") or the
-    receiver's own failsafe values ("jump"); nothing at all before the first pulse.
+    `values_us` is what the autopilot has: the sticks; while lost the last values ("frozen") or the receiver's
+    own failsafe values ("jump"); nothing at all before the first pulse, or once it is "silent". Channels that
+    a ground station overrides (RC_CHANNELS_OVERRIDE) have its values instead. On PX4 overrides are an RC
+    input of their own, which is there while they come.
     """
 
-    def __init__(self, present: bool = True) -> None:
+    def __init__(self, kind: Kind, present: bool = True) -> None:
         self.sticks_us = list(_AT_REST_US)
         self.lost: RcLoss | None = None if present else "frozen"
-        self.values_us: tuple[int, ...] = tuple(self.sticks_us) if present else ()
+        self.overridden = False
+        self.updates = 0
+        """Counts the overrides that came; PX4 tells its channels once for each."""
+        self._kind = kind
+        self._received_us: tuple[int, ...] = tuple(self.sticks_us) if present else ()
+        self._overrides_us: dict[int, int] = {}
+
+    @property
+    def values_us(self) -> tuple[int, ...]:
+        """Channel 1 first; empty while there are none."""
+        received_us = () if self.lost == "silent" else self._received_us
+        if not self._overrides_us:
+            return received_us
+        values_us = list(received_us or _AT_REST_US)
+        for index, us in self._overrides_us.items():
+            values_us[index] = us
+        return tuple(values_us)
 
     def move(self, channel: int, us: int) -> None:
         """Move a stick or switch; seen at once if the link stands, on its return otherwise."""
@@ -31,18 +53,34 @@ class Receiver:
             raise ValueError(f"RC value must be 0 to 65535 us, not {us}")
         self.sticks_us[channel - 1] = us
         if self.lost is None:
-            self.values_us = tuple(self.sticks_us)
+            self._received_us = tuple(self.sticks_us)
+
+    def override(self, channels_us: Sequence[int]) -> None:
+        """What a ground station sends in RC_CHANNELS_OVERRIDE, channel 1 first."""
+        for index, us in enumerate(channels_us[:CHANNELS]):
+            if us == _RELEASED_US:
+                self._overrides_us.pop(index, None)
+            elif us not in _UNCHANGED_US:
+                self._overrides_us[index] = us
+        self.overridden = bool(self._overrides_us)
+        self.updates += 1
+
+    def release(self) -> None:
+        """No override holds any longer."""
+        self._overrides_us.clear()
+        self.overridden = False
 
     def lose(self, how: RcLoss) -> None:
         self.lost = how
         if how == "jump":
-            self.values_us = _JUMP_US
+            self._received_us = _JUMP_US
 
     def restore(self) -> None:
         self.lost = None
-        self.values_us = tuple(self.sticks_us)
+        self._received_us = tuple(self.sticks_us)
 
     def reboot(self) -> None:
         """The autopilot forgets what it has seen."""
+        self.release()
         if self.lost != "jump":
-            self.values_us = () if self.lost else tuple(self.sticks_us)
+            self._received_us = () if self.lost else tuple(self.sticks_us)

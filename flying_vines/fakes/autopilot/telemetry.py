@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.fakes.autopilot import sensors
 from flying_vines.fakes.autopilot.flight import CRUISE_M_S, Flight
-from flying_vines.fakes.autopilot.modes import ARMED_FLAG, Mode
-from flying_vines.fakes.autopilot.receiver import Receiver
+from flying_vines.fakes.autopilot.modes import ARMED_FLAG
 from flying_vines.fakes.autopilot.runner import MissionStatus
+from flying_vines.fakes.autopilot.snapshot import Snapshot
 from flying_vines.vehicle.mission.storage import Kind
 
 HEARTBEAT, SYS_STATUS, SYSTEM_TIME, ATTITUDE, GLOBAL_POSITION_INT = 0, 1, 2, 30, 33
@@ -25,27 +25,20 @@ _ARDUPILOT_PRESENT, _ARDUPILOT_ENABLED, _ARDUPILOT_HEALTH = 0x5371FC2F, 0x5361FC
 _ARDUPILOT_DISARMED = 0x01000000
 _PX4_PRESENT, _PX4_ENABLED, _PX4_HEALTH = 0x0300402F, 0x0301402F, 0x1320C83F
 
-_PARAM_INT16, _PARAMETERS = 4, 1382
 _STANDBY, _ACTIVE, _CRITICAL = 3, 4, 5
-_ON_GROUND, _IN_AIR, _LANDING = 1, 2, 4
-_UNIX_AT_BOOT_US = 1_795_211_376_000_000
-_MISSION_INT, _COMMAND_INT, _MAVLINK2, _MISSION_FLOAT = 4, 8, 8192, 1
-
-
-@dataclass(frozen=True, slots=True)
-class Snapshot:
-    """Everything that telemetry is made of, at one instant."""
-
-    kind: Kind
-    mode: Mode
-    armed: bool
-    calibrating: bool
-    rc_failsafe: bool
-    boot_s: float
-    flight: Flight
-    receiver: Receiver
-    mission: MissionStatus
-    mission_id: int
+_ON_GROUND, _IN_AIR, _TAKING_OFF, _LANDING = 1, 2, 3, 4
+_CAPABILITIES = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+)
+_PARAM_ENCODING: dict[Kind, int] = {
+    "ardupilot": mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST,
+    "px4": mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE,
+}
+_UID = 0x5F1E5
+_PX4_OVERRIDDEN_CHANNELS, _PX4_OVERRIDDEN_RSSI = 18, 100
 
 
 class Px4MissionCurrent(mavlink.MAVLink_mission_current_message):  # type: ignore[misc]
@@ -69,15 +62,6 @@ def telemetry(message_id: int, now: Snapshot) -> Any | None:
 def streamable(message_id: int) -> bool:
     """Whether SET_MESSAGE_INTERVAL and REQUEST_MESSAGE know the message."""
     return message_id in _MAKERS
-
-
-def parameter(name: str, value: float) -> Any:
-    """A PARAM_VALUE that nobody asked for."""
-    return mavlink.MAVLink_param_value_message(name.encode(), value, _PARAM_INT16, _PARAMETERS, 65535)
-
-
-def _boot_ms(now: Snapshot) -> int:
-    return int(now.boot_s * 1000) & 0xFFFFFFFF
 
 
 def _heartbeat(now: Snapshot) -> Any:
@@ -108,14 +92,14 @@ def _sys_status(now: Snapshot) -> Any:
 
 
 def _system_time(now: Snapshot) -> Any:
-    return mavlink.MAVLink_system_time_message(_UNIX_AT_BOOT_US + int(now.boot_s * 1e6), _boot_ms(now))
+    return mavlink.MAVLink_system_time_message(int(now.unix_s * 1e6), now.boot_ms)
 
 
 def _attitude(now: Snapshot) -> Any:
     flight = now.flight
     speed = math.hypot(flight.north_m_s, flight.east_m_s)
     pitch_rad = -0.15 * speed / CRUISE_M_S
-    return mavlink.MAVLink_attitude_message(_boot_ms(now), 0.0, pitch_rad, flight.yaw_rad, 0.0, 0.0, 0.0)
+    return mavlink.MAVLink_attitude_message(now.boot_ms, 0.0, pitch_rad, flight.yaw_rad, 0.0, 0.0, 0.0)
 
 
 def _heading_deg(flight: Flight) -> float:
@@ -127,7 +111,7 @@ def _global_position(now: Snapshot) -> Any:
     latitude_deg, longitude_deg = flight.home.global_deg(flight.north_m, flight.east_m)
     height_mm = round(flight.height_m * 1000)
     return mavlink.MAVLink_global_position_int_message(
-        _boot_ms(now),
+        now.boot_ms,
         round(latitude_deg * 1e7),
         round(longitude_deg * 1e7),
         round(flight.home.altitude_amsl_m * 1000) + height_mm,
@@ -161,22 +145,24 @@ def _mission_current(now: Snapshot) -> Any:
 
 def _rc_channels(now: Snapshot) -> Any | None:
     values = now.receiver.values_us
+    count, rssi, unused = len(values), 255, 0
     if now.kind == "px4":
-        if now.receiver.lost == "silent" or not values:
+        if not values:
             return None
         unused = 65535
-    else:
-        unused = 0
+        if now.receiver.overridden:
+            # As recorded: what comes by MAVLink is an RC input of its own, with all channels.
+            count, rssi, unused = _PX4_OVERRIDDEN_CHANNELS, _PX4_OVERRIDDEN_RSSI, 1500
     channels = (*values, *(unused,) * (18 - len(values)))
-    return mavlink.MAVLink_rc_channels_message(_boot_ms(now), len(values), *channels, 255)
+    return mavlink.MAVLink_rc_channels_message(now.boot_ms, count, *channels, rssi)
 
 
 def _autopilot_version(now: Snapshot) -> Any:
     version = (4 << 24 | 6 << 16) if now.kind == "ardupilot" else (1 << 24 | 17 << 16)
-    capabilities = _MISSION_FLOAT | _MISSION_INT | _COMMAND_INT | _MAVLINK2
+    capabilities = _CAPABILITIES | _PARAM_ENCODING[now.kind]
     nothing = [0] * 8
     return mavlink.MAVLink_autopilot_version_message(
-        capabilities, version, 0, 0, 0, nothing, nothing, nothing, 0, 0, 0
+        capabilities, version, 0, 0, 0, nothing, nothing, nothing, 0, 0, _UID
     )
 
 
@@ -203,6 +189,8 @@ def _extended_sys_state(now: Snapshot) -> Any:
         landed = _ON_GROUND
     elif flight.landing:
         landed = _LANDING
+    elif flight.taking_off:
+        landed = _TAKING_OFF
     else:
         landed = _IN_AIR
     return mavlink.MAVLink_extended_sys_state_message(0, landed)
@@ -225,4 +213,12 @@ _MAKERS = {
     AUTOPILOT_VERSION: _autopilot_version,
     HOME_POSITION: _home_position,
     EXTENDED_SYS_STATE: _extended_sys_state,
+    sensors.PING: sensors.ping,
+    sensors.GPS_RAW_INT: sensors.gps_raw_int,
+    sensors.SCALED_PRESSURE: sensors.scaled_pressure,
+    sensors.LOCAL_POSITION_NED: sensors.local_position_ned,
+    sensors.SERVO_OUTPUT_RAW: sensors.servo_output_raw,
+    sensors.GPS_GLOBAL_ORIGIN: sensors.gps_global_origin,
+    sensors.POSITION_TARGET_GLOBAL_INT: sensors.position_target,
+    sensors.BATTERY_STATUS: sensors.battery_status,
 }

@@ -1,4 +1,4 @@
-"""The fake autopilot on real sockets."""
+"""The fake autopilot on real sockets, UDP and TCP."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.autopilot_udp import AutopilotServer
+from flying_vines.fakes.autopilot_server import MOST_CLIENTS, AutopilotServer
 
 
 class Listener(asyncio.DatagramProtocol):
@@ -141,3 +141,99 @@ async def test_nobody_needs_to_listen() -> None:
 def test_other_addresses_are_refused(address: str) -> None:
     with pytest.raises(ValueError):
         AutopilotServer(Autopilot(), address)
+
+
+# TCP
+
+
+class Client:
+    """A ground station on TCP."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, system: int = 255) -> None:
+        self._reader = reader
+        self.writer = writer
+        self._mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=190)
+        self._ears = mavlink.MAVLink(None)
+
+    def say(self, message: Any) -> None:
+        self.writer.write(message.pack(self._mav))
+
+    async def hear(self, name: str) -> Any:
+        async with asyncio.timeout(5.0):
+            while True:
+                data = await self._reader.read(4096)
+                assert data, "the connection stands"
+                for message in self._ears.parse_buffer(data) or []:
+                    if message.get_type() == name:
+                        return message
+
+    async def close(self) -> None:
+        self.writer.close()
+        await self.writer.wait_closed()
+
+
+@contextlib.asynccontextmanager
+async def on_tcp(autopilot: Autopilot, speed: float = 1.0) -> AsyncIterator[AutopilotServer]:
+    server = AutopilotServer(autopilot, None, listen=[("127.0.0.1", 0)], speed=speed)
+    async with serving(server):
+        await asyncio.wait_for(server.ready.wait(), 5.0)
+        yield server
+
+
+async def connect(server: AutopilotServer, system: int = 255) -> Client:
+    return Client(*await asyncio.open_connection("127.0.0.1", server.ports[0]), system)
+
+
+async def test_tcp_clients_have_a_port_each_and_leave_it_to_the_next() -> None:
+    autopilot = Autopilot()
+    async with on_tcp(autopilot) as server:
+        one, other = await connect(server), await connect(server, 254)
+        for client in (one, other):
+            await client.hear("HEARTBEAT")
+            client.say(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+        await asyncio.sleep(0.05)
+        one.say(mavlink.MAVLink_statustext_message(6, b"from the one"))
+        assert (await other.hear("STATUSTEXT")).text == "from the one"
+        await one.close()
+        third = await connect(server)
+        await third.hear("HEARTBEAT")
+        assert sorted(name for name in autopilot._ports if name.startswith("tcp")) == ["tcp1", "tcp2"]
+        for client in (other, third):
+            await client.close()
+
+
+async def test_one_client_too_many_is_sent_away() -> None:
+    async with on_tcp(Autopilot()) as server:
+        clients = [await connect(server) for _ in range(MOST_CLIENTS)]
+        await clients[-1].hear("HEARTBEAT")
+        last = await asyncio.open_connection("127.0.0.1", server.ports[0])
+        assert await asyncio.wait_for(last[0].read(), 5.0) == b""
+        last[1].close()
+        for client in clients:
+            await client.close()
+
+
+async def test_time_can_run_fast() -> None:
+    async with on_tcp(Autopilot(), speed=20.0) as server:
+        client = await connect(server)
+        await client.hear("HEARTBEAT")
+        client.say(mavlink.MAVLink_command_long_message(1, 1, 511, 0, 2, 1e6, 0, 0, 0, 0, 0))
+        first = await client.hear("SYSTEM_TIME")
+        begun = asyncio.get_running_loop().time()
+        while (await client.hear("SYSTEM_TIME")).time_boot_ms < first.time_boot_ms + 10_000:
+            pass
+        assert asyncio.get_running_loop().time() - begun < 3.0
+        await client.close()
+
+
+async def test_a_port_that_is_taken_ends_the_run() -> None:
+    async with on_tcp(Autopilot()) as server:
+        second = AutopilotServer(Autopilot(), None, listen=[f"tcpin:127.0.0.1:{server.ports[0]}"])
+        with pytest.raises(OSError):
+            await asyncio.wait_for(second.run(), 5.0)
+
+
+@pytest.mark.parametrize("address", ["tcp:127.0.0.1:5760", "tcpin:127.0.0.1", "tcpin:127.0.0.1:99999"])
+def test_other_places_to_listen_at_are_refused(address: str) -> None:
+    with pytest.raises(ValueError):
+        AutopilotServer(Autopilot(), None, listen=[address])
