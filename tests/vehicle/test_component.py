@@ -1,31 +1,48 @@
-"""What we send unasked: steady, spread out, short, and nothing twice."""
+"""What we send unasked: steady, spread out, short, and nothing twice; and how the parts hang together."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections import Counter
+from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines import config
+from flying_vines.events import Action, Event, ToVehicle
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.notice import Notice
+from flying_vines.simulated_world import SimulatedFlight
 from flying_vines.vehicle.codec import Codec, Message
-from flying_vines.vehicle.component import SAME_TEXT_AGAIN_S, TEXT_SPACING_S, Component, answer_timesync
+from flying_vines.vehicle.component import Component
+from flying_vines.vehicle.component.texts import CHUNK_LENGTH, LONGEST_TEXT, SAME_AGAIN_S, SPACING_S, Texts
+from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.state import VehicleState
 
 TICK_S = 0.02
 VALUES = {"RES_KPA": 500.0, "CYC_LEFT": 40.0, "CV_KPA": 3.0, "CMD_KPA": 2.5, "BEND_DEG": 12.0}
+US = 191
+
+
+def component(**telemetry: Any) -> Component:
+    profile = config.default()
+    table = msgspec.structs.replace(profile.telemetry, **telemetry)
+    return Component(msgspec.structs.replace(profile, telemetry=table))
 
 
 def run(
-    component: Component, for_s: float, values: dict[str, float] | None = None, start_s: float = 0.0
+    ours: Component, for_s: float, values: dict[str, float] | None = None, start_s: float = 0.0
 ) -> list[tuple[float, Message]]:
     """What is sent, as a receiver has it."""
-    sender, receiver, received = Codec(1, 191), Codec(255, 190), []
+    sender, receiver, received = Codec(1, US), Codec(255, 190), []
     for i in range(round(for_s / TICK_S)):
         t = start_s + i * TICK_S
-        due = component.due(t, int(t * 1000), VALUES if values is None else values, 4)
+        due = ours.due(t, int(t * 1000), VALUES if values is None else values, 4)
         for message in due:
             received += [(t, m) for m in receiver.decode(sender.encode(message, 1))]
     return received
@@ -40,16 +57,16 @@ def gaps_s(times_s: list[float]) -> list[float]:
 
 
 def test_a_heartbeat_each_second_that_says_what_we_are() -> None:
-    beats = of("HEARTBEAT", run(Component(2.0), 100.0))
+    beats = of("HEARTBEAT", run(component(), 100.0))
     assert len(beats) == 100
     assert all(gap_s == pytest.approx(1.0) for gap_s in gaps_s([t for t, _ in beats]))
     _, beat = beats[0]
     assert (beat.type, beat.autopilot, beat.base_mode, beat.system_status) == (18, 8, 0, 4)
-    assert (beat.get_srcSystem(), beat.get_srcComponent()) == (1, 191)
+    assert (beat.get_srcSystem(), beat.get_srcComponent()) == (1, US)
 
 
 def test_five_values_each_twice_a_second_never_two_at_once() -> None:
-    sent = of("NAMED_VALUE_FLOAT", run(Component(2.0), 60.0))
+    sent = of("NAMED_VALUE_FLOAT", run(component(), 60.0))
     assert max(Counter(t for t, _ in sent).values()) == 1
     for name, value in VALUES.items():
         times_s = [t for t, message in sent if message.name == name]
@@ -62,32 +79,56 @@ def test_five_values_each_twice_a_second_never_two_at_once() -> None:
 
 @pytest.mark.parametrize("rate_Hz", [0.1, 1.0, 5.0, 10.0])
 def test_other_rates_are_kept_too(rate_Hz: float) -> None:
-    sent = of("NAMED_VALUE_FLOAT", run(Component(rate_Hz), 40.0))
+    sent = of("NAMED_VALUE_FLOAT", run(component(rate_Hz=rate_Hz), 40.0))
     counts = Counter(message.name for _, message in sent)
     assert all(count == pytest.approx(40 * rate_Hz, rel=0.1, abs=2) for count in counts.values())
     assert len(counts) == 5
     assert max(Counter(t for t, _ in sent).values()) == 1
 
 
+def test_a_slow_radio_has_room_for_us() -> None:
+    """A 57600 baud radio carries about 5000 B/s for everybody; of ours a pilot wants a few hundred."""
+    ours, sender = component(), Codec(1, US)
+    sent = [
+        sender.encode(message, 1)
+        for i in range(round(60.0 / TICK_S))
+        for message in ours.due(i * TICK_S, i * 20, VALUES, 4)
+    ]
+    assert 150 < sum(map(len, sent)) / 60.0 < 300
+
+
 @pytest.mark.parametrize("unknown", [math.nan, math.inf, -math.inf])
 def test_a_value_that_is_unknown_is_left_out_and_comes_when_it_is_known(unknown: float) -> None:
-    component = Component(2.0)
-    sent = of("NAMED_VALUE_FLOAT", run(component, 5.0, VALUES | {"CYC_LEFT": unknown}))
+    ours = component()
+    sent = of("NAMED_VALUE_FLOAT", run(ours, 5.0, VALUES | {"CYC_LEFT": unknown}))
     assert {message.name for _, message in sent} == set(VALUES) - {"CYC_LEFT"}
     assert Counter(message.name for _, message in sent)["RES_KPA"] == pytest.approx(10, abs=1)
-    later = of("NAMED_VALUE_FLOAT", run(component, 1.0, start_s=5.0))
+    later = of("NAMED_VALUE_FLOAT", run(ours, 1.0, start_s=5.0))
     assert "CYC_LEFT" in {message.name for _, message in later}
 
 
 def test_without_values_there_are_none() -> None:
-    assert of("NAMED_VALUE_FLOAT", run(Component(2.0), 5.0, {})) == []
+    assert of("NAMED_VALUE_FLOAT", run(component(), 5.0, {})) == []
+
+
+def test_the_bottle_as_a_fuel_tank_only_for_who_wants_it() -> None:
+    def fuel(ours: Component, values: dict[str, float]) -> int:
+        sent = [message for i in range(3000) for message in ours.due(i * TICK_S, 0, values, 4)]
+        return sum(message.get_type() == "FUEL_STATUS" for message in sent)
+
+    assert fuel(component(), VALUES) == 0
+    assert fuel(component(fuel_status=True), VALUES) == 6
+    assert fuel(component(fuel_status=True), {}) == 0
+
+
+# Texts.
 
 
 def said(texts: list[str], for_s: float = 20.0) -> list[tuple[float, Message]]:
-    component = Component(2.0)
+    ours = component()
     for words in texts:
-        component.say(0.0, 4, words)
-    return of("STATUSTEXT", run(component, for_s))
+        ours.say(0.0, 4, words)
+    return of("STATUSTEXT", run(ours, for_s, {}))
 
 
 def joined(sent: list[tuple[float, Message]]) -> list[str]:
@@ -104,66 +145,237 @@ def test_texts_keep_their_order_and_their_distance() -> None:
     words = [f"Vine: line {i}" for i in range(12)]
     sent = said(words)
     assert [message.text for _, message in sent] == words
-    assert all(gap_s >= TEXT_SPACING_S - 1e-9 for gap_s in gaps_s([t for t, _ in sent]))
+    assert all(gap_s >= SPACING_S - 1e-9 for gap_s in gaps_s([t for t, _ in sent]))
     assert {message.severity for _, message in sent} == {4}
 
 
-@given(st.lists(st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=180), max_size=5))
+LINES = st.text("abxyz 019()%/-", min_size=1, max_size=180).map(
+    lambda text: " ".join(["Vine:", *text.split()])
+)
+
+
+@given(st.lists(LINES, max_size=5))
 @settings(max_examples=60, deadline=None)
 def test_long_texts_come_in_chunks_that_join_again(texts: list[str]) -> None:
     different = list(dict.fromkeys(texts))
     sent = said(different, for_s=5.0)
     assert joined(sent) == different
     for _, message in sent:
-        assert len(message.text) <= 50
+        assert len(message.text) <= CHUNK_LENGTH
         if message.id != 0:
             parts = [part for _, part in sent if part.id == message.id]
             assert [part.chunk_seq for part in parts] == list(range(len(parts)))
-            assert all(len(part.text) == 50 for part in parts[:-1])
-            assert len(parts[-1].text) < 50
+            assert all(len(part.text) == CHUNK_LENGTH for part in parts[:-1])
+            assert len(parts[-1].text) < CHUNK_LENGTH
 
 
 @pytest.mark.parametrize(
-    ("length", "chunks"), [(49, 1), (50, 1), (51, 2), (99, 2), (100, 3), (101, 3), (150, 4)]
+    ("length", "chunks"), [(49, 1), (50, 1), (51, 2), (99, 2), (100, 3), (101, 3), (150, 4), (199, 4)]
 )
 def test_a_receiver_can_tell_where_a_text_ends(length: int, chunks: int) -> None:
-    sent = said(["x" * length])
+    words = "Vine: ".ljust(length, "x")
+    sent = said([words])
     assert len(sent) == chunks
-    assert joined(sent) == ["x" * length]
-    assert chunks == 1 or len(sent[-1][1].text) < 50
+    assert joined(sent) == [words]
+    assert chunks == 1 or len(sent[-1][1].text) < CHUNK_LENGTH
+
+
+def test_a_text_without_end_is_cut() -> None:
+    (words,) = joined(said(["Vine: " + 5000 * "x"]))
+    assert len(words) == LONGEST_TEXT
+    assert words.endswith("x..")
 
 
 def test_two_long_texts_have_different_ids() -> None:
-    sent = said(["a" * 120, "b" * 120])
+    sent = said(["Vine: " + "a" * 120, "Vine: " + "b" * 120])
     assert len({message.id for _, message in sent}) == 2
 
 
-def test_signs_that_mavlink_lacks_are_written_out() -> None:
-    sent = said(["bend 40° refused…", "5 µs → ∞"])
-    assert [message.text for _, message in sent] == ["bend 40 deg refused..", "5 ?s ? ?"]
-
-
 def test_the_same_text_is_news_only_after_a_while() -> None:
-    component = Component(2.0)
+    ours = component()
     heard = []
     for i in range(1000):
         t = i * TICK_S
-        component.say(t, 4, "Vine: bottle low")
-        heard += [t for m in component.due(t, 0, {}, 4) if m.get_type() == "STATUSTEXT"]
+        ours.say(t, 4, "Vine: bottle low")
+        heard += [t for m in ours.due(t, 0, {}, 4) if m.get_type() == "STATUSTEXT"]
     assert len(heard) == 4
-    assert all(gap_s >= SAME_TEXT_AGAIN_S - 1e-9 for gap_s in gaps_s(heard))
+    assert all(gap_s >= SAME_AGAIN_S - 1e-9 for gap_s in gaps_s(heard))
 
 
 def test_a_flood_of_texts_stays_bounded() -> None:
-    component = Component(2.0)
+    ours = component()
     for i in range(1000):
-        component.say(i * 0.001, 4, f"Vine: {i}")
-    sent = of("STATUSTEXT", run(component, 30.0, start_s=1.0))
+        ours.say(i * 0.001, 4, f"Vine: {i}")
+    sent = of("STATUSTEXT", run(ours, 30.0, {}, start_s=1.0))
     assert len(sent) == 30
     assert sent[-1][1].text == "Vine: 999"
 
 
-def test_timesync_requests_are_answered_and_answers_are_not() -> None:
-    (answer,) = answer_timesync(mavlink.MAVLink_timesync_message(0, 1234), 99)
-    assert (answer.tc1, answer.ts1) == (99, 1234)
-    assert answer_timesync(mavlink.MAVLink_timesync_message(5, 1234), 99) == []
+def test_a_flood_does_not_tear_a_text_that_is_half_told() -> None:
+    texts, long = Texts(), "Vine: " + 150 * "x"
+    texts.say(0.0, 4, long)
+    sent = texts.due(0.0)
+    for i in range(1000):
+        texts.say(0.01, 4, f"Vine: {i}")
+    for i in range(1, 100):
+        sent += texts.due(i * SPACING_S)
+    assert joined([(0.0, message) for message in sent])[0] == long
+
+
+# All of it together.
+
+
+def heard(message: Message, sender: tuple[int, int]) -> Message:
+    return mavlink.MAVLink(None).parse_char(message.pack(mavlink.MAVLink(None, *sender)))
+
+
+class Link:
+    """Our component on a vehicle."""
+
+    def __init__(self, autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA) -> None:
+        self.ours = component()
+        self.state = VehicleState()
+        self.autopilot = autopilot
+        self.t = 0.0
+        self.sent: list[tuple[float, Message]] = []
+        self.notices: list[Notice] = []
+
+    def take(self, message: Message, sender: tuple[int, int] = (255, 190)) -> None:
+        message = heard(message, sender)
+        self.state.handle(self.t, message)
+        for output in self.ours.handle(self.t, message, self.state, True) or []:
+            if isinstance(output, Notice):
+                self.notices.append(output)
+            elif isinstance(output, mavlink.MAVLink_message):
+                self.ours.send(output)
+        self.sent += [(self.t, message) for message in self.ours.leaving(self.t)]
+
+    def wait(self, for_s: float, station: int = 0, autopilot: bool = True) -> None:
+        """Time passes, in which the autopilot and a ground station are heard once a second."""
+        for _ in range(round(for_s / TICK_S)):
+            tick = round(self.t / TICK_S)
+            if autopilot and tick % 50 == 0:
+                self.take(mavlink.MAVLink_heartbeat_message(2, self.autopilot, 0, 0, 3, 3), (1, 1))
+            if station and tick % 50 == 25:
+                self.take(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), (station, 190))
+            self.sent += [(self.t, m) for m in self.ours.due(self.t, 0, VALUES, 4)]
+            self.t = round(self.t + TICK_S, 6)
+
+
+def test_the_autopilot_hears_us_as_soon_as_it_speaks_again() -> None:
+    link = Link()
+    link.t = 0.3
+    link.wait(0.4, autopilot=False)  # one of ours is out before the autopilot is there
+    link.t = 1.0
+    link.wait(10.0)
+    assert [t for t, _ in of("HEARTBEAT", link.sent)][:3] == pytest.approx([0.3, 1.0, 2.0])
+    link.sent.clear()
+    link.wait(1.24, autopilot=False)  # it reboots: its heartbeats have a gap
+    back = link.t
+    link.take(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3), (1, 1))
+    link.wait(0.1, autopilot=False)
+    beats = [t for t, _ in of("HEARTBEAT", link.sent) if t >= back]
+    assert beats == [back]
+
+
+def test_nobody_is_answered_before_there_is_a_vehicle() -> None:
+    link = Link()
+    link.take(mavlink.MAVLink_param_request_list_message(1, US))
+    link.take(mavlink.MAVLink_ping_message(1, 1, 0, 0))
+    link.wait(1.0, autopilot=False)
+    assert of("PARAM_VALUE", link.sent) == of("PING", link.sent) == []
+
+
+def test_parameters_are_shown_once_to_each_ground_station_of_an_ardupilot() -> None:
+    link = Link()
+    link.wait(1.0)
+    link.wait(6.0, station=255)
+    assert of("PARAM_VALUE", link.sent) == []
+    link.wait(60.0, station=255)
+    first = of("PARAM_VALUE", link.sent)
+    assert [message.param_index for _, message in first] == list(range(16))
+    assert all(gap_s >= 0.1 - 1e-6 for gap_s in gaps_s([t for t, _ in first]))
+    link.wait(20.0, station=254)
+    assert len(of("PARAM_VALUE", link.sent)) == 32
+    link.wait(50.0, station=254)
+    link.wait(60.0, station=255)  # away for longer than a minute
+    assert len(of("PARAM_VALUE", link.sent)) == 48
+    link.wait(30.0)
+    link.wait(30.0, station=255)  # a short absence
+    assert len(of("PARAM_VALUE", link.sent)) == 48
+
+
+def test_a_list_under_way_goes_on_when_a_ground_station_appears() -> None:
+    link = Link()
+    link.wait(1.0)
+    link.wait(7.0, station=255)
+    link.take(mavlink.MAVLink_param_request_list_message(1, US))
+    link.wait(10.0, station=255)  # the station's seven seconds are over while the list runs
+    assert [message.param_index for _, message in of("PARAM_VALUE", link.sent)] == list(range(16))
+
+
+def test_parameters_are_not_shown_unasked_on_a_px4() -> None:
+    link = Link(mavlink.MAV_AUTOPILOT_PX4)
+    link.wait(60.0, station=255)
+    assert of("PARAM_VALUE", link.sent) == []
+
+
+def test_under_load_all_leaves_in_pairs() -> None:
+    """A list of parameters, a flood of commands, a text and the values, all at once."""
+    link = Link()
+    link.wait(2.0)
+    link.sent.clear()
+    start_s = link.t
+    link.take(mavlink.MAVLink_param_request_list_message(1, US))
+    link.ours.say(link.t, 4, "Vine: " + 120 * "x")
+    for _ in range(10):
+        link.take(mavlink.MAVLink_command_long_message(1, US, 512, 0, 148, 0, 0, 0, 0, 0, 0))
+    link.wait(3.0)
+    kinds = Counter(message.get_type() for _, message in link.sent)
+    assert kinds["COMMAND_ACK"] == kinds["AUTOPILOT_VERSION"] == 10
+    assert kinds["PARAM_VALUE"] == 16
+    assert kinds["STATUSTEXT"] == 3
+    assert kinds["HEARTBEAT"] == 3
+    assert kinds["NAMED_VALUE_FLOAT"] == pytest.approx(30, abs=2)
+    times_s = [t for t, _ in link.sent]
+    assert all(third - first >= TICK_S - 1e-5 for first, third in zip(times_s, times_s[2:], strict=False))
+    acknowledged = [t - start_s for t, _ in of("COMMAND_ACK", link.sent)]
+    assert acknowledged[0] <= 2 * TICK_S
+    assert link.ours.dropped == 0
+
+
+@pytest.mark.parametrize("kind", ["ardupilot", "px4"])
+def test_in_flight_all_that_we_send_leaves_in_pairs(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The whole machine, from the first heartbeat on: requests, mission, parameters, commands and values."""
+    flight = SimulatedFlight(config.default(), Autopilot(kind))
+    handle = flight.core.handle
+    left: list[tuple[float, Message]] = []
+
+    def watched(event: Event) -> list[Action]:
+        actions = handle(event)
+        left.extend((event.t, action.message) for action in actions if isinstance(action, ToVehicle))
+        return actions
+
+    monkeypatch.setattr(flight.core, "handle", watched)
+    station = Codec(255, 190)
+
+    def ask(message: Message) -> None:
+        flight.autopilot.receive(flight.world.now, "gcs", station.encode(message, 255))
+
+    for quarter in range(4, 80):  # one at a time: an autopilot loses what a station sends in a burst
+        flight.run(quarter / 4)
+        if quarter == 20:
+            ask(mavlink.MAVLink_param_request_list_message(1, US))
+        elif quarter % 4 == 0:
+            ask(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+        else:
+            ask(mavlink.MAVLink_command_long_message(1, US, 512, 0, 148, 0, 0, 0, 0, 0, 0))
+    flight.run(21.0)
+    times_s = [t for t, _ in left]
+    assert all(third - first >= TICK_S - 1e-5 for first, third in zip(times_s, times_s[2:], strict=False))
+    kinds = Counter(message.get_type() for _, message in left)
+    assert kinds["AUTOPILOT_VERSION"] == kinds["COMMAND_ACK"] == 3 * 19
+    assert kinds["PARAM_VALUE"] == 16 * (2 if kind == "ardupilot" else 1)
+    assert kinds["COMMAND_LONG"] >= 5
+    assert kinds["HEARTBEAT"] == pytest.approx(20, abs=2)
+    assert flight.core._vehicle.component.dropped == 0

@@ -1,0 +1,109 @@
+"""We as a well-behaved component of the vehicle: what goes in, what comes out, wired."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.config import Config
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.component.clash import Clash
+from flying_vines.vehicle.component.outbox import Outbox
+from flying_vines.vehicle.component.parameters import Output, Parameters
+from flying_vines.vehicle.component.requests import Requests
+from flying_vines.vehicle.component.stations import Stations
+from flying_vines.vehicle.component.telemetry import FuelGauge, Heartbeat, NamedValues
+from flying_vines.vehicle.component.texts import Texts
+from flying_vines.vehicle.state import VehicleState
+
+
+class Component:
+    """Sans-IO; all times are seconds of one clock.
+
+    `values` are the parameters that differ from the profile's own, as `parameters.values` had them when they
+    were saved. Everything that we send to the vehicle goes through `send`, and leaves by `due` and `leaving`.
+    """
+
+    def __init__(self, profile: Config, values: Mapping[str, float] | None = None) -> None:
+        self.parameters = Parameters(profile, values)
+        self._component_id = profile.vehicle.component_id
+        self._heartbeat = Heartbeat()
+        self._values = NamedValues(1.0 / self.parameters.config.telemetry.rate_Hz)
+        self._fuel = FuelGauge()
+        self._texts = Texts()
+        self._requests = Requests(self._component_id, self._heartbeat, self._values)
+        self._clash = Clash(self._component_id)
+        self._stations = Stations()
+        self._outbox = Outbox()
+
+    @property
+    def dropped(self) -> int:
+        """Messages that never left because too many waited."""
+        return self._outbox.dropped
+
+    def handle(
+        self, t: float, message: Message, vehicle: VehicleState, may_change: bool
+    ) -> list[Output] | None:
+        """What follows from a message of anyone; None where it may concern others here.
+
+        Args:
+            t: now.
+            message: as it arrived.
+            vehicle: that we belong to, and that has seen the message already.
+            may_change: whether the vine is vented, so that parameters which steer it may be changed.
+        """
+        if not vehicle.found:
+            return None
+        if (message.get_srcSystem(), message.get_srcComponent()) == (vehicle.system_id, self._component_id):
+            return list(self._clash.heard(t))
+        number = message.get_msgId()
+        if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            if vehicle.is_ours(message):
+                self._heartbeat.autopilot_spoke(t)
+            elif message.type == mavlink.MAV_TYPE_GCS and vehicle.kind == "ardupilot":
+                self._stations.heard(t, message.get_srcSystem())
+            return None
+        if number in Requests.MESSAGES:
+            return self._requests.handle(t, message, vehicle.system_id)
+        if number in Parameters.MESSAGES:
+            return self.parameters.handle(t, message, vehicle.system_id, self._component_id, may_change)
+        return None
+
+    def greet(self) -> None:
+        """The autopilot knows nothing of us: let it hear us at once."""
+        self._heartbeat.now()
+
+    def say(self, t: float, severity: int, text: str) -> None:
+        """Tell people, by a status text."""
+        self._texts.say(t, severity, text)
+
+    def send(self, message: Message) -> None:
+        """Let a message leave when it is its turn."""
+        self._outbox.put(message)
+
+    def due(
+        self, t: float, time_boot_ms: int, values: Mapping[str, float], system_status: int
+    ) -> list[Message]:
+        """What leaves as time passes. `values` are the named values of now; NaN is not sent."""
+        config = self.parameters.config
+        self._values.usual_s = 1.0 / config.telemetry.rate_Hz
+        if self._stations.due(t) and not self.parameters.showing:
+            self.parameters.show()
+        due = [
+            *self._heartbeat.due(t, system_status),
+            *self._texts.due(t),
+            *self.parameters.due(t),
+            *self._values.due(t, time_boot_ms, values),
+        ]
+        if config.telemetry.fuel_status:
+            reservoir_kPa = values.get("RES_KPA", math.nan)
+            due.extend(self._fuel.due(t, reservoir_kPa, config.pneumatics.full_kPa))
+        for message in due:
+            self._outbox.put(message)
+        return self._outbox.due(t)
+
+    def leaving(self, t: float) -> list[Message]:
+        """What may leave at once after something happened."""
+        return self._outbox.due(t)

@@ -1,0 +1,161 @@
+"""The settings of `settings.py` as a MAVLink parameter set: listed, read and set by any ground station.
+
+All are 32-bit floats, which ground stations of both autopilots write alike. Whatever is asked, the answer is
+the value that is really in force. A parameter that we do not have (QGroundControl's `_HASH_CHECK`) is not
+answered.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.config import Config
+from flying_vines.notice import Notice, Severity
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.component.settings import (
+    BY_NAME,
+    SETTINGS,
+    Refused,
+    changed,
+    decimal,
+    same,
+    value_of,
+)
+
+LIST_SPACING_S = 0.1
+_BY_NAME = -1
+"""The index of a request that goes by the name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """A parameter has another value from now on: the configuration in force is `config`."""
+
+    t: float
+    name: str
+    value: float
+    config: Config
+
+
+Output = Message | Notice | Changed
+
+
+class Parameters:
+    """The parameter set over a profile.
+
+    `config` is the profile with the values in force; `values` are those that differ from the profile's own,
+    and are what a file should keep.
+    """
+
+    MESSAGES = frozenset(
+        (
+            mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
+            mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
+            mavlink.MAVLINK_MSG_ID_PARAM_SET,
+        )
+    )
+    """The messages that `handle` takes."""
+
+    def __init__(self, profile: Config, values: Mapping[str, float] | None = None) -> None:
+        self.config = self._profile = profile
+        self.values: dict[str, float] = {}
+        self._next: int | None = None
+        self._listed_at = -math.inf
+        for name, value in (values or {}).items():
+            self._keep(name, value)
+
+    def handle(
+        self, t: float, message: Message, system_id: int, component_id: int, may_change: bool
+    ) -> list[Output]:
+        """What follows from a request.
+
+        Args:
+            t: now, in seconds.
+            message: one of `MESSAGES`, of anyone.
+            system_id: of the vehicle that we belong to.
+            component_id: ours.
+            may_change: whether the vine is vented, so that what steers it may be changed.
+        """
+        kind = message.get_type()
+        target = (message.target_system, message.target_component)
+        to_us = target == (system_id, component_id)
+        if kind == "PARAM_REQUEST_LIST":
+            if to_us or target in ((system_id, 0), (0, 0)):
+                self.show()
+        elif to_us and kind == "PARAM_REQUEST_READ":
+            return self._read(message)
+        elif to_us:
+            return self._set(t, message, may_change)
+        return []
+
+    @property
+    def showing(self) -> bool:
+        """Whether the list is under way."""
+        return self._next is not None
+
+    def show(self) -> None:
+        """Send all of them, from the first on, whether or not that is under way already."""
+        self._next = 0
+
+    def due(self, t: float) -> list[Message]:
+        """The next of the list, when its time has come."""
+        if self._next is None or t - self._listed_at < LIST_SPACING_S:
+            return []
+        self._listed_at = t
+        index = self._next
+        self._next = index + 1 if index + 1 < len(SETTINGS) else None
+        return [self._value(index)]
+
+    def _read(self, message: Message) -> list[Output]:
+        index = message.param_index
+        if index == _BY_NAME and message.param_id in BY_NAME:
+            index = SETTINGS.index(BY_NAME[message.param_id])
+        return [self._value(index)] if 0 <= index < len(SETTINGS) else []
+
+    def _set(self, t: float, message: Message, may_change: bool) -> list[Output]:
+        setting = BY_NAME.get(message.param_id)
+        if setting is None:
+            return []
+        name, index = setting.name, SETTINGS.index(setting)
+        before = value_of(setting, self.config)
+        try:
+            if message.param_type != mavlink.MAV_PARAM_TYPE_REAL32:
+                raise Refused(name, "send it as REAL32")
+            if math.isfinite(message.param_value) and same(message.param_value, before):
+                return [self._value(index)]
+            if not may_change and not setting.in_flight:
+                raise Refused(name, "vent the vine first")
+            self._keep(name, decimal(message.param_value))
+        except Refused as refusal:
+            text = f"Vine: {name} stays {before:g}: {refusal.reason}"
+            return [self._value(index), Notice(t, Severity.WARNING, text)]
+        value = value_of(setting, self.config)
+        text = f"Vine: {name} is {value:g}, was {before:g}"
+        return [
+            self._value(index),
+            Notice(t, Severity.INFO, text),
+            Changed(t, name, value, self.config),
+        ]
+
+    def _keep(self, name: str, value: float) -> None:
+        of_profile = value_of(BY_NAME[name], self._profile)
+        if math.isfinite(value) and same(value, of_profile):
+            self.config = changed(self._profile, self.config, name, of_profile)
+            self.values.pop(name, None)
+        else:
+            self.config = changed(self._profile, self.config, name, value)
+            self.values[name] = value
+
+    def _value(self, index: int) -> Message:
+        setting = SETTINGS[index]
+        return mavlink.MAVLink_param_value_message(
+            setting.name.encode(),
+            value_of(setting, self.config),
+            mavlink.MAV_PARAM_TYPE_REAL32,
+            len(SETTINGS),
+            index,
+        )

@@ -1,0 +1,169 @@
+"""What others ask of any component: who are you, send me that, how often, are you there.
+
+Answers go to whoever asked. A command that is none of these is left to others to answer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.component.answer import acknowledgement
+from flying_vines.vehicle.component.identity import ProtocolVersion, autopilot_version
+from flying_vines.vehicle.component.telemetry import (
+    FASTEST_S,
+    HEARTBEAT_S,
+    SLOWEST_S,
+    Heartbeat,
+    NamedValues,
+)
+
+ACCEPTED, DENIED, UNSUPPORTED = (
+    mavlink.MAV_RESULT_ACCEPTED,
+    mavlink.MAV_RESULT_DENIED,
+    mavlink.MAV_RESULT_UNSUPPORTED,
+)
+"""DENIED: known, but not with these numbers. UNSUPPORTED: never, with any."""
+
+HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
+NAMED_VALUE = mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT
+INTERVAL = mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL
+AUTOPILOT_VERSION = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+NOT_SENT_US, OFF_US, USUAL_US = 0, -1, 0
+"""Of MESSAGE_INTERVAL: we do not have it, nobody wants it; of a request: as usual."""
+
+REMEMBERED_PINGS = 16
+
+Outcome = tuple[int, list[Message]]
+"""MAV_RESULT, and what is sent besides it."""
+
+
+class Requests:
+    """Answers requests by message type and command number."""
+
+    MESSAGES = frozenset(
+        (
+            mavlink.MAVLINK_MSG_ID_COMMAND_LONG,
+            mavlink.MAVLINK_MSG_ID_COMMAND_INT,
+            mavlink.MAVLINK_MSG_ID_PING,
+            mavlink.MAVLINK_MSG_ID_TIMESYNC,
+        )
+    )
+    """The messages that `handle` takes."""
+
+    def __init__(self, component_id: int, heartbeat: Heartbeat, values: NamedValues) -> None:
+        self._component_id = component_id
+        self._heartbeat = heartbeat
+        self._values = values
+        self._pinged: deque[tuple[object, object]] = deque(maxlen=REMEMBERED_PINGS)
+        self._commands: dict[int, Callable[[float, Message], Outcome]] = {
+            mavlink.MAV_CMD_REQUEST_MESSAGE: self._request,
+            mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
+            mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_interval,
+            mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION: self._protocol_version,
+            mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._capabilities,
+        }
+
+    def handle(self, t: float, message: Message, system_id: int) -> list[Message] | None:
+        """The acknowledgement and then what was asked for; None where this is not ours to answer.
+
+        Args:
+            t: now, in seconds.
+            message: one of `MESSAGES`, of anyone.
+            system_id: of the vehicle that we belong to.
+        """
+        kind = message.get_type()
+        if kind == "PING":
+            return self._ping(message, system_id)
+        if kind == "TIMESYNC":
+            return self._timesync(t, message, system_id)
+        target = (message.target_system, message.target_component)
+        if target != (system_id, self._component_id) or message.command not in self._commands:
+            return None
+        result, answers = self._commands[message.command](t, message)
+        return [acknowledgement(message, result), *answers]
+
+    def _request(self, t: float, message: Message) -> Outcome:
+        wanted = _whole(message.param1)
+        if wanted is None:
+            return DENIED, []
+        if wanted == INTERVAL:
+            return self._interval_of(_whole(message.param2))
+        if wanted == AUTOPILOT_VERSION:
+            return ACCEPTED, [autopilot_version()]
+        if wanted == ProtocolVersion.id:
+            return ACCEPTED, [ProtocolVersion()]
+        if wanted == HEARTBEAT:
+            self._heartbeat.now()
+            return ACCEPTED, []
+        if wanted == NAMED_VALUE:
+            self._values.once(t)
+            return ACCEPTED, []
+        return UNSUPPORTED, []
+
+    def _set_interval(self, t: float, message: Message) -> Outcome:
+        wanted, interval_us = _whole(message.param1), message.param2
+        if wanted is None or not math.isfinite(interval_us):
+            return DENIED, []
+        if wanted == HEARTBEAT:
+            as_it_is = interval_us in (USUAL_US, HEARTBEAT_S * 1e6)
+            return (ACCEPTED if as_it_is else DENIED), []
+        if wanted != NAMED_VALUE:
+            return UNSUPPORTED, []
+        if interval_us == USUAL_US:
+            self._values.ask(None)
+        elif interval_us == OFF_US:
+            self._values.ask(math.inf)
+        elif FASTEST_S <= interval_us / 1e6 <= SLOWEST_S:
+            self._values.ask(interval_us / 1e6)
+        else:
+            return DENIED, []
+        return ACCEPTED, []
+
+    def _get_interval(self, t: float, message: Message) -> Outcome:
+        return self._interval_of(_whole(message.param1))
+
+    def _interval_of(self, wanted: int | None) -> Outcome:
+        if wanted is None or not 0 <= wanted <= 0xFFFF:
+            return DENIED, []
+        interval_us = NOT_SENT_US
+        if wanted == HEARTBEAT:
+            interval_us = int(HEARTBEAT_S * 1e6)
+        elif wanted == NAMED_VALUE:
+            period_s = self._values.period_s
+            interval_us = OFF_US if period_s == math.inf else round(period_s * 1e6)
+        return ACCEPTED, [mavlink.MAVLink_message_interval_message(wanted, interval_us)]
+
+    def _protocol_version(self, t: float, message: Message) -> Outcome:
+        return (ACCEPTED, [ProtocolVersion()]) if message.param1 == 1 else (DENIED, [])
+
+    def _capabilities(self, t: float, message: Message) -> Outcome:
+        return (ACCEPTED, [autopilot_version()]) if message.param1 == 1 else (DENIED, [])
+
+    def _ping(self, message: Message, system_id: int) -> list[Message]:
+        """A ping to all or to us, sent back; never the same twice, or two that do so would never stop."""
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        ping = (message.time_usec, message.seq)
+        target = (message.target_system, message.target_component)
+        to_us = target in ((0, 0), (system_id, 0), (system_id, self._component_id))
+        ours = sender == (system_id, self._component_id)
+        if not to_us or ours or (sender, ping) in self._pinged:
+            return []
+        self._pinged.append((sender, ping))
+        return [mavlink.MAVLink_ping_message(*ping, *sender)]
+
+    def _timesync(self, t: float, message: Message, system_id: int) -> list[Message]:
+        """The autopilot asks for our clock; what is an answer itself gets none."""
+        autopilot = (system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        if (message.get_srcSystem(), message.get_srcComponent()) != autopilot or message.tc1 != 0:
+            return []
+        return [mavlink.MAVLink_timesync_message(int(t * 1e9), message.ts1)]
+
+
+def _whole(number: float) -> int | None:
+    """A message id; None where a number is none."""
+    return int(number) if math.isfinite(number) and number == int(number) else None

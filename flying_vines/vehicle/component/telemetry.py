@@ -1,0 +1,109 @@
+"""What we send again and again: the heartbeat, the vine's values by name, the bottle as a fuel tank."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.fuel_status import fuel_status
+
+HEARTBEAT_S = 1.0
+SILENCE_S = 1.2
+"""An autopilot that was silent for longer than this between two heartbeats may have started anew."""
+SLOWEST_S, FASTEST_S = 10.0, 0.1
+"""What a ground station may ask for, of each value."""
+ONCE_SPACING_S = 0.1
+FUEL_S = 10.0
+_TICK_GRAIN_S = 0.001
+
+
+class Heartbeat:
+    """That we are there, what we are, and how we are: once a second.
+
+    And at once when the autopilot speaks for the first time or after a silence. An ArduPilot carries out
+    commands to us by itself as long as it has not heard us, and forgets that it has when it reboots.
+    """
+
+    def __init__(self) -> None:
+        self._sent_at = -math.inf
+        self._autopilot_at = -math.inf
+
+    def autopilot_spoke(self, t: float) -> None:
+        """A heartbeat of the autopilot arrived."""
+        if t - self._autopilot_at > SILENCE_S:
+            self.now()
+        self._autopilot_at = t
+
+    def now(self) -> None:
+        """The next one is due."""
+        self._sent_at = -math.inf
+
+    def due(self, t: float, system_status: int) -> list[Message]:
+        if t - self._sent_at < HEARTBEAT_S - _TICK_GRAIN_S:
+            return []
+        self._sent_at = t
+        return [
+            mavlink.MAVLink_heartbeat_message(
+                mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, system_status, 3
+            )
+        ]
+
+
+class NamedValues:
+    """Each value at the same rate, spread evenly over time; a value that is not known is not sent.
+
+    Nobody here reads NAMED_VALUE_FLOAT: PX4 sends ours back to us as its own, cut and late.
+    """
+
+    def __init__(self, usual_s: float) -> None:
+        self.usual_s = usual_s
+        self._asked_s: float | None = None
+        self._wanted_at = -math.inf
+        self._last_at = -math.inf
+        self._sent_at: dict[str, float] = {}
+
+    @property
+    def period_s(self) -> float:
+        """Between two of the same value; infinite where nobody wants them."""
+        return self.usual_s if self._asked_s is None else self._asked_s
+
+    def ask(self, period_s: float | None) -> None:
+        """A ground station wants them this often from now on; None: as usual."""
+        self._asked_s = period_s
+
+    def once(self, t: float) -> None:
+        """A ground station wants each of them now."""
+        self._wanted_at = t
+
+    def due(self, t: float, time_boot_ms: int, values: Mapping[str, float]) -> list[Message]:
+        """At most one: the value that is most overdue, so that they spread over time by themselves."""
+        sent = {name: self._sent_at.get(name, -math.inf) for name in values if math.isfinite(values[name])}
+        name = min(sent, key=lambda name: sent[name], default=None)
+        if name is None:
+            return []
+        spacing_s = self.period_s / len(values)
+        if sent[name] < self._wanted_at:
+            spacing_s = min(spacing_s, ONCE_SPACING_S)
+        elif self.period_s == math.inf or t - sent[name] < self.period_s - _TICK_GRAIN_S:
+            return []
+        if t - self._last_at < spacing_s - _TICK_GRAIN_S:
+            return []
+        self._sent_at[name] = self._last_at = t
+        return [mavlink.MAVLink_named_value_float_message(time_boot_ms, name.encode(), values[name])]
+
+
+class FuelGauge:
+    """The bottle as FUEL_STATUS, for those who want it; slowly, as MAVLink suggests."""
+
+    def __init__(self) -> None:
+        self._sent_at = -math.inf
+
+    def due(self, t: float, reservoir_kPa: float, full_kPa: float) -> list[Message]:
+        """Gauge pressures; nothing is sent while the bottle's is not known."""
+        if t - self._sent_at < FUEL_S - _TICK_GRAIN_S or not math.isfinite(reservoir_kPa):
+            return []
+        self._sent_at = t
+        return [fuel_status(reservoir_kPa, full_kPa)]

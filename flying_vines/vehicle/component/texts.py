@@ -1,0 +1,109 @@
+"""Status texts: what we tell people, worded and cut so that no program on the way takes it for its own.
+
+Ground stations and autopilots read each other's texts: some words mean a version, a failed check or a step of
+the mission to them. A profile or a firmware build may be called anything, so every text is made harmless
+before it leaves, and stays readable.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import unicodedata
+from collections import deque
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.codec import Message
+
+OURS = "Vine:"
+"""Every text begins with this, so none begins with what another program looks for."""
+CHUNK_LENGTH = 50
+LONGEST_TEXT = 4 * CHUNK_LENGTH - 1
+"""Longer ones are cut: the end of a text must not come long after what it tells."""
+SPACING_S = 0.1
+MOST_WAITING = 30
+"""Texts, that is some seconds of them; of more nobody reads the oldest."""
+SAME_AGAIN_S = 5.0
+"""The same text within this time is not news, and ground stations speak texts aloud."""
+
+_WRITTEN_OUT = str.maketrans(
+    {
+        "°": " deg", "µ": "u", "μ": "u", "…": "..", "×": "x", "·": "-", "−": "-", "–": "-", "—": "-",
+        "→": "->", "≤": "<=", "≥": ">=", "±": "+/-", "’": "'", "‘": "'", "“": '"', "”": '"', "ß": "ss",
+        "ø": "o", "#": " no. ",
+    }
+)  # fmt: skip
+
+_WORDS = re.compile(
+    "(cop)(ter)|(ro)(ver)|(pla)(ne)|(fra)(me)"  # Mission Planner takes a text with one of these for a version
+    "|(pre)(arm)"  # a failed check: put on the screen
+    "|(radio fail)(safe)|(flight plan re)(ceived)|(ardupilot rea)(dy)",  # said by the autopilot alone
+    re.IGNORECASE,
+)
+_LABELS = re.compile("(arm|tuning|mission):", re.IGNORECASE)
+
+
+def harmless(text: str) -> str:
+    """One line of printable ASCII that no other program acts upon; the same again when given its own result.
+
+    Signs that MAVLink lacks are written out; a word that other programs look for is broken ("cop-ter").
+    """
+    plain = unicodedata.normalize("NFKD", text.translate(_WRITTEN_OUT)).translate(_WRITTEN_OUT)
+    plain = "".join(_sign(sign) for sign in plain if not unicodedata.combining(sign))
+    plain = " ".join(plain.split())
+    if not plain.startswith(OURS):
+        plain = f"{OURS} {plain}".rstrip()
+    plain = _LABELS.sub(r"\1 :", plain)
+    plain = _WORDS.sub(lambda found: "-".join(part for part in found.groups() if part), plain)
+    return plain if len(plain) <= LONGEST_TEXT else plain[: LONGEST_TEXT - 2].rstrip() + ".."
+
+
+def _sign(sign: str) -> str:
+    if sign.isspace():
+        return " "
+    return sign if " " < sign <= "~" else "?"
+
+
+class Texts:
+    """Status texts that wait to be sent, one chunk after another, spaced so that people can follow."""
+
+    def __init__(self) -> None:
+        self._texts: deque[deque[Message]] = deque()
+        self._said: dict[str, float] = {}
+        self._sent_at = -math.inf
+        self._identity = 0
+
+    def say(self, t: float, severity: int, text: str) -> None:
+        """Queue a text, made harmless; not again within a short time."""
+        text = harmless(text)
+        while self._said and t - next(iter(self._said.values())) >= SAME_AGAIN_S:
+            del self._said[next(iter(self._said))]
+        if text in self._said:
+            return
+        self._said[text] = t
+        self._texts.append(self._chunks(severity, text.encode("ascii")))
+        if len(self._texts) > MOST_WAITING:
+            del self._texts[1]  # the first may be half told
+
+    def due(self, t: float) -> list[Message]:
+        """The next chunk, when its time has come."""
+        if not self._texts or t - self._sent_at < SPACING_S:
+            return []
+        self._sent_at = t
+        chunk = self._texts[0].popleft()
+        if not self._texts[0]:
+            self._texts.popleft()
+        return [chunk]
+
+    def _chunks(self, severity: int, data: bytes) -> deque[Message]:
+        parts = [data[i : i + CHUNK_LENGTH] for i in range(0, len(data), CHUNK_LENGTH)]
+        if len(parts) == 1:
+            return deque([mavlink.MAVLink_statustext_message(severity, data, 0, 0)])
+        if len(parts[-1]) == CHUNK_LENGTH:
+            parts.append(b"")  # a text of several chunks ends with one that is not full
+        self._identity = self._identity % 0xFFFF + 1
+        return deque(
+            mavlink.MAVLink_statustext_message(severity, part, self._identity, number)
+            for number, part in enumerate(parts)
+        )

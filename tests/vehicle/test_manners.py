@@ -1,0 +1,202 @@
+"""Manners: no text that another program takes for its own, no reaction to echoes, a word on a taken id."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+import flying_vines
+from flying_vines import config
+from flying_vines.notice import Notice, Severity
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.component import Component
+from flying_vines.vehicle.component.clash import AGAIN_S, WITHIN_S, Clash
+from flying_vines.vehicle.component.settings import SETTINGS
+from flying_vines.vehicle.component.texts import LONGEST_TEXT, harmless
+from flying_vines.vehicle.state import VehicleState
+from flying_vines.vehicle.vehicle import Vehicle
+
+READ_BY_OTHERS = (
+    "copter", "rover", "plane", "frame", "prearm", "arm:", "tuning:", "mission:", "radio failsafe",
+    "flight plan received", "ardupilot ready", "#", "\t", "\n",
+)  # fmt: skip
+"""What ground stations, autopilots and other companions look for, in small letters."""
+
+
+def problems(text: str) -> list[str]:
+    return [word for word in READ_BY_OTHERS if word in text.lower()]
+
+
+@pytest.mark.parametrize(
+    ("text", "made"),
+    [
+        ("Vine: bend 40° refused…", "Vine: bend 40 deg refused.."),
+        ("Vine: 5 µs → 3 × 2 − 1", "Vine: 5 us -> 3 x 2 - 1"),
+        ("Vine: 0…18 kPa, ±2 °", "Vine: 0..18 kPa, +/-2 deg"),
+        ("Vine: Größe naïve", "Vine: Grosse naive"),
+        ("Vine: 日本 ∞", "Vine: ?? ?"),
+        ("no prefix", "Vine: no prefix"),
+        ("", "Vine:"),
+        ("PreArm: low", "Vine: Pre-Arm : low"),
+        ("#speak", "Vine: no. speak"),
+        ("Vine: refused hexacopter-wave", "Vine: refused hexacop-ter-wave"),
+        ("Vine: refused Airframe plane ROVER", "Vine: refused Airfra-me pla-ne RO-VER"),
+        ("Vine: Mission: 3 Scripting", "Vine: Mission : 3 Scripting"),
+        ("Vine: Radio Failsafe Cleared", "Vine: Radio Fail-safe Cleared"),
+        ("Vine: Flight plan received", "Vine: Flight plan re-ceived"),
+        ("Vine: two\nlines\tand a tab\t", "Vine: two lines and a tab"),
+        ("Vine: \x00\x07bell", "Vine: ??bell"),
+        ("Vine: cop\u0301ter \uff03", "Vine: cop-ter no."),
+    ],
+)
+def test_texts_are_made_harmless_and_stay_readable(text: str, made: str) -> None:
+    assert harmless(text) == made
+    assert problems(made) == []
+
+
+PIECES = st.sampled_from(
+    [*READ_BY_OTHERS, "co", "pter", "cop", "ter", "pla", "ne", " ", "°", "…", "Vine: ", "##"]
+)
+NASTY = st.lists(PIECES | st.text(max_size=12), max_size=30).map("".join)
+
+
+@given(NASTY)
+@settings(max_examples=400, deadline=None)
+def test_any_text_is_made_harmless(text: str) -> None:
+    made = harmless(text)
+    assert problems(made) == []
+    assert made.startswith("Vine:")
+    assert all(" " <= sign <= "~" for sign in made)
+    assert made == made.strip()
+    assert len(made) <= LONGEST_TEXT
+    assert harmless(made) == made
+
+
+@given(NASTY)
+@settings(max_examples=100, deadline=None)
+def test_no_chunk_begins_with_what_others_look_for(text: str) -> None:
+    """Some show each chunk by itself."""
+    ours = Component(config.default())
+    ours.say(0.0, 4, text)
+    for i in range(20):
+        for message in ours.due(i * 0.1, 0, {}, 3):
+            if message.get_type() == "STATUSTEXT":
+                assert problems(message.text) == []
+
+
+SPEAKING = ["core.py", "safety.py", "vehicle/vehicle.py", "vehicle/triggers.py", "vehicle/rc.py"]
+SPEAKING += ["vehicle/commands.py", "vehicle/component/*.py", "vine/staircase.py", "intent.py"]
+
+
+def sentences() -> list[str]:
+    """All that the code says to people, and more: each text in it that is no documentation."""
+    found = []
+    here = Path(flying_vines.__file__).parent
+    for pattern in SPEAKING:
+        files = list(here.glob(pattern))
+        assert files, pattern
+        for file in files:
+            tree = ast.parse(file.read_text())
+            passed_over = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+            for node in ast.walk(tree):
+                # What is compared with, or looked for, is what others say.
+                looks = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+                if looks and node.func.attr in ("startswith", "compile"):  # type: ignore[attr-defined]
+                    passed_over |= {id(part) for part in ast.walk(node)}
+            for node in ast.walk(tree):
+                text = node.value if isinstance(node, ast.Constant) else None
+                if isinstance(text, str) and id(node) not in passed_over and re.search("[a-z] [a-z]", text):
+                    found.append(text)
+    return found
+
+
+def test_nothing_that_the_code_says_has_to_be_broken() -> None:
+    said = sentences()
+    assert len(said) > 50
+    assert any("autopilot rebooted, vented" in text for text in said)
+    assert any("is taken by another" in text for text in said)
+    broken = {text for text in [*said, *(row.name for row in SETTINGS)] if problems(text)}
+    assert broken <= {"radio failsafe"}  # of the RC link, as the pilot knows it
+
+
+def test_notices_begin_with_who_speaks() -> None:
+    """In the code as on the ground station."""
+    here = Path(flying_vines.__file__).parent
+    notices = []
+    for file in [*here.glob("*.py"), *here.glob("vehicle/**/*.py")]:
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Notice":
+                text = node.args[2]
+                if isinstance(text, ast.JoinedStr):
+                    text = text.values[0]
+                if isinstance(text, ast.Constant):
+                    notices.append(text.value)
+    assert len(notices) >= 3
+    assert all(str(text).startswith("Vine: ") for text in notices)
+
+
+# Our id, and what comes back to us.
+
+
+def heard(message: Message, sender: tuple[int, int]) -> Message:
+    return mavlink.MAVLink(None).parse_char(message.pack(mavlink.MAVLink(None, *sender)))
+
+
+HEARTBEAT = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 3, 3)
+TAKEN = "Vine: component id 191 is taken by another: set vehicle.component_id"
+
+
+def test_a_second_component_with_our_id_is_told_once_a_minute() -> None:
+    clash = Clash(191)
+    assert clash.heard(10.0) == []
+    assert clash.heard(11.0) == [Notice(11.0, Severity.ERROR, TAKEN)]
+    told = [t for t in range(12, 200) for _ in clash.heard(float(t))]
+    assert told == [11 + round(AGAIN_S), 11 + 2 * round(AGAIN_S), 11 + 3 * round(AGAIN_S)]
+
+
+def test_one_stray_message_is_no_clash() -> None:
+    clash = Clash(191)
+    for i in range(20):
+        assert clash.heard(i * (WITHIN_S + 0.1)) == []
+
+
+def test_a_clash_is_seen_on_the_link_and_only_there() -> None:
+    ours, state = Component(config.default()), VehicleState()
+    state.handle(0.0, heard(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3), (1, 1)))
+    notices = []
+    for i in range(4):
+        for sender in ((1, 192), (2, 191), (255, 191), (1, 1)):
+            assert not ours.handle(float(i), heard(HEARTBEAT, sender), state, True)
+    for i in range(4):
+        notices += ours.handle(5.0 + i, heard(HEARTBEAT, (1, 191)), state, True) or []
+    assert [notice.text for notice in notices if isinstance(notice, Notice)] == [TAKEN]
+    assert len(notices) == 1
+
+
+@pytest.mark.parametrize("sender", [(1, 1), (1, 191)])
+def test_our_values_sent_back_mean_nothing(sender: tuple[int, int]) -> None:
+    """PX4 sends what it hears as NAMED_VALUE_FLOAT on, as its own and cut to nine characters."""
+    vehicle = Vehicle(config.default())
+    vehicle.handle(0.0, heard(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3), (1, 1)))
+    for i, name in enumerate([b"RES_KPA", b"CYC_LEFT", b"CV_KPA", b"CMD_KPA", b"BEND_DEG"]):
+        for echo in (
+            mavlink.MAVLink_named_value_float_message(i, name, 1e9),
+            mavlink.MAVLink_named_value_int_message(i, name, -1),
+        ):
+            outputs = vehicle.handle(0.1 + 10 * i, heard(echo, sender))
+            assert [output for output in outputs if not isinstance(output, Notice)] == []
+            assert sender == (1, 191) or outputs == []
+
+
+def test_a_stream_request_of_the_old_kind_is_passed_over_quietly() -> None:
+    """Mission Planner sends it to every component."""
+    vehicle = Vehicle(config.default())
+    vehicle.handle(0.0, heard(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3), (1, 1)))
+    request = mavlink.MAVLink_request_data_stream_message(1, 191, 0, 10, 1)
+    assert vehicle.handle(0.1, heard(request, (255, 190))) == []

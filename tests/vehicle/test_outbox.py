@@ -1,0 +1,184 @@
+"""What leaves when: never a burst, what matters first, nothing lost that need not be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.component.answer import acknowledgement
+from flying_vines.vehicle.component.identity import autopilot_version
+from flying_vines.vehicle.component.outbox import MOST_WAITING, Outbox
+from flying_vines.vehicle.fuel_status import fuel_status
+
+TICK_S = 0.02
+LATE_S = 0.002
+HEARTBEAT = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 3, 3)
+
+
+def answer(number: int = 0) -> Message:
+    asked = mavlink.MAVLink_command_long_message(1, 191, 31010, 0, number, 0, 0, 0, 0, 0, 0)
+    return acknowledgement(asked, 0, number % 100)
+
+
+def text(number: int = 0) -> Message:
+    return mavlink.MAVLink_statustext_message(4, f"Vine: {number}".encode(), 0, 0)
+
+
+def request(number: int = 0) -> Message:
+    return mavlink.MAVLink_mission_request_int_message(1, 1, number)
+
+
+def parameter(number: int = 0) -> Message:
+    return mavlink.MAVLink_param_value_message(b"VINE_MAX_KPA", float(number), 9, 16, 8)
+
+
+def value(number: int = 0) -> Message:
+    return mavlink.MAVLink_named_value_float_message(number, b"CV_KPA", 3.0)
+
+
+Maker = Callable[[int], Message]
+MAKERS: tuple[Maker, ...] = (answer, text, request, parameter, value)
+"""From what leaves first to what leaves last."""
+
+
+def test_what_matters_leaves_first_and_the_rest_one_at_a_time() -> None:
+    outbox = Outbox()
+    put = [value(), fuel_status(500.0, 690.0), parameter(), request(), text(), answer(), HEARTBEAT]
+    for message in put:
+        outbox.put(message)
+    left = [[message.get_type() for message in outbox.due(i * TICK_S)] for i in range(7)]
+    assert left == [
+        ["HEARTBEAT", "COMMAND_ACK"],
+        ["STATUSTEXT"],
+        ["MISSION_REQUEST_INT"],
+        ["PARAM_VALUE"],
+        ["NAMED_VALUE_FLOAT"],
+        ["FUEL_STATUS"],
+        [],
+    ]
+
+
+def test_there_is_always_room_for_an_answer_beside_the_rest() -> None:
+    outbox = Outbox()
+    for number in range(10):
+        outbox.put(value(number))
+    for i in range(10):
+        assert [message.get_type() for message in outbox.due(i * TICK_S)] == ["NAMED_VALUE_FLOAT"]
+        outbox.put(answer(i))
+        assert [message.get_type() for message in outbox.due(i * TICK_S + 0.001)] == ["COMMAND_ACK"]
+
+
+def test_whatever_is_asked_for_is_an_answer() -> None:
+    outbox = Outbox()
+    outbox.put(text())
+    outbox.put(mavlink.MAVLink_timesync_message(1, 2))
+    outbox.put(autopilot_version())
+    assert [message.get_type() for message in outbox.due(0.0)] == ["TIMESYNC", "AUTOPILOT_VERSION"]
+
+
+def test_an_answer_leaves_at_once_where_nothing_else_just_did() -> None:
+    outbox = Outbox()
+    outbox.put(answer())
+    assert len(outbox.due(5.0)) == 1
+
+
+def test_of_too_many_the_oldest_of_the_least_is_dropped() -> None:
+    outbox = Outbox()
+    for number in range(MOST_WAITING):
+        outbox.put(value(number))
+    outbox.put(answer())
+    outbox.put(HEARTBEAT)
+    assert outbox.dropped == 2
+    left = [message for i in range(2 * MOST_WAITING) for message in outbox.due(i * TICK_S)]
+    assert [message.get_type() for message in left[:2]] == ["HEARTBEAT", "COMMAND_ACK"]
+    assert [message.time_boot_ms for message in left[2:]] == list(range(2, MOST_WAITING))
+
+
+def test_a_flood_of_commands_drops_answers_but_no_heartbeat() -> None:
+    outbox = Outbox()
+    beats = []
+    for i in range(500):
+        for number in range(20):
+            outbox.put(answer(number))
+        if i % 50 == 0:
+            outbox.put(HEARTBEAT)
+        beats += [i for message in outbox.due(i * TICK_S) if message.get_type() == "HEARTBEAT"]
+    assert beats == list(range(0, 500, 50))
+    assert outbox.dropped > 0
+
+
+class Line:
+    """An outbox that is asked as the core asks it: at each tick, which is never quite on time, and after each
+    event."""
+
+    def __init__(self) -> None:
+        self.outbox = Outbox()
+        self.t = 0.0
+        self.put: list[Message] = []
+        self.left: list[tuple[float, Message]] = []
+        self._ticks = 1
+
+    def wait(self, for_s: float) -> None:
+        self.t += for_s
+        while (tick_at := self._ticks * TICK_S + LATE_S * (self._ticks * 37 % 100) / 100) <= self.t:
+            self.ask(tick_at)
+            self._ticks += 1
+
+    def take(self, *messages: Message) -> None:
+        for message in messages:
+            self.put.append(message)
+            self.outbox.put(message)
+        self.ask(self.t)
+
+    def ask(self, t: float) -> None:
+        self.left += [(t, message) for message in self.outbox.due(t)]
+
+    def left_at(self, message: Message) -> float:
+        return next(t for t, other in self.left if other is message)
+
+
+PAUSES_S = st.floats(0.0, 0.08)
+LOADS = st.lists(
+    st.tuples(PAUSES_S, st.lists(st.sampled_from((*MAKERS, lambda number: HEARTBEAT)), max_size=9)),
+    min_size=1,
+    max_size=80,
+)
+
+
+@given(LOADS)
+@settings(max_examples=150, deadline=None)
+def test_never_a_burst_nothing_lost_and_each_rank_in_order(loads: list[tuple[float, list[Maker]]]) -> None:
+    line = Line()
+    for pause_s, makers in loads:
+        line.wait(pause_s)
+        line.take(*(maker(number) for number, maker in enumerate(makers)))
+    line.wait(3.0)
+    times_s = [t for t, _ in line.left]
+    assert all(third - first >= TICK_S - 1e-5 for first, third in zip(times_s, times_s[2:], strict=False))
+    assert len(line.left) == len(line.put) - line.outbox.dropped
+    came = [message for _, message in line.left]
+    for kind in {message.get_type() for message in came}:
+        those = [id(message) for message in came if message.get_type() == kind]
+        put = iter(id(message) for message in line.put)
+        assert all(one in put for one in those)  # an iterator is used up: only in order
+
+
+@given(LOADS, PAUSES_S)
+@settings(max_examples=100, deadline=None)
+def test_an_answer_and_a_heartbeat_wait_two_ticks_at_most(
+    loads: list[tuple[float, list[Maker]]], pause_s: float
+) -> None:
+    line = Line()
+    for before_s, makers in loads:
+        line.wait(before_s)
+        line.take(*(maker(0) for maker in makers if maker in MAKERS[1:]))
+    line.wait(pause_s)
+    beat, late = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), answer()
+    taken_at = line.t
+    line.take(beat, late)
+    line.wait(0.1)
+    assert line.left_at(beat) <= line.left_at(late) <= taken_at + 2 * TICK_S + LATE_S

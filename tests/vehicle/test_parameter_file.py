@@ -1,0 +1,164 @@
+"""The file of parameters: written whole or not at all, read with errors that name the line, never lost."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+from hypothesis import given, reject, settings
+from hypothesis import strategies as st
+
+from flying_vines import config
+from flying_vines.vehicle.component.parameters import Parameters
+from flying_vines.vehicle.component.settings import SETTINGS, Refused, bounds
+from flying_vines.vehicle.parameter_file import ParameterFileError, read, write
+
+PROFILE = config.default()
+VALUES = {"VINE_MAX_KPA": 18.1, "VINE_RC_ACTION": 1.0}
+TEXT = """\
+# Vine parameters set from a ground station: they go before the profile.
+# Take a line out and start the service again: its parameter is the profile's once more.
+
+# RC lost: 0 vent, 1 hold (profile: 0)
+VINE_RC_ACTION = 1.0
+
+# gauge kPa: no setpoint is above it (profile: 20.7)
+VINE_MAX_KPA = 18.1
+"""
+
+
+def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+    path = tmp_path / "vine-parameters.toml"
+    write(path, VALUES, PROFILE)
+    assert path.read_text() == TEXT
+    assert read(path, PROFILE) == VALUES
+    assert Parameters(PROFILE, read(path, PROFILE)).config.limits.max_kPa == 18.1
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.stat().st_mode & 0o777 == 0o644
+
+
+@given(st.data())
+@settings(max_examples=40, deadline=None)
+def test_any_set_of_allowed_values_is_read_again(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path = tmp_path_factory.mktemp("state") / "parameters.toml"
+    rows = data.draw(st.lists(st.sampled_from(SETTINGS), unique=True))
+    values = {}
+    for row in rows:
+        least, most = bounds(row, PROFILE)
+        whole = bool(row.choices) or row.key == "channel"
+        number = st.integers(int(least), int(most)).map(float) if whole else st.floats(least, most)
+        values[row.name] = data.draw(number)
+    try:
+        Parameters(PROFILE, values)
+    except Refused:
+        reject()
+    write(path, values, PROFILE)
+    assert read(path, PROFILE) == values
+
+
+def test_without_a_file_there_are_no_values(tmp_path: Path) -> None:
+    assert read(tmp_path / "none.toml", PROFILE) == {}
+
+
+def test_a_folder_that_is_not_there_is_made(tmp_path: Path) -> None:
+    path = tmp_path / "state" / "vine" / "parameters.toml"
+    write(path, VALUES, PROFILE)
+    assert read(path, PROFILE) == VALUES
+
+
+def test_the_last_write_counts(tmp_path: Path) -> None:
+    path = tmp_path / "parameters.toml"
+    write(path, VALUES, PROFILE)
+    write(path, {"VINE_SW_CHAN": 7.0}, PROFILE)
+    assert read(path, PROFILE) == {"VINE_SW_CHAN": 7.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("VINE_SW_CHAN = 7\nVINE_MAX_KPA = 30\n", ":2: VINE_MAX_KPA: 30 is outside 0.5 to 20.7: correct"),
+        ("VINE_SW_CHAN = 7.5\n", ":1: VINE_SW_CHAN: 7.5 is no whole number: correct"),
+        ("VINE_MAX_KPA = nan\n", ":1: VINE_MAX_KPA: it must be a number: correct"),
+        ("VINE_MAX_KPA = 1e300\n", ":1: VINE_MAX_KPA: 1e+300 is outside 0.5 to 20.7: correct"),
+        ("\n\nVINE_MAX_KPA = 'low'\n", ":3: VINE_MAX_KPA: it must be a number"),
+        ("VINE_FUEL_STATUS = true\n", ":1: VINE_FUEL_STATUS: it must be a number"),
+        ("VINE_MAX_KPB = 3\n", ":1: VINE_MAX_KPB: there is no such parameter; did you mean VINE_MAX_KPA?"),
+        ("[limits]\nmax_kPa = 3\n", ":1: limits: there is no such parameter: take the line out"),
+        ("VINE_MAX_KPA = 18\nVINE_MAX_K", ":2: not TOML: "),
+        ("VINE_MAX_KPA = 18\nVINE_MAX_KPA = 17\n", ":2: not TOML: "),
+        ("\x00\x00\x00", ":1: not TOML: "),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_named_with_the_line(tmp_path: Path, text: str, error: str) -> None:
+    path = tmp_path / "parameters.toml"
+    path.write_text(text)
+    with pytest.raises(ParameterFileError) as caught:
+        read(path, PROFILE)
+    assert str(caught.value).startswith(f"{path}{error}")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "content", [b"VINE_MAX_KPA = 18\nVINE_MA", b"\x00" * 40, b"\xff\xfe", b"[limits]\nmax_kPa = 18\n"]
+)
+def test_what_is_no_parameter_file_is_never_overwritten(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "parameters.toml"
+    path.write_bytes(content)
+    with pytest.raises(ParameterFileError):
+        write(path, VALUES, PROFILE)
+    assert path.read_bytes() == content
+
+
+def test_a_file_whose_values_the_profile_no_longer_allows_may_be_written_anew(tmp_path: Path) -> None:
+    path = tmp_path / "parameters.toml"
+    path.write_text("VINE_MAX_KPA = 30\n")
+    write(path, VALUES, PROFILE)
+    assert read(path, PROFILE) == VALUES
+
+
+def test_a_failure_half_way_leaves_the_old_file_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "parameters.toml"
+    write(path, VALUES, PROFILE)
+
+    def disk_full(number: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", disk_full)
+    with pytest.raises(ParameterFileError) as caught:
+        write(path, {"VINE_SW_CHAN": 7.0}, PROFILE)
+    assert str(caught.value) == f"{path}: cannot be written: No space left on device"
+    monkeypatch.undo()
+    assert read(path, PROFILE) == VALUES
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_it_is_on_the_disk_before_it_takes_the_old_ones_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    fsync, replace = os.fsync, Path.replace
+
+    def watched_fsync(number: int) -> None:
+        done.append("folder" if stat.S_ISDIR(os.fstat(number).st_mode) else "file")
+        fsync(number)
+
+    def watched_replace(self: Path, target: Path) -> Path:
+        done.append("replace")
+        return replace(self, target)
+
+    monkeypatch.setattr(os, "fsync", watched_fsync)
+    monkeypatch.setattr(Path, "replace", watched_replace)
+    write(tmp_path / "parameters.toml", VALUES, PROFILE)
+    assert done == ["file", "replace", "folder"]
+
+
+def test_a_place_that_cannot_be_written_is_said_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ParameterFileError, match="cannot be written: "):
+        write(tmp_path / "file" / "parameters.toml", VALUES, PROFILE)

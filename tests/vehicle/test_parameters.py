@@ -1,0 +1,343 @@
+"""The settings as MAVLink parameters: listed, read, set within the profile's bounds, or refused and why."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import struct
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines import config
+from flying_vines.config import Config
+from flying_vines.notice import Notice, Severity
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.component.parameters import LIST_SPACING_S, Changed, Parameters
+from flying_vines.vehicle.component.settings import BY_NAME, SETTINGS, Refused, bounds, decimal, value_of
+
+US, STATION = (1, 191), (255, 190)
+REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
+PROFILE = config.default()
+TICK_S = 0.02
+
+
+def profile(**tables: dict[str, Any]) -> Config:
+    """The default profile with other values."""
+    return msgspec.structs.replace(
+        PROFILE,
+        **{name: msgspec.structs.replace(getattr(PROFILE, name), **keys) for name, keys in tables.items()},
+    )
+
+
+def sent(message: Message, sender: tuple[int, int] = STATION) -> Message:
+    return mavlink.MAVLink(None).parse_char(message.pack(mavlink.MAVLink(None, *sender)))
+
+
+def setting(
+    name: str, value: float, param_type: int = REAL32, target: tuple[int, int] = US
+) -> mavlink.MAVLink_param_set_message:
+    return mavlink.MAVLink_param_set_message(*target, name.encode(), value, param_type)
+
+
+class Bench:
+    """A parameter set, and what came of each message."""
+
+    def __init__(self, of: Config = PROFILE, values: dict[str, float] | None = None) -> None:
+        self.parameters = Parameters(of, values)
+        self.may_change = True
+        self.t = 10.0
+
+    def take(self, message: Message) -> tuple[list[Message], list[str], list[Changed]]:
+        outputs = self.parameters.handle(self.t, sent(message), *US, self.may_change)
+        values = [sent(output, US) for output in outputs if isinstance(output, mavlink.MAVLink_message)]
+        texts = [output.text for output in outputs if isinstance(output, Notice)]
+        return values, texts, [output for output in outputs if isinstance(output, Changed)]
+
+    def set(
+        self, name: str, value: float, param_type: int = REAL32
+    ) -> tuple[float, list[str], list[Changed]]:
+        """The value in the answer, what people are told, and the change."""
+        (answer,), texts, changes = self.take(setting(name, value, param_type))
+        assert (answer.param_type, answer.param_count) == (REAL32, len(SETTINGS))
+        assert SETTINGS[answer.param_index].name == answer.param_id == name
+        return answer.param_value, texts, changes
+
+    def wait(self, for_s: float) -> list[tuple[float, Message]]:
+        listed = []
+        for _ in range(round(for_s / TICK_S)):
+            listed += [(self.t, sent(message, US)) for message in self.parameters.due(self.t)]
+            self.t += TICK_S
+        return listed
+
+
+def f32(value: float) -> float:
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])
+
+
+def test_names_and_order_are_as_mavlink_wants_them() -> None:
+    names = [row.name for row in SETTINGS]
+    assert len(set(names)) == len(names) == 16
+    assert all(name.startswith("VINE_") and len(name) <= 16 and name.isupper() for name in names)
+    assert all(row.doc and row.doc.isascii() for row in SETTINGS)
+
+
+@pytest.mark.parametrize("row", SETTINGS, ids=lambda row: row.name)
+def test_each_row_has_a_key_of_the_profile_and_bounds_around_its_value(row: Any) -> None:
+    least, most = bounds(row, PROFILE)
+    assert math.isfinite(least)
+    assert math.isfinite(most)
+    assert least <= value_of(row, PROFILE) <= most
+    assert least < most
+
+
+def test_what_must_not_be_changed_in_the_field_is_no_parameter() -> None:
+    keys = {(row.table, row.key) for row in SETTINGS}
+    for key in ("bench_mode", "armed_at_start"):
+        assert ("interlocks", key) not in keys
+    assert ("limits", "overpressure_kPa") not in keys
+    assert not {table for table, _ in keys} & {"vehicle", "firmware", "pneumatics", "vine", "items", "state"}
+
+
+# Listing and reading.
+
+
+@pytest.mark.parametrize("target", [US, (1, 0), (0, 0)])
+def test_the_list_comes_once_in_order_and_spaced(target: tuple[int, int]) -> None:
+    bench = Bench()
+    assert bench.take(mavlink.MAVLink_param_request_list_message(*target)) == ([], [], [])
+    listed = bench.wait(5.0)
+    assert [message.param_index for _, message in listed] == list(range(len(SETTINGS)))
+    for (_, message), row in zip(listed, SETTINGS, strict=True):
+        assert message.param_id == row.name
+        assert message.param_value == f32(value_of(row, PROFILE))
+        assert (message.param_type, message.param_count) == (REAL32, len(SETTINGS))
+    gaps_s = [later - t for (t, _), (later, _) in itertools.pairwise(listed)]
+    assert all(LIST_SPACING_S - 1e-6 <= gap_s <= LIST_SPACING_S + 1.01 * TICK_S for gap_s in gaps_s)
+
+
+def test_asked_again_while_it_runs_the_list_starts_again_and_does_not_double() -> None:
+    bench = Bench()
+    bench.take(mavlink.MAVLink_param_request_list_message(*US))
+    first = bench.wait(0.55)
+    bench.take(mavlink.MAVLink_param_request_list_message(*US))
+    then = bench.wait(10.0)
+    assert 0 < len(first) < len(SETTINGS)
+    assert [message.param_index for _, message in then] == list(range(len(SETTINGS)))
+
+
+@pytest.mark.parametrize("target", [(1, 1), (2, 191), (2, 0), (1, 190), (0, 191)])
+def test_what_is_for_others_is_met_with_silence(target: tuple[int, int]) -> None:
+    bench = Bench()
+    assert bench.take(mavlink.MAVLink_param_request_list_message(*target)) == ([], [], [])
+    assert bench.wait(1.0) == []
+    read = mavlink.MAVLink_param_request_read_message(*target, b"VINE_MAX_KPA", -1)
+    assert bench.take(read) == ([], [], [])
+    assert bench.take(setting("VINE_MAX_KPA", 10.0, target=target)) == ([], [], [])
+    assert bench.parameters.config == PROFILE
+
+
+def test_a_parameter_is_only_read_and_set_by_who_names_us() -> None:
+    bench = Bench()
+    for target in ((1, 0), (0, 0)):
+        read = mavlink.MAVLink_param_request_read_message(*target, b"", 0)
+        assert bench.take(read) == ([], [], [])
+        assert bench.take(setting("VINE_MAX_KPA", 10.0, target=target)) == ([], [], [])
+    assert bench.parameters.config == PROFILE
+
+
+def test_read_by_name_and_by_index() -> None:
+    bench = Bench()
+    for index, row in enumerate(SETTINGS):
+        by_name = mavlink.MAVLink_param_request_read_message(*US, row.name.encode(), -1)
+        by_index = mavlink.MAVLink_param_request_read_message(*US, b"VINE_SW_CHAN", index)
+        for request in (by_name, by_index):
+            (answer,), texts, changes = bench.take(request)
+            assert (answer.param_id, answer.param_index) == (row.name, index)
+            assert answer.param_value == f32(value_of(row, PROFILE))
+            assert not texts
+            assert not changes
+
+
+@pytest.mark.parametrize(
+    ("name", "index"),
+    [(b"_HASH_CHECK", -1), (b"VINE_NOTHING", -1), (b"", -1), (b"VINE_SW_CHAN", 16), (b"VINE_SW_CHAN", -2)],
+)
+def test_what_we_do_not_have_is_not_answered(name: bytes, index: int) -> None:
+    bench = Bench()
+    assert bench.take(mavlink.MAVLink_param_request_read_message(*US, name, index)) == ([], [], [])
+    assert bench.take(setting("_HASH_CHECK", 1.0)) == ([], [], [])
+
+
+# Setting.
+
+
+def test_a_value_is_set_and_is_in_force() -> None:
+    bench = Bench()
+    answer, texts, (change,) = bench.set("VINE_MAX_KPA", 18.1)
+    assert answer == f32(18.1)
+    assert change.config.limits.max_kPa == bench.parameters.config.limits.max_kPa == 18.1
+    assert (change.t, change.name, change.value) == (10.0, "VINE_MAX_KPA", 18.1)
+    assert texts == ["Vine: VINE_MAX_KPA is 18.1, was 20.7"]
+    assert bench.parameters.values == {"VINE_MAX_KPA": 18.1}
+    assert msgspec.structs.replace(change.config, limits=PROFILE.limits) == PROFILE
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "kept"),
+    [
+        ("VINE_SW_CHAN", 7.0, 7),
+        ("VINE_RC_ACTION", 1.0, "hold"),
+        ("VINE_AP_ACTION", 1.0, "hold"),
+        ("VINE_FUEL_STATUS", 1.0, True),
+        ("VINE_SW_DEBOUNCE", 0.2, 0.2),
+        ("VINE_MIN_ALT_M", 5.0, 5.0),
+        ("VINE_RESERVE_KPA", 60.0, 60.0),
+        ("VINE_RATE_HZ", 0.7, 0.7),
+    ],
+)
+def test_values_become_what_the_profile_has(name: str, value: float, kept: object) -> None:
+    bench = Bench()
+    bench.set(name, value)
+    row = BY_NAME[name]
+    now = getattr(getattr(bench.parameters.config, row.table), row.key)
+    assert now == kept
+    assert type(now) is type(kept)
+
+
+def test_the_value_in_force_again_changes_nothing() -> None:
+    bench = Bench()
+    bench.may_change = False
+    for row in SETTINGS:
+        answer, texts, changes = bench.set(row.name, value_of(row, PROFILE))
+        assert answer == f32(value_of(row, PROFILE))
+        assert not texts
+        assert not changes
+
+
+def test_back_to_the_profiles_value_is_the_profile_again() -> None:
+    bench = Bench()
+    bench.set("VINE_MAX_KPA", 15.0)
+    bench.set("VINE_MAX_KPA", 20.7)  # on the way a 32-bit float, which is above 20.7
+    assert bench.parameters.config == PROFILE
+    assert bench.parameters.values == {}
+
+
+REFUSED = [
+    ("VINE_MAX_KPA", 20.8, "20.8 is outside 0.5 to 20.7"),
+    ("VINE_MAX_KPA", 0.0, "0 is outside 0.5 to 20.7"),
+    ("VINE_MAX_RATE", 61.0, "61 is outside 1 to 60"),
+    ("VINE_MIN_ALT_M", 1.0, "1 is outside 2 to 1000"),
+    ("VINE_RESERVE_KPA", 39.0, "39 is outside 40 to 2000"),
+    ("VINE_RC_LOSS_S", 2.0, "2 is outside 0.3 to 1"),
+    ("VINE_AP_LOSS_S", 1.0, "1 is outside 1.5 to 3"),
+    ("VINE_HOLD_MAX_S", 31.0, "31 is outside 0.5 to 30"),
+    ("VINE_MAX_BENT_S", 121.0, "121 is outside 1 to 120"),
+    ("VINE_SW_CHAN", 19.0, "19 is outside 1 to 18"),
+    ("VINE_SW_CHAN", 8.5, "8.5 is no whole number"),
+    ("VINE_RC_ACTION", 2.0, "2 is outside 0 to 1"),
+    ("VINE_RC_ACTION", 0.5, "0.5 is no whole number"),
+    ("VINE_RATE_HZ", 11.0, "11 is outside 0.1 to 10"),
+    ("VINE_MAX_KPA", math.nan, "it must be a number"),
+    ("VINE_SW_CHAN", math.inf, "it must be a number"),
+    ("VINE_MAX_KPA", -math.inf, "it must be a number"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "reason"), REFUSED)
+def test_what_is_refused_stays_and_the_sender_is_told_both(name: str, value: float, reason: str) -> None:
+    bench = Bench()
+    answer, texts, changes = bench.set(name, value)
+    before = value_of(BY_NAME[name], PROFILE)
+    assert answer == f32(before)
+    assert texts == [f"Vine: {name} stays {before:g}: {reason}"]
+    assert changes == []
+    assert bench.parameters.config == PROFILE
+
+
+@pytest.mark.parametrize("param_type", [kind for kind in range(12) if kind != REAL32])
+def test_another_type_than_float_is_refused(param_type: int) -> None:
+    answer, texts, changes = Bench().set("VINE_SW_CHAN", 7.0, param_type)
+    assert (answer, changes) == (9.0, [])
+    assert texts == ["Vine: VINE_SW_CHAN stays 9: send it as REAL32"]
+
+
+def test_while_the_vine_is_bent_only_what_steers_nothing_may_be_changed() -> None:
+    bench = Bench()
+    bench.may_change = False
+    for row in SETTINGS:
+        before = value_of(row, PROFILE)
+        other = next(value for value in bounds(row, PROFILE) if value != before)
+        answer, texts, changes = bench.set(row.name, other)
+        if row.table == "telemetry":
+            assert (answer, len(changes)) == (f32(other), 1)
+        else:
+            assert (answer, changes) == (f32(before), [])
+            assert texts == [f"Vine: {row.name} stays {before:g}: vent the vine first"]
+
+
+def test_the_profile_is_the_ceiling_not_the_default() -> None:
+    bench = Bench(profile(limits={"max_kPa": 24.0}, interlocks={"min_altitude_m": 0.5}))
+    assert bench.set("VINE_MAX_KPA", 23.0)[0] == 23.0
+    assert bench.set("VINE_MIN_ALT_M", 1.0)[0] == 1.0
+    assert bench.set("VINE_MIN_ALT_M", 0.25)[0] == 1.0
+
+
+def test_a_profile_beyond_a_rows_own_bounds_is_its_own_bound() -> None:
+    row = BY_NAME["VINE_MIN_ALT_M"]
+    assert bounds(row, profile(interlocks={"min_altitude_m": 1500.0})) == (1500.0, 1500.0)
+    assert bounds(BY_NAME["VINE_MAX_BENT_S"], profile(limits={"max_bent_s": 0.25})) == (0.25, 0.25)
+
+
+def test_a_change_is_an_information_and_a_refusal_a_warning() -> None:
+    parameters = Parameters(PROFILE)
+    for value, severity in ((18.0, Severity.INFO), (30.0, Severity.WARNING)):
+        outputs = parameters.handle(0.0, sent(setting("VINE_MAX_KPA", value)), *US, True)
+        assert [output.severity for output in outputs if isinstance(output, Notice)] == [severity]
+
+
+def test_kept_values_are_in_force_from_the_start() -> None:
+    kept = {"VINE_MAX_KPA": 18.0, "VINE_RC_ACTION": 1.0}
+    parameters = Parameters(PROFILE, kept)
+    assert parameters.config.limits.max_kPa == 18.0
+    assert parameters.config.losses.on_rc_loss == "hold"
+    assert parameters.values == kept
+    with pytest.raises(Refused, match=r"VINE_MAX_KPA: 30 is outside 0\.5 to 20\.7"):
+        Parameters(PROFILE, {"VINE_MAX_KPA": 30.0})
+
+
+ANY = st.floats(width=32) | st.floats(0, 130, width=32) | st.integers(0, 20).map(float)
+
+
+@given(st.lists(st.tuples(st.sampled_from(SETTINGS), ANY, st.booleans()), max_size=25))
+@settings(max_examples=150, deadline=None)
+def test_whatever_is_sent_the_configuration_stays_one_that_the_profile_allows(
+    sets: list[tuple[Any, float, bool]],
+) -> None:
+    bench = Bench(PROFILE)
+    for row, value, bench.may_change in sets:
+        before = bench.parameters.config
+        answer, texts, changes = bench.set(row.name, value)
+        now = bench.parameters.config
+        assert answer == f32(value_of(row, now))
+        assert (now != before) == (len(changes) == 1)
+        assert len(texts) <= 1
+        least, most = bounds(row, PROFILE)
+        assert least <= value_of(row, now) <= most
+    for strict in ("max_kPa", "max_rate_kPa_per_s", "max_bent_s", "overpressure_kPa"):
+        assert getattr(bench.parameters.config.limits, strict) <= getattr(PROFILE.limits, strict)
+    assert Parameters(PROFILE, bench.parameters.values).config == bench.parameters.config
+
+
+@given(st.floats(width=32, allow_nan=False, allow_infinity=False))
+def test_the_shortest_decimal_is_the_same_float(value: float) -> None:
+    assert f32(decimal(value)) == value
+
+
+@pytest.mark.parametrize("value", [0.1, 0.15, 0.7, 20.7, 1e-3, 690.0, 59.999])
+def test_a_decimal_survives_the_wire(value: float) -> None:
+    assert decimal(f32(value)) == value
