@@ -1,1 +1,1 @@
-"""Missions with vine items: files that ground stations read."""
+"""Missions with vine items: built, checked, budgeted, put on a vehicle and followed."""

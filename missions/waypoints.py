@@ -1,7 +1,9 @@
-"""Read and write QGC WPL 110 files, the plain-text plan format that every ground station knows.
+"""Read and write QGC WPL files, the plain-text plan format that every ground station knows.
 
 A header line, then one line per item: seq, current, frame, command, param1…4, x (latitude), y (longitude), z,
-autocontinue, separated by tabs.
+autocontinue, separated by tabs. The items are those of the autopilot: on ArduPilot the first is home, on PX4
+none is. (QGroundControl takes the first of any such file for home, and a plan it has as `.plan` anyway; its
+files without home are of version 120, which MAVProxy refuses.)
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from pathlib import Path
 from flying_vines.vehicle.mission.item import MissionItem
 
 _HEADER = "QGC WPL 110"
+_WITHOUT_HOME = "QGC WPL 120"
 _COLUMNS = 12
 _UINT16 = 65535
 _UINT8 = 255
@@ -36,8 +39,9 @@ def read_waypoints(path: str | Path) -> list[MissionItem]:
     except UnicodeDecodeError as error:
         raise WaypointsError(f"{path}, line 1: this is not a text file") from error
     found = lines[0].strip() if lines else ""
-    if found.split() != _HEADER.split():
-        raise WaypointsError(f"{path}, line 1: the header must be {_HEADER!r}, not {found[:40]!r}")
+    if found.split() not in (_HEADER.split(), _WITHOUT_HOME.split()):
+        headers = f"{_HEADER!r} or {_WITHOUT_HOME!r}"
+        raise WaypointsError(f"{path}, line 1: the header must be {headers}, not {found[:40]!r}")
     items: list[MissionItem] = []
     for number, line in enumerate(lines[1:], start=2):
         if line.strip():

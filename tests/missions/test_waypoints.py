@@ -9,13 +9,12 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pymavlink import mavwp
 
-from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.vehicle.mission.item import MissionItem
 from missions.waypoints import WaypointsError, read_waypoints, write_waypoints
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
-EXAMPLES = Path(__file__).parents[2] / "missions" / "examples"
 
 HEADER = "QGC WPL 110\n"
 ITEM = "0\t1\t0\t16\t0\t0\t0\t0\t-35.36\t149.16\t584\t1\n"
@@ -53,7 +52,7 @@ def test_windows_line_ends_byte_order_mark_and_blank_lines_are_no_trouble(tmp_pa
     ("text", "line", "says"),
     [
         ("", 1, "header"),
-        ("QGC WPL 120\n" + ITEM, 1, "header"),
+        ("QGC WPL 100\n" + ITEM, 1, "header"),
         (ITEM, 1, "header"),
         (HEADER + "0 1 0 16 0 0 0 0 1 2 3\n", 2, "12 columns, this line has 11"),
         (HEADER + ITEM + ITEM.replace("0\t1", "1\t0", 1).replace("584", "high"), 3, "z must be a number"),
@@ -114,19 +113,24 @@ def test_what_is_written_reads_back_equal(items: list[MissionItem]) -> None:
         assert read_waypoints(path) == numbered
 
 
-def test_the_example_is_a_mission_that_arducopter_takes_unchanged() -> None:
-    items = read_waypoints(EXAMPLES / "bridge_inspection.waypoints")
-    stored = Autopilot("ardupilot", mission=items).items
-    assert [(item.command, item.params[:4]) for item in stored] == [
-        (item.command, item.params[:4]) for item in items
-    ]
+def test_a_file_of_qgroundcontrol_without_home_is_read_too(tmp_path: Path) -> None:
+    items = [MissionItem(0, 22, (0.0,) * 7, 3)]
+    path = tmp_path / "plan.waypoints"
+    write_waypoints(path, items)
+    path.write_text(path.read_text().replace("QGC WPL 110", "QGC WPL 120"))
+    assert read_waypoints(path) == items
 
 
-def test_every_vine_item_of_the_example_follows_a_waypoint_and_is_followed_by_one() -> None:
-    items = read_waypoints(EXAMPLES / "bridge_inspection.waypoints")
-    vine = [item for item in items if item.command == 217]
-    assert [item.params[:2] for item in vine] == [(1.0, 40.0), (0.0, 0.0)] * 2
-    for item in vine:
-        assert items[item.seq - 1].command == 16
-        assert items[item.seq + 1].command in (16, 93)
-    assert items[-1].command == 21
+@pytest.mark.parametrize("kind", ["ardupilot", "px4"])
+def test_pymavlink_reads_what_is_written(kind: str) -> None:
+    example = Path(__file__).parents[2] / "missions" / "examples" / f"bridge_inspection-{kind}.waypoints"
+    loader = mavwp.MAVWPLoader()
+    assert loader.load(str(example)) == len(read_waypoints(example))
+    for theirs, ours in zip(loader.wpoints, read_waypoints(example), strict=True):
+        numbers = (theirs.param1, theirs.param2, theirs.param3, theirs.param4, theirs.x, theirs.y, theirs.z)
+        assert (theirs.seq, theirs.frame, theirs.command, numbers) == (
+            ours.seq,
+            ours.frame,
+            ours.command,
+            ours.params,
+        )

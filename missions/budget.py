@@ -1,0 +1,254 @@
+"""Pressure and air along a mission: what each vine item takes, and whether safety would let it.
+
+Nothing here is a model of its own: motions are planned, intents judged and air counted by what flies. The
+bottle is the service's own estimate, which runs ahead through what is planned instead of through telemetry.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from flying_vines.config import Config
+from flying_vines.intent import Intent
+from flying_vines.pneumatics.paper import STANDARD_TEMPERATURE_K
+from flying_vines.reservoir import Belief, CyclesLeft, ReservoirEstimate, floor_kPa
+from flying_vines.reservoir.bottle import GAS, Bottle, Spent, X
+from flying_vines.reservoir.estimate import READING_SD_KPA, Z90
+from flying_vines.reservoir.flying import BLOCK_S, FLAT_KPA
+from flying_vines.safety import Conditions, Demand, Ruling, Safety
+from flying_vines.vehicle.triggers import Rules
+from missions.motion import Move, Mover
+from missions.timeline import ENDS, Step, Timeline
+
+WATCHED_S = 60.0
+"""For so long, before take-off, the service has read the bottle and found it as believed."""
+STILL_S = 5.0
+"""In such pieces time goes by while the vine stays as it is."""
+
+
+class Range(NamedTuple):
+    """Gauge kPa, expected and the 90 % interval."""
+
+    expected: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Bend:
+    """One vine item of the mission and what it takes."""
+
+    step: Step
+    intent: Intent | None
+    ruling: Ruling
+    """What safety makes of it with the bottle as expected; refused too where no intent can be made of it."""
+    doubt: str
+    """Why it would be refused with the bottle at the low end of its interval; empty if it would not."""
+    move: Move | None
+    ends_s: float
+    """When the vine has come to rest, or the next one begins, or the landing vents it."""
+    bent_s: float
+    """How long it keeps the vine under pressure."""
+    before: Range
+    after: Range
+    air_kPa: float
+    """What it takes from the bottle, expected."""
+    cycles: CyclesLeft | None
+    """After it."""
+    low_at_s: float | None = None
+    """When the bottle falls below the reserve while the vine is bent by this, which vents it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """The whole mission's."""
+
+    bends: tuple[Bend, ...]
+    begins: Range
+    ends: Range
+    length_s: float
+    bent_at_end: Bend | None
+    """What the vine is still bent by when the landing begins, or the mission ends."""
+
+
+def budget(plan: Timeline, config: Config, belief: Belief, reservoir_kPa: float) -> Budget:
+    """Go through the mission with a bottle at `reservoir_kPa` (gauge) at take-off."""
+    return _Walk(plan, config, belief, reservoir_kPa).walk()
+
+
+class _Air:
+    """The bottle, ahead of time."""
+
+    def __init__(self, belief: Belief, reservoir_kPa: float) -> None:
+        self._belief = belief
+        self._bottle = Bottle(belief, reservoir_kPa)
+        for _ in range(round(WATCHED_S / BLOCK_S)):
+            self._bottle.spend(Spent(BLOCK_S, 0.0, 0.0, 0.0, 0.0))
+            self._bottle.read(self._reading(), READING_SD_KPA)
+        self._bottle.mean[X] += reservoir_kPa - self._reading()
+
+    def spend(self, spent: Spent) -> None:
+        self._bottle.spend(spent)
+
+    def range_kPa(self) -> Range:
+        p, share = self._bottle.covariance, self._share()
+        sd = math.sqrt(max(0.0, p[X][X] - 2.0 * share * p[X][GAS] + share * share * p[GAS][GAS]))
+        expected = self._reading()
+        return Range(expected, max(0.0, expected - Z90 * sd), expected + Z90 * sd)
+
+    def estimate(self) -> ReservoirEstimate:
+        """As the service would have it now."""
+        estimate = ReservoirEstimate(self._belief)
+        estimate.bottle = self._bottle
+        return estimate
+
+    def _reading(self) -> float:
+        """What the gauge shows: cold gas reads low."""
+        return self._bottle.mean[X] - self._share() * self._bottle.mean[GAS]
+
+    def _share(self) -> float:
+        return self._bottle.absolute_kPa / STANDARD_TEMPERATURE_K
+
+
+class _Walk:
+    def __init__(self, plan: Timeline, config: Config, belief: Belief, reservoir_kPa: float) -> None:
+        self._plan = plan
+        self._config = config
+        self._belief = belief
+        self._rules = Rules(config)
+        self._safety = Safety(config)
+        self._mover = Mover(config)
+        self._air = _Air(belief, reservoir_kPa)
+        self._t_s = 0.0
+        self._move: Move | None = None
+        self._began_s = 0.0
+        self._bent_kPa = 0.0
+        self._low_at_s: float | None = None
+
+    def walk(self) -> Budget:
+        begins = self._air.range_kPa()
+        steps = [step for step in self._plan.steps if step.item.command in self._rules.commands]
+        landing_s = self._landing_s()
+        bends: list[Bend] = []
+        held: int | None = None
+        for i, step in enumerate(steps):
+            until_s = min(landing_s, steps[i + 1].t_s if i + 1 < len(steps) else math.inf)
+            self._pass(step.t_s)
+            bends.append(self._bend(step, until_s))
+            if bends[i].ruling.verdict != "refused":
+                held = i
+            self._pass(until_s)
+            if held is not None and self._low_at_s is not None:
+                bends[held] = replace(bends[held], low_at_s=self._low_at_s)
+                self._low_at_s = None
+                self._vent()
+        bent = self._move is not None and self._move.stays_bent
+        self._vent()
+        self._pass(self._plan.length_s)
+        return Budget(
+            tuple(bends),
+            begins,
+            self._air.range_kPa(),
+            self._plan.length_s,
+            bends[held] if bent and held is not None else None,
+        )
+
+    def _landing_s(self) -> float:
+        """When the vehicle begins to land; the altitude interlock vents the vine then."""
+        last = self._plan.steps[-1] if self._plan.steps else None
+        return self._plan.length_s if last is None or last.item.command not in ENDS else last.t_s
+
+    def _bend(self, step: Step, until_s: float) -> Bend:
+        intent, problem = self._rules.for_command(step.item.command, step.item.params)
+        if intent is not None and not problem:
+            problem = self._mover.problem(intent)
+        before = self._air.range_kPa()
+        if intent is None or problem:
+            refused = Ruling("refused", problem)
+            cycles = self._air.estimate().cycles_left()
+            return Bend(step, intent, refused, "", None, step.t_s, 0.0, before, before, 0.0, cycles)
+        move = self._mover.move(intent, self._pressure_kPa(), self._bent_kPa)
+        ruling = self._judge(move, step.height_m, before.expected)
+        doubt = ""
+        if ruling.verdict != "refused":
+            worst = self._judge(move, step.height_m, before.low)
+            doubt = worst.reason if worst.verdict == "refused" else ""
+            if ruling.rate_scale < 1.0:
+                move = self._mover.move(intent, self._pressure_kPa(), self._bent_kPa, ruling.rate_scale)
+            self._move, self._began_s, self._bent_kPa = move, step.t_s, move.bent_kPa
+        length_s = move.trajectory.duration_s if ruling.verdict != "refused" else 0.0
+        ends_s = min(step.t_s + length_s, max(until_s, step.t_s))
+        bent_s = max(0.0, until_s - step.t_s) if move.stays_bent else ends_s - step.t_s
+        self._pass(ends_s)
+        after = self._air.range_kPa()
+        return Bend(
+            step,
+            intent,
+            ruling,
+            doubt,
+            move,
+            ends_s,
+            bent_s if ruling.verdict != "refused" else 0.0,
+            before,
+            after,
+            before.expected - after.expected,
+            self._air.estimate().cycles_left(),
+        )
+
+    def _judge(self, move: Move, height_m: float, reservoir_kPa: float) -> Ruling:
+        demand = Demand(
+            releases=move.releases,
+            peak_kPa=move.peak_kPa,
+            wanted_kPa=move.peak_kPa,
+            spending_kPa=self._air.estimate().spending_kPa(move.trajectory.rise_kPa),
+            floor_kPa=floor_kPa(self._belief.pneumatics, move.rate_kPa_per_s),
+        )
+        now = Conditions(
+            armed=True,
+            altitude_m=height_m,
+            autopilot_age_s=0.0,
+            firmware_ready=True,
+            telemetry_age_s=0.0,
+            reservoir_kPa=reservoir_kPa,
+        )
+        return self._safety.judge(demand, now)
+
+    def _pressure_kPa(self, t_s: float | None = None) -> float:
+        """Of the vine, as its setpoint is."""
+        if self._move is None:
+            return 0.0
+        return self._move.trajectory.pressure_kPa((self._t_s if t_s is None else t_s) - self._began_s)
+
+    def _vent(self) -> None:
+        pressure = self._pressure_kPa()
+        if pressure > 0.0:
+            self._air.spend(Spent(0.0, 0.0, 0.0, self._venturi_s(pressure), 0.0))
+        self._move = None
+        self._bent_kPa = 0.0
+
+    def _venturi_s(self, fall_kPa: float) -> float:
+        return self._belief.cycle_venturi_s * fall_kPa / self._belief.pneumatics.cycle_swing_kPa
+
+    def _pass(self, to_s: float) -> None:
+        """Let time go on, and count what it costs."""
+        for spent in self._spent(to_s):
+            self._air.spend(spent)
+            reading = self._air.range_kPa().expected
+            low = reading < self._config.interlocks.reserve_kPa and self._pressure_kPa() > FLAT_KPA
+            if low and self._low_at_s is None:
+                self._low_at_s = self._t_s
+
+    def _spent(self, to_s: float) -> Iterator[Spent]:
+        """What goes on until then, in pieces: short ones while the vine moves, as the estimate takes them."""
+        while self._t_s < to_s - 1e-9:
+            moves = self._move is not None and self._t_s < self._began_s + self._move.trajectory.duration_s
+            time_s = min(to_s - self._t_s, BLOCK_S if moves else STILL_S)
+            was = self._pressure_kPa()
+            self._t_s += time_s
+            now = self._pressure_kPa()
+            flat = 1.0 if was <= FLAT_KPA < now else 0.0
+            held_kPa_s = 0.5 * (was + now) * time_s
+            yield Spent(time_s, max(0.0, now - was), flat, self._venturi_s(max(0.0, was - now)), held_kPa_s)

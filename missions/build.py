@@ -1,0 +1,124 @@
+"""From a mission as a person writes it to the items that one kind of autopilot flies."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import replace
+
+from flying_vines.config import Config
+from flying_vines.fakes.autopilot import Home
+from flying_vines.intent import BendTo, Intent, StartProfile
+from flying_vines.toml_text import Key, dotted, place
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.storage import MISSION_FRAME, Kind
+from missions.carriers import NAMES, carrier, suggestion
+from missions.mission import Action, Mission, MissionError, Waypoint
+from missions.motion import Mover
+
+WAYPOINT, RETURN, LAND, TAKEOFF, DELAY, SPEED = 16, 20, 21, 22, 93, 178
+GLOBAL_FRAME, ABOVE_HOME_FRAME = 0, 3
+REST_S = 0.5
+"""How long the vine takes to follow its setpoint; holds that nobody gave are whole multiples of it."""
+
+
+def build(
+    mission: Mission, config: Config, kind: Kind, home: Home, source: str, text: str = ""
+) -> list[MissionItem]:
+    """The items, ready to be sent; on ArduPilot item 0 is home.
+
+    Args:
+        source: what errors call the mission's file.
+        text: of that file, in which they find the line.
+
+    MissionError, of one line for each, names every action that the vine or this autopilot cannot do.
+    """
+    builder = _Builder(config, kind, source, text)
+    yaw = 0.0 if kind == "ardupilot" else math.nan  # not a number: as the vehicle likes; ArduPilot refuses it
+    latitude, longitude = home.latitude_deg, home.longitude_deg
+    if kind == "ardupilot":
+        builder.add(WAYPOINT, (0, 0, 0, 0, latitude, longitude, home.altitude_amsl_m), GLOBAL_FRAME)
+    height = mission.takeoff.altitude_m
+    builder.add(TAKEOFF, (0, 0, 0, yaw, latitude, longitude, height), ABOVE_HOME_FRAME)
+    builder.act(mission.takeoff.vine, ("takeoff", "vine"))
+    if mission.speed_m_s is not None:
+        # On the ground, in m/s, throttle as it is.
+        builder.add(SPEED, (1, mission.speed_m_s, -1, 0, 0, 0, 0), MISSION_FRAME)
+    for index, waypoint in enumerate(mission.waypoints):
+        latitude, longitude = _place(waypoint, home)
+        height = height if waypoint.altitude_m is None else waypoint.altitude_m
+        numbers = (float(waypoint.stay_s), 0.0, 0.0, yaw, latitude, longitude, height)
+        builder.add(WAYPOINT, numbers, ABOVE_HOME_FRAME)
+        builder.act(waypoint.vine, ("waypoints", index, "vine"))
+    if mission.end == "land":
+        builder.add(LAND, (0, 0, 0, yaw, latitude, longitude, 0), ABOVE_HOME_FRAME)
+    else:
+        builder.add(RETURN, (0, 0, 0, 0, 0, 0, 0), MISSION_FRAME)
+    if builder.problems:
+        raise MissionError(*builder.problems)
+    return builder.items
+
+
+def _place(waypoint: Waypoint, home: Home) -> tuple[float, float]:
+    """Latitude and longitude, as whole 1e-7 degrees: so they travel."""
+    if waypoint.at is not None:
+        return waypoint.at
+    latitude, longitude = home.global_deg(waypoint.north_m or 0.0, waypoint.east_m or 0.0)
+    return round(latitude, 7), round(longitude, 7)
+
+
+class _Builder:
+    """Appends items, and follows the vine to know when it will have come to rest."""
+
+    def __init__(self, config: Config, kind: Kind, source: str, text: str) -> None:
+        self.items: list[MissionItem] = []
+        self.problems: list[str] = []
+        self._config = config
+        self._kind: Kind = kind
+        self._source = source
+        self._text = text
+        self._mover = Mover(config)
+        self._pressure_kPa = self._bent_kPa = 0.0
+
+    def add(
+        self, command: int, params: tuple[float, float, float, float, float, float, float], frame: int
+    ) -> None:
+        p1, p2, p3, p4, x, y, z = map(float, params)
+        seq = len(self.items)
+        self.items.append(MissionItem(seq, command, (p1, p2, p3, p4, x, y, z), frame, current=seq == 0))
+
+    def act(self, actions: tuple[Action, ...], key: Key) -> None:
+        """The items of one place: each of the vine's followed by the time that the vehicle stays for it."""
+        for index, action in enumerate(actions):
+            intent: Intent = (
+                StartProfile(action.profile) if action.profile is not None else BendTo(action.bend_deg or 0.0)
+            )
+            item = self._carrier(intent, (*key, index))
+            if item is None:
+                continue
+            self.items.append(replace(item, seq=len(self.items)))
+            move = self._mover.move(intent, self._pressure_kPa, self._bent_kPa)
+            self._pressure_kPa, self._bent_kPa = move.trajectory.final_kPa, move.bent_kPa
+            rest_s = (math.ceil(move.trajectory.duration_s / REST_S) + 1) * REST_S
+            hold_s = rest_s if action.hold_s is None else action.hold_s
+            if hold_s > 0.0:
+                self.add(DELAY, (hold_s, -1, -1, -1, 0, 0, 0), MISSION_FRAME)
+
+    def _carrier(self, intent: Intent, key: Key) -> MissionItem | None:
+        problem = self._mover.problem(intent)
+        if problem and isinstance(intent, StartProfile):
+            near = difflib.get_close_matches(intent.name, self._config.profiles, n=1)
+            problem += f"; did you mean '{near[0]}'?" if near else ""
+        if problem:
+            self._complain(key, problem)
+            return None
+        item = carrier(intent, self._config, self._kind)
+        if item is None:
+            wanted = f"profile '{intent.name}'" if isinstance(intent, StartProfile) else str(intent)
+            add = suggestion(intent, self._config, self._kind)
+            name = NAMES[self._kind]
+            self._complain(key, f"no item that {name} takes means {wanted}; add to the configuration: {add}")
+        return item
+
+    def _complain(self, key: Key, reason: str) -> None:
+        self.problems.append(f"{place(self._text, self._source, key)}: {dotted(key)}: {reason}")

@@ -1,0 +1,115 @@
+"""Which mission item carries what the vine shall do: the profile's `[[items]]`, read backwards.
+
+An item counts only if the autopilot takes it, and if what it keeps of the numbers still means the same to
+the rules that the service goes by.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import replace
+
+from flying_vines.config import CARRIERS, Config, Item
+from flying_vines.intent import BendTo, Intent, StartProfile
+from flying_vines.vehicle.mission.item import MissionItem, has_place, is_nav
+from flying_vines.vehicle.mission.storage import MISSION_FRAME, Kind, MissionRefused, Params, store
+from flying_vines.vehicle.triggers import NAME_OF_COMMAND, Rules
+
+ANGLE_KEPT_DEG = 0.01
+"""What becomes of an angle on its way through 32-bit floats and a scale."""
+
+PREFERRED = {
+    "ardupilot": ("script_message", "winch", "gripper"),
+    "px4": ("actuator", "winch", "gripper"),
+}
+"""In this order, and before all others: what moves nothing but the vine, where possible."""
+
+NAMES = {"ardupilot": "ArduPilot", "px4": "PX4"}
+
+_SPEAKS_FIRST = {"ardupilot": ("script_message", ""), "px4": ("actuator", ", param7 = 1")}
+
+
+def carrier(intent: Intent, config: Config, kind: Kind) -> MissionItem | None:
+    """An item (numbered 0) that brings `intent` about on this autopilot, or None."""
+    rules = Rules(config)
+    for command, rule in _by_preference(config, kind):
+        item = MissionItem(0, command, _numbers(rule, intent), MISSION_FRAME)
+        if _same(rules.for_command(command, item.params)[0], intent) and survives(item, intent, rules, kind):
+            return item
+    return None
+
+
+def survives(item: MissionItem, intent: Intent, rules: Rules, kind: Kind) -> bool:
+    """Whether the item means `intent` also after the wire and the autopilot's storage."""
+    try:
+        kept = store(kind, over_the_wire(item))
+    except MissionRefused:
+        return False
+    return _same(rules.for_command(kept.command, kept.params)[0], intent)
+
+
+def over_the_wire(item: MissionItem) -> MissionItem:
+    """The item as MISSION_ITEM_INT carries it: 32-bit floats, and x and y whole numbers."""
+    p1, p2, p3, p4, x, y, z = item.params
+    scale = 1e7 if has_place(item.command, item.frame) else 1.0
+    x, y = (round(value * scale) / scale if math.isfinite(value) else value for value in (x, y))
+    return replace(item, params=(_f32(p1), _f32(p2), _f32(p3), _f32(p4), x, y, _f32(z)))
+
+
+def suggestion(intent: Intent, config: Config, kind: Kind) -> str:
+    """The `[[items]]` entry that would carry `intent`, on one line."""
+    name, more = _SPEAKS_FIRST[kind]
+    used = {rule.match.get("param1") for rule in config.items if CARRIERS[name] in rule.command_ids}
+    number = next(n for n in range(1000) if n not in used)
+    does = f'profile = "{intent.name}"' if isinstance(intent, StartProfile) else 'bend = "param2"'
+    return f'[[items]] command = "{name}" match = {{ param1 = {number}{more} }} {does}'
+
+
+def described(item: MissionItem) -> str:
+    """An item in words: the carrier's name and the numbers that are not 0 at its end."""
+    name = NAME_OF_COMMAND.get(item.command, f"MAV_CMD {item.command}").replace("_", " ")
+    numbers = list(item.params)
+    while len(numbers) > 1 and numbers[-1] == 0.0:
+        numbers.pop()
+    return f"{name} ({', '.join(f'{number:g}' for number in numbers)})"
+
+
+def _by_preference(config: Config, kind: Kind) -> Iterator[tuple[int, Item]]:
+    """Commands with a rule each; of an actuator first those that move no output of the autopilot's."""
+    pairs = [(command, rule) for rule in config.items for command in rule.command_ids if not is_nav(command)]
+    ranks = {CARRIERS[name]: rank for rank, name in enumerate(PREFERRED[kind])}
+
+    def rank(pair: tuple[int, Item]) -> tuple[int, bool]:
+        command, rule = pair
+        return ranks.get(command, len(ranks)), not rule.match.get("param7")
+
+    yield from sorted(pairs, key=rank)
+
+
+def _numbers(rule: Item, intent: Intent) -> Params:
+    numbers = [0.0] * 7
+    for key, value in rule.match.items():
+        numbers[_index(key)] = value
+    if rule.bend is not None and isinstance(intent, BendTo) and rule.scale:
+        numbers[_index(rule.bend)] = intent.angle_deg / rule.scale
+    p1, p2, p3, p4, x, y, z = numbers
+    return p1, p2, p3, p4, x, y, z
+
+
+def _index(key: str) -> int:
+    return int(key.removeprefix("param")) - 1
+
+
+def _same(found: Intent | None, wanted: Intent) -> bool:
+    if isinstance(found, BendTo) and isinstance(wanted, BendTo):
+        return abs(found.angle_deg - wanted.angle_deg) <= ANGLE_KEPT_DEG
+    return found == wanted
+
+
+def _f32(value: float) -> float:
+    try:
+        return float(struct.unpack("<f", struct.pack("<f", value))[0])
+    except OverflowError:
+        return math.copysign(math.inf, value)

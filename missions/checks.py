@@ -1,0 +1,330 @@
+"""What is wrong with a mission, in sentences: what the autopilot, its storage, safety or the air would spoil.
+
+An error is something that the mission says and that would not happen; a warning is something that may not
+be meant. A check is one function here.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+from flying_vines.config import Config
+from flying_vines.fakes.autopilot.runner import FOR_EVER, JUMP
+from flying_vines.vehicle.mission.execution import same_numbers
+from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.storage import (
+    CAPACITY,
+    INVALID_PARAM1,
+    MISSION_FRAME,
+    UNSUPPORTED_FRAME,
+    Kind,
+    MissionRefused,
+    is_nav_item,
+    store,
+)
+from flying_vines.vehicle.triggers import Rules
+from missions.budget import Bend, Budget
+from missions.build import ABOVE_HOME_FRAME, DELAY, GLOBAL_FRAME, LAND, RETURN, SPEED, TAKEOFF, WAYPOINT
+from missions.carriers import NAMES, carrier, described, over_the_wire, suggestion
+from missions.files import on_earth
+from missions.timeline import ENDS, LONGEST_S, MOST_STEPS, Timeline
+
+BURST = 8
+"""So many items beside the flight, one after another, PX4 hands on; of more it loses the first."""
+TOGETHER_S = 0.5
+"""The vine has not moved to speak of before the next item has it go elsewhere."""
+FAR_M = 2000.0
+CENTIMETRE_M = 0.011
+ROUNDING_S = 1e-6
+_CONDITIONS = {112: "CONDITION_DELAY", 114: "CONDITION_DISTANCE", 115: "CONDITION_YAW"}
+_NAMES = {
+    WAYPOINT: "waypoint",
+    RETURN: "return",
+    LAND: "land",
+    TAKEOFF: "take-off",
+    DELAY: "wait",
+    SPEED: "change speed",
+    JUMP: "jump",
+    **_CONDITIONS,
+}
+_YAW_MAY_BE_NAN = {WAYPOINT, LAND, TAKEOFF, 84, 85}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong; `seq` is the item's."""
+
+    severity: Literal["error", "warning"]
+    seq: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a check may look at."""
+
+    items: Sequence[MissionItem]
+    kind: Kind
+    config: Config
+    timeline: Timeline
+    budget: Budget
+
+    @cached_property
+    def rules(self) -> Rules:
+        return Rules(self.config)
+
+    @property
+    def name(self) -> str:
+        """The autopilot's."""
+        return NAMES[self.kind]
+
+    def is_vine(self, item: MissionItem) -> bool:
+        return item.command in self.rules.commands
+
+    def error(self, item: MissionItem, text: str) -> Finding:
+        return Finding("error", item.seq, f"{self._where(item)}: {text}")
+
+    def warning(self, item: MissionItem, text: str) -> Finding:
+        return Finding("warning", item.seq, f"{self._where(item)}: {text}")
+
+    def _where(self, item: MissionItem) -> str:
+        """An item, for people: its number, what it is and behind which waypoint."""
+        waypoint = next((step.waypoint for step in self.timeline.steps if step.item.seq == item.seq), None)
+        place = f", waypoint {waypoint}" if waypoint else ""
+        return f"item {item.seq} ({name_of(item)}{place})"
+
+
+def check(case: Case) -> list[Finding]:
+    """Everything that is wrong, errors first, each in the mission's order."""
+    found = [finding for look in CHECKS for finding in look(case)]
+    return sorted(found, key=lambda finding: (finding.severity, finding.seq))
+
+
+def name_of(item: MissionItem) -> str:
+    """What an item does, in a word or two."""
+    return _NAMES.get(item.command) or described(item)
+
+
+# Checks of the items alone.
+
+
+def _refused(case: Case) -> Iterator[Finding]:
+    for item in case.items:
+        try:
+            kept = store(case.kind, over_the_wire(item))
+        except MissionRefused as refused:
+            yield case.error(item, _why_refused(case, item, refused.result))
+        else:
+            yield from _altered(case, item, kept)
+
+
+def _why_refused(case: Case, item: MissionItem, result: int) -> str:
+    if result == UNSUPPORTED_FRAME:
+        better = MISSION_FRAME if case.is_vine(item) else ABOVE_HOME_FRAME
+        return f"{case.name} refuses it in frame {item.frame}; use frame {better}"
+    if INVALID_PARAM1 <= result < INVALID_PARAM1 + len(item.params):
+        return f"param{result - INVALID_PARAM1 + 1} is not a number, which {case.name} refuses; write 0"
+    refuses = f"{case.name} refuses MAV_CMD {item.command}"
+    intent, _ = case.rules.for_command(item.command, item.params)
+    if intent is None:
+        return f"{refuses}; leave it out"
+    instead = carrier(intent, case.config, case.kind)
+    if instead is None:
+        add = suggestion(intent, case.config, case.kind)
+        return f"{refuses}; for '{intent}' add to the configuration: {add}"
+    return f"{refuses}; for '{intent}' use {described(instead)}"
+
+
+def _altered(case: Case, item: MissionItem, kept: MissionItem) -> Iterator[Finding]:
+    """What storage makes of the numbers."""
+    sent = list(item.params)
+    if item.command in _YAW_MAY_BE_NAN and math.isnan(sent[3]):
+        sent[3] = kept.params[3]
+    if abs(sent[6] - kept.params[6]) < CENTIMETRE_M:
+        sent[6] = kept.params[6]
+    if same_numbers(sent, kept.params):
+        return
+    changes = ", ".join(
+        f"param{number} {a:g} becomes {b:g}"
+        for number, (a, b) in enumerate(zip(sent, kept.params, strict=True), start=1)
+        if not same_numbers((a,), (b,))
+    )
+    stores = f"{case.name} stores other numbers: {changes}"
+    meant, _ = case.rules.for_command(item.command, item.params)
+    means, _ = case.rules.for_command(kept.command, kept.params)
+    if meant is None or meant == means:
+        yield case.warning(item, stores)
+        return
+    instead = carrier(meant, case.config, case.kind)
+    use = f"; use {described(instead)}" if instead else ""
+    yield case.error(item, f"{stores}, so that '{meant}' becomes '{means or 'nothing'}'{use}")
+
+
+def _home(case: Case) -> Iterator[Finding]:
+    first = case.items[0]
+    if case.kind == "ardupilot":
+        if first.command != WAYPOINT:
+            yield case.error(first, "ArduPilot takes item 0 for home and never flies it; put home in front")
+        return
+    starts = len(case.items) > 1 and case.items[1].command == TAKEOFF
+    if starts and first.command == WAYPOINT and first.frame in (GLOBAL_FRAME, 5):
+        yield case.error(
+            first, "looks like home, which is no item on PX4: it would be flown to; leave it out"
+        )
+
+
+def _capacity(case: Case) -> Iterator[Finding]:
+    if len(case.items) > CAPACITY:
+        last = case.items[-1]
+        yield case.error(last, f"there are {len(case.items)} items, and {case.name} holds {CAPACITY}")
+
+
+def _burst(case: Case) -> Iterator[Finding]:
+    for flown, group in itertools.groupby(case.items, lambda item: is_nav_item("px4", item)):
+        burst = [] if flown or case.kind != "px4" else list(group)
+        for item in filter(case.is_vine, burst[:-BURST]):
+            row = f"one of {len(burst)} items in a row that are not flown"
+            yield case.error(item, f"{row}, of which PX4 hands on the last {BURST}; put a NAV_DELAY between")
+
+
+def _places(case: Case) -> Iterator[Finding]:
+    for item in case.items:
+        latitude, longitude = item.params[4:6]
+        if not has_place(item.command, item.frame) or (latitude, longitude) == (0.0, 0.0):
+            continue
+        distance_m = math.hypot(*case.timeline.home.local_m(latitude, longitude))
+        if not on_earth(item):
+            yield case.error(item, f"{latitude:g}, {longitude:g} is no place on earth")
+        elif distance_m > FAR_M:
+            yield case.warning(item, f"{distance_m / 1000:.1f} km from home: is it meant?")
+
+
+# Checks of what runs when.
+
+
+def _never(case: Case) -> Iterator[Finding]:
+    end = next((item for item in case.items if item.command in ENDS), None)
+    for item in filter(case.is_vine, case.timeline.never):
+        if end is not None and item.seq > end.seq:
+            after = f"item {end.seq} ({name_of(end)})"
+            yield case.error(item, f"never runs: nothing does after {after}; put it in front of that")
+        else:
+            last = "of the items after the last one that is flown, ArduPilot runs the first alone"
+            yield case.error(item, f"never runs: {last}; put a NAV_DELAY or a waypoint behind each")
+
+
+def _on_the_ground(case: Case) -> Iterator[Finding]:
+    first = case.timeline.steps[0] if case.timeline.steps else None
+    if first is not None and not first.flown and case.is_vine(first.item):
+        again = ", before arming and again after landing" if case.kind == "ardupilot" else ""
+        runs = f"comes first, so that {case.name} runs it on the ground{again}"
+        yield case.error(first.item, f"{runs}; put it behind the take-off")
+
+
+def _too_long(case: Case) -> Iterator[Finding]:
+    if case.timeline.cut:
+        last = case.timeline.steps[-1].item if case.timeline.steps else case.items[-1]
+        longest = f"more than {LONGEST_S / 3600:.0f} h or {MOST_STEPS} items"
+        yield case.error(last, f"the mission goes on after it for {longest}, which nobody checks; shorten it")
+
+
+def _jumps(case: Case) -> Iterator[Finding]:
+    for item in case.items:
+        if item.command == JUMP and item.params[1] == FOR_EVER:
+            yield case.warning(item, "goes on for ever; the budget is of the first time round")
+        if item.command in _CONDITIONS:
+            yield case.warning(item, "what comes behind it may run later than shown, or not at all")
+
+
+# Checks of what the vine does.
+
+
+def _no_vine(case: Case) -> Iterator[Finding]:
+    if not any(map(case.is_vine, case.items)):
+        yield case.warning(case.items[0], "no item of this mission means anything to the vine by [[items]]")
+
+
+def _disarmed(case: Case) -> Iterator[Finding]:
+    bends = case.budget.bends
+    if bends and not case.config.interlocks.armed_at_start:
+        first = "the pneumatics start disarmed (interlocks.armed_at_start), which refuses it"
+        yield case.warning(bends[0].step.item, f"{first}; have a person arm them before")
+
+
+def _ruled(case: Case) -> Iterator[Finding]:
+    for bend in case.budget.bends:
+        item, ruling = bend.step.item, bend.ruling
+        if ruling.verdict == "refused" and bend.step is not case.timeline.steps[0]:
+            # Many a mission has a gripper or a servo that is none of the vine's business.
+            say = case.warning if bend.intent is None else case.error
+            yield say(item, f"refused: {ruling.reason}{_advice(case, bend)}")
+        elif ruling.verdict == "limited":
+            yield case.warning(item, f"limited {ruling.reason}")
+        if bend.doubt:
+            yield case.warning(item, f"may be refused: {bend.doubt}, at the low end of what is known")
+
+
+def _advice(case: Case, bend: Bend) -> str:
+    if bend.move is None:
+        return ""
+    if bend.step.height_m < case.config.interlocks.min_altitude_m:
+        return "; fly higher there (interlocks.min_altitude_m)"
+    return "; fill the bottle further, or leave out bends before it"
+
+
+def _overtaken(case: Case) -> Iterator[Finding]:
+    for bend, after in itertools.pairwise(case.budget.bends):
+        if bend.move is None or bend.ruling.verdict == "refused":
+            continue
+        gap_s = after.step.t_s - bend.step.t_s
+        takes_s = bend.move.trajectory.duration_s
+        item, then = bend.step.item, f"item {after.step.item.seq}"
+        if gap_s < TOGETHER_S and gap_s < takes_s:
+            yield case.error(
+                item, f"{then} follows at once: only that one counts; put a wait (hold_s) between"
+            )
+        elif gap_s < takes_s - ROUNDING_S:
+            cut = f"takes {takes_s:.1f} s, and {then} breaks it off after {gap_s:.1f} s"
+            yield case.warning(item, f"{cut}; hold longer")
+
+
+def _bent(case: Case) -> Iterator[Finding]:
+    limit_s = case.config.limits.max_bent_s
+    for bend in case.budget.bends:
+        if bend.bent_s > limit_s:
+            stays = f"stays bent for {bend.bent_s:.0f} s, and safety vents it after {limit_s:g} s"
+            yield case.error(bend.step.item, f"{stays} (limits.max_bent_s); let it straighten before")
+    if case.budget.bent_at_end is not None:
+        ends = "still bent when the mission ends; landing vents it: let it straighten before"
+        yield case.warning(case.budget.bent_at_end.step.item, ends)
+
+
+def _reserve(case: Case) -> Iterator[Finding]:
+    for bend in case.budget.bends:
+        if bend.low_at_s is not None:
+            low = f"the bottle falls below the reserve {bend.low_at_s:.0f} s after take-off, and safety vents"
+            yield case.error(bend.step.item, f"{low}; fill it further, or bend less")
+
+
+CHECKS: tuple[Callable[[Case], Iterator[Finding]], ...] = (
+    _refused,
+    _home,
+    _capacity,
+    _burst,
+    _places,
+    _never,
+    _on_the_ground,
+    _too_long,
+    _jumps,
+    _no_vine,
+    _disarmed,
+    _ruled,
+    _overtaken,
+    _bent,
+    _reserve,
+)

@@ -1,0 +1,37 @@
+"""Get the mission that a vehicle holds, as a file that ground stations open."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+from missions.carriers import NAMES
+from missions.link import vehicle
+from missions.mission import MissionError
+from missions.plan_file import write_plan
+from missions.waypoints import write_waypoints
+
+
+async def download(path: Path, link: str, console: Console) -> int:
+    """Write the vehicle's mission to `path`, a .plan or .waypoints file.
+
+    Raises:
+        MissionError: there is no mission, or no such file can be written.
+        LinkError: no vehicle, or it does not answer.
+    """
+    if path.suffix not in (".plan", ".waypoints"):
+        raise MissionError(f"{path}: a mission is written as .plan or .waypoints")
+    async with vehicle(link) as peer:
+        items = await peer.download()
+    if not items:
+        raise MissionError(f"{NAMES[peer.kind]} holds no mission")
+    try:
+        if path.suffix == ".plan":
+            write_plan(path, items, peer.kind)
+        else:
+            write_waypoints(path, items)
+    except OSError as error:
+        raise MissionError(f"{path}: cannot be written: {error.strerror}") from None
+    console.print(f"Written  {path}: {len(items)} items of {NAMES[peer.kind]}", soft_wrap=True)
+    return 0

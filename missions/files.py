@@ -1,0 +1,69 @@
+"""A mission that is already made of items, from whichever file it is in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from flying_vines.fakes.autopilot import Home
+from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.storage import Kind
+from missions.mission import MissionError
+from missions.plan_file import PlanError, read_plan
+from missions.waypoints import WaypointsError, read_waypoints
+
+SUFFIXES = (".plan", ".waypoints", ".txt")
+_ABOVE_SEA_FRAMES = (0, 5)
+
+
+@dataclass(frozen=True, slots=True)
+class Items:
+    """Items as they are sent, home in front on ArduPilot."""
+
+    items: tuple[MissionItem, ...]
+    kind: Kind
+    home: Home
+
+
+def load_items(path: Path, kind: Kind | None = None) -> Items:
+    """The mission in a .plan or .waypoints file, for `kind` or else the autopilot that the file names.
+
+    MissionError when it cannot be read, is empty, or does not say for which autopilot it is.
+    """
+    try:
+        if path.suffix == ".plan":
+            plan = read_plan(path, kind)
+            return Items(plan.items, _known(plan.kind, path), plan.home)
+        kind = _known(kind, path)
+        items = tuple(read_waypoints(path))
+    except (PlanError, WaypointsError) as error:
+        raise MissionError(str(error)) from None
+    except OSError as error:
+        raise MissionError(f"{path}: cannot be read: {error.strerror}") from None
+    if not items:
+        raise MissionError(f"{path}: there is no item in it")
+    return Items(items, kind, home_of(items))
+
+
+def _known(kind: Kind | None, path: Path) -> Kind:
+    if kind is None:
+        raise MissionError(f"{path}: does not say for which autopilot: give --autopilot ardupilot or px4")
+    return kind
+
+
+def home_of(items: Sequence[MissionItem]) -> Home:
+    """Item 0 of an ArduPilot mission; otherwise the first place, whose height above the sea nobody knows."""
+    for item in items:
+        latitude, longitude, z = item.params[4:]
+        if has_place(item.command, item.frame) and (latitude, longitude) != (0.0, 0.0) and on_earth(item):
+            at_sea = item.seq == 0 and item.frame in _ABOVE_SEA_FRAMES and math.isfinite(z)
+            return Home(latitude, longitude, z if at_sea else 0.0)
+    return Home(0.0, 0.0, 0.0)
+
+
+def on_earth(item: MissionItem) -> bool:
+    """Whether its place, if it is one, is a latitude and a longitude."""
+    latitude, longitude = item.params[4:6]
+    return abs(latitude) <= 90.0 and abs(longitude) <= 180.0

@@ -1,0 +1,318 @@
+"""A vehicle by mavsdk: found on a link, asked for its mission, listened to with bounded queues."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from flying_vines.address import SerialAddress, parse_address
+from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.storage import Kind
+
+FOUND_WITHIN_S = 10.0
+HEARTBEAT_WITHIN_S = 3.0
+LOOK_S = 0.05
+ANSWER_WITHIN_S = 15.0
+"""For a command or a step of a transfer; mavsdk itself repeats it for some seconds before it gives up."""
+DOWNLOADED_WITHIN_S = 300.0
+"""Several hundred items over a slow radio; mavsdk itself gives up when the vehicle falls silent."""
+MOST_WAITING = 500
+"""Messages kept for a listener that is slow; then the oldest go."""
+
+_EXTRA = "pip install 'flying-vines[missions]' brings it"
+_RESULTS = {
+    1: "the vehicle says: error",
+    2: "the vehicle does not take its frame",
+    3: "the vehicle does not know this command in a mission",
+    4: "the vehicle has no room for it",
+    5: "the vehicle finds a number in it invalid",
+    **{
+        6 + n: f"the vehicle does not take its {name}"
+        for n, name in enumerate(("param1", "param2", "param3"))
+    },
+    9: "the vehicle does not take its param4",
+    10: "the vehicle does not take its x (latitude)",
+    11: "the vehicle does not take its y (longitude)",
+    12: "the vehicle does not take its z (altitude)",
+    13: "the vehicle says: out of sequence",
+    14: "the vehicle takes no missions just now",
+    15: "the vehicle called it off",
+}
+
+
+class LinkError(Exception):
+    """The vehicle cannot be reached, or does not answer; one sentence says why and what to do."""
+
+
+class UploadRefused(Exception):
+    """The vehicle did not take the mission; `seq` is the item it stopped at, None when it took none."""
+
+    def __init__(self, seq: int | None, why: str) -> None:
+        super().__init__(why)
+        self.seq = seq
+        self.why = why
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A message of anyone on the vehicle's network, with its fields by name."""
+
+    name: str
+    component: int
+    fields: dict[str, Any]
+
+
+def mavsdk_url(link: str) -> str:
+    """A link as this project writes it, in mavsdk's words; ValueError with a sentence when it is none."""
+    address = parse_address(link)
+    if isinstance(address, SerialAddress):
+        return f"serial://{address.path}:{address.baud}"
+    scheme = "tcpout" if address.kind == "tcp" else address.kind
+    return f"{scheme}://{address.host}:{address.port}"
+
+
+@asynccontextmanager
+async def vehicle(link: str, within_s: float = FOUND_WITHIN_S) -> AsyncIterator[Vehicle]:
+    """The first autopilot that is heard on `link`; LinkError when there is none in time."""
+    try:
+        url = mavsdk_url(link)
+    except ValueError as error:
+        raise LinkError(str(error)) from None
+    mavsdk = _mavsdk()
+    configuration = mavsdk.Configuration.create_with_component_type(mavsdk.ComponentType.GROUND_STATION)
+    async with mavsdk.Mavsdk(configuration) as client:
+        try:
+            async with asyncio.timeout(within_s):
+                await client.add_any_connection(url)
+        except (mavsdk.MavsdkConnectionError, TimeoutError):
+            raise LinkError(f"{link}: cannot be opened: is there such a port, and is it free?") from None
+        system = await client.first_autopilot(within_s)
+        if system is None:
+            raise LinkError(f"{link}: no vehicle heard within {within_s:g} s")
+        kind = await _kind(system)
+        if kind is None:
+            raise LinkError(f"{link}: the vehicle there is neither ArduPilot nor PX4")
+        found = Vehicle(system._system, kind, await system.get_system_id())
+        try:
+            yield found
+        finally:
+            found.close()
+
+
+_KINDS: dict[str, Kind] = {"ARDUPILOT": "ardupilot", "PX4": "px4"}
+
+
+async def _kind(system: Any) -> Kind | None:
+    """What the autopilot's next heartbeat says it is; mavsdk finds it by any message."""
+    for _ in range(round(HEARTBEAT_WITHIN_S / LOOK_S)):
+        kind = _KINDS.get((await system.autopilot_type()).name)
+        if kind is not None:
+            return kind
+        await asyncio.sleep(LOOK_S)
+    return None
+
+
+def _mavsdk() -> Any:
+    """mavsdk, quiet; LinkError where it is not installed or has no library for this machine."""
+    try:
+        import mavsdk.asyncio
+        from mavsdk.logging import log_subscribe
+    except ModuleNotFoundError:
+        raise LinkError(f"mavsdk is missing; {_EXTRA}, on 64-bit systems") from None
+    except Exception as error:  # it loads its library on import, and its base class comes with it
+        raise LinkError(f"mavsdk does not run on this machine: {str(error).splitlines()[0]}") from None
+
+    log_subscribe(lambda level, message, file, line: True)
+    return mavsdk.asyncio
+
+
+class Ears:
+    """Hears messages of the given names; at most MOST_WAITING wait for whoever reads them."""
+
+    def __init__(self, direct: Any, names: Sequence[str]) -> None:
+        self._direct = direct
+        self._loop = asyncio.get_running_loop()
+        self._waiting: deque[Any] = deque(maxlen=MOST_WAITING)
+        self._arrived = asyncio.Event()
+        self._called = False
+        self._handles = [direct.subscribe_message(name, self._take) for name in names]
+
+    def _take(self, message: Any, _: object) -> None:
+        """On a thread of mavsdk's; one call of the loop is enough for all that have come by then."""
+        self._waiting.append(message)
+        if not self._called:
+            self._called = True
+            with suppress(RuntimeError):  # the loop has ended, and nobody reads any more
+                self._loop.call_soon_threadsafe(self._wake)
+
+    def _wake(self) -> None:
+        self._called = False
+        self._arrived.set()
+
+    def waiting(self) -> list[Heard]:
+        """What has come since the last call."""
+        found = []
+        while self._waiting:
+            message = self._waiting.popleft()
+            with suppress(json.JSONDecodeError):
+                fields = json.loads(message.fields_json)
+                found.append(Heard(message.message_name, message.component_id, fields))
+        return found
+
+    async def hear(self, within_s: float) -> list[Heard]:
+        """What has come, after waiting for the first of it; empty when nothing does in time."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(within_s):
+                while not self._waiting:
+                    self._arrived.clear()
+                    await self._arrived.wait()
+        return self.waiting()
+
+    def close(self) -> None:
+        for handle in self._handles:
+            self._direct.unsubscribe_message(handle)
+        self._handles = []
+
+
+class Vehicle:
+    """An autopilot that mavsdk has found."""
+
+    def __init__(self, system: Any, kind: Kind, system_id: int) -> None:
+        from mavsdk.plugins.mavlink_direct import MavlinkDirect
+        from mavsdk.plugins.mission_raw import MissionRaw
+
+        self.kind: Kind = kind
+        self.system_id = system_id
+        self._direct = MavlinkDirect(system)
+        self._mission = MissionRaw(system)
+        self._listening: list[Ears] = []
+
+    def listen(self, *names: str) -> Ears:
+        """From now on, until `close`."""
+        ears = Ears(self._direct, names)
+        self._listening.append(ears)
+        return ears
+
+    def close(self) -> None:
+        for ears in self._listening:
+            ears.close()
+
+    async def upload(self, items: Sequence[MissionItem], progress: Callable[[float], None]) -> None:
+        """Send a whole mission; `progress` is told how much of it is there, 0 to 1.
+
+        Raises:
+            UploadRefused: the vehicle did not take it.
+            LinkError: the vehicle fell silent.
+        """
+        from mavsdk.plugins.mission_raw import MissionPlan, MissionRawResult
+
+        ears = self.listen("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK")
+        steps: asyncio.Queue[tuple[Any, float]] = asyncio.Queue()  # one step an item
+        loop = asyncio.get_running_loop()
+
+        def step(result: Any, data: Any, _: object = None) -> None:
+            with suppress(RuntimeError):  # the loop has ended
+                loop.call_soon_threadsafe(steps.put_nowait, (result, data.progress))
+
+        self._mission.upload_mission_with_progress_async(MissionPlan([_to_raw(item) for item in items]), step)
+        while True:
+            try:
+                async with asyncio.timeout(ANSWER_WITHIN_S):
+                    result, done = await steps.get()
+            except TimeoutError:
+                raise LinkError(
+                    "the vehicle fell silent during the upload; what it holds now is unknown"
+                ) from None
+            if result == MissionRawResult.NEXT:
+                progress(done)
+            elif result == MissionRawResult.SUCCESS:
+                progress(1.0)
+                return
+            elif result == MissionRawResult.TIMEOUT:
+                raise LinkError("the vehicle fell silent during the upload; what it holds now is unknown")
+            else:
+                raise await _refusal(ears, result)
+
+    async def download(self) -> list[MissionItem]:
+        """The mission that the vehicle holds; LinkError when it does not come."""
+        from mavsdk.plugins.mission_raw import MissionRawResult
+
+        result, raw = await _answer(self._mission.download_mission_async, DOWNLOADED_WITHIN_S)
+        if result != MissionRawResult.SUCCESS:
+            reason = result.name.lower().replace("_", " ") if result else "timeout"
+            raise LinkError(f"the mission cannot be read from the vehicle: {reason}")
+        return [_from_raw(item) for item in raw]
+
+    async def command(self, command: int, *params: float, component: int = 1) -> int | None:
+        """Send a COMMAND_LONG; its MAV_RESULT, or None when nobody answers."""
+        from mavsdk.plugins.mavlink_direct import MavlinkDirectResult, MavlinkMessage
+
+        fields: dict[str, Any] = {"target_system": self.system_id, "target_component": component}
+        fields |= {"command": command, "confirmation": 0}
+        fields |= {f"param{n}": value for n, value in enumerate((*params, *(0.0,) * 7)[:7], start=1)}
+        message = MavlinkMessage("COMMAND_LONG", 0, 0, self.system_id, component, json.dumps(fields))
+        result, answer = await _answer(partial(self._direct.send_command_async, message), ANSWER_WITHIN_S)
+        if result != MavlinkDirectResult.SUCCESS:
+            return None
+        accepted: int = json.loads(answer.fields_json)["result"]
+        return accepted
+
+
+async def _answer(start: Callable[[Callable[..., None]], None], within_s: float) -> tuple[Any, Any]:
+    """What one of mavsdk's asynchronous calls ends with; (None, None) when it does not end in time.
+
+    Its blocking calls are of no use here: one that is under way when mavsdk is destroyed never returns.
+    """
+    loop = asyncio.get_running_loop()
+    ended: asyncio.Future[tuple[Any, Any]] = loop.create_future()
+
+    def settle(result: Any, data: Any) -> None:
+        if not ended.done():
+            ended.set_result((result, data))
+
+    def called_back(result: Any, data: Any, _: object = None) -> None:
+        with suppress(RuntimeError):  # the loop has ended
+            loop.call_soon_threadsafe(settle, result, data)
+
+    start(called_back)
+    try:
+        async with asyncio.timeout(within_s):
+            return await ended
+    except TimeoutError:
+        return None, None
+
+
+async def _refusal(ears: Ears, result: Any) -> UploadRefused:
+    """Which item it was and why, as the vehicle itself said; mavsdk tells neither."""
+    asked: int | None = None
+    for _ in range(10):
+        for heard in await ears.hear(0.1):
+            if heard.name == "MISSION_ACK":
+                why = _RESULTS.get(heard.fields["type"], f"MAV_MISSION_RESULT {heard.fields['type']}")
+                return UploadRefused(asked, why)
+            asked = heard.fields["seq"]
+    return UploadRefused(asked, result.name.lower().replace("_", " "))
+
+
+def _to_raw(item: MissionItem) -> Any:
+    from mavsdk.plugins.mission_raw import MissionItem as RawItem
+
+    scale = 1e7 if has_place(item.command, item.frame) else 1.0
+    x, y = (round(value * scale) if math.isfinite(value) else 0 for value in item.params[4:6])
+    is_first, goes_on = int(item.seq == 0), int(item.autocontinue)
+    return RawItem(
+        *(item.seq, item.frame, item.command, is_first, goes_on), *item.params[:4], x, y, item.params[6], 0
+    )
+
+
+def _from_raw(raw: Any) -> MissionItem:
+    scale = 1e7 if has_place(raw.command, raw.frame) else 1.0
+    params = (raw.param1, raw.param2, raw.param3, raw.param4, raw.x / scale, raw.y / scale, raw.z)
+    return MissionItem(raw.seq, raw.command, params, raw.frame, bool(raw.current), bool(raw.autocontinue))

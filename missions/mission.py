@@ -1,0 +1,146 @@
+"""A mission as a person writes it: a short TOML file of places and of what the vine does there."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from flying_vines.fakes.autopilot import ARDUPILOT_HOME, PX4_HOME, Home
+from flying_vines.toml_text import Key, dotted, explained, located, not_finite, one_line, place, read_text
+from flying_vines.vehicle.mission.storage import Kind
+
+Height = Annotated[float, Meta(gt=0, le=1000)]
+Latitude = Annotated[float, Meta(ge=-90, le=90)]
+Longitude = Annotated[float, Meta(ge=-180, le=180)]
+At = tuple[Latitude, Longitude]
+
+SIMULATORS = {"ardupilot": ARDUPILOT_HOME, "px4": PX4_HOME}
+"""Where each autopilot's own simulator starts unless it is told otherwise."""
+
+
+class MissionError(ValueError):
+    """A mission that cannot be read or built; each line of its text names file, line and key."""
+
+    def __init__(self, *problems: str) -> None:
+        super().__init__("\n".join(one_line(problem) for problem in problems))
+
+
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    pass
+
+
+class PlannedHome(_Table, frozen=True):
+    """Where the vehicle takes off; the altitude is above mean sea level."""
+
+    at: At
+    altitude_m: Annotated[float, Meta(ge=-500, le=9000)]
+
+
+class Action(_Table, frozen=True):
+    """What the vine does at a place, and how long the vehicle then stays for it."""
+
+    profile: str | None = None
+    bend_deg: float | None = None
+    hold_s: Annotated[float, Meta(ge=0, le=3600)] | None = None
+    """From the action's start; left out, until the vine has come to rest."""
+
+    def __post_init__(self) -> None:
+        if (self.profile is None) == (self.bend_deg is None):
+            raise ValueError("the vine needs either profile or bend_deg")
+
+
+class Takeoff(_Table, frozen=True):
+    """The height above home, and what the vine does before the first waypoint."""
+
+    altitude_m: Height
+    vine: tuple[Action, ...] = ()
+
+
+class Waypoint(_Table, frozen=True):
+    """A place, as latitude and longitude or as metres from home; the height is above home."""
+
+    at: At | None = None
+    north_m: float | None = None
+    east_m: float | None = None
+    altitude_m: Height | None = None
+    """Left out, as high as before."""
+    stay_s: Annotated[int, Meta(ge=0, le=3600)] = 0
+    """Whole seconds, for ArduPilot stores no others; before the vine's first action."""
+    vine: tuple[Action, ...] = ()
+
+    def __post_init__(self) -> None:
+        offset = self.north_m is not None or self.east_m is not None
+        if (self.at is None) != offset:
+            raise ValueError("a waypoint needs either at = [latitude, longitude], or north_m and east_m")
+
+
+class Mission(_Table, frozen=True):
+    """The whole file."""
+
+    takeoff: Takeoff
+    waypoints: Annotated[tuple[Waypoint, ...], Meta(min_length=1, max_length=500)]
+    name: Annotated[str, Meta(max_length=100)] = ""
+    autopilot: Kind | None = None
+    home: PlannedHome | Literal["simulator"] | None = None
+    speed_m_s: Annotated[float, Meta(gt=0, le=30)] | None = None
+    """Left out, the autopilot's own."""
+    end: Literal["land", "return"] = "land"
+
+
+def load(path: Path) -> tuple[Mission, str]:
+    """The mission in a file, and its text, in which later errors find their line.
+
+    MissionError when it cannot be read, or holds what no mission can.
+    """
+    text = read_text(path, MissionError)
+    return parse(text, str(path)), text
+
+
+def parse(text: str, source: str) -> Mission:
+    """Check a mission's text; `source` is what errors call it."""
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise MissionError(f"{source}: not TOML: {error}") from None
+    except RecursionError:
+        raise MissionError(f"{source}: not TOML: nested too deeply") from None
+    for key in not_finite(raw):
+        raise MissionError(f"{place(text, source, key)}: {dotted(key)}: is not a finite number")
+    try:
+        return msgspec.convert(raw, Mission)
+    except msgspec.ValidationError as error:
+        key, reason = explained(str(error), _known_keys)
+        if reason.startswith("Invalid enum"):
+            reason += f": give one of {', '.join(_CHOICES.get(str(key[-1]), ()))}"
+        raise MissionError(located(text, source, key, reason)) from None
+
+
+def planned_home(mission: Mission, kind: Kind, source: str) -> Home:
+    """Where the mission begins on this kind of autopilot."""
+    if mission.home is None:
+        raise MissionError(
+            f"{source}: home: is missing: home = {{ at = [latitude, longitude], altitude_m = ... }}, or "
+            'home = "simulator" for where the autopilot\'s own simulator starts'
+        )
+    if mission.home == "simulator":
+        return SIMULATORS[kind]
+    return Home(*mission.home.at, mission.home.altitude_m)
+
+
+_CHOICES = {"end": ("land", "return"), "autopilot": ("ardupilot", "px4"), "home": ("simulator",)}
+_TABLES: dict[str, type[_Table]] = {
+    "home": PlannedHome,
+    "takeoff": Takeoff,
+    "waypoints": Waypoint,
+    "vine": Action,
+}
+
+
+def _known_keys(path: Key) -> list[str]:
+    """The keys that the table at `path` may have."""
+    names = [part for part in path if isinstance(part, str)]
+    return list((_TABLES[names[-1]] if names else Mission).__struct_fields__)

@@ -1,0 +1,218 @@
+"""Read and write QGroundControl's .plan files (JSON).
+
+Home is no item there but `plannedHomePosition`; the ground station puts it in front of the items where the
+autopilot wants it (ArduPilot). A number that is not given (NaN) is null. Jumps name the `doJumpId` of another
+item, which counts from 1.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
+
+from flying_vines.fakes.autopilot import Home
+from flying_vines.fakes.autopilot.flight import CRUISE_M_S
+from flying_vines.toml_text import one_line, read_text
+from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.storage import Kind
+
+_FIRMWARE = {"ardupilot": 3, "px4": 12}
+_KINDS: dict[int, Kind] = {3: "ardupilot", 12: "px4"}
+_MULTIROTOR = 2
+_CRUISE_SPEED_M_S = 15
+"""Of a fixed wing: every plan has one."""
+_JUMP, _WAYPOINT = 177, 16
+_MISSION_FRAME = 2
+_ABOVE_HOME, _ABOVE_SEA = 1, 2
+_ALTITUDE_MODES = {3: _ABOVE_HOME, 6: _ABOVE_HOME, 0: _ABOVE_SEA, 5: _ABOVE_SEA}
+
+
+class PlanError(ValueError):
+    """A plan file that cannot be read; its text is one line."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(one_line(text))
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a plan file says of the mission. The items are as they are sent, home in front on ArduPilot."""
+
+    items: tuple[MissionItem, ...]
+    kind: Kind | None
+    """None where it is for another autopilot, or for none in particular."""
+    home: Home
+
+
+class _Item(msgspec.Struct):
+    type: str
+    command: Annotated[int, Meta(ge=0, le=65535)] = 0
+    frame: Annotated[int, Meta(ge=0, le=255)] = _MISSION_FRAME
+    params: Annotated[tuple[float | None, ...], Meta(min_length=7, max_length=7)] = (None,) * 7
+    autoContinue: bool = True
+    doJumpId: int | None = None
+    complexItemType: str = ""
+    TransectStyleComplexItem: dict[str, Any] | None = None
+
+
+class _Mission(msgspec.Struct):
+    version: Annotated[int, Meta(ge=2, le=2)]
+    items: Annotated[tuple[_Item, ...], Meta(min_length=1)]
+    plannedHomePosition: tuple[float, float, float | None]
+    firmwareType: int = 0
+
+
+class _File(msgspec.Struct):
+    fileType: str
+    version: Annotated[int, Meta(ge=1, le=1)]
+    mission: _Mission
+
+
+def read_plan(path: Path, kind: Kind | None = None) -> Plan:
+    """The mission in a plan file, for `kind` or else for the autopilot that the file names.
+
+    PlanError when it cannot be read, or holds items that only QGroundControl can draw.
+    """
+    text = read_text(path, PlanError)
+    try:
+        content = msgspec.json.decode(text.encode(), type=_File)
+    except msgspec.MsgspecError as error:
+        raise PlanError(f"{path}: not a plan of QGroundControl: {_plain(error)}") from None
+    if content.fileType != "Plan":
+        raise PlanError(f"{path}: not a plan of QGroundControl: its fileType is {content.fileType!r}")
+    mission = content.mission
+    latitude, longitude, altitude_m = mission.plannedHomePosition
+    home = Home(latitude, longitude, altitude_m or 0.0)
+    named = _KINDS.get(mission.firmwareType)
+    simple = list(_simple_items(path, mission.items))
+    first = int((kind or named) == "ardupilot")
+    numbers = {item.doJumpId: first + index for index, item in enumerate(simple) if item.doJumpId is not None}
+    items = [_home_item(home)] if first else []
+    for item in simple:
+        items.append(_item(path, item, len(items), numbers))
+    return Plan(tuple(items), kind or named, home)
+
+
+def write_plan(path: Path, items: Sequence[MissionItem], kind: Kind, home: Home | None = None) -> None:
+    """Write items that are as they are sent, on ArduPilot with home in front; `home` is PX4's.
+
+    Raises:
+        ValueError: a PX4 mission without a home and without a place.
+        OSError: the file cannot be written.
+    """
+    path.write_text(plan_text(items, kind, home), encoding="utf-8")
+
+
+def plan_text(items: Sequence[MissionItem], kind: Kind, home: Home | None = None) -> str:
+    """What `write_plan` writes."""
+    flown = list(items)
+    if kind == "ardupilot" and flown:
+        first = flown.pop(0)
+        home = home or Home(*first.params[4:])
+    home = home or _first_place(flown)
+    # Keys in the order of the alphabet, as QGroundControl itself writes them.
+    content = {
+        "fileType": "Plan",
+        "geoFence": {"circles": [], "polygons": [], "version": 2},
+        "groundStation": "QGroundControl",
+        "mission": {
+            "cruiseSpeed": _CRUISE_SPEED_M_S,
+            "firmwareType": _FIRMWARE[kind],
+            "globalPlanAltitudeMode": _ABOVE_HOME,
+            "hoverSpeed": _number(CRUISE_M_S),
+            "items": [_json(item, number, kind) for number, item in enumerate(flown, start=1)],
+            "plannedHomePosition": [
+                _number(home.latitude_deg),
+                _number(home.longitude_deg),
+                _number(home.altitude_amsl_m),
+            ],
+            "vehicleType": _MULTIROTOR,
+            "version": 2,
+        },
+        "rallyPoints": {"points": [], "version": 2},
+        "version": 1,
+    }
+    return json.dumps(content, indent=4, sort_keys=True, allow_nan=False) + "\n"
+
+
+def _json(item: MissionItem, number: int, kind: Kind) -> dict[str, object]:
+    params = list(item.params)
+    if item.command == _JUMP and kind == "px4":
+        params[0] += 1.0  # seq counts from 0 there, doJumpId from 1
+    entry: dict[str, object] = {
+        "autoContinue": item.autocontinue,
+        "command": item.command,
+        "doJumpId": number,
+        "frame": item.frame,
+        "params": [_number(value) for value in params],
+        "type": "SimpleItem",
+    }
+    if item.frame in _ALTITUDE_MODES:
+        entry["AMSLAltAboveTerrain"] = None
+        entry["Altitude"] = _number(params[6])
+        entry["AltitudeMode"] = _ALTITUDE_MODES[item.frame]
+    return entry
+
+
+def _number(value: float) -> float | int | None:
+    if not math.isfinite(value):
+        return None
+    return int(value) if value.is_integer() else value
+
+
+def _first_place(items: Sequence[MissionItem]) -> Home:
+    for item in items:
+        latitude, longitude = item.params[4:6]
+        if item.frame in _ALTITUDE_MODES and (latitude, longitude) != (0.0, 0.0):
+            return Home(latitude, longitude, 0.0)
+    raise ValueError("the mission names no place that a plan could call home")
+
+
+def _home_item(home: Home) -> MissionItem:
+    numbers = (0.0, 0.0, 0.0, 0.0, home.latitude_deg, home.longitude_deg, home.altitude_amsl_m)
+    return MissionItem(0, _WAYPOINT, numbers, 0, current=True)
+
+
+def _simple_items(path: Path, items: Sequence[_Item]) -> Iterator[_Item]:
+    """All that are flown; a survey holds its own list of them."""
+    for index, item in enumerate(items):
+        if item.type == "SimpleItem":
+            yield item
+            continue
+        inner = (item.TransectStyleComplexItem or {}).get("Items")
+        if not isinstance(inner, list):
+            what = item.complexItemType or item.type
+            raise PlanError(
+                f"{path}: mission.items[{index}]: a '{what}' is drawn by the ground station alone; "
+                "upload the plan to the vehicle, and save what it downloads"
+            )
+        try:
+            yield from msgspec.convert(inner, list[_Item])
+        except msgspec.ValidationError as error:
+            raise PlanError(f"{path}: mission.items[{index}]: {_plain(error)}") from None
+
+
+def _item(path: Path, item: _Item, seq: int, numbers: dict[int, int]) -> MissionItem:
+    values = [math.nan if value is None else value for value in item.params]
+    if not has_place(item.command, item.frame):
+        # No place: there null is 0, as the ground station sends it in whole numbers.
+        values[4:6] = [0.0 if math.isnan(value) else value for value in values[4:6]]
+    if item.command == _JUMP:
+        target = numbers.get(int(values[0])) if math.isfinite(values[0]) else None
+        if target is None:
+            raise PlanError(f"{path}: item {seq} jumps to doJumpId {values[0]:g}, which no item has")
+        values[0] = float(target)
+    p1, p2, p3, p4, x, y, z = values
+    made = MissionItem(seq, item.command, (p1, p2, p3, p4, x, y, z), item.frame, current=seq == 0)
+    return replace(made, autocontinue=item.autoContinue)
+
+
+def _plain(error: Exception) -> str:
+    return str(error).replace("`", "").replace("Expected", "expected").replace(" - at $", " at ")

@@ -1,0 +1,167 @@
+"""When a mission's items run, where, and for how long: what an autopilot does with them, on straight lines.
+
+What each kind does with items that run beside the flight was seen on the real ones: ArduPilot runs them when
+the item flown before them is done, and on the ground if they come first; of those after the last item that
+is flown it runs one; after the landing none. PX4 counts through all items one by one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from flying_vines.fakes.autopilot import Home
+from flying_vines.fakes.autopilot.flight import CRUISE_M_S, FLARE_HEIGHT_M, TOUCHDOWN_M_S, VERTICAL_M_S
+from flying_vines.fakes.autopilot.runner import FOR_EVER, JUMP, Jumps
+from flying_vines.vehicle.mission.item import NAV_SCRIPT_TIME, MissionItem, has_place
+from flying_vines.vehicle.mission.storage import Kind, is_nav_item
+from missions.build import DELAY, GLOBAL_FRAME, LAND, RETURN, SPEED, TAKEOFF, WAYPOINT
+
+MOST_STEPS = 1000
+LONGEST_S = 6 * 3600.0
+"""Beyond either, nobody looks any further."""
+
+_LOITER_UNLIMITED, _LOITER_TURNS, _LOITER_TIME, _SPLINE, _VTOL_TAKEOFF, _VTOL_LAND = 17, 18, 19, 82, 84, 85
+_TURN_S = 10.0
+_GLOBAL_FRAMES = (GLOBAL_FRAME, 5)
+_HOLD_IN_PARAM1 = {WAYPOINT, _SPLINE, _LOITER_TIME, DELAY}
+ENDS = (LAND, RETURN, _VTOL_LAND)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One item while it is flown, or at the moment when it runs."""
+
+    item: MissionItem
+    flown: bool
+    t_s: float
+    """When it begins, after the take-off began."""
+    takes_s: float
+    distance_m: float
+    height_m: float
+    """Above home, at its end."""
+    waypoint: int
+    """How many waypoints have been begun, this one included; 0 before the first."""
+
+    @property
+    def ends_s(self) -> float:
+        return self.t_s + self.takes_s
+
+
+@dataclass(frozen=True, slots=True)
+class Timeline:
+    """What runs, in order, and what never does."""
+
+    steps: tuple[Step, ...]
+    never: tuple[MissionItem, ...]
+    """Items that this autopilot does not get to."""
+    cut: bool
+    """It is longer than anybody looks; the steps are its beginning."""
+    home: Home
+
+    @property
+    def length_s(self) -> float:
+        return max((step.ends_s for step in self.steps), default=0.0)
+
+
+def timeline(items: Sequence[MissionItem], kind: Kind, home: Home) -> Timeline:
+    """Fly the items on paper."""
+    return _Flight(items, kind, home).fly()
+
+
+class _Flight:
+    def __init__(self, items: Sequence[MissionItem], kind: Kind, home: Home) -> None:
+        self._items = items
+        self._kind: Kind = kind
+        self._home = home
+        self._steps: list[Step] = []
+        self._t_s = self._north_m = self._east_m = self._height_m = 0.0
+        self._speed_m_s = CRUISE_M_S
+        self._waypoint = 0
+        self._turns = 0
+
+    def fly(self) -> Timeline:
+        seq = first = 1 if self._kind == "ardupilot" else 0
+        jumps = Jumps()
+        trailing = 0
+        ended = False
+        while seq < len(self._items) and not ended and not self._cut:
+            item = self._items[seq]
+            if item.command == JUMP:
+                # Of one that goes on for ever, the first time round.
+                seq = seq + 1 if item.params[1] == FOR_EVER else jumps.take(item)
+                self._turns += 1
+                continue
+            if is_nav_item(self._kind, item):
+                self._fly(item)
+                trailing = 0
+                ended = item.command in (*ENDS, _LOITER_UNLIMITED)
+            else:
+                self._run(item)
+                trailing += 1
+            seq += 1
+        if self._cut:
+            del self._steps[-1:]
+        elif self._kind == "ardupilot" and trailing > 1:
+            del self._steps[1 - trailing :]
+        ran = {step.item.seq for step in self._steps}
+        never = tuple(item for item in self._items[first:] if item.seq not in ran and item.command != JUMP)
+        return Timeline(tuple(self._steps), () if self._cut else never, self._cut, self._home)
+
+    @property
+    def _cut(self) -> bool:
+        return self._t_s > LONGEST_S or len(self._steps) + self._turns > MOST_STEPS
+
+    def _run(self, item: MissionItem) -> None:
+        if item.command == SPEED and item.params[1] > 0.0:
+            self._speed_m_s = item.params[1]
+        self._add(item, flown=False, takes_s=0.0, distance_m=0.0)
+
+    def _fly(self, item: MissionItem) -> None:
+        north_m, east_m, height_m = self._goal(item)
+        distance_m = math.hypot(north_m - self._north_m, east_m - self._east_m)
+        takes_s = max(distance_m / self._speed_m_s, abs(height_m - self._height_m) / VERTICAL_M_S)
+        if item.command in ENDS:
+            takes_s += _descent_s(height_m)
+            height_m = 0.0
+        self._north_m, self._east_m, self._height_m = north_m, east_m, height_m
+        if item.command in (WAYPOINT, _SPLINE):
+            self._waypoint += 1
+        self._add(item, flown=True, takes_s=takes_s + _stays_s(item), distance_m=distance_m)
+
+    def _goal(self, item: MissionItem) -> tuple[float, float, float]:
+        """North, east and height to which the item flies; where it says nothing, as it is."""
+        x, y, z = item.params[4:]
+        if item.command == RETURN:
+            return 0.0, 0.0, self._height_m
+        placed = has_place(item.command, item.frame)
+        north_m, east_m = self._north_m, self._east_m
+        moves = item.command not in (TAKEOFF, _VTOL_TAKEOFF)
+        if placed and moves and math.isfinite(x) and math.isfinite(y) and (x, y) != (0.0, 0.0):
+            north_m, east_m = self._home.local_m(x, y)
+        if not placed or not math.isfinite(z) or z == 0.0 or item.command in ENDS:
+            return north_m, east_m, self._height_m
+        height_m = z - self._home.altitude_amsl_m if item.frame in _GLOBAL_FRAMES else z
+        return north_m, east_m, height_m
+
+    def _add(self, item: MissionItem, flown: bool, takes_s: float, distance_m: float) -> None:
+        self._steps.append(Step(item, flown, self._t_s, takes_s, distance_m, self._height_m, self._waypoint))
+        self._t_s += takes_s
+
+
+def _stays_s(item: MissionItem) -> float:
+    first, second = item.params[:2]
+    seconds = 0.0
+    if item.command in _HOLD_IN_PARAM1:
+        seconds = first
+    elif item.command == _LOITER_TURNS:
+        seconds = first * _TURN_S
+    elif item.command == NAV_SCRIPT_TIME:
+        seconds = second
+    return seconds if math.isfinite(seconds) and seconds > 0.0 else 0.0
+
+
+def _descent_s(height_m: float) -> float:
+    slow_m = min(max(0.0, height_m), FLARE_HEIGHT_M)
+    return max(0.0, height_m - slow_m) / VERTICAL_M_S + slow_m / TOUCHDOWN_M_S

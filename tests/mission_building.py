@@ -1,0 +1,65 @@
+"""Missions for the tests, from texts as people write them to what is said of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from flying_vines import config as configuration
+from flying_vines.config import Config
+from flying_vines.fakes.autopilot import ARDUPILOT_HOME, PX4_HOME, Home
+from flying_vines.reservoir import nominal
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.storage import Kind
+from missions.build import build
+from missions.files import home_of
+from missions.mission import parse, planned_home
+from missions.report import Report
+from missions.review import review
+
+EXAMPLES = Path(__file__).parents[1] / "missions" / "examples"
+HOMES: dict[Kind, Home] = {"ardupilot": ARDUPILOT_HOME, "px4": PX4_HOME}
+KINDS: tuple[Kind, ...] = ("ardupilot", "px4")
+
+HEAD = 'home = "simulator"\n[takeoff]\naltitude_m = 10\n'
+WP, TAKEOFF, LAND, DELAY = 16, 22, 21, 93
+SCRIPT, ACTUATOR, GRIPPER, WINCH, RELAY = 217, 187, 211, 42600, 181
+
+
+def built(text: str, kind: Kind, config: Config | None = None) -> list[MissionItem]:
+    """The items of a mission's text."""
+    mission = parse(text, "m.toml")
+    home = planned_home(mission, kind, "m.toml")
+    return build(mission, config or configuration.default(), kind, home, "m.toml", text)
+
+
+def waypoint(vine: str, more: str = "north_m = 20") -> str:
+    return f"[[waypoints]]\n{more}\nvine = [{vine}]\n"
+
+
+def items(*entries: tuple[float, ...], frame: int = 2) -> list[MissionItem]:
+    """Items of (command, param1, …); places are near PX4's home, 10 m high, unless given."""
+    made = []
+    for seq, (command, *given) in enumerate(entries):
+        numbers = [float(number) for number in given]
+        flown = int(command) in (WP, TAKEOFF, LAND)
+        params = (*numbers, 0.0, 0.0, 0.0, 0.0)[:4] if len(numbers) <= 4 else tuple(numbers)
+        if len(params) < 7:
+            place = (PX4_HOME.latitude_deg, PX4_HOME.longitude_deg + 1e-4 * seq, 10.0)
+            params = (*params, *(place if flown else (0.0, 0.0, 0.0)))
+        p1, p2, p3, p4, x, y, z = params
+        made.append(MissionItem(seq, int(command), (p1, p2, p3, p4, x, y, z), 3 if flown else frame))
+    return made
+
+
+def reviewed(
+    given: Sequence[MissionItem], kind: Kind, config: Config | None = None, reservoir_kPa: float = 690.0
+) -> Report:
+    config = config or configuration.default()
+    home = home_of(given)
+    return review("m", given, kind, home, config, nominal(config.pneumatics), reservoir_kPa)
+
+
+def said(report: Report, severity: str = "error") -> list[str]:
+    """The findings' sentences."""
+    return [finding.text for finding in report.findings if finding.severity == severity]

@@ -1,0 +1,250 @@
+"""Each thing that can be wrong with a mission, said in one sentence that names the item and what to do."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mission_building import (
+    ACTUATOR,
+    DELAY,
+    GRIPPER,
+    HEAD,
+    KINDS,
+    LAND,
+    RELAY,
+    SCRIPT,
+    TAKEOFF,
+    WINCH,
+    WP,
+    built,
+    items,
+    reviewed,
+    said,
+    waypoint,
+)
+
+from flying_vines import config as configuration
+from flying_vines.config import Item
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.storage import Kind
+
+HOME = (WP, 0, 0, 0, 0, 47.3977431, 8.5455944, 489.4)
+JUMP, CONDITION = 177, 112
+NAN = math.nan
+
+
+def errors(kind: Kind, *entries: tuple[float, ...], frame: int = 2) -> list[str]:
+    return said(reviewed(items(*entries, frame=frame), kind))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_good_mission_has_nothing_to_say(kind: Kind) -> None:
+    report = reviewed(built(HEAD + waypoint("{ profile = 'reach' }"), kind), kind)
+    assert report.findings == []
+
+
+def test_a_carrier_that_the_autopilot_refuses_comes_with_the_one_it_takes() -> None:
+    px4 = errors("px4", (TAKEOFF,), (WP,), (SCRIPT, 1, 40), (WP,), (LAND,))
+    assert px4 == [
+        "item 2 (script message (1, 40), waypoint 1): PX4 refuses MAV_CMD 217; for 'bend 40°' use "
+        "actuator (1, 40, 0, 0, 0, 0, 1)"
+    ]
+    ardupilot = errors("ardupilot", HOME, (TAKEOFF,), (WP,), (ACTUATOR, 0.5), (WP,), (LAND,))
+    assert ardupilot == [
+        "item 3 (actuator (0.5), waypoint 1): ArduPilot refuses MAV_CMD 187; for 'bend 30°' use "
+        "script message (1, 30)"
+    ]
+
+
+def test_what_no_autopilot_takes_and_means_nothing_is_to_be_left_out() -> None:
+    assert errors("px4", (TAKEOFF,), (WP,), (RELAY, 1), (WP,), (LAND,)) == [
+        "item 2 (relay (1), waypoint 1): PX4 refuses MAV_CMD 181; leave it out"
+    ]
+
+
+def test_a_wrong_frame_is_named() -> None:
+    found = errors("px4", (TAKEOFF,), (WP,), (WINCH, 1, 1), (WP,), (LAND,), frame=0)
+    assert found == ["item 2 (winch (1, 1), waypoint 1): PX4 refuses it in frame 0; use frame 2"]
+
+
+def test_not_a_number_is_named() -> None:
+    found = errors("ardupilot", HOME, (TAKEOFF,), (WP, 0, NAN), (SCRIPT, 0), (WP,), (LAND,))
+    assert found == [
+        "item 2 (waypoint, waypoint 1): param2 is not a number, which ArduPilot refuses; write 0"
+    ]
+    assert errors("px4", (TAKEOFF, 0, 0, 0, NAN), (WP, 0, 0, 0, NAN), (ACTUATOR, 0.5), (WP,), (LAND,)) == []
+
+
+def test_numbers_that_storage_changes_are_told_with_what_they_then_mean() -> None:
+    config = msgspec.structs.replace(
+        configuration.default(),
+        items=(Item(command="winch", bend="param1"), Item(command="script_message", bend="param2")),
+    )
+    given = items(HOME, (TAKEOFF,), (WP,), (WINCH, 30.5), (WP,), (LAND,))
+    assert said(reviewed(given, "ardupilot", config)) == [
+        "item 3 (winch (30.5), waypoint 1): ArduPilot stores other numbers: param1 30.5 becomes 30, so that "
+        "'bend 30.5°' becomes 'bend 30°'; use script message (0, 30.5)"
+    ]
+    assert said(reviewed(given, "px4", config)) == []
+    harmless = items(HOME, (TAKEOFF,), (WP,), (SCRIPT, 0, 0, 0, 0, 9, 0, 0), (WP,), (LAND,))
+    assert "param5 9 becomes 0" in said(reviewed(harmless, "ardupilot"), "warning")[0]
+
+
+def test_items_behind_the_end_never_run() -> None:
+    after_land = errors("ardupilot", HOME, (TAKEOFF,), (WP,), (SCRIPT, 2), (LAND,), (SCRIPT, 0))
+    assert after_land == [
+        "item 5 (script message (0)): never runs: nothing does after item 4 (land); put it in front of that"
+    ]
+    trailing = errors("ardupilot", HOME, (TAKEOFF,), (WP,), (SCRIPT, 2), (SCRIPT, 0))
+    assert trailing[0].startswith("item 4 (script message (0)): never runs: of the items after the last one")
+    assert errors("ardupilot", HOME, (TAKEOFF,), (WP,), (SCRIPT, 2)) == []
+    waits = errors("ardupilot", HOME, (TAKEOFF,), (WP,), (SCRIPT, 2), (DELAY, 6), (SCRIPT, 0), (DELAY, 1))
+    assert waits == []
+
+
+def test_an_item_in_front_runs_on_the_ground() -> None:
+    found = errors("ardupilot", HOME, (SCRIPT, 1, 30), (TAKEOFF,), (WP,), (LAND,))
+    assert found == [
+        "item 1 (script message (1, 30)): comes first, so that ArduPilot runs it on the ground, before "
+        "arming and again after landing; put it behind the take-off"
+    ]
+    assert "runs it on the ground; put" in errors("px4", (ACTUATOR, 0.5), (TAKEOFF,), (WP,), (LAND,))[0]
+
+
+def test_home_is_in_front_on_ardupilot_and_nowhere_on_px4() -> None:
+    assert errors("ardupilot", (TAKEOFF,), (WP,), (SCRIPT, 2), (LAND,))[0].startswith(
+        "item 0 (take-off): ArduPilot takes item 0 for home"
+    )
+    with_home = items(HOME, (TAKEOFF,), (WP,), (ACTUATOR, 0.5), (LAND,))
+    with_home[0] = msgspec_replace_frame(with_home[0])
+    assert any("looks like home" in text for text in said(reviewed(with_home, "px4")))
+
+
+def msgspec_replace_frame(item: MissionItem) -> MissionItem:
+    return MissionItem(item.seq, item.command, item.params, 0)
+
+
+def test_a_burst_loses_its_first_on_px4() -> None:
+    dos = [(178, 1, 5)] * 8
+    entries = [(TAKEOFF,), (WP,), (ACTUATOR, 0.5), *dos, (WP,), (LAND,)]
+    assert errors("px4", *entries) == [
+        "item 2 (actuator (0.5), waypoint 1): one of 9 items in a row that are not flown, of which PX4 hands "
+        "on the last 8; put a NAV_DELAY between"
+    ]
+    assert errors("px4", *entries[:3], *dos[1:], (WP,), (LAND,)) == []
+
+
+def test_two_at_once_and_one_that_is_broken_off() -> None:
+    at_once = errors("ardupilot", HOME, (TAKEOFF,), (WP,), (SCRIPT, 1, 30), (SCRIPT, 0), (WP,), (LAND,))
+    assert at_once == [
+        "item 3 (script message (1, 30), waypoint 1): item 4 follows at once: only that one counts; "
+        "put a wait (hold_s) between"
+    ]
+    early = reviewed(
+        built(HEAD + waypoint("{ profile = 'reach', hold_s = 3 }, { profile = 'straight' }"), "px4"), "px4"
+    )
+    assert said(early) == []
+    assert said(early, "warning") == [
+        "item 2 (actuator (2, 0, 0, 0, 0, 0, 1), waypoint 1): takes 5.0 s, and item 4 breaks it off after "
+        "3.0 s; hold longer"
+    ]
+
+
+def test_too_low_too_long_and_still_bent() -> None:
+    low = said(
+        reviewed(built(HEAD + waypoint("{ bend_deg = 30 }", "north_m = 9\naltitude_m = 1"), "px4"), "px4")
+    )
+    assert "refused: at 1.0 m, below 2 m; fly higher there (interlocks.min_altitude_m)" in low[0]
+    long = reviewed(built(HEAD + waypoint("{ bend_deg = 30, hold_s = 200 }"), "px4"), "px4")
+    assert "stays bent for 200 s, and safety vents it after 120 s (limits.max_bent_s)" in said(long)[0]
+    assert "still bent when the mission ends" in said(long, "warning")[0]
+    short = reviewed(built(HEAD + waypoint("{ profile = 'reach', hold_s = 200 }"), "px4"), "px4")
+    assert short.findings == []
+
+
+def test_an_angle_outside_the_curve() -> None:
+    found = errors("ardupilot", HOME, (TAKEOFF,), (WP,), (SCRIPT, 1, 90), (WP,), (LAND,))
+    assert "refused: 90° is outside the vine's 0…60°" in found[0]
+
+
+def test_an_item_without_a_rule_is_only_a_warning() -> None:
+    given = items(HOME, (TAKEOFF,), (WP,), (SCRIPT, 77), (WP,), (LAND,))
+    report = reviewed(given, "ardupilot")
+    assert said(report) == []
+    assert "refused: no rule for script_message (77" in said(report, "warning")[0]
+
+
+def test_a_bottle_that_is_too_low_refuses_and_says_so() -> None:
+    given = built(HEAD + waypoint("{ bend_deg = 50 }, { profile = 'straight' }"), "px4")
+    report = reviewed(given, "px4", reservoir_kPa=50.0)
+    text = said(report)[0]
+    assert "refused: bottle at 50 kPa, needs " in text and "fill the bottle further" in text
+    waved = built(HEAD + waypoint("{ profile = 'wave' }, { bend_deg = 50 }, { profile = 'straight' }"), "px4")
+    doubtful = reviewed(waved, "px4", reservoir_kPa=80.0)
+    assert said(doubtful) == []
+    assert any("may be refused: bottle at" in text for text in said(doubtful, "warning"))
+
+
+def test_a_mission_without_the_vine_far_away_with_jumps_and_conditions() -> None:
+    far = (WP, 0, 0, 0, 0, 47.5, 8.5455944, 10.0)
+    given = items((TAKEOFF,), far, (CONDITION, 3), (JUMP, 1, -1), (WP,), (LAND,))
+    warnings = said(reviewed(given, "px4"), "warning")
+    assert any("11.4 km from home" in text for text in warnings)
+    assert any("goes on for ever" in text for text in warnings)
+    assert any("may run later than shown" in text for text in warnings)
+    assert any("no item of this mission means anything to the vine" in text for text in warnings)
+
+
+def test_disarmed_pneumatics_are_remembered() -> None:
+    default = configuration.default()
+    interlocks = msgspec.structs.replace(default.interlocks, armed_at_start=False)
+    config = msgspec.structs.replace(default, interlocks=interlocks)
+    given = built(HEAD + waypoint("{ profile = 'reach' }"), "px4")
+    (text,) = said(reviewed(given, "px4", config), "warning")
+    assert text.endswith("which refuses it; have a person arm them before")
+
+
+def test_a_place_that_is_none() -> None:
+    found = errors("px4", (TAKEOFF,), (WP, 0, 0, 0, 0, 147.5, 8.5, 10.0), (ACTUATOR, 0.5), (LAND,))
+    assert "item 1 (waypoint): 147.5, 8.5 is no place on earth" in found
+
+
+def test_what_takes_for_ever_is_cut() -> None:
+    found = errors("px4", (TAKEOFF,), (DELAY, 1e9), (WP,), (ACTUATOR, 0.5), (LAND,))
+    assert any("for more than 6 h" in text for text in found)
+
+
+def test_jumps_run_the_items_between_again() -> None:
+    given = items(
+        (TAKEOFF,), (WP,), (ACTUATOR, 0.5), (DELAY, 2), (ACTUATOR, 0), (DELAY, 2), (JUMP, 1, 2), (LAND,)
+    )
+    report = reviewed(given, "px4")
+    assert [bend.step.item.seq for bend in report.budget.bends] == [2, 4] * 3
+
+
+ANY_NUMBER = st.one_of(
+    st.sampled_from((0.0, 1.0, 2.0, 3.0, -1.0, 0.5, NAN, math.inf, -math.inf, 1e30)), st.floats(-5, 5)
+)
+COMMANDS = st.sampled_from(
+    (WP, TAKEOFF, LAND, DELAY, SCRIPT, ACTUATOR, GRIPPER, WINCH, JUMP, CONDITION, 178, 20, 17)
+)
+ANY_ITEM = st.tuples(COMMANDS, st.tuples(*[ANY_NUMBER] * 7), st.sampled_from((0, 2, 3, 6, 10)))
+
+
+@settings(max_examples=20)
+@given(st.lists(ANY_ITEM, min_size=1, max_size=12), st.sampled_from(KINDS))
+def test_whatever_is_in_a_file_is_checked_without_a_crash(
+    entries: list[tuple[int, tuple[float, ...], int]], kind: Kind
+) -> None:
+    given = [
+        MissionItem(seq, command, (p[0], p[1], p[2], p[3], p[4], p[5], p[6]), frame)
+        for seq, (command, p, frame) in enumerate(entries)
+    ]
+    report = reviewed(given, kind)
+    for finding in report.findings:
+        assert finding.text.startswith("item ") and "\n" not in finding.text
+        assert 0 <= finding.seq < len(given)

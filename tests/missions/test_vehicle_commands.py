@@ -1,0 +1,98 @@
+"""`mission upload`, `watch` and `download` on the command line: what is wrong is said in one line."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import command_line
+import pytest
+
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.autopilot_server import AutopilotServer
+
+VINE_MISSION = Path(__file__).parents[1] / "data" / "recordings" / "ardupilot_vine_mission.waypoints"
+NOBODY = "udpin:127.0.0.1:1"
+ACTIONS = pytest.mark.parametrize(
+    "arguments", [("upload", VINE_MISSION), ("watch",), ("download", "got.plan")], ids=lambda a: a[0]
+)
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The one line on standard error of a command that fails."""
+    status, _, error = command_line.run(capsys, "mission", *arguments)
+    assert status == 2
+    assert error.startswith("flying-vines: ") and error.count("\n") == 1, error
+    return error.removeprefix("flying-vines: ").rstrip()
+
+
+@ACTIONS
+def test_without_mavsdk_it_says_what_to_install(
+    arguments: tuple[object, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "mavsdk", None)
+    error = said(capsys, *arguments, "--link", NOBODY)
+    assert error == "mavsdk is missing; pip install 'flying-vines[missions]' brings it, on 64-bit systems"
+
+
+def test_where_its_library_does_not_load_the_first_line_says_so(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    package = tmp_path / "mavsdk"
+    package.mkdir()
+    (package / "__init__.py").write_text("raise OSError('Could not load cmavsdk\\n  tried here')\n")
+    for name in [name for name in sys.modules if name.split(".")[0] == "mavsdk"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    error = said(capsys, "watch", "--link", NOBODY)
+    assert error == "mavsdk does not run on this machine: Could not load cmavsdk"
+
+
+@ACTIONS
+def test_a_link_that_is_none(arguments: tuple[object, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    assert said(capsys, *arguments, "--link", "telepathy").startswith("'telepathy' is no link: give serial:")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "begins"),
+    [
+        (("upload", "none.waypoints"), "none.waypoints: cannot be read: No such file"),
+        (("download", "mission.pdf"), "mission.pdf: a mission is written as .plan or .waypoints"),
+    ],
+)
+def test_files_are_looked_at_before_the_vehicle(
+    arguments: tuple[str, ...], begins: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert said(capsys, *arguments, "--link", NOBODY).startswith(begins)
+
+
+async def test_ctrl_c_ends_a_watch_that_waits() -> None:
+    if not os.environ.get("CI"):
+        pytest.importorskip("mavsdk", reason="needs mavsdk: pip install 'flying-vines[missions]'")
+    server = AutopilotServer(Autopilot(), None, listen=[("127.0.0.1", 0)])
+    running = asyncio.create_task(server.run())
+    await server.ready.wait()
+    command = [sys.executable, "-m", "flying_vines", "mission", "watch"]
+    link = ["--link", f"tcp:127.0.0.1:{server.ports[0]}"]
+    upload = [*command[:-1], "upload", str(VINE_MISSION), *link]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    sent = await asyncio.create_subprocess_exec(*upload, **pipes)  # type: ignore[arg-type]
+    text, _ = await sent.communicate()
+    assert sent.returncode == 0, text
+    assert text.decode().splitlines() == [
+        "Uploading 12 items to ArduPilot, system 1",
+        "Uploaded. Read back: ArduPilot holds what it was expected to hold.",
+    ]
+    process = await asyncio.create_subprocess_exec(*command, *link, **pipes)  # type: ignore[arg-type]
+    assert process.stdout is not None
+    first = await asyncio.wait_for(process.stdout.readline(), 20.0)
+    assert first.startswith(b"Watching ArduPilot, system 1: 12 items."), first
+    os.kill(process.pid, signal.SIGINT)
+    rest, _ = await asyncio.wait_for(process.communicate(), 10.0)
+    assert (process.returncode, rest) == (130, b"")
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)

@@ -1,0 +1,100 @@
+"""The listener on mavsdk's threads, without mavsdk; and links in its words."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from missions.link import MOST_WAITING, Ears, mavsdk_url
+
+
+class Direct:
+    """What mavsdk's plugin is to a listener: it calls back on a thread of its own."""
+
+    def __init__(self) -> None:
+        self.subscribed: dict[str, Callable[[Any, object], None]] = {}
+
+    def subscribe_message(self, name: str, callback: Callable[[Any, object], None]) -> str:
+        self.subscribed[name] = callback
+        return name
+
+    def unsubscribe_message(self, name: str) -> None:
+        del self.subscribed[name]
+
+    def say(self, name: str, *texts: str) -> None:
+        def speak() -> None:
+            for text in texts:
+                self.subscribed[name](
+                    SimpleNamespace(message_name=name, component_id=191, fields_json=text), None
+                )
+
+        thread = threading.Thread(target=speak)
+        thread.start()
+        thread.join()
+
+
+async def test_what_is_said_on_a_thread_is_heard_in_order() -> None:
+    direct = Direct()
+    ears = Ears(direct, ["A", "B"])
+    direct.say("A", '{"n": 1}', '{"n": 2}', "{ no json")
+    direct.say("B", '{"n": 3}')
+    heard = await ears.hear(1.0)
+    assert [(each.name, each.component, each.fields["n"]) for each in heard] == [
+        ("A", 191, 1),
+        ("A", 191, 2),
+        ("B", 191, 3),
+    ]
+    assert await ears.hear(0.01) == []
+    asyncio.get_running_loop().call_later(0.02, lambda: direct.say("A", '{"n": 4}'))
+    assert [each.fields["n"] for each in await ears.hear(5.0)] == [4]
+    ears.close()
+    assert direct.subscribed == {}
+
+
+async def test_a_slow_listener_keeps_the_latest_and_no_more() -> None:
+    direct = Direct()
+    ears = Ears(direct, ["A"])
+    calls = 0
+    loop = asyncio.get_running_loop()
+    call = loop.call_soon_threadsafe
+
+    def counted(*arguments: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        return call(*arguments)
+
+    loop.call_soon_threadsafe = counted  # type: ignore[method-assign, assignment]
+    direct.say("A", *(json.dumps({"n": n}) for n in range(10 * MOST_WAITING)))
+    assert calls == 1, "the loop's own queue does not grow either"
+    numbers = [each.fields["n"] for each in await ears.hear(1.0)]
+    assert numbers == list(range(9 * MOST_WAITING, 10 * MOST_WAITING))
+
+
+def test_a_loop_that_has_ended_is_no_error() -> None:
+    direct = Direct()
+
+    async def listen() -> Ears:
+        return Ears(direct, ["A"])
+
+    ears = asyncio.run(listen())
+    direct.say("A", "{}")
+    assert len(ears.waiting()) == 1
+
+
+@pytest.mark.parametrize(
+    ("link", "url"),
+    [
+        ("udpin:0.0.0.0:14550", "udpin://0.0.0.0:14550"),
+        ("udpout:10.0.0.2:14550", "udpout://10.0.0.2:14550"),
+        ("tcp:localhost:5760", "tcpout://localhost:5760"),
+        ("serial:/dev/ttyUSB0:57600", "serial:///dev/ttyUSB0:57600"),
+    ],
+)
+def test_links_are_written_in_mavsdks_words(link: str, url: str) -> None:
+    assert mavsdk_url(link) == url
