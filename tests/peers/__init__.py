@@ -1,0 +1,1 @@
+"""Programs that others wrote, as peers of the service."""

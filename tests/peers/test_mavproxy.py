@@ -1,0 +1,244 @@
+"""MAVProxy, typed to as a person would, behind the fake autopilot that the service is a companion of.
+
+One MAVProxy for each kind of autopilot, as it takes seconds to start; every test says first whom it talks to.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import re
+import socket
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import pytest_asyncio
+
+from flying_vines import config
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.autopilot_server import AutopilotServer
+from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
+from flying_vines.service import Service
+from flying_vines.vehicle.component.settings import SETTINGS
+from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.signing import Signing
+from flying_vines.vehicle.signing_key import read_key
+from peers.mavproxy import HOW_TO_INSTALL, PATIENCE_S, MavProxy, installed, mavproxy
+
+pytestmark = [
+    pytest.mark.skipif(not installed() and not os.environ.get("CI"), reason=HOW_TO_INSTALL),
+    pytest.mark.asyncio(loop_scope="module"),
+]
+
+EXAMPLES = Path(__file__).parents[2] / "missions" / "examples"
+NUMBER = r"(-?[\d.]+(?:e-?\d+)?)"
+
+
+@dataclass
+class Flight:
+    """What is there, and the ground station that sees it through the autopilot."""
+
+    kind: Kind
+    autopilot: Autopilot
+    phlosar: SimulatedPhlosar
+    ground: MavProxy
+
+    async def value(self, name: str, wanted: Callable[[float], bool]) -> float:
+        """What MAVProxy shows of a named value, once it is as wanted."""
+        async with asyncio.timeout(PATIENCE_S):
+            while True:
+                self.ground.type(f"status *{name}*")
+                seen = await self.ground.sees(rf"name : {name}, value : {NUMBER}", again=f"status *{name}*")
+                if wanted(float(seen[1])):
+                    return float(seen[1])
+                await asyncio.sleep(0.2)
+
+    async def until(self, true: Callable[[], bool]) -> None:
+        async with asyncio.timeout(PATIENCE_S):
+            while not true():
+                await asyncio.sleep(0.02)
+
+
+@pytest_asyncio.fixture(params=["ardupilot", "px4"], scope="module", loop_scope="module")
+async def flight(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> AsyncIterator[Flight]:
+    kind: Kind = request.param
+    async with flying(kind, tmp_path_factory.mktemp(kind)) as flight:
+        await flight.ground.sees("Detected vehicle 1:191 on link 0")
+        yield flight
+
+
+@asynccontextmanager
+async def flying(kind: Kind, folder: Path, key: bytes | None = None) -> AsyncIterator[Flight]:
+    """An autopilot on a bench with the service and MAVProxy; with a `key` the first two sign."""
+    autopilot = Autopilot(kind, signing_key=key, unix_s=time.time())
+    autopilot.set_rc(9, 1000)
+    companion_port, ground_port = free_port(), free_port()
+    phlosar = SimulatedPhlosar()
+    server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
+    with PtyPhlosar(phlosar) as port:
+        profile = (
+            config.default_text()
+            .replace("udpin:0.0.0.0:14540", f"udpin:127.0.0.1:{companion_port}")
+            .replace("serial:/dev/ttyACM0", f"serial:{port.path}")
+            .replace("bench_mode = false", "bench_mode = true")
+        )
+        service = Service(config.parse(profile, "test"), signing=Signing(key) if key else None)
+        running = [asyncio.create_task(part.run()) for part in (server, port, service)]
+        async with mavproxy(ground_port, folder) as ground:
+            yield Flight(kind, autopilot, phlosar, ground)
+        for task in running:
+            task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.gather(*running)
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+async def test_the_gauge_is_seen_by_the_name_of_each_value(flight: Flight) -> None:
+    names = ".*".join(("BEND_DEG", "CMD_KPA", "CV_KPA", "CYC_LEFT", "RES_KPA"))
+    await flight.ground.sees(f"(?s){names}", again="status NAMED_VALUE_FLOAT*")
+    shown_kPa = await flight.value("RES_KPA", lambda value: value > 0)
+    assert shown_kPa == pytest.approx(flight.phlosar.reservoir_kPa, abs=5)
+
+
+async def test_commands_move_the_vine_and_are_answered_in_words(flight: Flight) -> None:
+    ground = flight.ground
+    ground.type("vehicle 1:191")
+    ground.type("long 31011 30")
+    await ground.sees("Got COMMAND_ACK: USER_2: ACCEPTED")
+    shown_deg = await flight.value("BEND_DEG", lambda value: value > 27)
+    assert shown_deg == pytest.approx(30, abs=3)
+    ground.type("long 31012 500")
+    await ground.sees("AP: Vine: 500 kPa limited to 20.7 kPa")
+    await ground.sees("Got COMMAND_ACK: USER_3: ACCEPTED")
+    ground.type("long 31011 95")
+    await ground.sees("AP: Vine: refused bend .*95 deg is outside")
+    await ground.sees("Got COMMAND_ACK: USER_2: DENIED")
+    ground.type("long 31010 7")
+    await ground.sees("Got COMMAND_ACK: USER_1: DENIED")
+    ground.type("long USER_4 0")
+    await ground.sees("Got COMMAND_ACK: USER_4: ACCEPTED")
+    await flight.until(lambda: flight.phlosar.cv_kPa < 1)
+
+
+async def test_disarmed_pneumatics_bend_for_nobody_until_they_are_armed(flight: Flight) -> None:
+    ground = flight.ground
+    ground.type("vehicle 1:191")
+    ground.type("long 31013 2")
+    await ground.sees("Got COMMAND_ACK: USER_4: ACCEPTED")
+    ground.type("long 31011 20")
+    await ground.sees("Got COMMAND_ACK: USER_2: DENIED")
+    await ground.sees("AP: Vine: refused bend 20 deg: the pneumatics are disarmed")
+    ground.type("long 31013 3")
+    await ground.sees("Got COMMAND_ACK: USER_4: ACCEPTED")
+    ground.type("long 31011 20")
+    await ground.sees("Got COMMAND_ACK: USER_2: ACCEPTED")
+    ground.type("long 31013 0")
+    await ground.sees("Got COMMAND_ACK: USER_4: ACCEPTED")
+
+
+async def test_a_calibration_tells_that_it_goes_on_and_how_it_ended(flight: Flight) -> None:
+    ground = flight.ground
+    ground.type("vehicle 1:191")
+    ground.type("long 31014 2")
+    await ground.sees("(?s)USER_5: IN_PROGRESS.*USER_5: IN_PROGRESS")
+    ground.type("long 31014 3")
+    await ground.sees("Got COMMAND_ACK: USER_5: ACCEPTED")
+    await ground.sees("Got COMMAND_ACK: USER_5: FAILED")
+    await ground.sees("AP: Vine: calibration ended early")
+    await flight.until(lambda: flight.phlosar.cv_kPa < 1)
+
+
+async def test_what_is_for_the_autopilot_is_not_for_us(flight: Flight) -> None:
+    """MAVProxy addresses the autopilot unless told otherwise."""
+    flight.ground.type("vehicle 1:1")
+    flight.ground.type("long 31011 30")
+    await flight.ground.sees("Got COMMAND_ACK: USER_2: UNSUPPORTED")
+    flight.ground.type("vehicle 1:191")
+    flight.ground.type("long 31014 9")
+    await flight.ground.sees("Got COMMAND_ACK: USER_5: DENIED")
+    assert flight.phlosar.cv_kPa < 1
+
+
+async def test_texts_are_printed_when_mavproxy_looks_at_all_components(flight: Flight) -> None:
+    """Locked on to the autopilot, as it starts, it has them and does not print them."""
+    ground = flight.ground
+    ground.type("set target_component 0")
+    flight.phlosar.reset_firmware()
+    await ground.sees("AP: Vine: phloSAR restarted")
+    ground.type("vehicle 1:191")
+    await ground.sees("Got COMMAND_ACK: USER_5: ACCEPTED", again="long USER_5 1")
+    ground.type("vehicle 1:1")
+    since = len(ground.text)
+    flight.phlosar.reset_firmware(watchdog=True)
+    await ground.sees("STATUSTEXT {.*text : Vine: firmware fault: watchdog", again="status STATUSTEXT")
+    assert "AP: Vine" not in ground.text[since:]
+    ground.type("vehicle 1:191")
+    await ground.sees("Got COMMAND_ACK: USER_5: ACCEPTED", again="long USER_5 1")
+
+
+async def test_a_plan_with_vine_items_is_loaded_and_listed(flight: Flight) -> None:
+    plan = EXAMPLES / f"bridge_inspection-{flight.kind}.waypoints"
+    text = plan.read_text()
+    carrier = {"ardupilot": 217, "px4": 187}[flight.kind]
+    items = [line.split() for line in text.splitlines()[1:]]
+    bends = [item[4:6] for item in items if int(item[3]) == carrier]
+    assert bends
+    ground = flight.ground
+    ground.type("vehicle 1:1")
+    ground.type(f"wp load {plan}")
+    await ground.sees(f"Sent all {len(items)} waypoints")
+    await ground.sees("Got MISSION_ACK: TYPE_MISSION: ACCEPTED")
+    ground.type("wp list")
+    await ground.sees("Saved waypoints to way.txt")
+    listed = re.findall(rf"\n{carrier} .* p1={NUMBER} p2={NUMBER}", ground.answer)
+    assert [[float(p1), float(p2)] for p1, p2 in listed] == [[float(p1), float(p2)] for p1, p2 in bends]
+
+
+async def test_parameters_are_fetched_set_and_kept_within_their_bounds(flight: Flight) -> None:
+    ground = flight.ground
+    ground.type("vehicle 1:191")
+    ground.type("param fetch")
+    await ground.sees(f"Received {len(SETTINGS)} parameters")
+    ground.type("param show VINE*")
+    names = ".*".join(sorted(setting.name for setting in SETTINGS))
+    await ground.sees(f"(?s){names}")
+    ground.type("param set VINE_MAX_BENT_S 45")
+    await ground.sees("AP: Vine: VINE_MAX_BENT_S is 45, was 120")
+    ground.type("param fetch VINE_MAX_BENT_S")
+    await ground.sees(r"VINE_MAX_BENT_S\s+= 45\.0")
+    ground.type("param set VINE_MAX_BENT_S 500")
+    await ground.sees("AP: Vine: VINE_MAX_BENT_S stays 45: 500 is outside 1 to 120")
+
+
+async def test_signed_commands_are_obeyed_and_those_of_another_key_are_not(tmp_path: Path) -> None:
+    """The passphrase in our key file and the one typed to MAVProxy make the same key."""
+    file = tmp_path / "key"
+    file.write_text("passphrase: vines-over-the-lake\n")
+    file.chmod(0o600)
+    async with flying("ardupilot", tmp_path, read_key(file)) as flight:
+        ground = flight.ground
+        await ground.sees("online system 1")
+        ground.type("signing key some-other-words")
+        await ground.sees("Setup signing key")
+        ground.type("set target_component 191")
+        ground.type("long 31011 30")
+        await asyncio.sleep(1.5)
+        assert ground.printed("COMMAND_ACK") is None
+        assert flight.phlosar.cv_kPa < 1
+        ground.type("signing key vines-over-the-lake")
+        await ground.sees("Setup signing key")
+        await ground.sees("Got COMMAND_ACK: USER_2: ACCEPTED", again="long 31011 30")
+        await flight.until(lambda: flight.phlosar.cv_kPa > 8)

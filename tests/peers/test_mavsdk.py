@@ -1,0 +1,243 @@
+"""mavsdk, which is none of ours, as a ground station beside the real service and a fake autopilot."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import os
+import socket
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from flying_vines import config
+from flying_vines.events import Action, Decision
+from flying_vines.fakes.autopilot import Autopilot, Kind
+from flying_vines.fakes.autopilot_server import AutopilotServer
+from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
+from flying_vines.service import Service
+from missions.download import download
+from missions.files import load_items
+from missions.link import Ears, Heard, LinkError, Vehicle, vehicle
+from missions.upload import upload
+from missions.watch import watch
+
+if not os.environ.get("CI"):
+    pytest.importorskip(
+        "mavsdk", reason="needs mavsdk: pip install 'flying-vines[missions]', on 64-bit systems"
+    )
+
+RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
+KINDS = pytest.mark.parametrize("kind", ["ardupilot", "px4"])
+PATIENCE_S = 20.0
+SPEED = 8.0
+COMPANION = 191
+BEND_TO = 31011
+
+VINE_ITEMS = {"ardupilot": [3, 5, 7, 9], "px4": [2, 4, 6, 8]}
+
+
+async def until(true: Callable[[], bool], what: str) -> None:
+    """Wait for something that another task or thread brings about; the test fails when it does not come."""
+    try:
+        async with asyncio.timeout(PATIENCE_S):
+            while not true():
+                await asyncio.sleep(0.02)
+    except TimeoutError:
+        raise AssertionError(f"never came: {what}") from None
+
+
+def recorded(kind: Kind) -> Path:
+    """The vine mission that a real autopilot of this kind was recorded with."""
+    return RECORDINGS / f"{kind}_vine_mission.waypoints"
+
+
+@dataclass
+class Scene:
+    """A service and what it lives between, and a link for whoever else comes."""
+
+    autopilot: Autopilot
+    service: Service
+    link: str
+    actions: list[Action] = field(default_factory=list)
+
+    def items_fired(self) -> list[object]:
+        return [
+            a.what["seq"] for a in self.actions if isinstance(a, Decision) and a.trigger == "mission_item"
+        ]
+
+
+@asynccontextmanager
+async def scene(kind: Kind, speed: float = 1.0) -> AsyncIterator[Scene]:
+    autopilot = Autopilot(kind)
+    autopilot.set_rc(9, 1000)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        companion_port = probe.getsockname()[1]
+    server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), listen=[("127.0.0.1", 0)], speed=speed)
+    with PtyPhlosar(SimulatedPhlosar()) as port:
+        profile = (
+            config.default_text()
+            .replace("udpin:0.0.0.0:14540", f"udpin:127.0.0.1:{companion_port}")
+            .replace("serial:/dev/ttyACM0", f"serial:{port.path}")
+        )
+        actions: list[Action] = []
+        service = Service(config.parse(profile, "test"), actions.append)
+        running = [asyncio.create_task(part.run()) for part in (server, port)]
+        serving = asyncio.create_task(service.run())
+        await server.ready.wait()
+        await until(lambda: service.core.snapshot(service.now).switch_position == 0, "the service is up")
+        try:
+            yield Scene(autopilot, service, f"tcp:127.0.0.1:{server.ports[0]}", actions)
+        finally:
+            service.stop()
+            await serving
+            for task in running:
+                task.cancel()
+            await asyncio.gather(*running, return_exceptions=True)
+
+
+def paper() -> Console:
+    return Console(file=io.StringIO(), highlight=False, width=200)
+
+
+def written(console: Console) -> str:
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+async def hear(ears: Ears, what: Callable[[Heard], bool]) -> Heard:
+    """The first message like this."""
+    async with asyncio.timeout(PATIENCE_S):
+        while True:
+            for heard in await ears.hear(1.0):
+                if what(heard):
+                    return heard
+
+
+@KINDS
+async def test_an_uploaded_mission_is_flown_and_each_vine_item_fires_once(kind: Kind, tmp_path: Path) -> None:
+    async with scene(kind, SPEED) as flight:
+        console = paper()
+        assert await upload(recorded(kind), flight.link, console) == 0, written(console)
+        flight.autopilot.start_mission()
+        watching = paper()
+        assert await watch(flight.link, watching, live=False) == 0
+        assert flight.items_fired() == VINE_ITEMS[kind]
+        assert [item.seq for _, item in flight.autopilot.payload_log] == VINE_ITEMS[kind]
+        decided = [a for a in flight.actions if isinstance(a, Decision) and a.trigger == "mission_item"]
+        assert {a.safety for a in decided} == {"accepted"}, decided
+        for suffix in (".waypoints", ".plan"):
+            path = tmp_path / f"got{suffix}"
+            assert await download(path, flight.link, paper()) == 0
+            assert [i.command for i in load_items(path, kind).items] == [
+                i.command for i in load_items(recorded(kind), kind).items
+            ]
+    story = written(watching)
+    for seq in VINE_ITEMS[kind]:
+        assert story.count(f"item {seq}: ") == 1, story
+    assert "CYC_LEFT" in story and "RES_KPA" in story
+    assert "The mission has ended" in story
+
+
+@KINDS
+async def test_values_texts_and_acknowledgements_of_the_vine_come_through_the_autopilot(kind: Kind) -> None:
+    async with scene(kind, 2.0) as flight, vehicle(flight.link) as peer:
+        assert peer.kind == kind
+        ears = peer.listen("NAMED_VALUE_FLOAT", "STATUSTEXT")
+        names: set[str] = set()
+        while not names >= {"RES_KPA", "CYC_LEFT", "CV_KPA", "CMD_KPA", "BEND_DEG"}:
+            value = await hear(ears, lambda m: m.component == COMPANION and m.name == "NAMED_VALUE_FLOAT")
+            names.add(value.fields["name"])
+        # On the ground and disarmed the vine must not bend: refused, and the reason is said.
+        assert await peer.command(BEND_TO, 30.0, component=COMPANION) == 2
+        refusal = await hear(ears, lambda m: m.component == COMPANION and m.name == "STATUSTEXT")
+        assert refusal.fields["text"].startswith("Vine: ")
+        flight.autopilot.takeoff(8.0)
+        await until(lambda: flight.autopilot.height_m > 7.0, "in the air")
+        assert await accepted(peer, flight)
+        await hear(
+            ears,
+            lambda m: (
+                m.component == COMPANION
+                and m.fields.get("name") == "BEND_DEG"
+                and abs(m.fields["value"] - 30.0) < 4.0
+            ),
+        )
+
+
+async def accepted(peer: Vehicle, flight: Scene) -> bool:
+    """Whether a bend is taken, once the service knows of the height, and decided only once."""
+    snapshot = flight.service.core.snapshot
+    await until(lambda: snapshot(flight.service.now).altitude_m > 7.0, "the service knows")
+    result = await peer.command(BEND_TO, 30.0, component=COMPANION)
+    decided = [a.safety for a in flight.actions if isinstance(a, Decision) and a.trigger == "command"]
+    return result == 0 and decided == ["refused", "accepted"]
+
+
+@KINDS
+async def test_a_refused_mission_is_told_by_item_and_what_is_left(kind: Kind, tmp_path: Path) -> None:
+    unknown = {"ardupilot": ("\t217\t2\t-25", "\t31010\t2\t-25"), "px4": ("\t42600\t", "\t31010\t")}[kind]
+    path = tmp_path / "refused.waypoints"
+    path.write_text(recorded(kind).read_text().replace(*unknown))
+    async with bare(Autopilot(kind)) as link:
+        assert await upload(recorded(kind), link, paper()) == 0
+        console = paper()
+        assert await upload(path, link, console) == 2
+    first, *rest = written(console).splitlines()[1:]
+    seq = {"ardupilot": 7, "px4": 6}[kind]
+    assert first.startswith(f"Refused: item {seq} (user 1 (")
+    assert first.endswith("command 31010): the vehicle does not know this command in a mission.")
+    if kind == "px4":
+        assert rest == ["The vehicle still holds the mission from before, 11 items."]
+    else:
+        assert "mixture" in rest[0]
+        assert [line.split()[1] for line in rest[1:]] == ["new"] * 7 + ["before"] * 5
+
+
+async def test_what_storage_changes_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "rounded.waypoints"
+    path.write_text(recorded("ardupilot").read_text().replace("\t217\t1\t40", "\t217\t1.9\t40"))
+    assert path.read_text() != recorded("ardupilot").read_text()
+    async with bare(Autopilot("ardupilot")) as link:
+        console = paper()
+        assert await upload(path, link, console) == 0
+    assert "item 3 (script message (1.9, 40)): param1 1.9 is kept as 1." in written(console)
+
+
+async def test_nobody_there_is_said_in_one_line() -> None:
+    with pytest.raises(LinkError, match=r"^udpin:127\.0\.0\.1:\d+: no vehicle heard within 0\.5 s$"):
+        async with vehicle(f"udpin:127.0.0.1:{free_udp_port()}", within_s=0.5):
+            pass
+
+
+async def test_several_clients_have_a_port_of_the_autopilot_each() -> None:
+    async with bare(Autopilot("px4")) as link, vehicle(link) as one, vehicle(link) as other:
+        ears = other.listen("STATUSTEXT")
+        assert await one.command(511, 33, 100_000.0) == 0
+        assert await other.command(31010) == 3
+        assert not [heard for heard in ears.waiting() if heard.component == COMPANION]
+
+
+@asynccontextmanager
+async def bare(autopilot: Autopilot) -> AsyncIterator[str]:
+    """An autopilot alone, and the link to it."""
+    server = AutopilotServer(autopilot, None, listen=[("127.0.0.1", 0)])
+    running = asyncio.create_task(server.run())
+    await server.ready.wait()
+    try:
+        yield f"tcp:127.0.0.1:{server.ports[0]}"
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+
+def free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
