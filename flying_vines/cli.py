@@ -12,12 +12,13 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from time import monotonic
+from time import monotonic, time
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from flying_vines import config as configuration
 from flying_vines.config import Config, ConfigError
 from flying_vines.vehicle.mission.item import MissionItem
+from missions import command as mission_command
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -127,9 +128,17 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument("tlog", type=Path, metavar="FILE.tlog")
     replay.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
     replay.add_argument("--mission", type=Path, metavar="FILE.waypoints", help="where the stream has none")
+    replay.add_argument("--parameters", type=Path, metavar="FILE.toml", help="those a pilot had set")
     replay.add_argument("--pace", type=float, default=0.0, help="1: as recorded; 0: as fast as it goes")
     replay.add_argument("--json", action="store_true", help="an array of objects instead of a table")
     replay.set_defaults(run=_replay)
+
+    buttons = commands.add_parser("buttons", help="write QGroundControl's buttons for the vine")
+    buttons.add_argument(
+        "--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)"
+    )
+    buttons.add_argument("--out", type=Path, default=Path("FlyingVines.json"), metavar="FILE.json")
+    buttons.set_defaults(run=_buttons)
 
     config = commands.add_parser("config", help="write or check a profile")
     actions = config.add_subparsers(required=True, metavar="ACTION")
@@ -204,6 +213,8 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="one object instead")
     fit.set_defaults(run=_vine_fit)
 
+    mission_command.add(commands)
+
     fake = commands.add_parser("fake", help="one end of the link, alone")
     fakes = fake.add_subparsers(required=True, metavar="WHAT")
     autopilot = fakes.add_parser("autopilot", help="a fake autopilot on UDP")
@@ -212,6 +223,13 @@ def _parser() -> argparse.ArgumentParser:
     autopilot.add_argument("--gcs", metavar="HOST:PORT", help="a ground station as well")
     autopilot.add_argument("--mission", type=Path, metavar="FILE.waypoints")
     autopilot.add_argument("--fly", action="store_true", help="take off at once, or fly the mission")
+    autopilot.add_argument(
+        "--listen",
+        action="append",
+        default=[],
+        metavar="tcpin:HOST:PORT",
+        help="clients may connect there; may be given again",
+    )
     autopilot.set_defaults(run=_fake_autopilot)
     phlosar = fakes.add_parser("phlosar", help="a fake phloSAR on a pseudo-terminal; prints its path")
     phlosar.add_argument("--link", type=Path, metavar="PATH", help="a stable name for the port")
@@ -272,10 +290,17 @@ async def _serve(config: Config, known: Calibration | None, arguments: argparse.
     from rich.console import Console
     from rich.live import Live
 
+    from flying_vines.kept import Kept
     from flying_vines.record.flight_log import FlightLog
     from flying_vines.service import Service
     from flying_vines.terminal import LiveView, plain_printer
+    from flying_vines.vehicle.parameter_file import ParameterFileError
+    from flying_vines.vehicle.signing_key import SigningKeyError
 
+    kept = Kept.of(arguments.config, config)
+    with _files(arguments.config, ParameterFileError, SigningKeyError):
+        parameters = kept.read_parameters(config)
+        signing, clock_problem = kept.read_signing(config)
     try:
         log = FlightLog(arguments.out)
     except OSError as error:
@@ -291,7 +316,7 @@ async def _serve(config: Config, known: Calibration | None, arguments: argparse.
         log.action(action)
         show(action)
 
-    service = Service(config, on_action, known.belief if known else None)
+    service = Service(config, on_action, known.belief if known else None, parameters, signing, kept)
     # What was imported lives as long as we do; the collector need not walk it in flight.
     gc.collect()
     gc.freeze()
@@ -300,6 +325,10 @@ async def _serve(config: Config, known: Calibration | None, arguments: argparse.
     console.print(f"Vehicle {config.vehicle.link}, phloSAR {config.firmware.link}, log {log.path}")
     if known:
         console.print(f"Rig {known.path}: {known.said}", highlight=False, soft_wrap=True)
+    for parameter, value in parameters.items():
+        console.print(f"Parameter {parameter} = {value:g}", highlight=False)
+    if clock_problem:
+        console.print(clock_problem, highlight=False, soft_wrap=True)
     serving = asyncio.create_task(service.run())
     screen = Live(console=console, refresh_per_second=5, screen=True) if live else None
     problems: dict[str, str] = {}
@@ -327,9 +356,21 @@ async def _serve(config: Config, known: Calibration | None, arguments: argparse.
     return 0
 
 
+def _buttons(arguments: argparse.Namespace) -> int:
+    from flying_vines.buttons import write_buttons
+
+    config = configuration.load(arguments.config) if arguments.config else configuration.default()
+    with _files(arguments.out):
+        write_buttons(config, arguments.out)
+    print(f"{arguments.out}: for QGroundControl's folder MavlinkActions; choose it in the Fly View settings")
+    return 0
+
+
 def _replay(arguments: argparse.Namespace) -> int:
     from flying_vines.events import Decision
     from flying_vines.replay import as_json, replay
+    from flying_vines.vehicle.parameter_file import ParameterFileError
+    from flying_vines.vehicle.parameter_file import read as read_parameters
     from flying_vines.vehicle.tlog import TlogError, TlogReader
 
     config = configuration.load(arguments.config) if arguments.config else configuration.default()
@@ -337,10 +378,16 @@ def _replay(arguments: argparse.Namespace) -> int:
     mission = _mission(arguments.mission)
     if not arguments.pace >= 0.0:
         _fail("--pace must not be below 0")
+    parameters: dict[str, float] = {}
+    if arguments.parameters:
+        with _files(arguments.parameters, ParameterFileError):
+            parameters = read_parameters(arguments.parameters, config)
     try:
         reader = TlogReader(arguments.tlog)
         belief = known.belief if known else None
-        actions = replay(reader.frames(), config, mission, arguments.pace, belief=belief)
+        actions = replay(
+            reader.frames(), config, mission, arguments.pace, belief=belief, parameters=parameters
+        )
         show = _shower(live=arguments.pace > 0.0 and not arguments.json)
         decisions: list[Decision] = []
         for action in actions:
@@ -658,7 +705,7 @@ def _vine_fit(arguments: argparse.Namespace) -> int:
 
 def _fake_autopilot(arguments: argparse.Namespace) -> int:
     from flying_vines.fakes.autopilot import Autopilot
-    from flying_vines.fakes.autopilot_udp import AutopilotServer
+    from flying_vines.fakes.autopilot_server import AutopilotServer
     from flying_vines.fakes.console import HELP, type_to
 
     mission = _mission(arguments.mission)
@@ -667,9 +714,9 @@ def _fake_autopilot(arguments: argparse.Namespace) -> int:
         fly = Autopilot.start_mission if mission else lambda autopilot: autopilot.takeoff(10.0)
         script.append((3.0, fly))
     try:
-        autopilot = Autopilot(arguments.kind, mission=mission)
+        autopilot = Autopilot(arguments.kind, mission=mission, unix_s=time())
         gcs = f"udpout:{arguments.gcs}" if arguments.gcs else None
-        server = AutopilotServer(autopilot, f"udpout:{arguments.to}", gcs, script)
+        server = AutopilotServer(autopilot, f"udpout:{arguments.to}", gcs, script, listen=arguments.listen)
     except ValueError as error:
         _fail(str(error))
     print(f"A fake {arguments.kind} sends to {arguments.to}. Type to fly it; Ctrl-C ends it.", flush=True)
@@ -680,7 +727,13 @@ def _fake_autopilot(arguments: argparse.Namespace) -> int:
             tasks.create_task(server.run())
             tasks.create_task(type_to(autopilot))
 
-    asyncio.run(serve())
+    taken: BaseException | None = None
+    try:
+        asyncio.run(serve())
+    except* OSError as group:
+        taken = group.exceptions[0]
+    if taken is not None:
+        _fail(f"{' '.join(arguments.listen)}: {getattr(taken, 'strerror', None) or taken}")
     return 0
 
 

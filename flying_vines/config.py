@@ -232,7 +232,7 @@ def parse(text: str, source: str) -> Config:
         config = msgspec.convert(raw, Config)
     except msgspec.ValidationError as error:
         raise _explain(text, source, str(error), inside) from None
-    for key, reason in contradictions(config):
+    for key, reason in _contradictions(config):
         raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
     return config
 
@@ -243,7 +243,7 @@ def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:
     return list(profiles.items()) if isinstance(profiles, dict) else []
 
 
-def contradictions(config: Config) -> list[tuple[Key, str]]:
+def _contradictions(config: Config) -> list[tuple[Key, str]]:
     """What no single table can know: keys that do not fit each other, and why."""
     found: list[tuple[Key, str]] = []
     for table, link in (("vehicle", config.vehicle.link), ("firmware", config.firmware.link)):

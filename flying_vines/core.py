@@ -8,7 +8,7 @@ feed the same machine, so the same events always give the same decisions.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -21,8 +21,10 @@ from flying_vines.events import (
     Decision,
     Event,
     FirmwareMessage,
+    KeepParameters,
     LinkChanged,
     Measured,
+    Said,
     Snapshot,
     Stop,
     Tick,
@@ -47,6 +49,7 @@ from flying_vines.notice import Notice, Severity
 from flying_vines.reservoir import Belief, ReservoirEstimate, floor_kPa, nominal
 from flying_vines.safety import Conditions, Demand, Entered, Left, Ruling, Safety
 from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.component.parameters import Changed
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vehicle.vehicle import Output, Vehicle
@@ -66,21 +69,26 @@ class Core:
     """One vine on one vehicle. `handle` takes every event, in time order, and returns what to do, in order.
 
     `mission` is the vehicle's mission where it is known beforehand; otherwise it is read from the autopilot.
-    `belief` is what is known of the rig, where that is more than the configuration's numbers.
+    `belief` is what is known of the rig, where that is more than the configuration's numbers. `parameters`
+    are those that a pilot has set and that were kept.
     """
 
     def __init__(
-        self, config: Config, mission: Sequence[MissionItem] = (), belief: Belief | None = None
+        self,
+        profile: Config,
+        mission: Sequence[MissionItem] = (),
+        belief: Belief | None = None,
+        parameters: Mapping[str, float] | None = None,
     ) -> None:
-        self.config = config
+        self._vehicle = Vehicle(profile, mission, parameters)
+        config = self.config
         self._curve = config.vine.bend_curve()
         self._bent_kPa = 0.0
         self._profiles = {name: tuple(flatten(config.profiles, name)) for name in config.profiles}
-        self._vehicle = Vehicle(config, mission)
         self._rc_in_use = False
         self._firmware = fw.HostSession(repeat_s=TICK_S)
         self._firmware_was_ready = False
-        self._max_kPa = config.limits.max_kPa
+        self._firmware_limit_kPa = math.inf
         self._firmware_problem = "not connected"
         self._safety = Safety(config)
         self._belief = belief or nominal(config.pneumatics)
@@ -93,12 +101,21 @@ class Core:
         self._stopped = False
         self._actions: list[Action] = []
 
+    @property
+    def config(self) -> Config:
+        """The profile with the parameters that are in force."""
+        return self._vehicle.config
+
+    @property
+    def _max_kPa(self) -> float:
+        return min(self.config.limits.max_kPa, self._firmware_limit_kPa)
+
     def handle(self, event: Event) -> list[Action]:
         """What is to be done about `event`."""
         self._actions = []
         match event:
-            case VehicleMessage(t, message):
-                self._take(t, self._vehicle.handle(t, message))
+            case VehicleMessage():  # most events are; a pattern that names its fields takes twice as long
+                self._take(event.t, self._vehicle.handle(event.t, event.message, self._vented))
             case FirmwareMessage(t, message):
                 self._on_firmware(t, message)
             case LinkChanged(t, "vehicle", up):
@@ -107,9 +124,13 @@ class Core:
                 self._on_firmware_link(t, up)
             case Tick(t):
                 self._on_tick(t)
+            case Said(t, severity, text):
+                self._notice(t, severity, text)
             case Stop(t):
                 self._stop_moving(t)
                 self._stopped = True
+        if leaving := self._vehicle.component.leaving(event.t):
+            self._let_leave(leaving)
         return self._actions
 
     # The vehicle's side.
@@ -121,8 +142,15 @@ class Core:
                 self._send(*self._vehicle.acknowledge(output, decision.safety != "refused"))
             elif isinstance(output, Notice):
                 self._tell(output)
+            elif isinstance(output, Changed):
+                self._configure(output)
             else:
                 self._send(output)
+
+    def _configure(self, change: Changed) -> None:
+        self._safety.configure(change.config)
+        self._vehicle.configure()
+        self._actions.append(KeepParameters(change.t, dict(self._vehicle.component.parameters.values)))
 
     # The firmware's side.
 
@@ -140,7 +168,7 @@ class Core:
             match event:
                 case fw.Ready(welcome):
                     self._firmware_was_ready = True
-                    self._max_kPa = min(self.config.limits.max_kPa, welcome.setpoint_limit_kPa)
+                    self._firmware_limit_kPa = welcome.setpoint_limit_kPa
                     self._notice(t, Severity.INFO, f"phloSAR ready ({welcome.firmware_build})")
                 case fw.TelemetryReceived(telemetry):
                     self._actions.append(Measured(t, telemetry))
@@ -172,7 +200,7 @@ class Core:
         settled = self._without_air(t, intent, trigger.by_person)
         if settled is not None:
             return self._record(t, trigger, settled)
-        problem, segments, rate_kPa_per_s, wanted_kPa = self._segments(intent)
+        problem, segments, rate_kPa_per_s = self._segments(intent)
         if problem:
             return self._record(t, trigger, Ruling("refused", problem))
         start_kPa = self._setpoint_kPa(t)
@@ -182,7 +210,7 @@ class Core:
         demand = Demand(
             releases=trajectory.rise_kPa <= 0.0 and trajectory.final_kPa <= 0.0,
             peak_kPa=peak_kPa,
-            wanted_kPa=max(wanted_kPa, peak_kPa),
+            wanted_kPa=top_kPa(segments, self._curve, math.inf),
             spending_kPa=self._reservoir.spending_kPa(trajectory.rise_kPa),
             floor_kPa=floor_kPa(self._belief.pneumatics, rate_kPa_per_s),
         )
@@ -233,27 +261,27 @@ class Core:
                 return Ruling("accepted")
         return None
 
-    def _segments(self, intent: Intent) -> tuple[str, Sequence[Segment], float, float]:
-        """A problem or "", what to do, how fast at most, and the pressure asked for."""
+    def _segments(self, intent: Intent) -> tuple[str, Sequence[Segment], float]:
+        """A problem or "", what to do, and how fast at most."""
         rate_kPa_per_s = self.config.limits.max_rate_kPa_per_s
         match intent:
             case StartProfile(name):
                 own = self.config.profiles[name].rate_kPa_per_s
                 rate_kPa_per_s = min(rate_kPa_per_s, own or rate_kPa_per_s)
-                return "", self._profiles[name], rate_kPa_per_s, 0.0
+                return "", self._profiles[name], rate_kPa_per_s
             case BendTo(angle_deg):
                 if not self._curve.min_deg <= angle_deg <= self._curve.max_deg:
                     angles = f"{self._curve.min_deg:g}…{self._curve.max_deg:g}°"
-                    return f"{angle_deg:g}° is outside the vine's {angles}", [], rate_kPa_per_s, 0.0
-                return "", [Step(to_deg=angle_deg)], rate_kPa_per_s, 0.0
+                    return f"{angle_deg:g}° is outside the vine's {angles}", [], rate_kPa_per_s
+                return "", [Step(to_deg=angle_deg)], rate_kPa_per_s
             case SetPressure(target_kPa):
                 if target_kPa < 0.0:
-                    return f"{target_kPa:g} kPa is below ambient", [], rate_kPa_per_s, 0.0
-                return "", [Step(to_kPa=target_kPa)], rate_kPa_per_s, target_kPa
+                    return f"{target_kPa:g} kPa is below ambient", [], rate_kPa_per_s
+                return "", [Step(to_kPa=target_kPa)], rate_kPa_per_s
             case StartCalibration():
                 stairs = self.config.calibration
                 segments = list(staircase(self._max_kPa, stairs.steps, stairs.hold_s))
-                return "", segments, rate_kPa_per_s, 0.0
+                return "", segments, rate_kPa_per_s
         raise AssertionError(intent)
 
     def _hold(self, t: float) -> Ruling:
@@ -316,6 +344,10 @@ class Core:
         if self._motion is not None:
             command = fw.Regulate(self._motion.setpoint_kPa(t + TICK_S), self._motion.rate_kPa_per_s)
         self._to_firmware(self._firmware.command(t, command))
+
+    @property
+    def _vented(self) -> bool:
+        return self._motion is None and self._near_zero()
 
     def _near_zero(self) -> bool:
         telemetry = self._firmware.telemetry
@@ -443,20 +475,18 @@ class Core:
         status = mavlink.MAV_STATE_ACTIVE if self._motion else mavlink.MAV_STATE_STANDBY
         if self._safety.reasons:
             status = mavlink.MAV_STATE_CRITICAL
-        if not self._vehicle.state.found:
-            self._speak_first(t)
+        values: Mapping[str, float] = {}
+        if self._vehicle.state.found:
+            values = self._named_values(t)
+        elif not self._may_speak_first(t):
             return
         boot_ms = self._vehicle.state.time_boot_ms(t)
-        self._send(*self._vehicle.component.due(t, boot_ms, self._named_values(t), status))
+        self._let_leave(self._vehicle.component.due(t, boot_ms, values, status))
 
-    def _speak_first(self, t: float) -> None:
+    def _may_speak_first(self, t: float) -> bool:
         """Some peers send nothing before they have heard something (a port that waits for its client)."""
         self._alone_since = t if self._alone_since is None else self._alone_since
-        if t - self._alone_since >= SPEAK_FIRST_S:
-            status = mavlink.MAV_STATE_STANDBY
-            system_id = self.config.vehicle.system_id or 1
-            messages = self._vehicle.component.due(t, 0, {}, status)
-            self._actions.extend(ToVehicle(message, system_id) for message in messages)
+        return t - self._alone_since >= SPEAK_FIRST_S
 
     def _fresh_telemetry(self, t: float) -> protocol.Telemetry | None:
         """The latest telemetry, unless it is too old to be shown as the present."""
@@ -509,15 +539,24 @@ class Core:
             dvp_opening=telemetry.dvp_opening if telemetry else math.nan,
             solenoid=telemetry.solenoid if telemetry else None,
             cycles=self._reservoir.cycles_left(),
-            doing=self._motion.name if self._motion else "vented" if self._pneumatics_armed else "disarmed",
+            doing=self._motion.name if self._motion else self._resting,
             safe_state=self._safety.reasons,
             ambient_kPa=math.nan if ambient_kPa is None else ambient_kPa,
         )
 
+    @property
+    def _resting(self) -> str:
+        return "vented" if self._pneumatics_armed else "pneumatics disarmed"
+
     # Sending.
 
     def _send(self, *messages: Message) -> None:
-        self._actions.extend(ToVehicle(message, self._vehicle.state.system_id) for message in messages)
+        for message in messages:
+            self._vehicle.component.send(message)
+
+    def _let_leave(self, messages: Sequence[Message]) -> None:
+        system_id = self._vehicle.state.system_id or self.config.vehicle.system_id or 1
+        self._actions.extend(ToVehicle(message, system_id) for message in messages)
 
     def _to_firmware(self, messages: Sequence[protocol.HostMessage]) -> None:
         self._actions.extend(ToFirmware(message) for message in messages)

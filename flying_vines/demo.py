@@ -22,7 +22,7 @@ from flying_vines import config as configuration
 from flying_vines.config import Config
 from flying_vines.events import Action, Decision, Snapshot
 from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.autopilot_udp import AutopilotServer
+from flying_vines.fakes.autopilot_server import AutopilotServer
 from flying_vines.fakes.ground_station import GroundStation
 from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.notice import Notice

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from firmware_link import protocol
-from flying_vines.notice import Notice
+from flying_vines.notice import Notice, Severity
 from flying_vines.reservoir import CyclesLeft
 from flying_vines.vehicle.codec import Message
 
@@ -48,13 +48,22 @@ class Tick:
 
 
 @dataclass(frozen=True, slots=True)
+class Said:
+    """Something outside the core that people should read: a file that cannot be written, forged messages."""
+
+    t: float
+    severity: Severity
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class Stop:
     """The service is to end: vent."""
 
     t: float
 
 
-Event = VehicleMessage | FirmwareMessage | LinkChanged | Tick | Stop
+Event = VehicleMessage | FirmwareMessage | LinkChanged | Tick | Said | Stop
 
 
 # Actions: what is to be done.
@@ -101,7 +110,15 @@ class Calibrated:
     levels_kPa: tuple[tuple[float, float], ...]
 
 
-Action = ToVehicle | ToFirmware | Decision | Notice | Measured | Calibrated
+@dataclass(frozen=True, slots=True)
+class KeepParameters:
+    """The parameters that differ from the profile have changed, and are to survive the service."""
+
+    t: float
+    values: dict[str, float]
+
+
+Action = ToVehicle | ToFirmware | Decision | Notice | Measured | Calibrated | KeepParameters
 
 
 @dataclass(frozen=True, slots=True)

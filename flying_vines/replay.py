@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 from flying_vines.config import Config
 from flying_vines.events import Action, Decision, VehicleMessage
@@ -20,6 +20,7 @@ def replay(
     pace: float = 0.0,
     sleep: Callable[[float], None] = time.sleep,
     belief: Belief | None = None,
+    parameters: Mapping[str, float] | None = None,
 ) -> Iterator[Action]:
     """Everything that the core does about a recording: (unix time in s, frame) in order.
 
@@ -27,7 +28,7 @@ def replay(
     fast, 0 as fast as it goes. A frame whose time lies before its predecessor's is taken at its
     predecessor's.
     """
-    world = SimulatedWorld(config, mission=mission, belief=belief)
+    world = SimulatedWorld(config, mission=mission, belief=belief, parameters=parameters)
     codec = Codec(config.vehicle.system_id, config.vehicle.component_id)
     began: float | None = None
     started = time.monotonic()
@@ -40,7 +41,9 @@ def replay(
                 sleep(ahead_s)
         yield from world.advance(t)
         for message in codec.decode(frame):
-            yield from world.feed(VehicleMessage(t, message))
+            # A ground station's recording holds what we said then, which is not to be heard as another's.
+            if message.get_srcComponent() != config.vehicle.component_id:
+                yield from world.feed(VehicleMessage(t, message))
 
 
 def as_json(decision: Decision) -> dict[str, object]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
 
 from firmware_link import protocol
 from flying_vines.address import parse_address
@@ -13,34 +14,53 @@ from flying_vines.events import (
     Action,
     Event,
     FirmwareMessage,
+    KeepParameters,
     LinkChanged,
+    Said,
     Stop,
     Tick,
     ToFirmware,
     ToVehicle,
     VehicleMessage,
 )
+from flying_vines.kept import Kept
+from flying_vines.notice import Severity
 from flying_vines.reservoir import Belief
+from flying_vines.vehicle import parameter_file
 from flying_vines.vehicle.codec import Codec
 from flying_vines.vehicle.link import open_link
+from flying_vines.vehicle.signing import Signing
+from flying_vines.vehicle.signing_key import SigningKeyError, TimestampFile
 
 LAST_WORDS_S = 0.3
 """After a stop: the last status text and the vent must get out."""
+REFUSALS_TOLD_S = 10.0
 
 
 class Service:
-    """A core between two real links. `on_action` sees every action after it was carried out."""
+    """A core between two real links. `on_action` sees every action after it was carried out.
+
+    `kept` says where the parameters and the signing clock are kept; without it they end with the service.
+    """
 
     def __init__(
         self,
         config: Config,
         on_action: Callable[[Action], None] | None = None,
         belief: Belief | None = None,
+        parameters: Mapping[str, float] | None = None,
+        signing: Signing | None = None,
+        kept: Kept | None = None,
     ) -> None:
-        self.core = Core(config, belief=belief)
+        self.core = Core(config, belief=belief, parameters=parameters)
         self.link_problems: dict[str, str] = {}
+        self._profile = config
+        self._kept = kept
+        self._to_keep: dict[str, float] = {}
+        self._something_to_keep = asyncio.Event()
+        self._signing = signing
         self._on_action = on_action or (lambda action: None)
-        self._mavlink = Codec(config.vehicle.system_id, config.vehicle.component_id)
+        self._mavlink = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)
         self._serial = protocol.Codec()
         self._stopping = asyncio.Event()
         self._vehicle = open_link(
@@ -66,6 +86,8 @@ class Service:
                 tasks.create_task(self._vehicle.run()),
                 tasks.create_task(self._firmware.run()),
                 tasks.create_task(self._tick()),
+                tasks.create_task(self._keep_parameters()),
+                tasks.create_task(self._keep_signing()),
             ]
             await self._stopping.wait()
             self._feed(Stop(self.now))
@@ -73,9 +95,42 @@ class Service:
             for edge in edges:
                 edge.cancel()
 
+    async def _keep_parameters(self) -> None:
+        """Write the latest; a slow disk delays nothing else."""
+        while self._kept is not None:
+            await self._something_to_keep.wait()
+            self._something_to_keep.clear()
+            try:
+                await asyncio.to_thread(
+                    parameter_file.write, self._kept.parameters, self._to_keep, self._profile
+                )
+            except parameter_file.ParameterFileError as error:
+                self._feed(Said(self.now, Severity.WARNING, f"parameters not kept: {error}"))
+
+    async def _keep_signing(self) -> None:
+        """Keep the clock that we sign with, and tell who is not believed."""
+        if self._signing is None:
+            return
+        file = TimestampFile(self._kept.signing_timestamp) if self._kept else None
+        told, told_at = self._signing.refused.total, -REFUSALS_TOLD_S
+        while True:
+            if file is not None and file.due(self._signing.timestamp):
+                try:
+                    await asyncio.to_thread(file.save, self._signing.timestamp)
+                except SigningKeyError as error:
+                    self._feed(Said(self.now, Severity.WARNING, str(error)))
+            refused = self._signing.refused
+            if refused.total > told and self.now - told_at >= REFUSALS_TOLD_S:
+                text = f"refused messages: {refused}"
+                self._feed(Said(self.now, Severity.WARNING, text))
+                told, told_at = refused.total, self.now
+            await asyncio.sleep(1.0)
+
     async def _tick(self) -> None:
         due = self.now
         while True:
+            if self._signing is not None:
+                self._signing.advance(time.time())
             self._feed(Tick(self.now))
             due = max(due + TICK_S, self.now - TICK_S)
             await asyncio.sleep(max(0.0, due - self.now))
@@ -107,4 +162,7 @@ class Service:
                     self._firmware.write(self._serial.encode(message))
                 case ToVehicle(message, system_id):
                     self._vehicle.write(self._mavlink.encode(message, system_id))
+                case KeepParameters(_, values):
+                    self._to_keep = values
+                    self._something_to_keep.set()
             self._on_action(action)

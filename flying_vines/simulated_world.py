@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from firmware_link import protocol
 from flying_vines.config import Config
@@ -36,8 +36,9 @@ class SimulatedWorld:
         phlosar: SimulatedPhlosar | None = None,
         mission: Sequence[MissionItem] = (),
         belief: Belief | None = None,
+        parameters: Mapping[str, float] | None = None,
     ) -> None:
-        self.core = Core(config, mission, belief)
+        self.core = Core(config, mission, belief, parameters)
         # The ideal plant, for it is quick; whoever wants another hands it over.
         self.phlosar = phlosar or SimulatedPhlosar(
             effects=Effects(), reservoir_kPa=config.pneumatics.full_kPa

@@ -34,12 +34,13 @@ class Bench:
         )
         self.flight = SimulatedFlight(conf, Autopilot("ardupilot"))
         self.actions: list[Action] = self.flight.run(3.0)
-        self._ground, self._codec = Codec(*GROUND), Codec(1, 191)
+        self._senders: dict[tuple[int, int], Codec] = {}
 
     def command(self, number: int, param1: float, sender: tuple[int, int] = GROUND) -> Decision:
         """Send it and let a moment pass; what came of it."""
         message = mavlink.MAVLink_command_long_message(1, 191, number, 0, param1, 0, 0, 0, 0, 0, 0)
-        (received,) = Codec(1, 191).decode(Codec(*sender).encode(message, sender[0]))
+        codec = self._senders.setdefault(sender, Codec(*sender))
+        (received,) = Codec(1, 191).decode(codec.encode(message, sender[0]))
         actions = self.flight.feed(VehicleMessage(self.flight.world.now, received))
         self.actions += actions
         (decision,) = (action for action in actions if isinstance(action, Decision))
@@ -86,7 +87,7 @@ def test_disarmed_pneumatics_let_air_out_and_bend_for_nobody_until_a_person_arms
 
 def test_a_profile_may_want_a_person_to_arm_first() -> None:
     bench = Bench(armed_at_start=False)
-    assert bench.flight.core.snapshot(3.0).doing == "disarmed"
+    assert bench.flight.core.snapshot(3.0).doing == "pneumatics disarmed"
     assert bench.command(BEND, 30.0).safety == "refused"
     assert bench.command(STOP, ARM).safety == "accepted"
     assert bench.flight.core.snapshot(3.0).doing == "vented"

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from flying_vines.config import Pneumatics
-from flying_vines.events import Action, Calibrated, Decision, Measured, Snapshot
+from flying_vines.events import Action, Calibrated, Decision, KeepParameters, Measured, Snapshot
 from flying_vines.notice import Notice
 from flying_vines.pneumatics.rig import ControlVolume, Dvp, Evp, Reservoir, Rig
 
@@ -41,6 +41,8 @@ class FlightLog:
             self._write("telemetry", {"t": action.t, **asdict(action.telemetry)})
         elif isinstance(action, Calibrated):
             self._write("calibration", asdict(action))
+        elif isinstance(action, KeepParameters):
+            self._write("parameters", asdict(action))
 
     def believed(self, t: float, numbers: Pneumatics) -> None:
         """What the rig is believed to be, as the tables of a rig file."""

@@ -21,11 +21,7 @@ class RadioLink:
     """Weighs RC_CHANNELS, SYS_STATUS and status texts; `switch_us` is the switch's latest pulse width."""
 
     def __init__(self, switch: Switch, silent_after_s: float) -> None:
-        self._channel = f"chan{switch.channel}_raw"
-        self._channel_number = switch.channel
-        self._throttle = f"chan{switch.throttle_channel}_raw" if switch.throttle_channel else None
-        self._throttle_failsafe_us = switch.throttle_failsafe_us
-        self._silent_after_s = silent_after_s
+        self.configure(switch, silent_after_s)
         self._heard_at: float | None = None
         self._healthy = True
         self._failsafe_text_at: float | None = None
@@ -33,9 +29,13 @@ class RadioLink:
         self._chancount = 0
         self.switch_us = 0
 
-    @property
-    def ever_heard(self) -> bool:
-        return self._heard_at is not None
+    def configure(self, switch: Switch, silent_after_s: float) -> None:
+        """Look at this switch's channel from the next message on."""
+        self._channel = f"chan{switch.channel}_raw"
+        self._channel_number = switch.channel
+        self._throttle = f"chan{switch.throttle_channel}_raw" if switch.throttle_channel else None
+        self._throttle_failsafe_us = switch.throttle_failsafe_us
+        self._silent_after_s = silent_after_s
 
     def handle(self, t: float, message: Message) -> None:
         """Take in a message of our autopilot."""

@@ -46,12 +46,10 @@ def good(at_s: float = 0.0) -> RadioLink:
 def test_nothing_heard_yet() -> None:
     link = radio()
     assert link.problem(0.0) == "no RC_CHANNELS yet"
-    assert not link.ever_heard
     link.handle(0.0, health(True))
     assert link.problem(0.0) == "no RC_CHANNELS yet"
     link.handle(0.0, channels(1234))
     assert link.problem(0.0) is None
-    assert link.ever_heard
     assert link.switch_us == 1234
 
 
