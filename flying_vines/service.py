@@ -34,7 +34,7 @@ from flying_vines.vehicle.signing_key import SigningKeyError, TimestampFile
 
 LAST_WORDS_S = 0.3
 """After a stop: the last status text and the vent must get out."""
-REFUSALS_TOLD_S = 10.0
+REFUSALS_TOLD_S = 60.0
 
 
 class Service:

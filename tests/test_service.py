@@ -5,74 +5,24 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import signal
-import socket
 import sys
-from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
+from service_bench import Bench, on_bench, until
 
 from firmware_link.protocol import Fault
 from flying_vines import config
 from flying_vines.events import Action, Decision
 from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.autopilot_udp import AutopilotServer
-from flying_vines.fakes.ground_station import GroundStation
-from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.service import Service
-
-PATIENCE_S = 15.0
-
-
-async def until(true: Callable[[], bool], what: str) -> None:
-    """Wait for something that another task brings about; the test fails when it does not come."""
-    async with asyncio.timeout(PATIENCE_S):
-        while not true():
-            await asyncio.sleep(0.01)
-    assert true(), what
-
-
-@dataclass
-class Bench:
-    """Two fakes on a bench, and the profile of a service between them."""
-
-    autopilot: Autopilot
-    phlosar: SimulatedPhlosar
-    port: PtyPhlosar
-    ground: GroundStation
-    profile: str
-
-    def vented(self) -> bool:
-        return self.phlosar.cv_kPa < 1.0 and self.phlosar.drive.evp == 0.0 and self.phlosar.drive.solenoid
-
-    def bent(self) -> bool:
-        return self.phlosar.cv_kPa > 15.0
 
 
 @pytest.fixture
 async def bench() -> AsyncIterator[Bench]:
-    autopilot = Autopilot("ardupilot")
-    autopilot.set_rc(9, 1000)
-    ground = GroundStation()
-    ground_port = await ground.listen()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        companion_port = probe.getsockname()[1]
-    phlosar = SimulatedPhlosar()
-    server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
-    with PtyPhlosar(phlosar) as port:
-        profile = (
-            config.default_text()
-            .replace("udpin:0.0.0.0:14540", f"udpin:127.0.0.1:{companion_port}")
-            .replace("serial:/dev/ttyACM0", f"serial:{port.path}")
-            .replace("bench_mode = false", "bench_mode = true")
-        )
-        running = [asyncio.create_task(part.run()) for part in (server, port, ground)]
-        yield Bench(autopilot, phlosar, port, ground, profile)
-        for task in running:
-            task.cancel()
-        await asyncio.gather(*running, return_exceptions=True)
+    async with on_bench(Autopilot("ardupilot")) as bench:
+        yield bench
 
 
 async def test_a_switch_bends_the_vine_and_the_ground_station_sees_it(bench: Bench) -> None:

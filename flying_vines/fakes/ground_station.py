@@ -6,7 +6,7 @@ import asyncio
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.codec import Codec
+from flying_vines.vehicle.codec import Codec, Message
 
 SYSTEM_ID, COMPONENT_ID = 255, 190
 
@@ -34,15 +34,20 @@ class GroundStation(asyncio.DatagramProtocol):
         """Send a heartbeat a second to whoever sends to us, until cancelled."""
         try:
             while True:
-                if self._transport is not None and self._autopilot is not None:
-                    beat = mavlink.MAVLink_heartbeat_message(
+                self.send(
+                    mavlink.MAVLink_heartbeat_message(
                         mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
                     )
-                    self._transport.sendto(self._codec.encode(beat, SYSTEM_ID), self._autopilot)
+                )
                 await asyncio.sleep(1.0 if self._autopilot else 0.1)
         finally:
             if self._transport is not None:
                 self._transport.close()
+
+    def send(self, message: Message) -> None:
+        """Send it to whoever sends to us; nobody yet: it is lost."""
+        if self._transport is not None and self._autopilot is not None:
+            self._transport.sendto(self._codec.encode(message, SYSTEM_ID), self._autopilot)
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         self._autopilot = addr

@@ -1,99 +1,125 @@
-"""Bytes to MAVLink messages and back, without input or output (pymavlink as codec only)."""
+"""Bytes to MAVLink messages and back, without input or output."""
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-Message = Any
-"""A message object of the pymavlink dialect; pymavlink carries no types."""
+from flying_vines.vehicle.frames import Frame, Frames
+from flying_vines.vehicle.payloads import Message, message_of
+from flying_vines.vehicle.signing import Signing
+
+__all__ = ["Codec", "Message"]
 
 REMEMBERED_FRAMES = 32
 """Frames kept per sender to recognise copies: far fewer than the 256 after which the sequence repeats."""
 
-LARGEST_PARSER_BACKLOG = 4096
-"""No MAVLink frame is longer than 280 bytes, so a parser that holds more than this is stuck."""
+REMEMBERED_SENT = 128
+"""Frames of our own kept to recognise their echoes: some seconds of all that we send."""
+
+MOST_SENDERS = 64
+"""More components than any vehicle has: what noise and strangers make up cannot fill the memory."""
+
+_WITHHELD = {mavlink.MAVLINK_MSG_ID_SETUP_SIGNING}
+"""It carries a secret key: ours comes from a file, and no log behind this codec is to show another's."""
 
 
 class Codec:
     """Decodes a byte stream, and encodes messages as one component of one system.
 
     Frames that arrive twice (the same sequence number and checksum from the same sender, as routers and
-    retries make them) come out once. Nothing that arrives raises.
+    retries make them) come out once, frames of our own that a router sends back do not come out at all. With
+    `signing` only frames signed with its key are believed, and ours are signed. Nothing that arrives raises.
     """
 
-    def __init__(self, system_id: int, component_id: int) -> None:
-        self.bad_frames = 0
+    def __init__(self, system_id: int, component_id: int, signing: Signing | None = None) -> None:
         self.lost_frames = 0
         self.repeated_frames = 0
-        self._recent: dict[tuple[int, int], deque[tuple[int, int, int]]] = {}
-        self._last_sequence: dict[tuple[int, int], int] = {}
-        self._mav = self._fresh_parser()
+        self.echoes = 0
+        self._frames = Frames()
+        self._senders: dict[tuple[int, int], _Sender] = {}
+        self._component_id = component_id
+        self._signing = signing
+        self._sent: deque[tuple[int, int, int, int]] = deque(maxlen=REMEMBERED_SENT)
         self._out = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
+        if signing is not None:
+            self._out.signing.secret_key = signing.key
+            self._out.signing.link_id = signing.link_id
+            self._out.signing.sign_outgoing = True
 
-    @staticmethod
-    def _fresh_parser() -> Any:
-        mav = mavlink.MAVLink(None)
-        mav.robust_parsing = True
-        return mav
+    @property
+    def bad_frames(self) -> int:
+        """Frames whose checksum does not fit, and stretches of bytes that are no frames."""
+        return self._frames.bad_frames
 
     def decode(self, data: bytes) -> list[Message]:
         """The messages that `data` completes, in order; known types with a good checksum only."""
-        try:
-            parsed = self._mav.parse_buffer(data) or []
-        except Exception:  # pymavlink raises several unrelated types on hostile lengths
-            self.bad_frames += 1
-            self._mav = self._fresh_parser()
-            return []
-        # pymavlink gives its buffer free only when a chunk happens to end with a frame.
-        del self._mav.buf[: self._mav.buf_index]
-        self._mav.buf_index = 0
-        if len(self._mav.buf) > LARGEST_PARSER_BACKLOG:
-            self._mav = self._fresh_parser()
         messages = []
-        for message in parsed:
-            if message.get_type() == "BAD_DATA":
-                self.bad_frames += 1
-            elif message.get_msgId() < 0:
-                self._pass_over(message.get_msgbuf())
-            elif self._is_new(message):
-                messages.append(message)
+        for frame in self._frames.take(data):
+            if frame.component == self._component_id and self._is_echo(frame):
+                self.echoes += 1
+                continue
+            sender = self._senders.get((frame.system, frame.component))
+            if sender is not None and sender.is_copy(frame):
+                self.repeated_frames += 1
+                continue
+            if self._signing is not None and not self._signing.admits(frame):
+                continue
+            if sender is None:
+                if not frame.known:
+                    continue
+                sender = self._meet(frame)
+            if lost := sender.take(frame):
+                self.lost_frames = max(0, self.lost_frames + lost)
+            if frame.known and frame.message_id not in _WITHHELD:
+                messages.append(message_of(frame))
         return messages
-
-    def _is_new(self, message: Message) -> bool:
-        sender = (message.get_srcSystem(), message.get_srcComponent())
-        sequence = message.get_seq()
-        identity = (sequence, message.get_msgId(), message.get_crc())
-        recent = self._recent.setdefault(sender, deque(maxlen=REMEMBERED_FRAMES))
-        behind = (self._last_sequence.get(sender, sequence) - sequence) & 0xFF
-        # Of a sender that is forwarded in part the sequence comes round soon; no copy is ahead of its frame.
-        if behind < 128 and identity in recent:
-            self.repeated_frames += 1
-            return False
-        recent.append(identity)
-        self._count_lost(sender, sequence)
-        return True
-
-    def _pass_over(self, frame: bytes) -> None:
-        """A frame that the dialect does not know is not lost; but nothing else in it was checked."""
-        version_2 = frame[0] == mavlink.PROTOCOL_MARKER_V2
-        sequence, system, component = frame[4:7] if version_2 else frame[2:5]
-        if (system, component) in self._last_sequence:
-            self._count_lost((system, component), sequence)
-
-    def _count_lost(self, sender: tuple[int, int], sequence: int) -> None:
-        ahead = (sequence - self._last_sequence.get(sender, sequence - 1)) & 0xFF
-        if 256 - ahead <= REMEMBERED_FRAMES:
-            self.lost_frames = max(0, self.lost_frames - 1)  # it was only late
-            return
-        self.lost_frames += max(0, ahead - 1)
-        self._last_sequence[sender] = sequence
 
     def encode(self, message: Message, system_id: int) -> bytes:
         """One MAVLink 2 frame from our component of the system `system_id`."""
         self._out.srcSystem = system_id
-        frame: bytes = message.pack(self._out)
+        if self._signing is not None:
+            self._out.signing.timestamp = self._signing.next_timestamp()
+        raw: bytes = message.pack(self._out)
+        self._sent.append((system_id, self._out.seq, message.get_msgId(), message.get_crc()))
         self._out.seq = (self._out.seq + 1) % 256
-        return frame
+        return raw
+
+    def _is_echo(self, frame: Frame) -> bool:
+        return (frame.system, frame.sequence, frame.message_id, frame.checksum) in self._sent
+
+    def _meet(self, frame: Frame) -> _Sender:
+        if len(self._senders) >= MOST_SENDERS:
+            # Whoever has said much stays, however many strangers say one thing each.
+            del self._senders[min(self._senders, key=lambda sender: self._senders[sender].frames)]
+        sender = _Sender(frame.sequence)
+        self._senders[frame.system, frame.component] = sender
+        return sender
+
+
+class _Sender:
+    """The latest frames of one component of one system."""
+
+    __slots__ = ("_recent", "_sequence", "frames")
+
+    def __init__(self, sequence: int) -> None:
+        self.frames = 0
+        self._sequence = (sequence - 1) & 0xFF
+        self._recent: deque[tuple[int, int, int]] = deque(maxlen=REMEMBERED_FRAMES)
+
+    def is_copy(self, frame: Frame) -> bool:
+        # Of a sender that is forwarded in part the sequence comes round soon; no copy is ahead of its frame.
+        behind = (self._sequence - frame.sequence) & 0xFF
+        return behind < 128 and (frame.sequence, frame.message_id, frame.checksum) in self._recent
+
+    def take(self, frame: Frame) -> int:
+        """How many more frames than before must be thought lost; -1 where one was only late."""
+        self.frames += 1
+        if frame.known:
+            self._recent.append((frame.sequence, frame.message_id, frame.checksum))
+        ahead = (frame.sequence - self._sequence) & 0xFF
+        if ahead >= 256 - REMEMBERED_FRAMES:
+            return -1
+        self._sequence = frame.sequence
+        return max(0, ahead - 1)

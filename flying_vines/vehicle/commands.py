@@ -8,15 +8,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.intent import StartCalibration
 from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.component.answer import acknowledgement
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.px4 import Px4Watch
+from flying_vines.vehicle.repeats import PX4_REPEAT_S, STATION_REPEAT_S, Repeats
 from flying_vines.vehicle.triggers import Rules, Trigger, direct_intent
 
-COPIES_WITHIN_S = 6.0
-"""PX4 repeats an unacknowledged command three times, mostly 0.5 s apart; ground stations every 3 s or so. The
-confirmation field counts them."""
-OVERTAKEN_WITHIN_S = 0.6
-"""A first copy can arrive this much later than the repeat that overtook it."""
 PROGRESS_S = 1.0
 
 _Key = tuple[object, ...]
@@ -28,8 +25,7 @@ class Commands:
     def __init__(self, rules: Rules, component_id: int) -> None:
         self._rules = rules
         self._component_id = component_id
-        self._seen: dict[_Key, tuple[float, bool]] = {}
-        self._results: dict[_Key, int] = {}
+        self._repeats = Repeats()
         self._under_way: Message | None = None
         self._percent = 0
         self._progress_at = -math.inf
@@ -53,24 +49,26 @@ class Commands:
         if not to_us and not (to_all and is_item):
             return []
         if self._under_way is not None and _key(message) == _key(self._under_way):
-            return [_answer(message, mavlink.MAV_RESULT_IN_PROGRESS, self._percent)]
-        if self._is_copy(t, message):
-            result = self._results.get(_key(message), mavlink.MAV_RESULT_ACCEPTED)
-            return [_answer(message, result)]
+            return [acknowledgement(message, mavlink.MAV_RESULT_IN_PROGRESS, self._percent)]
+        confirmation = getattr(message, "confirmation", 0)
+        repeat_s = PX4_REPEAT_S if from_autopilot else STATION_REPEAT_S
+        if self._repeats.is_repeat(t, _key(message), confirmation, message.get_seq(), repeat_s):
+            result = self._repeats.answered(_key(message))
+            return [acknowledgement(message, mavlink.MAV_RESULT_ACCEPTED if result is None else result)]
         params = _params(message)
-        if is_item:
-            execution = (
-                px4.execution(message.command, params)
-                if px4
-                else Execution(message.command, None, None, params)
-            )
+        if is_item and px4:
+            execution = px4.execution(t, message.command, params, confirmation)
+            if execution is None:
+                return [acknowledgement(message, mavlink.MAV_RESULT_ACCEPTED)]
             return [self._rules.item_trigger(t, execution, message)]
+        if is_item:
+            return [self._rules.item_trigger(t, Execution(message.command, None, None, params), message)]
         found = direct_intent(message.command, params)
         if found is None and message.command in self._rules.commands:
             found = self._rules.for_command(message.command, params)
         if found is None:
-            self._results[_key(message)] = mavlink.MAV_RESULT_UNSUPPORTED
-            return [_answer(message, mavlink.MAV_RESULT_UNSUPPORTED)]
+            self._repeats.answer(_key(message), mavlink.MAV_RESULT_UNSUPPORTED)
+            return [acknowledgement(message, mavlink.MAV_RESULT_UNSUPPORTED)]
         what = {"command": message.command, "params": list(params[:4]), "from": _sender(message)}
         by_person = message.get_srcSystem() != system_id
         return [Trigger(t, "command", what, *found, by_person=by_person, command=message)]
@@ -83,33 +81,23 @@ class Commands:
         if accepted and isinstance(trigger.intent, StartCalibration):
             self._under_way, self._percent, self._progress_at = trigger.command, 0, trigger.t
             result = mavlink.MAV_RESULT_IN_PROGRESS
-        self._results[_key(trigger.command)] = result
-        return [_answer(trigger.command, result)]
+        self._repeats.answer(_key(trigger.command), result)
+        return [acknowledgement(trigger.command, result)]
 
     def progress(self, t: float, share: float) -> list[Message]:
         """What the sender of a long command is told now and then: how much of it, 0…1, is done."""
         if self._under_way is None or t - self._progress_at < PROGRESS_S:
             return []
         self._progress_at, self._percent = t, int(100 * share)
-        return [_answer(self._under_way, mavlink.MAV_RESULT_IN_PROGRESS, self._percent)]
+        return [acknowledgement(self._under_way, mavlink.MAV_RESULT_IN_PROGRESS, self._percent)]
 
     def end(self, result: int) -> list[Message]:
         """The last answer to the sender of a long command: how it ended (MAV_RESULT)."""
         running, self._under_way = self._under_way, None
         if running is None:
             return []
-        self._results[_key(running)] = result
-        return [_answer(running, result)]
-
-    def _is_copy(self, t: float, message: Message) -> bool:
-        self._seen = {key: seen for key, seen in self._seen.items() if t - seen[0] < COPIES_WITHIN_S}
-        self._results = {key: result for key, result in self._results.items() if key in self._seen}
-        key = _key(message)
-        first = getattr(message, "confirmation", 0) == 0
-        last_at, saw_first = self._seen.get(key, (-math.inf, False))
-        copy = (not saw_first and t - last_at < OVERTAKEN_WITHIN_S) if first else last_at > -math.inf
-        self._seen[key] = (t, first or (copy and saw_first))
-        return copy
+        self._repeats.answer(_key(running), result)
+        return [acknowledgement(running, result)]
 
 
 def _params(message: Message) -> tuple[float, ...]:
@@ -126,9 +114,3 @@ def _sender(message: Message) -> str:
 def _key(message: Message) -> _Key:
     numbers = tuple("nan" if math.isnan(value) else value for value in _params(message))
     return (message.get_srcSystem(), message.get_srcComponent(), message.command, *numbers)
-
-
-def _answer(message: Message, result: int, percent: int = 0) -> Message:
-    return mavlink.MAVLink_command_ack_message(
-        message.command, result, percent, 0, message.get_srcSystem(), message.get_srcComponent()
-    )

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import CARRIERS, Config
 from flying_vines.intent import Vent
 from flying_vines.notice import Notice, Severity
+from flying_vines.vehicle import heard
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.commands import Commands
-from flying_vines.vehicle.component import Component, answer_timesync
+from flying_vines.vehicle.component import Component
+from flying_vines.vehicle.component.parameters import Changed
 from flying_vines.vehicle.mission.ardupilot import ArduPilotWatch
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution
@@ -23,33 +25,60 @@ from flying_vines.vehicle.streams import Streams
 from flying_vines.vehicle.switch import Move, MovedUnseen, Switch
 from flying_vines.vehicle.triggers import Rules, Trigger
 
-Output = Trigger | Notice | Message
-"""What follows from a message or from time passing: something to decide, to tell, or to send."""
+Output = Trigger | Notice | Changed | Message
+"""What follows from a message or from time: something to decide, to tell, to take over, or to send."""
 
 
 class Vehicle:
-    """Everything on the MAVLink side of one vehicle. Sans-IO; all times are seconds of one clock."""
+    """Everything on the MAVLink side of one vehicle. Sans-IO; all times are seconds of one clock.
 
-    def __init__(self, config: Config, mission: Sequence[MissionItem] = ()) -> None:
+    `mission` is the vehicle's where it is known beforehand, `parameters` are those that were kept.
+    """
+
+    def __init__(
+        self,
+        profile: Config,
+        mission: Sequence[MissionItem] = (),
+        parameters: Mapping[str, float] | None = None,
+    ) -> None:
+        self.component = Component(profile, parameters)
+        config = self.component.parameters.config
         self.state = VehicleState(config.vehicle.system_id)
         self.rc = RadioLink(config.switch, config.losses.rc_s)
-        switch = config.switch
-        self.switch = Switch(len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us)
-        self.component = Component(config.telemetry.rate_Hz)
-        self._channel = switch.channel
+        self.switch = _switch(config)
+        self._switch_config = config.switch
         self._rules = Rules(config)
         self._streams = Streams(config.vehicle.rc_rate_Hz)
         self._missing: list[str] = []
         self._book = MissionBook(mission)
-        self._ardupilot = ArduPilotWatch(self._book)
+        self._ardupilot = ArduPilotWatch(self._book, self._rules.commands)
         self._px4 = Px4Watch(self._book)
         self._commands = Commands(self._rules, config.vehicle.component_id)
 
-    def handle(self, t: float, message: Message) -> list[Output]:
-        """Take in a message of anyone on the link."""
+    @property
+    def config(self) -> Config:
+        """The profile with the parameters that are in force."""
+        return self.component.parameters.config
+
+    def configure(self) -> None:
+        """A parameter has changed."""
+        self.rc.configure(self.config.switch, self.config.losses.rc_s)
+        if self.config.switch != self._switch_config:
+            self._switch_config = self.config.switch
+            self.switch = _switch(self.config)
+
+    def handle(self, t: float, message: Message, may_change: bool = True) -> list[Output]:
+        """Take in a message of anyone on the link.
+
+        `may_change` says whether the vine is vented, so that parameters which steer it may be changed.
+        """
+        kind = message.get_type()
+        from_autopilot = self.state.is_ours(message)
+        if kind not in heard.ALL:
+            return [*self._watch(t, message)] if from_autopilot else []
         out: list[Output] = []
         before = (self.state.armed, self.state.mode)
-        for event in self.state.handle(t, message):
+        for event in self.state.handle(t, message) if kind in heard.STATE else ():
             match event:
                 case Found(system_id):
                     out.append(Notice(t, Severity.INFO, f"Vine: serving vehicle {system_id}"))
@@ -58,26 +87,28 @@ class Vehicle:
                     out.append(Notice(t, Severity.ERROR, text))
                 case Rebooted():
                     out.extend(self._rebooted(t))
-        from_autopilot = self.state.is_ours(message)
-        kind = message.get_type()
-        if kind in ("COMMAND_LONG", "COMMAND_INT") and self.state.found:
+        answers = None
+        if kind in heard.QUESTIONS or kind == "HEARTBEAT":
+            answers = self.component.handle(t, message, self.state, may_change)
+            out.extend(answers or ())
+            from_autopilot = self.state.is_ours(message)  # it may have been the first
+        if answers is None and kind in ("COMMAND_LONG", "COMMAND_INT") and self.state.found:
             px4 = None if self.state.kind == "ardupilot" else self._px4
             found = self._commands.handle(t, message, self.state.system_id, from_autopilot, px4)
             out.extend(answer for output in found for answer in self._once(t, output))
         if from_autopilot:
             self._streams.handle(t, message)
-            self.rc.handle(t, message)
-            self._px4.handle(message)
+            if kind in heard.RADIO:
+                self.rc.handle(t, message)
             if (self.state.armed, self.state.mode) != before and self.state.armed:
                 self._book.refresh(t)
-            self._book.handle(t, message)
-            out.extend(self._book.acknowledgement(message, self.state.system_id))
-            if self.state.kind != "px4":
-                out.extend(self._item_triggers(t, self._ardupilot.handle(t, message)))
+            if kind in heard.MISSION:
+                self._px4.handle(message)
+                self._book.handle(t, message)
+                out.extend(self._book.acknowledgement(self.state.system_id))
+            out.extend(self._watch(t, message))
             if kind == "RC_CHANNELS":
                 out.extend(self._sample_switch(t))
-            elif kind == "TIMESYNC":
-                out.extend(answer_timesync(message, int(t * 1e9)))
         return out
 
     def tick(self, t: float) -> list[Output]:
@@ -123,9 +154,10 @@ class Vehicle:
         return self._commands.end(mavlink.MAV_RESULT_ACCEPTED if done else mavlink.MAV_RESULT_FAILED)
 
     def _rebooted(self, t: float) -> list[Output]:
+        self.component.greet()
         self._streams.forget()
         self.forget_radio()
-        self._ardupilot = ArduPilotWatch(self._book)
+        self._ardupilot = ArduPilotWatch(self._book, self._rules.commands)
         self._book.doubt(t)
         return [
             Notice(t, Severity.WARNING, "Vine: autopilot rebooted, vented"),
@@ -145,18 +177,24 @@ class Vehicle:
             return list(self._commands.acknowledge(output, True))
         return [self._rules.item_trigger(t, execution, command)]
 
+    def _watch(self, t: float, message: Message) -> list[Trigger]:
+        """Every message of an ArduPilot: each tells whether frames were lost before it."""
+        if self.state.kind == "px4":
+            return []
+        return self._item_triggers(t, self._ardupilot.handle(t, message))
+
     def _sample_switch(self, t: float) -> list[Output]:
         if self.rc.problem(t) is not None:
             self.switch.lose()
             return []
         seen = self.switch.sample(t, self.rc.switch_us)
         if isinstance(seen, MovedUnseen):
-            text = f"Vine: switch ch{self._channel} moved while RC was lost, move it again"
+            text = f"Vine: switch ch{self._switch_config.channel} moved while RC was lost, move it again"
             return [Notice(t, Severity.NOTICE, text)]
         if isinstance(seen, Move):
             intent = self._rules.for_position(seen.position)
             what: dict[str, object] = {
-                "channel": self._channel,
+                "channel": self._switch_config.channel,
                 "position": seen.position,
                 "from": seen.before,
             }
@@ -170,3 +208,8 @@ class Vehicle:
             for execution in executions
             if execution.command in self._rules.commands
         ]
+
+
+def _switch(config: Config) -> Switch:
+    switch = config.switch
+    return Switch(len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 import sys
 from pathlib import Path
 
@@ -32,10 +33,10 @@ def test_what_is_wrong_is_said(line: str) -> None:
     assert obey(Autopilot("ardupilot"), line).startswith(line.split()[0] + ": ")
 
 
-async def test_where_nobody_can_type_nothing_is_waited_for(
+def test_where_nobody_can_type_nothing_is_waited_for(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with Path("/dev/null").open() as nobody:
         monkeypatch.setattr(sys, "stdin", nobody)
-        await type_to(Autopilot("ardupilot"))
+        asyncio.run(type_to(Autopilot("ardupilot")))
     assert capfd.readouterr() == ("", "")

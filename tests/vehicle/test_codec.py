@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.codec import LARGEST_PARSER_BACKLOG, Codec, Message
-
-LONGEST_FRAME = 293
+from flying_vines.vehicle.codec import MOST_SENDERS, REMEMBERED_FRAMES, REMEMBERED_SENT, Codec, Message
+from flying_vines.vehicle.frames import LONGEST_FRAME
 
 
 class Sender:
@@ -130,7 +129,7 @@ def test_reads_that_always_end_within_a_frame_do_not_fill_the_memory() -> None:
         after, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert after - before < 20 * LARGEST_PARSER_BACKLOG
+    assert after - before < 64 * LONGEST_FRAME
     assert read == 60 * len(frames)
 
 
@@ -230,3 +229,49 @@ def test_what_we_send_bears_our_names_and_counts_up() -> None:
     assert {(m.get_srcSystem(), m.get_srcComponent()) for m in received} == {(42, 191)}
     assert [m.get_seq() for m in received] == [i % 256 for i in range(258)]
     assert ours.encode(text("hi"), 42)[0] == 0xFD
+
+
+def test_our_own_frames_that_come_back_do_not_come_out() -> None:
+    ours, router = Codec(1, 191), Sender()
+    sent = [ours.encode(text(f"Vine: {i}"), 1) for i in range(REMEMBERED_SENT)]
+    stream = b"".join(2 * frame + router.frame(clock(i)) for i, frame in enumerate(sent))
+    assert texts_of(ours.decode(stream)) == []
+    assert ours.echoes == 2 * REMEMBERED_SENT
+    assert ours.lost_frames == 0
+
+
+def test_another_that_has_our_ids_is_heard() -> None:
+    ours, twin = Codec(1, 191), Sender(1, 191)
+    ours.encode(text("Vine: ours"), 1)
+    assert texts_of(ours.decode(twin.frame(text("Vine: theirs")))) == ["Vine: theirs"]
+    assert ours.echoes == 0
+
+
+def test_an_old_frame_of_ours_is_no_echo_any_more() -> None:
+    ours = Codec(1, 191)
+    first = ours.encode(text("first"), 1)
+    for i in range(REMEMBERED_SENT):
+        ours.encode(clock(i), 1)
+    assert texts_of(ours.decode(first)) == ["first"]
+
+
+def test_a_key_that_is_sent_to_us_does_not_come_out() -> None:
+    codec, station = Codec(1, 191), Sender(255, 190)
+    setup = mavlink.MAVLink_setup_signing_message(1, 191, list(range(32)), 1)
+    assert codec.decode(station.frame(setup)) == []
+    assert texts_of(codec.decode(station.frame(text("next")))) == ["next"]
+    assert codec.lost_frames == 0
+
+
+def test_strangers_without_end_neither_fill_the_memory_nor_crowd_the_autopilot_out() -> None:
+    codec, autopilot = Codec(1, 191), Sender()
+    for i in range(2 * REMEMBERED_FRAMES):
+        codec.decode(autopilot.frame(clock(i)))
+    frame = autopilot.frame(text("Mission: 3 Scripting"))
+    assert codec.decode(frame)
+    for system in range(2, 250):
+        for component in range(4):
+            assert codec.decode(Sender(system, component).frame(clock(1)))
+    assert codec.decode(frame) == []
+    assert codec.repeated_frames == 1
+    assert len(codec._senders) <= MOST_SENDERS

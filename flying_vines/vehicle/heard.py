@@ -1,0 +1,21 @@
+"""The messages that anything here acts on: most of what an autopilot streams is for others.
+
+Whoever looks for one more adds it here; a test finds those that were forgotten.
+"""
+
+from __future__ import annotations
+
+STATE = frozenset({
+    "ATTITUDE", "GLOBAL_POSITION_INT", "HEARTBEAT", "SCALED_PRESSURE", "STATUSTEXT", "SYSTEM_TIME",
+})  # fmt: skip
+RADIO = frozenset({"RC_CHANNELS", "STATUSTEXT", "SYS_STATUS"})
+MISSION = frozenset({
+    "MISSION_ACK", "MISSION_COUNT", "MISSION_CURRENT", "MISSION_ITEM", "MISSION_ITEM_INT",
+    "MISSION_ITEM_REACHED", "PARAM_VALUE", "STATUSTEXT",
+})  # fmt: skip
+QUESTIONS = frozenset({
+    "COMMAND_INT", "COMMAND_LONG", "PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET", "PING",
+    "TIMESYNC",
+})  # fmt: skip
+ANSWERS = frozenset({"COMMAND_ACK"})
+ALL = STATE | RADIO | MISSION | QUESTIONS | ANSWERS

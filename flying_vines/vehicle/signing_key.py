@@ -1,0 +1,111 @@
+"""The signing key's file, and the file that keeps the signing timestamp over restarts."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import stat
+from pathlib import Path
+
+from flying_vines.vehicle.signing import KEY_SIZE, UNITS_PER_S
+
+SHORTEST_PASSPHRASE = 8
+_PASSPHRASE = b"passphrase:"
+_HEX = re.compile(rb"[0-9a-fA-F]+")
+_FORMS = '64 hexadecimal digits, 32 raw bytes, or a line "passphrase: ..."'
+
+SAVE_AFTER = 30 * UNITS_PER_S
+AHEAD_AFTER_RESTART = 60 * UNITS_PER_S
+"""More than passes between two savings, so that no timestamp is used twice; ArduPilot does the same."""
+_TIMESTAMP = re.compile(r"\d{15}\n")
+"""Always as long as the largest there can be, so that a file that was cut off is none."""
+_LARGEST = 2**48 - 1 - AHEAD_AFTER_RESTART
+
+
+class SigningKeyError(Exception):
+    """The key's or the timestamp's file cannot be used; the text says which, why and what to do."""
+
+
+def read_key(path: Path) -> bytes:
+    """The key in a file that nobody else may read: hexadecimal, raw, or a passphrase.
+
+    A passphrase becomes a key as in Mission Planner and MAVProxy, by SHA-256; QGroundControl has its own way.
+    """
+    content = _read_private(path)
+    text = content.strip()
+    if text.startswith(_PASSPHRASE):
+        passphrase = text.removeprefix(_PASSPHRASE).strip()
+        if len(passphrase) < SHORTEST_PASSPHRASE:
+            raise SigningKeyError(f"{path}: the passphrase has less than {SHORTEST_PASSPHRASE} characters")
+        return hashlib.sha256(passphrase).digest()
+    if _HEX.fullmatch(text) and len(text) == 2 * KEY_SIZE:
+        key = bytes.fromhex(text.decode("ascii"))
+    elif len(content) == KEY_SIZE and not (content.isascii() and text.decode("ascii").isprintable()):
+        key = content
+    else:
+        raise SigningKeyError(f"{path}: no signing key in it: write {_FORMS}")
+    if not any(key):
+        raise SigningKeyError(f"{path}: a key of zeros is no key: write {_FORMS}")
+    return key
+
+
+def _read_private(path: Path) -> bytes:
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise SigningKeyError(f"{path}: not a file; the signing key is to be in one: {_FORMS}")
+        if status.st_mode & 0o077:
+            raise SigningKeyError(f"{path}: others may read or change the signing key: chmod 600 {path}")
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise SigningKeyError(f"{path}: no such file; put the signing key in it: {_FORMS}") from None
+    except OSError as error:
+        raise SigningKeyError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+class TimestampFile:
+    """Keeps the signing timestamp over restarts and power cuts, also where the clock starts in the past."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._saved: int | None = None
+
+    def load(self) -> tuple[int, str]:
+        """The timestamp to go on from, and a sentence where the file does not tell it."""
+        try:
+            text = self._path.read_text(encoding="ascii")
+        except FileNotFoundError:
+            return 0, ""
+        except (OSError, UnicodeDecodeError) as error:
+            return 0, self._clock_alone(getattr(error, "strerror", None) or "damaged")
+        if not _TIMESTAMP.fullmatch(text) or int(text) > _LARGEST:
+            return 0, self._clock_alone("damaged")
+        return int(text) + AHEAD_AFTER_RESTART, ""
+
+    def _clock_alone(self, why: str) -> str:
+        return f"{self._path}: {why}; the signing timestamp goes on from the clock alone"
+
+    def due(self, timestamp: int) -> bool:
+        """Whether to save: at once in a run, then every 30 s and where the clock jumped."""
+        return self._saved is None or timestamp - self._saved >= SAVE_AFTER
+
+    def save(self, timestamp: int) -> None:
+        """Write it so that a power cut leaves the old file or the new one. Blocks while the disk does."""
+        self._saved = timestamp
+        new = self._path.with_name(self._path.name + ".new")
+        try:
+            with new.open("w", encoding="ascii") as file:
+                file.write(f"{timestamp:015d}\n")
+                file.flush()
+                os.fsync(file.fileno())
+            new.replace(self._path)
+            folder = os.open(self._path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+        except OSError as error:
+            raise SigningKeyError(
+                f"{self._path}: the signing timestamp cannot be written: {error.strerror}"
+            ) from None

@@ -1,0 +1,115 @@
+"""What survives the service, through the real service: parameters that were set, and the signing clock."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from service_bench import Bench, on_bench, until
+
+from flying_vines import config
+from flying_vines.events import Action
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.kept import Kept
+from flying_vines.notice import Notice
+from flying_vines.service import Service
+from flying_vines.vehicle.signing import Signing
+
+KEY = bytes(range(32))
+
+
+@pytest.fixture
+async def bench() -> AsyncIterator[Bench]:
+    async with on_bench(Autopilot("ardupilot")) as bench:
+        yield bench
+
+
+class Served:
+    """A service on the bench, with files of its own, and what it said."""
+
+    def __init__(self, bench: Bench, folder: Path, key: str = "") -> None:
+        self.profile = folder / "vine.toml"
+        self.profile.write_text(bench.profile.replace('signing_key = ""', f'signing_key = "{key}"'))
+        self.config = config.load(self.profile)
+        self.kept = Kept.of(self.profile, self.config)
+        self.seen: list[Action] = []
+        signing, _ = self.kept.read_signing(self.config)
+        parameters = self.kept.read_parameters(self.config)
+        self.service = Service(
+            self.config, self.seen.append, parameters=parameters, signing=signing, kept=self.kept
+        )
+
+    @property
+    def texts(self) -> list[str]:
+        return [action.text for action in self.seen if isinstance(action, Notice)]
+
+
+@asynccontextmanager
+async def serving(bench: Bench, folder: Path, key: str = "") -> AsyncIterator[Served]:
+    served = Served(bench, folder, key)
+    task = asyncio.create_task(served.service.run())
+    yield served
+    served.service.stop()
+    await task
+
+
+def set_rate(bench: Bench, kPa_per_s: float) -> None:
+    real32 = mavlink.MAV_PARAM_TYPE_REAL32
+    bench.ground.send(mavlink.MAVLink_param_set_message(1, 191, b"VINE_MAX_RATE", kPa_per_s, real32))
+
+
+async def test_a_parameter_that_was_set_is_there_again_after_a_restart(bench: Bench, tmp_path: Path) -> None:
+    async with serving(bench, tmp_path) as served:
+        await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
+        for rate in (50.0, 40.0, 30.0):
+            set_rate(bench, rate)
+        await until(served.kept.parameters.exists, "the file is written")
+        await until(
+            lambda: "VINE_MAX_RATE = 30.0" in served.kept.parameters.read_text(), "the last one counts"
+        )
+    assert Served(bench, tmp_path).service.core.config.limits.max_rate_kPa_per_s == 30.0
+
+
+async def test_what_cannot_be_kept_is_said_and_in_force_all_the_same(bench: Bench, tmp_path: Path) -> None:
+    async with serving(bench, tmp_path) as served:
+        served.kept.parameters.mkdir()
+        await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
+        set_rate(bench, 30.0)
+        await until(lambda: any("parameters not kept" in text for text in served.texts), "it is said")
+        assert served.service.core.config.limits.max_rate_kPa_per_s == 30.0
+        await until(lambda: any("parameters not kept" in text for text in bench.ground.texts), "to the pilot")
+
+
+def private_key(folder: Path, key: bytes) -> str:
+    path = folder / "key"
+    path.write_text(key.hex())
+    path.chmod(0o600)
+    return path.name
+
+
+async def test_a_signed_vehicle_bends_the_vine_and_the_clock_is_kept(tmp_path: Path) -> None:
+    autopilot = Autopilot("ardupilot", signing_key=KEY, unix_s=time.time())
+    async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        bench.autopilot.set_rc(9, 2000)
+        await until(bench.bent, "the vine bends")
+        await until(served.kept.signing_timestamp.exists, "the clock is kept")
+        again, problem = served.kept.read_signing(served.config)
+        assert problem == ""
+        assert isinstance(again, Signing) and again.timestamp > int(served.kept.signing_timestamp.read_text())
+
+
+@pytest.mark.parametrize("theirs", [None, bytes(32 * [7])], ids=["unsigned", "another key"])
+async def test_whoever_lacks_the_key_is_not_believed_and_that_is_said(
+    tmp_path: Path, theirs: bytes | None
+) -> None:
+    autopilot = Autopilot("ardupilot", signing_key=theirs, unix_s=time.time())
+    async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
+        await until(lambda: any("refused messages" in text for text in served.texts), "it is said")
+        assert served.service.core.snapshot(0.0).vehicle == "none heard"
+        assert bench.vented()

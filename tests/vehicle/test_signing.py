@@ -1,0 +1,342 @@
+"""Signing: what is believed and what is not, and timestamps that never fall or come twice."""
+
+from __future__ import annotations
+
+import hashlib
+import random
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines import config
+from flying_vines.events import Snapshot
+from flying_vines.fakes.autopilot.autopilot import Autopilot
+from flying_vines.simulated_world import SimulatedFlight
+from flying_vines.vehicle.codec import Codec, Message
+from flying_vines.vehicle.signing import MOST_STREAMS, UNITS_PER_S, UNIX_TIME_OF_ZERO_S, Refused, Signing
+from flying_vines.vehicle.tlog import TlogReader
+
+KEY = hashlib.sha256(b"a passphrase for tests").digest()
+NOW_S = 1_790_000_000.0
+NOW = int((NOW_S - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S)
+MINUTE = 60 * UNITS_PER_S
+RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
+
+
+def crc_by_hand(data: bytes) -> int:
+    """CRC-16/MCRF4XX, bit by bit."""
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0x8408 if crc & 1 else 0)
+    return crc
+
+
+def signed_by_hand(
+    payload: bytes,
+    timestamp: int,
+    key: bytes = KEY,
+    link_id: int = 3,
+    system: int = 1,
+    component: int = 1,
+    sequence: int = 0,
+) -> bytes:
+    """A STATUSTEXT as MAVLink's documentation describes a signed frame; it needs only a hash."""
+    statustext, crc_extra = 253, 83
+    header = bytes((len(payload), 1, 0, sequence, system, component)) + statustext.to_bytes(3, "little")
+    crc = crc_by_hand(header + payload + bytes((crc_extra,)))
+    frame = b"\xfd" + header + payload + crc.to_bytes(2, "little")
+    frame += bytes((link_id,)) + timestamp.to_bytes(6, "little")
+    return frame + hashlib.sha256(key + frame).digest()[:6]
+
+
+class Peer:
+    """One component with a key, by hand."""
+
+    def __init__(self, timestamp: int = NOW, system: int = 1, component: int = 1, link_id: int = 3) -> None:
+        self.timestamp = timestamp
+        self._system, self._component, self._link_id = system, component, link_id
+        self._sequence = 0
+
+    def say(self, words: str, key: bytes = KEY) -> bytes:
+        payload = bytes((6,)) + words.encode()
+        self.timestamp += 1
+        self._sequence = (self._sequence + 1) % 256
+        return signed_by_hand(
+            payload, self.timestamp, key, self._link_id, self._system, self._component, self._sequence
+        )
+
+
+class Ours:
+    """Our codec with a key, at `NOW_S`."""
+
+    def __init__(self, timestamp: int = 0, clock_s: float | None = NOW_S, link_id: int = 0) -> None:
+        self.signing = Signing(KEY, link_id, timestamp)
+        if clock_s is not None:
+            self.signing.advance(clock_s)
+        self.codec = Codec(1, 191, self.signing)
+
+    def hears(self, data: bytes) -> list[str]:
+        return [message.text for message in self.codec.decode(data)]
+
+    @property
+    def refused(self) -> Refused:
+        return self.signing.refused
+
+
+def text(words: str) -> Message:
+    return mavlink.MAVLink_statustext_message(6, words.encode(), 0, 0)
+
+
+def test_what_we_sign_is_what_the_specification_says_byte_by_byte() -> None:
+    ours = Ours(link_id=7)
+    frame = ours.codec.encode(text("Vine: ready"), 1)
+    payload = b"\x06Vine: ready"
+    assert frame == signed_by_hand(payload, NOW + 1, link_id=7, component=191)
+    assert frame == bytes.fromhex(
+        "fd 0c 0100 00 01bf fd0000 0656696e653a207265616479 4ef2 07 01703d18a521 6aa1d13f9e9a"
+    )
+
+
+def test_what_is_signed_by_hand_is_heard_and_by_pymavlink_too() -> None:
+    ours, theirs = Ours(), mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    theirs.signing.secret_key, theirs.signing.timestamp, theirs.signing.sign_outgoing = KEY, NOW, True
+    assert ours.hears(Peer().say("by hand")) == ["by hand"]
+    assert ours.hears(text("by pymavlink").pack(theirs)) == ["by pymavlink"]
+    (message,) = theirs.parse_buffer(ours.codec.encode(text("Vine: hello"), 1))
+    assert (message.text, message.get_signed()) == ("Vine: hello", True)
+    assert ours.refused == Refused()
+
+
+@pytest.mark.parametrize("name", ["px4_mission.tlog", "px4_vine_mission.tlog"])
+def test_frames_that_a_real_px4_signed(name: str) -> None:
+    # It signs with a key of zeros until it is given one, and counts timestamps from its start.
+    signing = Signing(bytes(32))
+    codec = Codec(0, 191, signing)
+    frames = [frame for _, frame in TlogReader(RECORDINGS / name).frames()]
+    unsigned = sum(not frame[2] & 1 for frame in frames)
+    known = sum(int.from_bytes(frame[7:10], "little") in mavlink.mavlink_map for frame in frames)
+    heard = sum(len(codec.decode(frame)) for frame in frames)
+    assert signing.refused == Refused(unsigned=unsigned)
+    assert 0 < unsigned < 150
+    assert heard == known - unsigned
+    assert Codec(0, 191, Signing(KEY)).decode(b"".join(frames)) == []
+
+
+def test_each_frame_has_a_timestamp_of_its_own_and_none_behind_the_clock() -> None:
+    ours = Ours()
+    stamps = []
+    for second in range(5):
+        ours.signing.advance(NOW_S + second)
+        for _ in range(3):
+            stamps.append(int.from_bytes(ours.codec.encode(text("x"), 1)[-12:-6], "little"))
+    assert stamps == [NOW + second * UNITS_PER_S + i for second in range(5) for i in (1, 2, 3)]
+
+
+@given(st.lists(st.one_of(st.floats(-1e10, 1e10), st.none()), max_size=60))
+@settings(max_examples=100, deadline=None)
+def test_timestamps_rise_whatever_the_clock_does(steps: list[float | None]) -> None:
+    signing, last = Signing(KEY, timestamp=500), 500
+    for unix_time_s in steps:
+        if unix_time_s is None:
+            assert signing.next_timestamp() > last
+        else:
+            signing.advance(unix_time_s)
+        assert signing.timestamp >= last
+        last = signing.timestamp
+
+
+def test_without_a_clock_what_was_saved_goes_on() -> None:
+    # A Raspberry Pi starts in the past; its clock is right a minute later.
+    ours = Ours(timestamp=NOW, clock_s=0.0)
+    assert ours.signing.next_timestamp() == NOW + 1
+    ours.signing.advance(NOW_S + 90)
+    assert ours.signing.next_timestamp() == NOW + 90 * UNITS_PER_S + 1
+
+
+def test_without_a_clock_the_autopilot_tells_the_time() -> None:
+    ours = Ours(clock_s=None)
+    assert ours.hears(Peer().say("I have GPS")) == ["I have GPS"]
+    assert ours.signing.next_timestamp() == NOW + 2
+
+
+def test_unsigned_frames_are_refused_of_both_versions() -> None:
+    ours, stranger = Ours(), mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    assert ours.hears(text("obey").pack(stranger)) == []
+    assert ours.hears(text("obey").pack(stranger, force_mavlink1=True)) == []
+    assert ours.refused == Refused(unsigned=2)
+
+
+def test_messages_that_the_dialect_lacks_are_refused_as_well() -> None:
+    ours, peer = Ours(), Peer()
+    ours.hears(peer.say("hello"))
+    unknown = bytearray(text("x").pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1)))
+    unknown[4], unknown[7:10] = 90, (50_000).to_bytes(3, "little")
+    assert ours.hears(bytes(unknown) + peer.say("again")) == ["again"]
+    assert ours.refused == Refused(unsigned=1)
+    assert ours.codec.lost_frames == 0  # not even its sequence number was believed
+
+
+def test_a_telemetry_radio_may_say_how_well_it_hears() -> None:
+    ours = Ours()
+    status = mavlink.MAVLink_radio_status_message(200, 200, 90, 30, 30, 0, 0)
+    radio = mavlink.MAVLink(None, srcSystem=51, srcComponent=68)
+    assert [m.get_type() for m in ours.codec.decode(status.pack(radio))] == ["RADIO_STATUS"]
+    # The same in the autopilot's name is none of a radio's; nor is a radio's other message.
+    assert ours.codec.decode(status.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))) == []
+    assert ours.codec.decode(text("obey").pack(radio)) == []
+    assert ours.refused == Refused(unsigned=2)
+
+
+def test_one_changed_bit_anywhere_and_the_frame_is_not_heard() -> None:
+    frame = Peer().say("ACC")
+    for bit in range(8 * len(frame)):
+        changed = bytearray(frame)
+        changed[bit // 8] ^= 1 << bit % 8
+        assert Ours().hears(bytes(changed)) == [], bit
+
+
+@given(st.lists(st.one_of(st.binary(max_size=80), st.text("abc", max_size=20)), max_size=12))
+@settings(max_examples=100, deadline=None)
+def test_random_bytes_never_raise_and_are_never_heard(parts: list[bytes | str]) -> None:
+    ours, peer = Ours(), Peer()
+    said = [part for part in parts if isinstance(part, str)]
+    heard = [
+        words for part in parts for words in ours.hears(part if isinstance(part, bytes) else peer.say(part))
+    ]
+    # Noise may look like a frame of a message that the dialect lacks, and cover some that are true.
+    heard += ours.hears(b"".join(peer.say("last") for _ in range(20)))
+    assert set(heard) <= {*said, "last"}
+    assert heard[-1] == "last"
+
+
+def test_another_key_is_refused() -> None:
+    ours, peer = Ours(), Peer()
+    assert ours.hears(peer.say("obey", key=bytes(32))) == []
+    assert ours.refused == Refused(forged=1)
+
+
+def test_a_forged_frame_of_the_far_future_does_not_lock_the_real_one_out() -> None:
+    ours, attacker, peer = Ours(), Peer(NOW + 1000 * MINUTE), Peer()
+    assert ours.hears(attacker.say("obey", key=b"x" * 32)) == []
+    assert ours.signing.timestamp == NOW
+    assert ours.hears(peer.say("hello")) == ["hello"]
+
+
+def test_what_was_sent_once_is_refused_later() -> None:
+    ours, peer = Ours(), Peer()
+    said = [peer.say(f"line {i}") for i in range(300)]
+    assert len(ours.hears(b"".join(said))) == 300
+    dice = random.Random(1)
+    dice.shuffle(said)
+    assert ours.hears(b"".join(said)) == []
+    assert ours.refused.replayed + ours.codec.repeated_frames == 300
+    assert ours.refused.replayed >= 260  # all but the copies of the last few, which routers make as well
+
+
+def test_copies_that_a_network_makes_are_no_attack() -> None:
+    ours, peer = Ours(), Peer()
+    first, second = peer.say("one"), peer.say("two")
+    assert ours.hears(first + second + first + second) == ["one", "two"]
+    assert ours.codec.repeated_frames == 2
+    assert ours.refused == Refused()
+
+
+def test_our_own_frames_that_come_back_are_no_attack() -> None:
+    ours = Ours()
+    sent = b"".join(ours.codec.encode(text(f"Vine: {i}"), 1) for i in range(50))
+    assert ours.hears(sent + sent) == []
+    assert ours.codec.echoes == 100
+    assert ours.refused == Refused()
+
+
+@pytest.mark.parametrize(("age_s", "heard"), [(59, True), (61, False), (3600, False), (-3600, True)])
+def test_a_new_stream_may_lag_by_a_minute(age_s: int, heard: bool) -> None:
+    ours = Ours()
+    assert ours.hears(Peer(NOW - age_s * UNITS_PER_S).say("hello")) == (["hello"] if heard else [])
+    assert ours.refused.replayed == (not heard)
+
+
+def test_a_known_stream_may_lag_by_any_time() -> None:
+    ours, slow = Ours(), Peer()
+    assert ours.hears(slow.say("one")) == ["one"]
+    ours.signing.advance(NOW_S + 10_000)
+    assert ours.hears(slow.say("two")) == ["two"]
+
+
+def test_an_autopilot_whose_clock_is_behind_is_heard_once_it_has_heard_us() -> None:
+    # So is a PX4, which counts timestamps from its start: it goes on from the greatest that it has heard.
+    ours, px4 = Ours(), Peer(timestamp=2581)
+    assert ours.hears(px4.say("hello")) == []
+    heartbeat = ours.codec.encode(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 3, 3), 1)
+    px4.timestamp = int.from_bytes(heartbeat[-12:-6], "little")
+    assert ours.hears(px4.say("hello")) == ["hello"]
+
+
+def test_links_and_components_are_streams_of_their_own() -> None:
+    ours = Ours()
+    ahead, behind = Peer(NOW + 10 * MINUTE, link_id=1), Peer(NOW + 9 * MINUTE + MINUTE // 2, link_id=2)
+    other = Peer(NOW + 9 * MINUTE + MINUTE // 2, component=154)
+    assert ours.hears(ahead.say("a") + behind.say("b") + other.say("c")) == ["a", "b", "c"]
+
+
+def test_streams_without_end_do_not_fill_the_memory_nor_take_the_autopilots_place() -> None:
+    ours, autopilot = Ours(), Peer()
+    old = autopilot.say("hello")
+    assert ours.hears(old) == ["hello"]
+    assert ours.hears(b"".join(autopilot.say(f"{i}") for i in range(40)))
+    for number in range(3 * MOST_STREAMS):
+        ours.hears(Peer(NOW, system=2 + number % 200, link_id=number % 250).say("hello"))
+    assert len(ours.signing._streams) <= MOST_STREAMS
+    assert ours.refused.replayed == 2 * MOST_STREAMS + 1  # no room, and that they are new cannot be told
+    assert ours.hears(old) == []
+    assert ours.hears(autopilot.say("still here")) == ["still here"]
+
+
+def test_streams_that_fell_silent_make_room_and_stay_refused() -> None:
+    ours = Ours()
+    said = [Peer(NOW, system=2 + number).say("hello") for number in range(MOST_STREAMS)]
+    assert len(ours.hears(b"".join(said))) == MOST_STREAMS
+    ours.signing.advance(NOW_S + 120)
+    assert ours.hears(Peer(NOW + 2 * MINUTE, system=200).say("new")) == ["new"]
+    assert len(ours.signing._streams) == 1
+    for frame in said:
+        ours.codec._senders.clear()  # as if these copies were not recognised by their sequence number
+        assert ours.hears(frame) == []
+
+
+def test_a_key_has_32_bytes() -> None:
+    with pytest.raises(ValueError, match="32 bytes, not 5"):
+        Signing(b"short")
+
+
+Kind = Literal["ardupilot", "px4"]
+
+
+def signed_flight(kind: Kind, key: bytes) -> tuple[Snapshot, Refused]:
+    """A core that signs with `key`, and an autopilot that signs with `KEY` by pymavlink's own code."""
+    flight, signing = SimulatedFlight(config.default(), Autopilot(kind, signing_key=KEY)), Signing(key)
+    flight._codec = Codec(0, 191, signing)
+    flight.run(6.0)
+    flight.autopilot.reboot()
+    flight.run(14.0)
+    return flight.core.snapshot(14.0), signing.refused
+
+
+@pytest.mark.parametrize("kind", ["ardupilot", "px4"])
+def test_an_autopilot_with_our_key_serves_us_before_and_after_it_reboots(kind: Kind) -> None:
+    seen, refused = signed_flight(kind, KEY)
+    assert (seen.vehicle, seen.rc) == (f"{kind} 1", "good")
+    assert refused == Refused()
+
+
+@pytest.mark.parametrize("kind", ["ardupilot", "px4"])
+def test_an_autopilot_with_another_key_is_not_served(kind: Kind) -> None:
+    seen, refused = signed_flight(kind, b"another key of thirty-two bytes.")
+    assert seen.vehicle == "none heard"
+    assert refused.forged > 5
