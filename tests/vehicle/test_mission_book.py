@@ -11,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.mission.book import MOST_ATTEMPTS, RETRY_S, TRY_AGAIN_S, MissionBook
+from flying_vines.vehicle.mission.book import LOOK_AGAIN_S, MOST_ATTEMPTS, RETRY_S, TRY_AGAIN_S, MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
 
 TICK_S = 0.02
@@ -81,7 +81,7 @@ class Autopilot:
 
     def deliver(self, message: Message) -> None:
         self.book.handle(self.now_s, message)
-        self.acknowledged += len(self.book.acknowledgement(message, 1))
+        self.acknowledged += len(self.book.acknowledgement(1))
 
     def run(self, for_s: float) -> None:
         for _ in range(round(for_s / TICK_S)):
@@ -284,6 +284,155 @@ def test_a_mission_given_beforehand_serves_until_one_was_read() -> None:
     assert book.items[2] == items[2]
     book.handle(10.0, current(12))
     assert not book.fresh
+
+
+def flying(autopilot: Autopilot, seq: int, for_s: float) -> None:
+    """Fly towards item `seq` of ArduPilot's mission, which is told five times a second."""
+    for _ in range(round(for_s / 0.2)):
+        message = mavlink.MAVLink_mission_current_message(seq, len(autopilot.items) - 1, 3, 1)
+        autopilot.deliver(sent(message))
+        for _ in range(10):
+            for request in autopilot.book.requests(autopilot.now_s, 1):
+                autopilot.requests += 1
+                if autopilot.arrives():
+                    autopilot.answer(request)
+            autopilot.ticks += 1
+
+
+def test_another_mission_of_the_same_length_is_found_by_looking_at_what_runs_next() -> None:
+    autopilot = read(12)
+    flying(autopilot, 4, 3.0)
+    assert autopilot.has_read()
+    autopilot.items = mission(12, angle_deg=-10.0)
+    flying(autopilot, 4, LOOK_AGAIN_S + 0.5)
+    assert not autopilot.book.fresh or autopilot.has_read()
+    flying(autopilot, 4, 3.0)
+    assert autopilot.has_read()
+
+
+def test_a_change_far_ahead_is_found_in_its_turn() -> None:
+    autopilot = read(12)
+    flying(autopilot, 0, 3.0)
+    changed = item(11, 217, 1.0, -99.0)
+    autopilot.items[11] = changed
+    flying(autopilot, 0, 4 * LOOK_AGAIN_S + 3.0)  # there are four items that are no waypoints
+    assert autopilot.book.items[11] == changed
+
+
+def test_a_look_that_is_lost_is_taken_again() -> None:
+    autopilot = read(12)
+    autopilot.loss = 0.8
+    autopilot.items[5] = item(5, 217, 1.0, -99.0)
+    flying(autopilot, 4, 20.0)
+    assert not autopilot.book.fresh or autopilot.has_read()
+
+
+def test_looking_costs_little() -> None:
+    autopilot = read(12)
+    asked = autopilot.requests
+    flying(autopilot, 4, 60.0)
+    assert 30 <= autopilot.requests - asked <= 2 * 60.0 / LOOK_AGAIN_S + 2
+
+
+@pytest.mark.parametrize("state", [0, 2, 5])
+def test_only_in_flight_is_looked_ahead(state: int) -> None:
+    autopilot = read(12)
+    asked = autopilot.requests
+    for _ in range(100):
+        autopilot.deliver(sent(mavlink.MAVLink_mission_current_message(4, 11, state, 1)))
+        assert autopilot.book.requests(autopilot.now_s, 1) == []
+        autopilot.ticks += 10
+    assert autopilot.requests == asked
+
+
+def test_a_mission_with_an_identity_needs_no_second_look() -> None:
+    autopilot = Autopilot(mission(12))
+    autopilot.mission_id = 5
+    autopilot.run(3.0)
+    asked = autopilot.requests
+    for _ in range(100):
+        payload = current(12, 5, 4)
+        payload.mission_state = 3
+        autopilot.deliver(payload)
+        autopilot.run(0.1)
+    assert autopilot.requests == asked
+
+
+def test_an_upload_shows_in_the_number_of_items_that_is_saved_each_time() -> None:
+    autopilot = read(12)
+    autopilot.items = mission(12, angle_deg=5.0)
+    for total in (0, 1, 2):
+        value = mavlink.MAVLink_param_value_message(b"MIS_TOTAL", total, 4, 1000, 65535)
+        autopilot.deliver(sent(value))
+    assert not autopilot.book.fresh
+    autopilot.run(3.0)
+    assert autopilot.has_read()
+    for name, total in ((b"MIS_TOTAL", 12), (b"MIS_RESTART", 0)):
+        autopilot.deliver(sent(mavlink.MAVLink_param_value_message(name, total, 4, 1000, 65535)))
+    assert autopilot.book.fresh
+
+
+def test_while_somebody_uploads_the_book_is_not_trusted() -> None:
+    autopilot = read(12)
+    flying(autopilot, 4, 1.0)
+    autopilot.book.refresh(autopilot.now_s)
+    autopilot.ticks += 50
+    assert autopilot.book.requests(autopilot.now_s, 1)
+    denied = mavlink.MAVLink_mission_ack_message(1, 191, mavlink.MAV_MISSION_DENIED, 0)
+    autopilot.deliver(sent(denied))
+    assert not autopilot.book.fresh
+    autopilot.run(3.0)
+    assert autopilot.has_read()
+
+
+def test_a_change_that_shows_while_the_book_is_read_again_starts_the_reading_anew() -> None:
+    autopilot = read(12)
+    autopilot.book.refresh(autopilot.now_s)
+    autopilot.run(0.54)
+    assert autopilot.book.arriving
+    assert autopilot.book.fresh
+    autopilot.items = mission(12, angle_deg=5.0)
+    autopilot.run(0.2)
+    assert not autopilot.book.fresh
+    autopilot.run(3.0)
+    assert autopilot.has_read()
+
+
+def test_what_runs_soon_is_read_first() -> None:
+    book = MissionBook()
+    book.handle(0.0, current(11, 0, 6))
+    book.handle(0.1, count_message(12))
+    asked = []
+    for i in range(12):
+        (request,) = book.requests(0.2 + i, 1)
+        asked.append(request.seq)
+        book.handle(0.2 + i, item_message(item(request.seq)))
+    assert asked == [6, 7, 8, 9, 10, 11, 0, 1, 2, 3, 4, 5]
+
+
+def test_latitudes_at_an_absolute_altitude_and_numbers_of_a_command() -> None:
+    book = MissionBook()
+    book.handle(0.0, count_message(3))
+    rows = ((0, 16, -353629925, 1491655123), (1, 203, 0, 77), (2, 42702, -12, 7))
+    for seq, command, x, y in rows:
+        message = mavlink.MAVLink_mission_item_int_message(
+            1, 191, seq, 0, command, 0, 1, 0, 0, 0, 0, x, y, 590.0, 0
+        )
+        book.handle(0.0, sent(message))
+    places = [book.items[seq].params[4:6] for seq in range(3)]
+    assert places == [pytest.approx((-35.3629925, 149.1655123)), (0.0, 77.0), (-12.0, 7.0)]
+
+
+def test_the_end_of_a_reading_is_acknowledged_whichever_item_came_last() -> None:
+    book = MissionBook()
+    assert book.requests(1.0, 1)
+    book.handle(1.0, count_message(3))
+    for seq in (2, 0, 1):
+        assert book.acknowledgement(1) == []
+        book.handle(1.1, item_message(item(seq)))
+    (message,) = book.acknowledgement(1)
+    assert (message.get_type(), message.type) == ("MISSION_ACK", mavlink.MAV_MISSION_ACCEPTED)
+    assert book.acknowledgement(1) == []
 
 
 def test_a_count_beyond_reason_is_not_asked_for() -> None:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 import re
+from collections import deque
+from collections.abc import Container
+from typing import NamedTuple
 
 from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.mission.book import MissionBook
+from flying_vines.vehicle.mission.book import MOST_ITEMS, MissionBook
 from flying_vines.vehicle.mission.execution import Execution, same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
 
-ITEM_TEXT = re.compile(r"Mission: (\d+) (\S+)")
-REACHED_TEXT = re.compile(r"Reached command #(\d+)")
+ITEM_TEXT = re.compile(r"Mission: (\d{1,5}) (\S+)")
+REACHED_TEXT = re.compile(r"Reached command #(\d{1,5})")
 COMMAND_OF_NAME = {
     "Scripting": 217,
     "Gripper": 211,
@@ -33,47 +36,81 @@ NAMED_COMMANDS = set(COMMAND_OF_NAME.values())
 
 WAIT_FOR_BOOK_S = 2.5
 WAIT_FOR_SCRIPT_S = 0.1
-SAME_SCRIPT_ITEM_S = 0.5
-"""A script on the autopilot was seen to hand an item's numbers over 5 to 17 ms after the item's text."""
+SAME_SCRIPT_ITEM_S = 3.0
+"""A script on the autopilot was seen to hand an item's numbers over 5 to 17 ms after the item's text, and
+ours repeats for two seconds what is not acknowledged."""
 SCRIPT_MESSAGE = 217
 WAIT_FOR_TEXT_S = 1.0
+LATEST_S = 0.5
+"""How much later than another a frame may arrive that was sent at the same time."""
+COPIES_WITHIN_S = 2.0
+"""A frame with the sequence number and text of one that came this short a time ago is that one again."""
+REACHED_AGAIN_S = 3.0
 PROGRESS_AFTER_REACHED_S = 3.0
 """MISSION_CURRENT comes at 1 Hz or faster: a later change is somebody's jump, not the waypoint's end."""
-CONDITIONAL = {112, 113, 114, 115, 177, 600, 601}
-"""CONDITION_* and jumps: items around them may not run although the mission moves on."""
+CONDITIONAL = {112, 113, 114, 115, 177, 601}
+"""CONDITION_* and jumps: the items behind them may not run although the mission moves on."""
+JUMP = 177
+FLYING = {0, 3}
+"""MISSION_CURRENT.mission_state of a mission that runs; older releases leave it at 0."""
+MOST_WAITING = 64
+
+
+class _Told(NamedTuple):
+    t: float
+    seq: int
+    name: str
+
+
+class _Suspect(NamedTuple):
+    """An item that should have run at `since`, seen to be so at `t`; its text has not come."""
+
+    t: float
+    since: float
+    item: MissionItem
+    before: int
+    certain_while_at: int | None
+    """Only certain if the mission is at this waypoint for long enough; None: certain anyway."""
 
 
 class ArduPilotWatch:
-    """Sees ArduPilot run mission items: by status text, and by mission progress where texts were lost.
+    """Sees ArduPilot run the mission items whose command is one of `commands`.
 
-    Each text is one execution (copies of a frame are dropped before). An item whose text never came counts as
-    run when the waypoint before it was reached, the mission moved past it, frames were lost on the way, and
-    nothing between is conditional. A script message that a script on the autopilot hands over as a command
-    as well is one execution, whichever of the two comes first.
+    Each text is one execution. An item whose text never came counts as run when the waypoint before it was
+    reached, the mission moved on to the next one, frames were lost on the way, and nothing conditional stands
+    before it; not when a later item has run meanwhile, which is what counts then. A script message that a
+    script on the autopilot hands over as a command as well is one execution, whichever comes first.
     """
 
-    def __init__(self, book: MissionBook) -> None:
+    def __init__(self, book: MissionBook, commands: Container[int]) -> None:
         self._book = book
-        self._waiting: list[tuple[float, int, str]] = []
+        self._commands = commands
+        self._waiting: deque[_Told] = deque(maxlen=MOST_WAITING)
+        self._frames: dict[int, tuple[float, int]] = {}
         self._told: dict[int, float] = {}
+        self._ran: deque[tuple[float, int]] = deque(maxlen=MOST_WAITING)
         self._reached: dict[int, float] = {}
         self._current: int | None = None
+        self._flying = False
         self._last_sequence: int | None = None
         self._lost_at = -math.inf
-        self._suspected: list[tuple[float, float, MissionItem]] = []
-        self._run: list[tuple[float, tuple[float, ...]]] = []
-        self._handed: list[tuple[float, tuple[float, ...]]] = []
+        self._suspects: deque[_Suspect] = deque(maxlen=MOST_WAITING)
+        self._run_by_text = _Numbers()
+        self._handed = _Numbers()
 
     def handed_over(self, t: float, params: tuple[float, ...]) -> Execution | None:
         """A script message's numbers, from a script on the autopilot; None when that item has run already."""
-        for entry in self._waiting:
-            if entry[2] == "Scripting":
-                self._waiting.remove(entry)
-                return Execution(SCRIPT_MESSAGE, entry[1], None, params)
-        if _take(self._run, t, params):
+        for told in self._waiting:
+            if COMMAND_OF_NAME.get(told.name) == SCRIPT_MESSAGE:
+                self._waiting.remove(told)
+                return Execution(SCRIPT_MESSAGE, told.seq, None, params)
+        if self._run_by_text.take(t, params):
             return None
-        self._handed.append((t, params))
-        return Execution(SCRIPT_MESSAGE, None, None, params)
+        self._handed.put(t, params)
+        item = self._book.nearest(SCRIPT_MESSAGE, params, self._current or 0)
+        if item is not None:
+            self._note(t, item.seq)
+        return Execution(SCRIPT_MESSAGE, item.seq if item else None, item, params)
 
     def handle(self, t: float, message: Message) -> list[Execution]:
         kind = message.get_type()
@@ -83,57 +120,109 @@ class ArduPilotWatch:
         self._last_sequence = sequence
         if kind == "STATUSTEXT":
             if match := ITEM_TEXT.match(message.text):
-                self._told[int(match[1])] = t
-                self._waiting.append((t, int(match[1]), match[2]))
+                self._tell(t, sequence, int(match[1]), match[2])
             elif match := REACHED_TEXT.match(message.text):
-                self._reached[int(match[1])] = t
+                self._reach(t, int(match[1]))
         elif kind == "MISSION_ITEM_REACHED":
-            self._reached[message.seq] = t
+            self._reach(t, message.seq)
         elif kind == "MISSION_CURRENT":
-            self._suspect(t, message)
+            self._flying = message.mission_state in FLYING
+            if self._current not in (None, message.seq):
+                self._suspect_between(t, self._current, message.seq)
             self._current = message.seq
         return self.due(t)
 
-    def _suspect(self, t: float, message: Message) -> None:
-        before, now = self._current, message.seq
-        if before is None or now <= before + 1 or not self._book.fresh:
+    def _tell(self, t: float, sequence: int, seq: int, name: str) -> None:
+        copied_at, copied_seq = self._frames.get(sequence, (-math.inf, seq))
+        if seq > MOST_ITEMS or (copied_seq == seq and t - copied_at < COPIES_WITHIN_S):
             return
-        reached_at = self._reached.get(before, -math.inf)
-        if t - reached_at > PROGRESS_AFTER_REACHED_S:
-            return
-        passed: list[MissionItem] = []
-        for seq in range(before + 1, now):
+        self._frames[sequence] = (t, seq)
+        self._told[seq] = t
+        command = COMMAND_OF_NAME.get(name)
+        if self._book.fresh:
             item = self._book.items.get(seq)
-            if item is None or item.command in CONDITIONAL:
-                return
+            if item is None or not _fits(name, item.command, confirmed=False):
+                self._book.doubt(t)
+            elif command is None:
+                command = item.command
+        if command is None or command in self._commands:
+            self._note(t, seq)
+            self._waiting.append(_Told(t, seq, name))
+
+    def _note(self, t: float, seq: int) -> None:
+        self._told[seq] = t
+        self._ran.append((t, seq))
+
+    def _reach(self, t: float, seq: int) -> None:
+        if seq > MOST_ITEMS or t - self._reached.get(seq, -math.inf) < REACHED_AGAIN_S:
+            return
+        self._reached[seq] = t
+        item = self._book.items.get(seq)
+        if item is not None and not is_nav(item.command) and item.command in self._commands:
+            self._suspects.append(_Suspect(t, t, item, seq - 1, None))
+
+    def _suspect_between(self, t: float, before: int | None, now: int) -> None:
+        """Of what stands behind the waypoint `before`, which was left for `now`, the texts may be missing."""
+        reached_at = self._reached.get(before or 0, -math.inf)
+        if before is None or not self._book.fresh or t - reached_at > PROGRESS_AFTER_REACHED_S:
+            return
+        for item in self._certain(before, now):
+            # The first item behind a waypoint starts with the waypoint's end, the others milliseconds later.
+            first = item.seq == before + 1
+            self._suspects.append(_Suspect(t, reached_at, item, before, None if first else now))
+
+    def _certain(self, before: int, now: int) -> list[MissionItem]:
+        """What runs for certain when waypoint `before` ends; nothing if that does not lead to `now`."""
+        items = self._book.items
+        certain: list[MissionItem] = []
+        conditional = False
+        leads_to: set[int | None] = set()
+        seq = before + 1
+        while (item := items.get(seq)) is not None:
             if is_nav(item.command):
-                break  # nobody flew there, so what lies behind was jumped over
-            passed.append(item)
-        self._suspected.extend((t, reached_at, item) for item in passed)
+                leads_to.add(seq)
+                break
+            if item.command == JUMP and math.isfinite(item.params[0]):
+                leads_to.add(self._first_nav(int(item.params[0])))
+            conditional = conditional or item.command in CONDITIONAL
+            if not conditional and item.command in self._commands:
+                certain.append(item)
+            seq += 1
+        return certain if now in leads_to else []
+
+    def _first_nav(self, seq: int) -> int | None:
+        while (item := self._book.items.get(seq)) is not None:
+            if is_nav(item.command):
+                return seq
+            seq += 1
+        return None
 
     def due(self, t: float) -> list[Execution]:
         """The executions that are certain by now."""
         executions = []
-        still: list[tuple[float, int, str]] = []
-        for told_at, seq, name in self._waiting:
-            item = self._book.items.get(seq)
-            expected = COMMAND_OF_NAME.get(name)
-            read_since = self._book.read_since(told_at)
-            fits = item is not None and self._book.fresh and _fits(name, item.command, read_since)
-            if item is not None and self._book.fresh and not fits and t == told_at:
-                self._book.doubt(t)
-            if name == "Scripting" and _take(self._handed, t, item.params if item and fits else None):
+        while self._waiting:
+            told = self._waiting[0]
+            item = self._book.items.get(told.seq)
+            expected = COMMAND_OF_NAME.get(told.name)
+            known = (
+                item is not None
+                and self._book.fresh
+                and _fits(told.name, item.command, self._book.read_since(told.t))
+            )
+            if expected == SCRIPT_MESSAGE and self._handed.take(t, item.params if item and known else None):
+                self._waiting.popleft()
                 continue
-            if item is not None and fits:
+            if not known and t - told.t < self._patience_s(told.name):
+                break  # nothing overtakes an item that waits for its numbers
+            self._waiting.popleft()
+            if item is not None and known:
                 if item.command == SCRIPT_MESSAGE:
-                    self._run.append((t, item.params))
-                executions.append(Execution(item.command, seq, item, item.params))
-            elif t - told_at < self._patience_s(name):
-                still.append((told_at, seq, name))
+                    self._run_by_text.put(t, item.params)
+                if item.command in self._commands:
+                    executions.append(Execution(item.command, told.seq, item, item.params))
             elif expected is not None:
-                executions.append(Execution(expected, seq, None, None))
-        self._waiting = still
-        executions.extend(self._from_progress(t))
+                executions.append(Execution(expected, told.seq, None, None))
+        executions.extend(self._untold(t))
         return executions
 
     def _patience_s(self, name: str) -> float:
@@ -142,34 +231,51 @@ class ArduPilotWatch:
             return WAIT_FOR_BOOK_S
         return WAIT_FOR_SCRIPT_S if name == "Scripting" else 0.0
 
-    def _from_progress(self, t: float) -> list[Execution]:
-        due = [entry for entry in self._suspected if t - entry[0] >= WAIT_FOR_TEXT_S]
-        if not due:
-            return []
-        self._suspected = [entry for entry in self._suspected if entry not in due]
+    def _untold(self, t: float) -> list[Execution]:
         executions = []
-        for _, reached_at, item in due:
-            known = self._book.fresh and self._book.items.get(item.seq) == item
-            untold = self._told.get(item.seq, -math.inf) < reached_at - 0.5
-            if known and untold and self._lost_at >= reached_at - 0.5:
-                self._told[item.seq] = t
+        while self._suspects and t - self._suspects[0].t >= WAIT_FOR_TEXT_S:
+            suspect = self._suspects.popleft()
+            if self._has_run_untold(suspect):
+                item = suspect.item
+                self._note(t, item.seq)
                 executions.append(Execution(item.command, item.seq, item, item.params))
         return executions
 
+    def _has_run_untold(self, suspect: _Suspect) -> bool:
+        since, item = suspect.since - LATEST_S, suspect.item
+        if not self._book.fresh or self._book.items.get(item.seq) != item or self._lost_at < since:
+            return False
+        if self._told.get(item.seq, -math.inf) >= since:
+            return False
+        if any(t >= since and not suspect.before < seq <= item.seq for t, seq in self._ran):
+            return False
+        here = suspect.certain_while_at
+        return here is None or (here == self._current and self._flying)
 
-def _take(seen: list[tuple[float, tuple[float, ...]]], t: float, params: tuple[float, ...] | None) -> bool:
-    """Whether these numbers (None: any) were seen just now; if so, they are used up."""
-    seen[:] = [entry for entry in seen if t - entry[0] <= SAME_SCRIPT_ITEM_S]
-    for entry in seen:
-        if params is None or same_numbers(entry[1][:4], params[:4]):
-            seen.remove(entry)
-            return True
-    return False
+
+class _Numbers:
+    """The numbers of script messages seen just now, each to be taken once."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=MOST_WAITING)
+
+    def put(self, t: float, params: tuple[float, ...]) -> None:
+        self._seen.append((t, params[:4]))
+
+    def take(self, t: float, params: tuple[float, ...] | None) -> bool:
+        """Whether these numbers (None: any) were seen just now; if so, they are used up."""
+        while self._seen and t - self._seen[0][0] > SAME_SCRIPT_ITEM_S:
+            self._seen.popleft()
+        for entry in self._seen:
+            if params is None or same_numbers(entry[1], params[:4]):
+                self._seen.remove(entry)
+                return True
+        return False
 
 
-def _fits(name: str, command: int, read_since: bool) -> bool:
+def _fits(name: str, command: int, confirmed: bool) -> bool:
     """Whether the item that the book has is the one named; other releases may have other names."""
     expected = COMMAND_OF_NAME.get(name)
     if expected is None:
-        return read_since or command not in NAMED_COMMANDS
+        return confirmed or command not in NAMED_COMMANDS
     return expected == command

@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.execution import same_numbers
+from flying_vines.vehicle.mission.item import MissionItem, has_place
 
 RETRY_S = 0.8
 MOST_ATTEMPTS = 6
@@ -18,6 +19,10 @@ QUIET_BEFORE_READING_S = 0.5
 SAME_CHANGE_S = 5.0
 """A total that is reported this soon after a reading, and fits it, is not news."""
 MOST_ITEMS = 5000
+LOOK_AGAIN_S = 2.0
+LOOK_RETRY_S = 0.5
+MISSION_RUNS = 3
+"""MISSION_CURRENT.mission_state while the vehicle flies its mission."""
 
 
 class MissionBook:
@@ -25,6 +30,9 @@ class MissionBook:
 
     A download that somebody else asked for is read as well: so a recording of a companion's link fills the
     book without anybody answering our requests.
+
+    ArduPilot has no identity of a mission: one that is replaced by another of the same length shows in
+    nothing that it sends. So in flight what runs next is looked at again and again, the rest in turn.
     """
 
     def __init__(self, items: Sequence[MissionItem] = ()) -> None:
@@ -40,6 +48,11 @@ class MissionBook:
         self._asking = False
         self._attempts = 0
         self._gave_up_at: float | None = None
+        self._owes_ack = False
+        self._current: int | None = None
+        self._look_at: list[int] = []
+        self._look_since = self._looked_at = -math.inf
+        self._in_turn = 0
         self.fresh = bool(items)
 
     @property
@@ -51,11 +64,21 @@ class MissionBook:
     def items(self) -> Mapping[int, MissionItem]:
         return self._items
 
+    def nearest(self, command: int, params: Sequence[float], seq: int) -> MissionItem | None:
+        """Of the items of this kind with these first four numbers, the one nearest to item `seq`."""
+        alike = [
+            item
+            for item in self._items.values()
+            if item.command == command and same_numbers(item.params[:4], params[:4])
+        ]
+        return min(alike, key=lambda item: abs(item.seq - seq), default=None)
+
     def doubt(self, t: float) -> None:
         """Something says that the mission is another one now: do not trust the book, read it again."""
         if not self._given:
             self.fresh = False
         self._arriving, self._expected = {}, None  # what has arrived is of the mission before
+        self._look_at = []
         self._changed_at = t
         self._attempts = 0
         self._gave_up_at = None
@@ -75,17 +98,34 @@ class MissionBook:
         kind = message.get_type()
         if kind == "MISSION_CURRENT":
             self._watch_for_change(t, message)
+            self._look_ahead(t, message)
         elif kind == "STATUSTEXT" and message.text.startswith("Flight plan received"):
             self.doubt(t)
+        elif kind == "PARAM_VALUE" and message.param_id == "MIS_TOTAL":
+            # ArduPilot sends it with every item that an upload adds or takes away.
+            if message.param_value != len(self._items):
+                self.doubt(t)
+        elif kind == "MISSION_ACK" and message.mission_type == 0 and self._asking:
+            if message.type == mavlink.MAV_MISSION_DENIED:
+                self.doubt(t)  # somebody is uploading
         elif kind == "MISSION_COUNT" and message.mission_type == 0 and message.count <= MOST_ITEMS:
             self._expected, self._arriving = message.count, {}
             self._progress(t)
-        elif (
-            kind in ("MISSION_ITEM_INT", "MISSION_ITEM")
-            and message.mission_type == 0
-            and message.seq < (self._expected or 0)
-        ):
-            self._arriving[message.seq] = _item(message)
+        elif kind in ("MISSION_ITEM_INT", "MISSION_ITEM") and message.mission_type == 0:
+            self._take(t, _item(message))
+
+    def _take(self, t: float, item: MissionItem) -> None:
+        known = self._items.get(item.seq)
+        same = known is not None and known.command == item.command and same_numbers(known.params, item.params)
+        reading = self._expected is not None
+        if self.fresh and not same and not (self._given and reading):
+            self.doubt(t)
+        elif not reading:
+            self._look_at = [seq for seq in self._look_at if seq != item.seq]
+            self._looked_at = -math.inf
+        elif item.seq < (self._expected or 0):
+            self._arriving[item.seq] = item
+            self._owes_ack = self._asking and len(self._arriving) == self._expected
             self._progress(t)
 
     def _progress(self, t: float) -> None:
@@ -95,6 +135,26 @@ class MissionBook:
             self._complete_at, self._changed_at = t, None
             self._given = False
             self.fresh = True
+
+    def _look_ahead(self, t: float, message: Message) -> None:
+        """Have another look at what runs when the present waypoint is reached, and at one item more."""
+        moved, self._current = message.seq != self._current, message.seq
+        has_identity = self._mission_id != 0
+        if self._given or has_identity or not self.fresh or message.mission_state != MISSION_RUNS:
+            return
+        if moved or t - self._look_since >= LOOK_AGAIN_S:
+            actions = [seq for seq, item in self._items.items() if not is_nav(item.command)]
+            runs_next = self._run_next(message.seq)
+            in_turn = sorted(actions, key=lambda seq: (seq <= self._in_turn, seq))[:1]
+            self._in_turn = in_turn[0] if in_turn else 0
+            self._look_since, self._look_at = t, [*runs_next, *in_turn]
+
+    def _run_next(self, seq: int) -> list[int]:
+        found = []
+        while (item := self._items.get(seq + 1)) is not None and not is_nav(item.command):
+            seq += 1
+            found.append(seq)
+        return found
 
     def _watch_for_change(self, t: float, message: Message) -> None:
         total, mission_id = message.total, _mission_id(message)
@@ -114,7 +174,7 @@ class MissionBook:
         if self._gave_up_at is not None and t - self._gave_up_at < TRY_AGAIN_S:
             return []
         if self.fresh and self._expected is None and self._changed_at is None:
-            return []
+            return self._look(t, system_id)
         if self._changed_at is not None and t - self._changed_at < QUIET_BEFORE_READING_S:
             return []
         if t - self._asked_at < RETRY_S:
@@ -126,25 +186,28 @@ class MissionBook:
         self._attempts += 1
         if self._expected is None:
             return [mavlink.MAVLink_mission_request_list_message(system_id, 1, 0)]
-        missing = next(seq for seq in range(self._expected) if seq not in self._arriving)
-        return [mavlink.MAVLink_mission_request_int_message(system_id, 1, missing, 0)]
+        here = self._current or 0
+        missing = (seq for seq in range(self._expected) if seq not in self._arriving)
+        first = min(missing, key=lambda seq: (seq < here, seq))  # what runs soon is needed first
+        return [mavlink.MAVLink_mission_request_int_message(system_id, 1, first, 0)]
 
-    def acknowledgement(self, message: Message, system_id: int) -> list[Message]:
-        """The MISSION_ACK that ends a download that we asked for, when `message` was its last item."""
-        last = (
-            self._asking
-            and message.get_type() == "MISSION_ITEM_INT"
-            and self._expected is None
-            and self.fresh
-        )
-        if last and message.seq == len(self._items) - 1:
-            self._asking = False
-            return [mavlink.MAVLink_mission_ack_message(system_id, 1, mavlink.MAV_MISSION_ACCEPTED, 0)]
-        return []
+    def _look(self, t: float, system_id: int) -> list[Message]:
+        if not self._look_at or t - self._looked_at < LOOK_RETRY_S:
+            return []
+        self._looked_at, self._asking = t, True
+        return [mavlink.MAVLink_mission_request_int_message(system_id, 1, self._look_at[0], 0)]
+
+    def acknowledgement(self, system_id: int) -> list[Message]:
+        """The MISSION_ACK that ends a download that we asked for, once it is complete."""
+        if not self._owes_ack:
+            return []
+        self._owes_ack = self._asking = False
+        return [mavlink.MAVLink_mission_ack_message(system_id, 1, mavlink.MAV_MISSION_ACCEPTED, 0)]
 
 
 def _item(message: Message) -> MissionItem:
-    scale = 1e-7 if message.get_type() == "MISSION_ITEM_INT" and message.frame not in (0, 2) else 1.0
+    whole_numbers = message.get_type() == "MISSION_ITEM_INT"
+    scale = 1e-7 if whole_numbers and has_place(message.command, message.frame) else 1.0
     params = (
         message.param1, message.param2, message.param3, message.param4,
         message.x * scale, message.y * scale, message.z,

@@ -5,6 +5,13 @@ from __future__ import annotations
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution, same_numbers
+from flying_vines.vehicle.mission.item import is_nav
+
+BEFORE_A_REPEAT_S = 0.4
+"""Half a second at least lies between an item and its first repeat, less what a link takes: what ran since
+then ran later."""
+SAME_BURST_S = 3.0
+"""The last repeat of an item comes two seconds after it, the items behind it within milliseconds."""
 
 
 class Px4Watch:
@@ -13,17 +20,39 @@ class Px4Watch:
     def __init__(self, book: MissionBook) -> None:
         self._book = book
         self._current = 0
+        self._ran: Execution | None = None
+        self._ran_at = 0.0
 
     def handle(self, message: Message) -> None:
         if message.get_type() == "MISSION_CURRENT":
             self._current = message.seq
 
-    def execution(self, command: int, params: tuple[float, ...]) -> Execution:
-        """A command of the autopilot's, with the mission item that it comes from where that is known."""
-        alike = [
-            item
-            for item in self._book.items.values()
-            if item.command == command and same_numbers(item.params[:4], params[:4])
-        ]
-        item = min(alike, key=lambda item: abs(item.seq - self._current), default=None)
-        return Execution(command, item.seq if item else None, item, params)
+    def execution(
+        self, t: float, command: int, params: tuple[float, ...], confirmation: int
+    ) -> Execution | None:
+        """A command of the autopilot's, with the mission item that it comes from where that is known.
+
+        None when a later item has run already, which is what counts then: this one's frames were lost, but
+        for a repeat.
+        """
+        item = self._book.nearest(command, params, self._current)
+        execution = Execution(command, item.seq if item else None, item, params)
+        if confirmation and self._overtaken(t, execution):
+            return None
+        self._ran, self._ran_at = execution, t
+        return execution
+
+    def _overtaken(self, t: float, execution: Execution) -> bool:
+        ran = self._ran
+        if ran is None or _same(ran, execution):
+            return False
+        if t - self._ran_at < BEFORE_A_REPEAT_S:
+            return True
+        if ran.seq is None or execution.seq is None or t - self._ran_at > SAME_BURST_S:
+            return False
+        between = [self._book.items[seq] for seq in range(execution.seq, ran.seq) if seq in self._book.items]
+        return ran.seq > execution.seq and not any(is_nav(item.command) for item in between)
+
+
+def _same(a: Execution, b: Execution) -> bool:
+    return a.command == b.command and same_numbers(a.params or (), b.params or ())

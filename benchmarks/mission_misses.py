@@ -1,0 +1,61 @@
+"""How many mission items are missed at a given loss of frames, by what stands in for a lost frame.
+
+    python benchmarks/mission_misses.py [--flights 150] [--seed 1]
+
+The fake autopilots fly random missions over a link that loses a share of the frames in each direction; what
+they executed is compared with what the vehicle's side saw. "Plain" missions have one vine item in front of
+each waypoint; "wild" ones have several at a place, conditions and loops, and are interfered with: modes,
+jumps, other missions, reboots of the autopilot and of the service, cut links.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from mission_storm import Link, Storm, compare, fly, mission
+
+from flying_vines.fakes.autopilot import Kind
+
+LOSSES = (0.0, 0.01, 0.05, 0.2)
+KINDS: tuple[Kind, Kind] = ("ardupilot", "px4")
+
+
+def misses(kind: Kind, loss: float, flights: int, seed: int, wild: bool) -> tuple[int, int, int]:
+    """Items that ran, that were missed, and triggers that nothing ran for."""
+    ran = missed = extra = 0
+    for flight in range(flights):
+        dice = random.Random(f"{seed} {flight} {wild}")
+        storm = Storm(kind, dice, Link(loss, copies=0.05, late_s=0.05), mission(kind, dice, wild=wild))
+        if not wild:
+            storm.run(10.0)
+        fly(storm, 45.0, happenings=dice.randrange(5) if wild else 0)
+        found = compare(storm)
+        ran, missed, extra = ran + len(storm.ran), missed + len(found.missed), extra + len(found.extra)
+    return ran, missed, extra
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--flights", type=int, default=150)
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    print(f"seed {arguments.seed}, {arguments.flights} flights a row")
+    print("missions  autopilot   loss    ran  missed         extra")
+    for wild in (False, True):
+        for kind in KINDS:
+            for loss in LOSSES:
+                ran, missed, extra = misses(kind, loss, arguments.flights, arguments.seed, wild)
+                print(
+                    f"{'wild' if wild else 'plain':8}  {kind:9}  {loss:4.0%}  {ran:6}  {missed:4} "
+                    f"({missed / ran:6.2%})  {extra:4}",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,106 @@
+"""Missions flown over bad links and interfered with by the fake autopilot: items are seen once, or missed."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mission_storm import RESTART_S, Link, Storm, compare, fly, in_order, mission, numbers_of_before
+
+from flying_vines.fakes.autopilot import Kind
+from flying_vines.vehicle.mission.book import LOOK_AGAIN_S
+
+KINDS: tuple[Kind, Kind] = ("ardupilot", "px4")
+NEW_MISSION_SEEN_S = LOOK_AGAIN_S + 1.5
+"""How long after a change ArduPilot may still be believed to have the numbers of before."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@given(seed=st.integers(0, 2**32), loss=st.sampled_from([0.0, 0.05, 0.3]), late_s=st.sampled_from([0.0, 0.3]))
+@settings(max_examples=9, deadline=None)
+def test_never_twice_and_never_what_did_not_run(kind: Kind, seed: int, loss: float, late_s: float) -> None:
+    dice = random.Random(seed)
+    storm = Storm(kind, dice, Link(loss, copies=0.2, late_s=late_s), mission(kind, dice, wild=True))
+    fly(storm, 20.0, happenings=dice.randrange(5))
+    assert compare(storm).extra == []
+    assert in_order(storm)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@given(seed=st.integers(0, 2**32), late_s=st.sampled_from([0.0, 0.1]))
+@settings(max_examples=5, deadline=None)
+def test_on_a_good_link_nothing_is_missed(kind: Kind, seed: int, late_s: float) -> None:
+    dice = random.Random(seed)
+    storm = Storm(kind, dice, Link(copies=0.2, late_s=late_s), mission(kind, dice, wild=True))
+    fly(storm, 45.0)
+    found = compare(storm)
+    assert (found.missed, found.extra) == ([], [])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@given(seed=st.integers(0, 2**32))
+@settings(max_examples=5, deadline=None)
+def test_of_frames_lost_one_by_one_none_makes_an_item_miss(kind: Kind, seed: int) -> None:
+    # The bound: one frame lost at a time, in each direction, four seconds apart; an item and then a waypoint.
+    dice = random.Random(seed)
+    storm = Storm(kind, dice, Link(loss=0.5, spare_s=4.0), mission(kind, dice, wild=False))
+    storm.run(10.0)
+    storm.autopilot.start_mission()
+    storm.run(50.0)
+    found = compare(storm)
+    assert len(storm.ran) >= 2
+    assert (found.missed, found.extra) == ([], [])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@given(seed=st.integers(0, 2**32))
+@settings(max_examples=4, deadline=None)
+def test_a_service_that_starts_in_mid_mission_sees_what_comes_and_nothing_else(kind: Kind, seed: int) -> None:
+    dice = random.Random(seed)
+    storm = Storm(kind, dice, Link(late_s=0.05), mission(kind, dice, wild=False))
+    storm.run(3.0)
+    storm.autopilot.start_mission()
+    storm.run(dice.uniform(5.0, 20.0))
+    storm.seen.clear()
+    down_at, up_at = storm.t, storm.t + RESTART_S
+    storm.start_service(down_s=RESTART_S)
+    storm.run(35.0)
+    found = compare(storm)
+    assert found.extra == []
+    # One that runs before the autopilot was found and its streams were asked for can only be missed.
+    assert [item for t, item in found.missed if t > up_at + 2.0] == []
+    assert [one for one in storm.seen if one.t < down_at] == []
+
+
+def test_another_mission_of_the_same_length_is_noticed_in_the_air() -> None:
+    late = 0
+    for seed in range(12):
+        dice = random.Random(seed)
+        first, other = mission("ardupilot", dice, wild=False), random.Random(seed + 1)
+        storm = Storm("ardupilot", other, Link(), first)
+        storm.run(5.0)
+        storm.autopilot.start_mission()
+        storm.run(dice.uniform(3.0, 9.0))
+        same_length = [mission("ardupilot", random.Random(n), wild=False) for n in range(40)]
+        storm.autopilot.set_mission(next(items for items in same_length if len(items) == len(first)))
+        changed_at = storm.t
+        storm.run(40.0)
+        assert compare(storm).extra == []
+        late += sum(t > changed_at + NEW_MISSION_SEEN_S for t in numbers_of_before(storm))
+    assert late == 0
+
+
+def test_the_storms_are_storms() -> None:
+    ran = lost = unknown = 0
+    for seed in range(8):
+        dice = random.Random(seed)
+        storm = Storm("ardupilot", dice, Link(0.3), mission("ardupilot", dice, wild=True))
+        fly(storm, 20.0, happenings=3)
+        ran += len(storm.ran)
+        lost += len(compare(storm).missed)
+        unknown += sum(one.numbers is None for one in storm.seen)
+    assert ran > 40
+    assert 0 < lost < ran
+    assert unknown > 0
