@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.mission.execution import same_numbers
-from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.item import MissionItem, has_place, is_nav
 
 RETRY_S = 0.8
 MOST_ATTEMPTS = 6
