@@ -121,7 +121,7 @@ class Vehicle:
         if self.state.kind != "px4":
             out.extend(self._item_triggers(t, self._ardupilot.due(t)))
         out.extend(self._streams.requests(t, self.state.system_id))
-        out.extend(self._book.requests(t, self.state.system_id))
+        out.extend(self._book.requests(t, self.state.system_id, self.state.kind == "ardupilot"))
         missing = self._streams.missing(t)
         if missing and missing != self._missing:
             text = f"Vine: the autopilot does not send {', '.join(missing)}"

@@ -569,3 +569,15 @@ def test_strange_messages_do_no_harm(
         if index == len(uploaded):
             autopilot.start_mission()
     autopilot.advance(5.0)
+
+
+@pytest.mark.parametrize(("kind", "given"), [("ardupilot", [0, 5, 5, 2]), ("px4", [0])])
+def test_px4_gives_items_in_turn_only_and_ardupilot_any(kind: Kind, given: list[int]) -> None:
+    world = World(Autopilot(kind, mission=[item(seq, 16, 0, 0, 0, 0, 47, 8, 10) for seq in range(8)]))
+    world.companion.hello()
+    world.companion.say(mavlink.MAVLink_mission_request_list_message(1, 1))
+    for seq in (0, 5, 5, 2):
+        world.companion.say(mavlink.MAVLink_mission_request_int_message(1, 1, seq))
+    world.on(0.5)
+    assert [message.seq for message in world.companion.of("MISSION_ITEM_INT")] == given
+    assert [ack.type for ack in world.companion.of("MISSION_ACK")] == ([] if kind == "ardupilot" else [1])

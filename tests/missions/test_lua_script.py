@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import struct
 from collections import deque
-from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -24,7 +24,7 @@ except ImportError:
         raise
     pytest.skip("the Lua script is tested with lupa: pip install lupa", allow_module_level=True)
 
-SCRIPT = resources.files("missions").joinpath("ardupilot/vine_items.lua").read_bytes()
+SCRIPT = (Path(__file__).parents[2] / "missions" / "ardupilot" / "vine_items.lua").read_bytes()
 US, TELEMETRY = 2, 0
 """The channels on which the companion and a ground station are."""
 

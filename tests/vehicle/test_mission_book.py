@@ -85,7 +85,7 @@ class Autopilot:
 
     def run(self, for_s: float) -> None:
         for _ in range(round(for_s / TICK_S)):
-            requests = self.book.requests(self.now_s, 1)
+            requests = self.book.requests(self.now_s, 1, True)
             assert len(requests) <= 1
             for request in requests:
                 self.requests += 1
@@ -138,7 +138,7 @@ def test_replies_that_come_twice_and_late_do_no_harm() -> None:
 
 def test_an_autopilot_that_does_not_answer_is_asked_sparingly() -> None:
     book = MissionBook()
-    asked = [i * TICK_S for i in range(6000) if book.requests(i * TICK_S, 1)]
+    asked = [i * TICK_S for i in range(6000) if book.requests(i * TICK_S, 1, True)]
     assert len([t for t in asked if t < TRY_AGAIN_S]) == MOST_ATTEMPTS
     assert all(b - a >= RETRY_S - 1e-9 for a, b in itertools.pairwise(asked))
     assert 20 <= len(asked) <= 36
@@ -263,19 +263,19 @@ def test_a_download_of_somebody_else_is_read_along() -> None:
         book.handle(0.1, item_message(one))
     assert not book.arriving
     assert book.fresh
-    assert book.requests(0.2, 1) == []
+    assert book.requests(0.2, 1, True) == []
 
 
 def test_a_mission_given_beforehand_serves_until_one_was_read() -> None:
     given = mission(4, angle_deg=7.0)
     book = MissionBook(given)
     assert book.fresh
-    assert book.requests(0.0, 1) == []
+    assert book.requests(0.0, 1, True) == []
     book.handle(1.0, current(3))
     book.handle(2.0, current(8))
     assert book.fresh
     assert book.items[2] == given[2]
-    (request,) = book.requests(3.0, 1)
+    (request,) = book.requests(3.0, 1, True)
     assert request.get_type() == "MISSION_REQUEST_LIST"
     items = mission(9)
     book.handle(3.1, count_message(9))
@@ -292,7 +292,7 @@ def flying(autopilot: Autopilot, seq: int, for_s: float) -> None:
         message = mavlink.MAVLink_mission_current_message(seq, len(autopilot.items) - 1, 3, 1)
         autopilot.deliver(sent(message))
         for _ in range(10):
-            for request in autopilot.book.requests(autopilot.now_s, 1):
+            for request in autopilot.book.requests(autopilot.now_s, 1, True):
                 autopilot.requests += 1
                 if autopilot.arrives():
                     autopilot.answer(request)
@@ -340,7 +340,7 @@ def test_only_in_flight_is_looked_ahead(state: int) -> None:
     asked = autopilot.requests
     for _ in range(100):
         autopilot.deliver(sent(mavlink.MAVLink_mission_current_message(4, 11, state, 1)))
-        assert autopilot.book.requests(autopilot.now_s, 1) == []
+        assert autopilot.book.requests(autopilot.now_s, 1, True) == []
         autopilot.ticks += 10
     assert autopilot.requests == asked
 
@@ -377,7 +377,7 @@ def test_while_somebody_uploads_the_book_is_not_trusted() -> None:
     flying(autopilot, 4, 1.0)
     autopilot.book.refresh(autopilot.now_s)
     autopilot.ticks += 50
-    assert autopilot.book.requests(autopilot.now_s, 1)
+    assert autopilot.book.requests(autopilot.now_s, 1, True)
     denied = mavlink.MAVLink_mission_ack_message(1, 191, mavlink.MAV_MISSION_DENIED, 0)
     autopilot.deliver(sent(denied))
     assert not autopilot.book.fresh
@@ -404,7 +404,7 @@ def test_what_runs_soon_is_read_first() -> None:
     book.handle(0.1, count_message(12))
     asked = []
     for i in range(12):
-        (request,) = book.requests(0.2 + i, 1)
+        (request,) = book.requests(0.2 + i, 1, True)
         asked.append(request.seq)
         book.handle(0.2 + i, item_message(item(request.seq)))
     assert asked == [6, 7, 8, 9, 10, 11, 0, 1, 2, 3, 4, 5]
@@ -425,7 +425,7 @@ def test_latitudes_at_an_absolute_altitude_and_numbers_of_a_command() -> None:
 
 def test_the_end_of_a_reading_is_acknowledged_whichever_item_came_last() -> None:
     book = MissionBook()
-    assert book.requests(1.0, 1)
+    assert book.requests(1.0, 1, True)
     book.handle(1.0, count_message(3))
     for seq in (2, 0, 1):
         assert book.acknowledgement(1) == []
@@ -439,3 +439,31 @@ def test_a_count_beyond_reason_is_not_asked_for() -> None:
     book = MissionBook()
     book.handle(0.0, count_message(65535))
     assert not book.arriving
+
+
+def test_px4_is_asked_strictly_in_turn_and_again_from_the_start_where_it_breaks_off() -> None:
+    """As PX4's mission manager has it: the next item, or the last one again; all else ends the transfer."""
+    items = mission(12)
+    book = MissionBook()
+    dice = random.Random(4)
+    book.handle(0.0, current(12, 77, seq=7))
+    next_seq: int | None = None
+    broken_off = 0
+    for tick in range(6000):
+        for request in book.requests(tick * TICK_S, 1):
+            if dice.random() < 0.2:
+                continue
+            if request.get_type() == "MISSION_REQUEST_LIST":
+                next_seq, answer = 0, count_message(12)
+            elif next_seq is None:
+                continue
+            elif broken_off == 0 and request.seq == 8:
+                # It forgot the transfer, for instance because another ground station began one.
+                next_seq, answer, broken_off = None, mavlink.MAVLink_mission_ack_message(1, 191, 1, 0), 1
+            else:
+                assert request.seq in (next_seq, next_seq - 1)
+                next_seq, answer = request.seq + 1, item_message(items[request.seq])
+            if dice.random() >= 0.2:
+                book.handle(tick * TICK_S, answer)
+    assert broken_off and book.fresh
+    assert [book.items[seq] for seq in range(12)] == items

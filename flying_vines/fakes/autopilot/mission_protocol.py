@@ -28,7 +28,9 @@ from flying_vines.vehicle.mission.storage import (
 
 _ASK_AGAIN_S = 1.0
 _GIVE_UP_S = 8.0
-_INFO = 6
+_TRANSFER_S = 5.0
+_CRITICAL, _INFO = 2, 6
+_UNEXPECTED = b"WPM: REJ. CMD: Req. WP was unexpected\t"
 
 
 @dataclass(slots=True)
@@ -40,6 +42,15 @@ class _Upload:
     deadline_s: float
     entry: Entry | None = None
     next_seq: int = 0
+
+
+@dataclass(slots=True)
+class _Download:
+    """Of PX4: to whom, which item is next, and when it was last asked."""
+
+    partner: tuple[int, int]
+    next_seq: int
+    heard_s: float
 
 
 class MissionStorage:
@@ -67,6 +78,7 @@ class MissionStorage:
         self._changed = changed
         self._upload: _Upload | None = None
         self._incoming: list[MissionItem] = []
+        self._download: _Download | None = None
 
     def load(self, items: Sequence[MissionItem]) -> None:
         """Put a whole mission in place; MissionRefused if the autopilot would not take an item."""
@@ -74,7 +86,7 @@ class MissionStorage:
         self._change()
 
     def reboot(self) -> None:
-        self._upload = None
+        self._upload = self._download = None
         self._incoming = []
 
     def handle(self, link: str, message: Any, has_space: bool) -> None:
@@ -88,9 +100,11 @@ class MissionStorage:
             case "MISSION_ITEM" | "MISSION_ITEM_INT":
                 self._take(link, message)
             case "MISSION_REQUEST_LIST":
+                self._download = _Download(_reply(message), 0, self._agenda.now_s)
                 self._send(link, mavlink.MAVLink_mission_count_message(*_reply(message), len(self.items)))
             case "MISSION_REQUEST" | "MISSION_REQUEST_INT":
-                self._give(link, message)
+                if self._kind == "ardupilot" or self._in_turn(link, message):
+                    self._give(link, message)
             case "MISSION_CLEAR_ALL":
                 self.items = []
                 self._change()
@@ -232,6 +246,21 @@ class MissionStorage:
             place = home.latitude_deg, home.longitude_deg, whole_centimetres(home.altitude_amsl_m)
             return MissionItem(0, 16, (0.0, 0.0, 0.0, 0.0, *place))
         return store(self._kind, item)
+
+    def _in_turn(self, link: str, message: Any) -> bool:
+        """PX4 gives the next item or the last one again; any other request ends the transfer."""
+        now_s, transfer = self._agenda.now_s, self._download
+        if transfer is None or now_s - transfer.heard_s > _TRANSFER_S or transfer.partner != _reply(message):
+            return False
+        transfer.heard_s = now_s
+        if message.seq == transfer.next_seq:
+            transfer.next_seq += 1
+        elif message.seq != transfer.next_seq - 1:
+            self._download = None
+            self._ack(link, *_reply(message), ERROR)
+            self._send(link, mavlink.MAVLink_statustext_message(_CRITICAL, _UNEXPECTED))
+            return False
+        return True
 
     def _give(self, link: str, message: Any) -> None:
         to = _reply(message)

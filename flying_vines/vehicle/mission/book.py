@@ -108,6 +108,8 @@ class MissionBook:
         elif kind == "MISSION_ACK" and message.mission_type == 0 and self._asking:
             if message.type == mavlink.MAV_MISSION_DENIED:
                 self.doubt(t)  # somebody is uploading
+            elif message.type != mavlink.MAV_MISSION_ACCEPTED:
+                self._arriving, self._expected = {}, None  # the transfer is over; begin again
         elif kind == "MISSION_COUNT" and message.mission_type == 0 and message.count <= MOST_ITEMS:
             self._expected, self._arriving = message.count, {}
             self._progress(t)
@@ -169,12 +171,16 @@ class MissionBook:
             return  # ArduPilot, which does not count the home item, and has no id
         self.doubt(t)
 
-    def requests(self, t: float, system_id: int) -> list[Message]:
-        """What to ask the autopilot next; at most one message a call."""
+    def requests(self, t: float, system_id: int, in_any_order: bool = False) -> list[Message]:
+        """What to ask the autopilot next; at most one message a call.
+
+        `in_any_order` says that it gives any item at any time, as ArduPilot does; PX4 ends the transfer where
+        an item is neither the next nor the last one again, and tells the pilot.
+        """
         if self._gave_up_at is not None and t - self._gave_up_at < TRY_AGAIN_S:
             return []
         if self.fresh and self._expected is None and self._changed_at is None:
-            return self._look(t, system_id)
+            return self._look(t, system_id) if in_any_order else []
         if self._changed_at is not None and t - self._changed_at < QUIET_BEFORE_READING_S:
             return []
         if t - self._asked_at < RETRY_S:
@@ -186,7 +192,7 @@ class MissionBook:
         self._attempts += 1
         if self._expected is None:
             return [mavlink.MAVLink_mission_request_list_message(system_id, 1, 0)]
-        here = self._current or 0
+        here = self._current or 0 if in_any_order else 0
         missing = (seq for seq in range(self._expected) if seq not in self._arriving)
         first = min(missing, key=lambda seq: (seq < here, seq))  # what runs soon is needed first
         return [mavlink.MAVLink_mission_request_int_message(system_id, 1, first, 0)]
