@@ -1,4 +1,4 @@
-"""`flying-vines mission`: build, check, upload, watch, download. What each needs is imported when it runs."""
+"""`flying-vines mission`: build, check, upload, watch, download, script. What each needs is imported when it runs."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 BAD_INPUT = 2
 NOT_AS_PLANNED = 1
+SCRIPT = "vine_items.lua"
 GROUND_STATION_LINK = "udpin:0.0.0.0:14550"
 
 
@@ -54,6 +55,9 @@ def add(commands: Any) -> None:
     download = actions.add_parser("download", help="get the mission that the vehicle holds")
     download.add_argument("mission", type=Path, metavar="FILE", help="a .plan or .waypoints to write")
     _vehicle(download, _download)
+    script = actions.add_parser("script", help="write the script that hands items over on ArduPilot")
+    script.add_argument("--out", type=Path, default=Path(SCRIPT), metavar="FILE.lua")
+    script.set_defaults(run=_script)
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
@@ -100,6 +104,16 @@ def _download(arguments: argparse.Namespace) -> int:
     from missions.download import download
 
     return _on_vehicle(download(arguments.mission, arguments.link, _console()))
+
+
+def _script(arguments: argparse.Namespace) -> int:
+    shipped = Path(__file__).parent / "ardupilot" / SCRIPT
+    try:
+        arguments.out.write_bytes(shipped.read_bytes())
+    except OSError as error:
+        return _fail(f"{arguments.out}: {error.strerror}")
+    print(f"{arguments.out}: for APM/scripts on the autopilot's SD card; SCR_ENABLE 1, then reboot")
+    return 0
 
 
 def _on_vehicle(work: Coroutine[None, None, int]) -> int:

@@ -154,3 +154,12 @@ def test_what_is_built_already_is_checked_not_built(mission: Path, capsys: Captu
 def test_the_service_does_not_import_it() -> None:
     code = "import sys, flying_vines.cli; sys.exit('missions.review' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_script_for_ardupilot_is_written_as_it_is_shipped(tmp_path: Path, capsys: Captured) -> None:
+    script = tmp_path / "vine.lua"
+    status, out, err = run(capsys, "mission", "script", "--out", script)
+    assert (status, err) == (0, "") and out.startswith(f"{script}: ")
+    shipped = Path(__file__).parents[2] / "missions" / "ardupilot" / "vine_items.lua"
+    assert script.read_bytes() == shipped.read_bytes()
+    assert run(capsys, "mission", "script", "--out", tmp_path / "no" / "vine.lua")[0] == 2
