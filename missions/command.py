@@ -1,4 +1,4 @@
-"""`flying-vines mission`: build, check, upload, watch, download, script; each imports what it needs when it runs."""
+"""`flying-vines mission`: build, check, upload, watch, download, script; each imports what it needs then."""
 
 from __future__ import annotations
 
