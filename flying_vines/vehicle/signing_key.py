@@ -95,6 +95,7 @@ class TimestampFile:
         self._saved = timestamp
         new = self._path.with_name(self._path.name + ".new")
         try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
             with new.open("w", encoding="ascii") as file:
                 file.write(f"{timestamp:015d}\n")
                 file.flush()

@@ -180,6 +180,9 @@ def test_it_is_written_as_a_whole_or_not_at_all(file: Path, monkeypatch: pytest.
     assert TimestampFile(file).load()[0] == 36_000_006_000_000
 
 
-def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
-    with pytest.raises(SigningKeyError, match="cannot be written: No such file or directory"):
-        TimestampFile(tmp_path / "none" / "signing.timestamp").save(1)
+def test_a_folder_is_made_where_there_is_none_and_said_where_that_fails(tmp_path: Path) -> None:
+    path = tmp_path / "none" / "signing.timestamp"
+    TimestampFile(path).save(7)
+    assert int(path.read_text()) == 7
+    with pytest.raises(SigningKeyError, match="cannot be written: Not a directory"):
+        TimestampFile(path / "below" / "signing.timestamp").save(1)
