@@ -58,7 +58,7 @@ def test_the_default_profile_has_a_button_for_everything_a_person_can_ask() -> N
     assert len(wanted) == len(actions), "QGroundControl tells joystick actions apart by their label"
     assert next(iter(wanted)) == "Vine vent"
     choices = [intent for offered in CHOICES.values() for _, intent in offered if intent is not None]
-    profiles = [StartProfile("straight"), StartProfile("reach"), StartProfile("wave")]
+    profiles = [StartProfile(name) for name in config.profiles]
     angles = [BendTo(15), BendTo(30), BendTo(45), BendTo(60)]
     assert len(wanted) == len(choices) + len(profiles) + len(angles)
     assert set(wanted.values()) == {*choices, *profiles, *angles}
