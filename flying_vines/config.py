@@ -52,7 +52,7 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Vehicle(_Table, frozen=True):
     link: str = "udpin:0.0.0.0:14540"
     system_id: Annotated[int, Meta(ge=0, le=255)] = 0
-    component_id: Annotated[int, Meta(ge=1, le=255)] = 191
+    component_id: Annotated[int, Meta(ge=2, le=255)] = 191  # 1 is the autopilot
     rc_rate_Hz: Annotated[float, Meta(ge=4, le=50)] = 20.0
     signing_key: str = ""
 
