@@ -162,7 +162,7 @@ def test_a_key_like_no_other_is_named_without_a_guess() -> None:
         ("[vehicle]\nsystem_id = -1", 2, "vehicle.system_id", "expected int >= 0"),
         ("[vehicle]\nsystem_id = 256", 2, "vehicle.system_id", "expected int <= 255"),
         ("[vehicle]\nsystem_id = 99999999999999999999", 2, "vehicle.system_id", "expected int <= 255"),
-        ("[vehicle]\ncomponent_id = 0", 2, "vehicle.component_id", "expected int >= 1"),
+        ("[vehicle]\ncomponent_id = 1", 2, "vehicle.component_id", "expected int >= 2"),
         ("[vehicle]\nrc_rate_Hz = 3.9", 2, "vehicle.rc_rate_Hz", "expected float >= 4.0"),
         ("[limits]\nmax_kPa = '5'", 2, "limits.max_kPa", "expected float, got str"),
         ("[limits]\nmax_kPa = 2020-01-01", 2, "limits.max_kPa", "expected float, got date"),
