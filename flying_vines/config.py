@@ -277,10 +277,10 @@ def _contradictions(config: Config) -> list[tuple[Key, str]]:
                 found.extend(_too_fast(config, curve, name, profile, segment))
     for i, name in enumerate(config.switch.positions):
         if name and name not in config.profiles:
-            found.append((("switch", "positions", i), _no_profile(config, name)))
+            found.append((("switch", "positions", i), no_profile(config, name)))
     for i, item in enumerate(config.items):
         if item.profile is not None and item.profile not in config.profiles:
-            found.append((("items", i, "profile"), _no_profile(config, item.profile)))
+            found.append((("items", i, "profile"), no_profile(config, item.profile)))
     if curve.max_kPa > config.limits.max_kPa:
         reason = f"the curve goes to {curve.max_kPa:g} kPa, above limits.max_kPa = {config.limits.max_kPa:g}"
         found.append((("vine", "curve"), reason))
@@ -306,7 +306,8 @@ def _too_fast(
     return [(("profiles", name), f"the sine needs {steepest:.0f} kPa/s, the rate limit is {limit:g} kPa/s")]
 
 
-def _no_profile(config: Config, name: str) -> str:
+def no_profile(config: Config, name: str) -> str:
+    """What to say of a profile that is not there."""
     near = difflib.get_close_matches(name, config.profiles, n=1)
     return f"there is no profile '{name}'" + (f"; did you mean '{near[0]}'?" if near else "")
 

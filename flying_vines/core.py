@@ -34,33 +34,30 @@ from flying_vines.events import (
 )
 from flying_vines.intent import (
     ArmPneumatics,
-    BendTo,
     ClearFaults,
     DisarmPneumatics,
     Hold,
     Intent,
     SetPressure,
     StartCalibration,
-    StartProfile,
     StopCalibration,
     Vent,
 )
+from flying_vines.mover import Move, Mover
 from flying_vines.notice import Notice, Severity
-from flying_vines.reservoir import Belief, ReservoirEstimate, floor_kPa, nominal
-from flying_vines.safety import Conditions, Demand, Entered, Left, Ruling, Safety
+from flying_vines.reservoir import Belief, ReservoirEstimate, nominal
+from flying_vines.safety import Conditions, Entered, Left, Ruling, Safety
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.parameters import Changed
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vehicle.vehicle import Output, Vehicle
 from flying_vines.vine.motion import Motion
-from flying_vines.vine.profile import Segment, Step, flatten, plan, top_kPa
-from flying_vines.vine.staircase import Readings, staircase
+from flying_vines.vine.staircase import Readings
 
 TICK_S = 0.02
 """How often `Tick` is due, and how far a setpoint looks ahead."""
 
-MIN_RATE_KPA_PER_S = 1.0
 SPEAK_FIRST_S = 1.5
 """How long we listen for an autopilot before we say anything ourselves."""
 
@@ -84,7 +81,7 @@ class Core:
         config = self.config
         self._curve = config.vine.bend_curve()
         self._bent_kPa = 0.0
-        self._profiles = {name: tuple(flatten(config.profiles, name)) for name in config.profiles}
+        self._mover = Mover(config)
         self._rc_in_use = False
         self._firmware = fw.HostSession(repeat_s=TICK_S)
         self._firmware_was_ready = False
@@ -149,6 +146,7 @@ class Core:
 
     def _configure(self, change: Changed) -> None:
         self._safety.configure(change.config)
+        self._mover = Mover(change.config)
         self._vehicle.configure()
         self._actions.append(KeepParameters(change.t, dict(self._vehicle.component.parameters.values)))
 
@@ -200,32 +198,21 @@ class Core:
         settled = self._without_air(t, intent, trigger.by_person)
         if settled is not None:
             return self._record(t, trigger, settled)
-        problem, segments, rate_kPa_per_s = self._segments(intent)
-        if problem:
+        if problem := self._mover.problem(intent):
             return self._record(t, trigger, Ruling("refused", problem))
-        start_kPa = self._setpoint_kPa(t)
-        limit_kPa = self._max_kPa
-        trajectory = plan(segments, self._curve, start_kPa, rate_kPa_per_s, limit_kPa, self._bent_kPa)
-        peak_kPa = top_kPa(segments, self._curve, limit_kPa)
-        demand = Demand(
-            releases=trajectory.rise_kPa <= 0.0 and trajectory.final_kPa <= 0.0,
-            peak_kPa=peak_kPa,
-            wanted_kPa=top_kPa(segments, self._curve, math.inf),
-            spending_kPa=self._reservoir.spending_kPa(trajectory.rise_kPa),
-            floor_kPa=floor_kPa(self._belief.pneumatics, rate_kPa_per_s),
-        )
+        move = self._move(t, intent)
+        demand = move.demand(self._reservoir, self._belief)
         if trigger.by_person and demand.releases:
             self._clear_faults(t)
         ruling = self._safety.judge(demand, now)
         if ruling.verdict == "refused":
             return self._record(t, trigger, ruling)
         if ruling.rate_scale < 1.0:
-            rate_kPa_per_s = max(MIN_RATE_KPA_PER_S, rate_kPa_per_s * ruling.rate_scale)
-            trajectory = plan(segments, self._curve, start_kPa, rate_kPa_per_s, limit_kPa, self._bent_kPa)
+            move = self._move(t, intent, ruling.rate_scale)
         if demand.releases and self._motion is None:
             self._stop_moving(t)
         else:
-            self._motion = Motion(trajectory, t, rate_kPa_per_s, str(intent))
+            self._motion = Motion(move.trajectory, t, move.rate_kPa_per_s, str(intent))
             if isinstance(intent, StartCalibration):
                 self._calibration = self._motion, Readings(self.config.calibration.hold_s)
             self._drive(t)
@@ -261,28 +248,10 @@ class Core:
                 return Ruling("accepted")
         return None
 
-    def _segments(self, intent: Intent) -> tuple[str, Sequence[Segment], float]:
-        """A problem or "", what to do, and how fast at most."""
-        rate_kPa_per_s = self.config.limits.max_rate_kPa_per_s
-        match intent:
-            case StartProfile(name):
-                own = self.config.profiles[name].rate_kPa_per_s
-                rate_kPa_per_s = min(rate_kPa_per_s, own or rate_kPa_per_s)
-                return "", self._profiles[name], rate_kPa_per_s
-            case BendTo(angle_deg):
-                if not self._curve.min_deg <= angle_deg <= self._curve.max_deg:
-                    angles = f"{self._curve.min_deg:g}…{self._curve.max_deg:g}°"
-                    return f"{angle_deg:g}° is outside the vine's {angles}", [], rate_kPa_per_s
-                return "", [Step(to_deg=angle_deg)], rate_kPa_per_s
-            case SetPressure(target_kPa):
-                if target_kPa < 0.0:
-                    return f"{target_kPa:g} kPa is below ambient", [], rate_kPa_per_s
-                return "", [Step(to_kPa=target_kPa)], rate_kPa_per_s
-            case StartCalibration():
-                stairs = self.config.calibration
-                segments = list(staircase(self._max_kPa, stairs.steps, stairs.hold_s))
-                return "", segments, rate_kPa_per_s
-        raise AssertionError(intent)
+    def _move(self, t: float, intent: Intent, rate_scale: float = 1.0) -> Move:
+        """From where the vine is wanted now."""
+        start_kPa = self._setpoint_kPa(t)
+        return self._mover.move(intent, start_kPa, self._bent_kPa, self._firmware_limit_kPa, rate_scale)
 
     def _hold(self, t: float) -> Ruling:
         if self._motion is None:
@@ -293,10 +262,8 @@ class Core:
         return Ruling("accepted")
 
     def _freeze(self, t: float) -> None:
-        here = Step(to_kPa=self._setpoint_kPa(t))
-        rate = self.config.limits.max_rate_kPa_per_s
-        trajectory = plan([here], self._curve, here.to_kPa or 0.0, rate, self._max_kPa)
-        self._motion = Motion(trajectory, t, rate, "hold")
+        move = self._move(t, SetPressure(self._setpoint_kPa(t)))
+        self._motion = Motion(move.trajectory, t, move.rate_kPa_per_s, "hold")
         self._drive(t)
 
     def _clear_faults(self, t: float) -> Ruling:

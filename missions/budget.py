@@ -13,14 +13,14 @@ from typing import NamedTuple
 
 from flying_vines.config import Config
 from flying_vines.intent import Intent
+from flying_vines.mover import Move, Mover
 from flying_vines.pneumatics.paper import STANDARD_TEMPERATURE_K
-from flying_vines.reservoir import Belief, CyclesLeft, ReservoirEstimate, floor_kPa
+from flying_vines.reservoir import Belief, CyclesLeft, ReservoirEstimate
 from flying_vines.reservoir.bottle import GAS, Bottle, Spent, X
 from flying_vines.reservoir.estimate import READING_SD_KPA, Z90
 from flying_vines.reservoir.flying import BLOCK_S, FLAT_KPA
-from flying_vines.safety import Conditions, Demand, Ruling, Safety
+from flying_vines.safety import Conditions, Ruling, Safety
 from flying_vines.vehicle.triggers import Rules
-from missions.motion import Move, Mover
 from missions.timeline import ENDS, Step, Timeline
 
 WATCHED_S = 60.0
@@ -170,14 +170,14 @@ class _Walk:
             refused = Ruling("refused", problem)
             cycles = self._air.estimate().cycles_left()
             return Bend(step, intent, refused, "", None, step.t_s, 0.0, before, before, 0.0, cycles)
-        move = self._mover.move(intent, self._pressure_kPa(), self._bent_kPa)
+        move = self._planned(intent)
         ruling = self._judge(move, step.height_m, before.expected)
         doubt = ""
         if ruling.verdict != "refused":
             worst = self._judge(move, step.height_m, before.low)
             doubt = worst.reason if worst.verdict == "refused" else ""
             if ruling.rate_scale < 1.0:
-                move = self._mover.move(intent, self._pressure_kPa(), self._bent_kPa, ruling.rate_scale)
+                move = self._planned(intent, ruling.rate_scale)
             self._move, self._began_s, self._bent_kPa = move, step.t_s, move.bent_kPa
         length_s = move.trajectory.duration_s if ruling.verdict != "refused" else 0.0
         ends_s = min(step.t_s + length_s, max(until_s, step.t_s))
@@ -198,14 +198,12 @@ class _Walk:
             self._air.estimate().cycles_left(),
         )
 
+    def _planned(self, intent: Intent, rate_scale: float = 1.0) -> Move:
+        start_kPa = self._pressure_kPa()
+        return self._mover.move(intent, start_kPa, self._bent_kPa, rate_scale=rate_scale)
+
     def _judge(self, move: Move, height_m: float, reservoir_kPa: float) -> Ruling:
-        demand = Demand(
-            releases=move.releases,
-            peak_kPa=move.peak_kPa,
-            wanted_kPa=move.peak_kPa,
-            spending_kPa=self._air.estimate().spending_kPa(move.trajectory.rise_kPa),
-            floor_kPa=floor_kPa(self._belief.pneumatics, move.rate_kPa_per_s),
-        )
+        demand = move.demand(self._air.estimate(), self._belief)
         now = Conditions(
             armed=True,
             altitude_m=height_m,

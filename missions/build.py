@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from dataclasses import replace
 
 from flying_vines.config import Config
 from flying_vines.fakes.autopilot import Home
 from flying_vines.intent import BendTo, Intent, StartProfile
+from flying_vines.mover import Mover
 from flying_vines.toml_text import Key, dotted, place
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, Kind
 from missions.carriers import NAMES, carrier, suggestion
 from missions.mission import Action, Mission, MissionError, Waypoint
-from missions.motion import Mover
 
 WAYPOINT, RETURN, LAND, TAKEOFF, DELAY, SPEED = 16, 20, 21, 22, 93, 178
 GLOBAL_FRAME, ABOVE_HOME_FRAME = 0, 3
+BEND_LESS = "calibrate further, or bend less"
 REST_S = 0.5
 """How long the vine takes to follow its setpoint; holds that nobody gave are whole multiples of it."""
 
@@ -106,11 +106,8 @@ class _Builder:
 
     def _carrier(self, intent: Intent, key: Key) -> MissionItem | None:
         problem = self._mover.problem(intent)
-        if problem and isinstance(intent, StartProfile):
-            near = difflib.get_close_matches(intent.name, self._config.profiles, n=1)
-            problem += f"; did you mean '{near[0]}'?" if near else ""
         if problem:
-            self._complain(key, problem)
+            self._complain(key, f"{problem}; {BEND_LESS}" if isinstance(intent, BendTo) else problem)
             return None
         item = carrier(intent, self._config, self._kind)
         if item is None:

@@ -15,6 +15,7 @@ from typing import Literal
 
 from flying_vines.config import Config
 from flying_vines.fakes.autopilot.runner import FOR_EVER, JUMP
+from flying_vines.intent import BendTo
 from flying_vines.vehicle.mission.execution import same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.storage import (
@@ -29,7 +30,17 @@ from flying_vines.vehicle.mission.storage import (
 )
 from flying_vines.vehicle.triggers import Rules
 from missions.budget import Bend, Budget
-from missions.build import ABOVE_HOME_FRAME, DELAY, GLOBAL_FRAME, LAND, RETURN, SPEED, TAKEOFF, WAYPOINT
+from missions.build import (
+    ABOVE_HOME_FRAME,
+    BEND_LESS,
+    DELAY,
+    GLOBAL_FRAME,
+    LAND,
+    RETURN,
+    SPEED,
+    TAKEOFF,
+    WAYPOINT,
+)
 from missions.carriers import NAMES, carrier, described, over_the_wire, suggestion
 from missions.files import on_earth
 from missions.timeline import ENDS, LONGEST_S, MOST_STEPS, Timeline
@@ -271,7 +282,7 @@ def _ruled(case: Case) -> Iterator[Finding]:
 
 def _advice(case: Case, bend: Bend) -> str:
     if bend.move is None:
-        return ""
+        return f"; {BEND_LESS}" if isinstance(bend.intent, BendTo) else ""
     if bend.step.height_m < case.config.interlocks.min_altitude_m:
         return "; fly higher there (interlocks.min_altitude_m)"
     return "; fill the bottle further, or leave out bends before it"

@@ -13,7 +13,7 @@ from flying_vines.events import Decision
 from flying_vines.fakes.autopilot import Autopilot, Home, Kind
 from flying_vines.fakes.phlosar import SimulatedPhlosar
 from flying_vines.pneumatics.plant.true_rig import TrueRig
-from flying_vines.pneumatics.rig import Rig, with_numbers
+from flying_vines.reservoir import nominal_rig
 from flying_vines.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.triggers import Rules
@@ -65,7 +65,8 @@ def fly(
     interlocks = msgspec.structs.replace(config.interlocks, armed_at_start=True)
     config = msgspec.structs.replace(config, interlocks=interlocks)
     autopilot = Autopilot(kind, mission=items, home=home)
-    phlosar = SimulatedPhlosar(rig or _likely(config), reservoir_kPa=reservoir_kPa)
+    rig = rig or TrueRig(nominal_rig(config.pneumatics), likely=True)
+    phlosar = SimulatedPhlosar(rig, reservoir_kPa=reservoir_kPa)
     flight = SimulatedFlight(config, autopilot, phlosar)
     actions = flight.run(GROUND_S)
     begins_kPa = flight.phlosar.reservoir_kPa
@@ -86,15 +87,3 @@ def fly(
         landed=landed,
         took_s=perf_counter() - began,
     )
-
-
-def _likely(config: Config) -> TrueRig:
-    """The numbers of `[pneumatics]`, and what else a real rig probably has."""
-    p = config.pneumatics
-    numbers = {
-        "reservoir.volume_L": p.reservoir_volume_L,
-        "cv.volume_L": p.cv_volume_L,
-        "evp.flow_resistance_kPa_s_per_SL": p.evp_flow_resistance_kPa_s_per_SL,
-        "dvp.flow_resistance_kPa_s_per_SL": p.dvp_flow_resistance_kPa_s_per_SL,
-    }
-    return TrueRig(with_numbers(Rig(), numbers), likely=True)

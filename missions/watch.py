@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 
 from rich.console import Console, Group, RenderableType
@@ -183,7 +184,7 @@ async def watch(link: str, console: Console, live: bool) -> int:
             f"Watching {NAMES[peer.kind]}, system {peer.system_id}: {len(items)} items. Ctrl-C ends it."
         )
         await peer.command(SET_MESSAGE_INTERVAL, MISSION_CURRENT, MISSION_CURRENT_INTERVAL_US)
-        with Live(console=console, auto_refresh=False, transient=True) if live else _Quiet() as screen:
+        with Live(console=console, auto_refresh=False, transient=True) if live else nullcontext() as screen:
             while not view.ended:
                 for heard in await ears.hear(0.5):
                     fresh = view.handle(time.monotonic(), heard)
@@ -200,16 +201,6 @@ async def watch(link: str, console: Console, live: bool) -> int:
         f"The mission has ended after {length_s:.0f} s. {view.values_text()}".rstrip(), soft_wrap=True
     )
     return 0
-
-
-class _Quiet:
-    """No picture."""
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, *_: object) -> None:
-        return None
 
 
 def _told(line: Line, began: float) -> Text:

@@ -25,6 +25,23 @@ async def until(true: Callable[[], bool], what: str) -> None:
     assert true(), what
 
 
+def free_port() -> int:
+    """For UDP on this machine, when it was looked for."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def between(companion_port: int, serial_path: str) -> str:
+    """The default profile's text, for a service that lives between these two."""
+    return (
+        config.default_text()
+        .replace("udpin:0.0.0.0:14540", f"udpin:127.0.0.1:{companion_port}")
+        .replace("serial:/dev/ttyACM0", f"serial:{serial_path}")
+    )
+
+
 @dataclass
 class Bench:
     """Two fakes on a bench, and the profile of a service between them."""
@@ -47,18 +64,11 @@ async def on_bench(autopilot: Autopilot) -> AsyncIterator[Bench]:
     autopilot.set_rc(9, 1000)
     ground = GroundStation()
     ground_port = await ground.listen()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        companion_port = probe.getsockname()[1]
+    companion_port = free_port()
     phlosar = SimulatedPhlosar()
     server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
     with PtyPhlosar(phlosar) as port:
-        profile = (
-            config.default_text()
-            .replace("udpin:0.0.0.0:14540", f"udpin:127.0.0.1:{companion_port}")
-            .replace("serial:/dev/ttyACM0", f"serial:{port.path}")
-            .replace("bench_mode = false", "bench_mode = true")
-        )
+        profile = between(companion_port, port.path).replace("bench_mode = false", "bench_mode = true")
         running = [asyncio.create_task(part.run()) for part in (server, port, ground)]
         yield Bench(autopilot, phlosar, port, ground, profile)
         for task in running:

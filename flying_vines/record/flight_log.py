@@ -13,7 +13,7 @@ from typing import Any, TextIO
 from flying_vines.config import Pneumatics
 from flying_vines.events import Action, Calibrated, Decision, KeepParameters, Measured, Snapshot
 from flying_vines.notice import Notice
-from flying_vines.pneumatics.rig import ControlVolume, Dvp, Evp, Reservoir, Rig
+from flying_vines.reservoir import nominal_rig
 
 NAME = "flight.jsonl"
 FLUSH_S = 0.5
@@ -46,13 +46,7 @@ class FlightLog:
 
     def believed(self, t: float, numbers: Pneumatics) -> None:
         """What the rig is believed to be, as the tables of a rig file."""
-        rig = Rig(
-            reservoir=Reservoir(numbers.reservoir_volume_L),
-            cv=ControlVolume(numbers.cv_volume_L),
-            evp=Evp(numbers.evp_flow_resistance_kPa_s_per_SL),
-            dvp=Dvp(numbers.dvp_flow_resistance_kPa_s_per_SL),
-        )
-        self._write("rig", {"t": t, "tables": asdict(rig)})
+        self._write("rig", {"t": t, "tables": asdict(nominal_rig(numbers))})
 
     def snapshot(self, snapshot: Snapshot) -> None:
         self._write("snapshot", asdict(snapshot))

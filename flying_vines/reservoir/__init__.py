@@ -5,8 +5,8 @@
 pressure below which it can no longer be flown; `estimate` puts them together. `formula` is the paper's.
 """
 
-from flying_vines.reservoir.belief import Belief, nominal
+from flying_vines.reservoir.belief import Belief, nominal, nominal_rig
 from flying_vines.reservoir.estimate import CyclesLeft, ReservoirEstimate
 from flying_vines.reservoir.formula import floor_kPa, n_cycles
 
-__all__ = ["Belief", "CyclesLeft", "ReservoirEstimate", "floor_kPa", "n_cycles", "nominal"]
+__all__ = ["Belief", "CyclesLeft", "ReservoirEstimate", "floor_kPa", "n_cycles", "nominal", "nominal_rig"]

@@ -13,6 +13,7 @@ from flying_vines.config import Pneumatics
 from flying_vines.pneumatics.paper import ALPHA_KPA
 from flying_vines.pneumatics.plant.flow import FlowLaw, Iso6358
 from flying_vines.pneumatics.plant.wall import Wall
+from flying_vines.pneumatics.rig import ControlVolume, Dvp, Evp, Reservoir, Rig
 
 AMBIENT_KPA = 101.325
 CRITICAL_RATIO = 0.3
@@ -24,6 +25,16 @@ PACKED_SHARE = 1.2
 VENTURI_SHARE = 0.7
 VENTURI_SHARE_SD = 0.2
 """Of its supply valve's flow: the nozzle is in the way as well."""
+
+
+def nominal_rig(numbers: Pneumatics) -> Rig:
+    """What `[pneumatics]` says of a rig, as a rig file has it."""
+    return Rig(
+        reservoir=Reservoir(numbers.reservoir_volume_L),
+        cv=ControlVolume(numbers.cv_volume_L),
+        evp=Evp(numbers.evp_flow_resistance_kPa_s_per_SL),
+        dvp=Dvp(numbers.dvp_flow_resistance_kPa_s_per_SL),
+    )
 
 
 class Prior(NamedTuple):

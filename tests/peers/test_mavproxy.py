@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import os
 import re
-import socket
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -18,6 +17,7 @@ from pathlib import Path
 
 import pytest
 import pytest_asyncio
+from service_bench import between, free_port
 
 from flying_vines import config
 from flying_vines.fakes.autopilot import Autopilot
@@ -83,12 +83,7 @@ async def flying(kind: Kind, folder: Path, key: bytes | None = None) -> AsyncIte
     phlosar = SimulatedPhlosar()
     server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
     with PtyPhlosar(phlosar) as port:
-        profile = (
-            config.default_text()
-            .replace("udpin:0.0.0.0:14540", f"udpin:127.0.0.1:{companion_port}")
-            .replace("serial:/dev/ttyACM0", f"serial:{port.path}")
-            .replace("bench_mode = false", "bench_mode = true")
-        )
+        profile = between(companion_port, port.path).replace("bench_mode = false", "bench_mode = true")
         service = Service(config.parse(profile, "test"), signing=Signing(key) if key else None)
         running = [asyncio.create_task(part.run()) for part in (server, port, service)]
         async with mavproxy(ground_port, folder) as ground:
@@ -97,13 +92,6 @@ async def flying(kind: Kind, folder: Path, key: bytes | None = None) -> AsyncIte
             task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await asyncio.gather(*running)
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 async def test_the_gauge_is_seen_by_the_name_of_each_value(flight: Flight) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import io
 import os
-import socket
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from rich.console import Console
+from service_bench import between, free_port
 
 from flying_vines import config
 from flying_vines.events import Action, Decision
@@ -75,18 +75,11 @@ class Scene:
 async def scene(kind: Kind, speed: float = 1.0) -> AsyncIterator[Scene]:
     autopilot = Autopilot(kind)
     autopilot.set_rc(9, 1000)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        companion_port = probe.getsockname()[1]
+    companion_port = free_port()
     server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), listen=[("127.0.0.1", 0)], speed=speed)
     with PtyPhlosar(SimulatedPhlosar()) as port:
-        profile = (
-            config.default_text()
-            .replace("udpin:0.0.0.0:14540", f"udpin:127.0.0.1:{companion_port}")
-            .replace("serial:/dev/ttyACM0", f"serial:{port.path}")
-        )
         actions: list[Action] = []
-        service = Service(config.parse(profile, "test"), actions.append)
+        service = Service(config.parse(between(companion_port, port.path), "test"), actions.append)
         running = [asyncio.create_task(part.run()) for part in (server, port)]
         serving = asyncio.create_task(service.run())
         await server.ready.wait()
@@ -211,7 +204,7 @@ async def test_what_storage_changes_is_told(tmp_path: Path) -> None:
 
 async def test_nobody_there_is_said_in_one_line() -> None:
     with pytest.raises(LinkError, match=r"^udpin:127\.0\.0\.1:\d+: no vehicle heard within 0\.5 s$"):
-        async with vehicle(f"udpin:127.0.0.1:{free_udp_port()}", within_s=0.5):
+        async with vehicle(f"udpin:127.0.0.1:{free_port()}", within_s=0.5):
             pass
 
 
@@ -234,10 +227,3 @@ async def bare(autopilot: Autopilot) -> AsyncIterator[str]:
     finally:
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)
-
-
-def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
