@@ -1,11 +1,15 @@
 # make demo   flies a scripted flight on embedded fakes, over real sockets and a real serial port path
 # make test   style, types and tests
+# make tools  what the firmware's tests need beside Python: compilers, and a chip to emulate (else they skip)
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test clean
+AS_ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
+TOOLS := g++ gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm
+
+.PHONY: demo test tools clean
 
 demo: $(VENV)/.demo
 	$(BIN)/flying-vines demo
@@ -16,12 +20,17 @@ test: $(VENV)/.dev
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n auto
 
+tools:
+	@dpkg -s $(TOOLS) >/dev/null 2>&1 || { \
+	  echo "installing $(TOOLS)"; \
+	  $(AS_ROOT) apt-get update -q && $(AS_ROOT) apt-get install -qy --no-install-recommends $(TOOLS); }
+
 $(BIN)/pip:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 	  || { echo "flying-vines needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) -V)"; exit 2; }
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { \
 	  echo "Python's venv module is not complete here; installing Debian's python3-venv"; \
-	  $$([ "$$(id -u)" = 0 ] || echo sudo -n) sh -c 'apt-get update -q && apt-get install -qy python3-venv' \
+	  $(AS_ROOT) sh -c 'apt-get update -q && apt-get install -qy python3-venv' \
 	  || { echo "that needs a password: sudo apt install python3-venv, then again"; exit 2; }; }
 	$(PYTHON) -m venv $(VENV)
 

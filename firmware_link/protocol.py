@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 
 from firmware_link.framing import FrameDecoder, encode_frame
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 
 # The errors, as a tree:
 #
@@ -58,6 +58,8 @@ class Fault(IntFlag):
     CV_SENSOR = 1 << 3
     RESERVOIR_SENSOR = 1 << 4
     WATCHDOG_RESET = 1 << 5
+    SETTINGS = 1 << 6
+    SUPPLY = 1 << 7
 
 
 class RefusalReason(IntEnum):
@@ -68,6 +70,7 @@ class RefusalReason(IntEnum):
     OUT_OF_RANGE = 3
     FAULT_LATCHED = 4
     NOT_A_NUMBER = 5
+    REGULATING = 6
 
 
 class Units(IntEnum):
@@ -165,6 +168,56 @@ class Ping(_Body):
 
 
 @dataclass(frozen=True, slots=True)
+class GetSetting(_Body):
+    """Host to device: what is setting `id`? Answered by `Setting`, or refused when there is none."""
+
+    TYPE: ClassVar[int] = 0x06
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<B")
+
+    id: int
+
+
+@dataclass(frozen=True, slots=True)
+class SetSetting(_Body):
+    """Host to device: keep `value` as setting `id`, over power cycles, too. Not while regulating.
+
+    Answered by `Setting`. The frame ends with a number that one whose CRC is right by chance does not have.
+    """
+
+    TYPE: ClassVar[int] = 0x07
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BfH")
+
+    id: int
+    value: float
+
+    def _to_wire(self) -> Sequence[Any]:
+        return (self.id, self.value, _UNLOCK)
+
+    @classmethod
+    def _from_wire(cls, values: tuple[Any, ...]) -> Self:
+        setting, value, unlock = values
+        if unlock != _UNLOCK:
+            raise MalformedMessageError(f"SetSetting ends with 0x{unlock:04X}, not with 0x{_UNLOCK:04X}")
+        return cls(setting, value)
+
+
+_UNLOCK = 0x5E77
+
+
+def _text_to_wire(text: str, size: int, what: str) -> bytes:
+    if len(text) > size or not text.isascii() or not (text.isprintable() or not text):
+        raise MalformedMessageError(f"{what} {text!r} is not up to {size} printable ASCII characters")
+    return text.encode("ascii")
+
+
+def _text_from_wire(data: bytes, what: str) -> str:
+    text = data.rstrip(b"\x00").decode("latin-1")
+    if not text.isascii() or not (text.isprintable() or not text):
+        raise MalformedMessageError(f"{what} is not printable ASCII")
+    return text
+
+
+@dataclass(frozen=True, slots=True)
 class Welcome(_Body):
     """Device to host, in answer to `Hello`: what the firmware is and what it will not exceed.
 
@@ -196,20 +249,13 @@ class Welcome(_Body):
         return super(Welcome, cls).unpack(body)
 
     def _to_wire(self) -> Sequence[Any]:
-        build = self.firmware_build
-        if len(build) > 16 or not build.isascii() or not (build.isprintable() or not build):
-            raise MalformedMessageError(
-                f"firmware build {build!r} is not up to 16 printable ASCII characters"
-            )
         values = [getattr(self, field.name) for field in fields(self)]
-        values[3] = build.encode("ascii")
+        values[3] = _text_to_wire(self.firmware_build, 16, "firmware build")
         return values
 
     @classmethod
     def _from_wire(cls, values: tuple[Any, ...]) -> Self:
-        build = values[3].rstrip(b"\x00").decode("latin-1")
-        if not build.isascii() or not (build.isprintable() or not build):
-            raise MalformedMessageError("Welcome's firmware build is not printable ASCII")
+        build = _text_from_wire(values[3], "Welcome's firmware build")
         wire: list[Any] = [*values[:3], build, *values[4:]]
         return cls(*wire)
 
@@ -220,7 +266,7 @@ _FULL_OPENING = 0xFFFF
 def _opening_to_wire(opening: float) -> int:
     if not 0.0 <= opening <= 1.0:
         raise MalformedMessageError(f"opening {opening} is not within 0…1")
-    return round(opening * _FULL_OPENING)
+    return int(opening * _FULL_OPENING + 0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,12 +360,45 @@ class Pong(_Body):
     device_time_ms: int
 
 
-HostMessage = Hello | Setpoint | Vent | ClearFaults | Ping
-DeviceMessage = Welcome | Telemetry | Refusal | Pong
+@dataclass(frozen=True, slots=True)
+class Setting(_Body):
+    """Device to host, in answer to `GetSetting` and `SetSetting`: one of `count` settings.
+
+    `name` ends with its unit; the device takes no value outside `least` … `most`.
+    """
+
+    TYPE: ClassVar[int] = 0x85
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BB24sffff")
+
+    id: int
+    count: int
+    name: str
+    value: float
+    least: float
+    most: float
+    standard: float
+
+    def _to_wire(self) -> Sequence[Any]:
+        values = [getattr(self, field.name) for field in fields(self)]
+        values[2] = _text_to_wire(self.name, 24, "setting name")
+        return values
+
+    @classmethod
+    def _from_wire(cls, values: tuple[Any, ...]) -> Self:
+        wire: list[Any] = [*values[:2], _text_from_wire(values[2], "Setting's name"), *values[3:]]
+        return cls(*wire)
+
+
+HostMessage = Hello | Setpoint | Vent | ClearFaults | Ping | GetSetting | SetSetting
+DeviceMessage = Welcome | Telemetry | Refusal | Pong | Setting
 Message = HostMessage | DeviceMessage
 
 _TYPES: dict[int, type[Message]] = {
-    kind.TYPE: kind for kind in (Hello, Setpoint, Vent, ClearFaults, Ping, Welcome, Telemetry, Refusal, Pong)
+    kind.TYPE: kind
+    for kind in (
+        *(Hello, Setpoint, Vent, ClearFaults, Ping, GetSetting, SetSetting),
+        *(Welcome, Telemetry, Refusal, Pong, Setting),
+    )
 }
 _HEADER_SIZE = 2
 

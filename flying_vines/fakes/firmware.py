@@ -1,13 +1,13 @@
-"""The emulated firmware: what the microcontroller runs, byte for byte on the wire, without one.
+"""The emulated firmware: a model of what the microcontroller runs, for machines without a C++ compiler.
 
-The rules are those of `docs/serial-protocol.md`. No clock, no port: bytes, pressures and the time come
-in, bytes and valve openings go out.
+The rules are those of `docs/serial-protocol.md`; the original is `firmware_link/firmware/phlosar/src/core`,
+and tests hold the two together, step for step. No clock, no port: bytes, pressures and the time come in,
+bytes and valve openings go out.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 from firmware_link.protocol import (
     PROTOCOL_VERSION,
@@ -15,6 +15,7 @@ from firmware_link.protocol import (
     Codec,
     DeviceMessage,
     Fault,
+    GetSetting,
     Hello,
     Message,
     Mode,
@@ -23,10 +24,21 @@ from firmware_link.protocol import (
     Refusal,
     RefusalReason,
     Setpoint,
+    SetSetting,
+    Setting,
     Telemetry,
     Units,
     Vent,
     Welcome,
+)
+from flying_vines.fakes.firmware_settings import (
+    SETTING_ROWS,
+    CV_SENSOR_SPAN_kPa,
+    FirmwareSettings,
+    RESERVOIR_SENSOR_SPAN_kPa,
+    value_of,
+    with_value,
+    within_sensor,
 )
 from flying_vines.fakes.regulator import (
     SAFE,
@@ -39,43 +51,36 @@ from flying_vines.fakes.regulator import (
 
 __all__ = ["SAFE", "Drive", "Firmware", "FirmwareSettings", "RegulatorSettings"]
 
-_MAX_OUTPUT_BYTES = 4096
-"""As a microcontroller's: what nobody fetches is lost, and counted."""
+STEP_S = 0.001
+"""From one control step to the next, by design: the regulator does not follow a jittering clock."""
+_MAX_OUTPUT_BYTES = 1024
+"""As the microcontroller's: what nobody fetches is lost, frame by frame, and the frames' numbers tell."""
+_IN_A_ROW = 3
+"""Readings. A glitch does not end a flight, and 3 ms are soon enough."""
 
 
-@dataclass(frozen=True)
-class FirmwareSettings:
-    """What is compiled into the firmware."""
+class _Lasting:
+    """A condition that counts once it was there so many readings in a row."""
 
-    build: str = "emulated"
-    cv_limit_kPa: float = 30.0
-    """Above it the CV is vented and the fault latches."""
-    setpoint_margin_kPa: float = 2.0
-    """How far below the limit setpoints must stay, so that an overshoot is not a fault."""
-    reservoir_limit_kPa: float = 760.0
-    rate_limit_kPa_per_s: float = 200.0
-    dead_man_ms: int = 300
-    telemetry_Hz: int = 100
-    sensor_least_kPa: float = -15.0
-    cv_sensor_most_kPa: float = 206.8
-    reservoir_sensor_most_kPa: float = 1034.0
-    regulator: RegulatorSettings = field(default_factory=RegulatorSettings)
+    def __init__(self) -> None:
+        self._count = 0
 
-    @property
-    def setpoint_most_kPa(self) -> float:
-        return self.cv_limit_kPa - self.setpoint_margin_kPa
+    def seen(self, now: bool) -> bool:
+        self._count = min(_IN_A_ROW, self._count + 1) if now else 0
+        return self._count == _IN_A_ROW
 
 
 class Firmware:
     """One board, from power-up on. Call `step` a thousand times a second; `now_us` never goes back.
 
-    Bytes that arrive before the first step are lost, as on a board that is still booting.
+    `step` takes what the sensors that are soldered in say: out of their range where a wire is broken.
+    Settings that the host changed outlive a reset. Bytes that arrive before the first step are lost, as on a
+    board that is still booting.
     """
 
     def __init__(self, settings: FirmwareSettings | None = None, boot_id: int = 1) -> None:
         self.settings = settings or FirmwareSettings()
         self.boot_id = boot_id & 0xFFFFFFFF
-        self.dropped_output_bytes = 0
         self._now_us: int | None = None
         self._power_up(Fault.NONE)
 
@@ -117,15 +122,16 @@ class Firmware:
         """What the valves are told from now on, given what the sensors read."""
         if self._now_us is None:
             self._boot_us = self._telemetry_us = now_us
-            dt_s = 0.001
-        else:
-            # Two steps at one time still need a slope.
-            dt_s = max(1, now_us - self._now_us) / 1e6
         self._now_us = now_us
-        self._look(cv_kPa, reservoir_kPa)
+        settings = self.settings
+        self._look(
+            cv_kPa * (settings.cv_span_kPa / CV_SENSOR_SPAN_kPa) + settings.cv_zero_kPa,
+            reservoir_kPa * (settings.reservoir_span_kPa / RESERVOIR_SENSOR_SPAN_kPa)
+            + settings.reservoir_zero_kPa,
+        )
         if self._regulation is not None and now_us >= self._deadline_us:
             self._latch(Fault.DEAD_MAN)
-        drive = self._regulate(dt_s)
+        drive = self._regulate()
         if now_us >= self._telemetry_us:
             self._send_telemetry(now_us, drive)
         return drive
@@ -140,6 +146,15 @@ class Firmware:
         self._number = 0
         self._cv_kPa = 0.0
         self._reservoir_kPa = 0.0
+        self._lasting = {
+            fault: _Lasting()
+            for fault in (
+                Fault.CV_SENSOR,
+                Fault.RESERVOIR_SENSOR,
+                Fault.CV_OVERPRESSURE,
+                Fault.RESERVOIR_OVERPRESSURE,
+            )
+        }
         self._codec = Codec()
         self._output = bytearray()
         self._now_us = None
@@ -149,38 +164,47 @@ class Firmware:
     def _look(self, cv_kPa: float, reservoir_kPa: float) -> None:
         """Keep readings that can be believed, latch what is wrong with them."""
         settings = self.settings
-        present = Fault.NONE
-        # Written so that NaN is never within.
-        if settings.sensor_least_kPa <= cv_kPa <= settings.cv_sensor_most_kPa:
+        cv_good = within_sensor(cv_kPa, settings.cv_span_kPa, settings.cv_zero_kPa)
+        reservoir_good = within_sensor(
+            reservoir_kPa, settings.reservoir_span_kPa, settings.reservoir_zero_kPa
+        )
+        if cv_good:
             self._cv_kPa = cv_kPa
-            if cv_kPa > settings.cv_limit_kPa:
-                present = Fault.CV_OVERPRESSURE
-        else:
-            present = Fault.CV_SENSOR
-        if settings.sensor_least_kPa <= reservoir_kPa <= settings.reservoir_sensor_most_kPa:
+        if reservoir_good:
             self._reservoir_kPa = reservoir_kPa
-            if reservoir_kPa > settings.reservoir_limit_kPa:
-                present |= Fault.RESERVOIR_OVERPRESSURE
-        else:
-            present |= Fault.RESERVOIR_SENSOR
+        there = {
+            Fault.CV_SENSOR: not cv_good,
+            Fault.RESERVOIR_SENSOR: not reservoir_good,
+            Fault.CV_OVERPRESSURE: cv_good and cv_kPa > settings.cv_limit_kPa,
+            Fault.RESERVOIR_OVERPRESSURE: reservoir_good and reservoir_kPa > settings.reservoir_limit_kPa,
+        }
+        present = Fault.NONE
+        for fault, lasting in self._lasting.items():
+            if lasting.seen(there[fault]):
+                present |= fault
         self._present = present
         if present:
             self._latch(present)
 
-    def _regulate(self, dt_s: float) -> Drive:
+    def _regulate(self) -> Drive:
         if self._regulation is None:
             return SAFE
         target_kPa, rate_kPa_per_s = self._aim
-        self._regulation, drive = regulate(
-            self.settings.regulator,
+        settings = self.settings
+        self._regulation, wanted = regulate(
+            settings.regulator,
             self._regulation,
             target_kPa,
             rate_kPa_per_s,
-            dt_s,
+            STEP_S,
             self._cv_kPa,
             self._reservoir_kPa,
         )
-        return drive
+        return Drive(
+            _lifted(wanted.evp, settings.evp_dead_band),
+            _lifted(wanted.dvp, settings.dvp_dead_band),
+            wanted.solenoid,
+        )
 
     def _latch(self, fault: Fault) -> None:
         self._faults |= fault
@@ -202,6 +226,10 @@ class Firmware:
                     self._send(Refusal(0, RefusalReason.NO_HANDSHAKE))
             case Ping(host_time_us):
                 self._send(Pong(host_time_us, self._device_time_ms()))
+            case GetSetting(setting):
+                self._tell_setting(setting)
+            case SetSetting():
+                self._on_set_setting(message)
 
     def _on_hello(self, hello: Hello) -> None:
         settings = self.settings
@@ -249,6 +277,39 @@ class Firmware:
             return RefusalReason.OUT_OF_RANGE
         return RefusalReason.FAULT_LATCHED if self._faults else None
 
+    def _on_set_setting(self, message: SetSetting) -> None:
+        if not self._greeted:
+            self._send(Refusal(0, RefusalReason.NO_HANDSHAKE))
+        elif not math.isfinite(message.value):
+            self._send(Refusal(0, RefusalReason.NOT_A_NUMBER))
+        elif self._regulation is not None:
+            # A limit must not move under a vine that is bent.
+            self._send(Refusal(0, RefusalReason.REGULATING))
+        elif message.id >= len(SETTING_ROWS) or not (
+            changed := with_value(self.settings, SETTING_ROWS[message.id], message.value)
+        ):
+            self._send(Refusal(0, RefusalReason.OUT_OF_RANGE))
+        else:
+            self.settings = changed
+            self._tell_setting(message.id)
+
+    def _tell_setting(self, setting: int) -> None:
+        if setting >= len(SETTING_ROWS):
+            self._send(Refusal(0, RefusalReason.OUT_OF_RANGE))
+            return
+        row = SETTING_ROWS[setting]
+        self._send(
+            Setting(
+                id=setting,
+                count=len(SETTING_ROWS),
+                name=row.name,
+                value=value_of(self.settings, row.name),
+                least=row.least,
+                most=row.most,
+                standard=value_of(FirmwareSettings(), row.name),
+            )
+        )
+
     def _send_telemetry(self, now_us: int, drive: Drive) -> None:
         period_us = 1_000_000 // self.settings.telemetry_Hz
         self._telemetry_us += period_us
@@ -275,7 +336,10 @@ class Firmware:
 
     def _send(self, message: DeviceMessage) -> None:
         frame = self._codec.encode(message)
-        if len(self._output) + len(frame) > _MAX_OUTPUT_BYTES:
-            self.dropped_output_bytes += len(frame)
-        else:
+        if len(self._output) + len(frame) <= _MAX_OUTPUT_BYTES:
             self._output += frame
+
+
+def _lifted(opening: float, dead_band: float) -> float:
+    """Over the currents at which the valve does not open yet."""
+    return dead_band + (1.0 - dead_band) * opening if opening > 0.0 else 0.0

@@ -6,9 +6,10 @@ followed, and the opening from which on air flows is learned: it is the integral
 shuts. Near the setpoint air goes in by puffs, each just large enough to pass it. Air leaves by itself where
 that is fast enough; only otherwise does the Venturi help, for it costs air.
 
-Plain functions over tuples of floats and bools, in the part of the language that a compiler for numbers
-understands as well: what is remembered comes in and goes out. A step takes at most some sixty operations,
-six of them divisions.
+The model of `firmware_link/firmware/phlosar/src/core/regulator.cpp`, operation by operation: tests hold the
+two together to the last bit. Plain functions over tuples of floats and bools, in the part of the language that a
+compiler for numbers understands as well: what is remembered comes in and goes out. What divides only by
+settings and `dt_s` is written so that the firmware need not divide in its step.
 """
 
 from __future__ import annotations
@@ -116,13 +117,15 @@ def regulate(
     """
     most = rate_kPa_per_s * dt_s
     move = min(most, max(-most, target_kPa - memory.setpoint_kPa))
+    per_s = 1.0 / dt_s
+    setpoint_slope = move * per_s
     setpoint = memory.setpoint_kPa + move
-    change = (cv_kPa - memory.cv_kPa) * dt_s / (settings.filter_s + dt_s)
+    change = (cv_kPa - memory.cv_kPa) * (dt_s / (settings.filter_s + dt_s))
     cv = memory.cv_kPa + change
     slope = memory.slope_kPa_per_s
-    slope += (change / dt_s - slope) * dt_s / (settings.slope_filter_s + dt_s)
+    slope += (change * per_s - slope) * (dt_s / (settings.slope_filter_s + dt_s))
     error = setpoint - cv
-    closing = move / dt_s - slope
+    closing = setpoint_slope - slope
 
     excess_kPa_s = venting_s = evp = dvp = 0.0
     venturi = False
@@ -130,18 +133,19 @@ def regulate(
     if memory.venting_s > 0.0:
         vent = error + closing * settings.venting_lead_s < 0.0
     else:
-        excess = -error - settings.tolerated_kPa - max(0.0, move / dt_s) * settings.waiting_s
+        excess = -error - settings.tolerated_kPa - max(0.0, setpoint_slope) * settings.waiting_s
         if excess > 0.0:
             excess_kPa_s = memory.excess_kPa_s + excess * dt_s
         vent = excess_kPa_s > settings.patience_kPa_s
     # At rest whatever is left, or leaks in, may leave.
     if vent or setpoint <= 0.0:
         venting_s = max(0.0, memory.venting_s) + dt_s
-        venturi = _venturi(settings, memory, error, move / dt_s, slope, reservoir_kPa)
+        venturi = _venturi(settings, memory, error, setpoint_slope, slope, reservoir_kPa)
         dvp = 1.0 if venturi else 0.0
     else:
         venting_s = -settings.warming_s if memory.venting_s > 0.0 else min(0.0, memory.venting_s + dt_s)
-        if (venting_s == 0.0 or move > 0.0) and (move >= 0.0 or error > -move / dt_s * settings.waiting_s):
+        warm = venting_s == 0.0 or move > 0.0
+        if warm and (move >= 0.0 or error > -setpoint_slope * settings.waiting_s):
             evp, integral = _inflation(settings, memory, dt_s, error, closing, reservoir_kPa)
     return (
         RegulatorMemory(setpoint, cv, slope, integral, evp, excess_kPa_s, venting_s, venturi),
@@ -192,4 +196,4 @@ def _venturi(
         return False
     if memory.venturi or error > -settings.active_error_kPa or memory.venting_s < settings.passive_first_s:
         return memory.venturi
-    return -slope < max(-setpoint_slope, -error / settings.arrival_s)
+    return -slope * settings.arrival_s < max(-setpoint_slope * settings.arrival_s, -error)

@@ -1,0 +1,244 @@
+#include "firmware.h"
+
+#include <math.h>
+
+namespace phlosar {
+
+namespace {
+
+uint16_t to_wire(Real opening) {
+    const Real share = smaller(Real(1), larger(Real(0), opening));
+    return static_cast<uint16_t>(static_cast<int32_t>(share * Real(65535) + Real(0.5)));
+}
+
+}  // namespace
+
+void Firmware::start(const Boot& boot) {
+    boot_id_ = boot.boot_id;
+    if (boot.by_watchdog) latch(kWatchdogReset);
+    if (settings_.read_image(boot.stored, boot.stored_size) == Stored::kDamaged) latch(kSettings);
+    regulator_.configure(settings_);
+}
+
+bool Firmware::set(uint8_t id, Real value) {
+    if (!settings_.set(id, value)) return false;
+    regulator_.configure(settings_);
+    return true;
+}
+
+bool Firmware::unsaved(uint8_t* image) {
+    if (!settings_changed_) return false;
+    settings_changed_ = false;
+    settings_.write_image(image);
+    return true;
+}
+
+Mode Firmware::mode() const {
+    if (latched_ != kNoFault) return Mode::kFault;
+    return regulating_ ? Mode::kRegulate : Mode::kVent;
+}
+
+void Firmware::receive(const uint8_t* data, size_t size) {
+    if (!stepped_) return;
+    for (size_t i = 0; i < size; ++i) {
+        if (frames_.push(data[i])) handle(parse(frames_.payload(), frames_.size()));
+    }
+}
+
+Outputs Firmware::step(uint32_t now_us, const Readings& readings) {
+    return outputs(settings_, control(now_us, pressures(settings_, readings)));
+}
+
+Drive Firmware::control(uint32_t now_us, const Pressures& pressures) {
+    follow_clock(now_us);
+    look(pressures);
+    if (regulating_ && now_us - commanded_us_ >= holds_us_) latch(kDeadMan);
+    Drive told = kSafe;
+    if (regulating_) {
+        const Drive wanted = regulator_.step(target_kPa_, rate_kPa_per_s_, cv_kPa_, reservoir_kPa_);
+        told = over_dead_bands(settings_, wanted);
+    }
+    if (static_cast<int32_t>(now_us - telemetry_us_) >= 0) tell_telemetry(told);
+    return told;
+}
+
+void Firmware::follow_clock(uint32_t now_us) {
+    if (!stepped_) {
+        stepped_ = true;
+        telemetry_us_ = now_us;
+    } else {
+        beyond_ms_us_ += now_us - now_us_;
+        while (beyond_ms_us_ >= 1000) {
+            beyond_ms_us_ -= 1000;
+            ++time_ms_;
+        }
+    }
+    now_us_ = now_us;
+}
+
+// Keeps readings that can be believed, latches what is wrong with them.
+void Firmware::look(const Pressures& seen) {
+    const bool cv_good = within_sensor(seen.cv_kPa, settings_[SettingId::kCvSpan_kPa],
+                                       settings_[SettingId::kCvZero_kPa]);
+    const bool reservoir_good = within_sensor(seen.reservoir_kPa, settings_[SettingId::kReservoirSpan_kPa],
+                                              settings_[SettingId::kReservoirZero_kPa]);
+    if (cv_good) cv_kPa_ = seen.cv_kPa;
+    if (reservoir_good) reservoir_kPa_ = seen.reservoir_kPa;
+    uint16_t present = kNoFault;
+    const auto note = [&present](bool there, Fault fault) {
+        if (there) present = static_cast<uint16_t>(present | fault);
+    };
+    note(bad_cv_.seen(!cv_good), kCvSensor);
+    note(bad_reservoir_.seen(!reservoir_good), kReservoirSensor);
+    note(bad_supply_.seen(!seen.supply_good), kSupply);
+    note(high_cv_.seen(cv_good && cv_kPa_ > settings_[SettingId::kCvLimit_kPa]), kCvOverpressure);
+    note(high_reservoir_.seen(reservoir_good && reservoir_kPa_ > settings_[SettingId::kReservoirLimit_kPa]),
+         kReservoirOverpressure);
+    present_ = present;
+    if (present != kNoFault) latch(present);
+}
+
+void Firmware::latch(uint16_t faults) {
+    latched_ = static_cast<uint16_t>(latched_ | faults);
+    regulating_ = false;
+}
+
+void Firmware::handle(const HostMessage& message) {
+    using Type = HostMessage::Type;
+    switch (message.type) {
+        case Type::kHello:
+            on_hello(message.hello);
+            break;
+        case Type::kSetpoint:
+            on_setpoint(message.setpoint);
+            break;
+        case Type::kVent:
+            regulating_ = false;
+            number_ = message.vent.number;
+            break;
+        case Type::kClearFaults:
+            if (greeted_) {
+                const uint16_t over = static_cast<uint16_t>(message.clear_faults.mask & ~present_);
+                latched_ = static_cast<uint16_t>(latched_ & ~over);
+            } else {
+                refuse(0, RefusalReason::kNoHandshake);
+            }
+            break;
+        case Type::kPing:
+            send(Pong{message.ping.host_time_us, time_ms_});
+            break;
+        case Type::kGetSetting:
+            tell_setting(message.get_setting.id);
+            break;
+        case Type::kSetSetting:
+            on_set_setting(message.set_setting);
+            break;
+        case Type::kNone:
+            break;
+    }
+}
+
+void Firmware::on_hello(const Hello& hello) {
+    regulating_ = false;
+    greeted_ = hello.protocol_version == kProtocolVersion;
+    Welcome welcome{};
+    welcome.nonce = hello.nonce;
+    welcome.boot_id = boot_id_;
+    welcome.firmware_build = build_;
+    welcome.cv_limit_kPa = static_cast<float>(settings_[SettingId::kCvLimit_kPa]);
+    welcome.setpoint_limit_kPa = static_cast<float>(setpoint_most_kPa());
+    welcome.reservoir_limit_kPa = static_cast<float>(settings_[SettingId::kReservoirLimit_kPa]);
+    welcome.rate_limit_kPa_per_s = static_cast<float>(settings_[SettingId::kRateLimit_kPa_per_s]);
+    welcome.dead_man_ms = static_cast<uint16_t>(settings_[SettingId::kDeadMan_ms]);
+    welcome.telemetry_Hz = static_cast<uint16_t>(settings_[SettingId::kTelemetry_Hz]);
+    send(welcome);
+    if (!greeted_) refuse(0, RefusalReason::kVersion);
+}
+
+void Firmware::on_setpoint(const Setpoint& setpoint) {
+    RefusalReason reason;
+    if (why_refused(setpoint, &reason)) {
+        refuse(setpoint.number, reason);
+        return;
+    }
+    if (!regulating_) {
+        regulating_ = true;
+        regulator_.begin(cv_kPa_);
+    }
+    target_kPa_ = Real(setpoint.target_kPa);
+    rate_kPa_per_s_ = smaller(Real(setpoint.rate_kPa_per_s), settings_[SettingId::kRateLimit_kPa_per_s]);
+    const uint16_t dead_man_ms = static_cast<uint16_t>(settings_[SettingId::kDeadMan_ms]);
+    holds_us_ = 1000u * (setpoint.ttl_ms < dead_man_ms ? setpoint.ttl_ms : dead_man_ms);
+    commanded_us_ = now_us_;
+    number_ = setpoint.number;
+}
+
+bool Firmware::why_refused(const Setpoint& setpoint, RefusalReason* reason) const {
+    const bool within = setpoint.target_kPa >= 0.0f && Real(setpoint.target_kPa) <= setpoint_most_kPa();
+    if (!greeted_) {
+        *reason = RefusalReason::kNoHandshake;
+    } else if (!is_finite(setpoint.target_kPa) || !is_finite(setpoint.rate_kPa_per_s)) {
+        *reason = RefusalReason::kNotANumber;
+    } else if (!within || !(setpoint.rate_kPa_per_s > 0.0f) || setpoint.ttl_ms == 0) {
+        *reason = RefusalReason::kOutOfRange;
+    } else if (latched_ != kNoFault) {
+        *reason = RefusalReason::kFaultLatched;
+    } else {
+        return false;
+    }
+    return true;
+}
+
+void Firmware::on_set_setting(const SetSetting& set_setting) {
+    if (!greeted_) {
+        refuse(0, RefusalReason::kNoHandshake);
+    } else if (!is_finite(set_setting.value)) {
+        refuse(0, RefusalReason::kNotANumber);
+    } else if (regulating_) {
+        // A limit must not move under a vine that is bent.
+        refuse(0, RefusalReason::kRegulating);
+    } else if (!set(set_setting.id, Real(set_setting.value))) {
+        refuse(0, RefusalReason::kOutOfRange);
+    } else {
+        settings_changed_ = true;
+        tell_setting(set_setting.id);
+    }
+}
+
+void Firmware::refuse(uint16_t number, RefusalReason reason) { send(Refusal{number, reason}); }
+
+void Firmware::tell_setting(uint8_t id) {
+    const SettingRow* row = setting_row(id);
+    if (row == nullptr) {
+        refuse(0, RefusalReason::kOutOfRange);
+        return;
+    }
+    send(SettingValue{id, kSettings_, row->name, static_cast<float>(settings_.at(id)),
+                      static_cast<float>(row->least), static_cast<float>(row->most),
+                      static_cast<float>(row->standard)});
+}
+
+void Firmware::tell_telemetry(const Drive& told) {
+    const uint32_t period_us = 1000000u / static_cast<uint32_t>(settings_[SettingId::kTelemetry_Hz]);
+    telemetry_us_ += period_us;
+    // After a pause: no burst to catch up.
+    if (static_cast<int32_t>(now_us_ - telemetry_us_) >= 0) telemetry_us_ = now_us_ + period_us;
+    Telemetry telemetry{};
+    telemetry.device_time_ms = time_ms_;
+    telemetry.mode = mode();
+    telemetry.faults = latched_;
+    telemetry.number = number_;
+    telemetry.setpoint_kPa = regulating_ ? static_cast<float>(regulator_.setpoint_kPa()) : 0.0f;
+    telemetry.cv_kPa = static_cast<float>(cv_kPa_);
+    telemetry.reservoir_kPa = static_cast<float>(reservoir_kPa_);
+    telemetry.evp_opening = to_wire(told.evp);
+    telemetry.dvp_opening = to_wire(told.dvp);
+    telemetry.solenoid = told.solenoid;
+    send(telemetry);
+}
+
+Real Firmware::setpoint_most_kPa() const {
+    return settings_[SettingId::kCvLimit_kPa] - settings_[SettingId::kSetpointMargin_kPa];
+}
+
+}  // namespace phlosar

@@ -1,0 +1,38 @@
+// Frames on the wire: COBS( payload + CRC-16, high byte first ) + 0x00. See docs/serial-protocol.md.
+#pragma once
+
+#include <stddef.h>
+#include <stdint.h>
+
+namespace phlosar {
+
+constexpr size_t kMaxPayload = 128;
+// Payload, CRC, one byte of overhead (blocks are longer than any payload).
+constexpr size_t kMaxEncoded = kMaxPayload + 2 + 1;
+constexpr size_t kMaxFrame = kMaxEncoded + 1;
+
+// CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF; of "123456789" it is 0x29B1.
+uint16_t crc16(const uint8_t* data, size_t size);
+
+// One whole frame into `frame` (kMaxFrame bytes); its size. `size` is at most kMaxPayload.
+size_t encode_frame(const uint8_t* payload, size_t size, uint8_t* frame);
+
+// Bytes in, payloads out. After any garbage the first frame that follows a zero byte is read.
+class FrameDecoder {
+public:
+    // True when `byte` ended a good frame: `payload()` and `size()` are its own until the next byte.
+    bool push(uint8_t byte);
+
+    const uint8_t* payload() const { return buffer_; }
+    size_t size() const { return size_; }
+
+private:
+    bool finish();
+
+    uint8_t buffer_[kMaxEncoded];
+    size_t held_ = 0;
+    size_t size_ = 0;
+    bool oversize_ = false;
+};
+
+}  // namespace phlosar

@@ -1,0 +1,21 @@
+// The type of every quantity that is computed.
+#pragma once
+
+#ifndef PHLOSAR_REAL
+// Single precision is what the chip can afford; a host also builds the core in double precision, which
+// is how it is held, step for step, to a model of it that counts so.
+#define PHLOSAR_REAL float
+#endif
+
+namespace phlosar {
+
+using Real = PHLOSAR_REAL;
+
+// As in the model: of two equal numbers the first.
+constexpr Real smaller(Real a, Real b) { return b < a ? b : a; }
+constexpr Real larger(Real a, Real b) { return b > a ? b : a; }
+
+// True of every number but infinities and NaN.
+constexpr bool is_finite(float value) { return value - value == 0.0f; }
+
+}  // namespace phlosar

@@ -1,0 +1,74 @@
+#include "settings.h"
+
+#include "bytes.h"
+#include "framing.h"
+
+namespace phlosar {
+
+namespace {
+
+constexpr uint16_t kMagic = 0x5646;
+constexpr uint8_t kImageVersion = 1;
+
+constexpr SettingRow kRows[kSettings_] = {
+    {"cv_limit_kPa", Real(30.0), Real(1.0), Real(60.0)},
+    {"setpoint_margin_kPa", Real(2.0), Real(0.5), Real(10.0)},
+    {"reservoir_limit_kPa", Real(760.0), Real(50.0), Real(830.0)},
+    {"rate_limit_kPa_per_s", Real(200.0), Real(1.0), Real(500.0)},
+    {"dead_man_ms", Real(300.0), Real(50.0), Real(300.0)},
+    {"telemetry_Hz", Real(100.0), Real(10.0), Real(1000.0)},
+    {"cv_span_kPa", Real(206.84), Real(50.0), Real(700.0)},
+    {"cv_zero_kPa", Real(0.0), Real(-10.0), Real(10.0)},
+    {"reservoir_span_kPa", Real(1500.0), Real(700.0), Real(2000.0)},
+    {"reservoir_zero_kPa", Real(0.0), Real(-50.0), Real(50.0)},
+    {"evp_dead_band", Real(0.0), Real(0.0), Real(0.6)},
+    {"evp_full_duty", Real(0.48), Real(0.05), Real(1.0)},
+    {"dvp_dead_band", Real(0.0), Real(0.0), Real(0.6)},
+    {"dvp_full_duty", Real(0.95), Real(0.05), Real(1.0)},
+    {"on_off_error_kPa", Real(1.5), Real(0.2), Real(10.0)},
+    {"filling_lead_s", Real(0.03), Real(0.0), Real(0.2)},
+    {"proportional_per_kPa", Real(0.03), Real(0.0), Real(1.0)},
+    {"integral_per_kPa_s", Real(1.5), Real(0.0), Real(20.0)},
+    {"venting_lead_s", Real(0.02), Real(0.0), Real(0.2)},
+};
+
+}  // namespace
+
+const SettingRow* setting_row(uint8_t id) { return id < kSettings_ ? &kRows[id] : nullptr; }
+
+Settings::Settings() {
+    for (uint8_t id = 0; id < kSettings_; ++id) values_[id] = kRows[id].standard;
+}
+
+bool Settings::set(uint8_t id, Real value) {
+    const SettingRow* row = setting_row(id);
+    // Written so that NaN is never within.
+    if (row == nullptr || !(value >= row->least && value <= row->most)) return false;
+    values_[id] = value;
+    return true;
+}
+
+void Settings::write_image(uint8_t* image) const {
+    Writer writer(image);
+    writer.u16(kMagic);
+    writer.u8(kImageVersion);
+    writer.u8(kSettings_);
+    for (const Real value : values_) writer.f32(static_cast<float>(value));
+    writer.u16(crc16(image, writer.size()));
+}
+
+Stored Settings::read_image(const uint8_t* image, size_t size) {
+    if (size < 2 || (image[0] == 0xFF && image[1] == 0xFF)) return Stored::kNothing;
+    if (size < kImageSize) return Stored::kDamaged;
+    Reader reader(image);
+    const bool ours = reader.u16() == kMagic && reader.u8() == kImageVersion && reader.u8() == kSettings_;
+    if (!ours) return Stored::kDamaged;
+    Settings read;
+    bool good = true;
+    for (uint8_t id = 0; id < kSettings_; ++id) good = read.set(id, Real(reader.f32())) && good;
+    if (!good || reader.u16() != crc16(image, kImageSize - 2)) return Stored::kDamaged;
+    *this = read;
+    return Stored::kGood;
+}
+
+}  // namespace phlosar

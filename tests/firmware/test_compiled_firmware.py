@@ -1,0 +1,155 @@
+"""The real core on this machine: how it is built, and what lies between its wires and pressures."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+from firmware_link.protocol import (
+    PROTOCOL_VERSION,
+    Codec,
+    Fault,
+    Hello,
+    Mode,
+    Setpoint,
+    SetSetting,
+    Telemetry,
+)
+from flying_vines.fakes import compiled_firmware
+from flying_vines.fakes.compiled_firmware import (
+    WHAT_TO_INSTALL,
+    CompiledFirmware,
+    FirmwareBuildError,
+    compiler,
+)
+from flying_vines.fakes.firmware_settings import SETTING_ROWS, FirmwareSettings, value_of
+from flying_vines.fakes.regulator import SAFE, RegulatorSettings
+
+DOCS = Path(__file__).parents[2] / "docs"
+needs_compiler = pytest.mark.skipif(compiler() is None, reason=f"needs {WHAT_TO_INSTALL}")
+
+
+def telemetry(firmware: CompiledFirmware, codec: Codec) -> Telemetry:
+    """The latest."""
+    return [m for m in codec.decode(firmware.take_output()) if isinstance(m, Telemetry)][-1]
+
+
+def run(firmware: CompiledFirmware, from_ms: int, steps: int, cv_kPa: float, reservoir_kPa: float) -> None:
+    for ms in range(from_ms, from_ms + steps):
+        drive = firmware.step(1000 * ms, cv_kPa, reservoir_kPa)
+        if firmware.mode is not Mode.REGULATE:
+            assert drive == SAFE
+
+
+@needs_compiler
+def test_pressures_come_through_converter_and_divider() -> None:
+    for cv_kPa, reservoir_kPa in ((0.0, 0.0), (20.7, 690.0), (-10.0, 55.0), (200.0, 1500.0)):
+        firmware, codec = CompiledFirmware(), Codec()
+        firmware.step(0, cv_kPa, reservoir_kPa)
+        told = telemetry(firmware, codec)
+        # Half a count of 65535, and single precision.
+        assert told.cv_kPa == pytest.approx(cv_kPa, abs=206.84 / 0.8 / 59578 * 0.51)
+        assert told.reservoir_kPa == pytest.approx(reservoir_kPa, abs=1500 / 0.8 / 59578 * 0.51)
+
+
+@needs_compiler
+def test_a_weak_supply_does_not_change_what_is_read_until_it_is_too_weak() -> None:
+    firmware, codec = CompiledFirmware(), Codec()
+    firmware.supply_share = 0.92
+    run(firmware, 0, 20, 12.0, 600.0)
+    assert telemetry(firmware, codec).cv_kPa == pytest.approx(12.0, abs=0.005)
+    assert firmware.faults == Fault.NONE
+    firmware.supply_share = 0.89
+    run(firmware, 20, 2, 12.0, 600.0)
+    assert firmware.faults == Fault.NONE
+    run(firmware, 22, 1, 12.0, 600.0)
+    assert firmware.faults == Fault.SUPPLY | Fault.CV_SENSOR | Fault.RESERVOIR_SENSOR
+    firmware.supply_share = 1.2
+    run(firmware, 23, 10, 12.0, 600.0)
+    assert Fault.SUPPLY in firmware.faults
+
+
+@needs_compiler
+@pytest.mark.parametrize("spoil", [0, 3, 20, -1])
+def test_damaged_settings_are_not_used_and_say_so(spoil: int) -> None:
+    firmware, codec = CompiledFirmware(), Codec()
+    firmware.step(0, 0.0, 690.0)
+    firmware.receive(codec.encode(Hello(PROTOCOL_VERSION, 1)) + codec.encode(SetSetting(0, 20.0)))
+    firmware.reset()
+    kept = bytearray(firmware._stored)
+    assert CompiledFirmware(stored=bytes(kept)).settings.cv_limit_kPa == 20.0
+    kept[spoil] ^= 0x10
+    damaged = CompiledFirmware(stored=bytes(kept))
+    assert damaged.faults == Fault.SETTINGS
+    assert damaged.settings == CompiledFirmware().settings
+
+
+@needs_compiler
+def test_a_memory_that_was_never_written_is_no_fault() -> None:
+    assert CompiledFirmware(stored=b"\xff" * 128).faults == Fault.NONE
+    assert CompiledFirmware(stored=b"\x00" * 128).faults == Fault.SETTINGS
+
+
+@needs_compiler
+def test_settings_reach_the_core() -> None:
+    wanted = FirmwareSettings(
+        cv_limit_kPa=25.0, dead_man_ms=120, regulator=RegulatorSettings(on_off_error_kPa=1.0)
+    )
+    assert CompiledFirmware(wanted).settings == wanted
+    with pytest.raises(ValueError, match="dead_man_ms 301"):
+        CompiledFirmware(FirmwareSettings(dead_man_ms=301))
+    with pytest.raises(ValueError, match=r"tolerated_kPa is compiled into the firmware as 0\.3"):
+        CompiledFirmware(FirmwareSettings(regulator=RegulatorSettings(tolerated_kPa=0.5)))
+
+
+@needs_compiler
+def test_openings_are_of_the_current_that_the_valves_are_wired_for() -> None:
+    firmware, codec = CompiledFirmware(), Codec()
+    firmware.step(0, 0.0, 690.0)
+    firmware.receive(codec.encode(Hello(PROTOCOL_VERSION, 1)) + codec.encode(Setpoint(20.0, 200.0, 300, 1)))
+    openings = [firmware.step(1000 * ms, 0.0, 690.0).evp for ms in range(1, 250)]
+    assert max(openings) == 1.0
+    assert telemetry(firmware, codec).evp_opening == 1.0
+
+
+def test_without_a_compiler_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CXX", raising=False)
+    with pytest.raises(FirmwareBuildError, match=r"without a C\+\+ compiler: sudo apt install"):
+        compiled_firmware.build()
+
+
+@needs_compiler
+def test_it_is_built_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first = compiled_firmware.build()
+    made_at = first.stat().st_mtime_ns
+    assert compiled_firmware.build() == first
+    assert first.stat().st_mtime_ns == made_at
+    assert [path.name for path in (tmp_path / "flying-vines").iterdir()] == [first.name]
+
+
+@needs_compiler
+def test_a_cache_that_cannot_be_written_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "flying-vines").write_text("in the way")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    with pytest.raises(FirmwareBuildError, match="cannot be kept in"):
+        compiled_firmware.build()
+
+
+@pytest.mark.parametrize("number", range(len(SETTING_ROWS)))
+def test_the_docs_list_every_setting(number: int) -> None:
+    row = SETTING_ROWS[number]
+    standard = value_of(FirmwareSettings(), row.name)
+    table = (DOCS / "serial-protocol.md").read_text().replace("−", "-")
+    cells = [
+        [cell.strip() for cell in line.split("|")[1:-1]]
+        for line in table.splitlines()
+        if re.match(rf"\| {number} \| {row.name} \|", line)
+    ]
+    assert len(cells) == 1
+    assert [float(cell) for cell in cells[0][2:5]] == [standard, row.least, row.most]
+    assert math.isfinite(standard)
