@@ -20,6 +20,7 @@ from typing import Literal
 
 from firmware_link.protocol import Fault, Mode
 from flying_vines.fakes.firmware_settings import (
+    SENSOR_BEYOND_SPAN,
     SETTING_ROWS,
     CV_SENSOR_SPAN_kPa,
     FirmwareSettings,
@@ -252,8 +253,13 @@ class CompiledFirmware:
 
 def _check(settings: FirmwareSettings) -> None:
     kept = {row.name for row in SETTING_ROWS}
-    for name, standard in RegulatorSettings()._asdict().items():
-        if name not in kept and getattr(settings.regulator, name) != standard:
+    fixed = {"sensor_beyond_span": (settings.sensor_beyond_span, SENSOR_BEYOND_SPAN)} | {
+        name: (getattr(settings.regulator, name), standard)
+        for name, standard in RegulatorSettings()._asdict().items()
+        if name not in kept
+    }
+    for name, (wanted, standard) in fixed.items():
+        if wanted != standard:
             raise ValueError(f"{name} is compiled into the firmware as {standard} and cannot be changed")
 
 

@@ -164,9 +164,10 @@ class Firmware:
     def _look(self, cv_kPa: float, reservoir_kPa: float) -> None:
         """Keep readings that can be believed, latch what is wrong with them."""
         settings = self.settings
-        cv_good = within_sensor(cv_kPa, settings.cv_span_kPa, settings.cv_zero_kPa)
+        beyond = settings.sensor_beyond_span
+        cv_good = within_sensor(cv_kPa, settings.cv_span_kPa, settings.cv_zero_kPa, beyond)
         reservoir_good = within_sensor(
-            reservoir_kPa, settings.reservoir_span_kPa, settings.reservoir_zero_kPa
+            reservoir_kPa, settings.reservoir_span_kPa, settings.reservoir_zero_kPa, beyond
         )
         if cv_good:
             self._cv_kPa = cv_kPa

@@ -11,7 +11,8 @@ CV_SENSOR_SPAN_kPa = 206.84
 """Of the sensor that is soldered in, whatever the firmware is told: 30 psi."""
 RESERVOIR_SENSOR_SPAN_kPa = 1500.0
 """15 bar."""
-_BEYOND_SPAN = 0.10625
+SENSOR_BEYOND_SPAN = 0.10625
+"""A sensor ends at 2.5 and 97.5 % of its supply; what is below 1.5 or above 98.5 % is its wiring."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,8 @@ class FirmwareSettings:
     dvp_dead_band: float = 0.0
     dvp_full_duty: float = 0.95
     """A 10 V coil, likewise."""
+    sensor_beyond_span: float = SENSOR_BEYOND_SPAN
+    """How far beyond its span a reading is believed, as a share of it."""
     regulator: RegulatorSettings = field(default_factory=RegulatorSettings)
 
     @property
@@ -95,8 +98,7 @@ def with_value(settings: FirmwareSettings, row: SettingRow, value: float) -> Fir
     return replace(settings, **changes)  # type: ignore[arg-type]
 
 
-def within_sensor(kPa: float, span_kPa: float, zero_kPa: float) -> bool:
-    """Whether a sensor can say so: it ends at 2.5 and 97.5 % of its supply, so what is below 1.5 or above
-    98.5 % is its wiring. False for NaN."""
-    beyond_kPa = span_kPa * _BEYOND_SPAN
+def within_sensor(kPa: float, span_kPa: float, zero_kPa: float, beyond_span: float) -> bool:
+    """Whether a sensor can say so. False for NaN."""
+    beyond_kPa = span_kPa * beyond_span
     return zero_kPa - beyond_kPa <= kPa <= zero_kPa + span_kPa + beyond_kPa

@@ -33,7 +33,7 @@ def firmware_for(rig: Rig, cv: ControlVolume, reservoir_kPa: float, sample_rate_
         setpoint_margin_kPa=_LIMIT_KPA - MOST_KPA - 1.0,
         reservoir_limit_kPa=1000.0,
         rate_limit_kPa_per_s=_FASTEST_KPA_PER_S,
-        sensor_least_kPa=-101.325,
+        sensor_beyond_span=0.5,  # to a vacuum
     )
     if sample_rate_Hz >= FIRMWARE_HZ:
         return settings
