@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import binascii
 
+FRAME_END = b"\x00"
+"""Alone it is idle line; after half a frame it ends that, so that the next one is read."""
 MAX_PAYLOAD = 128
 """Bytes. The longest message is less than half of this; the rest is room for later ones."""
 
@@ -61,7 +63,7 @@ def encode_frame(payload: bytes) -> bytes:
         raise ValueError(
             f"a payload of {len(payload)} bytes is longer than the {MAX_PAYLOAD} that fit a frame"
         )
-    return cobs_encode(payload + crc16(payload).to_bytes(_CRC_SIZE, "big")) + b"\x00"
+    return cobs_encode(payload + crc16(payload).to_bytes(_CRC_SIZE, "big")) + FRAME_END
 
 
 class FrameDecoder:
@@ -79,15 +81,24 @@ class FrameDecoder:
 
     def feed(self, data: bytes) -> list[bytes]:
         """The payloads of the frames that end within `data` and whose CRC is right, in order."""
-        payloads: list[bytes] = []
-        *ends, rest = data.split(b"\x00")
+        return [payload for _, payload in self.frames(data) if payload is not None]
+
+    def frames(self, data: bytes) -> list[tuple[bytes, bytes | None]]:
+        """What ends within `data`, in order: the bytes on the wire, and the payload unless they are no frame.
+
+        Of what is too long to be a frame there are no bytes.
+        """
+        ended: list[tuple[bytes, bytes | None]] = []
+        *ends, rest = data.split(FRAME_END)
         for piece in ends:
             self._hold(piece)
-            payload = self._finish()
-            if payload is not None:
-                payloads.append(payload)
+            wire, oversize = bytes(self._buffer), self._oversize
+            self._buffer.clear()
+            self._oversize = False
+            if wire or oversize:
+                ended.append((wire, self._payload(wire, oversize)))
         self._hold(rest)
-        return payloads
+        return ended
 
     def _hold(self, piece: bytes) -> None:
         if len(self._buffer) + len(piece) > _MAX_ENCODED:
@@ -96,13 +107,8 @@ class FrameDecoder:
         else:
             self._buffer += piece
 
-    def _finish(self) -> bytes | None:
-        encoded, oversize = bytes(self._buffer), self._oversize
-        self._buffer.clear()
-        self._oversize = False
-        if not encoded and not oversize:
-            return None
-        checked = None if oversize else cobs_decode(encoded)
+    def _payload(self, wire: bytes, oversize: bool) -> bytes | None:
+        checked = None if oversize else cobs_decode(wire)
         if checked is None or len(checked) < _CRC_SIZE or crc16(checked) != 0:
             self.bad_frames += 1
             return None

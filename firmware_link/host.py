@@ -11,6 +11,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 from firmware_link.protocol import (
     PROTOCOL_VERSION,
@@ -117,10 +118,24 @@ _HELLO_PERIOD_S = 0.5
 _PING_PERIOD_S = 1.0
 _LATEST_PONG_S = 5.0
 _CLOCK_SAMPLES = 16
+_DRIFT_OVER_S = 60.0
+"""From this long on the millisecond of the device's clock makes less than 20 ppm of drift."""
+_OVERTAKEN_MS = 100
+"""Telemetry that is older than what came before it by no more than this was overtaken on its way. A device
+that restarted is that near only if it was silent for as long as it had run before."""
 _HALF_DEVICE_CLOCK_MS = 1 << 31
 _FULL_DEVICE_CLOCK_MS = 1 << 32
+_FULL_DEVICE_CLOCK_S = _FULL_DEVICE_CLOCK_MS / 1e3
 # A timer that ticks a hair early still counts as due; otherwise a 10 ms timer repeats every 30 ms.
 _EARLY_S = 1e-4
+
+
+class _ClockSample(NamedTuple):
+    """A ping: the quicker, the better."""
+
+    round_trip_s: float
+    at_s: float
+    offset_s: float
 
 
 class _Every:
@@ -162,7 +177,10 @@ class HostSession:
         self.round_trip_s: float | None = None
         """Of the latest ping."""
         self.clock_offset_s: float | None = None
-        """Device clock minus host clock, from the quickest of the last pings."""
+        """Device clock minus host clock, from the quickest of the last pings. Off by half of its round trip
+        and a millisecond at most, however the time is shared between the two ways."""
+        self.clock_drift_ppm: float | None = None
+        """By how much the device's clock gains on the host's, from a minute after the handshake on."""
         self._hello = _Every(_HELLO_PERIOD_S)
         self._repeat = _Every(repeat_s)
         self._ping = _Every(_PING_PERIOD_S)
@@ -173,7 +191,8 @@ class HostSession:
         self._telemetry_s: float | None = None
         self._device_time_ms: int | None = None
         self._ready_s = 0.0
-        self._clock: deque[tuple[float, float]] = deque(maxlen=_CLOCK_SAMPLES)
+        self._clock: deque[_ClockSample] = deque(maxlen=_CLOCK_SAMPLES)
+        self._first_clock: _ClockSample | None = None
         self._reported: Refusal | None = None
         self._incompatible_because: str | None = None
 
@@ -274,8 +293,14 @@ class HostSession:
         # Before the handshake these bytes may be another version's telemetry.
         if self.state is not SessionState.READY:
             return []
-        if not self._follow_device_clock(telemetry.device_time_ms):
+        passed_ms = self._passed_ms(telemetry.device_time_ms)
+        if passed_ms < 0:
+            if -passed_ms <= _OVERTAKEN_MS <= telemetry.device_time_ms:
+                return []
             return self._reset(f"its clock went back to {telemetry.device_time_ms} ms")
+        self._device_time_ms = telemetry.device_time_ms
+        if self.welcome is not None:
+            self.telemetry_gaps += max(0, round(passed_ms * self.welcome.telemetry_Hz / 1000) - 1)
         pressures = (telemetry.setpoint_kPa, telemetry.cv_kPa, telemetry.reservoir_kPa)
         if not all(map(math.isfinite, pressures)):
             self.telemetry_gaps += 1
@@ -284,17 +309,12 @@ class HostSession:
         self._telemetry_s = t
         return [TelemetryReceived(telemetry)]
 
-    def _follow_device_clock(self, time_ms: int) -> bool:
-        """False when the clock ran backwards (and did not merely wrap)."""
-        before, self._device_time_ms = self._device_time_ms, time_ms
-        if before is None:
-            return True
-        passed_ms = (time_ms - before) % _FULL_DEVICE_CLOCK_MS
-        if passed_ms >= _HALF_DEVICE_CLOCK_MS:
-            return False
-        if self.welcome is not None:
-            self.telemetry_gaps += max(0, round(passed_ms * self.welcome.telemetry_Hz / 1000) - 1)
-        return True
+    def _passed_ms(self, device_time_ms: int) -> int:
+        """Since the last telemetry, by the device's clock; negative when it ran backwards, but for a wrap."""
+        if self._device_time_ms is None:
+            return 0
+        passed_ms = (device_time_ms - self._device_time_ms) % _FULL_DEVICE_CLOCK_MS
+        return passed_ms if passed_ms < _HALF_DEVICE_CLOCK_MS else passed_ms - _FULL_DEVICE_CLOCK_MS
 
     def _on_refusal(self, refusal: Refusal) -> list[HostEvent]:
         if refusal.reason is RefusalReason.VERSION and self.state is not SessionState.READY:
@@ -323,8 +343,20 @@ class HostSession:
         if sent_s < self._ready_s - 1e-6:
             return
         self.round_trip_s = max(0.0, round_trip_s)
-        self._clock.append((self.round_trip_s, pong.device_time_ms / 1e3 - (sent_s + t) / 2))
-        self.clock_offset_s = min(self._clock)[1]
+        middle_s = (sent_s + t) / 2
+        offset_s = pong.device_time_ms / 1e3 - middle_s
+        if self.clock_offset_s is not None:
+            # The device's clock wraps; the offset does not.
+            wraps = round((self.clock_offset_s - offset_s) / _FULL_DEVICE_CLOCK_S)
+            offset_s += wraps * _FULL_DEVICE_CLOCK_S
+        self._clock.append(_ClockSample(self.round_trip_s, middle_s, offset_s))
+        best = min(self._clock)
+        self.clock_offset_s = best.offset_s
+        if len(self._clock) == _CLOCK_SAMPLES:
+            self._first_clock = first = self._first_clock or best
+            passed_s = best.at_s - first.at_s
+            if passed_s >= _DRIFT_OVER_S:
+                self.clock_drift_ppm = 1e6 * (best.offset_s - first.offset_s) / passed_s
 
     def _reset(self, reason: str) -> list[HostEvent]:
         self._greet()
@@ -344,8 +376,10 @@ class HostSession:
         self._hello.now()
         self._device_time_ms = None
         self._clock.clear()
+        self._first_clock = None
         self.round_trip_s = None
         self.clock_offset_s = None
+        self.clock_drift_ppm = None
 
     def _forget_command(self) -> None:
         self._command = VENTING

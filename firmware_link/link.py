@@ -6,18 +6,23 @@ import asyncio
 import time
 from collections.abc import Callable, Iterable
 
+from firmware_link.answer import Answer
+from firmware_link.find import Ports, UsbBoard
+from firmware_link.framing import FRAME_END
 from firmware_link.host import VENTING, Command, HostEvent, HostSession
 from firmware_link.protocol import Codec, Fault, HostMessage
 from firmware_link.serial_port import SerialPort
+from firmware_link.statistics import LinkStatistics, Traffic
 
 _TICK_S = 0.01
 
 
 class FirmwareLink:
-    """Talks to the firmware at `path`, reconnecting for as long as `run` runs.
+    """Talks to the firmware at `where`, a port or a board, reconnecting for as long as `run` runs.
 
-    Events arrive on `on_event`, the port's coming and going (with the reason) on `on_state`; both are
-    called from the event loop. When `run` is cancelled the actuator is vented. Example:
+    Events arrive on `on_event`. `on_state` is told when the port comes or goes, with the reason, and when
+    nobody answers on it. Both are called from the event loop. When `run` is cancelled the actuator is
+    vented. Example:
 
         async def bend() -> None:
             def on_event(event: HostEvent) -> None:
@@ -27,7 +32,7 @@ class FirmwareLink:
                     case TelemetryReceived(telemetry):
                         print(telemetry.cv_kPa)
 
-            link = FirmwareLink("/dev/ttyACM0", on_event)
+            link = FirmwareLink(UsbBoard.parse("usb:16c0:0483"), on_event)
             await link.run()
 
         asyncio.run(bend())
@@ -35,16 +40,23 @@ class FirmwareLink:
 
     def __init__(
         self,
-        path: str,
+        where: str | UsbBoard,
         on_event: Callable[[HostEvent], None],
         on_state: Callable[[bool, str], None] = lambda up, why: None,
         baud: int = 115200,
+        ports: Ports | None = None,
     ) -> None:
         self.session = HostSession()
         self.codec = Codec()
-        self.port = SerialPort(path, baud, self._received, self._state_changed)
+        self.port = SerialPort(where, baud, self._received, self._state_changed, ports)
+        self._traffic = Traffic()
+        self._answer = Answer()
         self._on_event = on_event
         self._on_state = on_state
+
+    @property
+    def statistics(self) -> LinkStatistics:
+        return self._traffic.statistics(time.monotonic(), self.codec, self.session, self.port.dropped_bytes)
 
     def command(self, command: Command) -> None:
         """From now on hold `command`; forgotten while the session is not READY."""
@@ -60,13 +72,18 @@ class FirmwareLink:
             tasks.create_task(self.port.run())
             try:
                 while True:
-                    self._send(self.session.tick(time.monotonic()))
+                    now = time.monotonic()
+                    self._send(self.session.tick(now))
+                    self._tell_silence(now)
                     await asyncio.sleep(_TICK_S)
             finally:
                 self.command(VENTING)
 
     def _received(self, data: bytes) -> None:
-        for message in self.codec.decode(data):
+        messages = self.codec.decode(data)
+        self._traffic.received(time.monotonic(), data)
+        self._answer.received(data, messages)
+        for message in messages:
             for event in self.session.receive(time.monotonic(), message):
                 self._on_event(event)
 
@@ -74,10 +91,21 @@ class FirmwareLink:
         if up:
             self.codec.restart()
             self.session.opened(time.monotonic())
+            self._traffic.opened()
+            self._answer.opened(time.monotonic())
         else:
             self.session.closed(time.monotonic())
+            self._answer.closed()
         self._on_state(up, why)
+
+    def _tell_silence(self, t: float) -> None:
+        problem = self._answer.news(t)
+        if problem is not None:
+            self._on_state(True, problem or "the firmware answers")
 
     def _send(self, messages: Iterable[HostMessage]) -> None:
         for message in messages:
-            self.port.write(self.codec.encode(message))
+            # Half a frame before ours, of anyone, must not cost us a greeting.
+            data = FRAME_END + self.codec.encode(message)
+            self._traffic.written(time.monotonic(), data)
+            self.port.write(data)

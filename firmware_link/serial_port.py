@@ -5,20 +5,28 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
+import select
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 from serial_asyncio_fast import SerialTransport, create_serial_connection
 
-RETRY_S = 0.3
-_CLOSING_S = 1.0
+from firmware_link.find import BoardNotFoundError, Ports, UsbBoard
+
+RETRY_S = 0.2
+"""A try takes about a millisecond of processor time, and a lost board is to be back within a second."""
+_CLOSING_S = 0.5
+STALE_S = 0.25
+"""What could not leave within this is thrown away: a setpoint lives no longer."""
 MAX_QUEUED_BYTES = 16 * 1024
-"""Over a second of a port at 115200 baud: what is older than that is not worth sending any more."""
+"""More in one go than any line takes within `STALE_S`."""
 
 
 class SerialPort:
-    """Opens `path`, hands over what arrives, and opens it again whenever it is lost, until cancelled.
+    """Opens a port, hands over what arrives, and opens it again whenever it is lost, until cancelled.
 
+    `where` is a device's path, or a board that is looked for anew each time among `ports` (this machine's).
     `on_bytes` is called from the event loop with what arrived. `on_state(up, why)` is called when the port
     goes up or down, and when the reason why it is down changes; `why` is a sentence for people. Opened
     exclusively where the operating system allows it. Logs nothing.
@@ -26,15 +34,16 @@ class SerialPort:
 
     def __init__(
         self,
-        path: str,
+        where: str | UsbBoard,
         baud: int,
         on_bytes: Callable[[bytes], None],
         on_state: Callable[[bool, str], None],
+        ports: Ports | None = None,
     ) -> None:
-        self.path = path
+        self.where = where
         self.baud = baud
-        self.dropped_bytes = 0
-        """Written while the port was down, or while too much was queued already."""
+        self._dropped_bytes = 0
+        self._ports = ports
         self._on_bytes = on_bytes
         self._on_state = on_state
         self._reported: tuple[bool, str] | None = None
@@ -44,30 +53,50 @@ class SerialPort:
     def connected(self) -> bool:
         return self._connection is not None
 
+    @property
+    def dropped_bytes(self) -> int:
+        """Written while the port was down, or thrown away because the port took them too late."""
+        return self._dropped_bytes + (self._connection.dropped_bytes if self._connection else 0)
+
     def write(self, data: bytes) -> bool:
-        """Send `data` as soon as the port takes it, never blocking; False when it is dropped."""
+        """Send `data`, a whole message, as soon as the port takes it; never blocks. False when it is dropped.
+
+        What waits for longer than `STALE_S` is thrown away message by message, the oldest first, so that a
+        peer that reads again is told what holds now.
+        """
         if self._connection is None or not self._connection.write(data):
-            self.dropped_bytes += len(data)
+            self._dropped_bytes += len(data)
             return False
         return True
 
     async def run(self) -> None:
         """Keep the port open until cancelled; it is closed when this returns."""
         while True:
+            name = str(self.where)
             try:
-                connection = await self._open()
+                path = await self._find()
+                name = path if path == name else f"{name} ({path})"
+                connection = await self._open(path, name)
+            except BoardNotFoundError as error:
+                self._report(False, str(error))
             except (OSError, ValueError) as error:
-                self._report(False, _why_not(self.path, error))
+                self._report(False, _why_not(name, error))
             else:
-                await self._serve(connection)
+                await self._serve(connection, name)
             await asyncio.sleep(RETRY_S)
 
-    async def _open(self) -> _Connection:
+    async def _find(self) -> str:
+        if isinstance(self.where, str):
+            return self.where
+        # The list of ports is read from files, which may take its time.
+        return await asyncio.to_thread(self.where.find, self._ports)
+
+    async def _open(self, path: str, name: str) -> _Connection:
         opening = asyncio.ensure_future(
             create_serial_connection(
                 asyncio.get_running_loop(),
-                lambda: _Connection(self._on_bytes, self._came_up),
-                self.path,
+                lambda: _Connection(self._on_bytes, lambda connection: self._came_up(connection, name)),
+                path,
                 baudrate=self.baud,
                 exclusive=True if os.name == "posix" else None,
             )
@@ -81,20 +110,24 @@ class SerialPort:
         assert isinstance(connection, _Connection)
         return connection
 
-    async def _serve(self, connection: _Connection) -> None:
+    async def _serve(self, connection: _Connection, name: str) -> None:
         try:
             why = await asyncio.shield(connection.lost)
-            self._connection = None
-            self._report(False, f"{self.path} was lost: {why}")
+            self._end(connection)
+            self._report(False, f"{name} was lost: {why}")
         finally:
-            self._connection = None
-            connection.close()
+            self._end(connection)
             # A driver may keep a port that was pulled out for long; nobody is to wait for it.
             await asyncio.wait([connection.gone], timeout=_CLOSING_S)
 
-    def _came_up(self, connection: _Connection) -> None:
+    def _came_up(self, connection: _Connection, name: str) -> None:
         self._connection = connection
-        self._report(True, f"{self.path} is open")
+        self._report(True, f"{name} is open")
+
+    def _end(self, connection: _Connection) -> None:
+        connection.close()
+        self._dropped_bytes = self.dropped_bytes
+        self._connection = None
 
     def _report(self, up: bool, why: str) -> None:
         if (up, why) != self._reported:
@@ -136,6 +169,10 @@ class _Connection(asyncio.Protocol):
         if not self.gone.done():
             self.gone.set_result(None)
 
+    @property
+    def dropped_bytes(self) -> int:
+        return self._queue.dropped_bytes if self._queue else 0
+
     def write(self, data: bytes) -> bool:
         if self._transport is None or self._transport.is_closing():
             return False
@@ -163,25 +200,36 @@ class _Connection(asyncio.Protocol):
 
 
 class _WriteQueue:
-    """Writes to a port without ever blocking.
+    """Writes to a port without ever blocking, and nothing that is out of date.
 
     The transport's own writing ends in pyserial, which on a full port spins until there is room: a device
-    that stops reading would stop this whole process.
+    that stops reading would stop this whole process. And the kernel would take kilobytes that nobody can
+    take back. It calls a terminal writable only while less than 256 bytes wait to be sent, so it is asked
+    before each write: what waits, waits here.
     """
 
     def __init__(self, port_fd: int, on_error: Callable[[OSError], None]) -> None:
+        self.dropped_bytes = 0
         # A descriptor of our own: the transport closes its one before it says so.
         self._fd = os.dup(port_fd)
         self._on_error = on_error
         self._loop = asyncio.get_running_loop()
-        self._queued = bytearray()
+        self._writable = select.poll()
+        self._writable.register(self._fd, select.POLLOUT)
+        self._begun = b""
+        """The rest of a message of which a part has left."""
+        self._queued: deque[tuple[float, bytes]] = deque()
+        """When each was written."""
+        self._queued_bytes = 0
         self._waiting = False
         self._closed = False
 
     def write(self, data: bytes) -> bool:
-        if self._closed or len(self._queued) + len(data) > MAX_QUEUED_BYTES:
+        if self._closed or len(data) > MAX_QUEUED_BYTES:
             return False
-        self._queued += data
+        self._queued.append((self._loop.time(), data))
+        self._queued_bytes += len(data)
+        self._drop_old()
         if not self._waiting:
             self._flush()
         return True
@@ -190,19 +238,34 @@ class _WriteQueue:
         if self._closed:
             return
         self._closed = True
+        self.dropped_bytes += len(self._begun) + self._queued_bytes
         self._wait(False)
         os.close(self._fd)
 
+    def _drop_old(self) -> None:
+        oldest = self._loop.time() - STALE_S
+        while self._queued and (self._queued[0][0] < oldest or self._queued_bytes > MAX_QUEUED_BYTES):
+            self.dropped_bytes += len(self._next())
+
+    def _next(self) -> bytes:
+        _, data = self._queued.popleft()
+        self._queued_bytes -= len(data)
+        return data
+
     def _flush(self) -> None:
+        self._drop_old()
         try:
-            del self._queued[: os.write(self._fd, self._queued)]
+            while (self._begun or self._queued) and self._writable.poll(0):
+                data = self._begun or self._next()
+                self._begun = data
+                self._begun = data[os.write(self._fd, data) :]
         except (BlockingIOError, InterruptedError):
             pass
         except OSError as error:
             self.close()
             self._on_error(error)
             return
-        self._wait(bool(self._queued))
+        self._wait(bool(self._begun or self._queued))
 
     def _wait(self, wanted: bool) -> None:
         if wanted and not self._waiting:
@@ -217,21 +280,21 @@ def _close_again(opening: asyncio.Future[tuple[Any, Any]]) -> None:
         opening.result()[0].abort()
 
 
-def _why_not(path: str, error: OSError | ValueError) -> str:
-    """Why `path` could not be opened, and what to do about it."""
+def _why_not(name: str, error: OSError | ValueError) -> str:
+    """Why the port could not be opened, and what to do about it."""
     code = getattr(error, "errno", None)
     if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-        return f"{path} is not there: is the board plugged in and powered, and is this the right port?"
+        return f"{name} is not there: is the board plugged in and powered, and is this the right port?"
     if code in (errno.EACCES, errno.EPERM):
         return (
-            f"{path} may not be opened by this user: add yourself to the dialout group"
+            f"{name} may not be opened by this user: add yourself to the dialout group"
             " (sudo usermod -aG dialout $USER), then log in again"
         )
     if code in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK):
         return (
-            f"{path} is in use by another program (a serial monitor, ModemManager, or a second copy of this)"
+            f"{name} is in use by another program (a serial monitor, ModemManager, or a second copy of this)"
         )
-    return f"{path} could not be opened: {getattr(error, 'strerror', None) or error}"
+    return f"{name} could not be opened: {getattr(error, 'strerror', None) or error}"
 
 
 def _why_lost(error: Exception | None) -> str:

@@ -6,7 +6,10 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-FORMS = "serial:/dev/NAME[:BAUD], udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT"
+from firmware_link.find import FORM as USB_FORM
+from firmware_link.find import UsbBoard
+
+FORMS = f"serial:/dev/NAME[:BAUD], {USB_FORM}, udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT"
 DEFAULT_BAUD = 115200
 _BAUD = re.compile(r"[1-9][0-9]{1,7}")
 _PORT = re.compile(r"[0-9]{1,5}")
@@ -29,7 +32,7 @@ class NetworkAddress:
     port: int
 
 
-Address = SerialAddress | NetworkAddress
+Address = SerialAddress | UsbBoard | NetworkAddress
 
 
 def parse_address(text: str) -> Address:
@@ -40,6 +43,8 @@ def parse_address(text: str) -> Address:
         if path and _BAUD.fullmatch(baud):
             return SerialAddress(path, int(baud))
         return SerialAddress(rest)
+    if kind == "usb":
+        return UsbBoard.parse(text)
     host, _, port = rest.rpartition(":")
     if host and _PORT.fullmatch(port) and 0 < int(port) < 65536:
         match kind:

@@ -16,6 +16,7 @@ from time import monotonic, time
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from flying_vines import config as configuration
+from flying_vines.address import FORMS, parse_address
 from flying_vines.config import Config, ConfigError
 from flying_vines.vehicle.mission.item import MissionItem
 from missions import command as mission_command
@@ -215,6 +216,23 @@ def _parser() -> argparse.ArgumentParser:
 
     mission_command.add(commands)
 
+    link = commands.add_parser("link", help="what goes over the phloSAR's line, and its settings")
+    link.add_argument("address", nargs="?", metavar="ADDRESS", help=f"(default: the profile's) {FORMS}")
+    link.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
+    link.add_argument("--seconds", type=float, metavar="N", help="then end; with status 1 if nobody answered")
+    link.add_argument("--json", action="store_true", help="one object a line")
+    link.add_argument("--raw", action="store_true", help="the bytes as well")
+    link.add_argument("--settings", action="store_true", help="what is set in the firmware")
+    link.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="changes",
+        metavar="NAME=VALUE",
+        help="keep it in the firmware; may be given again",
+    )
+    link.set_defaults(run=_link)
+
     fake = commands.add_parser("fake", help="one end of the link, alone")
     fakes = fake.add_subparsers(required=True, metavar="WHAT")
     autopilot = fakes.add_parser("autopilot", help="a fake autopilot on UDP")
@@ -287,13 +305,13 @@ def _known(config: Config, profile: Path | None, rig: Path | None = None) -> Cal
 
 
 async def _serve(config: Config, known: Calibration | None, arguments: argparse.Namespace) -> int:
-    from rich.console import Console
     from rich.live import Live
 
     from flying_vines.kept import Kept
+    from flying_vines.notice import Severity
     from flying_vines.record.flight_log import FlightLog
     from flying_vines.service import Service
-    from flying_vines.terminal import LiveView, plain_printer
+    from flying_vines.terminal import LiveView, PatientOutput, plain_printer
     from flying_vines.vehicle.parameter_file import ParameterFileError
     from flying_vines.vehicle.signing_key import SigningKeyError
 
@@ -305,7 +323,8 @@ async def _serve(config: Config, known: Calibration | None, arguments: argparse.
         log = FlightLog(arguments.out)
     except OSError as error:
         _fail(f"{arguments.out}: no flight log can be written there: {error.strerror}")
-    console = Console()
+    output = PatientOutput()
+    console = output.console()
     loop = asyncio.get_running_loop()
     log.believed(loop.time(), known.belief.pneumatics if known else config.pneumatics)
     view = LiveView(loop.time(), config.limits.max_kPa, config.pneumatics.full_kPa)
@@ -320,7 +339,7 @@ async def _serve(config: Config, known: Calibration | None, arguments: argparse.
     # What was imported lives as long as we do; the collector need not walk it in flight.
     gc.collect()
     gc.freeze()
-    for name in (signal.SIGINT, signal.SIGTERM):
+    for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(name, service.stop)
     console.print(f"Vehicle {config.vehicle.link}, phloSAR {config.firmware.link}, log {log.path}")
     if known:
@@ -332,12 +351,16 @@ async def _serve(config: Config, known: Calibration | None, arguments: argparse.
     serving = asyncio.create_task(service.run())
     screen = Live(console=console, refresh_per_second=5, screen=True) if live else None
     problems: dict[str, str] = {}
+    log_problem = ""
     if screen:
         screen.start()
     try:
         while not serving.done():
             snapshot = service.core.snapshot(service.now)
             log.snapshot(snapshot)
+            if log_problem != log.failed:
+                log_problem = log.failed
+                service.say(Severity.WARNING, log_problem)
             if screen:
                 screen.update(view.render(snapshot, problems=service.link_problems))
             elif problems != service.link_problems:
@@ -353,7 +376,37 @@ async def _serve(config: Config, known: Calibration | None, arguments: argparse.
     if log.failed:
         console.print(log.failed)
     console.print("Vented. Stopped.")
+    output.close()
     return 0
+
+
+def _link(arguments: argparse.Namespace) -> int:
+    from flying_vines.link_command import SettingsError, monitor, settings
+
+    title: str | None = arguments.address
+    if title is None:
+        config = configuration.load(arguments.config) if arguments.config else configuration.default()
+        title = config.firmware.link
+    if arguments.seconds is not None and not arguments.seconds > 0.0:
+        _fail("--seconds must be above 0")
+    try:
+        address = parse_address(title)
+        changes = dict(map(_change, arguments.changes))
+        if arguments.settings or changes:
+            asyncio.run(settings(address, changes, arguments.json))
+            return 0
+    except (ValueError, SettingsError) as error:
+        _fail(str(error))
+    answered = asyncio.run(monitor(address, title, arguments.seconds, arguments.json, arguments.raw))
+    return 0 if answered else 1
+
+
+def _change(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        return name, float(value)
+    except ValueError:
+        raise ValueError(f"--set {text}: give NAME=VALUE, with a number") from None
 
 
 def _buttons(arguments: argparse.Namespace) -> int:
@@ -706,7 +759,7 @@ def _vine_fit(arguments: argparse.Namespace) -> int:
 def _fake_autopilot(arguments: argparse.Namespace) -> int:
     from flying_vines.fakes.autopilot import Autopilot
     from flying_vines.fakes.autopilot_server import AutopilotServer
-    from flying_vines.fakes.console import HELP, type_to
+    from flying_vines.fakes.console import HELP, obey, type_to
 
     mission = _mission(arguments.mission)
     script: list[tuple[float, Callable[[Autopilot], None]]] = []
@@ -725,7 +778,7 @@ def _fake_autopilot(arguments: argparse.Namespace) -> int:
     async def serve() -> None:
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(server.run())
-            tasks.create_task(type_to(autopilot))
+            tasks.create_task(type_to(lambda line: obey(autopilot, line)))
 
     taken: BaseException | None = None
     try:
@@ -738,20 +791,33 @@ def _fake_autopilot(arguments: argparse.Namespace) -> int:
 
 
 def _fake_phlosar(arguments: argparse.Namespace) -> int:
+    from flying_vines.fakes.board import best_board, why_emulated
+    from flying_vines.fakes.console import MISHAPS, suffer, type_to
     from flying_vines.fakes.firmware import FirmwareSettings
     from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
     from flying_vines.pneumatics.plant.true_rig import load_true_rig
     from flying_vines.pneumatics.rig import RigError
 
-    if not 1 <= arguments.telemetry_Hz <= 1000:
-        _fail("--telemetry-Hz is from 1 to 1000")
+    if not 10 <= arguments.telemetry_Hz <= 1000:
+        _fail("--telemetry-Hz is from 10 to 1000")
+    if why := why_emulated():
+        print(f"The firmware is emulated: {why}.", file=sys.stderr, flush=True)
     try:
         rig = load_true_rig(arguments.rig) if arguments.rig else None
-        settings = FirmwareSettings(telemetry_Hz=arguments.telemetry_Hz)
-        phlosar = SimulatedPhlosar(rig, settings, reservoir_kPa=arguments.reservoir_kPa)
+        board = best_board(FirmwareSettings(telemetry_Hz=arguments.telemetry_Hz))
+        phlosar = SimulatedPhlosar(rig, board, reservoir_kPa=arguments.reservoir_kPa)
         with PtyPhlosar(phlosar, arguments.link) as port:
             print(arguments.link or port.path, flush=True)
-            asyncio.run(port.run())
+            if sys.stdin.isatty():
+                print(
+                    f"Type to break it, as `hose off` or `evp stuck 1`; Ctrl-C ends it.\n{MISHAPS}",
+                    flush=True,
+                )
+
+            async def live() -> None:
+                await asyncio.gather(port.run(), type_to(lambda line: suffer(phlosar, line)))
+
+            asyncio.run(live())
     except RigError as error:
         _fail(str(error))
     except OSError as error:

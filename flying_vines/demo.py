@@ -23,7 +23,9 @@ from flying_vines.config import Config
 from flying_vines.events import Action, Decision, Snapshot
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.fakes.autopilot_server import AutopilotServer
+from flying_vines.fakes.board import best_board
 from flying_vines.fakes.ground_station import GroundStation
+from flying_vines.fakes.mishaps import Hole
 from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.notice import Notice
 from flying_vines.pneumatics.plant.true_rig import TrueRig
@@ -39,7 +41,7 @@ LOOK_S = 0.05
 SWITCH_CHANNEL = 9
 LOW, MIDDLE, HIGH = 1000, 1500, 2000
 CRUISE_M = 6.0
-LEAK_KPA_PER_S = 300.0
+LEAK = Hole(bore_mm=4.0)
 EMPTY_KPA = 30.0
 ROOM_FOR_VINE = 110
 """Columns of a terminal from which on the vine is drawn beside the live view."""
@@ -174,7 +176,7 @@ def _told(text: str, within_s: float) -> Expectation:
 
 
 def _open_leak(w: World) -> None:
-    w.phlosar.reservoir_leak_kPa_per_s = LEAK_KPA_PER_S
+    w.phlosar.mishaps.bottle = LEAK
 
 
 def _unseen_move(w: World) -> None:
@@ -234,15 +236,15 @@ SCRIPT = (
     Step(19.5, "A fresh move of the switch", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
     Step(
         21.0,
-        "The bottle runs low",
+        "The bottle is holed, and runs low",
         _open_leak,
-        (_told("bottle low", 4.0), _lost("reservoir", 4.0), _vented(4.5)),
+        (_lost("bottle_loss", 2.0), _vented(2.5), _told("bottle low", 4.0)),
     ),
     Step(
         24.5,
         "Switch up with an empty bottle",
         _switch(HIGH),
-        (_switched(2, "refused", "bottle at"), _told("refused bend-full", 1.0), _stays_vented(3.0)),
+        (_switched(2, "refused", "bottle loses"), _told("refused bend-full", 1.0), _stays_vented(3.0)),
     ),
     Step(
         25.0,
@@ -285,7 +287,7 @@ async def fly(out: Path, console: Console, live: bool, rig: TrueRig | None = Non
     ground = GroundStation()
     ground_port = await ground.listen()
     companion_port = _free_udp_port()
-    phlosar = SimulatedPhlosar(rig, reservoir_kPa=690.0)
+    phlosar = SimulatedPhlosar(rig, best_board(), reservoir_kPa=690.0)
     autopilot = Autopilot("ardupilot", mission=demo_mission(), rc_failsafe_mode=None)
     autopilot.set_rc(SWITCH_CHANNEL, LOW)
     with PtyPhlosar(phlosar) as port:
@@ -350,7 +352,7 @@ async def _direct(
             world.snapshot = service.core.snapshot(now)
             log.snapshot(world.snapshot)
             if world.phlosar.reservoir_kPa < EMPTY_KPA:
-                world.phlosar.reservoir_leak_kPa_per_s = 0.0
+                world.phlosar.mishaps.bottle = None
             for outcome in outcomes:
                 outcome.look(world, now)
             if screen:

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Mapping
 
 from firmware_link import protocol
+from firmware_link.answer import Answer
+from firmware_link.framing import FRAME_END
 from flying_vines.address import parse_address
 from flying_vines.config import Config
 from flying_vines.core import TICK_S, Core
@@ -62,6 +64,7 @@ class Service:
         self._on_action = on_action or (lambda action: None)
         self._mavlink = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)
         self._serial = protocol.Codec()
+        self._answer = Answer()
         self._stopping = asyncio.Event()
         self._vehicle = open_link(
             parse_address(config.vehicle.link), self._vehicle_bytes, self._vehicle_state
@@ -78,6 +81,10 @@ class Service:
     def stop(self) -> None:
         """Vent, say so, and end."""
         self._stopping.set()
+
+    def say(self, severity: Severity, text: str) -> None:
+        """Let people read this, here and on the ground station."""
+        self._feed(Said(self.now, severity, text))
 
     async def run(self) -> None:
         """Serve until `stop`; cancelling it does not vent, but then the firmware's dead-man does."""
@@ -105,7 +112,7 @@ class Service:
                     parameter_file.write, self._kept.parameters, self._to_keep, self._profile
                 )
             except parameter_file.ParameterFileError as error:
-                self._feed(Said(self.now, Severity.WARNING, f"parameters not kept: {error}"))
+                self.say(Severity.WARNING, f"parameters not kept: {error}")
 
     async def _keep_signing(self) -> None:
         """Keep the clock that we sign with, and tell who is not believed."""
@@ -118,11 +125,10 @@ class Service:
                 try:
                     await asyncio.to_thread(file.save, self._signing.timestamp)
                 except SigningKeyError as error:
-                    self._feed(Said(self.now, Severity.WARNING, str(error)))
+                    self.say(Severity.WARNING, str(error))
             refused = self._signing.refused
             if refused.total > told and self.now - told_at >= REFUSALS_TOLD_S:
-                text = f"refused messages: {refused}"
-                self._feed(Said(self.now, Severity.WARNING, text))
+                self.say(Severity.WARNING, f"refused messages: {refused}")
                 told, told_at = refused.total, self.now
             await asyncio.sleep(1.0)
 
@@ -132,6 +138,7 @@ class Service:
             if self._signing is not None:
                 self._signing.advance(time.time())
             self._feed(Tick(self.now))
+            self._tell_silence(self.now)
             due = max(due + TICK_S, self.now - TICK_S)
             await asyncio.sleep(max(0.0, due - self.now))
 
@@ -142,7 +149,9 @@ class Service:
 
     def _firmware_bytes(self, data: bytes) -> None:
         now = self.now
-        for message in self._serial.decode(data):
+        messages = self._serial.decode(data)
+        self._answer.received(data, messages)
+        for message in messages:
             self._feed(FirmwareMessage(now, message))
 
     def _vehicle_state(self, up: bool, why: str) -> None:
@@ -153,13 +162,26 @@ class Service:
         self.link_problems["firmware"] = "" if up else why
         if up:
             self._serial.restart()
+            self._answer.opened(self.now)
+        else:
+            self._answer.closed()
         self._feed(LinkChanged(self.now, "firmware", up, why))
+
+    def _tell_silence(self, t: float) -> None:
+        """Somebody else's port, or a board that does not run: that a port is open is not enough."""
+        problem = self._answer.news(t)
+        if problem is None:
+            return
+        self.link_problems["firmware"] = problem
+        if problem:
+            self.say(Severity.WARNING, f"phloSAR: {problem}")
 
     def _feed(self, event: Event) -> None:
         for action in self.core.handle(event):
             match action:
                 case ToFirmware(message):
-                    self._firmware.write(self._serial.encode(message))
+                    # Half a frame before ours, of anyone, must not cost us a greeting.
+                    self._firmware.write(FRAME_END + self._serial.encode(message))
                 case ToVehicle(message, system_id):
                     self._vehicle.write(self._mavlink.encode(message, system_id))
                 case KeepParameters(_, values):

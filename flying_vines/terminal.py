@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import math
+import os
+import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from typing import IO, cast
 
 from rich.console import Console, Group
 from rich.panel import Panel
@@ -13,10 +17,14 @@ from rich.text import Text
 
 from flying_vines.events import Action, Decision, Snapshot
 from flying_vines.notice import Notice, Severity
+from flying_vines.record.aside import Aside
 
 VERDICT_STYLE = {"accepted": "green", "limited": "yellow", "refused": "red"}
 SEVERITY_STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTICE: "cyan"}
 BAR_WIDTH = 24
+MOST_BEHIND = 64 * 1024
+"""Characters for a terminal that takes none: some seconds of screens. What comes after them is not shown."""
+LAST_WORDS_S = 0.5
 
 
 def describe(what: dict[str, object]) -> str:
@@ -114,11 +122,11 @@ class LiveView:
             "phloSAR", Text(s.firmware, style=firmware_style).append(_health(s), style="dim"), valves
         )
         grid.add_row("", "", "")
-        grid.add_row("command", _bar(s.command_kPa, self._max_kPa, "yellow"), f"{_number(s.command_kPa)} kPa")
-        cv = f"{_number(s.cv_kPa)} kPa   bend {_number(s.bend_deg, 0)}°"
-        grid.add_row("vine", _bar(s.cv_kPa, self._max_kPa, "blue"), cv)
-        reservoir = f"{_number(s.reservoir_kPa, 0)} kPa   {_cycles(s)}"
-        grid.add_row("reservoir", _bar(s.reservoir_kPa, self._full_kPa, "cyan"), reservoir)
+        grid.add_row("command", bar(s.command_kPa, self._max_kPa, "yellow"), f"{number(s.command_kPa)} kPa")
+        cv = f"{number(s.cv_kPa)} kPa   bend {number(s.bend_deg, 0)}°"
+        grid.add_row("vine", bar(s.cv_kPa, self._max_kPa, "blue"), cv)
+        reservoir = f"{number(s.reservoir_kPa, 0)} kPa   {_cycles(s)}"
+        grid.add_row("reservoir", bar(s.reservoir_kPa, self._full_kPa, "cyan"), reservoir)
         state = Text(s.doing, style="bold")
         if s.safe_state:
             state = Text("SAFE: " + "; ".join(s.safe_state.values()), style="bold red")
@@ -140,14 +148,49 @@ def _cycles(s: Snapshot) -> str:
     return f"{c.expected:.0f} cycles left ({c.low:.0f}…{c.high:.0f})" if c else "cycles left not known"
 
 
-def _number(value: float, digits: int = 1) -> str:
+def number(value: float, digits: int = 1) -> str:
+    """For people, who know "–" for what is not known."""
     return "–" if math.isnan(value) else f"{value:.{digits}f}"
 
 
-def _bar(value: float, full: float, style: str) -> Text:
+def bar(value: float, full: float, style: str) -> Text:
+    """How much of `full` it is."""
     share = 0.0 if math.isnan(value) else min(max(value / full, 0.0), 1.0)
     filled = round(share * BAR_WIDTH)
     return Text("█" * filled, style=style).append("░" * (BAR_WIDTH - filled), style="dim")
+
+
+class PatientOutput(io.TextIOBase):
+    """Standard output that holds nobody up: a terminal stands still when its network does, or at Ctrl-S."""
+
+    def __init__(self) -> None:
+        # A live view puts itself in the place of `sys.stdout`.
+        self._stdout = sys.stdout
+        self._aside = Aside(self._print, MOST_BEHIND)
+
+    def console(self) -> Console:
+        return Console(file=cast(IO[str], self))
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return self._stdout.encoding
+
+    def isatty(self) -> bool:
+        return self._stdout.isatty()
+
+    def write(self, text: str) -> int:
+        self._aside.write(text)
+        return len(text)
+
+    def close(self) -> None:
+        """Let the last words out, where there is somebody to read them."""
+        self._aside.close(LAST_WORDS_S)
+
+    def _print(self, text: str) -> None:
+        """Past the stream itself, whose lock the interpreter waits for at its end."""
+        data = text.encode(self.encoding, "replace")
+        while data:
+            data = data[os.write(self._stdout.fileno(), data) :]
 
 
 def plain_printer(console: Console, began: float) -> Callable[[Action], None]:

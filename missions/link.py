@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from flying_vines.address import SerialAddress, parse_address
+from firmware_link.find import BoardNotFoundError, UsbBoard
+from flying_vines.address import DEFAULT_BAUD, SerialAddress, parse_address
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.storage import Kind
 
@@ -70,8 +71,14 @@ class Heard:
 
 
 def mavsdk_url(link: str) -> str:
-    """A link as this project writes it, in mavsdk's words; ValueError with a sentence when it is none."""
+    """A link as this project writes it, in mavsdk's words; ValueError with a sentence when it is none, or a
+    board that is not there."""
     address = parse_address(link)
+    if isinstance(address, UsbBoard):
+        try:
+            return f"serial://{address.find()}:{DEFAULT_BAUD}"
+        except BoardNotFoundError as error:
+            raise ValueError(str(error)) from None
     if isinstance(address, SerialAddress):
         return f"serial://{address.path}:{address.baud}"
     scheme = "tcpout" if address.kind == "tcp" else address.kind

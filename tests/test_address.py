@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flying_vines.address import FORMS, NetworkAddress, SerialAddress, parse_address
+from firmware_link.find import UsbBoard
+from flying_vines.address import FORMS, Address, NetworkAddress, SerialAddress, parse_address
 
 
 @pytest.mark.parametrize(
@@ -19,6 +20,8 @@ from flying_vines.address import FORMS, NetworkAddress, SerialAddress, parse_add
             "serial:/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0",
             SerialAddress("/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0", 115200),
         ),
+        ("usb:16c0:0483", UsbBoard(0x16C0, 0x0483)),
+        ("usb:16C0:0483:1234560", UsbBoard(0x16C0, 0x0483, "1234560")),
         ("udpin:0.0.0.0:14540", NetworkAddress("udpin", "0.0.0.0", 14540)),
         ("udp::14550", None),
         ("udp:0.0.0.0:14550", NetworkAddress("udpin", "0.0.0.0", 14550)),
@@ -27,7 +30,7 @@ from flying_vines.address import FORMS, NetworkAddress, SerialAddress, parse_add
         ("tcp:::1:5760", NetworkAddress("tcp", "::1", 5760)),
     ],
 )
-def test_every_form(text: str, address: SerialAddress | NetworkAddress | None) -> None:
+def test_every_form(text: str, address: Address | None) -> None:
     if address is None:
         with pytest.raises(ValueError, match="is no link"):
             parse_address(text)
@@ -49,16 +52,31 @@ def test_what_is_no_link_gives_a_sentence_with_the_forms(text: str) -> None:
     assert FORMS in str(caught.value)
 
 
-@given(st.one_of(st.text(), st.from_regex(r"(serial|udpin|udpout|tcp):[^:]*(:[^:]*)?", fullmatch=True)))
+@pytest.mark.parametrize("text", ["usb:", "usb:teensy", "usb:16c0", "usb:16c0:483", "usb:16c0:0483:a:b"])
+def test_what_is_no_board_gives_a_sentence(text: str) -> None:
+    with pytest.raises(ValueError, match="is no board: give usb:VENDOR"):
+        parse_address(text)
+
+
+texts = st.one_of(
+    st.text(),
+    st.from_regex(r"(serial|udpin|udpout|tcp):[^:]*(:[^:]*)?", fullmatch=True),
+    st.from_regex(r"usb:[0-9a-f]{3,5}:[0-9a-f]{4}(:[^:]*)?", fullmatch=True),
+)
+
+
+@given(texts)
 def test_any_text_is_a_link_or_is_refused_with_a_sentence(text: str) -> None:
     try:
         address = parse_address(text)
     except ValueError as error:
-        assert "is no link" in str(error)
+        assert "is no link" in str(error) or "is no board" in str(error)
         return
     if isinstance(address, SerialAddress):
         assert address.baud > 0
         assert address.path
+    elif isinstance(address, UsbBoard):
+        assert parse_address(str(address)) == address
     else:
         assert 0 < address.port < 65536
         assert address.host

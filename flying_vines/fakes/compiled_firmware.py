@@ -33,6 +33,7 @@ from flying_vines.fakes.regulator import Drive, RegulatorSettings
 SOURCES = Path(__file__).parents[2] / "firmware_link" / "firmware"
 WHAT_TO_INSTALL = "a C++ compiler: sudo apt install g++"
 _FLAGS = ("-std=c++17", "-O2", "-shared", "-fPIC", "-fno-exceptions", "-fno-rtti", "-ffp-contract=off")
+_BUILD = "1.0 host"
 _FULL_SCALE = 65535
 _SUPPLY_COUNTS = 59578
 """5 V through the divider of 0.6 into the converter of 3.3 V."""
@@ -151,12 +152,12 @@ class CompiledFirmware:
         self.boot_id = boot_id & 0xFFFFFFFF
         self.supply_share = 1.0
         """Of the sensors' 5 V; what the board measures of it."""
-        self._start = settings or FirmwareSettings(build="flying-vines 0.1")
+        self._start = settings or FirmwareSettings()
         _check(self._start)
         self._library = load(real)
         self._directly = directly
         self._stored = stored
-        self._build = self._start.build.encode("ascii")
+        self._build = (self._start.build or _BUILD).encode("ascii")
         self._outputs = _Outputs()
         self._openings = _Openings()
         self._image = ctypes.create_string_buffer(self._library.phlosar_image_size())

@@ -1,4 +1,4 @@
-"""A fake autopilot, flown by typing."""
+"""A fake autopilot flown, and a fake phloSAR broken, by typing."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ import os
 import stat
 import sys
 from collections.abc import Callable
+from itertools import groupby
 
 from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.mishaps import PLACES, Mishaps, kind_from, words_for
+from flying_vines.fakes.phlosar import SimulatedPhlosar
 
 HELP = """\
 arm · disarm · takeoff METRES · land · mission · mode NAME · rc CHANNEL MICROSECONDS
@@ -47,7 +50,34 @@ def obey(autopilot: Autopilot, line: str) -> str:
     return ""
 
 
-async def type_to(autopilot: Autopilot) -> None:
+MISHAPS = "\n".join(
+    [
+        f"{', '.join(places)}:\n  {' · '.join(words)}"
+        for words, places in groupby(PLACES, lambda place: [words_for(place, word) for word in PLACES[place]])
+    ]
+    + ["any: well\nwell: all of it"]
+)
+
+
+def suffer(phlosar: SimulatedPhlosar, line: str) -> str:
+    """Let happen what a line says; what to tell the person who typed it, or nothing."""
+    words = line.split()
+    if not words:
+        return ""
+    if words == ["well"]:
+        phlosar.mishaps = Mishaps()
+        return ""
+    place, kind = words[0], words[1:]
+    if place not in PLACES:
+        return MISHAPS
+    try:
+        phlosar.befall(place, None if kind == ["well"] else kind_from(place, kind))
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+async def type_to(obeyed: Callable[[str], str]) -> None:
     """Obey standard input, line by line, until it ends; where nobody can type there (a service), at once."""
     kind = os.fstat(sys.stdin.fileno()).st_mode
     if not (sys.stdin.isatty() or stat.S_ISFIFO(kind) or stat.S_ISSOCK(kind)):
@@ -56,6 +86,6 @@ async def type_to(autopilot: Autopilot) -> None:
     loop = asyncio.get_running_loop()
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
     while line := await reader.readline():
-        answer = obey(autopilot, line.decode(errors="replace"))
+        answer = obeyed(line.decode(errors="replace"))
         if answer:
             print(answer, flush=True)

@@ -55,6 +55,7 @@ STEP_S = 0.001
 """From one control step to the next, by design: the regulator does not follow a jittering clock."""
 _MAX_OUTPUT_BYTES = 1024
 """As the microcontroller's: what nobody fetches is lost, frame by frame, and the frames' numbers tell."""
+_BUILD = "emulated"
 _IN_A_ROW = 3
 """Readings. A glitch does not end a flight, and 3 ms are soon enough."""
 
@@ -241,7 +242,7 @@ class Firmware:
                 protocol_version=PROTOCOL_VERSION,
                 nonce=hello.nonce,
                 boot_id=self.boot_id,
-                firmware_build=settings.build,
+                firmware_build=settings.build or _BUILD,
                 units=Units.KPA_GAUGE,
                 cv_limit_kPa=settings.cv_limit_kPa,
                 setpoint_limit_kPa=settings.setpoint_most_kPa,

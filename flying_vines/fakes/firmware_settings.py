@@ -19,7 +19,8 @@ SENSOR_BEYOND_SPAN = 0.10625
 class FirmwareSettings:
     """What a firmware starts with. Pressures are kPa gauge."""
 
-    build: str = "emulated"
+    build: str = ""
+    """What it calls itself; else what it is."""
     cv_limit_kPa: float = 30.0
     """Above it the CV is vented and the fault latches."""
     setpoint_margin_kPa: float = 2.0

@@ -12,7 +12,8 @@ import socket
 from collections.abc import Callable
 from typing import Protocol
 
-from flying_vines.address import Address, NetworkAddress, SerialAddress
+from firmware_link.find import UsbBoard
+from flying_vines.address import DEFAULT_BAUD, Address, NetworkAddress, SerialAddress
 
 RETRY_S = 1.0
 MOST_PEERS = 4
@@ -26,6 +27,10 @@ OnState = Callable[[bool, str], None]
 class Link(Protocol):
     """Bytes to and from somewhere."""
 
+    @property
+    def dropped_bytes(self) -> int:
+        """Which were to be sent, and were not."""
+
     async def run(self) -> None:
         """Keep the link open until cancelled."""
 
@@ -35,9 +40,11 @@ class Link(Protocol):
 
 def open_link(address: Address, on_bytes: OnBytes, on_state: OnState) -> Link:
     """The transport for an address; nothing happens before `run`."""
-    if isinstance(address, SerialAddress):
+    if isinstance(address, (SerialAddress, UsbBoard)):
         from firmware_link.serial_port import SerialPort
 
+        if isinstance(address, UsbBoard):
+            return SerialPort(address, DEFAULT_BAUD, on_bytes, on_state)
         return SerialPort(address.path, address.baud, on_bytes, on_state)
     if address.kind == "tcp":
         return TcpLink(address, on_bytes, on_state)
@@ -52,6 +59,7 @@ class _NetworkLink:
         self._on_bytes = on_bytes
         self._on_state = on_state
         self._why_down = ""
+        self.dropped_bytes = 0
 
     def _up(self) -> None:
         self._why_down = ""
@@ -62,6 +70,16 @@ class _NetworkLink:
         if why != self._why_down:
             self._why_down = why
             self._on_state(False, why)
+
+    def write(self, data: bytes) -> bool:
+        """Send, or drop and say False."""
+        sent = self._send(data)
+        if not sent:
+            self.dropped_bytes += len(data)
+        return sent
+
+    def _send(self, data: bytes) -> bool:
+        raise NotImplementedError
 
 
 class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
@@ -95,7 +113,7 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
                 self._transport = None
                 transport.close()
 
-    def write(self, data: bytes) -> bool:
+    def _send(self, data: bytes) -> bool:
         if self._transport is None:
             return False
         if self._address.kind == "udpout":
@@ -148,7 +166,7 @@ class TcpLink(_NetworkLink, asyncio.Protocol):
             self._down("the connection was closed")
             await asyncio.sleep(RETRY_S)
 
-    def write(self, data: bytes) -> bool:
+    def _send(self, data: bytes) -> bool:
         if self._transport is None or self._transport.get_write_buffer_size() > MAX_QUEUED_BYTES:
             return False
         self._transport.write(data)

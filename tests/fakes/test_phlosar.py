@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,11 +13,12 @@ from statistics import median
 
 import pytest
 import serial
+from still_board import StillBoard
 
 from firmware_link.host import VENTING, Command, HostSession, Regulate, SessionState
 from firmware_link.protocol import Codec, Fault, Mode, Telemetry
 from flying_vines.cli import main
-from flying_vines.fakes.firmware import SAFE
+from flying_vines.fakes.firmware import SAFE, Drive
 from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.pneumatics.plant.effects import Effects
 from flying_vines.pneumatics.plant.true_rig import TrueRig
@@ -145,15 +148,26 @@ def test_a_reset_keeps_the_air() -> None:
     assert flight.session.welcome.boot_id == 2
 
 
-def test_leak_and_fill() -> None:
+def test_what_is_filled_in_has_come_from_outside() -> None:
     phlosar = SimulatedPhlosar(effects=Effects())
-    phlosar.reservoir_leak_kPa_per_s = 10.0
-    phlosar.advance(1.0)
-    assert phlosar.reservoir_kPa == pytest.approx(680.0, abs=0.01)
     phlosar.fill(500.0)
-    phlosar.reservoir_leak_kPa_per_s = 0.0
-    phlosar.advance(2.0)
+    phlosar.advance(1.0)
     assert phlosar.reservoir_kPa == pytest.approx(500.0)
+    # 190 kPa of 2 litres.
+    assert phlosar.state.vented_SL == pytest.approx(2.0 * 190.0 / 101.325)
+
+
+def test_any_firmware_may_run_it() -> None:
+    board = StillBoard(Drive(0.5, 0.0, False))
+    phlosar = SimulatedPhlosar(Rig(sensors=Sensors(0.0, 0.0)), board, effects=Effects())
+    phlosar.receive(b"hello")
+    assert phlosar.advance(0.1) == b".."
+    phlosar.reset_firmware(watchdog=True)
+    assert board.heard == b"hello"
+    assert [now_us for now_us, _, _ in board.steps] == [*range(0, 101_000, 1000), 100_000]
+    assert board.steps[100][1:] == (phlosar.cv_kPa, phlosar.reservoir_kPa)
+    assert 10.0 < phlosar.cv_kPa < 690.0 > phlosar.reservoir_kPa
+    assert board.resets == [True]
 
 
 def test_a_bottle_filled_by_hand_keeps_its_temperature() -> None:
@@ -239,6 +253,29 @@ def telemetry_through(path: str) -> int:
     with serial.Serial(path, 115200, timeout=0.1, exclusive=True) as port:
         messages = [message for _ in range(3) for message in codec.decode(port.read(300))]
     return sum(isinstance(message, Telemetry) for message in messages)
+
+
+def test_the_command_breaks_by_typing(tmp_path: Path) -> None:
+    link = tmp_path / "vine"
+    command = [sys.executable, "-m", "flying_vines", "fake", "phlosar", "--link", str(link)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as fake:
+        assert fake.stdin is not None
+        assert fake.stdout is not None
+        try:
+            assert fake.stdout.readline() == f"{link}\n"
+            fake.stdin.write("evp stuck wide\ncv_sensor shorted\n")
+            fake.stdin.flush()
+            assert fake.stdout.readline().startswith("stuck wide: ")
+            codec, faults = Codec(), Fault.NONE
+            deadline_s = time.monotonic() + 10.0
+            with serial.Serial(str(link), timeout=0.1, exclusive=True) as port:
+                while not faults and time.monotonic() < deadline_s:
+                    for message in codec.decode(port.read(300)):
+                        if isinstance(message, Telemetry):
+                            faults = message.faults
+            assert faults == Fault.CV_SENSOR
+        finally:
+            fake.terminate()
 
 
 async def test_hosts_may_come_and_go() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -211,8 +212,8 @@ def test_a_reset_while_the_port_was_closed_is_told() -> None:
 @pytest.mark.parametrize(
     ("wrong", "why"),
     [
-        ({"protocol_version": 2}, "update the host"),
-        ({"protocol_version": 0}, "update the firmware"),
+        ({"protocol_version": PROTOCOL_VERSION + 1}, "update the host"),
+        ({"protocol_version": PROTOCOL_VERSION - 1}, "update the firmware"),
         ({"units": 2}, "kPa gauge"),
         ({"cv_limit_kPa": math.nan}, "limits"),
         ({"rate_limit_kPa_per_s": -1.0}, "limits"),
@@ -268,7 +269,7 @@ def test_clearing_faults() -> None:
     assert session.clear_faults(0.0, Fault.DEAD_MAN) == []
     session = ready()
     assert session.clear_faults(0.0, Fault.DEAD_MAN | Fault.CV_SENSOR) == [ClearFaults(0b1001)]
-    assert session.clear_faults(0.0, ~Fault.NONE) == [ClearFaults(0b111111)]
+    assert session.clear_faults(0.0, ~Fault.NONE) == [ClearFaults(sum(Fault))]
 
 
 def test_telemetry_and_its_age() -> None:
@@ -315,6 +316,88 @@ def test_ping_gives_round_trip_and_clock() -> None:
         session.receive(t + delay_s, Pong(ping.host_time_us, device_ms))
     assert session.round_trip_s == pytest.approx(0.040)
     assert session.clock_offset_s == pytest.approx(-95.0, abs=0.001)
+
+
+def ping_for(
+    session: HostSession,
+    began: float,
+    for_s: int,
+    there_s: Callable[[int], float],
+    back_s: Callable[[int], float],
+    device_s: Callable[[float], float],
+) -> float:
+    """A ping a second, with these delays and this device clock; when the last pong came."""
+    t = began
+    for second in range(for_s):
+        asked = began + second
+        (ping,) = (message for message in session.tick(asked) if isinstance(message, Ping))
+        # The device's clock tells whole milliseconds that have passed, and wraps.
+        device_ms = int(device_s(asked + there_s(second)) * 1000) % 2**32
+        t = asked + there_s(second) + back_s(second)
+        session.receive(t, Pong(ping.host_time_us, device_ms))
+    return t
+
+
+delays = st.lists(st.floats(0.0001, 0.2), min_size=20, max_size=20)
+
+
+@given(delays, delays, st.floats(0.0, 1e6))
+def test_the_clock_offset_is_off_by_half_a_round_trip_and_a_millisecond_at_most(
+    there: list[float], back: list[float], device_began: float
+) -> None:
+    session = ready(t=100.0)
+    ping_for(session, 100.0, 20, there.__getitem__, back.__getitem__, lambda t: t + device_began)
+    assert session.round_trip_s == pytest.approx(there[-1] + back[-1], abs=1e-5)
+    quickest = min(a + b for a, b in zip(there[4:], back[4:], strict=True))
+    assert session.clock_offset_s is not None
+    wrapped = (device_began - session.clock_offset_s) % (2**32 / 1000)
+    assert min(wrapped, 2**32 / 1000 - wrapped) <= quickest / 2 + 0.001 + 1e-5
+
+
+@pytest.mark.parametrize("drift_ppm", [-100.0, 0.0, 40.0, 200.0])
+def test_the_drift_of_the_clock(drift_ppm: float) -> None:
+    session = ready(t=100.0)
+    # All of the delay is on the way there, and every seventh ping waits for long.
+    ping_for(
+        *(session, 100.0, 300),
+        there_s=lambda second: 0.2 if second % 7 == 0 else 0.003,
+        back_s=lambda second: 0.0001,
+        device_s=lambda t: 50.0 + (t - 100.0) * (1.0 + drift_ppm / 1e6),
+    )
+    assert session.clock_drift_ppm == pytest.approx(drift_ppm, abs=10.0)
+
+
+def test_there_is_no_drift_to_tell_within_the_first_minute() -> None:
+    session = ready(t=100.0)
+    ping_for(session, 100.0, 60, lambda second: 0.001, lambda second: 0.001, lambda t: t)
+    assert session.clock_offset_s == pytest.approx(0.0, abs=0.002)
+    assert session.clock_drift_ppm is None
+
+
+def test_the_offset_survives_the_wrap_of_the_clock() -> None:
+    session = ready(t=100.0)
+    full_s = 2**32 / 1000
+    ping_for(session, 100.0, 120, lambda second: 0.001, lambda second: 0.001, lambda t: t + full_s - 150.0)
+    assert session.clock_offset_s == pytest.approx(full_s - 150.0, abs=0.002)
+    assert session.clock_drift_ppm == pytest.approx(0.0, abs=20.0)
+
+
+def test_telemetry_that_was_overtaken_is_passed_over() -> None:
+    session = ready()
+    session.receive(0.10, telemetry(5010, cv_kPa=2.0))
+    assert session.receive(0.11, telemetry(5000, cv_kPa=1.0)) == []
+    assert session.telemetry == telemetry(5010, cv_kPa=2.0)
+    assert session.receive(0.12, telemetry(5020)) == [TelemetryReceived(telemetry(5020))]
+    assert session.telemetry_gaps == 0
+    assert session.state is SessionState.READY
+
+
+@pytest.mark.parametrize(("before_ms", "after_ms"), [(5000, 4899), (150, 90), (50, 0), (2**31 + 7, 10)])
+def test_a_clock_that_went_further_back_is_a_reset(before_ms: int, after_ms: int) -> None:
+    session = ready()
+    session.receive(0.1, telemetry(before_ms))
+    (event,) = session.receive(0.2, telemetry(after_ms))
+    assert isinstance(event, FirmwareReset)
 
 
 def test_pings_once_a_second() -> None:

@@ -11,14 +11,21 @@ from pathlib import Path
 
 import pytest
 import serial
+from serial.tools.list_ports_common import ListPortInfo
 
+from firmware_link import answer, serial_port
+from firmware_link.find import UsbBoard
+from firmware_link.framing import FRAME_END
 from firmware_link.host import FirmwareReset, HostEvent, Ready, Regulate, SessionState, TelemetryReceived
 from firmware_link.link import FirmwareLink
-from firmware_link.protocol import Mode
+from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello, Mode, Telemetry, Vent, Welcome
 from firmware_link.serial_port import MAX_QUEUED_BYTES, SerialPort
+from flying_vines.fakes.firmware import Firmware
 from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
 
 TIMEOUT_S = 5.0
+KERNEL_BYTES = 64 * 1024
+"""More than a pseudo-terminal holds."""
 
 
 class Watch:
@@ -155,20 +162,139 @@ async def test_writing_to_a_port_that_was_pulled_out_is_survived(link: Path, ter
         assert not port.write(b"still")
 
 
-async def test_a_device_that_does_not_read_blocks_nobody(link: Path, terminal: Terminal) -> None:
+async def wedge(port: SerialPort) -> bytes:
+    """Write until the kernel has taken nothing for so long that messages are dropped; what was written."""
+    sent = b""
+    async with asyncio.timeout(TIMEOUT_S):
+        while not port.dropped_bytes:
+            piece = b"%07d\n" % (len(sent) // 8)
+            assert port.write(piece)
+            sent += piece
+            await asyncio.sleep(0)
+    return sent
+
+
+async def test_to_a_wedged_reader_nobody_waits_and_what_is_stale_is_not_kept(
+    link: Path, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serial_port, "STALE_S", 0.02)
     watch = Watch()
     port = SerialPort(str(link), 115200, watch.on_bytes, watch.on_state)
     async with running(port):
         await watch.until(lambda: port.connected)
-        async with asyncio.timeout(TIMEOUT_S):
-            taken = 0
-            while port.write(b"x" * 1000):
-                taken += 1000
-                await asyncio.sleep(0)
-        assert port.dropped_bytes == 1000
-        assert taken >= MAX_QUEUED_BYTES - 1000
-        assert await read_from(terminal.device, taken) == b"x" * taken
-        assert port.write(b"y")
+        sent = await wedge(port)
+        await asyncio.sleep(0.05)
+        assert port.write(b"fresh 1\n")
+        assert port.write(b"fresh 2\n")
+        dropped = port.dropped_bytes
+        came = await read_from(terminal.device, len(sent) - dropped + 16)
+        # In order and whole; what waited for too long is missing, and the newest is not.
+        assert sent.startswith(came[:-16])
+        assert len(came) % 8 == 0
+        assert came.endswith(b"fresh 1\nfresh 2\n")
+        assert port.dropped_bytes == dropped > 0
+        assert port.write(b"and on")
+        assert await read_from(terminal.device, 6) == b"and on"
+
+
+async def test_a_burst_beyond_all_measure_keeps_the_newest(link: Path, terminal: Terminal) -> None:
+    watch = Watch()
+    port = SerialPort(str(link), 115200, watch.on_bytes, watch.on_state)
+    async with running(port):
+        await watch.until(lambda: port.connected)
+        # No time passes, so nothing is stale: the bound alone holds.
+        written = 0
+        for _ in range(100):
+            assert port.write(b"x" * 1024)
+            written += 1024
+        assert not port.write(b"y" * (MAX_QUEUED_BYTES + 1))
+        assert port.write(b"newest")
+        kept = written + MAX_QUEUED_BYTES + 1 + 6 - port.dropped_bytes
+        assert MAX_QUEUED_BYTES - 1024 <= kept <= MAX_QUEUED_BYTES + KERNEL_BYTES
+        assert (await read_from(terminal.device, kept)).endswith(b"newest")
+
+
+async def test_what_was_still_to_be_sent_when_the_port_went_is_counted(
+    link: Path, terminal: Terminal
+) -> None:
+    watch = Watch()
+    port = SerialPort(str(link), 115200, watch.on_bytes, watch.on_state)
+    async with running(port):
+        await watch.until(lambda: port.connected)
+        for _ in range(100):
+            port.write(b"x" * 1024)
+        dropped = port.dropped_bytes
+        terminal.pull_out()
+        await watch.until(lambda: not port.connected)
+    # The kernel has taken what is missing.
+    assert dropped + MAX_QUEUED_BYTES - 1024 <= port.dropped_bytes <= dropped + MAX_QUEUED_BYTES + 1024
+
+
+def boards(where: dict[str, str]) -> Callable[[], list[ListPortInfo]]:
+    """This machine's ports, as `where` says at the time: device by serial number."""
+
+    def ports() -> list[ListPortInfo]:
+        found = []
+        for number, device in where.items():
+            port = ListPortInfo(device)
+            port.vid, port.pid, port.serial_number = 0x16C0, 0x0483, number
+            found.append(port)
+        return found
+
+    return ports
+
+
+async def test_a_board_is_found_again_under_another_name() -> None:
+    where: dict[str, str] = {}
+    watch = Watch()
+    board = UsbBoard(0x16C0, 0x0483, "1234560")
+    host = FirmwareLink(board, watch.on_event, watch.on_state, ports=boards(where))
+    async with running(host):
+        await watch.until(lambda: len(watch.states) == 1)
+        assert watch.states[0][1].startswith(f"{board} is not there")
+        for opening in range(2):
+            with PtyPhlosar(SimulatedPhlosar()) as other, PtyPhlosar(SimulatedPhlosar()) as one:
+                # The name that it had last may be another board's now.
+                where |= {"7654320": other.path, "1234560": one.path}
+                async with running(one):
+                    await watch.until(lambda: any(isinstance(event, Ready) for event in watch.events))
+                    assert watch.states[-1] == (True, f"{board} ({one.path}) is open")
+                    assert host.statistics.reconnects == opening
+                where.clear()
+            await watch.until(lambda: not host.port.connected)
+            watch.events.clear()
+    assert host.statistics.bad_frames <= 1
+
+
+async def test_another_device_on_the_port_is_called_one(
+    link: Path, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(answer, "PATIENCE_S", 0.2)
+    watch = Watch()
+    host = FirmwareLink(str(link), watch.on_event, watch.on_state)
+    async with running(host):
+        await watch.until(lambda: host.port.connected)
+        os.write(terminal.device, b"$GNGGA,092725.00,4717.11399,N,00833.91590,E,1,08,1.01*45\r\n")
+        await watch.until(lambda: len(watch.states) == 2)
+        assert watch.states[1][0] is True
+        assert "this is another device" in watch.states[1][1]
+
+
+async def test_half_a_frame_of_whoever_was_here_before_costs_no_greeting(
+    link: Path, terminal: Terminal
+) -> None:
+    watch = Watch()
+    firmware = Firmware()
+    firmware.step(0, 0.0, 690.0)
+    firmware.receive(Codec().encode(Vent(1))[:-3])
+    host = FirmwareLink(str(link), watch.on_event, watch.on_state)
+    async with running(host):
+        greeting = FRAME_END + Codec().encode(Hello(PROTOCOL_VERSION, 1))
+        first = await read_from(terminal.device, len(greeting))
+    assert first == greeting
+    firmware.receive(first)
+    answers = Codec().decode(firmware.take_output())
+    assert [type(each) for each in answers if not isinstance(each, Telemetry)] == [Welcome]
 
 
 async def test_a_port_is_opened_by_one_alone(link: Path, terminal: Terminal) -> None:

@@ -98,3 +98,8 @@ def test_a_loop_that_has_ended_is_no_error() -> None:
 )
 def test_links_are_written_in_mavsdks_words(link: str, url: str) -> None:
     assert mavsdk_url(link) == url
+
+
+def test_a_board_that_is_not_there_is_no_link() -> None:
+    with pytest.raises(ValueError, match="usb:ffff:ffff is not there"):
+        mavsdk_url("usb:ffff:ffff")

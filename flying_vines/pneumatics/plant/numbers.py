@@ -30,6 +30,8 @@ class Valve(NamedTuple):
     """1/τ; 0: it is where it is driven to."""
     has_coil: bool
     coil: Coil
+    stuck_opening: float = -1.0
+    """0…1: it goes there, and stays, whatever it is told. Below 0: it does as it is told."""
 
 
 class Numbers(NamedTuple):
@@ -54,6 +56,8 @@ class Numbers(NamedTuple):
     has_tubing: bool
     line_kPa_per_SL: float
     line_SL_per_s_kPa: float
+    line_hole: Opening
+    """From the tubing's near end to ambient."""
     has_edges: bool
     """Whether the right-hand side has kinks or jumps that a step must not pass."""
     standing_per_s: float
@@ -106,6 +110,7 @@ def numbers_of(plant: Plant, tick_s: float) -> Numbers:
         has_tubing=tubing is not None,
         line_kPa_per_SL=ALPHA_KPA / tubing.volume_L if tubing else 0.0,
         line_SL_per_s_kPa=1.0 / tubing.flow_resistance_kPa_s_per_SL if tubing else 0.0,
+        line_hole=Opening(),
         has_edges=venturi.stall_supply_kPa > 0.0 or cv.full_edge_L > 0.0,
         standing_per_s=standing_per_s,
     )

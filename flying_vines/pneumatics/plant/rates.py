@@ -66,10 +66,10 @@ def rates(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held) ->
     (
         evp, evp_ratio, motive, motive_ratio, outlet, outlet_ratio,
         leak_r, leak_r_ratio, leak_c, leak_c_ratio, onward, onward_ratio,
-        heat_r, heat_c, ratio_a, volume,
+        heat_r, heat_c, lost, ratio_a, volume,
     ) = _balance(numbers, air, at_s, state, held)  # fmt: skip
     reservoir_pV = reservoir_wall = cv_energy = cv_wall = cv_air = line_air = 0.0
-    vented = motive + outlet + leak_r + leak_c
+    vented = motive + outlet + leak_r + leak_c + lost
     if numbers.reservoir_heat.own_temperature:
         reservoir_pV = heat_r - _GAMMA_ALPHA * (
             evp_ratio * evp + motive_ratio * motive + leak_r_ratio * leak_r
@@ -79,7 +79,7 @@ def rates(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held) ->
         vented += evp
     else:
         if numbers.has_tubing:
-            line_air = evp - outlet - onward
+            line_air = evp - outlet - onward - lost
             cv_air = onward - leak_c
             enthalpy = onward_ratio * onward - leak_c_ratio * leak_c
         else:
@@ -105,10 +105,11 @@ def rates(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held) ->
 def _balance(
     numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held
 ) -> tuple[
-    float, float, float, float, float, float, float, float,
+    float, float, float, float, float, float, float, float, float,
     float, float, float, float, float, float, float, float,
 ]:  # fmt: skip
-    """All flows with their temperatures, the heats, ambient temperature, and the control volume."""
+    """All flows with their temperatures, the heats, what the line loses, ambient temperature, and the
+    control volume."""
     n_r, e_r, wall_r, n_c, e_c, wall_c, n_l, x_e, x_d, _ = state
     if numbers.evp.lag_per_s == 0.0:
         x_e = held.evp_target
@@ -132,7 +133,7 @@ def _balance(
         if held.venturi_stalled:
             vacuum = 0.0
 
-    evp = outlet = leak_c = onward = heat_c = volume = 0.0
+    evp = outlet = leak_c = onward = heat_c = lost = volume = 0.0
     ratio_c = ratio_near = ratio_a
     if not numbers.has_cv:
         if x_e > 0.0:
@@ -147,6 +148,8 @@ def _balance(
         if numbers.has_tubing:
             near = n_l * ratio_a * numbers.line_kPa_per_SL
             onward = (near - p_c) * numbers.line_SL_per_s_kPa
+            if numbers.line_hole.conductance_SL_per_s_kPa > 0.0:
+                lost = flow_SL_per_s(numbers.line_hole, near, ambient, ratio_near, ratio_a)
         else:
             near, ratio_near = p_c, ratio_c
         if x_e > 0.0:
@@ -164,7 +167,7 @@ def _balance(
         leak_r, ratio_r if leak_r >= 0.0 else ratio_a,
         leak_c, ratio_c if leak_c >= 0.0 else ratio_a,
         onward, ratio_a if onward >= 0.0 else ratio_c,
-        heat_r, heat_c, ratio_a, volume,
+        heat_r, heat_c, lost, ratio_a, volume,
     )  # fmt: skip
 
 
@@ -221,6 +224,7 @@ def quickest_per_s(numbers: Numbers, air: Air, state: Floats, held: Held) -> flo
     leak = numbers.cv_leak.steepest_SL_per_s_kPa
     if numbers.has_tubing:
         line = numbers.line_SL_per_s_kPa
+        through += numbers.line_hole.steepest_SL_per_s_kPa
         quickest = (through + line) * numbers.line_kPa_per_SL + ALPHA_KPA * (line + leak) * per_litre
     else:
         quickest = ALPHA_KPA * (through + leak) * per_litre

@@ -7,7 +7,7 @@ from collections import deque
 from flying_vines.pneumatics.baseline import Inputs
 from flying_vines.pneumatics.plant.ambient import Steady, air_at, air_between
 from flying_vines.pneumatics.plant.gas import STANDARD_TEMPERATURE_K
-from flying_vines.pneumatics.plant.numbers import numbers_of
+from flying_vines.pneumatics.plant.numbers import Numbers, numbers_of
 from flying_vines.pneumatics.plant.plant import Conditions, Held, Plant, State, at_rest
 from flying_vines.pneumatics.plant.rates import conditions
 from flying_vines.pneumatics.plant.tick import memory_at_rest, tick
@@ -20,7 +20,8 @@ class Simulator:
     """`advance` by ticks with the firmware's commands; ask `conditions` in between.
 
     `initial` is what the delays still hold of before; lag starts from the state, play closed, coils at the
-    ambient temperature. The same plant, state and commands give the same floats.
+    ambient temperature. The same plant, state and commands give the same floats. `numbers` and `state` may be
+    exchanged between ticks.
     """
 
     def __init__(
@@ -42,6 +43,8 @@ class Simulator:
         self._memory = memory_at_rest(bool(initial.solenoid), self._air.ratio * STANDARD_TEMPERATURE_K)
         self._evp_line = deque((initial.evp,) * self.numbers.evp.delay_ticks)
         self._dvp_line = deque((initial.dvp,) * self.numbers.dvp.delay_ticks)
+        # What the last tick was given, if it changed nothing.
+        self._at_rest: tuple[Numbers, State, float, float, bool] | None = None
 
     @property
     def t_s(self) -> float:
@@ -66,8 +69,8 @@ class Simulator:
     def dvp_coil_K(self) -> float:
         return self._memory.dvp.coil_K
 
-    def advance(self, command: Inputs) -> None:
-        """One tick, for which the firmware commands this."""
+    def advance(self, command: Inputs) -> bool:
+        """One tick, for which the firmware commands this; whether anything changed."""
         evp, dvp, solenoid = command
         if self._evp_line:
             self._evp_line.append(evp)
@@ -80,6 +83,15 @@ class Simulator:
         if not self._steady:
             air = air_at(self.plant.ambient, self.t_s)
             during = air_between(self._air, air, self.numbers.tick_s)
-        self._memory, state = tick(self.numbers, during, self._memory, self.state, evp, dvp, bool(solenoid))
+        told = bool(solenoid)
+        given = (self.numbers, self.state, evp, dvp, told)
+        # What changed nothing changes nothing again. A vine waits most of its time.
+        if given == self._at_rest:
+            return False
+        memory, state = tick(self.numbers, during, self._memory, self.state, evp, dvp, told)
+        resting = self._steady and state == self.state and memory == self._memory
+        self._at_rest = given if resting else None
+        self._memory = memory
         self._air = air
         self.state = State._make(state)
+        return True

@@ -135,6 +135,8 @@ def tick(
 def _follow(valve: Valve, memory: ValveMemory, command: float, air: Air, tick_s: float) -> ValveMemory:
     """Where a valve is driven to during a tick."""
     coil_K = memory.coil_K
+    if valve.stuck_opening >= 0.0:
+        return ValveMemory(valve.stuck_opening, memory.passed_on, coil_K)
     if valve.has_coil:
         current = current_A(valve.coil, command, coil_K)
         ambient_K = air.ratio * STANDARD_TEMPERATURE_K

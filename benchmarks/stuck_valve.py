@@ -1,0 +1,110 @@
+"""Can letting air out hold a vine whose inflation valve is stuck open?
+
+A likely rig with a full bottle, its vine held at 20.7 kPa by the firmware's regulator until its inflation
+valve sticks open. Then one of: the host notices nothing and the firmware goes on regulating until it finds a
+fault; it is told to vent; it is told to vent, and the Venturi runs as well; it is told to vent and the outlet
+does not open. Pressures are kPa gauge, the firmware's limit is 30. How fast the vine fills at most, when it
+is at the limit, its highest pressure and when, for how long it is above the limit, and what the bottle holds
+at the end (of 12 s; of 1 s where nothing can leave).
+
+    python benchmarks/stuck_valve.py
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from rich.console import Console
+from rich.table import Table
+
+from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello, Setpoint, Vent
+from flying_vines.fakes.mishaps import StuckAt
+from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.pneumatics.rig import ControlVolume, Rig
+
+HELD_KPA, LIMIT_KPA = 20.7, 30.0
+SETTLED_S, WATCHED_S = 6.0, 12.0
+OUTLETS: dict[str, dict[str, StuckAt]] = {
+    "regulated": {},
+    "vented": {},
+    "vented with the Venturi": {"dvp": StuckAt(1.0)},
+    "outlet stuck shut": {"solenoid": StuckAt(0.0)},
+}
+
+
+class Found(NamedTuple):
+    """What the vine went through."""
+
+    fastest_kPa_per_s: float
+    at_limit_s: float | None
+    highest_kPa: float
+    highest_s: float
+    above_s: float
+    bottle_kPa: float
+    """At the end."""
+
+
+def stuck(volume_L: float, outlet: str, watched_s: float) -> Found:
+    """From the moment that the valve sticks."""
+    phlosar, host = SimulatedPhlosar(Rig(cv=ControlVolume(volume_L=volume_L))), Codec()
+    phlosar.receive(host.encode(Hello(PROTOCOL_VERSION, 1)))
+    fastest_kPa_per_s = highest_kPa = highest_s = 0.0
+    at_limit_s = None
+    above_ms = 0
+    settled_ms = round(SETTLED_S * 1000)
+    for ms in range(1, settled_ms + round(watched_s * 1000) + 1):
+        if ms % 20 == 1 and (ms <= settled_ms or outlet == "regulated"):
+            phlosar.receive(host.encode(Setpoint(HELD_KPA, 50.0, 250, 1)))
+        if ms == settled_ms + 1:
+            for place, mishap in {"evp": StuckAt(1.0), **OUTLETS[outlet]}.items():
+                phlosar.befall(place, mishap)
+            if outlet != "regulated":
+                phlosar.receive(host.encode(Vent(2)))
+        before_kPa = phlosar.cv_kPa
+        phlosar.advance(ms / 1000)
+        if ms <= settled_ms:
+            continue
+        now_s, kPa = ms / 1000 - SETTLED_S, phlosar.cv_kPa
+        fastest_kPa_per_s = max(fastest_kPa_per_s, (kPa - before_kPa) * 1000)
+        if kPa > highest_kPa:
+            highest_kPa, highest_s = kPa, now_s
+        if kPa > LIMIT_KPA:
+            above_ms += 1
+            at_limit_s = at_limit_s or now_s
+    return Found(
+        fastest_kPa_per_s, at_limit_s, highest_kPa, highest_s, above_ms / 1000, phlosar.reservoir_kPa
+    )
+
+
+def main() -> None:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in (
+        "vine L",
+        "outlet",
+        "kPa/s",
+        "at 30 kPa",
+        "highest kPa",
+        "after",
+        "above 30",
+        "bottle kPa",
+    ):
+        table.add_column(heading, justify="left" if heading == "outlet" else "right", no_wrap=True)
+    for volume_L in (0.1, 0.5, 1.0):
+        for outlet in OUTLETS:
+            # With no way out a second says enough.
+            found = stuck(volume_L, outlet, 1.0 if "solenoid" in OUTLETS[outlet] else WATCHED_S)
+            table.add_row(
+                f"{volume_L:g}",
+                outlet,
+                f"{found.fastest_kPa_per_s:.0f}",
+                "never" if found.at_limit_s is None else f"{found.at_limit_s:.2f} s",
+                f"{found.highest_kPa:.1f}",
+                f"{found.highest_s:.1f} s",
+                f"{found.above_s:.1f} s",
+                f"{found.bottle_kPa:.0f}",
+            )
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

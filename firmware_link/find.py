@@ -1,0 +1,90 @@
+"""A board by what it says of itself on USB, whatever its port is called today.
+
+A port's name follows the order in which boards were plugged in: a board that restarts while its old port is
+still held comes back as another one. The ids, and among equal boards the serial number, do not change.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Self
+
+from serial.tools.list_ports import comports
+from serial.tools.list_ports_common import ListPortInfo
+
+from firmware_link.protocol import LinkError
+
+Ports = Callable[[], Iterable[ListPortInfo]]
+
+FORM = "usb:VENDOR:PRODUCT[:SERIAL]"
+_TEXT = re.compile(r"usb:([0-9a-f]{4}):([0-9a-f]{4})(?::([^\s:]+))?", re.IGNORECASE)
+
+
+class BoardNotFoundError(LinkError):
+    """No board fits, or several do; the text says which ports there are instead."""
+
+
+@dataclass(frozen=True, slots=True)
+class UsbBoard:
+    """A board on USB; without a serial number, the only one of its kind."""
+
+    vendor_id: int
+    product_id: int
+    serial_number: str | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """`usb:16c0:0483` or `usb:16c0:0483:1234560`; ValueError with a sentence for anything else."""
+        found = _TEXT.fullmatch(text)
+        if found is None:
+            raise ValueError(f"'{text}' is no board: give {FORM}, ids of four hexadecimal digits as in lsusb")
+        return cls(int(found[1], 16), int(found[2], 16), found[3])
+
+    def __str__(self) -> str:
+        kind = f"usb:{self.vendor_id:04x}:{self.product_id:04x}"
+        return kind if self.serial_number is None else f"{kind}:{self.serial_number}"
+
+    def find(self, ports: Ports | None = None) -> str:
+        """The port that the board has now, of `ports` (this machine's); BoardNotFoundError."""
+        there = sorted((ports or _ports_of_this_machine)(), key=lambda port: port.device)
+        found = [port for port in there if self._is(port)]
+        if len(found) == 1:
+            return str(found[0].device)
+        if found:
+            raise BoardNotFoundError(self._too_many(found))
+        instead = ", ".join(map(_described, there)) or "no serial port at all"
+        raise BoardNotFoundError(
+            f"{self} is not there: is the board plugged in, powered and flashed? There is {instead}"
+        )
+
+    def _is(self, port: ListPortInfo) -> bool:
+        same_kind = (port.vid, port.pid) == (self.vendor_id, self.product_id)
+        return same_kind and self.serial_number in (None, port.serial_number)
+
+    def _too_many(self, found: list[ListPortInfo]) -> str:
+        which = f"{self} is {len(found)} ports: {', '.join(map(_described, found))}"
+        numbers = {port.serial_number for port in found}
+        if len(numbers) == len(found) and None not in numbers:
+            return f"{which}; add the serial number of the right one, as in {self}:{found[0].serial_number}"
+        return f"{which}; give the right one as serial:/dev/serial/by-path/…"
+
+
+def _ports_of_this_machine() -> Iterable[ListPortInfo]:
+    try:
+        return comports()
+    except (OSError, TypeError, ValueError):
+        # pyserial stumbles over a board that is pulled out while it reads what the board is.
+        return []
+
+
+def _described(port: ListPortInfo) -> str:
+    if port.vid is None:
+        return str(port.device)
+    words = [f"usb:{port.vid:04x}:{port.pid:04x}"]
+    if port.product:
+        words.append(port.product)
+    if port.serial_number:
+        words.append(f"serial number {port.serial_number}")
+    return f"{port.device} ({', '.join(words)})"

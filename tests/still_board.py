@@ -1,0 +1,32 @@
+"""A board that is there, writes down what it is given, and tells its valves always the same."""
+
+from __future__ import annotations
+
+from firmware_link.protocol import Fault, Mode
+from flying_vines.fakes.regulator import Drive
+
+
+class StillBoard:
+    """Exchange `drive` for what the valves are to be told from the next step on."""
+
+    def __init__(self, drive: Drive) -> None:
+        self.drive = drive
+        self.heard = b""
+        self.steps: list[tuple[int, float, float]] = []
+        """When, and what the sensors read: CV, reservoir."""
+        self.resets: list[bool] = []
+        """Whether each was the watchdog's."""
+        self.mode, self.faults, self.number = Mode.VENT, Fault.NONE, 0
+
+    def receive(self, data: bytes) -> None:
+        self.heard += data
+
+    def take_output(self) -> bytes:
+        return b"."
+
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+        self.steps.append((now_us, cv_kPa, reservoir_kPa))
+        return self.drive
+
+    def reset(self, *, watchdog: bool = False) -> None:
+        self.resets.append(watchdog)
