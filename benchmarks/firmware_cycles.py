@@ -1,0 +1,271 @@
+"""What the firmware's control step costs on its chip: instructions, and an estimate of cycles.
+
+The object code of the chip's image runs on an emulated Cortex-M0 through the golden run (tests/firmware).
+What it takes is counted by the emulator's clock and by a trace of every instruction. Both counts have to
+agree, and the trace tells loads, stores and branches from what takes one cycle.
+
+Instructions are not cycles. The estimate takes the Cortex-M0+'s own times (a load or store 2, a branch that
+is taken 2, a call 3, a multiplication 1) and a memory without wait states. Flash at 24 MHz under a core at
+48 MHz makes each of its words wait for a cycle unless cache or prefetch has it; "uncached" is without either,
+so the truth lies between the two. Interrupts come on top.
+
+    python benchmarks/firmware_cycles.py            # two minutes
+    python benchmarks/firmware_cycles.py --check    # exit status 1 when a control step takes 20 % or more
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+import tempfile
+from collections import Counter, defaultdict
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from firmware_link.framing import FrameDecoder
+from firmware_link.protocol import (
+    ClearFaults,
+    GetSetting,
+    Hello,
+    Mode,
+    Ping,
+    ProtocolError,
+    Setpoint,
+    SetSetting,
+    Vent,
+    decode,
+)
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+
+from firmware.emulated_chip import Instructions, build, run, trace
+from firmware.golden_run import FULL_EVP_DUTY, PACKET, Done, Part, Step, difference, read
+
+CORE_HZ = 48e6
+STEP_HZ = 1000
+BUDGET = 0.2 * CORE_HZ / STEP_HZ
+TRACED = ("handshake", "inflation", "telemetry at 1000 Hz", "a busy line", "watchdog")
+OPERATIONS = Instructions._fields
+"""In a step, in this order."""
+
+
+class Cost(NamedTuple):
+    instructions: int
+    cycles: int
+    uncached_cycles: int
+
+
+class Ticked(NamedTuple):
+    """A step, and what each of its operations cost."""
+
+    step: Step
+    done: Done
+    telemetry: bool
+    """Whether the step made some."""
+    costs: tuple[Cost, ...]
+
+    @property
+    def together(self) -> Cost:
+        return Cost(*(sum(column) for column in zip(*self.costs, strict=True)))
+
+
+class Program:
+    """What each of its instructions takes."""
+
+    def __init__(self, path: Path) -> None:
+        listing = _output("arm-none-eabi-objdump", "-d", "--no-show-raw-insn", str(path))
+        lines = re.findall(r"^ +([0-9a-f]+):\t(\S+)(?:\t([^@\n]*))?", listing, re.MULTILINE)
+        addresses = [int(address, 16) for address, _, _ in lines]
+        halves = max(addresses) // 2 + 2
+        self._cycles = np.zeros(halves, np.int64)
+        self._branches = np.zeros(halves, np.bool_)
+        self._from_flash = np.zeros(halves, np.bool_)
+        for address, (_, name, operands) in zip(addresses, lines, strict=True):
+            at = address // 2
+            name = name.removesuffix(".n")
+            self._cycles[at] = _cycles(name, operands.strip())
+            self._branches[at] = (
+                re.fullmatch(r"b(eq|ne|cs|cc|mi|pl|vs|vc|hi|ls|ge|lt|gt|le)", name) is not None
+            )
+            self._from_flash[at] = name.startswith("ldr") and operands.lstrip().find("[pc") > 0
+        symbols = re.findall(r"^([0-9a-f]+) <(\S+)>:", listing, re.MULTILINE)
+        self._names = [name for _, name in symbols]
+        self._begins = np.array([int(address, 16) for address, _ in symbols])
+
+    def cost(self, addresses: list[int]) -> Cost:
+        at = np.array(addresses)
+        taken = self._branches[at[:-1] // 2] & (at[1:] != at[:-1] + 2)
+        cycles = int(self._cycles[at // 2].sum() + taken.sum())
+        words = 1 + int((at[1:] // 4 != at[:-1] // 4).sum())
+        return Cost(len(at), cycles, cycles + words + int(self._from_flash[at // 2].sum()))
+
+    def routines(self, addresses: list[int]) -> Counter[str]:
+        at = np.searchsorted(self._begins, np.array(addresses), side="right") - 1
+        return Counter(self._names[i] for i in at)
+
+
+def _cycles(name: str, operands: str) -> int:
+    """Of the Cortex-M0+, with a multiplier of one cycle; of a conditional branch that is not taken."""
+    registers = _registers(operands)
+    if name == "pop" and "pc" in operands:
+        return 3 + len(registers)
+    if name in ("push", "pop", "stmia", "ldmia"):
+        return 1 + len(registers)
+    if name.startswith(("ldr", "str")):
+        return 2
+    if name == "bl":
+        return 3
+    if name in ("b", "bx", "blx") or (name in ("mov", "add") and operands.startswith("pc")):
+        return 2
+    return 1
+
+
+def _registers(operands: str) -> list[str]:
+    """Of a list in braces."""
+    _, _, inside = operands.partition("{")
+    return [one for one in inside.rstrip("}").split(", ") if one]
+
+
+def _output(*command: str) -> str:
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+def traced(program: Path, part: Part, folder: Path) -> tuple[list[Ticked], Counter[str]]:
+    """Step by step; and where the instructions of its costliest step go, beside what the port does."""
+    by_clock = run(program, part.told, folder).ticked
+    if different := difference(part, (ticked.done for ticked in by_clock)):
+        sys.exit(different)
+    costs_of = Program(program)
+    costs: list[Cost] = []
+    telemetry: list[bool] = []
+    worst = Counter[str]()
+    beyond: dict[str, set[int]] = defaultdict(set)
+    counted = (count for ticked in by_clock for count in ticked.instructions)
+    for (name, addresses), by_the_clock in zip(trace(program, part.told, folder), counted, strict=True):
+        costs.append(costs_of.cost(addresses))
+        beyond[name].add(by_the_clock - len(addresses))
+        if name == "step":
+            routines = costs_of.routines(addresses)
+            telemetry.append(any("tell_telemetry" in routine for routine in routines))
+            worst = max(worst, routines, key=Counter.total)
+    if any(len(few) != 1 for few in beyond.values()):
+        sys.exit(f"clock and trace do not agree in {part.name}: {dict(beyond)}")
+    if not any(telemetry):
+        sys.exit(f"{part.name} has no telemetry, or what makes it is no routine of its own any more")
+    triples = zip(costs[0::3], costs[1::3], costs[2::3], strict=True)
+    return [Ticked(*one) for one in zip(part.steps, part.done, telemetry, triples, strict=True)], worst
+
+
+def doing(done: Done) -> str:
+    if done.mode != Mode.REGULATE:
+        return "vent" if done.mode == Mode.VENT else "fault"
+    if done.evp_duty >= FULL_EVP_DUTY:
+        return "regulate: on-off, fully open"
+    if done.evp_duty > 0:
+        return "regulate: opening, or a puff"
+    if done.solenoid:
+        return "regulate: venting, Venturi" if done.dvp_duty else "regulate: venting, passive"
+    return "regulate: all shut"
+
+
+def said(data: bytes) -> str:
+    """The kind of the only frame in it; empty for none, and for more."""
+    kinds = (Hello, Setpoint, Vent, ClearFaults, Ping, GetSetting, SetSetting)
+    payloads = FrameDecoder().feed(data)
+    if len(payloads) != 1 or data.count(0) != 1:
+        return ""
+    try:
+        message = decode(payloads[0])[0]
+    except ProtocolError:
+        return ""
+    return type(message).__name__ if isinstance(message, kinds) else ""
+
+
+def table(title: str, rows: dict[str, list[Cost]]) -> Table:
+    made = Table(title=title)
+    made.add_column("")
+    columns = (
+        "times",
+        "instructions, mean",
+        "99 %",
+        "most",
+        "cycles, mean",
+        "most",
+        "most, uncached",
+        "of 1 ms",
+    )
+    for column in columns:
+        made.add_column(column, justify="right")
+    for name, costs in sorted(rows.items()):
+        instructions, cycles, uncached = np.array(costs).T
+        made.add_row(
+            *(name, str(len(costs)), f"{instructions.mean():.0f}", f"{_percentile(instructions):.0f}"),
+            *(str(instructions.max()), f"{cycles.mean():.0f}", str(cycles.max()), str(uncached.max())),
+            f"{uncached.max() / CORE_HZ * STEP_HZ:.0%}",
+        )
+    return made
+
+
+def _percentile(numbers: NDArray[np.int64]) -> float:
+    return float(np.percentile(numbers, 99.0))
+
+
+def tables(ticked: Iterable[Ticked]) -> list[Table]:
+    steps: dict[str, list[Cost]] = defaultdict(list)
+    frames: dict[str, list[Cost]] = defaultdict(list)
+    packets: dict[str, list[Cost]] = defaultdict(list)
+    whole: dict[str, list[Cost]] = defaultdict(list)
+    for one in ticked:
+        received, step, _ = one.costs
+        steps[f"{doing(one.done)}{', telemetry' if one.telemetry else ''}"].append(step)
+        if kind := said(one.step.received):
+            frames[kind].append(received)
+        elif len(one.step.received) > PACKET // 2:
+            packets[f"up to {PACKET}" if len(one.step.received) <= PACKET else "more"].append(received)
+        if one.step.received.count(0) <= 1 and max(len(one.step.received), one.step.fetched) <= PACKET:
+            whole["step, up to one frame in, up to a packet out"].append(one.together)
+    return [
+        table("A control step", steps),
+        table("Receiving one frame", frames),
+        table("Receiving many at once, by bytes", packets),
+        table("All of a millisecond", whole),
+    ]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument(
+        "--check", action="store_true", help="exit status 1 when a control step takes too much"
+    )
+    check = parser.parse_args().check
+    console = Console(width=150)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        program = build(folder)
+        ticked: list[Ticked] = []
+        worst = Counter[str]()
+        for part in read():
+            if part.name in TRACED:
+                more, worst_at = traced(program, part, folder)
+                ticked += more
+                worst = max(worst, worst_at, key=Counter.total)
+        for one in tables(ticked):
+            console.print(one)
+        console.print(f"The costliest step has {worst.total()} instructions:")
+        for routine, count in worst.most_common(12):
+            console.print(f"{count:7}  {routine}", highlight=False)
+        most = max(one.costs[OPERATIONS.index("step")].instructions for one in ticked)
+    console.print(f"{most} instructions at most, of {BUDGET:.0f} that a control step may have")
+    return int(check and most >= BUDGET)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,42 @@
+// What runs before `main`: vectors, variables, and an end to everything that must not happen.
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "semihosting.h"
+
+int main();
+
+extern "C" {
+
+extern uint32_t stack_top[];
+extern const uint32_t data_kept_at[];
+extern uint32_t data_begin[];
+extern uint32_t data_end[];
+extern uint32_t bss_begin[];
+extern uint32_t bss_end[];
+
+[[noreturn]] void reset() {
+    const uint32_t* kept = data_kept_at;
+    for (uint32_t* at = data_begin; at != data_end; ++at) *at = *kept++;
+    for (uint32_t* at = bss_begin; at != bss_end; ++at) *at = 0;
+    host::leave(main());
+}
+
+[[noreturn]] void crashed() { host::leave(100); }
+
+}  // extern "C"
+
+namespace {
+
+union Vector {
+    uint32_t* stack;
+    void (*handler)();
+};
+
+// Nothing is interrupted here: only NMI and HardFault can come.
+__attribute__((section(".vectors"), used)) constexpr Vector kVectors[] = {
+    {stack_top}, {.handler = reset}, {.handler = crashed}, {.handler = crashed},
+};
+
+}  // namespace

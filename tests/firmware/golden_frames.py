@@ -1,0 +1,174 @@
+"""Conversations out of the protocol's golden vectors: each host's frame, and what leads to each device's."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from firmware_link.framing import FrameDecoder
+from firmware_link.protocol import (
+    PROTOCOL_VERSION,
+    ClearFaults,
+    GetSetting,
+    Hello,
+    HostMessage,
+    Message,
+    Ping,
+    Pong,
+    Refusal,
+    RefusalReason,
+    Setpoint,
+    SetSetting,
+    Setting,
+    Telemetry,
+    Units,
+    Welcome,
+    decode,
+    encode,
+)
+from flying_vines.fakes.firmware_settings import SETTING_ROWS, FirmwareSettings, value_of
+
+from .golden_run import Done, PowerUp, Step, Told
+
+VECTORS: dict[str, Any] = json.loads(
+    (Path(__file__).parents[1] / "firmware_link" / "golden_vectors.json").read_text()
+)
+IDS = {row.name: number for number, row in enumerate(SETTING_ROWS)}
+HELLO = Hello(PROTOCOL_VERSION, 1)
+_READINGS = (5958, 27_880, 59_578)
+_STANDARD = FirmwareSettings(build="golden")
+
+
+class Conversation(NamedTuple):
+    told: list[Told]
+    answers: list[Message]
+    """To what is said last; without telemetry."""
+
+
+def of_host_frame(frame: bytes) -> Conversation:
+    """A board that has just booted hears `frame`."""
+    told = [*_booted(), _said(1, frame)]
+    match _message(frame):
+        case Hello(version, nonce):
+            answers: list[Message] = [_welcome(nonce)]
+            if version != PROTOCOL_VERSION:
+                answers.append(Refusal(0, RefusalReason.VERSION))
+        case Setpoint(number=number):
+            answers = [Refusal(number, RefusalReason.NO_HANDSHAKE)]
+        case ClearFaults() | SetSetting():
+            answers = [Refusal(0, RefusalReason.NO_HANDSHAKE)]
+        case Ping(host_time_us):
+            answers = [Pong(host_time_us, 0)]
+        case GetSetting(number):
+            answers = [_setting(number, value_of(_STANDARD, SETTING_ROWS[number].name))]
+        case _:
+            answers = []
+    return Conversation(told, answers)
+
+
+def to_device_frame(frame: bytes) -> Conversation | None:
+    """A board is brought to send `frame`, but for the sequence number; None where no board of ours does."""
+    message = _message(frame)
+    answers = [message]
+    match message:
+        case Welcome():
+            # Some speak for another version, which no board of this one claims to be.
+            answers = [replace(message, protocol_version=PROTOCOL_VERSION)]
+            told = _to_welcome(message)
+        case Pong(host_time_us, device_time_ms):
+            told = [*_booted(), _said(device_time_ms), _said(device_time_ms, Ping(host_time_us))]
+        case Refusal(_, RefusalReason.VERSION):
+            told = [*_booted(), _said(1, Hello(PROTOCOL_VERSION + 1, 1))]
+            answers = [_welcome(1), message]
+        case Refusal():
+            told = _to_refusal(message)
+        case Setting(number, value=value):
+            if frames([message]) != frames([_setting(number, value)]):
+                return None
+            told = [*_booted(), _said(1, HELLO), _said(2, SetSetting(number, value))]
+        case _:
+            return None
+    return Conversation(told, answers)
+
+
+def answers_in(done: Done) -> list[Message]:
+    messages = [decode(payload)[0] for payload in FrameDecoder().feed(done.sent)]
+    return [message for message in messages if not isinstance(message, Telemetry)]
+
+
+def frames(messages: list[Message]) -> list[bytes]:
+    """As they are on the wire, but for the sequence."""
+    return [encode(message, 0) for message in messages]
+
+
+def _to_welcome(welcome: Welcome) -> list[Told]:
+    values = {
+        "cv_limit_kPa": welcome.cv_limit_kPa,
+        "setpoint_margin_kPa": welcome.cv_limit_kPa - welcome.setpoint_limit_kPa,
+        "reservoir_limit_kPa": welcome.reservoir_limit_kPa,
+        "rate_limit_kPa_per_s": welcome.rate_limit_kPa_per_s,
+        "dead_man_ms": welcome.dead_man_ms,
+        "telemetry_Hz": welcome.telemetry_Hz,
+    }
+    settings = [SetSetting(IDS[name], value) for name, value in values.items()]
+    return [
+        *_booted(welcome.boot_id, welcome.firmware_build),
+        _said(1, HELLO, *settings),
+        _said(2, Hello(PROTOCOL_VERSION, welcome.nonce)),
+    ]
+
+
+def _to_refusal(refusal: Refusal) -> list[Told]:
+    number = refusal.number
+    match refusal.reason:
+        case RefusalReason.NO_HANDSHAKE:
+            return [*_booted(), _said(1, Setpoint(1.0, 1.0, 1, number))]
+        case RefusalReason.OUT_OF_RANGE:
+            return [*_booted(), _said(1, HELLO), _said(2, Setpoint(1.0, 1.0, 0, number))]
+        case RefusalReason.NOT_A_NUMBER:
+            return [*_booted(), _said(1, HELLO), _said(2, Setpoint(math.nan, 1.0, 1, number))]
+        case RefusalReason.FAULT_LATCHED:
+            booted = _booted(by_watchdog=True)
+            return [*booted, _said(1, HELLO), _said(2, Setpoint(1.0, 1.0, 1, number))]
+        case _:
+            begun = [_said(1, HELLO), _said(2, Setpoint(1.0, 1.0, 100, 1))]
+            return [*_booted(), *begun, _said(3, SetSetting(0, 20.0))]
+
+
+def _booted(boot_id: int = 5, build: str = _STANDARD.build, *, by_watchdog: bool = False) -> list[Told]:
+    return [PowerUp(boot_id, by_watchdog, build, b""), _said(0)]
+
+
+def _said(ms: int, *said: HostMessage | bytes) -> Step:
+    frames = [frame if isinstance(frame, bytes) else encode(frame, 0) for frame in said]
+    return Step(1000 * ms, *_READINGS, 1024, b"".join(frames))
+
+
+def _message(frame: bytes) -> Message:
+    (payload,) = FrameDecoder().feed(frame)
+    return decode(payload)[0]
+
+
+def _welcome(nonce: int) -> Welcome:
+    return Welcome(
+        protocol_version=PROTOCOL_VERSION,
+        nonce=nonce,
+        boot_id=5,
+        firmware_build=_STANDARD.build,
+        units=Units.KPA_GAUGE,
+        cv_limit_kPa=_STANDARD.cv_limit_kPa,
+        setpoint_limit_kPa=_STANDARD.setpoint_most_kPa,
+        reservoir_limit_kPa=_STANDARD.reservoir_limit_kPa,
+        rate_limit_kPa_per_s=_STANDARD.rate_limit_kPa_per_s,
+        dead_man_ms=_STANDARD.dead_man_ms,
+        telemetry_Hz=_STANDARD.telemetry_Hz,
+    )
+
+
+def _setting(number: int, value: float) -> Setting:
+    row = SETTING_ROWS[number]
+    standard = value_of(_STANDARD, row.name)
+    return Setting(number, len(SETTING_ROWS), row.name, value, row.least, row.most, standard)

@@ -1,0 +1,190 @@
+"""The golden run: a conversation with the firmware's core, counts in and duty cycles out, step by step.
+
+`golden_run.txt.xz` is what the core did when it was recorded (see `record_golden_run`). Whatever runs the
+core has to do the same again, to the last bit. It is text, for people who look for a difference: a line per
+step, in the order of the fields of `Step` and, after ">", of `Done`; bytes are hexadecimal, "-" for none.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import lzma
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from firmware_link.protocol import Mode
+from flying_vines.fakes.compiled_firmware import _Outputs, load
+
+GOLDEN_RUN = Path(__file__).with_name("golden_run.txt.xz")
+HEADER = """\
+# The golden run of the phloSAR's firmware. Made by: cd tests && python -m firmware.record_golden_run
+# @ part   P boot_id by_watchdog build stored   S now_us cv reservoir supply fetched received > evp_duty \
+dvp_duty solenoid mode faults number kept sent
+"""
+PACKET = 64
+"""What a board's port takes and gives at a time."""
+FULL_EVP_DUTY = 31457
+"""Of the standard settings."""
+_MOST_SENT = 1024
+
+
+class PowerUp(NamedTuple):
+    """A board starts; `stored` is what its memory holds of settings."""
+
+    boot_id: int
+    by_watchdog: bool
+    build: str
+    stored: bytes
+
+
+class Step(NamedTuple):
+    """What a board is told in a millisecond: first `received` from the host, then the converter's counts."""
+
+    now_us: int
+    cv: int
+    reservoir: int
+    supply: int
+    fetched: int
+    """How many bytes its port takes, at most."""
+    received: bytes
+
+
+class Done(NamedTuple):
+    """What a board did in a step, and is after it."""
+
+    evp_duty: int
+    dvp_duty: int
+    solenoid: bool
+    mode: int
+    faults: int
+    number: int
+    kept: bytes
+    """Settings to be stored; empty where there are none."""
+    sent: bytes
+
+
+Told = PowerUp | Step
+
+
+class Part(NamedTuple):
+    """A board's life from one power-up on, for one purpose."""
+
+    name: str
+    told: list[Told]
+    done: list[Done]
+    """As many as there are `steps`."""
+
+    @property
+    def steps(self) -> list[Step]:
+        return [one for one in self.told if isinstance(one, Step)]
+
+
+class HostBoard:
+    """The core as it is built for this machine, told counts."""
+
+    def __init__(self, power_up: PowerUp) -> None:
+        self._library = load("float")
+        self._build = power_up.build.encode("ascii")
+        self._outputs = _Outputs()
+        self._image = ctypes.create_string_buffer(self._library.phlosar_image_size())
+        self._buffer = ctypes.create_string_buffer(_MOST_SENT)
+        self._firmware = self._library.phlosar_create(
+            self._build, power_up.boot_id, power_up.by_watchdog, power_up.stored, len(power_up.stored)
+        )
+
+    def __del__(self) -> None:
+        self._library.phlosar_destroy(self._firmware)
+
+    def step(self, step: Step) -> Done:
+        library, firmware, outputs = self._library, self._firmware, self._outputs
+        library.phlosar_receive(firmware, step.received, len(step.received))
+        library.phlosar_step(firmware, step.now_us, step.cv, step.reservoir, step.supply, outputs)
+        size = library.phlosar_take_output(firmware, self._buffer, min(_MOST_SENT, step.fetched))
+        mode = library.phlosar_mode(firmware)
+        # When a board asks for them, too.
+        unsaved = mode != Mode.REGULATE and library.phlosar_unsaved(firmware, self._image)
+        return Done(
+            outputs.evp_duty,
+            outputs.dvp_duty,
+            outputs.solenoid,
+            mode,
+            library.phlosar_faults(firmware),
+            library.phlosar_number(firmware),
+            self._image.raw if unsaved else b"",
+            ctypes.string_at(self._buffer, size),
+        )
+
+
+def on_host(told: Iterable[Told]) -> Iterator[Done]:
+    """What the core does on this machine; the first of `told` is a power-up."""
+    board: HostBoard | None = None
+    for one in told:
+        if isinstance(one, PowerUp):
+            board = HostBoard(one)
+        else:
+            assert board is not None
+            yield board.step(one)
+
+
+def write(path: Path, parts: Iterable[Part]) -> None:
+    lines = [HEADER]
+    for part in parts:
+        lines.append(f"@ {part.name}\n")
+        done = iter(part.done)
+        for one in part.told:
+            if isinstance(one, PowerUp):
+                lines.append(f"P {_words(one)}\n")
+            else:
+                lines.append(f"S {_words(one)} > {_words(next(done))}\n")
+    path.write_bytes(lzma.compress("".join(lines).encode("ascii"), preset=9 | lzma.PRESET_EXTREME))
+
+
+def read(path: Path = GOLDEN_RUN) -> list[Part]:
+    parts: list[Part] = []
+    for line in lzma.decompress(path.read_bytes()).decode("ascii").splitlines():
+        kind, _, rest = line.partition(" ")
+        words = rest.split()
+        match kind:
+            case "@":
+                parts.append(Part(rest, [], []))
+            case "P":
+                boot_id, by_watchdog, build, stored = words
+                parts[-1].told.append(PowerUp(int(boot_id), by_watchdog == "1", build, _bytes(stored)))
+            case "S":
+                now_us, cv, reservoir, supply, fetched = map(int, words[:5])
+                parts[-1].told.append(Step(now_us, cv, reservoir, supply, fetched, _bytes(words[5])))
+                evp, dvp, solenoid, mode, faults, number = map(int, words[7:13])
+                kept, sent = map(_bytes, words[13:])
+                parts[-1].done.append(Done(evp, dvp, solenoid == 1, mode, faults, number, kept, sent))
+    return parts
+
+
+def difference(part: Part, done: Iterable[Done]) -> str:
+    """Where what was done differs first from what the golden run holds; empty where nothing does."""
+    others = list(done)
+    for number, (step, right, other) in enumerate(zip(part.steps, part.done, others, strict=False)):
+        for name, a, b in zip(Done._fields, right, other, strict=True):
+            if a != b:
+                return f"{part.name}, step {number} {step}: {name} is {b!r}, in the golden run {a!r}"
+    if len(others) != len(part.done):
+        return f"{part.name}: {len(others)} steps, in the golden run {len(part.done)}"
+    return ""
+
+
+def _words(fields: Iterable[object]) -> str:
+    return " ".join(map(_word, fields))
+
+
+def _word(field: object) -> str:
+    match field:
+        case bytes():
+            return field.hex() or "-"
+        case bool():
+            return str(int(field))
+        case _:
+            return str(field)
+
+
+def _bytes(word: str) -> bytes:
+    return b"" if word == "-" else bytes.fromhex(word)

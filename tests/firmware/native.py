@@ -1,0 +1,28 @@
+"""Parts of the firmware as a library for this machine, so that a test can be their surroundings."""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+from pathlib import Path
+
+from .tools import need
+
+FIRMWARE = Path(__file__).parents[2] / "firmware_link" / "firmware"
+STACK_TOOL = FIRMWARE / "stack.py"
+LIBRARY = "firmware.so"
+STRICT = ("-Wall", "-Wextra", "-Werror", "-Wconversion", "-Wshadow", "-fno-exceptions", "-fno-rtti")
+
+
+def host_compiler() -> str:
+    return need("g++", "sudo apt install g++")
+
+
+def library(folder: Path, *sources: Path) -> ctypes.CDLL:
+    """`sources` together, compiled into `folder`."""
+    made = folder / LIBRARY
+    flags = ("-std=c++17", "-O1", "-fsanitize=undefined", "-fno-sanitize-recover=undefined")
+    command = [host_compiler(), *flags, *STRICT, "-fPIC", "-shared", *map(str, sources), "-o", str(made)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return ctypes.CDLL(str(made))

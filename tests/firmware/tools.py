@@ -1,0 +1,17 @@
+"""Programs that not every machine has: a test that needs one is skipped, and says what to install."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+ARM_TOOLS = "sudo apt install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm make"
+
+
+def need(program: str, how: str) -> str:
+    """The program's path; where there is none the test is skipped with a line that says how to get it."""
+    path = shutil.which(program)
+    if path is None:
+        pytest.skip(f"needs {program}: {how}")
+    return path
