@@ -34,6 +34,8 @@ CARRIERS = {
 }
 """MAVLink commands that carry a vine item, by the name that the configuration uses for them."""
 
+CheckLevel = Literal["fault", "warn"]
+
 Param = Literal["param1", "param2", "param3", "param4", "param5", "param6", "param7"]
 """Of a mission item or command; the last three are an item's x, y and z."""
 
@@ -159,6 +161,23 @@ class Pneumatics(_Table, frozen=True):
     cycle_rate_kPa_per_s: Positive = 22.8
 
 
+class Checks(_Table, frozen=True):
+    """What follows when the physics does not answer as predicted, and how far the rig may be from belief."""
+
+    volume_factor: Annotated[float, Meta(ge=1, le=10)] = 2.0
+    zero_kPa: Annotated[float, Meta(ge=1, le=50)] = 4.0
+    filling: CheckLevel = "fault"
+    venting: CheckLevel = "fault"
+    sudden_fall: CheckLevel = "fault"
+    vine_sensor: CheckLevel = "fault"
+    vine_zero: CheckLevel = "fault"
+    bottle_loss: CheckLevel = "fault"
+    bottle_sensor: CheckLevel = "warn"
+    bottle_hot: CheckLevel = "warn"
+    vine_leak: CheckLevel = "warn"
+    unsteady: CheckLevel = "warn"
+
+
 class Telemetry(_Table, frozen=True):
     rate_Hz: Annotated[float, Meta(ge=0.1, le=10)] = 2.0
     fuel_status: bool = False
@@ -191,6 +210,7 @@ class Config(_Table, frozen=True):
     interlocks: Interlocks = Interlocks()
     losses: Losses = Losses()
     pneumatics: Pneumatics = Pneumatics()
+    checks: Checks = Checks()
     telemetry: Telemetry = Telemetry()
     calibration: Calibration = Calibration()
     state: State = State()
@@ -348,6 +368,7 @@ _TABLES = {
     "interlocks": Interlocks,
     "losses": Losses,
     "pneumatics": Pneumatics,
+    "checks": Checks,
     "telemetry": Telemetry,
     "calibration": Calibration,
     "state": State,

@@ -8,6 +8,7 @@ feed the same machine, so the same events always give the same decisions.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -45,6 +46,7 @@ from flying_vines.intent import (
 )
 from flying_vines.mover import Move, Mover
 from flying_vines.notice import Notice, Severity
+from flying_vines.physics_checks import PhysicsChecks
 from flying_vines.reservoir import Belief, ReservoirEstimate, nominal
 from flying_vines.safety import Conditions, Entered, Left, Ruling, Safety
 from flying_vines.vehicle.codec import Message
@@ -81,6 +83,8 @@ class Core:
         config = self.config
         self._curve = config.vine.bend_curve()
         self._bent_kPa = 0.0
+        self._cv_kPa = deque((math.nan,), maxlen=2)
+        """The last two readings: a single one that is too high may be a glitch."""
         self._mover = Mover(config)
         self._rc_in_use = False
         self._firmware = fw.HostSession(repeat_s=TICK_S)
@@ -90,6 +94,7 @@ class Core:
         self._safety = Safety(config)
         self._belief = belief or nominal(config.pneumatics)
         self._reservoir = ReservoirEstimate(self._belief)
+        self._checks = PhysicsChecks(self._belief, config.checks)
         self._low_told = False
         self._alone_since: float | None = None
         self._motion: Motion | None = None
@@ -170,10 +175,12 @@ class Core:
                     self._notice(t, Severity.INFO, f"phloSAR ready ({welcome.firmware_build})")
                 case fw.TelemetryReceived(telemetry):
                     self._actions.append(Measured(t, telemetry))
+                    self._cv_kPa.append(telemetry.cv_kPa)
                     self._bent_kPa = self._curve.bent_kPa(telemetry.cv_kPa, self._bent_kPa)
                     self._reservoir.update(t, telemetry)
                     self._read_level(t, telemetry)
-                    if telemetry.faults or telemetry.cv_kPa > self.config.limits.overpressure_kPa:
+                    self._check(t, telemetry)
+                    if telemetry.faults or min(self._cv_kPa) > self.config.limits.overpressure_kPa:
                         self._look(t)
                 case fw.FirmwareReset(reason):
                     self._firmware_problem = "restarted"
@@ -184,6 +191,15 @@ class Core:
                 case fw.CommandRefused(refusal):
                     said = refusal.reason.name.lower().replace("_", " ")
                     self._enter(t, Entered("refused_by_firmware", f"phloSAR refused: {said}", "vent"))
+
+    def _check(self, t: float, telemetry: protocol.Telemetry) -> None:
+        """Whether the physics answers as predicted: what does not is a fault, or the pilot is told."""
+        found = self._checks.take(telemetry)
+        for finding in found:
+            if finding.level == "warn":
+                self._notice(t, Severity.WARNING, finding.sentence)
+        if any(finding.level == "fault" for finding in found):
+            self._look(t)
 
     # Deciding.
 
@@ -381,10 +397,11 @@ class Core:
             firmware_problem=self._firmware_problem,
             telemetry_age_s=self._firmware.telemetry_age(t),
             faults=telemetry.faults if telemetry else protocol.Fault.NONE,
-            cv_kPa=telemetry.cv_kPa if telemetry else math.nan,
+            cv_kPa=min(self._cv_kPa),
             reservoir_kPa=self._reservoir.reservoir_kPa,
             moving=self._motion is not None,
             moving_s=t - self._motion.started_at if self._motion else 0.0,
+            physics=self._checks.faults,
         )
 
     def _look(self, t: float) -> Conditions:
@@ -413,6 +430,8 @@ class Core:
         done = "holding" if hold else "vented"
         if change.name == "serial":
             done = "its dead-man vents"
+        elif change.name == "venting":
+            done = "outlet told open"
         self._notice(t, Severity.WARNING, f"{change.reason}, {done}", mattered)
 
     def _leave(self, t: float, change: Left) -> None:
@@ -508,6 +527,7 @@ class Core:
             cycles=self._reservoir.cycles_left(),
             doing=self._motion.name if self._motion else self._resting,
             safe_state=self._safety.reasons,
+            findings=dict(self._checks.counts),
             ambient_kPa=math.nan if ambient_kPa is None else ambient_kPa,
         )
 

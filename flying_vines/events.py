@@ -146,5 +146,7 @@ class Snapshot:
     cycles: CyclesLeft | None
     doing: str
     safe_state: dict[str, str] = field(default_factory=dict)
+    findings: dict[str, int] = field(default_factory=dict)
+    """How often each of the physics checks has found something."""
     ambient_kPa: float = math.nan
     """Absolute, as the autopilot's barometer has it."""

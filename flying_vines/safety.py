@@ -8,8 +8,8 @@ are over the vine stays as it is: only a fresh trigger moves it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 from firmware_link.protocol import Fault
@@ -51,6 +51,8 @@ class Conditions:
     """Whether the vine is held or moved under pressure."""
     moving_s: float = 0.0
     """Since the trigger that moved it."""
+    physics: Mapping[str, str] = field(default_factory=dict)
+    """Where the physics does not answer as predicted: the checks that are faults, with a sentence each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,11 +119,9 @@ class Safety:
     def watch(self, t: float, now: Conditions) -> list[Entered | Left]:
         """What began and what ended at time `t`."""
         changes: list[Entered | Left] = []
-        for name, look in _LATCHING.items():
-            reason = look(self, now)
-            if reason and name not in self._latched:
-                self._latched[name] = reason
-                changes.append(Entered(name, reason, "vent"))
+        for name, cause in self._latching(now).items():
+            if name not in self._latched:
+                changes.append(self.latch(name, cause))
         for name, look in _LOSSES.items():
             reason = look(self, now)
             if reason and name not in self._present:
@@ -154,6 +154,11 @@ class Safety:
             return self._losses.on_autopilot_loss
         return "vent"
 
+    def _latching(self, now: Conditions) -> dict[str, str]:
+        """The causes of latched faults that are there now."""
+        overpressure = self._overpressure(now)
+        return {**({"overpressure": overpressure} if overpressure else {}), **now.physics}
+
     def latch(self, name: str, reason: str) -> Entered:
         """A fault that is an event, not a condition."""
         self._latched[name] = reason
@@ -161,7 +166,8 @@ class Safety:
 
     def clear(self, now: Conditions) -> list[str]:
         """A person clears latched faults; those whose cause is still there stay. Returns what was cleared."""
-        cleared = [name for name in self._latched if name not in _LATCHING or not _LATCHING[name](self, now)]
+        present = self._latching(now)
+        cleared = [name for name in self._latched if name not in present]
         for name in cleared:
             del self._latched[name]
         return cleared
@@ -259,7 +265,6 @@ class Safety:
 
 
 _Look = Callable[[Safety, Conditions], str | None]
-_LATCHING: dict[str, _Look] = {"overpressure": Safety._overpressure}
 _LOSSES: dict[str, _Look] = {
     "rc": Safety._rc,
     "autopilot": Safety._autopilot,

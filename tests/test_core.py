@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from flying_vines.config import Config
 from flying_vines.events import (
     Action,
     Decision,
+    FirmwareMessage,
     LinkChanged,
     Stop,
     ToFirmware,
@@ -25,6 +27,7 @@ from flying_vines.events import (
     VehicleMessage,
 )
 from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.mishaps import Hole, StuckAt
 from flying_vines.fakes.phlosar import SimulatedPhlosar
 from flying_vines.notice import Notice
 from flying_vines.simulated_world import SimulatedFlight
@@ -92,8 +95,8 @@ def ground_command(
     return flight.feed(VehicleMessage(flight.world.now, received))
 
 
-def bent(phlosar: SimulatedPhlosar | None = None) -> SimulatedFlight:
-    flight = airborne(phlosar=phlosar)
+def bent(phlosar: SimulatedPhlosar | None = None, conf: Config | None = None) -> SimulatedFlight:
+    flight = airborne(conf, phlosar=phlosar)
     flight.autopilot.set_rc(9, HIGH)
     (decision,) = decisions(run_for(flight, 2.0))
     assert decision.safety == "accepted"
@@ -240,15 +243,87 @@ def test_a_firmware_reset_latches() -> None:
 
 
 def test_an_empty_bottle_vents_refuses_and_tells() -> None:
-    flight = bent()
-    flight.phlosar.reservoir_leak_kPa_per_s = 400.0
-    actions = run_for(flight, 2.5)
+    flight = bent(conf=configured(checks=config.Checks(bottle_loss="warn")))
+    flight.phlosar.mishaps.bottle = Hole(bore_mm=4.0)
+    actions = run_for(flight, 4.0)
+    assert any("kPa/s that nobody told" in text for text in notices(actions))
     assert [d.what for d in decisions(actions)] == [{"loss": "reservoir"}]
     assert any("bottle low" in text and "cycles left" in text for text in notices(actions))
     assert_vented(flight)
     flight.autopilot.set_rc(9, MIDDLE)
     (refused,) = decisions(run_for(flight, 1.0))
     assert "bottle at" in refused.reason
+
+
+def test_a_valve_that_stays_shut_vents_latches_and_is_cleared_by_a_person() -> None:
+    flight = airborne()
+    flight.phlosar.mishaps.evp = StuckAt(0.0)
+    flight.autopilot.set_rc(9, HIGH)
+    actions = run_for(flight, 3.0)
+    assert [d.what.get("loss") for d in decisions(actions)] == [None, "filling"]
+    assert "Vine: not filling, bottle keeps its air: valve, vented" in notices(actions)
+    assert_vented(flight)
+    flight.phlosar.mishaps.evp = None
+    assert decisions(run_for(flight, 3.0)) == []
+    assert_vented(flight)
+    flight.autopilot.set_rc(9, MIDDLE)
+    (refused,) = decisions(run_for(flight, 1.0))
+    assert "not filling" in refused.reason
+    flight.autopilot.set_rc(9, LOW)
+    assert "Vine: cleared filling" in notices(run_for(flight, 1.0))
+    flight.autopilot.set_rc(9, HIGH)
+    assert [d.safety for d in decisions(run_for(flight, 2.0))] == ["accepted"]
+    assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
+
+
+def test_a_vine_that_does_not_vent_cannot_be_cleared() -> None:
+    flight = bent()
+    flight.phlosar.mishaps.solenoid = StuckAt(0.0)
+    flight.autopilot.set_rc(9, LOW)
+    told = notices(run_for(flight, 3.0))
+    assert "Vine: not venting: outlet, line, valve or sensor, outlet told open" in told
+    ground_command(flight, mavlink.MAV_CMD_USER_5, 1.0)
+    assert "venting" in flight.core.snapshot(flight.world.now).safe_state
+    flight.phlosar.mishaps.solenoid = None
+    run_for(flight, 2.0)
+    ground_command(flight, mavlink.MAV_CMD_USER_5, 1.0)
+    assert flight.core.snapshot(flight.world.now).safe_state == {}
+    assert_vented(flight)
+
+
+def test_a_hot_bottle_is_told_and_counted_and_the_vine_goes_on() -> None:
+    flight = bent()
+    flight.phlosar.fill(745.0)
+    actions = run_for(flight, 2.0)
+    assert decisions(actions) == []
+    assert ["hot or overfilled" in text for text in notices(actions)] == [True]
+    assert flight.core.snapshot(flight.world.now).findings == {"bottle_hot": 1}
+    assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
+
+
+def test_a_check_that_trips_on_an_odd_rig_can_be_set_to_warn() -> None:
+    flight = airborne(configured(checks=config.Checks(filling="warn")))
+    flight.phlosar.mishaps.evp = StuckAt(0.0)
+    flight.autopilot.set_rc(9, HIGH)
+    actions = run_for(flight, 3.0)
+    assert [d.what.get("loss") for d in decisions(actions)] == [None]
+    assert any("not filling" in text for text in notices(actions))
+
+
+def test_one_reading_above_the_limit_is_a_glitch_and_two_are_not() -> None:
+    flight = bent()
+    telemetry = flight.core._firmware.telemetry
+    assert telemetry is not None
+
+    def read(cv_kPa: float, ms: int) -> list[Action]:
+        later = dataclasses.replace(
+            telemetry, cv_kPa=cv_kPa, device_time_ms=telemetry.device_time_ms + ms, number=telemetry.number
+        )
+        return flight.feed(FirmwareMessage(flight.world.now + ms / 1000.0, later))
+
+    assert decisions([*read(60.0, 1), *read(20.0, 2), *read(60.0, 3)]) == []
+    (decision,) = decisions(read(60.0, 4))
+    assert decision.what == {"loss": "overpressure"}
 
 
 def test_landing_and_disarming_straighten_the_vine() -> None:

@@ -148,6 +148,21 @@ def test_overpressure_latches_until_a_person_clears_it_and_it_is_gone() -> None:
     assert machine.judge(BEND, FLYING).verdict == "accepted"
 
 
+def test_a_physics_check_latches_until_a_person_clears_it_and_it_is_over() -> None:
+    machine = safety()
+    wrong = but(BENT, physics={"venting": "not venting: outlet, line or sensor"})
+    (entered,) = machine.watch(0.0, wrong)
+    assert entered == Entered("venting", "not venting: outlet, line or sensor", "vent")
+    assert machine.watch(0.1, wrong) == []
+    assert machine.clear(wrong) == []
+    assert machine.watch(1.0, FLYING) == []
+    ruling = machine.judge(BEND, FLYING)
+    assert (ruling.verdict, ruling.reason) == ("refused", "not venting: outlet, line or sensor")
+    assert machine.judge(RELEASE, FLYING).verdict == "accepted"
+    assert machine.clear(FLYING) == ["venting"]
+    assert machine.judge(BEND, FLYING).verdict == "accepted"
+
+
 def test_hold_ends_in_venting() -> None:
     losses = config.Losses(on_rc_loss="hold", hold_at_most_s=30.0)
     machine = safety(losses=losses)
@@ -176,6 +191,7 @@ CONDITIONS = st.builds(
     reservoir_kPa=st.floats(-5, 800) | st.just(math.nan),
     moving=st.booleans(),
     moving_s=st.floats(0, 200),
+    physics=st.sampled_from([{}, {}, {"filling": "not filling"}]),
 )
 
 
@@ -185,10 +201,11 @@ def test_never_a_bend_while_anything_is_wrong(history: list[Conditions], data: s
     latched = False
     for i, now in enumerate(history):
         machine.watch(float(i), now)
-        latched = latched or now.cv_kPa > 25.0
+        present = now.cv_kPa > 25.0 or bool(now.physics)
+        latched = latched or present
         if data.draw(st.booleans()):
             machine.clear(now)
-            latched = latched and now.cv_kPa > 25.0
+            latched = latched and present
         accepted = machine.judge(BEND, now).verdict != "refused"
         fit = (
             now.armed

@@ -1,0 +1,153 @@
+"""One mishap on a random rig: what notices it first, when, and what the vine comes to meanwhile."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+from cycles_left_rigs import HOST_TICK_S
+from physics_checks_rigs import RESERVE_KPA, Flown, drawn
+
+from firmware_link import protocol
+from firmware_link.protocol import PROTOCOL_VERSION, Hello, Setpoint, Telemetry, Vent
+from flying_vines.config import Checks, Limits
+from flying_vines.fakes.mishaps import (
+    Drifting,
+    Filled,
+    Gain,
+    Glitching,
+    Heated,
+    Hole,
+    HoseOff,
+    Kind,
+    Kinked,
+    Noisy,
+    Open,
+    Shorted,
+    Stuck,
+    StuckAt,
+)
+from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.physics_checks import PhysicsChecks
+from flying_vines.pneumatics.plant.true_rig import TrueRig
+from flying_vines.reservoir import nominal
+
+LIMITS = Limits()
+RESTS_S = 8.0
+"""Vented, before the first manoeuvre."""
+WATCHED_S = 25.0
+"""After a mishap; longer than that it is not noticed."""
+WATCHED_LONGER_S = {"bottle sensor stuck": 100.0}
+
+MISHAPS: Mapping[str, tuple[str, Kind]] = {
+    "vine sensor stuck": ("cv_sensor", Stuck()),
+    "vine sensor drifts up 1 kPa/s": ("cv_sensor", Drifting(1.0)),
+    "vine sensor drifts down 1 kPa/s": ("cv_sensor", Drifting(-1.0)),
+    "vine sensor dead": ("cv_sensor", Gain(0.0)),
+    "vine sensor reads half": ("cv_sensor", Gain(0.5)),
+    "vine sensor open": ("cv_sensor", Open()),
+    "vine sensor shorted": ("cv_sensor", Shorted()),
+    "vine sensor noisy, 5 kPa": ("cv_sensor", Noisy(5.0)),
+    "vine sensor glitches": ("cv_sensor", Glitching(60.0, 97.0)),
+    "bottle sensor stuck": ("reservoir_sensor", Stuck()),
+    "bottle sensor drifts down 20 kPa/s": ("reservoir_sensor", Drifting(-20.0)),
+    "bottle sensor open": ("reservoir_sensor", Open()),
+    "bottle sensor shorted": ("reservoir_sensor", Shorted()),
+    "bottle sensor noisy, 20 kPa": ("reservoir_sensor", Noisy(20.0)),
+    "EVP stuck open": ("evp", StuckAt(1.0)),
+    "EVP stuck half open": ("evp", StuckAt(0.5)),
+    "EVP stuck at 0.1": ("evp", StuckAt(0.1)),
+    "EVP stuck closed": ("evp", StuckAt(0.0)),
+    "DVP stuck open": ("dvp", StuckAt(1.0)),
+    "DVP stuck closed": ("dvp", StuckAt(0.0)),
+    "solenoid stuck open": ("solenoid", StuckAt(1.0)),
+    "solenoid stuck closed": ("solenoid", StuckAt(0.0)),
+    "hose off": ("hose", HoseOff()),
+    "hose kinked shut": ("hose", Kinked()),
+    "hose kinked, 500 kPa·s/SL": ("hose", Kinked(500.0)),
+    "actuator burst, 4 mm": ("actuator", Hole(4.0)),
+    "actuator leaks, 0.5 mm": ("actuator", Hole(0.5)),
+    "actuator leaks, 0.2 mm": ("actuator", Hole(0.2)),
+    "bottle burst, 4 mm": ("bottle", Hole(4.0)),
+    "bottle leaks, 0.5 mm": ("bottle", Hole(0.5)),
+    "bottle empty": ("bottle", Filled(0.0)),
+    "bottle overfilled, 780 kPa": ("bottle", Filled(780.0)),
+    "bottle heated by 40 K": ("bottle", Heated(40.0)),
+}
+
+
+@dataclass(frozen=True)
+class Noticed:
+    """What noticed a mishap first; `by` is empty where nothing did."""
+
+    by: str
+    after_s: float
+    peak_kPa: float
+    """The vine's true pressure, from the mishap on, until 1 s after it was noticed."""
+
+
+def true_rig(flown: Flown) -> TrueRig:
+    """The rig that really is there, behind converters of 12 bits."""
+    plant = flown.case.plant
+    missing = tuple(f.name for f in fields(plant.effects) if getattr(plant.effects, f.name) is None)
+    return TrueRig(believed=plant.rig, effects=plant.effects, likely=True, without=missing)
+
+
+def fly(name: str, seed: int) -> Noticed:
+    """One rig that suffers this at a random moment of its flying."""
+    flown = drawn(seed)
+    dice = random.Random(f"{name} {seed}")
+    begins_s = RESTS_S + dice.uniform(0.0, 8.0)
+    fill_kPa = max(200.0, flown.case.fill_kPa)
+    phlosar = SimulatedPhlosar(true_rig(flown), reservoir_kPa=fill_kPa, seed=seed)
+    checks = PhysicsChecks(nominal(flown.believed), Checks())
+    codec = protocol.Codec()
+    phlosar.receive(codec.encode(Hello(PROTOCOL_VERSION, 1)))
+    manoeuvres = flown.case.program
+    watched_s = WATCHED_LONGER_S.get(name, WATCHED_S)
+    which, begun_s = -1, 0.0
+    peak_kPa, by, noticed_s = 0.0, "", 0.0
+    tick = 0
+    began = False
+    cv_before_kPa = 0.0
+    while phlosar.now_s < (noticed_s + 1.0 if by else begins_s + watched_s):
+        tick += 1
+        now_s = tick * HOST_TICK_S
+        if not began and now_s >= begins_s:
+            began = True
+            phlosar.befall(*MISHAPS[name])
+        for message in codec.decode(phlosar.advance(now_s)):
+            if isinstance(message, Telemetry):
+                # As the service does: one reading that is too high may be a glitch.
+                lower_kPa = min(cv_before_kPa, message.cv_kPa)
+                cv_before_kPa = message.cv_kPa
+                first = by or _first(message, lower_kPa, checks, began)
+                if first and not by:
+                    by, noticed_s = first, now_s
+        if began:
+            peak_kPa = max(peak_kPa, phlosar.cv_kPa)
+        if by and not began:
+            return Noticed(f"EARLY {by}", 0.0, peak_kPa)
+        if by or now_s < RESTS_S:
+            phlosar.receive(codec.encode(Vent(tick & 0xFFFF)))
+            continue
+        if which < 0 or now_s >= begun_s + manoeuvres[which % len(manoeuvres)].length_s:
+            which, begun_s = which + 1, now_s
+        manoeuvre = manoeuvres[which % len(manoeuvres)]
+        target_kPa = min(LIMITS.max_kPa, manoeuvre.setpoint_kPa(now_s + HOST_TICK_S - begun_s))
+        rate = manoeuvre.steepest_kPa_per_s
+        phlosar.receive(codec.encode(Setpoint(target_kPa, rate, 250, tick & 0xFFFF)))
+    return Noticed(by, max(0.0, noticed_s - begins_s), peak_kPa)
+
+
+def _first(telemetry: Telemetry, cv_kPa: float, checks: PhysicsChecks, began: bool) -> str:
+    """What notices something wrong now."""
+    found = checks.take(telemetry)
+    if telemetry.faults:
+        return f"firmware: {telemetry.faults.name}"
+    if found:
+        return found[0].name
+    if cv_kPa > LIMITS.overpressure_kPa:
+        return "service: over-pressure"
+    return "service: bottle low" if began and telemetry.reservoir_kPa < RESERVE_KPA else ""
