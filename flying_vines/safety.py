@@ -25,6 +25,8 @@ FAULT_SENTENCES = {
     Fault.CV_SENSOR: "vine pressure sensor",
     Fault.RESERVOIR_SENSOR: "bottle pressure sensor",
     Fault.WATCHDOG_RESET: "watchdog reset",
+    Fault.SETTINGS: "stored settings damaged",
+    Fault.SUPPLY: "sensors' 5 V supply",
 }
 
 

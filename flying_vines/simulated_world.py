@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from firmware_link import protocol
 from flying_vines.config import Config
@@ -25,10 +26,23 @@ from flying_vines.vehicle.codec import Codec
 from flying_vines.vehicle.mission.item import MissionItem
 
 COMPANION = "companion"
+BUFFER_BYTES = 4095
+"""Of a serial port on Linux: what comes in while nobody reads, and does not fit, is lost."""
+
+Wire = Callable[[bytes], bytes]
+"""What becomes of bytes on their way."""
+
+
+def perfect(data: bytes) -> bytes:
+    """A wire that loses nothing."""
+    return data
 
 
 class SimulatedWorld:
-    """A core whose serial link ends at a simulated phloSAR, in simulated time that starts at 0."""
+    """A core whose serial link ends at a simulated phloSAR, in simulated time that starts at 0.
+
+    `to_phlosar` and `from_phlosar` are the two wires of that link; exchange them for worse ones.
+    """
 
     def __init__(
         self,
@@ -44,6 +58,8 @@ class SimulatedWorld:
             effects=Effects(), reservoir_kPa=config.pneumatics.full_kPa
         )
         self.now = 0.0
+        self.to_phlosar: Wire = perfect
+        self.from_phlosar: Wire = perfect
         self._codec = protocol.Codec()
         self._next_tick = 0
         self._opened = False
@@ -64,17 +80,25 @@ class SimulatedWorld:
         """One event, and what the core does about it."""
         for action in self.core.handle(event):
             if isinstance(action, ToFirmware):
-                self.phlosar.receive(self._codec.encode(action.message))
+                self.phlosar.receive(self.to_phlosar(self._codec.encode(action.message)))
             yield action
 
-    def _live_until(self, t: float) -> Iterator[Action]:
+    def stall(self, until_t: float) -> Iterator[Action]:
+        """The core's computer stands still until then, while the phloSAR lives on."""
+        self._next_tick = math.ceil(until_t / TICK_S)
+        yield from self._live_until(until_t, BUFFER_BYTES)
+
+    def _live_until(self, t: float, most_bytes: int | None = None) -> Iterator[Action]:
         self.now = t
-        for message in self._codec.decode(self.phlosar.advance(t)):
+        for message in self._codec.decode(self.from_phlosar(self.phlosar.advance(t))[:most_bytes]):
             yield from self.feed(FirmwareMessage(t, message))
 
 
 class SimulatedFlight:
-    """A core between a fake autopilot and a simulated phloSAR: act on either between two runs."""
+    """A core between a fake autopilot and a simulated phloSAR: act on either between two runs.
+
+    `from_autopilot` is the wire on which each frame of the autopilot comes.
+    """
 
     def __init__(
         self,
@@ -85,6 +109,7 @@ class SimulatedFlight:
     ) -> None:
         self.autopilot = autopilot or Autopilot("ardupilot")
         self.world = SimulatedWorld(config, phlosar, mission)
+        self.from_autopilot: Wire = perfect
         self._codec = Codec(config.vehicle.system_id, config.vehicle.component_id)
 
     @property
@@ -100,17 +125,25 @@ class SimulatedFlight:
         done: list[Action] = []
         while self.world.now < until_t - 1e-9:
             t = min(until_t, self.world.now + step_s)
-            actions = list(self.world.advance(t))
-            for link, frame in self.autopilot.advance(t):
-                if link == COMPANION:
-                    for message in self._codec.decode(frame):
-                        actions.extend(self.world.feed(VehicleMessage(t, message)))
-            for action in actions:
-                if isinstance(action, ToVehicle):
-                    frame = self._codec.encode(action.message, action.system_id)
-                    self.autopilot.receive(t, COMPANION, frame)
-            done.extend(actions)
+            done.extend(self._exchange(t, self.world.advance(t)))
         return done
+
+    def stall(self, until_t: float) -> list[Action]:
+        """The companion's computer stands still until then; what it was sent meanwhile, it hears at once."""
+        return self._exchange(until_t, self.world.stall(until_t))
+
+    def _exchange(self, t: float, lived: Iterator[Action]) -> list[Action]:
+        """What the core did on its way to `t` and about what the autopilot sent, told to the autopilot."""
+        actions = list(lived)
+        for link, frame in self.autopilot.advance(t):
+            if link == COMPANION:
+                for message in self._codec.decode(self.from_autopilot(frame)):
+                    actions.extend(self.world.feed(VehicleMessage(t, message)))
+        for action in actions:
+            if isinstance(action, ToVehicle):
+                frame = self._codec.encode(action.message, action.system_id)
+                self.autopilot.receive(t, COMPANION, frame)
+        return actions
 
     def feed(self, event: Event) -> list[Action]:
         """One event from outside, now."""

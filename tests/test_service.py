@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import signal
 import sys
+import tty
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 from service_bench import Bench, on_bench, until
 
+from firmware_link import answer
 from firmware_link.protocol import Fault
 from flying_vines import config
 from flying_vines.events import Action, Decision
 from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.notice import Notice
 from flying_vines.service import Service
 
 
@@ -39,6 +43,25 @@ async def test_a_switch_bends_the_vine_and_the_ground_station_sees_it(bench: Ben
     await serving
     await until(bench.vented, "a stopped service has vented")
     assert not bench.phlosar.firmware.faults
+
+
+async def test_a_silent_port_is_told_to_the_pilot_once_and_on_the_screen(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(answer, "PATIENCE_S", 0.3)
+    silent, hosts = os.openpty()
+    tty.setraw(hosts)
+    seen: list[Action] = []
+    profile = bench.profile.replace(bench.port.path, os.ttyname(hosts))
+    service = Service(config.parse(profile, "test"), seen.append)
+    serving = asyncio.create_task(service.run())
+    await until(lambda: "silent" in service.link_problems.get("firmware", ""), "the screen says it")
+    told = [a for a in seen if isinstance(a, Notice) and "open but silent" in a.text]
+    assert len(told) == 1
+    service.stop()
+    await serving
+    for descriptor in (silent, hosts):
+        os.close(descriptor)
 
 
 async def start(bench: Bench, tmp_path: Path) -> asyncio.subprocess.Process:

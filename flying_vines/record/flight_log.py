@@ -2,34 +2,49 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import os
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from flying_vines.config import Pneumatics
 from flying_vines.events import Action, Calibrated, Decision, KeepParameters, Measured, Snapshot
 from flying_vines.notice import Notice
+from flying_vines.record.aside import Aside
 from flying_vines.reservoir import nominal_rig
 
 NAME = "flight.jsonl"
 FLUSH_S = 0.5
+"""How much of a flight may be lost when the power goes: so often lines are put on the disk for good."""
+MOST_BEHIND = 32 * 1024 * 1024
+"""Characters: of a disk that hangs, twenty minutes of telemetry at 100 Hz."""
+LAST_WRITES_S = 5.0
 
 
 class FlightLog:
-    """Writes what happens in a flight. A disk that fails ends the log, never the flight."""
+    """Writes what happens in a flight. A disk that fails or hangs ends the log, never the flight."""
 
     def __init__(self, parent: Path, began: float | None = None) -> None:
         """Raises `OSError` when the folder cannot be made."""
         stamp = time.strftime("%Y-%m-%d_%H-%M-%S", time.localtime(began))
         self.folder = _new_folder(parent, stamp)
         self.path = self.folder / NAME
-        self.failed = ""
-        self._file: TextIO | None = self.path.open("w", encoding="utf-8")
-        self._flushed_at = -math.inf
+        self._file = self.path.open("w", encoding="utf-8")
+        self._aside = Aside(self._put_on_disk, MOST_BEHIND)
+        self._lines: list[str] = []
+        self._handed_over_at = -math.inf
+        self._ended = ""
+
+    @property
+    def failed(self) -> str:
+        """A sentence for people, once the log has ended before its time."""
+        error = self._aside.error
+        return f"the flight log ends here: {error.strerror}" if error else self._ended
 
     def action(self, action: Action) -> None:
         """Log what people want to read of an action; messages on the wire are not logged here."""
@@ -51,26 +66,33 @@ class FlightLog:
     def snapshot(self, snapshot: Snapshot) -> None:
         self._write("snapshot", asdict(snapshot))
 
-    def _write(self, kind: str, fields: dict[str, Any]) -> None:
-        if self._file is None:
-            return
-        try:
-            # In one go, for it comes up to a thousand times a second.
-            self._file.write(json.dumps({"kind": kind, **_finite(fields)}, separators=(",", ":")) + "\n")
-            if fields["t"] - self._flushed_at > FLUSH_S:
-                self._file.flush()
-                self._flushed_at = fields["t"]
-        except OSError as error:
-            self.failed = f"the flight log ends here: {error.strerror}"
-            self.close()
-
     def close(self) -> None:
-        file, self._file = self._file, None
-        if file is not None:
-            try:
-                file.close()
-            except OSError as error:
-                self.failed = f"the end of the flight log is lost: {error.strerror}"
+        """Write the rest, for as long as that may take."""
+        self._hand_over()
+        if not self._aside.close(LAST_WRITES_S):
+            self._ended = "the end of the flight log is lost: the disk hangs"
+            return
+        # What could not be written comes again here.
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+    def _write(self, kind: str, fields: dict[str, Any]) -> None:
+        if self.failed:
+            return
+        self._lines.append(json.dumps({"kind": kind, **_finite(fields)}, separators=(",", ":")) + "\n")
+        if fields["t"] - self._handed_over_at > FLUSH_S:
+            self._handed_over_at = fields["t"]
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        if self._lines and not self._aside.write("".join(self._lines)):
+            self._ended = "the flight log ends here: the disk does not keep up"
+        self._lines.clear()
+
+    def _put_on_disk(self, text: str) -> None:
+        self._file.write(text)
+        self._file.flush()
+        os.fsync(self._file.fileno())
 
 
 def read_log(path: Path) -> Iterator[dict[str, Any]]:

@@ -58,9 +58,9 @@ def write(path: Path, values: Mapping[str, float], profile: Config) -> None:
     Raises:
         ParameterFileError: where what stands there now is no parameter file, or nothing can be written.
     """
-    if path.exists():
-        _parsed(read_text(path, ParameterFileError), path)
     try:
+        if path.exists():
+            _parsed(read_text(path, ParameterFileError), path)
         path.parent.mkdir(parents=True, exist_ok=True)
         _replace(path, _text(values, profile))
     except OSError as error:

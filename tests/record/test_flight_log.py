@@ -3,6 +3,8 @@ from __future__ import annotations
 import dataclasses
 import errno
 import math
+import os
+import threading
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,7 @@ from flying_vines import config
 from flying_vines.core import Core
 from flying_vines.events import Decision
 from flying_vines.notice import Notice, Severity
+from flying_vines.record import flight_log
 from flying_vines.record.flight_log import FlightLog, read_log
 from flying_vines.record.picture import draw_flight
 
@@ -54,16 +57,44 @@ def test_a_torn_last_line_costs_only_itself(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_ends_the_log_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    log = FlightLog(tmp_path)
-
-    def full(text: str) -> int:
+    def full(descriptor: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    assert log._file is not None
-    monkeypatch.setattr(log._file, "write", full)
+    monkeypatch.setattr(os, "fsync", full)
+    log = FlightLog(tmp_path)
     write_some(log)
     log.close()
-    assert "No space left" in log.failed
+    assert log.failed == "the flight log ends here: No space left on device"
+
+
+def test_a_disk_that_hangs_holds_up_nobody_and_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    goes_on = threading.Event()
+    monkeypatch.setattr(os, "fsync", lambda descriptor: goes_on.wait(10.0))
+    log = FlightLog(tmp_path)
+    for _ in range(3):
+        write_some(log)
+    assert len(list(read_log(log.path))) < 3 * 43
+    goes_on.set()
+    log.close()
+    assert not log.failed
+    assert len(list(read_log(log.path))) == 3 * 43
+
+
+def test_a_disk_that_never_returns_ends_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    goes_on = threading.Event()
+    monkeypatch.setattr(os, "fsync", lambda descriptor: goes_on.wait(10.0))
+    monkeypatch.setattr(flight_log, "MOST_BEHIND", 5000)
+    monkeypatch.setattr(flight_log, "LAST_WRITES_S", 0.05)
+    log = FlightLog(tmp_path)
+    for i in range(10):
+        log.action(dataclasses.replace(DECISION, t=float(i), reason="x" * 1000))
+    assert log.failed == "the flight log ends here: the disk does not keep up"
+    log.close()
+    assert log.failed == "the end of the flight log is lost: the disk hangs"
+    goes_on.set()
+    log.close()
 
 
 def test_the_picture_is_drawn(tmp_path: Path) -> None:

@@ -46,6 +46,8 @@ _UNIX_AT_START_S = 1_795_211_406.0
 _WARNING, _INFO = 4, 6
 _GCS = 6
 _LINKS = 255
+_KEPT = 100
+"""Of what ran: a fake may fly for days."""
 _MAVLINK_CAMERA, _CAMERA_ITEMS = 5, (202, 203)
 
 _MISSION_MESSAGES = frozenset(
@@ -326,6 +328,7 @@ class Autopilot:
 
     def executed(self, item: MissionItem) -> None:
         self.payload_log.append((self.now_s, item))
+        del self.payload_log[:-_KEPT]
         hands_on = self.kind == "ardupilot" and self.parameters["CAM1_TYPE"] == _MAVLINK_CAMERA
         if hands_on and item.command in _CAMERA_ITEMS:
             self._tell(mavlink.MAVLink_command_long_message(0, 0, item.command, 0, *item.params))
@@ -636,6 +639,7 @@ class Autopilot:
                 return commands.ACCEPTED if params[0] == 1.0 and not self.armed else commands.DENIED
             case _ if command in commands.PAYLOAD[self.kind]:
                 self.performed.append((self.now_s, command))
+                del self.performed[:-_KEPT]
                 return commands.ACCEPTED
             case _:
                 return commands.UNSUPPORTED

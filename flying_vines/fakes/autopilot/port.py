@@ -69,9 +69,11 @@ class Port:
 
     def tell_time(self, unix_s: float) -> None:
         """For signatures, which carry it; it never runs backwards."""
-        now = int((unix_s - _SIGNING_EPOCH_S) * 1e5)
+        self._advance_signing(int((unix_s - _SIGNING_EPOCH_S) * 1e5))
+
+    def _advance_signing(self, timestamp: int) -> None:
         for end in (self._encoder, self._decoder):
-            end.signing.timestamp = max(end.signing.timestamp, now)
+            end.signing.timestamp = max(end.signing.timestamp, timestamp)
 
     def encode(self, message: Any) -> bytes:
         frame = bytes(message.pack(self._encoder))
@@ -81,6 +83,8 @@ class Port:
     def decode(self, data: bytes) -> list[Any]:
         """The good messages in `data`; what is damaged or unknown is dropped, as a CRC failure would be."""
         messages = self._decoder.parse_buffer(data) or []
+        # What is believed moves the clock that it signs with.
+        self._advance_signing(self._decoder.signing.timestamp)
         return [message for message in messages if message.get_type() in self.known]
 
     def _may_be_unsigned(self, mav: Any, message_id: int) -> bool:

@@ -1,0 +1,77 @@
+"""A black box between the firmware and its valves: when they were safe, to the millisecond of the board."""
+
+from __future__ import annotations
+
+from firmware_link.protocol import Codec, Fault, Mode, Setpoint
+from flying_vines.fakes.firmware import Drive
+from flying_vines.fakes.phlosar import SimulatedPhlosar
+
+STEP_S = 0.001
+
+
+class BlackBox:
+    """Takes the place of a simulated phloSAR's firmware, and notes what goes in and comes out.
+
+    All times are the board's, in seconds. Safe means: inflation valve told shut, solenoid told open.
+    """
+
+    def __init__(self, phlosar: SimulatedPhlosar) -> None:
+        self._phlosar = phlosar
+        self._firmware = phlosar.firmware
+        self._heard = Codec()
+        self.unsafe_s: float | None = None
+        """The last moment at which the valves were not safe; None before the first."""
+        self.setpoint_s: float | None = None
+        """When the last setpoint arrived."""
+        self.highest_kPa = 0.0
+        self._over_ms = 0
+        self._limit_kPa = float("inf")
+        self.longest_over_ms = 0
+        """For how long on end the control volume was above the limit that was given to `watch`."""
+        phlosar.firmware = self
+
+    def watch(self, limit_kPa: float) -> None:
+        """Look for the highest pressure, and for pressures above a limit, from now on."""
+        self._limit_kPa = limit_kPa
+        self.highest_kPa = self._phlosar.cv_kPa
+        self.longest_over_ms = self._over_ms = 0
+
+    # What a firmware does.
+
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+        drive = self._firmware.step(now_us, cv_kPa, reservoir_kPa)
+        if drive.evp > 0.0 or not drive.solenoid:
+            self.unsafe_s = now_us / 1e6
+        return drive
+
+    def look(self) -> None:
+        """Look at the phloSAR itself, every millisecond: its firmware may not be running."""
+        if self._phlosar.drive.evp > 0.0 or not self._phlosar.drive.solenoid:
+            self.unsafe_s = self._phlosar.now_s
+        true_kPa = self._phlosar.cv_kPa
+        self.highest_kPa = max(self.highest_kPa, true_kPa)
+        self._over_ms = self._over_ms + 1 if true_kPa > self._limit_kPa else 0
+        self.longest_over_ms = max(self.longest_over_ms, self._over_ms)
+
+    def receive(self, data: bytes) -> None:
+        if any(isinstance(message, Setpoint) for message in self._heard.decode(data)):
+            self.setpoint_s = self._phlosar.now_s
+        self._firmware.receive(data)
+
+    def take_output(self) -> bytes:
+        return self._firmware.take_output()
+
+    def reset(self, *, watchdog: bool = False) -> None:
+        self._firmware.reset(watchdog=watchdog)
+
+    @property
+    def mode(self) -> Mode:
+        return self._firmware.mode
+
+    @property
+    def faults(self) -> Fault:
+        return self._firmware.faults
+
+    @property
+    def number(self) -> int:
+        return self._firmware.number

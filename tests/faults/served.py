@@ -1,0 +1,144 @@
+"""The service as a process of its own, between a fake autopilot and a board whose valves are watched."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import sys
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from service_bench import between, free_port, until
+
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.autopilot_server import AutopilotServer
+from flying_vines.fakes.ground_station import GroundStation
+from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
+from flying_vines.pneumatics.plant.effects import Effects
+
+from .black_box import BlackBox
+from .watched import HIGH, LOW, MIDDLE, SWITCH
+
+
+class Served:
+    """One rig on a bench; the service may be started, and started again."""
+
+    def __init__(
+        self, folder: Path, autopilot: Autopilot, ground: GroundStation, companion_port: int
+    ) -> None:
+        self.folder = folder
+        self.autopilot = autopilot
+        self.ground = ground
+        self.phlosar = SimulatedPhlosar(effects=Effects())
+        self.box = BlackBox(self.phlosar)
+        self.device = folder / "phlosar"
+        self.profile = folder / "profile.toml"
+        text = between(companion_port, str(self.device)).replace("bench_mode = false", "bench_mode = true")
+        text = text.replace('folder = ""', 'folder = "state"').replace("settle_s = 1.0", "settle_s = 0.2")
+        self.profile.write_text(text)
+        self.process: asyncio.subprocess.Process | None = None
+        self._port: PtyPhlosar | None = None
+        self._living: asyncio.Task[None] | None = None
+
+    @property
+    def command(self) -> list[str]:
+        run = ["run", "--config", str(self.profile), "--plain", "--out", str(self.folder / "flights")]
+        return [sys.executable, "-m", "flying_vines", *run]
+
+    def plug_in(self) -> None:
+        self._port = PtyPhlosar(self.phlosar, self.device)
+        self._living = asyncio.create_task(self._port.run())
+
+    async def unplug(self) -> None:
+        """Pull the line out; the board's time stands still until somebody lets it pass."""
+        assert self._port is not None
+        assert self._living is not None
+        self._port.close()
+        self._living.cancel()
+        await asyncio.wait([self._living])
+
+    async def serve(self, terminal: int | None = None) -> None:
+        """Start the service, and wait until it believes the switch; on a terminal with its live view."""
+        self.ground.texts.clear()
+        flights = len(self._logs)
+        self.autopilot.set_rc(SWITCH, LOW)
+        self.process = await asyncio.create_subprocess_exec(
+            *(part for part in self.command if terminal is None or part != "--plain"),
+            stdin=terminal,
+            stdout=asyncio.subprocess.PIPE if terminal is None else terminal,
+            stderr=asyncio.subprocess.STDOUT,
+            env={**os.environ, "TERM": "xterm"},
+        )
+        await until(lambda: len(self._logs) > flights, "the service runs")
+        await until(lambda: '"switch_position":0' in self._logs[-1].read_text(), "the switch is believed")
+
+    @property
+    def _logs(self) -> list[Path]:
+        """Of all flights, in order."""
+        return sorted((self.folder / "flights").glob("*/flight.jsonl"))
+
+    def straighten(self) -> None:
+        self.autopilot.set_rc(SWITCH, LOW)
+
+    def bend_half(self) -> None:
+        self.autopilot.set_rc(SWITCH, MIDDLE)
+
+    def bend_full(self) -> None:
+        self.autopilot.set_rc(SWITCH, HIGH)
+
+    def set_parameter(self, name: str, value: float) -> None:
+        self.ground.send(
+            mavlink.MAVLink_param_set_message(1, 191, name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32)
+        )
+
+    def block_flights(self) -> Callable[[], None]:
+        """A file is where the flights' folder should be; what is returned mends it."""
+        flights = self.folder / "flights"
+        flights.write_text("")
+        return flights.unlink
+
+    def damage_state(self) -> Callable[[], None]:
+        parameters = self.folder / "state" / "profile.parameters.toml"
+        parameters.parent.mkdir()
+        parameters.write_text("VINE_RATE_HZ = 3.0.0\n")
+        return parameters.unlink
+
+    async def bent(self, above_kPa: float = 15.0) -> None:
+        await until(lambda: self.phlosar.cv_kPa > above_kPa, "the vine bends")
+
+    async def vented(self) -> None:
+        await until(lambda: self.phlosar.cv_kPa < 1.0 and self.phlosar.drive.solenoid, "the vine vents")
+
+    async def told(self, text: str) -> None:
+        await until(lambda: text in "".join(self.ground.texts), f"the ground station reads {text!r}")
+
+    async def output(self) -> str:
+        """What the service printed, when it has ended."""
+        assert self.process is not None
+        text, _ = await self.process.communicate()
+        return text.decode()
+
+
+@contextlib.asynccontextmanager
+async def on_bench(folder: Path) -> AsyncIterator[Served]:
+    autopilot = Autopilot("ardupilot")
+    ground = GroundStation()
+    ground_port = await ground.listen()
+    companion_port = free_port()
+    server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
+    served = Served(folder, autopilot, ground, companion_port)
+    running = [asyncio.create_task(part.run()) for part in (server, ground)]
+    served.plug_in()
+    try:
+        yield served
+    finally:
+        if served.process is not None and served.process.returncode is None:
+            served.process.kill()
+            await served.process.communicate()
+        with contextlib.suppress(AssertionError):
+            await served.unplug()
+        for task in running:
+            task.cancel()
+        await asyncio.gather(*running, return_exceptions=True)

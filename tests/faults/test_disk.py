@@ -1,0 +1,49 @@
+"""The disk is gone in flight: whatever is asked of it fails."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from service_bench import on_bench, until
+
+from flying_vines import config
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.kept import Kept
+from flying_vines.service import Service
+
+from .catalogue import ROWS
+
+
+async def test_disk_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    status = os.stat
+
+    def gone(path: Any, **options: Any) -> os.stat_result:
+        if str(path).startswith(str(tmp_path)):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return status(path, **options)
+
+    async with on_bench(Autopilot("ardupilot")) as bench:
+        profile = tmp_path / "profile.toml"
+        profile.write_text(bench.profile.replace("settle_s = 1.0", "settle_s = 0.2"))
+        parsed = config.load(profile)
+        service = Service(parsed, kept=Kept.of(profile, parsed))
+        serving = asyncio.create_task(service.run())
+        await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
+        bench.autopilot.set_rc(9, 2000)
+        await until(bench.bent, "the vine bends")
+        monkeypatch.setattr(os, "stat", gone)
+        bench.ground.send(
+            mavlink.MAVLink_param_set_message(1, 191, b"VINE_RATE_HZ", 3.0, mavlink.MAV_PARAM_TYPE_REAL32)
+        )
+        await until(lambda: ROWS["disk_gone"].told in "".join(bench.ground.texts), "the pilot is told")
+        assert bench.bent()
+        bench.autopilot.set_rc(9, 1000)
+        await until(bench.vented, "the switch still acts")
+        service.stop()
+        await serving

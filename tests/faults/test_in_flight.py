@@ -1,0 +1,100 @@
+"""Every fault of the catalogue that simulated time can bring about, in a flight whose valves are watched."""
+
+from __future__ import annotations
+
+import pytest
+
+from flying_vines.fakes.firmware import FirmwareSettings
+
+from .black_box import STEP_S, BlackBox
+from .catalogue import ROWS, UNPOWERED, Cleared, Row
+from .injections import INJECTIONS, Injection
+from .watched import HALF_BENT_KPA, Watched
+
+MID_INFLATION_KPA, BENT_AT_LEAST_KPA = 8.0, 15.0
+
+DEAD_MAN_S = 0.3
+FIRMWARE_LIMIT_KPA = FirmwareSettings().cv_limit_kPa
+LONGEST_OVER_MS = 20
+SAME_MS, SAME_KPA = 10, 1.0
+"""How far a measurement may lie from what the table says, before the table is no longer true."""
+
+
+@pytest.mark.parametrize("name", INJECTIONS)
+def test_a_fault_in_flight(name: str) -> None:
+    row, injection = ROWS[name], INJECTIONS[name]
+    flight = in_the_air(injection)
+    box = flight.box
+    box.watch(FIRMWARE_LIMIT_KPA)
+    began_s = flight.phlosar.now_s
+    injection.begin(flight)
+    injection.live(flight, injection.lasts_s)
+    left_kPa = flight.phlosar.cv_kPa
+    injection.end(flight)
+    # The switch stands where it stands, and nobody asks for anything.
+    flight.run(5.0)
+
+    if row.told:
+        assert flight.told(row.told), flight.describe()
+    assert {d.intent for d in flight.decisions if d.trigger != "switch"} <= {"vent"}, flight.describe()
+    if row.highest_kPa is None:
+        assert box.longest_over_ms <= LONGEST_OVER_MS
+    else:
+        assert box.highest_kPa == pytest.approx(row.highest_kPa, abs=SAME_KPA)
+    if row.cleared is Cleared.AT_ONCE:
+        assert bool(flight.texts.read) == bool(row.told), flight.describe()
+        assert flight.phlosar.cv_kPa > BENT_AT_LEAST_KPA, "the vine goes on"
+        return
+    assert left_kPa == pytest.approx(row.left_kPa, abs=SAME_KPA)
+    assert flight.phlosar.cv_kPa == pytest.approx(0.0, abs=SAME_KPA)
+    if injection.phase == "vented":
+        assert box.unsafe_s is None
+    else:
+        assert_safe_in_time(row, box, began_s)
+    if row.cleared is Cleared.PERSON:
+        assert_latched_until_a_person_clears_it(flight)
+    flight.forget()
+    flight.bend_half()
+    flight.run(1.0)
+    assert [decision.safety for decision in flight.decisions] == ["accepted"], flight.describe()
+    assert flight.phlosar.cv_kPa == pytest.approx(HALF_BENT_KPA, abs=SAME_KPA)
+
+
+def in_the_air(injection: Injection) -> Watched:
+    """In the phase in which the fault begins."""
+    flight = Watched(
+        injection.kind, injection.tables, injection.rc, injection.reservoir_kPa, injection.rested_s
+    )
+    assert flight.box.unsafe_s is None, "nothing moves before the first trigger"
+    if injection.phase != "vented":
+        flight.bend_full()
+        while flight.phlosar.cv_kPa < MID_INFLATION_KPA:
+            flight.run(STEP_S)
+            assert flight.now_s < 30.0, f"it never bent: {flight.describe()}"
+    if injection.phase == "held":
+        flight.run(1.5)
+    flight.forget()
+    return flight
+
+
+def assert_safe_in_time(row: Row, box: BlackBox, began_s: float) -> None:
+    """Also: it has been safe since."""
+    assert box.unsafe_s is not None
+    assert box.setpoint_s is not None
+    assert row.allowed_ms is not None
+    to_safe_ms = round(1000 * (box.unsafe_s + STEP_S - began_s))
+    assert to_safe_ms <= row.allowed_ms
+    assert row.measured_ms == pytest.approx(to_safe_ms, abs=SAME_MS), "write this into the catalogue"
+    if row.safe_state != UNPOWERED:
+        assert box.unsafe_s + STEP_S - box.setpoint_s <= DEAD_MAN_S
+
+
+def assert_latched_until_a_person_clears_it(flight: Watched) -> None:
+    unsafe_s = flight.box.unsafe_s
+    flight.forget()
+    flight.bend_half()
+    flight.run(0.5)
+    assert [decision.safety for decision in flight.decisions] == ["refused"], flight.describe()
+    flight.straighten()
+    flight.run(0.5)
+    assert flight.box.unsafe_s == unsafe_s

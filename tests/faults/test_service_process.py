@@ -1,0 +1,184 @@
+"""Faults of the companion and its files: the real service as a process, real sockets, a serial port path."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import resource
+import select
+import signal
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+from service_bench import until
+
+from firmware_link.protocol import Fault
+
+from .black_box import STEP_S
+from .catalogue import ROWS
+from .served import Served, on_bench
+
+TIME_TO_LIVE_MS = 250
+"""Of a setpoint; the fault may come right behind one."""
+
+
+@pytest.fixture
+async def served(tmp_path: Path) -> AsyncIterator[Served]:
+    async with on_bench(tmp_path) as served:
+        yield served
+
+
+def assert_ended_by_the_dead_man(served: Served, fault: str) -> None:
+    box = served.box
+    assert box.unsafe_s is not None
+    assert box.setpoint_s is not None
+    to_safe_ms = round(1000 * (box.unsafe_s + STEP_S - box.setpoint_s))
+    assert to_safe_ms == pytest.approx(TIME_TO_LIVE_MS, abs=10)
+    allowed_ms = ROWS[fault].allowed_ms
+    assert allowed_ms is not None
+    assert to_safe_ms <= allowed_ms
+    assert served.phlosar.firmware.faults & Fault.DEAD_MAN
+
+
+async def assert_latched_until_a_person_clears_it(served: Served, fault: str) -> None:
+    """The switch stands at bent, which is no trigger; moved to where it bends less, it is refused."""
+    await served.told(ROWS[fault].told)
+    still_s = served.box.unsafe_s
+    await asyncio.sleep(0.5)
+    served.bend_half()
+    await asyncio.sleep(0.5)
+    assert served.phlosar.firmware.faults
+    served.straighten()
+    await until(lambda: not served.phlosar.firmware.faults, "a person has cleared it")
+    assert served.box.unsafe_s == still_s
+    served.bend_full()
+    await served.bent()
+
+
+async def vent(served: Served) -> None:
+    served.straighten()
+    await served.vented()
+    served.ground.texts.clear()
+
+
+async def test_the_dead_man_behind_the_real_service(served: Served) -> None:
+    await served.serve()
+    assert served.process is not None
+    assert served.box.unsafe_s is None, "nothing moves before the first trigger"
+
+    served.bend_full()
+    await served.bent(8.0)
+    served.process.send_signal(signal.SIGSTOP)
+    await asyncio.sleep(2.0)
+    await served.vented()
+    assert_ended_by_the_dead_man(served, "companion_stalled")
+    served.process.send_signal(signal.SIGCONT)
+    await assert_latched_until_a_person_clears_it(served, "companion_stalled")
+
+    await vent(served)
+    served.bend_full()
+    await served.bent(8.0)
+    await served.unplug()
+    served.phlosar.advance(served.phlosar.now_s + 2.0)
+    assert_ended_by_the_dead_man(served, "serial_unplugged")
+    served.plug_in()
+    await served.told("phloSAR is back")
+    await assert_latched_until_a_person_clears_it(served, "serial_unplugged")
+
+    await vent(served)
+    served.bend_full()
+    await served.bent(8.0)
+    served.process.kill()
+    await served.process.communicate()
+    await served.vented()
+    assert_ended_by_the_dead_man(served, "companion_killed")
+    await served.serve()
+    served.bend_full()
+    await assert_latched_until_a_person_clears_it(served, "companion_killed")
+
+
+async def test_a_flight_goes_on_whatever_happens_around_it(served: Served) -> None:
+    """To its profile, its disk, and by a second copy of the service that somebody starts."""
+    await served.serve()
+    assert served.process is not None
+    served.bend_full()
+    await served.bent()
+
+    profile = served.profile.read_text()
+    served.profile.write_text("[limits]\nmax_kPa = 'as much as it takes'\n")
+    served.bend_half()
+    await until(lambda: served.phlosar.cv_kPa < 12.0, "the profile of the start is in force")
+    served.profile.unlink()
+    served.bend_full()
+    await served.bent()
+    served.profile.write_text(profile)
+
+    (log,) = (served.folder / "flights").glob("*/flight.jsonl")
+    size = log.stat().st_size
+    resource.prlimit(served.process.pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+    await served.told(ROWS["disk_full"].told)
+    resource.prlimit(served.process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
+
+    (served.folder / "state").write_text("a file where the folder should be")
+    served.set_parameter("VINE_RATE_HZ", 3.0)
+    await served.told(ROWS["disk_read_only"].told)
+
+    second = await asyncio.create_subprocess_exec(
+        *served.command, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT
+    )
+    assert second.stdout is not None
+    async with asyncio.timeout(10.0):
+        while ROWS["second_copy"].told not in (await second.stdout.readline()).decode():
+            pass
+    second.terminate()
+    await second.communicate()
+
+    box = served.box
+    assert box.unsafe_s is not None
+    assert not served.phlosar.firmware.faults
+    assert served.phlosar.cv_kPa > 15.0
+    served.straighten()
+    await served.vented()
+    assert "vented" not in "".join(served.ground.texts)
+    assert len(log.read_text().splitlines()) > 10
+    served.process.send_signal(signal.SIGHUP)
+    output = await served.output()
+    assert "Vented. Stopped." in output
+    assert "Traceback" not in output
+
+
+async def test_a_frozen_terminal_holds_nobody_up(served: Served) -> None:
+    """Nobody reads the other end of this one."""
+    ours, its = os.openpty()
+    try:
+        await served.serve(terminal=its)
+        assert served.process is not None
+        served.bend_full()
+        await served.bent()
+        await asyncio.sleep(1.0)
+        assert not served.phlosar.firmware.faults
+        assert select.select([], [its], [], 0.0)[1] == [], "it takes nothing any more"
+        served.straighten()
+        await served.vented()
+        served.process.terminate()
+        async with asyncio.timeout(10.0):
+            assert await served.process.wait() == 0
+    finally:
+        os.close(ours)
+        os.close(its)
+
+
+async def test_a_service_does_not_start_without_its_files(served: Served) -> None:
+    for fault, fail in (
+        ("log_unwritable", served.block_flights),
+        ("parameters_damaged", served.damage_state),
+    ):
+        mend = fail()
+        process = await asyncio.create_subprocess_exec(*served.command, stderr=asyncio.subprocess.PIPE)
+        _, said = await process.communicate()
+        assert process.returncode == 2
+        assert ROWS[fault].told in said.decode()
+        assert len(said.decode().splitlines()) == 1
+        mend()
+    assert served.box.unsafe_s is None

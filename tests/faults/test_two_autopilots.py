@@ -1,0 +1,45 @@
+"""Two autopilots on one link, and nobody said which one carries the vine."""
+
+from __future__ import annotations
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines import config
+from flying_vines.events import VehicleMessage
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.pneumatics.plant.effects import Effects
+from flying_vines.simulated_world import SimulatedFlight
+from flying_vines.vehicle.codec import Codec
+
+from .black_box import BlackBox
+from .catalogue import ROWS
+from .watched import HIGH, LOW, SWITCH, Texts
+
+
+def test_two_autopilots() -> None:
+    autopilot = Autopilot("ardupilot")
+    autopilot.set_rc(SWITCH, LOW)
+    phlosar = SimulatedPhlosar(effects=Effects())
+    box = BlackBox(phlosar)
+    flight = SimulatedFlight(config.default(), autopilot, phlosar)
+    texts = Texts()
+    for i in range(60):
+        for action in flight.run(flight.world.now + 0.1):
+            texts.take(action)
+        for action in flight.feed(VehicleMessage(flight.world.now, heartbeat_of(2))):
+            texts.take(action)
+        if i == 30:
+            autopilot.set_rc(SWITCH, HIGH)
+            autopilot.takeoff(10.0)
+    assert any(ROWS["two_autopilots"].told in text for text in texts.read)
+    assert box.unsafe_s is None
+
+
+def heartbeat_of(system: int) -> mavlink.MAVLink_message:
+    message = mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+    )
+    sent = Codec(system, mavlink.MAV_COMP_ID_AUTOPILOT1).encode(message, system)
+    (received,) = Codec(1, 191).decode(sent)
+    return received

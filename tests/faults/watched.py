@@ -1,0 +1,134 @@
+"""A flight in simulated time with a black box at its valves, and what its pilot reads."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import msgspec
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines import config
+from flying_vines.events import Action, Decision, Event, ToVehicle, VehicleMessage
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.board import Board
+from flying_vines.fakes.compiled_firmware import CompiledFirmware, compiler
+from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.pneumatics.plant.effects import Effects
+from flying_vines.simulated_world import SimulatedFlight
+from flying_vines.vehicle.codec import Codec
+from flying_vines.vehicle.mission.storage import Kind
+
+from .black_box import STEP_S, BlackBox
+
+SWITCH = 9
+LOW, MIDDLE, HIGH = 1000, 1500, 2000
+CRUISE_M = 10.0
+HALF_BENT_KPA = 11.35
+BENT_KPA = 20.7
+
+
+def board() -> Board | None:
+    """With the firmware that a lab flashes, where a compiler is; else the emulated one, its twin."""
+    return CompiledFirmware() if compiler() else None
+
+
+class Texts:
+    """Status texts as a ground station puts them together from their chunks."""
+
+    def __init__(self) -> None:
+        self.read: list[str] = []
+        self._parts: dict[int, str] = {}
+
+    def take(self, action: Action) -> None:
+        if not isinstance(action, ToVehicle) or action.message.get_type() != "STATUSTEXT":
+            return
+        message = action.message
+        if message.id == 0:
+            self.read.append(message.text)
+            return
+        text = self._parts.pop(message.id, "") + message.text
+        if len(message.text) < 50:
+            self.read.append(text)
+        else:
+            self._parts[message.id] = text
+
+
+class Watched:
+    """In the air, nothing bent. Lives by milliseconds, so that nothing falls between.
+
+    What bends and straightens the vine is the switch or, on a flight without RC, a ground station's button.
+    """
+
+    def __init__(
+        self,
+        kind: Kind = "ardupilot",
+        tables: Mapping[str, object] | None = None,
+        rc: bool = True,
+        reservoir_kPa: float = 690.0,
+        rested_s: float = 3.2,
+    ) -> None:
+        profile = msgspec.structs.replace(config.default(), **(tables or {}))
+        self._has_rc = rc
+        self._ground = Codec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
+        self._companion = Codec(profile.vehicle.system_id, profile.vehicle.component_id)
+        self.autopilot = Autopilot(kind, rc_present=rc, rc_failsafe_mode=None)
+        self.autopilot.set_rc(SWITCH, LOW)
+        self.phlosar = SimulatedPhlosar(effects=Effects(), firmware=board(), reservoir_kPa=reservoir_kPa)
+        self.box = BlackBox(self.phlosar)
+        self.flight = SimulatedFlight(profile, self.autopilot, self.phlosar)
+        self.texts = Texts()
+        self.decisions: list[Decision] = []
+        self.run(1.2)
+        self.take_off()
+        self.run(rested_s)
+
+    @property
+    def now_s(self) -> float:
+        return self.flight.world.now
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / STEP_S)):
+            self.take(self.flight.run(self.now_s + STEP_S, STEP_S))
+            self.box.look()
+
+    def feed(self, event: Event) -> None:
+        self.take(self.flight.feed(event))
+
+    def take(self, actions: list[Action]) -> None:
+        for action in actions:
+            self.texts.take(action)
+            if isinstance(action, Decision):
+                self.decisions.append(action)
+
+    def take_off(self) -> None:
+        self.autopilot.takeoff(CRUISE_M)
+
+    def straighten(self) -> None:
+        self._ask(LOW, 0)
+
+    def bend_half(self) -> None:
+        self._ask(MIDDLE, 4)
+
+    def bend_full(self) -> None:
+        self._ask(HIGH, 5)
+
+    def _ask(self, pulse_us: int, button: int) -> None:
+        if self._has_rc:
+            self.autopilot.set_rc(SWITCH, pulse_us)
+            return
+        command = mavlink.MAVLink_command_long_message(1, 191, mavlink.MAV_CMD_USER_1, 0, button, *[0.0] * 6)
+        for message in self._companion.decode(self._ground.encode(command, 255)):
+            self.feed(VehicleMessage(self.now_s, message))
+
+    def forget(self) -> None:
+        """What was told and decided up to here is not of interest."""
+        self.texts.read.clear()
+        self.decisions.clear()
+
+    def told(self, text: str) -> bool:
+        return any(text in read for read in self.texts.read)
+
+    def describe(self) -> str:
+        """For a failing test: what there was to read and to decide."""
+        return "\n".join([*self.texts.read, *(str(dataclasses.asdict(d)) for d in self.decisions)])
