@@ -72,7 +72,7 @@ class Loss:
             told_kPa = ADIABATIC * self._rig.bottle_fall_kPa(told_SL - before_SL)
             lost_kPa = before_kPa - kPa - told_kPa
             if lost_kPa > SURE_KPA + self._noise_kPa + SHARE_OF_EVP * open_kPa_per_s * seconds:
-                return f"bottle loses {lost_kPa / seconds:.0f} kPa/s that nobody told"
+                return f"bottle loses {lost_kPa / seconds:.0f} kPa/s unasked"
         return None
 
 

@@ -46,8 +46,8 @@ _UNIX_AT_START_S = 1_795_211_406.0
 _WARNING, _INFO = 4, 6
 _GCS = 6
 _LINKS = 255
-_KEPT = 100
-"""Of what ran: a fake may fly for days."""
+_KEPT = 10_000
+"""Of what ran: more than any mission, and an end to it, for a fake may fly for days."""
 _MAVLINK_CAMERA, _CAMERA_ITEMS = 5, (202, 203)
 
 _MISSION_MESSAGES = frozenset(
