@@ -325,6 +325,10 @@ class HostSession:
             return []
         if refusal.reason in (RefusalReason.NO_HANDSHAKE, RefusalReason.VERSION):
             return self._reset("it no longer knows this session")
+        if refusal.reason is RefusalReason.OVERTAKEN:
+            # Of an old command it is as it should be.
+            current = isinstance(self._command, Regulate) and refusal.number == self._number
+            return self._reset("it has heard newer commands than ours") if current else []
         if isinstance(self._command, Regulate) and refusal.number == self._number:
             self._adopt(VENTING)
             self._repeat.now()

@@ -71,6 +71,7 @@ class RefusalReason(IntEnum):
     FAULT_LATCHED = 4
     NOT_A_NUMBER = 5
     REGULATING = 6
+    OVERTAKEN = 7
 
 
 class Units(IntEnum):

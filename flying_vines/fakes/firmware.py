@@ -66,8 +66,11 @@ class _Lasting:
     def __init__(self) -> None:
         self._count = 0
 
-    def seen(self, now: bool) -> bool:
+    def see(self, now: bool) -> None:
         self._count = min(_IN_A_ROW, self._count + 1) if now else 0
+
+    @property
+    def there(self) -> bool:
         return self._count == _IN_A_ROW
 
 
@@ -145,6 +148,7 @@ class Firmware:
         self._deadline_us = 0
         self._greeted = False
         self._number = 0
+        self._newest = None
         self._cv_kPa = 0.0
         self._reservoir_kPa = 0.0
         self._lasting = {
@@ -174,15 +178,16 @@ class Firmware:
             self._cv_kPa = cv_kPa
         if reservoir_good:
             self._reservoir_kPa = reservoir_kPa
-        there = {
-            Fault.CV_SENSOR: not cv_good,
-            Fault.RESERVOIR_SENSOR: not reservoir_good,
-            Fault.CV_OVERPRESSURE: cv_good and cv_kPa > settings.cv_limit_kPa,
-            Fault.RESERVOIR_OVERPRESSURE: reservoir_good and reservoir_kPa > settings.reservoir_limit_kPa,
-        }
+        self._lasting[Fault.CV_SENSOR].see(not cv_good)
+        self._lasting[Fault.RESERVOIR_SENSOR].see(not reservoir_good)
+        # A reading that cannot be believed says nothing of a limit, not that it is kept.
+        if cv_good:
+            self._lasting[Fault.CV_OVERPRESSURE].see(cv_kPa > settings.cv_limit_kPa)
+        if reservoir_good:
+            self._lasting[Fault.RESERVOIR_OVERPRESSURE].see(reservoir_kPa > settings.reservoir_limit_kPa)
         present = Fault.NONE
         for fault, lasting in self._lasting.items():
-            if lasting.seen(there[fault]):
+            if lasting.there:
                 present |= fault
         self._present = present
         if present:
@@ -190,7 +195,9 @@ class Firmware:
 
     def _regulate(self) -> Drive:
         if self._regulation is None:
-            return SAFE
+            # By a sensor that can be believed now.
+            too_high = self._present & (Fault.CV_OVERPRESSURE | Fault.CV_SENSOR) == Fault.CV_OVERPRESSURE
+            return self._relief() if too_high else SAFE
         target_kPa, rate_kPa_per_s = self._aim
         settings = self.settings
         self._regulation, wanted = regulate(
@@ -208,6 +215,12 @@ class Firmware:
             wanted.solenoid,
         )
 
+    def _relief(self) -> Drive:
+        """A valve that is stuck open may bring more than leaves by itself; with the Venturi's help more
+        leaves."""
+        help_kPa = self.settings.regulator.venturi_least_supply_kPa
+        return Drive(0.0, 1.0 if self._reservoir_kPa >= help_kPa else 0.0, True)
+
     def _latch(self, fault: Fault) -> None:
         self._faults |= fault
         self._regulation = None
@@ -220,7 +233,7 @@ class Firmware:
                 self._on_setpoint(message)
             case Vent(number):
                 self._regulation = None
-                self._number = number
+                self._accept(number)
             case ClearFaults(mask):
                 if self._greeted:
                     self._faults &= ~(Fault(mask) & ~self._present)
@@ -236,6 +249,7 @@ class Firmware:
     def _on_hello(self, hello: Hello) -> None:
         settings = self.settings
         self._regulation = None
+        self._newest: int | None = None
         self._greeted = hello.protocol_version == PROTOCOL_VERSION
         self._send(
             Welcome(
@@ -267,7 +281,16 @@ class Firmware:
         # Where to go, and how fast at most.
         self._aim = setpoint.target_kPa, min(setpoint.rate_kPa_per_s, settings.rate_limit_kPa_per_s)
         self._deadline_us = self._now_us + 1000 * min(setpoint.ttl_ms, settings.dead_man_ms)
-        self._number = setpoint.number
+        self._accept(setpoint.number)
+
+    def _accept(self, number: int) -> None:
+        self._number = number
+        if not self._overtaken(number):
+            self._newest = number
+
+    def _overtaken(self, number: int) -> bool:
+        """Whether a newer command came before it: a line may deliver in another order."""
+        return self._newest is not None and (number - self._newest) & 0xFFFF >= 0x8000
 
     def _why_refused(self, setpoint: Setpoint) -> RefusalReason | None:
         if not self._greeted:
@@ -277,7 +300,9 @@ class Firmware:
         within = 0.0 <= setpoint.target_kPa <= self.settings.setpoint_most_kPa
         if not within or setpoint.rate_kPa_per_s <= 0.0 or setpoint.ttl_ms == 0:
             return RefusalReason.OUT_OF_RANGE
-        return RefusalReason.FAULT_LATCHED if self._faults else None
+        if self._faults:
+            return RefusalReason.FAULT_LATCHED
+        return RefusalReason.OVERTAKEN if self._overtaken(setpoint.number) else None
 
     def _on_set_setting(self, message: SetSetting) -> None:
         if not self._greeted:

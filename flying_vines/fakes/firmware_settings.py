@@ -60,13 +60,13 @@ class SettingRow(NamedTuple):
 
 
 SETTING_ROWS = (
-    SettingRow("cv_limit_kPa", 1.0, 60.0),
-    SettingRow("setpoint_margin_kPa", 0.5, 10.0),
+    SettingRow("cv_limit_kPa", 5.0, 60.0),
+    SettingRow("setpoint_margin_kPa", 0.5, 4.0),
     SettingRow("reservoir_limit_kPa", 50.0, 830.0),
     SettingRow("rate_limit_kPa_per_s", 1.0, 500.0),
     SettingRow("dead_man_ms", 50.0, 300.0),
     SettingRow("telemetry_Hz", 10.0, 1000.0),
-    SettingRow("cv_span_kPa", 50.0, 700.0),
+    SettingRow("cv_span_kPa", 100.0, 420.0),
     SettingRow("cv_zero_kPa", -10.0, 10.0),
     SettingRow("reservoir_span_kPa", 700.0, 2000.0),
     SettingRow("reservoir_zero_kPa", -50.0, 50.0),

@@ -201,6 +201,17 @@ def test_a_firmware_that_forgot_the_handshake_is_a_reset() -> None:
     assert len(session.tick(0.1)) == 1
 
 
+def test_a_firmware_that_heard_a_newer_command_is_greeted_anew() -> None:
+    session = ready()
+    session.command(0.0, BEND)
+    older, current = session.number - 1, session.number
+    assert session.receive(0.1, Refusal(older, RefusalReason.OVERTAKEN)) == []
+    assert session.state is SessionState.READY
+    (event,) = session.receive(0.2, Refusal(current, RefusalReason.OVERTAKEN))
+    assert isinstance(event, FirmwareReset)
+    assert session.state is SessionState.GREETING
+
+
 def test_a_reset_while_the_port_was_closed_is_told() -> None:
     session = ready()
     session.closed(1.0)

@@ -191,7 +191,7 @@ def test_values_outside_an_enumeration_are_malformed() -> None:
     for wrong in (_telemetry_payload(mode=3), _telemetry_payload(solenoid=2)):
         with pytest.raises(MalformedMessageError):
             decode(wrong)
-    for reason in (0, 7):
+    for reason in (0, 8):
         with pytest.raises(MalformedMessageError):
             decode(bytes([Refusal.TYPE, 0, 0, 0, reason]))
 

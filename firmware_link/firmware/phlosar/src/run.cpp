@@ -9,11 +9,13 @@ namespace phlosar {
 
 namespace {
 
-// One USB packet: more than that at a time would keep a step waiting.
-constexpr size_t kChunk = 64;
+// More at a time would keep a step waiting: of a host that asks without end, too. What is left waits in the port.
+constexpr size_t kIncoming = 32;
+// One USB packet.
+constexpr size_t kOutgoing = 64;
 
 uint8_t image[Settings::kImageSize];
-uint8_t outgoing[kChunk];
+uint8_t outgoing[kOutgoing];
 size_t outgoing_size = 0;
 size_t outgoing_sent = 0;
 StepClock steps;
@@ -24,7 +26,7 @@ Firmware& firmware() {
 }
 
 void converse() {
-    uint8_t incoming[kChunk];
+    uint8_t incoming[kIncoming];
     firmware().receive(incoming, board::serial_read(incoming, sizeof incoming));
     if (outgoing_sent == outgoing_size) {
         outgoing_size = firmware().take_output(outgoing, sizeof outgoing);

@@ -7,7 +7,8 @@ namespace phlosar {
 namespace {
 
 uint16_t to_wire(Real opening) {
-    const Real share = smaller(Real(1), larger(Real(0), opening));
+    if (!(opening > Real(0))) return 0;
+    const Real share = smaller(Real(1), opening);
     return static_cast<uint16_t>(static_cast<int32_t>(share * Real(65535) + Real(0.5)));
 }
 
@@ -17,12 +18,20 @@ void Firmware::start(const Boot& boot) {
     boot_id_ = boot.boot_id;
     if (boot.by_watchdog) latch(kWatchdogReset);
     if (settings_.read_image(boot.stored, boot.stored_size) == Stored::kDamaged) latch(kSettings);
+    configure();
+}
+
+void Firmware::configure() {
     regulator_.configure(settings_);
+    cv_sensor_ = sensor(settings_[SettingId::kCvSpan_kPa], settings_[SettingId::kCvZero_kPa]);
+    reservoir_sensor_ =
+        sensor(settings_[SettingId::kReservoirSpan_kPa], settings_[SettingId::kReservoirZero_kPa]);
+    telemetry_period_us_ = 1000000u / static_cast<uint32_t>(settings_[SettingId::kTelemetry_Hz]);
 }
 
 bool Firmware::set(uint8_t id, Real value) {
     if (!settings_.set(id, value)) return false;
-    regulator_.configure(settings_);
+    configure();
     return true;
 }
 
@@ -46,20 +55,28 @@ void Firmware::receive(const uint8_t* data, size_t size) {
 }
 
 Outputs Firmware::step(uint32_t now_us, const Readings& readings) {
-    return outputs(settings_, control(now_us, pressures(settings_, readings)));
+    return outputs(settings_, control(now_us, pressures(cv_sensor_, reservoir_sensor_, readings)));
 }
 
 Drive Firmware::control(uint32_t now_us, const Pressures& pressures) {
     follow_clock(now_us);
     look(pressures);
     if (regulating_ && now_us - commanded_us_ >= holds_us_) latch(kDeadMan);
-    Drive told = kSafe;
+    Drive told = too_high() ? relief() : kSafe;
     if (regulating_) {
-        const Drive wanted = regulator_.step(target_kPa_, rate_kPa_per_s_, cv_kPa_, reservoir_kPa_);
+        const Drive wanted = regulator_.step(target_kPa_, most_per_step_kPa_, cv_kPa_, reservoir_kPa_);
         told = over_dead_bands(settings_, wanted);
     }
     if (static_cast<int32_t>(now_us - telemetry_us_) >= 0) tell_telemetry(told);
     return told;
+}
+
+bool Firmware::too_high() const { return (present_ & (kCvOverpressure | kCvSensor)) == kCvOverpressure; }
+
+// A valve that is stuck open may bring more than leaves by itself; with the Venturi's help more leaves.
+Drive Firmware::relief() const {
+    const bool help = reservoir_kPa_ >= kVenturiLeastSupply_kPa;
+    return {Real(0), help ? Real(1) : Real(0), true};
 }
 
 void Firmware::follow_clock(uint32_t now_us) {
@@ -68,32 +85,33 @@ void Firmware::follow_clock(uint32_t now_us) {
         telemetry_us_ = now_us;
     } else {
         beyond_ms_us_ += now_us - now_us_;
-        while (beyond_ms_us_ >= 1000) {
-            beyond_ms_us_ -= 1000;
-            ++time_ms_;
-        }
+        time_ms_ += beyond_ms_us_ / 1000;
+        beyond_ms_us_ %= 1000;
     }
     now_us_ = now_us;
 }
 
 // Keeps readings that can be believed, latches what is wrong with them.
 void Firmware::look(const Pressures& seen) {
-    const bool cv_good = within_sensor(seen.cv_kPa, settings_[SettingId::kCvSpan_kPa],
-                                       settings_[SettingId::kCvZero_kPa]);
-    const bool reservoir_good = within_sensor(seen.reservoir_kPa, settings_[SettingId::kReservoirSpan_kPa],
-                                              settings_[SettingId::kReservoirZero_kPa]);
+    const bool cv_good = cv_sensor_.can_say(seen.cv_kPa);
+    const bool reservoir_good = reservoir_sensor_.can_say(seen.reservoir_kPa);
     if (cv_good) cv_kPa_ = seen.cv_kPa;
     if (reservoir_good) reservoir_kPa_ = seen.reservoir_kPa;
+    bad_cv_.see(!cv_good);
+    bad_reservoir_.see(!reservoir_good);
+    bad_supply_.see(!seen.supply_good);
+    // A reading that cannot be believed says nothing of a limit, not that it is kept.
+    if (cv_good) high_cv_.see(cv_kPa_ > settings_[SettingId::kCvLimit_kPa]);
+    if (reservoir_good) high_reservoir_.see(reservoir_kPa_ > settings_[SettingId::kReservoirLimit_kPa]);
     uint16_t present = kNoFault;
     const auto note = [&present](bool there, Fault fault) {
         if (there) present = static_cast<uint16_t>(present | fault);
     };
-    note(bad_cv_.seen(!cv_good), kCvSensor);
-    note(bad_reservoir_.seen(!reservoir_good), kReservoirSensor);
-    note(bad_supply_.seen(!seen.supply_good), kSupply);
-    note(high_cv_.seen(cv_good && cv_kPa_ > settings_[SettingId::kCvLimit_kPa]), kCvOverpressure);
-    note(high_reservoir_.seen(reservoir_good && reservoir_kPa_ > settings_[SettingId::kReservoirLimit_kPa]),
-         kReservoirOverpressure);
+    note(bad_cv_.there(), kCvSensor);
+    note(bad_reservoir_.there(), kReservoirSensor);
+    note(bad_supply_.there(), kSupply);
+    note(high_cv_.there(), kCvOverpressure);
+    note(high_reservoir_.there(), kReservoirOverpressure);
     present_ = present;
     if (present != kNoFault) latch(present);
 }
@@ -114,7 +132,7 @@ void Firmware::handle(const HostMessage& message) {
             break;
         case Type::kVent:
             regulating_ = false;
-            number_ = message.vent.number;
+            accept(message.vent.number);
             break;
         case Type::kClearFaults:
             if (greeted_) {
@@ -140,6 +158,7 @@ void Firmware::handle(const HostMessage& message) {
 
 void Firmware::on_hello(const Hello& hello) {
     regulating_ = false;
+    counting_ = false;
     greeted_ = hello.protocol_version == kProtocolVersion;
     Welcome welcome{};
     welcome.nonce = hello.nonce;
@@ -166,11 +185,22 @@ void Firmware::on_setpoint(const Setpoint& setpoint) {
         regulator_.begin(cv_kPa_);
     }
     target_kPa_ = Real(setpoint.target_kPa);
-    rate_kPa_per_s_ = smaller(Real(setpoint.rate_kPa_per_s), settings_[SettingId::kRateLimit_kPa_per_s]);
+    most_per_step_kPa_ =
+        smaller(Real(setpoint.rate_kPa_per_s), settings_[SettingId::kRateLimit_kPa_per_s]) * kStep_s;
     const uint16_t dead_man_ms = static_cast<uint16_t>(settings_[SettingId::kDeadMan_ms]);
     holds_us_ = 1000u * (setpoint.ttl_ms < dead_man_ms ? setpoint.ttl_ms : dead_man_ms);
     commanded_us_ = now_us_;
-    number_ = setpoint.number;
+    accept(setpoint.number);
+}
+
+void Firmware::accept(uint16_t number) {
+    number_ = number;
+    if (!overtaken(number)) newest_ = number;
+    counting_ = true;
+}
+
+bool Firmware::overtaken(uint16_t number) const {
+    return counting_ && static_cast<int16_t>(static_cast<uint16_t>(number - newest_)) < 0;
 }
 
 bool Firmware::why_refused(const Setpoint& setpoint, RefusalReason* reason) const {
@@ -183,6 +213,8 @@ bool Firmware::why_refused(const Setpoint& setpoint, RefusalReason* reason) cons
         *reason = RefusalReason::kOutOfRange;
     } else if (latched_ != kNoFault) {
         *reason = RefusalReason::kFaultLatched;
+    } else if (overtaken(setpoint.number)) {
+        *reason = RefusalReason::kOvertaken;
     } else {
         return false;
     }
@@ -197,10 +229,14 @@ void Firmware::on_set_setting(const SetSetting& set_setting) {
     } else if (regulating_) {
         // A limit must not move under a vine that is bent.
         refuse(0, RefusalReason::kRegulating);
-    } else if (!set(set_setting.id, Real(set_setting.value))) {
-        refuse(0, RefusalReason::kOutOfRange);
     } else {
-        settings_changed_ = true;
+        const Settings before = settings_;
+        if (!set(set_setting.id, Real(set_setting.value))) {
+            refuse(0, RefusalReason::kOutOfRange);
+            return;
+        }
+        // What stays the same wears no memory out.
+        if (before.at(set_setting.id) != settings_.at(set_setting.id)) settings_changed_ = true;
         tell_setting(set_setting.id);
     }
 }
@@ -219,11 +255,11 @@ void Firmware::tell_setting(uint8_t id) {
 }
 
 void Firmware::tell_telemetry(const Drive& told) {
-    const uint32_t period_us = 1000000u / static_cast<uint32_t>(settings_[SettingId::kTelemetry_Hz]);
+    const uint32_t period_us = telemetry_period_us_;
     telemetry_us_ += period_us;
     // After a pause: no burst to catch up.
     if (static_cast<int32_t>(now_us_ - telemetry_us_) >= 0) telemetry_us_ = now_us_ + period_us;
-    Telemetry telemetry{};
+    Telemetry telemetry;
     telemetry.device_time_ms = time_ms_;
     telemetry.mode = mode();
     telemetry.faults = latched_;

@@ -31,7 +31,7 @@ struct Boot {
 class Firmware {
 public:
     // Printable, at most kBuildSize characters; must outlive this.
-    explicit Firmware(const char* build) : build_(build) {}
+    explicit Firmware(const char* build) : build_(build) { configure(); }
 
     // Once, before anything else. The valves are safe until a host commands otherwise.
     void start(const Boot& boot);
@@ -69,15 +69,16 @@ private:
     // A condition that counts once it was there so many times in a row.
     class Lasting {
     public:
-        bool seen(bool now) {
+        void see(bool now) {
             count_ = now ? static_cast<uint8_t>(count_ < kInARow ? count_ + 1 : kInARow) : 0;
-            return count_ == kInARow;
         }
+        bool there() const { return count_ == kInARow; }
 
     private:
         uint8_t count_ = 0;
     };
 
+    void configure();
     void look(const Pressures& pressures);
     void latch(uint16_t faults);
     void handle(const HostMessage& message);
@@ -90,20 +91,28 @@ private:
     void tell_setting(uint8_t id);
     void tell_telemetry(const Drive& told);
     void follow_clock(uint32_t now_us);
+    // By a sensor that can be believed now.
+    bool too_high() const;
+    Drive relief() const;
+    void accept(uint16_t number);
+    // Whether a newer command came before it: a line may deliver in another order.
+    bool overtaken(uint16_t number) const;
     Real setpoint_most_kPa() const;
 
     template <typename Message>
     void send(const Message& message) {
         uint8_t payload[kMaxMessage];
-        uint8_t frame[kMaxFrame];
         const size_t size = write(message, sequence_++, payload);
-        output_.put(frame, encode_frame(payload, size, frame));
+        output_.put_frame(payload, size);
     }
 
     const char* build_;
     Settings settings_;
     bool settings_changed_ = false;
     Regulator regulator_{settings_};
+    Sensor cv_sensor_{};
+    Sensor reservoir_sensor_{};
+    uint32_t telemetry_period_us_ = 0;
     FrameDecoder frames_;
     OutputQueue output_;
     uint8_t sequence_ = 0;
@@ -115,9 +124,12 @@ private:
     uint16_t latched_ = kNoFault;
     uint16_t present_ = kNoFault;
     uint16_t number_ = 0;
+    // Of the commands since the handshake, once there was one.
+    uint16_t newest_ = 0;
+    bool counting_ = false;
 
     Real target_kPa_ = 0;
-    Real rate_kPa_per_s_ = 0;
+    Real most_per_step_kPa_ = 0;
     uint32_t commanded_us_ = 0;
     uint32_t holds_us_ = 0;
 

@@ -9,13 +9,11 @@ namespace phlosar {
 constexpr size_t kMaxPayload = 128;
 // Payload, CRC, one byte of overhead (blocks are longer than any payload).
 constexpr size_t kMaxEncoded = kMaxPayload + 2 + 1;
-constexpr size_t kMaxFrame = kMaxEncoded + 1;
+// CRC, overhead, and the zero byte that ends it.
+constexpr size_t kFrameOverhead = 4;
 
 // CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF; of "123456789" it is 0x29B1.
 uint16_t crc16(const uint8_t* data, size_t size);
-
-// One whole frame into `frame` (kMaxFrame bytes); its size. `size` is at most kMaxPayload.
-size_t encode_frame(const uint8_t* payload, size_t size, uint8_t* frame);
 
 // Bytes in, payloads out. After any garbage the first frame that follows a zero byte is read.
 class FrameDecoder {

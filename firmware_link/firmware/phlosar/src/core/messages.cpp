@@ -30,7 +30,8 @@ Writer begin(DeviceType type, uint8_t sequence, uint8_t* payload) {
 
 HostMessage parse(const uint8_t* payload, size_t size) {
     using Type = HostMessage::Type;
-    HostMessage message{};
+    HostMessage message;
+    message.type = Type::kNone;
     if (size < kHeaderSize) return message;
     const size_t body = size - kHeaderSize;
     Reader reader(payload + kHeaderSize);

@@ -31,6 +31,7 @@ enum class RefusalReason : uint8_t {
     kFaultLatched = 4,
     kNotANumber = 5,
     kRegulating = 6,
+    kOvertaken = 7,
 };
 
 // From the host.

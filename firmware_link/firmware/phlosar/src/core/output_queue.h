@@ -8,19 +8,19 @@ namespace phlosar {
 
 class OutputQueue {
 public:
-    void clear() { begin_ = size_ = 0; }
     size_t size() const { return size_; }
 
-    // All of a frame, or nothing of it: what nobody fetches is lost, frame by frame, and its number is missing.
-    void put(const uint8_t* data, size_t size) {
-        if (size_ + size > kCapacity) return;
-        for (size_t i = 0; i < size; ++i) bytes_[(begin_ + size_ + i) % kCapacity] = data[i];
-        size_ += size;
-    }
+    // All of the payload's frame, or nothing of it: what nobody fetches is lost, frame by frame, and its number
+    // is missing.
+    void put_frame(const uint8_t* payload, size_t size);
 
     size_t take(uint8_t* into, size_t most) {
         const size_t count = most < size_ ? most : size_;
-        for (size_t i = 0; i < count; ++i) into[i] = bytes_[(begin_ + i) % kCapacity];
+        const uint8_t* at = bytes_ + begin_;
+        for (uint8_t* end = into + count; into != end; ++into) {
+            *into = *at++;
+            if (at == bytes_ + kCapacity) at = bytes_;
+        }
         begin_ = (begin_ + count) % kCapacity;
         size_ -= count;
         return count;

@@ -1,6 +1,9 @@
 // The type of every quantity that is computed.
 #pragma once
 
+#include <stdint.h>
+#include <string.h>
+
 #ifndef PHLOSAR_REAL
 // Single precision is what the chip can afford; a host also builds the core in double precision, which
 // is how it is held, step for step, to a model of it that counts so.
@@ -16,6 +19,10 @@ constexpr Real smaller(Real a, Real b) { return b < a ? b : a; }
 constexpr Real larger(Real a, Real b) { return b > a ? b : a; }
 
 // True of every number but infinities and NaN.
-constexpr bool is_finite(float value) { return value - value == 0.0f; }
+inline bool is_finite(float value) {
+    uint32_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    return (bits & 0x7F800000u) != 0x7F800000u;
+}
 
 }  // namespace phlosar

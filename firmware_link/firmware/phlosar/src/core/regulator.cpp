@@ -36,15 +36,13 @@ constexpr Real kPassiveError_kPa = Real(1.0);
 constexpr Real kPassiveFirst_s = Real(0.03);
 // Within this the pressure should arrive at a setpoint that stands still.
 constexpr Real kArrival_s = Real(0.3);
-// Below it the Venturi spends air and makes no vacuum to speak of.
-constexpr Real kVenturiLeastSupply_kPa = Real(100.0);
 
 }  // namespace
 
 void Regulator::configure(const Settings& settings) {
     on_off_error_kPa_ = settings[SettingId::kOnOffError_kPa];
     filling_lead_s_ = settings[SettingId::kFillingLead_s];
-    proportional_per_kPa_ = settings[SettingId::kProportional_per_kPa];
+    proportional_ = settings[SettingId::kProportional_per_kPa] * kRatedSupply_kPa_abs;
     integral_per_kPa_s_ = settings[SettingId::kIntegral_per_kPa_s];
     venting_lead_s_ = settings[SettingId::kVentingLead_s];
 }
@@ -60,8 +58,7 @@ void Regulator::begin(Real cv_kPa) {
     venturi_ = false;
 }
 
-Drive Regulator::step(Real target_kPa, Real rate_kPa_per_s, Real cv_kPa, Real reservoir_kPa) {
-    const Real most = rate_kPa_per_s * kStep_s;
+Drive Regulator::step(Real target_kPa, Real most, Real cv_kPa, Real reservoir_kPa) {
     const Real move = smaller(most, larger(-most, target_kPa - setpoint_kPa_));
     const Real setpoint_slope = move * kPerStep_s;
     setpoint_kPa_ += move;
@@ -76,7 +73,7 @@ Drive Regulator::step(Real target_kPa, Real rate_kPa_per_s, Real cv_kPa, Real re
     if (venting_s_ > Real(0)) {
         vent = error + closing * venting_lead_s_ < Real(0);
     } else {
-        const Real excess = -error - kTolerated_kPa - larger(Real(0), setpoint_slope) * kWaiting_s;
+        const Real excess = -error - kTolerated_kPa - (setpoint_slope > Real(0) ? setpoint_slope * kWaiting_s : Real(0));
         if (excess > Real(0)) excess_kPa_s = excess_kPa_s_ + excess * kStep_s;
         vent = excess_kPa_s > kPatience_kPa_s;
     }
@@ -110,9 +107,10 @@ Real Regulator::inflation(Real error, Real closing, Real reservoir_kPa) {
     if (wanted && ahead > -kPuffOvertakes_kPa) {
         integral_ += integral_per_kPa_s_ * larger(Real(0), error) * kStep_s;
         integral_ = smaller(kIntegralMost, integral_);
+        if (!(ahead > Real(0))) return smaller(Real(1), integral_);
         const Real supply_kPa_abs = larger(Real(0), reservoir_kPa) + kAmbient_kPa;
-        const Real gain = proportional_per_kPa_ * kRatedSupply_kPa_abs / supply_kPa_abs;
-        return smaller(Real(1), integral_ + gain * larger(Real(0), ahead));
+        const Real gain = proportional_ / supply_kPa_abs;
+        return smaller(Real(1), integral_ + gain * ahead);
     }
     if (in_puff) {
         // More after a puff from near that runs far beyond; one from afar has to run.

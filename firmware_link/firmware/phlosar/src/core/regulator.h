@@ -16,6 +16,9 @@ namespace phlosar {
 // Seconds from one control step to the next, by design: the regulator does not follow a jittering clock.
 constexpr Real kStep_s = Real(0.001);
 
+// Below it the Venturi spends air and makes no vacuum to speak of.
+constexpr Real kVenturiLeastSupply_kPa = Real(100.0);
+
 class Regulator {
 public:
     explicit Regulator(const Settings& settings) { configure(settings); }
@@ -26,7 +29,7 @@ public:
     void begin(Real cv_kPa);
 
     // The valves for the next step, from pressures just read. The setpoint goes towards the target.
-    Drive step(Real target_kPa, Real rate_kPa_per_s, Real cv_kPa, Real reservoir_kPa);
+    Drive step(Real target_kPa, Real most, Real cv_kPa, Real reservoir_kPa);
 
     // What is held now, on its way to the target.
     Real setpoint_kPa() const { return setpoint_kPa_; }
@@ -37,7 +40,7 @@ private:
 
     Real on_off_error_kPa_;
     Real filling_lead_s_;
-    Real proportional_per_kPa_;
+    Real proportional_;
     Real integral_per_kPa_s_;
     Real venting_lead_s_;
 

@@ -12,7 +12,12 @@ constexpr Real kBeyondSpan = Real(0.10625);
 
 }  // namespace
 
-Pressures pressures(const Settings& settings, const Readings& readings) {
+Sensor sensor(Real span_kPa, Real zero_kPa) {
+    const Real beyond_kPa = span_kPa * kBeyondSpan;
+    return {kPerSpanShare * span_kPa, zero_kPa, zero_kPa - beyond_kPa, zero_kPa + span_kPa + beyond_kPa};
+}
+
+Pressures pressures(const Sensor& cv, const Sensor& reservoir, const Readings& readings) {
     if (readings.supply < kSupplyLeast || readings.supply > kSupplyMost) {
         return {static_cast<Real>(NAN), static_cast<Real>(NAN), false};
     }
@@ -20,16 +25,10 @@ Pressures pressures(const Settings& settings, const Readings& readings) {
     const Real cv_share = static_cast<Real>(readings.cv) * per_count - kZeroShare;
     const Real reservoir_share = static_cast<Real>(readings.reservoir) * per_count - kZeroShare;
     return {
-        cv_share * kPerSpanShare * settings[SettingId::kCvSpan_kPa] + settings[SettingId::kCvZero_kPa],
-        reservoir_share * kPerSpanShare * settings[SettingId::kReservoirSpan_kPa] +
-            settings[SettingId::kReservoirZero_kPa],
+        cv_share * cv.per_share_kPa + cv.zero_kPa,
+        reservoir_share * reservoir.per_share_kPa + reservoir.zero_kPa,
         true,
     };
-}
-
-bool within_sensor(Real kPa, Real span_kPa, Real zero_kPa) {
-    const Real beyond_kPa = span_kPa * kBeyondSpan;
-    return kPa >= zero_kPa - beyond_kPa && kPa <= zero_kPa + span_kPa + beyond_kPa;
 }
 
 }  // namespace phlosar

@@ -28,10 +28,21 @@ struct Pressures {
 constexpr uint16_t kSupplyLeast = 53621;
 constexpr uint16_t kSupplyMost = 65500;
 
-Pressures pressures(const Settings& settings, const Readings& readings);
+// A sensor as it is set, ready for the step: what can be computed beforehand is.
+struct Sensor {
+    // Whether the sensor can say so: it ends at 2.5 and 97.5 % of its supply, so what is below 1.5 or above
+    // 98.5 % is its wiring. False for NaN.
+    bool can_say(Real kPa) const { return kPa >= least_kPa && kPa <= most_kPa; }
 
-// Whether `kPa` lies within what a sensor of this span and zero can say: it ends at 2.5 and 97.5 % of its
-// supply, so what is below 1.5 or above 98.5 % is its wiring. False for NaN.
-bool within_sensor(Real kPa, Real span_kPa, Real zero_kPa);
+    // Of the sensor's whole supply.
+    Real per_share_kPa;
+    Real zero_kPa;
+    Real least_kPa;
+    Real most_kPa;
+};
+
+Sensor sensor(Real span_kPa, Real zero_kPa);
+
+Pressures pressures(const Sensor& cv, const Sensor& reservoir, const Readings& readings);
 
 }  // namespace phlosar

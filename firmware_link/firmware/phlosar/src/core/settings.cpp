@@ -11,13 +11,13 @@ constexpr uint16_t kMagic = 0x5646;
 constexpr uint8_t kImageVersion = 1;
 
 constexpr SettingRow kRows[kSettings_] = {
-    {"cv_limit_kPa", Real(30.0), Real(1.0), Real(60.0)},
-    {"setpoint_margin_kPa", Real(2.0), Real(0.5), Real(10.0)},
+    {"cv_limit_kPa", Real(30.0), Real(5.0), Real(60.0)},
+    {"setpoint_margin_kPa", Real(2.0), Real(0.5), Real(4.0)},
     {"reservoir_limit_kPa", Real(760.0), Real(50.0), Real(830.0)},
     {"rate_limit_kPa_per_s", Real(200.0), Real(1.0), Real(500.0)},
     {"dead_man_ms", Real(300.0), Real(50.0), Real(300.0)},
     {"telemetry_Hz", Real(100.0), Real(10.0), Real(1000.0)},
-    {"cv_span_kPa", Real(206.84), Real(50.0), Real(700.0)},
+    {"cv_span_kPa", Real(206.84), Real(100.0), Real(420.0)},
     {"cv_zero_kPa", Real(0.0), Real(-10.0), Real(10.0)},
     {"reservoir_span_kPa", Real(1500.0), Real(700.0), Real(2000.0)},
     {"reservoir_zero_kPa", Real(0.0), Real(-50.0), Real(50.0)},
@@ -44,7 +44,9 @@ bool Settings::set(uint8_t id, Real value) {
     const SettingRow* row = setting_row(id);
     // Written so that NaN is never within.
     if (row == nullptr || !(value >= row->least && value <= row->most)) return false;
-    values_[id] = value;
+    const bool whole = id == static_cast<uint8_t>(SettingId::kDeadMan_ms) ||
+                       id == static_cast<uint8_t>(SettingId::kTelemetry_Hz);
+    values_[id] = whole ? static_cast<Real>(static_cast<int32_t>(value)) : value;
     return true;
 }
 

@@ -9,7 +9,8 @@ Real lifted(Real opening, Real dead_band) {
 }
 
 uint16_t duty(Real opening, Real full_duty) {
-    const Real share = smaller(Real(1), larger(Real(0), opening)) * full_duty;
+    if (!(opening > Real(0))) return 0;
+    const Real share = smaller(Real(1), opening) * full_duty;
     return static_cast<uint16_t>(static_cast<int32_t>(share * Real(65535) + Real(0.5)));
 }
 

@@ -1,0 +1,370 @@
+"""A hundred million random and mutated bytes into each end of the line: nothing crashes, hangs or grows.
+
+    python benchmarks/fuzz.py [--bytes 100000000] [--seed 1] [--only blind|guided|host]
+
+The firmware's core runs with address and undefined-behaviour sanitizers, first under a driver of its own,
+which is blind and quick, then under clang's libFuzzer, which looks for inputs that reach code not reached
+before. What must hold is in firmware_link/firmware/fuzz/core.cpp. The host's decoder and session get what a
+device says: whole frames, and flipped, cut, doubled and spliced ones, and noise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import hashlib
+import math
+import os
+import random
+import re
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import tracemalloc
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+from firmware_link.framing import FRAME_END, encode_frame
+from firmware_link.host import VENTING, HostSession, Regulate, SessionState
+from firmware_link.protocol import (
+    PROTOCOL_VERSION,
+    Codec,
+    Fault,
+    Hello,
+    Message,
+    Mode,
+    Pong,
+    Refusal,
+    RefusalReason,
+    Setting,
+    Telemetry,
+    Welcome,
+    encode,
+)
+from flying_vines.fakes.compiled_firmware import SOURCES, FirmwareBuildError, compiler
+
+SANITIZERS = "address,undefined,float-cast-overflow"
+FLAGS = ("-std=c++17", "-O1", "-g", "-fno-exceptions", "-fno-rtti", "-fno-sanitize-recover=all")
+MOST_INPUT_BYTES = 4096
+RUNS_AT_ONCE = 20_000
+LONGEST_INPUT_S = 60
+MEMORY_LOOKS = 10
+MOST_NEW_BYTES = 16 * 1024
+"""Of the host's memory from the first look to the last. A tenth of the input is 10 MB."""
+_FUZZ = SOURCES / "fuzz"
+_CORE = SOURCES / "phlosar" / "src" / "core"
+_ODD_FLOATS = (math.nan, math.inf, -math.inf, -1.0, 0.0, 3.4e38, 690.0, 15.0)
+
+
+class FuzzError(Exception):
+    """Something did not hold; the text says what, and with which input."""
+
+
+def build(command: Sequence[str], sources: Sequence[Path], core: Path = _CORE) -> Path:
+    """A program out of these and the core; kept by what it is made of. FirmwareBuildError when it fails."""
+    files = [*sources, *sorted(core.glob("*.cpp"))]
+    made_of = hashlib.sha256("\0".join(command).encode())
+    for file in (*files, *sorted(core.glob("*.h"))):
+        made_of.update(file.read_bytes())
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "flying-vines"
+    cache.mkdir(parents=True, exist_ok=True)
+    program = cache / f"fuzz-{made_of.hexdigest()[:16]}"
+    if not program.exists():
+        with tempfile.TemporaryDirectory(dir=cache) as folder:
+            fresh = Path(folder) / program.name
+            made = subprocess.run(
+                [*command, "-o", str(fresh), *map(str, files)], capture_output=True, text=True
+            )
+            if made.returncode != 0:
+                raise FirmwareBuildError(f"{command[0]} cannot build the fuzzer: {made.stderr.strip()}")
+            fresh.replace(program)
+    return program
+
+
+def driver() -> Path:
+    """The core with sanitizers under our own driver. FirmwareBuildError without a compiler."""
+    command = compiler()
+    if command is None:
+        raise FirmwareBuildError("there is no C++ compiler: sudo apt install g++")
+    return build((command, *FLAGS, f"-fsanitize={SANITIZERS}"), (_FUZZ / "core.cpp", _FUZZ / "driver.cpp"))
+
+
+@dataclass
+class Fuzzed:
+    """What the firmware's core went through."""
+
+    received_bytes: int = 0
+    steps: int = 0
+    steps_regulating: int = 0
+    peak_MB: float = 0.0
+    edges: int | None = None
+    edges_there: int | None = None
+
+    def take(self, output: str) -> None:
+        """The counts at the end of one process, and what libFuzzer says of coverage."""
+        counts = re.search(r"received (\d+) bytes, made (\d+) steps, (\d+) of them", output)
+        if counts is None:
+            raise FuzzError(output[-3000:])
+        self.received_bytes += int(counts[1])
+        self.steps += int(counts[2])
+        self.steps_regulating += int(counts[3])
+        if there := re.search(r"(\d+) inline 8-bit counters", output):
+            self.edges_there = int(there[1])
+            self.edges = max(map(int, re.findall(r"cov: (\d+)", output)), default=0)
+            self.peak_MB = max(self.peak_MB, float(re.findall(r"peak_rss_mb: +(\d+)", output)[-1]))
+
+
+def drive(seed: int, most_bytes: int, program: Path | None = None) -> Fuzzed:
+    """Under our own driver. FuzzError when something does not hold."""
+    ran = subprocess.run(
+        [program or driver(), str(seed), str(most_bytes)],
+        capture_output=True,
+        text=True,
+        errors="replace",
+        check=False,
+    )
+    fuzzed = Fuzzed()
+    if ran.returncode != 0:
+        raise FuzzError(f"seed {seed}: {ran.stderr[-3000:]}")
+    fuzzed.take(ran.stdout)
+    fuzzed.peak_MB = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
+    return fuzzed
+
+
+def explore(clang: str, seed: int, most_bytes: int, folder: Path) -> Iterator[Fuzzed]:
+    """Under libFuzzer, with what was reached so far; its corpus grows in `folder`. FuzzError as `drive`."""
+    program = build((clang, *FLAGS, f"-fsanitize=fuzzer,{SANITIZERS}"), (_FUZZ / "core.cpp",))
+    fuzzed = Fuzzed()
+    corpus = folder / "corpus"
+    corpus.mkdir()
+    options = (f"-max_len={MOST_INPUT_BYTES}", "-len_control=0", f"-timeout={LONGEST_INPUT_S}")
+    while fuzzed.received_bytes < most_bytes:
+        ran = subprocess.run(
+            [program, *options, f"-seed={seed}", f"-runs={RUNS_AT_ONCE}", "-print_final_stats=1", corpus],
+            capture_output=True,
+            text=True,
+            errors="replace",
+            cwd=folder,
+            check=False,
+        )
+        if ran.returncode != 0:
+            why = "\n".join(line for line in ran.stderr.splitlines() if not line.startswith(("#", '"')))
+            kept = [str(path.resolve()) for path in folder.glob("*-*")]
+            raise FuzzError(f"seed {seed}: {why}\nthe input is kept: {', '.join(kept)}")
+        fuzzed.take(ran.stderr + ran.stdout)
+        seed += 1
+        yield fuzzed
+
+
+def device_message(dice: random.Random, nonce: int, clock_ms: int) -> Message:
+    """What a device says, and might say when it is not well."""
+
+    def number() -> float:
+        return dice.choice((*_ODD_FLOATS, dice.uniform(0.0, 700.0)))
+
+    def u16() -> int:
+        return dice.choice((0, 1, 0xFFFF, dice.getrandbits(16)))
+
+    u32 = dice.getrandbits(32)
+    match dice.randrange(30):
+        case 0 | 1 | 2:
+            asked = dice.choice((nonce, nonce, u32))
+            version = dice.choice((PROTOCOL_VERSION, PROTOCOL_VERSION, PROTOCOL_VERSION, dice.randrange(256)))
+            limits = (30.0, 28.0, 760.0, 200.0) if dice.random() < 0.7 else (number(),) * 4
+            return Welcome(
+                version,
+                asked,
+                dice.choice((1, u32)),
+                "fuzz",
+                1,
+                *limits,
+                dice.choice((300, u16())),
+                dice.choice((100, u16())),
+            )
+        case 3:
+            return Pong(dice.choice((0, dice.getrandbits(64), dice.getrandbits(40))), u32)
+        case 4:
+            return Refusal(u16(), dice.choice(tuple(RefusalReason)))
+        case 5:
+            return Setting(dice.randrange(256), 19, "cv_limit_kPa", number(), number(), number(), number())
+        case 6:
+            return Hello(PROTOCOL_VERSION, u32)
+    return Telemetry(
+        clock_ms if dice.random() < 0.98 else dice.choice((0, u32)),
+        dice.choice(tuple(Mode)),
+        Fault(u16()),
+        u16(),
+        number(),
+        number(),
+        number(),
+        dice.random(),
+        dice.random(),
+        dice.random() < 0.5,
+    )
+
+
+def mutated(frame: bytes, other: bytes, dice: random.Random) -> bytes:
+    at = dice.randrange(len(frame))
+    match dice.randrange(8):
+        case 0:
+            return frame[:at] + bytes((frame[at] ^ 1 << dice.randrange(8),)) + frame[at + 1 :]
+        case 1:
+            return frame[:at] + frame[at + 1 :]
+        case 2:
+            return frame[:at] + frame[at : at + 1] * dice.randrange(2, 300) + frame[at:]
+        case 3:
+            return frame[:at]
+        case 4:
+            return frame[:at] + other[dice.randrange(len(other)) :]
+        case 5:
+            return frame + frame
+        case 6:
+            # Good to the decoder, whatever it means.
+            return encode_frame(frame[: dice.randrange(min(128, len(frame)) + 1)])
+        case _:
+            return dice.randbytes(dice.randrange(1, 400))
+
+
+def babble(seed: int, session: HostSession) -> Iterator[bytes]:
+    """A device's bytes without end, in pieces of any size; a third of the frames are not whole."""
+    dice = random.Random(seed)
+    # What a host may know of its own nonce, it told the device.
+    sequence, frame, clock_ms = 0, FRAME_END, 0
+    while True:
+        line = bytearray()
+        for _ in range(dice.randrange(1, 60)):
+            other, sequence = frame, (sequence + dice.choice((1, 1, 1, 2, 200))) & 0xFF
+            clock_ms = (clock_ms + 10) & 0xFFFFFFFF
+            frame = encode(device_message(dice, session._nonce, clock_ms), sequence)
+            line += mutated(frame, other, dice) if dice.random() < 0.33 else frame
+        at = 0
+        while at < len(line):
+            size = dice.choice((1, 7, 64, 255, 4096))
+            yield bytes(line[at : at + size])
+            at += size
+
+
+@dataclass
+class Heard:
+    """What the host's end went through."""
+
+    fed_bytes: int = 0
+    messages: int = 0
+    ready: int = 0
+    """Pieces after which the session was READY."""
+    memory_bytes: tuple[int, ...] = ()
+
+    @property
+    def grown_bytes(self) -> int:
+        return self.memory_bytes[-1] - self.memory_bytes[0]
+
+
+def listen(seed: int, most_bytes: int) -> Heard:
+    """Feed a host's end. FuzzError when it cannot read a whole frame after any of it, or grows."""
+    codec, session, heard = Codec(), HostSession(), Heard()
+    dice = random.Random(f"host {seed}")
+    whole = encode(Pong(1, 2), 0)
+    t = 0.0
+    session.opened(t)
+    # Python keeps every combination of fault bits that it has met: as many as there are, and no more.
+    for mask in range(1 << 16):
+        Fault(mask)
+    tracemalloc.start()
+    look_at = most_bytes // MEMORY_LOOKS
+    for pieces, data in enumerate(babble(seed, session), 1):
+        t += 0.001
+        heard.fed_bytes += len(data)
+        for message in codec.decode(data):
+            heard.messages += 1
+            session.receive(t, message)
+        ours = session.tick(t)
+        chance = dice.random()
+        if chance < 0.02:
+            command = VENTING if chance < 0.01 else Regulate(dice.uniform(0.0, 30.0), 20.0)
+            ours += session.command(t, command)
+        elif chance < 0.021:
+            session.closed(t)
+            codec.restart()
+            session.opened(t)
+        for message in ours:
+            codec.encode(message)
+        heard.ready += session.state is SessionState.READY
+        if pieces % 1000 == 0 and codec.decode(FRAME_END + whole)[-1:] != [Pong(1, 2)]:
+            raise FuzzError(f"seed {seed}: after {heard.fed_bytes} bytes a whole frame was not read")
+        if heard.fed_bytes >= look_at:
+            look_at += most_bytes // MEMORY_LOOKS
+            gc.collect()
+            heard.memory_bytes += (tracemalloc.get_traced_memory()[0],)
+        if heard.fed_bytes >= most_bytes:
+            break
+    tracemalloc.stop()
+    if heard.grown_bytes > MOST_NEW_BYTES:
+        raise FuzzError(f"seed {seed}: the host grew by {heard.grown_bytes} bytes: {heard.memory_bytes}")
+    return heard
+
+
+def _blind(seed: int, most_bytes: int) -> None:
+    print(f"firmware, blind, seed {seed}")
+    began_s = perf_counter()
+    _tell(drive(seed, most_bytes), perf_counter() - began_s)
+
+
+def _guided(seed: int, most_bytes: int) -> None:
+    clang = shutil.which("clang++")
+    if clang is None:
+        print("firmware, guided by coverage: not without clang: sudo apt install clang")
+        return
+    print(f"firmware, guided by coverage, seeds from {seed} on, {RUNS_AT_ONCE} inputs each")
+    began_s = perf_counter()
+    folder = Path(tempfile.mkdtemp(prefix="flying-vines-fuzz-"))
+    for fuzzed in explore(clang, seed, most_bytes, folder):
+        print(
+            f"  {fuzzed.received_bytes:10} bytes · {perf_counter() - began_s:5.0f} s"
+            f" · edges {fuzzed.edges} of {fuzzed.edges_there}",
+            flush=True,
+        )
+    shutil.rmtree(folder)
+    _tell(fuzzed, perf_counter() - began_s)
+
+
+def _tell(fuzzed: Fuzzed, took_s: float) -> None:
+    print(f"  bytes into its decoder: {fuzzed.received_bytes}, in {took_s:.0f} s")
+    print(f"  steps: {fuzzed.steps}, regulating in {fuzzed.steps_regulating}")
+    print(f"  peak memory: {fuzzed.peak_MB:.0f} MB, the sanitizers' included", flush=True)
+
+
+def _host(seed: int, most_bytes: int) -> None:
+    began_s = perf_counter()
+    heard = listen(seed, most_bytes)
+    kB = ", ".join(f"{size / 1e3:.1f}" for size in heard.memory_bytes)
+    print(f"host, seed {seed}")
+    print(f"  bytes into its decoder: {heard.fed_bytes}, in {perf_counter() - began_s:.0f} s")
+    print(f"  messages: {heard.messages} · pieces after which the session was ready: {heard.ready}")
+    print(f"  memory after each tenth: {kB} kB")
+
+
+PARTS = {"blind": _blind, "guided": _guided, "host": _host}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--bytes", type=int, default=100_000_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", choices=tuple(PARTS))
+    arguments = parser.parse_args()
+    try:
+        for name, part in PARTS.items():
+            if arguments.only in (None, name):
+                part(arguments.seed, arguments.bytes)
+    except (FuzzError, FirmwareBuildError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

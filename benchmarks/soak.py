@@ -1,0 +1,232 @@
+"""A day of flights without a pause: no trigger missed, nothing that nobody asked for, memory flat.
+
+    python benchmarks/soak.py [--hours 24] [--seed 1] [--autopilot ardupilot|px4]
+    python benchmarks/soak.py --real-time [--hours 1]
+
+One core, one fake autopilot and one phloSAR with the real firmware (its C++ core) fly over and over: arm,
+take off, switch moves, buttons of a ground station or a mission's items at random times, land, refill the
+bottle. A trigger is what the script did, or a mission item that the autopilot ran. Each must become one
+accepted decision and one motion of the vine, as the plant itself knows its pressure; between motions the
+pressure must stay where it is. Simulated time runs as fast as the machine goes. With --real-time the service
+is a process of its own, as in a flight, between fakes on real sockets and a pseudo-terminal.
+
+Memory is looked at once an hour (in real time every five minutes), on the ground: the resident set of the
+process, and the blocks that Python has allocated, which counts every object. In real time the service's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import gc
+import os
+import signal
+import socket
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import monotonic
+from typing import NamedTuple
+
+from process_cost import memory
+from soak_day import LOOK_S, World, flights
+
+from flying_vines import config
+from flying_vines.events import Decision
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.autopilot_server import AutopilotServer
+from flying_vines.fakes.compiled_firmware import CompiledFirmware
+from flying_vines.fakes.ground_station import COMPONENT_ID, SYSTEM_ID, GroundStation
+from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
+from flying_vines.pneumatics.plant.effects import Effects
+from flying_vines.record.flight_log import read_log
+from flying_vines.simulated_world import SimulatedFlight
+from flying_vines.vehicle.codec import Codec, Message
+from flying_vines.vehicle.mission.storage import Kind
+
+HOUR_S = 3600.0
+REAL_TIME_SAMPLES_S = 300.0
+MOST_NEW_BLOCKS = 5000
+MOST_NEW_MB = 5.0
+"""From the first sample on, until when tables fill. Missions differ in length by some of it."""
+_STEP_S = 0.02
+
+
+class Sample(NamedTuple):
+    """On the ground, after so many hours of flying."""
+
+    hours: float
+    took_s: float
+    rss_MB: float
+    blocks: int | None
+
+
+@dataclass
+class Outcome:
+    """What came of it, up to now."""
+
+    world: World
+    decisions: Counter[str] = field(default_factory=Counter)
+    samples: list[Sample] = field(default_factory=list)
+
+    def decided(self, decision: Decision) -> None:
+        how = decision.safety
+        self.decisions[how] += 1
+        if how != "accepted" or decision.trigger == "failsafe":
+            self.world.tally.fouls.append(
+                f"at {decision.t:.1f} s: {decision.trigger} {how}: {decision.reason}"
+            )
+
+    def read_decisions(self, flights_folder: Path) -> None:
+        """From what the service wrote down."""
+        for log in flights_folder.glob("*/*.jsonl*"):
+            for entry in read_log(log):
+                if entry.pop("kind") == "decision":
+                    self.decided(Decision(**entry))
+
+    def sample(self, pid: int, took_s: float, blocks: int | None) -> None:
+        new = Sample(self.world.now() / HOUR_S, took_s, memory(pid).now_MB, blocks)
+        self.samples.append(new)
+        tally = self.world.tally
+        print(
+            f"{new.hours:7.2f} {took_s:7.0f} {tally.flights:8} {tally.triggers.total():9}"
+            f" {self.decisions.total() or '':>10} {tally.motions:8} {len(tally.fouls):6}"
+            f" {new.rss_MB:7.1f} {new.blocks if new.blocks is not None else '':>9}",
+            flush=True,
+        )
+
+    @property
+    def flat(self) -> bool:
+        first, last = self.samples[0], self.samples[-1]
+        few = first.blocks is None or last.blocks is None or last.blocks - first.blocks <= MOST_NEW_BLOCKS
+        return few and last.rss_MB - first.rss_MB <= MOST_NEW_MB
+
+    @property
+    def good(self) -> bool:
+        tally = self.world.tally
+        asked = tally.triggers.total()
+        return not tally.fouls and asked == tally.motions == self.decisions.total() and self.flat
+
+
+def simulated(kind: Kind, seed: int, until_s: float, sample_every_s: float = HOUR_S) -> Outcome:
+    """Fly until then in simulated time, and land."""
+    autopilot = Autopilot(kind, links=("companion", "gcs"))
+    phlosar = SimulatedPhlosar(firmware=CompiledFirmware(), effects=Effects())
+    flight = SimulatedFlight(config.default(), autopilot, phlosar)
+    ground = Codec(SYSTEM_ID, COMPONENT_ID)
+
+    def press(button: Message) -> None:
+        autopilot.receive(flight.world.now, "gcs", ground.encode(button, SYSTEM_ID))
+
+    world = World(autopilot, phlosar, press, lambda: flight.world.now)
+    outcome = Outcome(world)
+    began_s = monotonic()
+    sample_s = sample_every_s
+    for pause_s in flights(world, seed):
+        resume_s = world.now() + pause_s
+        while world.now() < resume_s - 1e-6:
+            for action in flight.run(min(resume_s, world.now() + LOOK_S), _STEP_S):
+                if isinstance(action, Decision):
+                    outcome.decided(action)
+            world.look()
+        if pause_s == 0.0 and world.now() >= sample_s:
+            sample_s += sample_every_s
+            gc.collect()
+            outcome.sample(os.getpid(), monotonic() - began_s, sys.getallocatedblocks())
+            if world.now() >= until_s:
+                break
+    return outcome
+
+
+async def real(kind: Kind, seed: int, until_s: float, folder: Path) -> Outcome:
+    """Fly until then in real time, the service in a process of its own."""
+    ground = GroundStation()
+    ground_port = await ground.listen()
+    companion_port = _free_udp_port()
+    autopilot = Autopilot(kind)
+    phlosar = SimulatedPhlosar(firmware=CompiledFirmware(), effects=Effects())
+    server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
+    began_s = monotonic()
+    world = World(autopilot, phlosar, ground.send, lambda: monotonic() - began_s)
+    outcome = Outcome(world)
+    with PtyPhlosar(phlosar) as port:
+        running = [asyncio.create_task(part.run()) for part in (server, port, ground)]
+        async with _service(folder, companion_port, port.path) as pid:
+            sample_s = REAL_TIME_SAMPLES_S
+            for pause_s in flights(world, seed):
+                resume_s = world.now() + pause_s
+                while world.now() < resume_s:
+                    await asyncio.sleep(min(LOOK_S, resume_s - world.now()))
+                    world.look()
+                if pause_s == 0.0 and world.now() >= sample_s:
+                    sample_s += REAL_TIME_SAMPLES_S
+                    outcome.sample(pid, world.now(), None)
+                    if world.now() >= until_s:
+                        break
+        for task in running:
+            task.cancel()
+        await asyncio.gather(*running, return_exceptions=True)
+    return outcome
+
+
+@contextlib.asynccontextmanager
+async def _service(folder: Path, companion_port: int, serial_path: str) -> AsyncIterator[int]:
+    """The service as a process, between these; its id. SystemExit when it does not end well."""
+    profile = folder / "profile.toml"
+    text = config.default_text().replace("udpin:0.0.0.0:14540", f"udpin:127.0.0.1:{companion_port}")
+    profile.write_text(text.replace("serial:/dev/ttyACM0", f"serial:{serial_path}"), encoding="utf-8")
+    arguments = ["run", "--config", str(profile), "--plain", "--out", str(folder / "flights")]
+    with (folder / "service.txt").open("wb") as said:
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "flying_vines", *arguments), stdout=said, stderr=asyncio.subprocess.STDOUT
+        )
+    try:
+        yield process.pid
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            process.send_signal(signal.SIGTERM)
+        status = await process.wait()
+    if status != 0:
+        raise SystemExit(f"The service ended with {status}: {(folder / 'service.txt').read_text()[-2000:]}")
+
+
+def _free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--hours", type=float, help="of flying: 24, in real time 1")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--autopilot", choices=("ardupilot", "px4"), default="ardupilot")
+    parser.add_argument("--real-time", action="store_true")
+    arguments = parser.parse_args()
+    kind: Kind = arguments.autopilot
+    hours = arguments.hours or (1.0 if arguments.real_time else 24.0)
+    print(
+        f"{kind}, seed {arguments.seed}, {hours:g} h of {'real' if arguments.real_time else 'simulated'} time"
+    )
+    print("  hours  took, s  flights  triggers  decisions  motions  fouls  RSS, MB    blocks")
+    if arguments.real_time:
+        with tempfile.TemporaryDirectory() as folder:
+            outcome = asyncio.run(real(kind, arguments.seed, hours * HOUR_S, Path(folder)))
+            outcome.read_decisions(Path(folder) / "flights")
+    else:
+        outcome = simulated(kind, arguments.seed, hours * HOUR_S)
+    tally = outcome.world.tally
+    print("triggers: " + ", ".join(f"{count} by {kind}" for kind, count in tally.triggers.most_common()))
+    print(f"decisions: {dict(outcome.decisions)} · motions: {tally.motions} · memory flat: {outcome.flat}")
+    for foul in tally.fouls:
+        print(f"FOUL {foul}")
+    return 0 if outcome.good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

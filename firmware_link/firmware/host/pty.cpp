@@ -1,0 +1,318 @@
+// The firmware's core as a program: a phloSAR behind a pseudo-terminal, in real time, for any host.
+//
+// Its plant is the paper's: isothermal, every flow in proportion to the pressure across it. Enough to see a
+// bag fill and vent; for more there is `flying-vines fake phlosar`.
+
+#include <errno.h>
+#include <fcntl.h>
+#include <getopt.h>
+#include <limits.h>
+#include <math.h>
+#include <poll.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <termios.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "../phlosar/src/board/board.h"
+#include "../phlosar/src/core/firmware.h"
+
+using namespace phlosar;
+
+namespace {
+
+const char kUsage[] =
+    "phlosar-pty: the phloSAR's firmware behind a pseudo-terminal, in real time.\n"
+    "\n"
+    "  --link PATH          a stable name for the port; a link that is there is replaced\n"
+    "  --cv-kPa P           the vine's sensor always reads this (gauge)\n"
+    "  --reservoir-kPa P    the bottle's sensor always reads this (gauge)\n"
+    "                       without these a bottle of 2 L at 690 kPa and a bag of 0.5 L\n"
+    "  --boot-id N          0 to 4294967295; otherwise another one each time\n"
+    "  --settings FILE      where settings are kept; made when a host changes one\n";
+
+constexpr char kBuild[] = PHLOSAR_VERSION " pty";
+constexpr int kBadUsage = 2;
+constexpr uint32_t kStep_us = 1000;
+// A machine that is no microcontroller wakes late, and makes up for it; in a longer stall time stands still.
+constexpr uint64_t kMostBehind_us = 500000;
+constexpr size_t kChunk = 64;
+
+// The board's converter: 5 V through the divider of 0.6, of 3.3 V.
+constexpr double kSupplyCounts = 59578.0;
+
+volatile sig_atomic_t stopped = 0;
+
+[[noreturn]] void give_up(int status, const char* what, const char* where, const char* why) {
+    fprintf(stderr, "phlosar-pty: %s%s%s%s%s\n", what, *where ? " " : "", where, *why ? ": " : "", why);
+    exit(status);
+}
+
+struct Options {
+    const char* link = nullptr;
+    const char* settings = nullptr;
+    double cv_kPa = NAN;
+    double reservoir_kPa = NAN;
+    uint32_t boot_id = 0;
+};
+
+double pressure(const char* option, const char* text) {
+    char* end = nullptr;
+    const double kPa = strtod(text, &end);
+    if (end == text || *end != '\0' || !isfinite(kPa)) give_up(kBadUsage, option, text, "is not a pressure");
+    return kPa;
+}
+
+uint32_t boot_id_from(const char* text) {
+    char* end = nullptr;
+    errno = 0;
+    const unsigned long long id = strtoull(text, &end, 10);
+    if (end == text || *end != '\0' || *text == '-' || errno != 0 || id > UINT32_MAX) {
+        give_up(kBadUsage, "--boot-id", text, "is not within 0 to 4294967295");
+    }
+    return static_cast<uint32_t>(id);
+}
+
+uint64_t now_us() {
+    timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return static_cast<uint64_t>(now.tv_sec) * 1000000 + static_cast<uint64_t>(now.tv_nsec) / 1000;
+}
+
+Options options_from(int argc, char** argv) {
+    Options options;
+    options.boot_id = static_cast<uint32_t>(time(nullptr)) * 2654435761u ^ static_cast<uint32_t>(getpid());
+    const option known[] = {
+        {"link", required_argument, nullptr, 'l'},     {"cv-kPa", required_argument, nullptr, 'c'},
+        {"reservoir-kPa", required_argument, nullptr, 'r'}, {"boot-id", required_argument, nullptr, 'b'},
+        {"settings", required_argument, nullptr, 's'}, {"help", no_argument, nullptr, 'h'},
+        {nullptr, 0, nullptr, 0},
+    };
+    for (int found; (found = getopt_long(argc, argv, "", known, nullptr)) != -1;) {
+        switch (found) {
+            case 'l':
+                options.link = optarg;
+                break;
+            case 'c':
+                options.cv_kPa = pressure("--cv-kPa", optarg);
+                break;
+            case 'r':
+                options.reservoir_kPa = pressure("--reservoir-kPa", optarg);
+                break;
+            case 'b':
+                options.boot_id = boot_id_from(optarg);
+                break;
+            case 's':
+                options.settings = optarg;
+                break;
+            case 'h':
+                fputs(kUsage, stdout);
+                exit(0);
+            default:
+                fputs(kUsage, stderr);
+                exit(kBadUsage);
+        }
+    }
+    if (optind < argc) give_up(kBadUsage, argv[optind], "is no option; --help lists them", "");
+    return options;
+}
+
+// A bottle and a bag, and the sensors on them.
+class Plant {
+public:
+    explicit Plant(const Options& options) : cv_always_kPa_(options.cv_kPa),
+                                             reservoir_always_kPa_(options.reservoir_kPa) {}
+
+    // Pressures, gauge, after `kStep_us` with the valves as told.
+    void step(double evp, double dvp, bool solenoid) {
+        const double in = evp * larger(reservoir_kPa_ - cv_kPa_, 0.0) / kEvp_kPa_s_per_SL;
+        const double supply = dvp * reservoir_kPa_ / kDvp_kPa_s_per_SL;
+        const double vacuum_kPa = dvp * kFullVacuum_kPa * smaller(1.0, reservoir_kPa_ / kRatedSupply_kPa);
+        const double out = solenoid ? (cv_kPa_ + vacuum_kPa) / kSolenoid_kPa_s_per_SL : 0.0;
+        const double step_s = kStep_us * 1e-6;
+        reservoir_kPa_ -= (in + supply) * step_s * kStandard_kPa / kReservoir_L;
+        cv_kPa_ += (in - out) * step_s * kStandard_kPa / kBag_L;
+    }
+
+    Readings read() const {
+        const double cv_kPa = isnan(cv_always_kPa_) ? cv_kPa_ : cv_always_kPa_;
+        const double reservoir_kPa = isnan(reservoir_always_kPa_) ? reservoir_kPa_ : reservoir_always_kPa_;
+        return {counts(cv_kPa, kCvSpan_kPa), counts(reservoir_kPa, kReservoirSpan_kPa),
+                static_cast<uint16_t>(kSupplyCounts)};
+    }
+
+private:
+    // The numbers of the paper's rig, and of the sensors that are soldered in.
+    static constexpr double kReservoir_L = 2.0;
+    static constexpr double kBag_L = 0.5;
+    static constexpr double kEvp_kPa_s_per_SL = 2042.0;
+    static constexpr double kDvp_kPa_s_per_SL = 618.0;
+    static constexpr double kSolenoid_kPa_s_per_SL = 70.0;
+    static constexpr double kFullVacuum_kPa = 55.0;
+    static constexpr double kRatedSupply_kPa = 600.0;
+    static constexpr double kStandard_kPa = 101.325;
+    static constexpr double kCvSpan_kPa = 206.84;
+    static constexpr double kReservoirSpan_kPa = 1500.0;
+
+    static double smaller(double a, double b) { return a < b ? a : b; }
+    static double larger(double a, double b) { return a > b ? a : b; }
+    static uint16_t counts(double kPa, double span_kPa) {
+        const double share = (0.1 + 0.8 * kPa / span_kPa) * kSupplyCounts;
+        return static_cast<uint16_t>(lround(smaller(65535.0, larger(0.0, share))));
+    }
+
+    double cv_always_kPa_;
+    double reservoir_always_kPa_;
+    double cv_kPa_ = 0.0;
+    double reservoir_kPa_ = 690.0;
+};
+
+// Our end of a pseudo-terminal. We hold the host's end open, too: no host that leaves ends it.
+class Port {
+public:
+    Port() {
+        ours_ = posix_openpt(O_RDWR | O_NOCTTY | O_NONBLOCK);
+        const bool ready = ours_ >= 0 && grantpt(ours_) == 0 && unlockpt(ours_) == 0;
+        const char* path = ready ? ptsname(ours_) : nullptr;
+        hosts_ = path != nullptr ? open(path, O_RDWR | O_NOCTTY) : -1;
+        termios raw;
+        if (hosts_ < 0 || tcgetattr(hosts_, &raw) != 0) {
+            give_up(1, "there is no pseudo-terminal to be had", "", strerror(errno));
+        }
+        cfmakeraw(&raw);
+        tcsetattr(hosts_, TCSANOW, &raw);
+        snprintf(path_, sizeof path_, "%s", path);
+    }
+
+    const char* path() const { return path_; }
+
+    void link_as(const char* link) {
+        struct stat there;
+        if (lstat(link, &there) == 0) {
+            if (!S_ISLNK(there.st_mode)) give_up(kBadUsage, link, "is not a link and stays as it is", "");
+            unlink(link);
+        }
+        if (symlink(path_, link) != 0) give_up(kBadUsage, "cannot make the link", link, strerror(errno));
+    }
+
+    // Unless someone else has made it his own by now.
+    void remove_link(const char* link) const {
+        char to[PATH_MAX];
+        const ssize_t size = readlink(link, to, sizeof to - 1);
+        if (size < 0) return;
+        to[size] = '\0';
+        if (strcmp(to, path_) == 0) unlink(link);
+    }
+
+    void converse(Firmware& firmware) {
+        uint8_t incoming[kChunk];
+        for (ssize_t size; (size = read(ours_, incoming, sizeof incoming)) > 0;) {
+            firmware.receive(incoming, static_cast<size_t>(size));
+        }
+        // What the terminal does not take waits here, and then in the firmware, which drops whole frames.
+        while (true) {
+            if (sent_ == size_) {
+                size_ = firmware.take_output(outgoing_, sizeof outgoing_);
+                sent_ = 0;
+            }
+            const ssize_t taken = size_ > 0 ? write(ours_, outgoing_ + sent_, size_ - sent_) : 0;
+            if (taken <= 0) return;
+            sent_ += static_cast<size_t>(taken);
+        }
+    }
+
+    // Until there is something to read, or so long.
+    void wait(uint64_t for_us) const {
+        pollfd reading{ours_, POLLIN, 0};
+        const timespec most{0, static_cast<long>(for_us) * 1000};
+        ppoll(&reading, 1, &most, nullptr);
+    }
+
+private:
+    int ours_;
+    int hosts_;
+    char path_[PATH_MAX];
+    uint8_t outgoing_[kChunk];
+    size_t size_ = 0;
+    size_t sent_ = 0;
+};
+
+// Settings in a file, as on the chip in its flash.
+class Memory {
+public:
+    explicit Memory(const char* path) : path_(path) {
+        if (path == nullptr) return;
+        FILE* file = fopen(path, "rb");
+        if (file == nullptr && errno == ENOENT) return;
+        if (file != nullptr) size_ = fread(image_, 1, sizeof image_, file);
+        if (file == nullptr || ferror(file)) give_up(kBadUsage, "cannot read", path, strerror(errno));
+        fclose(file);
+    }
+
+    const uint8_t* image() const { return image_; }
+    size_t size() const { return size_; }
+
+    // All of it or, should this be the end, what was there before.
+    void keep(Firmware& firmware) {
+        if (!firmware.unsaved(image_) || path_ == nullptr) return;
+        char fresh[PATH_MAX];
+        if (snprintf(fresh, sizeof fresh, "%s.new", path_) >= static_cast<int>(sizeof fresh)) return;
+        FILE* file = fopen(fresh, "wb");
+        const bool written = file != nullptr && fwrite(image_, sizeof image_, 1, file) == 1;
+        const bool closed = file != nullptr && fclose(file) == 0;
+        if (!written || !closed || rename(fresh, path_) != 0) {
+            fprintf(stderr, "phlosar-pty: settings are not kept in %s: %s\n", path_, strerror(errno));
+        }
+    }
+
+private:
+    const char* path_;
+    uint8_t image_[Settings::kImageSize];
+    size_t size_ = 0;
+};
+
+void run(Firmware& firmware, Port& port, Memory& memory, Plant& plant) {
+    uint64_t due_us = now_us();
+    while (!stopped) {
+        port.converse(firmware);
+        const uint64_t now = now_us();
+        if (now < due_us) {
+            port.wait(due_us - now);
+            continue;
+        }
+        if (now - due_us > kMostBehind_us) due_us = now;
+        for (; due_us <= now; due_us += kStep_us) {
+            const Outputs told = firmware.step(static_cast<uint32_t>(due_us), plant.read());
+            const Settings& settings = firmware.settings();
+            const double full_evp = static_cast<double>(settings[SettingId::kEvpFullDuty]) * 65535.0;
+            const double full_dvp = static_cast<double>(settings[SettingId::kDvpFullDuty]) * 65535.0;
+            plant.step(told.evp_duty / full_evp, told.dvp_duty / full_dvp, told.solenoid);
+        }
+        if (firmware.mode() != Mode::kRegulate) memory.keep(firmware);
+    }
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    const Options options = options_from(argc, argv);
+    struct sigaction stop{};
+    stop.sa_handler = [](int) { stopped = 1; };
+    sigaction(SIGINT, &stop, nullptr);
+    sigaction(SIGTERM, &stop, nullptr);
+    Memory memory(options.settings);
+    Port port;
+    if (options.link != nullptr) port.link_as(options.link);
+    static Firmware firmware(kBuild);
+    firmware.start(Boot{options.boot_id, false, memory.image(), memory.size()});
+    Plant plant(options);
+    printf("%s\n", port.path());
+    fflush(stdout);
+    run(firmware, port, memory, plant);
+    if (options.link != nullptr) port.remove_link(options.link);
+    return 0;
+}

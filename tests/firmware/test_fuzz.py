@@ -1,0 +1,87 @@
+"""Random and mutated bytes into both ends of the line, for seconds; benchmarks/fuzz.py does it for hours."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from flying_vines.fakes.compiled_firmware import SOURCES, WHAT_TO_INSTALL, compiler
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+
+from fuzz import FuzzError, drive, driver, listen
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason=f"needs {WHAT_TO_INSTALL}")
+
+WORSE = {
+    "no dead-man": ("firmware.cpp", "now_us - commanded_us_ >= holds_us_", "false"),
+    "no handshake": ("firmware.cpp", "if (!greeted_) {\n        *reason", "if (false) {\n        *reason"),
+    "faults that regulate on": ("firmware.cpp", "faults);\n    regulating_ = false;", "faults);"),
+    "a limit that nobody minds": ("firmware.cpp", "if (present != kNoFault) latch(present);", ""),
+    "openings beyond the full current": ("valves.cpp", "* full_duty;", "* Real(1);"),
+    "settings without ends": ("settings.cpp", "!(value >= row->least && value <= row->most)", "false"),
+    "readings that nobody doubts": ("firmware.cpp", "if (cv_good) cv_kPa_ = ", "cv_kPa_ = "),
+}
+"""What a mistake might look like in the core's files."""
+
+
+@needs_compiler
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_core_withstands_what_comes(seed: int) -> None:
+    fuzzed = drive(seed, 300_000)
+    assert fuzzed.received_bytes >= 300_000
+    assert fuzzed.steps_regulating > 1000
+    # With the sanitizer's own; the core has no heap to grow in, and what its harness takes it gives back.
+    assert fuzzed.peak_MB < 500.0
+
+
+def compiled(source: Path, to: Path) -> Path:
+    command = compiler()
+    assert command is not None
+    subprocess.run([command, "-std=c++17", "-c", "-o", to, source], check=True)
+    return to
+
+
+@pytest.fixture(scope="module")
+def objects(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Core, harness and driver, each compiled; without sanitizers, for what must hold shows by itself."""
+    folder = tmp_path_factory.mktemp("objects")
+    sources = [*(SOURCES / "phlosar" / "src" / "core").glob("*.cpp"), *(SOURCES / "fuzz").glob("*.cpp")]
+    return {source.name: compiled(source, folder / f"{source.name}.o") for source in sources}
+
+
+@needs_compiler
+@pytest.mark.parametrize("what", WORSE)
+def test_a_worse_core_is_found_out(what: str, objects: dict[str, Path], tmp_path: Path) -> None:
+    name, right, wrong = WORSE[what]
+    core = tmp_path / "core"
+    shutil.copytree(SOURCES / "phlosar" / "src" / "core", core)
+    text = (core / name).read_text()
+    assert right in text
+    (core / name).write_text(text.replace(right, wrong))
+    worse = objects | {name: compiled(core / name, tmp_path / "worse.o")}
+    program = tmp_path / "fuzz"
+    command = compiler()
+    assert command is not None
+    subprocess.run([command, "-o", program, *worse.values()], check=True)
+    with pytest.raises(FuzzError, match="does not hold"):
+        drive(1, 1_000_000, program)
+
+
+def test_the_driver_is_built_once() -> None:
+    if compiler() is None:
+        pytest.skip(f"needs {WHAT_TO_INSTALL}")
+    made_at = driver().stat().st_mtime_ns
+    assert driver().stat().st_mtime_ns == made_at
+
+
+def test_the_host_withstands_what_comes() -> None:
+    heard = listen(1, 300_000)
+    assert heard.fed_bytes >= 300_000
+    assert heard.messages > 3000
+    assert heard.ready > 100
+    assert len(heard.memory_bytes) == 10
