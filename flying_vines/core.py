@@ -100,6 +100,7 @@ class Core:
         self._motion: Motion | None = None
         self._calibration: tuple[Motion, Readings] | None = None
         self._pneumatics_armed = config.interlocks.armed_at_start
+        self._unheeded_since: float | None = None
         self._stopped = False
         self._actions: list[Action] = []
 
@@ -177,6 +178,7 @@ class Core:
                     self._actions.append(Measured(t, telemetry))
                     self._cv_kPa.append(telemetry.cv_kPa)
                     self._bent_kPa = self._curve.bent_kPa(telemetry.cv_kPa, self._bent_kPa)
+                    self._note_heed(t, telemetry)
                     self._reservoir.update(t, telemetry)
                     self._read_level(t, telemetry)
                     self._check(t, telemetry)
@@ -200,6 +202,12 @@ class Core:
                 self._notice(t, Severity.WARNING, finding.sentence)
         if any(finding.level == "fault" for finding in found):
             self._look(t)
+
+    def _note_heed(self, t: float, telemetry: protocol.Telemetry) -> None:
+        if self._motion is None or telemetry.mode is not protocol.Mode.VENT:
+            self._unheeded_since = None
+        elif self._unheeded_since is None:
+            self._unheeded_since = t
 
     # Deciding.
 
@@ -399,6 +407,7 @@ class Core:
             faults=telemetry.faults if telemetry else protocol.Fault.NONE,
             cv_kPa=min(self._cv_kPa),
             reservoir_kPa=self._reservoir.reservoir_kPa,
+            unheeded_s=0.0 if self._unheeded_since is None else t - self._unheeded_since,
             moving=self._motion is not None,
             moving_s=t - self._motion.started_at if self._motion else 0.0,
             physics=self._checks.faults,

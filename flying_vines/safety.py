@@ -15,6 +15,8 @@ from typing import Literal
 from firmware_link.protocol import Fault
 from flying_vines.config import Config
 
+HEEDED_WITHIN_S = 0.3
+"""A board that is told to move the vine says that it does. Eleven commands in a row may be lost."""
 LANDING_MARGIN_M = 0.5
 """The altitude interlock lets go of a bent vine this much lower than it lets one bend."""
 
@@ -49,6 +51,8 @@ class Conditions:
     faults: Fault = Fault.NONE
     cv_kPa: float = math.nan
     reservoir_kPa: float = math.nan
+    unheeded_s: float = 0.0
+    """For how long the board has said that it vents, while it is told to move the vine."""
     moving: bool = False
     """Whether the vine is held or moved under pressure."""
     moving_s: float = 0.0
@@ -249,6 +253,10 @@ class Safety:
             return f"bottle low: {now.reservoir_kPa:.0f} kPa"
         return None
 
+    def _deaf(self, now: Conditions) -> str | None:
+        """Where the wire to the board is broken at rest, no dead-man runs out, and its telemetry goes on."""
+        return "phloSAR does not hear us" if now.unheeded_s > HEEDED_WITHIN_S else None
+
     def _disarmed(self, now: Conditions) -> str | None:
         return "disarmed" if not now.armed and not self._interlocks.bench_mode else None
 
@@ -276,6 +284,7 @@ _LOSSES: dict[str, _Look] = {
 }
 _LIMITS: dict[str, _Look] = {
     "reservoir": Safety._reservoir,
+    "deaf": Safety._deaf,
     "disarmed": Safety._disarmed,
     "altitude": Safety._altitude,
     "duration": Safety._duration,

@@ -56,6 +56,8 @@ STEP_S = 0.001
 _MAX_OUTPUT_BYTES = 1024
 """As the microcontroller's: what nobody fetches is lost, frame by frame, and the frames' numbers tell."""
 _BUILD = "emulated"
+_MOST_RELIEF = 1000
+"""Steps. A sensor that lies would else empty the bottle, and suck the vine flat."""
 _IN_A_ROW = 3
 """Readings. A glitch does not end a flight, and 3 ms are soon enough."""
 
@@ -148,7 +150,8 @@ class Firmware:
         self._deadline_us = 0
         self._greeted = False
         self._number = 0
-        self._newest = None
+        self._newest: int | None = None
+        self._relief_steps = 0
         self._cv_kPa = 0.0
         self._reservoir_kPa = 0.0
         self._lasting = {
@@ -194,10 +197,9 @@ class Firmware:
             self._latch(present)
 
     def _regulate(self) -> Drive:
+        relief = self._relief()
         if self._regulation is None:
-            # By a sensor that can be believed now.
-            too_high = self._present & (Fault.CV_OVERPRESSURE | Fault.CV_SENSOR) == Fault.CV_OVERPRESSURE
-            return self._relief() if too_high else SAFE
+            return SAFE._replace(dvp=relief)
         target_kPa, rate_kPa_per_s = self._aim
         settings = self.settings
         self._regulation, wanted = regulate(
@@ -215,11 +217,18 @@ class Firmware:
             wanted.solenoid,
         )
 
-    def _relief(self) -> Drive:
-        """A valve that is stuck open may bring more than leaves by itself; with the Venturi's help more
-        leaves."""
-        help_kPa = self.settings.regulator.venturi_least_supply_kPa
-        return Drive(0.0, 1.0 if self._reservoir_kPa >= help_kPa else 0.0, True)
+    def _relief(self) -> float:
+        """The Venturi over the limit: a valve that is stuck open may bring more than leaves by itself."""
+        too_high = self._present & (Fault.CV_OVERPRESSURE | Fault.CV_SENSOR) == Fault.CV_OVERPRESSURE
+        if not too_high:
+            self._relief_steps = 0
+        elif (
+            self._relief_steps < _MOST_RELIEF
+            and self._reservoir_kPa >= self.settings.regulator.venturi_least_supply_kPa
+        ):
+            self._relief_steps += 1
+            return 1.0
+        return 0.0
 
     def _latch(self, fault: Fault) -> None:
         self._faults |= fault
@@ -249,7 +258,7 @@ class Firmware:
     def _on_hello(self, hello: Hello) -> None:
         settings = self.settings
         self._regulation = None
-        self._newest: int | None = None
+        self._newest = None
         self._greeted = hello.protocol_version == PROTOCOL_VERSION
         self._send(
             Welcome(

@@ -7,9 +7,9 @@ shuts. Near the setpoint air goes in by puffs, each just large enough to pass it
 that is fast enough; only otherwise does the Venturi help, for it costs air.
 
 The model of `firmware_link/firmware/phlosar/src/core/regulator.cpp`, operation by operation: tests hold the
-two together to the last bit. Plain functions over tuples of floats and bools, in the part of the language that a
-compiler for numbers understands as well: what is remembered comes in and goes out. What divides only by
-settings and `dt_s` is written so that the firmware need not divide in its step.
+two together to the last bit. Plain functions over tuples of floats and bools, in the part of the language
+that a compiler for numbers understands as well: what is remembered comes in and goes out. What divides only
+by settings and `dt_s` is written so that the firmware need not divide in its step.
 """
 
 from __future__ import annotations

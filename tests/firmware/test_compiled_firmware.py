@@ -61,10 +61,10 @@ def test_a_weak_supply_does_not_change_what_is_read_until_it_is_too_weak() -> No
     firmware.supply_share = 0.92
     run(firmware, 0, 20, 12.0, 600.0)
     assert telemetry(firmware, codec).cv_kPa == pytest.approx(12.0, abs=0.005)
-    assert firmware.faults == Fault.NONE
+    assert not firmware.faults
     firmware.supply_share = 0.89
     run(firmware, 20, 2, 12.0, 600.0)
-    assert firmware.faults == Fault.NONE
+    assert not firmware.faults
     run(firmware, 22, 1, 12.0, 600.0)
     assert firmware.faults == Fault.SUPPLY | Fault.CV_SENSOR | Fault.RESERVOIR_SENSOR
     firmware.supply_share = 1.2

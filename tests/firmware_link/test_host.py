@@ -206,7 +206,7 @@ def test_a_firmware_that_heard_a_newer_command_is_greeted_anew() -> None:
     session.command(0.0, BEND)
     older, current = session.number - 1, session.number
     assert session.receive(0.1, Refusal(older, RefusalReason.OVERTAKEN)) == []
-    assert session.state is SessionState.READY
+    assert session.current_command == BEND
     (event,) = session.receive(0.2, Refusal(current, RefusalReason.OVERTAKEN))
     assert isinstance(event, FirmwareReset)
     assert session.state is SessionState.GREETING

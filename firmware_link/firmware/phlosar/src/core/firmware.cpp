@@ -62,7 +62,8 @@ Drive Firmware::control(uint32_t now_us, const Pressures& pressures) {
     follow_clock(now_us);
     look(pressures);
     if (regulating_ && now_us - commanded_us_ >= holds_us_) latch(kDeadMan);
-    Drive told = too_high() ? relief() : kSafe;
+    Drive told = kSafe;
+    told.dvp = relief();
     if (regulating_) {
         const Drive wanted = regulator_.step(target_kPa_, most_per_step_kPa_, cv_kPa_, reservoir_kPa_);
         told = over_dead_bands(settings_, wanted);
@@ -71,12 +72,16 @@ Drive Firmware::control(uint32_t now_us, const Pressures& pressures) {
     return told;
 }
 
-bool Firmware::too_high() const { return (present_ & (kCvOverpressure | kCvSensor)) == kCvOverpressure; }
-
-// A valve that is stuck open may bring more than leaves by itself; with the Venturi's help more leaves.
-Drive Firmware::relief() const {
-    const bool help = reservoir_kPa_ >= kVenturiLeastSupply_kPa;
-    return {Real(0), help ? Real(1) : Real(0), true};
+// The Venturi over the limit: a valve that is stuck open may bring more than leaves by itself.
+Real Firmware::relief() {
+    const bool too_high = (present_ & (kCvOverpressure | kCvSensor)) == kCvOverpressure;
+    if (!too_high) {
+        relief_steps_ = 0;
+    } else if (relief_steps_ < kMostRelief && reservoir_kPa_ >= kVenturiLeastSupply_kPa) {
+        ++relief_steps_;
+        return Real(1);
+    }
+    return Real(0);
 }
 
 void Firmware::follow_clock(uint32_t now_us) {

@@ -66,6 +66,9 @@ private:
     // So many bad readings in a row count: a glitch does not end a flight, and 3 ms are soon enough.
     static constexpr uint8_t kInARow = 3;
 
+    // A sensor that lies would else empty the bottle, and suck the vine flat.
+    static constexpr uint16_t kMostRelief = 1000;
+
     // A condition that counts once it was there so many times in a row.
     class Lasting {
     public:
@@ -91,9 +94,7 @@ private:
     void tell_setting(uint8_t id);
     void tell_telemetry(const Drive& told);
     void follow_clock(uint32_t now_us);
-    // By a sensor that can be believed now.
-    bool too_high() const;
-    Drive relief() const;
+    Real relief();
     void accept(uint16_t number);
     // Whether a newer command came before it: a line may deliver in another order.
     bool overtaken(uint16_t number) const;
@@ -140,6 +141,7 @@ private:
     Lasting bad_supply_;
     Lasting high_cv_;
     Lasting high_reservoir_;
+    uint16_t relief_steps_ = 0;
 
     uint32_t now_us_ = 0;
     uint32_t telemetry_us_ = 0;

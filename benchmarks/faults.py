@@ -1,0 +1,165 @@
+"""Random flights with random faults, one or two each, under a referee: it must never have a foul to call.
+
+    python benchmarks/faults.py --flights 10000 --jobs 2
+    python benchmarks/faults.py --seed 4711                   one flight, and all that happened in it
+    python benchmarks/faults.py --seed 4711 --only-fault 1    the same flight without the other fault
+
+What the referee calls: docs/campaign.md. The real firmware flies, compiled for this machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+import multiprocessing
+import re
+import sys
+import time
+import traceback
+from collections import Counter, defaultdict
+from collections.abc import Iterable
+
+from faults_script import Outcome, Script, draw, fly
+
+from flying_vines.fakes.compiled_firmware import load
+from flying_vines.fakes.referee import Foul
+
+LAST_S = 8.0
+"""Of a timeline, before a foul."""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--flights", type=int, default=200, help="how many, one seed each")
+    parser.add_argument("--first", type=int, default=1, help="seed of the first")
+    parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="at most")
+    parser.add_argument("--seed", type=int, help="fly this one alone and print its timeline")
+    parser.add_argument("--only-fault", type=int, choices=(1, 2), help="with --seed: leave the other one out")
+    args = parser.parse_args()
+    load()  # Once, before many want to build it.
+    if args.seed is not None:
+        return _one(args.seed, args.only_fault)
+    return _many(range(args.first, args.first + args.flights), args.jobs, args.minutes)
+
+
+def _one(seed: int, only_fault: int | None) -> int:
+    script = draw(seed)
+    if only_fault is not None:
+        if only_fault > len(script.faults):
+            sys.exit(f"flight {seed} has only one fault")
+        script = dataclasses.replace(script, faults=(script.faults[only_fault - 1],))
+    print(script.setup)
+    outcome = fly(script)
+    _print_timeline(outcome.timeline)
+    print(f"highest pressure {outcome.highest_kPa:.1f} kPa; began to move {outcome.begins} times")
+    for foul in outcome.fouls:
+        print(f"FOUL {foul}")
+    return 1 if outcome.fouls else 0
+
+
+def _fly_safely(seed: int) -> Outcome:
+    """A flight that raises has had the worst of fouls."""
+    script = draw(seed)
+    try:
+        return fly(script)
+    except Exception:
+        foul = Foul(0.0, "crash", traceback.format_exc())
+        names = tuple(fault.name for fault in script.faults)
+        return Outcome(seed, names, (False,) * len(names), ("",) * len(names), (foul,), 0, 0.0, 0.0, ())
+
+
+def _many(seeds: Iterable[int], jobs: int, most_minutes: float) -> int:
+    began_s = time.monotonic()
+    tally = Tally()
+    with multiprocessing.Pool(jobs) as pool:
+        for outcome in pool.imap_unordered(_fly_safely, seeds, chunksize=4):
+            tally.take(outcome)
+            if outcome.fouls:
+                _print_foul(outcome)
+            if time.monotonic() - began_s > 60.0 * most_minutes:
+                break
+    tally.print((time.monotonic() - began_s) / 60.0)
+    return 1 if tally.fouls else 0
+
+
+class Tally:
+    """What came of all flights."""
+
+    def __init__(self) -> None:
+        self.flights = self.singles = self.begins = 0
+        self.fouls: Counter[str] = Counter()
+        self._drawn: Counter[str] = Counter()
+        self._pairs: Counter[tuple[str, ...]] = Counter()
+        self._alone: Counter[str] = Counter()
+        self._bent: Counter[str] = Counter()
+        self._told: dict[str, Counter[str]] = defaultdict(Counter)
+        self._highest: dict[str, float] = defaultdict(float)
+        self._blind: dict[str, float] = defaultdict(float)
+
+    def take(self, outcome: Outcome) -> None:
+        self.flights += 1
+        self.begins += outcome.begins
+        self.fouls.update(foul.rule for foul in outcome.fouls)
+        self._drawn.update(outcome.faults)
+        self._pairs.update([tuple(sorted(outcome.faults))] if len(outcome.faults) > 1 else [])
+        if len(outcome.faults) > 1:
+            return
+        # Of two at a time nobody knows which one it was.
+        self.singles += 1
+        (name,) = outcome.faults
+        self._alone[name] += 1
+        self._highest[name] = max(self._highest[name], outcome.highest_kPa)
+        self._blind[name] = max(self._blind[name], outcome.longest_blind_s)
+        if outcome.bent[0]:
+            self._bent[name] += 1
+            self._told[name][re.sub(r"-?\d+(\.\d+)?", "#", outcome.told[0])] += 1
+
+    def print(self, minutes: float) -> None:
+        print(
+            f"\n{self.flights} flights, {self.singles} of them with one fault; "
+            f"the vine began to move {self.begins} times; {minutes:.1f} min"
+        )
+        print(f"fouls: {dict(self.fouls) or 'none'}\n")
+        print(
+            f"{len(self._pairs)} different pairs. All but the first number are of flights with one fault:\n"
+        )
+        print("| fault | flights | alone | bent | told within 5 s | highest, kPa | the first that was read |")
+        print("| --- | ---: | ---: | ---: | ---: | ---: | --- |")
+        for name in sorted(self._drawn):
+            told = self._told[name]
+            first = [f"{text} ({n})" for text, n in told.most_common(4) if text][:3]
+            bent = self._bent[name]
+            print(
+                f"| {name} | {self._drawn[name]} | {self._alone[name]} | {bent} | {bent - told['']} "
+                f"| {self._highest[name]:.0f} | {'; '.join(first) or '–'} |"
+            )
+        blind = {name: round(s, 2) for name, s in self._blind.items() if s > 0.05}
+        print(f"\nLongest told to inflate over the firmware's limit, s: {blind or 'never'}")
+
+
+def _print_foul(outcome: Outcome) -> None:
+    script = draw(outcome.seed)
+    print(f"\nseed {outcome.seed}, {script.setup.autopilot}:")
+    _print_faults(script)
+    first_s = min(foul.t for foul in outcome.fouls)
+    _print_timeline([(t, text) for t, text in outcome.timeline if first_s - LAST_S <= t <= first_s + 1.0])
+    for foul in outcome.fouls:
+        print(f"FOUL {foul}", flush=True)
+
+
+def _print_faults(script: Script) -> None:
+    for number, fault in enumerate(script.faults, start=1):
+        print(f"  fault {number} at {fault}")
+
+
+def _print_timeline(timeline: Iterable[tuple[float, str]]) -> None:
+    for t, text in sorted(timeline, key=lambda line: line[0]):
+        print(f"  {t:7.3f}  {text}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

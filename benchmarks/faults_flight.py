@@ -1,0 +1,573 @@
+"""A flight under a referee: what pilot, mission, ground station and world do to it, and what that allows.
+
+Each verb does one thing to the simulated world, and tells the referee what follows from it: that a bend was
+asked for, or by when the vine must be left alone. How long the service may take to notice something is
+written here, and is what `docs/behaviour.md` promises, plus the period of the message that tells it.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import msgspec
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines import config
+from flying_vines.config import Config
+from flying_vines.core import Core
+from flying_vines.events import Action, Decision, Event, LinkChanged
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.board import Board
+from flying_vines.fakes.compiled_firmware import CompiledFirmware
+from flying_vines.fakes.firmware import Firmware
+from flying_vines.fakes.mishaps import Hanging, Kind, Kinked, StuckAt, Unpowered
+from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.fakes.referee import DEAD_MAN_S, Foul, Referee, RefereedBoard, Rules
+from flying_vines.fakes.regulator import SAFE
+from flying_vines.notice import Notice
+from flying_vines.pneumatics.plant.effects import Effects
+from flying_vines.safety import LANDING_MARGIN_M
+from flying_vines.simulated_world import SimulatedFlight
+from flying_vines.vehicle.codec import Codec
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.storage import Kind as AutopilotKind
+
+SWITCH = 9
+PULSES_US = (1000, 1500, 2000)
+CRUISE_M = 8.0
+HELD_AT_MOST_S = 4.0
+SCRIPT_MESSAGE, ACTUATOR = 217, 187
+ALTITUDE = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+STEP_S = 0.01
+WRITTEN_EVERY_S = 0.5
+RESTING_KPA = 0.5
+DEBOUNCED_S = 0.5
+"""From the switch's move to the vine's: 0.15 s of debounce, RC_CHANNELS 20 times a second, and a tick."""
+COMMANDED_S = 0.3
+ITEM_S = 3.0
+"""An item's numbers are waited for for 2.5 s."""
+LATE_ITEM_S = 12.0
+"""Where its text was lost: the mission's progress past the next waypoint tells of it."""
+FLICK_S = 0.3
+"""A position that lasts for longer has been seen."""
+UNCERTAIN_S = 0.3
+"""Messages come when they come: so much sooner or later both will do."""
+LATE_S = 3.5
+"""Longer to notice what the vehicle tells, while some of its messages are lost."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What flies. The rest of the profile is as in the default."""
+
+    autopilot: AutopilotKind = "ardupilot"
+    has_rc: bool = True
+    holds: bool = False
+    """On RC loss."""
+    rc_failsafe_mode: str | None = None
+    armed_at_start: bool = True
+    max_bent_s: float = 120.0
+    mission: tuple[MissionItem, ...] = ()
+    likely_rig: bool = False
+    compiled: bool = True
+    seed: int = 1
+
+    @property
+    def profile(self) -> Config:
+        base = config.default()
+        replace = msgspec.structs.replace
+        return replace(
+            base,
+            interlocks=replace(base.interlocks, armed_at_start=self.armed_at_start),
+            limits=replace(base.limits, max_bent_s=self.max_bent_s),
+            losses=replace(
+                base.losses,
+                on_rc_loss="hold" if self.holds else "vent",
+                hold_at_most_s=HELD_AT_MOST_S,
+            ),
+        )
+
+    def board(self) -> Board:
+        return CompiledFirmware() if self.compiled else Firmware()
+
+
+class Nobody(Core):
+    """Where the companion's process was."""
+
+    def handle(self, event: Event) -> list[Action]:
+        return []
+
+
+@dataclass
+class Wire:
+    """A way for bytes, in pieces as they were sent: cut, or spoiled in this share of the pieces."""
+
+    seed: str
+    cut: bool = False
+    spoiled: float = 0.0
+    without: int | None = None
+    """A kind of MAVLink message that is lost."""
+    _random: random.Random = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._random = random.Random(self.seed)
+
+    def __call__(self, data: bytes) -> bytes:
+        if self.cut or (self.without is not None and int.from_bytes(data[7:10], "little") == self.without):
+            return b""
+        if self.spoiled == 0.0 or not data or self._random.random() >= self.spoiled:
+            return data
+        at = self._random.randrange(len(data))
+        match self._random.randrange(3):
+            case 0:
+                return b""
+            case 1:
+                return data[:at]
+            case _:
+                return data[:at] + bytes([data[at] ^ self._random.randrange(1, 256)]) + data[at + 1 :]
+
+
+class RefereedFlight:
+    """On the ground, disarmed, at time 0; every verb acts now, and `run` lets time pass."""
+
+    def __init__(
+        self, setup: Setup, core: Callable[[Config], Core] = Core, board: Board | None = None
+    ) -> None:
+        self.setup = setup
+        self.profile = profile = setup.profile
+        self.timeline: list[tuple[float, str]] = []
+        self._new_core = core
+        self.autopilot = Autopilot(
+            setup.autopilot,
+            mission=setup.mission,
+            rc_present=setup.has_rc,
+            rc_failsafe_mode=setup.rc_failsafe_mode,
+        )
+        self.autopilot.add_link("gcs")
+        self.autopilot.set_rc(SWITCH, PULSES_US[0])
+        self.phlosar = SimulatedPhlosar(
+            firmware=board or setup.board(),
+            effects=None if setup.likely_rig else Effects(),
+            seed=setup.seed,
+        )
+        limits = profile.limits
+        self.referee = Referee(Rules(limits.max_kPa, limits.max_rate_kPa_per_s, limits.max_bent_s))
+        RefereedBoard(self.phlosar, self.referee)
+        self.flight = SimulatedFlight(profile, self.autopilot, self.phlosar)
+        self.flight.world.core = core(profile)
+        self.to_board, self.from_board, self.from_autopilot = (
+            Wire(f"{name} of {setup.seed}") for name in ("to board", "from board", "from autopilot")
+        )
+        self.flight.world.to_phlosar = self.to_board
+        self.flight.world.from_phlosar = self.from_board
+        self.flight.from_autopilot = self.from_autopilot
+        self.told: list[tuple[float, str]] = []
+        """What the pilot reads."""
+        self._station = Codec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
+        self._position = 0
+        self._rc_lost: str | None = None
+        self._rc_good_since_s: float | None = None
+        self._rc_in_use = False
+        self._muted_until_s = 0.0
+        self._unseen: dict[str, float] = {}
+        self._unseen_from_s = 0.0
+        self._unseen_position = 0
+        self._noticed = False
+        self._settled_s = self._surely_settled_s = 0.0
+        self._moved_s = 0.0
+        self._settle()
+        self._conditions: dict[str, float] = {}
+        self._items_seen = 0
+        self._moving = False
+        self._written_s = 0.0
+        self._held_from_s = 0.0
+        self._late = False
+        self._plugged = True
+        if not setup.armed_at_start:
+            self.referee.forbid("pneumatics disarmed", 0.0)
+
+    @property
+    def now_s(self) -> float:
+        return self.flight.world.now
+
+    @property
+    def fouls(self) -> list[Foul]:
+        return self.referee.fouls
+
+    @property
+    def companion_lives(self) -> bool:
+        return not isinstance(self.flight.core, Nobody)
+
+    def run(self, seconds: float) -> None:
+        until_s = self.now_s + seconds
+        while self.now_s < until_s - 1e-6:
+            self._take(self.flight.run(min(until_s, self.now_s + STEP_S)))
+            self._look_around()
+
+    def note(self, text: str) -> None:
+        self.timeline.append((self.now_s, text))
+
+    # The pilot.
+
+    def take_off(self) -> None:
+        self.autopilot.takeoff(CRUISE_M)
+
+    def start_mission(self) -> None:
+        self.autopilot.start_mission()
+
+    def land(self) -> None:
+        self.autopilot.land()
+
+    def disarm(self) -> None:
+        self.autopilot.disarm()
+
+    def move_switch(self, position: int) -> None:
+        """A move that nobody can see, or in the second after a loss, asks for nothing."""
+        if position == self._position:
+            return
+        self._position = position
+        self.autopilot.set_rc(SWITCH, PULSES_US[position])
+        # Back where it was before anybody saw that it had left is no move.
+        lasted = self.now_s > self._moved_s + FLICK_S
+        self._moved_s = self.now_s
+        if self._unseen:
+            return
+        certain = self.now_s >= self._surely_settled_s
+        if self.now_s >= self._settled_s:
+            self._switch_asks(certain=certain and lasted)
+        if not certain:
+            self._settle()
+
+    def _switch_asks(self, *, certain: bool) -> None:
+        if self.setup.has_rc:
+            what = f"switch to {self._position}"
+            self._asked(what, DEBOUNCED_S, self._position > 0, by_person=True, certain=certain)
+
+    def _settle(self) -> None:
+        """A switch that was not seen, or moves before it has settled, has to settle anew."""
+        settle_s = self.profile.switch.settle_s
+        if self.now_s < self._settled_s:
+            self._settled_s = self.now_s + settle_s - UNCERTAIN_S
+        self._surely_settled_s = self.now_s + settle_s + UNCERTAIN_S
+
+    def press(self, code: int, angle_deg: float = 0.0) -> None:
+        """A ground station's button: the same codes as a mission item's."""
+        self._command(mavlink.MAV_CMD_USER_1, code, angle_deg)
+        self._asked_by_station(f"button {code}", bends=code > 0)
+
+    def bend_to(self, angle_deg: float) -> None:
+        self._command(mavlink.MAV_CMD_USER_2, angle_deg)
+        self._asked_by_station(f"bend {angle_deg:g}°", bends=True)
+
+    def vent(self) -> None:
+        self._command(mavlink.MAV_CMD_USER_4, 0)
+        self._asked_by_station("vent", bends=False)
+
+    def hold(self) -> None:
+        self._command(mavlink.MAV_CMD_USER_4, 1)
+
+    def arm_pneumatics(self) -> None:
+        self._command(mavlink.MAV_CMD_USER_4, 3)
+        if self._station_is_heard:
+            self.referee.permit("pneumatics disarmed")
+
+    def disarm_pneumatics(self) -> None:
+        self._command(mavlink.MAV_CMD_USER_4, 2)
+        if self._station_is_heard and not self._vehicle_is_spoiled:
+            self.referee.forbid("pneumatics disarmed", self.now_s + COMMANDED_S)
+
+    def clear_faults(self) -> None:
+        self._command(mavlink.MAV_CMD_USER_5, 1)
+        if self._station_is_heard:
+            self.referee.person_clears(self.now_s + COMMANDED_S)
+
+    def calibrate(self) -> None:
+        self._command(mavlink.MAV_CMD_USER_5, 2)
+        self._asked_by_station("calibration", bends=True)
+
+    def _command(self, command: int, *params: float) -> None:
+        seven = (*params, *(0.0,) * (7 - len(params)))
+        message = mavlink.MAVLink_command_long_message(1, 191, command, 0, *seven)
+        self.autopilot.receive(self.now_s, "gcs", self._station.encode(message, 255))
+
+    @property
+    def _station_is_heard(self) -> bool:
+        return not self._unseen.keys() & {"silence", "link", "companion"}
+
+    @property
+    def _vehicle_is_spoiled(self) -> bool:
+        return self.from_autopilot.spoiled > 0.0
+
+    def _asked_by_station(self, what: str, bends: bool) -> None:
+        if self._station_is_heard:
+            self._asked(what, COMMANDED_S, bends, by_person=True)
+
+    def _asked(self, what: str, within_s: float, bends: bool, by_person: bool, certain: bool = True) -> None:
+        """`certain`: nothing may keep the companion from hearing of it."""
+        now_s = self.now_s
+        if self._vehicle_is_spoiled:
+            within_s += LATE_S
+        if bends:
+            self.referee.permit("asked to straighten")
+            self.referee.trigger(now_s, within_s, what)
+            return
+        if by_person:
+            self.referee.person_clears(now_s + within_s)
+        if certain and not self._vehicle_is_spoiled:
+            done_s = max(now_s + within_s + 0.2, self.referee.pending_until_s)
+            self.referee.forbid("asked to straighten", done_s, inflation_only=True)
+
+    # The vehicle.
+
+    def lose_rc(self, how: Literal["frozen", "jump", "silent"]) -> None:
+        self.autopilot.lose_rc(how)
+        self._rc_lost = how
+        self._unsee("rc")
+        self._noticed |= how == "jump"
+
+    def return_rc(self) -> None:
+        self.autopilot.return_rc()
+        self._rc_lost = None
+        if self._held_from_s > self.now_s:
+            self.referee.hold_still(math.inf)
+        self._see("rc")
+
+    def mute(self, seconds: float) -> None:
+        self.autopilot.mute(seconds)
+        self._muted_until_s = self.now_s + seconds
+        self._unsee("silence")
+
+    def reboot_autopilot(self) -> None:
+        self.autopilot.reboot()
+        self._muted_until_s = self.now_s + 1.5
+        self._unsee("silence")
+        self._noticed = True
+
+    def close_vehicle_link(self) -> None:
+        self.from_autopilot.cut = True
+        self._unsee("link")
+        self._noticed = True
+        self._feed(LinkChanged(self.now_s, "vehicle", False, "closed"))
+
+    def open_vehicle_link(self) -> None:
+        self.from_autopilot.cut = False
+        self._see("link")
+        self._feed(LinkChanged(self.now_s, "vehicle", True))
+
+    def spoil_vehicle_link(self, share: float) -> None:
+        self._late = True
+        self.from_autopilot.spoiled = share
+
+    def mend_vehicle_link(self) -> None:
+        self.from_autopilot.spoiled = 0.0
+
+    def lose_altitude(self) -> None:
+        self.from_autopilot.without = ALTITUDE
+
+    def find_altitude(self) -> None:
+        self.from_autopilot.without = None
+
+    # The companion.
+
+    def kill_companion(self) -> None:
+        """At once, as by kill -9; the port closes with it."""
+        self.flight.world.core = Nobody(self.profile)
+        self._rc_in_use = False
+        self._rc_good_since_s = None
+        self._unsee("companion")
+        self._noticed = True
+
+    def start_companion(self) -> None:
+        if self.companion_lives:
+            return
+        self.flight.world.core = self._new_core(self.profile)
+        self.referee.companion_replaced()
+        if not self.setup.armed_at_start:
+            # What the board still holds ends by its dead-man.
+            self.referee.forbid("pneumatics disarmed", self.now_s + DEAD_MAN_S)
+        else:
+            self.referee.permit("pneumatics disarmed")
+        if self._plugged:
+            self._feed(LinkChanged(self.now_s, "firmware", True))
+        if not self.from_autopilot.cut:
+            self._feed(LinkChanged(self.now_s, "vehicle", True))
+        self._see("companion")
+
+    def stall_companion(self, seconds: float) -> None:
+        """It stands still; what the vehicle and its people say waits for it."""
+        self._unsee("stall")
+        began_s = self.now_s
+        self._take(self.flight.stall(began_s + seconds))
+        self.referee.delay(began_s, seconds + STEP_S)
+        self._see("stall")
+        self._look_around()
+
+    # The serial line.
+
+    def unplug(self) -> None:
+        self._plugged = False
+        self.cut_commands()
+        self.cut_telemetry()
+        self._feed(LinkChanged(self.now_s, "firmware", False, "unplugged"))
+
+    def plug_in(self) -> None:
+        self._plugged = True
+        self.mend_line()
+        self._feed(LinkChanged(self.now_s, "firmware", True))
+
+    def cut_commands(self) -> None:
+        self.to_board.cut = True
+
+    def cut_telemetry(self) -> None:
+        self.from_board.cut = True
+
+    def spoil_line(self, share: float) -> None:
+        self.to_board.spoiled = self.from_board.spoiled = share
+
+    def mend_line(self) -> None:
+        for wire in (self.to_board, self.from_board):
+            wire.cut, wire.spoiled = not self._plugged, 0.0
+
+    # The hardware.
+
+    def befall(self, place: str, kind: Kind) -> None:
+        match place, kind:
+            case ("evp", StuckAt(opening)) if opening > 0.0:
+                self.referee.excuse(place, math.inf, rises=True)
+            case ("solenoid", StuckAt(opening)) if opening < 0.5:
+                self.referee.excuse(place, math.inf, rises=True)
+            case ("hose", Kinked()) | ("cv_sensor", _):
+                self.referee.excuse(place, math.inf)
+            case "board", Unpowered():
+                self.referee.unpowered()
+            case "board", Hanging():
+                self.referee.excuse(place, self.now_s + 0.26)
+        self.phlosar.befall(place, kind)
+
+    def heal(self, place: str) -> None:
+        self.referee.excuse(place, self.now_s, rises=place in ("evp", "solenoid"))
+        self.phlosar.befall(place, None)
+
+    # Looking.
+
+    def _unsee(self, what: str) -> None:
+        """From now on the companion cannot see the switch."""
+        if not self._unseen:
+            self._unseen_from_s, self._unseen_position, self._noticed = self.now_s, self._position, False
+        self._unseen[what] = self.now_s
+        if what in ("silence", "link", "companion"):
+            self._late = True
+            for name, due_s in self._conditions.items():
+                if name in _TOLD_BY_VEHICLE and due_s > self.now_s:
+                    self.referee.permit(name)
+                    self._conditions[name] = math.inf
+
+    def _see(self, what: str) -> None:
+        self._unseen.pop(what, None)
+        now_s = self.now_s
+        if self._station_is_heard:
+            for name, due_s in self._conditions.items():
+                if due_s == math.inf:
+                    self._conditions[name] = now_s + _TOLD_BY_VEHICLE[name] + self._patience_s
+                    self.referee.forbid(name, self._conditions[name])
+        if self._unseen:
+            return
+        # Whether a short loss was noticed is a matter of tens of milliseconds: both will do.
+        lasted_s, certain_s = now_s - self._unseen_from_s, self.profile.losses.rc_s + UNCERTAIN_S
+        noticed = what != "stall" and (self._noticed or lasted_s > certain_s)
+        if noticed:
+            self._settled_s = math.inf
+        elif self._position != self._unseen_position:
+            self._switch_asks(certain=False)
+        self._settle()
+
+    @property
+    def _patience_s(self) -> float:
+        return LATE_S if self._vehicle_is_spoiled else 0.0
+
+    def _look_around(self) -> None:
+        now_s, autopilot, profile = self.now_s, self.autopilot, self.profile
+        if "silence" in self._unseen and now_s >= self._muted_until_s:
+            self._see("silence")
+        rc_good = self.setup.has_rc and autopilot.armed and not self._unseen
+        if not rc_good:
+            self._rc_good_since_s = None
+        elif self._rc_good_since_s is None:
+            self._rc_good_since_s = now_s
+        elif now_s - self._rc_good_since_s > 1.0:
+            self._rc_in_use = True
+        if not autopilot.armed and self._rc_lost:
+            self._rc_in_use = False
+        lowest_m = profile.interlocks.min_altitude_m - LANDING_MARGIN_M
+        rc_lost = self._rc_lost is not None and self._rc_in_use
+        silent = bool(self._unseen.keys() & {"silence", "link"})
+        held_s = HELD_AT_MOST_S if self.setup.holds else 0.0
+        if rc_lost and held_s and "RC lost" not in self._conditions:
+            self._held_from_s = now_s + _TOLD_BY_VEHICLE["RC lost"] + self._patience_s
+            self.referee.hold_still(self._held_from_s)
+        self._watch("disarmed", not autopilot.armed, _TOLD_BY_VEHICLE["disarmed"])
+        self._watch("landing", autopilot.height_m < lowest_m, _TOLD_BY_VEHICLE["landing"])
+        self._watch("RC lost", rc_lost, _TOLD_BY_VEHICLE["RC lost"] + held_s)
+        self._watch("autopilot silent", silent, 1.3 if self._rc_in_use and not held_s else 2.5)
+        self._watch("altitude lost", self.from_autopilot.without is not None, 2.5)
+        self._watch("telemetry lost", self.from_board.cut, profile.losses.telemetry_s + 0.1)
+        low = self.phlosar.reservoir_kPa < profile.interlocks.reserve_kPa
+        self._watch("bottle low", low and self.phlosar.mishaps.reservoir_sensor is None, 3.0)
+        self._hear_of_items()
+        self._write_down()
+
+    def _write_down(self) -> None:
+        """The pressures now and then, and whenever the vine begins or ceases to move."""
+        drive = self.phlosar.drive
+        moving = drive != SAFE
+        pressed = moving or self.phlosar.cv_kPa > RESTING_KPA
+        due = pressed and self.now_s >= self._written_s + WRITTEN_EVERY_S
+        if moving == self._moving and not due:
+            return
+        self._moving, self._written_s = moving, self.now_s
+        valves = f"EVP {drive.evp:.2f}, DVP {drive.dvp:.0f}, outlet {'open' if drive.solenoid else 'shut'}"
+        pressures = f"vine {self.phlosar.cv_kPa:5.1f} kPa, bottle {self.phlosar.reservoir_kPa:3.0f} kPa"
+        self.note(f"        {pressures}, {valves}")
+
+    def _watch(self, name: str, holds: bool, within_s: float) -> None:
+        if holds == (name in self._conditions):
+            return
+        if not holds:
+            del self._conditions[name]
+            self.referee.permit(name)
+            return
+        due_s = self.now_s + within_s
+        if name in _TOLD_BY_VEHICLE:
+            due_s = due_s + self._patience_s if self._station_is_heard else math.inf
+        self._conditions[name] = due_s
+        self.referee.forbid(name, due_s)
+
+    def _hear_of_items(self) -> None:
+        log = self.autopilot.payload_log
+        for _, item in log[self._items_seen :]:
+            if item.command in (SCRIPT_MESSAGE, ACTUATOR):
+                within_s = LATE_ITEM_S if self._late else ITEM_S
+                self._asked(f"item {item.seq}", within_s, item.params[0] != 0.0, by_person=False)
+                self.note(f"mission item {item.seq} runs")
+        self._items_seen = len(log)
+
+    def _feed(self, event: Event) -> None:
+        self._take(self.flight.feed(event))
+
+    def _take(self, actions: list[Action]) -> None:
+        for action in actions:
+            if isinstance(action, Notice):
+                self.told.append((action.t, action.text))
+                self.timeline.append((action.t, f"    pilot reads: {action.text}"))
+            elif isinstance(action, Decision):
+                reason = f": {action.reason}" if action.reason else ""
+                text = f"    {action.trigger} {action.intent} {action.safety}{reason}"
+                self.timeline.append((action.t, text))
+
+
+_TOLD_BY_VEHICLE = {"disarmed": 1.3, "landing": 0.8, "RC lost": 1.4}
+"""What only the vehicle's messages tell of, and by when they do."""
