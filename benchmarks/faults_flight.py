@@ -332,6 +332,10 @@ class RefereedFlight:
     def return_rc(self) -> None:
         self.autopilot.return_rc()
         self._rc_lost = None
+        lost_s = self.now_s - self._unseen["rc"]
+        if lost_s < self.profile.losses.rc_s:
+            # A short silence is no loss: what was moved just before it is seen after it.
+            self.referee.delay(self._unseen["rc"], lost_s)
         if self._held_from_s > self.now_s:
             self.referee.hold_still(math.inf)
         self._see("rc")

@@ -63,6 +63,9 @@ TICK_S = 0.02
 SPEAK_FIRST_S = 1.5
 """How long we listen for an autopilot before we say anything ourselves."""
 
+_DONE = {"serial": "its dead-man vents", "telemetry": "told to vent", "venting": "outlet told open"}
+"""Where nobody can know that the vine is vented, the pilot is told no more than was done about it."""
+
 
 class Core:
     """One vine on one vehicle. `handle` takes every event, in time order, and returns what to do, in order.
@@ -436,11 +439,7 @@ class Core:
         if mattered:
             trigger = Trigger(t, "failsafe", {"loss": change.name}, Hold() if hold else Vent())
             self._record(t, trigger, Ruling("accepted", change.reason))
-        done = "holding" if hold else "vented"
-        if change.name == "serial":
-            done = "its dead-man vents"
-        elif change.name == "venting":
-            done = "outlet told open"
+        done = "holding" if hold else _DONE.get(change.name, "vented")
         self._notice(t, Severity.WARNING, f"{change.reason}, {done}", mattered)
 
     def _leave(self, t: float, change: Left) -> None:

@@ -21,7 +21,9 @@ TELLING_KPA = 4.0
 OUTLET_LAG_S = 0.15
 """For so long after it is told to shut an outlet may still have let the air out."""
 STUCK_S = 0.2
-"""A sensor whose every reading is the same for so long, while air goes in."""
+"""A sensor whose every reading is the same for so long, while air goes in …"""
+STILL_S = 0.4
+"""… or while the inflation valve is told open, and perhaps nothing flows: only noise can then tell."""
 
 
 class Filling:
@@ -68,17 +70,20 @@ class Filling:
 
 class StuckVineSensor:
     """A reading that does not change in its last digit while air goes in: even a pouch that unfolds at no
-    pressure moves it by the flow in the tube, and every converter has some noise then."""
+    pressure moves it by the flow in the tube, and every converter has some noise. Near its setpoint the
+    regulator opens the valve by little, and by more and more while nothing seems to come of it."""
 
     def __init__(self) -> None:
         self._reading_kPa = 0.0
-        self._filling_s = 0.0
+        self._filling_s = self._told_s = 0.0
 
     def look(self, now: Moment) -> str | None:
         """What is wrong, while it is."""
         if now.cv_read_kPa != self._reading_kPa or not now.regulating or now.venting_s > 0.0:
             self._reading_kPa = now.cv_read_kPa
-            self._filling_s = 0.0
-        elif now.least_inflow_SL > 0.0:
-            self._filling_s += now.dt_s
-        return f"vine sensor stuck at {now.cv_read_kPa:.1f} kPa" if self._filling_s > STUCK_S else None
+            self._filling_s = self._told_s = 0.0
+        elif now.filling:
+            self._told_s += now.dt_s
+            self._filling_s += now.dt_s if now.least_inflow_SL > 0.0 else 0.0
+        stuck = self._filling_s > STUCK_S or self._told_s > STILL_S
+        return f"vine sensor stuck at {now.cv_read_kPa:.1f} kPa" if stuck else None

@@ -24,6 +24,8 @@ class Moment:
     """The middle one of three readings: a single glitch is none."""
     cv_read_kPa: float
     bottle_read_kPa: float
+    filling: bool
+    """The inflation valve is told open, if only so little that nothing need flow."""
     least_inflow_SL: float
     """What has gone into the vine since the moment before, for sure."""
     most_outflow_SL: float
@@ -85,6 +87,7 @@ class Reader:
             cv_kPa=cv_kPa,
             cv_read_kPa=telemetry.cv_kPa,
             bottle_read_kPa=bottle_kPa,
+            filling=evp > 0.0,
             least_inflow_SL=dt_s * self._rig.least_inflow_SL_per_s(least_evp, bottle_kPa, cv_kPa),
             most_outflow_SL=dt_s * self._rig.most_outflow_SL_per_s(most_evp, most_dvp, bottle_kPa),
             venting_s=self._venting_s,
