@@ -109,6 +109,8 @@ class Vehicle:
             out.extend(self._watch(t, message))
             if kind == "RC_CHANNELS":
                 out.extend(self._sample_switch(t))
+        if any(isinstance(output, Trigger) and output.by_person for output in out):
+            self._px4.asked(t)
         return out
 
     def tick(self, t: float) -> list[Output]:

@@ -746,6 +746,16 @@ def test_a_command_that_the_book_does_not_have_keeps_its_own_numbers() -> None:
         assert (found.command, found.seq, found.item, found.params) == (command, None, None, params)
 
 
+def test_a_repeat_of_an_item_that_ran_before_a_person_asked_for_something_is_history() -> None:
+    watch = px4(actuator(3, 0.5), current=3)
+    watch.asked(10.0)
+    params = actuator(3, 0.5).params
+    # The third frame of a command is the first that is heard: it was sent a second ago.
+    assert watch.execution(10.3, 187, params, confirmation=2) is None
+    # It may have begun after that.
+    assert watch.execution(10.9, 187, params, confirmation=2) is not None
+
+
 def test_a_repeat_of_an_item_that_a_later_one_of_its_burst_overtook_is_history() -> None:
     nan = float("nan")
     items = actuator(2, 0.5), actuator(3, -0.1), MissionItem(4, WP, (0.0,) * 7), actuator(5, 0.9)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution, same_numbers
@@ -22,6 +24,11 @@ class Px4Watch:
         self._current = 0
         self._ran: Execution | None = None
         self._ran_at = 0.0
+        self._asked_at = -math.inf
+
+    def asked(self, t: float) -> None:
+        """A person asked for something: what ran before that must not undo it when only a repeat is heard."""
+        self._asked_at = t
 
     def handle(self, message: Message) -> None:
         if message.get_type() == "MISSION_CURRENT":
@@ -32,12 +39,13 @@ class Px4Watch:
     ) -> Execution | None:
         """A command of the autopilot's, with the mission item that it comes from where that is known.
 
-        None when a later item has run already, which is what counts then: this one's frames were lost, but
-        for a repeat.
+        None when a later item has run already, or a person has asked for something since, which is what
+        counts then: this one's frames were lost, but for a repeat.
         """
         item = self._book.nearest(command, params, self._current)
         execution = Execution(command, item.seq if item else None, item, params)
-        if confirmation and self._overtaken(t, execution):
+        begun_at_latest = t - confirmation * BEFORE_A_REPEAT_S
+        if confirmation and (begun_at_latest < self._asked_at or self._overtaken(t, execution)):
             return None
         self._ran, self._ran_at = execution, t
         return execution
