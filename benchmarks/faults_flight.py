@@ -332,10 +332,12 @@ class RefereedFlight:
     def return_rc(self) -> None:
         self.autopilot.return_rc()
         self._rc_lost = None
-        lost_s = self.now_s - self._unseen["rc"]
+        # Two losses may overlap: it returns once.
+        lost_at_s = self._unseen.get("rc", self.now_s)
+        lost_s = self.now_s - lost_at_s
         if lost_s < self.profile.losses.rc_s:
             # A short silence is no loss: what was moved just before it is seen after it.
-            self.referee.delay(self._unseen["rc"], lost_s)
+            self.referee.delay(lost_at_s, lost_s)
         if self._held_from_s > self.now_s:
             self.referee.hold_still(math.inf)
         self._see("rc")
