@@ -81,6 +81,7 @@ class Vehicle:
         for event in self.state.handle(t, message) if kind in heard.STATE else ():
             match event:
                 case Found(system_id):
+                    self._px4.forget(t)
                     out.append(Notice(t, Severity.INFO, f"Vine: serving vehicle {system_id}"))
                 case Ambiguous((one, other)):
                     text = f"Vine: autopilots {one} and {other}: set vehicle.system_id"
@@ -110,7 +111,7 @@ class Vehicle:
             if kind == "RC_CHANNELS":
                 out.extend(self._sample_switch(t))
         if any(isinstance(output, Trigger) and output.by_person for output in out):
-            self._px4.asked(t)
+            self._px4.forget(t)
         return out
 
     def tick(self, t: float) -> list[Output]:

@@ -746,9 +746,9 @@ def test_a_command_that_the_book_does_not_have_keeps_its_own_numbers() -> None:
         assert (found.command, found.seq, found.item, found.params) == (command, None, None, params)
 
 
-def test_a_repeat_of_an_item_that_ran_before_a_person_asked_for_something_is_history() -> None:
+def test_a_repeat_of_an_item_that_ran_before_anybody_listened_or_asked_for_another_is_history() -> None:
     watch = px4(actuator(3, 0.5), current=3)
-    watch.asked(10.0)
+    watch.forget(10.0)
     params = actuator(3, 0.5).params
     # The third frame of a command is the first that is heard: it was sent a second ago.
     assert watch.execution(10.3, 187, params, confirmation=2) is None

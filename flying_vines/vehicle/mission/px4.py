@@ -24,11 +24,12 @@ class Px4Watch:
         self._current = 0
         self._ran: Execution | None = None
         self._ran_at = 0.0
-        self._asked_at = -math.inf
+        self._forgotten_at = -math.inf
 
-    def asked(self, t: float) -> None:
-        """A person asked for something: what ran before that must not undo it when only a repeat is heard."""
-        self._asked_at = t
+    def forget(self, t: float) -> None:
+        """What ran before now is history, and is not carried out when only a repeat of it is heard: we had
+        not begun to listen, or a person has asked for something since."""
+        self._forgotten_at = t
 
     def handle(self, message: Message) -> None:
         if message.get_type() == "MISSION_CURRENT":
@@ -39,13 +40,13 @@ class Px4Watch:
     ) -> Execution | None:
         """A command of the autopilot's, with the mission item that it comes from where that is known.
 
-        None when a later item has run already, or a person has asked for something since, which is what
-        counts then: this one's frames were lost, but for a repeat.
+        None for a repeat whose first frames were lost, of an item that is history: a later one has run
+        already, or see `forget`.
         """
         item = self._book.nearest(command, params, self._current)
         execution = Execution(command, item.seq if item else None, item, params)
         begun_at_latest = t - confirmation * BEFORE_A_REPEAT_S
-        if confirmation and (begun_at_latest < self._asked_at or self._overtaken(t, execution)):
+        if confirmation and (begun_at_latest < self._forgotten_at or self._overtaken(t, execution)):
             return None
         self._ran, self._ran_at = execution, t
         return execution
