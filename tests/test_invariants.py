@@ -18,13 +18,13 @@ import pytest
 from hypothesis import note, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from needed import needs_compiler
 
 from firmware_link import host, protocol
 from firmware_link.protocol import Fault, Hello, Setpoint, Vent
 from flying_vines.config import Config
 from flying_vines.core import Core
 from flying_vines.events import Action, Decision, Event, Tick
-from flying_vines.fakes.compiled_firmware import WHAT_TO_INSTALL, compiler
 from flying_vines.fakes.firmware import Drive, Firmware, FirmwareSettings
 from flying_vines.fakes.mishaps import DRAWN, Filled, Mishaps, StuckAt
 from flying_vines.intent import StartProfile
@@ -37,7 +37,6 @@ from faults_flight import RefereedFlight, Setup
 from faults_script import draw, fly
 
 MENDED = {place.name for place in fields(Mishaps)}
-needs_compiler = pytest.mark.skipif(compiler() is None, reason=f"needs {WHAT_TO_INSTALL}")
 
 
 # Cheats, and the flights that show them up.

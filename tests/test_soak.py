@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from needed import needs_compiler
 
-from flying_vines.fakes.compiled_firmware import WHAT_TO_INSTALL, compiler
 from flying_vines.vehicle.mission.storage import Kind
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
@@ -16,7 +16,7 @@ from soak import Outcome, Sample, simulated
 from soak_day import BUTTONS, Tally, bend
 
 
-@pytest.mark.skipif(compiler() is None, reason=f"needs {WHAT_TO_INSTALL}")
+@needs_compiler
 @pytest.mark.parametrize(
     ("kind", "seed", "by"),
     [("ardupilot", 10, "mission item"), ("px4", 36, "command"), ("ardupilot", 2, "switch")],

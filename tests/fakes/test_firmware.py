@@ -8,6 +8,7 @@ from itertools import pairwise
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from needed import needs_compiler
 
 from firmware_link.protocol import (
     PROTOCOL_VERSION,
@@ -30,11 +31,12 @@ from firmware_link.protocol import (
     Vent,
     Welcome,
 )
-from flying_vines.fakes.compiled_firmware import WHAT_TO_INSTALL, CompiledFirmware, compiler
+from flying_vines.fakes.compiled_firmware import CompiledFirmware
 from flying_vines.fakes.firmware import SAFE, Drive, Firmware, FirmwareSettings
 from flying_vines.fakes.firmware_settings import SETTING_ROWS, value_of
 from flying_vines.fakes.regulator import RegulatorSettings, begin, regulate
 
+EITHER = [Firmware, pytest.param(CompiledFirmware, marks=needs_compiler)]
 RELIEF = Drive(0.0, 1.0, True)
 """Over the limit the Venturi helps."""
 
@@ -73,13 +75,11 @@ class Bench:
         self.answers()
 
 
-@pytest.fixture(params=["emulated", "compiled"])
+@pytest.fixture(params=["emulated", pytest.param("compiled", marks=needs_compiler)])
 def cold(request: pytest.FixtureRequest) -> Bench:
     """A board that has just started."""
     if request.param == "emulated":
         return Bench(Firmware())
-    if compiler() is None:
-        pytest.skip(f"needs {WHAT_TO_INSTALL}")
     return Bench(CompiledFirmware(directly=True))
 
 
@@ -386,10 +386,8 @@ def test_a_watchdog_reset_latches(cold: Bench) -> None:
     assert bench.firmware.faults == Fault.WATCHDOG_RESET
 
 
-@pytest.mark.parametrize("kind", [Firmware, CompiledFirmware])
+@pytest.mark.parametrize("kind", EITHER)
 def test_a_board_that_boots_does_not_listen(kind: type[Firmware | CompiledFirmware]) -> None:
-    if kind is CompiledFirmware and compiler() is None:
-        pytest.skip(f"needs {WHAT_TO_INSTALL}")
     firmware = kind()
     firmware.receive(Codec().encode(Hello(PROTOCOL_VERSION, 1)))
     assert firmware.take_output() == b""
@@ -491,10 +489,8 @@ def test_the_dead_band_is_jumped(bench: Bench) -> None:
     assert bench.run(1) == SAFE
 
 
-@pytest.mark.parametrize("kind", [Firmware, CompiledFirmware])
+@pytest.mark.parametrize("kind", EITHER)
 def test_a_sensors_zero_is_taken_off(kind: type[Firmware | CompiledFirmware]) -> None:
-    if kind is CompiledFirmware and compiler() is None:
-        pytest.skip(f"needs {WHAT_TO_INSTALL}")
     bench = Bench(kind())
     bench.greet()
     bench.cv_kPa = 4.0
@@ -684,7 +680,7 @@ def test_it_never_inflates_when_it_must_not(story: Story) -> None:
     live_through(story, Bench(Firmware()))
 
 
-@pytest.mark.skipif(compiler() is None, reason=f"needs {WHAT_TO_INSTALL}")
+@needs_compiler
 @settings(max_examples=200, deadline=None)
 @given(st.lists(turns, max_size=12))
 def test_the_real_one_never_inflates_when_it_must_not(story: Story) -> None:

@@ -11,8 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines import config
 from flying_vines.events import Action, Decision, Event, ToVehicle, VehicleMessage
 from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.board import Board
-from flying_vines.fakes.compiled_firmware import CompiledFirmware, compiler
+from flying_vines.fakes.board import best_board
 from flying_vines.fakes.phlosar import SimulatedPhlosar
 from flying_vines.pneumatics.plant.effects import Effects
 from flying_vines.simulated_world import SimulatedFlight
@@ -26,11 +25,6 @@ LOW, MIDDLE, HIGH = 1000, 1500, 2000
 CRUISE_M = 10.0
 HALF_BENT_KPA = 11.35
 BENT_KPA = 20.7
-
-
-def board() -> Board | None:
-    """With the firmware that a lab flashes, where a compiler is; else the emulated one, its twin."""
-    return CompiledFirmware() if compiler() else None
 
 
 class Texts:
@@ -74,7 +68,7 @@ class Watched:
         self._companion = Codec(profile.vehicle.system_id, profile.vehicle.component_id)
         self.autopilot = Autopilot(kind, rc_present=rc, rc_failsafe_mode=None)
         self.autopilot.set_rc(SWITCH, LOW)
-        self.phlosar = SimulatedPhlosar(effects=Effects(), firmware=board(), reservoir_kPa=reservoir_kPa)
+        self.phlosar = SimulatedPhlosar(effects=Effects(), firmware=best_board(), reservoir_kPa=reservoir_kPa)
         self.box = BlackBox(self.phlosar)
         self.flight = SimulatedFlight(profile, self.autopilot, self.phlosar)
         self.texts = Texts()

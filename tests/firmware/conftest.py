@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from needed import ARM_TOOLS, need
 
 from .native import FIRMWARE
-from .tools import ARM_TOOLS, need
 
 
 @pytest.fixture(scope="session")

@@ -6,16 +6,14 @@ import ctypes
 import subprocess
 from pathlib import Path
 
-from .tools import need
+from needed import host_compiler
 
-FIRMWARE = Path(__file__).parents[2] / "firmware_link" / "firmware"
+from flying_vines.fakes.compiled_firmware import SOURCES
+
+FIRMWARE = SOURCES
 STACK_TOOL = FIRMWARE / "stack.py"
 LIBRARY = "firmware.so"
 STRICT = ("-Wall", "-Wextra", "-Werror", "-Wconversion", "-Wshadow", "-fno-exceptions", "-fno-rtti")
-
-
-def host_compiler() -> str:
-    return need("g++", "sudo apt install g++")
 
 
 def library(folder: Path, *sources: Path) -> ctypes.CDLL:

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from needed import needs_compiler
 
 from firmware_link.protocol import (
     PROTOCOL_VERSION,
@@ -20,16 +21,13 @@ from firmware_link.protocol import (
 )
 from flying_vines.fakes import compiled_firmware
 from flying_vines.fakes.compiled_firmware import (
-    WHAT_TO_INSTALL,
     CompiledFirmware,
     FirmwareBuildError,
-    compiler,
 )
 from flying_vines.fakes.firmware_settings import SETTING_ROWS, FirmwareSettings, value_of
 from flying_vines.fakes.regulator import SAFE, RegulatorSettings
 
 DOCS = Path(__file__).parents[2] / "docs"
-needs_compiler = pytest.mark.skipif(compiler() is None, reason=f"needs {WHAT_TO_INSTALL}")
 
 
 def telemetry(firmware: CompiledFirmware, codec: Codec) -> Telemetry:

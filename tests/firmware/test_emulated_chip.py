@@ -6,11 +6,11 @@ import itertools
 from pathlib import Path
 
 import pytest
+from needed import ARM_TOOLS, need
 
 from .emulated_chip import Instructions, Run, build, results, run, trace
 from .golden_frames import VECTORS, answers_in, frames, of_host_frame, to_device_frame
 from .golden_run import PACKET, Part, Step, difference, read
-from .tools import ARM_TOOLS, need
 
 PARTS = read()
 STEPS = [step for part in PARTS for step in part.steps]

@@ -8,14 +8,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from needed import host_compiler, needs_compiler
 
-from flying_vines.fakes.compiled_firmware import SOURCES, WHAT_TO_INSTALL, compiler
+from flying_vines.fakes.compiled_firmware import SOURCES
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
 from fuzz import FuzzError, drive, driver, listen
-
-needs_compiler = pytest.mark.skipif(compiler() is None, reason=f"needs {WHAT_TO_INSTALL}")
 
 WORSE = {
     "no dead-man": ("firmware.cpp", "now_us - commanded_us_ >= holds_us_", "false"),
@@ -40,9 +39,7 @@ def test_the_core_withstands_what_comes(seed: int) -> None:
 
 
 def compiled(source: Path, to: Path) -> Path:
-    command = compiler()
-    assert command is not None
-    subprocess.run([command, "-std=c++17", "-c", "-o", to, source], check=True)
+    subprocess.run([host_compiler(), "-std=c++17", "-c", "-o", to, source], check=True)
     return to
 
 
@@ -65,16 +62,13 @@ def test_a_worse_core_is_found_out(what: str, objects: dict[str, Path], tmp_path
     (core / name).write_text(text.replace(right, wrong))
     worse = objects | {name: compiled(core / name, tmp_path / "worse.o")}
     program = tmp_path / "fuzz"
-    command = compiler()
-    assert command is not None
-    subprocess.run([command, "-o", program, *worse.values()], check=True)
+    subprocess.run([host_compiler(), "-o", program, *worse.values()], check=True)
     with pytest.raises(FuzzError, match="does not hold"):
         drive(1, 1_000_000, program)
 
 
+@needs_compiler
 def test_the_driver_is_built_once() -> None:
-    if compiler() is None:
-        pytest.skip(f"needs {WHAT_TO_INSTALL}")
     made_at = driver().stat().st_mtime_ns
     assert driver().stat().st_mtime_ns == made_at
 

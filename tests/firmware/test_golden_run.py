@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from needed import needs_compiler
 
 from firmware_link.framing import FrameDecoder
 from firmware_link.protocol import (
@@ -30,14 +31,12 @@ from firmware_link.protocol import (
     Welcome,
     decode,
 )
-from flying_vines.fakes.compiled_firmware import WHAT_TO_INSTALL, compiler
 
 from .golden_frames import VECTORS, answers_in, frames, of_host_frame, to_device_frame
 from .golden_run import FULL_EVP_DUTY, GOLDEN_RUN, Part, PowerUp, difference, on_host, read, write
 
 PARTS = read()
 STEPS = [(step, done) for part in PARTS for step, done in zip(part.steps, part.done, strict=True)]
-needs_compiler = pytest.mark.skipif(compiler() is None, reason=f"needs {WHAT_TO_INSTALL}")
 
 
 def messages_in(data: bytes) -> list[Message]:

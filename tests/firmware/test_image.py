@@ -13,9 +13,9 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from needed import ARM_TOOLS, host_compiler, need
 
-from .native import FIRMWARE, STACK_TOOL, STRICT, host_compiler
-from .tools import ARM_TOOLS, need
+from .native import FIRMWARE, STACK_TOOL, STRICT
 
 SKETCH = FIRMWARE / "phlosar"
 GUIDE = Path(__file__).parents[2] / "docs" / "firmware.md"

@@ -10,21 +10,19 @@ from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
 import pytest
+from needed import host_compiler, need
 
 from firmware_link.host import HostEvent, Ready, Regulate, TelemetryReceived
 from firmware_link.link import FirmwareLink
 from firmware_link.protocol import Fault, GetSetting, Message, Mode, SetSetting, Setting, Telemetry
-from flying_vines.fakes.compiled_firmware import SOURCES, WHAT_TO_INSTALL, compiler
-
-from .tools import need
+from flying_vines.fakes.compiled_firmware import SOURCES
 
 PATIENCE_S = 30.0
 
 
 @pytest.fixture(scope="session")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    if compiler() is None:
-        pytest.skip(f"needs {WHAT_TO_INSTALL}")
+    host_compiler()
     make = need("make", "sudo apt install make")
     folder = tmp_path_factory.mktemp("pty")
     made = subprocess.run(

@@ -14,6 +14,7 @@ from statistics import mean, median
 from typing import NamedTuple
 
 import pytest
+from needed import needs_compiler
 
 from firmware_link.framing import encode_frame
 from firmware_link.host import HostSession, Regulate
@@ -35,7 +36,7 @@ from firmware_link.protocol import (
     Vent,
 )
 from flying_vines.fakes.board import Board
-from flying_vines.fakes.compiled_firmware import WHAT_TO_INSTALL, CompiledFirmware, compiler
+from flying_vines.fakes.compiled_firmware import CompiledFirmware
 from flying_vines.fakes.firmware import Drive, Firmware
 from flying_vines.fakes.firmware_settings import (
     SETTING_ROWS,
@@ -48,7 +49,7 @@ from flying_vines.fakes.firmware_settings import (
 )
 from flying_vines.fakes.phlosar import SimulatedPhlosar
 
-pytestmark = pytest.mark.skipif(compiler() is None, reason=f"needs {WHAT_TO_INSTALL}")
+pytestmark = needs_compiler
 
 STEPS = 2000
 TICK_S = 0.01

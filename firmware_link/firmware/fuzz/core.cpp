@@ -208,7 +208,7 @@ private:
     }
 
     void check_settings() const {
-        for (uint8_t id = 0; id < kSettings_; ++id) {
+        for (uint8_t id = 0; id < kSettingCount; ++id) {
             const Real value = firmware_.settings().at(id);
             HOLDS(value >= setting_row(id)->least && value <= setting_row(id)->most);
         }
@@ -286,7 +286,7 @@ void send_command(Input& input, Board& board) {
 
 // Within the setting's range, mostly.
 void send_setting(Input& input, Board& board) {
-    const uint8_t id = input.u8() % kSettings_;
+    const uint8_t id = input.u8() % kSettingCount;
     const SettingRow* row = setting_row(id);
     const uint8_t share = input.u8();
     const Real value = row->least + (row->most - row->least) * Real(share) / Real(0xE0);

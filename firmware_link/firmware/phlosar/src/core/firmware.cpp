@@ -254,7 +254,7 @@ void Firmware::tell_setting(uint8_t id) {
         refuse(0, RefusalReason::kOutOfRange);
         return;
     }
-    send(SettingValue{id, kSettings_, row->name, static_cast<float>(settings_.at(id)),
+    send(SettingValue{id, kSettingCount, row->name, static_cast<float>(settings_.at(id)),
                       static_cast<float>(row->least), static_cast<float>(row->most),
                       static_cast<float>(row->standard)});
 }

@@ -10,7 +10,7 @@ namespace {
 constexpr uint16_t kMagic = 0x5646;
 constexpr uint8_t kImageVersion = 1;
 
-constexpr SettingRow kRows[kSettings_] = {
+constexpr SettingRow kRows[kSettingCount] = {
     {"cv_limit_kPa", Real(30.0), Real(5.0), Real(60.0)},
     {"setpoint_margin_kPa", Real(2.0), Real(0.5), Real(4.0)},
     {"reservoir_limit_kPa", Real(760.0), Real(50.0), Real(830.0)},
@@ -34,10 +34,10 @@ constexpr SettingRow kRows[kSettings_] = {
 
 }  // namespace
 
-const SettingRow* setting_row(uint8_t id) { return id < kSettings_ ? &kRows[id] : nullptr; }
+const SettingRow* setting_row(uint8_t id) { return id < kSettingCount ? &kRows[id] : nullptr; }
 
 Settings::Settings() {
-    for (uint8_t id = 0; id < kSettings_; ++id) values_[id] = kRows[id].standard;
+    for (uint8_t id = 0; id < kSettingCount; ++id) values_[id] = kRows[id].standard;
 }
 
 bool Settings::set(uint8_t id, Real value) {
@@ -54,7 +54,7 @@ void Settings::write_image(uint8_t* image) const {
     Writer writer(image);
     writer.u16(kMagic);
     writer.u8(kImageVersion);
-    writer.u8(kSettings_);
+    writer.u8(kSettingCount);
     for (const Real value : values_) writer.f32(static_cast<float>(value));
     writer.u16(crc16(image, writer.size()));
 }
@@ -63,11 +63,11 @@ Stored Settings::read_image(const uint8_t* image, size_t size) {
     if (size < 2 || (image[0] == 0xFF && image[1] == 0xFF)) return Stored::kNothing;
     if (size < kImageSize) return Stored::kDamaged;
     Reader reader(image);
-    const bool ours = reader.u16() == kMagic && reader.u8() == kImageVersion && reader.u8() == kSettings_;
+    const bool ours = reader.u16() == kMagic && reader.u8() == kImageVersion && reader.u8() == kSettingCount;
     if (!ours) return Stored::kDamaged;
     Settings read;
     bool good = true;
-    for (uint8_t id = 0; id < kSettings_; ++id) good = read.set(id, Real(reader.f32())) && good;
+    for (uint8_t id = 0; id < kSettingCount; ++id) good = read.set(id, Real(reader.f32())) && good;
     if (!good || reader.u16() != crc16(image, kImageSize - 2)) return Stored::kDamaged;
     *this = read;
     return Stored::kGood;

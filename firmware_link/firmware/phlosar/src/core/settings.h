@@ -29,7 +29,7 @@ enum class SettingId : uint8_t {
     kIntegral_per_kPa_s,
     kVentingLead_s,
 };
-constexpr uint8_t kSettings_ = 19;
+constexpr uint8_t kSettingCount = 19;
 
 struct SettingRow {
     const char* name;
@@ -54,14 +54,14 @@ public:
     // False, and nothing changes, when there is no such setting or the value is out of its range.
     bool set(uint8_t id, Real value);
 
-    static constexpr size_t kImageSize = 4 + 4 * kSettings_ + 2;
+    static constexpr size_t kImageSize = 4 + 4 * kSettingCount + 2;
     // As bytes to be kept: kImageSize of them.
     void write_image(uint8_t* image) const;
     // From kept bytes; unless they are good these stay the standard values. Erased memory is kNothing.
     Stored read_image(const uint8_t* image, size_t size);
 
 private:
-    Real values_[kSettings_];
+    Real values_[kSettingCount];
 };
 
 }  // namespace phlosar

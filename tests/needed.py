@@ -6,7 +6,19 @@ import shutil
 
 import pytest
 
+from flying_vines.fakes.compiled_firmware import WHAT_TO_INSTALL, compiler
+
 ARM_TOOLS = "sudo apt install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm make"
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason=f"needs {WHAT_TO_INSTALL}")
+
+
+def host_compiler() -> str:
+    """The C++ compiler's path; where there is none the test is skipped."""
+    command = compiler()
+    if command is None:
+        pytest.skip(f"needs {WHAT_TO_INSTALL}")
+    return command
 
 
 def need(program: str, how: str) -> str:
