@@ -520,7 +520,9 @@ class RefereedFlight:
         self._watch("RC lost", rc_lost, _TOLD_BY_VEHICLE["RC lost"] + held_s)
         self._watch("autopilot silent", silent, 1.3 if self._rc_in_use and not held_s else 2.5)
         self._watch("altitude lost", self.from_autopilot.without is not None, 2.5)
-        self._watch("telemetry lost", self.from_board.cut, profile.losses.telemetry_s + 0.1)
+        # Where nothing reaches the board either, only its dead-man can act.
+        deaf = self.from_board.cut and not self.to_board.cut
+        self._watch("telemetry lost", deaf, profile.losses.telemetry_s + 0.1)
         low = self.phlosar.reservoir_kPa < profile.interlocks.reserve_kPa
         self._watch("bottle low", low and self.phlosar.mishaps.reservoir_sensor is None, 3.0)
         self._hear_of_items()

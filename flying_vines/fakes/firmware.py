@@ -219,8 +219,8 @@ class Firmware:
 
     def _relief(self) -> float:
         """The Venturi over the limit: a valve that is stuck open may bring more than leaves by itself."""
-        too_high = self._present & (Fault.CV_OVERPRESSURE | Fault.CV_SENSOR) == Fault.CV_OVERPRESSURE
-        if not too_high:
+        lasting = self._lasting
+        if not lasting[Fault.CV_OVERPRESSURE].there or lasting[Fault.CV_SENSOR].there:
             self._relief_steps = 0
         elif (
             self._relief_steps < _MOST_RELIEF

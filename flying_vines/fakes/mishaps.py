@@ -166,7 +166,7 @@ class HoseOff:
 
 @dataclass(frozen=True)
 class Kinked:
-    """The hose passes little, or nothing."""
+    """The hose passes little, or nothing: this is all of its resistance from then on."""
 
     flow_resistance_kPa_s_per_SL: float = inf
 

@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from firmware_link.protocol import Codec, Fault, Hello, Mode, Setpoint, Vent
-from flying_vines.fakes.board import Board
+from firmware_link.protocol import Codec, Hello, Setpoint, Vent
+from flying_vines.fakes.board import Between
 from flying_vines.fakes.firmware import FirmwareSettings
 from flying_vines.fakes.phlosar import SimulatedPhlosar
 from flying_vines.fakes.regulator import SAFE, Drive
@@ -351,40 +351,25 @@ def _holding(table: dict[str, float], t: float) -> str:
     return ", ".join(name for name, from_s in table.items() if from_s <= t)
 
 
-class RefereedBoard:
+class RefereedBoard(Between):
     """Takes the place of a simulated phloSAR's firmware, and tells the referee what it sees there."""
 
     def __init__(self, phlosar: SimulatedPhlosar, referee: Referee) -> None:
+        super().__init__(phlosar.firmware)
         self._phlosar = phlosar
-        self._board: Board = phlosar.firmware
         self._referee = referee
         phlosar.firmware = self
 
     def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
-        drive = self._board.step(now_us, cv_kPa, reservoir_kPa)
+        drive = super().step(now_us, cv_kPa, reservoir_kPa)
         phlosar = self._phlosar
         self._referee.stepped(now_us / 1e6, cv_kPa, reservoir_kPa, phlosar.cv_kPa, phlosar.line_kPa, drive)
         return drive
 
     def receive(self, data: bytes) -> None:
         self._referee.heard(data)
-        self._board.receive(data)
-
-    def take_output(self) -> bytes:
-        return self._board.take_output()
+        super().receive(data)
 
     def reset(self, *, watchdog: bool = False) -> None:
-        self._board.reset(watchdog=watchdog)
+        super().reset(watchdog=watchdog)
         self._referee.restarted()
-
-    @property
-    def mode(self) -> Mode:
-        return self._board.mode
-
-    @property
-    def faults(self) -> Fault:
-        return self._board.faults
-
-    @property
-    def number(self) -> int:
-        return self._board.number
