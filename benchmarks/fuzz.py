@@ -12,18 +12,15 @@ from __future__ import annotations
 
 import argparse
 import gc
-import hashlib
 import math
-import os
 import random
 import re
-import resource
 import shutil
 import subprocess
 import sys
 import tempfile
 import tracemalloc
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -45,7 +42,14 @@ from firmware_link.protocol import (
     Welcome,
     encode,
 )
-from flying_vines.fakes.compiled_firmware import SOURCES, FirmwareBuildError, compiler
+from flying_vines.fakes.compiled_firmware import (
+    SOURCES,
+    WHAT_TO_INSTALL,
+    FirmwareBuildError,
+    built,
+    compiler,
+    core_files,
+)
 
 SANITIZERS = "address,undefined,float-cast-overflow"
 FLAGS = ("-std=c++17", "-O1", "-g", "-fno-exceptions", "-fno-rtti", "-fno-sanitize-recover=all")
@@ -56,7 +60,6 @@ MEMORY_LOOKS = 10
 MOST_NEW_BYTES = 16 * 1024
 """Of the host's memory from the first look to the last. A tenth of the input is 10 MB."""
 _FUZZ = SOURCES / "fuzz"
-_CORE = SOURCES / "phlosar" / "src" / "core"
 _ODD_FLOATS = (math.nan, math.inf, -math.inf, -1.0, 0.0, 3.4e38, 690.0, 15.0)
 
 
@@ -64,33 +67,13 @@ class FuzzError(Exception):
     """Something did not hold; the text says what, and with which input."""
 
 
-def build(command: Sequence[str], sources: Sequence[Path], core: Path = _CORE) -> Path:
-    """A program out of these and the core; kept by what it is made of. FirmwareBuildError when it fails."""
-    files = [*sources, *sorted(core.glob("*.cpp"))]
-    made_of = hashlib.sha256("\0".join(command).encode())
-    for file in (*files, *sorted(core.glob("*.h"))):
-        made_of.update(file.read_bytes())
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "flying-vines"
-    cache.mkdir(parents=True, exist_ok=True)
-    program = cache / f"fuzz-{made_of.hexdigest()[:16]}"
-    if not program.exists():
-        with tempfile.TemporaryDirectory(dir=cache) as folder:
-            fresh = Path(folder) / program.name
-            made = subprocess.run(
-                [*command, "-o", str(fresh), *map(str, files)], capture_output=True, text=True
-            )
-            if made.returncode != 0:
-                raise FirmwareBuildError(f"{command[0]} cannot build the fuzzer: {made.stderr.strip()}")
-            fresh.replace(program)
-    return program
-
-
 def driver() -> Path:
     """The core with sanitizers under our own driver. FirmwareBuildError without a compiler."""
     command = compiler()
     if command is None:
-        raise FirmwareBuildError("there is no C++ compiler: sudo apt install g++")
-    return build((command, *FLAGS, f"-fsanitize={SANITIZERS}"), (_FUZZ / "core.cpp", _FUZZ / "driver.cpp"))
+        raise FirmwareBuildError(f"the core cannot be fuzzed here without {WHAT_TO_INSTALL}")
+    command_line = (command, *FLAGS, f"-fsanitize={SANITIZERS}")
+    return built(command_line, (*core_files(), _FUZZ / "core.cpp", _FUZZ / "driver.cpp"), "fuzz")
 
 
 @dataclass
@@ -112,10 +95,10 @@ class Fuzzed:
         self.received_bytes += int(counts[1])
         self.steps += int(counts[2])
         self.steps_regulating += int(counts[3])
+        self.peak_MB = max(self.peak_MB, float(re.findall(r"peak_rss_mb: +(\d+)", output)[-1]))
         if there := re.search(r"(\d+) inline 8-bit counters", output):
             self.edges_there = int(there[1])
             self.edges = max(map(int, re.findall(r"cov: (\d+)", output)), default=0)
-            self.peak_MB = max(self.peak_MB, float(re.findall(r"peak_rss_mb: +(\d+)", output)[-1]))
 
 
 def drive(seed: int, most_bytes: int, program: Path | None = None) -> Fuzzed:
@@ -131,13 +114,13 @@ def drive(seed: int, most_bytes: int, program: Path | None = None) -> Fuzzed:
     if ran.returncode != 0:
         raise FuzzError(f"seed {seed}: {ran.stderr[-3000:]}")
     fuzzed.take(ran.stdout)
-    fuzzed.peak_MB = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
     return fuzzed
 
 
 def explore(clang: str, seed: int, most_bytes: int, folder: Path) -> Iterator[Fuzzed]:
     """Under libFuzzer, with what was reached so far; its corpus grows in `folder`. FuzzError as `drive`."""
-    program = build((clang, *FLAGS, f"-fsanitize=fuzzer,{SANITIZERS}"), (_FUZZ / "core.cpp",))
+    command_line = (clang, *FLAGS, f"-fsanitize=fuzzer,{SANITIZERS}")
+    program = built(command_line, (*core_files(), _FUZZ / "core.cpp"), "fuzz")
     fuzzed = Fuzzed()
     corpus = folder / "corpus"
     corpus.mkdir()

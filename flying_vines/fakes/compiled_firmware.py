@@ -14,6 +14,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Literal
@@ -60,26 +61,38 @@ def build(real: Literal["float", "double"] = "float") -> Path:
     command = compiler()
     if command is None:
         raise FirmwareBuildError(f"the firmware cannot be built here without {WHAT_TO_INSTALL}")
+    library = SOURCES / "host" / "library.cpp"
+    return built((command, *_FLAGS, f"-DPHLOSAR_REAL={real}"), (*core_files(), library), "phlosar.so")
+
+
+def core_files() -> list[Path]:
+    """The portable core's sources and headers."""
     core = SOURCES / "phlosar" / "src" / "core"
-    files = sorted([*core.glob("*.h"), *core.glob("*.cpp"), SOURCES / "host" / "library.cpp"])
-    flags = (*_FLAGS, f"-DPHLOSAR_REAL={real}")
-    made_of = hashlib.sha256("\0".join((command, *flags)).encode())
+    return sorted([*core.glob("*.h"), *core.glob("*.cpp")])
+
+
+def built(command: Sequence[str], files: Sequence[Path], name: str) -> Path:
+    """What the command makes of these sources and headers: in the cache, under a name by all it is made of.
+
+    FirmwareBuildError when it fails, or when there can be no cache.
+    """
+    made_of = hashlib.sha256("\0".join(command).encode())
     for file in files:
         made_of.update(file.read_bytes())
     cache_folder = _cache_folder()
-    library = cache_folder / f"phlosar-{made_of.hexdigest()[:16]}.so"
-    if not library.exists():
+    kept = cache_folder / f"{Path(name).stem}-{made_of.hexdigest()[:16]}{Path(name).suffix}"
+    if not kept.exists():
         sources = [str(file) for file in files if file.suffix == ".cpp"]
         # Under a name of its own until it is whole: two processes may build at once.
         with tempfile.TemporaryDirectory(dir=cache_folder) as folder:
-            fresh = Path(folder) / library.name
+            fresh = Path(folder) / kept.name
             made = subprocess.run(
-                [command, *flags, "-o", str(fresh), *sources], capture_output=True, text=True, check=False
+                [*command, "-o", str(fresh), *sources], capture_output=True, text=True, check=False
             )
             if made.returncode != 0:
-                raise FirmwareBuildError(f"{command} cannot build the firmware: {made.stderr.strip()}")
-            fresh.replace(library)
-    return library
+                raise FirmwareBuildError(f"{command[0]} cannot build the firmware: {made.stderr.strip()}")
+            fresh.replace(kept)
+    return kept
 
 
 def _cache_folder() -> Path:

@@ -21,7 +21,7 @@ WORSE = {
     "no handshake": ("firmware.cpp", "if (!greeted_) {\n        *reason", "if (false) {\n        *reason"),
     "faults that regulate on": ("firmware.cpp", "faults);\n    regulating_ = false;", "faults);"),
     "a limit that nobody minds": ("firmware.cpp", "if (present != kNoFault) latch(present);", ""),
-    "openings beyond the full current": ("valves.cpp", "* full_duty;", "* Real(1);"),
+    "openings beyond the full current": ("valves.cpp", "settings[SettingId::kEvpFullDuty]", "Real(1)"),
     "settings without ends": ("settings.cpp", "!(value >= row->least && value <= row->most)", "false"),
     "readings that nobody doubts": ("firmware.cpp", "if (cv_good) cv_kPa_ = ", "cv_kPa_ = "),
 }
@@ -35,7 +35,7 @@ def test_the_core_withstands_what_comes(seed: int) -> None:
     assert fuzzed.received_bytes >= 300_000
     assert fuzzed.steps_regulating > 1000
     # With the sanitizer's own; the core has no heap to grow in, and what its harness takes it gives back.
-    assert fuzzed.peak_MB < 500.0
+    assert 10.0 < fuzzed.peak_MB < 500.0
 
 
 def compiled(source: Path, to: Path) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 import shutil
 from pathlib import Path
 
@@ -98,6 +99,12 @@ class Running:
         while self.board.now_us < end_us:
             heard += self.run_turns(1)
         return heard
+
+    def bring_near_wrap(self, ms: int) -> None:
+        """Until its clock wraps. Two pauses: one beyond half of its range looks as if it went back."""
+        for now_us in (2**31 - 1, 2**32 - 1000 * ms):
+            self.board.now_us = now_us
+            self.run_turns(1)
 
     def say(self, *messages: HostMessage) -> None:
         frames = b"".join(map(self.codec.encode, messages))
@@ -205,14 +212,29 @@ def test_a_loop_that_cannot_keep_up_starves_the_watchdog(running: Running, step_
 
 def test_the_clock_may_wrap(running: Running) -> None:
     board = running.board
-    # As if the board had run for 71 minutes: what counts is what comes after.
-    board.now_us = 2**32 - 50_000
+    running.bring_near_wrap(ms=50)
     running.run(20)
     steps = board.steps
     running.run_turns(2000)
     assert board.now_us < 2**31
     assert abs(board.steps - steps - 125) <= 25
     assert board.fed > steps
+
+
+def test_the_light_flashes_on_when_the_clock_wraps(running: Running) -> None:
+    """A flash too many would be another fault."""
+    board = running.board
+    running.bring_near_wrap(ms=5000)
+    board.step_us = 0
+    lit: list[int] = []
+    for _ in range(5 * 2048):
+        running.run_turns(1)
+        lit.append(board.light)
+        board.now_us += 1000 - TURN_US
+    assert board.now_us < 2**31
+    begins = [ms for ms, (before, now) in enumerate(itertools.pairwise(lit)) if now and not before]
+    assert len(begins) >= 4
+    assert {later - earlier for earlier, later in itertools.pairwise(begins)} == {2048}
 
 
 def test_the_valves_are_safe_before_the_bootloader_is_entered(running: Running) -> None:

@@ -124,15 +124,20 @@ Options options_from(int argc, char** argv) {
 // A bottle and a bag, and the sensors on them.
 class Plant {
 public:
-    explicit Plant(const Options& options) : cv_always_kPa_(options.cv_kPa),
-                                             reservoir_always_kPa_(options.reservoir_kPa) {}
+    Plant(const Options& options, const Settings& settings)
+        : cv_always_kPa_(options.cv_kPa),
+          reservoir_always_kPa_(options.reservoir_kPa),
+          full_evp_(duty(1, settings[SettingId::kEvpFullDuty])),
+          full_dvp_(duty(1, settings[SettingId::kDvpFullDuty])) {}
 
     // Pressures, gauge, after `kStep_us` with the valves as told.
-    void step(double evp, double dvp, bool solenoid) {
-        const double in = evp * larger(reservoir_kPa_ - cv_kPa_, 0.0) / kEvp_kPa_s_per_SL;
+    void step(const Outputs& told) {
+        const double evp = told.evp_duty / full_evp_;
+        const double dvp = told.dvp_duty / full_dvp_;
+        const double in = evp * fmax(0.0, reservoir_kPa_ - cv_kPa_) / kEvp_kPa_s_per_SL;
         const double supply = dvp * reservoir_kPa_ / kDvp_kPa_s_per_SL;
-        const double vacuum_kPa = dvp * kFullVacuum_kPa * smaller(1.0, reservoir_kPa_ / kRatedSupply_kPa);
-        const double out = solenoid ? (cv_kPa_ + vacuum_kPa) / kSolenoid_kPa_s_per_SL : 0.0;
+        const double vacuum_kPa = dvp * kFullVacuum_kPa * fmin(1.0, reservoir_kPa_ / kRatedSupply_kPa);
+        const double out = told.solenoid ? (cv_kPa_ + vacuum_kPa) / kSolenoid_kPa_s_per_SL : 0.0;
         const double step_s = kStep_us * 1e-6;
         reservoir_kPa_ -= (in + supply) * step_s * kStandard_kPa / kReservoir_L;
         cv_kPa_ += (in - out) * step_s * kStandard_kPa / kBag_L;
@@ -158,15 +163,16 @@ private:
     static constexpr double kCvSpan_kPa = 206.84;
     static constexpr double kReservoirSpan_kPa = 1500.0;
 
-    static double smaller(double a, double b) { return a < b ? a : b; }
-    static double larger(double a, double b) { return a > b ? a : b; }
     static uint16_t counts(double kPa, double span_kPa) {
-        const double share = (0.1 + 0.8 * kPa / span_kPa) * kSupplyCounts;
-        return static_cast<uint16_t>(lround(smaller(65535.0, larger(0.0, share))));
+        const double share = 0.1 + 0.8 * kPa / span_kPa;
+        return static_cast<uint16_t>(lround(fmin(65535.0, fmax(0.0, share * kSupplyCounts))));
     }
 
     double cv_always_kPa_;
     double reservoir_always_kPa_;
+    // What the valves are wired for: a duty that a host sets later changes their currents.
+    double full_evp_;
+    double full_dvp_;
     double cv_kPa_ = 0.0;
     double reservoir_kPa_ = 690.0;
 };
@@ -190,7 +196,7 @@ public:
 
     const char* path() const { return path_; }
 
-    void link_as(const char* link) {
+    void link_as(const char* link) const {
         struct stat there;
         if (lstat(link, &there) == 0) {
             if (!S_ISLNK(there.st_mode)) give_up(kBadUsage, link, "is not a link and stays as it is", "");
@@ -286,11 +292,7 @@ void run(Firmware& firmware, Port& port, Memory& memory, Plant& plant) {
         }
         if (now - due_us > kMostBehind_us) due_us = now;
         for (; due_us <= now; due_us += kStep_us) {
-            const Outputs told = firmware.step(static_cast<uint32_t>(due_us), plant.read());
-            const Settings& settings = firmware.settings();
-            const double full_evp = static_cast<double>(settings[SettingId::kEvpFullDuty]) * 65535.0;
-            const double full_dvp = static_cast<double>(settings[SettingId::kDvpFullDuty]) * 65535.0;
-            plant.step(told.evp_duty / full_evp, told.dvp_duty / full_dvp, told.solenoid);
+            plant.step(firmware.step(static_cast<uint32_t>(due_us), plant.read()));
         }
         if (firmware.mode() != Mode::kRegulate) memory.keep(firmware);
     }
@@ -309,7 +311,7 @@ int main(int argc, char** argv) {
     if (options.link != nullptr) port.link_as(options.link);
     static Firmware firmware(kBuild);
     firmware.start(Boot{options.boot_id, false, memory.image(), memory.size()});
-    Plant plant(options);
+    Plant plant(options, firmware.settings());
     printf("%s\n", port.path());
     fflush(stdout);
     run(firmware, port, memory, plant);

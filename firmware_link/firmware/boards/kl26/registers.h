@@ -13,7 +13,6 @@ public:
     T read() const { return *at(); }
     void write(T value) const { *at() = value; }
     void set(T bits) const { *at() = static_cast<T>(*at() | bits); }
-    void clear(T bits) const { *at() = static_cast<T>(*at() & static_cast<T>(~bits)); }
     bool any(T bits) const { return (*at() & bits) != 0; }
 
 private:

@@ -84,7 +84,6 @@ private:
 usb::Control control;
 Pipe control_out{0, kOut};
 Pipe control_in{0, kIn};
-Pipe notify_in{usb::kNotifyEndpoint, kIn};
 Pipe data_out{usb::kOutEndpoint, kOut};
 Pipe data_in{usb::kInEndpoint, kIn};
 
@@ -125,13 +124,13 @@ void follow_control() {
     if (control.next_in(&packet)) control_in.lend(packet.data, packet.size, packet.data1);
     enable_endpoint(0, EP_RX | EP_TX, control.stalled());
     USB0_ADDR.write(control.address());
-    if (control.take_restart(usb::kNotifyEndpoint)) notify_in.restart();
     if (control.take_restart(usb::kInEndpoint)) data_in.restart();
     if (control.take_restart(usb::kOutEndpoint)) data_out.restart();
     if (!control.configured()) {
         for (unsigned number = 1; number < kEndpoints; ++number) usb0_endpoint(number).write(0);
         return;
     }
+    // Nothing is ever lent to it, so a host that asks for notifications is told to wait.
     enable_endpoint(usb::kNotifyEndpoint, EP_CTL_DIS | EP_TX, control.halted(usb::kNotifyEndpoint));
     enable_endpoint(usb::kOutEndpoint, EP_CTL_DIS | EP_RX, control.halted(usb::kOutEndpoint));
     enable_endpoint(usb::kInEndpoint, EP_CTL_DIS | EP_TX, control.halted(usb::kInEndpoint));
@@ -144,7 +143,6 @@ void on_bus_reset() {
     control.reset();
     control_out.reset();
     control_in.reset();
-    notify_in.reset();
     data_out.reset();
     data_in.reset();
     received.clear();

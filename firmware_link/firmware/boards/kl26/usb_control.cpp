@@ -105,18 +105,15 @@ void Control::reset() {
 }
 
 void Control::setup(const uint8_t* packet, size_t size) {
-    // Whatever was under way is over.
+    // Whatever was under way is over; what is not understood stays stalled.
     in_pending_ = false;
     data1_ = true;
     address_to_be_ = address_;
-    if (size != 8) {
-        stall();
-        return;
-    }
+    stage_ = Stage::kStalled;
+    if (size != 8) return;
     const Setup setup{packet[0], packet[1], static_cast<uint16_t>(packet[2] | packet[3] << 8),
                       static_cast<uint16_t>(packet[4] | packet[5] << 8),
                       static_cast<uint16_t>(packet[6] | packet[7] << 8)};
-    stage_ = Stage::kStalled;
     switch (setup.type & kTypeAndRecipient) {
         case kDevice:
             device_request(setup);
@@ -144,7 +141,7 @@ void Control::out(const uint8_t* data, size_t size) {
     }
     if (stage_ != Stage::kDataOut) return;
     if (size != kLineCodingSize) {
-        stall();
+        stage_ = Stage::kStalled;
         return;
     }
     memcpy(line_coding_, data, kLineCodingSize);
@@ -188,8 +185,7 @@ void Control::device_request(const Setup& setup) {
             break;
         case kSetAddress:
             if (setup.value > 127 || setup.index != 0 || configured_) break;
-            accept(setup);
-            if (!stalled()) address_to_be_ = static_cast<uint8_t>(setup.value);
+            if (accept(setup)) address_to_be_ = static_cast<uint8_t>(setup.value);
             break;
         case kToHost << 8 | kGetDescriptor:
             send_descriptor(setup);
@@ -200,8 +196,7 @@ void Control::device_request(const Setup& setup) {
             break;
         case kSetConfiguration:
             if (setup.value > 1 || setup.index != 0) break;
-            accept(setup);
-            if (!stalled()) configure(setup.value == 1);
+            if (accept(setup)) configure(setup.value == 1);
             break;
         default:
             break;
@@ -219,9 +214,7 @@ void Control::interface_request(const Setup& setup) {
             if (setup.value == 0) send(setup, reply_, 1);
             break;
         case kInterface << 8 | kSetInterface:
-            if (setup.value != 0) break;
-            accept(setup);
-            if (!stalled() && setup.index == kDataInterface) {
+            if (setup.value == 0 && accept(setup) && setup.index == kDataInterface) {
                 restarts_ = static_cast<uint8_t>(restarts_ | bit(kOutEndpoint) | bit(kInEndpoint));
             }
             break;
@@ -239,17 +232,14 @@ void Control::endpoint_request(const Setup& setup) {
             if (setup.value == 0) send_word(setup, endpoint != 0 && halted(endpoint) ? 1 : 0);
             break;
         case kEndpoint << 8 | kClearFeature:
-            if (setup.value != kEndpointHalt) break;
-            accept(setup);
-            if (stalled() || endpoint == 0) break;
+            if (setup.value != kEndpointHalt || !accept(setup) || endpoint == 0) break;
             halted_ = static_cast<uint8_t>(halted_ & ~bit(endpoint));
             restarts_ = static_cast<uint8_t>(restarts_ | bit(endpoint));
             break;
         case kEndpoint << 8 | kSetFeature:
             // Endpoint 0 needs no halt to be cleared: the next SETUP does it.
             if (setup.value != kEndpointHalt || endpoint == 0) break;
-            accept(setup);
-            if (!stalled()) halted_ = static_cast<uint8_t>(halted_ | bit(endpoint));
+            if (accept(setup)) halted_ = static_cast<uint8_t>(halted_ | bit(endpoint));
             break;
         default:
             break;
@@ -266,8 +256,7 @@ void Control::port_request(const Setup& setup) {
             if (setup.value == 0) send(setup, line_coding_, kLineCodingSize);
             break;
         case kClassInterface << 8 | kSetControlLineState:
-            accept(setup);
-            if (!stalled()) line_state_ = static_cast<uint8_t>(setup.value);
+            if (accept(setup)) line_state_ = static_cast<uint8_t>(setup.value);
             break;
         default:
             break;
@@ -312,10 +301,7 @@ void Control::send_text(const Setup& setup, const char* text) {
 }
 
 void Control::send(const Setup& setup, const void* data, size_t size) {
-    if (setup.length == 0) {
-        accept(setup);
-        return;
-    }
+    if (accept(setup)) return;
     sending_ = static_cast<const uint8_t*>(data);
     left_ = size < setup.length ? size : setup.length;
     in_pending_ = true;
@@ -328,9 +314,11 @@ void Control::send_word(const Setup& setup, uint8_t low) {
     send(setup, reply_, 2);
 }
 
-// A request without data: its status is an empty packet.
-void Control::accept(const Setup& setup) {
-    if (setup.length == 0) send_status();
+// A request without data: its status is an empty packet. False, and nothing is said, when there is to be data.
+bool Control::accept(const Setup& setup) {
+    if (setup.length != 0) return false;
+    send_status();
+    return true;
 }
 
 void Control::send_status() {

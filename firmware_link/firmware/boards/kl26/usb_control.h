@@ -74,10 +74,9 @@ private:
     void send_text(const Setup& setup, const char* text);
     void send(const Setup& setup, const void* data, size_t size);
     void send_word(const Setup& setup, uint8_t low);
-    void accept(const Setup& setup);
+    bool accept(const Setup& setup);
     void send_status();
     void configure(bool configured);
-    void stall() { stage_ = Stage::kStalled; }
 
     Stage stage_ = Stage::kIdle;
     uint8_t address_ = 0;

@@ -54,7 +54,7 @@ void turn() {
     const uint32_t now_us = board::now_us();
     if (!steps.due(now_us)) return;
     board::drive(firmware().step(now_us, board::read()));
-    board::light(light_on(firmware().mode(), firmware().faults(), now_us / 1000));
+    board::light(light_on(firmware().mode(), firmware().faults(), firmware().time_ms()));
     if (!steps.steady()) return;
     board::feed_watchdog();
     // Right after the watchdog was fed, for it may take half of its time; the valves stay vented meanwhile.

@@ -1,23 +1,11 @@
 #include "firmware.h"
 
-#include <math.h>
-
 namespace phlosar {
-
-namespace {
-
-uint16_t to_wire(Real opening) {
-    if (!(opening > Real(0))) return 0;
-    const Real share = smaller(Real(1), opening);
-    return static_cast<uint16_t>(static_cast<int32_t>(share * Real(65535) + Real(0.5)));
-}
-
-}  // namespace
 
 void Firmware::start(const Boot& boot) {
     boot_id_ = boot.boot_id;
     if (boot.by_watchdog) latch(kWatchdogReset);
-    if (settings_.read_image(boot.stored, boot.stored_size) == Stored::kDamaged) latch(kSettings);
+    if (!settings_.read_image(boot.stored, boot.stored_size)) latch(kSettings);
     configure();
 }
 
@@ -88,12 +76,12 @@ void Firmware::follow_clock(uint32_t now_us) {
     if (!stepped_) {
         stepped_ = true;
         telemetry_us_ = now_us;
-    } else {
-        beyond_ms_us_ += now_us - now_us_;
-        time_ms_ += beyond_ms_us_ / 1000;
-        beyond_ms_us_ %= 1000;
+        millisecond_us_ = now_us;
     }
     now_us_ = now_us;
+    const uint32_t ms = (now_us - millisecond_us_) / 1000;
+    time_ms_ += ms;
+    millisecond_us_ += 1000 * ms;
 }
 
 // Keeps readings that can be believed, latches what is wrong with them.
@@ -260,10 +248,9 @@ void Firmware::tell_setting(uint8_t id) {
 }
 
 void Firmware::tell_telemetry(const Drive& told) {
-    const uint32_t period_us = telemetry_period_us_;
-    telemetry_us_ += period_us;
+    telemetry_us_ += telemetry_period_us_;
     // After a pause: no burst to catch up.
-    if (static_cast<int32_t>(now_us_ - telemetry_us_) >= 0) telemetry_us_ = now_us_ + period_us;
+    if (static_cast<int32_t>(now_us_ - telemetry_us_) >= 0) telemetry_us_ = now_us_ + telemetry_period_us_;
     Telemetry telemetry;
     telemetry.device_time_ms = time_ms_;
     telemetry.mode = mode();
@@ -272,8 +259,8 @@ void Firmware::tell_telemetry(const Drive& told) {
     telemetry.setpoint_kPa = regulating_ ? static_cast<float>(regulator_.setpoint_kPa()) : 0.0f;
     telemetry.cv_kPa = static_cast<float>(cv_kPa_);
     telemetry.reservoir_kPa = static_cast<float>(reservoir_kPa_);
-    telemetry.evp_opening = to_wire(told.evp);
-    telemetry.dvp_opening = to_wire(told.dvp);
+    telemetry.evp_opening = duty(told.evp, Real(1));
+    telemetry.dvp_opening = duty(told.dvp, Real(1));
     telemetry.solenoid = told.solenoid;
     send(telemetry);
 }

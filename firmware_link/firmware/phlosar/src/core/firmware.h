@@ -31,7 +31,7 @@ struct Boot {
 class Firmware {
 public:
     // Printable, at most kBuildSize characters; must outlive this.
-    explicit Firmware(const char* build) : build_(build) { configure(); }
+    explicit Firmware(const char* build) : build_(build) {}
 
     // Once, before anything else. The valves are safe until a host commands otherwise.
     void start(const Boot& boot);
@@ -61,6 +61,8 @@ public:
     // Of the last setpoint or vent accepted; 0 before the first.
     uint16_t number() const { return number_; }
     const Settings& settings() const { return settings_; }
+    // Since the first step; wraps after 49 days.
+    uint32_t time_ms() const { return time_ms_; }
 
 private:
     // So many bad readings in a row count: a glitch does not end a flight, and 3 ms are soon enough.
@@ -110,7 +112,7 @@ private:
     const char* build_;
     Settings settings_;
     bool settings_changed_ = false;
-    Regulator regulator_{settings_};
+    Regulator regulator_;
     Sensor cv_sensor_{};
     Sensor reservoir_sensor_{};
     uint32_t telemetry_period_us_ = 0;
@@ -146,7 +148,8 @@ private:
     uint32_t now_us_ = 0;
     uint32_t telemetry_us_ = 0;
     uint32_t time_ms_ = 0;
-    uint32_t beyond_ms_us_ = 0;
+    // When the last of these began.
+    uint32_t millisecond_us_ = 0;
 };
 
 }  // namespace phlosar

@@ -12,7 +12,7 @@ void OutputQueue::put_frame(const uint8_t* payload, size_t size) {
     const uint8_t tail[] = {static_cast<uint8_t>(crc >> 8), static_cast<uint8_t>(crc)};
     uint8_t* const end = bytes_ + kCapacity;
     const auto next = [&](uint8_t* of) { return of + 1 == end ? bytes_ : of + 1; };
-    uint8_t* code = bytes_ + ((begin_ + size_) & (kCapacity - 1));
+    uint8_t* code = bytes_ + (begin_ + size_) % kCapacity;
     uint8_t* at = code;
     uint8_t run = 1;
     const auto encode = [&](const uint8_t* from, const uint8_t* to) {

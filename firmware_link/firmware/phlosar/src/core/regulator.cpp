@@ -73,7 +73,7 @@ Drive Regulator::step(Real target_kPa, Real most, Real cv_kPa, Real reservoir_kP
     if (venting_s_ > Real(0)) {
         vent = error + closing * venting_lead_s_ < Real(0);
     } else {
-        const Real excess = -error - kTolerated_kPa - (setpoint_slope > Real(0) ? setpoint_slope * kWaiting_s : Real(0));
+        const Real excess = -error - kTolerated_kPa - larger(Real(0), setpoint_slope) * kWaiting_s;
         if (excess > Real(0)) excess_kPa_s = excess_kPa_s_ + excess * kStep_s;
         vent = excess_kPa_s > kPatience_kPa_s;
     }

@@ -21,8 +21,7 @@ constexpr Real kVenturiLeastSupply_kPa = Real(100.0);
 
 class Regulator {
 public:
-    explicit Regulator(const Settings& settings) { configure(settings); }
-
+    // Once before anything else, and whenever settings change.
     void configure(const Settings& settings);
 
     // A regulation begins: the setpoint is the measured pressure, so that nothing jumps.
@@ -38,11 +37,11 @@ private:
     Real inflation(Real error, Real closing, Real reservoir_kPa);
     bool venturi(Real error, Real setpoint_slope, Real slope, Real reservoir_kPa) const;
 
-    Real on_off_error_kPa_;
-    Real filling_lead_s_;
-    Real proportional_;
-    Real integral_per_kPa_s_;
-    Real venting_lead_s_;
+    Real on_off_error_kPa_ = 0;
+    Real filling_lead_s_ = 0;
+    Real proportional_ = 0;
+    Real integral_per_kPa_s_ = 0;
+    Real venting_lead_s_ = 0;
 
     Real setpoint_kPa_ = 0;
     Real cv_kPa_ = 0;

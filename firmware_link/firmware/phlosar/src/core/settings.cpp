@@ -59,18 +59,18 @@ void Settings::write_image(uint8_t* image) const {
     writer.u16(crc16(image, writer.size()));
 }
 
-Stored Settings::read_image(const uint8_t* image, size_t size) {
-    if (size < 2 || (image[0] == 0xFF && image[1] == 0xFF)) return Stored::kNothing;
-    if (size < kImageSize) return Stored::kDamaged;
+bool Settings::read_image(const uint8_t* image, size_t size) {
+    if (size < 2 || (image[0] == 0xFF && image[1] == 0xFF)) return true;
+    if (size < kImageSize) return false;
     Reader reader(image);
     const bool ours = reader.u16() == kMagic && reader.u8() == kImageVersion && reader.u8() == kSettingCount;
-    if (!ours) return Stored::kDamaged;
+    if (!ours) return false;
     Settings read;
     bool good = true;
     for (uint8_t id = 0; id < kSettingCount; ++id) good = read.set(id, Real(reader.f32())) && good;
-    if (!good || reader.u16() != crc16(image, kImageSize - 2)) return Stored::kDamaged;
+    if (!good || reader.u16() != crc16(image, kImageSize - 2)) return false;
     *this = read;
-    return Stored::kGood;
+    return true;
 }
 
 }  // namespace phlosar

@@ -42,8 +42,6 @@ struct SettingRow {
 // nullptr when there is none of this number.
 const SettingRow* setting_row(uint8_t id);
 
-enum class Stored : uint8_t { kNothing, kGood, kDamaged };
-
 class Settings {
 public:
     // The standard values.
@@ -57,8 +55,9 @@ public:
     static constexpr size_t kImageSize = 4 + 4 * kSettingCount + 2;
     // As bytes to be kept: kImageSize of them.
     void write_image(uint8_t* image) const;
-    // From kept bytes; unless they are good these stay the standard values. Erased memory is kNothing.
-    Stored read_image(const uint8_t* image, size_t size);
+    // From kept bytes; unless they are good these stay the standard values. False when they are damaged:
+    // memory that is erased, or that is not there, is not.
+    bool read_image(const uint8_t* image, size_t size);
 
 private:
     Real values_[kSettingCount];

@@ -8,12 +8,6 @@ Real lifted(Real opening, Real dead_band) {
     return opening > Real(0) ? dead_band + (Real(1) - dead_band) * opening : Real(0);
 }
 
-uint16_t duty(Real opening, Real full_duty) {
-    if (!(opening > Real(0))) return 0;
-    const Real share = smaller(Real(1), opening) * full_duty;
-    return static_cast<uint16_t>(static_cast<int32_t>(share * Real(65535) + Real(0.5)));
-}
-
 }  // namespace
 
 Drive over_dead_bands(const Settings& settings, const Drive& wanted) {

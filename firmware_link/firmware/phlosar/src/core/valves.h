@@ -25,6 +25,13 @@ struct Outputs {
     bool solenoid;
 };
 
+// Of 65535; with a full duty of 1 the opening itself.
+inline uint16_t duty(Real opening, Real full_duty) {
+    if (!(opening > Real(0))) return 0;
+    const Real share = smaller(Real(1), opening) * full_duty;
+    return static_cast<uint16_t>(static_cast<int32_t>(share * Real(65535) + Real(0.5)));
+}
+
 // What the regulator wants, lifted over the currents at which the valves do not open yet.
 Drive over_dead_bands(const Settings& settings, const Drive& wanted);
 
