@@ -25,7 +25,7 @@ from statistics import fmean, median
 from typing import TypeVar
 
 import cycles_left_calibrated as calibrated
-from cycles_left_flights import FEWEST_CYCLES, began, fly, telemetry_of
+from cycles_left_flights import FEWEST_CYCLES, began, fly, told
 from cycles_left_guess import Guess, quantity
 from cycles_left_rigs import draw
 from rich.console import Console
@@ -62,7 +62,7 @@ def judge(seed: int) -> Outcome | None:
     estimate = ReservoirEstimate(nominal(case.believed))
     guesses: list[Guess] = []
     moments = [began(flight, cycles) for cycles in (5.0, 15.0, 0.5 * flight.total_cycles)]
-    for t, telemetry in telemetry_of(flight):
+    for t, telemetry in told(flight.telemetry):
         estimate.update(t, telemetry)
         # More than one when half way comes early.
         for index in moments[len(guesses) :]:

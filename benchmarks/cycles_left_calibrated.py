@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean, median
 
-from cycles_left_flights import FEWEST_CYCLES, began, fly, telemetry_of
+from cycles_left_flights import FEWEST_CYCLES, began, fly, told
 from cycles_left_guess import Guess, quantity
 from cycles_left_rigs import Case, Manoeuvre
 from rich.table import Table
@@ -192,7 +192,7 @@ def judge(seed: int) -> Outcome | None:
     estimates = [ReservoirEstimate(belief) for belief in beliefs]
     guesses: tuple[list[Guess], list[Guess]] = ([], [])
     moments = [began(flight, cycles) for cycles in MOMENTS.values()]
-    for t, telemetry in telemetry_of(flight):
+    for t, telemetry in told(flight.telemetry):
         for estimate in estimates:
             estimate.update(t, telemetry)
         if t < flight.begins_s[moments[len(guesses[0])]]:

@@ -67,7 +67,7 @@ def fly(case: Case) -> Flight | None:
 
 
 def _fly(case: Case, length_s: float) -> Flight | None:
-    begins, setpoints = _setpoints(case, length_s)
+    begins, setpoints = setpoints_of(case, length_s)
     run = closed_loop(
         case.plant,
         setpoints,
@@ -102,22 +102,23 @@ def met(manoeuvre: Manoeuvre, setpoint_kPa: Array, cv_kPa: Array) -> bool:
     return bool(np.any(cv_kPa[setpoint_kPa >= least_kPa] >= least_kPa))
 
 
-def telemetry_of(flight: Flight) -> Iterator[tuple[float, Telemetry]]:
+def told(table: NDArray[np.void]) -> Iterator[tuple[float, Telemetry]]:
     """What the firmware told, message by message, and when."""
-    table = flight.telemetry
     venting = np.isnan(table["setpoint_kPa"])
     columns = [
         table["time_s"],
+        venting,
         np.where(venting, 0.0, table["setpoint_kPa"]),
         *(table[name] for name in ("cv_reading_kPa", "reservoir_reading_kPa", "evp", "dvp")),
+        table["solenoid"] > 0.5,
     ]
-    told = zip(*(column.tolist() for column in columns), venting, table["solenoid"] > 0.5, strict=True)
-    for t, setpoint, cv, reservoir, evp, dvp, vents, solenoid in told:
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    for t, vents, setpoint, cv, reservoir, evp, dvp, solenoid in rows:
         mode = Mode.VENT if vents else Mode.REGULATE
         yield t, Telemetry(round(1000 * t), mode, Fault.NONE, 0, setpoint, cv, reservoir, evp, dvp, solenoid)
 
 
-def _setpoints(case: Case, length_s: float) -> tuple[list[float], list[Setpoint]]:
+def setpoints_of(case: Case, length_s: float) -> tuple[list[float], list[Setpoint]]:
     """When each manoeuvre begins, and what the host sends every 20 ms: where to be at its next word."""
     begins: list[float] = []
     setpoints: list[Setpoint] = []

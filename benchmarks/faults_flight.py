@@ -23,10 +23,9 @@ from flying_vines.events import Action, Decision, Event, LinkChanged
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.fakes.board import Board
 from flying_vines.fakes.compiled_firmware import CompiledFirmware
-from flying_vines.fakes.firmware import Firmware
 from flying_vines.fakes.mishaps import Hanging, Kind, Kinked, StuckAt, Unpowered
 from flying_vines.fakes.phlosar import SimulatedPhlosar
-from flying_vines.fakes.referee import DEAD_MAN_S, Foul, Referee, RefereedBoard, Rules
+from flying_vines.fakes.referee import DEAD_MAN_S, LONGEST_HANG_S, Foul, Referee, RefereedBoard, Rules
 from flying_vines.fakes.regulator import SAFE
 from flying_vines.notice import Notice
 from flying_vines.pneumatics.plant.effects import Effects
@@ -54,6 +53,8 @@ LATE_ITEM_S = 12.0
 """Where its text was lost: the mission's progress past the next waypoint tells of it."""
 FLICK_S = 0.3
 """A position that lasts for longer has been seen."""
+BOOTS_S = 1.5
+"""A rebooted autopilot says nothing for a little less."""
 UNCERTAIN_S = 0.3
 """Messages come when they come: so much sooner or later both will do."""
 LATE_S = 3.5
@@ -73,7 +74,6 @@ class Setup:
     max_bent_s: float = 120.0
     mission: tuple[MissionItem, ...] = ()
     likely_rig: bool = False
-    compiled: bool = True
     seed: int = 1
 
     @property
@@ -90,9 +90,6 @@ class Setup:
                 hold_at_most_s=HELD_AT_MOST_S,
             ),
         )
-
-    def board(self) -> Board:
-        return CompiledFirmware() if self.compiled else Firmware()
 
 
 class Nobody(Core):
@@ -150,7 +147,7 @@ class RefereedFlight:
         self.autopilot.add_link("gcs")
         self.autopilot.set_rc(SWITCH, PULSES_US[0])
         self.phlosar = SimulatedPhlosar(
-            firmware=board or setup.board(),
+            firmware=board or CompiledFirmware(),
             effects=None if setup.likely_rig else Effects(),
             seed=setup.seed,
         )
@@ -172,7 +169,7 @@ class RefereedFlight:
         self._rc_lost: str | None = None
         self._rc_good_since_s: float | None = None
         self._rc_in_use = False
-        self._muted_until_s = 0.0
+        self._muted_until_s = self._boots_until_s = 0.0
         self._unseen: dict[str, float] = {}
         self._unseen_from_s = 0.0
         self._unseen_position = 0
@@ -349,7 +346,7 @@ class RefereedFlight:
 
     def reboot_autopilot(self) -> None:
         self.autopilot.reboot()
-        self._muted_until_s = self.now_s + 1.5
+        self._boots_until_s = self.now_s + BOOTS_S
         self._unsee("silence")
         self._noticed = True
 
@@ -451,11 +448,11 @@ class RefereedFlight:
             case "board", Unpowered():
                 self.referee.unpowered()
             case "board", Hanging():
-                self.referee.excuse(place, self.now_s + 0.26)
+                self.referee.excuse(place, self.now_s + LONGEST_HANG_S)
         self.phlosar.befall(place, kind)
 
     def heal(self, place: str) -> None:
-        self.referee.excuse(place, self.now_s, rises=place in ("evp", "solenoid"))
+        self.referee.end_excuse(place, self.now_s)
         self.phlosar.befall(place, None)
 
     # Looking.
@@ -497,7 +494,7 @@ class RefereedFlight:
 
     def _look_around(self) -> None:
         now_s, autopilot, profile = self.now_s, self.autopilot, self.profile
-        if "silence" in self._unseen and now_s >= self._muted_until_s:
+        if "silence" in self._unseen and now_s >= max(self._muted_until_s, self._boots_until_s):
             self._see("silence")
         rc_good = self.setup.has_rc and autopilot.armed and not self._unseen
         if not rc_good:

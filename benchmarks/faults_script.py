@@ -106,9 +106,9 @@ def draw(seed: int) -> Script:
     return Script(seed, setup, lasts_s, tuple(acts), tuple(faults))
 
 
-def fly(script: Script, flight: RefereedFlight | None = None) -> Outcome:
+def fly(script: Script) -> Outcome:
     """Fly it to its end."""
-    flight = flight or RefereedFlight(script.setup)
+    flight = RefereedFlight(script.setup)
     events: list[tuple[float, int, str, Act]] = [(t, -1, "", act) for t, act in script.acts]
     for number, fault in enumerate(script.faults):
         events.append((fault.begins_s, number, f"FAULT {number + 1} begins: ", fault.begin))

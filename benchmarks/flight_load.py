@@ -25,9 +25,7 @@ Build = Callable[[float], Message]
 def rc_channels(boot_s: float, switch_us: int) -> Message:
     """16 channels of a receiver in good health, the vine's switch on the ninth."""
     sticks = (1500, 1500, 1600, 1500, 1100, 1500, 1500, 1900)
-    return mavlink.MAVLink_rc_channels_message(
-        _ms(boot_s), 16, *sticks, switch_us, *(1500,) * 7, 0, 0, 254
-    )  # fmt: skip
+    return mavlink.MAVLink_rc_channels_message(_ms(boot_s), 16, *sticks, switch_us, *(1500,) * 7, 0, 0, 254)
 
 
 def mission_count(to_system: int, to_component: int) -> Message:
@@ -131,9 +129,7 @@ def _navigation(t: float) -> Message:
 
 
 def _ahrs2(t: float) -> Message:
-    return mavlink.MAVLink_ahrs2_message(
-        0.05 * math.sin(3 * t), 0.02, 1.2, 512.0, 473_977_420, 85_455_940
-    )  # fmt: skip
+    return mavlink.MAVLink_ahrs2_message(0.05 * math.sin(3 * t), 0.02, 1.2, 512.0, 473_977_420, 85_455_940)
 
 
 def _pressure(t: float) -> Message:
@@ -143,7 +139,7 @@ def _pressure(t: float) -> Message:
 def _gps(t: float) -> Message:
     return mavlink.MAVLink_gps_raw_int_message(
         _us(t), 4, 473_977_420, 85_455_940, 512_000, 70, 110, 12, 6900, 17
-    )  # fmt: skip
+    )
 
 
 def _ekf(t: float) -> Message:

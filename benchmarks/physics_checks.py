@@ -48,11 +48,11 @@ class Healthy:
 
 def judge(seed: int) -> Healthy:
     """One healthy rig."""
-    flown = drawn(seed)
-    checks = PhysicsChecks(nominal(flown.believed), CHECKS_CONFIG)
+    case = drawn(seed)
+    checks = PhysicsChecks(nominal(case.believed), CHECKS_CONFIG)
     found: list[str] = []
     at_ms = 0
-    for telemetry in telemetry_of(flown, HEALTHY_S):
+    for telemetry in telemetry_of(case, HEALTHY_S):
         at_ms = telemetry.device_time_ms
         found += [f"{f.name} after {at_ms / 1000:.2f} s: {f.sentence}" for f in checks.take(telemetry)]
     return Healthy(seed, at_ms / 1000.0, tuple(found))
@@ -77,13 +77,13 @@ def healthy(seeds: range, jobs: int, console: Console) -> list[str]:
     return missed
 
 
-def mapped(judge: Callable[[int], T], seeds: Sequence[int], jobs: int) -> Iterator[T]:
-    """Each seed judged, in order."""
+def mapped(made_of: Callable[[int], T], seeds: Sequence[int], jobs: int) -> Iterator[T]:
+    """What is made of each seed, in order."""
     if jobs == 1:
-        yield from map(judge, seeds)
+        yield from map(made_of, seeds)
         return
     with ProcessPoolExecutor(jobs) as pool:
-        yield from pool.map(judge, seeds)
+        yield from pool.map(made_of, seeds)
 
 
 def mishaps(seeds: range, jobs: int, console: Console) -> None:

@@ -6,8 +6,8 @@ import random
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
-from cycles_left_rigs import HOST_TICK_S
-from physics_checks_rigs import RESERVE_KPA, Flown, drawn
+from cycles_left_rigs import HOST_TICK_S, Case
+from physics_checks_rigs import RESERVE_KPA, drawn
 
 from firmware_link import protocol
 from firmware_link.protocol import PROTOCOL_VERSION, Hello, Setpoint, Telemetry, Vent
@@ -87,24 +87,24 @@ class Noticed:
     """The vine's true pressure, from the mishap on, until 1 s after it was noticed."""
 
 
-def true_rig(flown: Flown) -> TrueRig:
+def true_rig(case: Case) -> TrueRig:
     """The rig that really is there, behind converters of 12 bits."""
-    plant = flown.case.plant
+    plant = case.plant
     missing = tuple(f.name for f in fields(plant.effects) if getattr(plant.effects, f.name) is None)
     return TrueRig(believed=plant.rig, effects=plant.effects, likely=True, without=missing)
 
 
 def fly(name: str, seed: int) -> Noticed:
     """One rig that suffers this at a random moment of its flying."""
-    flown = drawn(seed)
+    case = drawn(seed)
     dice = random.Random(f"{name} {seed}")
     begins_s = RESTS_S + dice.uniform(0.0, 8.0)
-    fill_kPa = max(200.0, flown.case.fill_kPa)
-    phlosar = SimulatedPhlosar(true_rig(flown), reservoir_kPa=fill_kPa, seed=seed)
-    checks = PhysicsChecks(nominal(flown.believed), Checks())
+    fill_kPa = max(200.0, case.fill_kPa)
+    phlosar = SimulatedPhlosar(true_rig(case), reservoir_kPa=fill_kPa, seed=seed)
+    checks = PhysicsChecks(nominal(case.believed), Checks())
     codec = protocol.Codec()
     phlosar.receive(codec.encode(Hello(PROTOCOL_VERSION, 1)))
-    manoeuvres = flown.case.program
+    manoeuvres = case.program
     watched_s = WATCHED_LONGER_S.get(name, WATCHED_S)
     which, begun_s = -1, 0.0
     peak_kPa, by, noticed_s = 0.0, "", 0.0

@@ -7,33 +7,29 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import msgspec
+from cycles_left_flights import setpoints_of, told
 from cycles_left_rigs import HOST_TICK_S, Case, Manoeuvre, draw
 
-from firmware_link.protocol import Fault, Mode, Telemetry
-from flying_vines.config import Pneumatics
+from firmware_link.protocol import Telemetry
+from flying_vines.config import Interlocks
 from flying_vines.fakes.closed_loop import Setpoint, closed_loop
 from flying_vines.pneumatics.plant.plant import Plant, at_rest
 from flying_vines.pneumatics.plant.shape import Compliant, Pouch
 from flying_vines.pneumatics.plant.wall import Wall
 from flying_vines.pneumatics.rig import ControlVolume, Rig
 
-RESERVE_KPA = 40.0
-"""As in the default profile: below it nothing is flown."""
+RESERVE_KPA = Interlocks().reserve_kPa
+"""Below it nothing is flown."""
+LONG_REST_S = 1.0
+"""A manoeuvre's; in one that is longer the host vents at last …"""
+VENTED_TICKS = round(0.8 / HOST_TICK_S)
+"""… for so many of its ticks."""
 
 
-@dataclass(frozen=True)
-class Flown:
-    """A rig, and what is believed of it."""
-
-    case: Case
-    believed: Pneumatics
-    cv_L: float
-
-
-def drawn(seed: int) -> Flown:
+def drawn(seed: int) -> Case:
     """One rig with its flying; the same seed gives the same."""
     dice = random.Random(f"physics checks {seed}")
     case = draw(seed)
@@ -60,12 +56,11 @@ def drawn(seed: int) -> Flown:
         long = Manoeuvre(0.0, top_kPa, rate, hold_s, rest_s)
         program.insert(dice.randrange(len(program) + 1), long)
     believed = msgspec.structs.replace(case.believed, cv_volume_L=cv_L / factor)
-    return Flown(replace(case, plant=plant, program=tuple(program), fill_kPa=fill_kPa), believed, cv_L)
+    return replace(case, believed=believed, plant=plant, program=tuple(program), fill_kPa=fill_kPa)
 
 
-def telemetry_of(flown: Flown, seconds: float) -> Iterator[Telemetry]:
+def telemetry_of(case: Case, seconds: float) -> Iterator[Telemetry]:
     """What the firmware tells while the program is flown again and again, down to the bottle's reserve."""
-    case = flown.case
     table = closed_loop(
         case.plant,
         _setpoints(case, seconds),
@@ -76,47 +71,19 @@ def telemetry_of(flown: Flown, seconds: float) -> Iterator[Telemetry]:
         reservoir_sensor=case.reservoir_sensor,
         seed=case.seed,
     ).table
-    names = ("time_s", "setpoint_kPa", "cv_reading_kPa", "reservoir_reading_kPa", "evp", "dvp", "solenoid")
-    for t, setpoint, cv, reservoir, evp, dvp, solenoid in zip(
-        *(table[n].tolist() for n in names), strict=True
-    ):
-        if reservoir < RESERVE_KPA:
+    for _, telemetry in told(table):
+        if telemetry.reservoir_kPa < RESERVE_KPA:
             return
-        vents = math.isnan(setpoint)
-        yield Telemetry(
-            round(1000 * t),
-            Mode.VENT if vents else Mode.REGULATE,
-            Fault.NONE,
-            0,
-            0.0 if vents else setpoint,
-            cv,
-            reservoir,
-            evp,
-            dvp,
-            solenoid > 0.5,
-        )
+        yield telemetry
 
 
 def _setpoints(case: Case, seconds: float) -> list[Setpoint]:
-    """What the host sends every 20 ms; between two manoeuvres it may vent."""
-    setpoints: list[Setpoint] = []
-    tick, last, which = round(case.waits_s / HOST_TICK_S), math.floor(seconds / HOST_TICK_S), 0
-    while tick < last:
-        manoeuvre = case.program[which % len(case.program)]
-        which += 1
-        ticks = round(manoeuvre.length_s / HOST_TICK_S)
-        rate = manoeuvre.steepest_kPa_per_s
-        setpoints.extend(
-            Setpoint((tick + i) * HOST_TICK_S, manoeuvre.setpoint_kPa((i + 1) * HOST_TICK_S), rate)
-            for i in range(min(ticks, last - tick))
-        )
-        tick += ticks
-        if manoeuvre.rest_s > 1.0 and tick < last:
-            setpoints.append(Setpoint((tick - round(0.8 / HOST_TICK_S)) * HOST_TICK_S, math.nan, rate))
-            setpoints = _in_order(setpoints)
+    """As for the cycles that are left, but each long rest ends vented."""
+    begins_s, setpoints = setpoints_of(case, seconds)
+    first_tick = round(begins_s[0] / HOST_TICK_S)
+    for index, end_s in enumerate(begins_s[1:]):
+        if case.program[index % len(case.program)].rest_s > LONG_REST_S:
+            end = round(end_s / HOST_TICK_S) - first_tick
+            for at in range(end - VENTED_TICKS, end):
+                setpoints[at] = setpoints[at]._replace(target_kPa=math.nan)
     return setpoints
-
-
-def _in_order(setpoints: list[Setpoint]) -> list[Setpoint]:
-    vent = setpoints[-1]
-    return [s for s in setpoints[:-1] if s.from_s < vent.from_s - 1e-9] + [vent]

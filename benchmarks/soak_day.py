@@ -171,8 +171,8 @@ def _take_off(world: World) -> Iterator[float]:
 
 def _by_mission(world: World, dice: random.Random) -> Iterator[float]:
     autopilot = world.autopilot
-    angles = [float(dice.randrange(5, 61)) for _ in range(dice.randrange(2, 10))]
-    autopilot.set_mission(mission(autopilot, [*angles, 0.0], dice))
+    angles_deg = [float(dice.randrange(5, 61)) for _ in range(dice.randrange(2, 10))]
+    autopilot.set_mission(mission(autopilot, [*angles_deg, 0.0], dice))
     yield 6.0
     autopilot.start_mission()
     while not autopilot.airborne:
@@ -181,7 +181,7 @@ def _by_mission(world: World, dice: random.Random) -> Iterator[float]:
         yield LOOK_S
 
 
-def mission(autopilot: Autopilot, angles: list[float], dice: random.Random) -> list[MissionItem]:
+def mission(autopilot: Autopilot, angles_deg: list[float], dice: random.Random) -> list[MissionItem]:
     """Take off; between waypoints bend to each angle; land."""
     here = autopilot.flight.home
     made: list[MissionItem] = []
@@ -195,7 +195,7 @@ def mission(autopilot: Autopilot, angles: list[float], dice: random.Random) -> l
         add(_WAYPOINT, place=(here.latitude_deg, here.longitude_deg, here.altitude_amsl_m))
     add(_TAKEOFF, place=(here.latitude_deg, here.longitude_deg, _CRUISE_M))
     north_m = 0.0
-    for angle_deg in (None, *angles):
+    for angle_deg in (None, *angles_deg):
         if angle_deg is not None:
             _add_vine(autopilot.kind, add, angle_deg)
         # The nearest takes the vehicle longer than a motion.

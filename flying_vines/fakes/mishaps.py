@@ -42,7 +42,7 @@ class Reading(NamedTuple):
 
     kPa: float
     """If it were well."""
-    first_kPa: float
+    last_well_kPa: float
     """The last one that was."""
     for_ms: int
     """Since then."""
@@ -58,7 +58,7 @@ class Stuck:
     """It reads what it read last."""
 
     def read(self, reading: Reading) -> float:
-        return reading.first_kPa
+        return reading.last_well_kPa
 
 
 @dataclass(frozen=True)

@@ -210,8 +210,8 @@ class SimulatedPhlosar:
         if now == before:
             return
         self._suffered = replace(now)
-        self._cv_sensor.suffer(now.cv_sensor, before.cv_sensor)
-        self._reservoir_sensor.suffer(now.reservoir_sensor, before.reservoir_sensor)
+        self._cv_sensor.suffer(now.cv_sensor)
+        self._reservoir_sensor.suffer(now.reservoir_sensor)
         numbers = with_mishaps(self._well, now)
         if numbers.has_tubing != self._simulator.numbers.has_tubing:
             self._put(_with_stub(numbers, self.state, self._conditions))
@@ -263,9 +263,9 @@ class _Wire:
         self._last_kPa = kPa
         self._for_ms = 0
 
-    def suffer(self, now: SensorMishap | None, before: SensorMishap | None) -> None:
-        if now != before:
-            self._mishap = now
+    def suffer(self, mishap: SensorMishap | None) -> None:
+        if mishap != self._mishap:
+            self._mishap = mishap
             self._for_ms = 0
 
     def read(self, true_kPa: float, standard_normal: float) -> float:

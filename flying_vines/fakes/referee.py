@@ -153,6 +153,12 @@ class Referee:
         if rises:
             self._rising_excuses[name] = until_s + AFTER_EXCUSE_S
 
+    def end_excuse(self, name: str, t: float) -> None:
+        """The mishap is mended; where nothing was excused, nothing is."""
+        for excuses in (self._excuses, self._rising_excuses):
+            if name in excuses:
+                excuses[name] = min(excuses[name], t + AFTER_EXCUSE_S)
+
     def hold_still(self, from_s: float) -> None:
         """From then on, and until the next trigger, the vine may be held but not bent further."""
         self._still_from_s, self._ceiling_kPa = from_s, math.inf
