@@ -22,7 +22,6 @@ import contextlib
 import gc
 import os
 import signal
-import socket
 import sys
 import tempfile
 from collections import Counter
@@ -35,6 +34,10 @@ from typing import NamedTuple
 from process_cost import memory
 from soak_day import LOOK_S, World, flights
 
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+
+from service_bench import between, free_port
+
 from flying_vines import config
 from flying_vines.events import Decision
 from flying_vines.fakes.autopilot import Autopilot
@@ -43,7 +46,10 @@ from flying_vines.fakes.compiled_firmware import CompiledFirmware
 from flying_vines.fakes.ground_station import COMPONENT_ID, SYSTEM_ID, GroundStation
 from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.pneumatics.plant.effects import Effects
-from flying_vines.record.flight_log import read_log
+from flying_vines.record.reader import FlightLog
+from flying_vines.record.restore import restored
+from flying_vines.record.summary import flights_in
+from flying_vines.record.topics import DECISION
 from flying_vines.simulated_world import SimulatedFlight
 from flying_vines.vehicle.codec import Codec, Message
 from flying_vines.vehicle.mission.storage import Kind
@@ -83,10 +89,9 @@ class Outcome:
 
     def read_decisions(self, flights_folder: Path) -> None:
         """From what the service wrote down."""
-        for log in flights_folder.glob("*/*.jsonl*"):
-            for entry in read_log(log):
-                if entry.pop("kind") == "decision":
-                    self.decided(Decision(**entry))
+        for log in flights_in(flights_folder):
+            for entry in FlightLog(log).entries((DECISION,)):
+                self.decided(restored(Decision, entry.fields))
 
     def sample(self, pid: int, took_s: float, blocks: int | None) -> None:
         new = Sample(self.world.now() / HOUR_S, took_s, memory(pid).now_MB, blocks)
@@ -146,7 +151,7 @@ async def real(kind: Kind, seed: int, until_s: float, folder: Path) -> Outcome:
     """Fly until then in real time, the service in a process of its own."""
     ground = GroundStation()
     ground_port = await ground.listen()
-    companion_port = _free_udp_port()
+    companion_port = free_port()
     autopilot = Autopilot(kind)
     phlosar = SimulatedPhlosar(firmware=CompiledFirmware(), effects=Effects())
     server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
@@ -177,8 +182,7 @@ async def real(kind: Kind, seed: int, until_s: float, folder: Path) -> Outcome:
 async def _service(folder: Path, companion_port: int, serial_path: str) -> AsyncIterator[int]:
     """The service as a process, between these; its id. SystemExit when it does not end well."""
     profile = folder / "profile.toml"
-    text = config.default_text().replace("udpin:0.0.0.0:14540", f"udpin:127.0.0.1:{companion_port}")
-    profile.write_text(text.replace("serial:/dev/ttyACM0", f"serial:{serial_path}"), encoding="utf-8")
+    profile.write_text(between(companion_port, serial_path), encoding="utf-8")
     arguments = ["run", "--config", str(profile), "--plain", "--out", str(folder / "flights")]
     with (folder / "service.txt").open("wb") as said:
         process = await asyncio.create_subprocess_exec(
@@ -192,13 +196,6 @@ async def _service(folder: Path, companion_port: int, serial_path: str) -> Async
         status = await process.wait()
     if status != 0:
         raise SystemExit(f"The service ended with {status}: {(folder / 'service.txt').read_text()[-2000:]}")
-
-
-def _free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def main() -> int:
@@ -221,7 +218,9 @@ def main() -> int:
     else:
         outcome = simulated(kind, arguments.seed, hours * HOUR_S)
     tally = outcome.world.tally
-    print("triggers: " + ", ".join(f"{count} by {kind}" for kind, count in tally.triggers.most_common()))
+    print(
+        "triggers: " + ", ".join(f"{count} by {trigger}" for trigger, count in tally.triggers.most_common())
+    )
     print(f"decisions: {dict(outcome.decisions)} · motions: {tally.motions} · memory flat: {outcome.flat}")
     for foul in tally.fouls:
         print(f"FOUL {foul}")

@@ -1,12 +1,39 @@
-"""A recorded MAVLink stream, fed through the same core that flies, against a simulated phloSAR."""
+"""What was recorded, fed through the same core that flies.
+
+`replay` takes a recorded MAVLink stream, of anyone, and a simulated phloSAR answers. `replay_flight` takes a
+flight's own log, with all that the core was told, and compares every answer with the one of the flight.
+"""
 
 from __future__ import annotations
 
+import binascii
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import zip_longest
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines import config as configuration
 from flying_vines.config import Config
-from flying_vines.events import Action, Decision, VehicleMessage
+from flying_vines.core import Core
+from flying_vines.events import Action, Decision, ToVehicle, VehicleMessage
+from flying_vines.record.reader import Entry, FlightLog, LogError
+from flying_vines.record.restore import event_of, restored, start_of
+from flying_vines.record.topics import (
+    ANSWER_TOPICS,
+    EVENT_TOPICS,
+    MAVLINK_OUT,
+    START,
+    TOPICS,
+    Start,
+    encoded,
+    entry_of_action,
+    frame_of,
+)
 from flying_vines.reservoir import Belief
 from flying_vines.simulated_world import SimulatedWorld
 from flying_vines.vehicle.codec import Codec
@@ -44,6 +71,125 @@ def replay(
             # A ground station's recording holds what we said then, which is not to be heard as another's.
             if message.get_srcComponent() != config.vehicle.component_id:
                 yield from world.feed(VehicleMessage(t, message))
+
+
+@dataclass
+class Again:
+    """A flight whose core was asked again."""
+
+    decisions: list[Decision] = field(default_factory=list)
+    """As they come out now."""
+    compared: Counter[str] = field(default_factory=Counter)
+    """How many answers of each topic were the same."""
+    began: float = 0.0
+    """Of the service's clock."""
+    differences: list[str] = field(default_factory=list)
+    """A sentence each."""
+    damage: str = ""
+    """Where the log ends before the flight did."""
+
+
+def replay_flight(log: FlightLog, config: Config | None = None) -> Again:
+    """Ask a new core all that the flight's was asked, and compare its answers.
+
+    `config` instead of the flight's own profile shows what would have been different. Raises `LogError` when
+    the log does not say how the core began.
+    """
+    again = Again()
+    core: Core | None = None
+    ours: list[tuple[str, object]] = []
+    theirs: list[tuple[str, object]] = []
+    t = 0.0
+    for part in _since_the_service_began(log):
+        for entry in part.entries():
+            if part.lost:
+                break
+            if entry.topic == START:
+                start = restored(Start, entry.fields)
+                if core is None:
+                    core, again.began = _core(part, start, config), start.t
+            elif entry.topic in EVENT_TOPICS:
+                if core is None:
+                    raise LogError(f"{part.path}: its beginning is damaged")
+                _compare(again, t, ours, theirs)
+                event = event_of(entry)
+                t, actions = event.t, core.handle(event)
+                again.decisions.extend(action for action in actions if isinstance(action, Decision))
+                ours = [answer for action in actions for answer in _ours(t, action)]
+                theirs = []
+            elif entry.topic in ANSWER_TOPICS:
+                theirs.append(_theirs(entry))
+        if part.damage:
+            again.damage = part.damage
+            return again
+    _compare(again, t, ours, theirs)
+    return again
+
+
+def _since_the_service_began(log: FlightLog) -> list[FlightLog]:
+    """The logs of one service up to this one: what came before it is how the core came to where it was."""
+    logs = [log]
+    while before := start_of(logs[0]).continues:
+        earlier = FlightLog(logs[0].folder.parent / before)
+        if not earlier.path.exists():
+            raise LogError(f"{log.path}: continues {before}, which is not beside it")
+        logs.insert(0, earlier)
+    return logs
+
+
+def _core(log: FlightLog, start: Start, config: Config | None) -> Core:
+    config = config or configuration.parse(start.profile, f"{log.path}: the profile in it")
+    belief = None
+    if start.rig:
+        from flying_vines.reservoir.calibration import load_calibration
+
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "rig.toml"
+            path.write_text(start.rig, encoding="utf-8")
+            belief = load_calibration(path, config.pneumatics).belief
+    return Core(config, belief=belief, parameters=start.parameters, disarmed=start.disarmed)
+
+
+def _ours(t: float, action: Action) -> list[tuple[str, object]]:
+    """What the log says of an action, where it says anything."""
+    if isinstance(action, ToVehicle):
+        action.message.pack(mavlink.MAVLink(None, srcSystem=action.system_id))
+    entry = entry_of_action(t, action)
+    if entry is None:
+        return []
+    number, _, what = entry
+    name = TOPICS[number - 1].name
+    return [(name, _spoken(what) if name == MAVLINK_OUT else encoded(entry))]
+
+
+def _theirs(entry: Entry) -> tuple[str, object]:
+    if entry.topic == MAVLINK_OUT:
+        return entry.topic, _spoken(binascii.a2b_base64(entry.fields["frame"]))
+    return entry.topic, entry.data
+
+
+def _spoken(raw: bytes) -> tuple[int, int, bytes]:
+    """What a MAVLink frame says, apart from its running number and signature: system, kind, payload."""
+    frame = frame_of(raw)
+    return frame.system, frame.message_id, frame.payload
+
+
+def _compare(
+    again: Again, t: float, ours: list[tuple[str, object]], theirs: list[tuple[str, object]]
+) -> None:
+    if ours == theirs:
+        again.compared.update(topic for topic, _ in ours)
+        return
+    for mine, his in zip_longest(ours, theirs):
+        if mine == his:
+            again.compared[mine[0]] += 1
+            continue
+        said = [f"{what[0]} {_readable(what[1])}" if what else "nothing" for what in (his, mine)]
+        again.differences.append(f"at {t - again.began:.3f} s: {said[0]} in the flight, {said[1]} now")
+
+
+def _readable(what: object) -> str:
+    return what.decode() if isinstance(what, bytes) else str(what)
 
 
 def as_json(decision: Decision) -> dict[str, object]:

@@ -293,7 +293,7 @@ def test_reading_a_rig_needs_no_package_of_the_analysis(tmp_path: Path) -> None:
     code = (
         "import sys, pathlib\n"
         "from flying_vines import config, service, terminal\n"
-        "from flying_vines.record import flight_log\n"
+        "from flying_vines.record import recorder\n"
         "from flying_vines.reservoir.calibration import load_calibration\n"
         "load_calibration(pathlib.Path(sys.argv[1]), config.default().pneumatics)\n"
         "heavy = {'numpy', 'scipy', 'numba', 'matplotlib', 'flying_vines.discrepancy'} & set(sys.modules)\n"

@@ -1,6 +1,6 @@
 """A flight log as a case: what the firmware told, from rest to rest.
 
-    case = read_flight("flights/2026-05-04_10-30-00")       the flight's folder, or its flight.jsonl
+    case = read_flight("flights/2026-05-04_10-30-00")       the flight's folder, or its flight.mcap
 
 Telemetry says what the valves are told from its moment on. It is complete when it comes with every step of
 the firmware's regulator; where it is slower, nobody knows what the valves did in between: a remark says so.
@@ -25,7 +25,9 @@ from firmware_link.protocol import Fault, Mode
 from flying_vines.discrepancy.case import Case
 from flying_vines.discrepancy.recording import Array, CaseError, Run
 from flying_vines.pneumatics.rig import Rig, RigError, load_rig, rig_from
-from flying_vines.record.flight_log import NAME, read_log
+from flying_vines.record.folders import MCAP
+from flying_vines.record.reader import FlightLog, LogError
+from flying_vines.record.topics import SNAPSHOT, START, TELEMETRY
 
 STEP_MS = 1
 """Of the firmware's regulator: so often the valves may move."""
@@ -73,7 +75,7 @@ class _Telemetry(NamedTuple):
 
 def is_flight(path: Path) -> bool:
     """Whether a path is a flight log, or the folder of one."""
-    return path.suffix == Path(NAME).suffix or (path / NAME).is_file()
+    return path.suffix == Path(MCAP).suffix or (path / MCAP).is_file()
 
 
 def read_flight(path: Path | str, rig: Path | str | None = None) -> Case:
@@ -85,15 +87,17 @@ def read_flight(path: Path | str, rig: Path | str | None = None) -> Case:
 
     Raises CaseError when it cannot be read, or nothing in it tells of a rig.
     """
-    path = Path(path)
-    path = path / NAME if path.is_dir() else path
-    log = _read(path)
+    flight = FlightLog(Path(path))
+    path = flight.path
+    log = _read(flight)
     believed = _believed(path, log.tables, rig)
     stretches = list(_stretches(log))
     remarks = [*_said_of(path, stretches)]
-    if log.damaged:
-        total = len(log.telemetry) + log.damaged
-        remarks.append(f"{path.name}: of {total} messages {log.damaged} are damaged and left out")
+    if log.unknown:
+        total = len(log.telemetry) + log.unknown
+        remarks.append(f"{path.name}: {log.unknown} of {total} readings are incomplete and left out")
+    if flight.damage:
+        remarks.append(flight.damage)
     flown = [run for stretch in stretches for run in _from_rest(stretch)]
     if not flown:
         raise CaseError(
@@ -116,35 +120,33 @@ class _Log(NamedTuple):
     """(n, 10), as `_FIELDS` and `_VALVES` have it."""
     ambient: Array
     """(m, 2): time and pressure, kPa absolute."""
-    damaged: int
-    """Messages."""
+    unknown: int
+    """Messages of telemetry with numbers that are none."""
 
 
-def _read(path: Path) -> _Log:
+def _read(flight: FlightLog) -> _Log:
     tables: Any = None
     rows: list[list[float]] = []
     ambient: list[list[float]] = []
-    entries = damaged = 0
+    unknown = 0
     try:
-        for entry in read_log(path):
-            entries += 1
-            if entry.get("kind") == "rig":
-                tables = entry.get("tables")
-            elif entry.get("kind") == "telemetry":
-                row = _numbers(entry, (*_FIELDS, *_VALVES))
+        for entry in flight.entries((START, TELEMETRY, SNAPSHOT)):
+            said = entry.fields
+            if entry.topic == START:
+                tables = said.get("believed")
+            elif entry.topic == TELEMETRY:
+                row = _numbers(said, (*_FIELDS, *_VALVES))
                 if row is None:
-                    damaged += 1
+                    unknown += 1
                 else:
                     rows.append(row)
-            elif (air := _numbers(entry, ("t", "ambient_kPa"))) and AIR_KPA[0] <= air[1] <= AIR_KPA[1]:
+            elif (air := _numbers(said, ("t", "ambient_kPa"))) and AIR_KPA[0] <= air[1] <= AIR_KPA[1]:
                 ambient.append(air)
-    except OSError as error:
-        raise CaseError(f"{path}: cannot be read: {error.strerror}") from None
-    if not entries:
-        raise CaseError(f"{path}: is no flight log, or an empty one; give the {NAME} of a flight")
+    except LogError as error:
+        raise CaseError(str(error)) from None
     if len(rows) < 2:
-        raise CaseError(f"{path}: holds no telemetry: no phloSAR answered, or an older version wrote the log")
-    return _Log(tables, np.array(rows), np.array(ambient).reshape(-1, 2), damaged)
+        raise CaseError(f"{flight.path}: holds no telemetry: no phloSAR answered")
+    return _Log(tables, np.array(rows), np.array(ambient).reshape(-1, 2), unknown)
 
 
 def _numbers(entry: Mapping[str, Any], names: Sequence[str]) -> list[float] | None:

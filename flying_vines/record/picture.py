@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+import time
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from matplotlib import pyplot as plt
 
+from flying_vines.record.reader import FlightLog, LogError
 from flying_vines.record.style import BLUE, GREEN, GREY, LABEL_BOX, ORANGE, PURPLE, RED, plain
+from flying_vines.record.topics import DECISION, SNAPSHOT, TELEMETRY
 from flying_vines.vine.drawing import draw_drone, draw_vine, frame
 
 MARKS = {"accepted": GREEN, "limited": ORANGE, "refused": RED}
+ROW, MOST_ROWS = 0.13, 5
+"""Of labels: how high, as a share of the pressures' range, and how many."""
+DPI = 200
+MOST_POINTS = 20_000
+"""Of a curve: more than any picture shows, and few enough for one in a paper."""
 DRAWN_LENGTH_M, DRAWN_DIAMETER_M = 0.315, 0.05
 """A log does not say how long its vine is: it is drawn as the example `pouch` of `flying-vines vine`."""
 DRAWN_WIDTH = 0.085
@@ -24,33 +32,38 @@ SETTLED = 5
 """Snapshots whose median is drawn."""
 
 
-def draw_flight(entries: Iterable[dict[str, Any]], path: Path, title: str) -> None:
-    """Draw the log's entries into a PNG: pressures, bend angle, openings, reservoir, triggers over time."""
-    snapshots, decisions = [], []
-    for entry in entries:
-        if entry["kind"] == "snapshot":
-            snapshots.append(entry)
-        elif entry["kind"] == "decision":
-            decisions.append(entry)
-    if not snapshots:
-        raise ValueError("the log holds no snapshot to draw")
+def draw_flight(log: FlightLog, path: Path, title: str | None = None) -> None:
+    """Draw a flight: pressures, bend angle, openings, reservoir, triggers over time.
+
+    Into a PNG, or what else the path's ending says: PDF, SVG. Raises `LogError` when nothing can be drawn.
+    """
+    said: dict[str, list[dict[str, Any]]] = {SNAPSHOT: [], DECISION: [], TELEMETRY: []}
+    began_ns = 0
+    for entry in log.entries(said):
+        began_ns = began_ns or entry.unix_ns
+        said[entry.topic].append(entry.fields)
+    snapshots, decisions, telemetry = said.values()
+    if len(snapshots) < 2:
+        raise LogError(f"{log.path}: holds no snapshots to draw")
     start = snapshots[0]["t"]
     t = [s["t"] - start for s in snapshots]
+    quick = _Columns(telemetry[:: 1 + len(telemetry) // MOST_POINTS], start)
 
     def column(name: str) -> list[float]:
-        return [float("nan") if s[name] is None else s[name] for s in snapshots]
+        return [s.get(name, math.nan) for s in snapshots]
 
     figure, axes = plt.subplots(
         5, 1, figsize=(12, 11), sharex=True, height_ratios=[3.2, 1.5, 1.6, 1.4, 1.8], layout="constrained"
     )
     pressure, shape, bend, opening, reservoir = axes
-    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
+    when = time.strftime("%Y-%m-%d, %H:%M:%S", time.localtime(began_ns / 1e9))
+    figure.align_ylabels(axes)
+    figure.suptitle(title or f"Flight of {when}", x=0.01, ha="left", fontweight="bold")
 
     pressure.plot(t, column("command_kPa"), color=ORANGE, lw=1.6, label="setpoint")
-    pressure.plot(t, column("cv_kPa"), color=BLUE, lw=1.3, label="vine (CV)")
-    pressure.set_ylabel("kPa gauge")
-    top = max(25.0, 1.1 * max(x for x in column("cv_kPa") if x == x))
-    pressure.set_ylim(-1.0, 1.75 * top)
+    pressure.plot(quick.t, quick["cv_kPa"], color=BLUE, lw=1.1, label="vine (CV)")
+    pressure.set_ylabel("pressure, kPa gauge")
+    top = max(25.0, 1.1 * max((x for x in quick["cv_kPa"] if x == x), default=0.0))
     pressure.set_yticks(range(0, int(top) + 1, 5))
     pressure.legend(loc="upper right", ncols=2, frameon=False)
     _mark_decisions(pressure, decisions, start, t[-1], top)
@@ -61,20 +74,21 @@ def draw_flight(entries: Iterable[dict[str, Any]], path: Path, title: str) -> No
     bend.set_ylabel("bend, °")
     bend.set_ylim(bottom=-2)
 
-    opening.fill_between(t, column("evp_opening"), color=BLUE, alpha=0.6, lw=0, step="post")
-    opening.fill_between(t, [-x for x in column("dvp_opening")], color=GREEN, alpha=0.7, lw=0, step="post")
-    solenoid = [-1.25 if s["solenoid"] else float("nan") for s in snapshots]
-    opening.plot(t, solenoid, color=GREY, lw=4, solid_capstyle="butt")
+    opening.fill_between(quick.t, quick["evp_opening"], color=BLUE, alpha=0.6, lw=0, step="post")
+    downwards = [-x for x in quick["dvp_opening"]]
+    opening.fill_between(quick.t, downwards, color=GREEN, alpha=0.7, lw=0, step="post")
+    solenoid = [-1.25 if is_open else math.nan for is_open in quick["solenoid"]]
+    opening.plot(quick.t, solenoid, color=GREY, lw=4, solid_capstyle="butt")
     opening.set_ylim(-1.5, 1.1)
     opening.set_yticks([-1.25, -0.5, 0.5], ["solenoid", "DVP", "EVP"])
     opening.set_ylabel("openings")
 
-    reservoir.plot(t, column("reservoir_kPa"), color=BLUE, lw=1.3)
-    reservoir.set_ylabel("reservoir, kPa", color=BLUE)
+    reservoir.plot(quick.t, quick["reservoir_kPa"], color=BLUE, lw=1.1)
+    reservoir.set_ylabel("reservoir,\nkPa gauge", color=BLUE)
     reservoir.set_ylim(bottom=0)
     reservoir.set_xlabel("time, s")
     cycles = reservoir.twinx()
-    known = [(x, s["cycles"]) for x, s in zip(t, snapshots, strict=True) if s["cycles"]]
+    known = [(x, s["cycles"]) for x, s in zip(t, snapshots, strict=True) if s.get("cycles")]
     if known:
         xs = [x for x, _ in known]
         cycles.fill_between(
@@ -90,8 +104,20 @@ def draw_flight(entries: Iterable[dict[str, Any]], path: Path, title: str) -> No
         axis.set_xlim(t[0], t[-1])
     shape.set_axis_off()
     cycles.spines["top"].set_visible(False)
-    figure.savefig(path, dpi=110)
+    with plt.rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # text stays text
+        figure.savefig(path, dpi=DPI)
     plt.close(figure)
+
+
+class _Columns:
+    """Entries of a topic by their fields; NaN where one is unknown."""
+
+    def __init__(self, entries: Sequence[dict[str, Any]], start: float) -> None:
+        self.t = [entry["t"] - start for entry in entries]
+        self._entries = entries
+
+    def __getitem__(self, name: str) -> list[float]:
+        return [entry.get(name, math.nan) for entry in self._entries]
 
 
 def _draw_vines(axis: Any, t: list[float], bend_deg: list[float], decided: list[float]) -> None:
@@ -130,19 +156,20 @@ def _side_by_side(wanted: list[float]) -> list[float]:
 def _mark_decisions(
     axis: Any, decisions: list[dict[str, Any]], start: float, width: float, top: float
 ) -> None:
+    """Label each, and make room for the labels above."""
     rows: list[float] = []
     for decision in decisions:
         x = decision["t"] - start
         color = MARKS[decision["safety"]]
         # Each label goes to the lowest row whose last label ended before it.
-        text = f"{decision['trigger'].replace('_', ' ')}: {decision['intent'] or '?'}"
+        text = f"{decision['trigger'].replace('_', ' ')}: {decision.get('intent', '?')}"
         if decision["safety"] != "accepted" or decision["trigger"] == "failsafe":
             text += f"\n{decision['reason'][:34]}"
         longest = max(len(line) for line in text.split("\n"))
         row = next((i for i, end in enumerate(rows) if end < x), len(rows))
         rows[row : row + 1] = [x + width * 0.0068 * longest]
-        y = top * (1.05 + 0.13 * (row % 5))
-        axis.axvline(x, ymax=(y + 1) / (1.75 * top + 1), color=color, lw=0.9, alpha=0.8)
+        y = top * (1.05 + ROW * (row % MOST_ROWS))
+        axis.plot([x, x], [-1.0, y], color=color, lw=0.9, alpha=0.8)
         axis.text(
             x + width * 0.003,
             y,
@@ -153,6 +180,7 @@ def _mark_decisions(
             linespacing=0.95,
             bbox=LABEL_BOX,
         )
+    axis.set_ylim(-1.0, top * (1.2 + ROW * min(len(rows), MOST_ROWS)))
 
 
 def _shade_safe_states(axis: Any, t: list[float], snapshots: list[dict[str, Any]]) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Self
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -21,6 +23,31 @@ _LATEST_US = 4_102_444_800_000_000
 
 class TlogError(Exception):
     """The file is not a recording; the text says what is wrong."""
+
+
+class TlogWriter:
+    """Writes frames, which wait in memory until `sync`; a context, which closes the file."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("wb")
+        self._waiting: list[bytes] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._file.close()
+
+    def write(self, time_us: int, frame: bytes) -> None:
+        """At this unix time."""
+        self._waiting.append(_TIME.pack(time_us) + frame)
+
+    def sync(self) -> None:
+        """Onto the disk, for good."""
+        self._file.write(b"".join(self._waiting))
+        self._waiting.clear()
+        self._file.flush()
+        os.fsync(self._file.fileno())
 
 
 class TlogReader:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
-from msgspec.structs import replace as replace_table
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from recorded_flight import BEGAN, CONFIG, HIGH, LOW, MIDDLE, fly
 
 from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines import config
@@ -21,18 +20,21 @@ from flying_vines.discrepancy.diagnose import diagnose
 from flying_vines.discrepancy.from_log import LEAD_MS, MOST_MS, PAUSE_MS, READING_MS, TAIL_MS, read_flight
 from flying_vines.discrepancy.recording import CaseError
 from flying_vines.discrepancy.simulate import GAP
-from flying_vines.events import Measured, VehicleMessage
+from flying_vines.events import FirmwareMessage, VehicleMessage
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.fakes.firmware import FirmwareSettings
 from flying_vines.fakes.phlosar import SimulatedPhlosar
 from flying_vines.pneumatics.plant.true_rig import TrueRig
 from flying_vines.pneumatics.rig import Rig
-from flying_vines.record.flight_log import NAME, FlightLog
+from flying_vines.record.folders import MCAP
+from flying_vines.record.mcap_file import McapFile
+from flying_vines.record.reader import Entry, FlightLog
+from flying_vines.record.recorder import Recorder
+from flying_vines.record.topics import NUMBERS, TOPICS
 from flying_vines.simulated_world import SimulatedFlight
 from flying_vines.vehicle.codec import Codec
 
 LEAK = 8000.0
-SWITCH, LOW, MIDDLE, HIGH = 9, 1000, 1500, 2000
 ONCE = ((3.0, LOW), (5.0, MIDDLE), (7.0, HIGH), (13.5, LOW))
 TWICE = (*ONCE, (15.5, HIGH), (16.0, LOW))
 REST = Telemetry(0, Mode.VENT, Fault.NONE, 1, 0.0, 0.0, 600.0, 0.0, 0.0, True)
@@ -40,19 +42,11 @@ REST = Telemetry(0, Mode.VENT, Fault.NONE, 1, 0.0, 0.0, 600.0, 0.0, 0.0, True)
 
 def flown(parent: Path, causes: dict[str, dict[str, float]], moves: Sequence[tuple[float, int]]) -> Path:
     """The log of moves of the switch (until when, where) on embedded fakes, with something in the rig."""
-    settings = config.default()
-    settings = replace_table(settings, interlocks=replace_table(settings.interlocks, bench_mode=True))
     phlosar = SimulatedPhlosar(TrueRig(Rig(), causes), FirmwareSettings(telemetry_Hz=1000))
-    flight = SimulatedFlight(settings, Autopilot("ardupilot"), phlosar)
-    log = FlightLog(parent)
-    log.believed(0.0, settings.pneumatics)
-    for until_s, pulse_us in moves:
-        flight.autopilot.set_rc(SWITCH, pulse_us)
-        for action in flight.run(until_s):
-            log.action(action)
-        log.snapshot(flight.core.snapshot(until_s))
-    log.close()
-    return log.path
+    recorder = Recorder(parent, BEGAN, t=0.0)
+    fly(SimulatedFlight(CONFIG, Autopilot("ardupilot"), phlosar), recorder, moves)
+    recorder.close()
+    return recorder.folder / MCAP
 
 
 @pytest.fixture(scope="module")
@@ -79,15 +73,27 @@ def messages(*stretches: tuple[int, int, Mode], period_ms: int = 5) -> Iterator[
 
 def written(parent: Path, telemetry: Iterator[Telemetry], air_kPa: float | None = None) -> Path:
     """A log that says so; the host heard everything 20 ms late."""
-    log = FlightLog(parent)
-    log.believed(0.0, config.default().pneumatics)
+    recorder = Recorder(parent, BEGAN, t=0.0)
     snapshot = SimulatedFlight(config.default()).core.snapshot(0.0)
     for count, message in enumerate(telemetry):
-        log.action(Measured(count * 0.005 + 0.02, message))
+        recorder.event(FirmwareMessage(count * 0.005 + 0.02, message))
         if air_kPa is not None and count % 50 == 0:
-            log.snapshot(replace(snapshot, t=count * 0.005, ambient_kPa=air_kPa - count * 5e-4))
-    log.close()
-    return log.path
+            recorder.snapshot(replace(snapshot, t=count * 0.005, ambient_kPa=air_kPa - count * 5e-4))
+    recorder.close()
+    return recorder.folder / MCAP
+
+
+def rewritten(path: Path, to: Path, change: Callable[[Entry], bytes | None]) -> Path:
+    """A log with another JSON in some of its messages, or without them."""
+    to.parent.mkdir(exist_ok=True)
+    with to.open("wb") as file:
+        log = McapFile(file, TOPICS, "test")
+        for entry in FlightLog(path).entries():
+            data = change(entry)
+            if data is not None:
+                log.add(NUMBERS[entry.topic], entry.unix_ns, data)
+        log.finish()
+    return to
 
 
 ONE_BEND = ((0, 3000, Mode.VENT), (3000, 5000, Mode.REGULATE), (5000, 12_000, Mode.VENT))
@@ -107,8 +113,7 @@ def test_an_ideal_rig_is_not_accused(tmp_path: Path) -> None:
 
 
 def test_what_the_valves_did_is_kept_to_the_millisecond(leaky: Path) -> None:
-    said = [json.loads(line) for line in leaky.read_text().splitlines()]
-    telemetry = [entry for entry in said if entry["kind"] == "telemetry"]
+    telemetry = [entry.fields for entry in FlightLog(leaky).entries(("phlosar/telemetry",))]
     first_ms = next(entry["device_time_ms"] for entry in telemetry if entry["mode"] == Mode.REGULATE)
     began_ms = first_ms - LEAD_MS
     (run, *_) = read_flight(leaky).runs
@@ -215,32 +220,41 @@ def test_a_long_flight_is_sampled_from_beginning_to_end(tmp_path: Path) -> None:
     assert len(case.runs) >= 20 and any(f"of {bends} runs" in remark for remark in case.remarks)
 
 
-def test_the_last_line_may_be_torn(leaky: Path, tmp_path: Path) -> None:
-    torn = tmp_path / NAME
-    torn.write_bytes(leaky.read_bytes()[:-30])
-    assert len(read_flight(torn).runs) == 2
-    torn.write_text(leaky.read_text() + '{"kind":"telemetry","t":1.0,"cv_kPa":null}\n')
-    assert any("1 are damaged" in remark for remark in read_flight(tmp_path).remarks)
+def test_a_log_may_be_cut_off_and_damaged(leaky: Path, tmp_path: Path) -> None:
+    data = leaky.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: int(0.95 * len(data))])
+    case = read_flight(cut)
+    assert len(case.runs) == 2
+    assert any("was not brought to its end" in remark for remark in case.remarks)
+
+    readings = iter(range(100_000))
+
+    def one_without_pressure(entry: Entry) -> bytes:
+        if entry.topic == "phlosar/telemetry" and next(readings) == 3000:
+            return b'{"t":1.0}'
+        return entry.data
+
+    incomplete = rewritten(leaky, tmp_path / MCAP, one_without_pressure)
+    assert any("1 of" in remark and "incomplete" in remark for remark in read_flight(incomplete).remarks)
 
 
-def _without(path: Path, kind: str, to: Path) -> Path:
-    lines = [line for line in path.read_text().splitlines() if f'"kind":"{kind}"' not in line]
-    to.write_text("\n".join(lines))
-    return to
+def _without(path: Path, topic: str, to: Path) -> Path:
+    return rewritten(path, to, lambda entry: None if entry.topic == topic else entry.data)
 
 
 def test_what_cannot_be_used_is_one_line_and_status_2(
     leaky: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "empty.jsonl").touch()
-    (tmp_path / "noise.jsonl").write_bytes(bytes(range(256)) * 8)
+    (tmp_path / "empty.mcap").touch()
+    (tmp_path / "noise.mcap").write_bytes(bytes(range(256)) * 8)
     still = written(tmp_path, messages((0, 3000, Mode.VENT)))
     cases: dict[Path, str] = {
-        tmp_path / "nothing.jsonl": "No such file",
-        tmp_path / "empty.jsonl": "is no flight log, or an empty one",
-        tmp_path / "noise.jsonl": "is no flight log",
-        _without(leaky, "telemetry", tmp_path / "silent.jsonl"): "holds no telemetry",
-        _without(leaky, "rig", tmp_path / "rigless.jsonl"): "--rig RIG.toml",
+        tmp_path / "nothing.mcap": "No such file",
+        tmp_path / "empty.mcap": "is empty",
+        tmp_path / "noise.mcap": "is no flight log",
+        _without(leaky, "phlosar/telemetry", tmp_path / "silent.mcap"): "holds no telemetry",
+        _without(leaky, "start", tmp_path / "rigless.mcap"): "--rig RIG.toml",
         still: "no setpoint was held",
     }
     for path, why in cases.items():
@@ -255,7 +269,7 @@ def test_a_rig_file_stands_in_for_what_the_log_lacks(leaky: Path, tmp_path: Path
     rig = tmp_path / "rig.toml"
     rig.write_text("[cv]\nvolume_L = 0.2\n")
     assert read_flight(leaky).rig.cv == Rig().cv
-    believed = read_flight(_without(leaky, "rig", tmp_path / NAME), rig).rig
+    believed = read_flight(_without(leaky, "start", tmp_path / MCAP), rig).rig
     assert believed.cv is not None and believed.cv.volume_L == 0.2
     for text, why in (("[cv]\nvolume_L = -1\n", "volume_L"), ("", r"add \[cv\]")):
         rig.write_text(text)
@@ -264,8 +278,7 @@ def test_a_rig_file_stands_in_for_what_the_log_lacks(leaky: Path, tmp_path: Path
 
 
 def test_a_rig_in_the_log_that_is_none_is_refused(leaky: Path, tmp_path: Path) -> None:
-    tables: dict[str, Any] = {"kind": "rig", "t": 0.0, "tables": {"bottle": {}}}
-    rest = _without(leaky, "rig", tmp_path / "rest").read_text()
-    (tmp_path / NAME).write_text(f"{json.dumps(tables)}\n{rest}")
+    bottle = msgspec.json.encode({"t": 0.0, "believed": {"bottle": {}}})
+    rewritten(leaky, tmp_path / MCAP, lambda entry: bottle if entry.topic == "start" else entry.data)
     with pytest.raises(CaseError, match="no table 'bottle'"):
         read_flight(tmp_path)

@@ -7,6 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,7 +18,10 @@ from rich.text import Text
 
 from flying_vines.demo import ROOM_FOR_VINE, _with_vine
 from flying_vines.record import picture
+from flying_vines.record.mcap_file import McapFile
 from flying_vines.record.picture import DRAWN_WIDTH, _side_by_side, draw_flight
+from flying_vines.record.reader import FlightLog
+from flying_vines.record.topics import NUMBERS, TOPICS
 from flying_vines.vine.drawing import draw_vine
 from flying_vines.vine.shape import tip
 
@@ -57,6 +61,17 @@ def decision(t: float) -> dict[str, Any]:
     }
 
 
+def written(said: list[dict[str, Any]], path: Path) -> FlightLog:
+    """A log that says so, without what is unknown."""
+    with path.open("wb") as file:
+        log = McapFile(file, TOPICS, "test")
+        for entry in said:
+            known = {key: value for key, value in entry.items() if value == value and value is not None}
+            log.add(NUMBERS[known.pop("kind")], round(entry["t"] * 1e9), msgspec.json.encode(known))
+        log.finish()
+    return FlightLog(path)
+
+
 @pytest.mark.parametrize(
     ("bends_deg", "moments", "drawn"),
     [
@@ -78,8 +93,8 @@ def test_a_flights_picture_shows_each_bend_once(
         return draw_vine(axis, angle_deg, *args)
 
     monkeypatch.setattr(picture, "draw_vine", note)
-    log = [snapshot(0.1 * i, deg) for i, deg in enumerate(bends_deg)] + [decision(t) for t in moments]
-    draw_flight(log, tmp_path / "flight.png", "made up")
+    said = [snapshot(0.1 * i, deg) for i, deg in enumerate(bends_deg)] + [decision(t) for t in moments]
+    draw_flight(written(said, tmp_path / "flight.mcap"), tmp_path / "flight.png", "made up")
     assert (tmp_path / "flight.png").stat().st_size > 10_000
     if drawn is None:
         assert 4 <= len(shown) <= 1 / DRAWN_WIDTH

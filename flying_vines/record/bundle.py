@@ -1,0 +1,47 @@
+"""All of a flight in one file, for whoever is to find out what went wrong. Keys are never in it."""
+
+from __future__ import annotations
+
+import shutil
+import time
+import zipfile
+from pathlib import Path
+
+import msgspec
+
+from flying_vines.record.about import About
+from flying_vines.record.folders import ABOUT, MCAP, PROFILE, RIG, TLOG
+from flying_vines.record.reader import FlightLog
+
+PARTS = (MCAP, TLOG, PROFILE, RIG, ABOUT)
+"""Nothing else that lies in the folder: who knows what somebody has put there."""
+
+
+def bundle(log: FlightLog, story: str, path: Path) -> list[str]:
+    """Write a zip file with what there is of the flight and of this machine: the names in it.
+
+    `story` is the flight for people, as `log show` tells it.
+    """
+    names = []
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name in PARTS:
+            part = log.folder / name
+            if part.is_file():
+                file.write(part, f"{log.folder.name}/{name}")
+                names.append(name)
+        for name, text in (("story.txt", story), ("this-machine.json", _this_machine(log.folder))):
+            file.writestr(f"{log.folder.name}/{name}", text)
+            names.append(name)
+    return names
+
+
+def _this_machine(folder: Path) -> str:
+    """Where the bundle was made: it need not be where the flight was flown."""
+    disk = shutil.disk_usage(folder)
+    told = {
+        **msgspec.to_builtins(About.of_this_machine(time.time(), "")),
+        "disk_free_MB": round(disk.free / 1e6),
+        "disk_total_MB": round(disk.total / 1e6),
+    }
+    del told["continues"], told["firmware"]
+    return msgspec.json.format(msgspec.json.encode(told), indent=2).decode() + "\n"

@@ -1,0 +1,84 @@
+"""A flight's log as tables: a CSV file a topic, a line a message, units in the names of the columns."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from flying_vines.record.reader import FlightLog
+from flying_vines.record.schema import Schema
+from flying_vines.record.topics import MAVLINK_IN, MAVLINK_OUT, TOPICS
+
+_SCHEMAS = {topic.name: topic.schema for topic in TOPICS}
+
+
+class _Table:
+    """One CSV file."""
+
+    def __init__(self, path: Path, schema: Schema, opened: ExitStack) -> None:
+        columns = dict(_columns(schema))
+        self._keys = list(columns)
+        file = opened.enter_context(path.open("w", encoding="utf-8", newline=""))
+        self._writer = csv.writer(file)
+        self._writer.writerow(["unix_s", *columns.values()])
+
+    def write(self, unix_ns: int, said: Mapping[str, Any]) -> None:
+        cells = [_cell(said, key) for key in self._keys]
+        self._writer.writerow([f"{unix_ns // 10**9}.{unix_ns % 10**9:09}", *cells])
+
+
+def export_csv(log: FlightLog, folder: Path) -> list[Path]:
+    """Write the tables into a folder that exists: where they are.
+
+    MAVLink makes a table for each kind of message and way. Raises `LogError`.
+    """
+    tables: dict[str, _Table] = {}
+    paths = []
+    with ExitStack() as opened:
+        for entry in log.entries():
+            said = entry.fields
+            schema = _SCHEMAS.get(entry.topic, {"properties": {"t": {}}})
+            name = entry.topic
+            if entry.topic in (MAVLINK_IN, MAVLINK_OUT):
+                name = f"{name}/{said['name']}"
+                schema = _of_one_kind(schema, said["name"])
+            if name not in tables:
+                path = folder / f"{name.replace('/', '_')}.csv"
+                tables[name] = _Table(path, schema, opened)
+                paths.append(path)
+            tables[name].write(entry.unix_ns, said)
+    return sorted(paths)
+
+
+def _of_one_kind(schema: Schema, kind: str) -> Schema:
+    """A MAVLink topic's, without the fields of all other kinds."""
+    kept = {
+        name: of for name, of in schema["properties"].items() if of.get("type") != "object" or name == kind
+    }
+    return {**schema, "properties": kept}
+
+
+def _columns(schema: Schema, within: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
+    """The way to each value, and what its column is called."""
+    for name, of in schema["properties"].items():
+        way = (*within, name)
+        if of.get("properties"):
+            yield from _columns(of, way)
+            continue
+        column = ".".join(way)
+        if way == ("t",):
+            column = "t_s"
+        elif unit := of.get("description", ""):
+            column += f" [{unit}]"
+        yield way, column
+
+
+def _cell(said: Mapping[str, Any], way: tuple[str, ...]) -> object:
+    value: Any = said
+    for name in way:
+        value = value.get(name) if isinstance(value, Mapping) else None
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, dict | list) else value

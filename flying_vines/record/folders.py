@@ -1,0 +1,224 @@
+"""The folders of the flights, and their files, as the recorder's thread writes them.
+
+    flight.mcap     everything: see `topics`
+    flight.tlog     the MAVLink of both directions, for ground stations
+    profile.toml    the configuration as it was read; rig.toml, where a rig file was given
+    about.json      versions, machine, firmware
+
+A file is put on the disk for good twice a second: what the power takes with it is less than a second.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Self
+
+import msgspec
+
+from firmware_link import protocol
+from flying_vines import on_disk
+from flying_vines.config import Pneumatics
+from flying_vines.record.about import About, version_of
+from flying_vines.record.mcap_file import McapFile
+from flying_vines.record.topics import (
+    MAVLINK_IN,
+    MAVLINK_OUT,
+    NUMBERS,
+    TOPICS,
+    Entry,
+    Start,
+    encoded,
+    entry_of_state,
+)
+from flying_vines.reservoir import nominal_rig
+from flying_vines.vehicle.tlog import TlogWriter
+
+MCAP, TLOG = "flight.mcap", "flight.tlog"
+PROFILE, RIG, ABOUT = "profile.toml", "rig.toml", "about.json"
+SYNC_S = 0.5
+LOOK_AT_DISK_S = 5.0
+MOST_INDEX_BYTES = 16 * 1024 * 1024
+"""Of memory for the summary, after some ten hours: then another folder begins, flight or not."""
+_MAVLINK = (NUMBERS[MAVLINK_IN], NUMBERS[MAVLINK_OUT])
+
+
+@dataclass(frozen=True, slots=True)
+class Began:
+    """With what the service began its core; the first entry of every log."""
+
+    profile: str
+    """The configuration's text."""
+    pneumatics: Pneumatics
+    """As they are believed to be."""
+    rig: str = ""
+    """The rig file's text, if there is one."""
+    parameters: dict[str, float] = field(default_factory=dict)
+    """Those of a pilot that were kept."""
+    disarmed: bool = False
+    """The pneumatics were when the last service ended."""
+
+
+class LogEnded(OSError):
+    """The log ends for a reason of its own."""
+
+    def __init__(self, why: str) -> None:
+        super().__init__(0, why)
+
+
+class Folders:
+    """One folder after another; works in the recorder's thread."""
+
+    def __init__(self, parent: Path, began: Began, least_free_MB: float, t: float) -> None:
+        """`t` is now. The first folder and its beginning are on the disk when this returns."""
+        self._parent = parent
+        self._began = began
+        self._least_free_MB = least_free_MB
+        self._zero_unix_ns = time.time_ns() - round(t * 1e9)
+        self._firmware: protocol.Welcome | None = None
+        self._looked_at = self._synced_at = t - LOOK_AT_DISK_S
+        self.folder = self._make_folder()
+        self._files: Files | None = self._begin(t, "")
+
+    def write(self, batches: Sequence[Sequence[Entry | None]]) -> None:
+        """None among the entries begins another folder. Raises `OSError`, whatever goes wrong."""
+        try:
+            for batch in batches:
+                for entry in batch:
+                    if entry is None:
+                        self._next_folder()
+                    else:
+                        self._write_entry(entry)
+        except OSError:
+            raise
+        except Exception as error:
+            raise LogEnded(f"{type(error).__name__}: {error}") from error
+
+    def close(self, whole: bool) -> None:
+        """With the summary that belongs to a log that is `whole`."""
+        files, self._files = self._files, None
+        if files is None:
+            return
+        with files:
+            if whole:
+                files.finish()
+
+    def _write_entry(self, entry: Entry) -> None:
+        if self._files is None:
+            return
+        t = entry[1]
+        self._files.add(entry)
+        if isinstance(entry[2], protocol.Welcome):
+            self._firmware = entry[2]
+            self._files.tell_about(self._firmware)
+        if t - self._synced_at >= SYNC_S:
+            self._synced_at = t
+            self._files.sync()
+            if self._files.index_bytes > MOST_INDEX_BYTES:
+                self._next_folder()
+        if t - self._looked_at >= LOOK_AT_DISK_S:
+            self._looked_at = t
+            self._look_at_disk()
+
+    def _look_at_disk(self) -> None:
+        free_MB = shutil.disk_usage(self.folder).free / 1e6
+        if free_MB < self._least_free_MB:
+            self.close(whole=True)
+            raise LogEnded(
+                f"the disk has {free_MB:.0f} MB left, and log.least_free_MB is {self._least_free_MB:g}"
+            )
+
+    def _next_folder(self) -> None:
+        if self._files is None:
+            return
+        before, t = self.folder.name, self._files.latest
+        self.close(whole=True)
+        self.folder = self._make_folder()
+        self._files = self._begin(t, before)
+
+    def _begin(self, t: float, continues: str) -> Files:
+        files = Files(self.folder, self._zero_unix_ns, self._began, t, continues)
+        if self._firmware is not None:
+            files.tell_about(self._firmware)
+        return files
+
+    def _make_folder(self) -> Path:
+        """Named by the local time; the clock may have been set since the service began."""
+        stamp = time.strftime("%Y-%m-%d_%H-%M-%S")
+        for suffix in ("", *(f"_{n}" for n in range(2, 1000))):
+            folder = self._parent / (stamp + suffix)
+            try:
+                folder.mkdir(parents=True)
+            except FileExistsError:
+                continue
+            on_disk.sync_folder(self._parent)
+            return folder
+        raise FileExistsError(f"{self._parent}: a thousand flights in one second")
+
+
+class Files:
+    """Those of one flight."""
+
+    def __init__(self, folder: Path, zero_unix_ns: int, began: Began, t: float, continues: str) -> None:
+        self.latest = t
+        self._folder = folder
+        self._zero_unix_ns = zero_unix_ns
+        self._about = About.of_this_machine(self._unix_ns(t) / 1e9, continues)
+        self._opened = contextlib.ExitStack()
+        self._file = self._opened.enter_context((folder / MCAP).open("wb"))
+        self._tlog = self._opened.enter_context(TlogWriter(folder / TLOG))
+        on_disk.put(folder / PROFILE, began.profile)
+        if began.rig:
+            on_disk.put(folder / RIG, began.rig)
+        self._write_about()
+        self._mcap = McapFile(self._file, TOPICS, f"flying-vines {version_of('flying-vines')}")
+        believed = msgspec.to_builtins(nominal_rig(began.pneumatics))
+        start = Start(t, began.profile, began.rig, began.parameters, began.disarmed, believed, continues)
+        self.add(entry_of_state(start))
+        self.sync()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._opened.close()
+
+    @property
+    def index_bytes(self) -> int:
+        return self._mcap.index_bytes
+
+    def add(self, entry: Entry) -> None:
+        number, self.latest, what = entry
+        time_ns = self._unix_ns(self.latest)
+        self._mcap.add(number, time_ns, encoded(entry))
+        if number in _MAVLINK:
+            self._tlog.write(time_ns // 1000, bytes(what))
+
+    def sync(self) -> None:
+        """Onto the disk, for good."""
+        self._mcap.flush()
+        os.fsync(self._file.fileno())
+        self._tlog.sync()
+
+    def finish(self) -> None:
+        """With a summary."""
+        self._mcap.finish()
+        os.fsync(self._file.fileno())
+        self._tlog.sync()
+
+    def tell_about(self, firmware: protocol.Welcome) -> None:
+        self._about = self._about.with_firmware(firmware)
+        self._write_about()
+
+    def _write_about(self) -> None:
+        on_disk.put(
+            self._folder / ABOUT, msgspec.json.format(msgspec.json.encode(self._about)).decode() + "\n"
+        )
+
+    def _unix_ns(self, t: float) -> int:
+        return self._zero_unix_ns + round(t * 1e9)

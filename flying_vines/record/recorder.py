@@ -1,0 +1,105 @@
+"""The flight recorder: a folder per flight, with all that went into the core and all that came out of it.
+
+The loop that flies does no more than put things into a list. A thread of the recorder makes JSON of them and
+puts it on the disk. A disk that fails, fills or hangs ends the log, never the flight.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from flying_vines.events import Action, Event, Snapshot
+from flying_vines.record.aside import Aside
+from flying_vines.record.folders import Began, Folders
+from flying_vines.record.topics import Entry, entry_of_action, entry_of_event, entry_of_state
+from flying_vines.watcher import Watcher
+
+__all__ = ["Began", "Recorder"]
+
+HAND_OVER_S = 0.1
+"""How long things wait in the loop's list. The thread works in short bits, for both share one interpreter."""
+MOST_WAITING = 150_000
+"""Things that wait for a disk that hangs: some six minutes of flight, 32 MB."""
+LAST_WRITES_S = 5.0
+
+
+class Recorder(Watcher):
+    """Writes what happens, from the service's beginning to its end."""
+
+    def __init__(
+        self, parent: Path, began: Began, least_free_MB: float = 0.0, t: float | None = None
+    ) -> None:
+        """`t` is now by the service's clock, which is asyncio's unless it is given.
+
+        Raises `OSError` when nothing can be written there.
+        """
+        self._folders = Folders(parent, began, least_free_MB, time.monotonic() if t is None else t)
+        self._aside: Aside[list[Entry | None]] = Aside(self._folders.write, MOST_WAITING)
+        self._waiting: list[Entry | None] = []
+        self._due = 0.0
+        self._t = 0.0
+        self._flown = _Flown()
+        self._ended = ""
+
+    @property
+    def folder(self) -> Path:
+        """Of the present flight."""
+        return self._folders.folder
+
+    @property
+    def failed(self) -> str:
+        """A sentence for people, once the log has ended before its time."""
+        error = self._aside.error
+        return f"the flight log ends here: {error.strerror}" if error else self._ended
+
+    def event(self, event: Event) -> None:
+        self._t = event.t
+        self._take(entry_of_event(event))
+
+    def action(self, action: Action) -> None:
+        entry = entry_of_action(self._t, action)
+        if entry is not None:
+            self._take(entry)
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        if self._flown.another(snapshot.armed):
+            self._waiting.append(None)
+        self._take(entry_of_state(snapshot))
+
+    def close(self) -> None:
+        """Write the rest, for as long as that may take."""
+        self._hand_over()
+        if not self._aside.close(LAST_WRITES_S):
+            self._ended = "the end of the flight log is lost: the disk hangs"
+            return
+        try:
+            self._folders.close(whole=not self.failed)
+        except OSError as error:
+            self._ended = f"the flight log ends here: {error.strerror}"
+
+    def _take(self, entry: Entry) -> None:
+        self._waiting.append(entry)
+        if entry[1] >= self._due:
+            self._due = entry[1] + HAND_OVER_S
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        if waiting and not self.failed and not self._aside.write(waiting, len(waiting)):
+            self._ended = "the flight log ends here: the disk does not keep up"
+
+
+class _Flown:
+    """Whether the vehicle has flown: a second arming begins another flight."""
+
+    def __init__(self) -> None:
+        self._armed = self._before = False
+
+    def another(self, armed: bool) -> bool:
+        """Whether a flight begins that is not the first."""
+        began, ended = armed and not self._armed, self._armed and not armed
+        self._armed = armed
+        another = began and self._before
+        self._before = (self._before or ended) and not another
+        return another

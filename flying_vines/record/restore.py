@@ -1,0 +1,79 @@
+"""The core's events out of a log: as they were, to the last bit of every number.
+
+But for what is no number: NaN and the infinities are left out of a log, and come back as NaN.
+"""
+
+from __future__ import annotations
+
+import binascii
+import math
+from collections.abc import Mapping
+from dataclasses import fields
+from enum import IntEnum, IntFlag
+from functools import cache
+from typing import Any, TypeVar, get_args, get_type_hints
+
+from firmware_link import protocol
+from flying_vines.events import (
+    Asked,
+    Decision,
+    Event,
+    FirmwareMessage,
+    LinkChanged,
+    Said,
+    Stop,
+    Tick,
+    VehicleMessage,
+)
+from flying_vines.intent import Intent
+from flying_vines.notice import Notice
+from flying_vines.record.reader import Entry, FlightLog, LogError
+from flying_vines.record.topics import MAVLINK_IN, START, Start, message_in, topic_of
+
+T = TypeVar("T")
+_KINDS: dict[str, type] = {
+    topic_of(kind): kind
+    for kind in (*get_args(protocol.DeviceMessage), Tick, LinkChanged, Said, Stop, Decision, Notice, Start)
+}
+_INTENTS: dict[str, type] = {kind.__name__: kind for kind in get_args(Intent)}
+
+
+def start_of(log: FlightLog) -> Start:
+    """With what the service began; raises `LogError` where that part is damaged."""
+    for entry in log.entries((START,)):
+        return restored(Start, entry.fields)
+    raise LogError(f"{log.path}: its beginning is damaged")
+
+
+def event_of(entry: Entry) -> Event:
+    """Of an entry of one of the `EVENT_TOPICS`."""
+    said = entry.fields
+    if entry.topic == MAVLINK_IN:
+        return VehicleMessage(said["t"], message_in(binascii.a2b_base64(said["frame"])))
+    if entry.topic == topic_of(Asked):
+        intent: Intent = restored(_INTENTS[said["intent"]["kind"]], said["intent"])
+        return Asked(said["t"], said["by"], intent)
+    happened: Any = restored(_KINDS[entry.topic], said)
+    if isinstance(happened, Tick | LinkChanged | Said | Stop):
+        return happened
+    return FirmwareMessage(said["t"], happened)
+
+
+def restored(kind: type[T], said: Mapping[str, Any]) -> T:
+    """A dataclass out of its fields; those that are left out are unknown."""
+    return kind(**{
+        name: hint(said[name]) if name in said and _is_enum(hint) else said.get(name, unknown)
+        for name, (hint, unknown) in _hints(kind).items()  # type: ignore[arg-type]  # as if a type had no hash
+    })  # fmt: skip
+
+
+@cache
+def _hints(kind: type) -> dict[str, tuple[Any, float | None]]:
+    """Of each field: its type, and what stands for not knowing it."""
+    hints = get_type_hints(kind)
+    names = [field.name for field in fields(kind)]
+    return {name: (hints[name], math.nan if hints[name] is float else None) for name in names}
+
+
+def _is_enum(hint: Any) -> bool:
+    return isinstance(hint, type) and issubclass(hint, IntEnum | IntFlag)

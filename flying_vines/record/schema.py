@@ -1,0 +1,75 @@
+"""JSON schemas of what is recorded, made from the dataclasses themselves so that the two cannot drift apart.
+
+A field has one plain type, as Foxglove reads schemas; a value that is unknown is left out of its message.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from inspect import getdoc
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+Schema = dict[str, Any]
+
+_PLAIN: dict[type, str] = {bool: "boolean", int: "integer", float: "number", str: "string"}
+
+
+def obj(properties: Mapping[str, Schema], description: str = "") -> Schema:
+    """A schema of an object with these properties; others may be there as well."""
+    schema: Schema = {"type": "object", "properties": dict(properties)}
+    if description:
+        schema["description"] = description
+    return schema
+
+
+def of_dataclass(kind: type) -> Schema:
+    """Of a dataclass or a named tuple: its fields in order, and what its docstring says."""
+    hints = get_type_hints(kind)
+    names = [field.name for field in fields(kind)] if is_dataclass(kind) else list(kind.__annotations__)
+    return obj({name: of_type(hints[name]) for name in names}, (getdoc(kind) or "").split("\n\n")[0])
+
+
+def of_type(hint: Any) -> Schema:
+    """Of a type hint."""
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        known = [argument for argument in arguments if argument is not type(None)]
+        if len(known) == 1:
+            return of_type(known[0])
+        return merged(of_dataclass(argument) for argument in known)
+    if origin is Literal:
+        return {"type": "string", "enum": list(arguments)}
+    if origin in (list, tuple):
+        return {"type": "array", "items": of_type(arguments[0])}
+    if origin is dict:
+        return obj({})
+    if is_dataclass(hint) or hasattr(hint, "_fields"):
+        return of_dataclass(hint)
+    return {"type": next(word for kind, word in _PLAIN.items() if issubclass(hint, kind))}
+
+
+def merged(alternatives: Iterable[Schema]) -> Schema:
+    """Of one of several objects: whatever any of them has."""
+    properties: dict[str, Schema] = {}
+    for schema in alternatives:
+        properties |= schema["properties"]
+    return obj(properties)
+
+
+def of_mavlink(kind: Any) -> Schema:
+    """Of a message of the pymavlink dialect."""
+    lengths = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
+    properties = {}
+    for name, wire in zip(kind.fieldnames, kind.fieldtypes, strict=True):
+        if wire == "char":
+            field: Schema = {"type": "string"}
+        else:
+            field = {"type": "number" if wire in ("float", "double") else "integer"}
+            if lengths[name]:
+                field = {"type": "array", "items": field}
+        if unit := kind.fieldunits_by_name.get(name):
+            field["description"] = unit
+        properties[name] = field
+    return obj(properties)

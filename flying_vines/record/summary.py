@@ -1,0 +1,92 @@
+"""A flight in a few numbers, out of its log."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from flying_vines.record.folders import MCAP
+from flying_vines.record.reader import FlightLog, LogError
+from flying_vines.record.topics import DECISION, SNAPSHOT
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What `log list` shows of a flight."""
+
+    folder: Path
+    began_s: float
+    """Unix time."""
+    length_s: float
+    armed_s: float
+    bends: int
+    """Times that somebody's trigger bent the vine."""
+    refused: int
+    lowest_reservoir_kPa: float
+    """Gauge; NaN where no phloSAR answered."""
+    findings: dict[str, int]
+    """How often each of the physics checks found something."""
+    size_MB: float
+    """Of all in the folder."""
+    lost: int
+    """Messages that are damaged."""
+    damage: str
+    """A sentence; empty for a whole log. One that is being written is not brought to its end."""
+
+
+def summarise(log: FlightLog) -> Summary:
+    """Raises `LogError` when there is nothing to read."""
+    began_ns = ended_ns = 0
+    armed_s = 0.0
+    before_t: float | None = None
+    lowest_kPa = math.inf
+    findings: dict[str, int] = {}
+    bends = refused = 0
+    for entry in log.entries((SNAPSHOT, DECISION)):
+        began_ns, ended_ns = began_ns or entry.unix_ns, entry.unix_ns
+        said = entry.fields
+        if entry.topic == DECISION:
+            refused += said["safety"] == "refused"
+            bends += (
+                said["safety"] != "refused" and said["setpoint_kPa"] > 0.0 and said["trigger"] != "failsafe"
+            )
+            continue
+        if said["armed"] and before_t is not None:
+            armed_s += said["t"] - before_t
+        before_t = said["t"]
+        lowest_kPa = min(lowest_kPa, said.get("reservoir_kPa", math.inf))
+        findings = said["findings"]
+    return Summary(
+        folder=log.folder,
+        began_s=began_ns / 1e9,
+        length_s=(ended_ns - began_ns) / 1e9,
+        armed_s=armed_s,
+        bends=bends,
+        refused=refused,
+        lowest_reservoir_kPa=lowest_kPa if math.isfinite(lowest_kPa) else math.nan,
+        findings={name: count for name, count in findings.items() if count},
+        size_MB=sum(path.stat().st_size for path in log.folder.iterdir() if path.is_file()) / 1e6,
+        lost=log.lost,
+        damage=log.damage,
+    )
+
+
+def flights_in(parent: Path) -> list[Path]:
+    """The folders of flights, the oldest first."""
+    if not parent.is_dir():
+        return []
+    return sorted(folder for folder in parent.iterdir() if (folder / MCAP).is_file())
+
+
+def find_flight(said: str, parent: Path) -> FlightLog:
+    """By what a person calls it: "last", its folder's name, a folder or a file. Raises `LogError`."""
+    if said == "last":
+        flights = flights_in(parent)
+        if not flights:
+            raise LogError(f"{parent}: there is no flight in it")
+        return FlightLog(max(flights, key=lambda folder: (folder / MCAP).stat().st_mtime))
+    for path in (Path(said), parent / said):
+        if path.is_file() or (path / MCAP).is_file():
+            return FlightLog(path)
+    raise LogError(f"{said}: is no flight: give a flight's folder, its {MCAP}, or last")

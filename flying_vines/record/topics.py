@@ -1,0 +1,270 @@
+"""What a flight's log holds: its topics, and how each thing that happens becomes a message of one.
+
+Pressures are gauge kPa, times `t` seconds of the service's own clock, which nobody sets. What is unknown is
+left out. A MAVLink message is its whole frame and, where anything here acts on its kind, its fields under
+the kind's name.
+"""
+
+from __future__ import annotations
+
+import binascii
+import re
+from dataclasses import dataclass
+from typing import Any, NamedTuple, get_args
+
+import msgspec
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from firmware_link import protocol
+from flying_vines.events import (
+    Action,
+    Asked,
+    Calibrated,
+    Decision,
+    Event,
+    FirmwareMessage,
+    KeepDisarmed,
+    KeepParameters,
+    LinkChanged,
+    Measured,
+    Said,
+    Snapshot,
+    Stop,
+    Tick,
+    ToFirmware,
+    ToVehicle,
+    VehicleMessage,
+)
+from flying_vines.intent import Intent
+from flying_vines.notice import Notice
+from flying_vines.record.schema import Schema, merged, obj, of_dataclass, of_mavlink, of_type
+from flying_vines.vehicle import heard
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.frames import Frame, Frames
+from flying_vines.vehicle.payloads import message_of
+
+_ANOTHER = bytes((mavlink.PROTOCOL_MARKER_V2,))
+_encode = msgspec.json.Encoder().encode
+_decode = msgspec.json.Decoder().decode
+
+DECODED = heard.ALL | {"NAMED_VALUE_FLOAT"}
+"""MAVLink messages whose fields are in the log beside their frames."""
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """With what the core began: it and the events after it give every decision again."""
+
+    t: float
+    profile: str
+    """The configuration's text."""
+    rig: str
+    """The rig file's text; empty where there was none."""
+    parameters: dict[str, float]
+    """Those of a pilot that were kept."""
+    disarmed: bool
+    """The pneumatics were when the last service ended."""
+    believed: dict[str, Any]
+    """What the rig is taken to be, as the tables of a rig file."""
+    continues: str
+    """The folder of the same service's flight before, whose end this one's beginning is; or empty."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mavlink:
+    """A MAVLink message: its frame and, of those that are acted on, its fields under the name of its kind."""
+
+    t: float
+    name: str
+    system_id: int
+    component_id: int
+    frame: str
+    """Base64."""
+
+
+class Topic(NamedTuple):
+    """A channel of the log; its number is its place in `TOPICS`, counted from 1."""
+
+    name: str
+    schema_name: str
+    schema: Schema
+
+
+def _snake(name: str) -> str:
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
+
+
+def _topic(name: str, kind: type, with_t: bool = False) -> Topic:
+    schema = of_dataclass(kind)
+    if with_t:
+        schema["properties"] = {"t": of_type(float), **schema["properties"]}
+    return Topic(name, f"flying_vines.{kind.__name__}", schema)
+
+
+def _mavlink_topic(name: str) -> Topic:
+    schema = of_dataclass(Mavlink)
+    schema["properties"]["frame"]["contentEncoding"] = "base64"
+    for kind in sorted(mavlink.mavlink_map.values(), key=lambda kind: str(kind.msgname)):
+        if kind.msgname in DECODED:
+            schema["properties"][kind.msgname] = of_mavlink(kind)
+    return Topic(name, "flying_vines.Mavlink", schema)
+
+
+_SERIAL: dict[type, str] = {
+    kind: f"phlosar/{_snake(kind.__name__)}"
+    for kind in (*get_args(protocol.HostMessage), *get_args(protocol.DeviceMessage))
+}
+_EVENTS: dict[type, str] = {Tick: "tick", LinkChanged: "link", Said: "said", Asked: "asked", Stop: "stop"}
+_ANSWERS: dict[type, str] = {
+    Decision: "decision",
+    Notice: "notice",
+    Calibrated: "calibration",
+    KeepParameters: "parameters",
+    KeepDisarmed: "disarmed",
+}
+_STATES: dict[type, str] = {Start: "start", Snapshot: "snapshot"}
+MAVLINK_IN, MAVLINK_OUT = "mavlink/in", "mavlink/out"
+
+
+def _calibration_schema() -> Schema:
+    levels: Schema = {"type": "array", "items": {"type": "number"}}
+    return obj({"t": of_type(float), "asked_kPa": levels, "read_kPa": levels}, Calibrated.__doc__ or "")
+
+
+def _asked_schema() -> Schema:
+    wanted = merged(of_dataclass(kind) for kind in get_args(Intent))
+    wanted["properties"] = {"kind": of_type(str), **wanted["properties"]}
+    return obj({"t": of_type(float), "by": of_type(str), "intent": wanted}, Asked.__doc__ or "")
+
+
+def _topics() -> tuple[Topic, ...]:
+    shaped = {Calibrated: _calibration_schema, Asked: _asked_schema}
+    plain = {**_STATES, **_EVENTS, **_ANSWERS}
+    return (
+        _mavlink_topic(MAVLINK_IN),
+        _mavlink_topic(MAVLINK_OUT),
+        *(_topic(name, kind, with_t=True) for kind, name in _SERIAL.items()),
+        *(
+            Topic(name, f"flying_vines.{kind.__name__}", shaped[kind]())
+            if kind in shaped
+            else _topic(name, kind)
+            for kind, name in plain.items()
+        ),
+    )
+
+
+TOPICS = _topics()
+NUMBERS = {topic.name: number for number, topic in enumerate(TOPICS, start=1)}
+EVENT_TOPICS = frozenset({
+    MAVLINK_IN, *_EVENTS.values(),
+    *(_SERIAL[kind] for kind in get_args(protocol.DeviceMessage)),
+})  # fmt: skip
+"""What went into the core."""
+ANSWER_TOPICS = frozenset({
+    MAVLINK_OUT, *_ANSWERS.values(),
+    *(_SERIAL[kind] for kind in get_args(protocol.HostMessage)),
+})  # fmt: skip
+"""What came out of it."""
+START, SNAPSHOT = _STATES[Start], _STATES[Snapshot]
+DECISION, NOTICE = _ANSWERS[Decision], _ANSWERS[Notice]
+TELEMETRY = _SERIAL[protocol.Telemetry]
+
+Entry = tuple[int, float, Any]
+"""A topic's number, the time, and what is to be written there: a dataclass, or a MAVLink frame."""
+
+_IN, _OUT = NUMBERS[MAVLINK_IN], NUMBERS[MAVLINK_OUT]
+_NUMBER_OF = {kind: NUMBERS[name] for kind, name in (_SERIAL | _EVENTS | _ANSWERS | _STATES).items()}
+
+
+def topic_of(kind: type) -> str:
+    """Where things of this kind are."""
+    return TOPICS[_NUMBER_OF[kind] - 1].name
+
+
+def entry_of_event(event: Event) -> Entry:
+    """In the loop that flies: no more than to say where it belongs."""
+    if isinstance(event, VehicleMessage):
+        return _IN, event.t, event.message.get_msgbuf()
+    if isinstance(event, FirmwareMessage):
+        return _NUMBER_OF[type(event.message)], event.t, event.message
+    return _NUMBER_OF[type(event)], event.t, event
+
+
+def entry_of_action(t: float, action: Action) -> Entry | None:
+    """At time `t` of the event that it answers; None for what is an event's echo."""
+    if isinstance(action, ToVehicle):
+        return _OUT, t, action.message.get_msgbuf()
+    if isinstance(action, ToFirmware):
+        return _NUMBER_OF[type(action.message)], t, action.message
+    if isinstance(action, Measured):
+        return None
+    return _NUMBER_OF[type(action)], action.t, action
+
+
+def entry_of_state(state: Snapshot | Start) -> Entry:
+    return _NUMBER_OF[type(state)], state.t, state
+
+
+def encoded(entry: Entry) -> bytes:
+    """The message's JSON."""
+    number, t, what = entry
+    if number in (_IN, _OUT):
+        return _mavlink(t, bytes(what))
+    if isinstance(what, Calibrated | Asked):
+        return _without_nulls(_encode(_shaped(what)))
+    data = _encode(what)
+    if not hasattr(what, "t"):
+        rest = data[1:]
+        data = b'{"t":' + _encode(t) + (b"" if rest == b"}" else b",") + rest
+    return _without_nulls(data)
+
+
+def _shaped(what: Calibrated | Asked) -> dict[str, Any]:
+    """Where plain encoding would lose what a field is called."""
+    if isinstance(what, Calibrated):
+        asked, read = zip(*what.levels_kPa, strict=True) if what.levels_kPa else ((), ())
+        return {"t": what.t, "asked_kPa": asked, "read_kPa": read}
+    plain: dict[str, Any] = msgspec.to_builtins(what)
+    plain["intent"] = {"kind": type(what.intent).__name__, **plain["intent"]}
+    return plain
+
+
+def _without_nulls(data: bytes) -> bytes:
+    if b":null" not in data:
+        return data
+    return _encode(_known(_decode(data)))
+
+
+def _known(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _known(item) for key, item in value.items() if item is not None}
+    return value
+
+
+def _mavlink(t: float, raw: bytes) -> bytes:
+    frame = frame_of(raw)
+    entry: dict[str, Any] = {
+        "t": t,
+        "name": f"UNKNOWN_{frame.message_id}",
+        "system_id": frame.system,
+        "component_id": frame.component,
+        "frame": binascii.b2a_base64(raw, newline=False).decode("ascii"),
+    }
+    if frame.known:
+        message = message_of(frame)
+        name = entry["name"] = message.get_type()
+        if name in DECODED:
+            entry[name] = {field: getattr(message, field) for field in message.fieldnames}
+    return _without_nulls(_encode(entry))
+
+
+def frame_of(raw: bytes) -> Frame:
+    """A frame that was believed when it came, or is ours."""
+    # Of a kind that the dialect lacks a frame counts as one when another begins behind it.
+    (frame,) = Frames().take(raw + _ANOTHER)
+    return frame
+
+
+def message_in(raw: bytes) -> Message:
+    """The message in a frame that was heard."""
+    return message_of(frame_of(raw))

@@ -1,0 +1,167 @@
+"""A flight's log, asked again: the same answers, and what is said when they are not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import pytest
+from recorded_flight import BEGAN, CONFIG, HIGH, LOW, fly, new_flight, one_bend
+
+from flying_vines import config
+from flying_vines.cli import main
+from flying_vines.core import Core
+from flying_vines.events import Asked, Decision
+from flying_vines.intent import BendTo
+from flying_vines.pneumatics.plant.true_rig import TrueRig, true_rig_text
+from flying_vines.pneumatics.rig import Rig
+from flying_vines.record.folders import MCAP
+from flying_vines.record.mcap_file import McapFile
+from flying_vines.record.reader import Entry, FlightLog, LogError
+from flying_vines.record.recorder import Recorder
+from flying_vines.record.topics import NUMBERS, TOPICS
+from flying_vines.replay import replay_flight
+from flying_vines.reservoir.calibration import load_calibration
+from flying_vines.simulated_world import SimulatedFlight
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return one_bend(tmp_path_factory.mktemp("flown"))
+
+
+def rewritten(log: Path, folder: Path, change: Callable[[Entry], bytes]) -> Path:
+    folder.mkdir()
+    with (folder / MCAP).open("wb") as file:
+        mcap = McapFile(file, TOPICS, "test")
+        for entry in FlightLog(log).entries():
+            mcap.add(NUMBERS[entry.topic], entry.unix_ns, change(entry))
+        mcap.finish()
+    return folder
+
+
+def test_a_flight_comes_out_the_same_again(flown: Path) -> None:
+    again = replay_flight(FlightLog(flown))
+    assert not again.differences and not again.damage
+    assert [(d.intent, d.safety) for d in again.decisions] == [
+        ("bend-full", "accepted"),
+        ("straight", "accepted"),
+    ]
+    recorded = [entry for entry in FlightLog(flown).entries() if entry.topic in again.compared]
+    assert again.compared.total() == len(recorded)
+    assert {"decision", "notice", "mavlink/out", "phlosar/setpoint", "phlosar/vent"} <= again.compared.keys()
+
+
+def test_all_that_the_core_began_with_counts(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(true_rig_text(TrueRig(Rig(), {"cv_leak": {"flow_resistance_kPa_s_per_SL": 8000.0}})))
+    belief = load_calibration(rig, CONFIG.pneumatics).belief
+    parameters = {"VINE_RATE_HZ": 5.0}
+    began = replace(BEGAN, pneumatics=belief.pneumatics, rig=rig.read_text())
+    began = replace(began, parameters=parameters, disarmed=True)
+    flight = new_flight()
+    flight.world.core = Core(CONFIG, (), belief, parameters, disarmed=True)
+    recorder = Recorder(tmp_path / "flights", began, t=0.0)
+    fly(flight, recorder, ((3.0, LOW), (5.0, HIGH), (6.0, LOW)))
+    recorder.close()
+    again = replay_flight(FlightLog(recorder.folder))
+    assert not again.differences and again.compared.total() > 300
+    assert {d.reason for d in again.decisions if d.safety == "refused"} == {"the pneumatics are disarmed"}
+
+    def without_disarming(entry: Entry) -> bytes:
+        return entry.data.replace(b'"disarmed":true', b'"disarmed":false')
+
+    forgot = replay_flight(FlightLog(rewritten(recorder.folder, tmp_path / "forgot", without_disarming)))
+    assert forgot.differences
+
+
+def test_what_a_page_asked_is_asked_again(tmp_path: Path) -> None:
+    flight, recorder = new_flight(), Recorder(tmp_path, BEGAN, t=0.0)
+    fly(flight, recorder, ((3.0, LOW),))
+    actions = flight.core.handle(Asked(3.0, "page", BendTo(33.3)))
+    fly_on(flight, recorder, 5.0)
+    recorder.close()
+    (asked,) = (action for action in actions if isinstance(action, Decision))
+    again = replay_flight(FlightLog(recorder.folder))
+    assert again.decisions == [asked] and asked.intent == "bend 33.3°" and not again.differences
+
+
+def fly_on(flight: SimulatedFlight, recorder: Recorder, until_s: float) -> None:
+    """Of a flight that is watched already."""
+    flight.run(until_s)
+    recorder.snapshot(flight.core.snapshot(until_s))
+
+
+def test_the_second_flight_of_a_service_is_replayed_from_the_first(tmp_path: Path) -> None:
+    flight, recorder = new_flight(), Recorder(tmp_path / "flights", BEGAN, t=0.0)
+    fly(flight, recorder, ((3.0, LOW), (4.0, HIGH)))
+    for until_s, arm in ((5.0, True), (6.0, False), (7.0, True), (8.0, False)):
+        if arm:
+            flight.autopilot.takeoff(10.0)
+        else:
+            flight.autopilot.disarm()
+        for tenth in range(10):
+            fly_on(flight, recorder, until_s - 1.0 + (tenth + 1) / 10)
+    recorder.close()
+    first, second = sorted((tmp_path / "flights").iterdir())
+    again = replay_flight(FlightLog(second))
+    assert not again.differences and len(again.decisions) >= 1
+    first.rename(tmp_path / "elsewhere")
+    with pytest.raises(LogError, match=f"continues {first.name}, which is not beside it"):
+        replay_flight(FlightLog(second))
+
+
+def test_another_answer_is_found_and_said(flown: Path, tmp_path: Path) -> None:
+    def other_setpoint(entry: Entry) -> bytes:
+        if entry.topic != "decision":
+            return entry.data
+        return msgspec.json.encode({**entry.fields, "setpoint_kPa": 19.0})
+
+    again = replay_flight(FlightLog(rewritten(flown, tmp_path / "other", other_setpoint)))
+    assert len(again.differences) == 2
+    assert '"setpoint_kPa":19.0' in again.differences[0] and '"setpoint_kPa":20.7' in again.differences[0]
+
+
+def test_another_profile_shows_what_would_have_been(flown: Path) -> None:
+    grounded = config.parse(BEGAN.profile.replace("bench_mode = true", "bench_mode = false"), "other")
+    again = replay_flight(FlightLog(flown), grounded)
+    assert again.differences
+    assert (again.decisions[0].safety, again.decisions[0].reason) == ("refused", "not armed")
+
+
+def test_a_damaged_log_is_compared_up_to_there(flown: Path, tmp_path: Path) -> None:
+    data = (flown / MCAP).read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: len(data) // 2])
+    again = replay_flight(FlightLog(cut))
+    assert not again.differences and "not brought to its end" in again.damage
+    assert 100 < again.compared.total() < replay_flight(FlightLog(flown)).compared.total()
+    hurt = bytearray(data)
+    hurt[len(data) // 2] ^= 0xFF
+    cut.write_bytes(hurt)
+    again = replay_flight(FlightLog(cut))
+    assert not again.differences and "damaged" in again.damage
+
+
+def test_the_command_says_whether_it_is_the_same(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    profile = tmp_path / "grounded.toml"
+    profile.write_text(BEGAN.profile.replace("bench_mode = true", "bench_mode = false"))
+    for arguments, status, said in (
+        ([str(flown)], 0, "Identical to the flight"),
+        ([str(flown / MCAP)], 0, "Identical to the flight"),
+        ([str(flown), "--json"], 0, '"differences": []'),
+        ([str(flown), "--config", str(profile)], 1, "answers differ from the flight's"),
+        ([str(flown / "flight.tlog")], 0, "bend-full"),
+        ([str(tmp_path)], 2, ""),
+        ([str(flown), "--pace", "1"], 2, ""),
+    ):
+        with pytest.raises(SystemExit) as exit_:
+            main(["replay", *arguments])
+        out, err = capsys.readouterr()
+        assert exit_.value.code == status
+        assert said in " ".join(out.split())
+        assert (err.count("\n") == 1) == (status == 2)

@@ -1,0 +1,70 @@
+"""Flights in simulated time with a recorder that sees what the service's would see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from flying_vines import config
+from flying_vines.core import Core
+from flying_vines.events import Action, Event, ToVehicle
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.firmware import FirmwareSettings
+from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.record.recorder import Began, Recorder
+from flying_vines.simulated_world import SimulatedFlight
+from flying_vines.vehicle.codec import Codec
+
+SWITCH, LOW, MIDDLE, HIGH = 9, 1000, 1500, 2000
+PROFILE = (
+    config.default_text()
+    .replace("bench_mode = false", "bench_mode = true")
+    .replace("fuel_status = false", "fuel_status = true")
+)
+CONFIG = config.parse(PROFILE, "the test's profile")
+BEGAN = Began(PROFILE, CONFIG.pneumatics)
+
+
+def watch(core: Core, recorder: Recorder) -> None:
+    """Let the recorder see what the core does."""
+    handle, codec = core.handle, Codec(0, 191)
+
+    def handled(event: Event) -> list[Action]:
+        actions = handle(event)
+        for action in actions:
+            if isinstance(action, ToVehicle):
+                codec.encode(action.message, action.system_id)
+        recorder.event(event)
+        for action in actions:
+            recorder.action(action)
+        return actions
+
+    core.handle = handled  # type: ignore[method-assign]
+
+
+def fly(
+    flight: SimulatedFlight, recorder: Recorder, moves: Sequence[tuple[float, int]], step_s: float = 0.1
+) -> None:
+    """Moves of the switch: until when, where it is; with snapshots as the service makes them."""
+    watch(flight.core, recorder)
+    now = flight.world.now
+    for until_s, pulse_us in moves:
+        flight.autopilot.set_rc(SWITCH, pulse_us)
+        while now < until_s - 1e-9:
+            now = min(until_s, now + step_s)
+            flight.run(now)
+            recorder.snapshot(flight.core.snapshot(now))
+
+
+def new_flight(telemetry_Hz: int = 100) -> SimulatedFlight:
+    phlosar = SimulatedPhlosar(firmware=FirmwareSettings(telemetry_Hz=telemetry_Hz))
+    return SimulatedFlight(CONFIG, Autopilot("ardupilot"), phlosar)
+
+
+def one_bend(parent: Path) -> Path:
+    """The folder of a flight of eight seconds."""
+    recorder = Recorder(parent, BEGAN, t=0.0)
+    fly(new_flight(), recorder, ((3.0, LOW), (5.5, HIGH), (8.0, LOW)))
+    recorder.close()
+    assert not recorder.failed
+    return recorder.folder
