@@ -1,0 +1,121 @@
+"""What page and broker know of the service, and how they ask it for something. No socket, no clock."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from flying_vines.gateway.messages import (
+    Answered,
+    Ask,
+    FromGateway,
+    Happened,
+    Profile,
+    Seen,
+    ToGateway,
+    Trouble,
+)
+from flying_vines.intent import Asker, Command
+
+REMEMBERED = 500
+"""Events that whoever comes later is told of."""
+MOST_BEHIND = 200
+"""Of a reader; then the oldest events are lost to it."""
+ANSWERED_WITHIN_S = 1.0
+
+
+class NoAnswerError(Exception):
+    """The service does not answer: whether it did what it was asked for is not known."""
+
+
+class Reader:
+    """One that follows the feed at its own speed: the latest snapshot, and every event unless far behind."""
+
+    def __init__(self) -> None:
+        self.missed = 0
+        """Events that were lost, as it was too slow."""
+        self._events: deque[Happened] = deque()
+        self._latest: Seen | None = None
+        self._news = asyncio.Event()
+
+    async def next(self) -> list[Happened | Seen]:
+        """What is new, at least one; the snapshot last."""
+        await self._news.wait()
+        self._news.clear()
+        news: list[Happened | Seen] = list(self._events)
+        self._events.clear()
+        if self._latest is not None:
+            news.append(self._latest)
+            self._latest = None
+        return news
+
+    def take(self, message: Happened | Seen) -> None:
+        if isinstance(message, Seen):
+            self._latest = message
+        else:
+            if len(self._events) == MOST_BEHIND:
+                self._events.popleft()
+                self.missed += 1
+            self._events.append(message)
+        self._news.set()
+
+
+class Feed:
+    """Of one service. `send` puts a message on its way there."""
+
+    def __init__(self, profile: Profile, send: Callable[[FromGateway], None]) -> None:
+        self.profile = profile
+        self.latest: Seen | None = None
+        self.happened: deque[Happened] = deque(maxlen=REMEMBERED)
+        self._send = send
+        self._readers: set[Reader] = set()
+        self._number = 0
+        self._waiting: dict[int, asyncio.Future[Answered]] = {}
+
+    @contextmanager
+    def reader(self) -> Iterator[Reader]:
+        """Of what comes from now on; `latest` and `happened` hold what came before."""
+        reader = Reader()
+        self._readers.add(reader)
+        try:
+            yield reader
+        finally:
+            self._readers.discard(reader)
+
+    async def ask(
+        self, by: Asker, command: Command, value: float | None = None, name: str | None = None
+    ) -> Answered:
+        """What safety made of it. ValueError for an impossible ask, `NoAnswerError` within a second."""
+        self._number += 1
+        ask = Ask(self._number, by, command, value, name)
+        answer = self._waiting[ask.number] = asyncio.get_running_loop().create_future()
+        self._send(ask)
+        try:
+            return await asyncio.wait_for(answer, ANSWERED_WITHIN_S)
+        except TimeoutError:
+            raise NoAnswerError("the service does not answer") from None
+        finally:
+            del self._waiting[ask.number]
+
+    def trouble(self, text: str) -> None:
+        """Tell those on board, once each time that something goes wrong or is well again."""
+        self._send(Trouble(text))
+
+    def take(self, message: ToGateway) -> None:
+        """What the service tells."""
+        match message:
+            case Seen():
+                self.latest = message
+            case Happened():
+                self.happened.append(message)
+            case Answered(number):
+                waiting = self._waiting.get(number)
+                if waiting is not None and not waiting.done():
+                    waiting.set_result(message)
+                return
+            case Profile():
+                return
+        for reader in self._readers:
+            reader.take(message)

@@ -1,0 +1,208 @@
+"""The service's end of the gateway: tells what it sees, asks what people want, and never waits for either.
+
+Page and broker live in a process of their own, so that nothing that a network does can hold up the loop that
+flies. When that process dies or hangs, it is started again; the service goes on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import sys
+from collections import deque
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+
+import msgspec
+
+from flying_vines.config import Config
+from flying_vines.events import Action, Calibrated, Decision, Snapshot
+from flying_vines.gateway.messages import (
+    Answered,
+    Ask,
+    Happened,
+    Profile,
+    Seen,
+    packet,
+    raw,
+    read_from_gateway,
+)
+from flying_vines.intent import Asker, Intent
+from flying_vines.notice import Notice
+from flying_vines.watcher import Watcher
+
+COMMAND = (sys.executable, "-m", "flying_vines.gateway")
+LONGEST_PACKET = 64 * 1024
+MOST_BEHIND = 500
+"""Events that wait for a gateway that starts, or is slow."""
+LOOK_S = 1.0
+HANGS_S = 10.0
+"""A gateway that reads nothing for so long is ended."""
+FIRST_PATIENCE_S, LONGEST_PATIENCE_S = 1.0, 60.0
+WELL_S = 60.0
+"""One that ran for so long may start again at once."""
+MOST_ASKED_PER_S = 20.0
+
+
+class Gateway(Watcher):
+    """One gateway process, kept alive by `run`. `ask` and `say` are the service's."""
+
+    def __init__(
+        self,
+        config: Config,
+        log_folder: Path,
+        ask: Callable[[Asker, Intent], Decision],
+        say: Callable[[str], None],
+        page_token: str = "",
+    ) -> None:
+        version = metadata.version("flying-vines")
+        self._profile = Profile(config, version, str(log_folder.absolute()), page_token)
+        self._ask = ask
+        self._say = say
+        self._socket: socket.socket | None = None
+        self._unsent: deque[bytes] = deque(maxlen=MOST_BEHIND)
+        self._read_at = 0.0
+        self._allowed, self._allowed_at = MOST_ASKED_PER_S, 0.0
+
+    @staticmethod
+    def wanted(config: Config) -> bool:
+        return bool(config.page.port or config.mqtt.broker)
+
+    def action(self, action: Action) -> None:
+        if isinstance(action, Decision | Notice | Calibrated):
+            self._unsent.append(packet(Happened(type(action).__name__.lower(), raw(action))))
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """What happened since the last, then how things stand; that is not kept for one who does not read."""
+        if self._socket is None:
+            return
+        while self._unsent:
+            if not self._send(self._unsent[0]):
+                return
+            self._unsent.popleft()
+        self._send(packet(Seen(raw(snapshot))))
+
+    async def run(self) -> None:
+        """Until cancelled; then the gateway ends, too."""
+        patience_s = FIRST_PATIENCE_S
+        while True:
+            began = self._now
+            try:
+                why = await self._serve_once()
+            except OSError as error:
+                why = f"cannot be started: {error.strerror}"
+            if self._now - began > WELL_S:
+                patience_s = FIRST_PATIENCE_S
+            self._say(f"page and broker stopped ({why}), again in {patience_s:g} s")
+            await asyncio.sleep(patience_s)
+            patience_s = min(2.0 * patience_s, LONGEST_PATIENCE_S)
+
+    async def _serve_once(self) -> str:
+        """One process's life; why it ended."""
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with ours:
+            ours.setblocking(False)
+            with theirs:
+                process = await asyncio.create_subprocess_exec(
+                    *COMMAND,
+                    str(theirs.fileno()),
+                    stdin=asyncio.subprocess.DEVNULL,
+                    stdout=asyncio.subprocess.DEVNULL,
+                    stderr=asyncio.subprocess.PIPE,
+                    pass_fds=(theirs.fileno(),),
+                )
+            assert process.stderr is not None
+            last_words = asyncio.create_task(_last_line(process.stderr))
+            self._socket, self._read_at = ours, self._now
+            self._send(packet(self._profile))
+            listening = asyncio.create_task(self._listen(ours))
+            try:
+                while not (listening.done() or last_words.done() or self._hangs):
+                    await asyncio.wait(
+                        {listening, last_words}, timeout=LOOK_S, return_when=asyncio.FIRST_COMPLETED
+                    )
+                return await self._why(listening, last_words)
+            finally:
+                self._socket = None
+                listening.cancel()
+                last_words.cancel()
+                with contextlib.suppress(ProcessLookupError):
+                    process.kill()
+                await process.wait()
+
+    async def _why(self, listening: asyncio.Task[str], last_words: asyncio.Task[str]) -> str:
+        if self._hangs:
+            return "it hung"
+        if listening.done() and (why := listening.result()):
+            return why
+        with contextlib.suppress(TimeoutError):
+            return await asyncio.wait_for(asyncio.shield(last_words), 1.0) or "it ended"
+        return "it does not listen"
+
+    async def _listen(self, ours: socket.socket) -> str:
+        """Until it closes its end, or says what is not understood: then that is returned."""
+        loop = asyncio.get_running_loop()
+        try:
+            while said := await loop.sock_recv(ours, LONGEST_PACKET):
+                self._heard(said)
+        except msgspec.DecodeError as error:
+            return f"it said what is not understood: {error}"
+        except OSError:
+            # It died with something unread.
+            return ""
+        return ""
+
+    def _heard(self, said: bytes) -> None:
+        message = read_from_gateway(said)
+        if isinstance(message, Ask):
+            self._send(packet(self._answer(message)))
+        else:
+            self._say(message.text)
+
+    def _answer(self, ask: Ask) -> Answered:
+        # Whoever asks too often may still vent.
+        if not self._has_leave() and ask.command != "vent":
+            return Answered(ask.number, "refused", "asked too often")
+        decision = self._ask(ask.by, ask.intent)
+        return Answered(ask.number, decision.safety, decision.reason)
+
+    def _has_leave(self) -> bool:
+        now = self._now
+        self._allowed = min(MOST_ASKED_PER_S, self._allowed + (now - self._allowed_at) * MOST_ASKED_PER_S)
+        self._allowed_at = now
+        if self._allowed < 1.0:
+            return False
+        self._allowed -= 1.0
+        return True
+
+    def _send(self, data: bytes) -> bool:
+        if self._socket is None:
+            return False
+        try:
+            self._socket.send(data)
+        except BlockingIOError:
+            return False
+        except OSError:
+            # It is gone: whoever listens to it notices.
+            return False
+        self._read_at = self._now
+        return True
+
+    @property
+    def _hangs(self) -> bool:
+        return self._now - self._read_at > HANGS_S
+
+    @property
+    def _now(self) -> float:
+        return asyncio.get_running_loop().time()
+
+
+async def _last_line(stream: asyncio.StreamReader) -> str:
+    """Of what a process says before it ends."""
+    last = ""
+    while said := await stream.read(4096):
+        lines = (last + said.decode(errors="replace")).split("\n")
+        last = "\n".join(lines[-2:])[-500:]
+    return last.strip().split("\n")[-1]

@@ -1,0 +1,151 @@
+"""What service and gateway tell each other: JSON objects, each a packet of a pair of sockets."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Literal, get_args
+
+import msgspec
+
+from flying_vines.config import Config
+from flying_vines.intent import (
+    ArmPneumatics,
+    Asker,
+    BendTo,
+    ClearFaults,
+    Command,
+    DisarmPneumatics,
+    Hold,
+    Intent,
+    SetPressure,
+    StartBench,
+    StartCalibration,
+    StartProfile,
+    StopBench,
+    StopCalibration,
+    Vent,
+)
+
+if TYPE_CHECKING:
+    # What these need is not needed by the gateway: it is to be light.
+    from flying_vines.events import Action, Snapshot
+
+COMMANDS: tuple[Command, ...] = get_args(Command)
+
+
+class _Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
+    pass
+
+
+# From the service.
+
+
+class Profile(_Message, frozen=True, tag="profile"):
+    """The first: what the gateway is to serve, and on which vehicle's configuration."""
+
+    config: Config
+    version: str
+    log_folder: str
+    page_token: str = ""
+    """Who has it may open the page from the network."""
+
+
+class Seen(_Message, frozen=True, tag="snapshot"):
+    """A `Snapshot`; null is unknown. Its `t` is the machine's monotonic clock, in seconds."""
+
+    snapshot: msgspec.Raw
+
+
+class Happened(_Message, frozen=True, tag="happened"):
+    """A `Decision`, `Notice` or the like, for people: its type's name and its fields."""
+
+    what: str
+    fields: msgspec.Raw
+
+
+class Answered(_Message, frozen=True, tag="answered"):
+    """What came of an `Ask`."""
+
+    number: int
+    safety: Literal["accepted", "limited", "refused"]
+    reason: str = ""
+
+
+ToGateway = Profile | Seen | Happened | Answered
+
+
+# From the gateway.
+
+
+class Ask(_Message, frozen=True, tag="ask"):
+    """A person wants something. `value` is an angle or a pressure, `name` a profile's."""
+
+    number: int
+    by: Asker
+    command: Command
+    value: float | None = None
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        needs_value, needs_name = self.command in ("bend", "pressure"), self.command == "profile"
+        if needs_value != (self.value is not None) or needs_name != (self.name is not None):
+            raise ValueError(f"'{self.command}' {_NEEDS.get(self.command, 'takes nothing')}")
+        if self.value is not None and not math.isfinite(self.value):
+            raise ValueError("the value is not a finite number")
+
+    @property
+    def intent(self) -> Intent:
+        match self.command:
+            case "bend":
+                return BendTo(self.value or 0.0)
+            case "pressure":
+                return SetPressure(self.value or 0.0)
+            case "profile":
+                return StartProfile(self.name or "")
+        return _PLAIN[self.command]
+
+
+class Trouble(_Message, frozen=True, tag="trouble"):
+    """Something that people on board should read: a port that is taken, a broker that refuses."""
+
+    text: str
+
+
+FromGateway = Ask | Trouble
+
+_NEEDS = {"bend": "takes a value", "pressure": "takes a value", "profile": "takes a name"}
+_PLAIN: dict[str, Intent] = {
+    "vent": Vent(),
+    "hold": Hold(),
+    "clear_faults": ClearFaults(),
+    "arm": ArmPneumatics(),
+    "disarm": DisarmPneumatics(),
+    "start_bench": StartBench(),
+    "stop_bench": StopBench(),
+    "start_calibration": StartCalibration(),
+    "stop_calibration": StopCalibration(),
+}
+
+
+def raw(thing: Snapshot | Action) -> msgspec.Raw:
+    """As JSON: what is not a number is null."""
+    return msgspec.Raw(msgspec.json.encode(thing))
+
+
+def packet(message: ToGateway | FromGateway) -> bytes:
+    """One message, ready to be sent."""
+    return msgspec.json.encode(message)
+
+
+def read_to_gateway(packet: bytes) -> ToGateway:
+    """Raises `msgspec.DecodeError`."""
+    return _TO_GATEWAY.decode(packet)
+
+
+def read_from_gateway(packet: bytes) -> FromGateway:
+    """Raises `msgspec.DecodeError`."""
+    return _FROM_GATEWAY.decode(packet)
+
+
+_TO_GATEWAY: msgspec.json.Decoder[ToGateway] = msgspec.json.Decoder(ToGateway)
+_FROM_GATEWAY: msgspec.json.Decoder[FromGateway] = msgspec.json.Decoder(FromGateway)

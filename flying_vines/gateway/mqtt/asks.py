@@ -1,0 +1,119 @@
+"""What may be asked for over the broker: what the configuration lists, asked just now, once. No clock."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from itertools import islice, takewhile
+
+import msgspec
+
+from flying_vines.gateway import messages
+from flying_vines.gateway.mqtt.payloads import Answer, Ask
+from flying_vines.gateway.mqtt.teller import Now
+from flying_vines.intent import Command
+
+LONGEST_ASK = 1024
+MOST_AT_ONCE, MOST_PER_S = 10.0, 5.0
+"""Whoever asks more often is not answered; but a vent is carried out."""
+MOST_WAITING = 20
+MOST_REMEMBERED = 2000
+_DECODER = msgspec.json.Decoder(Ask)
+
+
+class Asks:
+    """Judges what comes in, and says what is to be handed to the service, one after another."""
+
+    def __init__(self, commands: Sequence[Command], within_s: float) -> None:
+        self._commands = commands
+        self._within_s = within_s
+        self._known: dict[str, float] = {}
+        """When each was asked, by its id."""
+        self._waiting: deque[Ask] = deque()
+        self._leave, self._leave_at = MOST_AT_ONCE, 0.0
+        self.ignored = 0
+
+    def hear(self, now: Now, payload: bytes, retained: bool) -> list[Answer]:
+        """One message on the topic, and whoever is answered at once."""
+        ask, problem = self._read(now, payload, retained)
+        if ask is not None and not problem and ask.command == "vent":
+            return self._vent(now, ask)
+        if not self._has_leave(now.t):
+            self.ignored += 1
+            return []
+        if ask is None or problem:
+            return [refused(now, ask, problem)]
+        if len(self._waiting) >= MOST_WAITING:
+            return [refused(now, ask, "too much was asked for at once")]
+        self._waiting.append(ask)
+        return []
+
+    def next(self) -> list[Ask]:
+        """To be asked of the service now, as one: all the vents that wait, or the first of what else does."""
+        vents = list(takewhile(lambda ask: ask.command == "vent", self._waiting))
+        together = vents or list(islice(self._waiting, 1))
+        for _ in together:
+            self._waiting.popleft()
+        return together
+
+    def disconnected(self) -> None:
+        """What waits is not to come as a surprise when the broker is back."""
+        self._waiting.clear()
+
+    def _vent(self, now: Now, ask: Ask) -> list[Answer]:
+        """Before all else; what was asked for earlier is not to bend the vine afterwards."""
+        overtaken = [earlier for earlier in self._waiting if earlier.command != "vent"]
+        self._waiting = deque(earlier for earlier in self._waiting if earlier.command == "vent")
+        # One vent serves all who wait for it; not all can be answered.
+        if len(self._waiting) < MOST_WAITING:
+            self._waiting.append(ask)
+        return [refused(now, earlier, "overtaken by a vent") for earlier in overtaken]
+
+    def _read(self, now: Now, payload: bytes, retained: bool) -> tuple[Ask | None, str]:
+        """What is asked for, as far as it can be read, and why it is refused, if it is."""
+        if len(payload) > LONGEST_ASK:
+            return None, f"longer than {LONGEST_ASK} bytes"
+        try:
+            ask = _DECODER.decode(payload)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            return None, f"not understood: {error}"
+        if ask.command not in self._commands:
+            allowed = ", ".join(self._commands) or "nothing"
+            return ask, f"'{ask.command}' may not be asked for over MQTT; the profile lists {allowed}"
+        if retained:
+            return ask, "a retained message: nobody knows when it was asked"
+        age_s = now.unix_s - ask.unix_s
+        if abs(age_s) > self._within_s:
+            when = f"{age_s:.1f} s ago" if age_s > 0 else f"{-age_s:.1f} s from now"
+            return ask, f"asked {when} by this vehicle's clock, {self._within_s:g} s are allowed"
+        try:
+            messages.Ask(0, "broker", ask.command, ask.value, ask.name)
+        except ValueError as error:
+            return ask, str(error)
+        return ask, "" if self._is_new(now, ask) else "asked before: each needs an id of its own"
+
+    def _is_new(self, now: Now, ask: Ask) -> bool:
+        """Only as long as it is not too old need an id be remembered."""
+        while self._known:
+            oldest = next(iter(self._known))
+            if abs(now.unix_s - self._known[oldest]) <= self._within_s:
+                break
+            del self._known[oldest]
+        if ask.id in self._known:
+            return False
+        if len(self._known) >= MOST_REMEMBERED:
+            del self._known[next(iter(self._known))]
+        self._known[ask.id] = ask.unix_s
+        return True
+
+    def _has_leave(self, t: float) -> bool:
+        self._leave = min(MOST_AT_ONCE, self._leave + (t - self._leave_at) * MOST_PER_S)
+        self._leave_at = t
+        if self._leave < 1.0:
+            return False
+        self._leave -= 1.0
+        return True
+
+
+def refused(now: Now, ask: Ask | None, why: str) -> Answer:
+    return Answer(unix_s=now.unix_s, id=ask.id if ask else None, safety="refused", reason=why)

@@ -1,0 +1,270 @@
+"""The connection to the broker, as long as the service lives: looked for again whenever it is lost."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import random
+import time
+from typing import Any
+
+import aiomqtt
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+
+from flying_vines.address import parse_broker
+from flying_vines.gateway.feed import Feed, NoAnswerError, Reader
+from flying_vines.gateway.messages import Happened
+from flying_vines.gateway.mqtt import credentials
+from flying_vines.gateway.mqtt.asks import Asks
+from flying_vines.gateway.mqtt.health import Health
+from flying_vines.gateway.mqtt.home_assistant import discovery
+from flying_vines.gateway.mqtt.payloads import Answer, Ask
+from flying_vines.gateway.mqtt.problems import FileError, RefusedError, may_want_other_version, problem_of
+from flying_vines.gateway.mqtt.teller import Now, Publication, Teller
+from flying_vines.gateway.mqtt.topics import Topics
+
+LONGEST_PACKET = 4096
+"""A broker of MQTT 5 keeps anything longer to itself."""
+MOST_UNREAD, MOST_UNANSWERED = 100, 50
+PATIENCE_S = 10.0
+"""With a broker that does not answer."""
+ASKED_EVERY_S = 0.05
+"""However many people ask at once, the service has other things to do."""
+FLOODS_TOLD_S = 60.0
+GOODBYE_S = 1.0
+LEAVING_S = 3.0
+"""Two goodbyes: ours, and the library's."""
+_OTHER_VERSION = {
+    aiomqtt.ProtocolVersion.V5: aiomqtt.ProtocolVersion.V311,
+    aiomqtt.ProtocolVersion.V311: aiomqtt.ProtocolVersion.V5,
+}
+
+_SILENT = logging.getLogger(__name__)
+_SILENT.addHandler(logging.NullHandler())
+_SILENT.propagate = False
+
+
+async def serve(feed: Feed) -> None:
+    """Until cancelled."""
+    with feed.reader() as reader:
+        connection = Connection(feed)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(connection.listen(reader))
+            tasks.create_task(connection.stay_connected())
+
+
+class Connection:
+    """To one broker; what is told over it comes from the feed."""
+
+    def __init__(self, feed: Feed) -> None:
+        self._feed = feed
+        self._mqtt = feed.profile.config.mqtt
+        self._broker = parse_broker(self._mqtt.broker)
+        self._topics = Topics.of(self._mqtt)
+        self._teller = Teller(feed.profile, self._topics)
+        self._asks = Asks(self._mqtt.commands, self._mqtt.asked_within_s)
+        self._answers: asyncio.Queue[Answer] = asyncio.Queue(MOST_UNANSWERED)
+        self._happened, self._asked = asyncio.Event(), asyncio.Event()
+        self._protocol = aiomqtt.ProtocolVersion.V5
+        self._flood_told_at = -FLOODS_TOLD_S
+        for happened in feed.happened:
+            self._teller.take(self._now.t, happened)
+
+    @property
+    def _now(self) -> Now:
+        return Now(asyncio.get_running_loop().time(), round(time.time(), 3))
+
+    async def listen(self, reader: Reader) -> None:
+        """To the service, whether there is a connection or not."""
+        while True:
+            for news in await reader.next():
+                self._teller.take(self._now.t, news)
+                if isinstance(news, Happened):
+                    self._happened.set()
+
+    async def stay_connected(self) -> None:
+        health = Health(self._now.t, self._mqtt.broker)
+        while True:
+            failure = await self._one_connection(health)
+            problem = problem_of(failure, self._broker, health.is_connected)
+            if not health.is_connected and may_want_other_version(failure):
+                self._protocol = _OTHER_VERSION[self._protocol]
+            self._tell(health.failed(self._now.t, problem))
+            await asyncio.sleep(health.wait_s(random.random()))
+
+    def _tell(self, sentence: str | None) -> None:
+        if sentence is not None:
+            self._feed.trouble(sentence)
+
+    async def _one_connection(self, health: Health) -> Exception:
+        """That cannot outlive us: a cancellation is lost where what is waited for comes in the same turn."""
+        connection = asyncio.create_task(self._connect(health))
+        try:
+            await asyncio.wait({connection})
+        finally:
+            while not connection.done():
+                connection.cancel()
+                await asyncio.wait({connection}, timeout=LEAVING_S)
+        return connection.result()
+
+    async def _connect(self, health: Health) -> Exception:
+        """One connection, from its beginning to why it ended."""
+        failure: Exception = RefusedError("the connection ended")
+        client: _Client | None = None
+        try:
+            client = await self._client()
+            async with client:
+                health.connected(self._now.t)
+                try:
+                    await self._talk(client, health)
+                finally:
+                    await self._say_goodbye(client)
+        except* (aiomqtt.MqttError, RefusedError, FileError, OSError) as group:
+            failure = _first(group)
+        finally:
+            self._asks.disconnected()
+            if client is not None:
+                client.close()
+        return failure
+
+    async def _client(self) -> _Client:
+        def read() -> tuple[str | None, Any]:
+            return credentials.password(self._mqtt), credentials.tls(self._mqtt, self._broker)
+
+        password, tls = await asyncio.to_thread(read)
+        will = self._teller.last_will(self._now)
+        properties = None
+        if self._protocol is aiomqtt.ProtocolVersion.V5:
+            properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+            properties.MaximumPacketSize = LONGEST_PACKET
+        return _Client(
+            self._broker.host,
+            self._broker.port,
+            username=self._mqtt.username or None,
+            password=password,
+            identifier=self._mqtt.client_id or f"{self._topics.prefix}-{self._topics.name}".replace("/", "-"),
+            protocol=self._protocol,
+            will=aiomqtt.Will(will.topic, will.payload, will.qos, will.retain),
+            timeout=PATIENCE_S,
+            keepalive=self._mqtt.keepalive_s,
+            max_queued_incoming_messages=MOST_UNREAD,
+            properties=properties,
+            tls_context=tls,
+            logger=_SILENT,
+        )
+
+    async def _greet(self, client: _Client) -> None:
+        # First of all: whoever reads what may be asked for may ask at once.
+        if self._mqtt.commands:
+            await client.subscribe(self._topics.ask, qos=1)
+        for publication in self._teller.greeting(self._now):
+            await _publish(client, publication)
+        if client.refused:
+            raise RefusedError(
+                f"it does not let us publish to {self._topics.base}/…: see its access control list"
+            )
+        for publication in discovery(self._mqtt, self._topics, self._feed.profile.version):
+            await _publish(client, publication)
+
+    async def _say_goodbye(self, client: _Client) -> None:
+        """A connection that is closed in good order leaves no last will."""
+        client.timeout = GOODBYE_S
+        with contextlib.suppress(aiomqtt.MqttError):
+            await _publish(client, self._teller.last_will(self._now))
+
+    async def _talk(self, client: _Client, health: Health) -> None:
+        async with asyncio.TaskGroup() as tasks:
+            # It notices when the connection is lost; of what is published that would take far longer.
+            tasks.create_task(self._hear_asks(client))
+            await self._greet(client)
+            tasks.create_task(self._tell_states(client, health))
+            for part in (self._tell_events, self._ask_service, self._tell_answers):
+                tasks.create_task(part(client))
+
+    async def _tell_events(self, client: _Client) -> None:
+        while True:
+            # Cleared before looking: what comes meanwhile is looked at again.
+            self._happened.clear()
+            while pending := self._teller.events.first(self._now):
+                await _publish(client, pending.publication)
+                self._teller.events.told(pending)
+            await self._happened.wait()
+
+    async def _tell_states(self, client: _Client, health: Health) -> None:
+        period_s = 1.0 / self._mqtt.rate_Hz
+        due = self._now.t
+        while True:
+            for publication in self._teller.due(self._now):
+                await _publish(client, publication)
+            self._tell(health.lasts(self._now.t))
+            due = max(due + period_s, self._now.t)
+            await asyncio.sleep(due - self._now.t)
+
+    async def _hear_asks(self, client: _Client) -> None:
+        async for message in client.messages:
+            payload = message.payload if isinstance(message.payload, bytes) else b""
+            for answer in self._asks.hear(self._now, payload, message.retain):
+                self._answer(answer)
+            self._asked.set()
+            self._tell_of_flood()
+
+    def _answer(self, answer: Answer) -> None:
+        # Whoever asks faster than the broker takes answers gets fewer of them.
+        with contextlib.suppress(asyncio.QueueFull):
+            self._answers.put_nowait(answer)
+
+    def _tell_of_flood(self) -> None:
+        now = self._now.t
+        if self._asks.ignored and now - self._flood_told_at >= FLOODS_TOLD_S:
+            self._feed.trouble(f"MQTT: {self._topics.ask}: asked too often, not all is answered")
+            self._asks.ignored, self._flood_told_at = 0, now
+
+    async def _ask_service(self, client: _Client) -> None:
+        while True:
+            self._asked.clear()
+            while asks := self._asks.next():
+                safety, reason = await self._ask(asks[0])
+                for ask in asks:
+                    self._answer(Answer(unix_s=self._now.unix_s, id=ask.id, safety=safety, reason=reason))
+                await asyncio.sleep(ASKED_EVERY_S)
+            await self._asked.wait()
+
+    async def _ask(self, ask: Ask) -> tuple[Any, str]:
+        try:
+            answered = await self._feed.ask("broker", ask.command, ask.value, ask.name)
+        except NoAnswerError as error:
+            return "unknown", str(error)
+        return answered.safety, answered.reason
+
+    async def _tell_answers(self, client: _Client) -> None:
+        while True:
+            await _publish(client, self._teller.answer(await self._answers.get()))
+
+
+class _Client(aiomqtt.Client):
+    """That remembers whether the broker took what was published, which the library does not tell."""
+
+    refused = False
+
+    def close(self) -> None:
+        """Also where the library, not let in, would leave the socket to somebody else."""
+        if self._client.socket() is not None:
+            self._client.disconnect()
+
+    def _on_publish(self, client: Any, userdata: Any, mid: int, reason_code: Any, properties: Any) -> None:
+        self.refused = self.refused or reason_code.is_failure
+        super()._on_publish(client, userdata, mid, reason_code, properties)
+
+
+async def _publish(client: _Client, publication: Publication) -> None:
+    """Returns when the network has it, or the broker where that is asked for. Raises `MqttError`."""
+    await client.publish(publication.topic, publication.payload, publication.qos, publication.retain)
+
+
+def _first(error: BaseException) -> Exception:
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, Exception)
+    return error

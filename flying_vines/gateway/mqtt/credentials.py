@@ -1,0 +1,57 @@
+"""Who we are to the broker, and how we know that it is the right one: read anew for each connection."""
+
+from __future__ import annotations
+
+import ssl
+import stat
+from pathlib import Path
+
+from flying_vines.address import BrokerAddress
+from flying_vines.config import Mqtt
+from flying_vines.gateway.mqtt.problems import FileError
+
+
+def password(mqtt: Mqtt) -> str | None:
+    """The first line of its file. Raises `FileError`; blocks while the disk does."""
+    if not mqtt.password_file:
+        return None
+    lines = _read_private(mqtt.password_file, "the password").splitlines()
+    if not lines or not lines[0]:
+        raise FileError(f"{mqtt.password_file}: no password in its first line")
+    return lines[0]
+
+
+def tls(mqtt: Mqtt, broker: BrokerAddress) -> ssl.SSLContext | None:
+    """Raises `FileError`; blocks while the disk does."""
+    if not broker.tls:
+        return None
+    try:
+        context = ssl.create_default_context(cafile=mqtt.ca_file or None)
+    except OSError as error:
+        raise FileError(f"{mqtt.ca_file}: {_why(error, 'no certificates in it')}") from None
+    if mqtt.certificate_file:
+        _read_private(mqtt.key_file, "the key")
+        try:
+            context.load_cert_chain(mqtt.certificate_file, mqtt.key_file)
+        except OSError as error:
+            why = _why(error, "no certificate and its key")
+            raise FileError(f"{mqtt.certificate_file}, {mqtt.key_file}: {why}") from None
+    return context
+
+
+def _read_private(file: str, what: str) -> str:
+    path = Path(file)
+    try:
+        mode = path.stat().st_mode
+        if stat.S_ISREG(mode) and mode & 0o077:
+            raise FileError(f"{path}: others may read or change {what}: chmod 600 {path}")
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise FileError(f"{path}: {what} cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise FileError(f"{path}: {what} cannot be read: not UTF-8") from None
+
+
+def _why(error: OSError, of_tls: str) -> str:
+    # Of a file that is there but holds something else, OpenSSL has words that help nobody.
+    return of_tls if isinstance(error, ssl.SSLError) else str(error.strerror)

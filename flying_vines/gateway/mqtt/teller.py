@@ -1,0 +1,211 @@
+"""What the broker is told, and when: no clock. Events are kept until the broker has them, states are not."""
+
+from __future__ import annotations
+
+import secrets
+from collections import deque
+from typing import Any, Literal, NamedTuple
+
+import msgspec
+
+from flying_vines.gateway.messages import Happened, Profile, Seen
+from flying_vines.gateway.mqtt.payloads import (
+    About,
+    Answer,
+    Event,
+    Limits,
+    LostEvent,
+    Reservoir,
+    Severity,
+    State,
+    Status,
+)
+from flying_vines.gateway.mqtt.topics import Topics
+
+SILENT_S = 3.0
+"""Snapshots come ten times a second: without one for so long, nobody knows how things stand."""
+RESERVOIR_S = 2.0
+
+_KINDS = {"decision", "notice", "calibrated"}
+SEVERITIES: dict[int, Severity] = {3: "error", 4: "warning", 5: "notice", 6: "info"}
+
+
+class Now(NamedTuple):
+    """One moment by two clocks: the one that events are stamped with, and the one that may be set."""
+
+    t: float
+    unix_s: float
+
+    def unix_of(self, t: float) -> float:
+        return round(self.unix_s - (self.t - t), 3)
+
+
+class Publication(NamedTuple):
+    """One message to the broker."""
+
+    topic: str
+    payload: bytes
+    qos: Literal[0, 1] = 0
+    retain: bool = False
+
+
+class Pending(NamedTuple):
+    """An event that waits to be told, and what to say when it was."""
+
+    number: int
+    lost: int
+    publication: Publication
+
+
+class Events:
+    """In their order, numbered; at most so many. When the oldest give way, that is told in their place.
+
+    Times are put in when an event is told: a computer that was switched on in the field gets its clock
+    from the network that the broker is on.
+    """
+
+    def __init__(self, topic: str, run: str, most: int) -> None:
+        self._topic = topic
+        self._run = run
+        self._kept: deque[tuple[int, Happened]] = deque(maxlen=most)
+        self._number = 0
+        self._lost = 0
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def take(self, happened: Happened) -> None:
+        self._lost += len(self._kept) == self._kept.maxlen
+        self._number += 1
+        self._kept.append((self._number, happened))
+
+    def first(self, now: Now) -> Pending | None:
+        """What is to be told next; again the same until it was `told`."""
+        if not self._kept:
+            return None
+        number, happened = self._kept[0]
+        event: Event
+        if self._lost:
+            number -= 1
+            event = LostEvent(unix_s=now.unix_s, run=self._run, number=number, count=self._lost)
+        else:
+            event = self._event(now, number, happened)
+        return Pending(number, self._lost, Publication(self._topic, msgspec.json.encode(event), qos=1))
+
+    def told(self, pending: Pending) -> None:
+        """The broker has it. Meanwhile it may have given way to newer ones."""
+        if pending.lost:
+            self._lost -= pending.lost
+        elif self._kept[0][0] == pending.number:
+            self._kept.popleft()
+        else:
+            self._lost -= 1
+
+    def _event(self, now: Now, number: int, happened: Happened) -> Event:
+        fields: dict[str, Any] = msgspec.json.decode(happened.fields)
+        if happened.what == "notice":
+            fields["severity"] = SEVERITIES[fields["severity"]]
+        fields |= {
+            "event": happened.what,
+            "unix_s": now.unix_of(fields["t"]),
+            "run": self._run,
+            "number": number,
+        }
+        event: Event = msgspec.convert(fields, Event)
+        return event
+
+
+class Teller:
+    """Of one vehicle."""
+
+    def __init__(self, profile: Profile, topics: Topics) -> None:
+        self.topics = topics
+        self._run = secrets.token_hex(4)
+        self._mqtt = profile.config.mqtt
+        self._profile = profile
+        self.events = Events(topics.event, self._run, self._mqtt.kept_events)
+        self._latest: Seen | None = None
+        self._seen_at = -SILENT_S
+        self._status: Literal["online", "silent"] = "silent"
+        self._reservoir_at = -RESERVOIR_S
+
+    def take(self, t: float, news: Happened | Seen) -> None:
+        if isinstance(news, Seen):
+            self._latest, self._seen_at = news, t
+        elif news.what in _KINDS:
+            self.events.take(news)
+
+    def last_will(self, now: Now) -> Publication:
+        """What the broker tells when it no longer hears of us."""
+        return self._retained(self.topics.status, Status(unix_s=now.unix_s, status="offline"))
+
+    def greeting(self, now: Now) -> list[Publication]:
+        """On every connection: the broker may have been started anew, and knows nothing."""
+        self._reservoir_at = -RESERVOIR_S
+        self._status = self._present_status(now)
+        return [self._told_status(now), self._retained(self.topics.about, self.about(now))]
+
+    def due(self, now: Now) -> list[Publication]:
+        """How things stand, if that is known. To be called at the rate that states are told at."""
+        told = []
+        status = self._present_status(now)
+        if status != self._status:
+            self._status = status
+            told.append(self._told_status(now))
+        if self._latest is not None:
+            seen = _rounded(msgspec.json.decode(self._latest.snapshot))
+            seen["unix_s"] = now.unix_of(seen["t"])
+            told.append(self._plain(self.topics.state, msgspec.convert(seen, State)))
+            if now.t - self._reservoir_at >= RESERVOIR_S:
+                self._reservoir_at = now.t
+                told.append(self._plain(self.topics.reservoir, msgspec.convert(seen, Reservoir)))
+            # The same moment is not told twice.
+            self._latest = None
+        return told
+
+    def answer(self, answer: Answer) -> Publication:
+        return Publication(self.topics.answer, msgspec.json.encode(answer), qos=1)
+
+    def about(self, now: Now) -> About:
+        config = self._profile.config
+        limits = config.limits
+        return About(
+            unix_s=now.unix_s,
+            name=self.topics.name,
+            flying_vines=self._profile.version,
+            run=self._run,
+            profiles=tuple(config.profiles),
+            limits=Limits(
+                limits.max_kPa,
+                config.vine.bend_curve().max_deg,
+                limits.max_rate_kPa_per_s,
+                limits.max_bent_s,
+                limits.overpressure_kPa,
+            ),
+            commands=self._mqtt.commands,
+            asked_within_s=self._mqtt.asked_within_s,
+            rate_Hz=self._mqtt.rate_Hz,
+        )
+
+    def _present_status(self, now: Now) -> Literal["online", "silent"]:
+        return "online" if now.t - self._seen_at < SILENT_S else "silent"
+
+    def _told_status(self, now: Now) -> Publication:
+        return self._retained(self.topics.status, Status(unix_s=now.unix_s, status=self._status))
+
+    @staticmethod
+    def _retained(topic: str, payload: Status | About) -> Publication:
+        return Publication(topic, msgspec.json.encode(payload), qos=1, retain=True)
+
+    @staticmethod
+    def _plain(topic: str, payload: State | Reservoir) -> Publication:
+        return Publication(topic, msgspec.json.encode(payload))
+
+
+def _rounded(value: Any) -> Any:
+    """No sensor is better than that, and every digit is sent by radio, twice a second."""
+    if isinstance(value, float):
+        return round(value, 3)
+    if isinstance(value, dict):
+        return {key: _rounded(inner) for key, inner in value.items()}
+    return value

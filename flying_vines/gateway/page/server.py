@@ -1,0 +1,226 @@
+"""The page's port: plain HTTP, a few files, and a socket for each viewer."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import html
+import ipaddress
+import logging
+import os
+import socket
+from collections.abc import AsyncIterator
+from importlib import resources
+
+from aiohttp import hdrs
+from aiohttp.web import BaseRequest, RequestHandler, Response, Server, StreamResponse, WebSocketResponse
+
+from flying_vines.gateway.feed import Feed
+from flying_vines.gateway.messages import Seen
+from flying_vines.gateway.page.crowd import Crowd
+from flying_vines.gateway.page.door import Door, Turned
+from flying_vines.gateway.page.history import History
+from flying_vines.gateway.page.viewer import Viewer
+from flying_vines.gateway.page.wish import LONGEST_WISH
+
+FIRST_PATIENCE_S, LONGEST_PATIENCE_S = 1.0, 30.0
+SWEEP_S = 1.0
+KEEP_ALIVE_S = 5.0
+LAST_WORDS_S = 0.2
+HEARTBEAT_S = 10.0
+MOST_WAITING = 128
+"""Connections that nobody has looked at yet."""
+SEND_BUFFER = 32 * 1024
+"""Of the system and again of ours: what waits there for a slow viewer is old when it comes."""
+A_YEAR_S = 365 * 24 * 3600
+
+FILES = {
+    "/": ("index.html", "text/html"),
+    "/style.css": ("style.css", "text/css"),
+    "/page.js": ("page.js", "text/javascript"),
+    "/drawing.js": ("drawing.js", "text/javascript"),
+    "/link.js": ("link.js", "text/javascript"),
+    "/words.js": ("words.js", "text/javascript"),
+    "/icon.svg": ("icon.svg", "image/svg+xml"),
+}
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "Server": "flying-vines",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+
+
+async def serve(feed: Feed) -> None:
+    """Until cancelled. A port that is taken is told of once, and tried again."""
+    page = feed.profile.config.page
+    door = Door(page.host, page.port, feed.profile.page_token)
+    history = History()
+    async with asyncio.TaskGroup() as tasks:
+        tasks.create_task(_remember(feed, history))
+        patience_s, trouble = FIRST_PATIENCE_S, ""
+        while True:
+            try:
+                async with _listening(page.host, page.port, PageServer(feed, door, history)):
+                    if trouble:
+                        feed.trouble("the page is served now")
+                    await asyncio.get_running_loop().create_future()
+            except OSError as error:
+                why = f"page: {page.host}:{page.port} cannot be had: {os.strerror(error.errno or 0)}"
+                if why != trouble:
+                    trouble = why
+                    feed.trouble(why)
+            await asyncio.sleep(patience_s)
+            patience_s = min(2.0 * patience_s, LONGEST_PATIENCE_S)
+
+
+async def _remember(feed: Feed, history: History) -> None:
+    with feed.reader() as reader:
+        while True:
+            for message in await reader.next():
+                if isinstance(message, Seen):
+                    history.take(message)
+
+
+@contextlib.asynccontextmanager
+async def _listening(host: str, port: int, page: PageServer) -> AsyncIterator[None]:
+    family = socket.AF_INET6 if ipaddress.ip_address(host).version == 6 else socket.AF_INET
+    listener = socket.create_server(
+        (host, port), family=family, backlog=MOST_WAITING, dualstack_ipv6=host == "::"
+    )
+    # Connections have it from here.
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+    server = await asyncio.get_running_loop().create_server(page, sock=listener, backlog=MOST_WAITING)
+    sweeping = asyncio.create_task(page.sweep())
+    try:
+        yield
+    finally:
+        sweeping.cancel()
+        server.close()
+        page.drop_all()
+        await page.shutdown(LAST_WORDS_S)
+
+
+class PageServer(Server):
+    """All connections to the page."""
+
+    def __init__(self, feed: Feed, door: Door, history: History) -> None:
+        # What strangers send is not worth a line on a drone.
+        silent = logging.getLogger("flying_vines.page")
+        silent.addHandler(logging.NullHandler())
+        silent.propagate = False
+        super().__init__(self._answer, keepalive_timeout=KEEP_ALIVE_S, access_log=None, logger=silent)
+        self._feed = feed
+        self._door = door
+        self._history = history
+        self._crowd: Crowd[asyncio.Transport] = Crowd()
+        folder = resources.files("flying_vines.gateway.page").joinpath("static")
+        self._files = {
+            path: (folder.joinpath(name).read_bytes(), kind) for path, (name, kind) in FILES.items()
+        }
+
+    # What aiohttp tells of connections.
+
+    def connection_made(self, handler: RequestHandler, transport: asyncio.Transport) -> None:
+        super().connection_made(handler, transport)
+        transport.set_write_buffer_limits(high=SEND_BUFFER)
+        peer = transport.get_extra_info("peername")
+        address = str(peer[0]) if peer else "one that has gone"
+        crowded_out = self._crowd.came(transport, address, self._now)
+        if crowded_out is not None:
+            crowded_out.abort()
+
+    def connection_lost(self, handler: RequestHandler, exc: BaseException | None = None) -> None:
+        transport = self._connections.get(handler)
+        if transport is not None:
+            self._crowd.left(transport)
+        super().connection_lost(handler, exc)
+
+    def drop_all(self) -> None:
+        """So that everybody sees at once that nobody is here."""
+        for transport in self._connections.values():
+            transport.abort()
+
+    async def sweep(self) -> None:
+        """Close connections that nobody uses."""
+        while True:
+            for transport in self._crowd.overdue(self._now):
+                transport.abort()
+            await asyncio.sleep(SWEEP_S)
+
+    @property
+    def _now(self) -> float:
+        return asyncio.get_running_loop().time()
+
+    # Requests.
+
+    async def _answer(self, request: BaseRequest) -> StreamResponse:
+        if request.method not in (hdrs.METH_GET, hdrs.METH_HEAD):
+            return _refusal(Turned(405, "there is nothing here to be changed"))
+        found = self._door.look(request.headers, request.query.get("token", ""))
+        if isinstance(found, Turned):
+            return _refusal(found)
+        if request.path == "/live":
+            return await self._show(request, found.may_ask)
+        if request.path not in self._files:
+            return _refusal(Turned(404, "there is no such page here"))
+        body, kind = self._files[request.path]
+        response = Response(body=body, content_type=kind, charset="utf-8", headers=_headers(request.host))
+        if found.token:
+            response.set_cookie(
+                self._door.cookie, found.token, max_age=A_YEAR_S, httponly=True, samesite="Strict"
+            )
+        return response
+
+    async def _show(self, request: BaseRequest, may_ask: bool) -> StreamResponse:
+        viewing = WebSocketResponse(
+            heartbeat=HEARTBEAT_S, compress=False, max_msg_size=LONGEST_WISH, writer_limit=SEND_BUFFER // 2
+        )
+        transport = request.transport
+        if transport is None or not viewing.can_prepare(request).ok:
+            return _refusal(Turned(400, "this is for the page's own use"))
+        if why_not := self._crowd.look_on(transport):
+            return _refusal(Turned(503, why_not))
+        await viewing.prepare(request)
+        try:
+            await Viewer(self._feed, self._history, viewing, may_ask).serve()
+        except (TimeoutError, ConnectionError):
+            transport.abort()
+        return viewing
+
+
+def _headers(host: str) -> dict[str, str]:
+    # Some browsers do not take a socket to the same host for one to 'self'.
+    policy = (
+        f"default-src 'self'; connect-src 'self' ws://{host}; object-src 'none'; base-uri 'none'; "
+        "form-action 'self'; frame-ancestors 'none'"
+    )
+    return {**HEADERS, "Content-Security-Policy": policy}
+
+
+_TURNED_AWAY = """\
+<!doctype html>
+<html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>Flying Vines</title><h1>Flying Vines</h1><p>{why}.</p>{form}
+"""
+_FORM = """\
+<form><p><label>Token <input name="token" autocomplete="off" autocapitalize="none" autofocus></label>
+<button>Open</button></form>
+<p>It stands on the drone's terminal, and in the file that [page] token_file of its profile names."""
+
+
+def _refusal(turned: Turned) -> Response:
+    why = html.escape(turned.why[:1].upper() + turned.why[1:])
+    text = _TURNED_AWAY.format(why=why, form=_FORM if turned.status == 401 else "")
+    policy = "default-src 'none'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    response = Response(
+        status=turned.status,
+        text=text,
+        content_type="text/html",
+        headers={**HEADERS, "Content-Security-Policy": policy},
+    )
+    response.force_close()
+    return response

@@ -1,0 +1,152 @@
+// The link to the drone: one socket, opened again whenever it is lost. It knows how old all is that came by it.
+
+const SILENT_S = 2.0; // something comes every second, so by then nothing will
+const OPENS_WITHIN_S = 3.0;
+const FIRST_PATIENCE_S = 0.25;
+const LONGEST_PATIENCE_S = 4.0;
+const ANSWERED_WITHIN_S = 1.5;
+const TRY_AGAIN_S = 0.5;
+const LOOK_S = 0.2;
+const WHY_NOT = {
+  401: "the token changed, reload",
+  503: "too many viewers",
+};
+
+export const now = () => performance.now() / 1000;
+
+export class Link {
+  // `take` gets each message, `look` is called some times a second, to show how the link is.
+  constructor(take, look) {
+    this.take = take;
+    this.open = false;
+    this.refused = "";
+    this.lostAt = now();
+    this.shownAt = null; // the latest snapshot's time, by the drone's clock
+    this.offset = Infinity; // of our clock from the drone's, the least that was seen
+    this.patience = FIRST_PATIENCE_S;
+    this.answers = new Map();
+    this.number = 0;
+    this.connect();
+    setInterval(() => {
+      this.watch();
+      look();
+    }, 1000 * LOOK_S);
+    // A phone that wakes up has been away without noticing.
+    document.addEventListener("visibilitychange", () => document.hidden || this.hurry());
+    window.addEventListener("online", () => this.hurry());
+  }
+
+  // By the drone's clock, as far as it is known.
+  get droneNow() {
+    return now() - this.offset;
+  }
+
+  // Of what is shown, in seconds.
+  get age() {
+    return this.shownAt === null ? Infinity : Math.max(0, this.droneNow - this.shownAt);
+  }
+
+  connect() {
+    const secure = location.protocol === "https:" ? "wss" : "ws";
+    const socket = new WebSocket(`${secure}://${location.host}/live`);
+    this.socket = socket;
+    this.began = this.heardAt = now();
+    socket.onmessage = (event) => this.socket === socket && this.heard(JSON.parse(event.data));
+    socket.onclose = () => this.socket === socket && this.lost();
+  }
+
+  heard(message) {
+    this.heardAt = now();
+    if (message.kind === "hello") {
+      this.open = true;
+      this.refused = "";
+      this.patience = FIRST_PATIENCE_S;
+      this.offset = this.heardAt - message.t;
+    } else if (message.kind === "snapshot") {
+      this.shownAt = message.snapshot.t;
+      this.offset = Math.min(this.offset, this.heardAt - this.shownAt);
+    } else if (message.kind === "answer") {
+      this.answers.get(message.id)?.(message);
+      return;
+    }
+    this.take(message);
+  }
+
+  watch() {
+    if (this.socket && now() - this.heardAt > (this.open ? SILENT_S : OPENS_WITHIN_S)) this.lost();
+  }
+
+  lost() {
+    const socket = this.socket;
+    this.socket = null;
+    socket.close();
+    if (this.open) this.lostAt = this.heardAt;
+    else this.askWhy();
+    this.open = false;
+    this.again = setTimeout(() => this.connect(), 1000 * this.patience * (0.75 + 0.5 * Math.random()));
+    this.patience = Math.min(2 * this.patience, LONGEST_PATIENCE_S);
+  }
+
+  hurry() {
+    this.patience = FIRST_PATIENCE_S;
+    if (this.socket) return this.watch();
+    clearTimeout(this.again);
+    this.connect();
+  }
+
+  // A socket that is refused does not say why; a request does.
+  async askWhy() {
+    try {
+      const response = await fetch("live");
+      this.refused = WHY_NOT[response.status] ?? "";
+    } catch {
+      this.refused = "";
+    }
+  }
+
+  // What safety makes of it: accepted, limited, refused, or unanswered.
+  ask(command, value = null, name = null) {
+    if (!this.open) return Promise.resolve({ safety: "unanswered", reason: "no link" });
+    const id = this.number++;
+    return new Promise((resolve) => {
+      const end = (answer) => {
+        clearTimeout(late);
+        this.answers.delete(id);
+        resolve(answer);
+      };
+      const late = setTimeout(() => end({ safety: "unanswered", reason: "no answer" }), 1000 * ANSWERED_WITHIN_S);
+      this.answers.set(id, end);
+      this.socket.send(JSON.stringify({ id, command, value, name }));
+    });
+  }
+}
+
+// Asks to vent until it is confirmed, over any loss of the link, or until a person gives up.
+export class Vent {
+  constructor(link) {
+    this.link = link;
+    this.since = null;
+    this.confirmedAfter = null;
+    setInterval(() => this.wanted && this.attempt(), 1000 * TRY_AGAIN_S);
+  }
+
+  get wanted() {
+    return this.since !== null && this.confirmedAfter === null;
+  }
+
+  press() {
+    this.since = now();
+    this.confirmedAfter = null;
+    this.attempt();
+  }
+
+  giveUp() {
+    this.since = null;
+  }
+
+  async attempt() {
+    const since = this.since;
+    const answer = await this.link.ask("vent");
+    if (answer.safety === "accepted" && since === this.since) this.confirmedAfter ??= now() - since;
+  }
+}

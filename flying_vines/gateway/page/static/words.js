@@ -1,0 +1,65 @@
+// Plain sentences for what the drone tells.
+
+export const number = (value, digits = 1) => {
+  if (value === null) return "–";
+  const text = value.toFixed(digits);
+  return (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "−");
+};
+
+export const sentence = (text) => text && text[0].toUpperCase() + text.slice(1);
+
+export const plain = (name) => name.replaceAll("_", " ");
+
+// A trigger's source, for people.
+function source(what) {
+  if ("channel" in what) return `ch${what.channel} position ${what.position}`;
+  if ("loss" in what) return plain(what.loss);
+  if ("event" in what) return what.event;
+  const parts = [];
+  if ("seq" in what) parts.push(`#${what.seq ?? "?"}`);
+  if ("command" in what) parts.push(what.command);
+  if (Array.isArray(what.params)) parts.push(`(${what.params.join(", ")})`);
+  return parts.join(" ");
+}
+
+// [text, the style of the whole or of the verdict, the verdict, the reason]; null for what nobody reads.
+export function eventWords({ what, fields }) {
+  if (what === "decision") {
+    const asked = [plain(fields.trigger), source(fields.what)].filter(Boolean).join(" ");
+    const reason = fields.reason ? ` (${fields.reason})` : "";
+    return { text: `${asked} → ${fields.intent ?? "?"}: `, verdict: fields.safety, reason };
+  }
+  if (what === "notice" && !fields.of_decision) {
+    const severity = fields.severity <= 3 ? "error" : fields.severity === 4 ? "warning" : "notice";
+    return { text: fields.text, severity };
+  }
+  return null;
+}
+
+export function vehicleWords(s) {
+  if (s.vehicle === "none heard") return "none heard";
+  const up = s.altitude_m === null ? "height not known" : `${number(s.altitude_m)}\u00a0m\u00a0up`;
+  return [s.vehicle, s.mode, s.armed ? "armed" : "disarmed", up].filter(Boolean).join(", ");
+}
+
+export function rcWords(s) {
+  const position = s.switch_position === null ? "switch not read" : `position ${s.switch_position}`;
+  return s.rc === "good" ? `good, ${position}` : s.rc;
+}
+
+export function firmwareWords(s) {
+  if (s.firmware !== "ready") return s.firmware;
+  const trip = s.round_trip_s === null ? "" : `, ${number(1000 * s.round_trip_s)} ms`;
+  const gaps = s.telemetry_gaps ? `, ${s.telemetry_gaps} gaps` : "";
+  return `ready${trip}${gaps}`;
+}
+
+export function cyclesWords(cycles) {
+  if (!cycles) return "Cycles left: not known";
+  return `${number(cycles.expected, 0)} cycles left (${number(cycles.low, 0)} to ${number(cycles.high, 0)})`;
+}
+
+export function ageWords(seconds) {
+  if (seconds < 60) return `${seconds.toFixed(0)} s`;
+  return seconds < 3600 ? `${(seconds / 60).toFixed(0)} min` : `${(seconds / 3600).toFixed(0)} h`;
+}

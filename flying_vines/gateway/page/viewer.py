@@ -1,0 +1,165 @@
+"""One browser, or one terminal: told what happens, and heard. It may be slow, or mean no good."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+
+import msgspec
+from aiohttp import WSCloseCode, WSMsgType
+from aiohttp.web import WebSocketResponse
+
+from flying_vines.config import Config
+from flying_vines.gateway.feed import Feed, NoAnswerError, Reader
+from flying_vines.gateway.messages import Happened, Seen
+from flying_vines.gateway.page.history import History, Sample
+from flying_vines.gateway.page.wish import Patience, Wish, read_wish
+
+BEAT_S = 1.0
+"""Something is said so often, if only that nothing is new: who hears nothing knows that the link is cut."""
+SLOW_S = 5.0
+"""Who does not take what is sent for so long is dropped."""
+TOLD_AT_FIRST = 200
+"""Events of the past."""
+
+
+class _Vine(msgspec.Struct, frozen=True):
+    """What the page must know of the profile."""
+
+    profiles: tuple[str, ...]
+    curve: tuple[tuple[float, float], ...]
+    max_kPa: float
+    full_kPa: float
+    bench_mode: bool
+
+
+class _Hello(msgspec.Struct, frozen=True, tag="hello", tag_field="kind"):
+    t: float
+    """Now, by the clock of all the other times."""
+    version: str
+    may_ask: bool
+    vine: _Vine
+    history: Sequence[Sample]
+    happened: Sequence[Happened]
+
+
+class _Answer(msgspec.Struct, frozen=True, tag="answer", tag_field="kind"):
+    """To a wish."""
+
+    id: int
+    safety: str
+    reason: str
+
+
+class _Missed(msgspec.Struct, frozen=True, tag="missed", tag_field="kind"):
+    """Events that were lost to a viewer who was too slow."""
+
+    count: int
+
+
+class _Beat(msgspec.Struct, frozen=True, tag="beat", tag_field="kind"):
+    pass
+
+
+_Message = _Hello | _Answer | _Missed | _Beat | Happened | Seen
+
+
+class Viewer:
+    """At the other end of a socket that is open."""
+
+    def __init__(self, feed: Feed, history: History, socket: WebSocketResponse, may_ask: bool) -> None:
+        self._feed = feed
+        self._history = history
+        self._socket = socket
+        self._may_ask = may_ask
+        self._asking: set[asyncio.Task[None]] = set()
+
+    async def serve(self) -> None:
+        """Until it leaves. Raises `TimeoutError` or `ConnectionError` where it does not take what is sent."""
+        with self._feed.reader() as reader:
+            await self._send(self._hello())
+            if self._feed.latest is not None:
+                await self._send(self._feed.latest)
+            telling = asyncio.create_task(self._tell(reader))
+            listening = asyncio.create_task(self._listen())
+            tasks = {telling, listening}
+            try:
+                await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                tasks |= self._asking
+                for task in tasks:
+                    task.cancel()
+                ended = await asyncio.gather(*tasks, return_exceptions=True)
+        for end in ended:
+            if isinstance(end, Exception):
+                raise end
+
+    def _hello(self) -> _Hello:
+        return _Hello(
+            asyncio.get_running_loop().time(),
+            self._feed.profile.version,
+            self._may_ask,
+            _vine(self._feed.profile.config),
+            tuple(self._history.samples),
+            tuple(self._feed.happened)[-TOLD_AT_FIRST:],
+        )
+
+    async def _tell(self, reader: Reader) -> None:
+        missed = 0
+        while True:
+            try:
+                news: Sequence[_Message] = await asyncio.wait_for(reader.next(), BEAT_S)
+            except TimeoutError:
+                news = (_Beat(),)
+            if reader.missed > missed:
+                await self._send(_Missed(reader.missed - missed))
+                missed = reader.missed
+            for message in news:
+                await self._send(message)
+
+    async def _listen(self) -> None:
+        loop = asyncio.get_running_loop()
+        patience = Patience(loop.time())
+        async for message in self._socket:
+            if message.type is not WSMsgType.TEXT:
+                return
+            if not patience.bears(loop.time()):
+                await self._close(WSCloseCode.TRY_AGAIN_LATER, "asked too often")
+                return
+            try:
+                wish = read_wish(message.data)
+            except (msgspec.DecodeError, ValueError):
+                await self._close(WSCloseCode.INVALID_TEXT, "not understood")
+                return
+            # Whoever waits for an answer must still be able to vent.
+            task = asyncio.create_task(self._grant(wish))
+            self._asking.add(task)
+            task.add_done_callback(self._asking.discard)
+
+    async def _grant(self, wish: Wish) -> None:
+        if not self._may_ask:
+            answer = _Answer(wish.id, "refused", "you may only watch")
+        else:
+            try:
+                found = await self._feed.ask("page", wish.command, wish.value, wish.name)
+                answer = _Answer(wish.id, found.safety, found.reason)
+            except NoAnswerError as error:
+                answer = _Answer(wish.id, "unanswered", str(error))
+        await self._send(answer)
+
+    async def _send(self, message: _Message) -> None:
+        async with asyncio.timeout(SLOW_S):
+            await self._socket.send_str(msgspec.json.encode(message).decode())
+
+    async def _close(self, code: WSCloseCode, why: str) -> None:
+        await self._socket.close(code=code, message=why.encode())
+
+
+def _vine(config: Config) -> _Vine:
+    return _Vine(
+        tuple(config.profiles),
+        config.vine.curve,
+        config.limits.max_kPa,
+        config.pneumatics.full_kPa,
+        config.interlocks.bench_mode,
+    )

@@ -1,0 +1,225 @@
+"""Brokers for tests, each a process of its own: mosquitto, and amqtt, which comes with Python's packages."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import aiomqtt
+import msgspec
+import pytest
+from needed import need
+
+MOSQUITTO_HOW = "sudo apt install mosquitto"
+PATIENCE_S = 10.0
+AMQTT = """\
+import asyncio, logging, sys
+from amqtt.broker import Broker
+logging.disable()
+async def serve():
+    listeners = {"default": {"type": "tcp", "bind": f"127.0.0.1:{sys.argv[1]}"}}
+    plugins = {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}}
+    broker = Broker({"listeners": listeners, "plugins": plugins})
+    await broker.start()
+    await asyncio.Event().wait()
+asyncio.run(serve())
+"""
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def mosquitto() -> str | None:
+    """Its path; Debian keeps it where only root looks."""
+    return shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
+
+
+class Broker:
+    """That can be killed and started again on the same port."""
+
+    def __init__(self, folder: Path, settings: str = "allow_anonymous true", kind: str = "mosquitto") -> None:
+        self.port = free_port()
+        self.folder = folder
+        self._settings = settings
+        self._kind = kind
+        self.process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def url(self) -> str:
+        return f"mqtt://127.0.0.1:{self.port}"
+
+    async def start(self) -> None:
+        self._begin()
+        async with asyncio.timeout(PATIENCE_S):
+            while not self._listens():
+                await asyncio.sleep(0.02)
+
+    def _begin(self) -> None:
+        self.process = subprocess.Popen(self._command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    def kill(self) -> None:
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+            self.process = None
+
+    @property
+    def _command(self) -> list[str]:
+        if self._kind == "amqtt":
+            return [sys.executable, "-c", AMQTT, str(self.port)]
+        path = mosquitto()
+        if path is None:
+            pytest.skip(f"needs mosquitto: {MOSQUITTO_HOW}")
+        # As root it would become another user, who cannot read what is in the tests' folders.
+        file = self.folder / f"mosquitto-{self.port}.conf"
+        file.write_text(f"user root\nlistener {self.port} 127.0.0.1\n{self._settings}\n")
+        return [path, "-c", str(file)]
+
+    def _listens(self) -> bool:
+        assert self.process is not None
+        assert self.process.poll() is None, "the broker runs"
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", self.port)) == 0
+
+
+@contextlib.asynccontextmanager
+async def running(broker: Broker) -> AsyncIterator[Broker]:
+    await broker.start()
+    try:
+        yield broker
+    finally:
+        broker.kill()
+
+
+class Line:
+    """Between a vehicle and a broker; while it is cut, nobody answers."""
+
+    def __init__(self, broker: Broker) -> None:
+        self._broker = broker
+        self._open: set[asyncio.StreamWriter] = set()
+        self.is_cut = False
+        self.port = 0
+
+    @property
+    def url(self) -> str:
+        return f"mqtt://127.0.0.1:{self.port}"
+
+    @contextlib.asynccontextmanager
+    async def laid(self) -> AsyncIterator[Line]:
+        server = await asyncio.start_server(self._forward, "127.0.0.1", 0)
+        self.port = server.sockets[0].getsockname()[1]
+        try:
+            yield self
+        finally:
+            server.close()
+            self.cut()
+
+    def cut(self) -> None:
+        self.is_cut = True
+        for writer in self._open:
+            writer.transport.abort()
+
+    def mend(self) -> None:
+        self.is_cut = False
+
+    async def _forward(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if self.is_cut:
+            writer.transport.abort()
+            return
+        far_reader, far_writer = await asyncio.open_connection("127.0.0.1", self._broker.port)
+        ends = {writer, far_writer}
+        self._open |= ends
+
+        async def pass_on(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
+            with contextlib.suppress(OSError):
+                while data := await source.read(65536):
+                    sink.write(data)
+                    await sink.drain()
+            for end in ends:
+                end.close()
+
+        await asyncio.gather(pass_on(reader, far_writer), pass_on(far_reader, writer))
+        self._open -= ends
+
+
+class Onlooker:
+    """Somebody else on the broker: what he has heard, by topic."""
+
+    def __init__(self, client: aiomqtt.Client) -> None:
+        self.client = client
+        self.heard: list[aiomqtt.Message] = []
+
+    def on(self, topic: str) -> list[dict[str, Any]]:
+        return [read(message) for message in self.heard if str(message.topic) == topic]
+
+    async def until(self, topic: str, count: int = 1, **fields: Any) -> dict[str, Any]:
+        """The latest on a topic of at least `count` that have these fields."""
+        deadline = time.monotonic() + PATIENCE_S
+        while True:
+            fit = [told for told in self.on(topic) if all(told.get(key) == fields[key] for key in fields)]
+            if len(fit) >= count:
+                return fit[-1]
+            assert time.monotonic() < deadline, f"{fields} is not in {self.on(topic)[-5:]}"
+            await asyncio.sleep(0.01)
+
+    async def say(self, topic: str, payload: dict[str, Any] | bytes, **how: Any) -> None:
+        text = payload if isinstance(payload, bytes) else msgspec.json.encode(payload)
+        await self.client.publish(topic, text, **how)
+
+
+def read(message: aiomqtt.Message) -> dict[str, Any]:
+    assert isinstance(message.payload, bytes)
+    told: dict[str, Any] = msgspec.json.decode(message.payload) if message.payload else {}
+    return told
+
+
+@contextlib.asynccontextmanager
+async def onlooker(broker: Broker, host: str = "127.0.0.1", **client: Any) -> AsyncIterator[Onlooker]:
+    async with aiomqtt.Client(host, broker.port, **client) as connected:
+        await connected.subscribe("#", qos=1)
+        person = Onlooker(connected)
+
+        async def listen() -> None:
+            async for message in connected.messages:
+                person.heard.append(message)
+
+        listening = asyncio.create_task(listen())
+        try:
+            yield person
+        finally:
+            listening.cancel()
+            await asyncio.gather(listening, return_exceptions=True)
+
+
+def run_quietly(*command: str, folder: Path | None = None) -> None:
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+
+
+def make_certificates(folder: Path) -> None:
+    """`ca` and `another`, signed by themselves; `server`, for the name localhost, and `heron`, by `ca`."""
+    openssl = need("openssl", "sudo apt install openssl")
+
+    def run(*arguments: str) -> None:
+        run_quietly(openssl, *arguments, folder=folder)
+
+    key = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-noenc", "-keyout")
+    for name in ("ca", "another"):
+        run("req", "-x509", *key, f"{name}.key", "-out", f"{name}.pem", "-subj", f"/CN={name}", "-days", "1")
+    (folder / "names").write_text("subjectAltName=DNS:localhost")
+    for name in ("server", "heron"):
+        run("req", *key, f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}")
+        signing = ("-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "1", "-extfile", "names")
+        run("x509", "-req", "-in", f"{name}.csr", *signing, "-out", f"{name}.pem")
+        (folder / f"{name}.key").chmod(0o600)

@@ -1,0 +1,181 @@
+"""What may be asked for over the broker: what is listed, just now, once, and a vent before all else."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flying_vines.gateway.mqtt.asks import LONGEST_ASK, MOST_WAITING, Asks
+from flying_vines.gateway.mqtt.payloads import Answer
+from flying_vines.gateway.mqtt.teller import Now
+from flying_vines.intent import Command
+
+NOW = Now(50.0, 1_700_000_000.0)
+ALL: tuple[Command, ...] = ("vent", "bend", "profile", "hold")
+
+
+def ask(id: str = "1", command: str = "hold", age_s: float = 0.0, **more: Any) -> bytes:
+    return msgspec.json.encode({"id": id, "unix_s": NOW.unix_s - age_s, "command": command, **more})
+
+
+def waiting(asks: Asks) -> list[list[str]]:
+    """Ids of all that is handed to the service, in order."""
+    handed = []
+    while together := asks.next():
+        handed.append([one.id for one in together])
+    return handed
+
+
+def refusal(asks: Asks, payload: bytes, retained: bool = False, now: Now = NOW) -> str:
+    (answer,) = asks.hear(now, payload, retained)
+    assert answer.safety == "refused"
+    assert not asks.next()
+    return answer.reason
+
+
+def test_nothing_may_be_asked_for_unless_it_is_listed() -> None:
+    assert "the profile lists nothing" in refusal(Asks((), 5.0), ask(command="vent"))
+    assert "'bend' may not be asked for" in refusal(Asks(("vent",), 5.0), ask(command="bend", value=30))
+
+
+def test_what_is_listed_is_handed_on_with_its_value() -> None:
+    asks = Asks(ALL, 5.0)
+    assert asks.hear(NOW, ask("1", "bend", value=30), False) == []
+    assert asks.hear(NOW, ask("2", "profile", name="wave"), False) == []
+    (bend,), (profile,) = asks.next(), asks.next()
+    assert (bend.command, bend.value) == ("bend", 30.0)
+    assert (profile.command, profile.name) == ("profile", "wave")
+    assert not asks.next()
+
+
+@pytest.mark.parametrize("command", ["vent", "hold"])
+def test_what_was_asked_for_long_ago_is_refused(command: str) -> None:
+    asks = Asks(ALL, 5.0)
+    assert "asked 5.1 s ago by this vehicle's clock" in refusal(asks, ask("1", command, 5.1))
+    assert "asked 60.0 s from now" in refusal(asks, ask("2", command, -60.0))
+    assert "a retained message" in refusal(asks, ask("3", command), retained=True)
+    assert asks.hear(NOW, ask("4", command, 4.9), False) == []
+
+
+@pytest.mark.parametrize("command", ["vent", "hold"])
+def test_what_is_asked_for_twice_is_done_once(command: str) -> None:
+    asks = Asks(ALL, 5.0)
+    assert asks.hear(NOW, ask("1", command), False) == []
+    (answer,) = asks.hear(NOW, ask("1", command), False)
+    assert "asked before" in answer.reason
+    assert waiting(asks) == [["1"]]
+    # As long as it is young enough to be done, its id is known; after that it is too old.
+    for later_s in (1.0, 4.9, 5.1, 400.0):
+        later = Now(NOW.t + later_s, NOW.unix_s + later_s)
+        assert refusal(asks, ask("1", command), now=later)
+
+
+@pytest.mark.parametrize(
+    ("payload", "said"),
+    [
+        (b"", "truncated"),
+        (b"vent", "malformed"),
+        (b"[" * 1000, "not understood"),
+        (b'{"id": "\xff"}', "not understood"),
+        (ask(command="explode"), "Invalid enum value 'explode'"),
+        (ask(surprise=1), "unknown field `surprise`"),
+        (ask(id=""), "length >= 1"),
+        (ask(id="x" * 65), "length <= 64"),
+        (ask(version=2), "version"),
+        (ask(command="bend"), "'bend' takes a value"),
+        (ask(command="bend", value=30, name="wave"), "'bend' takes a value"),
+        (ask(command="profile", value=3), "'profile' takes a name"),
+        (ask(command="hold", value=3), "'hold' takes nothing"),
+        (b'{"id": "1", "command": "hold"}', "unix_s"),
+        (b'{"id": "1", "command": "hold", "unix_s": 1e999}', "not understood"),
+        (b'{"id": "1", "command": "bend", "value": 1e999, "unix_s": 1700000000}', "not understood"),
+        (ask() + b" " * LONGEST_ASK, "longer than"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_with_the_reason(payload: bytes, said: str) -> None:
+    assert said in refusal(Asks(ALL, 5.0), payload)
+
+
+def test_a_vent_overtakes_what_waits_and_that_is_not_done_afterwards() -> None:
+    asks = Asks(ALL, 5.0)
+    asks.hear(NOW, ask("1", "bend", value=30), False)
+    asks.hear(NOW, ask("2", "hold"), False)
+    overtaken = asks.hear(NOW, ask("3", "vent"), False)
+    assert [(answer.id, answer.reason) for answer in overtaken] == [
+        ("1", "overtaken by a vent"),
+        ("2", "overtaken by a vent"),
+    ]
+    asks.hear(NOW, ask("4", "vent"), False)
+    asks.hear(NOW, ask("5", "bend", value=30), False)
+    assert waiting(asks) == [["3", "4"], ["5"]]
+
+
+def test_whoever_asks_too_often_is_not_answered_but_may_vent() -> None:
+    asks = Asks(ALL, 5.0)
+    answers = [answer for number in range(5000) for answer in asks.hear(NOW, ask(str(number)), False)]
+    answers += [answer for _ in range(5000) for answer in asks.hear(NOW, b"{", False)]
+    assert len(answers) + len(waiting(asks)) == 10
+    assert asks.ignored == 9990
+    assert asks.hear(NOW, ask("vent", "vent"), False) == []
+    assert waiting(asks) == [["vent"]]
+    later = Now(NOW.t + 1.0, NOW.unix_s + 1.0)
+    assert asks.hear(later, ask("later", age_s=-1.0), False) == []
+    assert waiting(asks) == [["later"]]
+
+
+def test_a_flood_of_vents_is_one_vent() -> None:
+    asks = Asks(ALL, 5.0)
+    for number in range(20_000):
+        assert asks.hear(NOW, ask(str(number), "vent"), False) == []
+    (together,) = waiting(asks)
+    assert len(together) == MOST_WAITING
+
+
+def test_what_waits_when_the_broker_goes_is_not_done_when_it_is_back() -> None:
+    asks = Asks(ALL, 5.0)
+    asks.hear(NOW, ask("1", "bend", value=30), False)
+    asks.disconnected()
+    assert waiting(asks) == []
+    assert "asked before" in refusal(asks, ask("1", "bend", value=30))
+
+
+@given(st.binary(max_size=200) | st.text(max_size=50).map(str.encode), st.booleans())
+def test_no_bytes_make_it_fail(payload: bytes, retained: bool) -> None:
+    asks = Asks(ALL, 5.0)
+    for answer in asks.hear(NOW, payload, retained):
+        assert isinstance(answer, Answer)
+        assert answer.safety == "refused"
+        assert answer.reason
+    assert waiting(asks) == []
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["vent", "hold", "bend"]),
+            st.integers(0, 3),
+            st.floats(-8, 8),
+            st.floats(0.0, 3.0),
+        ),
+        max_size=40,
+    )
+)
+def test_whoever_asks_how_nothing_is_done_twice_or_late(said: list[tuple[str, int, float, float]]) -> None:
+    """Each a command, an id, its age and how long it is after the one before; some come late, some again."""
+    asks = Asks(ALL, 5.0)
+    now = NOW
+    done: list[tuple[str, float]] = []
+    for command, id, age_s, after_s in said:
+        now = Now(now.t + after_s, now.unix_s + after_s)
+        value = {"value": 30.0} if command == "bend" else {}
+        asked = {"id": str(id), "unix_s": now.unix_s - age_s, "command": command, **value}
+        asks.hear(now, msgspec.json.encode(asked), False)
+        for one in asks.next():
+            assert abs(now.unix_s - one.unix_s) <= 5.0
+            done.append((one.id, one.unix_s))
+        assert not asks.next()
+    assert len(set(done)) == len(done)

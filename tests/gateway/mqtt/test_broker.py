@@ -1,0 +1,332 @@
+"""Vehicles on a real broker: what others read of them and may ask for, and a broker that comes and goes."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import re
+import ssl
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from needed import need
+
+from flying_vines.gateway.mqtt import connection, health
+
+from .brokers import MOSQUITTO_HOW, Broker, Line, Onlooker, make_certificates, onlooker, run_quietly, running
+from .vehicles import flying
+
+BASE = "flying-vines/heron"
+
+
+@pytest.fixture(autouse=True)
+def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(health, "FIRST_WAIT_S", 0.1)
+    monkeypatch.setattr(health, "LONGEST_WAIT_S", 0.2)
+    monkeypatch.setattr(health, "TOLD_AFTER_S", 0.0)
+    monkeypatch.setattr(health, "WELL_S", 0.1)
+
+
+@pytest.fixture
+async def broker(tmp_path: Path) -> AsyncIterator[Broker]:
+    async with running(Broker(tmp_path)) as broker:
+        yield broker
+
+
+@pytest.fixture
+async def people(broker: Broker) -> AsyncIterator[Onlooker]:
+    async with onlooker(broker) as people:
+        yield people
+
+
+def ask(id: str, command: str = "vent", **more: Any) -> dict[str, Any]:
+    return {"id": id, "unix_s": time.time(), "command": command, **more}
+
+
+async def test_whoever_comes_later_knows_who_is_there(broker: Broker, people: Onlooker) -> None:
+    async with flying(broker=broker.url, name="heron") as vehicle:
+        await people.until(f"{BASE}/status", status="online")
+        await people.until(f"{BASE}/state", count=2, doing="bend-full")
+        await people.until(f"{BASE}/reservoir")
+        async with onlooker(broker) as latecomer:
+            await latecomer.until(f"{BASE}/status", status="online")
+            await latecomer.until(f"{BASE}/about", flying_vines="1.2.3")
+            first = {str(message.topic): message.retain for message in latecomer.heard}
+            assert first[f"{BASE}/status"]
+            assert first[f"{BASE}/about"]
+        assert not vehicle.troubles
+    await people.until(f"{BASE}/status", status="offline")
+    async with onlooker(broker) as latecomer:
+        await latecomer.until(f"{BASE}/status", status="offline")
+        assert not latecomer.on(f"{BASE}/state"), "states are not kept"
+
+
+async def test_what_happens_while_the_broker_is_away_is_told_in_order_and_once(broker: Broker) -> None:
+    async with Line(broker).laid() as line, flying(broker=line.url, name="heron", kept_events=20) as vehicle:
+        async with onlooker(broker) as people:
+            vehicle.say("before")
+            await people.until(f"{BASE}/event", text="before")
+            line.cut()
+            broker.kill()
+        for number in range(30):
+            vehicle.say(f"away {number}")
+        await vehicle.in_trouble("the connection is lost")
+        await broker.start()
+        async with onlooker(broker) as people:
+            line.mend()
+            await people.until(f"{BASE}/event", text="away 29")
+            vehicle.say("back")
+            await people.until(f"{BASE}/event", text="back")
+            lost, *told = people.on(f"{BASE}/event")
+            assert (lost["event"], lost["count"], lost["number"]) == ("lost", 10, 11)
+            assert [event["text"] for event in told] == [
+                *(f"away {number}" for number in range(10, 30)),
+                "back",
+            ]
+            assert [event["number"] for event in told] == list(range(12, 33))
+            await people.until(f"{BASE}/status", status="online")
+            await people.until(f"{BASE}/state")
+            began_s = people.on(f"{BASE}/about")[0]["unix_s"]
+            assert all(state["unix_s"] > began_s - 0.2 for state in people.on(f"{BASE}/state"))
+        await vehicle.in_trouble("is back")
+        assert len(vehicle.troubles) == 2
+
+
+async def test_a_flood_of_asks_holds_up_neither_states_nor_a_vent(broker: Broker, people: Onlooker) -> None:
+    async with flying(broker=broker.url, name="heron", rate_Hz=10.0, commands=("vent", "bend")) as vehicle:
+        await people.until(f"{BASE}/status", status="online")
+        before = len(people.on(f"{BASE}/state"))
+        began = time.monotonic()
+        for number in range(200):
+            for nonsense in (b"{", b"x" * 3000, b"y" * 100_000, b'{"id":"1"}'):
+                await people.say(f"{BASE}/ask", nonsense)
+            await people.say(f"{BASE}/ask", ask(f"bend {number}", "bend", value=30.0))
+        took_s = time.monotonic() - began
+        asked_at = time.monotonic()
+        await people.say(f"{BASE}/ask", ask("vent"))
+        await people.until(f"{BASE}/answer", id="vent", safety="accepted")
+        assert time.monotonic() - asked_at < 1.0
+        await people.until(f"{BASE}/state", count=before + 3)
+        assert len(people.on(f"{BASE}/answer")) < 12 + 6 * (took_s + 1.0)
+        assert len(vehicle.asked) < 12 + 6 * (took_s + 1.0)
+        assert vehicle.troubles == ["MQTT: flying-vines/heron/ask: asked too often, not all is answered"]
+
+
+async def test_what_is_listed_may_be_asked_for_and_is_answered(broker: Broker, people: Onlooker) -> None:
+    async with flying(broker=broker.url, name="heron", commands=("vent", "profile")) as vehicle:
+        await people.until(f"{BASE}/about", commands=["vent", "profile"])
+        await people.until(f"{BASE}/status", status="online")
+        await people.say(f"{BASE}/ask", ask("1"))
+        await people.until(f"{BASE}/answer", id="1", safety="accepted")
+        await people.say(f"{BASE}/ask", ask("2", "profile", name="wave"))
+        await people.until(f"{BASE}/answer", id="2", safety="accepted")
+        assert [(asked.by, asked.command, asked.name) for asked in vehicle.asked] == [
+            ("broker", "vent", None),
+            ("broker", "profile", "wave"),
+        ]
+        await people.say(f"{BASE}/ask", ask("3", "bend", value=30.0))
+        refused = await people.until(f"{BASE}/answer", id="3", safety="refused")
+        assert "may not be asked for" in refused["reason"]
+        vehicle.deaf = True
+        await people.say(f"{BASE}/ask", ask("4"))
+        unknown = await people.until(f"{BASE}/answer", id="4", safety="unknown")
+        assert unknown["reason"] == "the service does not answer"
+        assert len(vehicle.asked) == 3
+
+
+async def test_nothing_may_be_asked_for_unless_it_is_switched_on(broker: Broker, people: Onlooker) -> None:
+    async with flying(broker=broker.url, name="heron") as vehicle:
+        await people.until(f"{BASE}/status", status="online")
+        await people.say(f"{BASE}/ask", ask("1"))
+        await people.until(f"{BASE}/state", count=3)
+        assert not vehicle.asked
+        assert not people.on(f"{BASE}/answer")
+
+
+async def test_what_was_asked_before_the_vehicle_came_is_not_done(broker: Broker, people: Onlooker) -> None:
+    """Retained by the broker, or kept for a client of that name."""
+    await people.say(f"{BASE}/ask", ask("retained"), retain=True)
+    async with flying(broker=broker.url, name="heron", commands=("vent",)):
+        await people.until(f"{BASE}/status", status="online")
+    await people.say(f"{BASE}/ask", ask("meanwhile"), qos=1)
+    async with flying(broker=broker.url, name="heron", commands=("vent",)) as vehicle:
+        await people.until(f"{BASE}/status", count=2, status="online")
+        await people.until(f"{BASE}/answer", count=2)
+        answers = people.on(f"{BASE}/answer")
+        assert {(answer["id"], answer["safety"]) for answer in answers} == {("retained", "refused")}
+        assert "retained" in answers[0]["reason"]
+        assert not vehicle.asked
+
+
+async def test_vehicles_of_a_fleet_are_told_apart(broker: Broker, people: Onlooker) -> None:
+    heron = flying(broker=broker.url, name="heron", commands=("vent",))
+    egret = flying(broker=broker.url, name="egret", commands=("vent",))
+    async with heron as first, egret as second:
+        for vehicle, name in ((first, "heron"), (second, "egret")):
+            await people.until(f"flying-vines/{name}/status", status="online")
+            vehicle.say(f"I am {name}")
+            await people.until(f"flying-vines/{name}/event", text=f"I am {name}")
+        await people.say("flying-vines/egret/ask", ask("1"))
+        await people.until("flying-vines/egret/answer", id="1")
+        assert (len(first.asked), len(second.asked)) == (0, 1)
+        assert not people.on("flying-vines/heron/answer")
+
+
+async def test_two_vehicles_of_one_name_are_told_so(broker: Broker, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(health, "WELL_S", 3.0)
+    monkeypatch.setattr(health, "TOLD_AFTER_S", 5.0)
+    heron = {"broker": broker.url, "name": "heron"}
+    async with flying(**heron) as first, flying(**heron) as second:
+        async with asyncio.timeout(10.0):
+            while not (troubles := first.troubles + second.troubles):
+                await asyncio.sleep(0.01)
+        assert {trouble.split(": ", 2)[2] for trouble in troubles} == {health.THROWN_OUT.text}
+
+
+async def test_a_user_and_a_password(tmp_path: Path) -> None:
+    passwd = need("mosquitto_passwd", MOSQUITTO_HOW)
+    users = tmp_path / "users"
+    run_quietly(passwd, "-b", "-c", str(users), "heron", "right")
+    run_quietly(passwd, "-b", str(users), "people", "look on")
+    rights = tmp_path / "rights"
+    rights.write_text(rights_of_the_page())
+    password = tmp_path / "password"
+    password.write_text("wrong\n")
+    password.chmod(0o644)
+    settings = f"allow_anonymous false\npassword_file {users}\nacl_file {rights}"
+    login = {"username": "heron", "password_file": str(password)}
+    async with (
+        running(Broker(tmp_path, settings)) as broker,
+        onlooker(broker, username="people", password="look on") as people,
+    ):
+        async with flying(broker=broker.url, name="heron", **login) as vehicle:
+            await vehicle.in_trouble(f"others may read or change the password: chmod 600 {password}")
+        password.chmod(0o600)
+        async with flying(broker=broker.url, name="heron", **login) as vehicle:
+            await vehicle.in_trouble("it does not let us in: see mqtt.username and mqtt.password_file")
+            assert len(vehicle.troubles) == 1
+        password.write_text("right\n")
+        async with flying(broker=broker.url, name="heron", **login) as vehicle:
+            await people.until(f"{BASE}/state")
+            assert not vehicle.troubles
+        async with flying(broker=broker.url, name="egret", **login) as vehicle:
+            await vehicle.in_trouble("it does not let us publish to flying-vines/egret/…")
+        assert not [message for message in people.heard if "egret" in str(message.topic)]
+        home = {"discovery_prefix": "homeassistant", "commands": ("vent",)}
+        async with flying(broker=broker.url, name="heron", **home, **login) as vehicle:
+            await people.until(f"{BASE}/about", commands=["vent"])
+            await people.say(f"{BASE}/ask", ask("1"))
+            await people.until(f"{BASE}/answer", id="1", safety="accepted")
+            assert not vehicle.troubles
+        seen = [message.topic.value for message in people.heard if message.topic.matches("homeassistant/#")]
+        assert "homeassistant/button/heron/flying-vines_vent/config" in seen
+
+
+def rights_of_the_page() -> str:
+    """The access control list that docs/mqtt.md recommends; and people may look at what is discovered."""
+    page = (Path(__file__).parents[3] / "docs" / "mqtt.md").read_text(encoding="utf-8")
+    (rights,) = re.findall(r"```\n(pattern write .*?)```", page, re.DOTALL)
+    (home,) = re.findall(r"`(pattern write homeassistant/[^`]*)`", page)
+    return f"{home}\n{rights}topic read homeassistant/#\n"
+
+
+# Of a handshake that fails the library leaves the socket to the garbage collector.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+async def test_tls_with_the_right_certificate_and_with_every_wrong_one(tmp_path: Path) -> None:
+    make_certificates(tmp_path)
+    settings = (
+        f"allow_anonymous true\ncafile {tmp_path}/ca.pem\ncertfile {tmp_path}/server.pem\n"
+        f"keyfile {tmp_path}/server.key\nrequire_certificate true"
+    )
+    ours = {"certificate_file": f"{tmp_path}/heron.pem", "key_file": f"{tmp_path}/heron.key"}
+    trusted = {"ca_file": f"{tmp_path}/ca.pem"}
+    async with running(Broker(tmp_path, settings)) as broker:
+        right = f"mqtts://localhost:{broker.port}"
+
+        async def trouble(url: str, text: str, **files: str) -> None:
+            async with flying(broker=url, name="heron", **files) as vehicle:
+                await vehicle.in_trouble(text)
+                assert vehicle.troubles == [f"MQTT: {url}: {vehicle.troubles[0].split(f'{url}: ')[1]}"]
+
+        context = ssl.create_default_context(cafile=trusted["ca_file"])
+        context.load_cert_chain(*ours.values())
+        async with (
+            onlooker(broker, host="localhost", tls_context=context) as people,
+            flying(broker=right, name="heron", **trusted, **ours) as vehicle,
+        ):
+            await people.until(f"{BASE}/state")
+            assert not vehicle.troubles
+        await trouble(right, "its certificate is not trusted: self-signed", **ours)
+        await trouble(right, "its certificate is not trusted", ca_file=f"{tmp_path}/another.pem", **ours)
+        wrong_name = f"mqtts://127.0.0.1:{broker.port}"
+        await trouble(wrong_name, "IP address mismatch, certificate is not valid", **trusted, **ours)
+        await trouble(right, "No such file", ca_file=f"{tmp_path}/nowhere.pem", **ours)
+        await trouble(right, "no certificates in it", ca_file=f"{tmp_path}/names", **ours)
+        (tmp_path / "heron.key").chmod(0o644)
+        await trouble(right, "others may read or change the key", **trusted, **ours)
+    async with running(Broker(tmp_path)) as plain:
+        await trouble(f"mqtts://127.0.0.1:{plain.port}", "does it speak TLS at this port?", **trusted)
+    gc.collect()
+
+
+async def test_what_is_no_broker(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "PATIENCE_S", 0.3)
+    greetings = (b"", b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\x00" * 1000, b"\x20\x03\x00\x00", b"\xff" * 99)
+    greeted: list[bytes] = []
+
+    async def listen(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        greeted.append(greetings[len(greeted) % len(greetings)])
+        writer.write(greeted[-1])
+        with contextlib.suppress(OSError):
+            await reader.read()
+        writer.close()
+
+    server = await asyncio.start_server(listen, "127.0.0.1", 0)
+    port = server.sockets[0].getsockname()[1]
+    async with flying(broker=f"mqtt://127.0.0.1:{port}", name="heron") as vehicle:
+        await vehicle.in_trouble("something is there and says nothing: is it a broker")
+        async with asyncio.timeout(10.0):
+            while len(greeted) < 5:
+                await asyncio.sleep(0.01)
+    server.close()
+    async with flying(broker="mqtt://no.such.name.invalid", name="heron") as vehicle:
+        await vehicle.in_trouble("there is no such name")
+
+
+async def test_a_broker_that_knows_no_mqtt_5(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "PATIENCE_S", 1.0)
+    pytest.importorskip("amqtt", reason="needs amqtt: pip install 'flying-vines[dev]'")
+    async with running(Broker(tmp_path, kind="amqtt")) as broker, onlooker(broker) as people:
+        async with flying(broker=broker.url, name="heron", commands=("vent",)) as vehicle:
+            vehicle.say("hello")
+            await people.until(f"{BASE}/event", text="hello")
+            await people.until(f"{BASE}/status", status="online")
+            await people.until(f"{BASE}/state")
+            await people.say(f"{BASE}/ask", ask("1"))
+            await people.until(f"{BASE}/answer", id="1", safety="accepted")
+        await people.until(f"{BASE}/status", status="offline")
+
+
+async def test_a_connection_that_misses_its_cancellation_does_not_outlive_its_service(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As `asyncio.wait_for` may lose it, in the library, when an answer comes in the same turn."""
+    cancelled = []
+
+    async def deaf(self: connection.Connection, health: health.Health) -> Exception:
+        try:
+            await asyncio.sleep(3600)
+        except asyncio.CancelledError:
+            cancelled.append("missed")
+        await asyncio.sleep(3600)
+        raise AssertionError
+
+    monkeypatch.setattr(connection, "LEAVING_S", 0.05)
+    monkeypatch.setattr(connection.Connection, "_connect", deaf)
+    async with flying(broker="mqtt://localhost", name="heron"):
+        await asyncio.sleep(0.05)
+    assert cancelled == ["missed"]

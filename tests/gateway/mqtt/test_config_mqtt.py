@@ -1,0 +1,90 @@
+"""The [mqtt] table: every mistake is found before flying, and says which key and what to do."""
+
+from __future__ import annotations
+
+import pytest
+
+from flying_vines import config
+from flying_vines.address import BrokerAddress, parse_broker
+
+TLS = 'broker = "mqtts://b"\n'
+
+
+def parsed(text: str) -> config.Mqtt:
+    return config.parse(f"[mqtt]\n{text}\n[switch]\npositions = ['', '']\n[profiles]\n", "my.toml").mqtt
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        ("mqtt://b", BrokerAddress("b", 1883, False)),
+        ("mqtts://b", BrokerAddress("b", 8883, True)),
+        ("mqtt://10.0.0.2:1884", BrokerAddress("10.0.0.2", 1884, False)),
+        ("mqtts://[fd00::1]:8884", BrokerAddress("fd00::1", 8884, True)),
+        ("mqtt://broker.example", BrokerAddress("broker.example", 1883, False)),
+    ],
+)
+def test_every_form_of_an_address(text: str, address: BrokerAddress) -> None:
+    assert parse_broker(text) == address
+    assert parsed(f'broker = "{text}"').broker == text
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "b",
+        "b:1883",
+        "http://b",
+        "mqtt:b",
+        "mqtt://",
+        "mqtt://:1883",
+        "mqtt://b:0",
+        "mqtt://b:65536",
+        "mqtt://b:x",
+        "mqtt://b/path",
+        "mqtt://b?x=1",
+        "mqtt://[fd00::1",
+        "",
+    ],
+)
+def test_everything_else_is_none(text: str) -> None:
+    with pytest.raises(ValueError, match="is no broker: give mqtt://HOST"):
+        parse_broker(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('broker = "b:1883"', "my.toml:2: mqtt.broker: 'b:1883' is no broker"),
+        ('broker = "mqtt://me:secret@b"', "mqtt.broker: user and password do not belong into the address"),
+        ('prefix = "a/#"', "mqtt.prefix: 'a/#' is none"),
+        ('prefix = "/a"', "mqtt.prefix: '/a' is none"),
+        ('prefix = ""', "mqtt.prefix: is empty"),
+        ('name = "+"', "mqtt.name: '+' is none"),
+        ('name = "a/b"', "mqtt.name: 'a/b' is none"),
+        ('name = "Köln"', "mqtt.name: 'Köln' is none"),
+        ('client_id = "a b"', "mqtt.client_id: 'a b' is none"),
+        ('discovery_prefix = "home assistant"', "mqtt.discovery_prefix"),
+        ('commands = ["explode"]', "mqtt.commands[0]"),
+        ('commands = "vent"', "mqtt.commands"),
+        ("rate_Hz = 100", "mqtt.rate_Hz"),
+        ("kept_events = 0", "mqtt.kept_events"),
+        ('password_file = "/etc/p"', "mqtt.password_file: needs a username"),
+        ('username = "u"\npassword_file = "p"', "my.toml:3: mqtt.password_file: 'p': give the whole path"),
+        ('broker = "mqtt://b"\nca_file = "/etc/ca.pem"', "mqtt.ca_file: is for TLS"),
+        (TLS + 'certificate_file = "/c"', "mqtt.certificate_file: certificate and key belong together"),
+        (TLS + 'key_file = "/k"', "mqtt.key_file: certificate and key belong together"),
+    ],
+)
+def test_every_mistake_says_where_it_is_and_what_is_wrong(text: str, said: str) -> None:
+    with pytest.raises(config.ConfigError) as caught:
+        parsed(text)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_nothing_is_told_and_nothing_may_be_asked_for_unless_the_profile_says_so() -> None:
+    assert parsed("").broker == ""
+    assert parsed("").commands == ()
+    assert parsed("").discovery_prefix == ""
+    assert parsed('commands = ["vent", "bend"]').commands == ("vent", "bend")

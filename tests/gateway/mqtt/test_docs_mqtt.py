@@ -1,0 +1,72 @@
+"""The page on MQTT shows what is sent: its topics, its payloads, and the schema that lies beside it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import msgspec
+
+from flying_vines.gateway.messages import COMMANDS
+from flying_vines.gateway.mqtt import health
+from flying_vines.gateway.mqtt.asks import MOST_AT_ONCE, MOST_PER_S
+from flying_vines.gateway.mqtt.connection import LONGEST_PACKET
+from flying_vines.gateway.mqtt.payloads import PAYLOADS, SCHEMA_VERSION, schemas
+from flying_vines.gateway.mqtt.teller import RESERVOIR_S
+from flying_vines.gateway.mqtt.topics import Topics
+
+from ..told import configured
+
+DOCS = Path(__file__).parents[3] / "docs"
+PAGE = (DOCS / "mqtt.md").read_text(encoding="utf-8")
+
+
+def test_the_schema_is_the_code_s() -> None:
+    made = msgspec.json.format(msgspec.json.encode(schemas()), indent=2) + b"\n"
+    assert (DOCS / "mqtt-schema.json").read_bytes() == made
+
+
+def test_every_topic_is_in_the_table() -> None:
+    table = re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE)[: len(PAYLOADS)]
+    assert sorted(table) == sorted(PAYLOADS)
+    topics = Topics("p", "n")
+    assert {getattr(topics, name) for name in PAYLOADS} == {f"p/n/{name}" for name in PAYLOADS}
+
+
+def test_every_example_is_what_is_sent_and_of_every_topic_there_is_one() -> None:
+    shown = set()
+    topic = ""
+    for name, example in re.findall(r"(?:`flying-vines/heron/(\w+)`\n)?```json\n(.*?)```", PAGE, re.DOTALL):
+        topic = name or topic
+        shown.add(topic)
+        payload = msgspec.json.decode(example, type=PAYLOADS[topic])
+        assert msgspec.json.encode(payload) == msgspec.json.encode(
+            msgspec.convert(msgspec.json.decode(example), PAYLOADS[topic])
+        )
+        missing = msgspec.to_builtins(payload).keys() - msgspec.json.decode(example).keys()
+        assert topic == "ask" or not missing, f"{topic}: {missing}"
+    assert shown == set(PAYLOADS)
+
+
+def test_its_numbers_and_commands_are_the_code_s() -> None:
+    mqtt = configured().mqtt
+    for said in (
+        f"`version` ({SCHEMA_VERSION})",
+        f"every {RESERVOIR_S:g} s",
+        f"`mqtt.rate_Hz`, {mqtt.rate_Hz:g} a second",
+        f"{mqtt.kept_events} of them (`mqtt.kept_events`)",
+        f"`mqtt.asked_within_s` ({mqtt.asked_within_s:g} s)",
+        f"longer than {LONGEST_PACKET // 1024} kB",
+        f"shorter than {health.TOLD_AFTER_S:g} s",
+        f"after {health.FIRST_WAIT_REFUSED_S:g} s",
+        health.THROWN_OUT.text,
+    ):
+        assert said in PAGE, said
+    assert (MOST_AT_ONCE, MOST_PER_S, health.LONGEST_WAIT_S, health.LONGEST_WAIT_REFUSED_S) == (
+        10,
+        5,
+        60,
+        300,
+    )
+    asking = PAGE[PAGE.index("## Asking") :]
+    assert all(f"`{command}`" in asking for command in COMMANDS)

@@ -1,0 +1,262 @@
+"""What the broker is told: states as they come, events in order and all, or it says how many are lost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import msgspec
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flying_vines.events import Action, Asked, Calibrated, Decision
+from flying_vines.gateway.messages import Happened, Seen, raw
+from flying_vines.gateway.mqtt.home_assistant import discovery
+from flying_vines.gateway.mqtt.payloads import PAYLOADS, Event, LostEvent, NoticeEvent
+from flying_vines.gateway.mqtt.teller import RESERVOIR_S, SILENT_S, Events, Now, Publication, Teller
+from flying_vines.gateway.mqtt.topics import Topics
+from flying_vines.intent import BendTo, Intent, StartBench, StartCalibration, StartProfile, Vent
+from flying_vines.notice import Notice
+from flying_vines.simulated_world import SimulatedWorld
+
+from ..told import calibrated, configured, decision, happened, notice, profile, seen
+
+UNIX_S = 1_700_000_000.0
+TOPICS = Topics("flying-vines", "heron")
+
+
+def now(t: float) -> Now:
+    return Now(t, UNIX_S + t)
+
+
+def teller(**mqtt: Any) -> Teller:
+    return Teller(profile(**mqtt), TOPICS)
+
+
+def read(publication: Publication) -> dict[str, Any]:
+    """As its topic's payload must be."""
+    msgspec.json.decode(publication.payload, type=PAYLOADS[publication.topic.rsplit("/", 1)[1]])
+    told: dict[str, Any] = msgspec.json.decode(publication.payload)
+    return told
+
+
+def tell_all(events: Events, t: float = 10.0) -> list[Event]:
+    told = []
+    while pending := events.first(now(t)):
+        event: Event = msgspec.json.decode(pending.publication.payload, type=Event)
+        told.append(event)
+        events.told(pending)
+    return told
+
+
+def test_a_vehicle_is_silent_until_the_service_speaks_and_when_it_no_longer_does() -> None:
+    vehicle = teller()
+    status, about = vehicle.greeting(now(0.0))
+    assert (status.topic, status.retain, status.qos) == ("flying-vines/heron/status", True, 1)
+    assert read(status)["status"] == "silent"
+    assert (about.topic, about.retain) == ("flying-vines/heron/about", True)
+    assert read(about)["limits"]["max_kPa"] == 20.7
+    assert vehicle.due(now(0.1)) == []
+
+    vehicle.take(0.2, seen(0.2))
+    assert [read(told).get("status") for told in vehicle.due(now(0.2))] == ["online", None, None]
+    assert vehicle.due(now(0.3)) == [], "the same moment is not told twice"
+    (status,) = vehicle.due(now(0.2 + SILENT_S))
+    assert read(status)["status"] == "silent"
+    vehicle.take(9.0, seen(9.0))
+    assert read(vehicle.greeting(now(9.0))[0])["status"] == "online"
+    will = vehicle.last_will(now(9.0))
+    assert (will.topic, will.retain, read(will)["status"]) == (status.topic, True, "offline")
+
+
+def test_a_state_has_the_time_of_its_snapshot_and_null_for_what_is_not_known() -> None:
+    vehicle = teller()
+    vehicle.take(5.0, seen(5.0, altitude_m=float("nan"), safe_state={"rc": "RC lost"}))
+    _, state, reservoir = vehicle.due(now(7.0))
+    told = read(state)
+    assert (state.topic, state.qos, state.retain) == ("flying-vines/heron/state", 0, False)
+    assert told["unix_s"] == UNIX_S + 5.0
+    assert told["altitude_m"] is None
+    assert (told["cv_kPa"], told["bend_deg"], told["doing"]) == (20.6, 59.7, "bend-full")
+    assert told["safe_state"] == {"rc": "RC lost"}
+    assert reservoir.topic == "flying-vines/heron/reservoir"
+    assert (
+        read(reservoir)["cycles"] | {"expected": 31.2, "low": 27.9, "high": 35.0} == read(reservoir)["cycles"]
+    )
+
+
+def test_the_reservoir_is_told_less_often() -> None:
+    vehicle = teller()
+    topics = []
+    for tenth in range(101):
+        vehicle.take(tenth / 10, seen(tenth / 10, cycles=None))
+        topics += [told.topic for told in vehicle.due(now(tenth / 10))]
+    assert topics.count(TOPICS.state) == 101
+    assert topics.count(TOPICS.reservoir) == 1 + 10 / RESERVOIR_S
+
+
+def test_every_kind_of_event_is_told_with_its_time_and_number() -> None:
+    vehicle = teller()
+    for thing in (decision(1.0, "limited", "to 60 kPa/s"), notice(2.0), calibrated(3.0)):
+        vehicle.take(3.0, happened(thing))
+    told = []
+    while pending := vehicle.events.first(now(4.0)):
+        assert (pending.publication.topic, pending.publication.qos) == (TOPICS.event, 1)
+        told.append(read(pending.publication))
+        vehicle.events.told(pending)
+    assert [event["event"] for event in told] == ["decision", "notice", "calibrated"]
+    assert [event["unix_s"] - UNIX_S for event in told] == [1.0, 2.0, 3.0]
+    assert [event["number"] for event in told] == [1, 2, 3]
+    assert told[0]["reason"] == "to 60 kPa/s"
+    assert told[1]["severity"] == "notice"
+    assert told[2]["levels_kPa"] == [[0.0, None], [10.0, 9.9]]
+
+
+def test_an_event_has_the_time_of_the_clock_as_it_was_set_since() -> None:
+    events = Events("event", "run", 10)
+    events.take(happened(notice(100.0)))
+    first = events.first(Now(105.0, 5.0))
+    assert first is not None
+    assert msgspec.json.decode(first.publication.payload)["unix_s"] == 0.0
+    first = events.first(Now(160.0, UNIX_S))
+    assert first is not None
+    assert msgspec.json.decode(first.publication.payload)["unix_s"] == UNIX_S - 60.0
+
+
+def test_an_event_is_told_again_until_the_broker_has_it() -> None:
+    events = Events("event", "run", 10)
+    events.take(happened(notice(1.0)))
+    first = events.first(now(1.0))
+    assert first is not None
+    assert first == events.first(now(1.0))
+    events.told(first)
+    assert events.first(now(1.0)) is None
+
+
+def test_more_than_are_kept_are_lost_and_counted() -> None:
+    events = Events("event", "run", 3)
+    for number in range(8):
+        events.take(happened(notice(1.0, f"{number + 1}")))
+    lost, *kept = tell_all(events)
+    assert lost == LostEvent(unix_s=UNIX_S + 10.0, run="run", number=5, count=5)
+    assert [(event.number, event.text) for event in kept if isinstance(event, NoticeEvent)] == [
+        (6, "6"),
+        (7, "7"),
+        (8, "8"),
+    ]
+
+
+@given(st.lists(st.sampled_from(["happens", "told", "told meanwhile"]), max_size=60), st.integers(1, 4))
+def test_whatever_happens_every_event_is_told_once_in_order_or_counted(steps: list[str], most: int) -> None:
+    """`told meanwhile`: events come between an event's leaving and the broker's receipt."""
+    events = Events("event", "run", most)
+    made, told, lost = 0, [], 0
+
+    def happen() -> None:
+        nonlocal made
+        made += 1
+        events.take(happened(notice(1.0)))
+
+    def tell(meanwhile: int) -> None:
+        nonlocal lost
+        pending = events.first(now(1.0))
+        for _ in range(meanwhile):
+            happen()
+        if pending is not None:
+            event: Event = msgspec.json.decode(pending.publication.payload, type=Event)
+            if isinstance(event, LostEvent):
+                lost += event.count
+            else:
+                told.append(event.number)
+            events.told(pending)
+
+    for step in steps:
+        if step == "happens":
+            happen()
+        else:
+            tell(meanwhile=most + 1 if step == "told meanwhile" else 0)
+        assert len(events) <= most
+    while events.first(now(1.0)):
+        tell(0)
+    assert told == sorted(set(told))
+    assert len(told) + lost == made
+
+
+def test_what_a_later_service_tells_does_not_end_the_connection() -> None:
+    """A field that is new is left out; a kind that is not known is not for the broker."""
+    vehicle = teller()
+    vehicle.take(1.0, Happened("stretched", msgspec.Raw(b'{"t": 1.0}')))
+    vehicle.take(
+        1.0, Happened("notice", msgspec.Raw(b'{"t":1.0,"severity":6,"text":"x","of_decision":false,"new":1}'))
+    )
+    (event,) = tell_all(vehicle.events)
+    assert isinstance(event, NoticeEvent)
+    assert (event.text, event.severity, event.number) == ("x", "info", 1)
+
+
+def test_whatever_a_core_makes_can_be_told() -> None:
+    vehicle = teller()
+    world = SimulatedWorld(configured())
+    wanted: tuple[Intent, ...] = (
+        StartBench(),
+        StartProfile("wave"),
+        BendTo(500.0),
+        StartCalibration(),
+        Vent(),
+        StartCalibration(),
+    )
+    made = []
+
+    def watch(actions: Iterable[Action]) -> None:
+        for action in actions:
+            if isinstance(action, Decision | Notice | Calibrated):
+                made.append(type(action).__name__.lower())
+                vehicle.take(world.now, happened(action))
+
+    for second, intent in enumerate(wanted, start=1):
+        watch(world.advance(float(second)))
+        watch(world.feed(Asked(float(second), "broker", intent)))
+    watch(world.advance(60.0))
+    assert set(made) == {"decision", "notice", "calibrated"}
+    told: list[str] = [event.__struct_config__.tag for event in tell_all(vehicle.events)]  # type: ignore[misc]
+    assert told == made
+    vehicle.take(60.0, Seen(raw(world.core.snapshot(60.0))))
+    _, state, reservoir = vehicle.due(now(60.0))
+    assert read(state)["doing"] == "vented"
+    assert read(reservoir)["reservoir_kPa"] > 100.0
+
+
+def test_home_assistant_is_told_only_where_that_is_wanted() -> None:
+    assert discovery(configured().mqtt, TOPICS, "1.2.3") == []
+
+
+def test_home_assistant_gets_sensors_and_a_button_only_where_venting_is_allowed() -> None:
+    vehicle = teller()
+    vehicle.take(1.0, seen(1.0))
+    known = {told.topic: read(told) for told in vehicle.due(now(1.0))}
+    for commands, pressed in (((), b""), (("bend", "vent"), None)):
+        mqtt = configured(discovery_prefix="homeassistant", commands=commands).mqtt
+        *sensors, button = discovery(mqtt, TOPICS, "1.2.3")
+        assert all(told.retain for told in (*sensors, button))
+        assert button.topic == "homeassistant/button/heron/flying-vines_vent/config"
+        assert pressed is None or button.payload == pressed
+        if pressed is None:
+            vent = msgspec.json.decode(button.payload)
+            assert vent["command_topic"] == TOPICS.ask
+            assert '"command": "vent"' in vent["command_template"]
+        configs = [msgspec.json.decode(sensor.payload) for sensor in sensors]
+        assert len({config["unique_id"] for config in configs}) == len(configs) == 5
+        for config in configs:
+            assert config["availability_topic"] == TOPICS.status
+            key = config["value_template"].replace(
+                "(value_json.cycles or {}).get('expected')", "value_json.cycles"
+            )
+            assert key.removeprefix("{{ value_json.").removesuffix(" }}") in known[config["state_topic"]]
+
+
+def test_a_vehicle_without_a_name_goes_by_its_computer_s() -> None:
+    topics = Topics.of(configured().mqtt)
+    assert topics.prefix == "flying-vines"
+    assert topics.name
+    assert not set(topics.name) & set("/+# ")
+    assert Topics.of(configured(name="heron", prefix="a/b").mqtt).ask == "a/b/heron/ask"

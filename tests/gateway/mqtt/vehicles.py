@@ -1,0 +1,66 @@
+"""Vehicles on a broker: the gateway's part of them, between a real broker and a service that is played."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from typing import Any
+
+from flying_vines.gateway import mqtt
+from flying_vines.gateway.feed import Feed
+from flying_vines.gateway.messages import Answered, Ask, FromGateway, Trouble
+
+from ..told import happened, notice, profile, seen
+
+PATIENCE_S = 10.0
+
+
+class Vehicle:
+    """Its service tells a snapshot ten times a second and does what it is asked for, unless it is deaf."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.feed = Feed(profile(**settings), self._hear)
+        self.troubles: list[str] = []
+        self.asked: list[Ask] = []
+        self.deaf = False
+
+    @property
+    def t(self) -> float:
+        return asyncio.get_running_loop().time()
+
+    def say(self, text: str) -> None:
+        self.feed.take(happened(notice(self.t, text)))
+
+    def _hear(self, message: FromGateway) -> None:
+        if isinstance(message, Trouble):
+            self.troubles.append(message.text)
+            return
+        self.asked.append(message)
+        if not self.deaf:
+            answer = Answered(message.number, "accepted", "")
+            asyncio.get_running_loop().call_soon(self.feed.take, answer)
+
+    async def live(self) -> None:
+        while True:
+            self.feed.take(seen(self.t))
+            await asyncio.sleep(0.1)
+
+    async def in_trouble(self, text: str) -> None:
+        deadline = self.t + PATIENCE_S
+        while not any(text in trouble for trouble in self.troubles):
+            assert self.t < deadline, f"'{text}' is not in {self.troubles}"
+            await asyncio.sleep(0.01)
+
+
+@contextlib.asynccontextmanager
+async def flying(**settings: Any) -> AsyncIterator[Vehicle]:
+    vehicle = Vehicle(**settings)
+    parts = [asyncio.create_task(part) for part in (vehicle.live(), mqtt.serve(vehicle.feed))]
+    try:
+        yield vehicle
+    finally:
+        for part in parts:
+            part.cancel()
+        ended = await asyncio.gather(*parts, return_exceptions=True)
+    assert all(isinstance(end, asyncio.CancelledError) for end in ended), ended

@@ -1,0 +1,249 @@
+"""The page in a real browser, of the real service between the fakes: pressed, cut off, back, reloaded."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+from collections.abc import AsyncIterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from needed import need
+from page_service import serving
+from service_bench import until
+
+from flying_vines.gateway import page_token
+
+if TYPE_CHECKING:
+    from playwright.async_api import Browser, Page
+
+PATIENCE_MS = 15_000
+PHONE: dict[str, Any] = {
+    "viewport": {"width": 360, "height": 640},
+    "device_scale_factor": 2,
+    "has_touch": True,
+    "is_mobile": True,
+}
+DESKTOP: dict[str, Any] = {"viewport": {"width": 1440, "height": 900}, "reduced_motion": "reduce"}
+THUMB_PX = 48
+LIVE = "body:not(.stale)"
+WATCH_SHIFTS = """() => {
+    window.shifts = [];
+    new PerformanceObserver(list => list.getEntries().forEach(shift => {
+        // The log is to move: its latest is on top.
+        const moved = shift.sources.map(({ node }) => node).filter(node => !node?.closest?.("#events"));
+        const names = moved.map(node => node?.id || node?.nodeName);
+        if (moved.length && shift.value > 0.002) window.shifts.push([shift.value, names]);
+    })).observe({ type: "layout-shift", buffered: true });
+}"""
+DRAWN = """() => {
+    const chart = document.querySelector("#chart");
+    const dots = chart.getContext("2d").getImageData(0, 0, chart.width, chart.height).data;
+    const [red, green, blue] = [0x0b, 0x4f, 0xa8];  // --vine
+    for (let i = 0; i < dots.length; i += 4)
+        if (dots[i] === red && dots[i + 1] === green && dots[i + 2] === blue) return true;
+    return false;
+}"""
+
+
+class Proxy:
+    """Where a page's browser sends what is not for this machine: nobody answers, but it is written down."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+        self.port = 0
+
+    async def take(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.asked.append((await reader.readline()).decode(errors="replace").strip())
+        writer.close()
+
+
+@pytest.fixture
+async def proxy() -> AsyncIterator[Proxy]:
+    proxy = Proxy()
+    server = await asyncio.start_server(proxy.take, "127.0.0.1")
+    proxy.port = server.sockets[0].getsockname()[1]
+    yield proxy
+    server.close()
+
+
+@pytest.fixture
+async def browser() -> AsyncIterator[Browser]:
+    chromium = need("chromium", "sudo apt install chromium")
+    playwright = pytest.importorskip(
+        "playwright.async_api", reason="needs playwright: pip install playwright"
+    )
+    async with playwright.async_playwright() as started:
+        browser = await started.chromium.launch(
+            executable_path=chromium, args=["--no-sandbox", "--disable-gpu"]
+        )
+        yield browser
+        await browser.close()
+
+
+async def opened(browser: Browser, url: str, device: Mapping[str, Any]) -> tuple[Page, list[str]]:
+    """A new visitor's page, and what went wrong in it."""
+    context = await browser.new_context(**device)
+    context.set_default_timeout(PATIENCE_MS)
+    page = await context.new_page()
+    wrong: list[str] = []
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("console", lambda said: wrong.append(said.text) if "Content Security" in said.text else None)
+    await page.goto(url)
+    await page.wait_for_selector(LIVE)
+    return page, wrong
+
+
+async def says(page: Page, selector: str, text: str) -> None:
+    await page.wait_for_function(
+        "([selector, text]) => document.querySelector(selector).textContent.includes(text)",
+        arg=[selector, text],
+    )
+
+
+async def test_on_a_phone_a_thumb_tries_the_vine_and_vents(
+    browser: Browser, proxy: Proxy, tmp_path: Path
+) -> None:
+    async with serving(tmp_path) as served:
+        page, wrong = await opened(
+            browser,
+            served.url,
+            {**PHONE, "proxy": {"server": f"http://127.0.0.1:{proxy.port}", "bypass": "127.0.0.1"}},
+        )
+        bench = served.bench
+        await says(page, "#firmware", "ready")
+        assert await page.get_by_role("button", name="bend-full").is_disabled()
+        await page.evaluate(WATCH_SHIFTS)
+
+        await page.tap("#bench-mode")
+        await says(page, "#said", "bench mode: accepted")
+        await page.get_by_role("button", name="bend-full").tap()
+        await until(bench.bent, "the vine bends")
+        await page.wait_for_function("() => Number(document.querySelector('#bend').textContent) > 40")
+        assert "M" in str(await page.get_attribute("#body", "d"))
+        await page.tap("#vent")
+        await says(page, "#vent-said", "Vent confirmed")
+        await until(bench.vented, "the vine is vented")
+
+        await page.get_by_role("button", name="bend-full").tap()
+        await until(bench.bent, "the vine bends again")
+        os.kill(served.pid, signal.SIGSTOP)
+        await until(bench.vented, "the dead-man vents")
+        os.kill(served.pid, signal.SIGCONT)
+        await says(page, "#reasons", "dead-man")
+        await page.tap("#clear")
+        await says(page, "#clear", "Sure?")
+        await page.tap("#clear")
+        await says(page, "#reasons", "Nothing is wrong")
+
+        await page.fill("#angle", "20")
+        await page.tap("#bend-to")
+        await page.wait_for_function("() => Number(document.querySelector('#bend').textContent) > 10")
+        await page.tap("#armed")
+        await says(page, "#said", "disarm: accepted")
+        await until(bench.vented, "disarmed is vented")
+        await page.tap("#bend-to")
+        await says(page, "#said", "refused, the pneumatics are disarmed")
+        await page.tap("#armed")
+        await page.tap("#armed")
+        await says(page, "#said", "arm: accepted")
+
+        assert not await page.evaluate("shifts")
+        await _fits(page)
+        await page.evaluate("scrollTo(0, document.body.scrollHeight)")
+        await _fits(page)
+        assert not wrong
+        assert not proxy.asked
+        with contextlib.suppress(Exception):
+            await page.goto("http://elsewhere.invalid/")
+        assert any("elsewhere.invalid" in asked for asked in proxy.asked), "or nobody listened"
+
+
+async def _fits(page: Page) -> None:
+    """Nothing is wider than the screen, VENT is on it, and all that is pressed is large enough."""
+    assert await page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert await page.evaluate(
+        "(() => { const r = document.querySelector('#vent').getBoundingClientRect();"
+        " return r.top > 0 && r.bottom <= innerHeight && r.height >= 60 })()"
+    )
+    small = await page.evaluate(
+        "least => [...document.querySelectorAll('button, input')].filter(e => e.offsetParent &&"
+        " e.getBoundingClientRect().height < least).map(e => e.id || e.textContent)",
+        THUMB_PX,
+    )
+    assert not small
+
+
+async def test_a_link_that_is_cut_is_seen_and_comes_back(browser: Browser, tmp_path: Path) -> None:
+    async with serving(tmp_path) as served:
+        page, wrong = await opened(browser, served.url, DESKTOP)
+        await says(page, "#events", "phloSAR ready")
+
+        # The network swallows everything, and nothing is closed.
+        os.kill(served.gateway, signal.SIGSTOP)
+        await page.wait_for_selector("body.lost", timeout=3000)
+        await says(page, "#link", "old")
+        os.kill(served.gateway, signal.SIGCONT)
+        await page.wait_for_selector(LIVE)
+
+        # The page's own process dies: the service starts it again.
+        os.kill(served.gateway, signal.SIGKILL)
+        await page.wait_for_selector("body.lost", timeout=3000)
+        await says(page, "#link", "No link")
+        await page.wait_for_selector(LIVE)
+
+        # The service dies, and somebody wants to vent.
+        await served.kill()
+        await page.wait_for_selector("body.lost", timeout=3000)
+        await page.keyboard.press("Escape")
+        await says(page, "#vent-said", "VENT not sent, no link")
+        assert await page.locator("#bench-mode").is_disabled()
+        await served.start()
+        await says(page, "#vent-said", "Vent confirmed")
+        await page.wait_for_selector(LIVE)
+        await says(page, "#events", "page → vent: accepted")
+
+        # Space vents wherever the focus is, and presses nothing.
+        await page.focus("#bench-mode")
+        await page.keyboard.press("Space")
+        assert await page.get_attribute("#bench-mode", "aria-checked") == "false"
+        await page.wait_for_function("() => document.querySelectorAll('#events .accepted').length >= 2")
+
+        # Whoever loads the page anew sees what was.
+        frames: list[Any] = []
+        page.on("websocket", lambda opened: opened.on("framereceived", lambda frame: frames.append(frame)))
+        await page.reload()
+        await says(page, "#events", "page → vent: accepted")
+        hello = json.loads(frames[0])
+        assert len(hello["history"]) > 5
+        await page.wait_for_selector(LIVE)
+        await page.wait_for_function(DRAWN)
+        await _fits(page)
+        assert not wrong
+
+
+async def test_from_the_network_by_token_and_watching_only(browser: Browser, tmp_path: Path) -> None:
+    async with serving(tmp_path, host="0.0.0.0") as served:
+        token = page_token.read(tmp_path / "vine.page-token")
+        refused = await (await browser.new_context()).new_page()
+        await refused.goto(served.url)
+        assert "needs its token" in await refused.inner_text("body")
+        await refused.fill("input", token.upper().replace("-", " "))
+        await refused.click("button")
+        await refused.wait_for_selector(LIVE)
+        assert refused.url == served.url
+        assert await refused.evaluate("document.cookie") == ""
+        await refused.reload()
+        await refused.wait_for_selector(LIVE)
+        assert await refused.is_visible("#vent")
+
+        watching = page_token.watching(token)
+        page, wrong = await opened(browser, f"{served.url}?token={watching}", PHONE)
+        assert not await page.is_visible("#vent")
+        assert not await page.is_visible("#bench-mode")
+        await says(page, "#vent-said", "only watch")
+        assert not wrong

@@ -1,0 +1,101 @@
+"""The page of the real service, asked over its socket; a browser is not needed for that."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import socket
+import time
+from pathlib import Path
+from typing import Any
+
+from aiohttp import ClientSession, ClientWebSocketResponse
+from page_bench import client, heard
+from page_service import serving
+from service_bench import until
+
+from flying_vines.gateway import page_token
+
+
+async def ask(viewing: ClientWebSocketResponse, command: str, **what: Any) -> tuple[str, str]:
+    """What comes of it, within a second."""
+    began = time.monotonic()
+    await viewing.send_str(json.dumps({"id": 1, "command": command, **what}))
+    answer = await heard(viewing, "answer")
+    assert time.monotonic() - began < 1.0
+    return answer["safety"], answer["reason"]
+
+
+async def ready(viewing: ClientWebSocketResponse) -> None:
+    while True:
+        now = (await heard(viewing, "snapshot"))["snapshot"]
+        if now["firmware"] == "ready" and now["vehicle"] != "none heard":
+            return
+
+
+async def test_it_bends_and_vents_the_vine_and_its_process_may_die(tmp_path: Path) -> None:
+    async with serving(tmp_path) as served, client() as session:
+        assert f"Page {served.url}" in served.said.read_text()
+        async with session.ws_connect(served.url + "live") as viewing:
+            await ready(viewing)
+            assert await ask(viewing, "bend", value=50) == ("refused", "not armed")
+            assert await ask(viewing, "profile", name="nothing") == (
+                "refused",
+                "there is no profile 'nothing'",
+            )
+            assert await ask(viewing, "start_bench") == ("accepted", "")
+            assert await ask(viewing, "bend", value=50) == ("accepted", "")
+            await until(served.bench.bent, "the vine bends")
+            before = served.gateway
+            os.kill(before, signal.SIGKILL)
+            while not viewing.closed:
+                await viewing.receive()
+        assert served.bench.bent(), "that nobody looks on any more moves nothing"
+        await until(lambda: _alive(served.pid, before), "it is started again")
+        await until(served.listens, "the page is back")
+        async with session.ws_connect(served.url + "live") as viewing:
+            await _vents_under_a_flood(viewing, served.port)
+            await until(served.bench.vented, "the vine is vented")
+            assert not served.bench.phlosar.firmware.faults
+
+
+def _alive(pid: int, before: int) -> bool:
+    """Whether there is a child, and not the one before."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return bool(children) and str(before) not in children
+
+
+async def _vents_under_a_flood(viewing: ClientWebSocketResponse, port: int) -> None:
+    with contextlib.ExitStack() as stack:
+        # The fakes live in this loop, and are not to be held up.
+        flooding = asyncio.create_task(asyncio.to_thread(_flood, stack, port))
+        await asyncio.sleep(0.05)
+        assert await ask(viewing, "vent") == ("accepted", "")
+        await flooding
+        assert await ask(viewing, "vent") == ("accepted", "")
+
+
+def _flood(stack: contextlib.ExitStack, port: int) -> None:
+    for _ in range(1000):
+        connection = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+        with contextlib.suppress(OSError):
+            connection.send(b"GET / HTTP/1.1\r\n")
+
+
+async def test_its_token_is_made_and_not_told_to_logs(tmp_path: Path) -> None:
+    async with serving(tmp_path, host="0.0.0.0") as served, client() as session:
+        file = tmp_path / "vine.page-token"
+        token = page_token.read(file)
+        said = served.said.read_text()
+        assert f"token in {file}" in said
+        assert token not in said
+        assert await _status(session, served.url) == 401
+        assert await _status(session, f"{served.url}?token={token}") == 200
+
+
+async def _status(session: ClientSession, url: str) -> int:
+    async with session.get(url) as response:
+        return response.status

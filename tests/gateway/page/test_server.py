@@ -1,0 +1,355 @@
+"""The page over real sockets: what it serves, whom it lets in, and what it does under attack."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import re
+import socket
+import time
+from collections.abc import AsyncIterator
+from importlib import resources
+
+import pytest
+from aiohttp import ClientSession, WSMsgType, WSServerHandshakeError
+from page_bench import TOKEN, Bench, client, free_port, heard, served, snapshot
+
+from flying_vines.config import Page
+from flying_vines.events import Decision
+from flying_vines.gateway import page, page_token
+from flying_vines.gateway.page import server, viewer
+from flying_vines.gateway.page.crowd import MOST_VIEWERS_EACH
+from flying_vines.notice import Notice, Severity
+
+VENT = '{"id": 1, "command": "vent"}'
+
+
+@pytest.fixture
+async def bench() -> AsyncIterator[Bench]:
+    async with served() as bench:
+        yield bench
+
+
+@pytest.fixture
+async def session() -> AsyncIterator[ClientSession]:
+    async with client() as session:
+        yield session
+
+
+async def test_all_files_are_served_and_nothing_but_them(bench: Bench, session: ClientSession) -> None:
+    folder = resources.files("flying_vines.gateway.page").joinpath("static")
+    assert {name for name, _ in server.FILES.values()} == {file.name for file in folder.iterdir()}
+    size = 0
+    for path, (_, kind) in server.FILES.items():
+        async with session.get(bench.url + path) as response:
+            assert response.status == 200
+            assert response.content_type == kind
+            size += len(await response.read())
+    assert size < 50_000
+    for path in (
+        "/../__init__.py",
+        "/static/page.js",
+        "/%2e%2e/server.py",
+        "//style.css",
+        "/page.js/",
+        "/x" * 500,
+    ):
+        async with session.get(bench.url + path) as response:
+            assert response.status == 404
+    async with session.post(bench.url + "/", data=b"x" * 100_000) as response:
+        assert response.status == 405
+
+
+async def test_the_browser_is_told_to_load_nothing_else(bench: Bench, session: ClientSession) -> None:
+    async with session.get(bench.url) as response:
+        policy = response.headers["Content-Security-Policy"]
+        text = await response.text()
+    assert "default-src 'self'" in policy
+    assert "frame-ancestors 'none'" in policy
+    assert "unsafe" not in policy
+    assert response.headers["X-Content-Type-Options"] == "nosniff"
+    assert response.headers["Referrer-Policy"] == "no-referrer"
+    assert response.headers["Server"] == "flying-vines"
+    folder = resources.files("flying_vines.gateway.page").joinpath("static")
+    for file in folder.iterdir():
+        links = re.findall(
+            r"(?:https?:)?//[\w.]+", file.read_text().replace("http://www.w3.org/2000/svg", "")
+        )
+        assert not [link for link in links if "." in link], file.name
+    assert "style=" not in text
+    assert "<script>" not in text
+
+
+async def test_a_viewer_is_told_what_was_and_what_is(bench: Bench, session: ClientSession) -> None:
+    bench.happen(Notice(1.0, Severity.INFO, "Vine: ready"))
+    bench.show(snapshot(2.0, cv_kPa=3.0))
+    await asyncio.sleep(0)
+    async with session.ws_connect(bench.url + "/live") as viewing:
+        hello = await heard(viewing, "hello")
+        assert hello["version"] == "1.2.3"
+        assert hello["may_ask"]
+        assert hello["vine"]["profiles"] == ["straight", "bend-half", "bend-full", "reach", "wave"]
+        assert hello["history"] == [[2.0, 3.0, 0.0, 600.0]]
+        assert hello["happened"][0]["fields"]["text"] == "Vine: ready"
+        assert (await heard(viewing, "snapshot"))["snapshot"]["cv_kPa"] == 3.0
+        bench.happen(Decision(3.0, "page", {}, "vent", "accepted", "", 0.0))
+        assert (await heard(viewing, "happened"))["fields"]["intent"] == "vent"
+        bench.show(snapshot(3.0, cv_kPa=4.0))
+        assert (await heard(viewing, "snapshot"))["snapshot"]["cv_kPa"] == 4.0
+
+
+async def test_who_hears_nothing_for_a_second_knows_that_the_link_is_cut(
+    bench: Bench, session: ClientSession
+) -> None:
+    async with session.ws_connect(bench.url + "/live") as viewing:
+        await heard(viewing, "hello")
+        began = time.monotonic()
+        await heard(viewing, "beat")
+        assert time.monotonic() - began < 2.0
+
+
+async def test_what_is_asked_for_is_answered(bench: Bench, session: ClientSession) -> None:
+    async with session.ws_connect(bench.url + "/live") as viewing:
+        await viewing.send_str('{"id": 5, "command": "bend", "value": 30}')
+        assert await heard(viewing, "answer") == {
+            "kind": "answer",
+            "id": 5,
+            "safety": "accepted",
+            "reason": "",
+        }
+        bench.answer = ("refused", "not armed")
+        await viewing.send_str('{"id": 6, "command": "profile", "name": "wave"}')
+        answer = await heard(viewing, "answer")
+    assert (answer["safety"], answer["reason"]) == ("refused", "not armed")
+    assert [(ask.by, ask.command, ask.value, ask.name) for ask in bench.asked] == [
+        ("page", "bend", 30.0, None),
+        ("page", "profile", None, "wave"),
+    ]
+
+
+async def test_whoever_waits_for_an_answer_can_still_vent(bench: Bench, session: ClientSession) -> None:
+    async with session.ws_connect(bench.url + "/live") as viewing:
+        bench.answers = False
+        for i in range(5):
+            await viewing.send_str(f'{{"id": {i}, "command": "hold"}}')
+        while len(bench.asked) < 5:
+            await asyncio.sleep(0.001)
+        bench.answers = True
+        await viewing.send_str('{"id": 9, "command": "vent"}')
+        answer = await heard(viewing, "answer")
+        assert (answer["id"], answer["safety"]) == (9, "accepted")
+        answer = await heard(viewing, "answer")
+        assert (answer["safety"], answer["reason"]) == ("unanswered", "the service does not answer")
+
+
+@pytest.mark.parametrize("path", ["/", "/page.js", "/live"])
+async def test_other_sites_and_other_names_are_refused(
+    bench: Bench, session: ClientSession, path: str
+) -> None:
+    for headers, status in (
+        ({"Origin": "http://evil.example"}, 403),
+        ({"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"}, 403),
+        ({"Host": "evil.example"}, 421),
+        ({"Host": ""}, 421),
+    ):
+        async with session.get(bench.url + path, headers=headers) as response:
+            assert response.status == status
+    with pytest.raises(WSServerHandshakeError) as refused:
+        await session.ws_connect(bench.url + "/live", origin="http://evil.example")
+    assert refused.value.status == 403
+    assert not bench.asked
+
+
+async def test_on_the_network_it_opens_by_token_then_by_cookie() -> None:
+    async with served("0.0.0.0") as bench, client() as session:
+        with pytest.raises(WSServerHandshakeError) as refused:
+            await session.ws_connect(bench.url + "/live")
+        assert refused.value.status == 401
+        for path in server.FILES:
+            async with session.get(bench.url + path) as response:
+                assert response.status == 401
+                assert "Token" in await response.text()
+        async with session.get(bench.url + "/?token=wrong-one-is-not-right") as response:
+            assert response.status == 401
+            assert "Set-Cookie" not in response.headers
+        async with session.get(f"{bench.url}/?token={TOKEN}") as response:
+            assert response.status == 200
+            cookie = response.headers["Set-Cookie"]
+        assert "HttpOnly" in cookie
+        assert "SameSite=Strict" in cookie
+        remembered = {"Cookie": cookie.partition(";")[0]}
+        async with session.ws_connect(bench.url + "/live", headers=remembered) as viewing:
+            assert (await heard(viewing, "hello"))["may_ask"]
+
+
+async def test_who_may_only_watch_asks_in_vain() -> None:
+    token = page_token.watching(TOKEN)
+    async with served("0.0.0.0") as bench, client(Authorization=f"Bearer {token}") as session:
+        async with session.ws_connect(bench.url + "/live") as viewing:
+            assert not (await heard(viewing, "hello"))["may_ask"]
+            await viewing.send_str(VENT)
+            assert (await heard(viewing, "answer"))["reason"] == "you may only watch"
+        assert not bench.asked
+
+
+@pytest.mark.parametrize(
+    "said, code",
+    [
+        ("x" * 513, 1009),
+        ("not JSON", 1007),
+        ('{"id": 1, "command": "explode"}', 1007),
+        (b"\x00\x01", 1000),
+    ],
+)
+async def test_what_is_not_understood_ends_that_socket_alone(
+    bench: Bench, session: ClientSession, said: str | bytes, code: int
+) -> None:
+    async with (
+        session.ws_connect(bench.url + "/live") as pilot,
+        session.ws_connect(bench.url + "/live") as other,
+    ):
+        await (other.send_str(said) if isinstance(said, str) else other.send_bytes(said))
+        async with asyncio.timeout(5.0):
+            async for message in other:
+                assert message.type is WSMsgType.TEXT
+        assert other.close_code == code
+        await _vents(pilot)
+    assert [ask.command for ask in bench.asked] == ["vent"]
+
+
+async def test_who_asks_too_often_is_cut_off(bench: Bench, session: ClientSession) -> None:
+    async with (
+        session.ws_connect(bench.url + "/live") as pilot,
+        session.ws_connect(bench.url + "/live") as flood,
+    ):
+        with contextlib.suppress(ConnectionError):
+            for i in range(1000):
+                await flood.send_str(f'{{"id": {i}, "command": "vent"}}')
+        async with asyncio.timeout(5.0):
+            async for _ in flood:
+                pass
+        assert flood.close_code in (1013, 1006)
+        assert len(bench.asked) < 100
+        await _vents(pilot)
+
+
+async def test_no_more_viewers_from_one_address_than_may_be(bench: Bench, session: ClientSession) -> None:
+    async with contextlib.AsyncExitStack() as stack:
+        for _ in range(MOST_VIEWERS_EACH):
+            await stack.enter_async_context(session.ws_connect(bench.url + "/live"))
+        with pytest.raises(WSServerHandshakeError) as refused:
+            await session.ws_connect(bench.url + "/live")
+        assert refused.value.status == 503
+
+
+async def test_a_slow_reader_is_dropped_and_nobody_waits_for_it(
+    bench: Bench, session: ClientSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(viewer, "SLOW_S", 0.3)
+    slow = socket.create_connection(("127.0.0.1", bench.page.port))
+    with slow:
+        slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        slow.sendall(
+            f"GET /live HTTP/1.1\r\nHost: 127.0.0.1:{bench.page.port}\r\nUpgrade: websocket\r\n"
+            "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
+        )
+        async with session.ws_connect(bench.url + "/live") as pilot:
+            await heard(pilot, "hello")
+            long = snapshot(doing="x" * 40_000)
+            slowest = 0.0
+            for i in range(60):
+                began = time.monotonic()
+                bench.show(long)
+                await heard(pilot, "snapshot")
+                slowest = max(slowest, time.monotonic() - began)
+                if i == 30:
+                    await asyncio.sleep(0.5)
+            await _vents(pilot)
+        assert slowest < 0.5
+        slow.settimeout(5.0)
+        with contextlib.suppress(ConnectionResetError):
+            async with asyncio.timeout(5.0):
+                while await asyncio.to_thread(slow.recv, 65536):
+                    pass
+
+
+async def test_a_thousand_connections_keep_nobody_out(bench: Bench, session: ClientSession) -> None:
+    address = ("127.0.0.1", bench.page.port)
+    flood: list[socket.socket] = []
+    async with session.ws_connect(bench.url + "/live") as pilot:
+        try:
+            for i in range(1000):
+                flood.append(_started(address))
+                if i % 100 == 0:
+                    await _vents(pilot, i)
+            await asyncio.sleep(0.2)
+            await _vents(pilot, 1001)
+            async with client() as newcomer, newcomer.get(bench.url) as response:
+                assert response.status == 200
+            async with client() as newcomer, newcomer.ws_connect(bench.url + "/live") as viewing:
+                await _vents(viewing, 1002)
+            kept = sum(not _closed(connection) for connection in flood)
+            assert kept <= 64
+        finally:
+            for connection in flood:
+                connection.close()
+
+
+def _started(address: tuple[str, int]) -> socket.socket:
+    """A connection that begins a request and never ends it."""
+    connection = socket.create_connection(address)
+    connection.setblocking(False)
+    with contextlib.suppress(OSError):
+        connection.send(b"GET / HTTP/1.1\r\nX: ")
+    return connection
+
+
+def _closed(connection: socket.socket) -> bool:
+    try:
+        return connection.recv(1) == b""
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+
+
+async def _vents(viewing: object, number: int = 1) -> None:
+    """Within a second."""
+    began = time.monotonic()
+    await viewing.send_str(json.dumps({"id": number, "command": "vent"}))  # type: ignore[attr-defined]
+    answer = await heard(viewing, "answer")  # type: ignore[arg-type]
+    assert (answer["id"], answer["safety"]) == (number, "accepted")
+    assert time.monotonic() - began < 1.0
+
+
+async def test_a_port_that_is_taken_is_told_once_and_had_later(
+    monkeypatch: pytest.MonkeyPatch, session: ClientSession
+) -> None:
+    monkeypatch.setattr(server, "FIRST_PATIENCE_S", 0.05)
+    monkeypatch.setattr(server, "LONGEST_PATIENCE_S", 0.05)
+    bench = Bench(Page(port=free_port()))
+    with socket.create_server(("127.0.0.1", bench.page.port)):
+        serving = asyncio.create_task(page.serve(bench.feed))
+        await asyncio.sleep(0.3)
+        assert bench.troubles == [f"page: 127.0.0.1:{bench.page.port} cannot be had: Address already in use"]
+    async with asyncio.timeout(5.0):
+        while len(bench.troubles) < 2:
+            await asyncio.sleep(0.01)
+    assert bench.troubles[1] == "the page is served now"
+    async with session.get(bench.url) as response:
+        assert response.status == 200
+    serving.cancel()
+    await asyncio.gather(serving, return_exceptions=True)
+
+
+async def test_it_ends_at_once_with_viewers_and_they_see_it(session: ClientSession) -> None:
+    async with served() as bench:
+        viewing = await session.ws_connect(bench.url + "/live")
+        await heard(viewing, "hello")
+        began = time.monotonic()
+    assert time.monotonic() - began < 1.5
+    async with asyncio.timeout(2.0):
+        while (await viewing.receive()).type not in (WSMsgType.CLOSED, WSMsgType.CLOSE, WSMsgType.ERROR):
+            pass

@@ -1,0 +1,238 @@
+"""The gateway's process: kept alive whatever becomes of it, and never waited for."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import time
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from service_bench import until
+
+from flying_vines.events import Decision
+from flying_vines.gateway import gateway
+from flying_vines.gateway.gateway import Gateway
+from flying_vines.intent import Asker, Intent, StartBench, Vent
+
+from .mqtt.brokers import Broker, Onlooker, onlooker, running
+from .told import configured, decision, notice, snapshot
+
+BASE = "flying-vines/heron"
+CHILD = """\
+import os, socket, sys, time
+import msgspec
+from flying_vines.gateway.messages import Ask, Trouble, packet, read_to_gateway
+service = socket.socket(fileno=int(sys.argv[1]))
+def say(message): service.send(packet(message))
+def hear(): return read_to_gateway(service.recv(1 << 20))
+"""
+
+
+class Service:
+    """What a gateway has of one; `run` is a real process, or a script that plays it."""
+
+    def __init__(self, **mqtt: Any) -> None:
+        self.said: list[str] = []
+        self.asked: list[tuple[Asker, Intent]] = []
+        self.gateway = Gateway(configured(**mqtt), Path("logs"), self._ask, self.said.append)
+        self.latest_turn_s = 0.0
+
+    def _ask(self, by: Asker, intent: Intent) -> Decision:
+        self.asked.append((by, intent))
+        return Decision(0.0, by, {}, str(intent), "limited", "as a test", 0.0)
+
+    @contextlib.asynccontextmanager
+    async def living(self) -> AsyncIterator[Service]:
+        parts = [asyncio.create_task(part) for part in (self.gateway.run(), self._fly())]
+        try:
+            yield self
+        finally:
+            for part in parts:
+                part.cancel()
+            await asyncio.gather(*parts, return_exceptions=True)
+
+    async def _fly(self) -> None:
+        """The loop that must not be held up, and how long it was, at most."""
+        while True:
+            began = time.perf_counter()
+            self.gateway.snapshot(snapshot(asyncio.get_running_loop().time()))
+            self.latest_turn_s = max(self.latest_turn_s, time.perf_counter() - began)
+            await asyncio.sleep(0.1)
+
+
+@pytest.fixture(autouse=True)
+def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gateway, "FIRST_PATIENCE_S", 0.1)
+    monkeypatch.setattr(gateway, "LOOK_S", 0.1)
+
+
+@pytest.fixture
+def played(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Let a script be the gateway."""
+
+    def play(script: str) -> None:
+        monkeypatch.setattr(gateway, "COMMAND", (*gateway.COMMAND[:1], "-c", CHILD + script))
+
+    return play
+
+
+@pytest.fixture
+async def broker(tmp_path: Path) -> AsyncIterator[Broker]:
+    async with running(Broker(tmp_path)) as broker:
+        yield broker
+
+
+@pytest.fixture
+async def people(broker: Broker) -> AsyncIterator[Onlooker]:
+    async with onlooker(broker) as people:
+        yield people
+
+
+def process_of(service: Service) -> int:
+    """The gateway's: the one child of ours that was started as such."""
+    children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
+    (pid,) = (
+        int(child)
+        for child in children
+        if b"flying_vines.gateway" in Path(f"/proc/{child}/cmdline").read_bytes()
+    )
+    return pid
+
+
+async def test_a_gateway_that_is_killed_leaves_its_last_will_and_comes_back(
+    broker: Broker, people: Onlooker
+) -> None:
+    async with Service(broker=broker.url, name="heron", commands=("vent",)).living() as service:
+        await people.until(f"{BASE}/status", status="online")
+        await people.until(f"{BASE}/state", doing="bend-full")
+        service.gateway.action(decision(1.0))
+        await people.until(f"{BASE}/event", event="decision", number=1)
+        await people.say(f"{BASE}/ask", {"id": "1", "unix_s": time.time(), "command": "vent"})
+        await people.until(f"{BASE}/answer", id="1", safety="limited", reason="as a test")
+        assert service.asked == [("broker", Vent())]
+
+        os.kill(process_of(service), signal.SIGKILL)
+        await people.until(f"{BASE}/status", status="offline")
+        service.gateway.action(notice(2.0, "while it was away"))
+        await people.until(f"{BASE}/status", status="online", count=2)
+        await people.until(f"{BASE}/event", text="while it was away")
+        assert service.said == ["page and broker stopped (it ended), again in 0.1 s"]
+        assert service.latest_turn_s < 0.05
+    # The service ends: so does its gateway, and whoever looks on is told.
+    await people.until(f"{BASE}/status", status="offline", count=2)
+
+
+async def test_a_gateway_whose_service_was_killed_says_so(broker: Broker, people: Onlooker) -> None:
+    """Nobody is left to end it: it does so itself, in good order."""
+    service = Service(broker=broker.url, name="heron")
+    async with service.living():
+        await people.until(f"{BASE}/status", status="online")
+        pid = process_of(service)
+        socket = service.gateway._socket
+        assert socket is not None
+        socket.shutdown(2)
+        await people.until(f"{BASE}/status", status="offline")
+        await until(lambda: not Path(f"/proc/{pid}").exists(), "it has ended")
+
+
+async def test_a_gateway_that_hangs_is_replaced_and_holds_nobody_up(
+    monkeypatch: pytest.MonkeyPatch, played: Callable[[str], None]
+) -> None:
+    monkeypatch.setattr(gateway, "HANGS_S", 0.5)
+    played("hear()\nsay(Trouble(str(os.getpid())))\ntime.sleep(3600)\n")
+    async with Service().living() as service:
+        await until(lambda: len(service.said) == 1, "it has started")
+        first = int(service.said[0])
+        # What the socket holds is soon full.
+        for number in range(2000):
+            service.gateway.action(notice(0.0, f"{number}"))
+            service.gateway.snapshot(snapshot(0.0))
+        await until(lambda: len(service.said) == 3, "it is replaced")
+        assert service.said[1] == "page and broker stopped (it hung), again in 0.1 s"
+        await until(lambda: not Path(f"/proc/{first}").exists(), "it is ended")
+        assert service.latest_turn_s < 0.05
+
+
+async def test_a_stopped_gateway_is_replaced(
+    monkeypatch: pytest.MonkeyPatch, broker: Broker, people: Onlooker
+) -> None:
+    monkeypatch.setattr(gateway, "HANGS_S", 0.5)
+    async with Service(broker=broker.url, name="heron").living() as service:
+        await people.until(f"{BASE}/status", status="online")
+        os.kill(process_of(service), signal.SIGSTOP)
+        for _ in range(2000):
+            service.gateway.snapshot(snapshot(0.0))
+        await people.until(f"{BASE}/status", status="offline")
+        monkeypatch.setattr(gateway, "HANGS_S", 10.0)
+        await people.until(f"{BASE}/status", status="online", count=2)
+        assert "it hung" in service.said[0]
+
+
+async def test_a_gateway_that_dies_at_once_is_started_ever_more_rarely(played: Callable[[str], None]) -> None:
+    played("sys.exit('first line\\nthe reason')\n")
+    async with Service().living() as service:
+        await until(lambda: len(service.said) == 3, "three tries")
+    assert service.said == [
+        f"page and broker stopped (the reason), again in {wait_s:g} s" for wait_s in (0.1, 0.2, 0.4)
+    ]
+
+
+async def test_a_gateway_that_talks_nonsense_is_ended(played: Callable[[str], None]) -> None:
+    played('hear()\nservice.send(b\'{"kind": "order"}\')\ntime.sleep(3600)\n')
+    async with Service().living() as service:
+        await until(lambda: len(service.said) == 1, "it is ended")
+    assert "it said what is not understood: Invalid value 'order'" in service.said[0]
+    assert not service.asked
+
+
+async def test_a_gateway_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gateway, "COMMAND", ("/no/such/python",))
+    async with Service().living() as service:
+        await until(lambda: len(service.said) == 2, "it is tried again")
+    assert service.said[0].startswith("page and broker stopped (cannot be started: No such file")
+
+
+async def test_whoever_asks_too_often_may_still_vent(played: Callable[[str], None]) -> None:
+    played(
+        "hear()\n"
+        "for number in range(100): say(Ask(number, 'page', 'start_bench'))\n"
+        "say(Ask(100, 'page', 'vent'))\n"
+        "answers = {}\n"
+        "while 100 not in answers:\n"
+        "    told = hear()\n"
+        "    if hasattr(told, 'safety'): answers[told.number] = told.safety + told.reason\n"
+        "say(Trouble(f\"{list(answers.values()).count('refusedasked too often')} {answers[100]}\"))\n"
+        "time.sleep(3600)\n"
+    )
+    async with Service().living() as service:
+        await until(lambda: len(service.said) == 1, "it has asked")
+    refused, vented = service.said[0].split(" ", 1)
+    assert vented == "limitedas a test"
+    asked = [intent for _, intent in service.asked]
+    assert asked[-1] == Vent()
+    assert asked.count(StartBench()) == 100 - int(refused)
+    assert 20 <= asked.count(StartBench()) <= 25
+
+
+async def test_what_happens_before_the_gateway_reads_is_told_in_order(played: Callable[[str], None]) -> None:
+    """The profile first; of more events than are kept, the last."""
+    played(
+        "kinds = [type(hear()).__name__]\n"
+        "texts = []\n"
+        "while not texts or texts[-1] != 599:\n"
+        "    told = hear()\n"
+        "    if hasattr(told, 'fields'): texts.append(int(msgspec.json.decode(told.fields)['text']))\n"
+        "say(Trouble(f'{kinds[0]} {texts == list(range(100, 600))}'))\n"
+        "time.sleep(3600)\n"
+    )
+    service = Service()
+    for number in range(600):
+        service.gateway.action(notice(0.0, str(number)))
+    async with service.living():
+        await until(lambda: len(service.said) == 1, "it has heard them")
+    assert service.said == ["Profile True"]

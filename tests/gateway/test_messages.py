@@ -1,0 +1,94 @@
+"""What service and gateway tell each other: read as it was said, and refused where it cannot be done."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flying_vines.gateway import messages
+from flying_vines.gateway.messages import Answered, Ask, FromGateway, Happened, Seen, ToGateway, Trouble
+from flying_vines.intent import BendTo, Command, SetPressure, StartProfile, Vent
+
+from .told import calibrated, decision, happened, notice, profile, seen
+
+plain = [word for word in messages.COMMANDS if word not in ("bend", "pressure", "profile")]
+finite = st.floats(allow_nan=False, allow_infinity=False)
+by = st.sampled_from(["page", "broker"])
+number = st.integers(0, 2**53)
+asks = st.one_of(
+    st.builds(Ask, number, by, st.sampled_from(plain)),
+    st.builds(Ask, number, by, st.sampled_from(["bend", "pressure"]), finite),
+    st.builds(lambda n, b, name: Ask(n, b, "profile", None, name), number, by, st.text()),
+)
+
+
+@given(asks | st.builds(Trouble, st.text()))
+def test_what_the_gateway_says_is_read_as_it_was_said(message: FromGateway) -> None:
+    assert messages.read_from_gateway(messages.packet(message)) == message
+
+
+@given(st.builds(Answered, number, st.sampled_from(["accepted", "limited", "refused"]), st.text()))
+def test_what_the_service_answers_is_read_as_it_was_said(message: Answered) -> None:
+    assert messages.read_to_gateway(messages.packet(message)) == message
+
+
+@pytest.mark.parametrize(
+    "message", [seen(1.0), profile(), *(happened(thing(2.0)) for thing in (decision, notice, calibrated))]
+)
+def test_what_the_service_tells_is_read_as_it_was_said(message: ToGateway) -> None:
+    again = messages.read_to_gateway(messages.packet(message))
+    assert type(again) is type(message)
+    assert messages.packet(again) == messages.packet(message)
+    if isinstance(again, Seen):
+        snapshot = msgspec.json.decode(again.snapshot)
+        assert snapshot["bend_deg"] == 59.7
+        assert snapshot["evp_opening"] is None, "what is not known is null"
+    if isinstance(again, Happened):
+        assert msgspec.json.decode(again.fields)["t"] == 2.0
+
+
+@given(asks)
+def test_every_ask_is_an_intent(ask: Ask) -> None:
+    match ask.intent:
+        case BendTo(value) | SetPressure(value):
+            assert value == ask.value
+        case StartProfile(name):
+            assert name == ask.name
+        case intent:
+            assert ask.command in plain
+            assert (ask.command == "vent") == (intent == Vent())
+
+
+@given(
+    st.sampled_from(messages.COMMANDS),
+    st.none() | st.floats(),
+    st.none() | st.text(max_size=5),
+    st.booleans(),
+)
+def test_an_ask_that_cannot_be_is_refused_wherever_it_comes_from(
+    command: Command, value: float | None, name: str | None, as_bytes: bool
+) -> None:
+    good = (value is not None) == (command in ("bend", "pressure")) and (name is not None) == (
+        command == "profile"
+    )
+    good = good and (value is None or abs(value) < float("inf"))
+    said = {"kind": "ask", "number": 1, "by": "page", "command": command, "value": value, "name": name}
+    try:
+        if as_bytes:
+            messages.read_from_gateway(msgspec.json.encode(said))
+        else:
+            Ask(1, "page", command, value, name)
+    except ValueError:
+        assert not good
+    else:
+        # JSON has no other numbers: what is not one is null there.
+        assert good or (as_bytes and value is not None and not abs(value) < float("inf"))
+
+
+@given(st.binary(max_size=100))
+def test_no_bytes_are_a_message_by_accident(data: bytes) -> None:
+    for read in (messages.read_from_gateway, messages.read_to_gateway):
+        with pytest.raises((msgspec.DecodeError, UnicodeDecodeError)):
+            read(data)

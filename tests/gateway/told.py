@@ -1,0 +1,75 @@
+"""What a gateway is told in tests: a profile, snapshots and events as the service makes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from flying_vines import config
+from flying_vines.config import Config
+from flying_vines.events import Calibrated, Decision, Snapshot
+from flying_vines.gateway.messages import Happened, Profile, Seen, raw
+from flying_vines.notice import Notice, Severity
+from flying_vines.reservoir import CyclesLeft
+
+CYCLES = CyclesLeft(31.2, 27.9, 35.0, 12.0, 18.4, 102.0)
+
+
+def profile(**mqtt: Any) -> Profile:
+    """The built-in one, without a page."""
+    return Profile(configured(**mqtt), "1.2.3", "/var/lib/flying-vines")
+
+
+def configured(**mqtt: Any) -> Config:
+    built_in = config.default()
+    return msgspec.structs.replace(
+        built_in, page=config.Page(port=0), mqtt=msgspec.structs.replace(built_in.mqtt, **mqtt)
+    )
+
+
+def snapshot(t: float, **known: Any) -> Snapshot:
+    nan = float("nan")
+    fields: dict[str, Any] = {
+        "t": t,
+        "vehicle": "ArduPilot 1",
+        "mode": "AUTO",
+        "armed": True,
+        "altitude_m": 9.8,
+        "rc": "good",
+        "switch_position": 2,
+        "firmware": "ready",
+        "round_trip_s": 0.0012,
+        "telemetry_gaps": 0,
+        "reservoir_kPa": 612.5,
+        "cv_kPa": 20.6,
+        "command_kPa": 20.7,
+        "bend_deg": 59.7,
+        "evp_opening": nan,
+        "dvp_opening": nan,
+        "solenoid": None,
+        "cycles": CYCLES,
+        "doing": "bend-full",
+    }
+    return Snapshot(**(fields | known))
+
+
+def seen(t: float, **known: Any) -> Seen:
+    return Seen(raw(snapshot(t, **known)))
+
+
+def decision(t: float, safety: Any = "accepted", reason: str = "") -> Decision:
+    return Decision(t, "switch", {"position": 2}, "bend-full", safety, reason, 20.7)
+
+
+def notice(t: float, text: str = "Vine: phloSAR is back") -> Notice:
+    return Notice(t, Severity.NOTICE, text)
+
+
+def calibrated(t: float) -> Calibrated:
+    return Calibrated(t, ((0.0, float("nan")), (10.0, 9.9)))
+
+
+def happened(thing: Decision | Notice | Calibrated) -> Happened:
+    """As `Gateway.action` makes it."""
+    return Happened(type(thing).__name__.lower(), raw(thing))

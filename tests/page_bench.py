@@ -1,0 +1,130 @@
+"""A page on a bench: served in this process, and the service's end of its feed held by the test."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+from aiohttp import ClientSession, ClientTimeout, ClientWebSocketResponse
+
+from flying_vines import config
+from flying_vines.config import Page
+from flying_vines.events import Decision, Snapshot
+from flying_vines.gateway import page
+from flying_vines.gateway.feed import Feed
+from flying_vines.gateway.messages import Answered, Ask, FromGateway, Happened, Profile, Seen, Trouble, raw
+from flying_vines.notice import Notice
+from flying_vines.reservoir import CyclesLeft
+
+PATIENCE_S = 10.0
+TOKEN = "abcd-efgh-ijkl-mnop"
+
+
+def free_port() -> int:
+    """For TCP on this machine, when it was looked for."""
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def snapshot(t: float = 0.0, **changed: Any) -> Snapshot:
+    """Of a vine that hangs straight, and all is well."""
+    well: dict[str, Any] = {
+        "t": t,
+        "vehicle": "ardupilot 1",
+        "mode": "GUIDED",
+        "armed": True,
+        "altitude_m": 6.0,
+        "rc": "good",
+        "switch_position": 0,
+        "firmware": "ready",
+        "round_trip_s": 0.004,
+        "telemetry_gaps": 0,
+        "reservoir_kPa": 600.0,
+        "cv_kPa": 0.1,
+        "command_kPa": 0.0,
+        "bend_deg": 0.0,
+        "evp_opening": 0.0,
+        "dvp_opening": 0.0,
+        "solenoid": True,
+        "cycles": CyclesLeft(40.0, 35.0, 49.0, 3.0, 9.0, 80.0),
+        "doing": "vented",
+    }
+    return Snapshot(**{**well, **changed})
+
+
+@dataclass
+class Bench:
+    """A page that is served, and what it has said to its service."""
+
+    page: Page
+    feed: Feed = field(init=False)
+    answers: bool = True
+    answer: tuple[str, str] = ("accepted", "")
+    asked: list[Ask] = field(default_factory=list)
+    troubles: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        profile = msgspec.structs.replace(config.default(), page=self.page)
+        token = TOKEN if self.page.needs_token else ""
+        self.feed = Feed(Profile(profile, "1.2.3", "flights", token), self._take)
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.page.port}"
+
+    def _take(self, message: FromGateway) -> None:
+        if isinstance(message, Trouble):
+            self.troubles.append(message.text)
+        else:
+            self.asked.append(message)
+            if self.answers:
+                safety, reason = self.answer
+                assert safety in ("accepted", "limited", "refused")
+                self.feed.take(Answered(message.number, safety, reason))  # type: ignore[arg-type]
+
+    def show(self, shown: Snapshot) -> None:
+        self.feed.take(Seen(raw(shown)))
+
+    def happen(self, action: Decision | Notice) -> None:
+        self.feed.take(Happened(type(action).__name__.lower(), raw(action)))
+
+
+@contextlib.asynccontextmanager
+async def served(host: str = "127.0.0.1") -> AsyncIterator[Bench]:
+    bench = Bench(Page(host=host, port=free_port()))
+    serving = asyncio.create_task(page.serve(bench.feed))
+    try:
+        async with asyncio.timeout(PATIENCE_S):
+            while not _listens(bench.page.port):
+                assert not serving.done(), serving
+                await asyncio.sleep(0.01)
+        yield bench
+    finally:
+        serving.cancel()
+        await asyncio.gather(serving, return_exceptions=True)
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+@contextlib.asynccontextmanager
+async def client(**headers: str) -> AsyncIterator[ClientSession]:
+    async with ClientSession(headers=headers, timeout=ClientTimeout(total=PATIENCE_S)) as session:
+        yield session
+
+
+async def heard(viewer: ClientWebSocketResponse, kind: str) -> dict[str, Any]:
+    """The next message of this kind."""
+    async with asyncio.timeout(PATIENCE_S):
+        while True:
+            message: dict[str, Any] = await viewer.receive_json()
+            if message["kind"] == kind:
+                return message

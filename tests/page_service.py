@@ -1,0 +1,79 @@
+"""The real service with its page, as a process of its own between the fakes."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import re
+import socket
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+from page_bench import free_port
+from service_bench import Bench, on_bench, until
+
+from flying_vines.fakes.autopilot import Autopilot
+
+
+class Served:
+    """The service as a process of its own, with a page."""
+
+    def __init__(self, bench: Bench, folder: Path, host: str) -> None:
+        self.bench = bench
+        self.port = free_port()
+        self.url = f"http://127.0.0.1:{self.port}/"
+        self.profile = folder / "vine.toml"
+        text = bench.profile.replace("bench_mode = true", "bench_mode = false")
+        text = text.replace('host = "127.0.0.1"', f'host = "{host}"')
+        self.profile.write_text(re.sub(r"^port = 0", f"port = {self.port}", text, flags=re.MULTILINE))
+        self.said = folder / "said.txt"
+        """What is on its standard output."""
+        self._process: asyncio.subprocess.Process | None = None
+
+    async def start(self) -> None:
+        arguments = (
+            "run",
+            "--config",
+            str(self.profile),
+            "--plain",
+            "--out",
+            str(self.profile.parent / "out"),
+        )
+        with self.said.open("w") as said:
+            self._process = await asyncio.create_subprocess_exec(
+                sys.executable, "-m", "flying_vines", *arguments, stdout=said
+            )
+        await until(self.listens, "the page is served")
+
+    def listens(self) -> bool:
+        with socket.socket() as probe:
+            return bool(probe.connect_ex(("127.0.0.1", self.port)) == 0)
+
+    @property
+    def pid(self) -> int:
+        assert self._process is not None
+        return self._process.pid
+
+    @property
+    def gateway(self) -> int:
+        """The process of its page."""
+        (child,) = Path(f"/proc/{self.pid}/task/{self.pid}/children").read_text().split()
+        return int(child)
+
+    async def kill(self) -> None:
+        assert self._process is not None
+        with contextlib.suppress(ProcessLookupError):
+            self._process.kill()
+        await self._process.wait()
+
+
+@contextlib.asynccontextmanager
+async def serving(folder: Path, host: str = "127.0.0.1") -> AsyncIterator[Served]:
+    async with on_bench(Autopilot("ardupilot")) as bench:
+        served = Served(bench, folder, host)
+        await served.start()
+        try:
+            yield served
+        finally:
+            await served.kill()
