@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -30,6 +31,15 @@ class _Stream:
     wanted_since: float | None = None
     heard_at: float | None = None
     refused_at: float = -math.inf
+
+
+class Wanted(NamedTuple):
+    """A message stream that is asked for."""
+
+    rate_Hz: float
+    essential: bool
+    refused: bool
+    """The autopilot has said lately that it does not have it."""
 
 
 class Streams:
@@ -92,6 +102,13 @@ class Streams:
     def _awaited(self, t: float) -> bool:
         """Whether the answer to the last request may still come."""
         return self._asked is not None and t - self._asked_at < ANSWER_WITHIN_S
+
+    def wanted(self, t: float) -> dict[str, Wanted]:
+        """All that are asked for, by message."""
+        return {
+            name: Wanted(stream.rate_Hz, stream.essential, t - stream.refused_at < REFUSED_S)
+            for name, stream in self._streams.items()
+        }
 
     def missing(self, t: float) -> list[str]:
         """The essential messages that were asked for and do not come."""

@@ -1,0 +1,237 @@
+"""Whoever is on the phloSAR's port: is it ours and well, does the line carry, do its sensors make sense?"""
+
+from __future__ import annotations
+
+import math
+
+from firmware_link.protocol import Setting, Welcome
+from flying_vines.config import Config
+from flying_vines.doctor.finding import Finding, Line
+from flying_vines.doctor.firmware_probe import FirmwareFacts
+from flying_vines.link_view import fault_names
+from flying_vines.safety import FAULT_SENTENCES
+
+LEAST_RATE_SHARE = 0.8
+"""Of the telemetry that the firmware says it sends."""
+SLOW_ROUND_TRIP_S = 0.1
+MOST_LOST_SHARE = 0.001
+BELOW_ZERO_KPA = 15.0
+"""As a sensor of 15 bar may be off when the bottle is open."""
+ABOVE_FULL = 1.05
+FALLS_KPA_PER_S = 0.5
+"""Of the bottle, with all valves shut."""
+
+NO_PORT = Line("phloSAR", "skipped", "not asked: see its port")
+NO_ANSWER = Line(
+    "phloSAR",
+    "bad",
+    "{why}",
+    "`flying-vines link` shows what comes from there; docs/link.md says what each sentence means",
+)
+GOOD = Line("phloSAR", "good", "{build!r} answers, protocol {version}, boot {boot:08x}")
+FAULTS = Line(
+    "phloSAR",
+    "bad",
+    "latched: {faults}",
+    "find out why; then clear it from a ground station (command USER_5, 1), or switch the board off and on",
+)
+RESTARTED = Line(
+    "phloSAR",
+    "bad",
+    "it restarted {times} times while it was looked at",
+    "look after its supply and its USB cable",
+)
+RATE = Line(
+    "phloSAR line",
+    "good",
+    "{rate:.0f} telemetry a second, round trip {trip:.0f} ms, {frames} frames, {lost} lost",
+)
+NO_TELEMETRY = Line(
+    "phloSAR line",
+    "bad",
+    "it answers, but no telemetry comes",
+    "flash its firmware again, or try another cable",
+)
+SLOW = Line(
+    "phloSAR line",
+    "warning",
+    "{rate:.0f} telemetry a second of {wanted}",
+    "see what else loads this computer, and whether a serial line is quick enough (57600 baud at least)",
+)
+LOSSES = Line(
+    "phloSAR line",
+    "warning",
+    "{lost} of {frames} frames lost or spoilt, {gaps} gaps in telemetry",
+    "use a shorter, shielded cable, away from motor wires",
+)
+FAR = Line(
+    "phloSAR line",
+    "warning",
+    "a round trip takes {trip:.0f} ms",
+    "see what else loads this computer; on a serial server, the network",
+)
+SETTINGS = Line("phloSAR settings", "good", "all {count} as they come")
+OWN_SETTINGS = Line("phloSAR settings", "good", "{count}, of which set otherwise than they come: {changed}")
+NO_SETTINGS = Line("phloSAR settings", "warning", "{why}", "try again; then flash the firmware again")
+LIMITS = Line(
+    "phloSAR limits", "good", "setpoints to {most:g}, vine {vine:g}, bottle {bottle:g} kPa; {rate:g} kPa/s"
+)
+LOW_SETPOINTS = Line(
+    "phloSAR limits",
+    "bad",
+    "it takes setpoints to {most:g} kPa, the profile asks for up to {wanted:g} (limits.max_kPa)",
+    "lower limits.max_kPa, or raise it: flying-vines link --set cv_limit_kPa={raised:g}",
+)
+VENTS_FIRST = Line(
+    "phloSAR limits",
+    "warning",
+    "it vents at {vine:g} kPa, before limits.overpressure_kPa = {over:g} is reached",
+    "lower limits.overpressure_kPa below it, so that the pilot is told why",
+)
+LOW_BOTTLE = Line(
+    "phloSAR limits",
+    "bad",
+    "it vents when the bottle is above {bottle:g} kPa, and a full one has {full:g} (pneumatics.full_kPa)",
+    "fill it less, and say so in pneumatics.full_kPa; raise reservoir_limit_kPa only if the bottle bears it",
+)
+LOW_RATE = Line(
+    "phloSAR limits",
+    "warning",
+    "it slews at {rate:g} kPa/s at most, the profile allows {wanted:g} (limits.max_rate_kPa_per_s)",
+    "lower limits.max_rate_kPa_per_s: what is planned quicker arrives late",
+)
+VINE = Line("vine sensor", "good", "{kPa:.2f} kPa at rest")
+VINE_OFF = Line(
+    "vine sensor",
+    "bad",
+    "{kPa:.1f} kPa in a vented vine; up to {zero:g} is sound",
+    "see that the outlet is free; then zero it: flying-vines link --set cv_zero_kPa=…",
+)
+BOTTLE = Line("bottle", "good", "{kPa:.0f} kPa, for {cycles:.0f} cycles ({low:.0f} … {high:.0f})")
+BOTTLE_EMPTY = Line(
+    "bottle",
+    "bad",
+    "{kPa:.0f} kPa; a bend to {most:g} kPa needs {needed:.0f}",
+    "fill it, and open its valve",
+)
+BOTTLE_LOW = Line(
+    "bottle", "warning", "{kPa:.0f} kPa, for {cycles:.0f} cycles ({low:.0f} … {high:.0f})", "fill it"
+)
+BOTTLE_SENSOR = Line(
+    "bottle",
+    "bad",
+    "its sensor reads {kPa:.0f} kPa, which no bottle has",
+    "look after the sensor and its wire; `flying-vines link --settings` has its span and zero",
+)
+BOTTLE_OVER = Line(
+    "bottle",
+    "warning",
+    "{kPa:.0f} kPa, more than a full one ({full:g}, pneumatics.full_kPa)",
+    "let air out, or correct pneumatics.full_kPa",
+)
+BOTTLE_LOSES = Line(
+    "bottle",
+    "bad",
+    "it loses {rate:.1f} kPa/s with all valves shut",
+    "find the leak: soapy water on hoses, fittings and the Venturi",
+)
+
+
+def check(facts: FirmwareFacts | None, config: Config) -> list[Finding]:
+    """`facts` are None where there was no port to open."""
+    if facts is None:
+        return [NO_PORT()]
+    if facts.welcome is None:
+        return [NO_ANSWER(why=facts.port)]
+    welcome = facts.welcome
+    found = [GOOD(build=welcome.firmware_build, version=welcome.protocol_version, boot=welcome.boot_id)]
+    if facts.faults:
+        sentences = [text for fault, text in FAULT_SENTENCES.items() if fault in facts.faults]
+        found.append(FAULTS(faults=", ".join(sentences) or fault_names(facts.faults)))
+    if facts.restarts:
+        found.append(RESTARTED(times=facts.restarts))
+    found += _line(facts, welcome)
+    if facts.settings_problem:
+        found.append(NO_SETTINGS(why=facts.settings_problem))
+    elif facts.settings:
+        found.append(_settings(facts.settings))
+    found += _limits(welcome, config)
+    if facts.telemetry_Hz > 0.0:
+        found += [_vine(facts, config), *_bottle(facts, config)]
+    return found
+
+
+def _line(facts: FirmwareFacts, welcome: Welcome) -> list[Finding]:
+    if facts.telemetry_Hz == 0.0:
+        return [NO_TELEMETRY()]
+    found = []
+    trip_ms = 1e3 * (facts.round_trip_s or 0.0)
+    if facts.telemetry_Hz < LEAST_RATE_SHARE * welcome.telemetry_Hz:
+        found.append(SLOW(rate=facts.telemetry_Hz, wanted=welcome.telemetry_Hz))
+    frames = facts.good_frames + facts.bad_frames
+    if max(facts.bad_frames, facts.gaps) > MOST_LOST_SHARE * frames:
+        found.append(LOSSES(lost=facts.bad_frames, frames=frames, gaps=facts.gaps))
+    if trip_ms > 1e3 * SLOW_ROUND_TRIP_S:
+        found.append(FAR(trip=trip_ms))
+    return found or [RATE(rate=facts.telemetry_Hz, trip=trip_ms, frames=frames, lost=facts.bad_frames)]
+
+
+def _settings(settings: tuple[Setting, ...]) -> Finding:
+    changed = [f"{s.name} = {s.value:.5g}" for s in settings if s.value != s.standard]
+    if changed:
+        return OWN_SETTINGS(count=len(settings), changed=", ".join(changed))
+    return SETTINGS(count=len(settings))
+
+
+def _limits(welcome: Welcome, config: Config) -> list[Finding]:
+    limits, full_kPa = config.limits, config.pneumatics.full_kPa
+    found = []
+    if welcome.setpoint_limit_kPa < limits.max_kPa:
+        margin_kPa = welcome.cv_limit_kPa - welcome.setpoint_limit_kPa
+        raised = math.ceil(limits.max_kPa + margin_kPa)
+        found.append(LOW_SETPOINTS(most=welcome.setpoint_limit_kPa, wanted=limits.max_kPa, raised=raised))
+    elif welcome.cv_limit_kPa < limits.overpressure_kPa:
+        found.append(VENTS_FIRST(vine=welcome.cv_limit_kPa, over=limits.overpressure_kPa))
+    if welcome.reservoir_limit_kPa < full_kPa:
+        found.append(LOW_BOTTLE(bottle=welcome.reservoir_limit_kPa, full=full_kPa))
+    if welcome.rate_limit_kPa_per_s < limits.max_rate_kPa_per_s:
+        found.append(LOW_RATE(rate=welcome.rate_limit_kPa_per_s, wanted=limits.max_rate_kPa_per_s))
+    if not found:
+        found.append(
+            LIMITS(
+                most=welcome.setpoint_limit_kPa,
+                vine=welcome.cv_limit_kPa,
+                bottle=welcome.reservoir_limit_kPa,
+                rate=welcome.rate_limit_kPa_per_s,
+            )
+        )
+    return found
+
+
+def _vine(facts: FirmwareFacts, config: Config) -> Finding:
+    zero_kPa = config.checks.zero_kPa
+    # Written so that what is no number is not sound.
+    if abs(facts.cv_kPa) <= zero_kPa:
+        return VINE(kPa=facts.cv_kPa)
+    return VINE_OFF(kPa=facts.cv_kPa, zero=zero_kPa)
+
+
+def _bottle(facts: FirmwareFacts, config: Config) -> list[Finding]:
+    kPa, full_kPa, most_kPa = facts.reservoir_kPa, config.pneumatics.full_kPa, config.limits.max_kPa
+    needed_kPa = config.interlocks.reserve_kPa + most_kPa
+    if not kPa >= -BELOW_ZERO_KPA:
+        return [BOTTLE_SENSOR(kPa=kPa)]
+    if kPa < needed_kPa:
+        return [BOTTLE_EMPTY(kPa=kPa, most=most_kPa, needed=needed_kPa)]
+    found = []
+    if facts.reservoir_falls_kPa_per_s > FALLS_KPA_PER_S:
+        found.append(BOTTLE_LOSES(rate=facts.reservoir_falls_kPa_per_s))
+    left = facts.cycles_left
+    if kPa > ABOVE_FULL * full_kPa:
+        found.append(BOTTLE_OVER(kPa=kPa, full=full_kPa))
+    elif left is not None:
+        low = left.expected < config.telemetry.low_reservoir_cycles
+        found.append(
+            (BOTTLE_LOW if low else BOTTLE)(kPa=kPa, cycles=left.expected, low=left.low, high=left.high)
+        )
+    return found

@@ -1,0 +1,86 @@
+"""This computer: what runs on it, its memory, and on a Raspberry Pi its supply and how hot it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flying_vines.doctor.finding import Finding, Line
+
+LEAST_FREE_MB = 200.0
+"""The service takes less than 120."""
+HOTTEST_C = 80.0
+"""From here on a Raspberry Pi slows down."""
+
+_NOW = {0: "under-voltage", 1: "a capped clock", 2: "throttling", 3: "the soft limit of temperature"}
+"""By the bit of the firmware's word; 16 higher: it has happened since the start."""
+
+
+@dataclass(frozen=True, slots=True)
+class MachineFacts:
+    version: str
+    python: str
+    system: str
+    machine: str
+    free_MB: float | None = None
+    throttled: int | None = None
+    """A Raspberry Pi's word about its supply; None on other machines."""
+    hottest_C: float | None = None
+
+
+GOOD = Line("computer", "good", "flying-vines {version}, Python {python}, {system} on {machine}")
+NOT_LINUX = Line(
+    "computer",
+    "warning",
+    "flying-vines {version}, Python {python}, {system} on {machine}: made for Linux",
+    "fly with a Linux companion; here ports, processes and clock cannot be looked at in full",
+)
+MEMORY = Line("memory", "good", "{free:.0f} MB free")
+LITTLE_MEMORY = Line(
+    "memory", "warning", "{free:.0f} MB free, of which the service takes up to 120", "end what else runs here"
+)
+SUPPLY = Line("supply", "good", "no under-voltage and no throttling since the start")
+SUPPLY_NOW = Line(
+    "supply",
+    "bad",
+    "the Raspberry Pi reports {what} now",
+    "give it 5 V at 3 A or more by a short thick wire, and cool it",
+)
+SUPPLY_BEFORE = Line(
+    "supply",
+    "warning",
+    "the Raspberry Pi reports {what} since its start",
+    "see whether it comes when the motors or the valves draw current; a better supply, a shorter wire",
+)
+NO_SUPPLY = Line("supply", "skipped", "this is no Raspberry Pi that tells of its supply")
+COOL = Line("temperature", "good", "{celsius:.0f} °C")
+HOT = Line(
+    "temperature",
+    "warning",
+    "{celsius:.0f} °C: from {limit:.0f} on it slows down",
+    "let air get to the computer",
+)
+
+
+def check(facts: MachineFacts) -> list[Finding]:
+    known = GOOD if facts.system.startswith("Linux") else NOT_LINUX
+    found = [known(version=facts.version, python=facts.python, system=facts.system, machine=facts.machine)]
+    if facts.free_MB is not None:
+        found.append((MEMORY if facts.free_MB >= LEAST_FREE_MB else LITTLE_MEMORY)(free=facts.free_MB))
+    found.append(_supply(facts.throttled))
+    if facts.hottest_C is not None:
+        found.append((COOL if facts.hottest_C < HOTTEST_C else HOT)(celsius=facts.hottest_C, limit=HOTTEST_C))
+    return found
+
+
+def _supply(throttled: int | None) -> Finding:
+    if throttled is None:
+        return NO_SUPPLY()
+    if now := _named(throttled):
+        return SUPPLY_NOW(what=now)
+    if before := _named(throttled >> 16):
+        return SUPPLY_BEFORE(what=before)
+    return SUPPLY()
+
+
+def _named(bits: int) -> str:
+    return ", ".join(name for bit, name in _NOW.items() if bits >> bit & 1)

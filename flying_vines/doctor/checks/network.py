@@ -1,0 +1,63 @@
+"""What the service shows and tells: the port of its page, and the MQTT broker. Neither is needed to fly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flying_vines.doctor.checks.service import Process, named
+from flying_vines.doctor.finding import Finding, Line
+
+
+@dataclass(frozen=True, slots=True)
+class PageFacts:
+    address: str
+    """Host and port; empty where the profile has no page."""
+    problem: str = ""
+    """Why nobody can listen there."""
+    held_by: tuple[Process, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class BrokerFacts:
+    broker: str
+    """Its address; empty where the profile has none."""
+    problem: str = ""
+    """Why it cannot be told anything."""
+    needs_person: bool = False
+    """Whether waiting does not help."""
+    missing_package: bool = False
+    took_s: float = 0.0
+
+
+NO_PAGE = Line("page", "skipped", "the profile has none")
+PAGE = Line("page", "good", "{address} is free")
+PAGE_TAKEN = Line(
+    "page", "warning", "{address}: {why}", "end that program, or give another address in [page]"
+)
+PAGE_SERVED = Line("page", "skipped", "{address} is the running service's")
+NO_BROKER = Line("broker", "skipped", "the profile has none")
+BROKER = Line("broker", "good", "{broker} answers within {took:.0f} ms")
+NO_PACKAGE = Line("broker", "warning", "{why}", "pip install 'flying-vines[mqtt]'")
+AWAY = Line("broker", "warning", "{broker}: {why}", "see whether there is a network, and a broker there")
+REFUSES = Line("broker", "warning", "{broker}: {why}", "correct [mqtt], or the broker (docs/mqtt.md)")
+
+
+def check_page(facts: PageFacts, service_runs: bool) -> Finding:
+    if not facts.address:
+        return NO_PAGE()
+    if not facts.problem:
+        return PAGE(address=facts.address)
+    if service_runs:
+        return PAGE_SERVED(address=facts.address)
+    held = f", held by {named(facts.held_by)}" if facts.held_by else ""
+    return PAGE_TAKEN(address=facts.address, why=facts.problem + held)
+
+
+def check_broker(facts: BrokerFacts) -> Finding:
+    if not facts.broker:
+        return NO_BROKER()
+    if facts.missing_package:
+        return NO_PACKAGE(why=facts.problem)
+    if facts.problem:
+        return (REFUSES if facts.needs_person else AWAY)(broker=facts.broker, why=facts.problem)
+    return BROKER(broker=facts.broker, took=facts.took_s * 1e3)

@@ -1,0 +1,128 @@
+"""A port before it is opened: is it there, may it be opened, who else is on it?"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from flying_vines.doctor.checks.service import Process, named
+from flying_vines.doctor.finding import Finding, Line
+
+Which = Literal["phloSAR", "vehicle"]
+_BY_NUMBER = re.compile(r"/dev/tty(ACM|USB)\d+")
+
+
+@dataclass(frozen=True, slots=True)
+class PortFacts:
+    """Where a link of the profile goes."""
+
+    which: Which
+    where: str
+    """As the profile has it."""
+    path: str = ""
+    """The device that it is now; empty where there is none."""
+    missing: str = ""
+    """Why there is none: a sentence."""
+    board: str = ""
+    """What it says of itself on USB; empty for another port."""
+    usb: str = ""
+    """How the profile would name this very board."""
+    may_open: bool = True
+    group: str = ""
+    """Whose members may open it."""
+    member_since_login: bool = False
+    """This user is in that group by now, but was not when he logged in."""
+    held_by: tuple[Process, ...] = ()
+    console: bool = False
+    """The kernel writes its own messages there."""
+    modem_manager: bool = False
+    """It runs, and would look for a modem on this port."""
+    modem_manager_kept_off: bool = False
+
+
+def lines_of(which: Which) -> dict[str, Line]:
+    """The lines that can be said of one of the two."""
+    check, table = f"{which} port", "firmware" if which == "phloSAR" else "vehicle"
+    return {
+        "good": Line(check, "good", "{path} ({board}): may be opened, and nobody else holds it"),
+        "network": Line(
+            check, "skipped", "{where} is on the network: there is nothing to look at beforehand"
+        ),
+        "free": Line(check, "good", "{where} is free"),
+        "missing": Line(
+            check,
+            "bad",
+            "{why}",
+            f"plug it in and switch it on, or name the right port in {table}.link",
+        ),
+        "not allowed": Line(
+            check,
+            "bad",
+            "{path} may not be opened by this user",
+            "add yourself to its group (sudo usermod -aG {group} $USER), then log in again",
+        ),
+        "log in again": Line(
+            check,
+            "bad",
+            "{path} may not be opened yet: group {group} was joined after logging in",
+            "log out and in again",
+        ),
+        "held": Line(check, "bad", "{path} is held by {who}", "end that program"),
+        "console": Line(
+            check,
+            "bad",
+            "{path} is the kernel's console: its messages go to whoever is there",
+            "sudo raspi-config, Interface Options, Serial Port: no login shell, but the hardware; restart",
+        ),
+        "modem": Line(
+            check,
+            "warning",
+            "ModemManager runs, and may take {path} for a modem: it then talks to it for seconds",
+            "keep it off by a udev rule (flying-vines install-service has one), or purge modemmanager",
+        ),
+        "kept off": Line(check, "good", "ModemManager runs, and is kept off {path} by a udev rule"),
+        "by number": Line(
+            check,
+            "warning",
+            "{path} is a name by number: the board has another one when it restarts at a bad moment",
+            f'set {table}.link = "{{usb}}"',
+        ),
+    }
+
+
+LINES: dict[Which, dict[str, Line]] = {"phloSAR": lines_of("phloSAR"), "vehicle": lines_of("vehicle")}
+
+
+def check(facts: PortFacts) -> list[Finding]:
+    """Of a serial port."""
+    lines = LINES[facts.which]
+    if facts.missing:
+        return [lines["missing"](why=facts.missing)]
+    found = []
+    if facts.console:
+        found.append(lines["console"](path=facts.path))
+    if not facts.may_open:
+        line = lines["log in again" if facts.member_since_login else "not allowed"]
+        found.append(line(path=facts.path, group=facts.group or "dialout"))
+    if facts.held_by:
+        found.append(lines["held"](path=facts.path, who=named(facts.held_by)))
+    if not found:
+        found.append(lines["good"](path=facts.path, board=facts.board or "no board on USB"))
+    if facts.modem_manager:
+        line = lines["kept off" if facts.modem_manager_kept_off else "modem"]
+        found.append(line(path=facts.path))
+    if facts.usb and _BY_NUMBER.fullmatch(facts.where.removeprefix("serial:").partition(":")[0]):
+        found.append(lines["by number"](path=facts.path, usb=facts.usb))
+    return found
+
+
+def check_network(which: Which, where: str, listens: bool, held_by: Sequence[Process] | None) -> Finding:
+    """Of a link over the network; `held_by` is None where the port on this computer is free."""
+    lines = LINES[which]
+    if not listens:
+        return lines["network"](where=where)
+    if held_by is None:
+        return lines["free"](where=where)
+    return lines["held"](path=where, who=named(held_by) or "another user's program")

@@ -1,0 +1,87 @@
+"""The profile and the files that it names. (One that cannot be read at all ends the command before.)"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from flying_vines.config import Config
+from flying_vines.doctor.finding import Finding, Line
+
+
+@dataclass(frozen=True, slots=True)
+class ProfileFacts:
+    """A profile that was read. A problem is a sentence, empty where there is none."""
+
+    path: str
+    config: Config
+    """With the parameters in force."""
+    rig: str = ""
+    """The rig file that it names."""
+    rig_said: str = ""
+    rig_problem: str = ""
+    signing_key: str = ""
+    signing_problem: str = ""
+    signing_clock_problem: str = ""
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    """Those that a pilot has set."""
+    parameters_problem: str = ""
+    disarming: str = ""
+    """The file that says that the pneumatics are disarmed, where it is there."""
+
+
+GOOD = Line(
+    "configuration", "good", "{path}: {profiles} profiles, {rules} rules for mission items and commands"
+)
+RIG = Line("configuration", "good", "rig {path}: {said}")
+BAD_RIG = Line(
+    "configuration", "bad", "{why}", "mend the file that pneumatics.rig names, or take the key out"
+)
+KEY = Line("configuration", "good", "signing key {path}: only its owner may read it")
+BAD_KEY = Line(
+    "configuration", "bad", "{why}", "mend the file that vehicle.signing_key names, or take the key out"
+)
+NO_CLOCK = Line(
+    "configuration", "warning", "{why}", "set this computer's clock before each flight, or the file's rights"
+)
+PARAMETERS = Line("configuration", "good", "set by a pilot, in place of the profile's: {parameters}")
+BAD_PARAMETERS = Line(
+    "configuration", "bad", "{why}", "mend the file, or take it away: the profile then holds"
+)
+DISARMED = Line(
+    "configuration",
+    "bad",
+    "the pneumatics are disarmed ({path}): nothing bends",
+    "arm them from a ground station (command USER_4, 3), or take the file away",
+)
+BENCH = Line(
+    "configuration",
+    "bad",
+    "bench mode: the vine bends without an armed vehicle, and at any altitude",
+    "set interlocks.bench_mode = false",
+)
+
+
+def check(facts: ProfileFacts) -> list[Finding]:
+    config = facts.config
+    found = [GOOD(path=facts.path, profiles=len(config.profiles), rules=len(config.items))]
+    if facts.rig_problem:
+        found.append(BAD_RIG(why=facts.rig_problem))
+    elif facts.rig:
+        found.append(RIG(path=facts.rig, said=facts.rig_said))
+    if facts.signing_problem:
+        found.append(BAD_KEY(why=facts.signing_problem))
+    elif facts.signing_key:
+        found.append(KEY(path=facts.signing_key))
+    if facts.signing_clock_problem:
+        found.append(NO_CLOCK(why=facts.signing_clock_problem))
+    if facts.parameters_problem:
+        found.append(BAD_PARAMETERS(why=facts.parameters_problem))
+    elif facts.parameters:
+        told = ", ".join(f"{name} = {value:g}" for name, value in facts.parameters.items())
+        found.append(PARAMETERS(parameters=told))
+    if facts.disarming:
+        found.append(DISARMED(path=facts.disarming))
+    if config.interlocks.bench_mode:
+        found.append(BENCH())
+    return found

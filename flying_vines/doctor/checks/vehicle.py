@@ -1,0 +1,211 @@
+"""The vehicle's link: who speaks there, and does all come that the service needs, often enough?"""
+
+from __future__ import annotations
+
+import math
+
+from flying_vines.config import Config
+from flying_vines.doctor.finding import Finding, Line
+from flying_vines.doctor.vehicle_probe import Stream, VehicleFacts
+from flying_vines.vehicle.state import ALTITUDE_FRESH_S
+
+LEAST_RATE_SHARE = 0.7
+"""Of a stream's rate; below it is slow."""
+SAMPLES_WITHIN_LOSS = 3.0
+"""Of RC_CHANNELS within losses.rc_s: with fewer a single loss looks like a lost radio."""
+
+GROUPS = {
+    "SYS_STATUS": "EXT_STAT",
+    "MISSION_CURRENT": "EXT_STAT",
+    "GLOBAL_POSITION_INT": "POSITION",
+    "RC_CHANNELS": "RC_CHAN",
+    "SYSTEM_TIME": "EXTRA3",
+    "SCALED_PRESSURE": "RAW_SENS",
+}
+"""Which of ArduPilot's stream rates carries a message."""
+
+USES = {
+    "RC_CHANNELS": "the switch",
+    "SYS_STATUS": "whether RC is lost",
+    "GLOBAL_POSITION_INT": "the altitude interlock",
+    "MISSION_CURRENT": "mission items",
+    "SYSTEM_TIME": "reboots, and the clock",
+    "SCALED_PRESSURE": "the air around",
+}
+"""What the service needs each for."""
+
+NO_LINK = Line("vehicle link", "bad", "{why}", "see vehicle.link, and what its port says above")
+NOT_ASKED = Line("vehicle link", "skipped", "not listened to: see its port")
+SILENT = Line(
+    "vehicle link",
+    "bad",
+    "nothing came in {seconds:.0f} s",
+    "set the autopilot's port: on ArduPilot SERIALn_PROTOCOL = 2 and its baud rate, on PX4 MAV_1_CONFIG; "
+    "see vehicle.link, RX and TX",
+)
+NOISE = Line(
+    "vehicle link",
+    "bad",
+    "{bytes} bytes came, but no MAVLink message",
+    "give the autopilot's baud rate in vehicle.link, and see that nothing else is on that line",
+)
+NO_AUTOPILOT = Line(
+    "vehicle link",
+    "bad",
+    "{messages} messages came from {others}, but none of an autopilot",
+    "see what a router between passes on, and vehicle.system_id = {system} (0: the one that is heard)",
+)
+TWO_AUTOPILOTS = Line(
+    "vehicle link",
+    "bad",
+    "autopilots {one} and {other} are on the link: neither is served",
+    "set vehicle.system_id",
+)
+AUTOPILOT = Line("autopilot", "good", "{kind} {version}, system {system}, {mode}")
+OTHER_AUTOPILOT = Line(
+    "autopilot",
+    "warning",
+    "system {system} is neither ArduPilot nor PX4",
+    "try each trigger on the ground first: nobody knows how it tells of mission items",
+)
+ARMED = Line(
+    "autopilot", "warning", "it is armed ({mode})", "disarm it before anything is connected or mended"
+)
+HEARTBEAT = Line("heartbeat", "good", "{rate:.1f} a second, {silence:.1f} s apart at most")
+HEARTBEAT_GAPS = Line(
+    "heartbeat",
+    "bad",
+    "{silence:.1f} s apart; after {limit:g} s (losses.autopilot_s) the autopilot counts as lost",
+    "mend the link: cable, baud rate, a router's load",
+)
+STREAM = Line("{name}", "good", "{rate:.1f} a second")
+SLOW = Line("{name}", "warning", "{rate:.1f} a second of {wanted:g} (for {use})", "{where}")
+TOO_SLOW = Line("{name}", "bad", "{rate:.1f} a second; {use} needs {least:.1f}", "{where}")
+MISSING = Line("{name}", "bad", "does not come: needed for {use}", "{where}")
+MISSED = Line("{name}", "warning", "does not come: used for {use}", "{where}")
+CLASH = Line(
+    "component id",
+    "bad",
+    "{id} is taken by another program on this vehicle",
+    "set vehicle.component_id to a free one (BlueOS and Rpanion have 191)",
+)
+FREE = Line("component id", "good", "{id} is ours alone; {others} heard besides the autopilot")
+UNSIGNED = Line(
+    "signing",
+    "bad",
+    "nothing that came was believed: {refused}",
+    "give both sides the same key (docs/mavlink.md), or take vehicle.signing_key out",
+)
+SOME_REFUSED = Line(
+    "signing",
+    "warning",
+    "not all that came was believed: {refused}",
+    "see who else speaks on this link, and with which key",
+)
+SIGNED = Line("signing", "good", "all that came was signed with our key")
+NO_KEY = Line(
+    "signing",
+    "warning",
+    "the autopilot signs its messages, and the profile has no key: it may not listen to us",
+    "put its key in a file, and name that in vehicle.signing_key",
+)
+NOT_SIGNED = Line("signing", "good", "off, on both sides")
+
+
+def check(facts: VehicleFacts | None, config: Config, seconds: float) -> list[Finding]:
+    """`facts` are None where the port could not be opened; `seconds` for how long it was listened to."""
+    if facts is None:
+        return [NOT_ASKED()]
+    if not facts.messages:
+        if facts.refused.total:
+            return [UNSIGNED(refused=facts.refused)]
+        if facts.down:
+            return [NO_LINK(why=facts.down)]
+        return [NOISE(bytes=facts.bytes)] if facts.bytes else [SILENT(seconds=seconds)]
+    if facts.rivals:
+        return [TWO_AUTOPILOTS(one=facts.rivals[0], other=facts.rivals[1])]
+    if not facts.found:
+        system = config.vehicle.system_id
+        return [NO_AUTOPILOT(messages=facts.messages, others=_named(facts.others), system=system)]
+    return [
+        *_autopilot(facts),
+        _heartbeat(facts, config),
+        *(_stream(stream, facts.kind, config) for stream in facts.streams),
+        _component(facts, config),
+        _signing(facts, bool(config.vehicle.signing_key)),
+    ]
+
+
+def _autopilot(facts: VehicleFacts) -> list[Finding]:
+    kind = {"ardupilot": "ArduPilot", "px4": "PX4"}.get(facts.kind)
+    mode = facts.mode or "no mode"
+    if kind is None:
+        return [OTHER_AUTOPILOT(system=facts.system_id)]
+    version = facts.version or "of unknown version"
+    found = [AUTOPILOT(kind=kind, version=version, system=facts.system_id, mode=mode)]
+    return [*found, ARMED(mode=mode)] if facts.armed else found
+
+
+def _heartbeat(facts: VehicleFacts, config: Config) -> Finding:
+    if facts.longest_silence_s > config.losses.autopilot_s:
+        return HEARTBEAT_GAPS(silence=facts.longest_silence_s, limit=config.losses.autopilot_s)
+    return HEARTBEAT(rate=facts.heartbeat_Hz, silence=facts.longest_silence_s)
+
+
+def _stream(stream: Stream, kind: str, config: Config) -> Finding:
+    use, where = USES[stream.name], where_to_set(stream, kind)
+    needed = stream.essential or (stream.name == "RC_CHANNELS" and uses_switch(config))
+    if stream.rate_Hz == 0.0:
+        use += "; the autopilot refuses it" if stream.refused else ""
+        return (MISSING if needed else MISSED)(name=stream.name, use=use, where=where)
+    least_Hz = least_rate_Hz(stream.name, config) if needed else 0.0
+    if stream.rate_Hz < least_Hz:
+        return TOO_SLOW(name=stream.name, rate=stream.rate_Hz, use=use, least=least_Hz, where=where)
+    if stream.rate_Hz < LEAST_RATE_SHARE * stream.wanted_Hz:
+        return SLOW(name=stream.name, rate=stream.rate_Hz, wanted=stream.wanted_Hz, use=use, where=where)
+    return STREAM(name=stream.name, rate=stream.rate_Hz)
+
+
+def least_rate_Hz(name: str, config: Config) -> float:
+    """Below which the service takes what it tells for lost."""
+    if name == "RC_CHANNELS":
+        return SAMPLES_WITHIN_LOSS / config.losses.rc_s
+    return 1.0 / ALTITUDE_FRESH_S
+
+
+def uses_switch(config: Config) -> bool:
+    return any(config.switch.positions)
+
+
+def where_to_set(stream: Stream, kind: str) -> str:
+    """What to set on the autopilot where a message does not come by being asked for."""
+    rate = math.ceil(stream.wanted_Hz)
+    if kind == "ardupilot":
+        group = GROUPS[stream.name]
+        return (
+            f"set SRn_{group} = {rate}, n counting the MAVLink ports from USB = 0 "
+            f"(from 4.7 on MAVn_{group}, from USB = 1), and a baud rate that carries all streams"
+        )
+    if kind == "px4":
+        return (
+            f"put into etc/extras.txt on its card: mavlink stream -d DEVICE -s {stream.name} -r {rate}; "
+            "and set a baud rate that carries all streams"
+        )
+    return f"have it send {stream.name} {rate} times a second"
+
+
+def _component(facts: VehicleFacts, config: Config) -> Finding:
+    ours = config.vehicle.component_id
+    if facts.clash:
+        return CLASH(id=ours)
+    return FREE(id=ours, others=_named(facts.others) or "nobody")
+
+
+def _signing(facts: VehicleFacts, wanted: bool) -> Finding:
+    if wanted:
+        return SOME_REFUSED(refused=facts.refused) if facts.refused.total else SIGNED()
+    return NO_KEY() if facts.signs else NOT_SIGNED()
+
+
+def _named(others: tuple[tuple[int, int], ...]) -> str:
+    return ", ".join(f"{system}/{component}" for system, component in others)

@@ -1,0 +1,155 @@
+"""The examination in its order: first what can be known without opening a link, then both links at once."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from flying_vines.address import Address, NetworkAddress, parse_address
+from flying_vines.config import Config
+from flying_vines.doctor.checks import clock as clocks
+from flying_vines.doctor.checks import (
+    disk,
+    firmware,
+    machine,
+    mission,
+    network,
+    port,
+    profile,
+    radio,
+    service,
+)
+from flying_vines.doctor.checks import vehicle as vehicles
+from flying_vines.doctor.checks.network import PageFacts
+from flying_vines.doctor.checks.port import Which
+from flying_vines.doctor.checks.service import Process
+from flying_vines.doctor.finding import Finding
+from flying_vines.doctor.firmware_probe import FirmwareProbe
+from flying_vines.doctor.look import broker, ports, processes
+from flying_vines.doctor.look import disk as folders
+from flying_vines.doctor.look import machine as computer
+from flying_vines.doctor.look.clock import Clock, when
+from flying_vines.doctor.look.profile import Profile
+from flying_vines.doctor.vehicle_probe import Radio
+from flying_vines.doctor.vehicle_watch import TICK_S, VehicleWatch
+from flying_vines.vehicle.signing_key import SigningKeyError, TimestampFile
+
+MOVING_S = 20.0
+"""How long one has for moving the switch through all its positions."""
+
+Tell = Callable[[Sequence[Finding]], None]
+Ask = Callable[[Radio], None]
+"""Asks somebody to move the switch, and shows it as it is: called again and again."""
+
+
+async def examine(
+    examined: Profile, logs: Path, seconds: float, tell: Tell, ask: Ask | None = None
+) -> list[Finding]:
+    """All findings in order; `tell` gets them as they come.
+
+    Args:
+        examined: what the service would start with.
+        logs: where its flight logs go.
+        seconds: for how long to listen to both links.
+        tell: is called with what was found.
+        ask: has the switch moved; None where nobody is there to do so.
+    """
+    found: list[Finding] = []
+
+    def say(findings: Sequence[Finding]) -> None:
+        found.extend(findings)
+        tell(findings)
+
+    config, clock = examined.config, Clock()
+    say(profile.check(examined.facts))
+    say(machine.check(computer.facts()))
+    say(_disks(examined, logs))
+    holders: list[Process] = []
+    phlosar = _link("phloSAR", config.firmware.link, say, holders)
+    vehicle = _link("vehicle", config.vehicle.link, say, holders)
+    running = processes.services()
+    say([_service(running, holders)])
+    say([await asyncio.to_thread(_page, config, bool(running))])
+    say([network.check_broker(await broker.facts(config.mqtt))])
+
+    board = None if phlosar is None else FirmwareProbe(phlosar, examined.belief)
+    watch = None if vehicle is None else VehicleWatch(vehicle, config, examined.signing)
+    over, asked = asyncio.Event(), False
+    async with asyncio.TaskGroup() as tasks:
+        for probe in (board, watch):
+            if probe is not None:
+                tasks.create_task(probe.run(over.is_set))
+        if board or watch:
+            await asyncio.sleep(seconds)
+        say(firmware.check(board.facts if board else None, config))
+        heard = watch.facts if watch else None
+        say(vehicles.check(heard, config, seconds))
+        there = heard if heard and heard.found else None
+        switch = there.radio if there else None
+        if watch and ask and switch and switch.problem is None and vehicles.uses_switch(config):
+            asked = True
+            switch = await _moved(watch, len(config.switch.positions), ask)
+        over.set()
+    say([radio.check(switch, config, asked)])
+    say(mission.check(there.mission if there else None, there is not None, config))
+    facts = clock.facts(there.ahead_s if there else None, examined.signing is not None)
+    say(clocks.check(facts, when(facts.unix_s)))
+    if there:
+        say([clocks.against_vehicle(facts)])
+    _keep_signing(examined)
+    return found
+
+
+def _disks(examined: Profile, logs: Path) -> list[Finding]:
+    found = [disk.check(folders.facts("flight logs", logs, examined.config.log.least_free_MB))]
+    if examined.state is not None:
+        found.append(disk.check(folders.facts("state", examined.state, 0.0)))
+    return found
+
+
+def _page(config: Config, service_runs: bool) -> Finding:
+    host, number = config.page.host, config.page.port
+    facts = PageFacts(f"{host}:{number}", *ports.tcp_port(host, number)) if number else PageFacts("")
+    return network.check_page(facts, service_runs)
+
+
+def _link(which: Which, where: str, say: Tell, holders: list[Process]) -> Address | None:
+    """Look at a link's port; its address, if there is any sense in opening it. Adds who holds it."""
+    address = parse_address(where)
+    if isinstance(address, NetworkAddress):
+        listens = address.kind == "udpin"
+        held_by = ports.udp_port(address) if listens else None
+        say([port.check_network(which, where, listens, held_by)])
+        holders += held_by or ()
+        return address if held_by is None else None
+    facts = ports.serial_port(which, where, address)
+    say(port.check(facts))
+    holders += facts.held_by
+    return address if facts.may_open and not facts.missing and not facts.held_by else None
+
+
+def _service(running: Sequence[Process], holders: Sequence[Process]) -> Finding:
+    holding = {process.pid for process in holders}
+    return service.check(running, [p for p in running if p.pid in holding or processes.secretive(p)])
+
+
+async def _moved(watch: VehicleWatch, positions: int, ask: Ask) -> Radio:
+    """The switch, once it was seen in all its positions or somebody had time enough."""
+    ends_s = watch.t + MOVING_S
+    while True:
+        seen = watch.probe.radio(watch.t)
+        ask(seen)
+        if len(seen.seen) == positions or watch.t >= ends_s:
+            return seen
+        await asyncio.sleep(TICK_S)
+
+
+def _keep_signing(examined: Profile) -> None:
+    """The timestamps that were used must not be used again by the service."""
+    if examined.signing is not None and examined.signing_timestamp is not None:
+        try:
+            TimestampFile(examined.signing_timestamp).save(examined.signing.timestamp)
+        except SigningKeyError:
+            # That the folder cannot be written was found already.
+            return

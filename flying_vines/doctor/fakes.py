@@ -1,0 +1,74 @@
+"""A healthy vehicle and phloSAR that are not there: to see that an installation works."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from collections.abc import AsyncIterator, Sequence
+from contextlib import ExitStack, asynccontextmanager
+
+import msgspec
+
+from flying_vines.config import Config
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.autopilot_server import AutopilotServer
+from flying_vines.fakes.board import best_board
+from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
+
+
+@asynccontextmanager
+async def healthy(config: Config) -> AsyncIterator[Config]:
+    """The profile with links to the two."""
+    autopilot = Autopilot("ardupilot", unix_s=time.time())
+    autopilot.set_rc(config.switch.channel, 1000)
+    phlosar = SimulatedPhlosar(firmware=best_board(), reservoir_kPa=config.pneumatics.full_kPa)
+    async with between(config, autopilot, phlosar) as linked:
+        yield linked
+
+
+@asynccontextmanager
+async def between(
+    config: Config, autopilot: Autopilot, phlosar: SimulatedPhlosar | None
+) -> AsyncIterator[Config]:
+    """The profile with links to these two, which live until the end; without a phloSAR its link stays."""
+    companion_port = _free_udp_port()
+    vehicle = f"udpin:127.0.0.1:{companion_port}"
+    server = AutopilotServer(autopilot, ("127.0.0.1", companion_port))
+    with ExitStack() as stack:
+        living = [asyncio.create_task(server.run())]
+        firmware = config.firmware.link
+        if phlosar is not None:
+            port = stack.enter_context(PtyPhlosar(phlosar))
+            living.append(asyncio.create_task(port.run()))
+            firmware = f"serial:{port.path}"
+        try:
+            yield linked(config, vehicle, firmware)
+        finally:
+            for task in living:
+                task.cancel()
+            await _ended(living)
+
+
+def linked(config: Config, vehicle: str, firmware: str) -> Config:
+    """The profile with other links."""
+    replace = msgspec.structs.replace
+    return replace(
+        config,
+        vehicle=replace(config.vehicle, link=vehicle),
+        firmware=replace(config.firmware, link=firmware),
+    )
+
+
+async def _ended(tasks: Sequence[asyncio.Task[None]]) -> None:
+    """Tells of whatever ended one of them before it was cancelled."""
+    for ended in await asyncio.gather(*tasks, return_exceptions=True):
+        if isinstance(ended, BaseException) and not isinstance(ended, asyncio.CancelledError):
+            raise ended
+
+
+def _free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

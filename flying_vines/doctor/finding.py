@@ -1,0 +1,50 @@
+"""What a check finds, and the lines that it can say. No line is made anywhere else, so that all are known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+Verdict = Literal["good", "warning", "bad", "skipped"]
+"""Only "bad" keeps one on the ground; what was skipped has no part in that, or follows from something bad."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the doctor's: what was looked at, how it is, and what to do where it is not well."""
+
+    check: str
+    verdict: Verdict
+    what: str
+    do: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """What a check can say, with `{names}` for what it has found."""
+
+    check: str
+    verdict: Verdict
+    what: str
+    do: str = ""
+
+    def __call__(self, **found: object) -> Finding:
+        return Finding(
+            self.check.format(**found), self.verdict, self.what.format(**found), self.do.format(**found)
+        )
+
+
+def may_fly(findings: Iterable[Finding]) -> bool:
+    return all(finding.verdict != "bad" for finding in findings)
+
+
+def summary(findings: Iterable[Finding]) -> str:
+    """The last line."""
+    verdicts = [finding.verdict for finding in findings]
+    bad, warnings = verdicts.count("bad"), verdicts.count("warning")
+    looked_over = f"{warnings} {'thing' if warnings == 1 else 'things'} to look at"
+    if bad:
+        rest = f", and {looked_over}" if warnings else ""
+        return f"Do not fly: {bad} {'thing' if bad == 1 else 'things'} to mend{rest}."
+    return f"You may fly; {looked_over}." if warnings else "You may fly."

@@ -1,0 +1,114 @@
+"""What a phloSAR says at rest: who it is, how it is set, what its sensors read, how well its line carries.
+
+It is a monitor's conversation (`firmware_link.monitor`), which says Hello, Ping and GetSetting, and no more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from statistics import fmean
+
+from firmware_link.host import SessionState
+from firmware_link.monitor import Seen
+from firmware_link.protocol import Fault, Setting, Telemetry, Welcome
+from firmware_link.settings import SettingsTalk
+from flying_vines.address import Address
+from flying_vines.link_watch import Heard, LinkWatch
+from flying_vines.reservoir import Belief, CyclesLeft, ReservoirEstimate
+
+REST_S = 1.0
+"""The greeting vents; how the vine reads at rest is averaged over the last of this."""
+
+
+@dataclass(frozen=True, slots=True)
+class FirmwareFacts:
+    """What was heard on the phloSAR's line. Pressures are gauge."""
+
+    port: str = ""
+    """How it is with the port, or with whoever is on it: a sentence."""
+    welcome: Welcome | None = None
+    """None where no firmware of our version answered."""
+    settings: tuple[Setting, ...] = ()
+    settings_problem: str = ""
+    telemetry_Hz: float = 0.0
+    gaps: int = 0
+    bad_frames: int = 0
+    """Spoilt, lost or unknown ones, since the firmware answered."""
+    good_frames: int = 0
+    round_trip_s: float | None = None
+    restarts: int = 0
+    faults: Fault = Fault.NONE
+    cv_kPa: float = math.nan
+    reservoir_kPa: float = math.nan
+    reservoir_falls_kPa_per_s: float = 0.0
+    cycles_left: CyclesLeft | None = None
+
+
+class FirmwareProbe:
+    """Listens and asks at `address` while `run` runs."""
+
+    def __init__(self, address: Address, belief: Belief) -> None:
+        self._talk = SettingsTalk()
+        self._watch = LinkWatch(address, self._talk)
+        self._reservoir = ReservoirEstimate(belief)
+        self._heard: list[tuple[float, Telemetry]] = []
+        self._boots: set[int] = set()
+
+    async def run(self, over: Callable[[], bool]) -> None:
+        await self._watch.run(self._take, over)
+
+    def _take(self, heard: Sequence[Heard]) -> None:
+        for seen in heard:
+            if not isinstance(seen, Seen) or seen.sent:
+                continue
+            if isinstance(seen.message, Welcome):
+                self._boots.add(seen.message.boot_id)
+            elif isinstance(seen.message, Telemetry) and self._watch.answered:
+                self._heard.append((seen.t, seen.message))
+                self._reservoir.update(seen.t, seen.message)
+
+    @property
+    def facts(self) -> FirmwareFacts:
+        watch, session = self._watch, self._watch.monitor.session
+        if session.state is not SessionState.READY:
+            return FirmwareFacts(port=watch.port.text)
+        now, before = watch.statistics, watch.clean_since or watch.statistics
+        bad = (now.bad_frames - before.bad_frames, now.lost_frames - before.lost_frames)
+        facts = FirmwareFacts(
+            port=watch.port.text,
+            welcome=session.welcome,
+            settings=tuple(self._talk.settings),
+            settings_problem=self._talk.problem,
+            gaps=now.telemetry_gaps - before.telemetry_gaps,
+            # A frame that was spoilt is missing among the numbers as well.
+            bad_frames=max(bad) + now.unknown_messages - before.unknown_messages,
+            good_frames=now.good_frames - before.good_frames,
+            round_trip_s=session.round_trip_s,
+            restarts=max(0, len(self._boots) - 1),
+        )
+        return with_readings(facts, self._heard, self._reservoir.cycles_left())
+
+
+def with_readings(
+    facts: FirmwareFacts, heard: Sequence[tuple[float, Telemetry]], left: CyclesLeft | None
+) -> FirmwareFacts:
+    """The facts with what telemetry, each with its time, says of the pressures."""
+    if len(heard) < 2:
+        return facts
+    began_s, ended_s = heard[0][0], heard[-1][0]
+    first = [telemetry.reservoir_kPa for t, telemetry in heard if t <= began_s + REST_S]
+    last = [telemetry for t, telemetry in heard if t >= ended_s - REST_S]
+    reservoir_kPa = fmean(telemetry.reservoir_kPa for telemetry in last)
+    apart_s = ended_s - began_s - REST_S
+    return replace(
+        facts,
+        telemetry_Hz=(len(heard) - 1) / max(1e-6, ended_s - began_s),
+        faults=heard[-1][1].faults,
+        cv_kPa=fmean(telemetry.cv_kPa for telemetry in last),
+        reservoir_kPa=reservoir_kPa,
+        # What is averaged at both ends must not be the same.
+        reservoir_falls_kPa_per_s=(fmean(first) - reservoir_kPa) / apart_s if apart_s > REST_S else 0.0,
+        cycles_left=left,
+    )

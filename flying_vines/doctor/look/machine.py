@@ -1,0 +1,72 @@
+"""What this computer says of itself."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from flying_vines.doctor.checks.machine import MachineFacts
+
+MEMORY = Path("/proc/meminfo")
+THROTTLED = Path("/sys/devices/platform/soc/soc:firmware/get_throttled")
+TEMPERATURES = Path("/sys/class/thermal")
+PATIENCE_S = 2.0
+
+
+def facts() -> MachineFacts:
+    return MachineFacts(
+        version=_version(),
+        python=platform.python_version(),
+        system=f"{platform.system()} {platform.release()}",
+        machine=platform.machine(),
+        free_MB=_free_MB(),
+        throttled=_throttled(),
+        hottest_C=_hottest_C(),
+    )
+
+
+def _version() -> str:
+    try:
+        return version("flying-vines")
+    except PackageNotFoundError:
+        return "of unknown version"
+
+
+def _free_MB() -> float | None:
+    try:
+        rows = MEMORY.read_text().splitlines()
+    except OSError:
+        return None
+    free = [int(row.split()[1]) / 1024 for row in rows if row.startswith("MemAvailable:")]
+    return free[0] if free else None
+
+
+def _throttled() -> int | None:
+    """From the kernel where it tells, else from the firmware's own program."""
+    try:
+        return int(THROTTLED.read_text(), 16)
+    except (OSError, ValueError):
+        pass
+    program = shutil.which("vcgencmd")
+    if program is None:
+        return None
+    try:
+        said = subprocess.run(
+            [program, "get_throttled"], capture_output=True, text=True, timeout=PATIENCE_S, check=True
+        )
+        return int(said.stdout.partition("=")[2], 16)
+    except (OSError, ValueError, subprocess.SubprocessError):
+        return None
+
+
+def _hottest_C() -> float | None:
+    found = []
+    for zone in TEMPERATURES.glob("thermal_zone*/temp"):
+        try:
+            found.append(int(zone.read_text()) / 1000)
+        except (OSError, ValueError):
+            continue
+    return max(found, default=None)

@@ -1,0 +1,88 @@
+"""The profile, and what is kept beside it: all that the service would read when it starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from flying_vines import config as configuration
+from flying_vines.config import Config
+from flying_vines.doctor.checks.profile import ProfileFacts
+from flying_vines.kept import Kept
+from flying_vines.pneumatics.rig import RigError
+from flying_vines.reservoir import Belief, nominal
+from flying_vines.reservoir.calibration import load_calibration
+from flying_vines.vehicle.component.parameters import Parameters
+from flying_vines.vehicle.parameter_file import ParameterFileError
+from flying_vines.vehicle.signing import Signing
+from flying_vines.vehicle.signing_key import SigningKeyError
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Everything that the service would start with."""
+
+    facts: ProfileFacts
+    belief: Belief
+    signing: Signing | None
+    state: Path | None
+    """The folder where it keeps what must survive it; None for a profile that is no file."""
+    signing_timestamp: Path | None
+
+    @property
+    def config(self) -> Config:
+        return self.facts.config
+
+
+def read(path: Path) -> Profile:
+    """Raises `ConfigError`, one line, where the profile itself cannot be read."""
+    config = configuration.load(path)
+    kept = Kept.of(path, config)
+    parameters, parameters_problem = {}, ""
+    try:
+        parameters = kept.read_parameters(config)
+    except ParameterFileError as error:
+        parameters_problem = str(error)
+    signing, signing_clock_problem, signing_problem = None, "", ""
+    try:
+        signing, signing_clock_problem = kept.read_signing(config)
+    except SigningKeyError as error:
+        signing_problem = str(error)
+    belief, rig, rig_said, rig_problem = nominal(config.pneumatics), "", "", ""
+    if config.pneumatics.rig:
+        rig = str(path.parent / config.pneumatics.rig)
+        try:
+            known = load_calibration(Path(rig), config.pneumatics)
+            belief, rig_said = known.belief, known.said
+        except RigError as error:
+            rig_problem = str(error)
+        except OSError as error:
+            rig_problem = f"{rig}: {error.strerror}"
+    key = config.vehicle.signing_key
+    facts = ProfileFacts(
+        path=str(path),
+        config=Parameters(config, parameters).config,
+        rig=rig,
+        rig_said=rig_said,
+        rig_problem=rig_problem,
+        signing_key=str(path.parent / key) if key else "",
+        signing_problem=signing_problem,
+        signing_clock_problem=signing_clock_problem,
+        parameters=parameters,
+        parameters_problem=parameters_problem,
+        disarming=str(kept.disarming) if _exists(kept.disarming) else "",
+    )
+    return Profile(facts, belief, signing, kept.parameters.parent, kept.signing_timestamp)
+
+
+def given(config: Config, name: str) -> Profile:
+    """A profile that is no file."""
+    return Profile(ProfileFacts(name, config), nominal(config.pneumatics), None, None, None)
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:
+        # Nobody can tell: the service then does not start either.
+        return True

@@ -1,0 +1,274 @@
+"""A companion that asks and listens, and does nothing else: what comes from the vehicle, and how often.
+
+Sans-IO; all times are seconds of one clock. It asks for the streams and the mission by the very machines that
+the service asks by, so what comes to the one comes to the other. It answers nothing and obeys nothing.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.config import Config
+from flying_vines.core import SPEAK_FIRST_S
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.component.clash import Clash
+from flying_vines.vehicle.component.outbox import Outbox
+from flying_vines.vehicle.component.telemetry import Heartbeat
+from flying_vines.vehicle.mission.book import MissionBook
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.rc import RadioLink
+from flying_vines.vehicle.signing import Refused
+from flying_vines.vehicle.state import Ambiguous, VehicleState
+from flying_vines.vehicle.streams import Streams, Wanted
+from flying_vines.vehicle.switch import Move, MovedUnseen, Ready, Switch
+
+SETTLE_S = 1.5
+"""From the first heartbeat on: the streams are asked for, and take up their rate."""
+ENOUGH = 4
+"""Of one message, to tell its rate from."""
+VERSION_AGAIN_S = 1.0
+_SIGNED = 1
+"""Of a MAVLink 2 frame's incompatibility flags."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """One message that the service needs, as it comes."""
+
+    name: str
+    wanted_Hz: float
+    rate_Hz: float
+    """0 where it does not come."""
+    essential: bool
+    refused: bool
+    """The autopilot says that it does not have it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Radio:
+    """The switch's channel."""
+
+    problem: str | None
+    """Why it cannot be believed; None where it can."""
+    pulse_us: int = 0
+    position: int | None = None
+    """Counted from 0 at the lowest pulse width; None before it has settled."""
+    seen: frozenset[int] = frozenset()
+    """All positions in which it has rested."""
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleFacts:
+    """What was heard on the vehicle's link."""
+
+    down: str = ""
+    """Why the link is down, if it is."""
+    bytes: int = 0
+    messages: int = 0
+    """Good ones, of anyone, that were believed."""
+    refused: Refused = field(default_factory=Refused)
+    """What was not believed because of its signature."""
+    others: tuple[tuple[int, int], ...] = ()
+    """System and component of whoever else speaks there."""
+    rivals: tuple[int, int] | None = None
+    """Two autopilots, of which none was chosen."""
+    system_id: int = 0
+    """Of the autopilot that would be served; 0 where none was found."""
+    kind: str = "unknown"
+    version: str = ""
+    armed: bool = False
+    mode: str = ""
+    longest_silence_s: float = 0.0
+    """Between two heartbeats, or since the last."""
+    heartbeat_Hz: float = 0.0
+    streams: tuple[Stream, ...] = ()
+    clash: bool = False
+    """Another one speaks from our own address."""
+    signs: bool = False
+    """Whether the autopilot signs what it sends."""
+    radio: Radio = Radio("no RC_CHANNELS yet")
+    mission: Mapping[int, MissionItem] | None = None
+    """None where it was not read."""
+    ahead_s: float | None = None
+    """This computer's clock before the autopilot's; None where the autopilot does not know the time."""
+
+    @property
+    def found(self) -> bool:
+        """Whether there is an autopilot that would be served."""
+        return self.system_id != 0
+
+
+@dataclass(slots=True)
+class _Rate:
+    """How often something came since the streams settled."""
+
+    settled_at: float
+    first_at: float
+    last_at: float
+    count: int = 1
+
+    def per_s(self, t: float, wanted_Hz: float) -> float:
+        """0 where it no longer comes."""
+        if t - self.last_at > max(2.0, 3.0 / wanted_Hz):
+            return 0.0
+        if self.count < ENOUGH:
+            # So few say little: as often as may be, for one may have come just before, and one be due.
+            return min(wanted_Hz, (self.count + 1) / max(1e-6, t - self.settled_at))
+        return (self.count - 1) / max(1e-6, self.last_at - self.first_at)
+
+
+class VehicleProbe:
+    """Feed it `take` for every message, and send what `due` returns; `facts` at any time."""
+
+    def __init__(self, config: Config) -> None:
+        switch = config.switch
+        self._config = config
+        self._state = VehicleState(config.vehicle.system_id)
+        self._streams = Streams(config.vehicle.rc_rate_Hz)
+        self._radio = RadioLink(switch, config.losses.rc_s)
+        self._switch = Switch(len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us)
+        self._book = MissionBook()
+        self._heartbeat = Heartbeat()
+        self._outbox = Outbox()
+        self._clash = Clash(config.vehicle.component_id)
+        self._clashed = False
+        self._rivals: tuple[int, int] | None = None
+        self._began_at: float | None = None
+        self._found_at: float | None = None
+        self._heard_at: float | None = None
+        self._longest_silence_s = 0.0
+        self._rates: dict[str, _Rate] = {}
+        self._messages = 0
+        self._senders: Counter[tuple[int, int]] = Counter()
+        self._signs = False
+        self._seen: set[int] = set()
+        self._version = ""
+        self._version_asked_at: float | None = None
+        self._ahead_s: float | None = None
+
+    def take(self, t: float, unix_s: float, message: Message) -> None:
+        """A message of anyone; `unix_s` is what this computer's clock says."""
+        self._messages += 1
+        sender = message.get_srcSystem(), message.get_srcComponent()
+        self._senders[sender] += 1
+        for event in self._state.handle(t, message):
+            if isinstance(event, Ambiguous):
+                self._rivals = event.system_ids
+        if not self._state.found:
+            return
+        if sender == (self._state.system_id, self._config.vehicle.component_id):
+            self._clashed |= bool(self._clash.heard(t))
+        elif self._state.is_ours(message):
+            self._take_ours(t, unix_s, message)
+
+    def _take_ours(self, t: float, unix_s: float, message: Message) -> None:
+        kind = message.get_type()
+        frame = message.get_msgbuf()
+        self._signs |= frame[0] == mavlink.PROTOCOL_MARKER_V2 and bool(frame[2] & _SIGNED)
+        if self._found_at is None:
+            self._found_at = t
+        settled_at = self._found_at + SETTLE_S
+        if t >= settled_at:
+            rate = self._rates.get(kind)
+            if rate is None:
+                self._rates[kind] = _Rate(settled_at, t, t)
+            else:
+                rate.last_at, rate.count = t, rate.count + 1
+        self._streams.handle(t, message)
+        self._book.handle(t, message)
+        self._radio.handle(t, message)
+        if kind == "HEARTBEAT":
+            self._longest_silence_s = self._silence_s(t)
+            self._heard_at = t
+        elif kind == "RC_CHANNELS":
+            self._sample_switch(t)
+        elif kind == "AUTOPILOT_VERSION":
+            number = message.flight_sw_version
+            self._version = ".".join(str(number >> shift & 0xFF) for shift in (24, 16, 8))
+        elif kind == "SYSTEM_TIME" and message.time_unix_usec:
+            self._ahead_s = unix_s - message.time_unix_usec / 1e6
+
+    def _silence_s(self, t: float) -> float:
+        return max(self._longest_silence_s, 0.0 if self._heard_at is None else t - self._heard_at)
+
+    def _sample_switch(self, t: float) -> None:
+        if self._radio.problem(t) is not None:
+            self._switch.lose()
+            return
+        seen = self._switch.sample(t, self._radio.switch_us)
+        if isinstance(seen, (Move, MovedUnseen, Ready)):
+            self._seen.add(seen.position)
+
+    def due(self, t: float) -> list[Message]:
+        """What is to be sent at `t`: that we are there, and what we ask for."""
+        self._began_at = t if self._began_at is None else self._began_at
+        if not self._state.found:
+            # Some peers send nothing before they have heard something.
+            may_speak = t - self._began_at >= SPEAK_FIRST_S and self._rivals is None
+            return self._heartbeat.due(t, mavlink.MAV_STATE_STANDBY) if may_speak else []
+        system_id = self._state.system_id
+        for message in (
+            *self._heartbeat.due(t, mavlink.MAV_STATE_STANDBY),
+            *self._streams.requests(t, system_id),
+            *self._book.requests(t, system_id),
+            *self._book.acknowledgement(system_id),
+            *self._ask_version(t, system_id),
+        ):
+            self._outbox.put(message)
+        return self._outbox.due(t)
+
+    def _ask_version(self, t: float, system_id: int) -> list[Message]:
+        asked_at = self._version_asked_at
+        if self._version or (asked_at is not None and t - asked_at < VERSION_AGAIN_S):
+            return []
+        self._version_asked_at = t
+        return [
+            mavlink.MAVLink_command_long_message(
+                system_id, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0,
+                mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0, 0, 0, 0, 0, 0,
+            )
+        ]  # fmt: skip
+
+    @property
+    def system_id(self) -> int:
+        """From which we speak: the vehicle's, or what it probably is."""
+        return self._state.system_id or self._config.vehicle.system_id or 1
+
+    def radio(self, t: float) -> Radio:
+        """The switch, as it is now."""
+        return Radio(
+            self._radio.problem(t), self._radio.switch_us, self._switch.position, frozenset(self._seen)
+        )
+
+    def facts(self, t: float) -> VehicleFacts:
+        """All that was heard until `t`."""
+        state = self._state
+        ours = state.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1
+        heartbeat = self._rates.get("HEARTBEAT")
+        return VehicleFacts(
+            messages=self._messages,
+            others=tuple(sorted(sender for sender in self._senders if sender != ours)),
+            rivals=self._rivals,
+            system_id=state.system_id,
+            kind=state.kind,
+            version=self._version,
+            armed=state.armed,
+            mode=state.mode,
+            longest_silence_s=self._silence_s(t),
+            heartbeat_Hz=heartbeat.per_s(t, 1.0) if heartbeat else 0.0,
+            streams=tuple(self._stream(t, name, wanted) for name, wanted in self._streams.wanted(t).items()),
+            clash=self._clashed,
+            signs=self._signs,
+            radio=self.radio(t),
+            mission=self._book.items if self._book.fresh else None,
+            ahead_s=self._ahead_s,
+        )
+
+    def _stream(self, t: float, name: str, wanted: Wanted) -> Stream:
+        rate = self._rates.get(name)
+        rate_Hz = rate.per_s(t, wanted.rate_Hz) if rate else 0.0
+        return Stream(name, wanted.rate_Hz, rate_Hz, wanted.essential, wanted.refused)

@@ -1,0 +1,62 @@
+"""The vehicle's link, with the probe on it. No logic of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from flying_vines.address import Address
+from flying_vines.config import Config
+from flying_vines.doctor.vehicle_probe import VehicleFacts, VehicleProbe
+from flying_vines.vehicle.codec import Codec
+from flying_vines.vehicle.link import open_link
+from flying_vines.vehicle.signing import Refused, Signing
+
+TICK_S = 0.02
+
+
+class VehicleWatch:
+    """Listens and asks at `address` while `run` runs. Times are those of the event loop's clock."""
+
+    def __init__(self, address: Address, config: Config, signing: Signing | None = None) -> None:
+        self.probe = VehicleProbe(config)
+        self._down = "it was not opened"
+        self._signing = signing
+        self._codec = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)
+        self._received = 0
+        self._link = open_link(address, self._bytes, self._state)
+
+    @property
+    def t(self) -> float:
+        return asyncio.get_running_loop().time()
+
+    @property
+    def facts(self) -> VehicleFacts:
+        refused = self._signing.refused if self._signing else Refused()
+        return replace(self.probe.facts(self.t), down=self._down, bytes=self._received, refused=refused)
+
+    async def run(self, over: Callable[[], bool]) -> None:
+        opening = asyncio.create_task(self._link.run())
+        try:
+            while not over() and not opening.done():
+                if self._signing is not None:
+                    self._signing.advance(time.time())
+                for message in self.probe.due(self.t):
+                    self._link.write(self._codec.encode(message, self.probe.system_id))
+                await asyncio.sleep(TICK_S)
+        finally:
+            opening.cancel()
+            await asyncio.wait([opening])
+        if not opening.cancelled():
+            opening.result()
+
+    def _bytes(self, data: bytes) -> None:
+        self._received += len(data)
+        now, unix_s = self.t, time.time()
+        for message in self._codec.decode(data):
+            self.probe.take(now, unix_s, message)
+
+    def _state(self, up: bool, why: str) -> None:
+        self._down = "" if up else why

@@ -1,0 +1,65 @@
+"""All that the doctor can say."""
+
+from __future__ import annotations
+
+import re
+from types import ModuleType
+
+from flying_vines.doctor.checks import (
+    clock,
+    disk,
+    firmware,
+    machine,
+    mission,
+    network,
+    port,
+    profile,
+    radio,
+    service,
+    vehicle,
+)
+from flying_vines.doctor.finding import Finding, Line
+
+CHECKS: tuple[ModuleType, ...] = (
+    profile,
+    machine,
+    disk,
+    network,
+    port,
+    service,
+    firmware,
+    vehicle,
+    radio,
+    mission,
+    clock,
+)
+"""In the order in which it looks."""
+
+_BLANK = re.compile(r"\{(\w+)[^}]*\}")
+
+
+def lines_of(check: ModuleType) -> list[Line]:
+    """Those of one file; of both ports, which say the same, the phloSAR's."""
+    if check is port:
+        return list(port.LINES["phloSAR"].values())
+    return [value for value in vars(check).values() if isinstance(value, Line)]
+
+
+def every_line() -> list[Line]:
+    return [line for check in CHECKS for line in lines_of(check)]
+
+
+def says(line: Line, finding: Finding) -> bool:
+    """Whether a finding is this line, with its blanks filled."""
+    templates, texts = (line.check, line.what, line.do), (finding.check, finding.what, finding.do)
+    return line.verdict == finding.verdict and all(map(_fits, templates, texts))
+
+
+def _fits(template: str, text: str) -> bool:
+    fixed = _BLANK.split(template)[::2]
+    return re.fullmatch(".*".join(map(re.escape, fixed)), text, re.DOTALL) is not None
+
+
+def with_blanks(template: str) -> str:
+    """For a page: names in italics instead of braces."""
+    return _BLANK.sub(lambda blank: f"*{blank[1]}*", template).replace("|", r"\|")

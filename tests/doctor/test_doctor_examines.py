@@ -1,0 +1,223 @@
+"""The doctor between real sockets and ports: what it says of healthy fakes, and of each that is not."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from doctor.worlds import (
+    MISSION,
+    Board,
+    Examined,
+    Vehicle,
+    World,
+    examined,
+    gps,
+    heartbeats,
+    of_next_version,
+    phlosar,
+    silent,
+)
+from firmware_link.protocol import GetSetting, Hello, Ping
+from flying_vines import config as configuration
+from flying_vines.config import Config
+from flying_vines.doctor.examine import Ask
+from flying_vines.doctor.fakes import linked
+from flying_vines.doctor.finding import may_fly
+from flying_vines.doctor.look import profile
+from flying_vines.doctor.look.profile import Profile
+from flying_vines.doctor.vehicle_probe import Radio
+from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.vehicle.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S
+
+ONBOARD, NONE = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
+KEY, KEY_FILE = bytes(range(32)), "vine.key"
+SYS_STATUS = mavlink.MAVLINK_MSG_ID_SYS_STATUS
+QUADROTOR, ARDUPILOT = mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+
+
+def without_rc() -> Vehicle:
+    vehicle = Vehicle()
+    vehicle.lose_rc()
+    return vehicle
+
+
+def after_a_watchdog() -> SimulatedPhlosar:
+    board = phlosar()
+    board.reset_firmware(watchdog=True)
+    return board
+
+
+def moved_through_all(vehicle: Vehicle) -> Ask:
+    """Somebody who does what he is asked for."""
+
+    def ask(radio: Radio) -> None:
+        unseen = min({0, 1, 2} - radio.seen, default=0)
+        vehicle.set_rc(9, (1000, 1500, 2000)[unseen])
+
+    return ask
+
+
+def no_port(config: Config, folder: Path) -> Profile:
+    return profile.given(linked(config, config.vehicle.link, "serial:/dev/there-is-none"), "test")
+
+
+def no_vehicle(config: Config, folder: Path) -> Profile:
+    return profile.given(linked(config, "tcp:127.0.0.1:9", config.firmware.link), "test")
+
+
+def with_a_key(config: Config, folder: Path) -> Profile:
+    """As a file, with a signing key beside it."""
+    default = configuration.default()
+    text = configuration.default_text().replace('signing_key = ""', f'signing_key = "{KEY_FILE}"')
+    text = text.replace(default.vehicle.link, config.vehicle.link)
+    file = folder / "signed.toml"
+    file.write_text(text.replace(default.firmware.link, config.firmware.link))
+    (folder / KEY_FILE).write_text(KEY.hex())
+    (folder / KEY_FILE).chmod(0o600)
+    return profile.read(file)
+
+
+WORLDS: dict[str, World] = {
+    "healthy": World(lambda: Vehicle(mission=MISSION), phlosar=phlosar),
+    "healthy on PX4": World(lambda: Vehicle("px4")),
+    "no SYS_STATUS": World(lambda: Vehicle(mute=SYS_STATUS.__eq__)),
+    "no vehicle": World(profile=no_vehicle),
+    "RC is lost": World(without_rc),
+    "switch moved": World(lambda: Vehicle(mission=MISSION), ask=moved_through_all),
+    "switch not moved": World(ask=lambda vehicle: lambda radio: None),
+    "id is taken": World(stranger=heartbeats(1, 191, ONBOARD, NONE)),
+    "two autopilots": World(stranger=heartbeats(2, 1, QUADROTOR, ARDUPILOT)),
+    "noise": World(lambda: Vehicle(mute=lambda message_id: True), stranger=lambda count: bytes(range(50))),
+    "signed": World(lambda: Vehicle(signing_key=KEY), profile=with_a_key),
+    "not signed": World(profile=with_a_key),
+    "signed, and no key": World(lambda: Vehicle(signing_key=KEY)),
+    "no firmware": World(profile=no_port),
+    "a GPS": World(firmware=gps),
+    "silence": World(firmware=silent),
+    "next version": World(firmware=of_next_version),
+    "bottle empty": World(phlosar=lambda: phlosar(reservoir_kPa=30.0)),
+    "latched fault": World(phlosar=after_a_watchdog),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("examined")
+
+
+@pytest.fixture(scope="module")
+def seen(folder: Path) -> dict[str, Examined]:
+    """All worlds, looked at side by side, for each takes some seconds of listening."""
+
+    for name in WORLDS:
+        (folder / name).mkdir()
+
+    async def look() -> list[Examined]:
+        return await asyncio.gather(*(examined(world, folder / name) for name, world in WORLDS.items()))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("flying_vines.doctor.examine.MOVING_S", 2.0)
+        return dict(zip(WORLDS, asyncio.run(look()), strict=True))
+
+
+@pytest.mark.parametrize("world", ["healthy", "healthy on PX4", "switch moved", "signed"])
+def test_of_a_healthy_pair_one_may_fly(seen: dict[str, Examined], world: str) -> None:
+    found = seen[world].findings
+    assert may_fly(found), [finding for finding in found if finding.verdict == "bad"]
+    here = {"clock", "memory", "disk", "page", "phloSAR line", "service", "temperature"}
+    # This machine may have something of its own to be looked at, or be busy.
+    assert {f.check for f in found if f.verdict == "warning"} <= here
+
+
+@pytest.mark.parametrize(
+    ("world", "check", "says"),
+    [
+        ("no SYS_STATUS", "SYS_STATUS", "does not come"),
+        ("no vehicle", "vehicle link", "tcp:127.0.0.1:9: Connection refused"),
+        ("RC is lost", "RC switch", "channel 9 cannot be believed"),
+        ("switch not moved", "RC switch", "stayed in position 1 when it was to be moved"),
+        ("id is taken", "component id", "191 is taken"),
+        ("two autopilots", "vehicle link", "autopilots"),
+        ("noise", "vehicle link", "but no MAVLink message"),
+        ("not signed", "signing", "nothing that came was believed: "),
+        ("no firmware", "phloSAR port", "/dev/there-is-none is not there"),
+        ("a GPS", "phloSAR", "this is another device"),
+        ("silence", "phloSAR", "the port is open but silent"),
+        ("next version", "phloSAR", "update the host"),
+        ("bottle empty", "bottle", "needs 61"),
+        ("latched fault", "phloSAR", "latched: watchdog reset"),
+    ],
+)
+def test_what_is_wrong_is_said_and_nothing_else(
+    seen: dict[str, Examined], world: str, check: str, says: str
+) -> None:
+    assert seen[world].bad == {check}
+    finding = seen[world].of(check)
+    assert says in finding.what
+    assert finding.do
+
+
+def test_what_hangs_on_something_missing_is_skipped(seen: dict[str, Examined]) -> None:
+    assert seen["no firmware"].of("phloSAR").verdict == "skipped"
+    for check in ("RC switch", "mission"):
+        assert seen["no vehicle"].of(check).verdict == "skipped"
+
+
+def test_the_healthy_pair_is_told_by_what_it_is(seen: dict[str, Examined]) -> None:
+    healthy = seen["healthy"]
+    assert "ArduPilot 4.6.0, system 1" in healthy.of("autopilot").what
+    assert "PX4 1.17.0" in seen["healthy on PX4"].of("autopilot").what
+    assert "for the vine: 2 (bend 40°)" in healthy.of("mission").what
+    assert "'emulated'" in healthy.of("phloSAR").what
+    rates = {f.check: float(f.what.split()[0]) for f in healthy.findings if f.what.endswith(" a second")}
+    assert rates.keys() >= {"RC_CHANNELS", "SYS_STATUS", "GLOBAL_POSITION_INT", "SYSTEM_TIME"}
+    assert rates["RC_CHANNELS"] == pytest.approx(20.0, rel=0.5), "a busy machine hears in bursts"
+    assert rates["GLOBAL_POSITION_INT"] == pytest.approx(5.0, rel=0.5)
+
+
+def test_a_switch_that_is_moved_is_seen_in_all_positions(seen: dict[str, Examined]) -> None:
+    assert "all 3 positions were seen" in seen["switch moved"].of("RC switch").what
+    assert "position 1, “straight”" in seen["healthy"].of("RC switch").what
+
+
+def test_an_autopilot_that_signs_is_told_apart(seen: dict[str, Examined]) -> None:
+    assert seen["signed"].of("signing").what == "all that came was signed with our key"
+    without = seen["signed, and no key"]
+    assert "the profile has no key" in without.of("signing").what
+    assert without.bad >= {"SYS_STATUS", "GLOBAL_POSITION_INT", "RC_CHANNELS"}, "it does not hear us"
+
+
+def test_what_was_signed_with_is_not_used_again(seen: dict[str, Examined], folder: Path) -> None:
+    kept = folder / "signed" / "signed.signing-timestamp"
+    assert int(kept.read_text()) > (time.time() - 60.0 - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S
+
+
+def test_nothing_is_commanded(seen: dict[str, Examined]) -> None:
+    boards = [look.phlosar.firmware for look in seen.values() if look.phlosar]
+    assert len(boards) == 3
+    heard = {type(message) for board in boards if isinstance(board, Board) for message in board.told}
+    assert heard == {Hello, Ping, GetSetting}
+
+
+def test_the_vehicle_is_only_asked(seen: dict[str, Examined]) -> None:
+    told = [message for look in seen.values() for message in look.vehicle.told]
+    assert {message.get_type() for message in told} <= {
+        "HEARTBEAT",
+        "COMMAND_LONG",
+        "MISSION_REQUEST_LIST",
+        "MISSION_REQUEST_INT",
+        "MISSION_ACK",
+    }
+    commands = {message.command for message in told if message.get_type() == "COMMAND_LONG"}
+    assert commands == {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE}
+
+
+def test_findings_are_told_in_order_as_they_come(seen: dict[str, Examined]) -> None:
+    for look in seen.values():
+        assert [finding for told in look.told for finding in told] == look.findings
+        assert len(look.told) > 5

@@ -1,0 +1,369 @@
+"""Every line that the doctor can say: said of the facts that call for it, and of no others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import msgspec
+import pytest
+
+from doctor.known_lines import every_line, says
+from firmware_link.protocol import PROTOCOL_VERSION, Fault, Setting, Units, Welcome
+from flying_vines import config as configuration
+from flying_vines.config import Config
+from flying_vines.doctor.checks import (
+    clock,
+    disk,
+    firmware,
+    machine,
+    mission,
+    network,
+    port,
+    profile,
+    radio,
+    service,
+    vehicle,
+)
+from flying_vines.doctor.checks.clock import ClockFacts
+from flying_vines.doctor.checks.disk import DiskFacts
+from flying_vines.doctor.checks.machine import MachineFacts
+from flying_vines.doctor.checks.network import BrokerFacts, PageFacts
+from flying_vines.doctor.checks.port import PortFacts
+from flying_vines.doctor.checks.profile import ProfileFacts
+from flying_vines.doctor.checks.service import Process
+from flying_vines.doctor.finding import Finding, Line, may_fly, summary
+from flying_vines.doctor.firmware_probe import FirmwareFacts
+from flying_vines.doctor.vehicle_probe import Radio, Stream, VehicleFacts
+from flying_vines.reservoir import CyclesLeft
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.signing import Refused
+
+CONFIG = configuration.default()
+PROFILE = ProfileFacts("vine.toml", CONFIG)
+MACHINE = MachineFacts("0.1.0", "3.11.2", "Linux 6.12", "aarch64", 900.0, 0, 55.0)
+DISK = DiskFacts("flight logs", "flights", free_MB=9000.0, least_free_MB=200.0, took_s=0.02)
+STATE = DiskFacts("state", "/var/lib/flying-vines", free_MB=9000.0, took_s=0.02)
+NOW = ClockFacts(1_795_000_000.0, synchronised=True)
+OTHER = Process(812, "minicom")
+PORT = PortFacts("phloSAR", "usb:16c0:0483", path="/dev/ttyACM0", board="usb:16c0:0483", group="dialout")
+WELCOME = Welcome(PROTOCOL_VERSION, 1, 0x1234, "1.0", Units.KPA_GAUGE, 30.0, 28.0, 760.0, 200.0, 300, 100)
+SETTING = Setting(0, 1, "cv_limit_kPa", 30.0, 5.0, 60.0, 30.0)
+FIRMWARE = FirmwareFacts(
+    port="open",
+    welcome=WELCOME,
+    settings=(SETTING,),
+    telemetry_Hz=99.8,
+    good_frames=600,
+    round_trip_s=0.002,
+    cv_kPa=0.1,
+    reservoir_kPa=650.0,
+    cycles_left=CyclesLeft(60.0, 40.0, 90.0, 0.0, 9.0, 60.0),
+)
+STREAMS = {
+    name: Stream(name, wanted_Hz, wanted_Hz, essential, refused=False)
+    for name, wanted_Hz, essential in (
+        ("RC_CHANNELS", 20.0, False),
+        ("SYS_STATUS", 10.0, True),
+        ("GLOBAL_POSITION_INT", 5.0, True),
+        ("MISSION_CURRENT", 5.0, False),
+        ("SYSTEM_TIME", 1.0, False),
+        ("SCALED_PRESSURE", 1.0, False),
+    )
+}
+VEHICLE = VehicleFacts(
+    bytes=5000,
+    messages=200,
+    system_id=1,
+    kind="ardupilot",
+    version="4.6.0",
+    mode="LOITER",
+    longest_silence_s=1.0,
+    heartbeat_Hz=1.0,
+    streams=tuple(STREAMS.values()),
+    ahead_s=0.1,
+)
+SWITCH = Radio(None, 1004, 0, frozenset({0}))
+REFUSED = Refused(unsigned=7)
+
+
+def changed(table: str, **values: object) -> Config:
+    """The default profile with other values in one table."""
+    return msgspec.structs.replace(
+        CONFIG, **{table: msgspec.structs.replace(getattr(CONFIG, table), **values)}
+    )
+
+
+def of_profile(**facts: object) -> list[Finding]:
+    return profile.check(replace(PROFILE, **facts))  # type: ignore[arg-type]
+
+
+def of_machine(**facts: object) -> list[Finding]:
+    return machine.check(replace(MACHINE, **facts))  # type: ignore[arg-type]
+
+
+def of_disk(facts: DiskFacts, **others: object) -> list[Finding]:
+    return [disk.check(replace(facts, **others))]  # type: ignore[arg-type]
+
+
+def of_clock(**facts: object) -> list[Finding]:
+    looked = replace(NOW, **facts)  # type: ignore[arg-type]
+    return [*clock.check(looked, "2024-01-01 00:00:00"), clock.against_vehicle(looked)]
+
+
+def of_port(**facts: object) -> list[Finding]:
+    return port.check(replace(PORT, **facts))  # type: ignore[arg-type]
+
+
+def of_firmware(config: Config = CONFIG, **facts: object) -> list[Finding]:
+    return firmware.check(replace(FIRMWARE, **facts), config)  # type: ignore[arg-type]
+
+
+def of_welcome(**limits: float) -> list[Finding]:
+    return of_firmware(welcome=replace(WELCOME, **limits))  # type: ignore[arg-type]
+
+
+def of_vehicle(config: Config = CONFIG, **facts: object) -> list[Finding]:
+    return vehicle.check(replace(VEHICLE, **facts), config, 6.0)  # type: ignore[arg-type]
+
+
+def of_stream(name: str, rate_Hz: float, *, refused: bool = False, kind: str = "ardupilot") -> list[Finding]:
+    streams = {**STREAMS, name: replace(STREAMS[name], rate_Hz=rate_Hz, refused=refused)}
+    return of_vehicle(streams=tuple(streams.values()), kind=kind)
+
+
+def of_switch(asked: bool = False, config: Config = CONFIG, **facts: object) -> list[Finding]:
+    return [radio.check(replace(SWITCH, **facts), config, asked)]  # type: ignore[arg-type]
+
+
+def of_mission(*commands: tuple[int, float, float]) -> list[Finding]:
+    items = {
+        seq: MissionItem(seq, command, (param1, param2, 0.0, 0.0, 0.0, 0.0, 0.0))
+        for seq, (command, param1, param2) in enumerate(commands)
+    }
+    return mission.check(items, True, CONFIG)
+
+
+def of_broker(**facts: object) -> list[Finding]:
+    return [network.check_broker(replace(BrokerFacts("broker:1883"), **facts))]  # type: ignore[arg-type]
+
+
+def of_page(service_runs: bool = False, **facts: object) -> list[Finding]:
+    looked = replace(PageFacts("127.0.0.1:8017"), **facts)  # type: ignore[arg-type]
+    return [network.check_page(looked, service_runs)]
+
+
+SIGNED = changed("vehicle", signing_key="key")
+PORTS = port.LINES["phloSAR"]
+HOME, WAYPOINT, SCRIPT = (16, 0.0, 0.0), (16, 0.0, 0.0), 217
+
+CASES: list[tuple[Line, list[Finding]]] = [
+    (profile.GOOD, of_profile()),
+    (profile.RIG, of_profile(rig="rig.toml", rig_said="bottle 2 L")),
+    (profile.BAD_RIG, of_profile(rig="rig.toml", rig_problem="rig.toml:3: no such cause")),
+    (profile.KEY, of_profile(signing_key="vine.key")),
+    (profile.BAD_KEY, of_profile(signing_key="vine.key", signing_problem="vine.key: others may read it")),
+    (profile.NO_CLOCK, of_profile(signing_clock_problem="stamp: damaged")),
+    (profile.PARAMETERS, of_profile(parameters={"FV_MAX_KPA": 15.0})),
+    (profile.BAD_PARAMETERS, of_profile(parameters_problem="p.toml:1: damaged")),
+    (profile.DISARMED, of_profile(disarming="vine.disarmed")),
+    (profile.BENCH, of_profile(config=changed("interlocks", bench_mode=True))),
+    (machine.GOOD, of_machine()),
+    (machine.NOT_LINUX, of_machine(system="Darwin 24")),
+    (machine.MEMORY, of_machine(free_MB=200.0)),
+    (machine.LITTLE_MEMORY, of_machine(free_MB=199.0)),
+    (machine.SUPPLY, of_machine()),
+    (machine.SUPPLY_NOW, of_machine(throttled=0x50005)),
+    (machine.SUPPLY_BEFORE, of_machine(throttled=0x50000)),
+    (machine.NO_SUPPLY, of_machine(throttled=None)),
+    (machine.COOL, of_machine(hottest_C=79.0)),
+    (machine.HOT, of_machine(hottest_C=80.0)),
+    (disk.GOOD, of_disk(DISK)),
+    (disk.NO_LOGS, of_disk(DISK, problem="Read-only file system")),
+    (disk.NO_STATE, of_disk(STATE, problem="Permission denied")),
+    (disk.FULL, of_disk(DISK, free_MB=199.0)),
+    (disk.SLOW, of_disk(DISK, took_s=0.51)),
+    (network.NO_PAGE, of_page(address="")),
+    (network.PAGE, of_page()),
+    (network.PAGE_TAKEN, of_page(problem="Address already in use", held_by=(OTHER,))),
+    (network.PAGE_SERVED, of_page(service_runs=True, problem="Address already in use")),
+    (network.NO_BROKER, of_broker(broker="")),
+    (network.BROKER, of_broker(took_s=0.02)),
+    (network.NO_PACKAGE, of_broker(problem="aiomqtt is missing", missing_package=True)),
+    (network.AWAY, of_broker(problem="nothing answers there")),
+    (network.REFUSES, of_broker(problem="it does not know this user and password", needs_person=True)),
+    (PORTS["good"], of_port()),
+    (PORTS["network"], [port.check_network("phloSAR", "tcp:board:3000", False, None)]),
+    (PORTS["free"], [port.check_network("phloSAR", "udpin:0.0.0.0:3000", True, None)]),
+    (PORTS["missing"], of_port(missing="/dev/ttyACM0 is not there")),
+    (PORTS["not allowed"], of_port(may_open=False)),
+    (PORTS["log in again"], of_port(may_open=False, member_since_login=True)),
+    (PORTS["held"], of_port(held_by=(OTHER,))),
+    (PORTS["console"], of_port(console=True)),
+    (PORTS["modem"], of_port(modem_manager=True)),
+    (PORTS["kept off"], of_port(modem_manager=True, modem_manager_kept_off=True)),
+    (PORTS["by number"], of_port(where="serial:/dev/ttyACM0:115200", usb="usb:16c0:0483:77")),
+    (service.NONE, [service.check([], [])]),
+    (service.ELSEWHERE, [service.check([OTHER], [])]),
+    (service.RUNS, [service.check([OTHER], [OTHER])]),
+    (firmware.NO_PORT, firmware.check(None, CONFIG)),
+    (firmware.NO_ANSWER, of_firmware(welcome=None, port="the port is open but silent")),
+    (firmware.GOOD, of_firmware()),
+    (firmware.FAULTS, of_firmware(faults=Fault.CV_SENSOR | Fault.SUPPLY)),
+    (firmware.RESTARTED, of_firmware(restarts=2)),
+    (firmware.RATE, of_firmware()),
+    (firmware.NO_TELEMETRY, of_firmware(telemetry_Hz=0.0)),
+    (firmware.SLOW, of_firmware(telemetry_Hz=79.0)),
+    (firmware.LOSSES, of_firmware(bad_frames=2)),
+    (firmware.LOSSES, of_firmware(gaps=2)),
+    (firmware.FAR, of_firmware(round_trip_s=0.11)),
+    (firmware.SETTINGS, of_firmware()),
+    (firmware.OWN_SETTINGS, of_firmware(settings=(replace(SETTING, value=25.0),))),
+    (firmware.NO_SETTINGS, of_firmware(settings_problem="the firmware does not answer about its settings")),
+    (firmware.LIMITS, of_firmware()),
+    (firmware.LOW_SETPOINTS, of_welcome(setpoint_limit_kPa=20.0, cv_limit_kPa=22.0)),
+    (firmware.VENTS_FIRST, of_welcome(setpoint_limit_kPa=22.0, cv_limit_kPa=24.0)),
+    (firmware.LOW_BOTTLE, of_welcome(reservoir_limit_kPa=600.0)),
+    (firmware.LOW_RATE, of_welcome(rate_limit_kPa_per_s=50.0)),
+    (firmware.VINE, of_firmware(cv_kPa=-3.9)),
+    (firmware.VINE_OFF, of_firmware(cv_kPa=4.1)),
+    (firmware.VINE_OFF, of_firmware(cv_kPa=math.nan)),
+    (firmware.BOTTLE, of_firmware()),
+    (firmware.BOTTLE_EMPTY, of_firmware(reservoir_kPa=60.0)),
+    (firmware.BOTTLE_LOW, of_firmware(cycles_left=replace(FIRMWARE.cycles_left, expected=9.0))),  # type: ignore[type-var]
+    (firmware.BOTTLE_SENSOR, of_firmware(reservoir_kPa=-20.0)),
+    (firmware.BOTTLE_SENSOR, of_firmware(reservoir_kPa=math.nan)),
+    (firmware.BOTTLE_OVER, of_firmware(reservoir_kPa=730.0)),
+    (firmware.BOTTLE_LOSES, of_firmware(reservoir_falls_kPa_per_s=0.6)),
+    (vehicle.NOT_ASKED, vehicle.check(None, CONFIG, 6.0)),
+    (vehicle.NO_LINK, of_vehicle(messages=0, bytes=0, down="tcp:router:5760: Connection refused")),
+    (vehicle.SILENT, of_vehicle(messages=0, bytes=0)),
+    (vehicle.NOISE, of_vehicle(messages=0)),
+    (vehicle.NO_AUTOPILOT, of_vehicle(system_id=0, others=((255, 190),))),
+    (vehicle.TWO_AUTOPILOTS, of_vehicle(system_id=0, rivals=(1, 2))),
+    (vehicle.AUTOPILOT, of_vehicle()),
+    (vehicle.OTHER_AUTOPILOT, of_vehicle(kind="other")),
+    (vehicle.ARMED, of_vehicle(armed=True)),
+    (vehicle.HEARTBEAT, of_vehicle()),
+    (vehicle.HEARTBEAT_GAPS, of_vehicle(longest_silence_s=3.1)),
+    (vehicle.STREAM, of_vehicle()),
+    (vehicle.SLOW, of_stream("SYS_STATUS", 6.9)),
+    (vehicle.TOO_SLOW, of_stream("RC_CHANNELS", 2.9)),
+    (vehicle.TOO_SLOW, of_stream("GLOBAL_POSITION_INT", 0.4, kind="px4")),
+    (vehicle.MISSING, of_stream("RC_CHANNELS", 0.0)),
+    (vehicle.MISSING, of_stream("SYS_STATUS", 0.0, refused=True, kind="px4")),
+    (vehicle.MISSED, of_stream("MISSION_CURRENT", 0.0)),
+    (vehicle.CLASH, of_vehicle(clash=True)),
+    (vehicle.FREE, of_vehicle(others=((1, 154), (255, 190)))),
+    (vehicle.UNSIGNED, of_vehicle(SIGNED, messages=0, refused=REFUSED)),
+    (vehicle.SOME_REFUSED, of_vehicle(SIGNED, refused=REFUSED)),
+    (vehicle.SIGNED, of_vehicle(SIGNED)),
+    (vehicle.NO_KEY, of_vehicle(signs=True)),
+    (vehicle.NOT_SIGNED, of_vehicle()),
+    (radio.NOT_USED, of_switch(config=changed("switch", positions=("", "")))),
+    (radio.NOT_HEARD, [radio.check(None, CONFIG, False)]),
+    (radio.NOT_BELIEVED, of_switch(problem="radio failsafe")),
+    (radio.UNSETTLED, of_switch(position=None)),
+    (radio.STANDS, of_switch()),
+    (radio.STANDS_BENT, of_switch(position=2, pulse_us=2000, seen=frozenset({2}))),
+    (radio.ALL_SEEN, of_switch(seen=frozenset({0, 1, 2}))),
+    (radio.SOME_SEEN, of_switch(asked=True, seen=frozenset({0, 2}))),
+    (radio.NEVER_MOVED, of_switch(asked=True)),
+    (mission.NOT_READ, mission.check(None, True, CONFIG)),
+    (mission.NOT_HEARD, mission.check(None, False, CONFIG)),
+    (mission.NONE, of_mission()),
+    (mission.NO_VINE, of_mission(HOME, WAYPOINT)),
+    (mission.UNDERSTOOD, of_mission(HOME, (SCRIPT, 1.0, 40.0))),
+    (mission.NOT_UNDERSTOOD, of_mission(HOME, (SCRIPT, 99.0, 0.0))),
+    (mission.NOT_UNDERSTOOD, of_mission(HOME, (SCRIPT, 1.0, 400.0))),
+    (clock.SYNCHRONISED, of_clock()),
+    (clock.NOT_SYNCHRONISED, of_clock(synchronised=False)),
+    (clock.NOT_SET, of_clock(unix_s=1_704_067_200.0)),
+    (clock.JUMPED, of_clock(jumped_s=-0.6)),
+    (clock.AGREES, of_clock(ahead_s=-1.9)),
+    (clock.APART, of_clock(ahead_s=2.1)),
+    (clock.APART_AND_SIGNED, of_clock(ahead_s=-61.0, signing=True)),
+    (clock.VEHICLE_WITHOUT, of_clock()),
+]
+
+
+def named(case: tuple[Line, list[Finding]]) -> str:
+    return f"{case[0].check}-{case[0].what[:30]}"
+
+
+@pytest.mark.parametrize(("line", "found"), CASES, ids=map(named, CASES))
+def test_the_facts_call_for_the_line(line: Line, found: list[Finding]) -> None:
+    assert any(says(line, finding) for finding in found), found
+
+
+def test_no_line_is_without_a_case() -> None:
+    untold = [line for line in every_line() if not any(line is told for told, _ in CASES)]
+    assert untold == []
+
+
+def test_whoever_warns_says_what_to_do() -> None:
+    for line in every_line():
+        assert bool(line.do) == (line.verdict in ("warning", "bad")), line
+
+
+def test_both_ports_say_the_same_of_their_own_link() -> None:
+    for name, line in port.LINES["phloSAR"].items():
+        other = port.LINES["vehicle"][name]
+        assert other.check == "vehicle port"
+        assert other.do == line.do.replace("firmware.link", "vehicle.link")
+        assert (other.verdict, other.what) == (line.verdict, line.what)
+
+
+HEALTHY: list[Sequence[Finding]] = [
+    of_profile(),
+    of_machine(),
+    of_disk(DISK),
+    of_disk(STATE),
+    of_page(),
+    of_broker(took_s=0.01),
+    of_port(),
+    [service.check([], [])],
+    of_firmware(),
+    of_vehicle(),
+    of_switch(seen=frozenset({0, 1, 2})),
+    of_mission(HOME, (SCRIPT, 1.0, 40.0)),
+    of_clock(ahead_s=0.0),
+]
+
+
+def test_of_what_is_well_nothing_else_is_said() -> None:
+    findings = [finding for found in HEALTHY for finding in found]
+    assert {finding.verdict for finding in findings} == {"good"}
+    assert may_fly(findings)
+    assert summary(findings) == "You may fly."
+
+
+def test_only_what_is_bad_keeps_one_on_the_ground() -> None:
+    good, warning, bad = (Finding("disk", verdict, "?") for verdict in ("good", "warning", "bad"))
+    assert may_fly([good, warning])
+    assert not may_fly([good, bad])
+    assert summary([good, warning]) == "You may fly; 1 thing to look at."
+    assert summary([bad, good]) == "Do not fly: 1 thing to mend."
+    assert summary([bad, bad, warning, warning]) == "Do not fly: 2 things to mend, and 2 things to look at."
+
+
+def test_a_slow_stream_is_told_with_what_to_set() -> None:
+    (slow,) = [f for f in of_stream("GLOBAL_POSITION_INT", 2.0) if f.verdict != "good"]
+    assert slow.check == "GLOBAL_POSITION_INT"
+    assert "2.0 a second of 5" in slow.what
+    assert "SRn_POSITION = 5" in slow.do
+    (missing,) = [f for f in of_stream("RC_CHANNELS", 0.0, kind="px4") if f.verdict != "good"]
+    assert "mavlink stream -d DEVICE -s RC_CHANNELS -r 20" in missing.do
+
+
+def test_without_a_switch_rc_is_not_needed() -> None:
+    config = changed("switch", positions=("", "", ""))
+    streams = tuple(replace(s, rate_Hz=0.0) if s.name == "RC_CHANNELS" else s for s in VEHICLE.streams)
+    assert may_fly(of_vehicle(config, streams=streams))
+    assert not may_fly(of_vehicle(streams=streams))
+
+
+def test_a_limit_that_is_too_low_is_told_with_what_to_raise_it_to() -> None:
+    (low,) = [f for f in of_welcome(setpoint_limit_kPa=20.0, cv_limit_kPa=22.0) if f.verdict == "bad"]
+    assert "cv_limit_kPa=23" in low.do, "20.7 kPa and the margin of 2, rounded up"

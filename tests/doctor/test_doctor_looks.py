@@ -1,0 +1,322 @@
+"""What the doctor reads off this machine: processes, ports, disk, clock, broker, a profile's files."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from serial.tools.list_ports_common import ListPortInfo
+
+from firmware_link.find import UsbBoard
+from flying_vines import config as configuration
+from flying_vines.address import NetworkAddress, SerialAddress
+from flying_vines.config import ConfigError, Mqtt
+from flying_vines.doctor.checks.network import BrokerFacts
+from flying_vines.doctor.checks.service import Process
+from flying_vines.doctor.look import broker, clock, disk, machine, ports, processes, profile
+
+HOLD_A_TERMINAL = (
+    "import os, sys; os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); print('open', flush=True); input()"
+)
+PLAY_A_TERMINAL = "import os; ours, theirs = os.openpty(); print(os.ttyname(theirs), flush=True); input()"
+HOLD_A_PORT = (
+    "import socket, sys; s = socket.socket(type=getattr(socket, sys.argv[1])); s.bind(('127.0.0.1', 0));"
+    "sys.argv[1] == 'SOCK_STREAM' and s.listen(); print(s.getsockname()[1], flush=True); input()"
+)
+
+
+@contextmanager
+def another(program: str, *arguments: str) -> Iterator[tuple[int, str]]:
+    """Another process that has something open; its id, and the line that it says."""
+    with subprocess.Popen(
+        [sys.executable, "-c", program, *arguments],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        yield process.pid, process.stdout.readline().strip()
+        process.stdin.close()
+
+
+@pytest.fixture
+def terminal() -> Iterator[str]:
+    ours, theirs = os.openpty()
+    yield os.ttyname(theirs)
+    os.close(ours)
+    os.close(theirs)
+
+
+def board(device: str, serial_number: str | None = "1234560") -> ListPortInfo:
+    port = ListPortInfo(device)
+    port.vid, port.pid, port.product, port.serial_number = 0x16C0, 0x0483, "USB Serial", serial_number
+    return port
+
+
+def proc(folder: Path, **cmdlines: list[str]) -> Path:
+    for pid, arguments in cmdlines.items():
+        process = folder / pid.removeprefix("p")
+        process.mkdir()
+        (process / "cmdline").write_bytes(b"\0".join(map(os.fsencode, arguments)) + b"\0")
+        (process / "comm").write_text(Path(arguments[0]).name[:15] + "\n")
+    return folder
+
+
+def test_services_are_known_by_how_they_were_called(tmp_path: Path) -> None:
+    there = proc(
+        tmp_path,
+        p10=["/usr/bin/python3", "/opt/venv/bin/flying-vines", "run", "--config", "vine.toml"],
+        p11=["python", "-m", "flying_vines", "run", "--config", "vine.toml"],
+        p12=["python", "-m", "flying_vines", "demo"],
+        p13=["vim", "flying-vines"],
+        p14=["/usr/sbin/ModemManager"],
+        p15=["grep", "run"],
+    )
+    (tmp_path / "meminfo").write_text("")
+    (tmp_path / "99").mkdir()
+    assert [found.pid for found in processes.services(there)] == [10, 11]
+    assert processes.named("ModemManager", there)
+    assert not processes.named("minicom", there)
+
+
+def test_a_machine_without_proc_tells_nothing(tmp_path: Path) -> None:
+    nowhere = tmp_path / "proc"
+    assert processes.services(nowhere) == []
+    assert processes.port_holders("udp", 14540, nowhere) == ()
+
+
+def test_who_holds_a_terminal_is_found(terminal: str, tmp_path: Path) -> None:
+    link = tmp_path / "phlosar"
+    link.symlink_to(terminal)
+    address = SerialAddress(str(link))
+    assert ports.serial_port("phloSAR", f"serial:{link}", address, list).held_by == ()
+    with another(HOLD_A_TERMINAL, terminal) as (pid, _):
+        facts = ports.serial_port("phloSAR", f"serial:{link}", address, list)
+    assert [process.pid for process in facts.held_by] == [pid]
+    assert facts.path == f"{link} → {terminal}"
+    assert facts.may_open
+
+
+def test_who_plays_the_device_does_not_hold_it() -> None:
+    with another(PLAY_A_TERMINAL) as (_, terminal):
+        assert processes.holders(terminal) == ()
+        with another(HOLD_A_TERMINAL, terminal) as (pid, _):
+            assert [process.pid for process in processes.holders(terminal)] == [pid]
+
+
+def test_who_listens_is_found() -> None:
+    with another(HOLD_A_PORT, "SOCK_DGRAM") as (pid, port):
+        held_by = ports.udp_port(NetworkAddress("udpin", "0.0.0.0", int(port)))
+    assert held_by is not None
+    assert [process.pid for process in held_by] == [pid]
+    with another(HOLD_A_PORT, "SOCK_STREAM") as (pid, port):
+        why, holders = ports.tcp_port("127.0.0.1", int(port))
+    assert why == "Address already in use"
+    assert [process.pid for process in holders] == [pid]
+
+
+def test_a_free_port_stays_free() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        free: int = probe.getsockname()[1]
+    for _ in range(2):
+        assert ports.udp_port(NetworkAddress("udpin", "127.0.0.1", free)) is None
+        assert ports.tcp_port("127.0.0.1", free) == ("", ())
+
+
+def test_a_board_is_named_by_what_it_is(terminal: str) -> None:
+    facts = ports.serial_port("phloSAR", "usb:16c0:0483", UsbBoard(0x16C0, 0x0483), lambda: [board(terminal)])
+    assert (facts.path, facts.missing) == (terminal, "")
+    assert facts.board == "usb:16c0:0483, USB Serial, 1234560"
+    assert facts.usb == "usb:16c0:0483:1234560"
+
+
+def test_a_port_that_is_not_there_is_told_with_those_that_are(terminal: str) -> None:
+    facts = ports.serial_port(
+        "phloSAR", "serial:/dev/ttyACM7", SerialAddress("/dev/ttyACM7"), lambda: [board(terminal)]
+    )
+    assert facts.missing == (
+        f"/dev/ttyACM7 is not there; there is {terminal} (usb:16c0:0483, USB Serial, 1234560)"
+    )
+    facts = ports.serial_port("phloSAR", "usb:16c0:0483", UsbBoard(0x16C0, 0x0483), list)
+    assert "no serial port at all" in facts.missing
+
+
+def test_a_board_that_is_pulled_out_meanwhile_is_no_error() -> None:
+    def stumble() -> list[ListPortInfo]:
+        raise TypeError("pyserial read half of a file")
+
+    assert ports.serial_port("phloSAR", "usb:16c0:0483", UsbBoard(0x16C0, 0x0483), stumble).missing
+
+
+@pytest.mark.parametrize(
+    ("said", "kept_off"), [("E:ID_MM_DEVICE_IGNORE=1\n", True), ("E:ID_MODEL=x\n", False), (None, False)]
+)
+def test_udev_s_word_to_modem_manager_is_read(
+    said: str | None, kept_off: bool, terminal: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    number = Path(terminal).stat().st_rdev
+    if said is not None:
+        (tmp_path / f"c{os.major(number)}:{os.minor(number)}").write_text(f"S:x\n{said}")
+    monkeypatch.setattr(ports, "UDEV_DATA", tmp_path)
+    facts = ports.serial_port("phloSAR", "serial:x", SerialAddress(terminal), list)
+    assert facts.modem_manager_kept_off == kept_off
+
+
+def test_the_kernel_s_console_is_known(
+    terminal: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = tmp_path / "cmdline"
+    monkeypatch.setattr(ports, "KERNEL_ARGUMENTS", arguments)
+    name = terminal.removeprefix("/dev/").replace("/", "!")
+    for said, console in ((f"console={name},115200 console=tty1 root=/dev/x", False), ("quiet", False)):
+        arguments.write_text(said)
+        facts = ports.serial_port("vehicle", "serial:x", SerialAddress(terminal), list)
+        assert facts.console == console
+    arguments.write_text("console=null,115200 quiet")
+    assert ports.serial_port("vehicle", "serial:x", SerialAddress("/dev/null"), list).console
+
+
+def test_a_raspberry_pi_s_word_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    word, zones = tmp_path / "get_throttled", tmp_path / "thermal"
+    (zones / "thermal_zone0").mkdir(parents=True)
+    (zones / "thermal_zone0" / "temp").write_text("61250\n")
+    monkeypatch.setattr(machine, "THROTTLED", word)
+    monkeypatch.setattr(machine, "TEMPERATURES", zones)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert machine.facts().throttled is None
+    assert machine.facts().hottest_C == 61.25
+    word.write_text("50005\n")
+    assert machine.facts().throttled == 0x50005
+    word.unlink()
+    program = tmp_path / "vcgencmd"
+    program.write_text("#!/bin/sh\necho throttled=0x80000\n")
+    program.chmod(0o755)
+    assert machine.facts().throttled == 0x80000
+    assert (machine.facts().free_MB or 0) > 1
+
+
+def test_a_folder_is_tried_and_left_as_it_was(tmp_path: Path) -> None:
+    facts = disk.facts("flight logs", tmp_path / "not" / "yet", 1.0)
+    assert facts.problem == ""
+    assert facts.free_MB > 0
+    assert 0 < facts.took_s < 60
+    assert list(tmp_path.iterdir()) == []
+    assert disk.facts("state", Path("/proc/flights"), 0.0).problem
+    file = tmp_path / "file"
+    file.write_text("")
+    assert disk.facts("state", file, 0.0).problem == "Not a directory"
+
+
+def test_the_clock_is_asked_and_its_jumps_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert clock.synchronised() in (True, False)
+    looked = clock.Clock()
+    assert abs(looked.facts(None, signing=False).jumped_s) < 0.1
+    real = time.time
+    monkeypatch.setattr(time, "time", lambda: real() + 7200.0)
+    assert looked.facts(1.5, signing=True).jumped_s == pytest.approx(7200.0, abs=0.1)
+    assert clock.when(0.0).startswith("19")
+
+
+def of_broker(address: str, **others: str) -> BrokerFacts:
+    return asyncio.run(broker.facts(Mqtt(broker=address, **others)))  # type: ignore[arg-type]
+
+
+def test_a_broker_that_is_not_there_is_told_by_what_failed() -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        closed = probe.getsockname()[1]
+    assert of_broker("").broker == ""
+    assert of_broker(f"mqtt://127.0.0.1:{closed}").problem == "nothing answers there"
+    assert "no such name" in of_broker("mqtt://broker.invalid").problem
+
+
+@pytest.mark.parametrize(
+    ("answer", "says", "needs_person"),
+    [
+        (bytes([0x20, 3, 0, 0, 0]), "", False),
+        (bytes([0x20, 3, 0, 0x86, 0]), "it does not know this user and password", True),
+        (bytes([0x20, 3, 0, 0x87, 0]), "it does not let us in", True),
+    ],
+)
+def test_a_broker_is_asked_to_let_us_in(answer: bytes, says: str, needs_person: bool) -> None:
+    heard = bytearray()
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        heard.extend(await reader.read(1024))
+        writer.write(answer)
+        if not says:
+            await reader.read()
+        writer.close()
+        await writer.wait_closed()
+        gone.set()
+
+    async def ask() -> BrokerFacts:
+        server = await asyncio.start_server(serve, "127.0.0.1", 0)
+        async with server, asyncio.timeout(10.0):
+            port = server.sockets[0].getsockname()[1]
+            found = await broker.facts(Mqtt(broker=f"mqtt://127.0.0.1:{port}", username="vine"))
+            await gone.wait()
+            return found
+
+    gone = asyncio.Event()
+    found = asyncio.run(ask())
+    assert (says in found.problem, bool(found.problem)) == (True, bool(says)), found
+    assert found.needs_person == needs_person
+    assert heard[0] == 0x10, "CONNECT"
+    assert b"vine" in heard
+
+
+def test_the_files_that_the_broker_needs_are_read(tmp_path: Path) -> None:
+    none = str(tmp_path / "none")
+    missing = of_broker("mqtt://127.0.0.1:9", username="vine", password_file=none)
+    assert none in missing.problem
+    assert missing.needs_person
+    assert none in of_broker("mqtts://127.0.0.1:9", ca_file=none).problem
+
+
+def test_without_the_library_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "aiomqtt", None)
+    found = of_broker("mqtt://127.0.0.1:9")
+    assert found.missing_package
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "vine.toml"
+    path.write_text(configuration.default_text().replace('rig = ""', text, 1))
+    return path
+
+
+def test_a_profile_is_read_with_all_that_it_names(tmp_path: Path) -> None:
+    healthy = profile.read(write(tmp_path, 'rig = ""'))
+    assert (healthy.facts.rig, healthy.facts.signing_key, healthy.facts.disarming) == ("", "", "")
+    assert healthy.state == tmp_path
+    path = write(tmp_path, 'rig = "none.toml"')
+    path.write_text(path.read_text().replace('signing_key = ""', 'signing_key = "key"'))
+    (tmp_path / "key").write_text("passphrase: long enough")
+    (tmp_path / "key").chmod(0o644)
+    (tmp_path / "vine.disarmed").write_text("")
+    (tmp_path / "vine.parameters.toml").write_text("FV_NONE = 3\n")
+    facts = profile.read(path).facts
+    assert "none.toml" in facts.rig_problem
+    assert "chmod 600" in facts.signing_problem
+    assert facts.disarming == str(tmp_path / "vine.disarmed")
+    assert "FV_NONE" in facts.parameters_problem
+    (tmp_path / "key").chmod(0o600)
+    assert profile.read(path).signing is not None
+    path.write_text("[vehicle]\nlnk = 3\n")
+    with pytest.raises(ConfigError, match="lnk"):
+        profile.read(path)
+
+
+def test_a_process_is_named_for_people() -> None:
+    assert str(Process(7, "minicom")) == "minicom (process 7)"

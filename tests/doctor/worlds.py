@@ -1,0 +1,246 @@
+"""Vehicles and phloSARs with something wrong with them, on real sockets and pseudo-terminals."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import time
+import tty
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from firmware_link import protocol
+from firmware_link.protocol import PROTOCOL_VERSION, Fault, Mode, Telemetry, Units, Welcome
+from flying_vines import config as configuration
+from flying_vines.address import NetworkAddress, parse_address
+from flying_vines.config import Config
+from flying_vines.doctor.examine import Ask, examine
+from flying_vines.doctor.fakes import between, linked
+from flying_vines.doctor.finding import Finding
+from flying_vines.doctor.look import profile
+from flying_vines.doctor.look.profile import Profile
+from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.board import Between
+from flying_vines.fakes.firmware import Firmware
+from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.pneumatics.plant.effects import Effects
+from flying_vines.vehicle.codec import Codec
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.storage import Kind
+
+Mute = Callable[[int], bool]
+"""Of a message's number, whether it is not sent."""
+
+SECONDS = 4.5
+QUICK_HZ = 20
+LIMITS = (30.0, 28.0, 760.0, 200.0)
+MISSION = (
+    MissionItem(0, 16, (0.0, 0.0, 0.0, 0.0, -35.36, 149.16, 584.0)),
+    MissionItem(1, 22, (0.0, 0.0, 0.0, 0.0, -35.36, 149.16, 10.0), frame=3),
+    MissionItem(2, 217, (1.0, 40.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+    MissionItem(3, 16, (0.0, 0.0, 0.0, 0.0, -35.35, 149.16, 10.0), frame=3),
+)
+
+
+class Vehicle(Autopilot):
+    """Writes down what it is told, and does not send some of its messages."""
+
+    def __init__(
+        self, kind: Kind = "ardupilot", mute: Mute = lambda message_id: False, **others: Any
+    ) -> None:
+        super().__init__(kind, unix_s=time.time(), **others)
+        self.set_rc(9, 1000)
+        self.told: list[Any] = []
+        self._ears = Codec(0, 0)
+        self._mute = mute
+
+    def receive(self, t: float, link: str, data: bytes) -> None:
+        self.told += self._ears.decode(data)
+        super().receive(t, link, data)
+
+    def advance(self, t: float) -> list[tuple[str, bytes]]:
+        return [(link, frame) for link, frame in super().advance(t) if not self._mute(_message_id(frame))]
+
+
+def _message_id(frame: bytes) -> int:
+    return int.from_bytes(frame[7:10], "little")
+
+
+class Board(Between):
+    """Writes down what it is told."""
+
+    def __init__(self) -> None:
+        super().__init__(Firmware())
+        self.told: list[protocol.Message] = []
+        self._ears = protocol.Codec()
+
+    def receive(self, data: bytes) -> None:
+        self.told += self._ears.decode(data)
+        super().receive(data)
+
+
+def phlosar(board: Board | None = None, reservoir_kPa: float = 690.0) -> SimulatedPhlosar:
+    return SimulatedPhlosar(firmware=board or Board(), effects=Effects(), reservoir_kPa=reservoir_kPa)
+
+
+def gps() -> Callable[[bytes], bytes]:
+    return lambda heard: b"$GPGGA,092750.000,5321.6802,N,00630.3372,W,1,8,1.03,61.7,M,55.2,M,,*76\r\n"
+
+
+def silent() -> Callable[[bytes], bytes]:
+    return lambda heard: b""
+
+
+def quick_board() -> Callable[[bytes], bytes]:
+    """A healthy firmware without a plant, for worlds in which it is not the point: it costs little."""
+    codec = protocol.Codec()
+    began_s = time.monotonic()
+
+    def answer(heard: bytes) -> bytes:
+        now_ms = round(1e3 * (time.monotonic() - began_s))
+        said: list[protocol.Message] = []
+        for message in codec.decode(heard):
+            match message:
+                case protocol.Hello(_, nonce):
+                    said.append(Welcome(PROTOCOL_VERSION, nonce, 7, "quick", 1, *LIMITS, 300, QUICK_HZ))
+                case protocol.Ping(host_time_us):
+                    said.append(protocol.Pong(host_time_us, now_ms))
+                case protocol.GetSetting():
+                    said.append(protocol.Setting(0, 1, "cv_limit_kPa", 30.0, 5.0, 60.0, 30.0))
+        said.append(Telemetry(now_ms, Mode.VENT, Fault.NONE, 0, 0.0, 0.1, 650.0, 0.0, 0.0, True))
+        return b"".join(map(codec.encode, said))
+
+    return answer
+
+
+def of_next_version() -> Callable[[bytes], bytes]:
+    """A firmware that is newer than this host."""
+    codec = protocol.Codec()
+
+    def answer(heard: bytes) -> bytes:
+        hellos = [m for m in codec.decode(heard) if isinstance(m, protocol.Hello)]
+        return b"".join(
+            codec.encode(
+                Welcome(
+                    PROTOCOL_VERSION + 1, hello.nonce, 7, "9.0", Units.KPA_GAUGE, 30, 28, 760, 200, 300, 100
+                )
+            )
+            for hello in hellos
+        )
+
+    return answer
+
+
+def heartbeats(system: int, component: int, kind: int, autopilot: int) -> Callable[[int], bytes]:
+    out = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+
+    def frame(count: int) -> bytes:
+        out.seq = count % 256
+        message = mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 4, 3)
+        return bytes(message.pack(out))
+
+    return frame
+
+
+@dataclass(frozen=True)
+class World:
+    """What is done to a healthy pair, or put in its place."""
+
+    vehicle: Callable[[], Vehicle] = Vehicle
+    phlosar: Callable[[], SimulatedPhlosar] | None = None
+    firmware: Callable[[], Callable[[bytes], bytes]] = quick_board
+    """What answers where there is no simulated phloSAR: the bytes that came, to the bytes that go."""
+    profile: Callable[[Config, Path], Profile] = lambda config, folder: profile.given(config, "test")
+    """What the service would start with, of a profile with the right links; and a folder for its files."""
+    stranger: Callable[[int], bytes] | None = None
+    """What another program sends to the companion, ten times a second: of the count, a frame."""
+    ask: Callable[[Vehicle], Ask] | None = None
+
+
+@dataclass(frozen=True)
+class Examined:
+    findings: list[Finding]
+    told: list[Sequence[Finding]]
+    vehicle: Vehicle
+    phlosar: SimulatedPhlosar | None
+
+    def of(self, check: str) -> Finding:
+        """The worst thing that was said of it."""
+        order = ("bad", "warning", "good", "skipped")
+        return min((f for f in self.findings if f.check == check), key=lambda f: order.index(f.verdict))
+
+    @property
+    def bad(self) -> set[str]:
+        return {finding.check for finding in self.findings if finding.verdict == "bad"}
+
+
+async def examined(world: World, folder: Path) -> Examined:
+    vehicle, board = world.vehicle(), world.phlosar() if world.phlosar else None
+    told: list[Sequence[Finding]] = []
+    async with AsyncExitStack() as stack:
+        config = configuration.default()
+        if board is None:
+            path = await stack.enter_async_context(_instead(world.firmware()))
+            config = linked(config, config.vehicle.link, f"serial:{path}")
+        config = await stack.enter_async_context(between(config, vehicle, board))
+        if world.stranger is not None:
+            await stack.enter_async_context(_stranger(config, world.stranger))
+        ask = world.ask(vehicle) if world.ask else None
+        findings = await examine(world.profile(config, folder), folder, SECONDS, told.append, ask)
+        return Examined(findings, told, vehicle, board)
+
+
+@asynccontextmanager
+async def _instead(answer: Callable[[bytes], bytes]) -> AsyncIterator[str]:
+    """Another device on a pseudo-terminal."""
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    os.set_blocking(ours, False)
+
+    async def live() -> None:
+        while True:
+            heard = b""
+            with contextlib.suppress(BlockingIOError):
+                heard = os.read(ours, 4096)
+            with contextlib.suppress(BlockingIOError):
+                os.write(ours, answer(heard))
+            await asyncio.sleep(1.0 / QUICK_HZ)
+
+    living = asyncio.create_task(live())
+    try:
+        yield os.ttyname(theirs)
+    finally:
+        living.cancel()
+        await asyncio.wait([living])
+        os.close(ours)
+        os.close(theirs)
+
+
+@asynccontextmanager
+async def _stranger(config: Config, frame: Callable[[int], bytes]) -> AsyncIterator[None]:
+    address = parse_address(config.vehicle.link)
+    assert isinstance(address, NetworkAddress)
+    transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+        asyncio.DatagramProtocol, remote_addr=(address.host, address.port)
+    )
+
+    async def live() -> None:
+        count = 0
+        while True:
+            transport.sendto(frame(count))
+            count += 1
+            await asyncio.sleep(0.1)
+
+    living = asyncio.create_task(live())
+    try:
+        yield
+    finally:
+        living.cancel()
+        await asyncio.wait([living])
+        transport.close()
