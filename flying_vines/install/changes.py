@@ -1,0 +1,102 @@
+"""What installing and removing change below a root folder: first found, to be shown, and then made."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+from flying_vines import on_disk
+from flying_vines.install import files
+from flying_vines.install.files import File
+
+
+class How(Enum):
+    NEW = "new"
+    CHANGED = "changed"
+    TAKEN_AWAY = "taken away"
+    AS_IT_IS = "as it is"
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What becomes of one file."""
+
+    path: Path
+    how: How
+    before: str = ""
+    after: str = ""
+    why: str = ""
+    """It is left as it is."""
+
+    def lines(self) -> Iterator[str]:
+        """What is to be read before one agrees: the whole text, or where it differs."""
+        if self.how is How.NEW:
+            yield from self.after.splitlines()
+        elif self.how is How.CHANGED:
+            now, then = self.before.splitlines(), self.after.splitlines()
+            yield from difflib.unified_diff(now, then, "now", "then", n=2, lineterm="")
+
+    def make(self) -> None:
+        """`OSError` where that fails."""
+        if self.how is How.TAKEN_AWAY:
+            on_disk.take_away(self.path)
+        elif self.how is not How.AS_IT_IS:
+            on_disk.put(self.path, self.after)
+
+
+def below(root: Path, path: Path) -> Path:
+    """Where a path of the machine is, if all of it lies under `root`."""
+    return root / path.relative_to("/")
+
+
+def installing(wanted: Iterable[File], root: Path) -> list[Change]:
+    """Of each file. `OSError` for one that cannot be read."""
+    return [_installed(file, below(root, file.path)) for file in wanted]
+
+
+def removing(root: Path) -> list[Change]:
+    """Of those files that are there. What somebody else wrote or has changed stays. `OSError` as above."""
+    found = []
+    for path in (below(root, path) for path in (files.UNIT, files.RULE, files.USERS)):
+        if path.exists():
+            ours = _read(path).startswith(files.HEAD)
+            found.append(_removed(path, "" if ours else "install-service did not write it"))
+    profile = files.profile()
+    path = below(root, profile.path)
+    if path.exists():
+        found.append(
+            _removed(path, "" if _read(path) == profile.text else "it is not what this version writes")
+        )
+    return found
+
+
+def holds_anything(folder: Path) -> bool:
+    return folder.is_dir() and any(folder.iterdir())
+
+
+def take_away_empty(folder: Path) -> None:
+    if folder.is_dir() and not holds_anything(folder):
+        folder.rmdir()
+
+
+def _installed(file: File, path: Path) -> Change:
+    if not path.exists():
+        return Change(path, How.NEW, after=file.text)
+    if file.of_people:
+        return Change(path, How.AS_IT_IS, why="a profile is never written over")
+    before = _read(path)
+    if before == file.text:
+        return Change(path, How.AS_IT_IS, why="it is there already")
+    return Change(path, How.CHANGED, before, file.text)
+
+
+def _removed(path: Path, why_not: str) -> Change:
+    return Change(path, How.AS_IT_IS, why=why_not) if why_not else Change(path, How.TAKEN_AWAY)
+
+
+def _read(path: Path) -> str:
+    # Whatever somebody has put there, it can be compared and shown.
+    return path.read_text(encoding="utf-8", errors="replace")

@@ -1,0 +1,100 @@
+"""Which files make a service of Flying Vines, and what is in them. Reads nothing but its own templates."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from string import Template
+
+from firmware_link.find import UsbBoard
+from flying_vines import config as configuration
+from flying_vines.install.program import InstallError
+
+USER = "flying-vines"
+SERVICE = "flying-vines.service"
+UNIT = Path("/etc/systemd/system") / SERVICE
+RULE = Path("/etc/udev/rules.d/60-phlosar.rules")
+USERS = Path("/etc/sysusers.d/flying-vines.conf")
+PROFILE = Path("/etc/flying-vines/vine.toml")
+STATE = Path("/var/lib/flying-vines")
+FLIGHTS = STATE / "flights"
+
+HEAD = "# Written by `flying-vines install-service`; `flying-vines install-service --remove` takes it away.\n"
+"""How each of our files begins, and nobody else's."""
+
+PORT = "serial:/dev/phlosar"
+TEENSY = UsbBoard(0x16C0, 0x0483)
+_HOMES = tuple(map(Path, ("/home", "/root", "/run/user")))
+_USER_NAME = re.compile(r"[a-z_][a-z0-9_-]*", re.ASCII)
+_PLAIN_SERIAL_NUMBER = re.compile(r"[\w.-]+", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True)
+class File:
+    """One that is to be there; of people's own files only that there is one."""
+
+    path: Path
+    text: str
+    of_people: bool = False
+
+
+def unit(command: Iterable[str], user: str, profile: Path, read: Iterable[Path], write: Path) -> File:
+    """The service: its command, what must be there for it to `read`, and the folder where it keeps things."""
+    if not _USER_NAME.fullmatch(user):
+        raise InstallError(f"{user!r} is no name of a user")
+    words = [*command, "run", "--config", str(profile), "--out", str(FLIGHTS)]
+    at_home = any(path.is_relative_to(home) for path in (*read, profile, write) for home in _HOMES)
+    return _filled(
+        UNIT,
+        command=" ".join(map(_word, words)),
+        user=user,
+        home="read-only" if at_home else "yes",
+        write="" if write.is_relative_to(STATE) else f"ReadWritePaths={_word(str(write))}\n",
+    )
+
+
+def rule(board: UsbBoard) -> File:
+    """What udev does with the board."""
+    which = f'ATTRS{{idVendor}}=="{board.vendor_id:04x}", ATTRS{{idProduct}}=="{board.product_id:04x}"'
+    if board.serial_number is not None:
+        if not _PLAIN_SERIAL_NUMBER.fullmatch(board.serial_number):
+            raise InstallError(f"{board}: udev cannot match such a serial number; leave it out")
+        which += f', ATTRS{{serial}}=="{board.serial_number}"'
+    return _filled(RULE, board=which)
+
+
+def users() -> File:
+    """The service's own user, who has no login and no home but the service's."""
+    return _filled(USERS, user=USER, state=str(STATE))
+
+
+def profile() -> File:
+    """The built-in profile, with the board under the name that the rule gives it."""
+    text = _with(configuration.default_text(), "firmware", "link", PORT)
+    return File(PROFILE, _with(text, "state", "folder", str(STATE)), of_people=True)
+
+
+def _filled(path: Path, **values: str) -> File:
+    template = resources.files("flying_vines.install").joinpath("templates", path.name)
+    return File(path, HEAD + Template(template.read_text(encoding="utf-8")).substitute(values))
+
+
+def _with(text: str, table: str, key: str, value: str) -> str:
+    """The profile's text with another string for a key; the comment behind it stays where it was."""
+    line = re.compile(rf'(^\[{table}\][^\[]*?^{key} = )("[^"]*")( *)', re.MULTILINE)
+    new = f'"{value}"'
+    changed, count = line.subn(lambda m: f"{m[1]}{new.ljust(len(m[2] + m[3]) - 1)} ", text)
+    if count != 1:
+        raise ValueError(f"the built-in profile has no {table}.{key}")
+    return changed
+
+
+def _word(text: str) -> str:
+    """One word of a line in a unit, which would be cut at blanks and filled in at % and $."""
+    if not text.isprintable():
+        raise InstallError(f"{text!r} cannot be written into a unit")
+    text = text.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    return f'"{text}"' if re.search(r"[\s'\"\\]", text) else text

@@ -1,0 +1,158 @@
+"""The wheel and the sdist: that they hold everything, and that the wheel runs where the sources are not."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from collections.abc import Iterable
+from email.parser import Parser
+from importlib.metadata import distribution, packages_distributions
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("firmware_link", "flying_vines", "missions")
+OTHERS = ("benchmarks", "docs", "tests", "LICENSE", "MANIFEST.in", "Makefile", "README.md", "pyproject.toml")
+WITHOUT = """
+import sys
+sys.modules.update(dict.fromkeys({hidden}))
+import flying_vines.cli, flying_vines.demo, flying_vines.link_command, flying_vines.replay
+import flying_vines.gateway.page.server
+"""
+"""No module of these names can be imported."""
+NOT_SOURCES = shutil.ignore_patterns(".*", "__pycache__", "build", "*.egg-info")
+
+
+def outcome(*command: str | Path, cwd: Path, **environment: str) -> str:
+    """What a command says that must end well."""
+    ran = subprocess.run(
+        command,
+        cwd=cwd,
+        env=os.environ | {"TERM": "dumb", **environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stdout
+    return ran.stdout
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy: what builds leaves folders behind."""
+    copy = tmp_path_factory.mktemp("sources")
+    for name in (*PACKAGES, *OTHERS):
+        path = ROOT / name
+        if path.is_dir():
+            shutil.copytree(path, copy / name, ignore=NOT_SOURCES)
+        else:
+            shutil.copy(path, copy / name)
+    return copy
+
+
+@pytest.fixture(scope="module")
+def built(sources: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sdist, and the wheel that was built from the sdist."""
+    pytest.importorskip("build", reason="needs build: pip install build")
+    folder = tmp_path_factory.mktemp("dist")
+    said = outcome(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, sources, cwd=folder)
+    assert "SetuptoolsDeprecationWarning" not in said
+    return folder
+
+
+@pytest.fixture(scope="module")
+def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel in a folder of its own; what it needs is taken from the environment that tests it."""
+    (wheel,) = built.glob("*.whl")
+    folder = tmp_path_factory.mktemp("installed")
+    pip = (sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
+    outcome(*pip, "--no-index", "--no-deps", "--only-binary", ":all:", "--target", folder, wheel, cwd=folder)
+    return folder
+
+
+def files(root: Path, *folders: str) -> set[str]:
+    found = (path for folder in folders for path in (root / folder).rglob("*"))
+    return {str(path.relative_to(root)) for path in found if path.is_file()}
+
+
+def test_the_wheel_holds_every_file_of_the_packages_and_no_other(sources: Path, built: Path) -> None:
+    (wheel,) = built.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    of_packages = {name for name in names if ".dist-info/" not in name}
+    assert of_packages == files(sources, *PACKAGES)
+    assert "flying_vines/default.toml" in of_packages
+    assert "firmware_link/firmware/phlosar/phlosar.ino" in of_packages
+
+
+def test_the_sdist_holds_the_tests_and_all_that_they_need(sources: Path, built: Path) -> None:
+    (sdist,) = built.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    wanted = files(sources, *PACKAGES, "benchmarks", "docs", "tests") | {n for n in OTHERS if "." in n}
+    assert wanted - names == set()
+
+
+def test_what_flies_needs_nothing_that_is_not_installed_with_it(built: Path, installed: Path) -> None:
+    (wheel,) = built.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        (metadata,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+        wanted = Parser().parsestr(archive.read(metadata).decode()).get_all("Requires-Dist", [])
+    declared = needed_by(wanted)
+    assert "msgspec" in declared
+
+    ours = declared | {"flying-vines"}
+    hidden = {
+        module
+        for module, names in packages_distributions().items()
+        if not ours & set(map(canonicalize_name, names))
+    }
+    assert "pytest" in hidden
+    code = WITHOUT.format(hidden=sorted(hidden))
+    outcome(sys.executable, "-c", code, cwd=installed, PYTHONPATH=str(installed))
+
+
+def needed_by(wanted: Iterable[str]) -> set[str]:
+    """The distributions that an installer brings for these, and for what they need in turn."""
+    found: set[str] = set()
+    for requirement in map(Requirement, wanted):
+        name = canonicalize_name(requirement.name)
+        if name not in found and (requirement.marker is None or requirement.marker.evaluate({"extra": ""})):
+            found |= {name} | needed_by(distribution(name).requires or [])
+    return found
+
+
+def test_what_a_registry_would_check_is_good(built: Path) -> None:
+    pytest.importorskip("twine", reason="needs twine: pip install twine")
+    outcome(sys.executable, "-m", "twine", "check", "--strict", *built.iterdir(), cwd=built)
+
+
+def test_the_wheel_runs_where_the_sources_are_not(installed: Path, tmp_path: Path) -> None:
+    python = {"PYTHONPATH": str(installed), "PYTHONSAFEPATH": "1"}
+    where = "import flying_vines; print(flying_vines.__file__)"
+    assert outcome(sys.executable, "-c", where, cwd=tmp_path, **python).startswith(str(installed))
+
+    def flying_vines(*arguments: str) -> str:
+        return outcome(sys.executable, "-m", "flying_vines", *arguments, cwd=tmp_path, **python)
+
+    flying_vines("config", "init", "vine.toml")
+    assert "good" in flying_vines("config", "check", "vine.toml")
+    flying_vines("mission", "script", "--out", "vine.lua")
+    flying_vines("install-service", "--root", "drone", "--yes")
+    assert files(tmp_path, "drone") == {
+        f"drone/etc/{path}"
+        for path in (
+            "flying-vines/vine.toml",
+            "systemd/system/flying-vines.service",
+            "sysusers.d/flying-vines.conf",
+            "udev/rules.d/60-phlosar.rules",
+        )
+    }
