@@ -1,13 +1,13 @@
 # make demo   flies a scripted flight on embedded fakes, over real sockets and a real serial port path
 # make test   style, types and tests
-# make tools  what the firmware's tests need beside Python: compilers, and a chip to emulate (else they skip)
+# make tools  what tests need beside Python: compilers, a chip to emulate, a browser (else they skip)
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
 AS_ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
-TOOLS := g++ gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm
+TOOLS := g++ gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm chromium mosquitto
 
 .PHONY: demo test tools clean
 

@@ -310,13 +310,15 @@ class Telemetry(_Body):
     @classmethod
     def _from_wire(cls, values: tuple[Any, ...]) -> Self:
         time_ms, mode, faults, number, setpoint, cv, reservoir, evp, dvp, solenoid = values
-        if mode > max(Mode):
-            raise MalformedMessageError(f"Telemetry's mode {mode} is not one of 0, 1, 2")
+        try:
+            known_mode = Mode(mode)
+        except ValueError:
+            raise MalformedMessageError(f"Telemetry's mode {mode} is not one of 0, 1, 2") from None
         if solenoid > 1:
             raise MalformedMessageError(f"Telemetry's solenoid is {solenoid}, not 0 or 1")
         return cls(
             device_time_ms=time_ms,
-            mode=Mode(mode),
+            mode=known_mode,
             faults=Fault(faults),
             number=number,
             setpoint_kPa=setpoint,

@@ -18,13 +18,18 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from flying_vines import config as configuration
 from flying_vines.address import FORMS, parse_address
 from flying_vines.config import Config, ConfigError
+from flying_vines.doctor import command as doctor_command
+from flying_vines.install import command as install_command
+from flying_vines.record import command as log_command
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.watch import command as watch_command
 from missions import command as mission_command
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from flying_vines.events import Action
+    from flying_vines.kept import Kept
     from flying_vines.reservoir.calibration import Calibration
 
 BAD_INPUT = 2
@@ -37,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     arguments = _parser().parse_args(argv)
     try:
         status = arguments.run(arguments)
-    except ConfigError as error:
+    except (ConfigError, watch_command.WatchError) as error:
         _fail(str(error))
     except KeyboardInterrupt:
         status = 130
@@ -108,14 +113,26 @@ def _show_found(
     return 0
 
 
+class _Version(argparse.Action):
+    """Looked up when asked for: it takes longer than the rest of the parser."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *what: object) -> NoReturn:
+        from importlib.metadata import version
+
+        print(f"flying-vines {version('flying-vines')}")
+        parser.exit()
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="flying-vines", description="A soft robot arm on a drone.")
+    parser.add_argument("--version", action=_Version, nargs=0, help="print it and end")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     demo = commands.add_parser("demo", help="fly a scripted flight on embedded fakes")
     demo.add_argument("--out", type=Path, default=FLIGHTS, help="where the flight's folder goes (flights)")
     demo.add_argument("--plain", action="store_true", help="one line an event instead of the live view")
     demo.add_argument("--rig", type=Path, metavar="RIG.toml", help="what is there (default: a likely vine)")
+    demo.add_argument("--page", action="store_true", help="serve the page, too, for a browser to look on")
     demo.set_defaults(run=_demo)
 
     run = commands.add_parser("run", help="serve a vehicle and a phloSAR")
@@ -126,7 +143,7 @@ def _parser() -> argparse.ArgumentParser:
     run.set_defaults(run=_run)
 
     replay = commands.add_parser("replay", help="what the service would have done about a recording")
-    replay.add_argument("tlog", type=Path, metavar="FILE.tlog")
+    replay.add_argument("recording", type=Path, metavar="FILE", help="a .tlog, or a flight's folder or .mcap")
     replay.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
     replay.add_argument("--mission", type=Path, metavar="FILE.waypoints", help="where the stream has none")
     replay.add_argument("--parameters", type=Path, metavar="FILE.toml", help="those a pilot had set")
@@ -214,7 +231,12 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="one object instead")
     fit.set_defaults(run=_vine_fit)
 
+    doctor_command.add(commands, FLIGHTS)
+
     mission_command.add(commands)
+    log_command.add(commands)
+    watch_command.add(commands)
+    install_command.add(commands)
 
     link = commands.add_parser("link", help="what goes over the phloSAR's line, and its settings")
     link.add_argument("address", nargs="?", metavar="ADDRESS", help=f"(default: the profile's) {FORMS}")
@@ -273,13 +295,13 @@ def _demo(arguments: argparse.Namespace) -> int:
     live = console.is_terminal and not arguments.plain
     with _files(arguments.out, RigError):
         rig = load_true_rig(arguments.rig) if arguments.rig else None
-        flight = asyncio.run(fly(arguments.out, console, live, rig))
+        flight = asyncio.run(fly(arguments.out, console, live, rig, arguments.page))
     console.print(summary(flight))
     for surprise in flight.unasked:
         console.print(f"Not asked for: {surprise}", style="bold red")
     seen = ", ".join(f"{name} {value:.1f}" for name, value in sorted(flight.values.items()))
     console.print(f"\nThe ground station's last values: {seen}", highlight=False)
-    console.print(f"Log      {flight.folder / 'flight.jsonl'}", highlight=False, soft_wrap=True)
+    console.print(f"Log      {flight.folder}", highlight=False, soft_wrap=True)
     if flight.picture:
         console.print(f"Picture  {flight.picture}", highlight=False, soft_wrap=True)
     console.print("Everything went as it should." if flight.passed else "The flight FAILED.", style="bold")
@@ -287,8 +309,9 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    config = configuration.load(arguments.config)
-    return asyncio.run(_serve(config, _known(config, arguments.config, arguments.rig), arguments))
+    text = configuration.text_of(arguments.config)
+    config = configuration.parse(text, str(arguments.config))
+    return asyncio.run(_serve(config, text, _known(config, arguments.config, arguments.rig), arguments))
 
 
 def _known(config: Config, profile: Path | None, rig: Path | None = None) -> Calibration | None:
@@ -304,51 +327,70 @@ def _known(config: Config, profile: Path | None, rig: Path | None = None) -> Cal
         return load_calibration(rig, config.pneumatics)
 
 
-async def _serve(config: Config, known: Calibration | None, arguments: argparse.Namespace) -> int:
+async def _serve(config: Config, text: str, known: Calibration | None, arguments: argparse.Namespace) -> int:
     from rich.live import Live
+    from rich.text import Text
 
+    from flying_vines.gateway.gateway import Gateway
+    from flying_vines.gateway.page_token import PageTokenError
     from flying_vines.kept import Kept
     from flying_vines.notice import Severity
-    from flying_vines.record.flight_log import FlightLog
+    from flying_vines.notify import service_manager
+    from flying_vines.record.recorder import Began, Recorder
     from flying_vines.service import Service
     from flying_vines.terminal import LiveView, PatientOutput, plain_printer
     from flying_vines.vehicle.parameter_file import ParameterFileError
     from flying_vines.vehicle.signing_key import SigningKeyError
+    from flying_vines.watcher import EachAction
 
     kept = Kept.of(arguments.config, config)
-    with _files(arguments.config, ParameterFileError, SigningKeyError):
+    with _files(arguments.config, ParameterFileError, SigningKeyError, PageTokenError):
         parameters = kept.read_parameters(config)
+        disarmed = kept.disarmed
         signing, clock_problem = kept.read_signing(config)
+        page_token = kept.read_page_token(config)
     try:
-        log = FlightLog(arguments.out)
+        numbers = known.belief.pneumatics if known else config.pneumatics
+        rig = known.path.read_text(encoding="utf-8") if known else ""
+        began = Began(text, numbers, rig, parameters, disarmed)
+        log = Recorder(arguments.out, began, config.log.least_free_MB)
     except OSError as error:
         _fail(f"{arguments.out}: no flight log can be written there: {error.strerror}")
     output = PatientOutput()
     console = output.console()
     loop = asyncio.get_running_loop()
-    log.believed(loop.time(), known.belief.pneumatics if known else config.pneumatics)
     view = LiveView(loop.time(), config.limits.max_kPa, config.pneumatics.full_kPa)
     live = console.is_terminal and not arguments.plain
-    show = view.take if live else plain_printer(console, loop.time())
-
-    def on_action(action: Action) -> None:
-        log.action(action)
-        show(action)
-
-    service = Service(config, on_action, known.belief if known else None, parameters, signing, kept)
+    shown = EachAction(view.take if live else plain_printer(console, loop.time()))
+    belief = known.belief if known else None
+    gateway = Gateway(
+        config,
+        log.folder,
+        ask=lambda by, intent: service.ask(by, intent),
+        say=lambda text: service.say(Severity.WARNING, text),
+        page_token=page_token,
+    )
+    watchers = (log, shown, gateway, *service_manager())
+    service = Service(config, watchers, belief, parameters, disarmed, signing, kept)
     # What was imported lives as long as we do; the collector need not walk it in flight.
     gc.collect()
     gc.freeze()
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(name, service.stop)
-    console.print(f"Vehicle {config.vehicle.link}, phloSAR {config.firmware.link}, log {log.path}")
+    links = f"Vehicle {config.vehicle.link}, phloSAR {config.firmware.link}"
+    console.print(f"{links}, log {log.folder}", soft_wrap=True)
     if known:
         console.print(f"Rig {known.path}: {known.said}", highlight=False, soft_wrap=True)
     for parameter, value in parameters.items():
         console.print(f"Parameter {parameter} = {value:g}", highlight=False)
     if clock_problem:
         console.print(clock_problem, highlight=False, soft_wrap=True)
+    if config.page.port:
+        said = _page_said(config, kept, page_token, console)
+        view.say(Text(said))
+        console.print(said, highlight=False, soft_wrap=True)
     serving = asyncio.create_task(service.run())
+    tending = asyncio.create_task(gateway.run()) if Gateway.wanted(config) else None
     screen = Live(console=console, refresh_per_second=5, screen=True) if live else None
     problems: dict[str, str] = {}
     log_problem = ""
@@ -357,7 +399,6 @@ async def _serve(config: Config, known: Calibration | None, arguments: argparse.
     try:
         while not serving.done():
             snapshot = service.core.snapshot(service.now)
-            log.snapshot(snapshot)
             if log_problem != log.failed:
                 log_problem = log.failed
                 service.say(Severity.WARNING, log_problem)
@@ -372,12 +413,27 @@ async def _serve(config: Config, known: Calibration | None, arguments: argparse.
     finally:
         if screen:
             screen.stop()
+        if tending:
+            tending.cancel()
+            await asyncio.wait([tending])
         log.close()
     if log.failed:
         console.print(log.failed)
     console.print("Vented. Stopped.")
     output.close()
     return 0
+
+
+def _page_said(config: Config, kept: Kept, page_token: str, console: Console) -> str:
+    """Where the page is. Its token is for those at the terminal, not for a log that others read."""
+    from flying_vines.gateway.page_token import address, watching
+
+    if page_token and not console.is_terminal:
+        return f"Page {address(config.page)}, token in {kept.page_token}"
+    if page_token:
+        only_watches = f"; to watch only: token {watching(page_token)}"
+        return f"Page {address(config.page, page_token)}{only_watches}"
+    return f"Page {address(config.page)}"
 
 
 def _link(arguments: argparse.Namespace) -> int:
@@ -426,6 +482,11 @@ def _replay(arguments: argparse.Namespace) -> int:
     from flying_vines.vehicle.parameter_file import read as read_parameters
     from flying_vines.vehicle.tlog import TlogError, TlogReader
 
+    recording: Path = arguments.recording
+    if recording.is_dir() or recording.suffix == ".mcap":
+        if arguments.mission or arguments.parameters or arguments.pace:
+            _fail("--mission, --parameters and --pace are for a .tlog: a flight's log holds all of its own")
+        return log_command.replay_again(recording, arguments.config, arguments.json)
     config = configuration.load(arguments.config) if arguments.config else configuration.default()
     known = _known(config, arguments.config)
     mission = _mission(arguments.mission)
@@ -436,7 +497,7 @@ def _replay(arguments: argparse.Namespace) -> int:
         with _files(arguments.parameters, ParameterFileError):
             parameters = read_parameters(arguments.parameters, config)
     try:
-        reader = TlogReader(arguments.tlog)
+        reader = TlogReader(recording)
         belief = known.belief if known else None
         actions = replay(
             reader.frames(), config, mission, arguments.pace, belief=belief, parameters=parameters
@@ -459,7 +520,7 @@ def _replay(arguments: argparse.Namespace) -> int:
         Console().print(decision_table(decisions))
     if reader.skipped_bytes:
         print(
-            f"flying-vines: {arguments.tlog}: {reader.skipped_bytes} bytes of it are no MAVLink frame",
+            f"flying-vines: {recording}: {reader.skipped_bytes} bytes of it are no MAVLink frame",
             file=sys.stderr,
         )
     return 0

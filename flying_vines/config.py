@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import ipaddress
 import math
 import re
 import tomllib
@@ -13,7 +14,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import msgspec
 from msgspec import Meta
 
-from flying_vines.address import parse_address
+from flying_vines.address import parse_address, parse_broker
+from flying_vines.intent import Command
 from flying_vines.toml_text import Key, dotted, explained, located, not_finite, one_line, place, read_text
 from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.profile import Profile, Segment, Sine, ends_kPa, flatten
@@ -33,6 +35,8 @@ CARRIERS = {
     "user_1": 31010,
 }
 """MAVLink commands that carry a vine item, by the name that the configuration uses for them."""
+
+_TOPIC_LEVEL = re.compile(r"[\w.-]{1,64}", re.ASCII)
 
 CheckLevel = Literal["fault", "warn"]
 
@@ -191,6 +195,45 @@ class Calibration(_Table, frozen=True):
     hold_s: Annotated[float, Meta(ge=0.5, le=60)] = 3.0
 
 
+class Page(_Table, frozen=True):
+    """The page that `run` serves."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Meta(ge=0, le=65535)] = 8017
+    token_file: str = ""
+
+    @property
+    def needs_token(self) -> bool:
+        """Whether anybody but this machine can reach it."""
+        return self.port != 0 and not ipaddress.ip_address(self.host).is_loopback
+
+
+class Mqtt(_Table, frozen=True):
+    """A broker that is told what happens, and what may be asked for over it."""
+
+    broker: str = ""
+    prefix: str = "flying-vines"
+    name: str = ""
+    rate_Hz: Annotated[float, Meta(ge=0.1, le=10)] = 2.0
+    username: str = ""
+    password_file: str = ""
+    ca_file: str = ""
+    certificate_file: str = ""
+    key_file: str = ""
+    client_id: str = ""
+    keepalive_s: Annotated[int, Meta(ge=5, le=3600)] = 30
+    kept_events: Annotated[int, Meta(ge=1, le=100_000)] = 1000
+    commands: tuple[Command, ...] = ()
+    asked_within_s: Annotated[float, Meta(ge=0.5, le=60)] = 5.0
+    discovery_prefix: str = ""
+
+
+class Log(_Table, frozen=True):
+    """The flight recorder's."""
+
+    least_free_MB: NotNegative = 200.0
+
+
 class State(_Table, frozen=True):
     """Where the service keeps what must survive it."""
 
@@ -213,6 +256,9 @@ class Config(_Table, frozen=True):
     checks: Checks = Checks()
     telemetry: Telemetry = Telemetry()
     calibration: Calibration = Calibration()
+    page: Page = Page()
+    mqtt: Mqtt = Mqtt()
+    log: Log = Log()
     state: State = State()
 
 
@@ -230,7 +276,12 @@ def load(path: Path) -> Config:
 
     Raises `ConfigError` with one line that names the file, the key and the line.
     """
-    return parse(read_text(path, ConfigError, f"; `flying-vines config init {path}` writes one"), str(path))
+    return parse(text_of(path), str(path))
+
+
+def text_of(path: Path) -> str:
+    """What is in the file of a profile; `ConfigError` when it cannot be read."""
+    return read_text(path, ConfigError, f"; `flying-vines config init {path}` writes one")
 
 
 def parse(text: str, source: str) -> Config:
@@ -271,7 +322,13 @@ def _contradictions(config: Config) -> list[tuple[Key, str]]:
             parse_address(link)
         except ValueError as error:
             found.append(((table, "link"), str(error)))
+    try:
+        ipaddress.ip_address(config.page.host)
+    except ValueError:
+        reason = f"'{config.page.host}' is no address of this machine: give 127.0.0.1, or 0.0.0.0 for all"
+        found.append((("page", "host"), reason))
     found.extend((key, "is not a finite number") for key in not_finite(msgspec.to_builtins(config)))
+    found.extend((("mqtt", key), reason) for key, reason in _broker_contradictions(config.mqtt))
     if found:
         return found
     try:
@@ -312,6 +369,40 @@ def _contradictions(config: Config) -> list[tuple[Key, str]]:
         found.append((("calibration",), reason))
     if config.pneumatics.cycle_swing_kPa > config.limits.max_kPa:
         found.append((("pneumatics", "cycle_swing_kPa"), "is above limits.max_kPa"))
+    return found
+
+
+def _broker_contradictions(mqtt: Mqtt) -> list[tuple[str, str]]:
+    found = []
+    tls = False
+    if mqtt.broker:
+        try:
+            tls = parse_broker(mqtt.broker).tls
+        except ValueError as error:
+            found.append(("broker", str(error)))
+    for key in ("prefix", "discovery_prefix", "name", "client_id"):
+        value = getattr(mqtt, key)
+        levels = value.split("/") if "prefix" in key else [value]
+        if value and not all(_TOPIC_LEVEL.fullmatch(level) for level in levels):
+            found.append(
+                (key, f"'{value}' is none: letters, digits, '-', '_' and '.' make a name in a topic")
+            )
+    if not mqtt.prefix:
+        found.append(("prefix", "is empty: give the first word of the topics"))
+    for key in ("password_file", "ca_file", "certificate_file", "key_file"):
+        if (file := getattr(mqtt, key)) and not file.startswith("/"):
+            found.append((key, f"'{file}': give the whole path, from / on"))
+        if file and key != "password_file" and mqtt.broker and not tls:
+            found.append((key, "is for TLS: the broker's address must begin with mqtts://"))
+    if mqtt.password_file and not mqtt.username:
+        found.append(("password_file", "needs a username"))
+    if bool(mqtt.certificate_file) != bool(mqtt.key_file):
+        found.append(
+            (
+                "certificate_file" if mqtt.certificate_file else "key_file",
+                "certificate and key belong together",
+            )
+        )
     return found
 
 
@@ -371,6 +462,9 @@ _TABLES = {
     "checks": Checks,
     "telemetry": Telemetry,
     "calibration": Calibration,
+    "page": Page,
+    "mqtt": Mqtt,
+    "log": Log,
     "state": State,
     "items": Item,
     "profiles": Profile,

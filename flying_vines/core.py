@@ -18,10 +18,12 @@ from firmware_link import protocol
 from flying_vines.config import Config
 from flying_vines.events import (
     Action,
+    Asked,
     Calibrated,
     Decision,
     Event,
     FirmwareMessage,
+    KeepDisarmed,
     KeepParameters,
     LinkChanged,
     Measured,
@@ -40,14 +42,16 @@ from flying_vines.intent import (
     Hold,
     Intent,
     SetPressure,
+    StartBench,
     StartCalibration,
+    StopBench,
     StopCalibration,
     Vent,
 )
 from flying_vines.mover import Move, Mover
 from flying_vines.notice import Notice, Severity
 from flying_vines.physics_checks import PhysicsChecks
-from flying_vines.reservoir import Belief, ReservoirEstimate, nominal
+from flying_vines.reservoir import Belief, CyclesLeft, ReservoirEstimate, nominal
 from flying_vines.safety import Conditions, Entered, Left, Ruling, Safety
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.parameters import Changed
@@ -63,6 +67,9 @@ TICK_S = 0.02
 SPEAK_FIRST_S = 1.5
 """How long we listen for an autopilot before we say anything ourselves."""
 
+BENCH_S = 300.0
+"""So long after the last that was asked for, whoever tried the vine on the ground has gone."""
+
 _DONE = {"serial": "its dead-man vents", "telemetry": "told to vent", "venting": "outlet told open"}
 """Where nobody can know that the vine is vented, the pilot is told no more than was done about it."""
 
@@ -72,7 +79,8 @@ class Core:
 
     `mission` is the vehicle's mission where it is known beforehand; otherwise it is read from the autopilot.
     `belief` is what is known of the rig, where that is more than the configuration's numbers. `parameters`
-    are those that a pilot has set and that were kept.
+    are those that a pilot has set and that were kept. `disarmed` pneumatics were so when the last core ended:
+    they stay so, whatever the profile says, until a person arms them.
     """
 
     def __init__(
@@ -81,10 +89,10 @@ class Core:
         mission: Sequence[MissionItem] = (),
         belief: Belief | None = None,
         parameters: Mapping[str, float] | None = None,
+        disarmed: bool = False,
     ) -> None:
         self._vehicle = Vehicle(profile, mission, parameters)
         config = self.config
-        self._curve = config.vine.bend_curve()
         self._bent_kPa = 0.0
         self._cv_kPa = deque((math.nan,), maxlen=2)
         """The last two readings: a single one that is too high may be a glitch."""
@@ -98,11 +106,13 @@ class Core:
         self._belief = belief or nominal(config.pneumatics)
         self._reservoir = ReservoirEstimate(self._belief)
         self._checks = PhysicsChecks(self._belief, config.checks)
+        self._cycles: CyclesLeft | None = None
         self._low_told = False
         self._alone_since: float | None = None
         self._motion: Motion | None = None
         self._calibration: tuple[Motion, Readings] | None = None
-        self._pneumatics_armed = config.interlocks.armed_at_start
+        self._pneumatics_armed = config.interlocks.armed_at_start and not disarmed
+        self._bench_until = -math.inf
         self._unheeded_since: float | None = None
         self._stopped = False
         self._actions: list[Action] = []
@@ -130,6 +140,8 @@ class Core:
                 self._on_firmware_link(t, up)
             case Tick(t):
                 self._on_tick(t)
+            case Asked(t, by, intent):
+                self._decide(t, Trigger(t, by, {}, intent, by_person=True))
             case Said(t, severity, text):
                 self._notice(t, severity, text)
             case Stop(t):
@@ -180,7 +192,7 @@ class Core:
                 case fw.TelemetryReceived(telemetry):
                     self._actions.append(Measured(t, telemetry))
                     self._cv_kPa.append(telemetry.cv_kPa)
-                    self._bent_kPa = self._curve.bent_kPa(telemetry.cv_kPa, self._bent_kPa)
+                    self._bent_kPa = self._mover.curve.bent_kPa(telemetry.cv_kPa, self._bent_kPa)
                     self._note_heed(t, telemetry)
                     self._reservoir.update(t, telemetry)
                     self._read_level(t, telemetry)
@@ -218,6 +230,8 @@ class Core:
         """Let safety look at a trigger, carry its intent out or say why not."""
         now = self._look(t)
         intent = trigger.intent
+        if trigger.by_person and self._on_bench:
+            self._bench_until = t + BENCH_S
         if intent is None:
             return self._record(t, trigger, Ruling("refused", trigger.problem))
         if self._stopped:
@@ -248,16 +262,18 @@ class Core:
     def _without_air(self, t: float, intent: Intent, by_person: bool) -> Ruling | None:
         """Carry out what takes no air, or say why not; None for what does take some."""
         match intent:
-            case ClearFaults() | ArmPneumatics() | StartCalibration() if not by_person:
+            case ClearFaults() | ArmPneumatics() | StartBench() | StartCalibration() if not by_person:
                 return Ruling("refused", "only a person may do that")
             case ClearFaults():
                 return self._clear_faults(t)
             case ArmPneumatics():
                 self._pneumatics_armed = True
+                self._actions.append(KeepDisarmed(t, False))
                 return Ruling("accepted")
             case DisarmPneumatics():
                 self._pneumatics_armed = False
                 self._stop_moving(t)
+                self._actions.append(KeepDisarmed(t, True))
                 return Ruling("accepted")
             case Vent():
                 if by_person:
@@ -266,6 +282,14 @@ class Core:
                 return Ruling("accepted")
             case Hold():
                 return self._hold(t)
+            case StartBench() if self._vehicle.state.armed:
+                return Ruling("refused", "the vehicle is armed")
+            case StartBench():
+                self._bench_until = t + BENCH_S
+                return Ruling("accepted")
+            case StopBench():
+                self._leave_bench(t, "left")
+                return Ruling("accepted")
             case StartCalibration() if self._motion is not None:
                 return Ruling("refused", "vent the vine first")
             case StopCalibration() if self._calibration is None:
@@ -375,10 +399,27 @@ class Core:
             self._notice(t, Severity.WARNING, "calibration ended early")
         self._send(*self._vehicle.end_command(motion.over(t)))
 
+    # On the bench.
+
+    @property
+    def _on_bench(self) -> bool:
+        return self._bench_until > -math.inf
+
+    def _leave_bench(self, t: float, why: str) -> None:
+        """What bends there by nobody's right but the bench's is straightened."""
+        if self._on_bench:
+            self._bench_until = -math.inf
+            self._stop_moving(t)
+            self._notice(t, Severity.NOTICE, f"bench mode over, {why}: vented")
+
     # Watching.
 
     def _on_tick(self, t: float) -> None:
         self._take(t, self._vehicle.tick(t))
+        if self._vehicle.state.armed:
+            self._leave_bench(t, "the vehicle is armed")
+        elif t > self._bench_until:
+            self._leave_bench(t, "nobody asked for anything")
         self._look(t)
         if not self._stopped:
             self._drive(t)
@@ -393,7 +434,10 @@ class Core:
         rc_problem = self._vehicle.rc.problem(t)
         if rc_problem is None:
             self._rc_in_use = (
-                self._rc_in_use or self._vehicle.state.armed or self.config.interlocks.bench_mode
+                self._rc_in_use
+                or self._vehicle.state.armed
+                or self._on_bench
+                or self.config.interlocks.bench_mode
             )
         elif not self._vehicle.state.armed and self._motion is None:
             self._rc_in_use = False
@@ -411,6 +455,7 @@ class Core:
             cv_kPa=min(self._cv_kPa),
             reservoir_kPa=self._reservoir.reservoir_kPa,
             unheeded_s=0.0 if self._unheeded_since is None else t - self._unheeded_since,
+            bench=self._on_bench,
             moving=self._motion is not None,
             moving_s=t - self._motion.started_at if self._motion else 0.0,
             physics=self._checks.faults,
@@ -453,7 +498,8 @@ class Core:
         self._notice(t, Severity.NOTICE, f"{over.get(change.name, change.name)}")
 
     def _warn_of_low_reservoir(self, t: float) -> None:
-        cycles = self._reservoir.cycles_left()
+        # Only here is it made anew: that somebody looks must change nothing.
+        cycles = self._cycles = self._reservoir.cycles_left()
         if cycles is None:
             return
         threshold = self.config.telemetry.low_reservoir_cycles
@@ -491,13 +537,13 @@ class Core:
         telemetry = self._fresh_telemetry(t)
         if telemetry is None:
             return {}
-        cycles = self._reservoir.cycles_left()
+        cycles = self._cycles
         return {
             "RES_KPA": telemetry.reservoir_kPa,
             "CYC_LEFT": cycles.expected if cycles else math.nan,
             "CV_KPA": telemetry.cv_kPa,
             "CMD_KPA": self._commanded_kPa(t),
-            "BEND_DEG": self._curve.angle_deg(self._bent_kPa),
+            "BEND_DEG": self._mover.curve.angle_deg(self._bent_kPa),
         }
 
     def _commanded_kPa(self, t: float) -> float:
@@ -528,15 +574,17 @@ class Core:
             reservoir_kPa=telemetry.reservoir_kPa if telemetry else math.nan,
             cv_kPa=telemetry.cv_kPa if telemetry else math.nan,
             command_kPa=self._commanded_kPa(t),
-            bend_deg=self._curve.angle_deg(self._bent_kPa) if telemetry else math.nan,
+            bend_deg=self._mover.curve.angle_deg(self._bent_kPa) if telemetry else math.nan,
             evp_opening=telemetry.evp_opening if telemetry else math.nan,
             dvp_opening=telemetry.dvp_opening if telemetry else math.nan,
             solenoid=telemetry.solenoid if telemetry else None,
-            cycles=self._reservoir.cycles_left(),
+            cycles=self._cycles,
             doing=self._motion.name if self._motion else self._resting,
             safe_state=self._safety.reasons,
             findings=dict(self._checks.counts),
             ambient_kPa=math.nan if ambient_kPa is None else ambient_kPa,
+            pneumatics_armed=self._pneumatics_armed,
+            bench=self._on_bench,
         )
 
     @property

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import msgspec
 from rich.console import Console, RenderableType
 from rich.live import Live
 from rich.table import Table
@@ -27,13 +26,17 @@ from flying_vines.fakes.board import best_board
 from flying_vines.fakes.ground_station import GroundStation
 from flying_vines.fakes.mishaps import Hole
 from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
-from flying_vines.notice import Notice
+from flying_vines.gateway.gateway import Gateway
+from flying_vines.gateway.page_token import address
+from flying_vines.notice import Notice, Severity
 from flying_vines.pneumatics.plant.true_rig import TrueRig
-from flying_vines.record.flight_log import FlightLog
+from flying_vines.record.reader import FlightLog
+from flying_vines.record.recorder import Began, Recorder
 from flying_vines.service import Service
 from flying_vines.terminal import LiveView, event_line
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vine import sketch
+from flying_vines.watcher import EachAction
 
 HOME = (-35.363262, 149.165237)
 NORTH_DEG_PER_M = 1 / 111_320
@@ -281,9 +284,13 @@ class Flight:
         return not self.unasked and all(o.met_after_s is not None for o in self.outcomes)
 
 
-async def fly(out: Path, console: Console, live: bool, rig: TrueRig | None = None) -> Flight:
-    """Fly the script in real time; the log and its picture go to a new folder under `out`."""
-    log = FlightLog(out)
+async def fly(
+    out: Path, console: Console, live: bool, rig: TrueRig | None = None, page: bool = False
+) -> Flight:
+    """Fly the script in real time; the log and its picture go to a new folder under `out`.
+
+    With `page`, a browser may look on.
+    """
     ground = GroundStation()
     ground_port = await ground.listen()
     companion_port = _free_udp_port()
@@ -291,20 +298,18 @@ async def fly(out: Path, console: Console, live: bool, rig: TrueRig | None = Non
     autopilot = Autopilot("ardupilot", mission=demo_mission(), rc_failsafe_mode=None)
     autopilot.set_rc(SWITCH_CHANNEL, LOW)
     with PtyPhlosar(phlosar) as port:
-        base = configuration.default()
-        config = msgspec.structs.replace(
-            base,
-            vehicle=msgspec.structs.replace(base.vehicle, link=f"udpin:127.0.0.1:{companion_port}"),
-            firmware=msgspec.structs.replace(base.firmware, link=f"serial:{port.path}"),
-        )
+        default = configuration.default()
+        text = configuration.default_text()
+        text = text.replace(default.vehicle.link, f"udpin:127.0.0.1:{companion_port}")
+        text = text.replace(default.firmware.link, f"serial:{port.path}")
+        config = configuration.parse(text, "the demo's profile")
+        log = Recorder(out, Began(text, config.pneumatics))
         world = World(config, autopilot, phlosar, ground)
         server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
         began = asyncio.get_running_loop().time()
-        log.believed(began, config.pneumatics)
         view = LiveView(began, config.limits.max_kPa, config.pneumatics.full_kPa)
 
-        def on_action(action: Action) -> None:
-            log.action(action)
+        def take(action: Action) -> None:
             view.take(action)
             if isinstance(action, Decision):
                 world.decisions.append(action)
@@ -314,11 +319,21 @@ async def fly(out: Path, console: Console, live: bool, rig: TrueRig | None = Non
             if line is not None:
                 console.print(line, soft_wrap=True)
 
-        service = Service(config, on_action)
+        gateway = Gateway(
+            config,
+            log.folder,
+            ask=lambda by, intent: service.ask(by, intent),
+            say=lambda text: service.say(Severity.WARNING, text),
+        )
+        service = Service(config, (log, EachAction(take), gateway))
+        parts = (server, port, ground, *((gateway,) if page else ()))
+        if page:
+            view.say(Text(f"Page {address(config.page)}", style="bold"))
+            console.print(f"Page {address(config.page)}")
         async with asyncio.TaskGroup() as tasks:
-            running = [tasks.create_task(part.run()) for part in (server, port, ground)]
+            running = [tasks.create_task(part.run()) for part in parts]
             serving = tasks.create_task(service.run())
-            outcomes = await _direct(world, service, log, view, console, live)
+            outcomes = await _direct(world, service, view, console, live)
             service.stop()
             await serving
             for task in running:
@@ -329,7 +344,7 @@ async def fly(out: Path, console: Console, live: bool, rig: TrueRig | None = Non
 
 
 async def _direct(
-    world: World, service: Service, log: FlightLog, view: LiveView, console: Console, live: bool
+    world: World, service: Service, view: LiveView, console: Console, live: bool
 ) -> list[Outcome]:
     """Do the steps in time, and look whether what they say comes true."""
     began = service.now
@@ -350,7 +365,6 @@ async def _direct(
                     console.print(title)
                 step.act(world)
             world.snapshot = service.core.snapshot(now)
-            log.snapshot(world.snapshot)
             if world.phlosar.reservoir_kPa < EMPTY_KPA:
                 world.phlosar.mishaps.bottle = None
             for outcome in outcomes:
@@ -388,16 +402,14 @@ def _unasked(world: World) -> list[str]:
     return found
 
 
-def _draw(log: FlightLog, console: Console) -> Path | None:
+def _draw(log: Recorder, console: Console) -> Path | None:
     try:
         from flying_vines.record.picture import draw_flight
     except ModuleNotFoundError as error:
         console.print(f"No picture: {error.name} is missing; pip install 'flying-vines[analysis]' brings it.")
         return None
-    from flying_vines.record.flight_log import read_log
-
     path = log.folder / "flight.png"
-    draw_flight(read_log(log.path), path, "Flying Vines demo flight")
+    draw_flight(FlightLog(log.folder), path, "Flying Vines demo flight")
     return path
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from firmware_link import protocol
+from flying_vines.intent import Asker, Intent
 from flying_vines.notice import Notice, Severity
 from flying_vines.reservoir import CyclesLeft
 from flying_vines.vehicle.codec import Message
@@ -57,13 +58,22 @@ class Said:
 
 
 @dataclass(frozen=True, slots=True)
+class Asked:
+    """A person wants something of the vine."""
+
+    t: float
+    by: Asker
+    intent: Intent
+
+
+@dataclass(frozen=True, slots=True)
 class Stop:
     """The service is to end: vent."""
 
     t: float
 
 
-Event = VehicleMessage | FirmwareMessage | LinkChanged | Tick | Said | Stop
+Event = VehicleMessage | FirmwareMessage | LinkChanged | Tick | Said | Asked | Stop
 
 
 # Actions: what is to be done.
@@ -118,7 +128,15 @@ class KeepParameters:
     values: dict[str, float]
 
 
-Action = ToVehicle | ToFirmware | Decision | Notice | Measured | Calibrated | KeepParameters
+@dataclass(frozen=True, slots=True)
+class KeepDisarmed:
+    """The pneumatics were disarmed, or armed again, and that is to survive the service."""
+
+    t: float
+    disarmed: bool
+
+
+Action = ToVehicle | ToFirmware | Decision | Notice | Measured | Calibrated | KeepParameters | KeepDisarmed
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,3 +168,6 @@ class Snapshot:
     """How often each of the physics checks has found something."""
     ambient_kPa: float = math.nan
     """Absolute, as the autopilot's barometer has it."""
+    pneumatics_armed: bool = True
+    bench: bool = False
+    """Whether the vine may be tried on the ground."""

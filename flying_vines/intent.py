@@ -3,6 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
+
+Command = Literal[
+    "vent",
+    "hold",
+    "profile",
+    "bend",
+    "pressure",
+    "clear_faults",
+    "arm",
+    "disarm",
+    "start_bench",
+    "stop_bench",
+    "start_calibration",
+    "stop_calibration",
+]
+"""What a person who does not ask over MAVLink calls an intent."""
+
+Asker = Literal["page", "broker"]
+"""By what way a person asks who does not ask over MAVLink."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +96,22 @@ class DisarmPneumatics:
 
 
 @dataclass(frozen=True, slots=True)
+class StartBench:
+    """Let the vine be tried on the ground, without an armed vehicle."""
+
+    def __str__(self) -> str:
+        return "bench mode"
+
+
+@dataclass(frozen=True, slots=True)
+class StopBench:
+    """No longer on the bench."""
+
+    def __str__(self) -> str:
+        return "leave bench mode"
+
+
+@dataclass(frozen=True, slots=True)
 class StartCalibration:
     """Go through the vine's pressures and compare what is there with what was asked for."""
 
@@ -100,6 +136,8 @@ Intent = (
     | ClearFaults
     | ArmPneumatics
     | DisarmPneumatics
+    | StartBench
+    | StopBench
     | StartCalibration
     | StopCalibration
 )

@@ -11,13 +11,15 @@ from collections.abc import Callable, Mapping, Sequence
 from rich.console import Console
 from rich.live import Live
 
+from firmware_link.host import SessionState
 from firmware_link.settings import SettingsTalk
 from flying_vines.address import Address
 from flying_vines.link_view import LinkView, as_json, line, settings_table, statistics_line
 from flying_vines.link_watch import Heard, LinkWatch
 
 ANSWERS_WITHIN_S = 5.0
-"""A board that starts up, two greetings and the sentence that says who is silent."""
+"""A board that starts up, two greetings and the sentence that says who is silent. One that goes away half-way
+has as long to come back."""
 _REFRESH_PER_S = 8
 
 
@@ -62,14 +64,19 @@ async def settings(address: Address, changes: Mapping[str, float], objects: bool
     talk = SettingsTalk(changes)
     watch = LinkWatch(address, talk)
     stopped = _stopped()
+    there_s = 0.0
 
     def over() -> bool:
-        waited = not watch.answered and watch.t >= ANSWERS_WITHIN_S
-        return talk.done or bool(talk.problem) or waited or stopped.is_set()
+        nonlocal there_s
+        if watch.monitor.session.state is SessionState.READY:
+            there_s = watch.t
+        gone = watch.t - there_s >= ANSWERS_WITHIN_S
+        return talk.done or bool(talk.problem) or gone or stopped.is_set()
 
     await watch.run(lambda heard: None, over)
     if not talk.done:
-        raise SettingsError(talk.problem or watch.port.text)
+        how_it_ended = "interrupted" if stopped.is_set() else watch.port.text
+        raise SettingsError(talk.problem or how_it_ended)
     if objects:
         for setting in talk.settings:
             named = {name: getattr(setting, name) for name in ("name", "value", "least", "most", "standard")}

@@ -53,6 +53,8 @@ class Conditions:
     reservoir_kPa: float = math.nan
     unheeded_s: float = 0.0
     """For how long the board has said that it vents, while it is told to move the vine."""
+    bench: bool = False
+    """Whether a person tries the vine on the ground."""
     moving: bool = False
     """Whether the vine is held or moved under pressure."""
     moving_s: float = 0.0
@@ -203,7 +205,7 @@ class Safety:
             return f"phloSAR {now.firmware_problem}"
         if not now.telemetry_age_s <= self._losses.telemetry_s:
             return "no telemetry from the phloSAR"
-        if not self._interlocks.bench_mode:
+        if not self._on_bench(now):
             if now.autopilot_age_s is None:
                 return "no autopilot heard"
             if not now.armed:
@@ -216,6 +218,9 @@ class Safety:
         if not now.reservoir_kPa >= needed_kPa:
             return f"bottle at {now.reservoir_kPa:.0f} kPa, needs {needed_kPa:.0f}"
         return None
+
+    def _on_bench(self, now: Conditions) -> bool:
+        return now.bench or self._interlocks.bench_mode
 
     # One sentence each, or None.
 
@@ -258,11 +263,11 @@ class Safety:
         return "phloSAR does not hear us" if now.unheeded_s > HEEDED_WITHIN_S else None
 
     def _disarmed(self, now: Conditions) -> str | None:
-        return "disarmed" if not now.armed and not self._interlocks.bench_mode else None
+        return "disarmed" if not now.armed and not self._on_bench(now) else None
 
     def _altitude(self, now: Conditions) -> str | None:
         lowest_m = self._interlocks.min_altitude_m - LANDING_MARGIN_M
-        if self._interlocks.bench_mode or lowest_m <= 0:
+        if self._on_bench(now) or lowest_m <= 0:
             return None
         if now.altitude_m is None:
             return "altitude no longer known"

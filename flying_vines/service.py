@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 from firmware_link import protocol
 from firmware_link.answer import Answer
@@ -14,8 +15,11 @@ from flying_vines.config import Config
 from flying_vines.core import TICK_S, Core
 from flying_vines.events import (
     Action,
+    Asked,
+    Decision,
     Event,
     FirmwareMessage,
+    KeepDisarmed,
     KeepParameters,
     LinkChanged,
     Said,
@@ -25,7 +29,8 @@ from flying_vines.events import (
     ToVehicle,
     VehicleMessage,
 )
-from flying_vines.kept import Kept
+from flying_vines.intent import Asker, Intent
+from flying_vines.kept import Kept, KeptError
 from flying_vines.notice import Severity
 from flying_vines.reservoir import Belief
 from flying_vines.vehicle import parameter_file
@@ -33,35 +38,41 @@ from flying_vines.vehicle.codec import Codec
 from flying_vines.vehicle.link import open_link
 from flying_vines.vehicle.signing import Signing
 from flying_vines.vehicle.signing_key import SigningKeyError, TimestampFile
+from flying_vines.watcher import Watcher
 
 LAST_WORDS_S = 0.3
 """After a stop: the last status text and the vent must get out."""
 REFUSALS_TOLD_S = 60.0
+SNAPSHOT_S = 0.1
 
 
 class Service:
-    """A core between two real links. `on_action` sees every action after it was carried out.
+    """A core between two real links. The `watchers` see all that happens, once it was carried out.
 
-    `kept` says where the parameters and the signing clock are kept; without it they end with the service.
+    `parameters`, `disarmed` and `signing` are what was kept of the last service; `kept` says where it is kept
+    for the next one, and without it it ends with this one.
     """
 
     def __init__(
         self,
         config: Config,
-        on_action: Callable[[Action], None] | None = None,
+        watchers: Sequence[Watcher] = (),
         belief: Belief | None = None,
         parameters: Mapping[str, float] | None = None,
+        disarmed: bool = False,
         signing: Signing | None = None,
         kept: Kept | None = None,
     ) -> None:
-        self.core = Core(config, belief=belief, parameters=parameters)
+        self.core = Core(config, belief=belief, parameters=parameters, disarmed=disarmed)
         self.link_problems: dict[str, str] = {}
         self._profile = config
+        self._disarmed_before = disarmed
         self._kept = kept
-        self._to_keep: dict[str, float] = {}
+        self._to_keep: dict[str, Callable[[], None]] = {}
+        """How to write what has changed, by what it is."""
         self._something_to_keep = asyncio.Event()
         self._signing = signing
-        self._on_action = on_action or (lambda action: None)
+        self._watchers = watchers
         self._mavlink = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)
         self._serial = protocol.Codec()
         self._answer = Answer()
@@ -86,14 +97,22 @@ class Service:
         """Let people read this, here and on the ground station."""
         self._feed(Said(self.now, severity, text))
 
+    def ask(self, by: Asker, intent: Intent) -> Decision:
+        """What a person wants who does not ask over MAVLink, and what comes of it."""
+        actions = self._feed(Asked(self.now, by, intent))
+        return next(action for action in actions if isinstance(action, Decision) and action.trigger == by)
+
     async def run(self) -> None:
         """Serve until `stop`; cancelling it does not vent, but then the firmware's dead-man does."""
+        if self._disarmed_before:
+            self.say(Severity.WARNING, "pneumatics disarmed before restart: arm them")
         async with asyncio.TaskGroup() as tasks:
             edges = [
                 tasks.create_task(self._vehicle.run()),
                 tasks.create_task(self._firmware.run()),
                 tasks.create_task(self._tick()),
-                tasks.create_task(self._keep_parameters()),
+                tasks.create_task(self._show()),
+                tasks.create_task(self._keep_changes()),
                 tasks.create_task(self._keep_signing()),
             ]
             await self._stopping.wait()
@@ -102,17 +121,21 @@ class Service:
             for edge in edges:
                 edge.cancel()
 
-    async def _keep_parameters(self) -> None:
+    async def _keep_changes(self) -> None:
         """Write the latest; a slow disk delays nothing else."""
-        while self._kept is not None:
+        while True:
             await self._something_to_keep.wait()
             self._something_to_keep.clear()
-            try:
-                await asyncio.to_thread(
-                    parameter_file.write, self._kept.parameters, self._to_keep, self._profile
-                )
-            except parameter_file.ParameterFileError as error:
-                self.say(Severity.WARNING, f"parameters not kept: {error}")
+            while self._to_keep:
+                what, write = self._to_keep.popitem()
+                try:
+                    await asyncio.to_thread(write)
+                except (parameter_file.ParameterFileError, KeptError) as error:
+                    self.say(Severity.WARNING, f"{what} not kept: {error}")
+
+    def _keep(self, what: str, write: Callable[[], None]) -> None:
+        self._to_keep[what] = write
+        self._something_to_keep.set()
 
     async def _keep_signing(self) -> None:
         """Keep the clock that we sign with, and tell who is not believed."""
@@ -141,6 +164,13 @@ class Service:
             self._tell_silence(self.now)
             due = max(due + TICK_S, self.now - TICK_S)
             await asyncio.sleep(max(0.0, due - self.now))
+
+    async def _show(self) -> None:
+        while self._watchers:
+            snapshot = self.core.snapshot(self.now)
+            for watcher in self._watchers:
+                watcher.snapshot(snapshot)
+            await asyncio.sleep(SNAPSHOT_S)
 
     def _vehicle_bytes(self, data: bytes) -> None:
         now = self.now
@@ -176,15 +206,26 @@ class Service:
         if problem:
             self.say(Severity.WARNING, f"phloSAR: {problem}")
 
-    def _feed(self, event: Event) -> None:
-        for action in self.core.handle(event):
-            match action:
-                case ToFirmware(message):
-                    # Half a frame before ours, of anyone, must not cost us a greeting.
-                    self._firmware.write(FRAME_END + self._serial.encode(message))
-                case ToVehicle(message, system_id):
-                    self._vehicle.write(self._mavlink.encode(message, system_id))
-                case KeepParameters(_, values):
-                    self._to_keep = values
-                    self._something_to_keep.set()
-            self._on_action(action)
+    def _feed(self, event: Event) -> list[Action]:
+        actions = self.core.handle(event)
+        for action in actions:
+            self._carry_out(action)
+        # Only now, for whoever writes or shows it takes his time.
+        for watcher in self._watchers:
+            watcher.event(event)
+            for action in actions:
+                watcher.action(action)
+        return actions
+
+    def _carry_out(self, action: Action) -> None:
+        match action:
+            case ToFirmware(message):
+                # Half a frame before ours, of anyone, must not cost us a greeting.
+                self._firmware.write(FRAME_END + self._serial.encode(message))
+            case ToVehicle(message, system_id):
+                self._vehicle.write(self._mavlink.encode(message, system_id))
+            case KeepParameters(_, values) if self._kept is not None:
+                file = self._kept.parameters
+                self._keep("parameters", partial(parameter_file.write, file, values, self._profile))
+            case KeepDisarmed(_, disarmed) if self._kept is not None:
+                self._keep("disarming", partial(self._kept.keep_disarmed, disarmed))

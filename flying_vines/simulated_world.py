@@ -51,8 +51,9 @@ class SimulatedWorld:
         mission: Sequence[MissionItem] = (),
         belief: Belief | None = None,
         parameters: Mapping[str, float] | None = None,
+        disarmed: bool = False,
     ) -> None:
-        self.core = Core(config, mission, belief, parameters)
+        self.core = Core(config, mission, belief, parameters, disarmed)
         # The ideal plant, for it is quick; whoever wants another hands it over.
         self.phlosar = phlosar or SimulatedPhlosar(
             effects=Effects(), reservoir_kPa=config.pneumatics.full_kPa
@@ -106,9 +107,10 @@ class SimulatedFlight:
         autopilot: Autopilot | None = None,
         phlosar: SimulatedPhlosar | None = None,
         mission: Sequence[MissionItem] = (),
+        disarmed: bool = False,
     ) -> None:
         self.autopilot = autopilot or Autopilot("ardupilot")
-        self.world = SimulatedWorld(config, phlosar, mission)
+        self.world = SimulatedWorld(config, phlosar, mission, disarmed=disarmed)
         self.from_autopilot: Wire = perfect
         self._codec = Codec(config.vehicle.system_id, config.vehicle.component_id)
 

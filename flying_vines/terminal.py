@@ -70,7 +70,7 @@ def event_line(action: Action, began: float) -> Text | None:
     if isinstance(action, Decision):
         line = Text(f"{action.t - began:7.2f}  ")
         line.append(f"{action.trigger.replace('_', ' ')} ", style="bold")
-        line.append(f"{describe(action.what)} → {action.intent or '?'}: ")
+        line.append(f"{describe(action.what)} → {action.intent or '?'}: ".lstrip())
         line.append(action.safety, style=VERDICT_STYLE[action.safety])
         if action.reason:
             line.append(f" ({action.reason})")
@@ -166,7 +166,7 @@ class PatientOutput(io.TextIOBase):
     def __init__(self) -> None:
         # A live view puts itself in the place of `sys.stdout`.
         self._stdout = sys.stdout
-        self._aside = Aside(self._print, MOST_BEHIND)
+        self._aside: Aside[str] = Aside(self._print, MOST_BEHIND)
 
     def console(self) -> Console:
         return Console(file=cast(IO[str], self))
@@ -179,16 +179,16 @@ class PatientOutput(io.TextIOBase):
         return self._stdout.isatty()
 
     def write(self, text: str) -> int:
-        self._aside.write(text)
+        self._aside.write(text, len(text))
         return len(text)
 
     def close(self) -> None:
         """Let the last words out, where there is somebody to read them."""
         self._aside.close(LAST_WORDS_S)
 
-    def _print(self, text: str) -> None:
+    def _print(self, texts: list[str]) -> None:
         """Past the stream itself, whose lock the interpreter waits for at its end."""
-        data = text.encode(self.encoding, "replace")
+        data = "".join(texts).encode(self.encoding, "replace")
         while data:
             data = data[os.write(self._stdout.fileno(), data) :]
 

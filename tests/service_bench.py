@@ -39,6 +39,7 @@ def between(companion_port: int, serial_path: str) -> str:
         config.default_text()
         .replace("udpin:0.0.0.0:14540", f"udpin:127.0.0.1:{companion_port}")
         .replace("serial:/dev/ttyACM0", f"serial:{serial_path}")
+        .replace("port = 8017", "port = 0")
     )
 
 

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines import config
 from flying_vines.config import Calibration, Config, Interlocks
-from flying_vines.events import Action, Calibrated, Decision, ToVehicle, VehicleMessage
+from flying_vines.events import Action, Calibrated, Decision, KeepDisarmed, ToVehicle, VehicleMessage
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.notice import Notice
 from flying_vines.simulated_world import SimulatedFlight
@@ -26,13 +26,13 @@ SHORT = Calibration(steps=3, hold_s=2.0)
 class Bench:
     """A vine on the bench: nothing flies, everything else is there."""
 
-    def __init__(self, **interlocks: object) -> None:
+    def __init__(self, *, disarmed: bool = False, **interlocks: object) -> None:
         conf = msgspec.structs.replace(
             config.default(),
             interlocks=msgspec.structs.replace(Interlocks(bench_mode=True), **interlocks),
             calibration=SHORT,
         )
-        self.flight = SimulatedFlight(conf, Autopilot("ardupilot"))
+        self.flight = SimulatedFlight(conf, Autopilot("ardupilot"), disarmed=disarmed)
         self.actions: list[Action] = self.flight.run(3.0)
         self._senders: dict[tuple[int, int], Codec] = {}
 
@@ -61,6 +61,11 @@ class Bench:
             for message in messages
             if message.get_type() == "COMMAND_ACK" and message.command == MORE
         ]
+
+    @property
+    def kept(self) -> list[bool]:
+        """Whether disarmed, each time that this was to be kept."""
+        return [action.disarmed for action in self.actions if isinstance(action, KeepDisarmed)]
 
     @property
     def texts(self) -> list[str]:
@@ -92,6 +97,20 @@ def test_a_profile_may_want_a_person_to_arm_first() -> None:
     assert bench.command(STOP, ARM).safety == "accepted"
     assert bench.flight.core.snapshot(3.0).doing == "vented"
     assert bench.command(BEND, 30.0).safety == "accepted"
+
+
+@pytest.mark.parametrize("armed_at_start", [True, False])
+def test_pneumatics_that_were_disarmed_before_a_restart_still_are(armed_at_start: bool) -> None:
+    bench = Bench(disarmed=True, armed_at_start=armed_at_start)
+    assert bench.flight.core.snapshot(3.0).doing == "pneumatics disarmed"
+    assert bench.command(BEND, 30.0).reason == "the pneumatics are disarmed"
+    assert bench.command(STOP, ARM, sender=SCRIPT).safety == "refused"
+    assert bench.kept == []
+    assert bench.command(STOP, ARM).safety == "accepted"
+    assert bench.kept == [False]
+    assert bench.command(BEND, 30.0).safety == "accepted"
+    bench.command(STOP, DISARM)
+    assert bench.kept == [False, True]
 
 
 def test_latched_faults_are_no_companions_to_clear() -> None:

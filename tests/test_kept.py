@@ -1,4 +1,4 @@
-"""What survives the service, through the real service: parameters that were set, and the signing clock."""
+"""What survives the service, through the real service: parameters, disarmed pneumatics, the signing clock."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ from flying_vines.kept import Kept
 from flying_vines.notice import Notice
 from flying_vines.service import Service
 from flying_vines.vehicle.signing import Signing
+from flying_vines.watcher import EachAction
 
 KEY = bytes(range(32))
+STOP, DISARM, ARM = 31013, 2, 3
 
 
 @pytest.fixture
@@ -41,7 +43,12 @@ class Served:
         signing, _ = self.kept.read_signing(self.config)
         parameters = self.kept.read_parameters(self.config)
         self.service = Service(
-            self.config, self.seen.append, parameters=parameters, signing=signing, kept=self.kept
+            self.config,
+            (EachAction(self.seen.append),),
+            parameters=parameters,
+            disarmed=self.kept.disarmed,
+            signing=signing,
+            kept=self.kept,
         )
 
     @property
@@ -83,6 +90,67 @@ async def test_what_cannot_be_kept_is_said_and_in_force_all_the_same(bench: Benc
         await until(lambda: any("parameters not kept" in text for text in served.texts), "it is said")
         assert served.service.core.config.limits.max_rate_kPa_per_s == 30.0
         await until(lambda: any("parameters not kept" in text for text in bench.ground.texts), "to the pilot")
+
+
+def command(bench: Bench, number: int, param1: float) -> None:
+    bench.ground.send(mavlink.MAVLink_command_long_message(1, 191, number, 0, param1, 0, 0, 0, 0, 0, 0))
+
+
+def doing(served: Served) -> str:
+    return served.service.core.snapshot(served.service.now).doing
+
+
+async def test_disarmed_pneumatics_stay_so_over_restarts_until_a_person_arms_them(
+    bench: Bench, tmp_path: Path
+) -> None:
+    async with serving(bench, tmp_path) as served:
+        await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
+        command(bench, STOP, DISARM)
+        await until(lambda: served.kept.disarmed, "it is kept")
+    for _ in range(2):
+        async with serving(bench, tmp_path) as served:
+            await until(lambda: any("disarmed before" in text for text in served.texts), "it is said")
+            await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+            bench.autopilot.set_rc(9, 2000)
+            await until(
+                lambda: any("the pneumatics are disarmed" in text for text in served.texts), "refused"
+            )
+            assert bench.vented() and doing(served) == "pneumatics disarmed"
+            bench.autopilot.set_rc(9, 1000)
+    async with serving(bench, tmp_path) as served:
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        command(bench, STOP, ARM)
+        await until(lambda: not served.kept.disarmed, "it is forgotten")
+        assert doing(served) == "vented"
+    async with serving(bench, tmp_path) as served:
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        assert doing(served) == "vented" and not any("disarmed" in text for text in served.texts)
+
+
+async def test_that_they_are_disarmed_cannot_be_kept_is_said_and_they_are(
+    bench: Bench, tmp_path: Path
+) -> None:
+    async with serving(bench, tmp_path) as served:
+        (tmp_path / "vine.disarmed").mkdir()
+        await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
+        command(bench, STOP, DISARM)
+        await until(lambda: any("disarming not kept" in text for text in served.texts), "it is said")
+        assert doing(served) == "pneumatics disarmed"
+
+
+def test_disarmed_is_a_file_that_says_what_it_is_for_and_that_may_be_taken_away(tmp_path: Path) -> None:
+    profile = tmp_path / "vine.toml"
+    profile.write_text(config.default_text().replace('folder = ""', 'folder = "state/of"'))
+    kept = Kept.of(profile, config.load(profile))
+    assert not kept.disarmed
+    kept.keep_disarmed(False)  # it is not there, and neither is its folder
+    kept.keep_disarmed(True)
+    (file,) = (tmp_path / "state" / "of").iterdir()
+    assert kept.disarmed and "disarmed" in file.read_text()
+    file.write_bytes(b"")  # by whatever means it came there, nothing bends
+    assert kept.disarmed
+    kept.keep_disarmed(False)
+    assert not kept.disarmed and list(file.parent.iterdir()) == []
 
 
 def private_key(folder: Path, key: bytes) -> str:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import io
 import json
+import os
 import threading
+import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -19,14 +21,18 @@ from firmware_link.protocol import (
     PROTOCOL_VERSION,
     Codec,
     Fault,
+    GetSetting,
+    Hello,
     Mode,
     Refusal,
     RefusalReason,
     Setpoint,
     Telemetry,
+    Units,
     Welcome,
 )
 from firmware_link.statistics import Traffic
+from flying_vines import link_command
 from flying_vines.address import SerialAddress
 from flying_vines.config import default_text
 from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
@@ -96,6 +102,33 @@ def test_settings_are_shown_and_changed(board: str, capsys: pytest.CaptureFixtur
     assert out.split()[:5] == ["setting", "value", "least", "most", "standard"]
     status, _, err = run(capsys, "link", board, "--set", "dead_man_ms=900")
     assert (status, err) == (2, "flying-vines: dead_man_ms is from 50 to 300, not 900\n")
+
+
+async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settings(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(link_command, "ANSWERS_WITHIN_S", 0.5)
+    loop, codec = asyncio.get_running_loop(), Codec()
+    board, port = os.openpty()
+    tty.setraw(port)
+    address = SerialAddress(os.ttyname(port))
+
+    def hear() -> None:
+        for message in codec.decode(os.read(board, 4096)):
+            if isinstance(message, Hello):
+                limits = (30.0, 28.0, 760.0, 200.0, 300, 100)
+                welcome = Welcome(PROTOCOL_VERSION, message.nonce, 1, "x", Units.KPA_GAUGE, *limits)
+                os.write(board, codec.encode(welcome))
+            elif isinstance(message, GetSetting):
+                loop.remove_reader(board)
+                os.close(board)
+                os.close(port)
+                break
+
+    loop.add_reader(board, hear)
+    with pytest.raises(link_command.SettingsError, match="is not there"):
+        async with asyncio.timeout(10.0):
+            await link_command.settings(address, {}, objects=True)
 
 
 @pytest.mark.parametrize(

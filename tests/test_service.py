@@ -15,12 +15,16 @@ import pytest
 from service_bench import Bench, on_bench, until
 
 from firmware_link import answer
-from firmware_link.protocol import Fault
+from firmware_link.protocol import Fault, Vent
+from firmware_link.serial_port import SerialPort
 from flying_vines import config
-from flying_vines.events import Action, Decision
+from flying_vines.events import Action, Decision, ToFirmware
 from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.notice import Notice
+from flying_vines.notice import Notice, Severity
+from flying_vines.record.reader import FlightLog
+from flying_vines.replay import replay_flight
 from flying_vines.service import Service
+from flying_vines.watcher import EachAction
 
 
 @pytest.fixture
@@ -31,7 +35,7 @@ async def bench() -> AsyncIterator[Bench]:
 
 async def test_a_switch_bends_the_vine_and_the_ground_station_sees_it(bench: Bench) -> None:
     seen: list[Action] = []
-    service = Service(config.parse(bench.profile, "test"), seen.append)
+    service = Service(config.parse(bench.profile, "test"), (EachAction(seen.append),))
     serving = asyncio.create_task(service.run())
     await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
     bench.autopilot.set_rc(9, 2000)
@@ -45,6 +49,21 @@ async def test_a_switch_bends_the_vine_and_the_ground_station_sees_it(bench: Ben
     assert not bench.phlosar.firmware.faults
 
 
+async def test_what_moves_the_vine_is_sent_before_anybody_is_told(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    service = Service(
+        config.parse(bench.profile, "test"), (EachAction(lambda action: done.append(type(action).__name__)),)
+    )
+    notice = Notice(0.0, Severity.INFO, "Vine: telemetry")
+    handled = [notice, ToFirmware(Vent(1)), notice, ToFirmware(Vent(2))]
+    monkeypatch.setattr(service.core, "handle", lambda event: handled)
+    monkeypatch.setattr(SerialPort, "write", lambda port, data: done.append("written"))
+    service.say(Severity.INFO, "whatever")
+    assert done == ["written", "written", "Notice", "ToFirmware", "Notice", "ToFirmware"]
+
+
 async def test_a_silent_port_is_told_to_the_pilot_once_and_on_the_screen(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -53,7 +72,7 @@ async def test_a_silent_port_is_told_to_the_pilot_once_and_on_the_screen(
     tty.setraw(hosts)
     seen: list[Action] = []
     profile = bench.profile.replace(bench.port.path, os.ttyname(hosts))
-    service = Service(config.parse(profile, "test"), seen.append)
+    service = Service(config.parse(profile, "test"), (EachAction(seen.append),))
     serving = asyncio.create_task(service.run())
     await until(lambda: "silent" in service.link_problems.get("firmware", ""), "the screen says it")
     told = [a for a in seen if isinstance(a, Notice) and "open but silent" in a.text]
@@ -64,8 +83,8 @@ async def test_a_silent_port_is_told_to_the_pilot_once_and_on_the_screen(
         os.close(descriptor)
 
 
-async def start(bench: Bench, tmp_path: Path) -> asyncio.subprocess.Process:
-    """The service as a process of its own, with the vine bent by the switch."""
+async def run(bench: Bench, tmp_path: Path) -> asyncio.subprocess.Process:
+    """The service as a process of its own."""
     profile = tmp_path / "profile.toml"
     profile.write_text(bench.profile)
     arguments = ["run", "--config", str(profile), "--plain", "--out", str(tmp_path / "flights")]
@@ -78,6 +97,12 @@ async def start(bench: Bench, tmp_path: Path) -> asyncio.subprocess.Process:
         stderr=asyncio.subprocess.STDOUT,
     )
     await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
+    return process
+
+
+async def start(bench: Bench, tmp_path: Path) -> asyncio.subprocess.Process:
+    """The same, with the vine bent by the switch."""
+    process = await run(bench, tmp_path)
     # A move counts only once the switch is believed, a second after RC is; until then it is told apart.
     for pulse in (1000, 2000) * 5:
         bench.autopilot.set_rc(9, pulse)
@@ -103,8 +128,23 @@ async def test_sigterm_vents_and_leaves_no_fault(bench: Bench, tmp_path: Path) -
     assert "Traceback" not in text
     await until(bench.vented, "vented")
     assert not bench.phlosar.firmware.faults
-    (log,) = (tmp_path / "flights").glob("*/flight.jsonl")
-    assert '"kind":"decision"' in log.read_text()
+    (log,) = map(FlightLog, (tmp_path / "flights").iterdir())
+    assert list(log.entries(("decision",)))
+    assert not log.damage
+    again = replay_flight(log)
+    assert not again.differences
+    assert again.compared["decision"] >= 1
+
+
+async def test_a_service_is_told_that_the_pneumatics_were_disarmed_before_it(
+    bench: Bench, tmp_path: Path
+) -> None:
+    (tmp_path / "profile.disarmed").touch()
+    process = await run(bench, tmp_path)
+    process.send_signal(signal.SIGTERM)
+    assert "pneumatics disarmed before restart: arm them" in await output_of(process)
+    (log,) = map(FlightLog, (tmp_path / "flights").iterdir())
+    assert "pneumatics disarmed" in {entry.fields["doing"] for entry in log.entries(("snapshot",))}
 
 
 async def test_a_killed_service_is_vented_by_the_dead_man(bench: Bench, tmp_path: Path) -> None:
@@ -117,7 +157,7 @@ async def test_a_killed_service_is_vented_by_the_dead_man(bench: Bench, tmp_path
 
 async def test_garbage_on_both_links_changes_nothing(bench: Bench) -> None:
     seen: list[Action] = []
-    service = Service(config.parse(bench.profile, "test"), seen.append)
+    service = Service(config.parse(bench.profile, "test"), (EachAction(seen.append),))
     serving = asyncio.create_task(service.run())
     await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
     for i in range(200):

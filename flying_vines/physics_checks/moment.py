@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from firmware_link.protocol import Mode, Telemetry
 from flying_vines.physics_checks.expected import Expected
@@ -12,8 +12,7 @@ VALVE_LAG_S = 0.06
 """Delay and lag of a valve, and of the sensor behind its tube."""
 
 
-@dataclass(frozen=True, slots=True)
-class Moment:
+class Moment(NamedTuple):
     """Gauge kPa. `..._s` is for how long it has been so without a break, as far as that was seen."""
 
     dt_s: float
@@ -63,9 +62,8 @@ class Reader:
         self._told.append((self._t, evp, dvp))
         while self._told[0][0] < self._t - VALVE_LAG_S:
             self._told.popleft()
-        least_evp = min(told[1] for told in self._told) if self._t >= VALVE_LAG_S else 0.0
-        most_evp = max(told[1] for told in self._told)
-        most_dvp = max(told[2] for told in self._told)
+        _, evps, dvps = zip(*self._told, strict=True)
+        least_evp = min(evps) if self._t >= VALVE_LAG_S else 0.0
         bottle_kPa = telemetry.reservoir_kPa
 
         def lasting(seconds: float, so: bool) -> float:
@@ -89,7 +87,7 @@ class Reader:
             bottle_read_kPa=bottle_kPa,
             filling=evp > 0.0,
             least_inflow_SL=dt_s * self._rig.least_inflow_SL_per_s(least_evp, bottle_kPa, cv_kPa),
-            most_outflow_SL=dt_s * self._rig.most_outflow_SL_per_s(most_evp, most_dvp, bottle_kPa),
+            most_outflow_SL=dt_s * self._rig.most_outflow_SL_per_s(max(evps), max(dvps), bottle_kPa),
             venting_s=self._venting_s,
             sealed_s=self._sealed_s,
             outlet_shut_s=self._outlet_shut_s,

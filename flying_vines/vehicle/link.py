@@ -88,6 +88,7 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
     def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
         super().__init__(address, on_bytes, on_state)
         self._transport: asyncio.DatagramTransport | None = None
+        self._full = False
         self._peers: dict[tuple[str, int], float] = {}
 
     async def run(self) -> None:
@@ -105,7 +106,7 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
                 self._down(_reason(error))
                 await asyncio.sleep(RETRY_S)
                 continue
-            self._transport = transport
+            self._transport, self._full = transport, False
             self._up()
             try:
                 await loop.create_future()
@@ -114,7 +115,7 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
                 transport.close()
 
     def _send(self, data: bytes) -> bool:
-        if self._transport is None:
+        if self._transport is None or self._full:
             return False
         if self._address.kind == "udpout":
             self._transport.sendto(data)
@@ -132,6 +133,13 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
             del self._peers[min(self._peers, key=lambda peer: self._peers[peer])]
         self._peers[addr] = asyncio.get_running_loop().time()
         self._on_bytes(data)
+
+    def pause_writing(self) -> None:
+        """64 KiB wait for a driver that takes none, and asyncio itself would keep any amount."""
+        self._full = True
+
+    def resume_writing(self) -> None:
+        self._full = False
 
     def error_received(self, exc: Exception) -> None:
         """Nobody listens on the other side yet: what is sent next may arrive."""

@@ -7,14 +7,13 @@ file that cannot be understood is never overwritten: what it held would be lost 
 from __future__ import annotations
 
 import difflib
-import os
 import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import mkstemp
 from typing import Any
 
+from flying_vines import on_disk
 from flying_vines.config import Config
 from flying_vines.toml_text import one_line, place, read_text
 from flying_vines.vehicle.component.settings import BY_NAME, SETTINGS, Refused, changed, value_of
@@ -61,8 +60,7 @@ def write(path: Path, values: Mapping[str, float], profile: Config) -> None:
     try:
         if path.exists():
             _parsed(read_text(path, ParameterFileError), path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _replace(path, _text(values, profile))
+        on_disk.put(path, _text(values, profile))
     except OSError as error:
         raise ParameterFileError(f"{path}: cannot be written: {error.strerror}") from None
 
@@ -97,23 +95,3 @@ def _number(name: str, value: Any, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ParameterFileError(f"{where}: {name}: it must be a number")
     return float(value)
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write beside the file, and let it take the file's place only when it is safe on the disk."""
-    number, beside = mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(number, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fchmod(number, 0o644)
-            os.fsync(number)
-        Path(beside).replace(path)
-    except BaseException:
-        Path(beside).unlink(missing_ok=True)
-        raise
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)

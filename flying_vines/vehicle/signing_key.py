@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 import stat
 from pathlib import Path
 
+from flying_vines import on_disk
 from flying_vines.vehicle.signing import KEY_SIZE, UNITS_PER_S
 
 SHORTEST_PASSPHRASE = 8
@@ -93,19 +93,8 @@ class TimestampFile:
     def save(self, timestamp: int) -> None:
         """Write it so that a power cut leaves the old file or the new one. Blocks while the disk does."""
         self._saved = timestamp
-        new = self._path.with_name(self._path.name + ".new")
         try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            with new.open("w", encoding="ascii") as file:
-                file.write(f"{timestamp:015d}\n")
-                file.flush()
-                os.fsync(file.fileno())
-            new.replace(self._path)
-            folder = os.open(self._path.parent, os.O_RDONLY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
+            on_disk.put(self._path, f"{timestamp:015d}\n")
         except OSError as error:
             raise SigningKeyError(
                 f"{self._path}: the signing timestamp cannot be written: {error.strerror}"

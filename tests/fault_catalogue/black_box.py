@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from firmware_link.protocol import Codec, Fault, Mode, Setpoint
-from flying_vines.fakes.firmware import Drive
+from firmware_link.protocol import Codec, Setpoint
+from flying_vines.fakes.board import Between
 from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.fakes.regulator import Drive
 
 STEP_S = 0.001
 
 
-class BlackBox:
+class BlackBox(Between):
     """Takes the place of a simulated phloSAR's firmware, and notes what goes in and comes out.
 
     All times are the board's, in seconds. Safe means: inflation valve told shut, solenoid told open.
     """
 
     def __init__(self, phlosar: SimulatedPhlosar) -> None:
+        super().__init__(phlosar.firmware)
         self._phlosar = phlosar
-        self._firmware = phlosar.firmware
         self._heard = Codec()
         self.unsafe_s: float | None = None
         """The last moment at which the valves were not safe; None before the first."""
@@ -36,14 +37,6 @@ class BlackBox:
         self.highest_kPa = self._phlosar.cv_kPa
         self.longest_over_ms = self._over_ms = 0
 
-    # What a firmware does.
-
-    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
-        drive = self._firmware.step(now_us, cv_kPa, reservoir_kPa)
-        if drive.evp > 0.0 or not drive.solenoid:
-            self.unsafe_s = now_us / 1e6
-        return drive
-
     def look(self) -> None:
         """Look at the phloSAR itself, every millisecond: its firmware may not be running."""
         if self._phlosar.drive.evp > 0.0 or not self._phlosar.drive.solenoid:
@@ -53,25 +46,13 @@ class BlackBox:
         self._over_ms = self._over_ms + 1 if true_kPa > self._limit_kPa else 0
         self.longest_over_ms = max(self.longest_over_ms, self._over_ms)
 
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+        drive = super().step(now_us, cv_kPa, reservoir_kPa)
+        if drive.evp > 0.0 or not drive.solenoid:
+            self.unsafe_s = now_us / 1e6
+        return drive
+
     def receive(self, data: bytes) -> None:
         if any(isinstance(message, Setpoint) for message in self._heard.decode(data)):
             self.setpoint_s = self._phlosar.now_s
-        self._firmware.receive(data)
-
-    def take_output(self) -> bytes:
-        return self._firmware.take_output()
-
-    def reset(self, *, watchdog: bool = False) -> None:
-        self._firmware.reset(watchdog=watchdog)
-
-    @property
-    def mode(self) -> Mode:
-        return self._firmware.mode
-
-    @property
-    def faults(self) -> Fault:
-        return self._firmware.faults
-
-    @property
-    def number(self) -> int:
-        return self._firmware.number
+        super().receive(data)

@@ -200,6 +200,15 @@ FILES = (
         proof=GOES_ON,
     ),
     Row(
+        "disk_low",
+        "the disk has less left than `log.least_free_MB`",
+        "the log's writer, every 5 s",
+        "the flight log ends here: the disk has",
+        Cleared.AT_ONCE,
+        safe_state="goes on; the log is brought to its end",
+        proof="test_little_room_ends_the_log_before_the_disk_is_full",
+    ),
+    Row(
         "disk_gone",
         "disk gone: every access fails (EIO)",
         "the write",
@@ -279,6 +288,27 @@ FILES = (
         Cleared.AT_ONCE,
         safe_state="never moved",
         proof="test_a_service_does_not_start_without_its_files",
+    ),
+)
+
+NETWORK = (
+    Row(
+        "broker_gone",
+        "the MQTT broker is gone (killed, or the network to it), and comes back",
+        "the connection; tried again after 1 s, then ever more rarely",
+        "nothing answers there",
+        Cleared.AT_ONCE,
+        safe_state="goes on; what happens meanwhile is told when the broker is back",
+        proof="test_a_flight_goes_on_whatever_the_network_does",
+    ),
+    Row(
+        "gateway_killed",
+        "the process of page and broker is killed (kill -9), or hangs",
+        "the service, which starts it again",
+        "page and broker stopped",
+        Cleared.AT_ONCE,
+        safe_state="goes on; the broker tells that the vehicle is offline until it is back",
+        proof="test_a_flight_goes_on_whatever_the_network_does",
     ),
 )
 
@@ -739,6 +769,7 @@ SECTIONS: dict[str, tuple[Row, ...]] = {
     "The vehicle": VEHICLE,
     "The companion": COMPANION,
     "Files and the clock": FILES,
+    "The network": NETWORK,
     "The serial line": SERIAL,
     "The board": BOARD,
     "Sensors": SENSORS,

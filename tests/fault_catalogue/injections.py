@@ -164,11 +164,6 @@ def lose_commands(flight: Watched) -> None:
     flight.flight.world.to_phlosar = cut
 
 
-def ask_in_vain(flight: Watched, seconds: float) -> None:
-    flight.bend_full()
-    flight.run(seconds)
-
-
 def lose_telemetry(flight: Watched) -> None:
     flight.flight.world.from_phlosar = cut
 
@@ -270,7 +265,7 @@ INJECTIONS: dict[str, Injection] = {
     "altitude_unknown": Injection(lose_altitude, heal_vehicle_link),
     "serial_unplugged": Injection(unplug, plug_in),
     "commands_lost": Injection(lose_commands, heal_serial),
-    "commands_lost_at_rest": Injection(lose_commands, heal_serial, phase="vented", live=ask_in_vain),
+    "commands_lost_at_rest": Injection(lose_commands, heal_serial, phase="vented", live=bend),
     "telemetry_lost": Injection(lose_telemetry, heal_serial),
     "frames_corrupted": Injection(corrupt(0.2), heal_serial),
     "line_all_noise": Injection(corrupt(1.0), heal_serial),

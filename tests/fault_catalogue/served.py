@@ -17,6 +17,7 @@ from flying_vines.fakes.autopilot_server import AutopilotServer
 from flying_vines.fakes.ground_station import GroundStation
 from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.pneumatics.plant.effects import Effects
+from flying_vines.record.reader import FlightLog, LogError
 
 from .black_box import BlackBox
 from .watched import HIGH, LOW, MIDDLE, SWITCH
@@ -72,12 +73,20 @@ class Served:
             env={**os.environ, "TERM": "xterm"},
         )
         await until(lambda: len(self._logs) > flights, "the service runs")
-        await until(lambda: '"switch_position":0' in self._logs[-1].read_text(), "the switch is believed")
+        await until(lambda: self._switch_is_believed, "the switch is believed")
 
     @property
     def _logs(self) -> list[Path]:
         """Of all flights, in order."""
-        return sorted((self.folder / "flights").glob("*/flight.jsonl"))
+        return sorted((self.folder / "flights").glob("*/flight.mcap"))
+
+    @property
+    def _switch_is_believed(self) -> bool:
+        try:
+            snapshots = [entry.fields for entry in FlightLog(self._logs[-1]).entries(("snapshot",))]
+        except LogError:
+            return False  # nothing of it is on the disk yet
+        return bool(snapshots) and snapshots[-1].get("switch_position") == 0
 
     def straighten(self) -> None:
         self.autopilot.set_rc(SWITCH, LOW)
@@ -137,8 +146,7 @@ async def on_bench(folder: Path) -> AsyncIterator[Served]:
         if served.process is not None and served.process.returncode is None:
             served.process.kill()
             await served.process.communicate()
-        with contextlib.suppress(AssertionError):
-            await served.unplug()
+        await served.unplug()
         for task in running:
             task.cancel()
         await asyncio.gather(*running, return_exceptions=True)

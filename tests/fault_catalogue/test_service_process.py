@@ -14,6 +14,7 @@ import pytest
 from service_bench import until
 
 from firmware_link.protocol import Fault
+from flying_vines.record.reader import FlightLog
 
 from .black_box import STEP_S
 from .catalogue import ROWS
@@ -114,7 +115,7 @@ async def test_a_flight_goes_on_whatever_happens_around_it(served: Served) -> No
     await served.bent()
     served.profile.write_text(profile)
 
-    (log,) = (served.folder / "flights").glob("*/flight.jsonl")
+    (log,) = (served.folder / "flights").glob("*/flight.mcap")
     size = log.stat().st_size
     resource.prlimit(served.process.pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
     await served.told(ROWS["disk_full"].told)
@@ -141,7 +142,7 @@ async def test_a_flight_goes_on_whatever_happens_around_it(served: Served) -> No
     served.straighten()
     await served.vented()
     assert "vented" not in "".join(served.ground.texts)
-    assert len(log.read_text().splitlines()) > 10
+    assert len(list(FlightLog(log).entries())) > 10
     served.process.send_signal(signal.SIGHUP)
     output = await served.output()
     assert "Vented. Stopped." in output

@@ -20,6 +20,7 @@ from flying_vines.fakes.autopilot import Autopilot, Kind
 from flying_vines.fakes.autopilot_server import AutopilotServer
 from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.service import Service
+from flying_vines.watcher import EachAction
 from missions.download import download
 from missions.files import load_items
 from missions.link import Ears, Heard, LinkError, Vehicle, vehicle
@@ -79,7 +80,9 @@ async def scene(kind: Kind, speed: float = 1.0) -> AsyncIterator[Scene]:
     server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), listen=[("127.0.0.1", 0)], speed=speed)
     with PtyPhlosar(SimulatedPhlosar()) as port:
         actions: list[Action] = []
-        service = Service(config.parse(between(companion_port, port.path), "test"), actions.append)
+        service = Service(
+            config.parse(between(companion_port, port.path), "test"), (EachAction(actions.append),)
+        )
         running = [asyncio.create_task(part.run()) for part in (server, port)]
         serving = asyncio.create_task(service.run())
         await server.ready.wait()

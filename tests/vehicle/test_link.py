@@ -16,7 +16,7 @@ import pytest
 from firmware_link import serial_port
 from flying_vines.address import Address, NetworkAddress, SerialAddress
 from flying_vines.vehicle import link as link_module
-from flying_vines.vehicle.link import MAX_QUEUED_BYTES, MOST_PEERS, Link, open_link
+from flying_vines.vehicle.link import MAX_QUEUED_BYTES, MOST_PEERS, Link, UdpLink, open_link
 
 HOST = "127.0.0.1"
 TIMEOUT_S = 5.0
@@ -275,6 +275,21 @@ async def test_tcp_does_not_queue_without_end_for_a_server_that_does_not_read() 
             written += 32 * 1024
             assert written < 64 * 1024 * 1024
         assert not watched.link.write(bytes(MAX_QUEUED_BYTES))
+
+
+async def test_udp_does_not_queue_without_end_for_a_network_that_takes_nothing() -> None:
+    async with (
+        udp_peer() as (peer, _, port),
+        running(NetworkAddress("udpout", HOST, port)) as watched,
+    ):
+        await watched.until(lambda: watched.up)
+        assert isinstance(watched.link, UdpLink)
+        # As asyncio's transport says it; no loopback is ever full.
+        watched.link.pause_writing()
+        assert not watched.link.write(b"stale") and watched.link.dropped_bytes == 5
+        watched.link.resume_writing()
+        assert watched.link.write(b"news")
+        assert (await peer.next())[0] == b"news"
 
 
 @pytest.mark.parametrize("host", ["no-such-host.invalid", "a..b", "x" * 70])

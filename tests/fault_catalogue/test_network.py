@@ -1,0 +1,65 @@
+"""Faults of what lies beyond the vehicle: the real service, its gateway's process and a real broker."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+from gateway.mqtt.brokers import Broker, onlooker, running
+from service_bench import until
+
+from .catalogue import ROWS
+from .served import Served, on_bench
+
+
+@pytest.fixture
+async def served(tmp_path: Path) -> AsyncIterator[Served]:
+    async with on_bench(tmp_path) as served:
+        yield served
+
+
+def gateway_of(served: Served) -> int:
+    """Its process."""
+    assert served.process is not None
+    pid = served.process.pid
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    (gateway,) = (
+        int(child)
+        for child in children
+        if b"flying_vines.gateway" in Path(f"/proc/{child}/cmdline").read_bytes()
+    )
+    return gateway
+
+
+async def test_a_flight_goes_on_whatever_the_network_does(served: Served, tmp_path: Path) -> None:
+    base = "flying-vines/heron"
+    async with running(Broker(tmp_path)) as broker:
+        profile = served.profile.read_text()
+        profile = profile.replace('broker = ""', f'broker = "{broker.url}"').replace(
+            "port = 8017", "port = 0"
+        )
+        served.profile.write_text(profile.replace('\nname = ""', '\nname = "heron"'))
+        async with onlooker(broker) as people:
+            await served.serve()
+            await people.until(f"{base}/state", rc="good")
+            served.bend_full()
+            await served.bent()
+            await people.until(f"{base}/event", event="decision", intent="bend-full")
+            os.kill(gateway_of(served), signal.SIGKILL)
+            await people.until(f"{base}/status", status="offline")
+            await served.told(ROWS["gateway_killed"].told)
+            await people.until(f"{base}/state", doing="bend-full")
+
+        broker.kill()
+        await served.told(ROWS["broker_gone"].told)
+        assert served.phlosar.cv_kPa > 15.0
+        assert not served.phlosar.firmware.faults
+        served.straighten()
+        await served.vented()
+        await broker.start()
+        async with onlooker(broker) as people:
+            await people.until(f"{base}/status", status="online")
+            await until(lambda: not served.phlosar.firmware.faults, "nothing latches")
