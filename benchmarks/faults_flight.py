@@ -184,6 +184,7 @@ class RefereedFlight:
         self._held_from_s = 0.0
         self._late = False
         self._plugged = True
+        self._arming_s = -math.inf
         if not setup.armed_at_start:
             self.referee.forbid("pneumatics disarmed", 0.0)
 
@@ -242,7 +243,8 @@ class RefereedFlight:
     def _switch_asks(self, *, certain: bool) -> None:
         if self.setup.has_rc:
             what = f"switch to {self._position}"
-            self._asked(what, DEBOUNCED_S, self._position > 0, by_person=True, certain=certain)
+            debounce_s = self.profile.switch.debounce_s
+            self._asked(what, DEBOUNCED_S, self._position > 0, True, certain, after_s=debounce_s)
 
     def _settle(self) -> None:
         """A switch that was not seen, or moves before it has settled, has to settle anew."""
@@ -271,6 +273,7 @@ class RefereedFlight:
         self._command(mavlink.MAV_CMD_USER_4, 3)
         if self._station_is_heard:
             self.referee.permit("pneumatics disarmed")
+        self._arming_s = self.now_s
 
     def disarm_pneumatics(self) -> None:
         self._command(mavlink.MAV_CMD_USER_4, 2)
@@ -303,20 +306,29 @@ class RefereedFlight:
         if self._station_is_heard:
             self._asked(what, COMMANDED_S, bends, by_person=True)
 
-    def _asked(self, what: str, within_s: float, bends: bool, by_person: bool, certain: bool = True) -> None:
-        """`certain`: nothing may keep the companion from hearing of it."""
+    def _asked(
+        self,
+        what: str,
+        within_s: float,
+        bends: bool,
+        by_person: bool,
+        certain: bool = True,
+        after_s: float = 0.0,
+    ) -> None:
+        """`certain`: nothing may keep the companion from hearing of it. Not before `after_s` does it."""
         now_s = self.now_s
         if self._vehicle_is_spoiled:
             within_s += LATE_S
         if bends:
             self.referee.permit("asked to straighten")
-            self.referee.trigger(now_s, within_s, what)
+            self.referee.trigger(now_s, within_s, what, after_s)
             return
         if by_person:
             self.referee.person_clears(now_s + within_s)
-        if certain and not self._vehicle_is_spoiled:
-            done_s = max(now_s + within_s + 0.2, self.referee.pending_until_s)
-            self.referee.forbid("asked to straighten", done_s, inflation_only=True)
+        # A bend that is not seen yet may be seen after this.
+        last = self.referee.pending_until_s <= now_s
+        if certain and last and not self._vehicle_is_spoiled:
+            self.referee.forbid("asked to straighten", now_s + within_s + 0.2, inflation_only=True)
 
     # The vehicle.
 
@@ -443,7 +455,10 @@ class RefereedFlight:
                 self.referee.excuse(place, math.inf, rises=True)
             case ("solenoid", StuckAt(opening)) if opening < 0.5:
                 self.referee.excuse(place, math.inf, rises=True)
-            case ("hose", Kinked()) | ("cv_sensor", _):
+            case ("hose", Kinked()):
+                # What it locks in gets warm again.
+                self.referee.excuse(place, math.inf, rises=True)
+            case ("cv_sensor", _):
                 self.referee.excuse(place, math.inf)
             case "board", Unpowered():
                 self.referee.unpowered()
@@ -473,6 +488,9 @@ class RefereedFlight:
         self._unseen.pop(what, None)
         now_s = self.now_s
         if self._station_is_heard:
+            if now_s - self._arming_s < STEP_S:
+                # Of the same moment, it is still on its way.
+                self.referee.permit("pneumatics disarmed")
             for name, due_s in self._conditions.items():
                 if due_s == math.inf:
                     self._conditions[name] = now_s + _TOLD_BY_VEHICLE[name] + self._patience_s
@@ -513,7 +531,8 @@ class RefereedFlight:
             self._held_from_s = now_s + _TOLD_BY_VEHICLE["RC lost"] + self._patience_s
             self.referee.hold_still(self._held_from_s)
         self._watch("disarmed", not autopilot.armed, _TOLD_BY_VEHICLE["disarmed"])
-        self._watch("landing", autopilot.height_m < lowest_m, _TOLD_BY_VEHICLE["landing"])
+        told_height = self.from_autopilot.without is None
+        self._watch("landing", told_height and autopilot.height_m < lowest_m, _TOLD_BY_VEHICLE["landing"])
         self._watch("RC lost", rc_lost, _TOLD_BY_VEHICLE["RC lost"] + held_s)
         self._watch("autopilot silent", silent, 1.3 if self._rc_in_use and not held_s else 2.5)
         self._watch("altitude lost", self.from_autopilot.without is not None, 2.5)

@@ -473,7 +473,9 @@ class Core:
         return self._conditions(t) if changes else now
 
     def _enter(self, t: float, change: Entered) -> None:
-        hold = change.response == "hold" and self._motion is not None
+        # A vine that is being straightened is not kept bent.
+        straightened = self._motion is None or self._motion.only_lets_out
+        hold = change.response == "hold" and not straightened
         mattered = self._motion is not None or self._vehicle.state.armed
         if hold:
             self._freeze(t)

@@ -480,6 +480,16 @@ def test_hold_freezes_and_vent_vents() -> None:
     assert_vented(flight)
 
 
+def test_a_vine_that_is_being_straightened_is_not_held_bent_when_rc_is_lost() -> None:
+    flight = bent(conf=configured(losses=config.Losses(on_rc_loss="hold")))
+    flight.autopilot.set_rc(9, LOW)
+    run_for(flight, 0.22)
+    assert flight.phlosar.cv_kPa > 5.0
+    flight.feed(LinkChanged(flight.world.now, "vehicle", False, "closed"))
+    run_for(flight, 0.7)
+    assert_vented(flight)
+
+
 def test_stop_vents_and_nothing_moves_after_it() -> None:
     flight = bent()
     flight.feed(Stop(flight.world.now))

@@ -64,7 +64,7 @@ class Rules:
 
 class _Trigger(NamedTuple):
     until_s: float
-    given_s: float
+    from_s: float
     what: str
 
 
@@ -111,9 +111,12 @@ class Referee:
 
     # What the director knows.
 
-    def trigger(self, t: float, within_s: float, what: str) -> None:
-        """Somebody who may asked for a bend. Out of rest it has to begin within so long, and only once."""
-        self._triggers.append(_Trigger(t + within_s, t, what))
+    def trigger(self, t: float, within_s: float, what: str, after_s: float = 0.0) -> None:
+        """Somebody who may asked for a bend, which takes `after_s` to be seen.
+
+        Out of rest it has to begin within so long, and only once.
+        """
+        self._triggers.append(_Trigger(t + within_s, t + after_s, what))
         self._last_trigger_s = max(self._last_trigger_s, t + within_s)
         self._still_from_s = math.inf
 
@@ -140,10 +143,10 @@ class Referee:
         self._find_deadlines()
 
     def permit(self, name: str) -> None:
-        """It is over. What was asked for before it must have been noticed is spent."""
+        """It is over. What was heard of before it must have been noticed is spent."""
         noticed_s = self._forbidden.pop(name, math.inf)
         if noticed_s <= self._stepped_s:
-            self._triggers = [trigger for trigger in self._triggers if trigger.given_s >= noticed_s]
+            self._triggers = [trigger for trigger in self._triggers if trigger.from_s >= noticed_s]
         self._no_inflation.pop(name, None)
         self._find_deadlines()
 

@@ -31,6 +31,11 @@ class Motion:
             else 1.0
         )
 
+    @property
+    def only_lets_out(self) -> bool:
+        """Whether it goes to no pressure and nowhere else."""
+        return self.trajectory.rise_kPa <= 0.0 and self.trajectory.final_kPa <= 0.0
+
     def releases(self, t: float) -> bool:
         """Whether it has come to its end, and that end is no pressure."""
         return self.over(t) and self.trajectory.final_kPa <= 0.0

@@ -752,8 +752,9 @@ def test_a_repeat_of_an_item_that_ran_before_anybody_listened_or_asked_for_anoth
     params = actuator(3, 0.5).params
     # The third frame of a command is the first that is heard: it was sent a second ago.
     assert watch.execution(10.3, 187, params, confirmation=2) is None
-    # It may have begun after that.
-    assert watch.execution(10.9, 187, params, confirmation=2) is not None
+    # It began after that only if its first repeat came as soon as it can.
+    assert watch.execution(10.9, 187, params, confirmation=2) is None
+    assert watch.execution(12.2, 187, params, confirmation=2) is not None
 
 
 def test_a_repeat_of_an_item_that_a_later_one_of_its_burst_overtook_is_history() -> None:

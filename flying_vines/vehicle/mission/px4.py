@@ -8,7 +8,10 @@ from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution, same_numbers
 from flying_vines.vehicle.mission.item import is_nav
+from flying_vines.vehicle.repeats import LATE_S
 
+MOST_BEFORE_A_REPEAT_S = 0.5
+"""The first repeat comes half a second or, at times, a second after its item, and may be late itself."""
 BEFORE_A_REPEAT_S = 0.4
 """Half a second at least lies between an item and its first repeat, less what a link takes: what ran since
 then ran later."""
@@ -45,8 +48,8 @@ class Px4Watch:
         """
         item = self._book.nearest(command, params, self._current)
         execution = Execution(command, item.seq if item else None, item, params)
-        begun_at_latest = t - confirmation * BEFORE_A_REPEAT_S
-        if confirmation and (begun_at_latest < self._forgotten_at or self._overtaken(t, execution)):
+        begun_at_soonest = t - (confirmation + 1) * MOST_BEFORE_A_REPEAT_S - LATE_S
+        if confirmation and (begun_at_soonest < self._forgotten_at or self._overtaken(t, execution)):
             return None
         self._ran, self._ran_at = execution, t
         return execution
