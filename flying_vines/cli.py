@@ -365,7 +365,6 @@ async def _serve(config: Config, text: str, known: Calibration | None, arguments
     belief = known.belief if known else None
     gateway = Gateway(
         config,
-        log.folder,
         ask=lambda by, intent: service.ask(by, intent),
         say=lambda text: service.say(Severity.WARNING, text),
         page_token=page_token,

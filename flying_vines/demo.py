@@ -321,7 +321,6 @@ async def fly(
 
         gateway = Gateway(
             config,
-            log.folder,
             ask=lambda by, intent: service.ask(by, intent),
             say=lambda text: service.say(Severity.WARNING, text),
         )

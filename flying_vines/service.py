@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 
 from firmware_link import protocol
@@ -72,7 +73,7 @@ class Service:
         """How to write what has changed, by what it is."""
         self._something_to_keep = asyncio.Event()
         self._signing = signing
-        self._watchers = watchers
+        self._watchers = list(watchers)
         self._mavlink = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)
         self._serial = protocol.Codec()
         self._answer = Answer()
@@ -168,8 +169,9 @@ class Service:
     async def _show(self) -> None:
         while self._watchers:
             snapshot = self.core.snapshot(self.now)
-            for watcher in self._watchers:
-                watcher.snapshot(snapshot)
+            for watcher in tuple(self._watchers):
+                with self._unharmed_by(watcher):
+                    watcher.snapshot(snapshot)
             await asyncio.sleep(SNAPSHOT_S)
 
     def _vehicle_bytes(self, data: bytes) -> None:
@@ -211,11 +213,22 @@ class Service:
         for action in actions:
             self._carry_out(action)
         # Only now, for whoever writes or shows it takes his time.
-        for watcher in self._watchers:
-            watcher.event(event)
-            for action in actions:
-                watcher.action(action)
+        for watcher in tuple(self._watchers):
+            with self._unharmed_by(watcher):
+                watcher.event(event)
+                for action in actions:
+                    watcher.action(action)
         return actions
+
+    @contextmanager
+    def _unharmed_by(self, watcher: Watcher) -> Iterator[None]:
+        """One that fails sees no more; what flies goes on."""
+        try:
+            yield
+        except Exception as error:
+            self._watchers.remove(watcher)
+            text = f"{type(watcher).__name__} failed: {error!r}"
+            asyncio.get_running_loop().call_soon(self.say, Severity.WARNING, text)
 
     def _carry_out(self, action: Action) -> None:
         match action:

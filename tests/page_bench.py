@@ -72,7 +72,7 @@ class Bench:
     def __post_init__(self) -> None:
         profile = msgspec.structs.replace(config.default(), page=self.page)
         token = TOKEN if self.page.needs_token else ""
-        self.feed = Feed(Profile(profile, "1.2.3", "flights", token), self._take)
+        self.feed = Feed(Profile(profile, "1.2.3", token), self._take)
 
     @property
     def url(self) -> str:

@@ -18,13 +18,13 @@ from firmware_link import answer
 from firmware_link.protocol import Fault, Vent
 from firmware_link.serial_port import SerialPort
 from flying_vines import config
-from flying_vines.events import Action, Decision, ToFirmware
+from flying_vines.events import Action, Decision, Event, ToFirmware
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.notice import Notice, Severity
 from flying_vines.record.reader import FlightLog
 from flying_vines.replay import replay_flight
 from flying_vines.service import Service
-from flying_vines.watcher import EachAction
+from flying_vines.watcher import EachAction, Watcher
 
 
 @pytest.fixture
@@ -62,6 +62,26 @@ async def test_what_moves_the_vine_is_sent_before_anybody_is_told(
     monkeypatch.setattr(SerialPort, "write", lambda port, data: done.append("written"))
     service.say(Severity.INFO, "whatever")
     assert done == ["written", "written", "Notice", "ToFirmware", "Notice", "ToFirmware"]
+
+
+class Clumsy(Watcher):
+    def __init__(self) -> None:
+        self.seen = 0
+
+    def event(self, event: Event) -> None:
+        self.seen += 1
+        raise RuntimeError("I cannot draw that")
+
+
+async def test_a_watcher_that_fails_sees_no_more_and_the_others_do(bench: Bench) -> None:
+    clumsy, seen = Clumsy(), list[Action]()
+    service = Service(config.parse(bench.profile, "test"), (clumsy, EachAction(seen.append)))
+    service.say(Severity.INFO, "one")
+    await asyncio.sleep(0)
+    service.say(Severity.INFO, "two")
+    assert clumsy.seen == 1
+    texts = [action.text for action in seen if isinstance(action, Notice)]
+    assert texts == ["Vine: one", "Vine: Clumsy failed: RuntimeError('I cannot draw that')", "Vine: two"]
 
 
 async def test_a_silent_port_is_told_to_the_pilot_once_and_on_the_screen(

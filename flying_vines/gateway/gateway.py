@@ -13,7 +13,6 @@ import sys
 from collections import deque
 from collections.abc import Callable
 from importlib import metadata
-from pathlib import Path
 
 import msgspec
 
@@ -52,13 +51,12 @@ class Gateway(Watcher):
     def __init__(
         self,
         config: Config,
-        log_folder: Path,
         ask: Callable[[Asker, Intent], Decision],
         say: Callable[[str], None],
         page_token: str = "",
     ) -> None:
         version = metadata.version("flying-vines")
-        self._profile = Profile(config, version, str(log_folder.absolute()), page_token)
+        self._profile = Profile(config, version, page_token)
         self._ask = ask
         self._say = say
         self._socket: socket.socket | None = None

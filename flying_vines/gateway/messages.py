@@ -45,7 +45,6 @@ class Profile(_Message, frozen=True, tag="profile"):
 
     config: Config
     version: str
-    log_folder: str
     page_token: str = ""
     """Who has it may open the page from the network."""
 

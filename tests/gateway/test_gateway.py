@@ -39,7 +39,7 @@ class Service:
     def __init__(self, **mqtt: Any) -> None:
         self.said: list[str] = []
         self.asked: list[tuple[Asker, Intent]] = []
-        self.gateway = Gateway(configured(**mqtt), Path("logs"), self._ask, self.said.append)
+        self.gateway = Gateway(configured(**mqtt), self._ask, self.said.append)
         self.latest_turn_s = 0.0
 
     def _ask(self, by: Asker, intent: Intent) -> Decision:

@@ -18,7 +18,7 @@ CYCLES = CyclesLeft(31.2, 27.9, 35.0, 12.0, 18.4, 102.0)
 
 def profile(**mqtt: Any) -> Profile:
     """The built-in one, without a page."""
-    return Profile(configured(**mqtt), "1.2.3", "/var/lib/flying-vines")
+    return Profile(configured(**mqtt), "1.2.3")
 
 
 def configured(**mqtt: Any) -> Config:

@@ -37,7 +37,7 @@ PAGE_TAKEN = Line(
 PAGE_SERVED = Line("page", "skipped", "{address} is the running service's")
 NO_BROKER = Line("broker", "skipped", "the profile has none")
 BROKER = Line("broker", "good", "{broker} answers within {took:.0f} ms")
-NO_PACKAGE = Line("broker", "warning", "{why}", "pip install 'flying-vines[mqtt]'")
+NO_PACKAGE = Line("broker", "warning", "{why}", "install flying-vines again")
 AWAY = Line("broker", "warning", "{broker}: {why}", "see whether there is a network, and a broker there")
 REFUSES = Line("broker", "warning", "{broker}: {why}", "correct [mqtt], or the broker (docs/mqtt.md)")
 
