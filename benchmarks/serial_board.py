@@ -26,6 +26,7 @@ from firmware_link.protocol import (
 
 TELEMETRY_HZ = 100
 FULL_KPA = 690.0
+CV_NOISE_KPA, RESERVOIR_NOISE_KPA = 0.15, 1.2
 MOVED_KPA = 0.05
 """Below it a target has not moved: floats on the wire are rounded."""
 
@@ -78,6 +79,8 @@ class SerialBoard:
         """Send telemetry."""
         regulating = self._mode is Mode.REGULATE
         self.telemetry_frames += 1
+        # A sensor whose readings never differ is stuck, and the service would say so.
+        noise = 1.0 if self.telemetry_frames % 2 else -1.0
         self._send(
             Telemetry(
                 device_time_ms=self._time_ms(now_s),
@@ -85,8 +88,8 @@ class SerialBoard:
                 faults=Fault.NONE,
                 number=self._number,
                 setpoint_kPa=self._target_kPa,
-                cv_kPa=self._target_kPa,
-                reservoir_kPa=FULL_KPA,
+                cv_kPa=self._target_kPa + noise * CV_NOISE_KPA,
+                reservoir_kPa=FULL_KPA + noise * RESERVOIR_NOISE_KPA,
                 evp_opening=0.3 if regulating else 0.0,
                 dvp_opening=0.0,
                 solenoid=not regulating,
