@@ -45,6 +45,8 @@ LAST_WORDS_S = 0.3
 """After a stop: the last status text and the vent must get out."""
 REFUSALS_TOLD_S = 60.0
 SNAPSHOT_S = 0.1
+TOLD_WITHIN_S = 0.01
+"""So long watchers may wait: no setpoint is to wait for them, and they take longer than deciding does."""
 
 
 class Service:
@@ -74,6 +76,7 @@ class Service:
         self._something_to_keep = asyncio.Event()
         self._signing = signing
         self._watchers = list(watchers)
+        self._untold: list[tuple[Event, list[Action]]] = []
         self._mavlink = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)
         self._serial = protocol.Codec()
         self._answer = Answer()
@@ -107,20 +110,23 @@ class Service:
         """Serve until `stop`; cancelling it does not vent, but then the firmware's dead-man does."""
         if self._disarmed_before:
             self.say(Severity.WARNING, "pneumatics disarmed before restart: arm them")
-        async with asyncio.TaskGroup() as tasks:
-            edges = [
-                tasks.create_task(self._vehicle.run()),
-                tasks.create_task(self._firmware.run()),
-                tasks.create_task(self._tick()),
-                tasks.create_task(self._show()),
-                tasks.create_task(self._keep_changes()),
-                tasks.create_task(self._keep_signing()),
-            ]
-            await self._stopping.wait()
-            self._feed(Stop(self.now))
-            await asyncio.sleep(LAST_WORDS_S)
-            for edge in edges:
-                edge.cancel()
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                edges = [
+                    tasks.create_task(self._vehicle.run()),
+                    tasks.create_task(self._firmware.run()),
+                    tasks.create_task(self._tick()),
+                    tasks.create_task(self._show()),
+                    tasks.create_task(self._keep_changes()),
+                    tasks.create_task(self._keep_signing()),
+                ]
+                await self._stopping.wait()
+                self._feed(Stop(self.now))
+                await asyncio.sleep(LAST_WORDS_S)
+                for edge in edges:
+                    edge.cancel()
+        finally:
+            self._tell_watchers()
 
     async def _keep_changes(self) -> None:
         """Write the latest; a slow disk delays nothing else."""
@@ -168,6 +174,7 @@ class Service:
 
     async def _show(self) -> None:
         while self._watchers:
+            self._tell_watchers()
             snapshot = self.core.snapshot(self.now)
             for watcher in tuple(self._watchers):
                 with self._unharmed_by(watcher):
@@ -212,13 +219,19 @@ class Service:
         actions = self.core.handle(event)
         for action in actions:
             self._carry_out(action)
-        # Only now, for whoever writes or shows it takes his time.
+        if not self._untold:
+            asyncio.get_running_loop().call_later(TOLD_WITHIN_S, self._tell_watchers)
+        self._untold.append((event, actions))
+        return actions
+
+    def _tell_watchers(self) -> None:
+        untold, self._untold = self._untold, []
         for watcher in tuple(self._watchers):
             with self._unharmed_by(watcher):
-                watcher.event(event)
-                for action in actions:
-                    watcher.action(action)
-        return actions
+                for event, actions in untold:
+                    watcher.event(event)
+                    for action in actions:
+                        watcher.action(action)
 
     @contextmanager
     def _unharmed_by(self, watcher: Watcher) -> Iterator[None]:

@@ -8,7 +8,7 @@ from flying_vines.events import Action, Event, Snapshot
 
 
 class Watcher:
-    """Called in the loop that flies, after what is shown was carried out: returns at once, and never raises.
+    """Called in the loop that flies, some milliseconds after what it sees: returns soon, and never raises.
 
     The order is that of the core: each event, then what came of it. Override what is to be seen.
     """

@@ -61,7 +61,9 @@ async def test_what_moves_the_vine_is_sent_before_anybody_is_told(
     monkeypatch.setattr(service.core, "handle", lambda event: handled)
     monkeypatch.setattr(SerialPort, "write", lambda port, data: done.append("written"))
     service.say(Severity.INFO, "whatever")
-    assert done == ["written", "written", "Notice", "ToFirmware", "Notice", "ToFirmware"]
+    assert done == ["written", "written"]
+    await until(lambda: len(done) == 6, "the watcher is told")
+    assert done[2:] == ["Notice", "ToFirmware", "Notice", "ToFirmware"]
 
 
 class Clumsy(Watcher):
@@ -76,12 +78,16 @@ class Clumsy(Watcher):
 async def test_a_watcher_that_fails_sees_no_more_and_the_others_do(bench: Bench) -> None:
     clumsy, seen = Clumsy(), list[Action]()
     service = Service(config.parse(bench.profile, "test"), (clumsy, EachAction(seen.append)))
+
+    def texts() -> list[str]:
+        return [action.text for action in seen if isinstance(action, Notice)]
+
     service.say(Severity.INFO, "one")
-    await asyncio.sleep(0)
+    await until(lambda: len(texts()) == 2, "the failure is told")
     service.say(Severity.INFO, "two")
+    await until(lambda: len(texts()) == 3, "the other one still sees")
     assert clumsy.seen == 1
-    texts = [action.text for action in seen if isinstance(action, Notice)]
-    assert texts == ["Vine: one", "Vine: Clumsy failed: RuntimeError('I cannot draw that')", "Vine: two"]
+    assert texts() == ["Vine: one", "Vine: Clumsy failed: RuntimeError('I cannot draw that')", "Vine: two"]
 
 
 async def test_a_silent_port_is_told_to_the_pilot_once_and_on_the_screen(
@@ -95,10 +101,9 @@ async def test_a_silent_port_is_told_to_the_pilot_once_and_on_the_screen(
     service = Service(config.parse(profile, "test"), (EachAction(seen.append),))
     serving = asyncio.create_task(service.run())
     await until(lambda: "silent" in service.link_problems.get("firmware", ""), "the screen says it")
-    told = [a for a in seen if isinstance(a, Notice) and "open but silent" in a.text]
-    assert len(told) == 1
     service.stop()
     await serving
+    assert len([a for a in seen if isinstance(a, Notice) and "open but silent" in a.text]) == 1
     for descriptor in (silent, hosts):
         os.close(descriptor)
 
