@@ -490,8 +490,9 @@ class Core:
         self._notice(t, Severity.WARNING, f"{change.reason}, {done}", mattered)
 
     def _leave(self, t: float, change: Left) -> None:
+        rc_is_off = self._vehicle.rc.problem(t) is not None
         over = {
-            "rc": "RC is back, waiting for a fresh move",
+            "rc": f"{'going on without RC' if rc_is_off else 'RC is back'}, waiting for a fresh move",
             "autopilot": "autopilot is back",
             "serial": "phloSAR is back",
             "telemetry": "phloSAR telemetry is back",
