@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.codec import Codec, Message
+from flying_vines.vehicle.signing import Signing
 
 RC_RATE_HZ = 50.0
 MESSAGES_PER_S = 500.0
@@ -36,9 +37,9 @@ def mission_count(to_system: int, to_component: int) -> Message:
 class FlightLoad:
     """Everything but RC_CHANNELS, which whoever flips the switch sends by the same `autopilot`."""
 
-    def __init__(self, began_s: float, seed: int) -> None:
-        self.autopilot = Codec(SYSTEM_ID, mavlink.MAV_COMP_ID_AUTOPILOT1)
-        self._ground_station = Codec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
+    def __init__(self, began_s: float, seed: int, signing: Signing | None = None) -> None:
+        self.autopilot = Codec(SYSTEM_ID, mavlink.MAV_COMP_ID_AUTOPILOT1, signing)
+        self._ground_station = Codec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER, signing)
         self._began_s = began_s
         self._random = random.Random(seed)
         self._due: list[tuple[float, float, str]] = []

@@ -133,10 +133,9 @@ def main() -> int:
                     console.print(f"[dim]round {number + 1}/{rounds}: {subject.name}, {share} flips[/dim]")
                     _fly(subject, results[subject.name], share, 1000 + number, Path(scratch))
         for subject in subjects:
-            environment = _environment()
             repeats = 3 if arguments.quick else 7
             result = results[subject.name]
-            result.import_ms = import_ms(subject.python, subject.imports, environment, repeats)
+            result.import_ms = import_ms(subject.python, subject.imports, environment(), repeats)
             if result.unmeasured > MOST_UNMEASURED * flips:
                 raise NotMeasured(f"{subject.name}: {result.unmeasured} of {flips} flips were not measured")
     except (NotMeasured, OSError, subprocess.CalledProcessError) as error:
@@ -178,13 +177,13 @@ def _count(text: str) -> int:
 def _fly(subject: Subject, result: Result, flips: int, seed: int, scratch: Path) -> None:
     """One flight of one fresh process."""
     folder = Path(tempfile.mkdtemp(dir=scratch))
-    udp_port = _free_udp_port()
+    udp_port = free_udp_port()
     with SerialBoard(monotonic()) as board, (folder / "output").open("w+", encoding="utf-8") as output:
         started_s = monotonic()
         process = subprocess.Popen(
             _command(subject, udp_port, board.path, folder),
             cwd=folder,
-            env=_environment(),
+            env=environment(),
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
@@ -223,12 +222,12 @@ def _command(subject: Subject, udp_port: int, tty: str, folder: Path) -> list[st
     if subject.peer:
         return [subject.python, str(HERE / "latency_peers.py"), subject.peer, str(udp_port), tty]
     profile = folder / "profile.toml"
-    profile.write_text(_profile(udp_port, tty), encoding="utf-8")
+    profile.write_text(profile_text(udp_port, tty), encoding="utf-8")
     run = ["run", "--config", str(profile), "--plain", "--out", str(folder / "flights")]
     return [subject.python, "-m", "flying_vines", *run]
 
 
-def _profile(udp_port: int, tty: str) -> str:
+def profile_text(udp_port: int, tty: str) -> str:
     """The profile that everybody starts from; only the two links are others."""
     links = {"vehicle": f"udpin:127.0.0.1:{udp_port}", "firmware": f"serial:{tty}"}
     text = configuration.default_text()
@@ -239,12 +238,12 @@ def _profile(udp_port: int, tty: str) -> str:
     return text
 
 
-def _environment() -> dict[str, str]:
+def environment() -> dict[str, str]:
     """The checkout is importable from whatever environment a peer runs in."""
     return {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
 
 
-def _free_udp_port() -> int:
+def free_udp_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]

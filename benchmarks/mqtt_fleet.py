@@ -250,11 +250,11 @@ def _write(writer: asyncio.StreamWriter, parts: tuple[bytes, bytes]) -> None:
 def _publication(topic: str, payload: bytes) -> tuple[bytes, bytes]:
     """What comes before the time, and after it."""
     body = len(topic).to_bytes(2, "big") + topic.encode() + payload
-    before, after = (b"\x30" + _length(len(body)) + body).split(CLOCK)
+    before, after = (b"\x30" + length_field(len(body)) + body).split(CLOCK)
     return before, after
 
 
-def _length(size: int) -> bytes:
+def length_field(size: int) -> bytes:
     encoded = b""
     while size > 127:
         encoded += bytes([size % 128 + 128])
@@ -265,7 +265,7 @@ def _length(size: int) -> bytes:
 async def _connect(port: int, name: str) -> asyncio.StreamWriter:
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     body = b"\x00\x04MQTT\x04\x02\x01\x2c" + len(name).to_bytes(2, "big") + name.encode()
-    writer.write(b"\x10" + _length(len(body)) + body)
+    writer.write(b"\x10" + length_field(len(body)) + body)
     if await reader.readexactly(4) != b"\x20\x02\x00\x00":
         raise ConnectionError("the broker refuses")
     return writer

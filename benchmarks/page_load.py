@@ -20,7 +20,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 from aiohttp import ClientSession, ClientWebSocketResponse
-from process_cost import cpu_s
+from process_cost import cpu_s, only_child, pss_MB
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
@@ -32,19 +32,6 @@ from flying_vines.fakes.autopilot import Autopilot
 SECONDS = 20.0
 VENTS = 60
 FLOOD_PER_S = 500
-
-
-def pss_MB(pid: int) -> float:
-    """Memory, with what is shared by processes counted by halves."""
-    for line in Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii").splitlines():
-        if line.startswith("Pss:"):
-            return int(line.split()[1]) / 1024
-    raise ValueError(f"{pid} has no memory")
-
-
-def only_child(pid: int) -> int:
-    (child,) = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
-    return int(child)
 
 
 class Viewer:

@@ -37,6 +37,19 @@ def memory(pid: int) -> Memory:
     return Memory(sizes_MB["VmRSS"], sizes_MB["VmHWM"])
 
 
+def pss_MB(pid: int) -> float:
+    """Memory, with what several processes share counted by parts."""
+    for line in Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii").splitlines():
+        if line.startswith("Pss:"):
+            return int(line.split()[1]) / 1024
+    raise ValueError(f"{pid} has no memory")
+
+
+def only_child(pid: int) -> int:
+    (child,) = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+    return int(child)
+
+
 def import_ms(python: str, statement: str, environment: Mapping[str, str], repeats: int) -> float:
     """The median of fresh interpreters, whose own start does not count; byte code is cached beforehand."""
     command = [python, "-c", _TIMED_IMPORT.format(statement)]

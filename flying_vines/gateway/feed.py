@@ -90,10 +90,13 @@ class Feed:
         """What safety made of it. ValueError for an impossible ask, `NoAnswerError` within a second."""
         self._number += 1
         ask = Ask(self._number, by, command, value, name)
-        answer = self._waiting[ask.number] = asyncio.get_running_loop().create_future()
+        answer: asyncio.Future[Answered] = asyncio.get_running_loop().create_future()
+        self._waiting[ask.number] = answer
         self._send(ask)
         try:
-            return await asyncio.wait_for(answer, ANSWERED_WITHIN_S)
+            # `wait_for` would lose a cancellation that comes with the answer.
+            async with asyncio.timeout(ANSWERED_WITHIN_S):
+                return await answer
         except TimeoutError:
             raise NoAnswerError("the service does not answer") from None
         finally:

@@ -28,7 +28,8 @@ from flying_vines.gateway.messages import (
     raw,
     read_from_gateway,
 )
-from flying_vines.intent import Asker, Intent
+from flying_vines.gateway.patience import Patience
+from flying_vines.intent import Asker, Intent, Vent
 from flying_vines.notice import Notice
 from flying_vines.watcher import Watcher
 
@@ -43,6 +44,8 @@ FIRST_PATIENCE_S, LONGEST_PATIENCE_S = 1.0, 60.0
 WELL_S = 60.0
 """One that ran for so long may start again at once."""
 MOST_ASKED_PER_S = 20.0
+VENTED_EVERY_S = 0.05
+"""Of vents that come more often those in between wait, and the next is for all of them."""
 
 
 class Gateway(Watcher):
@@ -62,7 +65,10 @@ class Gateway(Watcher):
         self._socket: socket.socket | None = None
         self._unsent: deque[bytes] = deque(maxlen=MOST_BEHIND)
         self._read_at = 0.0
-        self._allowed, self._allowed_at = MOST_ASKED_PER_S, 0.0
+        self._patience = Patience(0.0, MOST_ASKED_PER_S, MOST_ASKED_PER_S)
+        self._vents: dict[Asker, list[int]] = {}
+        """Those that wait, by their numbers."""
+        self._next_vents: asyncio.TimerHandle | None = None
 
     @staticmethod
     def wanted(config: Config) -> bool:
@@ -145,6 +151,8 @@ class Gateway(Watcher):
         try:
             while said := await loop.sock_recv(ours, LONGEST_PACKET):
                 self._heard(said)
+                # However much waits here, what flies comes first.
+                await asyncio.sleep(0)
         except msgspec.DecodeError as error:
             return f"it said what is not understood: {error}"
         except OSError:
@@ -154,26 +162,36 @@ class Gateway(Watcher):
 
     def _heard(self, said: bytes) -> None:
         message = read_from_gateway(said)
-        if isinstance(message, Ask):
-            self._send(packet(self._answer(message)))
-        else:
+        if not isinstance(message, Ask):
             self._say(message.text)
+        elif message.command == "vent":
+            self._vents.setdefault(message.by, []).append(message.number)
+            if self._next_vents is None:
+                self._vent()
+        elif self._patience.bears(self._now):
+            # In the order in which they were asked for.
+            self._vent()
+            decision = self._ask(message.by, message.intent)
+            self._answer(message.number, decision)
+        else:
+            self._send(packet(Answered(message.number, "refused", "asked too often")))
 
-    def _answer(self, ask: Ask) -> Answered:
-        # Whoever asks too often may still vent.
-        if not self._has_leave() and ask.command != "vent":
-            return Answered(ask.number, "refused", "asked too often")
-        decision = self._ask(ask.by, ask.intent)
-        return Answered(ask.number, decision.safety, decision.reason)
+    def _vent(self) -> None:
+        """One for all who wait for it; the next after `VENTED_EVERY_S`, or before something else is done."""
+        if self._next_vents is not None:
+            self._next_vents.cancel()
+            self._next_vents = None
+        if not self._vents:
+            return
+        vents, self._vents = self._vents, {}
+        for by, numbers in vents.items():
+            decision = self._ask(by, Vent())
+            for number in numbers:
+                self._answer(number, decision)
+        self._next_vents = asyncio.get_running_loop().call_later(VENTED_EVERY_S, self._vent)
 
-    def _has_leave(self) -> bool:
-        now = self._now
-        self._allowed = min(MOST_ASKED_PER_S, self._allowed + (now - self._allowed_at) * MOST_ASKED_PER_S)
-        self._allowed_at = now
-        if self._allowed < 1.0:
-            return False
-        self._allowed -= 1.0
-        return True
+    def _answer(self, number: int, decision: Decision) -> None:
+        self._send(packet(Answered(number, decision.safety, decision.reason)))
 
     def _send(self, data: bytes) -> bool:
         if self._socket is None:

@@ -17,7 +17,7 @@ from service_bench import until
 from flying_vines.events import Decision
 from flying_vines.gateway import gateway
 from flying_vines.gateway.gateway import Gateway
-from flying_vines.intent import Asker, Intent, StartBench, Vent
+from flying_vines.intent import Asker, Hold, Intent, StartBench, Vent
 
 from .mqtt.brokers import Broker, Onlooker, onlooker, running
 from .told import configured, decision, notice, snapshot
@@ -217,6 +217,39 @@ async def test_whoever_asks_too_often_may_still_vent(played: Callable[[str], Non
     assert asked[-1] == Vent()
     assert asked.count(StartBench()) == 100 - int(refused)
     assert 20 <= asked.count(StartBench()) <= 25
+
+
+async def test_a_flood_of_vents_is_a_few_vents_and_each_is_answered(played: Callable[[str], None]) -> None:
+    played(
+        "hear()\n"
+        "for number in range(200): say(Ask(number, 'page', 'vent'))\n"
+        "say(Ask(200, 'page', 'hold'))\n"
+        "answers = {}\n"
+        "while len(answers) < 201:\n"
+        "    told = hear()\n"
+        "    if hasattr(told, 'safety'): answers[told.number] = told.safety\n"
+        "say(Trouble(f'{set(answers.values())}'))\n"
+        "time.sleep(3600)\n"
+    )
+    async with Service().living() as service:
+        await until(lambda: len(service.said) == 1, "all is answered")
+    assert service.said == ["{'limited'}"]
+    asked = [intent for _, intent in service.asked]
+    assert 2 <= asked.count(Vent()) < 20
+    # Nothing that was asked for after a vent is done before it.
+    assert asked[-1] == Hold()
+
+
+async def test_a_vent_that_waits_comes_by_itself(played: Callable[[str], None]) -> None:
+    """What bent the vine in between is not to stay because somebody had vented just before."""
+    played(
+        "hear()\n"
+        "for number in range(3): say(Ask(number, ('page', 'broker')[number % 2], 'vent'))\n"
+        "time.sleep(3600)\n"
+    )
+    async with Service().living() as service:
+        await until(lambda: len(service.asked) == 3, "the last vents")
+    assert service.asked == [("page", Vent()), ("broker", Vent()), ("page", Vent())]
 
 
 async def test_what_happens_before_the_gateway_reads_is_told_in_order(played: Callable[[str], None]) -> None:

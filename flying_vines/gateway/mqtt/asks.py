@@ -11,6 +11,7 @@ import msgspec
 from flying_vines.gateway import messages
 from flying_vines.gateway.mqtt.payloads import Answer, Ask
 from flying_vines.gateway.mqtt.teller import Now
+from flying_vines.gateway.patience import Patience
 from flying_vines.intent import Command
 
 LONGEST_ASK = 1024
@@ -18,6 +19,7 @@ MOST_AT_ONCE, MOST_PER_S = 10.0, 5.0
 """Whoever asks more often is not answered; but a vent is carried out."""
 MOST_WAITING = 20
 MOST_REMEMBERED = 2000
+_VENT = b'"vent"'
 _DECODER = msgspec.json.Decoder(Ask)
 
 
@@ -30,15 +32,20 @@ class Asks:
         self._known: dict[str, float] = {}
         """When each was asked, by its id."""
         self._waiting: deque[Ask] = deque()
-        self._leave, self._leave_at = MOST_AT_ONCE, 0.0
+        self._patience = Patience(0.0, MOST_AT_ONCE, MOST_PER_S)
         self.ignored = 0
 
     def hear(self, now: Now, payload: bytes, retained: bool) -> list[Answer]:
         """One message on the topic, and whoever is answered at once."""
+        # Of a flood most is not even read.
+        may_be_vent = self._may_be_vent(payload)
+        if not may_be_vent and not self._patience.bears(now.t):
+            self.ignored += 1
+            return []
         ask, problem = self._read(now, payload, retained)
         if ask is not None and not problem and ask.command == "vent":
             return self._vent(now, ask)
-        if not self._has_leave(now.t):
+        if may_be_vent and not self._patience.bears(now.t):
             self.ignored += 1
             return []
         if ask is None or problem:
@@ -47,6 +54,11 @@ class Asks:
             return [refused(now, ask, "too much was asked for at once")]
         self._waiting.append(ask)
         return []
+
+    @property
+    def waits(self) -> bool:
+        """Whether anything is to be handed to the service."""
+        return bool(self._waiting)
 
     def next(self) -> list[Ask]:
         """To be asked of the service now, as one: all the vents that wait, or the first of what else does."""
@@ -106,13 +118,8 @@ class Asks:
         self._known[ask.id] = ask.unix_s
         return True
 
-    def _has_leave(self, t: float) -> bool:
-        self._leave = min(MOST_AT_ONCE, self._leave + (t - self._leave_at) * MOST_PER_S)
-        self._leave_at = t
-        if self._leave < 1.0:
-            return False
-        self._leave -= 1.0
-        return True
+    def _may_be_vent(self, payload: bytes) -> bool:
+        return "vent" in self._commands and len(payload) <= LONGEST_ASK and _VENT in payload
 
 
 def refused(now: Now, ask: Ask | None, why: str) -> Answer:

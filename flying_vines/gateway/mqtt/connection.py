@@ -7,6 +7,7 @@ import contextlib
 import logging
 import random
 import time
+from collections.abc import Callable
 from typing import Any
 
 import aiomqtt
@@ -27,7 +28,7 @@ from flying_vines.gateway.mqtt.topics import Topics
 
 LONGEST_PACKET = 4096
 """A broker of MQTT 5 keeps anything longer to itself."""
-MOST_UNREAD, MOST_UNANSWERED = 100, 50
+MOST_UNANSWERED = 50
 PATIENCE_S = 10.0
 """With a broker that does not answer."""
 ASKED_EVERY_S = 0.05
@@ -140,6 +141,7 @@ class Connection:
             properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
             properties.MaximumPacketSize = LONGEST_PACKET
         return _Client(
+            self._hear,
             self._broker.host,
             self._broker.port,
             username=self._mqtt.username or None,
@@ -149,7 +151,6 @@ class Connection:
             will=aiomqtt.Will(will.topic, will.payload, will.qos, will.retain),
             timeout=PATIENCE_S,
             keepalive=self._mqtt.keepalive_s,
-            max_queued_incoming_messages=MOST_UNREAD,
             properties=properties,
             tls_context=tls,
             logger=_SILENT,
@@ -177,7 +178,7 @@ class Connection:
     async def _talk(self, client: _Client, health: Health) -> None:
         async with asyncio.TaskGroup() as tasks:
             # It notices when the connection is lost; of what is published that would take far longer.
-            tasks.create_task(self._hear_asks(client))
+            tasks.create_task(_lost(client))
             await self._greet(client)
             tasks.create_task(self._tell_states(client, health))
             for part in (self._tell_events, self._ask_service, self._tell_answers):
@@ -202,13 +203,12 @@ class Connection:
             due = max(due + period_s, self._now.t)
             await asyncio.sleep(due - self._now.t)
 
-    async def _hear_asks(self, client: _Client) -> None:
-        async for message in client.messages:
-            payload = message.payload if isinstance(message.payload, bytes) else b""
-            for answer in self._asks.hear(self._now, payload, message.retain):
-                self._answer(answer)
+    def _hear(self, payload: bytes, retained: bool) -> None:
+        for answer in self._asks.hear(self._now, payload, retained):
+            self._answer(answer)
+        if self._asks.waits:
             self._asked.set()
-            self._tell_of_flood()
+        self._tell_of_flood()
 
     def _answer(self, answer: Answer) -> None:
         # Whoever asks faster than the broker takes answers gets fewer of them.
@@ -244,23 +244,45 @@ class Connection:
 
 
 class _Client(aiomqtt.Client):
-    """That remembers whether the broker took what was published, which the library does not tell."""
+    """That remembers whether the broker took what was published, which the library does not tell.
 
-    refused = False
+    What comes in goes to `hear` at once: the library's queue costs a flood's every message a task.
+    """
+
+    def __init__(self, hear: Callable[[bytes, bool], None], *broker: Any, **how: Any) -> None:
+        super().__init__(*broker, **how)
+        self.refused = False
+        self._hear = hear
 
     def close(self) -> None:
         """Also where the library, not let in, would leave the socket to somebody else."""
         if self._client.socket() is not None:
             self._client.disconnect()
+        if self._disconnected.done() and not self._disconnected.cancelled():
+            # Else asyncio complains of a failure that nobody has looked at.
+            self._disconnected.exception()
+
+    def _on_message(self, client: Any, userdata: Any, message: Any) -> None:
+        self._hear(message.payload, message.retain)
 
     def _on_publish(self, client: Any, userdata: Any, mid: int, reason_code: Any, properties: Any) -> None:
         self.refused = self.refused or reason_code.is_failure
         super()._on_publish(client, userdata, mid, reason_code, properties)
 
 
+async def _lost(client: _Client) -> None:
+    """Raises `MqttError` when the connection is; what comes in goes another way."""
+    async for _ in client.messages:
+        pass
+
+
 async def _publish(client: _Client, publication: Publication) -> None:
     """Returns when the network has it, or the broker where that is asked for. Raises `MqttError`."""
     await client.publish(publication.topic, publication.payload, publication.qos, publication.retain)
+    # The library loses a cancellation where what it waits for comes in the same turn.
+    task = asyncio.current_task()
+    if task is not None and task.cancelling():
+        raise asyncio.CancelledError
 
 
 def _first(error: BaseException) -> Exception:

@@ -6,6 +6,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+from flying_vines.gateway.patience import Patience
+
 K = TypeVar("K")
 
 MOST_STRANGERS = 64
@@ -15,6 +17,9 @@ PATIENCE_S = 20.0
 MOST_VIEWERS = 64
 MOST_VIEWERS_EACH = 16
 """Of one address."""
+COME_AT_ONCE, COME_PER_S = 64.0, 20.0
+"""Connections and requests of one address. A page that opens takes fifteen of them."""
+MOST_ADDRESSES = 256
 
 
 @dataclass(slots=True)
@@ -29,6 +34,24 @@ class Crowd(Generic[K]):
     def __init__(self) -> None:
         self._strangers: dict[K, _Stranger] = {}
         self._viewers: dict[K, str] = {}
+        self._patience: dict[str, Patience] = {}
+        """With each address that came lately."""
+
+    def bears(self, address: str, t: float) -> bool:
+        """Whether one more connection or request of an address is to be looked at."""
+        patience = self._patience.get(address)
+        if patience is None:
+            if len(self._patience) >= MOST_ADDRESSES:
+                self._forget(t)
+            patience = self._patience[address] = Patience(t, COME_AT_ONCE, COME_PER_S)
+        return patience.bears(t)
+
+    def _forget(self, t: float) -> None:
+        """Addresses that make no trouble; if all do, the one that was first."""
+        restless = {address: with_ for address, with_ in self._patience.items() if not with_.is_rested(t)}
+        if len(restless) >= MOST_ADDRESSES:
+            del restless[next(iter(restless))]
+        self._patience = restless
 
     def came(self, who: K, address: str, t: float) -> K | None:
         """A new connection; the one that must go for it: the oldest of the address that has the most."""

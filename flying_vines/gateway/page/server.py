@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import html
 import ipaddress
 import logging
 import os
 import socket
-from collections.abc import AsyncIterator
 from importlib import resources
 
 from aiohttp import hdrs
@@ -28,8 +26,11 @@ SWEEP_S = 1.0
 KEEP_ALIVE_S = 5.0
 LAST_WORDS_S = 0.2
 HEARTBEAT_S = 10.0
-MOST_WAITING = 128
+MOST_WAITING = 1024
 """Connections that nobody has looked at yet."""
+REFUSED_EVERY_S = 0.001
+"""However many come, to send them away is to cost us little."""
+NO_MORE_FILES_S = 1.0
 SEND_BUFFER = 32 * 1024
 """Of the system and again of ours: what waits there for a slow viewer is old when it comes."""
 A_YEAR_S = 365 * 24 * 3600
@@ -64,15 +65,16 @@ async def serve(feed: Feed) -> None:
         patience_s, trouble = FIRST_PATIENCE_S, ""
         while True:
             try:
-                async with _listening(page.host, page.port, PageServer(feed, door, history)):
-                    if trouble:
-                        feed.trouble("the page is served now")
-                    await asyncio.get_running_loop().create_future()
+                listener = _listener(page.host, page.port)
             except OSError as error:
                 why = f"page: {page.host}:{page.port} cannot be had: {os.strerror(error.errno or 0)}"
                 if why != trouble:
                     trouble = why
                     feed.trouble(why)
+            else:
+                if trouble:
+                    feed.trouble("the page is served now")
+                await PageServer(feed, door, history).serve(listener)
             await asyncio.sleep(patience_s)
             patience_s = min(2.0 * patience_s, LONGEST_PATIENCE_S)
 
@@ -85,23 +87,15 @@ async def _remember(feed: Feed, history: History) -> None:
                     history.take(message)
 
 
-@contextlib.asynccontextmanager
-async def _listening(host: str, port: int, page: PageServer) -> AsyncIterator[None]:
+def _listener(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ipaddress.ip_address(host).version == 6 else socket.AF_INET
     listener = socket.create_server(
         (host, port), family=family, backlog=MOST_WAITING, dualstack_ipv6=host == "::"
     )
     # Connections have it from here.
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-    server = await asyncio.get_running_loop().create_server(page, sock=listener, backlog=MOST_WAITING)
-    sweeping = asyncio.create_task(page.sweep())
-    try:
-        yield
-    finally:
-        sweeping.cancel()
-        server.close()
-        page.drop_all()
-        await page.shutdown(LAST_WORDS_S)
+    listener.setblocking(False)
+    return listener
 
 
 class PageServer(Server):
@@ -112,7 +106,13 @@ class PageServer(Server):
         silent = logging.getLogger("flying_vines.page")
         silent.addHandler(logging.NullHandler())
         silent.propagate = False
-        super().__init__(self._answer, keepalive_timeout=KEEP_ALIVE_S, access_log=None, logger=silent)
+        super().__init__(
+            self._answer,
+            keepalive_timeout=KEEP_ALIVE_S,
+            lingering_time=LAST_WORDS_S,
+            access_log=None,
+            logger=silent,
+        )
         self._feed = feed
         self._door = door
         self._history = history
@@ -121,6 +121,35 @@ class PageServer(Server):
         self._files = {
             path: (folder.joinpath(name).read_bytes(), kind) for path, (name, kind) in FILES.items()
         }
+
+    async def serve(self, listener: socket.socket) -> None:
+        """Until cancelled; then everybody sees at once that nobody is here."""
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._receive(listener))
+                tasks.create_task(self._sweep())
+        finally:
+            listener.close()
+            for transport in self._connections.values():
+                transport.abort()
+            await self.shutdown(LAST_WORDS_S)
+
+    async def _receive(self, listener: socket.socket) -> None:
+        """Take connections in, and send those away at once whose address has too many."""
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                connection, peer = await loop.sock_accept(listener)
+                if self._crowd.bears(str(peer[0]), self._now):
+                    await loop.connect_accepted_socket(self, connection)
+                else:
+                    connection.close()
+                    await asyncio.sleep(REFUSED_EVERY_S)
+            except ConnectionError:
+                # It has gone again.
+                continue
+            except OSError:
+                await asyncio.sleep(NO_MORE_FILES_S)
 
     # What aiohttp tells of connections.
 
@@ -139,12 +168,7 @@ class PageServer(Server):
             self._crowd.left(transport)
         super().connection_lost(handler, exc)
 
-    def drop_all(self) -> None:
-        """So that everybody sees at once that nobody is here."""
-        for transport in self._connections.values():
-            transport.abort()
-
-    async def sweep(self) -> None:
+    async def _sweep(self) -> None:
         """Close connections that nobody uses."""
         while True:
             for transport in self._crowd.overdue(self._now):
@@ -158,6 +182,8 @@ class PageServer(Server):
     # Requests.
 
     async def _answer(self, request: BaseRequest) -> StreamResponse:
+        if not self._crowd.bears(request.remote or "", self._now):
+            return _refusal(Turned(429, "too many requests"))
         if request.method not in (hdrs.METH_GET, hdrs.METH_HEAD):
             return _refusal(Turned(405, "there is nothing here to be changed"))
         found = self._door.look(request.headers, request.query.get("token", ""))
@@ -177,7 +203,11 @@ class PageServer(Server):
 
     async def _show(self, request: BaseRequest, may_ask: bool) -> StreamResponse:
         viewing = WebSocketResponse(
-            heartbeat=HEARTBEAT_S, compress=False, max_msg_size=LONGEST_WISH, writer_limit=SEND_BUFFER // 2
+            autoping=False,
+            heartbeat=HEARTBEAT_S,
+            compress=False,
+            max_msg_size=LONGEST_WISH,
+            writer_limit=SEND_BUFFER // 2,
         )
         transport = request.transport
         if transport is None or not viewing.can_prepare(request).ok:

@@ -13,7 +13,8 @@ from flying_vines.config import Config
 from flying_vines.gateway.feed import Feed, NoAnswerError, Reader
 from flying_vines.gateway.messages import Happened, Seen
 from flying_vines.gateway.page.history import History, Sample
-from flying_vines.gateway.page.wish import Patience, Wish, read_wish
+from flying_vines.gateway.page.wish import MOST_AT_ONCE, MOST_PER_S, Wish, read_wish
+from flying_vines.gateway.patience import Patience
 
 BEAT_S = 1.0
 """Something is said so often, if only that nothing is new: who hears nothing knows that the link is cut."""
@@ -119,12 +120,17 @@ class Viewer:
 
     async def _listen(self) -> None:
         loop = asyncio.get_running_loop()
-        patience = Patience(loop.time())
+        patience = Patience(loop.time(), MOST_AT_ONCE, MOST_PER_S)
         async for message in self._socket:
-            if message.type is not WSMsgType.TEXT:
-                return
             if not patience.bears(loop.time()):
                 await self._close(WSCloseCode.TRY_AGAIN_LATER, "asked too often")
+                return
+            if message.type is WSMsgType.PING:
+                await self._socket.pong(message.data)
+                continue
+            if message.type is WSMsgType.PONG:
+                continue
+            if message.type is not WSMsgType.TEXT:
                 return
             try:
                 wish = read_wish(message.data)

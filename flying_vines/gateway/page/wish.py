@@ -33,16 +33,3 @@ def read_wish(text: str) -> Wish:
 
 
 _WISH = msgspec.json.Decoder(Wish)
-
-
-class Patience:
-    """With one who asks again and again."""
-
-    def __init__(self, t: float) -> None:
-        self._left, self._at = MOST_AT_ONCE, t
-
-    def bears(self, t: float) -> bool:
-        """Whether one more is borne at time `t`."""
-        self._left = min(MOST_AT_ONCE, self._left + MOST_PER_S * (t - self._at)) - 1.0
-        self._at = t
-        return self._left >= 0.0

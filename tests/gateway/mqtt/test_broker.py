@@ -16,6 +16,7 @@ import pytest
 from needed import need
 
 from flying_vines.gateway.mqtt import connection, health
+from flying_vines.gateway.mqtt.teller import Publication
 
 from .brokers import MOSQUITTO_HOW, Broker, Line, Onlooker, make_certificates, onlooker, run_quietly, running
 from .vehicles import flying
@@ -162,6 +163,23 @@ async def test_what_was_asked_before_the_vehicle_came_is_not_done(broker: Broker
         assert not vehicle.asked
 
 
+async def test_a_cancellation_is_not_lost_where_the_library_loses_it() -> None:
+    class Loses:
+        async def publish(self, *_: object) -> None:
+            with contextlib.suppress(asyncio.CancelledError):
+                await asyncio.sleep(60.0)
+
+    async def tell() -> None:
+        while True:
+            await connection._publish(Loses(), Publication("topic", b""))  # type: ignore[arg-type]
+
+    telling = asyncio.create_task(tell())
+    await asyncio.sleep(0)
+    telling.cancel()
+    done, _ = await asyncio.wait({telling}, timeout=5.0)
+    assert done and telling.cancelled()
+
+
 async def test_vehicles_of_a_fleet_are_told_apart(broker: Broker, people: Onlooker) -> None:
     heron = flying(broker=broker.url, name="heron", commands=("vent",))
     egret = flying(broker=broker.url, name="egret", commands=("vent",))
@@ -298,7 +316,7 @@ async def test_what_is_no_broker(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 async def test_a_broker_that_knows_no_mqtt_5(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(connection, "PATIENCE_S", 2.0)
     pytest.importorskip("amqtt", reason="needs amqtt: pip install 'flying-vines[dev]'")
     async with running(Broker(tmp_path, kind="amqtt")) as broker, onlooker(broker) as people:
         async with flying(broker=broker.url, name="heron", commands=("vent",)) as vehicle:

@@ -10,6 +10,9 @@ from page_bench import snapshot
 
 from flying_vines.gateway.messages import Seen, raw
 from flying_vines.gateway.page.crowd import (
+    COME_AT_ONCE,
+    COME_PER_S,
+    MOST_ADDRESSES,
     MOST_STRANGERS,
     MOST_VIEWERS,
     MOST_VIEWERS_EACH,
@@ -17,7 +20,8 @@ from flying_vines.gateway.page.crowd import (
     Crowd,
 )
 from flying_vines.gateway.page.history import KEPT_S, History
-from flying_vines.gateway.page.wish import MOST_AT_ONCE, MOST_PER_S, Patience, Wish, read_wish
+from flying_vines.gateway.page.wish import MOST_AT_ONCE, MOST_PER_S, Wish, read_wish
+from flying_vines.gateway.patience import Patience
 
 
 def test_a_flood_from_one_address_pushes_out_its_own() -> None:
@@ -27,6 +31,25 @@ def test_a_flood_from_one_address_pushes_out_its_own() -> None:
     out = [who for who in pushed if who is not None]
     assert out == [f"flood {i}" for i in range(1000 - MOST_STRANGERS + 1)]
     assert crowd.look_on("pilot") == ""
+
+
+def test_each_address_comes_so_often_and_no_more() -> None:
+    crowd: Crowd[int] = Crowd()
+    borne = sum(crowd.bears("10.0.0.66", 0.001 * i) for i in range(10_000))
+    assert borne == pytest.approx(COME_AT_ONCE + 10 * COME_PER_S, abs=1)
+    assert crowd.bears("10.0.0.1", 10.0)
+    assert sum(crowd.bears("10.0.0.66", 11.0) for _ in range(1000)) == pytest.approx(COME_PER_S, abs=1)
+
+
+def test_many_addresses_do_not_fill_the_memory_nor_hide_one_that_makes_trouble() -> None:
+    crowd: Crowd[int] = Crowd()
+    assert sum(crowd.bears("10.0.0.66", 0.0) for _ in range(1000)) == COME_AT_ONCE
+    for i in range(2 * MOST_ADDRESSES):
+        assert crowd.bears(f"10.0.1.{i}", 0.001 * i)
+    assert sum(crowd.bears("10.0.0.66", 0.5) for _ in range(1000)) == 0.5 * COME_PER_S
+    for i in range(10_000):
+        assert crowd.bears(f"10.1.0.{i}", 0.6)
+    assert len(crowd._patience) <= MOST_ADDRESSES
 
 
 def test_viewers_are_not_pushed_out() -> None:
@@ -65,11 +88,11 @@ def test_strangers_that_ask_for_nothing_are_overdue_once() -> None:
 
 
 def test_patience_is_for_thumbs_not_for_floods() -> None:
-    patience = Patience(0.0)
+    patience = Patience(0.0, MOST_AT_ONCE, MOST_PER_S)
     assert all(patience.bears(0.1 * i) for i in range(1000))
-    patience = Patience(0.0)
+    patience = Patience(0.0, MOST_AT_ONCE, MOST_PER_S)
     assert [patience.bears(0.0) for _ in range(int(MOST_AT_ONCE) + 1)] == [True] * int(MOST_AT_ONCE) + [False]
-    patience = Patience(0.0)
+    patience = Patience(0.0, MOST_AT_ONCE, MOST_PER_S)
     borne = sum(patience.bears(0.001 * i) for i in range(1000))
     assert borne <= MOST_AT_ONCE + MOST_PER_S
 

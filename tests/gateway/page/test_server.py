@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator
 from importlib import resources
 
 import pytest
-from aiohttp import ClientSession, WSMsgType, WSServerHandshakeError
+from aiohttp import ClientError, ClientSession, TCPConnector, WSMsgType, WSServerHandshakeError
 from page_bench import TOKEN, Bench, client, free_port, heard, served, snapshot
 
 from flying_vines.config import Page
@@ -234,6 +234,23 @@ async def test_who_asks_too_often_is_cut_off(bench: Bench, session: ClientSessio
         await _vents(pilot)
 
 
+async def test_pings_are_answered_but_not_too_many(bench: Bench, session: ClientSession) -> None:
+    async with (
+        session.ws_connect(bench.url + "/live", heartbeat=0.2) as pilot,
+        session.ws_connect(bench.url + "/live") as flood,
+    ):
+        with contextlib.suppress(ConnectionError):
+            for _ in range(1000):
+                await flood.ping()
+        async with asyncio.timeout(5.0):
+            async for _ in flood:
+                pass
+        assert flood.close_code in (1013, 1006)
+        # Without an answer to its pings a client hangs up.
+        await heard(pilot, "beat")
+        await _vents(pilot)
+
+
 async def test_no_more_viewers_from_one_address_than_may_be(bench: Bench, session: ClientSession) -> None:
     async with contextlib.AsyncExitStack() as stack:
         for _ in range(MOST_VIEWERS_EACH):
@@ -276,12 +293,11 @@ async def test_a_slow_reader_is_dropped_and_nobody_waits_for_it(
 
 
 async def test_a_thousand_connections_keep_nobody_out(bench: Bench, session: ClientSession) -> None:
-    address = ("127.0.0.1", bench.page.port)
     flood: list[socket.socket] = []
     async with session.ws_connect(bench.url + "/live") as pilot:
         try:
             for i in range(1000):
-                flood.append(_started(address))
+                flood.append(_started(bench.page.port))
                 if i % 100 == 0:
                     await _vents(pilot, i)
             await asyncio.sleep(0.2)
@@ -297,9 +313,26 @@ async def test_a_thousand_connections_keep_nobody_out(bench: Bench, session: Cli
                 connection.close()
 
 
-def _started(address: tuple[str, int]) -> socket.socket:
-    """A connection that begins a request and never ends it."""
-    connection = socket.create_connection(address)
+async def test_an_address_that_comes_too_often_is_sent_away_and_no_other(
+    bench: Bench, session: ClientSession
+) -> None:
+    stranger = TCPConnector(local_addr=("127.0.0.66", 0))
+    async with ClientSession(connector=stranger) as flood:
+        statuses = []
+        with contextlib.suppress(ClientError):
+            for _ in range(200):
+                async with flood.get(bench.url + "/style.css") as response:
+                    statuses.append(response.status)
+        # A connection, and the requests on it, until one is too many; then not even a connection.
+        assert 60 <= statuses.count(200) < 100
+        assert statuses[-1] == 429
+    async with session.get(bench.url) as response:
+        assert response.status == 200
+
+
+def _started(port: int) -> socket.socket:
+    """A stranger's connection that begins a request and never ends it."""
+    connection = socket.create_connection(("127.0.0.1", port), source_address=("127.0.0.66", 0))
     connection.setblocking(False)
     with contextlib.suppress(OSError):
         connection.send(b"GET / HTTP/1.1\r\nX: ")
