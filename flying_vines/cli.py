@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from flying_vines import config as configuration
 from flying_vines.address import FORMS, parse_address
+from flying_vines.calibrate import command as calibrate_command
 from flying_vines.config import Config, ConfigError
 from flying_vines.doctor import command as doctor_command
 from flying_vines.install import command as install_command
@@ -129,7 +130,9 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     demo = commands.add_parser("demo", help="fly a scripted flight on embedded fakes")
-    demo.add_argument("--out", type=Path, default=FLIGHTS, help="where the flight's folder goes (flights)")
+    demo.add_argument(
+        "--out", type=Path, default=FLIGHTS, metavar="DIR", help="where the flight's folder goes (flights)"
+    )
     demo.add_argument("--plain", action="store_true", help="one line an event instead of the live view")
     demo.add_argument("--rig", type=Path, metavar="RIG.toml", help="what is there (default: a likely vine)")
     demo.add_argument("--page", action="store_true", help="serve the page, too, for a browser to look on")
@@ -138,7 +141,9 @@ def _parser() -> argparse.ArgumentParser:
     run = commands.add_parser("run", help="serve a vehicle and a phloSAR")
     run.add_argument("--config", type=Path, required=True, metavar="FILE", help="the profile")
     run.add_argument("--rig", type=Path, metavar="RIG.toml", help="what is known (default: the profile's)")
-    run.add_argument("--out", type=Path, default=FLIGHTS, help="where the flight log goes (flights)")
+    run.add_argument(
+        "--out", type=Path, default=FLIGHTS, metavar="DIR", help="where the flight log goes (flights)"
+    )
     run.add_argument("--plain", action="store_true", help="one line an event instead of the live view")
     run.set_defaults(run=_run)
 
@@ -147,7 +152,9 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
     replay.add_argument("--mission", type=Path, metavar="FILE.waypoints", help="where the stream has none")
     replay.add_argument("--parameters", type=Path, metavar="FILE.toml", help="those a pilot had set")
-    replay.add_argument("--pace", type=float, default=0.0, help="1: as recorded; 0: as fast as it goes")
+    replay.add_argument(
+        "--pace", type=float, default=0.0, metavar="N", help="1: as recorded; 0: as fast as it goes"
+    )
     replay.add_argument("--json", action="store_true", help="an array of objects instead of a table")
     replay.set_defaults(run=_replay)
 
@@ -155,17 +162,21 @@ def _parser() -> argparse.ArgumentParser:
     buttons.add_argument(
         "--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)"
     )
-    buttons.add_argument("--out", type=Path, default=Path("FlyingVines.json"), metavar="FILE.json")
+    file = Path("FlyingVines.json")
+    buttons.add_argument("--out", type=Path, default=file, metavar="FILE.json", help=f"where to ({file})")
     buttons.set_defaults(run=_buttons)
 
     config = commands.add_parser("config", help="write or check a profile")
     actions = config.add_subparsers(required=True, metavar="ACTION")
     init = actions.add_parser("init", help="write a commented profile")
-    init.add_argument("file", type=Path, nargs="?", default=Path("flying-vines.toml"))
+    profile = Path("flying-vines.toml")
+    init.add_argument(
+        "file", type=Path, nargs="?", default=profile, metavar="FILE", help=f"where to ({profile})"
+    )
     init.add_argument("--force", action="store_true", help="over a file that is there")
     init.set_defaults(run=_config_init)
     check = actions.add_parser("check", help="say exactly what is wrong with a profile")
-    check.add_argument("file", type=Path)
+    check.add_argument("file", type=Path, metavar="FILE", help="the profile")
     check.set_defaults(run=_config_check)
 
     paper = commands.add_parser("paper", help="reproduce the phloSAR paper: its every number beside ours")
@@ -175,10 +186,12 @@ def _parser() -> argparse.ArgumentParser:
     paper.set_defaults(run=_paper)
 
     simulate = commands.add_parser("simulate", help="the simulated rig through a scenario, as recorded runs")
-    simulate.add_argument("--rig", type=Path, required=True, metavar="RIG.toml")
+    simulate.add_argument("--rig", type=Path, required=True, metavar="RIG.toml", help="what is there")
     simulate.add_argument("--scenario", required=True, metavar="FILE", help="or an example: case, discharge")
     simulate.add_argument("--out", type=Path, required=True, metavar="DIR", help="the case folder")
-    simulate.add_argument("--seed", type=int, default=1, help="of the noise and what is drawn at random (1)")
+    simulate.add_argument(
+        "--seed", type=int, default=1, metavar="N", help="of the noise and what is drawn at random (1)"
+    )
     simulate.set_defaults(run=_simulate)
 
     diagnose = commands.add_parser("diagnose", help="what the simulation gets wrong about a recorded rig")
@@ -190,16 +203,22 @@ def _parser() -> argparse.ArgumentParser:
         help="a folder with rig.toml and runs, a run, or a flight",
     )
     diagnose.add_argument("--from-log", type=Path, metavar="LOG", help="a flight log, or a flight's folder")
-    diagnose.add_argument("--rig", type=Path, metavar="RIG.toml", help="(default: what the case says)")
+    diagnose.add_argument(
+        "--rig", type=Path, metavar="RIG.toml", help="what is believed (default: what the case says)"
+    )
     diagnose.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that diagnoses the cases")
     diagnose.add_argument("--write-rig", type=Path, metavar="FILE", help="the rig with the cause in it")
     diagnose.add_argument("--plan", action="store_true", help="CASE is a rig.toml: which runs to record")
-    diagnose.add_argument("--minutes", type=float, metavar="M", help="of a plan's recording (3)")
+    diagnose.add_argument("--minutes", type=float, metavar="M", help="of recording, for a plan (3)")
     diagnose.add_argument(
-        "--air-SL", type=float, metavar="N", dest="air_SL", help="for a plan (a filling of the reservoir)"
+        "--air-SL",
+        type=float,
+        metavar="N",
+        dest="air_SL",
+        help="standard litres, for a plan (a filling of the bottle)",
     )
     diagnose.add_argument(
-        "--most-kPa", type=float, metavar="P", dest="most_kPa", help="to which a plan inflates (20.7)"
+        "--most-kPa", type=float, metavar="P", dest="most_kPa", help="gauge, to which a plan inflates (20.7)"
     )
     diagnose.add_argument("--out", type=Path, metavar="DIR", help="write a report there, or a plan's files")
     diagnose.add_argument("--json", action="store_true", help="one object instead of words")
@@ -207,7 +226,15 @@ def _parser() -> argparse.ArgumentParser:
 
     design = commands.add_parser("design", help="which phloSAR a robot needs: the paper's design guide")
     design.add_argument("--robot", type=Path, metavar="FILE", help="its profile (default: the paper's vine)")
-    design.add_argument("--parts", type=Path, metavar="DIR", nargs="+", action="extend", default=[])
+    design.add_argument(
+        "--parts",
+        type=Path,
+        metavar="DIR",
+        nargs="+",
+        action="extend",
+        default=[],
+        help="parts beside the catalogue's",
+    )
     design.add_argument("--out", type=Path, metavar="DIR", help="draw the figures there")
     design.add_argument("--json", action="store_true", help="one object instead of tables")
     design.set_defaults(run=_design)
@@ -232,6 +259,7 @@ def _parser() -> argparse.ArgumentParser:
     fit.set_defaults(run=_vine_fit)
 
     doctor_command.add(commands, FLIGHTS)
+    calibrate_command.add(commands, FLIGHTS)
 
     mission_command.add(commands)
     log_command.add(commands)
@@ -258,10 +286,15 @@ def _parser() -> argparse.ArgumentParser:
     fake = commands.add_parser("fake", help="one end of the link, alone")
     fakes = fake.add_subparsers(required=True, metavar="WHAT")
     autopilot = fakes.add_parser("autopilot", help="a fake autopilot on UDP")
-    autopilot.add_argument("--kind", choices=("ardupilot", "px4"), default="ardupilot")
-    autopilot.add_argument("--to", default="127.0.0.1:14540", metavar="HOST:PORT", help="the companion")
+    autopilot.add_argument(
+        "--kind", choices=("ardupilot", "px4"), default="ardupilot", help="whose habits it has (ardupilot)"
+    )
+    companion = "127.0.0.1:14540"
+    autopilot.add_argument(
+        "--to", default=companion, metavar="HOST:PORT", help=f"the companion ({companion})"
+    )
     autopilot.add_argument("--gcs", metavar="HOST:PORT", help="a ground station as well")
-    autopilot.add_argument("--mission", type=Path, metavar="FILE.waypoints")
+    autopilot.add_argument("--mission", type=Path, metavar="FILE.waypoints", help="what it holds")
     autopilot.add_argument("--fly", action="store_true", help="take off at once, or fly the mission")
     autopilot.add_argument(
         "--listen",
@@ -273,12 +306,24 @@ def _parser() -> argparse.ArgumentParser:
     autopilot.set_defaults(run=_fake_autopilot)
     phlosar = fakes.add_parser("phlosar", help="a fake phloSAR on a pseudo-terminal; prints its path")
     phlosar.add_argument("--link", type=Path, metavar="PATH", help="a stable name for the port")
-    phlosar.add_argument("--reservoir-kPa", type=float, default=690.0, dest="reservoir_kPa")
+    phlosar.add_argument(
+        "--reservoir-kPa",
+        type=float,
+        default=690.0,
+        dest="reservoir_kPa",
+        metavar="P",
+        help="in the bottle, gauge (690)",
+    )
     phlosar.add_argument(
         "--rig", type=Path, metavar="RIG.toml", help="what is there (default: a likely vine)"
     )
     phlosar.add_argument(
-        "--telemetry-Hz", type=int, default=100, dest="telemetry_Hz", help="1000 for a diagnosis (100)"
+        "--telemetry-Hz",
+        type=int,
+        default=100,
+        dest="telemetry_Hz",
+        metavar="N",
+        help="1000 for a diagnosis (100)",
     )
     phlosar.set_defaults(run=_fake_phlosar)
     return parser
@@ -832,10 +877,10 @@ def _fake_autopilot(arguments: argparse.Namespace) -> int:
         server = AutopilotServer(autopilot, f"udpout:{arguments.to}", gcs, script, listen=arguments.listen)
     except ValueError as error:
         _fail(str(error))
-    print(f"A fake {arguments.kind} sends to {arguments.to}. Type to fly it; Ctrl-C ends it.", flush=True)
-    print(HELP, flush=True)
 
     async def serve() -> None:
+        print(f"A fake {arguments.kind} sends to {arguments.to}. Type to fly it; Ctrl-C ends it.", flush=True)
+        print(HELP, flush=True)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(server.run())
             tasks.create_task(type_to(lambda line: obey(autopilot, line)))
@@ -867,14 +912,12 @@ def _fake_phlosar(arguments: argparse.Namespace) -> int:
         board = best_board(FirmwareSettings(telemetry_Hz=arguments.telemetry_Hz))
         phlosar = SimulatedPhlosar(rig, board, reservoir_kPa=arguments.reservoir_kPa)
         with PtyPhlosar(phlosar, arguments.link) as port:
-            print(arguments.link or port.path, flush=True)
-            if sys.stdin.isatty():
-                print(
-                    f"Type to break it, as `hose off` or `evp stuck 1`; Ctrl-C ends it.\n{MISHAPS}",
-                    flush=True,
-                )
 
             async def live() -> None:
+                print(arguments.link or port.path, flush=True)
+                if sys.stdin.isatty():
+                    print("Type to break it, as `hose off` or `evp stuck 1`; Ctrl-C ends it.")
+                    print(MISHAPS, flush=True)
                 await asyncio.gather(port.run(), type_to(lambda line: suffer(phlosar, line)))
 
             asyncio.run(live())

@@ -21,7 +21,7 @@ Command = Literal[
 ]
 """What a person who does not ask over MAVLink calls an intent."""
 
-Asker = Literal["page", "broker"]
+Asker = Literal["page", "broker", "calibration"]
 """By what way a person asks who does not ask over MAVLink."""
 
 

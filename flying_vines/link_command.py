@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.live import Live
 
 from firmware_link.host import SessionState
+from firmware_link.protocol import Setting
 from firmware_link.settings import SettingsTalk
 from flying_vines.address import Address
 from flying_vines.link_view import LinkView, as_json, line, settings_table, statistics_line
@@ -61,9 +62,21 @@ async def monitor(address: Address, title: str, seconds: float | None, objects: 
 
 async def settings(address: Address, changes: Mapping[str, float], objects: bool) -> None:
     """Change what is to be changed and print what is set then; SettingsError."""
+    known = await talk_about_settings(address, changes, _stopped())
+    if objects:
+        for setting in known:
+            named = {name: getattr(setting, name) for name in ("name", "value", "least", "most", "standard")}
+            print(json.dumps(named))
+    else:
+        Console().print(settings_table(known))
+
+
+async def talk_about_settings(
+    address: Address, changes: Mapping[str, float], stopped: asyncio.Event
+) -> Sequence[Setting]:
+    """Change what is to be changed: all that is set then. SettingsError, also once `stopped`."""
     talk = SettingsTalk(changes)
     watch = LinkWatch(address, talk)
-    stopped = _stopped()
     there_s = 0.0
 
     def over() -> bool:
@@ -77,12 +90,7 @@ async def settings(address: Address, changes: Mapping[str, float], objects: bool
     if not talk.done:
         how_it_ended = "interrupted" if stopped.is_set() else watch.port.text
         raise SettingsError(talk.problem or how_it_ended)
-    if objects:
-        for setting in talk.settings:
-            named = {name: getattr(setting, name) for name in ("name", "value", "least", "most", "standard")}
-            print(json.dumps(named))
-    else:
-        Console().print(settings_table(talk.settings))
+    return talk.settings
 
 
 def _stopped() -> asyncio.Event:

@@ -86,35 +86,35 @@ def located(text: str, source: str, key: Key, reason: str) -> str:
 
 def place(text: str, source: str, key: Key) -> str:
     """`source:line` of a key, or of the nearest table around it."""
-    lines = _lines_of_keys(text)
+    lines = lines_of_keys(text)
     for length in range(len(key), 0, -1):
         if key[:length] in lines:
             return f"{source}:{lines[key[:length]]}"
     return source
 
 
-def _lines_of_keys(text: str) -> dict[Key, int]:
+def lines_of_keys(text: str) -> dict[Key, int]:
     """Where each table and each key stands; tomllib does not say."""
     lines: dict[Key, int] = {}
     elements: dict[Key, int] = {}
     table: Key = ()
     for number, content in enumerate(text.split("\n"), start=1):
-        if header := _HEADER.match(content):
+        if header := HEADER.match(content):
             table = _split(header[2])
             if header[1] == "[[":
                 lines.setdefault(table, number)
                 elements[table] = elements.get(table, -1) + 1
                 table = (*table, elements[table])
             lines.setdefault(table, number)
-        elif assignment := _ASSIGNMENT.match(content):
+        elif assignment := ASSIGNMENT.match(content):
             lines.setdefault((*table, *_split(assignment[1])), number)
     return lines
 
 
 _KEY = r"(?:[A-Za-z0-9_-]+|\"[^\"]*\"|'[^']*')"
 _KEYS = rf"({_KEY}(?:\s*\.\s*{_KEY})*)"
-_HEADER = re.compile(rf"\s*(\[\[?)\s*{_KEYS}\s*\]")
-_ASSIGNMENT = re.compile(rf"\s*{_KEYS}\s*=")
+HEADER = re.compile(rf"\s*(\[\[?)\s*{_KEYS}\s*\]")
+ASSIGNMENT = re.compile(rf"\s*{_KEYS}\s*=")
 
 
 def _split(keys: str) -> Key:

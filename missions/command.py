@@ -33,7 +33,7 @@ def add(commands: Any) -> None:
     actions = mission.add_subparsers(required=True, metavar="ACTION")
 
     build = actions.add_parser("build", help="a .plan and a .waypoints for one autopilot out of a TOML file")
-    build.add_argument("mission", type=Path, metavar="MISSION.toml")
+    build.add_argument("mission", type=Path, metavar="MISSION.toml", help="the text")
     build.add_argument(
         "--out", type=Path, metavar="PATH", help="a folder, or one file (default: beside the mission)"
     )
@@ -56,7 +56,9 @@ def add(commands: Any) -> None:
     download.add_argument("mission", type=Path, metavar="FILE", help="a .plan or .waypoints to write")
     _vehicle(download, _download)
     script = actions.add_parser("script", help="write the script that hands items over on ArduPilot")
-    script.add_argument("--out", type=Path, default=Path(SCRIPT), metavar="FILE.lua")
+    script.add_argument(
+        "--out", type=Path, default=Path(SCRIPT), metavar="FILE.lua", help=f"where to ({SCRIPT})"
+    )
     script.set_defaults(run=_script)
 
 
@@ -70,7 +72,11 @@ def _common(parser: argparse.ArgumentParser) -> None:
         help="degrees, and metres above the sea: instead of the file's",
     )
     parser.add_argument(
-        "--reservoir-kPa", type=_pressure, dest="reservoir_kPa", metavar="P", help="(default: a full bottle)"
+        "--reservoir-kPa",
+        type=_pressure,
+        dest="reservoir_kPa",
+        metavar="P",
+        help="in the bottle at the start, gauge (default: full)",
     )
     parser.add_argument("--rig", type=Path, metavar="RIG.toml", help="what is known (default: the profile's)")
     parser.add_argument("--json", action="store_true", help="one object instead of a table")

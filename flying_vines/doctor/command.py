@@ -20,9 +20,11 @@ def add(commands: Any, logs: Path) -> None:
     doctor = commands.add_parser("doctor", help="may one fly? what is wrong, and what to do about it")
     doctor.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
     doctor.add_argument(
-        "--seconds", type=_seconds, default=SECONDS, metavar="N", help=f"to listen ({SECONDS:g})"
+        "--seconds", type=_seconds, default=SECONDS, metavar="N", help=f"how long to listen ({SECONDS:g})"
     )
-    doctor.add_argument("--out", type=Path, default=logs, help=f"where the flight logs go ({logs})")
+    doctor.add_argument(
+        "--out", type=Path, default=logs, metavar="DIR", help=f"where the flight logs go ({logs})"
+    )
     doctor.add_argument("--yes", action="store_true", help="do not ask for the RC switch to be moved")
     doctor.add_argument(
         "--fakes", action="store_true", help="look at an embedded vehicle and phloSAR instead"

@@ -24,20 +24,26 @@ def add(commands: Any) -> None:
     actions = log.add_subparsers(required=True, metavar="ACTION")
 
     listing = actions.add_parser("list", help="a line a flight")
-    listing.add_argument("folder", type=Path, nargs="?", default=FLIGHTS, metavar="DIR", help="(flights)")
+    listing.add_argument(
+        "folder", type=Path, nargs="?", default=FLIGHTS, metavar="DIR", help="where flights are (flights)"
+    )
     listing.add_argument("--json", action="store_true", help="an array of objects instead of a table")
     listing.set_defaults(run=_list)
 
     show = _of_a_flight(actions, "show", _show, "what happened: decisions, notices, and a summary")
     show.add_argument("--json", action="store_true", help="one object instead")
     plot = _of_a_flight(actions, "plot", _plot, "a picture of it: .png, .pdf or .svg")
-    plot.add_argument("-o", "--out", type=Path, metavar="FILE", help="(flight.png in the flight's folder)")
-    plot.add_argument("--title", help="(the day and time of the flight)")
+    plot.add_argument(
+        "-o", "--out", type=Path, metavar="FILE", help="the picture (flight.png in the flight's folder)"
+    )
+    plot.add_argument("--title", metavar="TEXT", help="above the picture (the day and time of the flight)")
     export = _of_a_flight(actions, "export", _export, "tables of it, for other programs")
     export.add_argument("--csv", action="store_true", required=True, help="a CSV file a topic")
-    export.add_argument("-o", "--out", type=Path, metavar="DIR", help="(csv in the flight's folder)")
+    export.add_argument("-o", "--out", type=Path, metavar="DIR", help="where to (csv in the flight's folder)")
     bundle = _of_a_flight(actions, "bundle", _bundle, "all of it in one zip file, for a report of a bug")
-    bundle.add_argument("-o", "--out", type=Path, metavar="FILE.zip", help="(named after the flight, here)")
+    bundle.add_argument(
+        "-o", "--out", type=Path, metavar="FILE.zip", help="where to (here, named after the flight)"
+    )
 
 
 def _of_a_flight(

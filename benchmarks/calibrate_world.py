@@ -1,0 +1,116 @@
+"""A rig that a calibration moves, compiled: some hundred times real time, telemetry with every step.
+
+What stands between the calibrator and the valves is as short as it can be: what is asked for is accepted, and
+goes to the firmware's regulator as the core would send it. Safety and serial line are the service's affair,
+and its tests'.
+"""
+
+from __future__ import annotations
+
+import math
+
+from cycles_left_flights import told
+
+from flying_vines.calibrate.calibrator import BY, LATE_S, Ask, Calibrator, Out, Question, Work
+from flying_vines.calibrate.plan import Plan
+from flying_vines.core import TICK_S
+from flying_vines.events import Decision, Measured, Snapshot
+from flying_vines.fakes.closed_loop import Setpoint, closed_loop
+from flying_vines.intent import Intent, SetPressure, StartProfile
+from flying_vines.mover import Mover
+from flying_vines.pneumatics.plant.causes import Setup
+from flying_vines.pneumatics.plant.plant import State, at_rest
+from flying_vines.vine.motion import Motion
+
+LOOKS_S = 0.1
+"""How often the calibrator is told the time."""
+
+
+class CompiledWorld:
+    """One rig, filled to a true gauge pressure."""
+
+    def __init__(self, plan: Plan, rig: Setup, fill_kPa: float, seed: int, step_ms: int = 1) -> None:
+        self.calibrator = Calibrator(plan)
+        self.now = 0.0
+        self.asked: list[Intent] = []
+        self._rig = rig
+        self._seed = seed
+        self._step_ms = step_ms
+        self._mover = Mover(plan.config)
+        self._state: State = at_rest(rig.plant, fill_kPa)
+        self._reservoir_true_kPa = fill_kPa
+        self._motion: Motion | None = None
+        self._cv_kPa = math.nan
+        self._reservoir_kPa = math.nan
+
+    @property
+    def reservoir_kPa(self) -> float:
+        """True."""
+        return self._reservoir_true_kPa
+
+    def run(self) -> Calibrator:
+        """Until it has ended."""
+        self._carry_out(self.calibrator.begin(self.now))
+        while self.calibrator.ended is None:
+            motion = self._motion
+            left_s = motion.trajectory.duration_s - (self.now - motion.started_at) if motion else 0.0
+            self._live(max(1.0, left_s + LATE_S + 2.0 * LOOKS_S))
+        return self.calibrator
+
+    def _live(self, seconds: float) -> None:
+        """Until then, or until something else is asked for."""
+        begun_s, motion = self.now, self._motion
+        ticks = round(seconds / TICK_S)
+        setpoints = [Setpoint(0.0, math.nan, 1.0)]
+        if motion is not None:
+            setpoints = [
+                Setpoint(i * TICK_S, motion.setpoint_kPa(begun_s + (i + 1) * TICK_S), motion.rate_kPa_per_s)
+                for i in range(ticks)
+            ]
+        self._seed += 1
+        run = closed_loop(
+            self._rig.plant, setpoints, seconds, self._state,
+            cv_sensor=self._rig.cv_sensor, reservoir_sensor=self._rig.reservoir_sensor,
+            seed=self._seed, record_every=self._step_ms,
+        )  # fmt: skip
+        self._state = run.state
+        self._reservoir_true_kPa = float(run.table["reservoir_kPa"][-1])
+        looks = begun_s
+        run.table["time_s"] += begun_s
+        for self.now, telemetry in told(run.table):
+            self._cv_kPa, self._reservoir_kPa = telemetry.cv_kPa, telemetry.reservoir_kPa
+            self._carry_out(self.calibrator.take(Measured(self.now, telemetry)))
+            if self.now >= looks:
+                looks += LOOKS_S
+                self._carry_out(self.calibrator.tick(self.now, self._snapshot()))
+        self.now = begun_s + seconds
+
+    def _carry_out(self, outs: list[Out]) -> None:
+        for out in outs:
+            match out:
+                case Ask(intent):
+                    self._ask(intent)
+                case Question():
+                    self._carry_out(self.calibrator.answer(self.now, out, ""))
+                case Work():
+                    self._carry_out(self.calibrator.worked(self.now, out, out.do()))
+
+    def _ask(self, intent: Intent) -> None:
+        self.asked.append(intent)
+        if isinstance(intent, StartProfile | SetPressure):
+            start_kPa = self._motion.setpoint_kPa(self.now) if self._motion else 0.0
+            move = self._mover.move(intent, start_kPa, 0.0)
+            self._motion = Motion(move.trajectory, self.now, move.rate_kPa_per_s, str(intent))
+        else:
+            self._motion = None
+        decision = Decision(self.now, BY, {}, str(intent), "accepted", "", 0.0)
+        self._carry_out(self.calibrator.take(decision))
+
+    def _snapshot(self) -> Snapshot:
+        return Snapshot(
+            t=self.now, vehicle="none heard", mode="", armed=False, altitude_m=math.nan, rc="none",
+            switch_position=None, firmware="ready", round_trip_s=None, telemetry_gaps=0,
+            reservoir_kPa=self._reservoir_kPa, cv_kPa=self._cv_kPa, command_kPa=0.0, bend_deg=0.0,
+            evp_opening=0.0, dvp_opening=0.0, solenoid=None, cycles=None,
+            doing="vented" if self._motion is None else self._motion.name, bench=True,
+        )  # fmt: skip

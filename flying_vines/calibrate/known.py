@@ -1,0 +1,48 @@
+"""What is known of a rig before it is calibrated: a pilot's settings, a rig file, whether it is disarmed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from flying_vines.config import Config
+from flying_vines.kept import Kept
+from flying_vines.reservoir import Belief
+from flying_vines.reservoir.calibration import load_calibration
+from flying_vines.vehicle.component.settings import changed
+from flying_vines.vehicle.signing import Signing
+
+
+@dataclass(frozen=True)
+class Known:
+    """Beyond the profile."""
+
+    belief: Belief | None = None
+    rig_text: str = ""
+    """Of the rig file that the belief is of."""
+    disarmed: bool = False
+    """Whether the pneumatics are."""
+    signing: Signing | None = None
+    kept: Kept | None = None
+    """What outlives us."""
+
+
+def with_kept(path: Path, config: Config) -> tuple[Config, Known]:
+    """A profile as `run` would fly it, with what is kept beside it.
+
+    Raises `ParameterFileError`, `SigningKeyError` or `RigError`: one line.
+    """
+    kept = Kept.of(path, config)
+    flown = config
+    for name, value in kept.read_parameters(config).items():
+        flown = changed(config, flown, name, value)
+    signing, _ = kept.read_signing(config)
+    belief, rig_text = None, ""
+    if config.pneumatics.rig:
+        rig = path.parent / config.pneumatics.rig
+        belief = load_calibration(rig, config.pneumatics).belief
+        rig_text = rig.read_text(encoding="utf-8")
+        flown = msgspec.structs.replace(flown, pneumatics=belief.pneumatics)
+    return flown, Known(belief, rig_text, kept.disarmed, signing, kept)

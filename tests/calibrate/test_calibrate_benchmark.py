@@ -1,0 +1,46 @@
+"""A whole calibration of a random rig with every effect, against its truth, within what is promised."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+sys.path.append(str(BENCHMARKS))
+
+
+@pytest.fixture(scope="module")
+def outcome() -> Any:
+    return runpy.run_path(str(BENCHMARKS / "calibrate.py"))["calibrated"](4)
+
+
+@pytest.mark.parametrize(
+    ("name", "relative", "absolute"),
+    [
+        ("cv_zero_kPa", 0.0, 0.05),
+        ("cv_volume_L", 0.05, 0.0),
+        ("pouch_air_SL", 0.05, 0.0),
+        ("evp_start", 0.0, 0.02),
+        ("evp_flow_resistance_kPa_s_per_SL", 0.05, 0.0),
+        ("bottle_leak_kPa_s_per_SL", 0.1, 0.0),
+    ],
+)
+def test_what_the_rig_has_is_found(outcome: Any, name: str, relative: float, absolute: float) -> None:
+    found = outcome.findings.get(name)
+    assert found is not None and found.value is not None
+    assert found.value == pytest.approx(outcome.truth[name], rel=relative, abs=absolute)
+
+
+def test_it_goes_to_its_end_within_the_time_and_the_air_that_were_said(outcome: Any) -> None:
+    assert outcome.outcome == "done"
+    assert outcome.seconds < 330.0 and outcome.air_kPa < 80.0
+
+
+def test_a_vine_that_does_not_leak_is_not_accused(outcome: Any) -> None:
+    found = outcome.findings.get("vine_leak_kPa_s_per_SL")
+    assert "vine_leak_kPa_s_per_SL" not in outcome.truth
+    assert found.value is None and "none seen" in found.note

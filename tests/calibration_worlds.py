@@ -1,0 +1,150 @@
+"""What a calibrator is tried on: a core over a simulated phloSAR, and a stage without any physics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+from firmware_link.protocol import Fault, Mode, Telemetry
+from flying_vines.calibrate.calibrator import BY, Ask, Calibrator, Ended, Out, Question, Say, Work
+from flying_vines.calibrate.findings import Result
+from flying_vines.calibrate.plan import Plan
+from flying_vines.events import Action, Asked, Decision, Measured, Snapshot
+from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.intent import Intent, SetPressure, StartProfile, Vent
+from flying_vines.simulated_world import SimulatedWorld
+
+STEP_S = 0.05
+Person = Callable[[Question], str | None]
+
+
+def presses_enter(_: Question) -> str:
+    return ""
+
+
+class _Stage:
+    """Carries out what a calibrator wants, and keeps what it said."""
+
+    def __init__(self, plan: Plan, person: Person = presses_enter) -> None:
+        self.calibrator = Calibrator(plan)
+        self.person = person
+        self.said: list[Out] = []
+        self.now = 0.0
+
+    @property
+    def asked(self) -> list[Intent]:
+        return [out.intent for out in self.said if isinstance(out, Ask)]
+
+    @property
+    def ended(self) -> Ended | None:
+        return self.calibrator.ended
+
+    def carry_out(self, outs: Iterable[Out]) -> None:
+        for out in outs:
+            self.said.append(out)
+            if isinstance(out, Ask):
+                self.ask(out.intent)
+            elif isinstance(out, Question):
+                self.carry_out(self.calibrator.answer(self.now, out, self.person(out)))
+            elif isinstance(out, Work):
+                self.carry_out(self.calibrator.worked(self.now, out, self.work(out)))
+
+    def ask(self, intent: Intent) -> None:
+        raise NotImplementedError
+
+    def work(self, work: Work) -> object:
+        try:
+            return work.do()
+        except Exception as error:
+            return error
+
+    def sentences(self) -> list[str]:
+        return [out.text for out in self.said if isinstance(out, Say)]
+
+
+class CoreWorld(_Stage):
+    """The core, safety and checks and all, over a simulated phloSAR."""
+
+    def __init__(self, plan: Plan, phlosar: SimulatedPhlosar, person: Person = presses_enter) -> None:
+        super().__init__(plan, person)
+        self.phlosar = phlosar
+        self.world = SimulatedWorld(plan.config, phlosar)
+        self._actions: list[Action] = []
+
+    def run(self, most_s: float, until: Callable[[], bool] = lambda: False) -> None:
+        """Until it has ended, or that is true."""
+        if not self.said:
+            self.carry_out(self.calibrator.begin(self.now))
+        while self.ended is None and self.now < most_s and not until():
+            self.now += STEP_S
+            self._hear(self.world.advance(self.now))
+            self.carry_out(self.calibrator.tick(self.now, self.world.core.snapshot(self.now)))
+
+    def settle(self, seconds: float = 3.0) -> None:
+        """Time for what was asked for last."""
+        self.now += seconds
+        list(self.world.advance(self.now))
+
+    def ask(self, intent: Intent) -> None:
+        self._hear(self.world.feed(Asked(self.now, BY, intent)))
+
+    def _hear(self, actions: Iterable[Action]) -> None:
+        for action in actions:
+            self.carry_out(self.calibrator.take(action))
+
+    @property
+    def vented(self) -> bool:
+        return self.phlosar.cv_kPa < 1.0 and self.phlosar.drive.evp == 0.0
+
+
+class PaperWorld(_Stage):
+    """No physics: a vine that is where it is told to be, and a bottle that stays full."""
+
+    def __init__(self, plan: Plan, person: Person = presses_enter, reservoir_kPa: float = 690.0) -> None:
+        super().__init__(plan, person)
+        self.bent = False
+        self.snapshot = Snapshot(
+            t=0.0, vehicle="none heard", mode="", armed=False, altitude_m=math.nan, rc="none",
+            switch_position=None, firmware="ready", round_trip_s=None, telemetry_gaps=0,
+            reservoir_kPa=reservoir_kPa, cv_kPa=0.0, command_kPa=0.0, bend_deg=0.0, evp_opening=0.0,
+            dvp_opening=0.0, solenoid=True, cycles=None, doing="vented",
+        )  # fmt: skip
+        self.refuses: dict[type[Intent], str] = {}
+
+    def run(self, most_s: float = 1e5) -> None:
+        if not self.said:
+            self.carry_out(self.calibrator.begin(self.now))
+        while self.ended is None and self.now < most_s:
+            self.now += 0.5
+            self.snapshot = replace(self.snapshot, t=self.now, cv_kPa=20.0 if self.bent else 0.0)
+            self.carry_out(self.calibrator.take(Measured(self.now, self._telemetry())))
+            self.carry_out(self.calibrator.tick(self.now, self.snapshot))
+
+    def ask(self, intent: Intent) -> None:
+        why = self.refuses.get(type(intent), "")
+        if isinstance(intent, StartProfile | SetPressure) and not why:
+            self.bent = True
+        elif isinstance(intent, Vent):
+            self.bent = False
+        ruling = Decision(self.now, BY, {}, str(intent), "refused" if why else "accepted", why, 0.0)
+        self.carry_out(self.calibrator.take(ruling))
+
+    def work(self, work: Work) -> object:
+        return Result()
+
+    def _telemetry(self) -> Telemetry:
+        mode = Mode.REGULATE if self.bent else Mode.VENT
+        kPa = self.snapshot.cv_kPa
+        return Telemetry(
+            round(1000 * self.now),
+            mode,
+            Fault.NONE,
+            0,
+            kPa,
+            kPa,
+            self.snapshot.reservoir_kPa,
+            0.0,
+            0.0,
+            not self.bent,
+        )
