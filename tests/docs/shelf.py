@@ -1,0 +1,114 @@
+"""What the pages speak of as there, by its name: profiles, rigs, recorded cases, flights, missions."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+from command_line import status
+from hidden_truth import draw, write
+from recorded_flight import PROFILE, one_bend
+
+from docs.commands_said import ROOT
+from flying_vines import config
+from flying_vines.gateway.page_token import read_or_make
+
+Maker = Callable[[Path], object]
+
+LEAKY = "[cv]\nvolume_L = 0.1\n[causes.cv_leak]\nflow_resistance_kPa_s_per_SL = 30000\n"
+SHORT = '[[runs]]\nkind = "bends"\nbend_kPa = 20.7\nhold_s = 1\nrest_s = 1\ncycles = 3\n'
+PAIRS = "pressure_kPa,angle_deg\n" + "".join(
+    f"{kPa},{2.6 * kPa + lag:.1f}\n"
+    for lag, way in ((0.0, range(0, 22, 3)), (4.0, range(18, -1, -3)))
+    for kPa in way
+)
+EXAMPLES = ROOT / "missions" / "examples"
+
+
+def maker(word: str) -> Maker | None:
+    """What makes the file or folder that a command's word may name."""
+    for pattern, make in SHELF:
+        if re.fullmatch(pattern, word):
+            return make
+    return None
+
+
+def _text(text: str) -> Maker:
+    return lambda path: path.write_text(text, encoding="utf-8")
+
+
+def _copy(source: Path) -> Maker:
+    return lambda path: shutil.copy(source, path)
+
+
+def _beginning_of(source: Path) -> Maker:
+    return lambda path: path.write_bytes(source.read_bytes()[:20_000])
+
+
+def _example(path: Path) -> None:
+    """A mission that comes along, under the name that a page gives it."""
+    kind = "px4" if "px4" in path.name else "ardupilot"
+    name = "bridge_inspection" if "bridge" in path.name else "canopy_sampling"
+    end = path.suffix if path.suffix == ".toml" else f"-{kind}{path.suffix}"
+    shutil.copy(EXAMPLES / f"{name}{end}", path)
+
+
+@cache
+def _recorded() -> Path:
+    return one_bend(Path(mkdtemp(prefix="flights-")))
+
+
+def _flight(path: Path) -> None:
+    shutil.copytree(_recorded(), path)
+
+
+def _flights(path: Path) -> None:
+    shutil.copytree(_recorded(), path / _recorded().name)
+
+
+def _refused(path: Path) -> None:
+    """A mission with an item that ArduPilot does not know."""
+    text = (EXAMPLES / "canopy_sampling-ardupilot.waypoints").read_text(encoding="utf-8")
+    path.write_text(text.replace("\t217\t", "\t31010\t", 1), encoding="utf-8")
+
+
+def _simulated(path: Path) -> None:
+    """The short run of the leaky rig."""
+    leaky, short = path.with_name("leaky.toml"), path.with_name("short.toml")
+    leaky.write_text(LEAKY, encoding="utf-8")
+    short.write_text(SHORT, encoding="utf-8")
+    assert status("simulate", "--rig", leaky, "--scenario", short, "--out", path) == 0
+
+
+def _case(path: Path) -> None:
+    """One run of twenty seconds of a rig with one cause."""
+    write(path, draw("short", 1))
+
+
+SHELF: tuple[tuple[str, Maker], ...] = (
+    (r"(around|vine|bench|calibrated|PROFILE)\.toml", _text(config.default_text())),
+    (r"flown\.toml", _text(PROFILE)),
+    (r"wrong\.waypoints", _refused),
+    (r"(rig|RIG)\.toml", _text("[cv]\nvolume_L = 0.1\n")),
+    (r"(leaky|extended)\.toml", _text(LEAKY)),
+    (r"robot\.toml", _copy(ROOT / "flying_vines/design/examples/vine.toml")),
+    (
+        r"short\.toml",
+        _text(SHORT),
+    ),
+    (r"(PAIRS|pairs)\.csv", _text(PAIRS)),
+    (r"my-vine\.toml", _copy(ROOT / "flying_vines/vine/bending/examples/pouch.toml")),
+    (r"parts", lambda path: path.mkdir()),
+    (r"mav\.tlog", _beginning_of(ROOT / "tests/data/recordings/rc_switch.tlog")),
+    (r"(\w+/)?(canopy|bridge|MISSION)[\w-]*\.(toml|plan|waypoints)", _example),
+    (r"token|FILE", read_or_make),
+    (r"flights", _flights),
+    (r"flights/[\w-]+|FLIGHT|LOG", _flight),
+    (r"leaky", _simulated),
+    (r"CASE", _case),
+)
+"""The first that fits; what is written in capitals on a page stands for a file of any name."""

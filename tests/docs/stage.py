@@ -1,0 +1,293 @@
+"""A scratch folder in which a page's commands are run one after the other, and what they need around them.
+
+Each command of ours is a process of its own, forked from one that has imported it already. What lasts is
+started, seen to be up, and interrupted. Where it needs a vehicle, a phloSAR or a service, one is there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import re
+import runpy
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from io import TextIOWrapper
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from time import monotonic, sleep
+from typing import Any, NoReturn, TypeVar
+
+from service_bench import free_port
+
+from docs.commands_said import ROOT
+from flying_vines.cli import main
+
+T = TypeVar("T")
+
+PATIENCE_S = 30.0
+
+LASTING = {
+    "run": r"phloSAR ready",
+    "demo": r"phloSAR ready",
+    "fake phlosar": r"\w",
+    "fake autopilot": r"Ctrl-C ends it",
+    "link": r"Welcome",
+    "watch": r"\w",
+    "mission watch": r"\w",
+}
+"""Commands that go on until they are interrupted, by what they print when they are up."""
+ENDS = ("--seconds", "--settings", "--set")
+"""With these they end by themselves."""
+NEEDS = {
+    "run": ("phlosar", "autopilot"),
+    "link": ("phlosar",),
+    "watch": ("phlosar", "autopilot", "service"),
+    "mission upload": ("autopilot", "for a ground station"),
+    "mission watch": ("autopilot", "for a ground station"),
+    "mission download": ("autopilot", "for a ground station"),
+}
+"""What is around a command while it runs."""
+AROUND = {
+    "phlosar": "fake phlosar --link phlosar",
+    "autopilot": "fake autopilot --to 127.0.0.1:14540 --listen tcpin:127.0.0.1:5760",
+    "ardupilot": "fake autopilot --to 127.0.0.1:14541 --gcs 127.0.0.1:14550",
+    "px4": "fake autopilot --kind px4 --to 127.0.0.1:14541 --gcs 127.0.0.1:14550",
+    "service": "run --config around.toml",
+}
+BY_DEFAULT = {
+    "watch": "--url http://127.0.0.1:8017",
+    "fake autopilot": "--to 127.0.0.1:14540",
+    "mission upload": "--link udpin:0.0.0.0:14550",
+    "mission watch": "--link udpin:0.0.0.0:14550",
+    "mission download": "--link udpin:0.0.0.0:14550",
+    "link": "--config around.toml",
+}
+"""What a command does where nothing else is said, so that it can be done at this stage's addresses."""
+FIXED = re.compile(r"\b(14540|14541|14550|8017|5760)\b")
+"""Ports that would be taken where several tests run at once."""
+WRITES = ("--out", "--write-rig", "-o", ">", "init", "download")
+"""What follows these is written, and need not be there."""
+
+FORKS = multiprocessing.get_context("forkserver")
+FORKS.set_forkserver_preload(
+    [
+        "flying_vines.service",
+        "flying_vines.demo",
+        "flying_vines.terminal",
+        "flying_vines.fakes.autopilot_server",
+        "flying_vines.discrepancy.report",
+        "flying_vines.simulate.picture",
+        "flying_vines.record.picture",
+        "flying_vines.watch.watching",
+        "missions.review",
+        "matplotlib.backends.backend_agg",
+        "rich.progress",
+    ]
+)
+
+
+class Ended(AssertionError):
+    """A command that did not do what the page says."""
+
+
+class Stage:
+    """A page's folder, with a vehicle of this kind around for what a ground station does.
+
+    Leaving it interrupts what is around, and sees that it ends well.
+    """
+
+    def __init__(
+        self, folder: Path, shelf: Callable[[str], Callable[[Path], object] | None], kind: str
+    ) -> None:
+        self.folder = folder
+        self._at = folder
+        self._kind = kind
+        self._shelf = shelf
+        self._around = ExitStack()
+        self._there: set[str] = set()
+        self._ports: dict[str, str] = {}
+        for name in ("missions", "tests"):
+            (folder / name).symlink_to(ROOT / name)
+        self._fetch(["flights", "around.toml"])
+
+    def __enter__(self) -> Stage:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._around.close()
+
+    def run(self, words: Sequence[str], status: int = 0) -> None:
+        """A command of ours to its end, or until it is up and interrupted. `Ended` for another status."""
+        self._have_around(_named(words, NEEDS) or ())
+        if (option := _named(words, BY_DEFAULT)) and option.split()[0] not in words:
+            words = [*words, *option.split()]
+        self._fetch(words)
+        up = _named(words, LASTING)
+        with Running(self._at, self._here(words)) as running:
+            if up and not any(option in words for option in ENDS):
+                running.wait_for(up)
+                running.interrupt()
+            running.end(status)
+        if words[:2] == ["config", "init"]:
+            given = [word for word in words[2:] if not word.startswith("-")]
+            self._turn_here(self._at / (given or ["flying-vines.toml"])[0])
+
+    def shell(self, line: str, seconds: float = 4.0) -> None:
+        """A line that a shell must read; what lasts in it is interrupted, what is not installed left out."""
+        first, _, then = line.partition(" | ")
+        line = line if not then or shutil.which(then.split()[0]) else first
+        words = line.split(" ")
+        self._have_around(_named(words[1:], NEEDS) or () if words[0] == "flying-vines" else ())
+        self._fetch(words)
+        path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+        command = ("timeout", "-s", "INT", f"{seconds:g}", "bash", "-o", "pipefail", "-c")
+        line = f"{self.here(line)} && pwd >{self.folder}/.at"
+        environment = os.environ | surroundings(self.folder) | {"PATH": path}
+        done = subprocess.run((*command, line), cwd=self._at, env=environment, capture_output=True, text=True)
+        if done.returncode not in (0, 124):
+            raise Ended(f"ended with {done.returncode}: {done.stderr or done.stdout}")
+        if done.returncode == 0:
+            self._at = Path((self.folder / ".at").read_text(encoding="utf-8").strip())
+            self._fetch(["flights"])
+
+    def parse_only(self, script: Sequence[str]) -> None:
+        """A script of the project up to where its own parser has taken its arguments."""
+        with Running(self._at, script, parse_only) as running:
+            running.end(0)
+
+    def here(self, text: str) -> str:
+        """With the addresses of this stage in it."""
+        text = re.sub(r"usb:16c0:0483|serial:/dev/ttyACM0", f"serial:{self.folder}/phlosar", text)
+        text = re.sub(r"(?<!\S)/tmp/phlosar", "another-phlosar", text)
+        text = re.sub(r"http://[\w.]+:8017", "http://127.0.0.1:8017", text)
+        return FIXED.sub(lambda port: self._ports.setdefault(port[0], str(free_port())), text)
+
+    def _turn_here(self, profile: Path) -> None:
+        """As the pages say to do: the addresses of what is on the bench, and that it may bend there."""
+        text = profile.read_text(encoding="utf-8").replace("bench_mode = false", "bench_mode = true")
+        profile.write_text(self.here(text), encoding="utf-8")
+
+    def _here(self, words: Sequence[str]) -> list[str]:
+        return [self.here(word) for word in words]
+
+    def _have_around(self, names: Sequence[str]) -> None:
+        for name in names:
+            if name in self._there:
+                continue
+            words = AROUND.get(name, AROUND[self._kind]).split()
+            running = self._around.enter_context(Running(self.folder, self._here(words)))
+            self._there.add(name)
+            running.wait_for(_named(words, LASTING) or "")
+
+            def end(running: Running = running) -> None:
+                running.interrupt()
+                running.end(0)
+
+            self._around.callback(end)
+
+    def _fetch(self, words: Sequence[str]) -> None:
+        """From the shelf what a command reads and nothing has written before."""
+        for before, word in zip(("", *words), words, strict=False):
+            path = self._at / word
+            if before in WRITES or path.exists() or (make := self._shelf(word)) is None:
+                continue
+            path.parent.mkdir(parents=True, exist_ok=True)
+            make(path)
+            if path.suffix == ".toml" and "[vehicle]" in path.read_text(encoding="utf-8"):
+                self._turn_here(path)
+
+
+class Running:
+    """A command of ours, as a process; leaving it ends all that it has started."""
+
+    def __init__(self, folder: Path, words: Sequence[str], run: Callable[[list[str]], None] = main) -> None:
+        self._said = folder / f".said-{len(list(folder.glob('.said-*')))}"
+        self._said.touch()
+        self._process: BaseProcess = FORKS.Process(
+            target=_become, args=(folder, self._said, list(words), run)
+        )
+        self._process.start()
+
+    def __enter__(self) -> Running:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        with suppress(ProcessLookupError):
+            os.killpg(self._pid, signal.SIGKILL)
+        self._process.join(PATIENCE_S)
+
+    @property
+    def _pid(self) -> int:
+        assert self._process.pid is not None
+        return self._process.pid
+
+    @property
+    def said(self) -> str:
+        return self._said.read_text(encoding="utf-8", errors="replace")
+
+    def wait_for(self, pattern: str) -> None:
+        """Until it has printed this."""
+        patient_until = monotonic() + PATIENCE_S
+        while not re.search(pattern, self.said):
+            if not self._process.is_alive() or monotonic() > patient_until:
+                raise Ended(f"was never up: {self.said}")
+            sleep(0.02)
+
+    def interrupt(self) -> None:
+        """As Ctrl-C does: all that the terminal has in front."""
+        with suppress(ProcessLookupError):
+            os.killpg(self._pid, signal.SIGINT)
+
+    def end(self, status: int) -> None:
+        """Wait for it; 130 is an end by Ctrl-C."""
+        self._process.join(PATIENCE_S)
+        if self._process.exitcode not in (status, 130 if status == 0 else status):
+            raise Ended(f"ended with {self._process.exitcode} instead of {status}: {self.said}")
+        if "Traceback" in self.said:
+            raise Ended(self.said)
+
+
+def parse_only(script: list[str]) -> None:
+    """End where the parser would return."""
+    parse = argparse.ArgumentParser.parse_args
+
+    def parse_and_end(*given: Any, **named: Any) -> NoReturn:
+        parse(*given, **named)
+        sys.exit()
+
+    argparse.ArgumentParser.parse_args = parse_and_end  # type: ignore[method-assign]
+    sys.argv = script
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    runpy.run_path(str(ROOT / script[0]), run_name="__main__")
+
+
+def _become(folder: Path, said: Path, words: list[str], run: Callable[[list[str]], None]) -> None:
+    """In a process of its own: the command, with the folder around it and its words kept."""
+    os.setsid()
+    os.chdir(folder)
+    os.environ.update(surroundings(folder))
+    with said.open("w") as kept, Path(os.devnull).open() as nothing:
+        for number, file in ((0, nothing), (1, kept), (2, kept)):
+            os.dup2(file.fileno(), number)
+    for stream in (sys.stdout, sys.stderr):
+        assert isinstance(stream, TextIOWrapper)
+        stream.reconfigure(encoding="utf-8", line_buffering=True)
+    run(words)
+
+
+def surroundings(folder: Path) -> dict[str, str]:
+    """A home where nothing is; but what is compiled once on a machine is not compiled again for each test."""
+    cache = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
+    return {"HOME": str(folder), "XDG_CACHE_HOME": cache, "COLUMNS": "120"}
+
+
+def _named(words: Sequence[str], table: Mapping[str, T]) -> T | None:
+    """What a table has for a command's first words."""
+    found = (table.get(" ".join(words[:n])) for n in (2, 1))
+    return next((value for value in found if value is not None), None)
