@@ -117,6 +117,8 @@ class World:
         for t, item in reversed(list(news)):
             self._items_until_s = t
             self.tally.trigger(t, "mission item", bend(item.params[1]))
+        # It keeps thousands, and what is looked for here is memory that grows.
+        del self.autopilot.payload_log[:-1]
         self.tally.look(self.now(), self.phlosar.cv_kPa)
 
 

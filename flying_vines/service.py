@@ -45,8 +45,6 @@ LAST_WORDS_S = 0.3
 """After a stop: the last status text and the vent must get out."""
 REFUSALS_TOLD_S = 60.0
 SNAPSHOT_S = 0.1
-TOLD_WITHIN_S = 0.01
-"""So long watchers may wait: no setpoint is to wait for them, and they take longer than deciding does."""
 
 
 class Service:
@@ -126,7 +124,7 @@ class Service:
                 for edge in edges:
                     edge.cancel()
         finally:
-            self._tell_watchers()
+            self.tell_watchers()
 
     async def _keep_changes(self) -> None:
         """Write the latest; a slow disk delays nothing else."""
@@ -169,12 +167,13 @@ class Service:
                 self._signing.advance(time.time())
             self._feed(Tick(self.now))
             self._tell_silence(self.now)
+            self.tell_watchers()
             due = max(due + TICK_S, self.now - TICK_S)
             await asyncio.sleep(max(0.0, due - self.now))
 
     async def _show(self) -> None:
         while self._watchers:
-            self._tell_watchers()
+            self.tell_watchers()
             snapshot = self.core.snapshot(self.now)
             for watcher in tuple(self._watchers):
                 with self._unharmed_by(watcher):
@@ -219,12 +218,11 @@ class Service:
         actions = self.core.handle(event)
         for action in actions:
             self._carry_out(action)
-        if not self._untold:
-            asyncio.get_running_loop().call_later(TOLD_WITHIN_S, self._tell_watchers)
         self._untold.append((event, actions))
         return actions
 
-    def _tell_watchers(self) -> None:
+    def tell_watchers(self) -> None:
+        """Of all that happened since. At each tick: no setpoint is to wait for what they make of it."""
         untold, self._untold = self._untold, []
         for watcher in tuple(self._watchers):
             with self._unharmed_by(watcher):

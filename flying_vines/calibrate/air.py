@@ -42,6 +42,7 @@ RESERVOIR_ZERO_SD_KPA = 8.0
 """Of the bottle's sensor, where nobody has looked at it with an empty bottle."""
 VINE_LEAK_SURE = 0.03
 """To which the pressure at the leak is known by that at the valves, and how the regulator holds it."""
+TOO_LITTLE = "too few inflations to tell the vine's volume"
 SEEN_SD = 3.0
 """So many standard deviations above none, and a leak is there."""
 
@@ -215,7 +216,10 @@ def volumes(vine: Vine) -> Result:
         believed=known.pneumatics.cv_volume_L,
         key="pneumatics.cv_volume_L",
     )
-    found = [volume.measured(litres, f"mean of 0 to {known.top_kPa:g} kPa, the tube's included")]
+    if litres.low > 0.0:
+        found = [volume.measured(litres, f"mean of 0 to {known.top_kPa:g} kPa, the tube's included")]
+    else:
+        found = [volume.unknown(TOO_LITTLE)]
     for name, what in (("pouch", "the first inflation, from flat"), ("refill", "a later one, from vented")):
         finding = Finding(f"{name}_air_SL", f"air of {what}", "SL")
         if name in vine.unseen:

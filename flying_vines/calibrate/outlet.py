@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from flying_vines.calibrate.air import SMOOTHED_S, Vine, smooth
+from flying_vines.calibrate.air import SMOOTHED_S, TOO_LITTLE, Vine, smooth
 from flying_vines.calibrate.charts import Chart, Series, thinned
 from flying_vines.calibrate.estimate import Estimate
 from flying_vines.calibrate.findings import Finding, Result
@@ -60,12 +60,14 @@ def outlet(readings: Readings, vine: Vine) -> Result:
     falls = list(vents(readings))
     if not falls:
         return Result((finding.unknown("no vent from a held pressure was seen at once and whole"),))
+    litres = vine.volume()
+    if litres.low <= 0.0:
+        return Result((finding.unknown(TOO_LITTLE),))
     found = []
     for t_s, kPa in falls:
         open_ = t_s > 0.0
         start_kPa = float(np.mean(kPa[~open_])) if np.any(~open_) else float(kPa[0])
         found.append(float(np.sum(kPa[open_])) * readings.step_s / vine.air_SL(0.0, start_kPa))
-    litres = vine.volume()
     spread = float(np.std(found, ddof=1)) / np.sqrt(len(found)) if len(found) > 1 else 0.05 * found[0]
     mean = float(np.mean(found)) * (1.0 + COLD)
     sd = float(np.hypot(spread, mean * np.hypot(litres.sd / litres.value, COLD / np.sqrt(3.0))))

@@ -16,7 +16,7 @@ from math import hypot
 
 import numpy as np
 
-from flying_vines.calibrate.air import Vine, inverse
+from flying_vines.calibrate.air import TOO_LITTLE, Vine, inverse
 from flying_vines.calibrate.charts import Chart, Series
 from flying_vines.calibrate.estimate import SD_95, Estimate
 from flying_vines.calibrate.findings import Finding, Proposal, Result
@@ -114,6 +114,8 @@ def open_valve(readings: Readings, vine: Vine) -> Opened | str:
     if readings.step_s > EVERY_STEP_S:
         rate_Hz = 1.0 / readings.step_s
         return f"telemetry came at {rate_Hz:.0f} Hz, and what the valve was told in between is not known"
+    if vine.volume().low <= 0.0:
+        return TOO_LITTLE
     found = tuple(inflations(readings, vine))
     if len(found) < FEWEST:
         return f"only {len(found)} inflations were settled at both ends"

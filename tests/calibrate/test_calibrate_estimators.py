@@ -246,6 +246,18 @@ def test_an_outlet_that_was_never_seen_to_open_is_not_known(seen: tuple[Readings
     assert found.value is None and found.note
 
 
+def test_where_the_volume_is_not_known_nothing_that_rests_on_it_is(seen: tuple[Readings, Vine]) -> None:
+    readings, vine = seen
+    vague = replace(vine.balance, values={**vine.balance.values, "volume": Estimate(-0.03, 0.05)})
+    unsure = replace(vine, balance=vague)
+    vent = readings.rows(slice(None))
+    for result in (volumes(unsure), valve.inflation_valve(readings, unsure), outlet.outlet(vent, unsure)):
+        for finding in result.findings:
+            if finding.name.startswith(("cv_volume", "evp", "outlet")):
+                assert finding.value is None and finding.note
+        assert result.proposals == ()
+
+
 # Angles.
 
 
