@@ -11,6 +11,7 @@ an environment of its own (with pyserial) that `--mavsdk-python` names. Linux on
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 import os
@@ -21,7 +22,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from time import monotonic
@@ -195,27 +196,35 @@ def _fly(subject: Subject, result: Result, flips: int, seed: int, scratch: Path)
             used_s = cpu_s(process.pid)
 
         try:
-            flipper = Flipper(udp_port, board, flips, seed)
-            flight = flipper.fly(lambda: process.poll() is None, loaded)
-            if process.poll() is not None:
-                raise NotMeasured("the process ended during the flight")
-            result.cpu_s += cpu_s(process.pid) - used_s
-            result.memories.append(memory(process.pid))
-            result.alive_s.append(flipper.alive_at_s - started_s)
-            result.flights.append(flight)
-            if not flight.latencies_ms:
-                raise NotMeasured("no flip was followed by a setpoint")
+            with ended(process):
+                flipper = Flipper(udp_port, board, flips, seed)
+                flight = flipper.fly(lambda: process.poll() is None, loaded)
+                if process.poll() is not None:
+                    raise NotMeasured("the process ended during the flight")
+                result.cpu_s += cpu_s(process.pid) - used_s
+                result.memories.append(memory(process.pid))
+                result.alive_s.append(flipper.alive_at_s - started_s)
+                result.flights.append(flight)
+                if not flight.latencies_ms:
+                    raise NotMeasured("no flip was followed by a setpoint")
         except NotMeasured as problem:
             output.seek(0)
             said = output.read()[-2000:].strip()
             raise NotMeasured(f"{subject.name}: {problem}; its output ends:\n{said}") from None
-        finally:
-            process.terminate()
-            try:
-                process.wait(5.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+
+
+@contextlib.contextmanager
+def ended(process: subprocess.Popen[bytes]) -> Iterator[None]:
+    """Whatever happens within, afterwards the process has ended."""
+    try:
+        yield
+    finally:
+        process.terminate()
+        try:
+            process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 def _command(subject: Subject, udp_port: int, tty: str, folder: Path) -> list[str]:

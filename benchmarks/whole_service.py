@@ -24,7 +24,7 @@ from typing import IO
 
 import msgspec
 from aiohttp import ClientSession, ClientTimeout
-from latency import environment, free_udp_port, profile_text
+from latency import ended, environment, free_udp_port, profile_text
 from process_cost import cpu_s, only_child, pss_MB
 from serial_board import SerialBoard
 from switch_flips import Flight, Flipper, NotMeasured
@@ -153,7 +153,7 @@ def running(
             output=output,
             cores=cores,
         )
-        stack.enter_context(_ended(process))
+        stack.enter_context(ended(process))
         whole = Whole(folder, process, switched, port)
         if switched.page:
             _until_it_listens(whole)
@@ -162,7 +162,7 @@ def running(
         if switched.watch:
             token = ("--token-file", str(whole.token_file)) if whole.token else ()
             watch = _flying_vines("watch", "--url", f"http://127.0.0.1:{port}", *token, "--plain")
-            stack.enter_context(_ended(watch))
+            stack.enter_context(ended(watch))
         yield whole, Flipper(udp_port, board, flips, seed, signing)
 
 
@@ -220,19 +220,6 @@ def _until_it_listens(whole: Whole) -> None:
                 return
         time.sleep(0.02)
     raise NotMeasured(f"no page within {STARTS_WITHIN_S:g} s; the service's output:\n{whole.said[-2000:]}")
-
-
-@contextlib.contextmanager
-def _ended(process: subprocess.Popen[bytes]) -> Iterator[None]:
-    try:
-        yield
-    finally:
-        process.terminate()
-        try:
-            process.wait(5.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
 class Viewers:

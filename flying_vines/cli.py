@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from flying_vines import config as configuration
 from flying_vines.address import FORMS, parse_address
+from flying_vines.bad_input import BAD_INPUT, bad_input, lacks
 from flying_vines.calibrate import command as calibrate_command
 from flying_vines.config import Config, ConfigError
 from flying_vines.doctor import command as doctor_command
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from flying_vines.kept import Kept
     from flying_vines.reservoir.calibration import Calibration
 
-BAD_INPUT = 2
 FLIGHTS = Path("flights")
 SNAPSHOT_S = 0.05
 
@@ -55,8 +55,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
 
 def _fail(sentence: str) -> NoReturn:
-    print(f"flying-vines: {sentence}", file=sys.stderr)
-    sys.exit(BAD_INPUT)
+    sys.exit(bad_input(sentence))
 
 
 @contextmanager
@@ -65,7 +64,7 @@ def _analysis() -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
+        _fail(lacks(error))
     except ImportError as error:
         _fail(str(error))
 
@@ -361,8 +360,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _known(config: Config, profile: Path | None, rig: Path | None = None) -> Calibration | None:
     """What the rig file says that is given, or that the profile names; paths in it start from where it is."""
-    if rig is None and profile and config.pneumatics.rig:
-        rig = profile.parent / config.pneumatics.rig
+    rig = rig or configuration.rig_named(config, profile)
     if rig is None:
         return None
     from flying_vines.pneumatics.rig import RigError
@@ -914,7 +912,7 @@ def _fake_phlosar(arguments: argparse.Namespace) -> int:
         with PtyPhlosar(phlosar, arguments.link) as port:
 
             async def live() -> None:
-                print(arguments.link or port.path, flush=True)
+                print(port.path, flush=True)
                 if sys.stdin.isatty():
                     print("Type to break it, as `hose off` or `evp stuck 1`; Ctrl-C ends it.")
                     print(MISHAPS, flush=True)

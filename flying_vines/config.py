@@ -279,6 +279,11 @@ def load(path: Path) -> Config:
     return parse(text_of(path), str(path))
 
 
+def rig_named(config: Config, profile: Path | None) -> Path | None:
+    """The rig file that a profile names, if any; paths in it start from where it is."""
+    return profile.parent / config.pneumatics.rig if profile and config.pneumatics.rig else None
+
+
 def text_of(path: Path) -> str:
     """What is in the file of a profile; `ConfigError` when it cannot be read."""
     return read_text(path, ConfigError, f"; `flying-vines config init {path}` writes one")

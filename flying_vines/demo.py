@@ -18,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from flying_vines import config as configuration
+from flying_vines.bad_input import lacks
 from flying_vines.config import Config
 from flying_vines.events import Action, Decision, Snapshot
 from flying_vines.fakes.autopilot import Autopilot
@@ -405,7 +406,7 @@ def _draw(log: Recorder, console: Console) -> Path | None:
     try:
         from flying_vines.record.picture import draw_flight
     except ModuleNotFoundError as error:
-        console.print(f"No picture: {error.name} is missing; pip install 'flying-vines[analysis]' brings it.")
+        console.print(f"No picture: {lacks(error)}.")
         return None
     path = log.folder / "flight.png"
     draw_flight(FlightLog(log.folder), path, "Flying Vines demo flight")

@@ -28,6 +28,10 @@ class SettingsError(Exception):
     """The settings cannot be read or changed; the text is a sentence."""
 
 
+class SettingsInterruptedError(SettingsError):
+    """Nobody wants it any more."""
+
+
 async def monitor(address: Address, title: str, seconds: float | None, objects: bool, raw: bool) -> bool:
     """Watch until interrupted, or for `seconds`; whether the firmware answered."""
     watch = LinkWatch(address)
@@ -88,8 +92,9 @@ async def talk_about_settings(
 
     await watch.run(lambda heard: None, over)
     if not talk.done:
-        how_it_ended = "interrupted" if stopped.is_set() else watch.port.text
-        raise SettingsError(talk.problem or how_it_ended)
+        if stopped.is_set() and not talk.problem:
+            raise SettingsInterruptedError("interrupted")
+        raise SettingsError(talk.problem or watch.port.text)
     return talk.settings
 
 

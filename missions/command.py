@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
-import sys
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flying_vines.address import FORMS
+from flying_vines.bad_input import BAD_INPUT, bad_input
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from flying_vines.vehicle.mission.storage import Kind
     from missions.report import Report
 
-BAD_INPUT = 2
 NOT_AS_PLANNED = 1
 SCRIPT = "vine_items.lua"
 GROUND_STATION_LINK = "udpin:0.0.0.0:14550"
@@ -216,8 +215,7 @@ def _report(arguments: argparse.Namespace, flies: bool = False) -> Report:
     config = configuration.load(arguments.config) if arguments.config else configuration.default()
     name, items, kind, home = _items(arguments, config)
     rig: Path | None = arguments.rig
-    if rig is None and arguments.config and config.pneumatics.rig:
-        rig = arguments.config.parent / config.pneumatics.rig
+    rig = rig or configuration.rig_named(config, arguments.config)
     try:
         belief = load_calibration(rig, config.pneumatics).belief if rig else nominal(config.pneumatics)
     except RigError as error:
@@ -267,7 +265,6 @@ def _tell(report: Report, as_json_wanted: bool, written: list[Path]) -> int:
 
 
 def _fail(sentences: str) -> int:
-    sys.stdout.flush()
     for sentence in sentences.splitlines():
-        print(f"flying-vines: {sentence}", file=sys.stderr)
+        bad_input(sentence)
     return BAD_INPUT

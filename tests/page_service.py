@@ -10,6 +10,7 @@ import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
 
+from gateway_process import gateway_of
 from page_bench import free_port
 from service_bench import Bench, on_bench, until
 
@@ -58,8 +59,7 @@ class Served:
     @property
     def gateway(self) -> int:
         """The process of its page."""
-        (child,) = Path(f"/proc/{self.pid}/task/{self.pid}/children").read_text().split()
-        return int(child)
+        return gateway_of(self.pid)
 
     async def kill(self) -> None:
         assert self._process is not None

@@ -7,6 +7,8 @@ import contextlib
 import socket
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from flying_vines import config
 from flying_vines.fakes.autopilot import Autopilot
@@ -68,7 +70,7 @@ async def on_bench(autopilot: Autopilot) -> AsyncIterator[Bench]:
     companion_port = free_port()
     phlosar = SimulatedPhlosar()
     server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
-    with PtyPhlosar(phlosar) as port:
+    with TemporaryDirectory() as folder, PtyPhlosar(phlosar, Path(folder) / "phlosar") as port:
         profile = between(companion_port, port.path).replace("bench_mode = false", "bench_mode = true")
         running = [asyncio.create_task(part.run()) for part in (server, port, ground)]
         yield Bench(autopilot, phlosar, port, ground, profile)

@@ -179,7 +179,7 @@ def test_a_calibration_needs_what_every_bend_needs() -> None:
 
 
 def too_long() -> Config:
-    text = config.default_text().replace("hold_s = 3\n", "hold_s = 30\n")
+    text = config.default_text().replace("hold_s = 3 ", "hold_s = 30 ")
     return config.parse(text, "my.toml")
 
 

@@ -105,13 +105,16 @@ def test_settings_are_shown_and_changed(board: str, capsys: pytest.CaptureFixtur
 
 
 async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settings(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(link_command, "ANSWERS_WITHIN_S", 0.5)
     loop, codec = asyncio.get_running_loop(), Codec()
     board, port = os.openpty()
     tty.setraw(port)
-    address = SerialAddress(os.ttyname(port))
+    # Its own name, as udev gives one: a terminal's number is another's as soon as it is free.
+    name = tmp_path / "phlosar"
+    name.symlink_to(os.ttyname(port))
+    address = SerialAddress(str(name))
 
     def hear() -> None:
         for message in codec.decode(os.read(board, 4096)):
@@ -121,6 +124,7 @@ async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settin
                 os.write(board, codec.encode(welcome))
             elif isinstance(message, GetSetting):
                 loop.remove_reader(board)
+                name.unlink()
                 os.close(board)
                 os.close(port)
                 break

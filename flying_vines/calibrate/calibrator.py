@@ -241,7 +241,7 @@ class Calibrator:
                 yield from self._enter("Close the bottle, fill it, and press Enter")
                 self._first_row = len(self._notebook)
             case "zero":
-                yield from self._rest(SETTLE_S)
+                yield from self._wait(SETTLE_S)
                 yield from self._rest_and_read(replace(stage, rest_s=stage.rest_s - SETTLE_S))
                 self._need_zero()
                 self._need_air(self.plan.air_kPa)
@@ -249,17 +249,17 @@ class Calibrator:
                 litres = self.plan.wish.vessel_L
                 yield from self._enter(f"Put the vessel ({litres:g} L) in place of the vine, and press Enter")
                 self._first_row = len(self._notebook)
-                yield from self._rest(stage.rest_s)
+                yield from self._wait(stage.rest_s)
                 yield from self._move(stage.movements)
                 yield from self._evaluate(stage)
                 yield from self._enter("Put the vine back, and press Enter")
                 self._first_row = len(self._notebook)
-                yield from self._rest(stage.rest_s)
+                yield from self._wait(stage.rest_s)
             case "angle" if stage.levels_kPa:
                 yield from self._look_at_angles(stage)
                 yield from self._evaluate(stage)
             case _:
-                yield from self._rest(stage.rest_s)
+                yield from self._wait(stage.rest_s)
                 if not stage.movements:
                     yield from self._evaluate(stage)
                 else:
@@ -300,12 +300,10 @@ class Calibrator:
         while self._t < until:
             yield
 
-    _rest = _wait
-
     def _rest_and_read(self, stage: Stage) -> Generator[None]:
         """What is read of a rest alone."""
         first = len(self._notebook)
-        yield from self._rest(stage.rest_s)
+        yield from self._wait(stage.rest_s)
         yield from self._evaluate(stage, first)
 
     def _move_until_sure(self, stage: Stage) -> Generator[None]:
@@ -336,7 +334,7 @@ class Calibrator:
             if self._t > until:
                 raise _Stopped(f"the vine is vented and still reads {self._cv_kPa():.1f} kPa")
             yield
-        yield from self._rest(self.plan.vented_s)
+        yield from self._wait(self.plan.vented_s)
 
     def _cv_kPa(self) -> float:
         zero = self.findings.estimate("cv_zero_kPa")

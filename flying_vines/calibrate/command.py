@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from flying_vines import config as configuration
+from flying_vines.bad_input import bad_input, lacks
 
 NOT_DONE = 1
-BAD_INPUT = 2
 INTERRUPTED = 130
 LIKELY = Path()
 """What stands for a likely vine, where a rig file may."""
@@ -36,11 +36,11 @@ def add(commands: Any, logs: Path) -> None:
         "--bottle-empty", action="store_true", help="it is empty and open: its sensor's zero first"
     )
     parser.add_argument(
-        "--bottle-volume-L", type=_volume, dest="bottle_volume_L", metavar="L", help="as weighed with water"
+        "--bottle-volume-L", type=float, dest="bottle_volume_L", metavar="L", help="as weighed with water"
     )
     parser.add_argument(
         "--vessel-L",
-        type=_volume,
+        type=float,
         dest="vessel_L",
         metavar="L",
         help="a rigid vessel that is first put in the vine's place: it measures the bottle",
@@ -60,42 +60,32 @@ def _names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def _volume(text: str) -> float:
-    volume_L = float(text)
-    if not 0.01 <= volume_L <= 100.0:
-        raise argparse.ArgumentTypeError("a volume in litres, from 0.01 to 100")
-    return volume_L
-
-
 def run(arguments: argparse.Namespace) -> int:
     """0 where all was measured, 1 where it ended before; `ConfigError` where the profile cannot be read."""
     try:
         from flying_vines.calibrate.course import CalibrateError
-        from flying_vines.link_command import SettingsError
+        from flying_vines.link_command import SettingsError, SettingsInterruptedError
         from flying_vines.pneumatics.rig import RigError
         from flying_vines.vehicle.parameter_file import ParameterFileError
         from flying_vines.vehicle.signing_key import SigningKeyError
 
         return _run(arguments)
     except ModuleNotFoundError as error:
-        return _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
+        return bad_input(lacks(error))
     except (CalibrateError, RigError, ParameterFileError, SigningKeyError) as error:
-        return _fail(str(error))
+        return bad_input(str(error))
+    except SettingsInterruptedError:
+        return INTERRUPTED
     except SettingsError as error:
-        return INTERRUPTED if str(error) == "interrupted" else _fail(f"phloSAR: {error}")
+        return bad_input(f"phloSAR: {error}")
     except OSError as error:
-        return _fail(f"{error.filename or arguments.out}: {error.strerror}")
-
-
-def _fail(sentence: str) -> int:
-    print(f"flying-vines: {sentence}", file=sys.stderr)
-    return BAD_INPUT
+        return bad_input(f"{error.filename or arguments.out}: {error.strerror}")
 
 
 def _run(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
-    from flying_vines.calibrate.conclude import Person, conclude
+    from flying_vines.calibrate.conclude import UserProfile, conclude
     from flying_vines.calibrate.course import CalibrateError, on_a_fake, on_a_rig
     from flying_vines.calibrate.plan import Wish
     from flying_vines.calibrate.walk import Walk
@@ -108,7 +98,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if fake and arguments.set_firmware:
         raise CalibrateError("--set-firmware is for a board that is there, not for --fake")
     text = configuration.text_of(path) if path else configuration.default_text()
-    person = Person(text, path, configuration.parse(text, str(path or "the built-in profile")))
+    profile = UserProfile(text, path, configuration.parse(text, str(path or "the built-in profile")))
     asked = not (fake or arguments.yes)
     if asked and not sys.stdin.isatty():
         raise CalibrateError("nobody is at the terminal to say that the vine may bend: give --yes")
@@ -123,17 +113,17 @@ def _run(arguments: argparse.Namespace) -> int:
     walk = Walk(Console(highlight=False), asked)
     if fake:
         rig = None if arguments.fake == LIKELY else arguments.fake
-        carried = on_a_fake(person, wish, arguments.out, walk, rig)
+        carried = on_a_fake(profile, wish, arguments.out, walk, rig)
     else:
-        going = on_a_rig(person, wish, arguments.out, walk, arguments.set_firmware)
+        going = on_a_rig(profile, wish, arguments.out, walk, arguments.set_firmware)
         begun = asyncio.run(going)
         if begun is None:
             return INTERRUPTED
         carried = begun
     diagnose = not (arguments.no_diagnosis or carried.interrupted)
     in_place = arguments.in_place and carried.done
-    conclude(carried.conducted, person, carried.believed, walk, diagnose, in_place)
-    walk.firmware(carried.firmware, person.config.firmware.link, carried.is_set)
+    conclude(carried.conducted, profile, carried.believed, walk, diagnose, in_place)
+    walk.firmware(carried.firmware, profile.config.firmware.link, carried.is_set)
     if carried.interrupted:
         return INTERRUPTED
     return 0 if carried.done else NOT_DONE

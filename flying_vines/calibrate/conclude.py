@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from flying_vines import on_disk
+from flying_vines.bad_input import lacks
 from flying_vines.calibrate.conductor import Conducted
 from flying_vines.calibrate.profile import Change, calibrated, changes, is_sure, with_numbers
 from flying_vines.calibrate.rig_file import KEYS, rig_text
@@ -25,12 +26,11 @@ from flying_vines.config import Config, ConfigError, Pneumatics
 
 FOLDER = "calibration"
 NUMBERS = tuple(f"pneumatics.{name}" for name in KEYS)
-EXTRA = "pip install 'flying-vines[analysis]' brings it"
 
 
 @dataclass(frozen=True)
-class Person:
-    """Whose rig was calibrated."""
+class UserProfile:
+    """Of whoever calibrates."""
 
     text: str
     """Of the profile."""
@@ -45,7 +45,12 @@ class Person:
 
 
 def conclude(
-    conducted: Conducted, person: Person, believed: Pneumatics, walk: Walk, diagnose: bool, in_place: bool
+    conducted: Conducted,
+    profile: UserProfile,
+    believed: Pneumatics,
+    walk: Walk,
+    diagnose: bool,
+    in_place: bool,
 ) -> None:
     """Write all files and show what is in them; `OSError` where they cannot be written.
 
@@ -62,26 +67,26 @@ def conclude(
     ended = conducted.ended
     told = {"outcome": ended.outcome, "sentence": ended.sentence, **findings.as_json()}
     _write(folder / "findings.json", json.dumps(told, indent=1, allow_nan=False) + "\n")
-    _write(folder / "believed.toml", person.text)
-    changed = list(changes(findings, person.config.limits.max_kPa))
+    _write(folder / "believed.toml", profile.text)
+    changed = list(changes(findings, profile.config.limits.max_kPa))
     for finding in findings.findings:
         if finding.key in NUMBERS and finding.value is not None and not is_sure(finding):
             walk.warn(f"{finding.what}: not sure enough for the profile, which keeps its own")
-    if changed and person.config.pneumatics.rig:
-        changed = [*_of_the_rig_file(person.config.pneumatics.rig, believed, changed), *changed]
-    numbers = with_numbers(person.config, changed).pneumatics
+    if changed and profile.config.pneumatics.rig:
+        changed = [*_of_the_rig_file(profile.config.pneumatics.rig, believed, changed), *changed]
+    numbers = with_numbers(profile.config, changed).pneumatics
     rig_file = folder / "believed-rig.toml"
     _write(rig_file, rig_text(numbers, findings))
     places = [folder / "calibrated.toml"]
-    if in_place and person.path is not None:
-        places.append(person.path)
+    if in_place and profile.path is not None:
+        places.append(profile.path)
     if changed:
-        _write_profiles(person, changed, None, places, walk)
+        _write_profiles(profile, changed, None, places, walk)
     if conducted.charts:
         _draw(conducted, folder, walk)
     extended = _diagnose(conducted, rig_file, numbers, walk) if diagnose else None
     if extended is not None:
-        _write_profiles(person, changed, extended, places, walk)
+        _write_profiles(profile, changed, extended, places, walk)
     if changed:
         for place in places:
             walk.at_last("Profile", place)
@@ -97,7 +102,7 @@ def _draw(conducted: Conducted, folder: Path, walk: Walk) -> None:
         from flying_vines.calibrate.page import page
         from flying_vines.calibrate.pictures import pictures
     except ModuleNotFoundError as error:
-        walk.warn(f"No pictures: {error.name} is missing; {EXTRA}")
+        walk.warn(f"No pictures: {lacks(error)}")
         return
     drawn = pictures(conducted.charts, folder)
     path = folder / "calibration.html"
@@ -112,7 +117,7 @@ def _diagnose(conducted: Conducted, believed: Path, numbers: Pneumatics, walk: W
         from flying_vines.calibrate.diagnosis import diagnosed
         from flying_vines.discrepancy.recording import CaseError
     except ModuleNotFoundError as error:
-        walk.warn(f"No diagnosis: {error.name} is missing; {EXTRA}. Then: {command}")
+        walk.warn(f"No diagnosis: {lacks(error)}. Then: {command}")
         return None
     try:
         with walk.working() as progress:
@@ -128,7 +133,7 @@ def _diagnose(conducted: Conducted, believed: Path, numbers: Pneumatics, walk: W
 
 
 def _write_profiles(
-    person: Person, changed: list[Change], rig: Path | None, places: list[Path], walk: Walk
+    profile: UserProfile, changed: list[Change], rig: Path | None, places: list[Path], walk: Walk
 ) -> None:
     """The calibrated profile, in each of the places."""
     for place in places:
@@ -137,7 +142,7 @@ def _write_profiles(
             where = os.path.relpath(rig, place.parent)
             wanted.append(Change("pneumatics", "rig", where, "with the causes that the diagnosis names"))
         try:
-            text, left_out = calibrated(person.text, person.name, wanted, time.strftime("%Y-%m-%d"))
+            text, left_out = calibrated(profile.text, profile.name, wanted, time.strftime("%Y-%m-%d"))
         except ConfigError as error:
             walk.warn(str(error))
             return

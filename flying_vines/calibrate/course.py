@@ -15,7 +15,7 @@ from pathlib import Path
 
 from flying_vines.address import parse_address
 from flying_vines.calibrate import session, simulated
-from flying_vines.calibrate.conclude import Person
+from flying_vines.calibrate.conclude import UserProfile
 from flying_vines.calibrate.conductor import Conducted
 from flying_vines.calibrate.known import Known, with_kept
 from flying_vines.calibrate.plan import Plan, Wish, plan
@@ -57,15 +57,17 @@ class Carried:
         return self.conducted.ended.outcome == "done"
 
 
-async def on_a_rig(person: Person, wish: Wish, out: Path, walk: Walk, set_firmware: bool) -> Carried | None:
+async def on_a_rig(
+    profile: UserProfile, wish: Wish, out: Path, walk: Walk, set_firmware: bool
+) -> Carried | None:
     """On the profile's ports; None where nobody wanted it to begin.
 
     Raises `CalibrateError`, `SettingsError` where the board does not answer, those of `with_kept`, `OSError`.
     """
-    assert person.path is not None
-    believed, known = with_kept(person.path, person.config)
+    assert profile.path is not None
+    believed, known = with_kept(profile.path, profile.config)
     _plan(believed, wish)
-    address = parse_address(person.config.firmware.link)
+    address = parse_address(profile.config.firmware.link)
     stopped = asyncio.Event()
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         asyncio.get_running_loop().add_signal_handler(name, stopped.set)
@@ -85,11 +87,11 @@ async def on_a_rig(person: Person, wish: Wish, out: Path, walk: Walk, set_firmwa
     return Carried(conducted, believed.pneumatics, stopped.is_set(), wanted, to_set)
 
 
-def on_a_fake(person: Person, wish: Wish, out: Path, walk: Walk, rig: Path | None) -> Carried:
+def on_a_fake(profile: UserProfile, wish: Wish, out: Path, walk: Walk, rig: Path | None) -> Carried:
     """On a simulated rig: that of a file, or a likely one. Raises `CalibrateError`, `RigError`, `OSError`."""
     if wish.vessel_L is not None:
         raise CalibrateError("--vessel-L takes hands that change a hose: it is not for --fake")
-    believed, known = with_kept(person.path, person.config) if person.path else (person.config, Known())
+    believed, known = with_kept(profile.path, profile.config) if profile.path else (profile.config, Known())
     planned = _plan(believed, wish)
     phlosar = SimulatedPhlosar(
         load_true_rig(rig) if rig else None,

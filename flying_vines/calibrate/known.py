@@ -7,11 +7,12 @@ from pathlib import Path
 
 import msgspec
 
+from flying_vines import config as configuration
 from flying_vines.config import Config
 from flying_vines.kept import Kept
 from flying_vines.reservoir import Belief
 from flying_vines.reservoir.calibration import load_calibration
-from flying_vines.vehicle.component.settings import changed
+from flying_vines.vehicle.component.parameters import Parameters
 from flying_vines.vehicle.signing import Signing
 
 
@@ -35,13 +36,10 @@ def with_kept(path: Path, config: Config) -> tuple[Config, Known]:
     Raises `ParameterFileError`, `SigningKeyError` or `RigError`: one line.
     """
     kept = Kept.of(path, config)
-    flown = config
-    for name, value in kept.read_parameters(config).items():
-        flown = changed(config, flown, name, value)
+    flown = Parameters(config, kept.read_parameters(config)).config
     signing, _ = kept.read_signing(config)
     belief, rig_text = None, ""
-    if config.pneumatics.rig:
-        rig = path.parent / config.pneumatics.rig
+    if rig := configuration.rig_named(config, path):
         belief = load_calibration(rig, config.pneumatics).belief
         rig_text = rig.read_text(encoding="utf-8")
         flown = msgspec.structs.replace(flown, pneumatics=belief.pneumatics)

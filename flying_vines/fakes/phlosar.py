@@ -305,10 +305,10 @@ _READ_SIZE = 4096
 class PtyPhlosar:
     """A simulated phloSAR behind a pseudo-terminal, in real time.
 
-    `path` is the port to open, from construction on; `symlink` is a stable name for it, made anew when it
-    is a leftover link (FileExistsError when it is anything else). Hosts may close and open the port as
-    they like. What no host reads is dropped, and counted, as on a wire. Use as a context manager, or
-    call `close`.
+    `path` is the port to open, from construction on: `symlink`, made anew when it is a leftover link
+    (FileExistsError when it is anything else), or the terminal's number, which the next terminal on this
+    machine may have as soon as this one is closed. Hosts may close and open the port as they like. What
+    no host reads is dropped, and counted, as on a wire. Use as a context manager, or call `close`.
     """
 
     def __init__(
@@ -326,7 +326,7 @@ class PtyPhlosar:
         try:
             tty.setraw(self._hosts)
             os.set_blocking(self._ours, False)
-            self.path = os.ttyname(self._hosts)
+            self._terminal = self.path = os.ttyname(self._hosts)
             if symlink is not None:
                 self._link(Path(symlink))
         except BaseException:
@@ -343,13 +343,14 @@ class PtyPhlosar:
         """Unplug it."""
         if self._ours < 0:
             return
+        # The name goes first, or it could lead to the terminal of somebody else.
+        if self._symlink is not None:
+            with contextlib.suppress(OSError):
+                if str(self._symlink.readlink()) == self._terminal:
+                    self._symlink.unlink()
         os.close(self._ours)
         os.close(self._hosts)
         self._ours = self._hosts = -1
-        if self._symlink is not None:
-            with contextlib.suppress(OSError):
-                if str(self._symlink.readlink()) == self.path:
-                    self._symlink.unlink()
 
     async def run(self) -> None:
         """Live in real time until cancelled. After a stall of this process the board's time stands still."""
@@ -379,5 +380,5 @@ class PtyPhlosar:
             symlink.unlink()
         elif symlink.exists():
             raise FileExistsError(f"{symlink} is not a link and stays as it is")
-        symlink.symlink_to(self.path)
-        self._symlink = symlink
+        symlink.symlink_to(self._terminal)
+        self._symlink, self.path = symlink, str(symlink)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from firmware_link.find import UsbBoard
 from flying_vines import config as configuration
+from flying_vines.bad_input import bad_input
 from flying_vines.install import files
 from flying_vines.install.changes import (
     Change,
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from flying_vines.config import Config
 
 NOT_ALL = 1
-BAD_INPUT = 2
 THIS_MACHINE = Path("/")
 SYSTEMD_IS_AT_WORK = Path("/run/systemd/system")
 NEW_RULES = ("systemctl daemon-reload", "udevadm control --reload", "udevadm trigger --subsystem-match=tty")
@@ -87,10 +87,9 @@ def _run(arguments: argparse.Namespace) -> int:
         plan = _removal(root) if arguments.remove else _installation(arguments)
         return _carry_out(plan, root, arguments.yes)
     except (InstallError, ValueError) as error:
-        print(f"flying-vines: {error}", file=sys.stderr)
+        return bad_input(str(error))
     except OSError as error:
-        print(f"flying-vines: {error.filename or root}: {error.strerror}", file=sys.stderr)
-    return BAD_INPUT
+        return bad_input(f"{error.filename or root}: {error.strerror}")
 
 
 def _installation(arguments: argparse.Namespace) -> Plan:

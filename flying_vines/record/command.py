@@ -9,12 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from flying_vines.bad_input import bad_input, lacks
+
 if TYPE_CHECKING:
     from flying_vines.record.reader import FlightLog
 
 FLIGHTS = Path("flights")
 DIFFERENT = 1
-BAD_INPUT = 2
 PICTURES = (".png", ".pdf", ".svg")
 
 
@@ -67,19 +68,14 @@ def _reading(run: Callable[[FlightLog, argparse.Namespace], int], arguments: arg
         log = find_flight(arguments.flight, arguments.folder)
         status = run(log, arguments)
     except LogError as error:
-        return _fail(str(error))
+        return bad_input(str(error))
     except ModuleNotFoundError as error:
-        return _fail(f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it")
+        return bad_input(lacks(error))
     except OSError as error:
-        return _fail(f"{error.filename}: {error.strerror}")
+        return bad_input(f"{error.filename}: {error.strerror}")
     if log.damage:
         print(f"flying-vines: {log.damage}", file=sys.stderr)
     return status
-
-
-def _fail(sentence: str) -> int:
-    print(f"flying-vines: {sentence}", file=sys.stderr)
-    return BAD_INPUT
 
 
 def _list(arguments: argparse.Namespace) -> int:
@@ -90,7 +86,7 @@ def _list(arguments: argparse.Namespace) -> int:
     from flying_vines.record.summary import flights_in, summarise
 
     if not arguments.folder.is_dir():
-        return _fail(f"{arguments.folder}: is no folder; `run` and `demo` write flights there")
+        return bad_input(f"{arguments.folder}: is no folder; `run` and `demo` write flights there")
     summaries, unreadable = [], []
     for folder in flights_in(arguments.folder):
         try:
@@ -125,7 +121,7 @@ def _plot(log: FlightLog, arguments: argparse.Namespace) -> int:
 
     path: Path = arguments.out or log.folder / "flight.png"
     if path.suffix not in PICTURES:
-        return _fail(f"{path}: a picture ends with {', '.join(PICTURES)}")
+        return bad_input(f"{path}: a picture ends with {', '.join(PICTURES)}")
     draw_flight(log, path, arguments.title)
     print(f"Picture  {path}")
     return 0
@@ -170,7 +166,7 @@ def replay_again(recording: Path, config: Path | None, as_json: bool) -> int:
     try:
         again = replay_flight(FlightLog(recording), profile)
     except LogError as error:
-        return _fail(str(error))
+        return bad_input(str(error))
     show_again(again, as_json, Console())
     if again.damage:
         print(f"flying-vines: {again.damage}", file=sys.stderr)

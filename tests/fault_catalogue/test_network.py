@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from gateway.mqtt.brokers import Broker, onlooker, running
+from gateway_process import gateway_of
 from service_bench import until
 
 from .catalogue import ROWS
@@ -19,19 +20,6 @@ from .served import Served, on_bench
 async def served(tmp_path: Path) -> AsyncIterator[Served]:
     async with on_bench(tmp_path) as served:
         yield served
-
-
-def gateway_of(served: Served) -> int:
-    """Its process."""
-    assert served.process is not None
-    pid = served.process.pid
-    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    (gateway,) = (
-        int(child)
-        for child in children
-        if b"flying_vines.gateway" in Path(f"/proc/{child}/cmdline").read_bytes()
-    )
-    return gateway
 
 
 async def test_a_flight_goes_on_whatever_the_network_does(served: Served, tmp_path: Path) -> None:
@@ -48,7 +36,8 @@ async def test_a_flight_goes_on_whatever_the_network_does(served: Served, tmp_pa
             served.bend_full()
             await served.bent()
             await people.until(f"{base}/event", event="decision", intent="bend-full")
-            os.kill(gateway_of(served), signal.SIGKILL)
+            assert served.process is not None
+            os.kill(gateway_of(served.process.pid), signal.SIGKILL)
             await people.until(f"{base}/status", status="offline")
             await served.told(ROWS["gateway_killed"].told)
             await people.until(f"{base}/state", doing="bend-full")

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from gateway_process import gateway_of
 from service_bench import until
 
 from flying_vines.events import Decision
@@ -19,7 +20,7 @@ from flying_vines.gateway import gateway
 from flying_vines.gateway.gateway import Gateway
 from flying_vines.intent import Asker, Hold, Intent, StartBench, Vent
 
-from .mqtt.brokers import Broker, Onlooker, onlooker, running
+from .mqtt.brokers import Broker, Onlooker
 from .told import configured, decision, notice, snapshot
 
 BASE = "flying-vines/heron"
@@ -81,29 +82,6 @@ def played(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     return play
 
 
-@pytest.fixture
-async def broker(tmp_path: Path) -> AsyncIterator[Broker]:
-    async with running(Broker(tmp_path)) as broker:
-        yield broker
-
-
-@pytest.fixture
-async def people(broker: Broker) -> AsyncIterator[Onlooker]:
-    async with onlooker(broker) as people:
-        yield people
-
-
-def process_of(service: Service) -> int:
-    """The gateway's: the one child of ours that was started as such."""
-    children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
-    (pid,) = (
-        int(child)
-        for child in children
-        if b"flying_vines.gateway" in Path(f"/proc/{child}/cmdline").read_bytes()
-    )
-    return pid
-
-
 async def test_a_gateway_that_is_killed_leaves_its_last_will_and_comes_back(
     broker: Broker, people: Onlooker
 ) -> None:
@@ -116,7 +94,7 @@ async def test_a_gateway_that_is_killed_leaves_its_last_will_and_comes_back(
         await people.until(f"{BASE}/answer", id="1", safety="limited", reason="as a test")
         assert service.asked == [("broker", Vent())]
 
-        os.kill(process_of(service), signal.SIGKILL)
+        os.kill(gateway_of(os.getpid()), signal.SIGKILL)
         await people.until(f"{BASE}/status", status="offline")
         service.gateway.action(notice(2.0, "while it was away"))
         await people.until(f"{BASE}/status", status="online", count=2)
@@ -132,7 +110,7 @@ async def test_a_gateway_whose_service_was_killed_says_so(broker: Broker, people
     service = Service(broker=broker.url, name="heron")
     async with service.living():
         await people.until(f"{BASE}/status", status="online")
-        pid = process_of(service)
+        pid = gateway_of(os.getpid())
         socket = service.gateway._socket
         assert socket is not None
         socket.shutdown(2)
@@ -164,7 +142,7 @@ async def test_a_stopped_gateway_is_replaced(
     monkeypatch.setattr(gateway, "HANGS_S", 0.5)
     async with Service(broker=broker.url, name="heron").living() as service:
         await people.until(f"{BASE}/status", status="online")
-        os.kill(process_of(service), signal.SIGSTOP)
+        os.kill(gateway_of(os.getpid()), signal.SIGSTOP)
         for _ in range(2000):
             service.gateway.snapshot(snapshot(0.0))
         await people.until(f"{BASE}/status", status="offline")

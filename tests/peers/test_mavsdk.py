@@ -23,7 +23,7 @@ from flying_vines.service import Service
 from flying_vines.watcher import EachAction
 from missions.download import download
 from missions.files import load_items
-from missions.link import Ears, Heard, LinkError, Vehicle, vehicle
+from missions.link import Ears, Heard, LinkError, vehicle
 from missions.upload import upload
 from missions.watch import watch
 
@@ -155,7 +155,11 @@ async def test_values_texts_and_acknowledgements_of_the_vine_come_through_the_au
         assert refusal.fields["text"].startswith("Vine: ")
         flight.autopilot.takeoff(8.0)
         await until(lambda: flight.autopilot.height_m > 7.0, "in the air")
-        assert await accepted(peer, flight)
+        await until(lambda: flight.service.core.snapshot(flight.service.now).altitude_m > 7.0, "it knows")
+        result = await peer.command(BEND_TO, 30.0, component=COMPANION)
+        decided = [a for a in flight.actions if isinstance(a, Decision) and a.trigger == "command"]
+        assert [a.safety for a in decided] == ["refused", "accepted"], decided
+        assert result == 0, decided
         await hear(
             ears,
             lambda m: (
@@ -164,15 +168,6 @@ async def test_values_texts_and_acknowledgements_of_the_vine_come_through_the_au
                 and abs(m.fields["value"] - 30.0) < 4.0
             ),
         )
-
-
-async def accepted(peer: Vehicle, flight: Scene) -> bool:
-    """Whether a bend is taken, once the service knows of the height, and decided only once."""
-    snapshot = flight.service.core.snapshot
-    await until(lambda: snapshot(flight.service.now).altitude_m > 7.0, "the service knows")
-    result = await peer.command(BEND_TO, 30.0, component=COMPANION)
-    decided = [a.safety for a in flight.actions if isinstance(a, Decision) and a.trigger == "command"]
-    return result == 0 and decided == ["refused", "accepted"]
 
 
 @KINDS

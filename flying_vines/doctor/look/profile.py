@@ -48,11 +48,11 @@ def read(path: Path) -> Profile:
         signing, signing_clock_problem = kept.read_signing(config)
     except SigningKeyError as error:
         signing_problem = str(error)
-    belief, rig, rig_said, rig_problem = nominal(config.pneumatics), "", "", ""
-    if config.pneumatics.rig:
-        rig = str(path.parent / config.pneumatics.rig)
+    belief, rig_said, rig_problem = nominal(config.pneumatics), "", ""
+    rig = configuration.rig_named(config, path)
+    if rig is not None:
         try:
-            known = load_calibration(Path(rig), config.pneumatics)
+            known = load_calibration(rig, config.pneumatics)
             belief, rig_said = known.belief, known.said
         except RigError as error:
             rig_problem = str(error)
@@ -62,7 +62,7 @@ def read(path: Path) -> Profile:
     facts = ProfileFacts(
         path=str(path),
         config=Parameters(config, parameters).config,
-        rig=rig,
+        rig=str(rig or ""),
         rig_said=rig_said,
         rig_problem=rig_problem,
         signing_key=str(path.parent / key) if key else "",

@@ -8,7 +8,6 @@ import gc
 import re
 import ssl
 import time
-from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -30,18 +29,6 @@ def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(health, "LONGEST_WAIT_S", 0.2)
     monkeypatch.setattr(health, "TOLD_AFTER_S", 0.0)
     monkeypatch.setattr(health, "WELL_S", 0.1)
-
-
-@pytest.fixture
-async def broker(tmp_path: Path) -> AsyncIterator[Broker]:
-    async with running(Broker(tmp_path)) as broker:
-        yield broker
-
-
-@pytest.fixture
-async def people(broker: Broker) -> AsyncIterator[Onlooker]:
-    async with onlooker(broker) as people:
-        yield people
 
 
 def ask(id: str, command: str = "vent", **more: Any) -> dict[str, Any]:

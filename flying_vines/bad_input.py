@@ -1,0 +1,19 @@
+"""How a command says that it cannot: one line on standard error, and exit status 2."""
+
+from __future__ import annotations
+
+import sys
+
+BAD_INPUT = 2
+
+
+def bad_input(sentence: str) -> int:
+    """Say it; returns the exit status."""
+    sys.stdout.flush()
+    print(f"flying-vines: {sentence}", file=sys.stderr)
+    return BAD_INPUT
+
+
+def lacks(error: ImportError) -> str:
+    """Which package of the extra is not installed, and what brings it."""
+    return f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it"

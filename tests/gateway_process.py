@@ -1,0 +1,16 @@
+"""The process that a service keeps for page and broker."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def gateway_of(pid: int) -> int:
+    """The one child of a process that was started as a gateway; ValueError when there is none, or several."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    (gateway,) = (
+        int(child)
+        for child in children
+        if b"flying_vines.gateway" in Path(f"/proc/{child}/cmdline").read_bytes()
+    )
+    return gateway
