@@ -27,6 +27,10 @@ DOWNLOADED_WITHIN_S = 300.0
 MOST_WAITING = 500
 """Messages kept for a listener that is slow; then the oldest go."""
 
+_KEPT: list[Any] = []
+"""What mavsdk calls back. It lets go of it when it is destroyed, and a call that runs then would have its
+code freed under it (4.1.0): the process crashes."""
+
 _EXTRA = "pip install 'flying-vines[missions]' brings it"
 _RESULTS = {
     1: "the vehicle says: error",
@@ -210,6 +214,8 @@ class Vehicle:
     def close(self) -> None:
         for ears in self._listening:
             ears.close()
+        for plugin in (self._direct, self._mission):
+            _KEPT.extend(getattr(plugin, "_callbacks", ()))
 
     async def upload(self, items: Sequence[MissionItem], progress: Callable[[float], None]) -> None:
         """Send a whole mission; `progress` is told how much of it is there, 0 to 1.

@@ -133,9 +133,9 @@ class Comparison:
     extra: list[Seen]
 
 
-def compare(storm: Storm) -> Comparison:
-    """Each trigger with the earliest execution that can have caused it."""
-    ran, seen = storm.ran, storm.seen
+def compare(storm: Storm, since: float = -math.inf) -> Comparison:
+    """Each trigger with the earliest execution, from a time on, that can have caused it."""
+    ran, seen = [one for one in storm.ran if one[0] >= since], storm.seen
     pairs: list[tuple[int, int]] = []
     free = set(range(len(ran)))
     extra = []

@@ -45,6 +45,13 @@ _RESERVOIR = _Channel("reservoir_pressure_kPa", "reservoir_kPa", -60.0, 1200.0, 
 _CHANNELS = (_CV, _RESERVOIR)
 
 
+class _Noise(NamedTuple):
+    """A standard deviation as estimated, in whatever unit the readings are, and what it hardly exceeds."""
+
+    std: float
+    at_most: float
+
+
 class _Unit(NamedTuple):
     name: str
     per_kPa: float
@@ -102,7 +109,7 @@ def _check_swapped(path: Path, run: Run) -> None:
     never_low = _bottom(run.cv_kPa) > -_CV.lowest_kPa
     exchanged = _CV.highest_kPa < _top(run.cv_kPa) < _RESERVOIR.highest_kPa and never_low
     fills = (run.evp_opening > 0.0) & (run.solenoid == 0.0)
-    slack_kPa = 10.0 + 6.0 * np.nan_to_num(_noise(run, _RESERVOIR)) * np.sqrt(2 * len(_spells(fills)))
+    slack_kPa = 10.0 + 6.0 * np.nan_to_num(_noise(run, _RESERVOIR).std) * np.sqrt(2 * len(_spells(fills)))
     falls = _change(run.cv_kPa, fills) < 0.0 and _change(run.reservoir_kPa, fills) > slack_kPa
     if falls or (exchanged and _top(run.reservoir_kPa) <= _CV.highest_kPa):
         raise CaseError(
@@ -163,11 +170,12 @@ def _check_small_units(rig: Rig, runs: Mapping[Path, Run]) -> None:
     """psi, bar and MPa give numbers that a weak reservoir could give in kPa, but with too little noise."""
     believed_kPa = {_CV: rig.sensors.cv_noise_std_kPa, _RESERVOIR: rig.sensors.reservoir_noise_std_kPa}
     for channel in _CHANNELS:
-        # Runs with readings too high for psi know the noise better than the rig file does.
+        # Runs with readings too high for psi know the noise better than the rig file does, unless they bend.
         level = channel.highest_kPa * _PSI.per_kPa
         sure = [run for run in runs.values() if _top(getattr(run, channel.field)) > level]
-        if seen_kPa := [noise for run in sure if np.isfinite(noise := _noise(run, channel))]:
-            believed_kPa[channel] = float(np.median(seen_kPa))
+        seen_kPa = [_noise(run, channel, only_quiet=True).std for run in sure]
+        if np.isfinite(seen_kPa).any():
+            believed_kPa[channel] = float(np.nanmedian(seen_kPa))
     for path, run in runs.items():
         cv, reservoir = (_small_unit(run, channel, believed_kPa[channel]) for channel in _CHANNELS)
         if np.isfinite(run.cv_kPa).any() and (cv is None) != (reservoir is None):
@@ -184,11 +192,11 @@ def _check_small_units(rig: Rig, runs: Mapping[Path, Run]) -> None:
 
 def _small_unit(run: Run, channel: _Channel, noise_kPa: float) -> _Unit | None:
     top, noise = _top(getattr(run, channel.field)), _noise(run, channel)
-    if not (top > 0.0 and noise > 0.0 and noise_kPa > 0.0):
+    if not (top > 0.0 and noise.std > 0.0 and noise_kPa > 0.0):
         return None
     for unit in _SMALL:
         expected = noise_kPa * unit.per_kPa
-        close = expected / unit.noise_within < noise < expected * unit.noise_within
+        close = expected / unit.noise_within < noise.std and noise.at_most < expected * unit.noise_within
         if close and channel.least_top_kPa * unit.per_kPa < top <= channel.highest_kPa * unit.per_kPa:
             return unit
     return None
@@ -355,19 +363,31 @@ def _change(values: Array, mask: NDArray[np.bool_]) -> float:
     return float(np.nansum(np.diff(values)[mask[:-1]]))
 
 
-def _noise(run: Run, channel: _Channel) -> float:
-    """Standard deviation of the readings about a straight line through their neighbours; NaN of too few.
+def _noise(run: Run, channel: _Channel, *, only_quiet: bool = False) -> _Noise:
+    """Of the readings about a straight line through their neighbours; NaN of too few.
 
-    Where enough readings were taken with all valves shut, from those: nothing bends then.
+    Nothing bends while all valves are shut. Over all readings bends only add to it, but so many more may
+    still bound it lower.
     """
     t, x = _readings(run, channel)
-    if len(x) < _ENOUGH:
-        return float("nan")
     later = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
     off = (x[1:-1] - x[:-2] * (1.0 - later) - x[2:] * later) / np.sqrt(1.0 + later**2 + (1.0 - later) ** 2)
     busy = (run.evp_opening + run.dvp_opening + run.solenoid)[np.isfinite(getattr(run, channel.field))] > 0.0
-    quiet = ~(busy[:-2] | busy[1:-1])
-    return 1.4826 * float(np.median(np.abs(off[quiet] if quiet.sum() >= _ENOUGH else off)))
+    quiet = off[~(busy[:-2] | busy[1:-1])]
+    step = float(np.min(np.diff(np.unique(x)), initial=np.inf))
+    parts = (quiet,) if only_quiet else (quiet, off)
+    noises = (_spread(part, step) for part in parts if len(part) >= _ENOUGH)
+    return min(noises, key=lambda noise: noise.at_most, default=_Noise(np.nan, np.nan))
+
+
+def _spread(off: Array, step: float) -> _Noise:
+    """Of deviations between readings that are whole steps."""
+    size = np.abs(off)
+    # The median alone needs twice as many to be as sure.
+    std = float(np.sqrt(np.mean(np.minimum(size, 3.0 * 1.4826 * np.median(size)) ** 2)))
+    # Neighbours share readings: the estimate is good to 1 / sqrt(n), not to 1 / sqrt(2 n). And what is less
+    # than half a step may not show at all.
+    return _Noise(std, max(std * float(np.exp(2.0 / np.sqrt(len(off)))), 0.5 * step))
 
 
 def _vent_s(rig: Rig, cv_L: float) -> float:

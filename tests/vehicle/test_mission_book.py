@@ -467,3 +467,10 @@ def test_px4_is_asked_strictly_in_turn_and_again_from_the_start_where_it_breaks_
                 book.handle(tick * TICK_S, answer)
     assert broken_off and book.fresh
     assert [book.items[seq] for seq in range(12)] == items
+
+
+def test_of_two_items_alike_the_one_ahead_is_named() -> None:
+    """Where the vehicle says that it is between them: that comes late."""
+    book = MissionBook([item(seq, 211, 1.0) if seq in (4, 6) else item(seq) for seq in range(8)])
+    found = [book.nearest(211, (1.0, 0.0, 0.0, 0.0), seq) for seq in (4, 5, 6, 7)]
+    assert [alike and alike.seq for alike in found] == [4, 6, 6, 6]

@@ -65,13 +65,16 @@ class MissionBook:
         return self._items
 
     def nearest(self, command: int, params: Sequence[float], seq: int) -> MissionItem | None:
-        """Of the items of this kind with these first four numbers, the one nearest to item `seq`."""
+        """Of the items of this kind with these first four numbers, the one nearest to item `seq`.
+
+        Of two that are as near, the one ahead: what the vehicle says of where it is comes late.
+        """
         alike = [
             item
             for item in self._items.values()
             if item.command == command and same_numbers(item.params[:4], params[:4])
         ]
-        return min(alike, key=lambda item: abs(item.seq - seq), default=None)
+        return min(alike, key=lambda item: (abs(item.seq - seq), -item.seq), default=None)
 
     def doubt(self, t: float) -> None:
         """Something says that the mission is another one now: do not trust the book, read it again."""
