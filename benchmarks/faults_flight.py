@@ -185,6 +185,8 @@ class RefereedFlight:
         self._late = False
         self._plugged = True
         self._arming_s = -math.inf
+        self._heard_by_s: dict[str, float] = {}
+        """By when the companion has surely heard of what forbids a bend."""
         if not setup.armed_at_start:
             self.referee.forbid("pneumatics disarmed", 0.0)
 
@@ -279,6 +281,7 @@ class RefereedFlight:
         self._command(mavlink.MAV_CMD_USER_4, 2)
         if self._station_is_heard and not self._vehicle_is_spoiled:
             self.referee.forbid("pneumatics disarmed", self.now_s + COMMANDED_S)
+            self._heard_by_s["pneumatics disarmed"] = self.now_s + COMMANDED_S
 
     def clear_faults(self) -> None:
         self._command(mavlink.MAV_CMD_USER_5, 1)
@@ -329,6 +332,7 @@ class RefereedFlight:
         last = self.referee.pending_until_s <= now_s
         if certain and last and not self._vehicle_is_spoiled:
             self.referee.forbid("asked to straighten", now_s + within_s + 0.2, inflation_only=True)
+            self._heard_by_s["asked to straighten"] = now_s + within_s
 
     # The vehicle.
 
@@ -477,6 +481,10 @@ class RefereedFlight:
         if not self._unseen:
             self._unseen_from_s, self._unseen_position, self._noticed = self.now_s, self._position, False
         self._unseen[what] = self.now_s
+        for name, heard_by_s in self._heard_by_s.items():
+            if what != "stall" and heard_by_s > self.now_s:
+                # Still on its way, which may have ended here.
+                self.referee.permit(name)
         if what in ("silence", "link", "companion"):
             self._late = True
             for name, due_s in self._conditions.items():

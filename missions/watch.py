@@ -96,9 +96,7 @@ class MissionView:
     def values_text(self, names: Iterable[str] | None = None) -> str:
         """The vine's values, all or those named."""
         names = sorted(self.values) if names is None else names
-        return "  ".join(
-            f"{name} {round(self.values[name], 1) + 0.0:.1f}" for name in names if name in self.values
-        )
+        return "  ".join(f"{name} {self.values[name]:z.1f}" for name in names if name in self.values)
 
     def _heartbeat(self, t: float, armed: bool) -> list[Line]:
         before, self._armed = self._armed, armed

@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 from aiohttp import ClientSession, ClientTimeout, ClientWebSocketResponse
+from patience import PATIENCE_S
 
 from flying_vines import config
 from flying_vines.config import Page
@@ -21,7 +22,6 @@ from flying_vines.gateway.messages import Answered, Ask, FromGateway, Happened, 
 from flying_vines.notice import Notice
 from flying_vines.reservoir import CyclesLeft
 
-PATIENCE_S = 10.0
 TOKEN = "abcd-efgh-ijkl-mnop"
 
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from patience import PATIENCE_S
+
 from flying_vines import config
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.fakes.autopilot_server import AutopilotServer
 from flying_vines.fakes.ground_station import GroundStation
 from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
-
-PATIENCE_S = 15.0
 
 
 async def until(true: Callable[[], bool], what: str) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from command_line import run
+from patience import PATIENCE_S
 from rich.console import Console
 
 from firmware_link.host import HostSession, Incompatible, Ready, SessionState
@@ -131,7 +132,7 @@ async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settin
 
     loop.add_reader(board, hear)
     with pytest.raises(link_command.SettingsError, match="is not there"):
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(PATIENCE_S):
             await link_command.settings(address, {}, objects=True)
 
 
@@ -170,7 +171,7 @@ def test_the_profile_says_where(tmp_path: Path, capsys: pytest.CaptureFixture[st
 async def screen_of(address: str, over: Callable[[LinkWatch], bool]) -> tuple[str, LinkWatch]:
     watch = LinkWatch(SerialAddress(address))
     view = LinkView("test")
-    async with asyncio.timeout(10.0):
+    async with asyncio.timeout(PATIENCE_S):
         await watch.run(view.take, lambda: over(watch))
     console = Console(file=io.StringIO(), width=120)
     console.print(view.render(watch))

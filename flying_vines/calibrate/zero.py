@@ -39,7 +39,7 @@ def cv_zero(vented: Readings) -> Result:
     finding = Finding("cv_zero_kPa", "vine's sensor at no pressure", "kPa", believed=0.0)
     proposals: tuple[Proposal, ...] = ()
     if steady and abs(zero.value) > max(WORTH_KPA, 2.0 * zero.sd):
-        why = f"the vented vine reads {zero.value:+.2f} kPa"
+        why = f"the vented vine reads {zero.value:+z.2f} kPa"
         proposals = (Proposal("cv_zero_kPa", round(-zero.value, 3), True, why),)
     return Result(
         (

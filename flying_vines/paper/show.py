@@ -70,7 +70,7 @@ def _table(rows: tuple[Row, ...]) -> Table:
             _number(row.ours, row),
             row.by[0],
             # Zero is added so that none is negative.
-            "" if off is None else f"{round(100.0 * off, 1) + 0.0:+.1f} %",
+            "" if off is None else f"{100.0 * off:+z.1f} %",
             Text(row.verdict, style=STYLES[row.verdict]),
         )
     return table

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from command_line import run
+from patience import PATIENCE_S
 from service_bench import between, free_port
 
 from flying_vines import config as configuration
@@ -25,7 +26,6 @@ from flying_vines.record.topics import DECISION, TELEMETRY
 from flying_vines.replay import replay_flight
 
 COMMAND = (sys.executable, "-m", "flying_vines")
-PATIENCE_S = 30.0
 
 
 @pytest.fixture(scope="module")

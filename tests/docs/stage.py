@@ -23,6 +23,7 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any, NoReturn, TypeVar
 
+from patience import PATIENCE_S
 from service_bench import free_port
 
 from docs.commands_said import ROOT
@@ -30,7 +31,6 @@ from flying_vines.cli import main
 
 T = TypeVar("T")
 
-PATIENCE_S = 30.0
 
 LASTING = {
     "run": r"phloSAR ready",

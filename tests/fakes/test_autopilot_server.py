@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator
 from typing import Any, cast
 
 import pytest
+from patience import PATIENCE_S
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.fakes.autopilot import Autopilot
@@ -42,7 +43,7 @@ class Listener(asyncio.DatagramProtocol):
         self.transport.sendto(message.pack(self._mav), self._peer)
 
     async def hear(self, name: str, count: int = 1) -> list[Any]:
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(PATIENCE_S):
             while len(found := [m for m in self.messages if m.get_type() == name]) < count:
                 self.arrived.clear()
                 await self.arrived.wait()
@@ -159,7 +160,7 @@ class Client:
         self.writer.write(message.pack(self._mav))
 
     async def hear(self, name: str) -> Any:
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(PATIENCE_S):
             while True:
                 data = await self._reader.read(4096)
                 assert data, "the connection stands"

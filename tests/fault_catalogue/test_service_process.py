@@ -11,6 +11,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 from service_bench import until
 
 from firmware_link.protocol import Fault
@@ -129,7 +130,7 @@ async def test_a_flight_goes_on_whatever_happens_around_it(served: Served) -> No
         *served.command, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT
     )
     assert second.stdout is not None
-    async with asyncio.timeout(10.0):
+    async with asyncio.timeout(PATIENCE_S):
         while ROWS["second_copy"].told not in (await second.stdout.readline()).decode():
             pass
     second.terminate()
@@ -163,7 +164,7 @@ async def test_a_frozen_terminal_holds_nobody_up(served: Served) -> None:
         served.straighten()
         await served.vented()
         served.process.terminate()
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(PATIENCE_S):
             assert await served.process.wait() == 0
     finally:
         os.close(ours)

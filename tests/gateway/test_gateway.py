@@ -100,7 +100,7 @@ async def test_a_gateway_that_is_killed_leaves_its_last_will_and_comes_back(
         await people.until(f"{BASE}/status", status="online", count=2)
         await people.until(f"{BASE}/event", text="while it was away")
         assert service.said == ["page and broker stopped (it ended), again in 0.1 s"]
-        assert service.latest_turn_s < 0.05
+        assert service.latest_turn_s < 0.5
     # The service ends: so does its gateway, and whoever looks on is told.
     await people.until(f"{BASE}/status", status="offline", count=2)
 
@@ -133,7 +133,7 @@ async def test_a_gateway_that_hangs_is_replaced_and_holds_nobody_up(
         await until(lambda: len(service.said) == 3, "it is replaced")
         assert service.said[1] == "page and broker stopped (it hung), again in 0.1 s"
         await until(lambda: not Path(f"/proc/{first}").exists(), "it is ended")
-        assert service.latest_turn_s < 0.05
+        assert service.latest_turn_s < 0.5
 
 
 async def test_a_stopped_gateway_is_replaced(

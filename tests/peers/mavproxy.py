@@ -12,7 +12,8 @@ from contextlib import asynccontextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
-PATIENCE_S = 15.0
+from patience import PATIENCE_S
+
 HOW_TO_INSTALL = "MAVProxy is not installed: pip install 'flying-vines[dev]'"
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 import pytest_asyncio
+from patience import PATIENCE_S
 from service_bench import between, free_port
 
 from flying_vines import config
@@ -28,7 +29,7 @@ from flying_vines.vehicle.component.settings import SETTINGS
 from flying_vines.vehicle.mission.storage import Kind
 from flying_vines.vehicle.signing import Signing
 from flying_vines.vehicle.signing_key import read_key
-from peers.mavproxy import HOW_TO_INSTALL, PATIENCE_S, MavProxy, installed, mavproxy
+from peers.mavproxy import HOW_TO_INSTALL, MavProxy, installed, mavproxy
 
 pytestmark = [
     pytest.mark.skipif(not installed() and not os.environ.get("CI"), reason=HOW_TO_INSTALL),

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 from rich.console import Console
 from service_bench import between, free_port
 
@@ -36,7 +37,6 @@ if not os.environ.get("CI"):
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 KINDS = pytest.mark.parametrize("kind", ["ardupilot", "px4"])
-PATIENCE_S = 20.0
 SPEED = 8.0
 COMPANION = 191
 BEND_TO = 31011

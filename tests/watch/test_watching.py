@@ -15,11 +15,10 @@ from pathlib import Path
 import pytest
 from command_line import run
 from page_bench import TOKEN, Bench, free_port, served, snapshot
+from patience import PATIENCE_S
 
 from flying_vines.events import Decision
 from flying_vines.notice import Notice, Severity
-
-PATIENCE_S = 15.0
 
 
 @pytest.fixture

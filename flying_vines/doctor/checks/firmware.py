@@ -100,7 +100,7 @@ LOW_RATE = Line(
     "it slews at {rate:g} kPa/s at most, the profile allows {wanted:g} (limits.max_rate_kPa_per_s)",
     "lower limits.max_rate_kPa_per_s: what is planned quicker arrives late",
 )
-VINE = Line("vine sensor", "good", "{kPa:.2f} kPa at rest")
+VINE = Line("vine sensor", "good", "{kPa:z.2f} kPa at rest")
 VINE_OFF = Line(
     "vine sensor",
     "bad",

@@ -17,9 +17,9 @@ import aiomqtt
 import msgspec
 import pytest
 from needed import need
+from patience import PATIENCE_S
 
 MOSQUITTO_HOW = "sudo apt install mosquitto"
-PATIENCE_S = 10.0
 AMQTT = """\
 import asyncio, logging, sys
 from amqtt.broker import Broker

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from needed import need
 from page_service import serving
+from patience import PATIENCE_S
 from service_bench import until
 
 from flying_vines.gateway import page_token
@@ -21,7 +22,6 @@ from flying_vines.gateway import page_token
 if TYPE_CHECKING:
     from playwright.async_api import Browser, Page
 
-PATIENCE_MS = 15_000
 PHONE: dict[str, Any] = {
     "viewport": {"width": 360, "height": 640},
     "device_scale_factor": 2,
@@ -88,7 +88,7 @@ async def browser() -> AsyncIterator[Browser]:
 async def opened(browser: Browser, url: str, device: Mapping[str, Any]) -> tuple[Page, list[str]]:
     """A new visitor's page, and what went wrong in it."""
     context = await browser.new_context(**device)
-    context.set_default_timeout(PATIENCE_MS)
+    context.set_default_timeout(1000.0 * PATIENCE_S)
     page = await context.new_page()
     wrong: list[str] = []
     page.on("pageerror", lambda error: wrong.append(str(error)))
@@ -185,20 +185,20 @@ async def test_a_link_that_is_cut_is_seen_and_comes_back(browser: Browser, tmp_p
 
         # The network swallows everything, and nothing is closed.
         os.kill(served.gateway, signal.SIGSTOP)
-        await page.wait_for_selector("body.lost", timeout=3000)
+        await page.wait_for_selector("body.lost")
         await says(page, "#link", "old")
         os.kill(served.gateway, signal.SIGCONT)
         await page.wait_for_selector(LIVE)
 
         # The page's own process dies: the service starts it again.
         os.kill(served.gateway, signal.SIGKILL)
-        await page.wait_for_selector("body.lost", timeout=3000)
+        await page.wait_for_selector("body.lost")
         await says(page, "#link", "No link")
         await page.wait_for_selector(LIVE)
 
         # The service dies, and somebody wants to vent.
         await served.kill()
-        await page.wait_for_selector("body.lost", timeout=3000)
+        await page.wait_for_selector("body.lost")
         await page.keyboard.press("Escape")
         await says(page, "#vent-said", "VENT not sent, no link")
         assert await page.locator("#bench-mode").is_disabled()
@@ -215,7 +215,7 @@ async def test_a_link_that_is_cut_is_seen_and_comes_back(browser: Browser, tmp_p
 
         # Whoever loads the page anew sees what was, a few seconds after the service has begun anew.
         hello: dict[str, Any] = {}
-        for _ in range(PATIENCE_MS // 1000):
+        for _ in range(round(PATIENCE_S)):
             hello = await _greeting(page)
             await says(page, "#events", "page → vent: accepted")
             if len(hello["history"]) > 5:

@@ -8,7 +8,6 @@ import json
 import os
 import signal
 import socket
-import time
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +20,9 @@ from flying_vines.gateway import page_token
 
 
 async def ask(viewing: ClientWebSocketResponse, command: str, **what: Any) -> tuple[str, str]:
-    """What comes of it, within a second."""
-    began = time.monotonic()
+    """What comes of it."""
     await viewing.send_str(json.dumps({"id": 1, "command": command, **what}))
     answer = await heard(viewing, "answer")
-    assert time.monotonic() - began < 1.0
     return answer["safety"], answer["reason"]
 
 
