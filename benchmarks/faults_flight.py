@@ -345,12 +345,6 @@ class RefereedFlight:
     def return_rc(self) -> None:
         self.autopilot.return_rc()
         self._rc_lost = None
-        # Two losses may overlap: it returns once.
-        lost_at_s = self._unseen.get("rc", self.now_s)
-        lost_s = self.now_s - lost_at_s
-        if lost_s < self.profile.losses.rc_s:
-            # A short silence is no loss: what was moved just before it is seen after it.
-            self.referee.delay(lost_at_s, lost_s)
         if self._held_from_s > self.now_s:
             self.referee.hold_still(math.inf)
         self._see("rc")
@@ -493,7 +487,8 @@ class RefereedFlight:
                     self._conditions[name] = math.inf
 
     def _see(self, what: str) -> None:
-        self._unseen.pop(what, None)
+        if self._unseen.pop(what, None) is None:
+            return  # Of two losses that overlap: it returned before.
         now_s = self.now_s
         if self._station_is_heard:
             if now_s - self._arming_s < STEP_S:
@@ -510,8 +505,12 @@ class RefereedFlight:
         noticed = what != "stall" and (self._noticed or lasted_s > certain_s)
         if noticed:
             self._settled_s = math.inf
-        elif self._position != self._unseen_position:
-            self._switch_asks(certain=False)
+        else:
+            if what != "stall":
+                # A short silence is no loss: what was moved just before it is seen after it.
+                self.referee.delay(self._unseen_from_s, lasted_s)
+            if self._position != self._unseen_position:
+                self._switch_asks(certain=False)
         self._settle()
 
     @property

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from real_time import real_time
 from service_bench import Bench, on_bench, until
 
 from flying_vines import config
@@ -20,6 +21,8 @@ from flying_vines.notice import Notice
 from flying_vines.service import Service
 from flying_vines.vehicle.signing import Signing
 from flying_vines.watcher import EachAction
+
+pytestmark = real_time
 
 KEY = bytes(range(32))
 STOP, DISARM, ARM = 31013, 2, 3

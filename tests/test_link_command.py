@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from command_line import run
 from patience import PATIENCE_S
+from real_time import real_time
 from rich.console import Console
 
 from firmware_link.host import HostSession, Incompatible, Ready, SessionState
@@ -40,6 +41,8 @@ from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.link_view import LinkView, as_json, fault_names, line, verdict
 from flying_vines.link_watch import LinkWatch, Told
 from flying_vines.pneumatics.plant.effects import Effects
+
+pytestmark = real_time
 
 TELEMETRY = Telemetry(1500, Mode.FAULT, Fault.DEAD_MAN, 7, 0.0, 1.25, 688.0, 0.5, 0.0, True)
 

@@ -12,6 +12,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
+from real_time import real_time
 from service_bench import Bench, on_bench, until
 
 from firmware_link import answer
@@ -25,6 +26,8 @@ from flying_vines.record.reader import FlightLog
 from flying_vines.replay import replay_flight
 from flying_vines.service import Service
 from flying_vines.watcher import EachAction, Watcher
+
+pytestmark = real_time
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 from command_line import run
 from patience import PATIENCE_S
+from real_time import real_time
 from service_bench import between, free_port
 
 from flying_vines import config as configuration
@@ -24,6 +25,8 @@ from flying_vines.record.reader import FlightLog
 from flying_vines.record.restore import start_of
 from flying_vines.record.topics import DECISION, TELEMETRY
 from flying_vines.replay import replay_flight
+
+pytestmark = real_time
 
 COMMAND = (sys.executable, "-m", "flying_vines")
 

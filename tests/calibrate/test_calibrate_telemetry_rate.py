@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 import pytest
+from real_time import real_time
 
 from firmware_link.protocol import Setting
 from flying_vines import link_command
@@ -16,6 +17,8 @@ from flying_vines.fakes.firmware import FirmwareSettings
 from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.link_command import SettingsError
 from flying_vines.pneumatics.plant.effects import Effects
+
+pytestmark = real_time
 
 USUAL_HZ = 50
 

@@ -18,6 +18,7 @@ from io import StringIO
 from pathlib import Path
 
 import pytest
+from real_time import real_time
 
 from docs.accounted import ACCOUNTED, MEANT, Accounted, Elsewhere, Ends, NotHere
 from docs.commands_said import BEGINS, PAGES, ROOT, Said, bare, blocks_and_spans, needs_a_shell
@@ -25,6 +26,8 @@ from docs.references import commands
 from docs.shelf import maker
 from docs.stage import LASTING, Ended, Stage
 from flying_vines.cli import _parser
+
+pytestmark = real_time
 
 COMMANDS = commands()
 PARSER = _parser()

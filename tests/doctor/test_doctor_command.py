@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from command_line import run
+from real_time import real_time
 from rich.console import Console
 from service_bench import on_bench, until
 
@@ -19,6 +20,8 @@ from flying_vines.doctor.finding import Finding
 from flying_vines.doctor.show import asking, last_line, show
 from flying_vines.doctor.vehicle_probe import Radio
 from flying_vines.fakes.autopilot import Autopilot
+
+pytestmark = real_time
 
 FOUND = [
     Finding("memory", "good", "900 MB free"),

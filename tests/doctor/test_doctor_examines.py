@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from real_time import real_time
 
 from doctor.worlds import (
     MISSION,
@@ -33,6 +34,8 @@ from flying_vines.doctor.look.profile import Profile
 from flying_vines.doctor.vehicle_probe import Radio
 from flying_vines.fakes.phlosar import SimulatedPhlosar
 from flying_vines.vehicle.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S
+
+pytestmark = real_time
 
 ONBOARD, NONE = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
 KEY, KEY_FILE = bytes(range(32)), "vine.key"

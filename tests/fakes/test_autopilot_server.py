@@ -11,9 +11,12 @@ from typing import Any, cast
 import pytest
 from patience import PATIENCE_S
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from real_time import real_time
 
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.fakes.autopilot_server import MOST_CLIENTS, AutopilotServer
+
+pytestmark = real_time
 
 
 class Listener(asyncio.DatagramProtocol):

@@ -7,12 +7,15 @@ import time
 from pathlib import Path
 
 import pytest
+from real_time import real_time
 from service_bench import Bench, on_bench, until
 
 from flying_vines import config
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.kept import Kept
 from flying_vines.service import Service
+
+pytestmark = real_time
 
 KEY = bytes(range(32))
 HOUR_S = 3600.0

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from real_time import real_time
 from service_bench import on_bench, until
 
 from flying_vines import config
@@ -18,6 +19,8 @@ from flying_vines.kept import Kept
 from flying_vines.service import Service
 
 from .catalogue import ROWS
+
+pytestmark = real_time
 
 
 async def test_disk_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

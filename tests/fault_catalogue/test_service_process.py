@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from patience import PATIENCE_S
+from real_time import real_time
 from service_bench import until
 
 from firmware_link.protocol import Fault
@@ -20,6 +21,8 @@ from flying_vines.record.reader import FlightLog
 from .black_box import STEP_S
 from .catalogue import ROWS
 from .served import Served, on_bench
+
+pytestmark = real_time
 
 TIME_TO_LIVE_MS = 250
 """Of a setpoint; the fault may come right behind one."""

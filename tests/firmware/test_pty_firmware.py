@@ -11,11 +11,14 @@ from pathlib import Path
 import pytest
 from needed import host_compiler, need
 from patience import PATIENCE_S
+from real_time import real_time
 
 from firmware_link.host import HostEvent, Ready, Regulate, TelemetryReceived
 from firmware_link.link import FirmwareLink
 from firmware_link.protocol import Fault, GetSetting, Message, Mode, SetSetting, Setting, Telemetry
 from flying_vines.fakes.compiled_firmware import SOURCES
+
+pytestmark = real_time
 
 
 @pytest.fixture(scope="session")

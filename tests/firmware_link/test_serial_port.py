@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import serial
+from real_time import real_time
 from serial.tools.list_ports_common import ListPortInfo
 
 from firmware_link import answer, serial_port
@@ -22,6 +23,8 @@ from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello, Mode, Telemet
 from firmware_link.serial_port import MAX_QUEUED_BYTES, SerialPort
 from flying_vines.fakes.firmware import Firmware
 from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
+
+pytestmark = real_time
 
 TIMEOUT_S = 5.0
 KERNEL_BYTES = 64 * 1024

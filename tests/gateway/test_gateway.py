@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from gateway_process import gateway_of
+from real_time import real_time
 from service_bench import until
 
 from flying_vines.events import Decision
@@ -22,6 +23,8 @@ from flying_vines.intent import Asker, Hold, Intent, StartBench, Vent
 
 from .mqtt.brokers import Broker, Onlooker
 from .told import configured, decision, notice, snapshot
+
+pytestmark = real_time
 
 BASE = "flying-vines/heron"
 CHILD = """\

@@ -16,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from real_time import real_time
 from service_bench import between, free_port, until
 
 from flying_vines import config
@@ -23,6 +24,8 @@ from flying_vines.core import Core
 from flying_vines.events import LinkChanged, Stop, Tick
 from flying_vines.notify import PER_WATCHDOG, ServiceManager, service_manager, status_line
 from flying_vines.service import Service
+
+pytestmark = real_time
 
 WATCHDOG_S = 0.4
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 import pytest_asyncio
 from patience import PATIENCE_S
+from real_time import real_time
 from service_bench import between, free_port
 
 from flying_vines import config
@@ -32,6 +33,7 @@ from flying_vines.vehicle.signing_key import read_key
 from peers.mavproxy import HOW_TO_INSTALL, MavProxy, installed, mavproxy
 
 pytestmark = [
+    real_time,
     pytest.mark.skipif(not installed() and not os.environ.get("CI"), reason=HOW_TO_INSTALL),
     pytest.mark.asyncio(loop_scope="module"),
 ]

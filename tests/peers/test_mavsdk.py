@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from patience import PATIENCE_S
+from real_time import real_time
 from rich.console import Console
 from service_bench import between, free_port
 
@@ -29,6 +30,8 @@ from missions.files import load_items
 from missions.link import Ears, Heard, LinkError, vehicle
 from missions.upload import upload
 from missions.watch import watch
+
+pytestmark = real_time
 
 if not os.environ.get("CI"):
     pytest.importorskip(

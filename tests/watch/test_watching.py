@@ -16,9 +16,12 @@ import pytest
 from command_line import run
 from page_bench import TOKEN, Bench, free_port, served, snapshot
 from patience import PATIENCE_S
+from real_time import real_time
 
 from flying_vines.events import Decision
 from flying_vines.notice import Notice, Severity
+
+pytestmark = real_time
 
 
 @pytest.fixture

@@ -14,12 +14,15 @@ from typing import Any
 import pytest
 from needed import need
 from patience import PATIENCE_S
+from real_time import real_time
 
 from flying_vines.gateway.mqtt import connection, health
 from flying_vines.gateway.mqtt.teller import Publication
 
 from .brokers import MOSQUITTO_HOW, Broker, Line, Onlooker, make_certificates, onlooker, run_quietly, running
 from .vehicles import flying
+
+pytestmark = real_time
 
 BASE = "flying-vines/heron"
 

@@ -15,12 +15,15 @@ import pytest
 from needed import need
 from page_service import serving
 from patience import PATIENCE_S
+from real_time import real_time
 from service_bench import until
 
 from flying_vines.gateway import page_token
 
 if TYPE_CHECKING:
     from playwright.async_api import Browser, Page
+
+pytestmark = real_time
 
 PHONE: dict[str, Any] = {
     "viewport": {"width": 360, "height": 640},

@@ -14,9 +14,12 @@ from typing import Any
 from aiohttp import ClientSession, ClientWebSocketResponse
 from page_bench import client, heard
 from page_service import serving
+from real_time import real_time
 from service_bench import until
 
 from flying_vines.gateway import page_token
+
+pytestmark = real_time
 
 
 async def ask(viewing: ClientWebSocketResponse, command: str, **what: Any) -> tuple[str, str]:

@@ -15,6 +15,7 @@ import pytest
 from aiohttp import ClientError, ClientSession, TCPConnector, WSMsgType, WSServerHandshakeError
 from page_bench import TOKEN, Bench, client, free_port, heard, served, snapshot
 from patience import PATIENCE_S
+from real_time import real_time
 
 from flying_vines.config import Page
 from flying_vines.events import Decision
@@ -22,6 +23,8 @@ from flying_vines.gateway import page, page_token
 from flying_vines.gateway.page import server, viewer
 from flying_vines.gateway.page.crowd import MOST_VIEWERS_EACH
 from flying_vines.notice import Notice, Severity
+
+pytestmark = real_time
 
 VENT = '{"id": 1, "command": "vent"}'
 
