@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 from aiohttp import ClientSession, ClientTimeout, ClientWebSocketResponse
 from patience import PATIENCE_S
+from ports import free_port
 
 from flying_vines import config
 from flying_vines.config import Page
@@ -23,13 +24,6 @@ from flying_vines.notice import Notice
 from flying_vines.reservoir import CyclesLeft
 
 TOKEN = "abcd-efgh-ijkl-mnop"
-
-
-def free_port() -> int:
-    """For TCP on this machine, when it was looked for."""
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def snapshot(t: float = 0.0, **changed: Any) -> Snapshot:

@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 from gateway_process import gateway_of
-from page_bench import free_port
+from ports import free_port
 from service_bench import Bench, on_bench, until
 
 from flying_vines.fakes.autopilot import Autopilot

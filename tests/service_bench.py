@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from patience import PATIENCE_S
+from ports import free_port
 
 from flying_vines import config
 from flying_vines.fakes.autopilot import Autopilot
@@ -25,14 +25,6 @@ async def until(true: Callable[[], bool], what: str) -> None:
         while not true():
             await asyncio.sleep(0.01)
     assert true(), what
-
-
-def free_port() -> int:
-    """For UDP on this machine, when it was looked for."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def between(companion_port: int, serial_path: str) -> str:

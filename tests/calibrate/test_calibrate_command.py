@@ -16,8 +16,9 @@ from pathlib import Path
 import pytest
 from command_line import run
 from patience import PATIENCE_S
+from ports import free_port
 from real_time import real_time
-from service_bench import between, free_port
+from service_bench import between
 
 from flying_vines import config as configuration
 from flying_vines.calibrate.findings import from_json

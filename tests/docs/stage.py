@@ -24,7 +24,7 @@ from time import monotonic, sleep
 from typing import Any, NoReturn, TypeVar
 
 from patience import PATIENCE_S
-from service_bench import free_port
+from ports import free_port
 
 from docs.commands_said import ROOT
 from flying_vines.cli import main

@@ -16,8 +16,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from ports import free_port
 from real_time import real_time
-from service_bench import between, free_port, until
+from service_bench import between, until
 
 from flying_vines import config
 from flying_vines.core import Core

@@ -18,8 +18,9 @@ from pathlib import Path
 import pytest
 import pytest_asyncio
 from patience import PATIENCE_S
+from ports import free_port
 from real_time import real_time
-from service_bench import between, free_port
+from service_bench import between
 
 from flying_vines import config
 from flying_vines.fakes.autopilot import Autopilot

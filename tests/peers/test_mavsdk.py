@@ -14,9 +14,10 @@ from pathlib import Path
 
 import pytest
 from patience import PATIENCE_S
+from ports import free_port
 from real_time import real_time
 from rich.console import Console
-from service_bench import between, free_port
+from service_bench import between
 
 from flying_vines import config
 from flying_vines.events import Action, Decision

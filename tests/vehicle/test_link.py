@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import socket
 import tty
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from ports import free_port
 
 from firmware_link import serial_port
 from flying_vines.address import Address, NetworkAddress, SerialAddress
@@ -93,13 +93,6 @@ async def udp_peer(
         yield peer, transport, transport.get_extra_info("sockname")[1]
     finally:
         transport.close()
-
-
-def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind((HOST, 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 class Server:
@@ -259,7 +252,7 @@ async def test_tcp_says_once_why_nobody_answers(monkeypatch: pytest.MonkeyPatch)
         return await connect(*args)
 
     monkeypatch.setattr(loop, "create_connection", counted)
-    port = free_port(socket.SOCK_STREAM)
+    port = free_port()
     async with running(NetworkAddress("tcp", HOST, port)) as watched, asyncio.timeout(TIMEOUT_S):
         for _ in range(4):
             await tried.acquire()

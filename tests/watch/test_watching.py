@@ -14,8 +14,9 @@ from pathlib import Path
 
 import pytest
 from command_line import run
-from page_bench import TOKEN, Bench, free_port, served, snapshot
+from page_bench import TOKEN, Bench, served, snapshot
 from patience import PATIENCE_S
+from ports import free_port
 from real_time import real_time
 
 from flying_vines.events import Decision

@@ -18,6 +18,7 @@ import msgspec
 import pytest
 from needed import need
 from patience import PATIENCE_S
+from ports import free_port
 
 MOSQUITTO_HOW = "sudo apt install mosquitto"
 AMQTT = """\
@@ -32,13 +33,6 @@ async def serve():
     await asyncio.Event().wait()
 asyncio.run(serve())
 """
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def mosquitto() -> str | None:

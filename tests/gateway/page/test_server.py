@@ -13,8 +13,9 @@ from importlib import resources
 
 import pytest
 from aiohttp import ClientError, ClientSession, TCPConnector, WSMsgType, WSServerHandshakeError
-from page_bench import TOKEN, Bench, client, free_port, heard, served, snapshot
+from page_bench import TOKEN, Bench, client, heard, served, snapshot
 from patience import PATIENCE_S
+from ports import free_port
 from real_time import real_time
 
 from flying_vines.config import Page
