@@ -69,7 +69,6 @@ def _table(rows: tuple[Row, ...]) -> Table:
             + (f"–{_number(row.paper_to, row)}" if row.paper_to is not None else ""),
             _number(row.ours, row),
             row.by[0],
-            # Zero is added so that none is negative.
             "" if off is None else f"{100.0 * off:+z.1f} %",
             Text(row.verdict, style=STYLES[row.verdict]),
         )

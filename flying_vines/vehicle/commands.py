@@ -11,7 +11,7 @@ from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.answer import acknowledgement
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.px4 import Px4Watch
-from flying_vines.vehicle.repeats import PX4, STATION, Repeats
+from flying_vines.vehicle.repeats import PX4_REPEAT_S, STATION_REPEAT_S, Repeats
 from flying_vines.vehicle.triggers import Rules, Trigger, direct_intent
 
 PROGRESS_S = 1.0
@@ -51,8 +51,8 @@ class Commands:
         if self._under_way is not None and _key(message) == _key(self._under_way):
             return [acknowledgement(message, mavlink.MAV_RESULT_IN_PROGRESS, self._percent)]
         confirmation = getattr(message, "confirmation", 0)
-        manner = PX4 if from_autopilot else STATION
-        if self._repeats.is_repeat(t, _key(message), confirmation, message.get_seq(), manner):
+        repeat_s = PX4_REPEAT_S if from_autopilot else STATION_REPEAT_S
+        if self._repeats.is_repeat(t, _key(message), confirmation, message.get_seq(), repeat_s):
             result = self._repeats.answered(_key(message))
             return [acknowledgement(message, mavlink.MAV_RESULT_ACCEPTED if result is None else result)]
         params = _params(message)

@@ -7,21 +7,10 @@ from collections import deque
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 
-
-@dataclass(frozen=True, slots=True)
-class Manner:
-    """How a sender repeats what is not acknowledged."""
-
-    repeat_s: float
-    """The most that lies between two repeats."""
-    counts: bool
-    """Whether all of them are counted in `confirmation`."""
-
-
-PX4 = Manner(1.0, counts=True)
-"""Three times, mostly 0.5 s apart, the first time at times after 1 s."""
-STATION = Manner(5.0, counts=False)
-"""Every 0.5 to 3 s. mavsdk says 0 each time, 0.5 s apart."""
+PX4_REPEAT_S = 1.0
+"""PX4 repeats what is not acknowledged three times, mostly 0.5 s apart, the first time at times after 1 s."""
+STATION_REPEAT_S = 5.0
+"""Ground stations repeat every 0.5 to 3 s."""
 LATE_S = 0.6
 """How much later than another a frame can arrive that was sent at the same time."""
 COPIES_WITHIN_S = 2.0
@@ -48,13 +37,10 @@ class Repeats:
     def __init__(self) -> None:
         self._commands: dict[Hashable, _Command] = {}
 
-    def is_repeat(self, t: float, key: Hashable, confirmation: int, sequence: int, manner: Manner) -> bool:
-        """Whether a command was there before."""
-        latest = next(reversed(self._commands), None)
+    def is_repeat(self, t: float, key: Hashable, confirmation: int, sequence: int, repeat_s: float) -> bool:
+        """Whether a command was there before; `repeat_s` is the most that lies between two of its repeats."""
         known = self._commands.pop(key, None) or _Command()
-        repeat = _belongs(known, t, confirmation, sequence, manner.repeat_s)
-        # Nobody has read an answer and thought again so soon, unless something else was asked meanwhile.
-        repeat |= not manner.counts and key == latest and t - known.heard_at < LATE_S
+        repeat = _belongs(known, t, confirmation, sequence, repeat_s)
         if not repeat:
             known.begun_at, known.saw_first, known.result = t, False, None
         known.heard_at = t

@@ -27,7 +27,7 @@ from flying_vines.vehicle.commands import Commands
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.px4 import Px4Watch
-from flying_vines.vehicle.repeats import LATE_S, MOST_REMEMBERED, PX4
+from flying_vines.vehicle.repeats import LATE_S, MOST_REMEMBERED, PX4_REPEAT_S
 from flying_vines.vehicle.triggers import Rules, Trigger
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = 0, 2, 3, 4, 5
@@ -182,7 +182,7 @@ def test_two_stations_are_no_copies_of_each_other() -> None:
 def test_a_repeat_long_after_is_a_command_of_its_own() -> None:
     bench = Bench()
     bench.take(10.0, published())
-    bench.take(10.0 + PX4.repeat_s + LATE_S + 0.1, published(confirmation=1))
+    bench.take(10.0 + PX4_REPEAT_S + LATE_S + 0.1, published(confirmation=1))
     assert len(bench.triggers) == 2
 
 
