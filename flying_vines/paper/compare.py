@@ -150,8 +150,6 @@ class Cycles:
     """Reservoir pressures at which the plant's cost of a cycle was found."""
     plant_cost_kPa: Array
     """What a cycle takes from the reservoir there."""
-    plant_reached: Array
-    """The part of the wanted swing that it reached there."""
     plant_cycles: Array
     """Cycles left from there."""
 
@@ -501,7 +499,6 @@ def cycles(bench: Bench, flow_resistance_kPa_s_per_SL: float) -> Cycles:
         pouch=rigid / more_air,
         plant_kPa=plant_kPa,
         plant_cost_kPa=cost_kPa,
-        plant_reached=part,
         plant_cycles=left,
     )
 

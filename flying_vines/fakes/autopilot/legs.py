@@ -7,8 +7,7 @@ import math
 from flying_vines.fakes.autopilot.flight import Flight
 from flying_vines.vehicle.mission.item import MissionItem
 
-WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME = 16, 17, 18, 19
-RETURN_HOME, LAND, TAKEOFF, SPLINE, VTOL_TAKEOFF, VTOL_LAND = 20, 21, 22, 82, 84, 85
+WAYPOINT, RETURN_HOME, LAND, TAKEOFF, VTOL_TAKEOFF, VTOL_LAND = 16, 20, 21, 22, 84, 85
 GUIDED_ENABLE, DELAY, CONDITION_DELAY, SCRIPT_TIME = 92, 93, 112, 42702
 
 _AMSL_FRAMES = (0, 5)

@@ -65,10 +65,6 @@ class Simulator:
     def evp_coil_K(self) -> float:
         return self._memory.evp.coil_K
 
-    @property
-    def dvp_coil_K(self) -> float:
-        return self._memory.dvp.coil_K
-
     def advance(self, command: Inputs) -> bool:
         """One tick, for which the firmware commands this; whether anything changed."""
         evp, dvp, solenoid = command
