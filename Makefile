@@ -8,6 +8,8 @@ BIN := $(VENV)/bin
 
 AS_ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 TOOLS := g++ gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm chromium mosquitto systemd
+# One more than there are cores: some tests wait most of the time.
+WORKERS = $$(($$(nproc) + 1))
 
 .PHONY: demo test tools clean
 
@@ -18,7 +20,7 @@ test: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
 tools:
 	@dpkg -s $(TOOLS) >/dev/null 2>&1 || { \
