@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
@@ -21,6 +22,7 @@ from flying_vines.config import Config
 from flying_vines.core import Core
 from flying_vines.events import Action, Decision, Event, LinkChanged
 from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.autopilot.forwarding import PX4_BUFFER
 from flying_vines.fakes.board import Board
 from flying_vines.fakes.compiled_firmware import CompiledFirmware
 from flying_vines.fakes.mishaps import Hanging, Kind, Kinked, StuckAt, Unpowered
@@ -47,6 +49,8 @@ RESTING_KPA = 0.5
 DEBOUNCED_S = 0.5
 """From the switch's move to the vine's: 0.15 s of debounce, RC_CHANNELS 20 times a second, and a tick."""
 COMMANDED_S = 0.3
+FORWARDED_S = 0.05
+"""PX4 passes on one in 10 ms."""
 ITEM_S = 3.0
 """An item's numbers are waited for for 2.5 s."""
 LATE_ITEM_S = 12.0
@@ -185,6 +189,8 @@ class RefereedFlight:
         self._late = False
         self._plugged = True
         self._arming_s = -math.inf
+        self._sent_s: deque[float] = deque(maxlen=PX4_BUFFER + 1)
+        """When a ground station's latest commands were."""
         self._heard_by_s: dict[str, float] = {}
         """By when the companion has surely heard of what forbids a bend."""
         if not setup.armed_at_start:
@@ -279,7 +285,7 @@ class RefereedFlight:
 
     def disarm_pneumatics(self) -> None:
         self._command(mavlink.MAV_CMD_USER_4, 2)
-        if self._station_is_heard and not self._vehicle_is_spoiled:
+        if self._station_is_heard and self._surely_forwarded and not self._vehicle_is_spoiled:
             self.referee.forbid("pneumatics disarmed", self.now_s + COMMANDED_S)
             self._heard_by_s["pneumatics disarmed"] = self.now_s + COMMANDED_S
 
@@ -294,6 +300,7 @@ class RefereedFlight:
 
     def _command(self, command: int, *params: float) -> None:
         seven = (*params, *(0.0,) * (7 - len(params)))
+        self._sent_s.append(self.now_s)
         message = mavlink.MAVLink_command_long_message(1, 191, command, 0, *seven)
         self.autopilot.receive(self.now_s, "gcs", self._station.encode(message, 255))
 
@@ -302,12 +309,19 @@ class RefereedFlight:
         return not self._unseen.keys() & {"silence", "link", "companion"}
 
     @property
+    def _surely_forwarded(self) -> bool:
+        """PX4 drops what comes while it still has two others to pass on."""
+        if self.setup.autopilot != "px4" or len(self._sent_s) <= PX4_BUFFER:
+            return True
+        return self.now_s - self._sent_s[0] > FORWARDED_S
+
+    @property
     def _vehicle_is_spoiled(self) -> bool:
         return self.from_autopilot.spoiled > 0.0
 
     def _asked_by_station(self, what: str, bends: bool) -> None:
         if self._station_is_heard:
-            self._asked(what, COMMANDED_S, bends, by_person=True)
+            self._asked(what, COMMANDED_S, bends, by_person=True, certain=self._surely_forwarded)
 
     def _asked(
         self,
@@ -582,7 +596,10 @@ class RefereedFlight:
         for _, item in log[self._items_seen :]:
             if item.command in (SCRIPT_MESSAGE, ACTUATOR):
                 within_s = LATE_ITEM_S if self._late else ITEM_S
-                self._asked(f"item {item.seq}", within_s, item.params[0] != 0.0, by_person=False)
+                # What nobody can hear is heard by a repeat, or by the mission's progress.
+                after_s = 0.0 if self._station_is_heard else within_s
+                bends = item.params[0] != 0.0
+                self._asked(f"item {item.seq}", within_s, bends, by_person=False, after_s=after_s)
                 self.note(f"mission item {item.seq} runs")
         self._items_seen = len(log)
 
