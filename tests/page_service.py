@@ -11,8 +11,9 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 from gateway_process import gateway_of
+from patience import until
 from ports import free_port
-from service_bench import Bench, on_bench, until
+from service_bench import Bench, on_bench
 
 from flying_vines.fakes.autopilot import Autopilot
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from patience import PATIENCE_S
 from ports import free_port
 
 from flying_vines import config
@@ -17,14 +16,6 @@ from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.fakes.autopilot_server import AutopilotServer
 from flying_vines.fakes.ground_station import GroundStation
 from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
-
-
-async def until(true: Callable[[], bool], what: str) -> None:
-    """Wait for something that another task brings about; the test fails when it does not come."""
-    async with asyncio.timeout(PATIENCE_S):
-        while not true():
-            await asyncio.sleep(0.01)
-    assert true(), what
 
 
 def between(companion_port: int, serial_path: str) -> str:

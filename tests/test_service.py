@@ -12,8 +12,9 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
+from patience import until
 from real_time import real_time
-from service_bench import Bench, on_bench, until
+from service_bench import Bench, on_bench
 
 from firmware_link import answer
 from firmware_link.protocol import Fault, Vent

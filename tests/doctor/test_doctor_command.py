@@ -11,9 +11,10 @@ from pathlib import Path
 
 import pytest
 from command_line import run
+from patience import until
 from real_time import real_time
 from rich.console import Console
-from service_bench import on_bench, until
+from service_bench import on_bench
 
 from flying_vines import config as configuration
 from flying_vines.doctor.finding import Finding

@@ -7,12 +7,12 @@ import contextlib
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
 import pytest
 import serial
+from patience import until
 from still_board import StillBoard
 
 from firmware_link.host import VENTING, Command, HostSession, Regulate, SessionState
@@ -239,14 +239,6 @@ class FakeClock:
         return self.now_s
 
 
-async def until(satisfied: Callable[[], bool]) -> None:
-    for _ in range(1000):
-        if satisfied():
-            return
-        await asyncio.sleep(0.005)
-    raise TimeoutError
-
-
 def telemetry_through(path: str) -> int:
     """Open the port as a stranger would, and count whole telemetry frames for a moment."""
     codec = Codec()
@@ -307,10 +299,10 @@ async def test_after_a_stall_time_goes_on_from_where_it_stood() -> None:
         task = asyncio.create_task(board.run())
         await asyncio.sleep(0)
         clock.now_s = 3600.0
-        await until(lambda: board.phlosar.now_s > 0.0)
+        await until(lambda: board.phlosar.now_s > 0.0, "it lives")
         assert board.phlosar.now_s <= 0.5
         clock.now_s += 0.1
-        await until(lambda: board.phlosar.now_s > 0.5)
+        await until(lambda: board.phlosar.now_s > 0.5, "it lives on")
         assert board.phlosar.now_s == pytest.approx(0.6)
         task.cancel()
         with contextlib.suppress(asyncio.CancelledError):

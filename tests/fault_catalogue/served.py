@@ -9,9 +9,10 @@ import sys
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
+from patience import until
 from ports import free_port
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from service_bench import between, until
+from service_bench import between
 
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.fakes.autopilot_server import AutopilotServer

@@ -7,8 +7,9 @@ import time
 from pathlib import Path
 
 import pytest
+from patience import until
 from real_time import real_time
-from service_bench import Bench, on_bench, until
+from service_bench import Bench, on_bench
 
 from flying_vines import config
 from flying_vines.fakes.autopilot import Autopilot

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from patience import until
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
-from service_bench import on_bench, until
+from service_bench import on_bench
 
 from flying_vines import config
 from flying_vines.fakes.autopilot import Autopilot

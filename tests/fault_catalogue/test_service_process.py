@@ -11,9 +11,8 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from patience import PATIENCE_S
+from patience import PATIENCE_S, until
 from real_time import real_time
-from service_bench import until
 
 from firmware_link.protocol import Fault
 from flying_vines.record.reader import FlightLog

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import subprocess
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 from needed import host_compiler, need
-from patience import PATIENCE_S
+from patience import PATIENCE_S, until
 from real_time import real_time
 
 from firmware_link.host import HostEvent, Ready, Regulate, TelemetryReceived
@@ -31,13 +31,6 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert made.returncode == 0, made.stderr
     return folder / "phlosar-pty"
-
-
-async def until(true: Callable[[], bool], what: str) -> None:
-    async with asyncio.timeout(PATIENCE_S):
-        while not true():
-            await asyncio.sleep(0.005)
-    assert true(), what
 
 
 @contextlib.asynccontextmanager

@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 from gateway_process import gateway_of
+from patience import until
 from real_time import real_time
-from service_bench import until
 
 from flying_vines.events import Decision
 from flying_vines.gateway import gateway

@@ -16,9 +16,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from patience import until
 from ports import free_port
 from real_time import real_time
-from service_bench import between, until
+from service_bench import between
 
 from flying_vines import config
 from flying_vines.core import Core

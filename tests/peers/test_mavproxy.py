@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 import pytest_asyncio
-from patience import PATIENCE_S
+from patience import PATIENCE_S, until
 from ports import free_port
 from real_time import real_time
 from service_bench import between
@@ -61,11 +61,6 @@ class Flight:
                 if wanted(float(seen[1])):
                     return float(seen[1])
                 await asyncio.sleep(0.2)
-
-    async def until(self, true: Callable[[], bool]) -> None:
-        async with asyncio.timeout(PATIENCE_S):
-            while not true():
-                await asyncio.sleep(0.02)
 
 
 @pytest_asyncio.fixture(params=["ardupilot", "px4"], scope="module", loop_scope="module")
@@ -122,7 +117,7 @@ async def test_commands_move_the_vine_and_are_answered_in_words(flight: Flight) 
     await ground.sees("Got COMMAND_ACK: USER_1: DENIED")
     ground.type("long USER_4 0")
     await ground.sees("Got COMMAND_ACK: USER_4: ACCEPTED")
-    await flight.until(lambda: flight.phlosar.cv_kPa < 1)
+    await until(lambda: flight.phlosar.cv_kPa < 1, "it is vented")
 
 
 async def test_disarmed_pneumatics_bend_for_nobody_until_they_are_armed(flight: Flight) -> None:
@@ -150,7 +145,7 @@ async def test_a_calibration_tells_that_it_goes_on_and_how_it_ended(flight: Flig
     await ground.sees("Got COMMAND_ACK: USER_5: ACCEPTED")
     await ground.sees("Got COMMAND_ACK: USER_5: FAILED")
     await ground.sees("AP: Vine: calibration ended early")
-    await flight.until(lambda: flight.phlosar.cv_kPa < 1)
+    await until(lambda: flight.phlosar.cv_kPa < 1, "it is vented")
 
 
 async def test_what_is_for_the_autopilot_is_not_for_us(flight: Flight) -> None:
@@ -233,4 +228,4 @@ async def test_signed_commands_are_obeyed_and_those_of_another_key_are_not(tmp_p
         ground.type("signing key vines-over-the-lake")
         await ground.sees("Setup signing key")
         await ground.sees("Got COMMAND_ACK: USER_2: ACCEPTED", again="long 31011 30")
-        await flight.until(lambda: flight.phlosar.cv_kPa > 8)
+        await until(lambda: flight.phlosar.cv_kPa > 8, "it is bent")

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from patience import PATIENCE_S
+from patience import PATIENCE_S, until
 from ports import free_port
 from real_time import real_time
 from rich.console import Console
@@ -47,16 +47,6 @@ COMPANION = 191
 BEND_TO = 31011
 
 VINE_ITEMS = {"ardupilot": [3, 5, 7, 9], "px4": [2, 4, 6, 8]}
-
-
-async def until(true: Callable[[], bool], what: str) -> None:
-    """Wait for something that another task or thread brings about; the test fails when it does not come."""
-    try:
-        async with asyncio.timeout(PATIENCE_S):
-            while not true():
-                await asyncio.sleep(0.02)
-    except TimeoutError:
-        raise AssertionError(f"never came: {what}") from None
 
 
 def recorded(kind: Kind) -> Path:

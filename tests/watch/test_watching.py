@@ -9,13 +9,13 @@ import os
 import pty
 import signal
 import sys
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 from command_line import run
 from page_bench import TOKEN, Bench, served, snapshot
-from patience import PATIENCE_S
+from patience import PATIENCE_S, until
 from ports import free_port
 from real_time import real_time
 
@@ -135,15 +135,10 @@ class Terminal:
     def type(self, keys: str) -> None:
         os.write(self._number, keys.encode())
 
-    async def until(self, true: Callable[[], bool]) -> None:
-        async with asyncio.timeout(PATIENCE_S):
-            while not true():
-                await asyncio.sleep(0.01)
-
     async def shows(self, text: str) -> None:
         """From now on."""
         self.screen = ""
-        await self.until(lambda: text in self.screen)
+        await until(lambda: text in self.screen, text)
 
 
 @contextlib.asynccontextmanager
@@ -179,7 +174,7 @@ async def test_on_a_terminal_it_is_live_and_v_twice_vents(bench: Bench) -> None:
         bench.answers = False
         terminal.type("v")
         await terminal.shows("VENT not confirmed")
-        await terminal.until(lambda: len(bench.asked) >= 2)
+        await until(lambda: len(bench.asked) >= 2, "both are asked for")
         bench.answers = True
         await terminal.shows("VENT confirmed after")
         assert {ask.command for ask in bench.asked} == {"vent"}

@@ -17,7 +17,7 @@ import aiomqtt
 import msgspec
 import pytest
 from needed import need
-from patience import PATIENCE_S
+from patience import PATIENCE_S, until
 from ports import free_port
 
 MOSQUITTO_HOW = "sudo apt install mosquitto"
@@ -56,9 +56,7 @@ class Broker:
 
     async def start(self) -> None:
         self._begin()
-        async with asyncio.timeout(PATIENCE_S):
-            while not self._listens():
-                await asyncio.sleep(0.02)
+        await until(self._listens, "the broker listens")
 
     def _begin(self) -> None:
         self.process = subprocess.Popen(self._command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from needed import need
-from patience import PATIENCE_S
+from patience import until
 from real_time import real_time
 
 from flying_vines.gateway.mqtt import connection, health
@@ -188,9 +188,8 @@ async def test_two_vehicles_of_one_name_are_told_so(broker: Broker, monkeypatch:
     monkeypatch.setattr(health, "TOLD_AFTER_S", 5.0)
     heron = {"broker": broker.url, "name": "heron"}
     async with flying(**heron) as first, flying(**heron) as second:
-        async with asyncio.timeout(PATIENCE_S):
-            while not (troubles := first.troubles + second.troubles):
-                await asyncio.sleep(0.01)
+        await until(lambda: bool(first.troubles or second.troubles), "a trouble")
+        troubles = first.troubles + second.troubles
         assert {trouble.split(": ", 2)[2] for trouble in troubles} == {health.THROWN_OUT.text}
 
 
@@ -296,9 +295,7 @@ async def test_what_is_no_broker(monkeypatch: pytest.MonkeyPatch) -> None:
     port = server.sockets[0].getsockname()[1]
     async with flying(broker=f"mqtt://127.0.0.1:{port}", name="heron") as vehicle:
         await vehicle.in_trouble("something is there and says nothing: is it a broker")
-        async with asyncio.timeout(PATIENCE_S):
-            while len(greeted) < 5:
-                await asyncio.sleep(0.01)
+        await until(lambda: len(greeted) >= 5, "five greetings")
     server.close()
     async with flying(broker="mqtt://no.such.name.invalid", name="heron") as vehicle:
         await vehicle.in_trouble("there is no such name")

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from needed import need
 from page_service import serving
-from patience import PATIENCE_S
+from patience import PATIENCE_S, until
 from real_time import real_time
-from service_bench import until
 
 from flying_vines.gateway import page_token
 

@@ -14,8 +14,8 @@ from typing import Any
 from aiohttp import ClientSession, ClientWebSocketResponse
 from page_bench import client, heard
 from page_service import serving
+from patience import until
 from real_time import real_time
-from service_bench import until
 
 from flying_vines.gateway import page_token
 

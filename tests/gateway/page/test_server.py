@@ -14,7 +14,7 @@ from importlib import resources
 import pytest
 from aiohttp import ClientError, ClientSession, TCPConnector, WSMsgType, WSServerHandshakeError
 from page_bench import TOKEN, Bench, client, heard, served, snapshot
-from patience import PATIENCE_S
+from patience import PATIENCE_S, until
 from ports import free_port
 from real_time import real_time
 
@@ -361,13 +361,9 @@ async def test_a_port_that_is_taken_is_told_once_and_had_later(
     bench = Bench(Page(port=free_port()))
     with socket.create_server(("127.0.0.1", bench.page.port)):
         serving = asyncio.create_task(page.serve(bench.feed))
-        async with asyncio.timeout(PATIENCE_S):
-            while not bench.troubles:
-                await asyncio.sleep(0.01)
+        await until(lambda: bool(bench.troubles), "it is told")
         assert bench.troubles == [f"page: 127.0.0.1:{bench.page.port} cannot be had: Address already in use"]
-    async with asyncio.timeout(PATIENCE_S):
-        while len(bench.troubles) < 2:
-            await asyncio.sleep(0.01)
+    await until(lambda: len(bench.troubles) > 1, "it is told again")
     assert bench.troubles[1] == "the page is served now"
     async with session.get(bench.url) as response:
         assert response.status == 200
