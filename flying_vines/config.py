@@ -75,6 +75,7 @@ class Switch(_Table, frozen=True):
     hysteresis_us: Annotated[float, Meta(ge=0, le=60)] = 25.0
     throttle_channel: Annotated[int, Meta(ge=0, le=18)] = 3
     throttle_failsafe_us: Annotated[float, Meta(ge=0, le=1200)] = 975.0
+    receiver_failsafe: Literal["unknown", "hold"] | Annotated[int, Meta(ge=800, le=2200)] = "unknown"
 
     def __post_init__(self) -> None:
         if len(self.positions) not in (2, 3, 6):

@@ -147,6 +147,8 @@ def fields(table: type[msgspec.Struct]) -> tuple[inspect.Field, ...]:
 def allowed(field: inspect.Field) -> str:
     """What a key's value may be, in words; of a number the range and the unit that ends the key's name."""
     kind = field.type
+    if isinstance(kind, inspect.UnionType):
+        return " or ".join(allowed(msgspec.structs.replace(field, type=part)) for part in kind.types)
     if isinstance(kind, inspect.FloatType | inspect.IntType):
         unit = next((f" {unit}" for end, unit in UNITS.items() if field.name.endswith(end)), "")
         whole = ", whole" if isinstance(kind, inspect.IntType) else ""
