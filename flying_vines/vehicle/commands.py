@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.intent import StartCalibration
+from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.answer import acknowledgement
 from flying_vines.vehicle.mission.execution import Execution
@@ -35,9 +37,15 @@ class Commands:
         return bool(message.target_system == system_id and message.target_component == self._component_id)
 
     def handle(
-        self, t: float, message: Message, system_id: int, from_autopilot: bool, px4: Px4Watch | None
+        self,
+        t: float,
+        message: Message,
+        system_id: int,
+        from_autopilot: bool,
+        px4: Px4Watch | None,
+        age_s: float = 0.0,
     ) -> list[Trigger | Message]:
-        """A trigger, or the answer where there is nothing to decide.
+        """A trigger, or the answer where there is nothing to decide. `age_s`: how long ago it was sent.
 
         A mission item that the autopilot publishes is addressed to no component (PX4) or to us (a script).
         `px4` is None where the autopilot tells its items in another way: then what it says to no component
@@ -60,9 +68,11 @@ class Commands:
             execution = px4.execution(t, message.command, params, confirmation)
             if execution is None:
                 return [acknowledgement(message, mavlink.MAV_RESULT_ACCEPTED)]
+            execution = replace(execution, age_s=execution.age_s + age_s)
             return [self._rules.item_trigger(t, execution, message)]
         if is_item:
-            return [self._rules.item_trigger(t, Execution(message.command, None, None, params), message)]
+            execution = Execution(message.command, None, None, params, age_s)
+            return [self._rules.item_trigger(t, execution, message)]
         found = direct_intent(message.command, params)
         if found is None and message.command in self._rules.commands:
             found = self._rules.for_command(message.command, params)
@@ -70,8 +80,10 @@ class Commands:
             self._repeats.answer(_key(message), mavlink.MAV_RESULT_UNSUPPORTED)
             return [acknowledgement(message, mavlink.MAV_RESULT_UNSUPPORTED)]
         what = {"command": message.command, "params": list(params[:4]), "from": _sender(message)}
+        if age_s > LATE_S:
+            what["late_s"] = round(age_s, 1)
         by_person = message.get_srcSystem() != system_id
-        return [Trigger(t, "command", what, *found, by_person=by_person, command=message)]
+        return [Trigger(t, "command", what, *found, by_person=by_person, command=message, age_s=age_s)]
 
     def acknowledge(self, trigger: Trigger, accepted: bool) -> list[Message]:
         """The COMMAND_ACK for the command behind a trigger, if there is one."""

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.codec import Codec, Message
-from flying_vines.vehicle.mission.ardupilot import WAIT_FOR_BOOK_S, WAIT_FOR_TEXT_S, ArduPilotWatch
+from flying_vines.vehicle.mission.ardupilot import ASK_AGAIN_S, GIVE_UP_S, WAIT_FOR_TEXT_S, ArduPilotWatch
 from flying_vines.vehicle.mission.book import MOST_ITEMS, MissionBook
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem
@@ -40,12 +41,23 @@ PLAN = mission(WP, TAKEOFF, WP, SCRIPT, GRIPPER, WP, SCRIPT, WP, LAND)
 """Home, take-off, and two legs that end in payload items: 3 and 4 behind waypoint 2, 6 behind waypoint 5."""
 
 
+def item_message(one: MissionItem) -> Message:
+    p1, p2, p3, p4, _, _, z = one.params
+    return mavlink.MAVLink_mission_item_int_message(
+        1, 191, one.seq, one.frame, one.command, 0, 1, p1, p2, p3, p4, 0, 0, z, 0
+    )
+
+
 class Air:
     """What an ArduPilot sends, frame by frame, some of them lost."""
 
     def __init__(self, items: list[MissionItem], given_beforehand: bool = True) -> None:
         self.book = MissionBook(items) if given_beforehand else MissionBook()
-        self.watch = ArduPilotWatch(self.book, PAYLOAD)
+        self.clock = AutopilotClock()
+        self.watch = ArduPilotWatch(self.book, PAYLOAD, self.clock)
+        self.asked: list[int] = []
+        self.stored: dict[int, MissionItem] = {}
+        """What the autopilot answers with."""
         self.t = 100.0
         self.found: list[Execution] = []
         self._mav = mavlink.MAVLink(None, 1, 1)
@@ -55,14 +67,25 @@ class Air:
         frame = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
         if not lost:
-            arrived = mavlink.MAVLink(None).parse_char(frame)
-            self.book.handle(self.t, arrived)
-            self.found += self.watch.handle(self.t, arrived)
+            self._take(frame)
+            self._ask()
+
+    def _take(self, frame: bytes) -> None:
+        arrived = mavlink.MAVLink(None).parse_char(frame)
+        self.clock.frame(self.t, arrived.get_seq())
+        self.book.handle(self.t, arrived)
+        self.found += self.watch.handle(self.t, arrived)
+
+    def _ask(self) -> None:
+        for seq in self.watch.asks(self.t):
+            self.asked.append(seq)
+            if seq in self.stored:
+                self.send(item_message(self.stored[seq]))
 
     def send_twice(self, message: Message, later_s: float) -> None:
         frame = message.pack(self._mav)
         for wait_s in (later_s, 0.0):
-            self.found += self.watch.handle(self.t, mavlink.MAVLink(None).parse_char(frame))
+            self._take(frame)
             self.wait(wait_s)
 
     def text(self, words: str, lost: bool = False) -> None:
@@ -81,17 +104,17 @@ class Air:
     def give_book(self, items: list[MissionItem]) -> None:
         self.send(mavlink.MAVLink_mission_count_message(1, 191, len(items), 0))
         for one in items:
-            p1, p2, p3, p4, _, _, z = one.params
-            self.send(
-                mavlink.MAVLink_mission_item_int_message(
-                    1, 191, one.seq, one.frame, one.command, 0, 1, p1, p2, p3, p4, 0, 0, z, 0
-                )
-            )
+            self.send(item_message(one))
+
+    def stores(self, items: list[MissionItem]) -> None:
+        """The autopilot has this mission, and gives any item of it."""
+        self.stored = {one.seq: one for one in items}
 
     def wait(self, for_s: float) -> None:
         for _ in range(round(for_s / TICK_S)):
             self.t += TICK_S
             self.found += self.watch.due(self.t)
+            self._ask()
 
     def payloads(self) -> list[int | None]:
         return [execution.seq for execution in self.found if execution.command in PAYLOAD]
@@ -658,13 +681,15 @@ def received(flight: Flight, loss: float, copies: float, late_s: float) -> list[
 
 
 def watched(flight: Flight, messages: list[tuple[float, Message]]) -> list[tuple[float, int]]:
-    watch = ArduPilotWatch(MissionBook(flight.items), PAYLOAD)
+    clock = AutopilotClock()
+    watch = ArduPilotWatch(MissionBook(flight.items), PAYLOAD, clock)
     found, now = [], 0.0
     for t, message in [*messages, (flight.t + 10.0, None)]:
         while now < t:
             found += [(now, execution) for execution in watch.due(now)]
             now += TICK_S
         if message is not None:
+            clock.frame(t, message.get_seq())
             found += [(t, execution) for execution in watch.handle(t, message)]
     assert all(execution.item is not None for _, execution in found)
     return [(t, e.seq) for t, e in found if e.command in PAYLOAD and e.seq is not None]
@@ -710,7 +735,7 @@ def test_at_a_common_loss_hardly_an_item_is_missed() -> None:
 
 def px4(*items: MissionItem, current: int = 0) -> Px4Watch:
     watch = Px4Watch(MissionBook(list(items)))
-    watch.handle(mavlink.MAVLink_mission_current_message(current))
+    watch.handle(0.0, mavlink.MAVLink_mission_current_message(current))
     return watch
 
 

@@ -41,13 +41,13 @@ _RANKS = {
     mavlink.MAVLINK_MSG_ID_STATUSTEXT: Rank.TEXT,
     mavlink.MAVLINK_MSG_ID_COMMAND_LONG: Rank.REQUEST,
     mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: Rank.REQUEST,
-    mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT: Rank.REQUEST,
     mavlink.MAVLINK_MSG_ID_MISSION_ACK: Rank.REQUEST,
     mavlink.MAVLINK_MSG_ID_PARAM_VALUE: Rank.PARAMETER,
     mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: Rank.VALUE,
     FuelStatus.id: Rank.VALUE,
 }
-"""Whatever is not here answers somebody: COMMAND_ACK, TIMESYNC, PING, AUTOPILOT_VERSION and the like."""
+"""Whatever is not here answers somebody: COMMAND_ACK, TIMESYNC, PING, AUTOPILOT_VERSION and the like.
+For the answer to MISSION_REQUEST_INT a mission item may wait that has just run."""
 
 
 class Outbox:
