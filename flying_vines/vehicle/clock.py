@@ -1,7 +1,7 @@
 """The autopilot's clock, and how old a message was when it arrived.
 
 A link that stalls delivers everything at once, and so does the operating system when our process stood
-still. A text or a command has no time stamp. The `time_boot_ms` of the messages around it tells when it was sent.
+still. A text or a command has no time stamp: the `time_boot_ms` of the messages around it tells its age.
 """
 
 from __future__ import annotations

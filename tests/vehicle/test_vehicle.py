@@ -33,6 +33,8 @@ class Link:
         self.triggers: list[Trigger] = []
         self.notices: list[Notice] = []
         self.sent: list[tuple[float, Message]] = []
+        self.items: dict[int, Message] = {}
+        """What the autopilot answers with when it is asked for an item."""
         self._senders: dict[tuple[int, int], mavlink.MAVLink] = {}
 
     @property
@@ -49,6 +51,8 @@ class Link:
 
     def receive(self, t: float, frame: bytes) -> None:
         for message in self.codec.decode(frame):
+            if message.get_type() == "MISSION_ITEM_INT":
+                self.items[message.seq] = message
             self._sort(t, self.vehicle.handle(t, message))
 
     def _sort(self, t: float, outputs: list[Trigger | Notice | Message]) -> None:
@@ -59,6 +63,8 @@ class Link:
                 self.notices.append(output)
             else:
                 self.sent.append((t, output))
+                if output.get_type() == "MISSION_REQUEST_INT" and output.seq in self.items:
+                    self._sort(t, self.vehicle.handle(t, self.items[output.seq]))
 
     def wait(self, for_s: float) -> None:
         for _ in range(round(for_s / TICK_S)):

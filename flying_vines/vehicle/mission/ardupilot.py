@@ -166,7 +166,7 @@ class ArduPilotWatch:
 
     def _answer(self, item: MissionItem) -> None:
         for waiting in self._waiting:
-            if waiting.seq == item.seq and waiting.item is None and _fits(waiting.name, item.command):
+            if waiting.seq == item.seq and waiting.item is None and _fits(waiting.name, item.command, True):
                 waiting.item = item
 
     def _tell(self, t: float, sequence: int, seq: int, name: str) -> None:
@@ -313,10 +313,12 @@ class _Numbers:
         return False
 
 
-def _fits(name: str | None, command: int) -> bool:
-    """Whether an item may be the one named; other releases may have other names."""
+def _fits(name: str | None, command: int, confirmed: bool = False) -> bool:
+    """Whether an item is the one named; other releases may have other names, if the autopilot confirms it."""
     expected = COMMAND_OF_NAME.get(name or "")
-    return expected == command if expected is not None else name is None or command not in NAMED_COMMANDS
+    if expected is not None:
+        return expected == command
+    return name is None or confirmed or command not in NAMED_COMMANDS
 
 
 def _same(a: MissionItem, b: MissionItem) -> bool:

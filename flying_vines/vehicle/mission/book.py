@@ -21,6 +21,10 @@ SAME_CHANGE_S = 5.0
 MOST_ITEMS = 5000
 
 
+class ItemRequest(mavlink.MAVLink_mission_request_int_message):  # type: ignore[misc]
+    """MISSION_REQUEST_INT for an item that has run, and waits for the answer."""
+
+
 class MissionBook:
     """Reads the mission (MAVLink mission protocol, download side) and knows when it must be read anew.
 
@@ -205,7 +209,7 @@ class MissionBook:
     def ask(self, seq: int, system_id: int) -> Message:
         """Ask for one item, which ArduPilot gives at any time."""
         self._asking = True
-        return mavlink.MAVLink_mission_request_int_message(system_id, 1, seq, 0)
+        return ItemRequest(system_id, 1, seq, 0)
 
     def acknowledgement(self, system_id: int) -> list[Message]:
         """The MISSION_ACK that ends a download that we asked for, once it is complete."""

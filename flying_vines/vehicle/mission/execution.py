@@ -11,7 +11,7 @@ from flying_vines.vehicle.mission.item import MissionItem
 
 @dataclass(frozen=True, slots=True)
 class Execution:
-    """A mission item ran. `seq` is None where its place is not certain, `params` where its numbers are not."""
+    """A mission item ran. `seq` and `params` are None where its place or its numbers are not certain."""
 
     command: int
     seq: int | None

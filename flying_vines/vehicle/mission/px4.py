@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Container
 from dataclasses import dataclass, replace
 
@@ -23,13 +24,25 @@ SAME_BURST_S = 3.0
 
 WAIT_FOR_COMMAND_S = 0.3
 """MISSION_ITEM_REACHED was seen up to 20 ms after its command, and once before it."""
+LAST_REPEAT_S = 2.5
+"""So long a command may still come, which has numbers of its own."""
 REACHED_WITHIN_S = 3.0
 """It is repeated each second."""
 GRIPPER, WINCH = 211, 42600
 TIMEOUT_S = 60.0
 """For a gripper and a winch PX4 waits for MIS_COMMAND_TOUT before it tells that they were reached."""
+REPEATED_WITHIN_S = 2.5
+"""What is told as reached this shortly after it was is the same again, overtaken by another."""
+MOST_PAST = 8
 HISTORY_S = 2.0
 """What is told this soon after we began to listen may be a repeat."""
+
+
+@dataclass(slots=True)
+class _Ran:
+    t: float
+    execution: Execution
+    was_reached: bool
 
 
 @dataclass(slots=True)
@@ -56,12 +69,11 @@ class Px4Watch:
         self._commands = commands
         self._clock = clock or AutopilotClock()
         self._current = 0
-        self._ran: Execution | None = None
-        self._ran_at = -math.inf
-        self._ran_was_reached = False
+        self._past: deque[_Ran] = deque(maxlen=MOST_PAST)
         self._forgotten_at = -math.inf
         self._begun_at: float | None = None
         self._reached: int | None = None
+        self._reached_at: dict[int, float] = {}
         self._waiting: _Reached | None = None
         self._made_up: Execution | None = None
         self._made_up_at = -math.inf
@@ -93,31 +105,33 @@ class Px4Watch:
         late_s = t - self._stood_at if lost else 0.0
         self._stood_at, self._has_moved = t, False
         item = self._book.items.get(seq) if self._book.fresh else None
-        if seq == known or item is None or item.command not in self._commands:
+        if item is None or item.command not in self._commands:
             return
-        if known is None and t - (self._begun_at or 0.0) < HISTORY_S:
+        again = seq == known or t - self._reached_at.get(seq, -math.inf) < REPEATED_WITHIN_S
+        self._reached_at[seq] = t
+        if again or (known is None and t - (self._begun_at or 0.0) < HISTORY_S):
             return
-        if self._is_last(t, item):
-            self._ran_was_reached = True
-        elif not self._ran_later(t, item):
+        if not self._has_run(t, item) and not self._ran_later(t, item):
             self._waiting = _Reached(item, self._clock.mark(t), late_s)
 
-    def _is_last(self, t: float, item: MissionItem) -> bool:
-        """Whether it is the item whose command came last."""
-        ran = self._ran
-        if ran is None or self._ran_was_reached or ran.seq not in (None, item.seq):
-            return False
-        waits = item.command in (GRIPPER, WINCH)
-        recent = t - self._ran_at < (TIMEOUT_S if waits else REACHED_WITHIN_S)
-        return recent and _same(ran, _of(item))
+    def _has_run(self, t: float, item: MissionItem) -> bool:
+        """Whether its command has come; each command is one item's."""
+        within_s = TIMEOUT_S if item.command in (GRIPPER, WINCH) else REACHED_WITHIN_S
+        for ran in reversed(self._past):
+            fits = ran.execution.seq in (None, item.seq) and _same(ran.execution, _of(item))
+            if fits and not ran.was_reached and t - ran.t < within_s:
+                ran.was_reached = True
+                return True
+        return False
 
     def _ran_later(self, t: float, item: MissionItem) -> bool:
         """Whether an item behind it has run already, at the same place."""
-        ran = self._ran
-        if ran is None or t - self._ran_at > REACHED_WITHIN_S:
-            return False
-        alike = self._book.alike(ran.command, ran.params or ())
-        return any(other.seq > item.seq and not self._flies_between(item.seq, other.seq) for other in alike)
+        return any(
+            other.seq > item.seq and not self._flies_between(item.seq, other.seq)
+            for ran in self._past
+            if t - ran.t < REACHED_WITHIN_S
+            for other in self._book.alike(ran.execution.command, ran.execution.params or ())
+        )
 
     def execution(
         self, t: float, command: int, params: tuple[float, ...], confirmation: int
@@ -127,7 +141,7 @@ class Px4Watch:
         None for a repeat whose first frames were lost, of an item that is history: a later one has run
         already, or see `forget`. And for a command that comes after its item was made up for.
         """
-        item = self._book.only(command, params)
+        item = self._book.only(command, params) if self._book.is_running else None
         age_s = confirmation * SHORTEST_REPEAT_S
         execution = Execution(command, item.seq if item else None, item, params, age_s)
         made_up_s = (confirmation + 1) * PX4_REPEAT_S + LATE_S
@@ -142,16 +156,14 @@ class Px4Watch:
             was_reached = True
         if was_reached or confirmation == 0:
             self._waiting = None
-        self._run(t, execution, was_reached)
+        self._past.append(_Ran(t, execution, was_reached))
         return execution
-
-    def _run(self, t: float, execution: Execution, was_reached: bool) -> None:
-        self._ran, self._ran_at, self._ran_was_reached = execution, t, was_reached
 
     def due(self, t: float) -> list[Execution]:
         """An item whose command was lost, once that is certain."""
         waiting = self._waiting
-        if waiting is None or t - waiting.mark.t < WAIT_FOR_COMMAND_S:
+        wait_s = WAIT_FOR_COMMAND_S if self._book.is_running else LAST_REPEAT_S
+        if waiting is None or t - waiting.mark.t < wait_s:
             return []
         age_s = self._clock.age_s(waiting.mark, t)
         if age_s is None:
@@ -164,17 +176,17 @@ class Px4Watch:
         if not self._book.is_running:
             return [replace(execution, item=None, params=None)]
         self._made_up, self._made_up_at = execution, t
-        self._run(t, execution, True)
+        self._past.append(_Ran(t, execution, True))
         return [execution]
 
     def _overtaken(self, t: float, execution: Execution) -> bool:
-        ran = self._ran
-        if ran is None or _same(ran, execution):
+        if not self._past or _same(self._past[-1].execution, execution):
             return False
-        if t - self._ran_at < BEFORE_A_REPEAT_S:
+        ran = self._past[-1]
+        if t - ran.t < BEFORE_A_REPEAT_S:
             return True
-        seq, ran_seq = (self._nearest(one) for one in (execution, ran))
-        if seq is None or ran_seq is None or t - self._ran_at > SAME_BURST_S:
+        seq, ran_seq = (self._nearest(one) for one in (execution, ran.execution))
+        if seq is None or ran_seq is None or t - ran.t > SAME_BURST_S:
             return False
         return ran_seq > seq and not self._flies_between(seq, ran_seq)
 
