@@ -99,15 +99,18 @@ class Pilot:
         elif position is not None and self._rules.bends(position):
             self._position_overruled, self._left_it_at = position, math.inf
 
-    def handle(self, t: float, message: Message, autopilot: str) -> list[PilotOutput]:
-        """Take in a message of our autopilot, which is an "ardupilot", a "px4" or something else."""
+    def handle(self, t: float, message: Message, autopilot: str, vented: bool = False) -> list[PilotOutput]:
+        """Take in a message of our autopilot, which is an "ardupilot", a "px4" or something else.
+
+        `vented` says that the vine is straight and that nothing moves it.
+        """
         self.radio.autopilot = autopilot
         kind = message.get_type()
         if kind == "PARAM_VALUE":
             return self._tell_parameters(t) if self.parameters.handle(autopilot, message) else []
         self.radio.handle(t, message)
         if kind == "RC_CHANNELS":
-            return self._sample(t)
+            return self._sample(t, vented)
         return [*self._tell_source(t), *self._confirm(t)] if kind == "SYS_STATUS" else []
 
     def override(self, t: float, message: Message) -> None:
@@ -165,7 +168,7 @@ class Pilot:
             return []
         return [Notice(t, Severity.NOTICE, "Vine: RC comes from a ground station")]
 
-    def _sample(self, t: float) -> list[PilotOutput]:
+    def _sample(self, t: float, vented: bool) -> list[PilotOutput]:
         radio = self.radio
         interrupted = radio.take_interruption()
         if interrupted or radio.problem(t) is not None:
@@ -178,7 +181,7 @@ class Pilot:
         if isinstance(seen, MovedUnseen):
             return [self._move_again(t, "moved while RC was lost")]
         if isinstance(seen, Move):
-            return self._moved(t, seen)
+            return self._moved(t, seen, vented)
         return []
 
     def _keep_waiting(self, waiting: _Waiting) -> None:
@@ -187,11 +190,13 @@ class Pilot:
         elif waiting.since_s is None:
             waiting.since_s = self.radio.stamp_s
 
-    def _moved(self, t: float, move: Move) -> list[PilotOutput]:
+    def _moved(self, t: float, move: Move, vented: bool) -> list[PilotOutput]:
         before, bends = self._waiting, self._rules.bends(move.position)
         self._waiting = None
-        if before is not None and bends and move.position == before.before and self._waits_to_bend(before):
-            return []  # back before anything came of it
+        back = before is not None and move.position == before.before and self._waits_to_bend(before)
+        if back and (bends or vented):
+            hold_s = self.parameters.px4_shows_loss_within_s
+            return [Notice(t, Severity.INFO, f"Vine: hold switch ch{self.channel} {hold_s:.1f} s to bend")]
         if move.before == self._position_overruled:
             self._left_it_at = t
         must_wait = self._must_wait(move.position)

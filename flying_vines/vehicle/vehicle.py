@@ -71,10 +71,11 @@ class Vehicle:
         """A parameter has changed."""
         self.pilot.configure(self.config)
 
-    def handle(self, t: float, message: Message, may_change: bool = True) -> list[Output]:
+    def handle(self, t: float, message: Message, vented: bool = True) -> list[Output]:
         """Take in a message of anyone on the link.
 
-        `may_change` says whether the vine is vented, so that parameters which steer it may be changed.
+        `vented` says that the vine is straight and that nothing moves it: then parameters that steer it may
+        be changed.
         """
         kind = message.get_type()
         from_autopilot = self.state.is_ours(message)
@@ -94,7 +95,7 @@ class Vehicle:
                     out.extend(self._rebooted(t))
         answers = None
         if kind in heard.QUESTIONS or kind == "HEARTBEAT":
-            answers = self.component.handle(t, message, self.state, may_change)
+            answers = self.component.handle(t, message, self.state, vented)
             out.extend(answers or ())
             from_autopilot = self.state.is_ours(message)  # it may have been the first
         if answers is None and kind in ("COMMAND_LONG", "COMMAND_INT") and self.state.found:
@@ -104,7 +105,7 @@ class Vehicle:
         if from_autopilot:
             self._streams.handle(t, message)
             if kind in heard.RADIO:
-                out.extend(self.pilot.handle(t, message, self.state.kind))
+                out.extend(self.pilot.handle(t, message, self.state.kind, vented))
             if (self.state.armed, self.state.mode) != before and self.state.armed:
                 self._book.refresh(t)
                 self.pilot.parameters.refresh()
