@@ -127,7 +127,10 @@ class AutopilotClock:
         delay_s = self._delay_s if t - self._stamped_at < BACKLOG_S + self._silence_s else 0.0
         if self._silence_s and t - self._silence_over_at > BACKLOG_S:
             self._silence_s = 0.0
-        mark = Mark(t, delay_s + self._silence_s, not self._lost)
+        silence_s = self._silence_s
+        if self._heard_at is not None and t - self._heard_at > SILENCE_S:
+            silence_s += t - self._heard_at  # somebody else's message comes first after it
+        mark = Mark(t, delay_s + silence_s, not self._lost)
         self._open.append(mark)
         return mark
 
