@@ -50,6 +50,7 @@ class Vehicle:
         self._rules = Rules(config)
         self._streams = Streams(config.vehicle.rc_rate_Hz)
         self._missing: list[str] = []
+        self.link_closed = False
         self._book = MissionBook(mission)
         self._ardupilot = ArduPilotWatch(self._book, self._rules.commands)
         self._px4 = Px4Watch(self._book)
@@ -74,6 +75,8 @@ class Vehicle:
         """
         kind = message.get_type()
         from_autopilot = self.state.is_ours(message)
+        if from_autopilot and kind not in heard.STATE:
+            self.state.heard(t)
         if kind not in heard.ALL:
             return [*self._watch(t, message)] if from_autopilot else []
         out: list[Output] = []
@@ -134,6 +137,7 @@ class Vehicle:
 
     def link_changed(self, up: bool) -> None:
         """The link to the vehicle came up or went down."""
+        self.link_closed = not up
         if up:
             self._streams.forget()
         else:
