@@ -423,7 +423,7 @@ class Core:
         elif t > self._bench_until:
             self._leave_bench(t, "nobody asked for anything")
         self._look(t)
-        if told := self._link_loss.back(t, "rc" in self._safety.reasons):
+        if told := self._link_loss.back(t, self._safety.reasons):
             self._notice(t, Severity.NOTICE, told)
         if not self._stopped:
             self._drive(t)

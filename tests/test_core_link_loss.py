@@ -70,6 +70,17 @@ def test_a_silent_link_is_told_once_and_once_when_it_is_back(for_s: float) -> No
     assert told(lives(flight, 10.0)) == ["Vine: vehicle link is back, waiting for a fresh move"]
 
 
+def test_a_link_is_back_with_the_first_heartbeat() -> None:
+    """Frames prove the autopilot alive; after a long silence nobody knows yet whether it is armed."""
+    flight = bent()
+    flight.autopilot.mute(8.0)
+    lives(flight, 7.9)
+    without(flight, HEARTBEAT)
+    assert told(lives(flight, 3.0)) == []
+    without(flight)
+    assert told(lives(flight, 2.0)) == ["Vine: vehicle link is back, waiting for a fresh move"]
+
+
 def test_a_silent_link_is_told_again_when_the_vine_does_something_else() -> None:
     flight = bent(holding(on_rc_loss="hold", on_autopilot_loss="hold", hold_at_most_s=1.5))
     flight.autopilot.mute(20.0)

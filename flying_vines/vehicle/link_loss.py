@@ -5,6 +5,8 @@ When a link dies RC, the altitude and the autopilot are lost one after another, 
 
 from __future__ import annotations
 
+from collections.abc import Container
+
 from flying_vines.vehicle.vehicle import Vehicle
 
 SILENT_S = 1.5
@@ -38,11 +40,14 @@ class LinkLoss:
         """Whether the end of a loss is to be told: not where the link's own is."""
         return not (self._told and name in _FOLLOW)
 
-    def back(self, t: float, rc_lost: bool) -> str | None:
-        """What is told when the link is back, once."""
+    def back(self, t: float, lost: Container[str]) -> str | None:
+        """What is told when the link is back, once; `lost` is what safety still has as lost."""
         heard_at = self._vehicle.state.heard_at
         if not self._told or self._vehicle.link_closed or heard_at is None or heard_at <= self._told_at:
             return None
+        if "autopilot" in lost:
+            return None  # it speaks, but only its next HEARTBEAT says whether it is armed
+        rc_lost = "rc" in lost
         self._back_since = t if self._back_since is None else self._back_since
         if rc_lost and t - self._back_since < BACK_S:
             return None
