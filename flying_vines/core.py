@@ -55,6 +55,7 @@ from flying_vines.reservoir import Belief, CyclesLeft, ReservoirEstimate, nomina
 from flying_vines.safety import Conditions, Entered, Left, Ruling, Safety
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.parameters import Changed
+from flying_vines.vehicle.link_loss import LinkLoss
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.pilot import Straightened
 from flying_vines.vehicle.triggers import Trigger
@@ -96,6 +97,7 @@ class Core:
         disarmed: bool = False,
     ) -> None:
         self._vehicle = Vehicle(profile, mission, parameters)
+        self._link_loss = LinkLoss(self._vehicle)
         config = self.config
         self._bent_kPa = 0.0
         self._cv_kPa = deque((math.nan,), maxlen=2)
@@ -429,6 +431,8 @@ class Core:
         elif t > self._bench_until:
             self._leave_bench(t, "nobody asked for anything")
         self._look(t)
+        if told := self._link_loss.back(t, self._safety.reasons):
+            self._notice(t, Severity.NOTICE, told)
         if not self._stopped:
             self._drive(t)
         self._follow_calibration(t)
@@ -438,7 +442,6 @@ class Core:
 
     def _conditions(self, t: float) -> Conditions:
         telemetry = self._firmware.telemetry
-        heartbeat_at = self._vehicle.state.heartbeat_at
         rc_problem = self._vehicle.rc.problem(t)
         if rc_problem is None:
             self._rc_in_use = (
@@ -454,7 +457,8 @@ class Core:
             armed=self._vehicle.state.armed,
             altitude_m=self._vehicle.state.altitude_m(t),
             rc_problem=rc_problem if self._rc_in_use else None,
-            autopilot_age_s=None if heartbeat_at is None else t - heartbeat_at,
+            autopilot_age_s=self._vehicle.state.silence_s(t),
+            heartbeat_missing=self._vehicle.state.heartbeat_missing,
             firmware_ready=self._firmware.state is fw.SessionState.READY,
             firmware_was_ready=self._firmware_was_ready,
             firmware_problem=self._firmware_problem,
@@ -489,15 +493,18 @@ class Core:
             self._freeze(t)
         else:
             self._stop_moving(t)
-        if change.name == "autopilot":
+        if change.name == "autopilot" and not self._vehicle.state.heartbeat_missing:
             self._vehicle.forget_radio()
         if mattered:
             trigger = Trigger(t, "failsafe", {"loss": change.name}, Hold() if hold else Vent())
             self._record(t, trigger, Ruling("accepted", change.reason))
         done = "holding" if hold else _DONE.get(change.name, "vented")
-        self._notice(t, Severity.WARNING, f"{change.reason}, {done}", mattered)
+        if told := self._link_loss.entered(t, change.name, change.reason, done):
+            self._notice(t, Severity.WARNING, told, mattered)
 
     def _leave(self, t: float, change: Left) -> None:
+        if not self._link_loss.left(change.name):
+            return
         rc_is_off = self._vehicle.rc.problem(t) is not None
         over = {
             "rc": f"{'going on without RC' if rc_is_off else 'RC is back'}, waiting for a fresh move",

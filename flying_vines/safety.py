@@ -43,7 +43,9 @@ class Conditions:
     rc_problem: str | None = None
     """Why RC cannot be believed; None when it can, or when this flight does without RC."""
     autopilot_age_s: float | None = None
-    """Since its last heartbeat; None when none was ever heard."""
+    """Since any frame of it; None when none was ever heard."""
+    heartbeat_missing: bool = False
+    """Other frames of the autopilot come, but none says whether it is armed."""
     firmware_ready: bool = False
     firmware_was_ready: bool = False
     firmware_problem: str = "not connected"
@@ -235,7 +237,7 @@ class Safety:
     def _autopilot(self, now: Conditions) -> str | None:
         if now.autopilot_age_s is not None and now.autopilot_age_s > self._losses.autopilot_s:
             return f"autopilot silent for {self._losses.autopilot_s:g} s"
-        return None
+        return "no HEARTBEAT, armed or not is unknown" if now.heartbeat_missing else None
 
     def _serial(self, now: Conditions) -> str | None:
         if now.firmware_was_ready and not now.firmware_ready:

@@ -49,6 +49,7 @@ class Vehicle:
         self.pilot = Pilot(config, self._rules)
         self._streams = Streams(config.vehicle.rc_rate_Hz)
         self._missing: list[str] = []
+        self.link_closed = False
         self._book = MissionBook(mission)
         self._ardupilot = ArduPilotWatch(self._book, self._rules.commands)
         self._px4 = Px4Watch(self._book)
@@ -79,6 +80,8 @@ class Vehicle:
         """
         kind = message.get_type()
         from_autopilot = self.state.is_ours(message)
+        if from_autopilot and kind not in heard.STATE:
+            self.state.heard(t)
         if kind not in heard.ALL:
             return [*self._watch(t, message)] if from_autopilot else []
         out: list[Output] = []
@@ -140,6 +143,7 @@ class Vehicle:
 
     def link_changed(self, up: bool) -> None:
         """The link to the vehicle came up or went down."""
+        self.link_closed = not up
         if up:
             self._streams.forget()
         else:

@@ -47,6 +47,7 @@ DISK = DiskFacts("flight logs", "flights", free_MB=9000.0, least_free_MB=200.0, 
 STATE = DiskFacts("state", "/var/lib/flying-vines", free_MB=9000.0, took_s=0.02)
 NOW = ClockFacts(1_795_000_000.0, synchronised=True)
 OTHER = Process(812, "minicom")
+SERVICE = Process(813, "flying-vines run", "flying-vines.service")
 PORT = PortFacts("phloSAR", "usb:16c0:0483", path="/dev/ttyACM0", board="usb:16c0:0483", group="dialout")
 WELCOME = Welcome(PROTOCOL_VERSION, 1, 0x1234, "1.0", Units.KPA_GAUGE, 30.0, 28.0, 760.0, 200.0, 300, 100)
 SETTING = Setting(0, 1, "cv_limit_kPa", 30.0, 5.0, 60.0, 30.0)
@@ -200,6 +201,8 @@ CASES: list[tuple[Line, list[Finding]]] = [
     (PORTS["not allowed"], of_port(may_open=False)),
     (PORTS["log in again"], of_port(may_open=False, member_since_login=True)),
     (PORTS["held"], of_port(held_by=(OTHER,))),
+    (PORTS["served"], of_port(held_by=(OTHER,), served=True)),
+    (PORTS["served"], [port.check_network("phloSAR", "udpin:0.0.0.0:3000", True, (OTHER,), served=True)]),
     (PORTS["console"], of_port(console=True)),
     (PORTS["modem"], of_port(modem_manager=True)),
     (PORTS["kept off"], of_port(modem_manager=True, modem_manager_kept_off=True)),
@@ -247,6 +250,7 @@ CASES: list[tuple[Line, list[Finding]]] = [
     (vehicle.ARMED, of_vehicle(armed=True)),
     (vehicle.HEARTBEAT, of_vehicle()),
     (vehicle.HEARTBEAT_GAPS, of_vehicle(longest_silence_s=3.1)),
+    (vehicle.NO_HEARTBEAT, of_vehicle(heartbeat_missing=True)),
     (vehicle.STREAM, of_vehicle()),
     (vehicle.SLOW, of_stream("SYS_STATUS", 6.9)),
     (vehicle.TOO_SLOW, of_stream("RC_CHANNELS", 2.9)),
@@ -255,11 +259,15 @@ CASES: list[tuple[Line, list[Finding]]] = [
     (vehicle.MISSING, of_stream("SYS_STATUS", 0.0, refused=True, kind="px4")),
     (vehicle.MISSED, of_stream("MISSION_CURRENT", 0.0)),
     (vehicle.CLASH, of_vehicle(clash=True)),
+    (vehicle.CLASH_WITH_SERVICE, vehicle.check(replace(VEHICLE, clash=True), CONFIG, 6.0, [SERVICE])),
+    (vehicle.SERVED, vehicle.check(VehicleFacts(), CONFIG, 6.0, [SERVICE])),
+    (vehicle.SERVED, vehicle.check(VehicleFacts(messages=9, others=((1, 191),)), CONFIG, 6.0, [SERVICE])),
     (vehicle.FREE, of_vehicle(others=((1, 154), (255, 190)))),
     (vehicle.UNSIGNED, of_vehicle(SIGNED, messages=0, refused=REFUSED)),
     (vehicle.SOME_REFUSED, of_vehicle(SIGNED, refused=REFUSED)),
     (vehicle.SIGNED, of_vehicle(SIGNED)),
     (vehicle.NO_KEY, of_vehicle(signs=True)),
+    (vehicle.NO_KEY_NEEDED, of_vehicle(signs=True, answers=True)),
     (vehicle.NOT_SIGNED, of_vehicle()),
     (radio.NOT_USED, of_switch(config=changed("switch", positions=("", "")))),
     (radio.NOT_HEARD, [radio.check(None, CONFIG, False)]),
@@ -295,6 +303,21 @@ def named(case: tuple[Line, list[Finding]]) -> str:
 @pytest.mark.parametrize(("line", "found"), CASES, ids=map(named, CASES))
 def test_the_facts_call_for_the_line(line: Line, found: list[Finding]) -> None:
     assert any(says(line, finding) for finding in found), found
+
+
+@pytest.mark.parametrize(
+    ("rate_Hz", "verdict"), [(1.0, "good"), (0.9, "good"), (0.5, "warning"), (0.0, "warning")]
+)
+def test_px4_sends_mission_current_as_it_likes(rate_Hz: float, verdict: str) -> None:
+    found = of_stream("MISSION_CURRENT", rate_Hz, refused=True, kind="px4")
+    (finding,) = (finding for finding in found if finding.check == "MISSION_CURRENT")
+    assert finding.verdict == verdict
+    assert "refuses" not in finding.what and "extras.txt" not in finding.do
+
+
+def test_how_a_service_is_ended_is_said_of_that_service() -> None:
+    assert "(sudo systemctl stop flying-vines.service)" in service.check([SERVICE], [SERVICE]).do
+    assert "(kill 7)" in service.check([Process(7, "flying-vines run")], []).do
 
 
 def test_no_line_is_without_a_case() -> None:

@@ -68,6 +68,25 @@ def test_the_longest_silence_counts_to_the_end() -> None:
     assert feed.probe.facts(8.0).longest_silence_s == 4.0
 
 
+def test_any_message_ends_a_silence_but_heartbeats_may_be_missing() -> None:
+    feed = Feed()
+    feed.heartbeat(0.0)
+    for i in range(1, 13):
+        feed.rc(0.5 * i, 1000)
+    facts = feed.probe.facts(6.1)
+    assert (facts.longest_silence_s, facts.heartbeat_missing) == (0.5, True)
+    feed.heartbeat(6.2)
+    assert not feed.probe.facts(6.3).heartbeat_missing
+
+
+@pytest.mark.parametrize(("target", "answers"), [((1, 191), True), ((255, 190), False)])
+def test_an_answer_to_us_says_that_we_are_heard(target: tuple[int, int], answers: bool) -> None:
+    feed = Feed()
+    feed.heartbeat(0.0)
+    feed.take(0.1, mavlink.MAVLink_command_ack_message(511, 0, 0, 0, *target))
+    assert feed.probe.facts(0.2).answers is answers
+
+
 def test_the_clocks_are_compared_when_the_autopilot_knows_the_time() -> None:
     feed = Feed()
     feed.heartbeat(0.0)

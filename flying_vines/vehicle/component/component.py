@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import Config
+from flying_vines.notice import Notice, Severity
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.clash import Clash
 from flying_vines.vehicle.component.outbox import Outbox
@@ -34,6 +35,7 @@ class Component:
         self._fuel = FuelGauge()
         self._texts = Texts()
         self._requests = Requests(self._component_id, self._heartbeat, self._values)
+        self._key_told = bool(profile.vehicle.signing_key)
         self._clash = Clash(self._component_id)
         self._stations = Stations()
         self._outbox = Outbox()
@@ -67,9 +69,18 @@ class Component:
             return None
         if number in Requests.MESSAGES:
             return self._requests.handle(t, message, vehicle.system_id)
+        if number == mavlink.MAVLINK_MSG_ID_SETUP_SIGNING:
+            return self._without_key(t, message, vehicle.system_id)
         if number in Parameters.MESSAGES:
             return self.parameters.handle(t, message, vehicle.system_id, self._component_id, may_change)
         return None
+
+    def _without_key(self, t: float, message: Message, system_id: int) -> list[Output]:
+        """Once: whoever gives the vehicle a key should know that we do not take it."""
+        if self._key_told or message.target_system not in (0, system_id):
+            return []
+        self._key_told = True
+        return [Notice(t, Severity.NOTICE, "Vine: SETUP_SIGNING ignored: no key in profile")]
 
     def greet(self) -> None:
         """The autopilot knows nothing of us: let it hear us at once."""

@@ -50,7 +50,7 @@ SETTINGS = (
     Setting("VINE_SW_HYST_US", "switch", "hysteresis_us", "us past the border before the position changes"),
     Setting("VINE_RC_LOSS_S", "losses", "rc_s", "s without RC_CHANNELS until RC is lost", "most"),
     Setting("VINE_RC_ACTION", "losses", "on_rc_loss", "RC lost: 0 vent, 1 hold", choices=VENT_OR_HOLD),
-    Setting("VINE_AP_LOSS_S", "losses", "autopilot_s", "s without HEARTBEAT: the autopilot is lost", "most"),
+    Setting("VINE_AP_LOSS_S", "losses", "autopilot_s", "s without a message: the autopilot is lost", "most"),
     Setting(
         "VINE_AP_ACTION",
         "losses",
