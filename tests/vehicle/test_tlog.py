@@ -15,9 +15,13 @@ from flying_vines.vehicle.tlog import TlogError, TlogReader
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 FRAMES = {
+    "ardupilot_hidden_rc_loss": 5087,
+    "ardupilot_override_and_late_texts": 7003,
     "ardupilot_vine_mission": 2388,
     "mission_do_items": 7948,
+    "px4_crsf_loss": 7467,
     "px4_mission": 5251,
+    "px4_sbus_failsafe": 9886,
     "px4_vine_mission": 3124,
     "rc_switch": 2870,
     "reboot": 1744,
