@@ -51,7 +51,7 @@ def test_radio(arguments: argparse.Namespace) -> int:
         learned = asyncio.run(_test(examined, arguments.fakes, console, ports))
     except NobodyThereError:
         return bad_input(
-            "nobody is at the terminal to press Enter and switch the transmitter off: start it in one, or give --fakes"
+            "nobody is at a terminal to press Enter and switch the transmitter off: use one, or --fakes"
         )
     keep_signing(examined)
     if learned is None:

@@ -1,4 +1,4 @@
-"""The radio test on a link: it leads a person, or the fake's own hand, through the steps. No logic of its own."""
+"""The radio test on a link: it leads a person, or the hand of a fake, through the steps."""
 
 from __future__ import annotations
 
@@ -139,7 +139,8 @@ class Guide:
         test = self._test
         if test.round or test.position == test.target:
             return "Switch the transmitter ON again."
-        return f"While it is off, put the switch to {self._position(test.target)}. Then switch the transmitter ON."
+        where = self._position(test.target)
+        return f"While it is off, put the switch to {where}. Then switch the transmitter ON."
 
     def _position(self, index: int) -> str:
         return f"position {index + 1} ({self._names[index] or 'nothing'})"

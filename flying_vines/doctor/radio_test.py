@@ -103,7 +103,7 @@ class Loss:
 
     @property
     def told_after_jump_s(self) -> float | None:
-        """How long the receiver's preset passed for the pilot's hand; None without a jump or without an end."""
+        """How long the receiver's preset passed for the pilot's hand; None if it never jumped or showed."""
         jump = next((sign.after_s for sign in self.signs if sign.kind == "channels"), None)
         shown = self.shown_after_s
         return None if jump is None or shown is None else max(0.0, shown - jump)

@@ -1,4 +1,4 @@
-"""The guided radio test on real recordings: their messages, with somebody who presses Enter at given times."""
+"""The guided radio test on real recordings, with somebody who presses Enter at given times."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from pathlib import Path
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines import config
+from flying_vines.config import Config
 from flying_vines.doctor.radio_test import RadioTest
 from flying_vines.vehicle.codec import Codec, Message
 from flying_vines.vehicle.tlog import TlogReader
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
+DEFAULT = config.default()
 TICK_S = 0.05
 
 
@@ -30,23 +32,22 @@ def recorded(name: str, from_s: float, until_s: float) -> Iterator[tuple[float, 
             yield t, message
 
 
-def tested(
+def run_on(
     name: str,
     from_s: float,
     until_s: float,
     presses: Sequence[float] = (),
-    without: Sequence[str] = (),
-    first_target: int = 0,
+    target: int = 0,
+    profile: Config = DEFAULT,
 ) -> RadioTest:
-    """The test, run on a part of a recording; `without` are messages that are left out."""
-    test, waiting, now = RadioTest(config.default()), sorted(presses), from_s
-    test.target = first_target
+    """The test on a part of a recording, begun with the switch in position `target`."""
+    test, waiting, now = RadioTest(profile), sorted(presses), from_s
+    test.target = target
     for t, message in recorded(name, from_s, until_s):
         while now + TICK_S < t:
             now += TICK_S
             while waiting and waiting[0] <= now:
                 test.press(waiting.pop(0))
             test.advance(now)
-        if message.get_type() not in without:
-            test.take(t, message)
+        test.take(t, message)
     return test

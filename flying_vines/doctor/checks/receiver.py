@@ -1,4 +1,4 @@
-"""What the radio test has found: does a lost transmitter show, and what does the receiver do to the switch?"""
+"""What the radio test found: does a lost transmitter show, and what does the receiver do to the switch?"""
 
 from __future__ import annotations
 
@@ -82,28 +82,28 @@ HARMLESS = Line(
 BENDS_UNSEEN = Line(
     "receiver",
     "warning",
-    "it puts the switch to position {position}, “{profile}” ({us} µs), and a loss shorter than {seconds} s does not"
-    " show: the switch waits {wait} s before it bends so",
+    "it puts the switch to position {position}, “{profile}” ({us} µs), and a loss shorter than {seconds} s"
+    " does not show: the switch waits {wait} s before it bends so",
     "set the receiver's failsafe of channel {channel} to hold, or to position 1; then repeat the test",
 )
 BENDS_TOLD = Line(
     "receiver",
     "warning",
-    "it puts the switch to position {position}, “{profile}” ({us} µs), but the autopilot tells of the loss first",
+    "it puts the switch to position {position}, “{profile}” ({us} µs); the autopilot tells of it in time",
     "better set the receiver's failsafe of channel {channel} to hold, or to position 1; then repeat the test",
 )
 BENDS = Line(
     "receiver",
     "bad",
-    "it puts the switch to position {position}, “{profile}” ({us} µs), and the loss shows only {seconds} s later:"
-    " a lost transmitter bends the vine",
+    "it puts the switch to position {position}, “{profile}” ({us} µs), and the loss shows only {seconds} s"
+    " later: a lost transmitter bends the vine",
     "set the receiver's failsafe of channel {channel} to hold, or to position 1; then repeat the test",
 )
 UNCLEAR = Line(
     "receiver",
     "warning",
     "channel {channel} read {us} µs when it was lost: neither held nor one preset value",
-    "look at the receiver's failsafe and repeat the test; until then the switch waits before each bend on PX4",
+    "look at the receiver's failsafe and repeat the test; until then each bend on PX4 waits",
 )
 
 REMEDIES = {
@@ -113,8 +113,8 @@ REMEDIES = {
     "COM_RC_IN_MODE": "set COM_RC_IN_MODE = 0: the receiver is to be used",
 }
 UNSEEN_REMEDY = {
-    "ardupilot": "was it this transmitter? Then FS_THR_ENABLE = 1, and set the receiver's failsafe to no pulses, or"
-    " to a throttle below FS_THR_VALUE",
+    "ardupilot": "was it this transmitter? Then FS_THR_ENABLE = 1, and the receiver's failsafe to no pulses,"
+    " or to a throttle below FS_THR_VALUE",
 }
 UNSEEN_ELSEWHERE = "was it this transmitter? Then set the receiver's failsafe to no pulses"
 LOST = {
