@@ -122,7 +122,9 @@ def test_ardupilot_that_hides_losses() -> None:
     assert "nothing showed" in finding.what
     assert "FS_THR_ENABLE = 1" in finding.do
     # The same with the parameter in the stream, at 41.59: nobody needs to switch anything off.
-    known = run_on("ardupilot_hidden_rc_loss", 41, 47).learned
+    test = run_on("ardupilot_hidden_rc_loss", 41, 44)
+    known = test.learned
+    assert test.step == "done"
     assert (known.hidden_by, known.losses) == ("FS_THR_ENABLE 0", ())
     assert "set FS_THR_ENABLE = 1" in receiver.check(known, CONFIG)[0].do
 
