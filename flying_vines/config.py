@@ -67,6 +67,10 @@ class Firmware(_Table, frozen=True):
     link: str = "serial:/dev/ttyACM0"
 
 
+ReceiverFailsafe = Literal["unknown", "hold", "hidden"] | Annotated[int, Meta(ge=800, le=2200)]
+"""What the switch's channel reads while the transmitter is lost, as `flying-vines doctor --radio` saw it."""
+
+
 class Switch(_Table, frozen=True):
     positions: tuple[str, ...] = ("straight", "bend-half", "bend-full")
     channel: Annotated[int, Meta(ge=1, le=18)] = 9
@@ -75,7 +79,9 @@ class Switch(_Table, frozen=True):
     hysteresis_us: Annotated[float, Meta(ge=0, le=60)] = 25.0
     throttle_channel: Annotated[int, Meta(ge=0, le=18)] = 3
     throttle_failsafe_us: Annotated[float, Meta(ge=0, le=1200)] = 975.0
-    receiver_failsafe: Literal["unknown", "hold"] | Annotated[int, Meta(ge=800, le=2200)] = "unknown"
+    receiver_failsafe: Literal["unknown", "hold", "hidden"] | Annotated[int, Meta(ge=800, le=2200)] = (
+        "unknown"
+    )
 
     def __post_init__(self) -> None:
         if len(self.positions) not in (2, 3, 6):

@@ -56,6 +56,7 @@ from flying_vines.safety import Conditions, Entered, Left, Ruling, Safety
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.parameters import Changed
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.pilot import Straightened
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vehicle.vehicle import Output, Vehicle
 from flying_vines.vine.motion import Motion
@@ -69,6 +70,9 @@ SPEAK_FIRST_S = 1.5
 
 BENCH_S = 300.0
 """So long after the last that was asked for, whoever tried the vine on the ground has gone."""
+
+_BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
+"""Triggers that are no other's wish than the pilot's."""
 
 _DONE = {"serial": "its dead-man vents", "telemetry": "told to vent", "venting": "outlet told open"}
 """Where nobody can know that the vine is vented, the pilot is told no more than was done about it."""
@@ -162,6 +166,8 @@ class Core:
                 self._tell(output)
             elif isinstance(output, Changed):
                 self._configure(output)
+            elif isinstance(output, Straightened):
+                self._clear_faults(t)
             else:
                 self._send(output)
 
@@ -338,6 +344,8 @@ class Core:
             setpoint_kPa=round(motion.trajectory.aim_kPa, 3) if motion else 0.0,
         )
         self._actions.append(decision)
+        if ruling.verdict != "refused" and trigger.kind not in _BY_PILOT_OR_SAFETY:
+            self._vehicle.pilot.others_asked(straightened=motion is None or motion.only_lets_out)
         if ruling.verdict == "refused":
             asked = decision.intent or trigger.kind.replace("_", " ")
             self._notice(t, Severity.WARNING, f"refused {asked}: {ruling.reason}", True)

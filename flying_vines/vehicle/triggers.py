@@ -24,6 +24,7 @@ from flying_vines.intent import (
 )
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.mission.execution import Execution
+from flying_vines.vine.profile import flatten, top_kPa
 
 FLOAT32 = 1e-6
 """How far a number of the configuration may lie from itself as MAVLink carries it."""
@@ -75,12 +76,22 @@ class Rules:
     def __init__(self, config: Config) -> None:
         self._items = config.items
         self._positions = config.switch.positions
+        curve = config.vine.bend_curve()
+        self._bending = {
+            name
+            for name in self._positions
+            if name and top_kPa(tuple(flatten(config.profiles, name)), curve, math.inf) > 0.0
+        }
         self.commands = {command for item in config.items for command in item.command_ids}
 
     def for_position(self, position: int) -> Intent | None:
         """What a switch position asks for; None where the configuration leaves it empty."""
         name = self._positions[position]
         return StartProfile(name) if name else None
+
+    def bends(self, position: int) -> bool:
+        """Whether the profile of a switch position takes air; one that only lets it out does not."""
+        return self._positions[position] in self._bending
 
     def for_command(self, command: int, params: Sequence[float] | None) -> tuple[Intent | None, str]:
         """The intent of a mission item or command, or None and why there is none."""
