@@ -20,7 +20,7 @@ from flying_vines import config as configuration
 from flying_vines import on_disk
 from flying_vines.address import parse_address
 from flying_vines.bad_input import bad_input
-from flying_vines.config import ConfigError
+from flying_vines.config import ConfigError, ReceiverFailsafe
 from flying_vines.doctor.checks import receiver
 from flying_vines.doctor.examine import keep_signing, link_to
 from flying_vines.doctor.fakes import between
@@ -63,11 +63,12 @@ def test_radio(arguments: argparse.Namespace) -> int:
     show(findings, console)
     console.print(_last_line(findings, learned))
     try:
-        written = _keep(learned, arguments, console)
+        learned_failsafe = receiver.to_write(learned, examined.config)
+        written = _keep(learned_failsafe, arguments, console)
     except OSError as error:
         return bad_input(f"{path}: {error.strerror}")
     if arguments.json:
-        print(json.dumps(as_json(findings, learned, written), allow_nan=False))
+        print(json.dumps(as_json(findings, learned, learned_failsafe, written), allow_nan=False))
     return 0 if may_fly(findings) else NOT_SAFE
 
 
@@ -86,11 +87,17 @@ async def _test(
     return await guided(address, config, examined.signing, console)
 
 
-def as_json(findings: Sequence[Finding], learned: RadioLearned, written: Path | None) -> dict[str, Any]:
+def as_json(
+    findings: Sequence[Finding],
+    learned: RadioLearned,
+    failsafe: ReceiverFailsafe | None,
+    written: Path | None,
+) -> dict[str, Any]:
+    """`receiver_failsafe` is null where nothing was learned."""
     return {
         "safe": may_fly(findings),
         "summary": _summary(findings, learned),
-        "receiver_failsafe": learned.failsafe,
+        "receiver_failsafe": failsafe,
         "written_to": None if written is None else str(written),
         "findings": [*map(asdict, findings)],
         "autopilot": learned.autopilot,
@@ -102,7 +109,7 @@ def as_json(findings: Sequence[Finding], learned: RadioLearned, written: Path | 
     }
 
 
-def with_learned(text: str, source: str, failsafe: int | str, day: str) -> str:
+def with_learned(text: str, source: str, failsafe: ReceiverFailsafe, day: str) -> str:
     """The profile's text with what was learned, all else as it was.
 
     Raises `ConfigError` where it is not written so that this line can be replaced.
@@ -132,11 +139,11 @@ def _last_line(findings: Sequence[Finding], learned: RadioLearned) -> Text:
     return Text(f"\n{_summary(findings, learned)}" if _summary(findings, learned) else "", style=style)
 
 
-def _keep(learned: RadioLearned, arguments: argparse.Namespace, console: Console) -> Path | None:
+def _keep(failsafe: ReceiverFailsafe | None, arguments: argparse.Namespace, console: Console) -> Path | None:
     """Into the profile, where that is wanted; the file that was written."""
-    if not any(loss.seen for loss in learned.losses):
+    if failsafe is None:
         return None
-    line = f"{KEY} = {value_text(learned.failsafe)}"
+    line = f"{KEY} = {value_text(failsafe)}"
     path: Path | None = arguments.config
     if arguments.fakes:
         console.print(Text(f"For a receiver of yours, this would go into its profile: {line}", style="dim"))
@@ -145,10 +152,10 @@ def _keep(learned: RadioLearned, arguments: argparse.Namespace, console: Console
         console.print(f"Add to your profile:\n\n[switch]\n{line}", markup=False)
         return None
     text = configuration.text_of(path)
-    if configuration.parse(text, str(path)).switch.receiver_failsafe == learned.failsafe:
+    if configuration.parse(text, str(path)).switch.receiver_failsafe == failsafe:
         console.print(f"{path} has it already: {line}", markup=False, soft_wrap=True)
         return None
-    edited = with_learned(text, str(path), learned.failsafe, time.strftime("%Y-%m-%d"))
+    edited = with_learned(text, str(path), failsafe, time.strftime("%Y-%m-%d"))
     if not arguments.yes and not _agreed(f"Write {line} to {path}? [y/N] ", console):
         console.print(f"Not written. The line for [switch] is: {line}", markup=False, soft_wrap=True)
         return None

@@ -14,10 +14,19 @@ from typing import Literal
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.config import Config
+from flying_vines.config import Config, ReceiverFailsafe
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.radio_parameters import RadioParameters
-from flying_vines.vehicle.rc import HIGHEST_US, LOWEST_US, RC_BIT
+from flying_vines.vehicle.rc import (
+    CHANNELS,
+    HIGHEST_US,
+    JUMP_US,
+    LOWEST_US,
+    NO_RSSI,
+    NO_SIGNAL,
+    RC_BIT,
+    RadioLink,
+)
 from flying_vines.vehicle.state import KINDS
 from flying_vines.vehicle.switch import BOUNDARIES_US
 
@@ -43,12 +52,7 @@ STATUS_WITHIN_S = 3.0
 """By then an autopilot that has a receiver has said so."""
 SAME_US = 30
 """A channel that is held jitters less."""
-JUMP_US = 100
-"""A stick takes longer than one period of RC_CHANNELS for so much; a receiver's preset does not."""
 LOSSES = 2
-NO_RSSI, OVERRIDE_RSSI = 255, 100
-"""What PX4 gives as rssi without one, and for a ground station's overrides."""
-CHANNELS = 18
 TELLING: frozenset[SignKind] = frozenset({"rssi", "RC status", "text", "no RC_CHANNELS", "throttle"})
 """The signs by which the service knows that RC is lost."""
 
@@ -118,7 +122,7 @@ def position_of(pulse_us: int, positions: int) -> int:
     return sum(pulse_us >= boundary for boundary in BOUNDARIES_US[positions])
 
 
-def failsafe_of(losses: tuple[Loss, ...]) -> int | Literal["hold", "unknown"]:
+def failsafe_of(losses: tuple[Loss, ...]) -> ReceiverFailsafe:
     """What the switch's channel reads when the transmitter is lost.
 
     Where it stayed in one position, and was never lost in another, it may be held or preset there: then the
@@ -149,10 +153,6 @@ class RadioLearned:
     shows_within_s: float = 0.0
     """On PX4: how long the service waits for the RC status after a move that may be the receiver's preset."""
 
-    @property
-    def failsafe(self) -> int | Literal["hold", "unknown"]:
-        return failsafe_of(self.losses)
-
 
 @dataclass(slots=True)
 class _Under:
@@ -175,6 +175,7 @@ class RadioTest:
         self._switch = config.switch
         self._silent_after_s = config.losses.rc_s
         self._parameters = RadioParameters()
+        self._radio = RadioLink(config.switch, config.losses.rc_s)
         self.step: Step = "ready"
         self.round = 0
         self.came_back_early = False
@@ -195,8 +196,6 @@ class RadioTest:
         self._rssi = NO_RSSI
         self._rssi_lost = False
         self._status: tuple[int, int, int] | None = None
-        self._was_good = False
-        self._failsafe_text = False
         self._position: int | None = None
         self._position_at = 0.0
         self._rest_us: tuple[int, ...] = ()
@@ -209,6 +208,7 @@ class RadioTest:
     def take(self, t: float, message: Message) -> None:
         """A message of our autopilot."""
         kind = message.get_type()
+        self._radio.handle(t, message)
         if kind == "HEARTBEAT":
             self._heartbeat(t, message)
         elif kind == "RC_CHANNELS":
@@ -216,8 +216,7 @@ class RadioTest:
         elif kind == "SYS_STATUS":
             self._sys_status(t, message)
         elif kind == "STATUSTEXT" and message.text.startswith("Radio Failsafe"):
-            self._failsafe_text = "Cleared" not in message.text
-            if self._failsafe_text:
+            if "Cleared" not in message.text:
                 self._sign(t, "text", f"“{message.text}”")
         elif kind == "PARAM_VALUE":
             self._parameters.handle(self._autopilot, message)
@@ -283,32 +282,21 @@ class RadioTest:
         """Why RC cannot be called good now; empty if it can."""
         if not self._autopilot:
             return "no autopilot yet"
-        if self._heard_at is None:
-            return "no RC_CHANNELS yet"
-        if self._silent(t):
-            return "RC_CHANNELS stopped"
-        if self._chancount == 0:
-            return "the receiver has no channels"
-        if self._status is None:
-            return "no SYS_STATUS yet"
-        if self._failsafe_text:
-            return "radio failsafe"
-        if self._rssi_lost or self._status_lost():
-            return "the autopilot reports RC lost"
-        if self._throttle_low():
-            return "throttle below its range"
-        if not LOWEST_US <= self.switch_us <= HIGHEST_US:
-            return f"channel {self._switch.channel} is not there ({self.switch_us})"
-        return ""
+        if (problem := self._radio.problem(t)) is not None:
+            return problem
+        if self._rssi_lost:
+            return "the receiver hears no transmitter"
+        return "" if self._status else "no SYS_STATUS yet"
 
     # The steps
 
     def _advance_ready(self, t: float, waited_s: float) -> None:
         trouble = self.trouble(t)
-        if trouble:
-            if self._by_ground_station() and waited_s >= STATUS_WITHIN_S:
+        if self._radio.by_station:
+            if waited_s >= STATUS_WITHIN_S:
                 self._end("ground station")
-            elif waited_s >= READY_WITHIN_S:
+        elif trouble:
+            if waited_s >= READY_WITHIN_S:
                 no_rc = self._heard_at is None or self._chancount == 0
                 early: Problem = "no RC" if no_rc else "RC not good"
                 self._end("no autopilot" if not self._autopilot else early, trouble)
@@ -419,7 +407,7 @@ class RadioTest:
         return abs(self.switch_us - pulse_us) <= SAME_US
 
     def _heartbeat(self, t: float, message: Message) -> None:
-        self._autopilot = KINDS.get(message.autopilot, "other")
+        self._autopilot = self._radio.autopilot = KINDS.get(message.autopilot, "other")
         if message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED and self.step != "done":
             self._end("armed")
         if self._mode is not None and message.custom_mode != self._mode:
@@ -440,11 +428,11 @@ class RadioTest:
         if self._throttle_low():
             self._sign(t, "throttle", "the throttle is below its range", once=True)
         if self._autopilot == "px4":
-            if message.rssi == NO_RSSI and self._rssi != NO_RSSI:
+            if message.rssi not in (NO_SIGNAL, NO_RSSI):
+                self._rssi_lost = False
+            elif self._rssi not in (NO_SIGNAL, NO_RSSI):
                 self._rssi_lost = True
                 self._sign(t, "rssi", f"rssi {self._rssi} → {message.rssi}")
-            elif message.rssi != NO_RSSI:
-                self._rssi_lost = False
         self._rssi = message.rssi
 
     def _look_for_jump(self, t: float, before_us: tuple[int, ...]) -> None:
@@ -478,15 +466,9 @@ class RadioTest:
             int(bool(message.onboard_control_sensors_enabled & RC_BIT)),
             int(bool(message.onboard_control_sensors_health & RC_BIT)),
         )
-        self._was_good |= self._status == (1, 1, 1)
-        if before is not None and before != self._status and self._status_lost():
+        if before == (1, 1, 1) != self._status:
             was, now = (" ".join(map(str, bits)) for bits in (before, self._status))
             self._sign(t, "RC status", f"RC status (present, enabled, health) {was} → {now}")
-
-    def _status_lost(self) -> bool:
-        if self._status is None or self._status == (1, 1, 1):
-            return False
-        return self._autopilot == "px4" or self._was_good or self._status == (1, 1, 0)
 
     def _silent(self, t: float) -> bool:
         return self._heard_at is not None and t - self._heard_at > self._silent_after_s
@@ -494,11 +476,3 @@ class RadioTest:
     def _throttle_low(self) -> bool:
         number = self._switch.throttle_channel
         return bool(number) and 0 < self._channels_us[number - 1] < self._switch.throttle_failsafe_us
-
-    def _by_ground_station(self) -> bool:
-        return (
-            self._autopilot == "px4"
-            and not self._was_good
-            and self._status == (0, 1, 0)
-            and self._rssi == OVERRIDE_RSSI
-        )

@@ -432,9 +432,17 @@ def test_on_ardupilot_nothing_waits_for_a_preset_that_is_told_late() -> None:
 
 
 @pytest.mark.parametrize(
-    ("position", "bends"), [(0, False), (1, True), (2, True)], ids=["straight", "bend-half", "bend-full"]
+    ("learned", "written"),
+    [
+        (LEARNED, "hold"),
+        (replace(LEARNED, losses=(PRESET, PRESET)), 2000),
+        (replace(LEARNED, losses=(HELD_BENT, replace(PRESET, lost_us=1500))), "unknown"),
+        (replace(LEARNED, losses=(UNSEEN,)), "hidden"),
+        (replace(LEARNED, losses=(later(HELD, 3.1), HELD_BENT)), "hidden"),
+        (replace(LEARNED, losses=(later(PRESET, 1.9), PRESET)), "hidden"),
+        (replace(LEARNED, losses=(HELD,), problem="not back"), None),
+        (replace(LEARNED, losses=(), hidden_by="FS_THR_ENABLE 0"), None),
+    ],
 )
-def test_which_positions_bend(position: int, bends: bool) -> None:
-    assert receiver.bends(CONFIG, position) is bends
-    unused = changed("switch", positions=("", "", ""))
-    assert not receiver.bends(unused, position)
+def test_what_goes_into_the_profile(learned: RadioLearned, written: int | str | None) -> None:
+    assert receiver.to_write(learned, CONFIG) == written

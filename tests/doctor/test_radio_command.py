@@ -16,6 +16,7 @@ from flying_vines import config as configuration
 from flying_vines.config import ConfigError
 from flying_vines.doctor import radio_command
 from flying_vines.doctor.radio_command import with_learned
+from flying_vines.doctor.radio_guide import NobodyThereError
 from flying_vines.doctor.radio_test import Loss, RadioLearned, Sign
 
 SIGN = Sign("RC status", 1.1, "RC status (present, enabled, health) 1 1 1 → 0 1 0")
@@ -62,7 +63,7 @@ def test_nobody_at_the_terminal_is_a_line_and_status_two(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def test(*arguments: Any) -> RadioLearned:
-        raise radio_command.NobodyThereError
+        raise NobodyThereError
 
     monkeypatch.setattr(radio_command, "_test", test)
     status, out, err = run(capsys, "doctor", "--radio")
@@ -116,16 +117,15 @@ def test_for_the_built_in_profile_the_line_is_printed(
     assert f"[switch]\n{LINE}" in out
 
 
-def test_a_loss_that_does_not_show_is_status_one_and_teaches_nothing(
+def test_a_loss_that_does_not_show_is_status_one_and_takes_the_bends_from_the_switch(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, profile: Path
 ) -> None:
     having_learned(monkeypatch, RadioLearned("ardupilot", losses=(Loss(True, 1000, 1000, (), ()),)))
-    before = profile.read_text()
     status, out, _ = run(capsys, "doctor", "--radio", "--config", profile, "--yes")
     assert status == 1
     assert "BAD  RC loss:" in out
     assert radio_command.UNSAFE in out
-    assert profile.read_text() == before
+    assert configuration.load(profile).switch.receiver_failsafe == "hidden"
 
 
 def test_contradictory_losses_write_that_it_is_unknown(
@@ -157,7 +157,7 @@ def test_only_the_one_line_changes_and_its_comment_stays() -> None:
     ((_, line),) = changed
     assert line.startswith("receiver_failsafe = 1999 ")
     assert 'was "unknown", measured 2026-11-22' in line
-    assert "what the channel reads when the transmitter is lost" in line
+    assert "what doctor --radio saw" in line
     again = with_learned(edited, "vine.toml", "hold", "2026-11-23")
     assert "2026-11-22" not in again
     assert "was 1999, measured 2026-11-23" in again

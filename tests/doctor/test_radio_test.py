@@ -45,7 +45,7 @@ def test_px4_with_a_crsf_receiver_that_holds() -> None:
     """README: lost at 49.5, moved meanwhile, back at 53.9; lost at 66.1 while bent, back at 76.1."""
     learned = run_on("px4_crsf_loss", 43, 80, presses=(49.5, 66.1)).learned
     first, second = learned.losses
-    assert (learned.autopilot, learned.problem, learned.failsafe) == ("px4", "", "hold")
+    assert (learned.autopilot, learned.problem, receiver.to_write(learned, CONFIG)) == ("px4", "", "hold")
     for loss in (first, second):
         assert loss.pressed
         assert kinds(loss) == ["rssi", "RC status"]
@@ -65,7 +65,7 @@ def test_px4_with_an_sbus_receiver_that_has_a_preset_in_the_bent_position() -> N
     """README: preset losses at 50.40 … 56.4 and 97.9 … 103.9, ch9 2000."""
     test = run_on("px4_sbus_failsafe", 44, 108, presses=(50.4, 97.9), profile=TWO)
     learned = test.learned
-    assert (learned.problem, learned.failsafe) == ("", 1999)
+    assert (learned.problem, receiver.to_write(learned, CONFIG)) == ("", 1999)
     for loss in learned.losses:
         assert kinds(loss) == ["channels", "RC status"]
         assert (loss.before_us, loss.lost_us, loss.jumped) == (999, 1999, ())
@@ -117,7 +117,8 @@ def test_ardupilot_that_hides_losses() -> None:
     """README: FS_THR_ENABLE = 0; 54.6 … 74.8 LOSS, frozen at 1000."""
     unseen = run_on("ardupilot_hidden_rc_loss", 53, 74, presses=(54.6,)).learned
     (loss,) = unseen.losses
-    assert (loss.signs, loss.seen, unseen.failsafe) == ((), False, "unknown")
+    assert (loss.signs, loss.seen) == ((), False)
+    assert receiver.to_write(unseen, CONFIG) == "hidden"
     (finding,) = [f for f in receiver.check(unseen, CONFIG) if f.verdict == "bad"]
     assert "nothing showed" in finding.what
     assert "FS_THR_ENABLE = 1" in finding.do
@@ -195,7 +196,7 @@ def test_a_preset_in_the_straight_position_is_told_from_a_hold_by_the_second_los
     person.come_back(switch_us=2000)
     person.lose(status=(0, 1, 0), switch_us=1000)
     person.come_back(switch_us=2000)
-    assert (person.test.step, person.test.learned.failsafe) == ("done", 1000)
+    assert (person.test.step, failsafe_of(person.test.learned.losses)) == ("done", 1000)
     assert may_fly(receiver.check(person.test.learned, CONFIG))
 
 
@@ -208,7 +209,7 @@ def test_after_a_preset_the_second_loss_is_from_a_third_position() -> None:
     person.come_back(switch_us=1500)
     person.lose(status=(0, 1, 0))
     person.come_back()
-    assert person.test.learned.failsafe == "unknown", "preset, then held"
+    assert failsafe_of(person.test.learned.losses) == "unknown", "preset, then held"
 
 
 def test_channels_that_stop_are_a_sign_by_when_the_service_knows_it() -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from flying_vines.config import Config
-from flying_vines.doctor.finding import Finding, Line
-from flying_vines.doctor.radio_test import Loss, RadioLearned, position_of
+from flying_vines.config import Config, ReceiverFailsafe
+from flying_vines.doctor.finding import Finding, Line, may_fly
+from flying_vines.doctor.radio_test import Loss, RadioLearned, failsafe_of, position_of
 from flying_vines.vehicle.radio_parameters import NAMES, SHOWN_WITHIN_S
-from flying_vines.vine.profile import flatten
+from flying_vines.vehicle.triggers import Rules
 
 HUMAN_S = 1.0
 """Between pressing Enter and switching off."""
@@ -56,7 +56,7 @@ HIDDEN_BY = Line(
 HIDDEN = Line(
     "RC loss",
     "bad",
-    "nothing showed that the transmitter was off: a move made meanwhile would bend the vine late",
+    "nothing showed that the transmitter was off: a move made meanwhile would bend the vine on its return",
     "{do}",
 )
 SLOW = Line(
@@ -137,6 +137,16 @@ def check(learned: RadioLearned, config: Config) -> list[Finding]:
     return found
 
 
+def to_write(learned: RadioLearned, config: Config) -> ReceiverFailsafe | None:
+    """What belongs into `switch.receiver_failsafe`; None where nothing was learned.
+
+    "hidden" takes the bends from the switch: so it is where a loss shows too late, as where it does not show.
+    """
+    if learned.problem or not learned.losses:
+        return None
+    return failsafe_of(learned.losses) if may_fly(check(learned, config)) else "hidden"
+
+
 def _problem(learned: RadioLearned, config: Config) -> Finding | None:
     match learned.problem:
         case "armed":
@@ -184,14 +194,14 @@ def _first_sign(loss: Loss) -> str:
 
 
 def _receiver(learned: RadioLearned, config: Config) -> Finding:
-    failsafe, switch = learned.failsafe, config.switch
+    failsafe, switch = failsafe_of(learned.losses), config.switch
     if failsafe == "hold":
         return HELD()
-    if failsafe == "unknown":
+    if not isinstance(failsafe, int):
         read = ", ".join(str(loss.lost_us) for loss in learned.losses if loss.seen)
         return UNCLEAR(channel=switch.channel, us=read)
     position = position_of(failsafe, len(switch.positions))
-    if not bends(config, position):
+    if not Rules(config).bends(position):
         return HARMLESS(position=position + 1, us=failsafe)
     told = {
         "position": position + 1,
@@ -207,18 +217,6 @@ def _receiver(learned: RadioLearned, config: Config) -> Finding:
     if not unseen and after_s <= switch.debounce_s:
         return BENDS_TOLD(**told)
     return BENDS(seconds="15 or more" if unseen else f"{after_s:.1f}", **told)
-
-
-def bends(config: Config, position: int) -> bool:
-    """Whether this position of the switch asks for any pressure or angle."""
-    name = config.switch.positions[position]
-    if not name:
-        return False
-    return any(
-        getattr(segment, key, None)
-        for segment in flatten(config.profiles, name)
-        for key in ("to_deg", "to_kPa", "from_deg", "from_kPa")
-    )
 
 
 def _name(learned: RadioLearned) -> str:
