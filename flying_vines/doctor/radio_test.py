@@ -426,7 +426,7 @@ class RadioTest:
         if self._chancount == 0:
             self._sign(t, "no RC_CHANNELS", "the receiver has no channels", once=True)
         if self._throttle_low():
-            self._sign(t, "throttle", "the throttle is below its range", once=True)
+            self._sign(t, "throttle", "throttle below its range", once=True)
         if self._autopilot == "px4":
             if message.rssi not in (NO_SIGNAL, NO_RSSI):
                 self._rssi_lost = False

@@ -56,7 +56,7 @@ HIDDEN_BY = Line(
 HIDDEN = Line(
     "RC loss",
     "bad",
-    "nothing showed that the transmitter was off: a move made meanwhile would bend the vine on its return",
+    "nothing told that the transmitter was off: a move made meanwhile would bend the vine on its return",
     "{do}",
 )
 SLOW = Line(
@@ -95,8 +95,8 @@ BENDS_TOLD = Line(
 BENDS = Line(
     "receiver",
     "bad",
-    "it puts the switch to position {position}, “{profile}” ({us} µs), and the loss shows only {seconds} s"
-    " later: a lost transmitter bends the vine",
+    "it puts the switch to position {position}, “{profile}” ({us} µs), and the loss shows {when}:"
+    " a lost transmitter bends the vine",
     "set the receiver's failsafe of channel {channel} to hold, or to position 1; then repeat the test",
 )
 UNCLEAR = Line(
@@ -216,7 +216,7 @@ def _receiver(learned: RadioLearned, config: Config) -> Finding:
         return BENDS_UNSEEN(seconds=f"{after_s:.1f}", wait=f"{learned.shows_within_s:g}", **told)
     if not unseen and after_s <= switch.debounce_s:
         return BENDS_TOLD(**told)
-    return BENDS(seconds="15 or more" if unseen else f"{after_s:.1f}", **told)
+    return BENDS(when="nowhere" if unseen else f"only {after_s:.1f} s later", **told)
 
 
 def _name(learned: RadioLearned) -> str:
