@@ -295,7 +295,8 @@ class RadioTest:
         if self._radio.by_station:
             if waited_s >= STATUS_WITHIN_S:
                 self._end("ground station")
-        elif trouble:
+            return
+        if trouble:
             if waited_s >= READY_WITHIN_S:
                 no_rc = self._heard_at is None or self._chancount == 0
                 early: Problem = "no RC" if no_rc else "RC not good"

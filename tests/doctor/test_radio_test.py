@@ -269,6 +269,21 @@ def test_every_step_has_an_end(wrong: dict[str, object], problem: str) -> None:
     assert (person.test.step, person.test.learned.problem) == ("done", problem)
 
 
+def test_overrides_are_told_from_a_receiver_before_anybody_is_asked_to_switch_off() -> None:
+    person = Person()
+    person.status, person.rssi = (0, 1, 0), 100
+    asked = False
+
+    def looked() -> bool:
+        nonlocal asked
+        asked |= person.test.step == "off"
+        return person.test.step == "done"
+
+    person.wait(10.0, looked)
+    assert (person.test.learned.problem, asked) == ("ground station", False)
+    assert person.t < 5.0
+
+
 def test_without_an_autopilot_it_ends() -> None:
     test = RadioTest(CONFIG)
     test.advance(0.0)
