@@ -67,8 +67,8 @@ async def examine(
     say(machine.check(computer.facts()))
     say(_disks(examined, logs))
     running, holders = processes.services(), list[Process]()
-    phlosar = _link("phloSAR", config.firmware.link, say, running, holders)
-    vehicle = _link("vehicle", config.vehicle.link, say, running, holders)
+    phlosar = link_to("phloSAR", config.firmware.link, say, running, holders)
+    vehicle = link_to("vehicle", config.vehicle.link, say, running, holders)
     say([_service(running, holders)])
     say([await asyncio.to_thread(_page, config, bool(running))])
     say([network.check_broker(await broker.facts(config.mqtt))])
@@ -97,7 +97,7 @@ async def examine(
     say(clocks.check(facts, when(facts.unix_s)))
     if there:
         say([clocks.against_vehicle(facts)])
-    _keep_signing(examined)
+    keep_signing(examined)
     return found
 
 
@@ -114,7 +114,7 @@ def _page(config: Config, service_runs: bool) -> Finding:
     return network.check_page(facts, service_runs)
 
 
-def _link(
+def link_to(
     which: Which, where: str, say: Tell, running: Sequence[Process], holders: list[Process]
 ) -> Address | None:
     """Look at a link's port; its address, if there is any sense in opening it. Adds who holds it."""
@@ -153,7 +153,7 @@ async def _moved(watch: VehicleWatch, positions: int, ask: Ask) -> Radio:
         await asyncio.sleep(TICK_S)
 
 
-def _keep_signing(examined: Profile) -> None:
+def keep_signing(examined: Profile) -> None:
     """The timestamps that were used must not be used again by the service."""
     if examined.signing is not None and examined.signing_timestamp is not None:
         try:

@@ -23,6 +23,7 @@ from flying_vines.doctor.checks import (
     port,
     profile,
     radio,
+    receiver,
     service,
     vehicle,
 )
@@ -35,6 +36,7 @@ from flying_vines.doctor.checks.profile import ProfileFacts
 from flying_vines.doctor.checks.service import Process
 from flying_vines.doctor.finding import Finding, Line, may_fly, summary
 from flying_vines.doctor.firmware_probe import FirmwareFacts
+from flying_vines.doctor.radio_test import Loss, RadioLearned, Sign
 from flying_vines.doctor.vehicle_probe import Radio, Stream, VehicleFacts
 from flying_vines.reservoir import CyclesLeft
 from flying_vines.vehicle.mission.item import MissionItem
@@ -88,12 +90,28 @@ VEHICLE = VehicleFacts(
 SWITCH = Radio(None, 1004, 0, frozenset({0}))
 REFUSED = Refused(unsigned=7)
 
+RC_STATUS = Sign("RC status", 1.1, "RC status (present, enabled, health) 1 1 1 → 0 1 0")
+HELD = Loss(True, 1000, 1000, (RC_STATUS,), ())
+HELD_BENT = Loss(True, 2000, 2000, (RC_STATUS,), ())
+PRESET = Loss(True, 1000, 2000, (Sign("channels", 0.2, "channel 9: 1000 → 2000 µs"), RC_STATUS), ())
+UNSEEN = Loss(True, 1000, 1000, (), ())
+LEARNED = RadioLearned("px4", losses=(HELD, HELD_BENT), parameters={"COM_RC_LOSS_T": 0.5}, shows_within_s=1.6)
+
 
 def changed(table: str, **values: object) -> Config:
     """The default profile with other values in one table."""
     return msgspec.structs.replace(
         CONFIG, **{table: msgspec.structs.replace(getattr(CONFIG, table), **values)}
     )
+
+
+def of_receiver(**learned: object) -> list[Finding]:
+    return receiver.check(replace(LEARNED, **learned), CONFIG)  # type: ignore[arg-type]
+
+
+def later(loss: Loss, shown_s: float) -> Loss:
+    """The same with its RC status at another time."""
+    return replace(loss, signs=(*loss.signs[:-1], replace(RC_STATUS, after_s=shown_s)))
 
 
 def of_profile(**facts: object) -> list[Finding]:
@@ -293,6 +311,26 @@ CASES: list[tuple[Line, list[Finding]]] = [
     (clock.APART, of_clock(ahead_s=2.1)),
     (clock.APART_AND_SIGNED, of_clock(ahead_s=-61.0, signing=True)),
     (clock.VEHICLE_WITHOUT, of_clock()),
+    (receiver.ARMED, of_receiver(problem="armed")),
+    (receiver.NO_AUTOPILOT, of_receiver(problem="no autopilot")),
+    (receiver.NO_RC, of_receiver(problem="no RC", detail="no RC_CHANNELS yet")),
+    (receiver.NOT_GOOD, of_receiver(problem="RC not good", detail="radio failsafe")),
+    (receiver.NOT_THERE, of_receiver(problem="position", detail="1500 µs", target=2)),
+    (receiver.NOT_BACK, of_receiver(problem="not back", detail="radio failsafe")),
+    (receiver.GROUND_STATION, of_receiver(problem="ground station")),
+    (receiver.HIDDEN_BY, of_receiver(autopilot="ardupilot", hidden_by="FS_THR_ENABLE 0")),
+    (receiver.HIDDEN, of_receiver(losses=(UNSEEN,))),
+    (receiver.SLOW, of_receiver(losses=(later(HELD, 3.1), HELD_BENT))),
+    (receiver.SHOWS, of_receiver()),
+    (receiver.SHOWS_UNTIMED, of_receiver(losses=(replace(HELD, pressed=False),))),
+    (receiver.PARAMETERS, of_receiver()),
+    (receiver.NO_PARAMETERS, of_receiver()),
+    (receiver.HELD, of_receiver()),
+    (receiver.HARMLESS, of_receiver(losses=(replace(HELD_BENT, lost_us=1000),))),
+    (receiver.BENDS_UNSEEN, of_receiver(losses=(PRESET, PRESET))),
+    (receiver.BENDS_TOLD, of_receiver(autopilot="ardupilot", losses=(later(PRESET, 0.3),))),
+    (receiver.BENDS, of_receiver(losses=(later(PRESET, 1.9),))),
+    (receiver.UNCLEAR, of_receiver(losses=(HELD_BENT, replace(PRESET, lost_us=1500)))),
 ]
 
 
@@ -390,3 +428,44 @@ def test_without_a_switch_rc_is_not_needed() -> None:
 def test_a_limit_that_is_too_low_is_told_with_what_to_raise_it_to() -> None:
     (low,) = [f for f in of_welcome(setpoint_limit_kPa=20.0, cv_limit_kPa=22.0) if f.verdict == "bad"]
     assert "cv_limit_kPa=23" in low.do, "20.7 kPa and the margin of 2, rounded up"
+
+
+@pytest.mark.parametrize(
+    ("losses", "safe"),
+    [
+        ((HELD, HELD_BENT), True),
+        ((PRESET, PRESET), True),
+        ((HELD_BENT, PRESET), True),
+        ((later(PRESET, 1.9),), False),
+        ((UNSEEN,), False),
+        ((later(HELD, 3.1),), False),
+    ],
+)
+def test_a_receiver_is_safe_where_the_service_is_told_before_it_bends(
+    losses: tuple[Loss, ...], safe: bool
+) -> None:
+    assert may_fly(of_receiver(losses=losses)) is safe
+
+
+def test_on_ardupilot_nothing_waits_for_a_preset_that_is_told_late() -> None:
+    """Its status tells 0.9 s after the jump, the switch acts after `debounce_s`."""
+    late = of_receiver(autopilot="ardupilot", losses=(PRESET,))
+    assert any(says(receiver.BENDS, finding) for finding in late)
+    assert not may_fly(late)
+
+
+@pytest.mark.parametrize(
+    ("learned", "written"),
+    [
+        (LEARNED, "hold"),
+        (replace(LEARNED, losses=(PRESET, PRESET)), 2000),
+        (replace(LEARNED, losses=(HELD_BENT, replace(PRESET, lost_us=1500))), "unknown"),
+        (replace(LEARNED, losses=(UNSEEN,)), "hidden"),
+        (replace(LEARNED, losses=(later(HELD, 3.1), HELD_BENT)), "hidden"),
+        (replace(LEARNED, losses=(later(PRESET, 1.9), PRESET)), "hidden"),
+        (replace(LEARNED, losses=(HELD,), problem="not back"), None),
+        (replace(LEARNED, losses=(), hidden_by="FS_THR_ENABLE 0"), None),
+    ],
+)
+def test_what_goes_into_the_profile(learned: RadioLearned, written: int | str | None) -> None:
+    assert receiver.to_write(learned, CONFIG) == written
