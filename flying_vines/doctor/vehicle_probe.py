@@ -180,6 +180,7 @@ class VehicleProbe:
                 rate.last_at, rate.count = t, rate.count + 1
         self._streams.handle(t, message)
         self._book.handle(t, message)
+        self._radio.autopilot = self._state.kind
         self._radio.handle(t, message)
         if kind == "HEARTBEAT":
             self._longest_silence_s = self._silence_s(t)
