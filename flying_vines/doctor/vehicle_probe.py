@@ -185,6 +185,7 @@ class VehicleProbe:
                 rate.last_at, rate.count = t, rate.count + 1
         self._streams.handle(t, message)
         self._book.handle(t, message)
+        self._radio.autopilot = self._state.kind
         self._radio.handle(t, message)
         if kind == "RC_CHANNELS":
             self._sample_switch(t)
