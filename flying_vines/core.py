@@ -360,7 +360,7 @@ class Core:
         self._motion = Motion(move.trajectory, t, move.rate_kPa_per_s, "hold")
         self._drive(t)
 
-    def _clear_faults(self, t: float, seen_at: float) -> Ruling:
+    def _clear_faults(self, t: float, seen_at: float = math.inf) -> Ruling:
         now = self._conditions(t)
         cleared = self._safety.clear(now, seen_at)
         if now.faults and self._safety.firmware_faults_seen(seen_at):

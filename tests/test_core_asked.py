@@ -29,8 +29,14 @@ from flying_vines.intent import (
 )
 from flying_vines.simulated_world import SimulatedFlight
 
-TAKES_AIR = [BendTo(30.0), SetPressure(9.0), StartProfile("bend-half"), Hold(), StartCalibration()]
-LETS_OUT = [Vent(), DisarmPneumatics(), StartProfile("straight"), BendTo(0.0), SetPressure(0.0)]
+TAKES_AIR: list[Intent] = [
+    BendTo(30.0),
+    SetPressure(9.0),
+    StartProfile("bend-half"),
+    Hold(),
+    StartCalibration(),
+]
+LETS_OUT: list[Intent] = [Vent(), DisarmPneumatics(), StartProfile("straight"), BendTo(0.0), SetPressure(0.0)]
 
 
 def open_to(*commands: str) -> Config:
@@ -153,7 +159,8 @@ def test_the_page_takes_no_air_on_the_ground_but_in_bench_mode() -> None:
 
 def test_the_page_arms_disarms_and_clears_in_flight() -> None:
     flight = airborne()
-    for intent in (DisarmPneumatics(), ArmPneumatics(), ClearFaults()):
+    wanted: tuple[Intent, ...] = (DisarmPneumatics(), ArmPneumatics(), ClearFaults())
+    for intent in wanted:
         assert ask(flight, "page", intent).safety == "accepted"
 
 
@@ -161,9 +168,11 @@ def test_the_broker_may_do_what_the_profile_lists() -> None:
     flight = airborne(open_to("vent", "bend"))
     assert ask(flight, "broker", BendTo(30.0)).safety == "accepted"
     assert ask(flight, "broker", SetPressure(9.0)).reason == "mqtt.commands does not list pressure"
-    for intent in (ArmPneumatics(), ClearFaults(), StartBench(), StartCalibration(), Hold()):
+    unlisted: tuple[Intent, ...] = (ArmPneumatics(), ClearFaults(), StartBench(), StartCalibration(), Hold())
+    for intent in unlisted:
         assert ask(flight, "broker", intent).reason.startswith("mqtt.commands does not list ")
-    for out in (StopCalibration(), StopBench(), Vent()):
+    lets_out: tuple[Intent, ...] = (StopCalibration(), StopBench(), Vent())
+    for out in lets_out:
         assert "mqtt.commands" not in ask(flight, "broker", out).reason
 
 
