@@ -103,7 +103,8 @@ class Vehicle:
             from_autopilot = self.state.is_ours(message)  # it may have been the first
         if answers is None and kind in ("COMMAND_LONG", "COMMAND_INT") and self.state.found:
             px4 = None if self.state.kind == "ardupilot" else self._px4
-            found = self._commands.handle(t, message, self.state.system_id, from_autopilot, px4)
+            from_station = self.component.is_station(message, self.state)
+            found = self._commands.handle(t, message, self.state.system_id, from_autopilot, px4, from_station)
             out.extend(answer for output in found for answer in self._once(t, output))
         if from_autopilot:
             self._streams.handle(t, message)

@@ -327,16 +327,16 @@ def test_parameters_are_shown_once_to_each_ground_station_of_an_ardupilot() -> N
     assert of("PARAM_VALUE", link.sent) == []
     link.wait(60.0, station=255)
     first = of("PARAM_VALUE", link.sent)
-    assert [message.param_index for _, message in first] == list(range(16))
+    assert [message.param_index for _, message in first] == list(range(15))
     assert all(gap_s >= 0.1 - 1e-6 for gap_s in gaps_s([t for t, _ in first]))
     link.wait(20.0, station=254)
-    assert len(of("PARAM_VALUE", link.sent)) == 32
+    assert len(of("PARAM_VALUE", link.sent)) == 30
     link.wait(50.0, station=254)
     link.wait(60.0, station=255)  # away for longer than a minute
-    assert len(of("PARAM_VALUE", link.sent)) == 48
+    assert len(of("PARAM_VALUE", link.sent)) == 45
     link.wait(30.0)
     link.wait(30.0, station=255)  # a short absence
-    assert len(of("PARAM_VALUE", link.sent)) == 48
+    assert len(of("PARAM_VALUE", link.sent)) == 45
 
 
 def test_a_list_under_way_goes_on_when_a_ground_station_appears() -> None:
@@ -345,7 +345,7 @@ def test_a_list_under_way_goes_on_when_a_ground_station_appears() -> None:
     link.wait(7.0, station=255)
     link.take(mavlink.MAVLink_param_request_list_message(1, US))
     link.wait(10.0, station=255)  # the station's seven seconds are over while the list runs
-    assert [message.param_index for _, message in of("PARAM_VALUE", link.sent)] == list(range(16))
+    assert [message.param_index for _, message in of("PARAM_VALUE", link.sent)] == list(range(15))
 
 
 def test_parameters_are_not_shown_unasked_on_a_px4() -> None:
@@ -367,7 +367,7 @@ def test_under_load_all_leaves_in_pairs() -> None:
     link.wait(3.0)
     kinds = Counter(message.get_type() for _, message in link.sent)
     assert kinds["COMMAND_ACK"] == kinds["AUTOPILOT_VERSION"] == 10
-    assert kinds["PARAM_VALUE"] == 16
+    assert kinds["PARAM_VALUE"] == 15
     assert kinds["STATUSTEXT"] == 3
     assert kinds["HEARTBEAT"] == 3
     assert kinds["NAMED_VALUE_FLOAT"] == pytest.approx(30, abs=2)
@@ -409,7 +409,7 @@ def test_in_flight_all_that_we_send_leaves_in_pairs(kind: Kind, monkeypatch: pyt
     assert all(third - first >= TICK_S - 1e-5 for first, third in zip(times_s, times_s[2:], strict=False))
     kinds = Counter(message.get_type() for _, message in left)
     assert kinds["AUTOPILOT_VERSION"] == kinds["COMMAND_ACK"] == 3 * 19
-    assert kinds["PARAM_VALUE"] == 16 * (2 if kind == "ardupilot" else 1)
+    assert kinds["PARAM_VALUE"] == 15 * (2 if kind == "ardupilot" else 1)
     assert kinds["COMMAND_LONG"] >= 5
     assert kinds["HEARTBEAT"] == pytest.approx(20, abs=2)
     assert flight.core._vehicle.component.dropped == 0

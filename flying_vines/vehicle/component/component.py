@@ -64,8 +64,8 @@ class Component:
         if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             if vehicle.is_ours(message):
                 self._heartbeat.autopilot_spoke(t)
-            elif message.type == mavlink.MAV_TYPE_GCS and vehicle.kind == "ardupilot":
-                self._stations.heard(t, message.get_srcSystem())
+            else:
+                self._stations.heard(t, message, vehicle.kind == "ardupilot")
             return None
         if number in Requests.MESSAGES:
             return self._requests.handle(t, message, vehicle.system_id)
@@ -74,6 +74,11 @@ class Component:
         if number in Parameters.MESSAGES:
             return self.parameters.handle(t, message, vehicle.system_id, self._component_id, may_change)
         return None
+
+    def is_station(self, message: Message, vehicle: VehicleState) -> bool:
+        """Whether a ground station sent it."""
+        own = message.get_srcSystem() == vehicle.system_id
+        return not own and self._stations.sent(message)
 
     def _without_key(self, t: float, message: Message, system_id: int) -> list[Output]:
         """Once: whoever gives the vehicle a key should know that we do not take it."""
