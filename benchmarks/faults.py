@@ -69,7 +69,7 @@ def _fly_safely(seed: int) -> Outcome:
     except Exception:
         foul = Foul(0.0, "crash", traceback.format_exc())
         names = tuple(fault.name for fault in script.faults)
-        return Outcome(seed, names, (False,) * len(names), ("",) * len(names), (foul,), 0, 0.0, 0.0, ())
+        return Outcome(seed, names, (False,) * len(names), ("",) * len(names), (foul,), 0, 0, 0.0, 0.0, ())
 
 
 def _many(seeds: Iterable[int], jobs: int, most_minutes: float) -> int:
@@ -90,8 +90,9 @@ class Tally:
     """What came of all flights."""
 
     def __init__(self) -> None:
-        self.flights = self.singles = self.begins = 0
+        self.flights = self.singles = self.begins = self.limits = 0
         self.fouls: Counter[str] = Counter()
+        self.seeds: list[tuple[int, tuple[str, ...], tuple[str, ...]]] = []
         self._drawn: Counter[str] = Counter()
         self._pairs: Counter[tuple[str, ...]] = Counter()
         self._alone: Counter[str] = Counter()
@@ -103,7 +104,10 @@ class Tally:
     def take(self, outcome: Outcome) -> None:
         self.flights += 1
         self.begins += outcome.begins
+        self.limits += outcome.limits
         self.fouls.update(foul.rule for foul in outcome.fouls)
+        if outcome.fouls:
+            self.seeds.append((outcome.seed, outcome.faults, tuple(foul.rule for foul in outcome.fouls)))
         self._drawn.update(outcome.faults)
         self._pairs.update([tuple(sorted(outcome.faults))] if len(outcome.faults) > 1 else [])
         if len(outcome.faults) > 1:
@@ -121,9 +125,13 @@ class Tally:
     def print(self, minutes: float) -> None:
         print(
             f"\n{self.flights} flights, {self.singles} of them with one fault; "
-            f"the vine began to move {self.begins} times; {minutes:.1f} min"
+            f"the vine began to move {self.begins} times, {self.limits} of them by what nobody can see to be "
+            f"no wish; {minutes:.1f} min"
         )
-        print(f"fouls: {dict(self.fouls) or 'none'}\n")
+        print(f"fouls: {dict(self.fouls) or 'none'}")
+        for seed, faults, rules in sorted(self.seeds):
+            print(f"  seed {seed}: {', '.join(faults)}: {', '.join(rules)}")
+        print()
         print(
             f"{len(self._pairs)} different pairs. All but the first number are of flights with one fault:\n"
         )

@@ -7,12 +7,12 @@ written here, and is what `docs/behaviour.md` promises, plus the period of the m
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import random
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -21,7 +21,7 @@ from flying_vines import config
 from flying_vines.config import Config
 from flying_vines.core import Core
 from flying_vines.events import Action, Decision, Event, LinkChanged
-from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.fakes.autopilot import Autopilot, RcLoss, RcSource
 from flying_vines.fakes.autopilot.forwarding import PX4_BUFFER
 from flying_vines.fakes.board import Board
 from flying_vines.fakes.compiled_firmware import CompiledFirmware
@@ -36,6 +36,7 @@ from flying_vines.simulated_world import SimulatedFlight
 from flying_vines.vehicle.codec import Codec
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import Kind as AutopilotKind
+from flying_vines.vine.curve import BendCurve
 
 SWITCH = 9
 PULSES_US = (1000, 1500, 2000)
@@ -43,18 +44,36 @@ CRUISE_M = 8.0
 HELD_AT_MOST_S = 4.0
 SCRIPT_MESSAGE, ACTUATOR = 217, 187
 ALTITUDE = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+COMMAND = mavlink.MAVLINK_MSG_ID_COMMAND_LONG
 STEP_S = 0.01
 WRITTEN_EVERY_S = 0.5
 RESTING_KPA = 0.5
 DEBOUNCED_S = 0.5
 """From the switch's move to the vine's: 0.15 s of debounce, RC_CHANNELS 20 times a second, and a tick."""
+CONFIRMED_S = 2.2
+"""The same where PX4 has a receiver of its own: RC must stay good for 1.6 s after the move."""
+LEFT_S = 0.3
+"""Sooner than that, and such a move is not carried out: so late it may be nevertheless."""
+SURELY_BENDS_S = 2.7
+"""A position that lasts for so long, with RC good throughout, is carried out."""
+RC_SHOWN_S = 1.5
+"""From PX4's report that a receiver of its own is lost to a vented vine."""
+REPORTED_S = 2.4
+"""PX4 tells that RC is good again, at the latest."""
+RC_LOST_S = 1.4
+OVERRIDES_EVERY_S = 0.2
 COMMANDED_S = 0.3
 FORWARDED_S = 0.05
 """PX4 passes on one in 10 ms."""
-ITEM_S = 3.0
-"""An item's numbers are waited for for 2.5 s."""
-LATE_ITEM_S = 12.0
-"""Where its text was lost: the mission's progress past the next waypoint tells of it."""
+ITEM_S = 1.3
+"""An item is carried out within a second or so, or not at all."""
+OLDEST_S = 1.3
+"""So is everything that somebody asks for."""
+STRAIGHT_S = 3.0
+"""An item that straightens may take longer: where its command was lost, what comes behind it tells of it."""
+STRAIGHTENED_S = 3.0
+LIMIT = "limit: "
+"""What begins a trigger's name that the service cannot know to be none."""
 FLICK_S = 0.3
 """A position that lasts for longer has been seen."""
 BOOTS_S = 1.5
@@ -73,12 +92,29 @@ class Setup:
     has_rc: bool = True
     holds: bool = False
     """On RC loss."""
+    receiver: RcSource | None = None
     rc_failsafe_mode: str | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    """Of the autopilot."""
     armed_at_start: bool = True
     max_bent_s: float = 120.0
     mission: tuple[MissionItem, ...] = ()
     likely_rig: bool = False
     seed: int = 1
+
+    @property
+    def has_real_receiver(self) -> bool:
+        """On PX4, which tells of its losses late."""
+        return self.receiver in ("sbus", "crsf")
+
+    @property
+    def hides_rc_losses(self) -> bool:
+        """ArduPilot by its parameters, which the service reads."""
+        told = {"FS_THR_ENABLE": 1.0, "RC_FS_TIMEOUT": 1.0} | dict(self.parameters)
+        ignores = int(self.parameters.get("RC_OPTIONS", 0)) & 4
+        return self.autopilot == "ardupilot" and (
+            not told["FS_THR_ENABLE"] or told["RC_FS_TIMEOUT"] > 1.0 or bool(ignores)
+        )
 
     @property
     def profile(self) -> Config:
@@ -110,15 +146,17 @@ class Wire:
     seed: str
     cut: bool = False
     spoiled: float = 0.0
-    without: int | None = None
-    """A kind of MAVLink message that is lost."""
+    without: set[int] = field(default_factory=set)
+    """Kinds of MAVLink messages that are lost, of those that the autopilot itself sends."""
     _random: random.Random = field(init=False)
 
     def __post_init__(self) -> None:
         self._random = random.Random(self.seed)
 
     def __call__(self, data: bytes) -> bytes:
-        if self.cut or (self.without is not None and int.from_bytes(data[7:10], "little") == self.without):
+        if self.cut or (
+            self.without and data[6] == 1 and int.from_bytes(data[7:10], "little") in self.without
+        ):
             return b""
         if self.spoiled == 0.0 or not data or self._random.random() >= self.spoiled:
             return data
@@ -146,7 +184,10 @@ class RefereedFlight:
             setup.autopilot,
             mission=setup.mission,
             rc_present=setup.has_rc,
+            receiver=setup.receiver,
             rc_failsafe_mode=setup.rc_failsafe_mode,
+            parameters=setup.parameters,
+            seed=setup.seed,
         )
         self.autopilot.add_link("gcs")
         self.autopilot.set_rc(SWITCH, PULSES_US[0])
@@ -170,7 +211,20 @@ class RefereedFlight:
         """What the pilot reads."""
         self._station = Codec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
         self._position = 0
-        self._rc_lost: str | None = None
+        self._rc_lost: RcLoss | None = None
+        self._rc_lost_s = 0.0
+        self._rc_shown = False
+        """Whether anything in the stream has told of this loss."""
+        self._override: int | None = None
+        self._override_sent_s = self._override_ends_s = 0.0
+        self._vented = False
+        """By somebody else than the switch, since it was last moved."""
+        self._stalled_until_s = 0.0
+        self._clean = True
+        """Nothing has gone wrong but RC."""
+        self._expected: tuple[float, str] | None = None
+        """The pilot's move that has to bend the vine."""
+        self._curve = BendCurve(profile.vine.curve, profile.vine.hysteresis_kPa)
         self._rc_good_since_s: float | None = None
         self._rc_in_use = False
         self._muted_until_s = self._boots_until_s = 0.0
@@ -226,49 +280,113 @@ class RefereedFlight:
         self.autopilot.start_mission()
 
     def land(self) -> None:
+        self._disturb()
         self.autopilot.land()
 
     def disarm(self) -> None:
+        self._disturb()
         self.autopilot.disarm()
 
     def move_switch(self, position: int) -> None:
         """A move that nobody can see, or in the second after a loss, asks for nothing."""
         if position == self._position:
             return
-        self._position = position
+        left, self._position = self._position, position
         self.autopilot.set_rc(SWITCH, PULSES_US[position])
         # Back where it was before anybody saw that it had left is no move.
         lasted = self.now_s > self._moved_s + FLICK_S
         self._moved_s = self.now_s
-        if self._unseen:
+        self._expected = None
+        if self._unseen or self._override is not None:
             return
+        self._vented = False
+        if self.setup.has_real_receiver:
+            self.referee.withdraw(_switch_to(left), self.now_s + LEFT_S)
         certain = self.now_s >= self._surely_settled_s
         if self.now_s >= self._settled_s:
-            self._switch_asks(certain=certain and lasted)
+            self._switch_asks(position, certain=certain and lasted)
+            if certain and lasted and position > 0 and self._nothing_is_against_it:
+                self._expected = self.now_s, _switch_to(position)
         if not certain:
             self._settle()
 
-    def _switch_asks(self, *, certain: bool) -> None:
-        if self.setup.has_rc:
-            what = f"switch to {self._position}"
-            debounce_s = self.profile.switch.debounce_s
-            self._asked(what, DEBOUNCED_S, self._position > 0, True, certain, after_s=debounce_s)
+    @property
+    def _nothing_is_against_it(self) -> bool:
+        enough_kPa = self.profile.limits.max_kPa + 2 * self.profile.interlocks.reserve_kPa
+        return (
+            self._clean
+            and self.setup.has_rc
+            and not self.setup.hides_rc_losses
+            and self._rc_in_use
+            and self.referee.idle
+            and self.referee.pending_until_s < self.now_s + CONFIRMED_S + 0.1
+            and self.phlosar.cv_kPa < RESTING_KPA
+            and self.phlosar.reservoir_kPa > enough_kPa
+            and self.autopilot.height_m > self.profile.interlocks.min_altitude_m + 1.0
+        )
+
+    def _switch_asks(self, position: int, *, certain: bool, what: str | None = None) -> None:
+        if not self.setup.has_rc and what is None:
+            return
+        confirmed = position > 0 and self.setup.has_real_receiver
+        self._asked(
+            what or _switch_to(position),
+            CONFIRMED_S if confirmed else DEBOUNCED_S,
+            position > 0,
+            True,
+            certain,
+            after_s=self.profile.switch.debounce_s,
+            kPa=self._kPa(30.0 * position),
+            latest_s=math.inf,
+        )
+
+    def _kPa(self, angle_deg: float) -> float:
+        return self._curve.pressure_kPa(angle_deg)
+
+    def override(self, position: int) -> None:
+        """A ground station says where the switch is, and goes on to say so."""
+        before = self._position if self._override is None else self._override
+        self._override, self._override_sent_s = position, -math.inf
+        self._override_ends_s = math.inf
+        self._expected = None
+        if position != before and not self._unseen and self.now_s >= self._settled_s:
+            self._switch_asks(position, certain=False, what=f"override to {position}")
+
+    def stop_override(self) -> None:
+        """It says so no longer; ArduPilot keeps it for a while."""
+        self._override_ends_s = self.now_s + self.autopilot.parameters["RC_OVERRIDE_TIME"]
+
+    def _tell_override(self) -> None:
+        if self._override is None:
+            return
+        if self._override_ends_s == math.inf and self.now_s >= self._override_sent_s + OVERRIDES_EVERY_S:
+            self._override_sent_s = self.now_s
+            channels_us = [65535] * 8 + [0] * 10
+            channels_us[SWITCH - 1] = PULSES_US[self._override]
+            message = mavlink.MAVLink_rc_channels_override_message(1, 1, *channels_us)
+            self.autopilot.receive(self.now_s, "gcs", self._station.encode(message, 255))
+        elif self.now_s >= self._override_ends_s - STEP_S:
+            before, self._override = self._override, None
+            if self._position not in (0, before) and not self._vented:
+                # Exactly as if the pilot had moved it there and back.
+                self._switch_asks(self._position, certain=False, what=f"{LIMIT}an override expired")
 
     def _settle(self) -> None:
         """A switch that was not seen, or moves before it has settled, has to settle anew."""
         settle_s = self.profile.switch.settle_s
         if self.now_s < self._settled_s:
             self._settled_s = self.now_s + settle_s - UNCERTAIN_S
-        self._surely_settled_s = self.now_s + settle_s + UNCERTAIN_S
+        reported_s = REPORTED_S if self.setup.has_real_receiver else 0.0
+        self._surely_settled_s = self.now_s + reported_s + settle_s + UNCERTAIN_S
 
     def press(self, code: int, angle_deg: float = 0.0) -> None:
         """A ground station's button: the same codes as a mission item's."""
         self._command(mavlink.MAV_CMD_USER_1, code, angle_deg)
-        self._asked_by_station(f"button {code}", bends=code > 0)
+        self._asked_by_station(f"button {code}", bends=code > 0, kPa=self._code_kPa(code, angle_deg))
 
     def bend_to(self, angle_deg: float) -> None:
         self._command(mavlink.MAV_CMD_USER_2, angle_deg)
-        self._asked_by_station(f"bend {angle_deg:g}°", bends=True)
+        self._asked_by_station(f"bend {angle_deg:g}°", bends=True, kPa=self._kPa(angle_deg))
 
     def vent(self) -> None:
         self._command(mavlink.MAV_CMD_USER_4, 0)
@@ -276,6 +394,12 @@ class RefereedFlight:
 
     def hold(self) -> None:
         self._command(mavlink.MAV_CMD_USER_4, 1)
+        self.referee.any_target(self.now_s + COMMANDED_S)
+
+    def _code_kPa(self, code: float, angle_deg: float) -> float | None:
+        """Where a button's or an item's bend ends; None of a profile that goes on moving."""
+        angles_deg = {1.0: angle_deg, 4.0: 30.0, 5.0: 60.0}
+        return self._kPa(angles_deg[code]) if code in angles_deg else None
 
     def arm_pneumatics(self) -> None:
         self._command(mavlink.MAV_CMD_USER_4, 3)
@@ -285,16 +409,23 @@ class RefereedFlight:
 
     def disarm_pneumatics(self) -> None:
         self._command(mavlink.MAV_CMD_USER_4, 2)
-        if self._station_is_heard and self._surely_forwarded and not self._vehicle_is_spoiled:
+        self._disturb()
+        if (
+            self._station_is_heard
+            and not self._stalled_s
+            and self._surely_forwarded
+            and not self._vehicle_is_spoiled
+        ):
             self.referee.forbid("pneumatics disarmed", self.now_s + COMMANDED_S)
             self._heard_by_s["pneumatics disarmed"] = self.now_s + COMMANDED_S
 
     def clear_faults(self) -> None:
         self._command(mavlink.MAV_CMD_USER_5, 1)
         if self._station_is_heard:
-            self.referee.person_clears(self.now_s + COMMANDED_S)
+            self.referee.person_clears(self.now_s + self._stalled_s + COMMANDED_S)
 
     def calibrate(self) -> None:
+        self._disturb()
         self._command(mavlink.MAV_CMD_USER_5, 2)
         self._asked_by_station("calibration", bends=True)
 
@@ -319,9 +450,16 @@ class RefereedFlight:
     def _vehicle_is_spoiled(self) -> bool:
         return self.from_autopilot.spoiled > 0.0
 
-    def _asked_by_station(self, what: str, bends: bool) -> None:
+    @property
+    def _stalled_s(self) -> float:
+        """For so long yet nothing that the vehicle sends arrives."""
+        return max(0.0, self._stalled_until_s - self.now_s)
+
+    def _asked_by_station(self, what: str, bends: bool, kPa: float | None = None) -> None:
+        self._vented |= not bends
         if self._station_is_heard:
-            self._asked(what, COMMANDED_S, bends, by_person=True, certain=self._surely_forwarded)
+            certain = self._surely_forwarded and not self._stalled_s
+            self._asked(what, COMMANDED_S, bends, by_person=True, certain=certain, kPa=kPa)
 
     def _asked(
         self,
@@ -331,14 +469,21 @@ class RefereedFlight:
         by_person: bool,
         certain: bool = True,
         after_s: float = 0.0,
+        kPa: float | None = None,
+        latest_s: float = OLDEST_S,
+        at_s: float | None = None,
     ) -> None:
         """`certain`: nothing may keep the companion from hearing of it. Not before `after_s` does it."""
-        now_s = self.now_s
+        now_s = self.now_s if at_s is None else at_s
+        self._expected = None
+        within_s += self._stalled_s
         if self._vehicle_is_spoiled:
             within_s += LATE_S
         if bends:
             self.referee.permit("asked to straighten")
-            self.referee.trigger(now_s, within_s, what, after_s)
+            self.referee.permit(_STILL_BENT)
+            within_s = min(within_s, latest_s)
+            self.referee.trigger(now_s, within_s, what, after_s, kPa=kPa, latest_s=latest_s)
             return
         if by_person:
             self.referee.person_clears(now_s + within_s)
@@ -346,15 +491,24 @@ class RefereedFlight:
         last = self.referee.pending_until_s <= now_s
         if certain and last and not self._vehicle_is_spoiled:
             self.referee.forbid("asked to straighten", now_s + within_s + 0.2, inflation_only=True)
-            self._heard_by_s["asked to straighten"] = now_s + within_s
+            self.referee.forbid(_STILL_BENT, now_s + within_s + STRAIGHTENED_S)
+            self._heard_by_s["asked to straighten"] = self._heard_by_s[_STILL_BENT] = now_s + within_s
 
     # The vehicle.
 
-    def lose_rc(self, how: Literal["frozen", "jump", "silent"]) -> None:
-        self.autopilot.lose_rc(how)
-        self._rc_lost = how
+    def lose_rc(self, how: RcLoss | None = None, preset: Mapping[int, int] | None = None) -> None:
+        """The pilot's transmitter or its link; what the receiver makes of it is nobody's wish."""
+        self.autopilot.lose_rc(how, preset)
+        self._rc_lost, self._rc_lost_s = self.autopilot.receiver.lost, self.now_s
+        # Whatever is on its way to the companion stays uncertain.
+        self._rc_shown = not self.setup.has_real_receiver and (
+            how != "frozen" or not self.setup.hides_rc_losses
+        )
         self._unsee("rc")
-        self._noticed |= how == "jump"
+        self._noticed |= how == "jump" and not self.setup.has_real_receiver
+        self._expected = None
+        if self.setup.holds:
+            self.referee.any_target(math.inf)
 
     def return_rc(self) -> None:
         self.autopilot.return_rc()
@@ -363,18 +517,50 @@ class RefereedFlight:
             self.referee.hold_still(math.inf)
         self._see("rc")
 
+    def hide_rc_losses(self, name: str, value: float) -> None:
+        """Somebody sets a parameter of the autopilot so that it does not tell of them."""
+        self.autopilot.set_parameter(name, value)
+        parameters = {**self.setup.parameters, name: value}
+        self.setup = dataclasses.replace(self.setup, parameters=parameters)
+
+    def stir_health(self) -> None:
+        """Something else makes PX4 report its health now, and nothing more for 2 s."""
+        self.autopilot.stir_health()
+
+    def stall_vehicle_link(self, seconds: float, both_ways: bool = False) -> None:
+        """What the vehicle sends comes late, and all of it at once."""
+        self._disturb()
+        self.autopilot.stall(seconds, both_ways=both_ways)
+        self._stalled_until_s = self.now_s + seconds
+        self._unsee("link stalled")
+
+    def replace_mission(self, items: Sequence[MissionItem]) -> None:
+        """A ground station uploads another one."""
+        self.autopilot.replace_mission(items)
+
+    def lose_commands(self) -> None:
+        """Of the autopilot; on PX4 these are its items."""
+        self._late = True
+        self.from_autopilot.without.add(COMMAND)
+
+    def find_commands(self) -> None:
+        self.from_autopilot.without.discard(COMMAND)
+
     def mute(self, seconds: float) -> None:
+        self._disturb()
         self.autopilot.mute(seconds)
         self._muted_until_s = self.now_s + seconds
         self._unsee("silence")
 
     def reboot_autopilot(self) -> None:
+        self._disturb()
         self.autopilot.reboot()
         self._boots_until_s = self.now_s + BOOTS_S
         self._unsee("silence")
         self._noticed = True
 
     def close_vehicle_link(self) -> None:
+        self._disturb()
         self.from_autopilot.cut = True
         self._unsee("link")
         self._noticed = True
@@ -387,21 +573,24 @@ class RefereedFlight:
 
     def spoil_vehicle_link(self, share: float) -> None:
         self._late = True
+        self._disturb()
         self.from_autopilot.spoiled = share
 
     def mend_vehicle_link(self) -> None:
         self.from_autopilot.spoiled = 0.0
 
     def lose_altitude(self) -> None:
-        self.from_autopilot.without = ALTITUDE
+        self._disturb()
+        self.from_autopilot.without.add(ALTITUDE)
 
     def find_altitude(self) -> None:
-        self.from_autopilot.without = None
+        self.from_autopilot.without.discard(ALTITUDE)
 
     # The companion.
 
     def kill_companion(self) -> None:
         """At once, as by kill -9; the port closes with it."""
+        self._disturb()
         self.flight.world.core = Nobody(self.profile)
         self._rc_in_use = False
         self._rc_good_since_s = None
@@ -424,9 +613,12 @@ class RefereedFlight:
             self._feed(LinkChanged(self.now_s, "vehicle", True))
         self._see("companion")
 
-    def stall_companion(self, seconds: float) -> None:
-        """It stands still; what the vehicle and its people say waits for it."""
+    def stall_companion(self, seconds: float, meanwhile: Callable[[], None] | None = None) -> None:
+        """It stands still; what the vehicle and its people say, such as `meanwhile`, waits for it."""
+        self._disturb()
         self._unsee("stall")
+        if meanwhile is not None:
+            meanwhile()
         began_s = self.now_s
         self._take(self.flight.stall(began_s + seconds))
         self.referee.delay(began_s, seconds + STEP_S)
@@ -447,12 +639,15 @@ class RefereedFlight:
         self._feed(LinkChanged(self.now_s, "firmware", True))
 
     def cut_commands(self) -> None:
+        self._disturb()
         self.to_board.cut = True
 
     def cut_telemetry(self) -> None:
+        self._disturb()
         self.from_board.cut = True
 
     def spoil_line(self, share: float) -> None:
+        self._disturb()
         self.to_board.spoiled = self.from_board.spoiled = share
 
     def mend_line(self) -> None:
@@ -462,6 +657,7 @@ class RefereedFlight:
     # The hardware.
 
     def befall(self, place: str, kind: Kind) -> None:
+        self._disturb()
         match place, kind:
             case ("evp", StuckAt(opening)) if opening > 0.0:
                 self.referee.excuse(place, math.inf, rises=True)
@@ -484,8 +680,13 @@ class RefereedFlight:
 
     # Looking.
 
+    def _disturb(self) -> None:
+        """From now on there may be other reasons that a bend is refused."""
+        self._clean, self._expected = False, None
+
     def _unsee(self, what: str) -> None:
         """From now on the companion cannot see the switch."""
+        self._expected = None
         if not self._unseen:
             self._unseen_from_s, self._unseen_position, self._noticed = self.now_s, self._position, False
         self._unseen[what] = self.now_s
@@ -493,7 +694,7 @@ class RefereedFlight:
             if what != "stall" and heard_by_s > self.now_s:
                 # Still on its way, which may have ended here.
                 self.referee.permit(name)
-        if what in ("silence", "link", "companion"):
+        if what in ("silence", "link", "companion", "link stalled"):
             self._late = True
             for name, due_s in self._conditions.items():
                 if name in _TOLD_BY_VEHICLE and due_s > self.now_s:
@@ -516,7 +717,9 @@ class RefereedFlight:
             return
         # Whether a short loss was noticed is a matter of tens of milliseconds: both will do.
         lasted_s, certain_s = now_s - self._unseen_from_s, self.profile.losses.rc_s + UNCERTAIN_S
-        noticed = what != "stall" and (self._noticed or lasted_s > certain_s)
+        shown = self._rc_shown or self.setup.hides_rc_losses
+        noticed = what != "stall" and (self._noticed or (lasted_s > certain_s and (what != "rc" or shown)))
+        noticed |= what == "rc" and shown and (self.setup.has_real_receiver or self.setup.hides_rc_losses)
         if noticed:
             self._settled_s = math.inf
         else:
@@ -524,7 +727,7 @@ class RefereedFlight:
                 # A short silence is no loss: what was moved just before it is seen after it.
                 self.referee.delay(self._unseen_from_s, lasted_s)
             if self._position != self._unseen_position:
-                self._switch_asks(certain=False)
+                self._switch_asks(self._position, certain=False)
         self._settle()
 
     @property
@@ -535,6 +738,10 @@ class RefereedFlight:
         now_s, autopilot, profile = self.now_s, self.autopilot, self.profile
         if "silence" in self._unseen and now_s >= max(self._muted_until_s, self._boots_until_s):
             self._see("silence")
+        if "link stalled" in self._unseen and now_s >= self._stalled_until_s + STEP_S:
+            self._see("link stalled")
+        self._tell_override()
+        self._call_missed()
         rc_good = self.setup.has_rc and autopilot.armed and not self._unseen
         if not rc_good:
             self._rc_good_since_s = None
@@ -545,18 +752,20 @@ class RefereedFlight:
         if not autopilot.armed and self._rc_lost:
             self._rc_in_use = False
         lowest_m = profile.interlocks.min_altitude_m - LANDING_MARGIN_M
-        rc_lost = self._rc_lost is not None and self._rc_in_use
-        silent = bool(self._unseen.keys() & {"silence", "link"})
+        self._rc_shown |= self._rc_lost is not None and autopilot.tells_rc_lost
+        rc_lost = self._rc_lost is not None and self._rc_in_use and self._rc_shown
+        rc_lost_s = RC_SHOWN_S if now_s > self._rc_lost_s + 0.5 else RC_LOST_S
+        silent = bool(self._unseen.keys() & {"silence", "link", "link stalled"})
         held_s = HELD_AT_MOST_S if self.setup.holds else 0.0
         if rc_lost and held_s and "RC lost" not in self._conditions:
-            self._held_from_s = now_s + _TOLD_BY_VEHICLE["RC lost"] + self._patience_s
+            self._held_from_s = now_s + rc_lost_s + self._patience_s
             self.referee.hold_still(self._held_from_s)
         self._watch("disarmed", not autopilot.armed, _TOLD_BY_VEHICLE["disarmed"])
-        told_height = self.from_autopilot.without is None
+        told_height = ALTITUDE not in self.from_autopilot.without
         self._watch("landing", told_height and autopilot.height_m < lowest_m, _TOLD_BY_VEHICLE["landing"])
-        self._watch("RC lost", rc_lost, _TOLD_BY_VEHICLE["RC lost"] + held_s)
+        self._watch("RC lost", rc_lost, rc_lost_s + held_s)
         self._watch("autopilot silent", silent, 1.3 if self._rc_in_use and not held_s else 2.5)
-        self._watch("altitude lost", self.from_autopilot.without is not None, 2.5)
+        self._watch("altitude lost", not told_height, 2.5)
         # Where nothing reaches the board either, only its dead-man can act.
         deaf = self.from_board.cut and not self.to_board.cut
         self._watch("telemetry lost", deaf, profile.losses.telemetry_s + 0.1)
@@ -564,6 +773,16 @@ class RefereedFlight:
         self._watch("bottle low", low and self.phlosar.mishaps.reservoir_sensor is None, 3.0)
         self._hear_of_items()
         self._write_down()
+
+    def _call_missed(self) -> None:
+        if self._expected is None:
+            return
+        since_s, what = self._expected
+        if not self.referee.resting:
+            self._expected = None
+        elif self.now_s >= since_s + SURELY_BENDS_S:
+            self.referee.miss(self.now_s, f"{what} at {since_s:.2f} s, RC good ever since")
+            self._expected = None
 
     def _write_down(self) -> None:
         """The pressures now and then, and whenever the vine begins or ceases to move."""
@@ -587,20 +806,25 @@ class RefereedFlight:
             return
         due_s = self.now_s + within_s
         if name in _TOLD_BY_VEHICLE:
-            due_s = due_s + self._patience_s if self._station_is_heard else math.inf
+            heard = self._station_is_heard and not self._stalled_s
+            due_s = due_s + self._patience_s if heard else math.inf
         self._conditions[name] = due_s
         self.referee.forbid(name, due_s)
 
     def _hear_of_items(self) -> None:
         log = self.autopilot.payload_log
-        for _, item in log[self._items_seen :]:
+        for ran_s, item in log[self._items_seen :]:
             if item.command in (SCRIPT_MESSAGE, ACTUATOR):
-                within_s = LATE_ITEM_S if self._late else ITEM_S
+                code, angle_deg = item.params[:2]
+                bends = code != 0.0
+                within_s = ITEM_S if bends else STRAIGHT_S
                 # What nobody can hear is heard by a repeat, or by the mission's progress.
                 after_s = 0.0 if self._station_is_heard else within_s
-                bends = item.params[0] != 0.0
-                self._asked(f"item {item.seq}", within_s, bends, by_person=False, after_s=after_s)
-                self.note(f"mission item {item.seq} runs")
+                kPa = self._code_kPa(code, angle_deg)
+                self._asked(
+                    f"item {item.seq}", within_s, bends, by_person=False, after_s=after_s, kPa=kPa, at_s=ran_s
+                )
+                self.note(f"mission item {item.seq} runs: {code:g}, {angle_deg:g}")
         self._items_seen = len(log)
 
     def _feed(self, event: Event) -> None:
@@ -617,5 +841,10 @@ class RefereedFlight:
                 self.timeline.append((action.t, text))
 
 
-_TOLD_BY_VEHICLE = {"disarmed": 1.3, "landing": 0.8, "RC lost": 1.4}
+_STILL_BENT = "asked to straighten long ago"
+_TOLD_BY_VEHICLE = {"disarmed": 1.3, "landing": 0.8, "RC lost": RC_LOST_S}
 """What only the vehicle's messages tell of, and by when they do."""
+
+
+def _switch_to(position: int) -> str:
+    return f"switch to {position}"

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from random import Random
 from typing import NamedTuple
 
-from faults_flight import ACTUATOR, SCRIPT_MESSAGE, RefereedFlight, Setup
+from faults_flight import ACTUATOR, LIMIT, PULSES_US, SCRIPT_MESSAGE, SWITCH, RefereedFlight, Setup
 
+from flying_vines.fakes.autopilot.receiver import LOSSES, RcLoss, RcSource
 from flying_vines.fakes.mishaps import Hole, StuckAt, draw_mishap
 from flying_vines.fakes.referee import Foul
 from flying_vines.vehicle.mission.item import MissionItem
@@ -16,8 +17,8 @@ from flying_vines.vehicle.mission.storage import Kind
 TAKE_OFF_S = 1.5
 IN_THE_AIR_S = 4.5
 NORTH_DEG_PER_M = 1 / 111_319
-HARDWARE_SHARE = 0.5
-"""Of the faults; the others are the vehicle's, the companion's and the line's."""
+HARDWARE_SHARE = 0.35
+"""Of the faults; the others are the vehicle's, the radio's, the companion's and the line's."""
 TOLD_S = 5.0
 BENT_KPA = 2.0
 _NO_NEWS = ("refused", "phloSAR ready", "serving vehicle", "limited")
@@ -70,6 +71,8 @@ class Outcome(NamedTuple):
     """The first that the pilot read of each of them, within `TOLD_S`; empty: nothing."""
     fouls: tuple[Foul, ...]
     begins: int
+    limits: int
+    """How often it began to move by what the service cannot know to be nobody's wish."""
     highest_kPa: float
     longest_blind_s: float
     timeline: tuple[tuple[float, str], ...]
@@ -79,13 +82,16 @@ def draw(seed: int) -> Script:
     """The same for the same seed, whatever is made of it then."""
     random = Random(seed)
     kind: Kind = random.choice(("ardupilot", "px4"))
-    style = random.choices(("switch", "station", "mission"), (0.45, 0.25, 0.3))[0]
+    style = random.choices(("switch", "station", "mission"), (0.5, 0.15, 0.35))[0]
+    receivers: tuple[RcSource, ...] = ("sbus", "sbus", "crsf", "overrides")
     lasts_s = round(random.uniform(11.0, 17.0), 1)
     setup = Setup(
         autopilot=kind,
         has_rc=style == "switch" or random.random() < 0.7,
         holds=random.random() < 0.25,
+        receiver=random.choice(receivers) if kind == "px4" else None,
         rc_failsafe_mode=random.choice((None, None, None, "RTL", "LAND")) if kind == "ardupilot" else None,
+        parameters=random.choice(_HIDING) if kind == "ardupilot" and random.random() < 0.15 else {},
         armed_at_start=random.random() < 0.9,
         max_bent_s=random.choice((120.0, 120.0, 120.0, 6.0)),
         mission=_mission(kind, random) if style == "mission" else (),
@@ -103,7 +109,26 @@ def draw(seed: int) -> Script:
             second = _fault(random, setup, min(when_s, lasts_s - 1.0), lasts_s)
             if second.begin.verb != faults[0].begin.verb or second.begin.args[:1] != faults[0].begin.args[:1]:
                 faults.append(second)
-    return Script(seed, setup, lasts_s, tuple(acts), tuple(faults))
+    for fault in faults:
+        acts += _around_a_loss(random, setup, fault)
+    return Script(seed, setup, lasts_s, tuple(sorted(acts, key=lambda act: act[0])), tuple(faults))
+
+
+_HIDING: tuple[dict[str, float], ...] = ({"FS_THR_ENABLE": 0.0}, {"RC_FS_TIMEOUT": 8.0}, {"RC_OPTIONS": 36.0})
+
+
+def _around_a_loss(random: Random, setup: Setup, fault: Fault) -> list[tuple[float, Act]]:
+    """The pilot moves the switch while nobody can see it, or just before or after; PX4 has other news."""
+    if fault.name not in ("RC lost", "RC blip") or fault.ends_s is None:
+        return []
+    acts: list[tuple[float, Act]] = []
+    if random.random() < 0.5:
+        moments = random.uniform(fault.begins_s, fault.ends_s), fault.ends_s, fault.begins_s
+        moved_s = max(0.0, random.choice(moments) + random.uniform(-0.1, 0.3))
+        acts.append((round(moved_s, 3), Act("move_switch", (random.randrange(3),))))
+    if setup.has_real_receiver and random.random() < 0.02:
+        acts.append((round(max(0.0, fault.begins_s - random.uniform(0.0, 1.0)), 3), Act("stir_health")))
+    return acts
 
 
 def fly(script: Script) -> Outcome:
@@ -130,6 +155,7 @@ def fly(script: Script) -> Outcome:
         tuple(_first_told(flight, t) for t in began_s),
         tuple(flight.fouls),
         len(flight.referee.begins),
+        sum(what.startswith(LIMIT) for _, what in flight.referee.begins),
         flight.referee.highest_kPa,
         flight.referee.longest_blind_s,
         tuple(flight.timeline),
@@ -149,16 +175,26 @@ def _mission(kind: Kind, random: Random) -> tuple[MissionItem, ...]:
     items.append(_item(len(items), 22, z=8.0))
     for _ in range(random.randint(2, 4)):
         for _ in range(random.choice((1, 1, 2))):
-            code, angle_deg = random.choice(((0, 0), (1, 40), (1, 15), (2, 0), (3, 0), (4, 0), (5, 0)))
-            if kind == "px4":
-                items.append(_item(len(items), ACTUATOR, code, angle_deg, z=1.0))
-            else:
-                items.append(_item(len(items), SCRIPT_MESSAGE, code, angle_deg))
+            items.append(_vine_item(kind, random, len(items)))
         latitude, longitude = (47.397742, 8.545594) if kind == "px4" else (-35.363262, 149.165237)
         north_deg = random.uniform(4.0, 12.0) * len(items) * NORTH_DEG_PER_M
         items.append(_item(len(items), 16, x=latitude + north_deg, y=longitude, z=8.0))
     items.append(_item(len(items), 21))
     return tuple(items)
+
+
+def _vine_item(kind: Kind, random: Random, seq: int) -> MissionItem:
+    codes = ((0, 0), (1, 40), (1, 15), (2, 0), (3, 0), (4, 0), (5, 0))
+    code, angle_deg = random.choice(codes)
+    if kind == "px4":
+        return _item(seq, ACTUATOR, code, angle_deg, z=1.0)
+    return _item(seq, SCRIPT_MESSAGE, code, angle_deg)
+
+
+def _other_numbers(mission: tuple[MissionItem, ...], kind: Kind, random: Random) -> tuple[MissionItem, ...]:
+    """A mission of the same length that means something else for the vine."""
+    own = (ACTUATOR, SCRIPT_MESSAGE)
+    return tuple(_vine_item(kind, random, item.seq) if item.command in own else item for item in mission)
 
 
 def _item(
@@ -177,6 +213,18 @@ def _item(
 
 def _acts(random: Random, style: str, setup: Setup, lasts_s: float) -> list[tuple[float, Act]]:
     acts = [(TAKE_OFF_S, Act("start_mission" if style == "mission" else "take_off"))]
+    if style == "mission" and random.random() < 0.4:
+        # Flown later, and replaced just before.
+        starts_s = random.uniform(4.0, 7.0)
+        replaced_s = starts_s - random.choice((0.05, 0.15, 0.3, 1.0, 2.5)) - 0.12
+        acts = [
+            (TAKE_OFF_S, Act("take_off")),
+            (
+                round(replaced_s, 3),
+                Act("replace_mission", (_other_numbers(setup.mission, setup.autopilot, random),)),
+            ),
+            (round(starts_s, 3), Act("start_mission")),
+        ]
     if not setup.armed_at_start:
         acts.append((round(random.uniform(1.0, 7.0), 3), Act("arm_pneumatics")))
     t = random.uniform(1.0, IN_THE_AIR_S + 2.0)
@@ -229,13 +277,39 @@ def _when(random: Random, bends_s: list[float], lasts_s: float) -> float:
 def _fault(random: Random, setup: Setup, begins_s: float, lasts_s: float) -> Fault:
     begins_s = round(begins_s, 3)
     for_s = round(0.1 * (80.0 ** random.random()), 3)
-    ends_s: float | None = round(begins_s + for_s, 3)
     if random.random() < HARDWARE_SHARE:
         return _mishap(random, begins_s, lasts_s)
-    name = random.choice(_FAULTS)
+    name = random.choice(_faults(setup))
+    if name == "RC blip":
+        for_s = round(random.uniform(0.1, 0.95), 3)
+    if name == "RC lost":
+        for_s = round(0.2 * (40.0 ** random.random()), 3)
+    ends_s = round(begins_s + for_s, 3)
     share = round(random.uniform(0.05, 0.6), 2)
     begin, end = _fault_acts(name, random, setup, for_s, share)
     return Fault(name, begins_s, begin, ends_s if end else None, end)
+
+
+def _radio_fault(name: str, random: Random, setup: Setup, for_s: float) -> tuple[Act, Act | None]:
+    if name == "RC overridden":
+        return Act("override", (random.randrange(3),)), Act("stop_override")
+    how: RcLoss = random.choice(LOSSES[setup.receiver or "pulses"])
+    if how == "frozen" or setup.autopilot == "ardupilot" or random.random() < 0.2:
+        return Act("lose_rc", (how,)), Act("return_rc")
+    preset = {SWITCH: random.choice(PULSES_US)}
+    if random.random() < 0.5:
+        preset |= {channel: random.choice((1000, 1500, 2000)) for channel in random.sample(range(4, 9), 3)}
+    return Act("lose_rc", (how, preset)), Act("return_rc")
+
+
+def _faults(setup: Setup) -> tuple[str, ...]:
+    """Those of the vehicle, the companion and the line, the radio's most often."""
+    more = ("RC overridden", "RC overridden") if setup.autopilot == "ardupilot" else ("items lost",)
+    if setup.mission:
+        more += ("mission replaced", "mission replaced", "mission replaced")
+    if setup.has_rc:
+        more += ("RC lost", "RC lost", "RC blip", "RC blip")
+    return _FAULTS + more
 
 
 _FAULTS = (
@@ -244,6 +318,8 @@ _FAULTS = (
     "autopilot rebooted",
     "vehicle link closed",
     "vehicle link noisy",
+    "vehicle link stalled",
+    "vehicle link stalled",
     "disarmed in the air",
     "altitude lost",
     "serial unplugged",
@@ -252,20 +328,24 @@ _FAULTS = (
     "serial noisy",
     "companion killed",
     "companion stalled",
+    "companion stalled",
 )
 
 
 def _fault_acts(
     name: str, random: Random, setup: Setup, for_s: float, share: float
 ) -> tuple[Act, Act | None]:
-    hows = ("frozen", "jump") if setup.autopilot == "ardupilot" else ("silent", "jump")
-    how = random.choice(hows)
+    if name in ("RC lost", "RC blip", "RC overridden"):
+        return _radio_fault(name, random, setup, for_s)
+    if name == "mission replaced":
+        return Act("replace_mission", (_other_numbers(setup.mission, setup.autopilot, random),)), None
     return {
-        "RC lost": (Act("lose_rc", (how,)), Act("return_rc")),
+        "items lost": (Act("lose_commands"), Act("find_commands")),
         "autopilot silent": (Act("mute", (for_s,)), None),
         "autopilot rebooted": (Act("reboot_autopilot"), None),
         "vehicle link closed": (Act("close_vehicle_link"), Act("open_vehicle_link")),
         "vehicle link noisy": (Act("spoil_vehicle_link", (share / 2,)), Act("mend_vehicle_link")),
+        "vehicle link stalled": (Act("stall_vehicle_link", (for_s, share < 0.3)), None),
         "disarmed in the air": (Act("disarm"), None),
         "altitude lost": (Act("lose_altitude"), Act("find_altitude")),
         "serial unplugged": (Act("unplug"), Act("plug_in")),
@@ -273,7 +353,7 @@ def _fault_acts(
         "telemetry lost": (Act("cut_telemetry"), Act("mend_line")),
         "serial noisy": (Act("spoil_line", (share,)), Act("mend_line")),
         "companion killed": (Act("kill_companion"), Act("start_companion")),
-        "companion stalled": (Act("stall_companion", (min(for_s, 3.0),)), None),
+        "companion stalled": (Act("stall_companion", (for_s,)), None),
     }[name]
 
 

@@ -154,7 +154,6 @@ class Losses(_Table, frozen=True):
     autopilot_s: Annotated[float, Meta(ge=1.5, le=30)] = 3.0
     telemetry_s: Annotated[float, Meta(ge=0.1, le=2)] = 0.3
     on_rc_loss: Literal["vent", "hold"] = "vent"
-    on_autopilot_loss: Literal["vent", "hold"] = "vent"
     hold_at_most_s: Positive = 30.0
 
 
@@ -306,6 +305,7 @@ def parse(text: str, source: str) -> Config:
         raise ConfigError(f"{source}:{line}: not TOML: {str(error).split(' (at')[0]}") from None
     except RecursionError:
         raise ConfigError(f"{source}: not TOML: nested too deeply") from None
+    _leave_out_what_is_gone(raw, text, source)
     try:
         inside: Key = ()
         for name, profile in _profiles_of(raw):
@@ -318,6 +318,16 @@ def parse(text: str, source: str) -> Config:
     for key, reason in _contradictions(config):
         raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
     return config
+
+
+def _leave_out_what_is_gone(raw: dict[str, Any], text: str, source: str) -> None:
+    """A profile of an earlier version holds where it asks for what is done anyway."""
+    losses = raw.get("losses")
+    wanted = losses.pop("on_autopilot_loss", "vent") if isinstance(losses, dict) else "vent"
+    if wanted != "vent":
+        key = ("losses", "on_autopilot_loss")
+        reason = "take this line out: a lost autopilot always vents, as the altitude is lost with it"
+        raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
 
 
 def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:

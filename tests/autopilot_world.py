@@ -116,7 +116,7 @@ def upload(items: Sequence[MissionItem]) -> Callable[[Peer, Any], None]:
 
 
 def recording(name: str) -> list[Heard]:
-    """The messages of a .tlog with the time since the first."""
+    """The autopilot's messages of a .tlog with the time since the first frame."""
     data = (RECORDINGS / f"{name}.tlog").read_bytes()
     ears = mavlink.MAVLink(None)
     ears.robust_parsing = True
@@ -127,7 +127,7 @@ def recording(name: str) -> list[Heard]:
         length = 12 + data[at + 9] + (13 if data[at + 10] & 1 else 0)
         first_us = unix_us if first_us < 0 else first_us
         for message in ears.parse_buffer(data[at + 8 : at + 8 + length]) or []:
-            if message.get_srcSystem() == 1:
+            if message.get_srcComponent() == 1:
                 heard.append(((unix_us - first_us) / 1e6, message))
         at += 8 + length
     return heard

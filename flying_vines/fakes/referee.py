@@ -38,6 +38,11 @@ OVER_BY_KPA, BOTTLE_OVER_BY_KPA = 0.5, 3.0
 HELD_WITHIN_KPA = 0.01
 AT_REST_AFTER_S = 0.1
 RISE_AT_REST_KPA = 1.0
+STEADY_S = 0.3
+"""A setpoint that stays for so long is where a motion was to end."""
+SAME_KPA = 0.4
+RAMP_S = 1.5
+"""From a trigger to where it ends."""
 _STEP_S = 0.001
 
 
@@ -66,6 +71,15 @@ class _Trigger(NamedTuple):
     until_s: float
     from_s: float
     what: str
+    latest_s: float = math.inf
+    """Not later than that, however long it is held up."""
+
+
+class _Target(NamedTuple):
+    """Where a trigger sends the vine; unknown for a profile, and where it is held."""
+
+    until_s: float
+    kPa: float | None
 
 
 class Referee:
@@ -84,6 +98,8 @@ class Referee:
         self._rules = rules
         self._codec = Codec()
         self._triggers: list[_Trigger] = []
+        self._targets: list[_Target] = []
+        self._steady_kPa = self._steady_since_s = 0.0
         self._last_trigger_s = -math.inf
         self._forbidden: dict[str, float] = {}
         self._no_inflation: dict[str, float] = {}
@@ -111,14 +127,50 @@ class Referee:
 
     # What the director knows.
 
-    def trigger(self, t: float, within_s: float, what: str, after_s: float = 0.0) -> None:
+    def trigger(
+        self,
+        t: float,
+        within_s: float,
+        what: str,
+        after_s: float = 0.0,
+        *,
+        kPa: float | None = None,
+        latest_s: float = math.inf,
+    ) -> None:
         """Somebody who may asked for a bend, which takes `after_s` to be seen.
 
-        Out of rest it has to begin within so long, and only once.
+        Out of rest it has to begin within so long, and only once. `kPa` is where it ends, if that is known.
+        `latest_s`: whatever holds it up, it is too old after that.
         """
-        self._triggers.append(_Trigger(t + within_s, t + after_s, what))
+        self._triggers.append(_Trigger(t + within_s, t + after_s, what, t + latest_s))
+        self._targets.append(_Target(t + within_s, kPa))
         self._last_trigger_s = max(self._last_trigger_s, t + within_s)
         self._still_from_s = math.inf
+
+    def withdraw(self, what: str, by_s: float) -> None:
+        """Whoever asked for it by this trigger does so no longer."""
+        self._triggers = [
+            trigger._replace(until_s=min(trigger.until_s, by_s)) if trigger.what == what else trigger
+            for trigger in self._triggers
+        ]
+
+    def any_target(self, t: float) -> None:
+        """The vine may stay wherever it is now."""
+        self._targets.append(_Target(t + RAMP_S, None))
+
+    def miss(self, t: float, what: str) -> None:
+        """Somebody asked for a bend, nothing was against it, and nothing moved."""
+        self._call(t, "missed", what)
+
+    @property
+    def idle(self) -> bool:
+        """Nothing moves, nothing is latched, and nothing is forbidden."""
+        latched = any(at_s > self._cleared_s for at_s in self._latched.values())
+        return self._resting and not latched and not self._forbidden
+
+    @property
+    def resting(self) -> bool:
+        return self._resting
 
     def person_clears(self, by_s: float) -> None:
         """A person did what clears latched faults, and is heard by then; what comes later latches again."""
@@ -127,9 +179,12 @@ class Referee:
     def delay(self, since_s: float, by_s: float) -> None:
         """What was said and not yet heard then waited for so long, as bytes in a socket do."""
         self._triggers = [
-            trigger._replace(until_s=trigger.until_s + by_s) if trigger.until_s >= since_s else trigger
+            trigger._replace(until_s=min(trigger.until_s + by_s, max(trigger.until_s, trigger.latest_s)))
+            if trigger.until_s >= since_s
+            else trigger
             for trigger in self._triggers
         ]
+        self._targets = [target._replace(until_s=target.until_s + by_s) for target in self._targets]
         if self._cleared_s >= since_s:
             self._cleared_s += by_s
 
@@ -195,6 +250,8 @@ class Referee:
                     self._alive_until_s = t + min(ttl_ms / 1000.0, DEAD_MAN_S) + _STEP_S / 2
                     if t >= self._still_from_s:
                         self._judge_held(t, target_kPa)
+                    else:
+                        self._judge_target(t, target_kPa)
                     if not 0.0 <= target_kPa <= rules.max_kPa + 1e-3:
                         self._call(t, "limits", f"a setpoint of {target_kPa:.2f} kPa was sent")
                     if not 0.0 < rate_kPa_per_s <= rules.max_rate_kPa_per_s + 1e-3:
@@ -300,6 +357,19 @@ class Referee:
         if target_kPa > self._ceiling_kPa + HELD_WITHIN_KPA:
             self._call(t, "resumed", f"held at {self._ceiling_kPa:.1f} kPa, now sent to {target_kPa:.1f} kPa")
         self._ceiling_kPa = min(self._ceiling_kPa, target_kPa)
+
+    def _judge_target(self, t: float, target_kPa: float) -> None:
+        """Where it comes to rest under pressure, somebody asked for just that."""
+        if abs(target_kPa - self._steady_kPa) > 1e-3:
+            self._steady_kPa, self._steady_since_s = target_kPa, t
+        if t - self._steady_since_s < STEADY_S or target_kPa < RISE_AT_REST_KPA:
+            return
+        recent_s = self._steady_since_s - RAMP_S
+        targets = [target.kPa for target in self._targets[:-1] if target.until_s >= recent_s]
+        targets += [target.kPa for target in self._targets[-1:]]
+        if not any(kPa is None or abs(target_kPa - kPa) <= SAME_KPA for kPa in targets):
+            asked = " or ".join(f"{kPa:.1f}" for kPa in targets) or "nothing"
+            self._call(t, "numbers", f"bent to {target_kPa:.1f} kPa, and asked was for {asked}")
 
     def _judge_rest(self, t: float, before: Drive, true_kPa: float) -> None:
         """With the inflation valve shut and the outlet open, no pressure comes from nowhere."""

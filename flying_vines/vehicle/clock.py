@@ -10,8 +10,10 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-LATE_S = 1.0
-"""A bend that was asked for longer ago than this is not carried out."""
+from flying_vines.intent import ACTS_WITHIN_S
+
+LATE_S = ACTS_WITHIN_S
+"""What was asked for longer ago over the link than this only lets air out, as from the page."""
 
 WAIT_FOR_STAMP_S = 0.3
 """How long a message that may be late waits for the next time stamp."""

@@ -14,7 +14,7 @@ MISSION = frozenset({
 })  # fmt: skip
 QUESTIONS = frozenset({
     "COMMAND_INT", "COMMAND_LONG", "PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET", "PING",
-    "TIMESYNC",
+    "SETUP_SIGNING", "TIMESYNC",
 })  # fmt: skip
 ANSWERS = frozenset({"COMMAND_ACK"})
 OVERRIDES = frozenset({"RC_CHANNELS_OVERRIDE"})

@@ -11,6 +11,10 @@ from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.codec import Message
 
 ALTITUDE_FRESH_S = 2.0
+HEARTBEAT_FRESH_S = 5.0
+"""HEARTBEAT alone says whether it is armed, once a second. Five in a row are not lost by chance,
+and for no longer may a vehicle that has disarmed be taken for an armed one."""
+
 CHOOSING_S = 2.0
 """How long after the first autopilot's heartbeat a second one still makes the choice ambiguous."""
 
@@ -80,10 +84,26 @@ class VehicleState:
         self.armed = False
         self.mode = ""
         self.heartbeat_at: float | None = None
+        self.heard_at: float | None = None
 
     @property
     def found(self) -> bool:
         return self.system_id != 0
+
+    @property
+    def heartbeat_missing(self) -> bool:
+        """Whether other frames of the autopilot come, but no HEARTBEAT: armed or not is unknown."""
+        if self.heartbeat_at is None or self.heard_at is None:
+            return False
+        return self.heard_at - self.heartbeat_at > HEARTBEAT_FRESH_S
+
+    def silence_s(self, t: float) -> float | None:
+        """Since any frame of the autopilot; None before the first."""
+        return None if self.heard_at is None else t - self.heard_at
+
+    def heard(self, t: float) -> None:
+        """Any frame of the autopilot that we serve proves it alive."""
+        self.heard_at = t
 
     def altitude_m(self, t: float) -> float | None:
         """Height above home, or None when the autopilot has not said it lately."""
@@ -119,6 +139,7 @@ class VehicleState:
             events.extend(self._choose(t, message))
         if not self.is_ours(message):
             return events
+        self.heard(t)
         if kind in heard.CLOCK and self.clock.stamp(t, message.time_boot_ms, kind == "RC_CHANNELS"):
             self._altitude_at = None
             events.append(Rebooted())

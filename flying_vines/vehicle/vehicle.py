@@ -56,6 +56,7 @@ class Vehicle:
         self.pilot = Pilot(config, self._rules)
         self._streams = Streams(config.vehicle.rc_rate_Hz)
         self._missing: list[str] = []
+        self.link_closed = False
         self._book = MissionBook(mission)
         self._ardupilot = ArduPilotWatch(self._book, self._rules.commands, self.state.clock)
         self._px4 = Px4Watch(self._book, self._rules.commands, self.state.clock)
@@ -89,6 +90,8 @@ class Vehicle:
         from_autopilot = self.state.is_ours(message)
         if from_autopilot:
             self.state.clock.frame(t, message.get_seq())
+        if from_autopilot and kind not in heard.STATE:
+            self.state.heard(t)
         if kind not in heard.ALL:
             return [*self._watch(t, message)] if from_autopilot else []
         out: list[Output] = []
@@ -154,6 +157,7 @@ class Vehicle:
 
     def link_changed(self, up: bool) -> None:
         """The link to the vehicle came up or went down."""
+        self.link_closed = not up
         if up:
             self._streams.forget()
         else:
@@ -197,7 +201,9 @@ class Vehicle:
                 break
             self._held.popleft()
             theirs = self.state.is_ours(message)
-            found = self._commands.handle(t, message, self.state.system_id, theirs, px4, age_s)
+            from_station = self.component.is_station(message, self.state)
+            system_id = self.state.system_id
+            found = self._commands.handle(t, message, system_id, theirs, px4, from_station, age_s)
             out.extend(answer for output in found for answer in self._once(t, output))
         return out
 

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from autopilot_world import (
     LAND,
+    STREAMS_HZ,
     TAKEOFF,
     WAYPOINT,
     World,
@@ -25,7 +26,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.fakes.autopilot import Autopilot, Kind, MissionRefused
+from flying_vines.fakes.autopilot import Autopilot, Kind, MissionRefused, RcLoss
 from flying_vines.vehicle.mission.item import MissionItem
 
 # ArduPilot's mission quirks
@@ -210,7 +211,94 @@ def test_px4_stops_rc_channels_when_rc_is_lost_and_flies_on() -> None:
     assert world.companion.of("RC_CHANNELS")[0].chan9_raw == 2000
 
 
+def px4_plan(*commands: tuple[float, ...]) -> list[MissionItem]:
+    """Up, and then the given (command, param1, …) one after the other."""
+    takeoff = item(0, 22, 0, 0, 0, 0, 0, 0, 5)
+    return [takeoff, *(item(seq, int(c[0]), *c[1:], frame=2) for seq, c in enumerate(commands, start=1))]
+
+
+def commands_187(world: World) -> list[tuple[float, int]]:
+    """What was asked of the actuator, and which copy it was."""
+    asked = [message for message in world.companion.of("COMMAND_LONG") if message.command == 187]
+    return [(round(message.param1, 1), message.confirmation) for message in asked]
+
+
+def test_px4_takes_an_acknowledgement_for_the_oldest_command_of_that_number() -> None:
+    world = World(Autopilot("px4", mission=px4_plan((187, 0.1), (187, 0.2), (93, 20))))
+    world.companion.hello()
+    world.autopilot.start_mission()
+    while len(commands_187(world)) < 2:
+        world.on(0.1)
+    acknowledge = mavlink.MAVLink_command_ack_message(187, 0, 0, 0, 1, 1)
+    world.companion.say(acknowledge)
+    world.companion.say(acknowledge)
+    world.on(1.1)
+    assert commands_187(world)[2:] == [(0.2, 1)], "both were acknowledged, but only one is known to be"
+    # One acknowledgement too many, for whatever: the other one is not repeated any more.
+    world.companion.say(acknowledge)
+    world.on(3.0)
+    assert len(commands_187(world)) == 3
+
+
+def test_px4_tells_an_old_current_item_after_a_jump() -> None:
+    world = World(Autopilot("px4", mission=px4_plan((93, 3), (93, 3), (93, 3))))
+    world.request_streams()
+    world.autopilot.start_mission()
+    while not any(message.seq == 1 for message in world.companion.of("MISSION_CURRENT")):
+        world.on(0.1)
+    world.autopilot.set_current(3)
+    world.on(2.0)
+    assert world.companion.of("MISSION_CURRENT")[-1].seq == 1
+    world.on(2.0)
+    assert world.companion.of("MISSION_CURRENT")[-1].seq == 3
+
+
+def test_ardupilot_does_not_tell_of_another_mission_of_the_same_length() -> None:
+    world = World(Autopilot("ardupilot", mission=plan(TAKEOFF, (217, 1, 40), (93, 9), LAND)))
+    world.gcs.hello()
+    world.request_streams()
+    world.on(2.0)  # The count of its seconds is told every 31 s.
+    before = len(world.companion.heard)
+    world.autopilot.replace_mission(plan(TAKEOFF, (217, 1, 11), (93, 9), LAND))
+    world.on(1.0)
+    told = {message.get_type() for _, message in world.companion.heard[before:]}
+    assert not told & {"PARAM_VALUE", "STATUSTEXT", "MISSION_ACK"}
+    assert world.gcs.texts() == ["Flight plan received"]
+    assert world.autopilot.items[2].params[1] == 11
+
+
+def test_px4_tells_of_another_mission_by_its_id() -> None:
+    world = World(Autopilot("px4", mission=px4_plan((187, 0.4), (93, 9))))
+    world.request_streams()
+    world.on(1.0)
+    world.autopilot.replace_mission(px4_plan((187, 0.1), (93, 9)))
+    world.on(1.0)
+    ids = changes(bytes(message.get_msgbuf())[16:20] for message in world.companion.of("MISSION_CURRENT"))
+    assert len(ids) == 2
+    assert world.autopilot.items[1].params[0] == pytest.approx(0.1)
+
+
 # Links
+
+
+@pytest.mark.parametrize("both_ways", [False, True])
+def test_a_stalled_link_delivers_all_at_once(both_ways: bool) -> None:
+    world = World(Autopilot("ardupilot"))
+    world.request_streams()
+    world.on(1.0)
+    world.companion.forget()
+    world.autopilot.stall(3.0, both_ways=both_ways)
+    world.on(1.0)
+    world.companion.command(183, 9, 1900)
+    world.on(1.9)
+    assert world.companion.heard == []
+    assert bool(world.autopilot.performed) is not both_ways
+    world.on(0.2)
+    boots_ms = [message.time_boot_ms for message in world.companion.of("RC_CHANNELS")]
+    assert len(boots_ms) == pytest.approx(31, abs=1)
+    assert boots_ms == sorted(boots_ms)
+    assert len(world.autopilot.performed) == 1
+    assert [message.result for message in world.companion.of("COMMAND_ACK")] == [0]
 
 
 @pytest.mark.parametrize(
@@ -398,8 +486,51 @@ def test_a_flight_may_go_on_after_rc_loss() -> None:
     world.on(10.0)
     world.autopilot.lose_rc()
     world.on(2.0)
-    assert "Radio Failsafe" in world.companion.texts()
+    assert world.companion.texts()[-1] == "Radio Failsafe - Continuing Auto Mode"
     assert world.autopilot.mode_name == "AUTO"
+
+
+@pytest.mark.parametrize(
+    ("parameters", "how", "told"),
+    [
+        ({}, "frozen", True),
+        ({}, "jump", True),
+        ({"FS_THR_ENABLE": 0}, "frozen", False),
+        ({"FS_THR_ENABLE": 0}, "jump", False),
+        ({"RC_FS_TIMEOUT": 8}, "frozen", False),
+        ({"RC_FS_TIMEOUT": 8}, "jump", True),
+        ({"RC_OPTIONS": 4}, "frozen", False),
+    ],
+)
+def test_parameters_of_ardupilot_hide_a_loss(parameters: dict[str, float], how: RcLoss, told: bool) -> None:
+    world = World(Autopilot("ardupilot", parameters=parameters))
+    world.request_streams()
+    world.autopilot.lose_rc(how)
+    world.on(3.0)
+    assert world.autopilot.tells_rc_lost is told
+    assert bool(world.companion.texts()) is told
+    assert rc_health(world.companion.of("SYS_STATUS")[-1]) is not told
+
+
+def test_ardupilot_may_ignore_overrides() -> None:
+    world = World(Autopilot("ardupilot", parameters={"RC_OPTIONS": 2}))
+    world.request_streams()
+    world.gcs.say(mavlink.MAVLink_rc_channels_override_message(1, 1, *(65535,) * 8, 2000, *(0,) * 9))
+    world.on(1.0)
+    assert {message.chan9_raw for message in world.companion.of("RC_CHANNELS")} == {1000}
+
+
+def test_px4_reports_its_health_no_oftener_than_each_two_seconds() -> None:
+    world = World(Autopilot("px4", receiver="sbus"))
+    world.request_streams(STREAMS_HZ | {1: 10})
+    world.on(5.0)
+    world.autopilot.stir_health()
+    world.autopilot.lose_rc()
+    world.on(1.9)
+    assert not world.autopilot.tells_rc_lost
+    world.on(0.2)
+    assert world.autopilot.tells_rc_lost
+    assert not rc_health(world.companion.of("SYS_STATUS")[-1])
 
 
 def test_stimuli_that_make_no_sense_are_refused() -> None:
@@ -410,6 +541,8 @@ def test_stimuli_that_make_no_sense_are_refused() -> None:
         lambda: autopilot.set_rc(1, -1),
         lambda: autopilot.set_current(1),
         lambda: autopilot.lose_rc("silent"),
+        lambda: autopilot.set_parameter("NONSENSE", 1.0),
+        lambda: Autopilot("ardupilot", receiver="sbus") and None,
     ]
     for nonsense in stimuli:
         with pytest.raises(ValueError):

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from autopilot_world import (
+    RC_RECEIVER,
     RECORDINGS,
     STREAMS_HZ,
     Heard,
@@ -35,6 +36,8 @@ from missions.waypoints import read_waypoints
 GPS_HZ = {24: 1}
 VINE_MISSION_HZ = {0: 1, 65: 10, 1: 2, 33: 5, 30: 5, 74: 2, 42: 2}
 PX4_HZ = {1: 2, 30: 5, 33: 5, 42: 1, 74: 5, 4: 1, 29: 1, 87: 10, 242: 0.5, 245: 5}
+SBUS_SEED, CRSF_SEED = 11, 1
+"""With which PX4 tells of each loss as soon or as late as it did."""
 ONLY_SIMULATED = {"RELAY_STATUS", "CAMERA_FEEDBACK"}
 
 
@@ -180,6 +183,244 @@ def px4_mission() -> list[MissionItem]:
     items = [item(seq, command, *params) for seq, (command, params) in places.items()]
     items += [item(seq, int(command), *params, frame=2) for seq, (command, *params) in dos.items()]
     return sorted(items, key=lambda each: each.seq)
+
+
+def rc_bits(message: Any) -> tuple[bool, ...]:
+    """Present, enabled, health."""
+    sensors = "present", "enabled", "health"
+    return tuple(bool(getattr(message, f"onboard_control_sensors_{name}") & RC_RECEIVER) for name in sensors)
+
+
+def switch_and_rssi(message: Any) -> tuple[int, int]:
+    return message.chan9_raw, message.rssi
+
+
+def assert_same_radio(
+    fake: list[Heard], real: list[Heard], rc_s: float, bits_s: float, view: Callable[[Any], object]
+) -> None:
+    """The same channels and RC bits in the same order, at about the same times."""
+    for name, look, tolerance_s in (("RC_CHANNELS", view, rc_s), ("SYS_STATUS", rc_bits, bits_s)):
+        seen, expected = timed_changes(fake, name, look), timed_changes(real, name, look)
+        assert expected and [value for _, value in seen] == [value for _, value in expected], name
+        for (fake_s, _), (real_s, _) in zip(seen[1:], expected[1:], strict=True):
+            assert fake_s == pytest.approx(real_s, abs=tolerance_s), name
+
+
+def play(world: World, script: list[tuple[float, Callable[[], None]]], until_s: float) -> None:
+    for at_s, stimulus in sorted(script, key=lambda entry: entry[0]):
+        world.to(at_s)
+        stimulus()
+    world.to(until_s)
+
+
+def switch_moves(
+    autopilot: Autopilot, moves: list[tuple[float, int]]
+) -> list[tuple[float, Callable[[], None]]]:
+    return [(at_s, lambda us=us: autopilot.set_rc(9, us)) for at_s, us in moves]  # type: ignore[misc]
+
+
+PX4_RC_HZ = {65: 20, 1: 10, 33: 5, 2: 1}
+
+
+def test_px4_sbus_losses_as_recorded() -> None:
+    real = recording("px4_sbus_failsafe")
+    low, middle, high = 999, 1499, 1999
+    world = World(Autopilot("px4", receiver="sbus", rc_failsafe_mode="HOLD", seed=SBUS_SEED))
+    autopilot = world.autopilot
+    for channel in range(1, 17):
+        autopilot.set_rc(channel, low if channel == 9 else middle)
+    world.request_streams(PX4_RC_HZ)
+
+    def lose(*, preset: bool) -> Callable[[], None]:
+        return lambda: autopilot.lose_rc("jump" if preset else "frozen", {9: high} if preset else None)
+
+    script = switch_moves(
+        autopilot,
+        [
+            *((27.2, middle), (27.81, low), (29.32, high), (37.0, low), (48.33, middle), (48.93, low)),
+            *((61.43, middle), (62.04, low), (74.73, middle), (75.33, low), (76.85, high), (85.0, low)),
+            *((95.87, middle), (96.48, low), (108.99, middle), (109.6, low)),
+        ],
+    )
+    losses = [(32.25, 42.32, False), (50.44, 56.43, True), (63.55, 63.76, True), (66.24, 66.64, True)]
+    losses += [(69.17, 70.18, True), (79.8, 89.82, False), (97.94, 103.95, True), (111.06, 111.26, True)]
+    losses += [(113.78, 114.19, True), (116.76, 117.72, True)]
+    for lost_s, back_s, preset in losses:
+        script += [(lost_s, lose(preset=preset)), (back_s, autopilot.return_rc)]
+    script += [(4.9, lambda: autopilot.takeoff(25.0)), (25.5, lambda: autopilot.set_mode("HOLD"))]
+    play(world, script, 120.3)
+    assert_same_radio(world.companion.heard, [h for h in real if h[0] < 120.3], 0.16, 0.6, rc_values)
+    status = [
+        changes(m.system_status for t, m in heard if t < 119.0 and m.get_type() == "HEARTBEAT")
+        for heard in (world.companion.heard, real)
+    ]
+    assert status[0] == status[1]
+
+
+def test_px4_crsf_losses_as_recorded() -> None:
+    # The companion's process stood still at 4.4 s.
+    real = [heard for heard in recording("px4_crsf_loss") if heard[0] >= 6.0]
+    low, high = 1012, 1988
+    world = World(Autopilot("px4", receiver="crsf", rc_failsafe_mode="HOLD", seed=CRSF_SEED))
+    autopilot = world.autopilot
+    for channel in range(1, 17):
+        autopilot.set_rc(channel, low if channel == 9 else 1500)
+    world.request_streams(PX4_RC_HZ)
+    script = switch_moves(
+        autopilot,
+        [
+            *(
+                (26.41, 1500),
+                (26.98, low),
+                (28.54, high),
+                (36.0, low),
+                (47.5, 1500),
+                (48.16, low),
+                (52.0, high),
+            ),
+            *((56.83, 1500), (57.44, low), (60.97, 1500), (61.54, low), (63.04, high), (70.0, low)),
+            *((82.08, 1500), (82.68, low), (86.0, high)),
+        ],
+    )
+    for lost_s, back_s in ((31.52, 41.51), (49.65, 53.85), (66.05, 76.08), (84.18, 88.4)):
+        script += [(lost_s, autopilot.lose_rc), (back_s, autopilot.return_rc)]
+    script += [(6.1, lambda: autopilot.takeoff(25.0)), (24.6, lambda: autopilot.set_mode("HOLD"))]
+    play(world, script, 90.0)
+    until_90 = [h for h in real if h[0] < 90.0]
+    fake = [h for h in world.companion.heard if h[0] >= 6.0]
+
+    def values(message: Any) -> tuple[int, ...]:
+        return rc_values(message)[:-1]
+
+    # Whether the first frame after a loss still lacks its rssi is chance, so that is looked at apart.
+    assert_same_radio(fake, until_90, 0.2, 0.6, values)
+    for heard in (fake, until_90):
+        shown = [rssi for _, rssi in timed_changes(heard, "RC_CHANNELS", lambda m: m.rssi)]
+        assert shown == [61, 255] * 4 + [61]
+    gone = [
+        [t for t, rssi in timed_changes(h, "RC_CHANNELS", lambda m: m.rssi) if rssi == 255]
+        for h in (fake, until_90)
+    ]
+    assert gone[0] == pytest.approx(gone[1], abs=0.16)
+
+
+def test_ardupilot_losses_told_and_hidden_as_recorded() -> None:
+    real = recording("ardupilot_hidden_rc_loss")
+    world = World(Autopilot("ardupilot", rc_failsafe_mode=None))
+    autopilot = world.autopilot
+    autopilot.set_mode("GUIDED")
+    autopilot.takeoff(10.0)
+    for channel in range(1, 17):
+        autopilot.set_rc(channel, {3: 1000, 5: 1800, 8: 1800}.get(channel, 1500 if channel < 5 else 1000))
+    world.to(20.0)
+    autopilot.set_rc(9, 2000)
+    autopilot.lose_rc("jump")
+    world.to(21.0)
+    offset_s = world.t
+    world.request_streams({65: 20, 1: 10, 33: 5, 2: 1, 42: 5})
+    world.on(0.15)
+    world.companion.forget()
+    script = switch_moves(
+        autopilot,
+        [
+            *(
+                (4.37, 1000),
+                (9.0, 1500),
+                (14.97, 1000),
+                (19.0, 2000),
+                (23.52, 1000),
+                (29.43, 2000),
+                (32.42, 1000),
+            ),
+            *((38.58, 2000), (41.63, 1000), (46.0, 2000), (52.17, 1000)),
+        ],
+    )
+    script += [
+        (at_s, lambda how=how: autopilot.lose_rc(how))  # type: ignore[misc]
+        for at_s, how in (
+            (6.87, "jump"),
+            (17.44, "frozen"),
+            (26.02, "frozen"),
+            (34.91, "frozen"),
+            (44.13, "frozen"),
+        )
+    ]
+    script += [(at_s, autopilot.return_rc) for at_s in (0.36, 10.92, 20.5, 29.07, 37.95, 48.17)]
+    script += [(41.59, lambda: autopilot.set_parameter("FS_THR_ENABLE", 0.0))]
+    play(world, [(offset_s + at_s, stimulus) for at_s, stimulus in script], offset_s + 54.0)
+    fake = [(t - offset_s, message) for t, message in world.companion.heard]
+    until_54 = [h for h in real if h[0] < 54.0]
+    assert_same_radio(fake, until_54, 0.16, 0.3, rc_values)
+    texts = [[m.text for _, m in heard if m.get_type() == "STATUSTEXT"] for heard in (fake, until_54)]
+    assert texts[0] == texts[1]
+    told = [
+        [(m.param_id, m.param_value) for _, m in heard if m.get_type() == "PARAM_VALUE"]
+        for heard in (fake, until_54)
+    ]
+    told[1] = [(name, value) for name, value in told[1] if not name.startswith(("SIM_", "STAT_"))]
+    assert (
+        [pair for pair in told[0] if not pair[0].startswith("STAT_")] == told[1] == [("FS_THR_ENABLE", 0.0)]
+    )
+
+
+def test_an_override_that_expires_and_a_link_that_stalls_as_recorded() -> None:
+    real = recording("ardupilot_override_and_late_texts")
+    delay = (93, 4, 0, 0, 0, 0, 0, 0)
+    items = plan(delay, (217, 1, 40), delay, (217, 0), delay, (20,))
+    world = World(Autopilot("ardupilot"))
+    autopilot = world.autopilot
+    for channel in range(1, 17):
+        autopilot.set_rc(channel, {5: 1800, 8: 1800}.get(channel, 1500 if channel < 5 else 1000))
+    autopilot.takeoff(10.0)
+    world.to(40.0)
+    world.request_streams({65: 20, 1: 10, 33: 5, 2: 1, 42: 5})
+    world.gcs.hello()
+
+    def override() -> None:
+        world.gcs.say(mavlink.MAVLink_rc_channels_override_message(1, 1, *(65535,) * 8, 1000, *(0,) * 9))
+
+    script = switch_moves(autopilot, [(48.88, 2000), (61.42, 1000)])
+    script += [(52.37 + 0.2 * step, override) for step in range(21)]
+    script += [
+        (63.42, lambda: autopilot.replace_mission(items)),
+        (66.0, lambda: autopilot.set_current(1)),
+        (67.487, lambda: autopilot.set_mode("AUTO")),
+        (70.0, lambda: autopilot.stall(9.02)),
+    ]
+    play(world, script, 79.2)
+    fake = world.companion.heard
+
+    for heard in (fake, real):
+        switch = [
+            (t, us) for t, us in timed_changes(heard, "RC_CHANNELS", lambda m: m.chan9_raw) if 45.0 < t < 70.0
+        ]
+        assert [us for _, us in switch] == [2000, 1000, 2000, 1000]
+        assert [t for t, _ in switch] == pytest.approx([48.9, 52.4, 59.36, 61.45], abs=0.1)
+        totals = [m.param_value for _, m in heard if getattr(m, "param_id", "") == "MIS_TOTAL"][:7]
+        assert totals == [1, 2, 3, 4, 5, 6, 7]
+        late = [
+            (t, m.text if m.get_type() == "STATUSTEXT" else m.seq)
+            for t, m in heard
+            if 67.4 < t < 79.2 and m.get_type() in ("STATUSTEXT", "MISSION_ITEM_REACHED")
+        ]
+        first = ["Mission: 1 Delay", "Delaying 4 sec"]
+        held_back = [
+            1,
+            "Mission: 2 Scripting",
+            "Mission: 3 Delay",
+            "Delaying 4 sec",
+            3,
+            "Mission: 4 Scripting",
+        ]
+        assert [what for _, what in late][:10] == first + first + held_back
+        assert all(t == pytest.approx(67.5, abs=0.1) for t, _ in late[:4])
+        assert all(t == pytest.approx(79.06, abs=0.1) for t, _ in late[4:])
+        # What came with it says how old it is.
+        boots_ms = [m.time_boot_ms for t, m in heard if m.get_type() == "RC_CHANNELS" and 79.0 < t < 79.12]
+        assert boots_ms[-1] - boots_ms[0] > 8000
+    assert "Flight plan received" in world.gcs.texts()
+    assert not any("Flight plan" in text for text in world.companion.texts())
+    assert [done.seq for _, done in autopilot.payload_log] == [2, 4]
 
 
 def test_px4_mission_with_overrides_and_a_pause_as_recorded() -> None:

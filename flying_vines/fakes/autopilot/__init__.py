@@ -12,7 +12,7 @@ It behaves as the real ones were recorded to, traps included: see the recordings
 
 from flying_vines.fakes.autopilot.autopilot import ARDUPILOT_HOME, PX4_HOME, Autopilot
 from flying_vines.fakes.autopilot.flight import Home
-from flying_vines.fakes.autopilot.receiver import RcLoss
+from flying_vines.fakes.autopilot.receiver import RcLoss, RcSource
 from flying_vines.vehicle.mission.storage import Kind, MissionRefused
 
-__all__ = ["ARDUPILOT_HOME", "PX4_HOME", "Autopilot", "Home", "Kind", "MissionRefused", "RcLoss"]
+__all__ = ["ARDUPILOT_HOME", "PX4_HOME", "Autopilot", "Home", "Kind", "MissionRefused", "RcLoss", "RcSource"]

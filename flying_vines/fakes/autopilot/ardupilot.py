@@ -57,6 +57,7 @@ class ArduPilotMission:
         self._next_do: Entry | None = None
         self._condition: Callable[[], bool] | None = None
         self._condition_seq = 0
+        self._from_the_start = False
 
     def status(self, in_mission_mode: bool) -> MissionStatus:
         total = max(0, len(self._host.items) - 1)
@@ -74,7 +75,12 @@ class ArduPilotMission:
             self._drop_dos()
 
     def enter(self) -> None:
-        if self._state == NOT_STARTED and 0 < self._nav_seq < len(self._host.items):
+        if self._from_the_start and len(self._host.items) > 1:
+            # As recorded after somebody set the first item as current: it runs twice.
+            self._from_the_start = False
+            self._start()
+            self._start()
+        elif self._state == NOT_STARTED and 0 < self._nav_seq < len(self._host.items):
             self._state = ACTIVE
             self._start_nav(self._nav_seq)
         elif self._state != ACTIVE:
@@ -97,6 +103,7 @@ class ArduPilotMission:
         if self._state == ACTIVE:
             self._advance(seq)
             return
+        self._from_the_start = seq <= 1
         items = self._host.items
         self._nav_seq = next((item.seq for item in items[seq:] if is_nav(item.command)), seq)
         self._state = NOT_STARTED

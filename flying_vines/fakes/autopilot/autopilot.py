@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from random import Random
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -17,8 +19,8 @@ from flying_vines.fakes.autopilot.modes import Mode, mission_mode, mode_named, m
 from flying_vines.fakes.autopilot.parameters import Parameters
 from flying_vines.fakes.autopilot.port import COMPANION, KNOWN, PX4_ALSO_KNOWS, Port
 from flying_vines.fakes.autopilot.px4 import Command, CommandSender, Px4Mission
-from flying_vines.fakes.autopilot.rc_input import RcInput
-from flying_vines.fakes.autopilot.receiver import RcLoss, Receiver
+from flying_vines.fakes.autopilot.rc_input import ArduPilotRc, RcInput, rc_input
+from flying_vines.fakes.autopilot.receiver import RcLoss, RcSource, Receiver
 from flying_vines.fakes.autopilot.routing import Routes
 from flying_vines.fakes.autopilot.runner import Runner
 from flying_vines.fakes.autopilot.snapshot import Snapshot
@@ -66,6 +68,16 @@ _MISSION_MESSAGES = frozenset(
 _PARAMETER_MESSAGES = frozenset({"PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"})
 
 
+@dataclass(slots=True)
+class _Stall:
+    """A link that holds back what is sent on it."""
+
+    both_ways: bool
+    until_s: float = 0.0
+    outgoing: list[bytes] = field(default_factory=list)
+    incoming: list[bytes] = field(default_factory=list)
+
+
 class Autopilot:
     """An ArduCopter or PX4 copter as a companion computer and a ground station hear it.
 
@@ -85,30 +97,44 @@ class Autopilot:
         links: Sequence[str] = (COMPANION,),
         home: Home | None = None,
         rc_present: bool = True,
+        receiver: RcSource | None = None,
         rc_failsafe_mode: str | None = "RTL",
         parameters: Mapping[str, float] | None = None,
         signing_key: bytes | None = None,
         unix_s: float = _UNIX_AT_START_S,
+        seed: int = 0,
     ) -> None:
         """A disarmed vehicle on the ground at `home`.
 
         `mission` is stored as an upload would be (MissionRefused if it holds what the autopilot does not
         take); on ArduPilot its item 0 is home. `links` are those that hear heartbeats from the start; others
-        appear when they are first heard. `rc_failsafe_mode` is ArduPilot's mode after RC loss in flight, None
-        to stay; PX4 goes on in its mode. `parameters` are those that differ from the factory's, such as PX4's
-        MIS_COMMAND_TOUT. With a `signing_key` (32 bytes) it signs what it sends, and hears only
-        what is signed with it, except on a link named "usb". `unix_s` is what its clock says at the start.
+        appear when they are first heard. `receiver` is how the pilot's sticks get there: on PX4 by overrides
+        of a ground station unless it is given. `rc_failsafe_mode` is the mode after RC loss in flight, None
+        to stay; PX4 without a receiver of its own always stays. `parameters` are those that differ from the
+        factory's, such as PX4's MIS_COMMAND_TOUT. With a `signing_key` (32 bytes) it signs what it sends, and
+        hears only what is signed with it, except on a link named "usb". `unix_s` is what its clock says at
+        the start. `seed` decides how late PX4 tells of each loss.
         """
         self.kind: Kind = kind
         self.system_id = system_id
         self.agenda = Agenda()
         self.flight = Flight(home or (ARDUPILOT_HOME if kind == "ardupilot" else PX4_HOME))
-        self._rc = RcInput(kind, rc_present, self.agenda, self._rc_failsafe_changed)
+        self._rc: RcInput = rc_input(
+            kind,
+            rc_present,
+            receiver,
+            self.agenda,
+            Random(seed),
+            lambda name: self.parameters[name],
+            self._rc_failsafe_changed,
+        )
         self.payload_log: list[tuple[float, MissionItem]] = []
         self.performed: list[tuple[float, int]] = []
         self.armed = False
         self.mode: Mode = mode_named(kind, "STABILIZE" if kind == "ardupilot" else "HOLD")
         self._failsafe_mode = mode_named(kind, rc_failsafe_mode) if rc_failsafe_mode is not None else None
+        self._mode_before: Mode | None = None
+        """PX4 goes back to it when its failsafe is over."""
         self._unix_s = unix_s
         self._key = signing_key
         self._epoch_s: float | None = None
@@ -132,6 +158,7 @@ class Autopilot:
         self._reached_again: Entry | None = None
         self._grounded_s: float | None = None
         self._muted_until_s = -1.0
+        self._stalls: dict[str, _Stall] = {}
         self._running = False
         self._boot_s = -_UPTIME_S
         self._ready_s = -_UPTIME_S
@@ -149,6 +176,12 @@ class Autopilot:
     @property
     def receiver(self) -> Receiver:
         return self._rc.receiver
+
+    @property
+    def tells_rc_lost(self) -> bool:
+        """A failsafe of ArduPilot; of PX4 a health report that calls a receiver of its own lost."""
+        rc = self._rc
+        return rc.failsafe if isinstance(rc, ArduPilotRc) else rc.has_driver and not rc.reported_good
 
     @property
     def items(self) -> list[MissionItem]:
@@ -187,6 +220,13 @@ class Autopilot:
     def receive(self, t: float, link: str, data: bytes) -> None:
         """Bytes that arrived on `link` at `t`. Never raises, whatever the bytes."""
         self._run_to(t)
+        stall = self._stalls.get(link)
+        if stall is not None and stall.both_ways:
+            stall.incoming.append(data)
+            return
+        self._receive(link, data)
+
+    def _receive(self, link: str, data: bytes) -> None:
         if not self._running or self.agenda.now_s < self._muted_until_s:
             return
         self.add_link(link)
@@ -201,6 +241,12 @@ class Autopilot:
     def advance(self, t: float) -> list[tuple[str, bytes]]:
         """Everything sent since the last call, up to and including `t`: (link, one frame), in order."""
         self._run_to(t)
+        for link, stall in list(self._stalls.items()):
+            if self.agenda.now_s >= stall.until_s:
+                del self._stalls[link]
+                self._outbox = [(link, frame) for frame in stall.outgoing] + self._outbox
+                for data in stall.incoming:
+                    self._receive(link, data)
         out, self._outbox = self._outbox, []
         return out
 
@@ -263,6 +309,15 @@ class Autopilot:
         self._storage.load(items)
         self.flush()
 
+    def replace_mission(self, items: Sequence[MissionItem], link: str = "gcs") -> None:
+        """Somebody on another link uploads a mission; MissionRefused if it would be refused."""
+        self.add_link(link)
+        self._storage.replace(link, items)
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Somebody changes a parameter; ValueError if there is none of that name."""
+        self.parameters.change(name, value)
+
     def set_current(self, seq: int) -> None:
         """Go on with mission item `seq`; on a DO item, it runs (again). ValueError if there is none."""
         if not 0 <= seq < len(self.items):
@@ -274,13 +329,14 @@ class Autopilot:
         """Move a stick or switch (channels from 1)."""
         self.receiver.move(channel, us)
 
-    def lose_rc(self, how: RcLoss | None = None) -> None:
-        """The RC link is lost. By default "frozen" on ArduPilot, "silent" on PX4, as each was seen to do.
+    def lose_rc(self, how: RcLoss | None = None, preset: Mapping[int, int] | None = None) -> None:
+        """The RC link is lost, by default as the receiver is most often seen to do it.
 
-        "frozen": RC_CHANNELS goes on with the last values. "jump": the receiver's failsafe values.
-        "silent": no more RC_CHANNELS, which ArduPilot never does (ValueError).
+        "frozen": RC_CHANNELS goes on with the last values. "jump": it goes on with the receiver's failsafe
+        values, which are those of `preset` (channel: us) on its channels. "silent": no more RC_CHANNELS.
+        ValueError if this receiver does no such thing.
         """
-        self._rc.lose(how)
+        self._rc.lose(how, preset)
 
     def return_rc(self) -> None:
         """The RC link is back, with the sticks as they are now."""
@@ -305,6 +361,7 @@ class Autopilot:
         self._runner = self._new_runner()
         self._leg = self._reached_again = None
         self.armed = False
+        self._mode_before = None
         self._texts, self._reached = [], None
         self.mode = mode_named(self.kind, "STABILIZE" if self.kind == "ardupilot" else "HOLD")
         now_s = self.agenda.now_s
@@ -314,9 +371,21 @@ class Autopilot:
             self.agenda.at(self._ready_s + _READY_S, self._say_ready)
             self.agenda.at(self._ready_s + _ORIGIN_S, self._tell_home)
 
+    def stir_health(self) -> None:
+        """Something that is no RC changes in PX4's health: it is reported now, and nothing else for 2 s."""
+        if not isinstance(self._rc, ArduPilotRc):
+            self._rc.report()
+
     def mute(self, seconds: float) -> None:
         """Cut all links: nothing is sent or heard for so long, while the vehicle flies on."""
         self._muted_until_s = self.agenda.now_s + seconds
+
+    def stall(self, seconds: float, link: str = COMPANION, *, both_ways: bool = False) -> None:
+        """What is sent on a link is held back for so long, and then comes all at once; nothing is lost.
+
+        With `both_ways` what comes in is held back as well.
+        """
+        self._stalls.setdefault(link, _Stall(both_ways)).until_s = self.agenda.now_s + seconds
 
     # The mission runner's host
 
@@ -439,24 +508,35 @@ class Autopilot:
         self._leg = legs.Leg(self.flight, item, self.agenda.now_s)
 
     def _rc_failsafe_changed(self, on: bool) -> None:
-        self.text("Radio Failsafe" if on else "Radio Failsafe Cleared", _WARNING)
-        if on and self._failsafe_mode is not None and self.armed and self.flight.airborne:
+        in_flight = self.armed and self.flight.airborne
+        if self.kind == "ardupilot":
+            self.text("Radio Failsafe" + self._goes_on if on else "Radio Failsafe Cleared", _WARNING)
+        elif self._mode_before is not None and not on:
+            self._select(self._mode_before)
+            self._mode_before = None
+        if on and self._failsafe_mode is not None and in_flight:
+            self._mode_before = self.mode
             self._select(self._failsafe_mode)
         self.flush()
 
+    @property
+    def _goes_on(self) -> str:
+        """What ArduPilot says where it stays in its mode."""
+        in_flight = self.armed and self.flight.airborne
+        if self._failsafe_mode is not None or not in_flight or self.mode.name not in ("AUTO", "GUIDED"):
+            return ""
+        return f" - Continuing {self.mode.name.capitalize()} Mode"
+
     def _override_rc(self, message: Any) -> None:
-        holds_s = 0.0
-        if self.kind == "ardupilot":
-            if message.get_srcSystem() != self.parameters["SYSID_MYGCS"]:
-                return
-            holds_s = self.parameters["RC_OVERRIDE_TIME"]
-        channels_us = [getattr(message, f"chan{channel}_raw") for channel in range(1, 19)]
-        self._rc.override(channels_us, holds_s)
+        if self.kind == "ardupilot" and message.get_srcSystem() != self.parameters["SYSID_MYGCS"]:
+            return
+        self._rc.override([getattr(message, f"chan{channel}_raw") for channel in range(1, 19)])
 
     def _mission_changed(self) -> None:
         self._runner.replaced()
         if self.kind == "ardupilot":
-            self.parameters.change("MIS_TOTAL", len(self.items))
+            if self.parameters["MIS_TOTAL"] != len(self.items):
+                self.parameters.change("MIS_TOTAL", len(self.items))
             return
         for port in self._ports.values():
             self._streams.once(port, telemetry.MISSION_CURRENT)
@@ -479,7 +559,11 @@ class Autopilot:
         self._put_out(port, port.encode(message))
 
     def _put_out(self, port: Port, frame: bytes) -> None:
-        if self.agenda.now_s >= self._muted_until_s:
+        if self.agenda.now_s < self._muted_until_s:
+            return
+        if port.name in self._stalls:
+            self._stalls[port.name].outgoing.append(frame)
+        else:
             self._outbox.append((port.name, frame))
 
     def _send_to(self, link: str, message: Any) -> None:
@@ -508,6 +592,7 @@ class Autopilot:
             armed=self.armed,
             calibrating=now_s - self._ready_s < _CALIBRATION_S,
             rc_failsafe=self._rc.failsafe,
+            rc_reported=not isinstance(self._rc, ArduPilotRc) and self._rc.reported_good,
             boot_s=now_s - self._boot_s,
             unix_s=self._unix_now_s,
             flight=self.flight,

@@ -6,6 +6,7 @@ import math
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -29,6 +30,8 @@ from flying_vines.vehicle.mission.storage import (
 _ASK_AGAIN_S = 1.0
 _GIVE_UP_S = 8.0
 _TRANSFER_S = 5.0
+_WRITTEN_EVERY_S = 0.008
+"""As recorded, an item of an upload on ArduPilot."""
 _CRITICAL, _INFO = 2, 6
 _UNEXPECTED = b"WPM: REJ. CMD: Req. WP was unexpected\t"
 
@@ -84,6 +87,20 @@ class MissionStorage:
         """Put a whole mission in place; MissionRefused if the autopilot would not take an item."""
         self.items = [self._kept(replace(item, seq=seq)) for seq, item in enumerate(items)]
         self._change()
+
+    def replace(self, link: str, items: Sequence[MissionItem]) -> None:
+        """What somebody else's upload on `link` does; MissionRefused if an item is not taken."""
+        kept = [self._kept(replace(item, seq=seq)) for seq, item in enumerate(items)]
+        upload = _Upload(link, 0, 0, len(kept), math.inf)
+        if self._kind == "ardupilot":
+            if len(self.items) > len(kept):
+                del self.items[len(kept) :]
+                self._change()
+            for item in kept:
+                self._agenda.after((item.seq + 1) * _WRITTEN_EVERY_S, partial(self._write, item))
+        else:
+            self._incoming = kept
+        self._agenda.after((len(kept) + 1) * _WRITTEN_EVERY_S, lambda: self._finish(upload))
 
     def reboot(self) -> None:
         self._upload = self._download = None

@@ -29,6 +29,9 @@ _TYPES: dict[Kind, dict[str, int]] = {
         "SERIAL2_BAUD": _INT32,
         "SCR_ENABLE": _INT8,
         "CAM1_TYPE": _INT8,
+        "FS_THR_ENABLE": _INT8,
+        "RC_FS_TIMEOUT": _REAL32,
+        "RC_OPTIONS": _INT32,
         "RC_OVERRIDE_TIME": _REAL32,
         "MIS_TOTAL": _INT16,
         "STAT_BOOTCNT": _INT16,
@@ -52,6 +55,9 @@ _FACTORY = {
     "SERIAL1_BAUD": 57.0,
     "SERIAL2_PROTOCOL": 2.0,
     "SERIAL2_BAUD": 57.0,
+    "FS_THR_ENABLE": 1.0,
+    "RC_FS_TIMEOUT": 1.0,
+    "RC_OPTIONS": 32.0,
     "RC_OVERRIDE_TIME": 3.0,
     "STAT_BOOTCNT": 1.0,
     "MAV_0_FORWARD": 1.0,
@@ -117,7 +123,9 @@ class Parameters:
         return self._values[name]
 
     def change(self, name: str, value: float) -> None:
-        """The autopilot itself changes a value, and tells everyone."""
+        """The autopilot itself, or whoever flies it, changes a value, and everyone is told."""
+        if name not in self._values:
+            raise ValueError(f"{self._kind} has no parameter {name} here")
         self._values[name] = value
         self._tell(self._message(name, NO_INDEX))
 

@@ -24,6 +24,7 @@ from flying_vines.vehicle.mission.storage import is_nav_item
 TOTAL_BEFORE_FIRST_UPLOAD = 65535
 
 _RETRIES_S = (1.0, 0.5, 0.5)
+_FORGOTTEN_S = 0.5
 _QUEUE = 8
 _SHORTEST_WAIT_S = 0.02
 _TO_PARAM1 = {530, 534, 2000, 2001}
@@ -43,37 +44,49 @@ class Command:
     target_component: int = 0
 
 
+@dataclass(slots=True)
+class _Sent:
+    """A command until it is repeated for the last time, or its turn to be repeated comes and it is known."""
+
+    command: Command
+    acknowledged: bool = False
+
+
 class CommandSender:
     """Sends commands and repeats them, confirmation rising, until somebody acknowledges.
 
-    The first repeat comes after 1 s and two more after 0.5 s each, as recorded.
+    The first repeat comes after 1 s and two more after 0.5 s each, as recorded. An acknowledgement goes to
+    the oldest command of that number, which is kept until its next repeat would be due. So the second of two
+    is repeated although it was acknowledged, and one that was lost may be ended by another's acknowledgement.
     """
 
     def __init__(self, agenda: Agenda, send: Callable[[Command, int], None]) -> None:
         self._agenda = agenda
         self._send = send
-        self._waiting: list[tuple[Command, Entry]] = []
+        self._sent: list[_Sent] = []
 
     def send(self, command: Command, repeat: bool = True) -> None:
         self._send(command, 0)
         if repeat:
-            self._wait(command, 1)
+            sent = _Sent(command)
+            self._sent.append(sent)
+            self._wait(sent, 1)
 
     def acknowledged(self, command: int) -> None:
-        for waiting, entry in self._waiting:
-            if waiting.command == command:
-                entry.cancel()
-        self._waiting = [pair for pair in self._waiting if pair[0].command != command]
+        for sent in self._sent:
+            if sent.command.command == command:
+                sent.acknowledged = True
+                return
 
-    def _wait(self, command: Command, confirmation: int) -> None:
+    def _wait(self, sent: _Sent, confirmation: int) -> None:
         def again() -> None:
-            self._waiting = [pair for pair in self._waiting if pair[1] is not entry]
-            self._send(command, confirmation)
-            if confirmation < len(_RETRIES_S):
-                self._wait(command, confirmation + 1)
+            if not sent.acknowledged and confirmation <= len(_RETRIES_S):
+                self._send(sent.command, confirmation)
+                self._wait(sent, confirmation + 1)
+            else:
+                self._sent.remove(sent)
 
-        entry = self._agenda.after(_RETRIES_S[confirmation - 1], again)
-        self._waiting.append((command, entry))
+        self._agenda.after((*_RETRIES_S, _FORGOTTEN_S)[confirmation - 1], again)
 
 
 class Px4Mission:
@@ -89,6 +102,7 @@ class Px4Mission:
         self._timeout_s = command_timeout_s
         self._state = NOT_STARTED
         self._seq = 0
+        self._stale_seq: int | None = None
         self._jumps = Jumps()
         self._leg: Leg | None = None
         self._wait: Entry | None = None
@@ -101,12 +115,15 @@ class Px4Mission:
             total = TOTAL_BEFORE_FIRST_UPLOAD
         state = self._state if self._host.items else NO_MISSION
         mode = _SUBMODE_IN_MISSION if in_mission_mode else _SUBMODE_SUSPENDED
-        return MissionStatus(self._seq, total, state, mode)
+        # After a jump it tells the item before, until the next one is reached.
+        seq = self._seq if self._stale_seq is None else self._stale_seq
+        return MissionStatus(seq, total, state, mode)
 
     def replaced(self) -> None:
         self._uploaded = True
         self._stop_waiting()
         self._state, self._seq, self._leg = NOT_STARTED, 0, None
+        self._stale_seq = None
         self._jumps = Jumps()
 
     def enter(self) -> None:
@@ -133,6 +150,7 @@ class Px4Mission:
 
     def set_current(self, seq: int) -> None:
         self._stop_waiting()
+        self._grow_stale()
         self._seq = seq
         if self._state == ACTIVE:
             self._run()
@@ -153,6 +171,7 @@ class Px4Mission:
                 self._host.reached(leg.item.seq)
         elif leg.done:
             self._host.reached(leg.item.seq)
+            self._stale_seq = None
             self._seq = leg.item.seq + 1
             self._run()
 
@@ -166,6 +185,7 @@ class Px4Mission:
             item = items[self._seq]
             if item.command == JUMP and jumps_left:
                 jumps_left -= 1
+                self._grow_stale()
                 self._seq = self._jumps.take(item)
                 continue
             if is_nav_item("px4", item):
@@ -193,6 +213,7 @@ class Px4Mission:
     def _waited(self) -> None:
         self._wait = None
         self._host.reached(self._seq)
+        self._stale_seq = None
         self._seq += 1
         self._run()
         self._host.flush()
@@ -208,6 +229,10 @@ class Px4Mission:
             first = item.params[0]
             target = int(first) if item.command in _TO_PARAM1 and 0.0 <= first < 256.0 else 0
             self._sender.send(Command(item.command, item.params, target))
+
+    def _grow_stale(self) -> None:
+        if self._stale_seq is None and self._state == ACTIVE:
+            self._stale_seq = self._seq
 
     def _stop_waiting(self) -> None:
         if self._wait is not None:

@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from flying_vines.vehicle.mission.storage import Kind
 
 RcLoss = Literal["frozen", "jump", "silent"]
+RcSource = Literal["pulses", "sbus", "crsf", "overrides", "joystick"]
+"""How the pilot's sticks reach the autopilot.
+
+pulses: a receiver on ArduPilot. sbus, crsf: a receiver on PX4's driver of that name. overrides: PX4 gets
+RC_CHANNELS_OVERRIDE from a ground station. joystick: PX4 gets MANUAL_CONTROL and has no RC_CHANNELS.
+"""
+
+LOSSES: dict[RcSource, tuple[RcLoss, ...]] = {
+    "pulses": ("frozen", "jump"),
+    "sbus": ("frozen", "jump"),
+    "crsf": ("frozen",),
+    "overrides": ("silent",),
+    "joystick": ("silent",),
+}
+"""What a loss can look like; the first one is the usual one."""
 
 CHANNELS = 16
+THROTTLE = 3
 _AT_REST_US = (1500, 1500, 1000, 1500, 1800, 1000, 1000, 1000, 1000) + (1500,) * 7
 _JUMP_US = (1500, 1500, 950) + (1500,) * 13
 _UNCHANGED_US, _RELEASED_US = (0, 65535), 65534
@@ -24,15 +40,22 @@ class Receiver:
     input of their own, which is there while they come.
     """
 
-    def __init__(self, kind: Kind, present: bool = True) -> None:
+    def __init__(self, kind: Kind, present: bool = True, source: RcSource | None = None) -> None:
+        self.source: RcSource = source or ("pulses" if kind == "ardupilot" else "overrides")
+        if (kind == "ardupilot") != (self.source == "pulses"):
+            raise ValueError(f"{kind} has no receiver {self.source!r} here")
         self.sticks_us = list(_AT_REST_US)
-        self.lost: RcLoss | None = None if present else "frozen"
+        self.lost: RcLoss | None = None
         self.overridden = False
         self.updates = 0
         """Counts the overrides that came; PX4 tells its channels once for each."""
-        self._kind = kind
-        self._received_us: tuple[int, ...] = tuple(self.sticks_us) if present else ()
+        self.has_rssi = True
+        """CRSF tells the link's quality, but not in a loss."""
+        self._received_us: tuple[int, ...] = tuple(self.sticks_us)
         self._overrides_us: dict[int, int] = {}
+        if not present or self.source == "joystick":
+            self.lost = LOSSES[self.source][0]
+            self._received_us = ()
 
     @property
     def values_us(self) -> tuple[int, ...]:
@@ -70,10 +93,19 @@ class Receiver:
         self._overrides_us.clear()
         self.overridden = False
 
-    def lose(self, how: RcLoss) -> None:
+    def lose(self, how: RcLoss, preset: Mapping[int, int] | None) -> None:
+        """The link is lost. In a "jump" the channels of `preset` have these values, the others stay."""
         self.lost = how
-        if how == "jump":
+        if how == "jump" and preset is None:
             self._received_us = _JUMP_US
+        elif how == "jump" and preset is not None:
+            values_us = enumerate(self._received_us, start=1)
+            self._received_us = tuple(preset.get(channel, us) for channel, us in values_us)
+
+    @property
+    def throttle_us(self) -> int:
+        """As received; 0 where nothing ever was."""
+        return self._received_us[THROTTLE - 1] if self._received_us else 0
 
     def restore(self) -> None:
         self.lost = None

@@ -18,6 +18,8 @@ class Snapshot:
     armed: bool
     calibrating: bool
     rc_failsafe: bool
+    rc_reported: bool
+    """PX4's health report calls RC good."""
     boot_s: float
     unix_s: float
     flight: Flight

@@ -20,7 +20,7 @@ HOME_POSITION, EXTENDED_SYS_STATE = 242, 245
 
 RC_RECEIVER = 0x10000
 
-# As recorded: a quad with its usual sensors; PX4's simulator shows no RC receiver.
+# As recorded: a quad with its usual sensors; PX4 shows an RC receiver only while it is good.
 _ARDUPILOT_PRESENT, _ARDUPILOT_ENABLED, _ARDUPILOT_HEALTH = 0x5371FC2F, 0x5361FC2F, 0x5771FC2F
 _ARDUPILOT_DISARMED = 0x01000000
 _PX4_PRESENT, _PX4_ENABLED, _PX4_HEALTH = 0x0300402F, 0x0301402F, 0x1320C83F
@@ -38,7 +38,9 @@ _PARAM_ENCODING: dict[Kind, int] = {
     "px4": mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE,
 }
 _UID = 0x5F1E5
-_PX4_OVERRIDDEN_CHANNELS, _PX4_OVERRIDDEN_RSSI = 18, 100
+# What each of PX4's RC inputs fills in: channel count, rssi, and the two channels behind the sticks.
+_PX4_RC = {"overrides": (18, 100, 1500), "sbus": (18, 255, 998), "crsf": (16, 61, 65535)}
+_NO_RSSI = 255
 
 
 class Px4MissionCurrent(mavlink.MAVLink_mission_current_message):  # type: ignore[misc]
@@ -68,10 +70,10 @@ def _heartbeat(now: Snapshot) -> Any:
     if now.kind == "ardupilot":
         autopilot = 3
         status = _ACTIVE if now.calibrating or now.flight.airborne else _STANDBY
-        status = _CRITICAL if now.rc_failsafe else status
     else:
         autopilot = 12
         status = _ACTIVE if now.armed else _STANDBY
+    status = _CRITICAL if now.rc_failsafe else status
     base = now.mode.base | (ARMED_FLAG if now.armed else 0)
     return mavlink.MAVLink_heartbeat_message(2, autopilot, base, now.mode.custom, status, 3)
 
@@ -79,6 +81,8 @@ def _heartbeat(now: Snapshot) -> Any:
 def _sys_status(now: Snapshot) -> Any:
     if now.kind == "px4":
         present, enabled, health = _PX4_PRESENT, _PX4_ENABLED, _PX4_HEALTH
+        if now.rc_reported:
+            present, health = present | RC_RECEIVER, health | RC_RECEIVER
     else:
         present, enabled, health = _ARDUPILOT_PRESENT, _ARDUPILOT_ENABLED, _ARDUPILOT_HEALTH
         if not now.armed:
@@ -144,15 +148,14 @@ def _mission_current(now: Snapshot) -> Any:
 
 
 def _rc_channels(now: Snapshot) -> Any | None:
-    values = now.receiver.values_us
-    count, rssi, unused = len(values), 255, 0
+    receiver = now.receiver
+    values = receiver.values_us
+    count, rssi, unused = len(values), _NO_RSSI, 0
     if now.kind == "px4":
         if not values:
             return None
-        unused = 65535
-        if now.receiver.overridden:
-            # As recorded: what comes by MAVLink is an RC input of its own, with all channels.
-            count, rssi, unused = _PX4_OVERRIDDEN_CHANNELS, _PX4_OVERRIDDEN_RSSI, 1500
+        count, rssi, unused = _PX4_RC["overrides" if receiver.overridden else receiver.source]
+        rssi = rssi if receiver.has_rssi else _NO_RSSI
     channels = (*values, *(unused,) * (18 - len(values)))
     return mavlink.MAVLink_rc_channels_message(now.boot_ms, count, *channels, rssi)
 

@@ -1,0 +1,302 @@
+"""Flights that show whether the service believes only what is true: each shall end without a foul.
+
+Each of them is a witness against one belief: a service that goes by it is called by the referee. What RC
+really does on PX4, and what ArduPilot hides, is in `tests/data/recordings/README.md`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+from needed import needs_compiler
+
+from flying_vines.fakes.autopilot import Kind, RcSource
+from flying_vines.vehicle.mission.item import MissionItem
+
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+from faults_flight import ACTUATOR, SCRIPT_MESSAGE, RefereedFlight, Setup
+
+pytestmark = needs_compiler
+
+RECEIVERS: list[RcSource] = ["sbus", "crsf"]
+BENT_KPA = 5.0
+SWITCH = 9
+
+
+def airborne(setup: Setup) -> RefereedFlight:
+    """And RC has been good for long enough to be believed."""
+    flight = RefereedFlight(setup)
+    flight.run(1.5)
+    flight.take_off()
+    flight.run(5.5)
+    return flight
+
+
+def px4(receiver: RcSource, seed: int = 1) -> RefereedFlight:
+    return airborne(Setup("px4", receiver=receiver, seed=seed))
+
+
+def ardupilot(parameters: Mapping[str, float] | None = None) -> RefereedFlight:
+    return airborne(Setup("ardupilot", parameters=parameters or {}))
+
+
+def bent(flight: RefereedFlight) -> RefereedFlight:
+    """By its pilot."""
+    flight.move_switch(2)
+    flight.run(3.0)
+    assert flight.phlosar.cv_kPa > BENT_KPA
+    return flight
+
+
+def assert_clean(flight: RefereedFlight) -> None:
+    assert flight.fouls == [], "\n".join(f"{t:7.3f} {text}" for t, text in flight.timeline)
+
+
+# The pilot's own moves: whatever the rules cost, these must go on.
+
+
+@pytest.mark.parametrize("receiver", [*RECEIVERS, "overrides"])
+def test_a_switch_on_px4_bends_and_straightens(receiver: RcSource) -> None:
+    flight = bent(px4(receiver))
+    flight.move_switch(0)
+    flight.run(0.7)
+    assert flight.phlosar.drive.evp == 0.0, "a release is never delayed"
+    flight.run(4.0)
+    assert flight.phlosar.cv_kPa < 1.0
+    flight.move_switch(1)
+    flight.run(4.0)
+    assert flight.phlosar.cv_kPa > BENT_KPA
+    assert_clean(flight)
+
+
+def test_a_switch_on_ardupilot_bends_within_half_a_second() -> None:
+    flight = ardupilot()
+    flight.move_switch(1)
+    flight.run(0.5)
+    assert flight.phlosar.cv_kPa > BENT_KPA
+    flight.run(3.0)
+    assert_clean(flight)
+
+
+# PX4 says late that a receiver of its own is lost, and goes on with its values.
+
+
+@pytest.mark.parametrize("receiver", RECEIVERS)
+def test_px4_frozen_values_hold_no_bend(receiver: RcSource) -> None:
+    flight = bent(px4(receiver))
+    flight.lose_rc("frozen")
+    flight.run(6.0)
+    assert flight.phlosar.cv_kPa < 1.0
+    flight.return_rc()
+    flight.run(3.0)
+    assert_clean(flight)
+
+
+@pytest.mark.parametrize("receiver", RECEIVERS)
+def test_px4_switch_moved_while_rc_was_lost_bends_nothing(receiver: RcSource) -> None:
+    flight = px4(receiver)
+    flight.lose_rc("frozen")
+    flight.run(2.5)
+    flight.move_switch(2)
+    flight.run(1.5)
+    flight.return_rc()
+    flight.run(4.0)
+    assert_clean(flight)
+
+
+@pytest.mark.parametrize("also", [{}, {5: 2000, 6: 1500}])
+def test_px4_preset_of_the_receiver_is_no_move(also: dict[int, int]) -> None:
+    flight = px4("sbus")
+    flight.lose_rc("jump", {SWITCH: 2000, **also})
+    flight.run(6.0)
+    flight.return_rc()
+    flight.run(3.0)
+    assert_clean(flight)
+
+
+@pytest.mark.parametrize("seconds", [0.2, 0.4, 0.9, 1.3])
+def test_px4_preset_in_a_blip_is_no_move(seconds: float) -> None:
+    flight = px4("sbus")
+    for _ in range(3):
+        flight.lose_rc("jump", {SWITCH: 2000})
+        flight.run(seconds)
+        flight.return_rc()
+        flight.run(3.5)
+    assert_clean(flight)
+
+
+# What ArduPilot hides by its parameters, and an override that ends.
+
+
+@pytest.mark.parametrize("parameters", [{"FS_THR_ENABLE": 0}, {"RC_FS_TIMEOUT": 8}, {"RC_OPTIONS": 36}])
+def test_ardupilot_switch_moved_in_a_hidden_loss_bends_nothing(parameters: dict[str, float]) -> None:
+    flight = ardupilot(parameters)
+    flight.lose_rc("frozen")
+    flight.run(2.0)
+    flight.move_switch(2)
+    flight.run(2.0)
+    flight.return_rc()
+    flight.run(3.0)
+    assert_clean(flight)
+
+
+def test_ardupilot_loss_hidden_in_flight_by_a_parameter() -> None:
+    flight = ardupilot()
+    flight.hide_rc_losses("FS_THR_ENABLE", 0.0)
+    flight.run(1.0)
+    flight.lose_rc("frozen")
+    flight.run(2.0)
+    flight.move_switch(2)
+    flight.run(2.0)
+    flight.return_rc()
+    flight.run(3.0)
+    assert_clean(flight)
+
+
+def test_an_override_that_ends_is_no_move() -> None:
+    flight = bent(ardupilot())
+    flight.vent()
+    flight.run(1.0)
+    flight.override(0)
+    flight.run(4.0)
+    flight.stop_override()
+    flight.run(6.0)
+    assert_clean(flight)
+
+
+# The mission that really runs, and when.
+
+
+def vine_item(kind: Kind, seq: int, code: float, angle_deg: float) -> MissionItem:
+    command, last = (ACTUATOR, 1.0) if kind == "px4" else (SCRIPT_MESSAGE, 0.0)
+    return MissionItem(seq, command, (code, angle_deg, 0.0, 0.0, 0.0, 0.0, last), 2)
+
+
+def mission(kind: Kind, *wanted: tuple[float, float], delay_s: float = 2.0) -> tuple[MissionItem, ...]:
+    """Up, and then for each a delay and what the vine is to do, code and angle."""
+    items = [] if kind == "px4" else [MissionItem(0, 16, (0.0,) * 7, 3)]
+    items.append(MissionItem(len(items), 22, (0.0,) * 6 + (8.0,), 3))
+    for code, angle_deg in wanted:
+        items.append(MissionItem(len(items), 93, (delay_s,) + (0.0,) * 6, 2 if kind == "px4" else 3))
+        items.append(vine_item(kind, len(items), code, angle_deg))
+    items.append(MissionItem(len(items), 93, (20.0,) + (0.0,) * 6, 2 if kind == "px4" else 3))
+    return tuple(items)
+
+
+def other_numbers(stored: tuple[MissionItem, ...], code: float, angle_deg: float) -> tuple[MissionItem, ...]:
+    own = (ACTUATOR, SCRIPT_MESSAGE)
+    return tuple(
+        dataclasses.replace(item, params=(code, angle_deg, *item.params[2:])) if item.command in own else item
+        for item in stored
+    )
+
+
+KINDS: list[Kind] = ["ardupilot", "px4"]
+OTHERS = [((1.0, 11.0), (1.0, 44.0)), ((1.0, 44.0), (1.0, 11.0)), ((5.0, 0.0), (0.0, 0.0))]
+"""What is stored before, and after."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("waits_s", [0.2, 3.0, 10.0])
+@pytest.mark.parametrize(("before", "after"), OTHERS)
+def test_what_is_stored_is_executed_when_the_mission_begins(
+    kind: Kind, waits_s: float, before: tuple[float, float], after: tuple[float, float]
+) -> None:
+    stored = mission(kind, before, before, delay_s=0.0)
+    flight = airborne(Setup(kind, mission=stored))
+    flight.replace_mission(other_numbers(stored, *after))
+    flight.run(waits_s)
+    flight.start_mission()
+    flight.run(6.0)
+    assert_clean(flight)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("sooner_s", [0.15, 0.5, 1.5])
+def test_what_is_stored_is_executed_when_it_was_replaced_on_the_way(kind: Kind, sooner_s: float) -> None:
+    stored = mission(kind, (1.0, 11.0), (1.0, 11.0), delay_s=4.0)
+    flight = airborne(Setup(kind, mission=stored))
+    flight.start_mission()
+    while not flight.autopilot.payload_log:
+        flight.run(0.1)
+    flight.run(4.0 - sooner_s)
+    flight.replace_mission(other_numbers(stored, 1.0, 44.0))
+    flight.run(8.0)
+    assert_clean(flight)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("stall_s", [2.0, 5.0])
+@pytest.mark.parametrize("process", [False, True])
+def test_an_item_that_is_heard_late_is_not_carried_out(kind: Kind, stall_s: float, process: bool) -> None:
+    flight = airborne(Setup(kind, mission=mission(kind, (1.0, 40.0)), has_rc=False))
+    flight.start_mission()
+    flight.run(1.5)
+    if process:
+        flight.stall_companion(stall_s)
+    else:
+        flight.stall_vehicle_link(stall_s)
+        flight.run(stall_s)
+    assert flight.autopilot.payload_log
+    flight.run(4.0)
+    assert_clean(flight)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("process", [False, True])
+def test_a_button_that_is_heard_late_bends_nothing(kind: Kind, process: bool) -> None:
+    flight = airborne(Setup(kind, has_rc=False))
+    if process:
+        flight.stall_companion(4.0, meanwhile=lambda: flight.press(5))
+    else:
+        flight.stall_vehicle_link(4.0)
+        flight.run(1.0)
+        flight.press(5)
+        flight.run(3.0)
+    flight.run(4.0)
+    assert_clean(flight)
+
+
+def test_a_straightening_that_was_lost_on_px4_comes_after_all() -> None:
+    flight = airborne(Setup("px4", mission=mission("px4", (5.0, 0.0), (0.0, 0.0), delay_s=4.0), has_rc=False))
+    flight.start_mission()
+    while not flight.autopilot.payload_log:
+        flight.run(0.1)
+    flight.run(3.5)
+    assert flight.phlosar.cv_kPa > BENT_KPA
+    flight.lose_commands()
+    flight.run(1.0)
+    assert len(flight.autopilot.payload_log) == 2
+    flight.run(8.0)
+    assert flight.phlosar.cv_kPa < 1.0
+    assert_clean(flight)
+
+
+# Limits.
+
+
+def test_losses_do_not_restart_the_longest_time_bent() -> None:
+    flight = bent(airborne(Setup("ardupilot", holds=True, max_bent_s=8.0)))
+    for _ in range(5):
+        flight.lose_rc("frozen")
+        flight.run(2.0)
+        flight.return_rc()
+        flight.run(1.0)
+    assert flight.phlosar.cv_kPa < 1.0
+    assert_clean(flight)
+
+
+def test_losses_do_not_restart_the_longest_hold() -> None:
+    flight = bent(airborne(Setup("ardupilot", holds=True)))
+    for _ in range(4):
+        flight.lose_rc("frozen")
+        flight.run(3.0)
+        flight.return_rc()
+        flight.run(0.3)
+    assert flight.phlosar.cv_kPa < 1.0, "held for 4 s at most"
+    assert_clean(flight)
