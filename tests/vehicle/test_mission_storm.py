@@ -94,7 +94,7 @@ def test_the_storms_are_storms() -> None:
     ran = lost = unknown = 0
     for seed in range(8):
         dice = random.Random(seed)
-        storm = Storm("ardupilot", dice, Link(0.3), mission("ardupilot", dice, wild=True))
+        storm = Storm("ardupilot", dice, Link(0.5), mission("ardupilot", dice, wild=True))
         fly(storm, 20.0, happenings=3)
         ran += len(storm.ran)
         lost += len(compare(storm).missed)
