@@ -329,7 +329,7 @@ class Referee:
             self._call(t, "safe state", f"moving in spite of: {_holding(self._forbidden, t)}")
         if drive.evp > 0.0 and t >= self._no_inflation_from_s:
             self._call(t, "safe state", f"inflating in spite of: {_holding(self._no_inflation, t)}")
-        if t > self._last_trigger_s + self._rules.max_bent_s + 0.5:
+        if math.inf > t - self._last_trigger_s > self._rules.max_bent_s + 0.5:
             self._call(t, "trigger", f"bent for more than {self._rules.max_bent_s:g} s without a trigger")
         if self._resting:
             self._resting = False
