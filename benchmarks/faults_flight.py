@@ -482,6 +482,7 @@ class RefereedFlight:
         now_s = self.now_s if at_s is None else at_s
         self._expected = None
         within_s += self._stalled_s
+        after_s = max(after_s, self._stalled_s)
         if self._vehicle_is_spoiled:
             within_s += LATE_S
         if bends:

@@ -99,7 +99,7 @@ class Referee:
         self._codec = Codec()
         self._triggers: list[_Trigger] = []
         self._targets: list[_Target] = []
-        self._steady_kPa = self._steady_since_s = 0.0
+        self._steady_kPa, self._steady_since_s = -math.inf, 0.0
         self._last_trigger_s = -math.inf
         self._forbidden: dict[str, float] = {}
         self._no_inflation: dict[str, float] = {}
@@ -410,6 +410,7 @@ class Referee:
     def _rest(self) -> None:
         self._resting = True
         self._asked_s = None
+        self._steady_kPa = -math.inf
 
     def _find_deadlines(self) -> None:
         self._forbidden_from_s = min(self._forbidden.values(), default=math.inf)
