@@ -308,7 +308,7 @@ def _faults(setup: Setup) -> tuple[str, ...]:
     if setup.mission:
         more += ("mission replaced", "mission replaced", "mission replaced")
     if setup.has_rc:
-        more += ("RC lost", "RC lost", "RC blip", "RC blip")
+        more += 4 * ("RC lost", "RC blip")
     return _FAULTS + more
 
 
