@@ -115,6 +115,7 @@ def state() -> bytes:
     return _timeless(
         State(
             unix_s=0.0,
+            t=81234.568712,
             vehicle="ArduPilot 1",
             mode="AUTO",
             armed=True,

@@ -408,7 +408,7 @@ async def _serve(config: Config, text: str, known: Calibration | None, arguments
     belief = known.belief if known else None
     gateway = Gateway(
         config,
-        ask=lambda by, intent: service.ask(by, intent),
+        ask=lambda *asked: service.ask(*asked),
         say=lambda text: service.say(Severity.WARNING, text),
         page_token=page_token,
     )

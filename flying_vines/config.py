@@ -67,6 +67,10 @@ class Firmware(_Table, frozen=True):
     link: str = "serial:/dev/ttyACM0"
 
 
+ReceiverFailsafe = Literal["unknown", "hold", "hidden"] | Annotated[int, Meta(ge=800, le=2200)]
+"""What the switch's channel reads while the transmitter is lost, as `flying-vines doctor --radio` saw it."""
+
+
 class Switch(_Table, frozen=True):
     positions: tuple[str, ...] = ("straight", "bend-half", "bend-full")
     channel: Annotated[int, Meta(ge=1, le=18)] = 9
@@ -75,7 +79,9 @@ class Switch(_Table, frozen=True):
     hysteresis_us: Annotated[float, Meta(ge=0, le=60)] = 25.0
     throttle_channel: Annotated[int, Meta(ge=0, le=18)] = 3
     throttle_failsafe_us: Annotated[float, Meta(ge=0, le=1200)] = 975.0
-    receiver_failsafe: Literal["unknown", "hold"] | Annotated[int, Meta(ge=800, le=2200)] = "unknown"
+    receiver_failsafe: Literal["unknown", "hold", "hidden"] | Annotated[int, Meta(ge=800, le=2200)] = (
+        "unknown"
+    )
 
     def __post_init__(self) -> None:
         if len(self.positions) not in (2, 3, 6):
@@ -148,7 +154,6 @@ class Losses(_Table, frozen=True):
     autopilot_s: Annotated[float, Meta(ge=1.5, le=30)] = 3.0
     telemetry_s: Annotated[float, Meta(ge=0.1, le=2)] = 0.3
     on_rc_loss: Literal["vent", "hold"] = "vent"
-    on_autopilot_loss: Literal["vent", "hold"] = "vent"
     hold_at_most_s: Positive = 30.0
 
 
@@ -300,6 +305,7 @@ def parse(text: str, source: str) -> Config:
         raise ConfigError(f"{source}:{line}: not TOML: {str(error).split(' (at')[0]}") from None
     except RecursionError:
         raise ConfigError(f"{source}: not TOML: nested too deeply") from None
+    _leave_out_what_is_gone(raw, text, source)
     try:
         inside: Key = ()
         for name, profile in _profiles_of(raw):
@@ -312,6 +318,16 @@ def parse(text: str, source: str) -> Config:
     for key, reason in _contradictions(config):
         raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
     return config
+
+
+def _leave_out_what_is_gone(raw: dict[str, Any], text: str, source: str) -> None:
+    """A profile of an earlier version holds where it asks for what is done anyway."""
+    losses = raw.get("losses")
+    wanted = losses.pop("on_autopilot_loss", "vent") if isinstance(losses, dict) else "vent"
+    if wanted != "vent":
+        key = ("losses", "on_autopilot_loss")
+        reason = "take this line out: a lost autopilot always vents, as the altitude is lost with it"
+        raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
 
 
 def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:

@@ -36,6 +36,8 @@ from flying_vines.events import (
     VehicleMessage,
 )
 from flying_vines.intent import (
+    ACTS_WITHIN_S,
+    COMMAND_OF,
     ArmPneumatics,
     ClearFaults,
     DisarmPneumatics,
@@ -55,8 +57,10 @@ from flying_vines.reservoir import Belief, CyclesLeft, ReservoirEstimate, nomina
 from flying_vines.safety import Conditions, Entered, Left, Ruling, Safety
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.parameters import Changed
+from flying_vines.vehicle.link_loss import LinkLoss
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.triggers import Trigger
+from flying_vines.vehicle.pilot import Straightened
+from flying_vines.vehicle.triggers import Trigger, only_lets_out
 from flying_vines.vehicle.vehicle import Output, Vehicle
 from flying_vines.vine.motion import Motion
 from flying_vines.vine.staircase import Readings
@@ -69,6 +73,12 @@ SPEAK_FIRST_S = 1.5
 
 BENCH_S = 300.0
 """So long after the last that was asked for, whoever tried the vine on the ground has gone."""
+
+_BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
+"""Triggers that are no other's wish than the pilot's."""
+
+PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
+"""What the page may ask for in flight too, besides letting air out."""
 
 _DONE = {"serial": "its dead-man vents", "telemetry": "told to vent", "venting": "outlet told open"}
 """Where nobody can know that the vine is vented, the pilot is told no more than was done about it."""
@@ -92,6 +102,7 @@ class Core:
         disarmed: bool = False,
     ) -> None:
         self._vehicle = Vehicle(profile, mission, parameters)
+        self._link_loss = LinkLoss(self._vehicle)
         config = self.config
         self._bent_kPa = 0.0
         self._cv_kPa = deque((math.nan,), maxlen=2)
@@ -110,6 +121,8 @@ class Core:
         self._low_told = False
         self._alone_since: float | None = None
         self._motion: Motion | None = None
+        self._triggered_at = 0.0
+        """When a person or the mission last asked for what the vine does now."""
         self._calibration: tuple[Motion, Readings] | None = None
         self._pneumatics_armed = config.interlocks.armed_at_start and not disarmed
         self._bench_until = -math.inf
@@ -140,8 +153,8 @@ class Core:
                 self._on_firmware_link(t, up)
             case Tick(t):
                 self._on_tick(t)
-            case Asked(t, by, intent):
-                self._decide(t, Trigger(t, by, {}, intent, by_person=True))
+            case Asked():
+                self._decide(event.t, self._asked(event))
             case Said(t, severity, text):
                 self._notice(t, severity, text)
             case Stop(t):
@@ -162,6 +175,8 @@ class Core:
                 self._tell(output)
             elif isinstance(output, Changed):
                 self._configure(output)
+            elif isinstance(output, Straightened):
+                self._clear_faults(t)
             else:
                 self._send(output)
 
@@ -201,7 +216,7 @@ class Core:
                         self._look(t)
                 case fw.FirmwareReset(reason):
                     self._firmware_problem = "restarted"
-                    self._enter(t, self._safety.latch("firmware_reset", f"phloSAR restarted: {reason}"))
+                    self._enter(t, self._safety.latch(t, "firmware_reset", f"phloSAR restarted: {reason}"))
                 case fw.Incompatible(reason):
                     self._firmware_problem = reason
                     self._notice(t, Severity.ERROR, f"{reason}")
@@ -226,17 +241,45 @@ class Core:
 
     # Deciding.
 
+    def _asked(self, asked: Asked) -> Trigger:
+        """Of one who does not ask over MAVLink: how late it may be, and what may be asked for in what way."""
+        t, by, intent = asked.t, asked.by, asked.intent
+        problem = "" if only_lets_out(self.config, intent) else self._may_not_ask(asked)
+        seen_at = asked.seen_at
+        if by == "calibration":
+            seen_at = t
+        elif seen_at is None or seen_at > t:
+            # Of the time before the computer was started: it has seen nothing of this run.
+            seen_at = -math.inf
+        if isinstance(intent, ClearFaults) and seen_at == -math.inf:
+            problem = problem or "it does not say which state was seen"
+        return Trigger(t, by, {}, intent, problem, by_person=not problem, seen_at=seen_at)
+
+    def _may_not_ask(self, asked: Asked) -> str:
+        age_s = 0.0 if asked.made_at is None else asked.t - asked.made_at
+        if age_s > ACTS_WITHIN_S:
+            return f"too late: asked {age_s:.1f} s ago"
+        command = COMMAND_OF[type(asked.intent)]
+        if asked.by == "broker" and command not in self.config.mqtt.commands:
+            return f"mqtt.commands does not list {command}"
+        if asked.by == "page" and command not in PAGE_COMMANDS:
+            if self._vehicle.state.armed:
+                return "the page bends nothing while the vehicle is armed"
+            if not (self._on_bench or self.config.interlocks.bench_mode):
+                return "the page bends in bench mode only"
+        return ""
+
     def _decide(self, t: float, trigger: Trigger) -> Decision:
         """Let safety look at a trigger, carry its intent out or say why not."""
         now = self._look(t)
         intent = trigger.intent
         if trigger.by_person and self._on_bench:
             self._bench_until = t + BENCH_S
-        if intent is None:
+        if intent is None or trigger.problem:
             return self._record(t, trigger, Ruling("refused", trigger.problem))
         if self._stopped:
             return self._record(t, trigger, Ruling("refused", "the service is stopping"))
-        settled = self._without_air(t, intent, trigger.by_person)
+        settled = self._without_air(t, intent, trigger)
         if settled is not None:
             return self._record(t, trigger, settled)
         if problem := self._mover.problem(intent):
@@ -244,7 +287,7 @@ class Core:
         move = self._move(t, intent)
         demand = move.demand(self._reservoir, self._belief)
         if trigger.by_person and demand.releases:
-            self._clear_faults(t)
+            self._clear_faults(t, trigger.seen_at)
         ruling = self._safety.judge(demand, now)
         if ruling.verdict == "refused":
             return self._record(t, trigger, ruling)
@@ -253,19 +296,24 @@ class Core:
         if demand.releases and self._motion is None:
             self._stop_moving(t)
         else:
+            self._note_trigger(t)
             self._motion = Motion(move.trajectory, t, move.rate_kPa_per_s, str(intent))
             if isinstance(intent, StartCalibration):
                 self._calibration = self._motion, Readings(self.config.calibration.hold_s)
             self._drive(t)
         return self._record(t, trigger, ruling)
 
-    def _without_air(self, t: float, intent: Intent, by_person: bool) -> Ruling | None:
+    def _note_trigger(self, t: float) -> None:
+        self._triggered_at = t
+        self._safety.triggered()
+
+    def _without_air(self, t: float, intent: Intent, trigger: Trigger) -> Ruling | None:
         """Carry out what takes no air, or say why not; None for what does take some."""
         match intent:
-            case ClearFaults() | ArmPneumatics() | StartBench() | StartCalibration() if not by_person:
+            case ClearFaults() | ArmPneumatics() | StartBench() | StartCalibration() if not trigger.by_person:
                 return Ruling("refused", "only a person may do that")
             case ClearFaults():
-                return self._clear_faults(t)
+                return self._clear_faults(t, trigger.seen_at)
             case ArmPneumatics():
                 self._pneumatics_armed = True
                 self._actions.append(KeepDisarmed(t, False))
@@ -276,8 +324,8 @@ class Core:
                 self._actions.append(KeepDisarmed(t, True))
                 return Ruling("accepted")
             case Vent():
-                if by_person:
-                    self._clear_faults(t)
+                if trigger.by_person:
+                    self._clear_faults(t, trigger.seen_at)
                 self._stop_moving(t)
                 return Ruling("accepted")
             case Hold():
@@ -309,18 +357,21 @@ class Core:
             return Ruling("refused", "the vine is vented")
         if self._safety.reasons:
             return Ruling("refused", "; ".join(self._safety.reasons.values()))
+        # Whoever holds wants the vine as it is from now on.
+        self._note_trigger(t)
         self._freeze(t)
         return Ruling("accepted")
 
     def _freeze(self, t: float) -> None:
+        """Stay where the vine is. `limits.max_bent_s` runs on: a loss that holds is nobody's wish."""
         move = self._move(t, SetPressure(self._setpoint_kPa(t)))
         self._motion = Motion(move.trajectory, t, move.rate_kPa_per_s, "hold")
         self._drive(t)
 
-    def _clear_faults(self, t: float) -> Ruling:
+    def _clear_faults(self, t: float, seen_at: float = math.inf) -> Ruling:
         now = self._conditions(t)
-        cleared = self._safety.clear(now)
-        if now.faults:
+        cleared = self._safety.clear(now, seen_at)
+        if now.faults and self._safety.firmware_faults_seen(seen_at):
             self._to_firmware(self._firmware.clear_faults(t, now.faults))
         if cleared:
             self._notice(t, Severity.NOTICE, f"cleared {', '.join(cleared)}")
@@ -338,6 +389,8 @@ class Core:
             setpoint_kPa=round(motion.trajectory.aim_kPa, 3) if motion else 0.0,
         )
         self._actions.append(decision)
+        if ruling.verdict != "refused" and trigger.kind not in _BY_PILOT_OR_SAFETY:
+            self._vehicle.pilot.others_asked(straightened=motion is None or motion.only_lets_out)
         if ruling.verdict == "refused":
             asked = decision.intent or trigger.kind.replace("_", " ")
             self._notice(t, Severity.WARNING, f"refused {asked}: {ruling.reason}", True)
@@ -421,6 +474,8 @@ class Core:
         elif t > self._bench_until:
             self._leave_bench(t, "nobody asked for anything")
         self._look(t)
+        if told := self._link_loss.back(t, self._safety.reasons):
+            self._notice(t, Severity.NOTICE, told)
         if not self._stopped:
             self._drive(t)
         self._follow_calibration(t)
@@ -430,7 +485,6 @@ class Core:
 
     def _conditions(self, t: float) -> Conditions:
         telemetry = self._firmware.telemetry
-        heartbeat_at = self._vehicle.state.heartbeat_at
         rc_problem = self._vehicle.rc.problem(t)
         if rc_problem is None:
             self._rc_in_use = (
@@ -446,7 +500,8 @@ class Core:
             armed=self._vehicle.state.armed,
             altitude_m=self._vehicle.state.altitude_m(t),
             rc_problem=rc_problem if self._rc_in_use else None,
-            autopilot_age_s=None if heartbeat_at is None else t - heartbeat_at,
+            autopilot_age_s=self._vehicle.state.silence_s(t),
+            heartbeat_missing=self._vehicle.state.heartbeat_missing,
             firmware_ready=self._firmware.state is fw.SessionState.READY,
             firmware_was_ready=self._firmware_was_ready,
             firmware_problem=self._firmware_problem,
@@ -457,7 +512,7 @@ class Core:
             unheeded_s=0.0 if self._unheeded_since is None else t - self._unheeded_since,
             bench=self._on_bench,
             moving=self._motion is not None,
-            moving_s=t - self._motion.started_at if self._motion else 0.0,
+            moving_s=t - self._triggered_at if self._motion else 0.0,
             physics=self._checks.faults,
         )
 
@@ -481,15 +536,18 @@ class Core:
             self._freeze(t)
         else:
             self._stop_moving(t)
-        if change.name == "autopilot":
+        if change.name == "autopilot" and not self._vehicle.state.heartbeat_missing:
             self._vehicle.forget_radio()
         if mattered:
             trigger = Trigger(t, "failsafe", {"loss": change.name}, Hold() if hold else Vent())
             self._record(t, trigger, Ruling("accepted", change.reason))
         done = "holding" if hold else _DONE.get(change.name, "vented")
-        self._notice(t, Severity.WARNING, f"{change.reason}, {done}", mattered)
+        if told := self._link_loss.entered(t, change.name, change.reason, done):
+            self._notice(t, Severity.WARNING, told, mattered)
 
     def _leave(self, t: float, change: Left) -> None:
+        if not self._link_loss.left(change.name):
+            return
         rc_is_off = self._vehicle.rc.problem(t) is not None
         over = {
             "rc": f"{'going on without RC' if rc_is_off else 'RC is back'}, waiting for a fresh move",

@@ -322,7 +322,7 @@ async def fly(
 
         gateway = Gateway(
             config,
-            ask=lambda by, intent: service.ask(by, intent),
+            ask=lambda *asked: service.ask(*asked),
             say=lambda text: service.say(Severity.WARNING, text),
         )
         service = Service(config, (log, EachAction(take), gateway))

@@ -64,6 +64,10 @@ class Asked:
     t: float
     by: Asker
     intent: Intent
+    made_at: float | None = None
+    """When it was asked for, by the clock of `t`; None: now."""
+    seen_at: float | None = None
+    """The `t` of the snapshot that the person looked at: page and broker clear no fault that came later."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,9 @@ Command = Literal[
 Asker = Literal["page", "broker", "calibration"]
 """By what way a person asks who does not ask over MAVLink."""
 
+ACTS_WITHIN_S = 1.0
+"""A request of page or broker that is older only lets air out: that is never late."""
+
 
 @dataclass(frozen=True, slots=True)
 class StartProfile:
@@ -141,3 +144,18 @@ Intent = (
     | StartCalibration
     | StopCalibration
 )
+
+COMMAND_OF: dict[type[Intent], Command] = {
+    Vent: "vent",
+    Hold: "hold",
+    StartProfile: "profile",
+    BendTo: "bend",
+    SetPressure: "pressure",
+    ClearFaults: "clear_faults",
+    ArmPneumatics: "arm",
+    DisarmPneumatics: "disarm",
+    StartBench: "start_bench",
+    StopBench: "stop_bench",
+    StartCalibration: "start_calibration",
+    StopCalibration: "stop_calibration",
+}

@@ -43,7 +43,9 @@ class Conditions:
     rc_problem: str | None = None
     """Why RC cannot be believed; None when it can, or when this flight does without RC."""
     autopilot_age_s: float | None = None
-    """Since its last heartbeat; None when none was ever heard."""
+    """Since any frame of it; None when none was ever heard."""
+    heartbeat_missing: bool = False
+    """Other frames of the autopilot come, but none says whether it is armed."""
     firmware_ready: bool = False
     firmware_was_ready: bool = False
     firmware_problem: str = "not connected"
@@ -58,7 +60,7 @@ class Conditions:
     moving: bool = False
     """Whether the vine is held or moved under pressure."""
     moving_s: float = 0.0
-    """Since the trigger that moved it."""
+    """Since a person or the mission last asked for what it does; a loss asks for nothing."""
     physics: Mapping[str, str] = field(default_factory=dict)
     """Where the physics does not answer as predicted: the checks that are faults, with a sentence each."""
 
@@ -110,7 +112,16 @@ class Safety:
         self.configure(config)
         self._present: dict[str, str] = {}
         self._latched: dict[str, str] = {}
-        self._held_since: dict[str, float] = {}
+        self._latched_at: dict[str, float] = {}
+        """When the cause of each appeared last."""
+        self._causes: set[str] = set()
+        self._faults = Fault.NONE
+        self._faults_at = -math.inf
+        """When the firmware told a new fault last."""
+        self._held_s = 0.0
+        """For how long the vine was held in losses since the last trigger, however many they were."""
+        self._held_at: float | None = None
+        """Up to when that is counted, while it is held."""
         self._tripped: set[str] = set()
 
     def configure(self, config: Config) -> None:
@@ -124,28 +135,42 @@ class Safety:
         """Losses and latched faults that hold now, by name, with a sentence each."""
         return {**self._present, **self._latched}
 
+    def triggered(self) -> None:
+        """A person or the mission asked, and it is carried out: what is held is counted anew."""
+        self._held_s = 0.0
+
     def watch(self, t: float, now: Conditions) -> list[Entered | Left]:
         """What began and what ended at time `t`."""
         changes: list[Entered | Left] = []
-        for name, cause in self._latching(now).items():
+        causes = self._latching(now)
+        for name, cause in causes.items():
             if name not in self._latched:
-                changes.append(self.latch(name, cause))
+                changes.append(self.latch(t, name, cause))
+            elif name not in self._causes:
+                self._latched_at[name] = t
+        self._causes = set(causes)
+        if int(now.faults) & ~int(self._faults):
+            self._faults_at = t
+        self._faults = now.faults
+        if self._held_at is not None:
+            self._held_s += t - self._held_at
+            self._held_at = t
         for name, look in _LOSSES.items():
             reason = look(self, now)
             if reason and name not in self._present:
                 self._present[name] = reason
                 response = self._response(name)
                 if response == "hold":
-                    self._held_since[name] = t
+                    self._held_at = t
                 changes.append(Entered(name, reason, response))
             elif not reason and name in self._present:
                 del self._present[name]
-                self._held_since.pop(name, None)
+                if name == "rc":
+                    self._held_at = None
                 changes.append(Left(name))
-        for name, since in list(self._held_since.items()):
-            if t - since > self._losses.hold_at_most_s:
-                del self._held_since[name]
-                changes.append(Entered(name, f"{self._present[name]}, held long enough", "vent"))
+        if self._held_at is not None and self._held_s >= self._losses.hold_at_most_s:
+            self._held_at = None
+            changes.append(Entered("rc", f"{self._present['rc']}, held long enough", "vent"))
         for name, look in _LIMITS.items():
             reason = look(self, now) if now.moving else None
             if not reason:
@@ -156,10 +181,9 @@ class Safety:
         return changes
 
     def _response(self, name: str) -> Literal["vent", "hold"]:
-        if name == "rc":
+        """Only a lost RC is held: without autopilot or board nobody knows where the vine is, and how high."""
+        if name == "rc" and self._held_s < self._losses.hold_at_most_s:
             return self._losses.on_rc_loss
-        if name == "autopilot":
-            return self._losses.on_autopilot_loss
         return "vent"
 
     def _latching(self, now: Conditions) -> dict[str, str]:
@@ -167,18 +191,28 @@ class Safety:
         overpressure = self._overpressure(now)
         return {**({"overpressure": overpressure} if overpressure else {}), **now.physics}
 
-    def latch(self, name: str, reason: str) -> Entered:
+    def latch(self, t: float, name: str, reason: str) -> Entered:
         """A fault that is an event, not a condition."""
         self._latched[name] = reason
+        self._latched_at[name] = t
         return Entered(name, reason, "vent")
 
-    def clear(self, now: Conditions) -> list[str]:
-        """A person clears latched faults; those whose cause is still there stay. Returns what was cleared."""
+    def clear(self, now: Conditions, seen_at: float = math.inf) -> list[str]:
+        """A person clears latched faults. Returns what was cleared.
+
+        Those stay whose cause is still there, and those that came after `seen_at`: they were not seen.
+        """
         present = self._latching(now)
-        cleared = [name for name in self._latched if name not in present]
+        cleared = [
+            name for name in self._latched if name not in present and self._latched_at[name] <= seen_at
+        ]
         for name in cleared:
             del self._latched[name]
         return cleared
+
+    def firmware_faults_seen(self, seen_at: float) -> bool:
+        """Whether all faults that the firmware tells now were there at `seen_at`."""
+        return self._faults_at <= seen_at
 
     def judge(self, demand: Demand, now: Conditions) -> Ruling:
         """Whether an intent may be carried out. Letting air out always may."""
@@ -235,7 +269,7 @@ class Safety:
     def _autopilot(self, now: Conditions) -> str | None:
         if now.autopilot_age_s is not None and now.autopilot_age_s > self._losses.autopilot_s:
             return f"autopilot silent for {self._losses.autopilot_s:g} s"
-        return None
+        return "no HEARTBEAT, armed or not is unknown" if now.heartbeat_missing else None
 
     def _serial(self, now: Conditions) -> str | None:
         if now.firmware_was_ready and not now.firmware_ready:

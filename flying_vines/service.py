@@ -99,9 +99,14 @@ class Service:
         """Let people read this, here and on the ground station."""
         self._feed(Said(self.now, severity, text))
 
-    def ask(self, by: Asker, intent: Intent) -> Decision:
-        """What a person wants who does not ask over MAVLink, and what comes of it."""
-        actions = self._feed(Asked(self.now, by, intent))
+    def ask(
+        self, by: Asker, intent: Intent, made_at: float | None = None, seen_at: float | None = None
+    ) -> Decision:
+        """What a person wants who does not ask over MAVLink, and what comes of it.
+
+        `made_at` and `seen_at` are those of `Asked`.
+        """
+        actions = self._feed(Asked(self.now, by, intent, made_at, seen_at))
         return next(action for action in actions if isinstance(action, Decision) and action.trigger == by)
 
     async def run(self) -> None:

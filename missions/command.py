@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import re
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 NOT_AS_PLANNED = 1
 SCRIPT = "vine_items.lua"
+_NEGATIVE = re.compile(r"-\.?\d")
 GROUND_STATION_LINK = "udpin:0.0.0.0:14550"
 
 
@@ -62,6 +64,8 @@ def add(commands: Any) -> None:
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
+    # Before Python 3.14 a place in the south or west ("-35.36,149.16,584") was taken for an option.
+    parser._negative_number_matcher = _NEGATIVE
     parser.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
     parser.add_argument("--autopilot", choices=("ardupilot", "px4"), help="(default: what the mission says)")
     parser.add_argument(

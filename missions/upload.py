@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
@@ -22,7 +22,7 @@ DONE, DIFFERS, REFUSED = 0, 1, 2
 
 _NUMBERS = ("param1", "param2", "param3", "param4", "x", "y", "z")
 _HOME = 0
-_WAYPOINT, _TAKEOFF, _ABOVE_SEA = 16, 22, 0
+_WAYPOINT, _RETURN, _LAND, _TAKEOFF, _ABOVE_SEA = 16, 20, 21, 22, 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,7 @@ def _is_kept(kind: Kind, sent: MissionItem, held: MissionItem) -> bool:
     if kind == "ardupilot" and sent.seq == _HOME:
         return True
     try:
-        return _same(store(kind, over_the_wire(sent)), held)
+        return _same(kind, store(kind, over_the_wire(sent)), held)
     except MissionRefused:
         return False
 
@@ -140,13 +140,13 @@ def compare(kind: Kind, sent: Sequence[MissionItem], held: Sequence[MissionItem]
                 f"item {before.seq} ({name_of(before)}): taken, which {NAMES[kind]} was not known to do."
             )
             continue
-        if not _same(expected, after):
+        if not _same(kind, expected, after):
             unexpected.append(
                 f"item {before.seq} ({name_of(before)}): the vehicle holds {_in_full(after)}, "
                 f"expected was {_in_full(expected)}."
             )
         else:
-            changed.extend(_changes(before, after))
+            changed.extend(_changes(_meant(kind, before), _meant(kind, after)))
     return Comparison(tuple(changed), tuple(unexpected))
 
 
@@ -158,7 +158,18 @@ def _changes(before: MissionItem, after: MissionItem) -> list[str]:
     ]
 
 
-def _same(one: MissionItem, other: MissionItem) -> bool:
+def _meant(kind: Kind, item: MissionItem) -> MissionItem:
+    """Without what the autopilot fills in whatever was sent, and what says nothing to the flight."""
+    if kind == "ardupilot" and item.command == _RETURN:
+        return replace(item, params=(0.0,) * 7, frame=0)
+    if kind == "ardupilot" and item.command == _LAND:
+        return replace(item, params=(*item.params[:3], 0.0, *item.params[4:]))
+    return item
+
+
+def _same(kind: Kind, one: MissionItem, other: MissionItem) -> bool:
+    """Whether two items make the same flight and the same vine."""
+    one, other = _meant(kind, one), _meant(kind, other)
     numbers = zip(one.params, other.params, strict=True)
     is_same = (one.command, one.frame) == (other.command, other.frame)
     return is_same and all(_close(a, b) for a, b in numbers)

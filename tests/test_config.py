@@ -175,6 +175,7 @@ def test_a_key_like_no_other_is_named_without_a_guess() -> None:
         ("[switch]\npositions = 'straight'", 2, "switch.positions", "expected array, got str"),
         ("[switch]\npositions = ['straight', 5]", 2, "switch.positions[1]", "expected str, got int"),
         ("[losses]\non_rc_loss = 'land'", 2, "losses.on_rc_loss", "'land': give one of vent, hold"),
+        ("[losses]\non_autopilot_loss = 'hold'", 2, "losses.on_autopilot_loss", "take this line out"),
         ("[losses]\nrc_s = 20", 2, "losses.rc_s", "expected float <= 10.0"),
         ("[interlocks]\nbench_mode = 1", 2, "interlocks.bench_mode", "expected bool, got int"),
         ("[[items]]\nprofile = 'straight'", 1, "items[0]", "'command' is missing"),
@@ -431,3 +432,10 @@ def test_any_slip_in_the_built_in_profile_parses_or_is_refused(at: int, length: 
     whole = config.default_text()
     at %= len(whole)
     parses_or_is_refused(whole[:at] + put + whole[at + length :])
+
+
+def test_a_profile_of_an_earlier_version_that_vents_where_the_autopilot_is_lost_still_holds() -> None:
+    text = config.default_text()
+    old = text.replace("[losses]\n", "[losses]\non_autopilot_loss = 'vent'\n")
+    assert old != text
+    assert config.parse(old, "test") == config.default()

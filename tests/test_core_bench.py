@@ -54,7 +54,7 @@ def vented(flight: SimulatedFlight) -> bool:
 def test_on_the_ground_nothing_bends_without_it() -> None:
     flight = on_the_ground()
     refused = ask(flight, SetPressure(5.0))
-    assert (refused.safety, refused.reason) == ("refused", "not armed")
+    assert (refused.safety, refused.reason) == ("refused", "the page bends in bench mode only")
 
 
 def test_an_armed_vehicle_is_on_no_bench() -> None:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from flying_vines import config
@@ -73,6 +74,64 @@ def test_a_move_while_rc_is_lost_is_told_and_not_made() -> None:
     told = [a.t for a in replayed("rc_switch") if isinstance(a, Notice) and "move it again" in a.text]
     assert len(told) == 1
     assert 49.0 < told[0] < 52.0
+
+
+CONFIRMED_S = (1.6, 1.85)
+"""On PX4, from the move to the bend: what RC status must still say then, and a period of RC and of status."""
+
+
+def bends(actions: list[Action]) -> list[tuple[float, str | None]]:
+    return [(d.t, d.intent) for d in decisions(actions, "switch") if d.intent and d.intent != "straight"]
+
+
+def vents(actions: list[Action]) -> list[float]:
+    return [d.t for d in decisions(actions, "failsafe") if d.what == {"loss": "rc"}]
+
+
+@pytest.mark.parametrize(
+    ("name", "bent_s", "losses_s"),
+    [
+        ("px4_sbus_failsafe", [29.36, 76.89], [32.25, 50.40, 69.21, 79.8, 97.9, 116.8]),
+        ("px4_crsf_loss", [28.58, 63.08], [31.5, 49.6, 66.1, 84.2]),
+    ],
+)
+def test_on_px4_only_what_the_pilot_holds_bends_and_every_loss_vents(
+    name: str, bent_s: list[float], losses_s: list[float]
+) -> None:
+    actions = replayed(name)
+    for (t, intent), moved_s in zip(bends(actions), bent_s, strict=True):
+        assert CONFIRMED_S[0] < t - moved_s < CONFIRMED_S[1]
+        assert intent == "bend-full"
+    for t, lost_s in zip(vents(actions), losses_s, strict=True):
+        assert 0.0 < t - lost_s < 1.5
+    told = [a.text for a in actions if isinstance(a, Notice)]
+    assert sum("move it again" in text for text in told) >= len(losses_s) - 1
+
+
+def test_a_receiver_that_holds_its_channels_costs_the_pilot_nothing() -> None:
+    base = config.default()
+    holds = msgspec.structs.replace(
+        base, switch=msgspec.structs.replace(base.switch, receiver_failsafe="hold")
+    )
+    frames = TlogReader(RECORDINGS / "px4_crsf_loss.tlog").frames()
+    moved_s = [26.45, 28.58, 47.53, 56.88, 61.01, 63.08, 82.12, 91.41]
+    for (t, _), at_s in zip(bends(list(replay(frames, holds))), moved_s, strict=True):
+        assert 0.0 < t - at_s < 0.25
+
+
+def test_where_ardupilot_hides_a_loss_nothing_bends() -> None:
+    actions = replayed("ardupilot_hidden_rc_loss")
+    assert bends(actions) == []
+    refused = [d for d in decisions(actions, "switch") if d.safety == "refused"]
+    assert [round(d.t, 1) for d in refused] == [48.4, 74.9]
+    assert {d.reason for d in refused} == {"FS_THR_ENABLE 0 hides a lost transmitter"}
+
+
+def test_an_override_that_ends_uncovers_the_switch_and_bends_nothing() -> None:
+    actions = replayed("ardupilot_override_and_late_texts")
+    assert [round(t, 1) for t, _ in bends(actions)] == [49.1]
+    told = [a.t for a in actions if isinstance(a, Notice) and "is back where it was" in a.text]
+    assert [round(t, 1) for t in told] == [59.5]
 
 
 def test_reboots_on_the_ground_bend_nothing() -> None:

@@ -177,6 +177,99 @@ def test_hold_ends_in_venting() -> None:
     assert machine.watch(40.0, lost) == []
 
 
+def test_losses_that_come_and_go_are_not_held_longer_than_one() -> None:
+    machine = safety(losses=config.Losses(on_rc_loss="hold", hold_at_most_s=5.0))
+    lost = but(BENT, rc_problem="silent")
+    for second in range(0, 8, 2):
+        (entered,) = machine.watch(float(second), lost)
+        assert isinstance(entered, Entered) and entered.response == "hold"
+        (left,) = machine.watch(second + 1.0, BENT)
+        assert left == Left("rc")
+    # Four of the five seconds are used up.
+    machine.watch(8.0, lost)
+    assert machine.watch(8.98, lost) == []
+    (entered,) = machine.watch(9.0, lost)
+    assert isinstance(entered, Entered) and entered.response == "vent"
+    machine.watch(9.1, BENT)
+    (entered,) = machine.watch(9.2, lost)
+    assert isinstance(entered, Entered) and entered.response == "vent", "nobody has asked for it again"
+    machine.watch(9.3, BENT)
+    machine.triggered()
+    (entered,) = machine.watch(9.4, lost)
+    assert isinstance(entered, Entered) and entered.response == "hold"
+
+
+def test_a_lost_autopilot_is_never_held() -> None:
+    """Altitude and armed are lost with it."""
+    machine = safety(losses=config.Losses(on_rc_loss="hold"))
+    (entered,) = machine.watch(0.0, but(BENT, autopilot_age_s=3.1))
+    assert isinstance(entered, Entered) and entered.response == "vent"
+
+
+def test_faults_that_came_after_what_was_seen_stay() -> None:
+    machine = safety()
+    machine.watch(1.0, but(FLYING, cv_kPa=25.5))
+    machine.watch(1.1, FLYING)
+    machine.watch(2.0, but(FLYING, physics={"venting": "not venting"}))
+    machine.watch(2.1, FLYING)
+    assert machine.clear(FLYING, seen_at=0.9) == []
+    assert machine.clear(FLYING, seen_at=1.9) == ["overpressure"]
+    assert machine.clear(FLYING, seen_at=2.0) == ["venting"]
+
+
+def test_a_fault_that_comes_again_was_not_seen() -> None:
+    machine = safety()
+    for t in (1.0, 3.0):
+        machine.watch(t, but(FLYING, cv_kPa=25.5))
+        machine.watch(t + 0.1, FLYING)
+    assert machine.clear(FLYING, seen_at=2.0) == []
+    assert machine.clear(FLYING, seen_at=3.0) == ["overpressure"]
+
+
+def test_the_firmwares_faults_are_seen_from_the_last_new_one_on() -> None:
+    machine = safety()
+    machine.watch(1.0, but(FLYING, faults=Fault.DEAD_MAN))
+    machine.watch(2.0, but(FLYING, faults=Fault.DEAD_MAN | Fault.SUPPLY))
+    machine.watch(3.0, but(FLYING, faults=Fault.SUPPLY))
+    assert not machine.firmware_faults_seen(1.9)
+    assert machine.firmware_faults_seen(2.0)
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(["rc", "no rc", "trigger"]), st.floats(0.02, 8.0)), min_size=1, max_size=40
+    )
+)
+def test_no_losses_stretch_what_may_be_held_or_bent(history: list[tuple[str, float]]) -> None:
+    """A vine as the core moves it: a loss holds or vents, a trigger bends where nothing is lost."""
+    held_at_most_s, bent_at_most_s, tick_s = 3.0, 12.0, 0.02
+    machine = safety(
+        losses=config.Losses(on_rc_loss="hold", hold_at_most_s=held_at_most_s),
+        limits=config.Limits(max_bent_s=bent_at_most_s),
+    )
+    tick, lost, bent, held_s = 0, False, False, 0.0
+    triggered_at = 0.0
+    for what, lasts_s in history:
+        lost = what == "no rc" or (lost and what == "trigger")
+        if what == "trigger" and not lost:
+            bent, held_s, triggered_at = True, 0.0, tick * tick_s
+            machine.triggered()
+        for _ in range(max(1, int(lasts_s / tick_s))):
+            t = tick * tick_s
+            now = but(
+                BENT if bent else FLYING,
+                rc_problem="silent" if lost else None,
+                moving_s=t - triggered_at if bent else 0.0,
+            )
+            for change in machine.watch(t, now):
+                bent = bent and not (isinstance(change, Entered) and change.response == "vent")
+            tick += 1
+            if bent:
+                held_s += tick_s if lost else 0.0
+                assert held_s <= held_at_most_s + 0.1
+                assert tick * tick_s - triggered_at <= bent_at_most_s + 0.1
+
+
 CONDITIONS = st.builds(
     Conditions,
     armed=st.booleans(),

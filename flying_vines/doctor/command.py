@@ -25,7 +25,16 @@ def add(commands: Any, logs: Path) -> None:
     doctor.add_argument(
         "--out", type=Path, default=logs, metavar="DIR", help=f"where the flight logs go ({logs})"
     )
-    doctor.add_argument("--yes", action="store_true", help="do not ask for the RC switch to be moved")
+    doctor.add_argument(
+        "--radio",
+        action="store_true",
+        help="a guided test instead: what shows when the transmitter goes off?",
+    )
+    doctor.add_argument(
+        "--yes",
+        action="store_true",
+        help="ask nothing: neither to move the RC switch, nor (--radio) to write to the profile",
+    )
     doctor.add_argument(
         "--fakes", action="store_true", help="look at an embedded vehicle and phloSAR instead"
     )
@@ -42,6 +51,10 @@ def _seconds(text: str) -> float:
 
 def run(arguments: argparse.Namespace) -> int:
     """0 where one may fly, 1 where not; `ConfigError` where the profile cannot be read."""
+    if arguments.radio:
+        from flying_vines.doctor.radio_command import test_radio
+
+        return test_radio(arguments)
     return asyncio.run(_run(arguments))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from flying_vines.address import Address, NetworkAddress, parse_address
@@ -65,10 +66,9 @@ async def examine(
     say(profile.check(examined.facts))
     say(machine.check(computer.facts()))
     say(_disks(examined, logs))
-    holders: list[Process] = []
-    phlosar = _link("phloSAR", config.firmware.link, say, holders)
-    vehicle = _link("vehicle", config.vehicle.link, say, holders)
-    running = processes.services()
+    running, holders = processes.services(), list[Process]()
+    phlosar = link_to("phloSAR", config.firmware.link, say, running, holders)
+    vehicle = link_to("vehicle", config.vehicle.link, say, running, holders)
     say([_service(running, holders)])
     say([await asyncio.to_thread(_page, config, bool(running))])
     say([network.check_broker(await broker.facts(config.mqtt))])
@@ -84,7 +84,7 @@ async def examine(
             await asyncio.sleep(seconds)
         say(firmware.check(board.facts if board else None, config))
         heard = watch.facts if watch else None
-        say(vehicles.check(heard, config, seconds))
+        say(vehicles.check(heard, config, seconds, running))
         there = heard if heard and heard.found else None
         switch = there.radio if there else None
         if watch and ask and switch and switch.problem is None and vehicles.uses_switch(config):
@@ -97,7 +97,7 @@ async def examine(
     say(clocks.check(facts, when(facts.unix_s)))
     if there:
         say([clocks.against_vehicle(facts)])
-    _keep_signing(examined)
+    keep_signing(examined)
     return found
 
 
@@ -114,16 +114,24 @@ def _page(config: Config, service_runs: bool) -> Finding:
     return network.check_page(facts, service_runs)
 
 
-def _link(which: Which, where: str, say: Tell, holders: list[Process]) -> Address | None:
+def link_to(
+    which: Which, where: str, say: Tell, running: Sequence[Process], holders: list[Process]
+) -> Address | None:
     """Look at a link's port; its address, if there is any sense in opening it. Adds who holds it."""
+
+    def served(held_by: Sequence[Process]) -> bool:
+        pids = {process.pid for process in running}
+        return any(process.pid in pids for process in held_by)
+
     address = parse_address(where)
     if isinstance(address, NetworkAddress):
         listens = address.kind == "udpin"
         held_by = ports.udp_port(address) if listens else None
-        say([port.check_network(which, where, listens, held_by)])
+        say([port.check_network(which, where, listens, held_by, served(held_by or ()))])
         holders += held_by or ()
         return address if held_by is None else None
     facts = ports.serial_port(which, where, address)
+    facts = replace(facts, served=served(facts.held_by))
     say(port.check(facts))
     holders += facts.held_by
     return address if facts.may_open and not facts.missing and not facts.held_by else None
@@ -145,7 +153,7 @@ async def _moved(watch: VehicleWatch, positions: int, ask: Ask) -> Radio:
         await asyncio.sleep(TICK_S)
 
 
-def _keep_signing(examined: Profile) -> None:
+def keep_signing(examined: Profile) -> None:
     """The timestamps that were used must not be used again by the service."""
     if examined.signing is not None and examined.signing_timestamp is not None:
         try:

@@ -83,13 +83,17 @@ class VehicleFacts:
     armed: bool = False
     mode: str = ""
     longest_silence_s: float = 0.0
-    """Between two heartbeats, or since the last."""
+    """Between two messages of the autopilot, or since the last."""
     heartbeat_Hz: float = 0.0
+    heartbeat_missing: bool = False
+    """Other messages of the autopilot come, but for long no heartbeat."""
     streams: tuple[Stream, ...] = ()
     clash: bool = False
     """Another one speaks from our own address."""
     signs: bool = False
     """Whether the autopilot signs what it sends."""
+    answers: bool = False
+    """Whether the autopilot has answered what we asked: it hears us."""
     radio: Radio = Radio("no RC_CHANNELS yet")
     mission: Mapping[int, MissionItem] | None = None
     """None where it was not read."""
@@ -139,12 +143,11 @@ class VehicleProbe:
         self._rivals: tuple[int, int] | None = None
         self._began_at: float | None = None
         self._found_at: float | None = None
-        self._heard_at: float | None = None
         self._longest_silence_s = 0.0
         self._rates: dict[str, _Rate] = {}
         self._messages = 0
         self._senders: Counter[tuple[int, int]] = Counter()
-        self._signs = False
+        self._signs = self._answers = False
         self._seen: set[int] = set()
         self._version = ""
         self._version_asked_at: float | None = None
@@ -155,6 +158,8 @@ class VehicleProbe:
         self._messages += 1
         sender = message.get_srcSystem(), message.get_srcComponent()
         self._senders[sender] += 1
+        if self._state.is_ours(message):
+            self._longest_silence_s = self._silence_s(t)
         for event in self._state.handle(t, message):
             if isinstance(event, Ambiguous):
                 self._rivals = event.system_ids
@@ -180,20 +185,21 @@ class VehicleProbe:
                 rate.last_at, rate.count = t, rate.count + 1
         self._streams.handle(t, message)
         self._book.handle(t, message)
+        self._radio.autopilot = self._state.kind
         self._radio.handle(t, message)
-        if kind == "HEARTBEAT":
-            self._longest_silence_s = self._silence_s(t)
-            self._heard_at = t
-        elif kind == "RC_CHANNELS":
+        if kind == "RC_CHANNELS":
             self._sample_switch(t)
         elif kind == "AUTOPILOT_VERSION":
             number = message.flight_sw_version
             self._version = ".".join(str(number >> shift & 0xFF) for shift in (24, 16, 8))
+        elif kind == "COMMAND_ACK":
+            us = self._state.system_id, self._config.vehicle.component_id
+            self._answers |= (message.target_system, message.target_component) == us
         elif kind == "SYSTEM_TIME" and message.time_unix_usec:
             self._ahead_s = unix_s - message.time_unix_usec / 1e6
 
     def _silence_s(self, t: float) -> float:
-        return max(self._longest_silence_s, 0.0 if self._heard_at is None else t - self._heard_at)
+        return max(self._longest_silence_s, self._state.silence_s(t) or 0.0)
 
     def _sample_switch(self, t: float) -> None:
         if self._radio.problem(t) is not None:
@@ -260,9 +266,11 @@ class VehicleProbe:
             mode=state.mode,
             longest_silence_s=self._silence_s(t),
             heartbeat_Hz=heartbeat.per_s(t, 1.0) if heartbeat else 0.0,
+            heartbeat_missing=state.heartbeat_missing,
             streams=tuple(self._stream(t, name, wanted) for name, wanted in self._streams.wanted(t).items()),
             clash=self._clashed,
             signs=self._signs,
+            answers=self._answers,
             radio=self.radio(t),
             mission=self._book.items if self._book.fresh else None,
             ahead_s=self._ahead_s,

@@ -20,8 +20,14 @@ TICK_S = 0.02
 class VehicleWatch:
     """Listens and asks at `address` while `run` runs. Times are those of the event loop's clock."""
 
-    def __init__(self, address: Address, config: Config, signing: Signing | None = None) -> None:
-        self.probe = VehicleProbe(config)
+    def __init__(
+        self,
+        address: Address,
+        config: Config,
+        signing: Signing | None = None,
+        probe: VehicleProbe | None = None,
+    ) -> None:
+        self.probe = probe or VehicleProbe(config)
         self._down = "it was not opened"
         self._signing = signing
         self._codec = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)

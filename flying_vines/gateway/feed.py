@@ -17,13 +17,14 @@ from flying_vines.gateway.messages import (
     ToGateway,
     Trouble,
 )
-from flying_vines.intent import Asker, Command
+from flying_vines.intent import ACTS_WITHIN_S, Asker, Command
 
 REMEMBERED = 500
 """Events that whoever comes later is told of."""
 MOST_BEHIND = 200
 """Of a reader; then the oldest events are lost to it."""
-ANSWERED_WITHIN_S = 1.0
+ANSWERED_WITHIN_S = ACTS_WITHIN_S + 0.2
+"""When nobody waits for an answer any more, the service no longer does what was asked for."""
 
 
 class NoAnswerError(Exception):
@@ -85,11 +86,21 @@ class Feed:
             self._readers.discard(reader)
 
     async def ask(
-        self, by: Asker, command: Command, value: float | None = None, name: str | None = None
+        self,
+        by: Asker,
+        command: Command,
+        value: float | None = None,
+        name: str | None = None,
+        made_at: float | None = None,
+        seen_at: float | None = None,
     ) -> Answered:
-        """What safety made of it. ValueError for an impossible ask, `NoAnswerError` within a second."""
+        """What safety made of it; raises ValueError for an impossible ask, and `NoAnswerError`.
+
+        `made_at` and `seen_at` are those of `Ask`. Nothing was made later than it came here.
+        """
         self._number += 1
-        ask = Ask(self._number, by, command, value, name)
+        now = asyncio.get_running_loop().time()
+        ask = Ask(self._number, by, command, value, name, min(now, made_at or now), seen_at)
         answer: asyncio.Future[Answered] = asyncio.get_running_loop().create_future()
         self._waiting[ask.number] = answer
         self._send(ask)

@@ -54,7 +54,7 @@ class Gateway(Watcher):
     def __init__(
         self,
         config: Config,
-        ask: Callable[[Asker, Intent], Decision],
+        ask: Callable[[Asker, Intent, float | None, float | None], Decision],
         say: Callable[[str], None],
         page_token: str = "",
     ) -> None:
@@ -66,8 +66,8 @@ class Gateway(Watcher):
         self._unsent: deque[bytes] = deque(maxlen=MOST_BEHIND)
         self._read_at = 0.0
         self._patience = Patience(0.0, MOST_ASKED_PER_S, MOST_ASKED_PER_S)
-        self._vents: dict[Asker, list[int]] = {}
-        """Those that wait, by their numbers."""
+        self._vents: dict[Asker, list[Ask]] = {}
+        """Those that wait."""
         self._next_vents: asyncio.TimerHandle | None = None
 
     @staticmethod
@@ -165,13 +165,13 @@ class Gateway(Watcher):
         if not isinstance(message, Ask):
             self._say(message.text)
         elif message.command == "vent":
-            self._vents.setdefault(message.by, []).append(message.number)
+            self._vents.setdefault(message.by, []).append(message)
             if self._next_vents is None:
                 self._vent()
         elif self._patience.bears(self._now):
             # In the order in which they were asked for.
             self._vent()
-            decision = self._ask(message.by, message.intent)
+            decision = self._ask(message.by, message.intent, message.made_at, message.seen_at)
             self._answer(message.number, decision)
         else:
             self._send(packet(Answered(message.number, "refused", "asked too often")))
@@ -184,10 +184,12 @@ class Gateway(Watcher):
         if not self._vents:
             return
         vents, self._vents = self._vents, {}
-        for by, numbers in vents.items():
-            decision = self._ask(by, Vent())
-            for number in numbers:
-                self._answer(number, decision)
+        for by, asked in vents.items():
+            # As if each were carried out: whoever has seen most clears most.
+            seen = [ask.seen_at for ask in asked if ask.seen_at is not None]
+            decision = self._ask(by, Vent(), None, max(seen, default=None))
+            for ask in asked:
+                self._answer(ask.number, decision)
         self._next_vents = asyncio.get_running_loop().call_later(VENTED_EVERY_S, self._vent)
 
     def _answer(self, number: int, decision: Decision) -> None:

@@ -3,28 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal, get_args
 
 import msgspec
 
 from flying_vines.config import Config
-from flying_vines.intent import (
-    ArmPneumatics,
-    Asker,
-    BendTo,
-    ClearFaults,
-    Command,
-    DisarmPneumatics,
-    Hold,
-    Intent,
-    SetPressure,
-    StartBench,
-    StartCalibration,
-    StartProfile,
-    StopBench,
-    StopCalibration,
-    Vent,
-)
+from flying_vines.intent import COMMAND_OF, Asker, BendTo, Command, Intent, SetPressure, StartProfile
 
 if TYPE_CHECKING:
     # What these need is not needed by the gateway: it is to be light.
@@ -84,6 +69,10 @@ class Ask(_Message, frozen=True, tag="ask"):
     command: Command
     value: float | None = None
     name: str | None = None
+    made_at: float | None = None
+    """When, by the machine's monotonic clock; None: now."""
+    seen_at: float | None = None
+    """The `t` of the snapshot that the person saw."""
 
     def __post_init__(self) -> None:
         needs_value, needs_name = self.command in ("bend", "pressure"), self.command == "profile"
@@ -101,7 +90,7 @@ class Ask(_Message, frozen=True, tag="ask"):
                 return SetPressure(self.value or 0.0)
             case "profile":
                 return StartProfile(self.name or "")
-        return _PLAIN[self.command]
+        return _PLAIN[self.command]()
 
 
 class Trouble(_Message, frozen=True, tag="trouble"):
@@ -113,17 +102,7 @@ class Trouble(_Message, frozen=True, tag="trouble"):
 FromGateway = Ask | Trouble
 
 _NEEDS = {"bend": "takes a value", "pressure": "takes a value", "profile": "takes a name"}
-_PLAIN: dict[str, Intent] = {
-    "vent": Vent(),
-    "hold": Hold(),
-    "clear_faults": ClearFaults(),
-    "arm": ArmPneumatics(),
-    "disarm": DisarmPneumatics(),
-    "start_bench": StartBench(),
-    "stop_bench": StopBench(),
-    "start_calibration": StartCalibration(),
-    "stop_calibration": StopCalibration(),
-}
+_PLAIN: dict[str, Callable[[], Intent]] = {name: kind for kind, name in COMMAND_OF.items()}
 
 
 def raw(thing: Snapshot | Action) -> msgspec.Raw:

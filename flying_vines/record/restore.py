@@ -52,7 +52,7 @@ def event_of(entry: Entry) -> Event:
         return VehicleMessage(said["t"], message_in(binascii.a2b_base64(said["frame"])))
     if entry.topic == topic_of(Asked):
         intent: Intent = restored(_INTENTS[said["intent"]["kind"]], said["intent"])
-        return Asked(said["t"], said["by"], intent)
+        return Asked(said["t"], said["by"], intent, said.get("made_at"), said.get("seen_at"))
     happened: Any = restored(_KINDS[entry.topic], said)
     if isinstance(happened, Tick | LinkChanged | Said | Stop):
         return happened

@@ -134,7 +134,8 @@ def _calibration_schema() -> Schema:
 def _asked_schema() -> Schema:
     wanted = merged(of_dataclass(kind) for kind in get_args(Intent))
     wanted["properties"] = {"kind": of_type(str), **wanted["properties"]}
-    return obj({"t": of_type(float), "by": of_type(str), "intent": wanted}, Asked.__doc__ or "")
+    times = {name: of_type(float) for name in ("made_at", "seen_at")}
+    return obj({"t": of_type(float), "by": of_type(str), "intent": wanted, **times}, Asked.__doc__ or "")
 
 
 def _topics() -> tuple[Topic, ...]:

@@ -21,8 +21,8 @@ REMEMBERED_SENT = 128
 MOST_SENDERS = 64
 """More components than any vehicle has: what noise and strangers make up cannot fill the memory."""
 
-_WITHHELD = {mavlink.MAVLINK_MSG_ID_SETUP_SIGNING}
-"""It carries a secret key: ours comes from a file, and no log behind this codec is to show another's."""
+_WITH_KEY = mavlink.MAVLINK_MSG_ID_SETUP_SIGNING
+"""It comes out without its secret key: ours comes from a file, and no log is to show another's."""
 
 
 class Codec:
@@ -72,8 +72,8 @@ class Codec:
                 sender = self._meet(frame)
             if lost := sender.take(frame):
                 self.lost_frames = max(0, self.lost_frames + lost)
-            if frame.known and frame.message_id not in _WITHHELD:
-                messages.append(message_of(frame))
+            if frame.known:
+                messages.append(_without_key(frame) if frame.message_id == _WITH_KEY else message_of(frame))
         return messages
 
     def encode(self, message: Message, system_id: int) -> bytes:
@@ -96,6 +96,14 @@ class Codec:
         sender = _Sender(frame.sequence)
         self._senders[frame.system, frame.component] = sender
         return sender
+
+
+def _without_key(frame: Frame) -> Message:
+    target = message_of(frame)
+    sender = mavlink.MAVLink(None, frame.system, frame.component)
+    sender.seq = frame.sequence
+    blank = mavlink.MAVLink_setup_signing_message(target.target_system, target.target_component, [0] * 32, 0)
+    return message_of(Frames().take(blank.pack(sender))[0])
 
 
 class _Sender:

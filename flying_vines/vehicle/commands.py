@@ -6,7 +6,7 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.intent import StartCalibration
+from flying_vines.intent import Intent, StartCalibration, StopCalibration
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.answer import acknowledgement
 from flying_vines.vehicle.mission.execution import Execution
@@ -35,9 +35,17 @@ class Commands:
         return bool(message.target_system == system_id and message.target_component == self._component_id)
 
     def handle(
-        self, t: float, message: Message, system_id: int, from_autopilot: bool, px4: Px4Watch | None
+        self,
+        t: float,
+        message: Message,
+        system_id: int,
+        from_autopilot: bool,
+        px4: Px4Watch | None,
+        from_station: bool,
     ) -> list[Trigger | Message]:
         """A trigger, or the answer where there is nothing to decide.
+
+        Only a ground station and the autopilot itself may bend; what lets air out is done for whoever asks.
 
         A mission item that the autopilot publishes is addressed to no component (PX4) or to us (a script).
         `px4` is None where the autopilot tells its items in another way: then what it says to no component
@@ -52,10 +60,11 @@ class Commands:
             return [acknowledgement(message, mavlink.MAV_RESULT_IN_PROGRESS, self._percent)]
         confirmation = getattr(message, "confirmation", 0)
         repeat_s = PX4_REPEAT_S if from_autopilot else STATION_REPEAT_S
-        if self._repeats.is_repeat(t, _key(message), confirmation, message.get_seq(), repeat_s):
+        repeat = self._repeats.is_repeat(t, _key(message), confirmation, message.get_seq(), repeat_s)
+        params = _params(message)
+        if repeat and (is_item or not self._does_no_harm_again(message.command, params)):
             result = self._repeats.answered(_key(message))
             return [acknowledgement(message, mavlink.MAV_RESULT_ACCEPTED if result is None else result)]
-        params = _params(message)
         if is_item and px4:
             execution = px4.execution(t, message.command, params, confirmation)
             if execution is None:
@@ -63,15 +72,32 @@ class Commands:
             return [self._rules.item_trigger(t, execution, message)]
         if is_item:
             return [self._rules.item_trigger(t, Execution(message.command, None, None, params), message)]
-        found = direct_intent(message.command, params)
-        if found is None and message.command in self._rules.commands:
-            found = self._rules.for_command(message.command, params)
+        found = self._intent(message.command, params)
         if found is None:
             self._repeats.answer(_key(message), mavlink.MAV_RESULT_UNSUPPORTED)
             return [acknowledgement(message, mavlink.MAV_RESULT_UNSUPPORTED)]
         what = {"command": message.command, "params": list(params[:4]), "from": _sender(message)}
-        by_person = message.get_srcSystem() != system_id
-        return [Trigger(t, "command", what, *found, by_person=by_person, command=message)]
+        intent, problem = found
+        if not from_station and not from_autopilot and not problem:
+            lets_out = intent is not None and self._rules.only_lets_out(intent)
+            problem = "" if lets_out else f"{_sender(message)} is no ground station"
+        # A repeat may come long after: what has come to light since, its sender may not have seen.
+        by_person = from_station and not from_autopilot and not repeat
+        return [Trigger(t, "command", what, intent, problem, by_person=by_person, command=message)]
+
+    def _intent(self, command: int, params: tuple[float, ...]) -> tuple[Intent | None, str] | None:
+        """None for what is no command of ours."""
+        found = direct_intent(command, params)
+        if found is None and command in self._rules.commands:
+            found = self._rules.for_command(command, params)
+        return found
+
+    def _does_no_harm_again(self, command: int, params: tuple[float, ...]) -> bool:
+        """What lets air out is done each time: whether it is a repeat or a new wish can be mistaken."""
+        intent, _ = self._intent(command, params) or (None, "")
+        if isinstance(intent, StopCalibration):
+            return self._under_way is not None
+        return intent is not None and self._rules.only_lets_out(intent)
 
     def acknowledge(self, trigger: Trigger, accepted: bool) -> list[Message]:
         """The COMMAND_ACK for the command behind a trigger, if there is one."""

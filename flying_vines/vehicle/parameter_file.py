@@ -23,6 +23,9 @@ HEADING = """\
 # Take a line out and start the service again: its parameter is the profile's once more.
 """
 
+_GONE = {"VINE_AP_ACTION": "a lost autopilot always vents, as the altitude is lost with it"}
+"""Parameters of earlier versions."""
+
 
 class ParameterFileError(Exception):
     """The file cannot be used; the text is one line that says which file and line, and what to do."""
@@ -88,6 +91,8 @@ def _parsed(text: str, path: Path) -> dict[str, float]:
 
 
 def _number(name: str, value: Any, where: str) -> float:
+    if name in _GONE:
+        raise ParameterFileError(f"{where}: {name}: take the line out: {_GONE[name]}")
     if name not in BY_NAME:
         near = difflib.get_close_matches(name, BY_NAME, n=1)
         meant = f"; did you mean {near[0]}?" if near else ": take the line out"

@@ -14,6 +14,10 @@ YOUNG_DELAY_S = 2.0
 YOUNG_MS = 60_000
 """A clock that lags is a link's delay, which can be long; but one that lags and is young started anew."""
 
+HEARTBEAT_FRESH_S = 5.0
+"""HEARTBEAT alone says whether it is armed, once a second. Five in a row are not lost by chance,
+and for no longer may a vehicle that has disarmed be taken for an armed one."""
+
 CLOCK_PERIOD_S = 2**32 / 1000
 CLOCK_DRIFT = 2e-4
 CHOOSING_S = 2.0
@@ -86,10 +90,26 @@ class VehicleState:
         self.armed = False
         self.mode = ""
         self.heartbeat_at: float | None = None
+        self.heard_at: float | None = None
 
     @property
     def found(self) -> bool:
         return self.system_id != 0
+
+    @property
+    def heartbeat_missing(self) -> bool:
+        """Whether other frames of the autopilot come, but no HEARTBEAT: armed or not is unknown."""
+        if self.heartbeat_at is None or self.heard_at is None:
+            return False
+        return self.heard_at - self.heartbeat_at > HEARTBEAT_FRESH_S
+
+    def silence_s(self, t: float) -> float | None:
+        """Since any frame of the autopilot; None before the first."""
+        return None if self.heard_at is None else t - self.heard_at
+
+    def heard(self, t: float) -> None:
+        """Any frame of the autopilot that we serve proves it alive."""
+        self.heard_at = t
 
     def altitude_m(self, t: float) -> float | None:
         """Height above home, or None when the autopilot has not said it lately."""
@@ -127,6 +147,7 @@ class VehicleState:
             events.extend(self._choose(t, message))
         if not self.is_ours(message):
             return events
+        self.heard(t)
         if kind == "HEARTBEAT":
             self.heartbeat_at = t
             self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)

@@ -17,6 +17,8 @@ REFUSED_S = 30.0
 ANSWER_WITHIN_S = 0.5
 """The answer does not say what it answers, so nothing else is asked meanwhile."""
 MISSING_AFTER_S = 5.0
+SILENT_S = 2.5
+"""Without any message for this long the link is silent: then it is not that one stream is missing."""
 
 
 _REFUSALS = {mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_UNSUPPORTED, mavlink.MAV_RESULT_FAILED}
@@ -59,9 +61,13 @@ class Streams:
         }
         self._asked_at = -math.inf
         self._asked: _Stream | None = None
+        self._heard_at = self._heard_since = -math.inf
 
     def handle(self, t: float, message: Message) -> None:
         """Take in a message of our autopilot."""
+        if t - self._heard_at > SILENT_S:
+            self._heard_since = t
+        self._heard_at = t
         kind = message.get_type()
         stream = self._streams.get(kind)
         if stream is not None:
@@ -111,10 +117,13 @@ class Streams:
         }
 
     def missing(self, t: float) -> list[str]:
-        """The essential messages that were asked for and do not come."""
+        """The essential messages that were asked for and do not come, while others do."""
+        if t - self._heard_at > SILENT_S:
+            return []
         essential = {name: stream for name, stream in self._streams.items() if stream.essential}
         # From the last of the requests on, so that several are told in one sentence.
-        since = max(t if s.wanted_since is None else s.wanted_since for s in essential.values())
+        asked = max(t if s.wanted_since is None else s.wanted_since for s in essential.values())
+        since = max(asked, self._heard_since)
         return [
             name
             for name, stream in essential.items()

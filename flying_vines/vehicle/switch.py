@@ -21,6 +21,8 @@ class Move:
 
     position: int
     before: int
+    jumped: bool = False
+    """Several other channels jumped with it, as they do when a receiver takes its preset."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +54,7 @@ class Switch:
         self._hysteresis_us = hysteresis_us
         self._candidate: int | None = None
         self._candidate_since = 0.0
+        self._candidate_jumped = False
         self._before_loss: int | None = None
         self.position: int | None = None
 
@@ -61,17 +64,18 @@ class Switch:
         self.position = None
         self._candidate = None
 
-    def sample(self, t: float, pulse_us: float) -> Move | MovedUnseen | Ready | None:
-        seen = self._band(pulse_us)
+    def sample(self, t: float, pulse_us: float, jumped: bool = False) -> Move | MovedUnseen | Ready | None:
+        """What the pulse width at `t` shows; `jumped` says that several other channels jumped with it."""
+        seen = self.reads(pulse_us)
         if seen != self._candidate:
-            self._candidate, self._candidate_since = seen, t
+            self._candidate, self._candidate_since, self._candidate_jumped = seen, t, jumped
         steady_s = t - self._candidate_since
         if self.position is None:
             return self._settle(seen) if steady_s >= self._settle_s else None
         if seen == self.position or steady_s < self._debounce_s:
             return None
         before, self.position = self.position, seen
-        return Move(seen, before)
+        return Move(seen, before, self._candidate_jumped)
 
     def _settle(self, seen: int) -> MovedUnseen | Ready:
         before, self._before_loss = self._before_loss, None
@@ -80,8 +84,8 @@ class Switch:
             return MovedUnseen(seen, before)
         return Ready(seen)
 
-    def _band(self, pulse_us: float) -> int:
-        """The position of a pulse width; the one it is in reaches a hysteresis further on both sides.
+    def reads(self, pulse_us: float) -> int:
+        """The position of a pulse width, not debounced. The one it is in reaches a hysteresis further.
 
         The settled position comes first: a glitch must not pull a switch across that rests near a boundary.
         """

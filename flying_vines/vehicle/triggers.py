@@ -19,11 +19,13 @@ from flying_vines.intent import (
     SetPressure,
     StartCalibration,
     StartProfile,
+    StopBench,
     StopCalibration,
     Vent,
 )
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.mission.execution import Execution
+from flying_vines.vine.profile import flatten, top_kPa
 
 FLOAT32 = 1e-6
 """How far a number of the configuration may lie from itself as MAVLink carries it."""
@@ -53,7 +55,8 @@ heard of us it executes what is addressed to us."""
 class Trigger:
     """Something asked for a bend: what it was, and what it wants.
 
-    `intent` is None when nothing can be made of it, and `problem` then says why.
+    `problem` says why it is refused, where that is known already; `intent` is None when nothing can be made
+    of it at all.
     """
 
     t: float
@@ -64,23 +67,50 @@ class Trigger:
     by_person: bool = False
     command: Message | None = None
     """The command that waits for an acknowledgement."""
+    seen_at: float = math.inf
+    """Of a person: latched faults that came later were not seen, and are not cleared."""
 
     def __str__(self) -> str:
         return self.kind + " " + " ".join(f"{key}={value}" for key, value in self.what.items())
+
+
+def only_lets_out(config: Config, intent: Intent) -> bool:
+    """Whether it can only let air out, wherever the vine is: that is safe, whoever asks and how often."""
+    curve = config.vine.bend_curve()
+    match intent:
+        case Vent() | DisarmPneumatics() | StopBench() | StopCalibration():
+            return True
+        case StartProfile(name) if name in config.profiles:
+            return top_kPa(tuple(flatten(config.profiles, name)), curve, math.inf) <= 0.0
+        case BendTo(angle_deg) if curve.min_deg <= angle_deg <= curve.max_deg:
+            return curve.pressure_kPa(angle_deg) <= 0.0
+        case SetPressure(target_kPa):
+            return target_kPa <= 0.0
+    return False
 
 
 class Rules:
     """The `[switch]` and `[[items]]` tables."""
 
     def __init__(self, config: Config) -> None:
+        self._config = config
         self._items = config.items
         self._positions = config.switch.positions
         self.commands = {command for item in config.items for command in item.command_ids}
+
+    def only_lets_out(self, intent: Intent) -> bool:
+        """As the function of this name says."""
+        return only_lets_out(self._config, intent)
 
     def for_position(self, position: int) -> Intent | None:
         """What a switch position asks for; None where the configuration leaves it empty."""
         name = self._positions[position]
         return StartProfile(name) if name else None
+
+    def bends(self, position: int) -> bool:
+        """Whether the profile of a switch position takes air; one that only lets it out does not."""
+        intent = self.for_position(position)
+        return intent is not None and not self.only_lets_out(intent)
 
     def for_command(self, command: int, params: Sequence[float] | None) -> tuple[Intent | None, str]:
         """The intent of a mission item or command, or None and why there is none."""

@@ -19,13 +19,14 @@ from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.px4 import Px4Watch
+from flying_vines.vehicle.pilot import Pilot, Straightened
 from flying_vines.vehicle.rc import RadioLink
 from flying_vines.vehicle.state import Ambiguous, Found, Rebooted, VehicleState
 from flying_vines.vehicle.streams import Streams
-from flying_vines.vehicle.switch import Move, MovedUnseen, Switch
+from flying_vines.vehicle.switch import Switch
 from flying_vines.vehicle.triggers import Rules, Trigger
 
-Output = Trigger | Notice | Changed | Message
+Output = Trigger | Notice | Straightened | Changed | Message
 """What follows from a message or from time: something to decide, to tell, to take over, or to send."""
 
 
@@ -44,12 +45,11 @@ class Vehicle:
         self.component = Component(profile, parameters)
         config = self.component.parameters.config
         self.state = VehicleState(config.vehicle.system_id)
-        self.rc = RadioLink(config.switch, config.losses.rc_s)
-        self.switch = _switch(config)
-        self._switch_config = config.switch
         self._rules = Rules(config)
+        self.pilot = Pilot(config, self._rules)
         self._streams = Streams(config.vehicle.rc_rate_Hz)
         self._missing: list[str] = []
+        self.link_closed = False
         self._book = MissionBook(mission)
         self._ardupilot = ArduPilotWatch(self._book, self._rules.commands)
         self._px4 = Px4Watch(self._book)
@@ -60,20 +60,28 @@ class Vehicle:
         """The profile with the parameters that are in force."""
         return self.component.parameters.config
 
+    @property
+    def rc(self) -> RadioLink:
+        return self.pilot.radio
+
+    @property
+    def switch(self) -> Switch:
+        return self.pilot.switch
+
     def configure(self) -> None:
         """A parameter has changed."""
-        self.rc.configure(self.config.switch, self.config.losses.rc_s)
-        if self.config.switch != self._switch_config:
-            self._switch_config = self.config.switch
-            self.switch = _switch(self.config)
+        self.pilot.configure(self.config)
 
-    def handle(self, t: float, message: Message, may_change: bool = True) -> list[Output]:
+    def handle(self, t: float, message: Message, vented: bool = True) -> list[Output]:
         """Take in a message of anyone on the link.
 
-        `may_change` says whether the vine is vented, so that parameters which steer it may be changed.
+        `vented` says that the vine is straight and that nothing moves it: then parameters that steer it may
+        be changed.
         """
         kind = message.get_type()
         from_autopilot = self.state.is_ours(message)
+        if from_autopilot and kind not in heard.STATE:
+            self.state.heard(t)
         if kind not in heard.ALL:
             return [*self._watch(t, message)] if from_autopilot else []
         out: list[Output] = []
@@ -90,26 +98,28 @@ class Vehicle:
                     out.extend(self._rebooted(t))
         answers = None
         if kind in heard.QUESTIONS or kind == "HEARTBEAT":
-            answers = self.component.handle(t, message, self.state, may_change)
+            answers = self.component.handle(t, message, self.state, vented)
             out.extend(answers or ())
             from_autopilot = self.state.is_ours(message)  # it may have been the first
         if answers is None and kind in ("COMMAND_LONG", "COMMAND_INT") and self.state.found:
             px4 = None if self.state.kind == "ardupilot" else self._px4
-            found = self._commands.handle(t, message, self.state.system_id, from_autopilot, px4)
+            from_station = self.component.is_station(message, self.state)
+            found = self._commands.handle(t, message, self.state.system_id, from_autopilot, px4, from_station)
             out.extend(answer for output in found for answer in self._once(t, output))
         if from_autopilot:
             self._streams.handle(t, message)
             if kind in heard.RADIO:
-                self.rc.handle(t, message)
+                out.extend(self.pilot.handle(t, message, self.state.kind, vented))
             if (self.state.armed, self.state.mode) != before and self.state.armed:
                 self._book.refresh(t)
+                self.pilot.parameters.refresh()
             if kind in heard.MISSION:
                 self._px4.handle(message)
                 self._book.handle(t, message)
                 out.extend(self._book.acknowledgement(self.state.system_id))
             out.extend(self._watch(t, message))
-            if kind == "RC_CHANNELS":
-                out.extend(self._sample_switch(t))
+        elif kind == "RC_CHANNELS_OVERRIDE":
+            self.pilot.override(t, message)
         if any(isinstance(output, Trigger) and output.by_person for output in out):
             self._px4.forget(t)
         return out
@@ -117,14 +127,14 @@ class Vehicle:
     def tick(self, t: float) -> list[Output]:
         """Let time pass: waiting triggers, and what we ask of the autopilot."""
         out: list[Output] = []
-        if self.rc.problem(t) is not None:
-            self.switch.lose()
+        out.extend(self.pilot.tick(t))
         if not self.state.found:
             return out
         if self.state.kind != "px4":
             out.extend(self._item_triggers(t, self._ardupilot.due(t)))
         out.extend(self._streams.requests(t, self.state.system_id))
         out.extend(self._book.requests(t, self.state.system_id, self.state.kind == "ardupilot"))
+        out.extend(self.pilot.requests(t, self.state.system_id, self.state.kind))
         missing = self._streams.missing(t)
         if missing and missing != self._missing:
             text = f"Vine: the autopilot does not send {', '.join(missing)}"
@@ -134,6 +144,7 @@ class Vehicle:
 
     def link_changed(self, up: bool) -> None:
         """The link to the vehicle came up or went down."""
+        self.link_closed = not up
         if up:
             self._streams.forget()
         else:
@@ -141,8 +152,7 @@ class Vehicle:
 
     def forget_radio(self) -> None:
         """What was heard of the radio no longer holds: the switch waits for a fresh move."""
-        self.rc.forget()
-        self.switch.lose()
+        self.pilot.forget()
 
     def acknowledge(self, trigger: Trigger, accepted: bool) -> list[Message]:
         """What is owed to the sender of the command behind a trigger."""
@@ -159,7 +169,7 @@ class Vehicle:
     def _rebooted(self, t: float) -> list[Output]:
         self.component.greet()
         self._streams.forget()
-        self.forget_radio()
+        self.pilot.restarted()
         self._ardupilot = ArduPilotWatch(self._book, self._rules.commands)
         self._book.doubt(t)
         return [
@@ -186,33 +196,9 @@ class Vehicle:
             return []
         return self._item_triggers(t, self._ardupilot.handle(t, message))
 
-    def _sample_switch(self, t: float) -> list[Output]:
-        if self.rc.problem(t) is not None:
-            self.switch.lose()
-            return []
-        seen = self.switch.sample(t, self.rc.switch_us)
-        if isinstance(seen, MovedUnseen):
-            text = f"Vine: switch ch{self._switch_config.channel} moved while RC was lost, move it again"
-            return [Notice(t, Severity.NOTICE, text)]
-        if isinstance(seen, Move):
-            intent = self._rules.for_position(seen.position)
-            what: dict[str, object] = {
-                "channel": self._switch_config.channel,
-                "position": seen.position,
-                "from": seen.before,
-            }
-            if intent is not None:
-                return [Trigger(t, "switch", what, intent, by_person=True)]
-        return []
-
     def _item_triggers(self, t: float, executions: Sequence[Execution]) -> list[Trigger]:
         return [
             self._rules.item_trigger(t, execution)
             for execution in executions
             if execution.command in self._rules.commands
         ]
-
-
-def _switch(config: Config) -> Switch:
-    switch = config.switch
-    return Switch(len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us)

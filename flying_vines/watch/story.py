@@ -87,11 +87,14 @@ class Vent:
 
     def __init__(self) -> None:
         self.wanted_at: float | None = None
+        self._seen_at: float | None = None
         self._asked_at = -math.inf
         self._number = 0
 
-    def press(self, t: float) -> None:
+    def press(self, t: float, seen: Snapshot | None) -> None:
+        """`seen`: what is shown now; no fault that came later is cleared."""
         self.wanted_at = t
+        self._seen_at = seen.t if seen else None
         self._asked_at = -math.inf
 
     def due(self, t: float) -> str | None:
@@ -100,7 +103,8 @@ class Vent:
             return None
         self._asked_at = t
         self._number += 1
-        return f'{{"id":{self._number},"command":"vent"}}'
+        wish = {"id": self._number, "command": "vent", "seen_at": self._seen_at}
+        return msgspec.json.encode(wish).decode()
 
     def take(self, t: float, text: str) -> str | None:
         """What a message of the page says about it, as a sentence, if anything."""

@@ -133,7 +133,7 @@ class Watching:
             self._over = True
         elif key == "v" and self._pressed_at is not None and self._now - self._pressed_at < SURE_S:
             self._pressed_at = None
-            self._vent.press(self._now)
+            self._vent.press(self._now, self._story.snapshot)
         else:
             self._pressed_at = self._now if key == "v" else None
 

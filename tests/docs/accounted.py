@@ -44,7 +44,7 @@ DIAGNOSED = Elsewhere(("tests/discrepancy/test_diagnose_command.py", "tests/disc
 PTY = Elsewhere(("tests/firmware/test_pty_firmware.py",), ("make", "phlosar-pty", "--link"))
 OF_THE_README = Elsewhere(("README.md",))
 FLOWN = Elsewhere(("tests/missions/test_mission_command.py",))
-DOCTOR = Elsewhere(("tests/doctor/test_doctor_command.py",))
+DOCTOR = Elsewhere(("tests/doctor/test_doctor_command.py", "tests/doctor/test_radio_command.py"))
 """Its status is this machine's: somebody may run a service on it meanwhile."""
 
 ACCOUNTED: dict[str, Accounted] = {

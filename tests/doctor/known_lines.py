@@ -15,6 +15,7 @@ from flying_vines.doctor.checks import (
     port,
     profile,
     radio,
+    receiver,
     service,
     vehicle,
 )
@@ -32,6 +33,7 @@ CHECKS: tuple[ModuleType, ...] = (
     radio,
     mission,
     clock,
+    receiver,
 )
 """In the order in which it looks."""
 

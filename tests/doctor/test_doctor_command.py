@@ -134,8 +134,8 @@ async def test_a_service_that_runs_already_is_named_with_what_it_holds(
         await service.communicate()
     assert status == 1
     for port in ("phloSAR", "vehicle"):
-        (held,) = [line for line in out.splitlines() if line.startswith(f"BAD  {port} port:")]
-        assert held.endswith(f"(process {service.pid})")
+        (held,) = [line for line in out.splitlines() if f" {port} port:" in line]
+        assert held.startswith("- ") and held.endswith("is the running service's")
     (runs,) = [line for line in out.splitlines() if line.startswith("BAD  service:")]
     assert f"flying-vines run (process {service.pid}) runs already, and holds" in runs
     assert "-    phloSAR:" in out

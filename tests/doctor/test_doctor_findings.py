@@ -23,6 +23,7 @@ from flying_vines.doctor.checks import (
     port,
     profile,
     radio,
+    receiver,
     service,
     vehicle,
 )
@@ -35,6 +36,7 @@ from flying_vines.doctor.checks.profile import ProfileFacts
 from flying_vines.doctor.checks.service import Process
 from flying_vines.doctor.finding import Finding, Line, may_fly, summary
 from flying_vines.doctor.firmware_probe import FirmwareFacts
+from flying_vines.doctor.radio_test import Loss, RadioLearned, Sign
 from flying_vines.doctor.vehicle_probe import Radio, Stream, VehicleFacts
 from flying_vines.reservoir import CyclesLeft
 from flying_vines.vehicle.mission.item import MissionItem
@@ -47,6 +49,7 @@ DISK = DiskFacts("flight logs", "flights", free_MB=9000.0, least_free_MB=200.0, 
 STATE = DiskFacts("state", "/var/lib/flying-vines", free_MB=9000.0, took_s=0.02)
 NOW = ClockFacts(1_795_000_000.0, synchronised=True)
 OTHER = Process(812, "minicom")
+SERVICE = Process(813, "flying-vines run", "flying-vines.service")
 PORT = PortFacts("phloSAR", "usb:16c0:0483", path="/dev/ttyACM0", board="usb:16c0:0483", group="dialout")
 WELCOME = Welcome(PROTOCOL_VERSION, 1, 0x1234, "1.0", Units.KPA_GAUGE, 30.0, 28.0, 760.0, 200.0, 300, 100)
 SETTING = Setting(0, 1, "cv_limit_kPa", 30.0, 5.0, 60.0, 30.0)
@@ -87,12 +90,28 @@ VEHICLE = VehicleFacts(
 SWITCH = Radio(None, 1004, 0, frozenset({0}))
 REFUSED = Refused(unsigned=7)
 
+RC_STATUS = Sign("RC status", 1.1, "RC status (present, enabled, health) 1 1 1 → 0 1 0")
+HELD = Loss(True, 1000, 1000, (RC_STATUS,), ())
+HELD_BENT = Loss(True, 2000, 2000, (RC_STATUS,), ())
+PRESET = Loss(True, 1000, 2000, (Sign("channels", 0.2, "channel 9: 1000 → 2000 µs"), RC_STATUS), ())
+UNSEEN = Loss(True, 1000, 1000, (), ())
+LEARNED = RadioLearned("px4", losses=(HELD, HELD_BENT), parameters={"COM_RC_LOSS_T": 0.5}, shows_within_s=1.6)
+
 
 def changed(table: str, **values: object) -> Config:
     """The default profile with other values in one table."""
     return msgspec.structs.replace(
         CONFIG, **{table: msgspec.structs.replace(getattr(CONFIG, table), **values)}
     )
+
+
+def of_receiver(**learned: object) -> list[Finding]:
+    return receiver.check(replace(LEARNED, **learned), CONFIG)  # type: ignore[arg-type]
+
+
+def later(loss: Loss, shown_s: float) -> Loss:
+    """The same with its RC status at another time."""
+    return replace(loss, signs=(*loss.signs[:-1], replace(RC_STATUS, after_s=shown_s)))
 
 
 def of_profile(**facts: object) -> list[Finding]:
@@ -200,6 +219,8 @@ CASES: list[tuple[Line, list[Finding]]] = [
     (PORTS["not allowed"], of_port(may_open=False)),
     (PORTS["log in again"], of_port(may_open=False, member_since_login=True)),
     (PORTS["held"], of_port(held_by=(OTHER,))),
+    (PORTS["served"], of_port(held_by=(OTHER,), served=True)),
+    (PORTS["served"], [port.check_network("phloSAR", "udpin:0.0.0.0:3000", True, (OTHER,), served=True)]),
     (PORTS["console"], of_port(console=True)),
     (PORTS["modem"], of_port(modem_manager=True)),
     (PORTS["kept off"], of_port(modem_manager=True, modem_manager_kept_off=True)),
@@ -247,6 +268,7 @@ CASES: list[tuple[Line, list[Finding]]] = [
     (vehicle.ARMED, of_vehicle(armed=True)),
     (vehicle.HEARTBEAT, of_vehicle()),
     (vehicle.HEARTBEAT_GAPS, of_vehicle(longest_silence_s=3.1)),
+    (vehicle.NO_HEARTBEAT, of_vehicle(heartbeat_missing=True)),
     (vehicle.STREAM, of_vehicle()),
     (vehicle.SLOW, of_stream("SYS_STATUS", 6.9)),
     (vehicle.TOO_SLOW, of_stream("RC_CHANNELS", 2.9)),
@@ -255,11 +277,15 @@ CASES: list[tuple[Line, list[Finding]]] = [
     (vehicle.MISSING, of_stream("SYS_STATUS", 0.0, refused=True, kind="px4")),
     (vehicle.MISSED, of_stream("MISSION_CURRENT", 0.0)),
     (vehicle.CLASH, of_vehicle(clash=True)),
+    (vehicle.CLASH_WITH_SERVICE, vehicle.check(replace(VEHICLE, clash=True), CONFIG, 6.0, [SERVICE])),
+    (vehicle.SERVED, vehicle.check(VehicleFacts(), CONFIG, 6.0, [SERVICE])),
+    (vehicle.SERVED, vehicle.check(VehicleFacts(messages=9, others=((1, 191),)), CONFIG, 6.0, [SERVICE])),
     (vehicle.FREE, of_vehicle(others=((1, 154), (255, 190)))),
     (vehicle.UNSIGNED, of_vehicle(SIGNED, messages=0, refused=REFUSED)),
     (vehicle.SOME_REFUSED, of_vehicle(SIGNED, refused=REFUSED)),
     (vehicle.SIGNED, of_vehicle(SIGNED)),
     (vehicle.NO_KEY, of_vehicle(signs=True)),
+    (vehicle.NO_KEY_NEEDED, of_vehicle(signs=True, answers=True)),
     (vehicle.NOT_SIGNED, of_vehicle()),
     (radio.NOT_USED, of_switch(config=changed("switch", positions=("", "")))),
     (radio.NOT_HEARD, [radio.check(None, CONFIG, False)]),
@@ -285,6 +311,26 @@ CASES: list[tuple[Line, list[Finding]]] = [
     (clock.APART, of_clock(ahead_s=2.1)),
     (clock.APART_AND_SIGNED, of_clock(ahead_s=-61.0, signing=True)),
     (clock.VEHICLE_WITHOUT, of_clock()),
+    (receiver.ARMED, of_receiver(problem="armed")),
+    (receiver.NO_AUTOPILOT, of_receiver(problem="no autopilot")),
+    (receiver.NO_RC, of_receiver(problem="no RC", detail="no RC_CHANNELS yet")),
+    (receiver.NOT_GOOD, of_receiver(problem="RC not good", detail="radio failsafe")),
+    (receiver.NOT_THERE, of_receiver(problem="position", detail="1500 µs", target=2)),
+    (receiver.NOT_BACK, of_receiver(problem="not back", detail="radio failsafe")),
+    (receiver.GROUND_STATION, of_receiver(problem="ground station")),
+    (receiver.HIDDEN_BY, of_receiver(autopilot="ardupilot", hidden_by="FS_THR_ENABLE 0")),
+    (receiver.HIDDEN, of_receiver(losses=(UNSEEN,))),
+    (receiver.SLOW, of_receiver(losses=(later(HELD, 3.1), HELD_BENT))),
+    (receiver.SHOWS, of_receiver()),
+    (receiver.SHOWS_UNTIMED, of_receiver(losses=(replace(HELD, pressed=False),))),
+    (receiver.PARAMETERS, of_receiver()),
+    (receiver.NO_PARAMETERS, of_receiver()),
+    (receiver.HELD, of_receiver()),
+    (receiver.HARMLESS, of_receiver(losses=(replace(HELD_BENT, lost_us=1000),))),
+    (receiver.BENDS_UNSEEN, of_receiver(losses=(PRESET, PRESET))),
+    (receiver.BENDS_TOLD, of_receiver(autopilot="ardupilot", losses=(later(PRESET, 0.3),))),
+    (receiver.BENDS, of_receiver(losses=(later(PRESET, 1.9),))),
+    (receiver.UNCLEAR, of_receiver(losses=(HELD_BENT, replace(PRESET, lost_us=1500)))),
 ]
 
 
@@ -295,6 +341,21 @@ def named(case: tuple[Line, list[Finding]]) -> str:
 @pytest.mark.parametrize(("line", "found"), CASES, ids=map(named, CASES))
 def test_the_facts_call_for_the_line(line: Line, found: list[Finding]) -> None:
     assert any(says(line, finding) for finding in found), found
+
+
+@pytest.mark.parametrize(
+    ("rate_Hz", "verdict"), [(1.0, "good"), (0.9, "good"), (0.5, "warning"), (0.0, "warning")]
+)
+def test_px4_sends_mission_current_as_it_likes(rate_Hz: float, verdict: str) -> None:
+    found = of_stream("MISSION_CURRENT", rate_Hz, refused=True, kind="px4")
+    (finding,) = (finding for finding in found if finding.check == "MISSION_CURRENT")
+    assert finding.verdict == verdict
+    assert "refuses" not in finding.what and "extras.txt" not in finding.do
+
+
+def test_how_a_service_is_ended_is_said_of_that_service() -> None:
+    assert "(sudo systemctl stop flying-vines.service)" in service.check([SERVICE], [SERVICE]).do
+    assert "(kill 7)" in service.check([Process(7, "flying-vines run")], []).do
 
 
 def test_no_line_is_without_a_case() -> None:
@@ -367,3 +428,44 @@ def test_without_a_switch_rc_is_not_needed() -> None:
 def test_a_limit_that_is_too_low_is_told_with_what_to_raise_it_to() -> None:
     (low,) = [f for f in of_welcome(setpoint_limit_kPa=20.0, cv_limit_kPa=22.0) if f.verdict == "bad"]
     assert "cv_limit_kPa=23" in low.do, "20.7 kPa and the margin of 2, rounded up"
+
+
+@pytest.mark.parametrize(
+    ("losses", "safe"),
+    [
+        ((HELD, HELD_BENT), True),
+        ((PRESET, PRESET), True),
+        ((HELD_BENT, PRESET), True),
+        ((later(PRESET, 1.9),), False),
+        ((UNSEEN,), False),
+        ((later(HELD, 3.1),), False),
+    ],
+)
+def test_a_receiver_is_safe_where_the_service_is_told_before_it_bends(
+    losses: tuple[Loss, ...], safe: bool
+) -> None:
+    assert may_fly(of_receiver(losses=losses)) is safe
+
+
+def test_on_ardupilot_nothing_waits_for_a_preset_that_is_told_late() -> None:
+    """Its status tells 0.9 s after the jump, the switch acts after `debounce_s`."""
+    late = of_receiver(autopilot="ardupilot", losses=(PRESET,))
+    assert any(says(receiver.BENDS, finding) for finding in late)
+    assert not may_fly(late)
+
+
+@pytest.mark.parametrize(
+    ("learned", "written"),
+    [
+        (LEARNED, "hold"),
+        (replace(LEARNED, losses=(PRESET, PRESET)), 2000),
+        (replace(LEARNED, losses=(HELD_BENT, replace(PRESET, lost_us=1500))), "unknown"),
+        (replace(LEARNED, losses=(UNSEEN,)), "hidden"),
+        (replace(LEARNED, losses=(later(HELD, 3.1), HELD_BENT)), "hidden"),
+        (replace(LEARNED, losses=(later(PRESET, 1.9), PRESET)), "hidden"),
+        (replace(LEARNED, losses=(HELD,), problem="not back"), None),
+        (replace(LEARNED, losses=(), hidden_by="FS_THR_ENABLE 0"), None),
+    ],
+)
+def test_what_goes_into_the_profile(learned: RadioLearned, written: int | str | None) -> None:
+    assert receiver.to_write(learned, CONFIG) == written

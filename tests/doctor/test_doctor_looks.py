@@ -84,7 +84,10 @@ def test_services_are_known_by_how_they_were_called(tmp_path: Path) -> None:
     )
     (tmp_path / "meminfo").write_text("")
     (tmp_path / "99").mkdir()
-    assert [found.pid for found in processes.services(there)] == [10, 11]
+    (tmp_path / "10" / "cgroup").write_text("0::/system.slice/flying-vines.service\n")
+    (tmp_path / "11" / "cgroup").write_text("0::/system.slice/ssh.service\n")
+    found = processes.services(there)
+    assert [(process.pid, process.unit) for process in found] == [(10, "flying-vines.service"), (11, "")]
     assert processes.named("ModemManager", there)
     assert not processes.named("minicom", there)
 
@@ -321,3 +324,4 @@ def test_a_profile_is_read_with_all_that_it_names(tmp_path: Path) -> None:
 
 def test_a_process_is_named_for_people() -> None:
     assert str(Process(7, "minicom")) == "minicom (process 7)"
+    assert str(Process(7, "run", "vine.service")) == "run (process 7, vine.service)"

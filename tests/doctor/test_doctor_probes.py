@@ -13,6 +13,7 @@ from flying_vines import config
 from flying_vines.doctor.firmware_probe import FirmwareFacts, with_readings
 from flying_vines.doctor.vehicle_probe import SETTLE_S, VehicleProbe
 from flying_vines.vehicle.codec import Codec
+from flying_vines.vehicle.rc import RC_BIT
 
 
 class Feed:
@@ -28,8 +29,8 @@ class Feed:
         for heard in self._ears.decode(message.pack(self._out)):
             self.probe.take(t, 1_795_000_000.0 + t, heard)
 
-    def heartbeat(self, t: float) -> None:
-        self.take(t, mavlink.MAVLink_heartbeat_message(2, 3, 0, 5, 4, 3))
+    def heartbeat(self, t: float, autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA) -> None:
+        self.take(t, mavlink.MAVLink_heartbeat_message(2, autopilot, 0, 5, 4, 3))
 
     def rc(self, t: float, pulse_us: int) -> None:
         channels = [1500, 1500, 1100, 1500, 1500, 1500, 1500, 1500, pulse_us, *[0] * 9]
@@ -68,6 +69,25 @@ def test_the_longest_silence_counts_to_the_end() -> None:
     assert feed.probe.facts(8.0).longest_silence_s == 4.0
 
 
+def test_any_message_ends_a_silence_but_heartbeats_may_be_missing() -> None:
+    feed = Feed()
+    feed.heartbeat(0.0)
+    for i in range(1, 13):
+        feed.rc(0.5 * i, 1000)
+    facts = feed.probe.facts(6.1)
+    assert (facts.longest_silence_s, facts.heartbeat_missing) == (0.5, True)
+    feed.heartbeat(6.2)
+    assert not feed.probe.facts(6.3).heartbeat_missing
+
+
+@pytest.mark.parametrize(("target", "answers"), [((1, 191), True), ((255, 190), False)])
+def test_an_answer_to_us_says_that_we_are_heard(target: tuple[int, int], answers: bool) -> None:
+    feed = Feed()
+    feed.heartbeat(0.0)
+    feed.take(0.1, mavlink.MAVLink_command_ack_message(511, 0, 0, 0, *target))
+    assert feed.probe.facts(0.2).answers is answers
+
+
 def test_the_clocks_are_compared_when_the_autopilot_knows_the_time() -> None:
     feed = Feed()
     feed.heartbeat(0.0)
@@ -75,6 +95,15 @@ def test_the_clocks_are_compared_when_the_autopilot_knows_the_time() -> None:
     assert feed.probe.facts(1.0).ahead_s is None
     feed.take(2.0, mavlink.MAVLink_system_time_message(1_794_999_990_000_000, 2000))
     assert feed.probe.facts(2.0).ahead_s == pytest.approx(12.0)
+
+
+def test_px4_that_has_heard_no_receiver_since_it_booted_is_told() -> None:
+    feed = Feed()
+    feed.heartbeat(0.0, mavlink.MAV_AUTOPILOT_PX4)
+    enabled_alone = mavlink.MAVLink_sys_status_message(0, RC_BIT, 0, 0, 12000, -1, -1, 0, 0, 0, 0, 0, 0)
+    feed.take(0.1, enabled_alone)
+    feed.rc(0.2, 1000)
+    assert feed.probe.radio(0.2).problem == "the autopilot reports no receiver"
 
 
 def test_positions_count_only_while_the_radio_is_believed() -> None:

@@ -43,11 +43,14 @@ class Service:
     def __init__(self, **mqtt: Any) -> None:
         self.said: list[str] = []
         self.asked: list[tuple[Asker, Intent]] = []
+        self.times: list[tuple[float | None, float | None]] = []
+        """When each was made, and what its sender had seen."""
         self.gateway = Gateway(configured(**mqtt), self._ask, self.said.append)
         self.latest_turn_s = 0.0
 
-    def _ask(self, by: Asker, intent: Intent) -> Decision:
+    def _ask(self, by: Asker, intent: Intent, made_at: float | None, seen_at: float | None) -> Decision:
         self.asked.append((by, intent))
+        self.times.append((made_at, seen_at))
         return Decision(0.0, by, {}, str(intent), "limited", "as a test", 0.0)
 
     @contextlib.asynccontextmanager
@@ -231,6 +234,22 @@ async def test_a_vent_that_waits_comes_by_itself(played: Callable[[str], None]) 
     async with Service().living() as service:
         await until(lambda: len(service.asked) == 3, "the last vents")
     assert service.asked == [("page", Vent()), ("broker", Vent()), ("page", Vent())]
+
+
+async def test_when_it_was_made_and_what_was_seen_goes_on_to_the_service(
+    played: Callable[[str], None],
+) -> None:
+    """One vent for many clears what any of them has seen."""
+    played(
+        "hear()\n"
+        "say(Ask(1, 'page', 'hold', made_at=3.25, seen_at=3.0))\n"
+        "say(Ask(2, 'page', 'vent', seen_at=1.0))\n"
+        "for number, seen in enumerate((None, 4.0, 2.0)): say(Ask(number, 'page', 'vent', seen_at=seen))\n"
+        "time.sleep(3600)\n"
+    )
+    async with Service().living() as service:
+        await until(lambda: len(service.asked) == 3, "all are asked")
+    assert service.times == [(3.25, 3.0), (None, 1.0), (None, 4.0)]
 
 
 async def test_what_happens_before_the_gateway_reads_is_told_in_order(played: Callable[[str], None]) -> None:

@@ -75,6 +75,18 @@ def test_one_file_may_be_asked_for_and_another_home(mission: Path, capsys: Captu
     assert [path.name for path in out.parent.iterdir()] == ["field.plan"]
 
 
+@pytest.mark.parametrize("spaced", [True, False])
+@pytest.mark.parametrize("place", ["-35.36,149.16,584", "-.5,-149.16,-3.5"])
+def test_a_home_in_the_south_is_no_option(place: str, spaced: bool, mission: Path, capsys: Captured) -> None:
+    out = mission.parent / "south.plan"
+    home = ("--home", place) if spaced else (f"--home={place}",)
+    arguments = (*home, "--autopilot", "ardupilot", "--out", out)
+    status, _, err = run(capsys, "mission", "build", mission, *arguments)
+    assert (status, err) == (0, "")
+    planned = json.loads(out.read_text())["mission"]["plannedHomePosition"]
+    assert planned == [float(number) for number in place.split(",")]
+
+
 def test_json_is_one_object_with_the_same_numbers(mission: Path, capsys: Captured) -> None:
     status, out, err = run(capsys, "mission", "check", mission, "--autopilot", "px4", "--json")
     assert (status, err) == (0, "")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import Kind, Params
+from flying_vines.vehicle.mission.storage import Kind, Params, store
+from missions.carriers import over_the_wire
 from missions.files import load_items
 from missions.mission import MissionError
 from missions.upload import compare, refuse_wrong_home
@@ -61,3 +63,44 @@ def test_a_mission_for_the_other_autopilot_is_not_sent(
     refuse_wrong_home(path, items, kind)
     with pytest.raises(MissionError, match=f"{path.name}: {says}$"):
         refuse_wrong_home(path, items, other)
+
+
+def as_read_from_a_vehicle(items: list[MissionItem]) -> list[MissionItem]:
+    """As ArduCopter 4.6 gave them back."""
+    held = [store("ardupilot", over_the_wire(item)) for item in items]
+    return [
+        replace(item, frame=0)
+        if item.command == 20
+        else replace(item, params=(*item.params[:3], 1.0, *item.params[4:]))
+        if item.command == 21
+        else item
+        for item in held
+    ]
+
+
+@pytest.mark.parametrize("last", [20, 21])
+def test_what_ardupilot_fills_into_a_return_and_a_landing_is_no_difference(last: int) -> None:
+    path = EXAMPLES / "canopy_sampling-ardupilot.waypoints"
+    *items, _ = load_items(path, "ardupilot").items
+    sent = [*items, MissionItem(len(items), last, (0.0,) * 7, frame=3)]
+    found = compare("ardupilot", sent, as_read_from_a_vehicle(sent))
+    assert found.unexpected == ()
+    assert not any(sentence.startswith(f"item {len(items)} ") for sentence in found.changed)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sent", "kept"),
+    [
+        ("ardupilot", MissionItem(1, 20, (0.0,) * 7, 3), MissionItem(1, 21, (0.0,) * 7, 0)),
+        ("ardupilot", MissionItem(1, 21, (0.0,) * 7, 3), MissionItem(1, 21, (0.0,) * 7, 0)),
+        ("ardupilot", MissionItem(1, 21, (0.0,) * 7, 3), MissionItem(1, 21, (*(0.0,) * 6, 9.0), 3)),
+        (
+            "px4",
+            MissionItem(1, 21, (0.0,) * 7, 6),
+            MissionItem(1, 21, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), 6),
+        ),
+    ],
+)
+def test_another_landing_is_one(kind: Kind, sent: MissionItem, kept: MissionItem) -> None:
+    first = MissionItem(0, 16, (0.0,) * 7, 6 if kind == "px4" else 0)
+    assert len(compare(kind, [first, sent], [first, kept]).unexpected) == 1

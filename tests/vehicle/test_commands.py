@@ -79,7 +79,8 @@ class Bench:
 
     def take(self, t: float, message: Message) -> None:
         from_autopilot = (message.get_srcSystem(), message.get_srcComponent()) == AUTOPILOT
-        for output in self.commands.handle(t, message, 1, from_autopilot, self.px4):
+        from_station = message.get_srcSystem() > 1
+        for output in self.commands.handle(t, message, 1, from_autopilot, self.px4, from_station):
             if isinstance(output, Trigger):
                 self.triggers.append(output)
                 self.answers += self.commands.acknowledge(output, self.accepts and output.intent is not None)
@@ -343,14 +344,14 @@ def test_all_seven_numbers_count(param: int) -> None:
     )
     numbers = [12.0, *(6 * [0.0])]
     commands = Commands(Rules(rules), US)
-    (other,) = commands.handle(1.0, command(ACTUATOR, numbers), 1, False, None)
+    (other,) = commands.handle(1.0, command(ACTUATOR, numbers), 1, False, None, True)
     numbers[param] = 5.0
-    (trigger,) = commands.handle(2.0, command(ACTUATOR, numbers), 1, False, None)
+    (trigger,) = commands.handle(2.0, command(ACTUATOR, numbers), 1, False, None, True)
     assert isinstance(other, Trigger) and isinstance(trigger, Trigger)
     assert (other.intent, trigger.intent) == (None, BendTo(12.0))
     integers = (ACTUATOR, 0, 0, *numbers[:4], *(int(number) for number in numbers[4:6]), numbers[6])
     message = sent(mavlink.MAVLink_command_int_message(1, US, 0, *integers), (254, 190))
-    (whole,) = commands.handle(3.0, message, 1, False, None)
+    (whole,) = commands.handle(3.0, message, 1, False, None, True)
     assert isinstance(whole, Trigger) and whole.intent == BendTo(12.0)
 
 

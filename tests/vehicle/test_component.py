@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
+from random import Random
 from typing import Any
 
 import msgspec
@@ -14,12 +15,14 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines import config
-from flying_vines.events import Action, Event, ToVehicle
+from flying_vines.core import Core
+from flying_vines.events import Action, Event, ToVehicle, VehicleMessage
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.notice import Notice
 from flying_vines.simulated_world import SimulatedFlight
 from flying_vines.vehicle.codec import Codec, Message
 from flying_vines.vehicle.component import Component
+from flying_vines.vehicle.component.telemetry import NamedValues
 from flying_vines.vehicle.component.texts import CHUNK_LENGTH, LONGEST_TEXT, SAME_AGAIN_S, SPACING_S, Texts
 from flying_vines.vehicle.mission.storage import Kind
 from flying_vines.vehicle.state import VehicleState
@@ -75,6 +78,37 @@ def test_five_values_each_twice_a_second_never_two_at_once() -> None:
         assert {message.value for _, message in sent if message.name == name} == {value}
     assert all(0.08 - 1e-9 <= gap_s <= 0.14 for gap_s in gaps_s([t for t, _ in sent]))
     assert all(message.time_boot_ms == int(t * 1000) for t, message in sent)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    rate_Hz=st.floats(0.5, 5.0),
+    jitter_s=st.floats(0.0, 0.015),
+    known=st.integers(1, 5),
+    seed=st.integers(0, 1000),
+)
+def test_named_values_come_at_the_rate_that_is_asked(
+    rate_Hz: float, jitter_s: float, known: int, seed: int
+) -> None:
+    """Whatever the ticks do: counted from tick to tick, 1.84 a second came for 2."""
+    values, random = NamedValues(1.0 / rate_Hz), Random(seed)
+    told = {name: value if i < known else math.nan for i, (name, value) in enumerate(VALUES.items())}
+    sent = Counter(
+        message.name
+        for i in range(3000)
+        for message in values.due(i * TICK_S + random.uniform(0.0, jitter_s), 0, told)
+    )
+    assert len(sent) == known
+    assert all(abs(count - 60.0 * rate_Hz) <= 0.01 * 60.0 * rate_Hz + 1 for count in sent.values())
+
+
+def test_after_a_stall_no_value_is_made_up_for() -> None:
+    values = NamedValues(0.5)
+    ticks_s = [i * TICK_S for i in range(3000) if not 500 <= i < 1500]
+    sent = [(t, message.name) for t in ticks_s for message in values.due(t, 0, VALUES)]
+    after = [t for t, _ in sent if t >= 30.0]
+    assert len([t for t in after if t < 32.0]) <= 21
+    assert min(gaps_s(after)) > 0.1 - TICK_S - 1e-6
 
 
 @pytest.mark.parametrize("rate_Hz", [0.1, 1.0, 5.0, 10.0])
@@ -293,16 +327,16 @@ def test_parameters_are_shown_once_to_each_ground_station_of_an_ardupilot() -> N
     assert of("PARAM_VALUE", link.sent) == []
     link.wait(60.0, station=255)
     first = of("PARAM_VALUE", link.sent)
-    assert [message.param_index for _, message in first] == list(range(16))
+    assert [message.param_index for _, message in first] == list(range(15))
     assert all(gap_s >= 0.1 - 1e-6 for gap_s in gaps_s([t for t, _ in first]))
     link.wait(20.0, station=254)
-    assert len(of("PARAM_VALUE", link.sent)) == 32
+    assert len(of("PARAM_VALUE", link.sent)) == 30
     link.wait(50.0, station=254)
     link.wait(60.0, station=255)  # away for longer than a minute
-    assert len(of("PARAM_VALUE", link.sent)) == 48
+    assert len(of("PARAM_VALUE", link.sent)) == 45
     link.wait(30.0)
     link.wait(30.0, station=255)  # a short absence
-    assert len(of("PARAM_VALUE", link.sent)) == 48
+    assert len(of("PARAM_VALUE", link.sent)) == 45
 
 
 def test_a_list_under_way_goes_on_when_a_ground_station_appears() -> None:
@@ -311,7 +345,7 @@ def test_a_list_under_way_goes_on_when_a_ground_station_appears() -> None:
     link.wait(7.0, station=255)
     link.take(mavlink.MAVLink_param_request_list_message(1, US))
     link.wait(10.0, station=255)  # the station's seven seconds are over while the list runs
-    assert [message.param_index for _, message in of("PARAM_VALUE", link.sent)] == list(range(16))
+    assert [message.param_index for _, message in of("PARAM_VALUE", link.sent)] == list(range(15))
 
 
 def test_parameters_are_not_shown_unasked_on_a_px4() -> None:
@@ -333,7 +367,7 @@ def test_under_load_all_leaves_in_pairs() -> None:
     link.wait(3.0)
     kinds = Counter(message.get_type() for _, message in link.sent)
     assert kinds["COMMAND_ACK"] == kinds["AUTOPILOT_VERSION"] == 10
-    assert kinds["PARAM_VALUE"] == 16
+    assert kinds["PARAM_VALUE"] == 15
     assert kinds["STATUSTEXT"] == 3
     assert kinds["HEARTBEAT"] == 3
     assert kinds["NAMED_VALUE_FLOAT"] == pytest.approx(30, abs=2)
@@ -375,7 +409,40 @@ def test_in_flight_all_that_we_send_leaves_in_pairs(kind: Kind, monkeypatch: pyt
     assert all(third - first >= TICK_S - 1e-5 for first, third in zip(times_s, times_s[2:], strict=False))
     kinds = Counter(message.get_type() for _, message in left)
     assert kinds["AUTOPILOT_VERSION"] == kinds["COMMAND_ACK"] == 3 * 19
-    assert kinds["PARAM_VALUE"] == 16 * (2 if kind == "ardupilot" else 1)
+    assert kinds["PARAM_VALUE"] == 15 * (2 if kind == "ardupilot" else 1)
     assert kinds["COMMAND_LONG"] >= 5
     assert kinds["HEARTBEAT"] == pytest.approx(20, abs=2)
     assert flight.core._vehicle.component.dropped == 0
+
+
+# A key that somebody gives the vehicle.
+
+
+def told_of_key(profile: config.Config, target_system: int, times: int = 1) -> list[str]:
+    """What people read when a ground station gives a vehicle its key."""
+    core, codec = Core(profile), Codec(0, US)
+    autopilot, station = mavlink.MAVLink(None, 1, 1), mavlink.MAVLink(None, 255, 190)
+    setup = mavlink.MAVLink_setup_signing_message(target_system, 1, list(range(32)), 1)
+    frames = [mavlink.MAVLink_heartbeat_message(2, 3, 0x80, 3, 4, 3).pack(autopilot)]
+    for station.seq in range(times):
+        frames.append(setup.pack(station))
+    actions = [
+        action
+        for i, frame in enumerate(frames)
+        for message in codec.decode(frame)
+        for action in core.handle(VehicleMessage(float(i), message))
+    ]
+    return [action.text for action in actions if isinstance(action, Notice) and "serving" not in action.text]
+
+
+@pytest.mark.parametrize("target_system", [0, 1])
+def test_a_key_for_a_vehicle_without_one_in_its_profile_is_told_once(target_system: int) -> None:
+    told = told_of_key(config.default(), target_system, times=3)
+    assert told == ["Vine: SETUP_SIGNING ignored: no key in profile"]
+
+
+def test_a_key_for_another_vehicle_or_beside_our_own_is_not_told() -> None:
+    assert told_of_key(config.default(), 2) == []
+    profile = config.default()
+    with_key = msgspec.structs.replace(profile.vehicle, signing_key="key.txt")
+    assert told_of_key(msgspec.structs.replace(profile, vehicle=with_key), 1) == []

@@ -73,9 +73,19 @@ def test_health_alone_and_its_return() -> None:
 
 @pytest.mark.parametrize(("present", "enabled"), [(False, False), (True, False), (False, True)])
 def test_an_autopilot_that_does_not_watch_a_receiver_says_nothing(present: bool, enabled: bool) -> None:
-    link = good()
+    link = radio()
+    link.handle(0.0, channels())
     link.handle(0.1, health(False, present, enabled))
     assert link.problem(0.1) is None
+
+
+@pytest.mark.parametrize(("present", "enabled"), [(False, False), (True, False), (False, True), (True, True)])
+def test_a_receiver_that_was_good_is_lost_however_the_status_says_so(present: bool, enabled: bool) -> None:
+    link = good()
+    link.handle(0.1, health(False, present, enabled))
+    assert link.problem(0.1) == "the autopilot reports RC lost"
+    link.handle(0.2, health(True))
+    assert link.problem(0.2) is None
     link.handle(0.1, text("Radio Failsafe"))
     link.handle(0.9, health(False, present, enabled))
     link.handle(2.5, channels())

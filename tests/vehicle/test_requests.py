@@ -17,6 +17,7 @@ from flying_vines.vehicle.codec import Codec, Message
 from flying_vines.vehicle.component.identity import ProtocolVersion, autopilot_version, packed_version
 from flying_vines.vehicle.component.requests import Requests
 from flying_vines.vehicle.component.telemetry import Heartbeat, NamedValues
+from flying_vines.vehicle.component.timesync import MAX_ASKERS, Timesync, TokenBuckets
 
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
 US, STATION, AUTOPILOT = (1, 191), (255, 190), (1, 1)
@@ -300,3 +301,41 @@ def test_the_autopilots_clock_is_answered_and_answers_are_not() -> None:
     assert bench.take(mavlink.MAVLink_timesync_message(5, 1234), AUTOPILOT) == []
     for sender in (STATION, (1, 154), (2, 1)):
         assert bench.take(mavlink.MAVLink_timesync_message(0, 1234), sender) == []
+
+
+def test_an_answer_about_the_clock_names_whom_it_is_for() -> None:
+    """Without target fields PX4 sends it to every link."""
+    (answer,) = Bench().take(mavlink.MAVLink_timesync_message(0, 1234), AUTOPILOT) or []
+    frame = answer.pack(mavlink.MAVLink(None, *US))
+    assert frame[1] == 18
+    assert tuple(frame[10 + 16 : 10 + 18]) == AUTOPILOT
+    (received,) = Codec(1, 1).decode(frame)
+    assert (received.tc1, received.ts1) == (100_000_000_000, 1234)
+
+
+@pytest.mark.parametrize(
+    ("target", "answered"), [(US, True), ((1, 0), True), ((1, 154), False), ((2, 0), False)]
+)
+def test_a_question_about_the_clock_of_somebody_else_is_left_alone(
+    target: tuple[int, int], answered: bool
+) -> None:
+    asked = Timesync(0, 1234, *target).pack(mavlink.MAVLink(None, *AUTOPILOT))
+    (received,) = Codec(*US).decode(asked)
+    assert bool(Bench().requests.handle(0.0, received, 1)) is answered
+
+
+def test_the_clock_is_told_once_a_second_however_often_it_is_asked() -> None:
+    bench, answered = Bench(), 0
+    for _ in range(600):  # PX4 asks ten times a second
+        answered += len(bench.take(mavlink.MAVLink_timesync_message(0, 1234), AUTOPILOT) or [])
+        bench.t += 0.1
+    assert 60 <= answered <= 64
+
+
+def test_each_asker_has_tokens_of_its_own_and_askers_without_end_fill_no_memory() -> None:
+    buckets = TokenBuckets()
+    assert [buckets.take(0.0, (1, 1)) for _ in range(6)] == [True] * 4 + [False] * 2
+    assert buckets.take(0.0, (2, 1))
+    for system in range(3, 250):
+        assert buckets.take(0.0, (system, 1))
+    assert len(buckets._tokens) <= MAX_ASKERS

@@ -285,3 +285,22 @@ def test_a_reboot_after_forty_days_is_no_wrap() -> None:
     state = found()
     state.handle(0.0, clock(40 * 24 * 3600 * 1000))
     assert state.handle(5.0, clock(2000)) == [Rebooted()]
+
+
+def test_any_frame_of_our_autopilot_proves_it_alive_but_only_heartbeats_say_armed() -> None:
+    state = VehicleState()
+    assert state.silence_s(0.0) is None
+    state.handle(0.0, heartbeat(1, base_mode=ARMED))
+    for t in range(1, 6):
+        state.handle(float(t), position(1000 * t, 30.0))
+        assert (state.silence_s(t + 0.5), state.heartbeat_missing) == (0.5, False)
+    state.handle(6.0, position(6000, 30.0))
+    assert state.heartbeat_missing
+    state.handle(6.5, heartbeat(1, base_mode=ARMED))
+    assert not state.heartbeat_missing
+
+
+def test_a_silent_autopilot_is_silent_and_its_heartbeats_are_not_what_is_missing() -> None:
+    state = VehicleState()
+    state.handle(0.0, heartbeat(1, base_mode=ARMED))
+    assert (state.silence_s(60.0), state.heartbeat_missing) == (60.0, False)

@@ -157,3 +157,19 @@ def test_a_late_refusal_is_of_no_request() -> None:
         int(request.param1) for tick in range(200) for request in streams.requests(30.0 + tick * TICK_S, 1)
     }
     assert asked == set(WANTED_HZ)
+
+
+def test_nothing_is_missing_on_a_link_that_is_silent_and_just_after() -> None:
+    """A dead link is told elsewhere, once: not as streams that are missing."""
+    autopilot = Autopilot()
+    autopilot.run(10.0)
+    granted, autopilot.granted = autopilot.granted, set()
+    for _ in range(20):
+        autopilot.run(1.0)
+        assert autopilot.streams.missing(autopilot.now_s) == []
+    autopilot.granted = granted - {1}
+    autopilot.deaf_to = {1}
+    autopilot.run(MISSING_AFTER_S - 0.5)
+    assert autopilot.streams.missing(autopilot.now_s) == []
+    autopilot.run(1.0)
+    assert autopilot.streams.missing(autopilot.now_s) == ["SYS_STATUS"]

@@ -95,7 +95,7 @@ def test_what_is_not_understood_says_so(text: str) -> None:
 def test_a_vent_is_asked_for_until_it_is_confirmed() -> None:
     vent = Vent()
     assert vent.due(0.0) is None
-    vent.press(1.0)
+    vent.press(1.0, None)
     first = vent.due(1.0)
     assert first is not None
     assert json.loads(first)["command"] == "vent"
@@ -112,8 +112,8 @@ def test_a_vent_is_asked_for_until_it_is_confirmed() -> None:
 
 def test_a_vent_that_is_refused_is_not_asked_for_again() -> None:
     vent = Vent()
-    vent.press(1.0)
-    assert vent.due(1.0)
+    vent.press(1.0, snapshot(7.25))
+    assert json.loads(vent.due(1.0) or "")["seen_at"] == 7.25
     said = '{"kind": "answer", "id": 1, "safety": "refused", "reason": "you may only watch"}'
     assert vent.take(1.1, said) == "VENT refused: you may only watch"
     assert vent.due(9.0) is None

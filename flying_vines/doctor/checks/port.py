@@ -35,6 +35,8 @@ class PortFacts:
     member_since_login: bool = False
     """This user is in that group by now, but was not when he logged in."""
     held_by: tuple[Process, ...] = ()
+    served: bool = False
+    """Our own service holds it."""
     console: bool = False
     """The kernel writes its own messages there."""
     modem_manager: bool = False
@@ -69,6 +71,7 @@ def lines_of(which: Which) -> dict[str, Line]:
             "{path} may not be opened yet: group {group} was joined after logging in",
             "log out and in again",
         ),
+        "served": Line(check, "skipped", "{path} is the running service's"),
         "held": Line(check, "bad", "{path} is held by {who}", "end that program"),
         "console": Line(
             check,
@@ -106,7 +109,9 @@ def check(facts: PortFacts) -> list[Finding]:
     if not facts.may_open:
         line = lines["log in again" if facts.member_since_login else "not allowed"]
         found.append(line(path=facts.path, group=facts.group or "dialout"))
-    if facts.held_by:
+    if facts.served:
+        found.append(lines["served"](path=facts.path))
+    elif facts.held_by:
         found.append(lines["held"](path=facts.path, who=named(facts.held_by)))
     if not found:
         found.append(lines["good"](path=facts.path, board=facts.board or "no board on USB"))
@@ -118,11 +123,23 @@ def check(facts: PortFacts) -> list[Finding]:
     return found
 
 
-def check_network(which: Which, where: str, listens: bool, held_by: Sequence[Process] | None) -> Finding:
-    """Of a link over the network; `held_by` is None where the port on this computer is free."""
+def check_network(
+    which: Which, where: str, listens: bool, held_by: Sequence[Process] | None, served: bool = False
+) -> Finding:
+    """Of a link over the network.
+
+    Args:
+        which: of the two links.
+        where: it goes, as the profile has it.
+        listens: whether we wait on a port of this computer for the other end.
+        held_by: None where that port is free.
+        served: whether our own service holds it.
+    """
     lines = LINES[which]
     if not listens:
         return lines["network"](where=where)
     if held_by is None:
         return lines["free"](where=where)
+    if served:
+        return lines["served"](path=where)
     return lines["held"](path=where, who=named(held_by) or "another user's program")

@@ -13,23 +13,30 @@ class Process(NamedTuple):
 
     pid: int
     name: str
+    unit: str = ""
+    """Of systemd, where the process is our service there."""
 
     def __str__(self) -> str:
-        return f"{self.name} (process {self.pid})"
+        return f"{self.name} (process {self.pid}{', ' if self.unit else ''}{self.unit})"
+
+    @property
+    def stop(self) -> str:
+        """How to end it: either way it vents first."""
+        return f"sudo systemctl stop {self.unit}" if self.unit else f"kill {self.pid}"
 
 
 NONE = Line("service", "good", "no other one runs here")
 ELSEWHERE = Line(
     "service",
     "warning",
-    "{who} runs already, on other links",
-    "see that it is meant to: two services need two component ids",
+    "{who} runs already, on other ports of this computer",
+    "stop it ({stop}), unless it serves another vehicle: two services need two component ids",
 )
 RUNS = Line(
     "service",
     "bad",
     "{who} runs already, and holds the links: they cannot be looked at meanwhile",
-    "read its log (journalctl -u flying-vines), or stop it (sudo systemctl stop flying-vines) and look again",
+    "look at it with flying-vines watch, or stop it ({stop}) and look again",
 )
 
 
@@ -37,8 +44,12 @@ def named(processes: Sequence[Process]) -> str:
     return ", ".join(map(str, processes))
 
 
+def stop(processes: Sequence[Process]) -> str:
+    return "; ".join(process.stop for process in processes)
+
+
 def check(running: Sequence[Process], holding: Sequence[Process]) -> Finding:
     """`holding` are those of the running ones that have our links, as far as anybody can tell."""
     if holding:
-        return RUNS(who=named(holding))
-    return ELSEWHERE(who=named(running)) if running else NONE()
+        return RUNS(who=named(holding), stop=stop(holding))
+    return ELSEWHERE(who=named(running), stop=stop(running)) if running else NONE()

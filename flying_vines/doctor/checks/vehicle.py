@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 
 from flying_vines.config import Config
+from flying_vines.doctor.checks.service import Process, named, stop
 from flying_vines.doctor.finding import Finding, Line
 from flying_vines.doctor.vehicle_probe import Stream, VehicleFacts
-from flying_vines.vehicle.state import ALTITUDE_FRESH_S
+from flying_vines.vehicle.state import ALTITUDE_FRESH_S, HEARTBEAT_FRESH_S
 
 LEAST_RATE_SHARE = 0.7
 """Of a stream's rate; below it is slow."""
 SAMPLES_WITHIN_LOSS = 3.0
 """Of RC_CHANNELS within losses.rc_s: with fewer a single loss looks like a lost radio."""
+
+PX4_MISSION_CURRENT_HZ = 1.0
+"""PX4 sends it by itself; it has no such stream to set, and says so when it is asked."""
 
 GROUPS = {
     "SYS_STATUS": "EXT_STAT",
@@ -35,6 +41,12 @@ USES = {
 """What the service needs each for."""
 
 NO_LINK = Line("vehicle link", "bad", "{why}", "see vehicle.link, and what its port says above")
+SERVED = Line(
+    "vehicle link",
+    "bad",
+    "no autopilot is heard{why}, and {who} runs: it may have this link",
+    "look at it with flying-vines watch, or stop it ({stop}) and look again",
+)
 NOT_ASKED = Line("vehicle link", "skipped", "not listened to: see its port")
 SILENT = Line(
     "vehicle link",
@@ -71,12 +83,18 @@ OTHER_AUTOPILOT = Line(
 ARMED = Line(
     "autopilot", "warning", "it is armed ({mode})", "disarm it before anything is connected or mended"
 )
-HEARTBEAT = Line("heartbeat", "good", "{rate:.1f} a second, {silence:.1f} s apart at most")
+HEARTBEAT = Line("heartbeat", "good", "{rate:.1f} a second; the link was silent for {silence:.1f} s at most")
 HEARTBEAT_GAPS = Line(
     "heartbeat",
     "bad",
-    "{silence:.1f} s apart; after {limit:g} s (losses.autopilot_s) the autopilot counts as lost",
+    "nothing came for {silence:.1f} s; after {limit:g} s (losses.autopilot_s) the autopilot counts as lost",
     "mend the link: cable, baud rate, a router's load",
+)
+NO_HEARTBEAT = Line(
+    "heartbeat",
+    "bad",
+    "none for {limit:g} s while other messages come: whether the vehicle is armed is not known",
+    "see which messages a router between passes on",
 )
 STREAM = Line("{name}", "good", "{rate:.1f} a second")
 SLOW = Line("{name}", "warning", "{rate:.1f} a second of {wanted:g} (for {use})", "{where}")
@@ -88,6 +106,12 @@ CLASH = Line(
     "bad",
     "{id} is taken by another program on this vehicle",
     "set vehicle.component_id to a free one (BlueOS and Rpanion have 191)",
+)
+CLASH_WITH_SERVICE = Line(
+    "component id",
+    "warning",
+    "{id} is in use on this vehicle, and {who} runs: it is probably the one",
+    "stop it ({stop}) and look again",
 )
 FREE = Line("component id", "good", "{id} is ours alone; {others} heard besides the autopilot")
 UNSIGNED = Line(
@@ -109,13 +133,30 @@ NO_KEY = Line(
     "the autopilot signs its messages, and the profile has no key: it may not listen to us",
     "put its key in a file, and name that in vehicle.signing_key",
 )
+NO_KEY_NEEDED = Line(
+    "signing",
+    "good",
+    "the autopilot signs its messages and answers ours, which are unsigned: no key is needed",
+)
 NOT_SIGNED = Line("signing", "good", "off, on both sides")
 
 
-def check(facts: VehicleFacts | None, config: Config, seconds: float) -> list[Finding]:
-    """`facts` are None where the port could not be opened; `seconds` for how long it was listened to."""
+def check(
+    facts: VehicleFacts | None, config: Config, seconds: float, running: Sequence[Process] = ()
+) -> list[Finding]:
+    """What is to be said of the link.
+
+    Args:
+        facts: None where the port could not be opened.
+        config: the profile.
+        seconds: for how long it was listened to.
+        running: our own service, where it runs on this computer.
+    """
     if facts is None:
         return [NOT_ASKED()]
+    if running and not facts.found and not facts.refused.total and not facts.rivals:
+        why = f" ({facts.down})" if facts.down else ""
+        return [SERVED(why=why, who=named(running), stop=stop(running))]
     if not facts.messages:
         if facts.refused.total:
             return [UNSIGNED(refused=facts.refused)]
@@ -131,7 +172,7 @@ def check(facts: VehicleFacts | None, config: Config, seconds: float) -> list[Fi
         *_autopilot(facts),
         _heartbeat(facts, config),
         *(_stream(stream, facts.kind, config) for stream in facts.streams),
-        _component(facts, config),
+        _component(facts, config, running),
         _signing(facts, bool(config.vehicle.signing_key)),
     ]
 
@@ -147,12 +188,16 @@ def _autopilot(facts: VehicleFacts) -> list[Finding]:
 
 
 def _heartbeat(facts: VehicleFacts, config: Config) -> Finding:
+    if facts.heartbeat_missing:
+        return NO_HEARTBEAT(limit=HEARTBEAT_FRESH_S)
     if facts.longest_silence_s > config.losses.autopilot_s:
         return HEARTBEAT_GAPS(silence=facts.longest_silence_s, limit=config.losses.autopilot_s)
     return HEARTBEAT(rate=facts.heartbeat_Hz, silence=facts.longest_silence_s)
 
 
 def _stream(stream: Stream, kind: str, config: Config) -> Finding:
+    if kind == "px4" and stream.name == "MISSION_CURRENT":
+        stream = replace(stream, wanted_Hz=PX4_MISSION_CURRENT_HZ, refused=False)
     use, where = USES[stream.name], where_to_set(stream, kind)
     needed = stream.essential or (stream.name == "RC_CHANNELS" and uses_switch(config))
     if stream.rate_Hz == 0.0:
@@ -186,6 +231,8 @@ def where_to_set(stream: Stream, kind: str) -> str:
             f"set SRn_{group} = {rate}, n counting the MAVLink ports from USB = 0 "
             f"(from 4.7 on MAVn_{group}, from USB = 1), and a baud rate that carries all streams"
         )
+    if kind == "px4" and stream.name == "MISSION_CURRENT":
+        return "PX4 sends it by itself once it has a mission: set a baud rate that carries all streams"
     if kind == "px4":
         return (
             f"put into etc/extras.txt on its card: mavlink stream -d DEVICE -s {stream.name} -r {rate}; "
@@ -194,8 +241,10 @@ def where_to_set(stream: Stream, kind: str) -> str:
     return f"have it send {stream.name} {rate} times a second"
 
 
-def _component(facts: VehicleFacts, config: Config) -> Finding:
+def _component(facts: VehicleFacts, config: Config, running: Sequence[Process]) -> Finding:
     ours = config.vehicle.component_id
+    if facts.clash and running:
+        return CLASH_WITH_SERVICE(id=ours, who=named(running), stop=stop(running))
     if facts.clash:
         return CLASH(id=ours)
     return FREE(id=ours, others=_named(facts.others) or "nobody")
@@ -204,7 +253,9 @@ def _component(facts: VehicleFacts, config: Config) -> Finding:
 def _signing(facts: VehicleFacts, wanted: bool) -> Finding:
     if wanted:
         return SOME_REFUSED(refused=facts.refused) if facts.refused.total else SIGNED()
-    return NO_KEY() if facts.signs else NOT_SIGNED()
+    if not facts.signs:
+        return NOT_SIGNED()
+    return NO_KEY_NEEDED() if facts.answers else NO_KEY()
 
 
 def _named(others: tuple[tuple[int, int], ...]) -> str:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from flying_vines.doctor.checks.service import Process
 
 PROC = Path("/proc")
+_OUR_UNITS = re.compile(r"/(flying-vines[^/]*\.service)$", re.MULTILINE)
 _TCP_LISTENS = "0A"
 _PSEUDO = "/dev/pts/"
 _PLAYS = ("/dev/ptmx", "/dev/pts/ptmx")
@@ -43,8 +45,18 @@ def _name(folder: Path) -> str:
 def services(proc: Path = PROC) -> list[Process]:
     """Each `flying-vines run`, whoever started it."""
     return [
-        Process(pid, "flying-vines run") for pid, folder in _processes(proc) if _serves(_arguments(folder))
+        Process(pid, "flying-vines run", _unit(folder))
+        for pid, folder in _processes(proc)
+        if _serves(_arguments(folder))
     ]
+
+
+def _unit(folder: Path) -> str:
+    try:
+        found = _OUR_UNITS.search((folder / "cgroup").read_text(errors="replace"))
+    except OSError:
+        return ""
+    return found[1] if found else ""
 
 
 def secretive(process: Process, proc: Path = PROC) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from itertools import islice, takewhile
+from typing import NamedTuple
 
 import msgspec
 
@@ -23,6 +24,13 @@ _VENT = b'"vent"'
 _DECODER = msgspec.json.Decoder(Ask)
 
 
+class Waiting(NamedTuple):
+    """What is to be handed to the service, and when it was asked for by the clock that nobody sets."""
+
+    ask: Ask
+    made_at: float
+
+
 class Asks:
     """Judges what comes in, and says what is to be handed to the service, one after another."""
 
@@ -31,7 +39,7 @@ class Asks:
         self._within_s = within_s
         self._known: dict[str, float] = {}
         """When each was asked, by its id."""
-        self._waiting: deque[Ask] = deque()
+        self._waiting: deque[Waiting] = deque()
         self._patience = Patience(0.0, MOST_AT_ONCE, MOST_PER_S)
         self.ignored = 0
 
@@ -52,7 +60,7 @@ class Asks:
             return [refused(now, ask, problem)]
         if len(self._waiting) >= MOST_WAITING:
             return [refused(now, ask, "too much was asked for at once")]
-        self._waiting.append(ask)
+        self._waiting.append(Waiting(ask, made_at(now, ask)))
         return []
 
     @property
@@ -60,9 +68,9 @@ class Asks:
         """Whether anything is to be handed to the service."""
         return bool(self._waiting)
 
-    def next(self) -> list[Ask]:
+    def next(self) -> list[Waiting]:
         """To be asked of the service now, as one: all the vents that wait, or the first of what else does."""
-        vents = list(takewhile(lambda ask: ask.command == "vent", self._waiting))
+        vents = list(takewhile(lambda each: each.ask.command == "vent", self._waiting))
         together = vents or list(islice(self._waiting, 1))
         for _ in together:
             self._waiting.popleft()
@@ -74,11 +82,11 @@ class Asks:
 
     def _vent(self, now: Now, ask: Ask) -> list[Answer]:
         """Before all else; what was asked for earlier is not to bend the vine afterwards."""
-        overtaken = [earlier for earlier in self._waiting if earlier.command != "vent"]
-        self._waiting = deque(earlier for earlier in self._waiting if earlier.command == "vent")
+        overtaken = [each.ask for each in self._waiting if each.ask.command != "vent"]
+        self._waiting = deque(each for each in self._waiting if each.ask.command == "vent")
         # One vent serves all who wait for it; not all can be answered.
         if len(self._waiting) < MOST_WAITING:
-            self._waiting.append(ask)
+            self._waiting.append(Waiting(ask, made_at(now, ask)))
         return [refused(now, earlier, "overtaken by a vent") for earlier in overtaken]
 
     def _read(self, now: Now, payload: bytes, retained: bool) -> tuple[Ask | None, str]:
@@ -120,6 +128,11 @@ class Asks:
 
     def _may_be_vent(self, payload: bytes) -> bool:
         return "vent" in self._commands and len(payload) <= LONGEST_ASK and _VENT in payload
+
+
+def made_at(now: Now, ask: Ask) -> float:
+    """As old as it says that it is, and at least as old as it has been here."""
+    return now.t - max(0.0, now.unix_s - ask.unix_s)
 
 
 def refused(now: Now, ask: Ask | None, why: str) -> Answer:

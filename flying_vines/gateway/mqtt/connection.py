@@ -7,7 +7,7 @@ import contextlib
 import logging
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import aiomqtt
@@ -18,10 +18,10 @@ from flying_vines.address import parse_broker
 from flying_vines.gateway.feed import Feed, NoAnswerError, Reader
 from flying_vines.gateway.messages import Happened
 from flying_vines.gateway.mqtt import credentials
-from flying_vines.gateway.mqtt.asks import Asks
+from flying_vines.gateway.mqtt.asks import Asks, Waiting
 from flying_vines.gateway.mqtt.health import Health
 from flying_vines.gateway.mqtt.home_assistant import discovery
-from flying_vines.gateway.mqtt.payloads import Answer, Ask
+from flying_vines.gateway.mqtt.payloads import Answer
 from flying_vines.gateway.mqtt.problems import FileError, RefusedError, may_want_other_version, problem_of
 from flying_vines.gateway.mqtt.teller import Now, Publication, Teller
 from flying_vines.gateway.mqtt.topics import Topics
@@ -225,15 +225,17 @@ class Connection:
         while True:
             self._asked.clear()
             while asks := self._asks.next():
-                safety, reason = await self._ask(asks[0])
-                for ask in asks:
+                safety, reason = await self._ask(asks)
+                for ask, _ in asks:
                     self._answer(Answer(unix_s=self._now.unix_s, id=ask.id, safety=safety, reason=reason))
                 await asyncio.sleep(ASKED_EVERY_S)
             await self._asked.wait()
 
-    async def _ask(self, ask: Ask) -> tuple[Any, str]:
+    async def _ask(self, asks: Sequence[Waiting]) -> tuple[Any, str]:
+        ask, made_at = asks[0]
+        seen_at = max((each.seen_at for each, _ in asks if each.seen_at is not None), default=None)
         try:
-            answered = await self._feed.ask("broker", ask.command, ask.value, ask.name)
+            answered = await self._feed.ask("broker", ask.command, ask.value, ask.name, made_at, seen_at)
         except NoAnswerError as error:
             return "unknown", str(error)
         return answered.safety, answered.reason

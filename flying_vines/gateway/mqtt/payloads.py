@@ -63,6 +63,8 @@ class About(_Told, frozen=True, kw_only=True):
 class State(_Told, frozen=True, kw_only=True):
     """How things stand."""
 
+    t: float
+    """By a clock that nobody sets, in seconds; for the `seen_at` of an ask."""
     vehicle: str
     mode: str
     armed: bool
@@ -154,6 +156,8 @@ class Ask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Of `bend` an angle, of `pressure` a pressure."""
     name: str | None = None
     """Of `profile`."""
+    seen_at: float | None = None
+    """The `t` of the latest `state` that was seen: no fault that came later is cleared."""
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.unix_s):

@@ -153,8 +153,10 @@ class Teller:
             self._status = status
             told.append(self._told_status(now))
         if self._latest is not None:
-            seen = _rounded(msgspec.json.decode(self._latest.snapshot))
-            seen["unix_s"] = now.unix_of(seen["t"])
+            snapshot = msgspec.json.decode(self._latest.snapshot)
+            t = snapshot["t"]
+            # Its own time is not rounded: a fault of a moment later is not in it.
+            seen = _rounded(snapshot) | {"t": t, "unix_s": now.unix_of(t)}
             told.append(self._plain(self.topics.state, msgspec.convert(seen, State)))
             if now.t - self._reservoir_at >= RESERVOIR_S:
                 self._reservoir_at = now.t

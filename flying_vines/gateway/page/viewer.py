@@ -147,7 +147,9 @@ class Viewer:
             answer = _Answer(wish.id, "refused", "you may only watch")
         else:
             try:
-                found = await self._feed.ask("page", wish.command, wish.value, wish.name)
+                found = await self._feed.ask(
+                    "page", wish.command, wish.value, wish.name, wish.made_at, wish.seen_at
+                )
                 answer = _Answer(wish.id, found.safety, found.reason)
             except NoAnswerError as error:
                 answer = _Answer(wish.id, "unanswered", str(error))

@@ -23,6 +23,10 @@ class Wish(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     command: Command
     value: float | None = None
     name: Annotated[str, Meta(max_length=100)] | None = None
+    made_at: float | None = None
+    """When it was pressed, by the clock of the snapshots."""
+    seen_at: float | None = None
+    """The `t` of the latest snapshot that was shown then."""
 
 
 def read_wish(text: str) -> Wish:

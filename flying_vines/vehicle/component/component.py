@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import Config
+from flying_vines.notice import Notice, Severity
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.clash import Clash
 from flying_vines.vehicle.component.outbox import Outbox
@@ -34,6 +35,7 @@ class Component:
         self._fuel = FuelGauge()
         self._texts = Texts()
         self._requests = Requests(self._component_id, self._heartbeat, self._values)
+        self._key_told = bool(profile.vehicle.signing_key)
         self._clash = Clash(self._component_id)
         self._stations = Stations()
         self._outbox = Outbox()
@@ -62,14 +64,28 @@ class Component:
         if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             if vehicle.is_ours(message):
                 self._heartbeat.autopilot_spoke(t)
-            elif message.type == mavlink.MAV_TYPE_GCS and vehicle.kind == "ardupilot":
-                self._stations.heard(t, message.get_srcSystem())
+            else:
+                self._stations.heard(t, message, vehicle.kind == "ardupilot")
             return None
         if number in Requests.MESSAGES:
             return self._requests.handle(t, message, vehicle.system_id)
+        if number == mavlink.MAVLINK_MSG_ID_SETUP_SIGNING:
+            return self._without_key(t, message, vehicle.system_id)
         if number in Parameters.MESSAGES:
             return self.parameters.handle(t, message, vehicle.system_id, self._component_id, may_change)
         return None
+
+    def is_station(self, message: Message, vehicle: VehicleState) -> bool:
+        """Whether a ground station sent it."""
+        own = message.get_srcSystem() == vehicle.system_id
+        return not own and self._stations.sent(message)
+
+    def _without_key(self, t: float, message: Message, system_id: int) -> list[Output]:
+        """Once: whoever gives the vehicle a key should know that we do not take it."""
+        if self._key_told or message.target_system not in (0, system_id):
+            return []
+        self._key_told = True
+        return [Notice(t, Severity.NOTICE, "Vine: SETUP_SIGNING ignored: no key in profile")]
 
     def greet(self) -> None:
         """The autopilot knows nothing of us: let it hear us at once."""

@@ -21,6 +21,7 @@ from flying_vines.vehicle.component.telemetry import (
     Heartbeat,
     NamedValues,
 )
+from flying_vines.vehicle.component.timesync import Timesync, TokenBuckets, target_of
 
 ACCEPTED, DENIED, UNSUPPORTED = (
     mavlink.MAV_RESULT_ACCEPTED,
@@ -60,6 +61,7 @@ class Requests:
         self._heartbeat = heartbeat
         self._values = values
         self._pinged: deque[tuple[object, object]] = deque(maxlen=REMEMBERED_PINGS)
+        self._clock_answers = TokenBuckets()
         self._commands: dict[int, Callable[[float, Message], Outcome]] = {
             mavlink.MAV_CMD_REQUEST_MESSAGE: self._request,
             mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
@@ -158,10 +160,12 @@ class Requests:
 
     def _timesync(self, t: float, message: Message, system_id: int) -> list[Message]:
         """The autopilot asks for our clock; what is an answer itself gets none."""
+        asker = (message.get_srcSystem(), message.get_srcComponent())
         autopilot = (system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
-        if (message.get_srcSystem(), message.get_srcComponent()) != autopilot or message.tc1 != 0:
+        to_us = target_of(message) in ((0, 0), (system_id, 0), (system_id, self._component_id))
+        if asker != autopilot or message.tc1 != 0 or not to_us or not self._clock_answers.take(t, asker):
             return []
-        return [mavlink.MAVLink_timesync_message(int(t * 1e9), message.ts1)]
+        return [Timesync(int(t * 1e9), message.ts1, *asker)]
 
 
 def _whole(number: float) -> int | None:

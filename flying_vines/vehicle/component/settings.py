@@ -50,16 +50,9 @@ SETTINGS = (
     Setting("VINE_SW_HYST_US", "switch", "hysteresis_us", "us past the border before the position changes"),
     Setting("VINE_RC_LOSS_S", "losses", "rc_s", "s without RC_CHANNELS until RC is lost", "most"),
     Setting("VINE_RC_ACTION", "losses", "on_rc_loss", "RC lost: 0 vent, 1 hold", choices=VENT_OR_HOLD),
-    Setting("VINE_AP_LOSS_S", "losses", "autopilot_s", "s without HEARTBEAT: the autopilot is lost", "most"),
+    Setting("VINE_AP_LOSS_S", "losses", "autopilot_s", "s without a message: the autopilot is lost", "most"),
     Setting(
-        "VINE_AP_ACTION",
-        "losses",
-        "on_autopilot_loss",
-        "autopilot lost: 0 vent, 1 hold",
-        choices=VENT_OR_HOLD,
-    ),
-    Setting(
-        "VINE_HOLD_MAX_S", "losses", "hold_at_most_s", "s that a loss is held, then it vents", "most", 0.5
+        "VINE_HOLD_MAX_S", "losses", "hold_at_most_s", "s that RC losses are held, then it vents", "most", 0.5
     ),
     Setting("VINE_MAX_KPA", "limits", "max_kPa", "gauge kPa: no setpoint is above it", "most", 0.5),
     Setting("VINE_MAX_RATE", "limits", "max_rate_kPa_per_s", "kPa/s: no motion is faster", "most", 1.0),

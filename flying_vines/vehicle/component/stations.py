@@ -1,4 +1,8 @@
-"""Which ground stations are there, and which of them has yet to be shown our parameters.
+"""Which senders are ground stations, and which of them has yet to be shown our parameters.
+
+A ground station says so in its HEARTBEAT. Scripts send none, and not every autopilot forwards it to a
+companion: a sender whose heartbeat was never heard is known by its ids. Anybody can claim ids and types; only
+signing proves who sends.
 
 QGroundControl reads an ArduPilot's parameters as a file and then asks no other component for its own; but it
 takes them when they come unasked. So each station is shown them once, when it has had time to read the
@@ -7,22 +11,51 @@ autopilot's.
 
 from __future__ import annotations
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.codec import Message
+
 SETTLED_S = 7.0
 GONE_S = 60.0
+MOST_REMEMBERED = 256
+STATION_SYSTEMS = range(240, 256)
+"""Vehicles are numbered from 1 up, ground stations from 255 down; mavsdk takes 245."""
+STATION_COMPONENTS = (
+    mavlink.MAV_COMP_ID_ALL,  # pymavlink, where nothing is given
+    mavlink.MAV_COMP_ID_MISSIONPLANNER,  # QGroundControl, Mission Planner, mavsdk
+    230,  # MAVProxy
+)
 
 
 class Stations:
-    """Ground stations by system id. All times are seconds of one clock."""
+    """All times are seconds of one clock."""
 
     def __init__(self) -> None:
+        self._type_of: dict[tuple[int, int], int] = {}
+        """MAV_TYPE of each sender's latest heartbeat."""
         self._heard_at: dict[int, float] = {}
         self._show_at: dict[int, float] = {}
 
-    def heard(self, t: float, system_id: int) -> None:
-        """A heartbeat of a ground station."""
+    def heard(self, t: float, heartbeat: Message, show: bool) -> None:
+        """A heartbeat of anyone but the autopilot; `show`: a station is to be shown our parameters."""
+        sender = _sender(heartbeat)
+        self._type_of.pop(sender, None)
+        self._type_of[sender] = heartbeat.type
+        if len(self._type_of) > MOST_REMEMBERED:
+            del self._type_of[next(iter(self._type_of))]
+        if not show or heartbeat.type != mavlink.MAV_TYPE_GCS:
+            return
+        system_id = heartbeat.get_srcSystem()
         if t - self._heard_at.get(system_id, float("-inf")) > GONE_S:
             self._show_at[system_id] = t + SETTLED_S
         self._heard_at[system_id] = t
+
+    def sent(self, message: Message) -> bool:
+        """Whether a ground station sent it."""
+        sender = _sender(message)
+        if sender in self._type_of:
+            return sender[0] != 0 and self._type_of[sender] == mavlink.MAV_TYPE_GCS
+        return sender[0] in STATION_SYSTEMS and sender[1] in STATION_COMPONENTS
 
     def due(self, t: float) -> bool:
         """Whether a station waits for our parameters; once for each."""
@@ -30,3 +63,7 @@ class Stations:
         for system_id in waiting:
             del self._show_at[system_id]
         return bool(waiting)
+
+
+def _sender(message: Message) -> tuple[int, int]:
+    return message.get_srcSystem(), message.get_srcComponent()

@@ -17,6 +17,8 @@ SLOWEST_S, FASTEST_S = 10.0, 0.1
 """What a ground station may ask for, of each value."""
 ONCE_SPACING_S = 0.1
 FUEL_S = 10.0
+LATE_S = 0.1
+"""A value that is later than this (a stall) is not made up for: no burst."""
 _TICK_GRAIN_S = 0.001
 
 
@@ -63,7 +65,8 @@ class NamedValues:
         self._asked_s: float | None = None
         self._wanted_at = -math.inf
         self._last_at = -math.inf
-        self._sent_at: dict[str, float] = {}
+        self._due_at: dict[str, float] = {}
+        """When the last of each was due: from there, not from the tick that sent it, the next is counted."""
 
     @property
     def period_s(self) -> float:
@@ -80,18 +83,22 @@ class NamedValues:
 
     def due(self, t: float, time_boot_ms: int, values: Mapping[str, float]) -> list[Message]:
         """At most one: the value that is most overdue, so that they spread over time by themselves."""
-        sent = {name: self._sent_at.get(name, -math.inf) for name in values if math.isfinite(values[name])}
+        sent = {name: self._due_at.get(name, -math.inf) for name in values if math.isfinite(values[name])}
         name = min(sent, key=lambda name: sent[name], default=None)
         if name is None:
             return []
         spacing_s = self.period_s / len(values)
         if sent[name] < self._wanted_at:
-            spacing_s = min(spacing_s, ONCE_SPACING_S)
-        elif self.period_s == math.inf or t - sent[name] < self.period_s - _TICK_GRAIN_S:
+            due_at = max(self._wanted_at, self._last_at + min(spacing_s, ONCE_SPACING_S))
+        elif self.period_s == math.inf:
             return []
-        if t - self._last_at < spacing_s - _TICK_GRAIN_S:
+        else:
+            due_at = max(self._last_at + spacing_s, sent[name] + self.period_s)
+        if t < due_at - _TICK_GRAIN_S:
             return []
-        self._sent_at[name] = self._last_at = t
+        if t - due_at > max(spacing_s, LATE_S):
+            due_at = t
+        self._due_at[name] = self._last_at = due_at
         return [mavlink.MAVLink_named_value_float_message(time_boot_ms, name.encode(), values[name])]
 
 

@@ -26,7 +26,7 @@ def waiting(asks: Asks) -> list[list[str]]:
     """Ids of all that is handed to the service, in order."""
     handed = []
     while together := asks.next():
-        handed.append([one.id for one in together])
+        handed.append([one.ask.id for one in together])
     return handed
 
 
@@ -47,8 +47,8 @@ def test_what_is_listed_is_handed_on_with_its_value() -> None:
     assert asks.hear(NOW, ask("1", "bend", value=30), False) == []
     assert asks.hear(NOW, ask("2", "profile", name="wave"), False) == []
     (bend,), (profile,) = asks.next(), asks.next()
-    assert (bend.command, bend.value) == ("bend", 30.0)
-    assert (profile.command, profile.name) == ("profile", "wave")
+    assert (bend.ask.command, bend.ask.value) == ("bend", 30.0)
+    assert (profile.ask.command, profile.ask.name) == ("profile", "wave")
     assert not asks.next()
 
 
@@ -143,6 +143,14 @@ def test_what_waits_when_the_broker_goes_is_not_done_when_it_is_back() -> None:
     assert "asked before" in refusal(asks, ask("1", "bend", value=30))
 
 
+def test_what_waits_grows_old_whatever_its_senders_clock_says() -> None:
+    asks = Asks(ALL, 5.0)
+    asks.hear(NOW, ask("1", "bend", 3.0, value=30), False)
+    asks.hear(NOW, ask("2", "bend", -3.0, value=30), False)
+    (old,), (of_the_future,) = asks.next(), asks.next()
+    assert (old.made_at, of_the_future.made_at) == (NOW.t - 3.0, NOW.t)
+
+
 @given(st.binary(max_size=200) | st.text(max_size=50).map(str.encode), st.booleans())
 def test_no_bytes_make_it_fail(payload: bytes, retained: bool) -> None:
     asks = Asks(ALL, 5.0)
@@ -174,7 +182,9 @@ def test_whoever_asks_how_nothing_is_done_twice_or_late(said: list[tuple[str, in
         value = {"value": 30.0} if command == "bend" else {}
         asked = {"id": str(id), "unix_s": now.unix_s - age_s, "command": command, **value}
         asks.hear(now, msgspec.json.encode(asked), False)
-        for one in asks.next():
+        for one, made_at in asks.next():
+            assert now.unix_s - one.unix_s <= now.t - made_at + 1e-6
+            assert made_at <= now.t
             assert abs(now.unix_s - one.unix_s) <= 5.0
             done.append((one.id, one.unix_s))
         assert not asks.next()

@@ -74,6 +74,7 @@ def test_a_state_has_the_time_of_its_snapshot_and_null_for_what_is_not_known() -
     vehicle.take(5.0, seen(5.0, altitude_m=float("nan"), safe_state={"rc": "RC lost"}))
     _, state, reservoir = vehicle.due(now(7.0))
     told = read(state)
+    assert told["t"] == 5.0
     assert (state.topic, state.qos, state.retain) == ("flying-vines/heron/state", 0, False)
     assert told["unix_s"] == UNIX_S + 5.0
     assert told["altitude_m"] is None
@@ -215,7 +216,7 @@ def test_whatever_a_core_makes_can_be_told() -> None:
 
     for second, intent in enumerate(wanted, start=1):
         watch(world.advance(float(second)))
-        watch(world.feed(Asked(float(second), "broker", intent)))
+        watch(world.feed(Asked(float(second), "calibration", intent)))
     watch(world.advance(60.0))
     assert set(made) == {"decision", "notice", "calibrated"}
     told: list[str] = [event.__struct_config__.tag for event in tell_all(vehicle.events)]  # type: ignore[misc]

@@ -7,6 +7,7 @@ import contextlib
 import json
 import os
 import signal
+import time
 from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -227,6 +228,35 @@ async def test_a_link_that_is_cut_is_seen_and_comes_back(browser: Browser, tmp_p
         await page.wait_for_selector(LIVE)
         await page.wait_for_function(DRAWN)
         await _fits(page)
+        assert not wrong
+
+
+async def test_what_is_pressed_says_when_and_what_was_shown(browser: Browser, tmp_path: Path) -> None:
+    async with serving(tmp_path) as served:
+        page, wrong = await opened(browser, served.url, DESKTOP)
+        sent: list[dict[str, Any]] = []
+        page.on(
+            "websocket",
+            lambda socket: socket.on("framesent", lambda frame: sent.append(json.loads(frame))),
+        )
+        await page.reload()
+        await page.wait_for_selector(LIVE)
+        await page.click("#bench-mode")
+        await says(page, "#said", "bench mode: accepted")
+        (pressed,) = sent
+        assert time.monotonic() - PATIENCE_S < pressed["seen_at"] <= pressed["made_at"] <= time.monotonic()
+
+        # What it shows stands still, and its clock goes on: a vent says that it knows nothing newer.
+        os.kill(served.pid, signal.SIGSTOP)
+        await page.wait_for_selector("body.lost")
+        await page.click("#vent")
+        await page.wait_for_timeout(1200)
+        os.kill(served.pid, signal.SIGCONT)
+        await says(page, "#vent-said", "Vent confirmed")
+        vents = [wish for wish in sent if wish["command"] == "vent"]
+        assert len(vents) > 1
+        assert len({vent["seen_at"] for vent in vents}) == 1
+        assert all(vent["made_at"] - vent["seen_at"] > 0.9 for vent in vents[:2])
         assert not wrong
 
 

@@ -41,12 +41,13 @@ async def test_it_bends_and_vents_the_vine_and_its_process_may_die(tmp_path: Pat
         assert f"Page {served.url}" in served.said.read_text()
         async with session.ws_connect(served.url + "live") as viewing:
             await ready(viewing)
-            assert await ask(viewing, "bend", value=50) == ("refused", "not armed")
+            only_there = ("refused", "the page bends in bench mode only")
+            assert await ask(viewing, "bend", value=50) == only_there
+            assert await ask(viewing, "start_bench") == ("accepted", "")
             assert await ask(viewing, "profile", name="nothing") == (
                 "refused",
                 "there is no profile 'nothing'",
             )
-            assert await ask(viewing, "start_bench") == ("accepted", "")
             assert await ask(viewing, "bend", value=50) == ("accepted", "")
             await until(served.bench.bent, "the vine bends")
             before = served.gateway
@@ -60,6 +61,43 @@ async def test_it_bends_and_vents_the_vine_and_its_process_may_die(tmp_path: Pat
             await _vents_under_a_flood(viewing, served.port)
             await until(served.bench.vented, "the vine is vented")
             assert not served.bench.phlosar.firmware.faults
+
+
+async def test_what_was_not_answered_is_not_done_when_the_service_wakes(tmp_path: Path) -> None:
+    async with (
+        serving(tmp_path) as served,
+        client() as session,
+        session.ws_connect(served.url + "live") as viewing,
+    ):
+        await ready(viewing)
+        assert await ask(viewing, "start_bench") == ("accepted", "")
+        os.kill(served.pid, signal.SIGSTOP)
+        assert await ask(viewing, "bend", value=50) == ("unanswered", "the service does not answer")
+        await asyncio.sleep(1.0)
+        os.kill(served.pid, signal.SIGCONT)
+        while True:
+            told = await heard(viewing, "happened")
+            if told["what"] == "decision" and told["fields"]["intent"] == "bend 50°":
+                break
+        assert told["fields"]["safety"] == "refused"
+        assert told["fields"]["reason"].startswith("too late: asked ")
+        await asyncio.sleep(1.0)
+        assert not served.bench.bent()
+        shown = await _all_well(viewing)
+        assert await ask(viewing, "bend", value=50, made_at=shown) == ("accepted", "")
+        late, _ = await ask(viewing, "bend", value=40, made_at=shown - 5.0)
+        assert late == "refused"
+        assert await ask(viewing, "vent", made_at=shown - 5.0) == ("accepted", "")
+
+
+async def _all_well(viewing: ClientWebSocketResponse) -> float:
+    """The time of a fresh state without faults; what the board has latched is cleared once seen."""
+    while True:
+        now = (await heard(viewing, "snapshot"))["snapshot"]
+        lies_here_s = asyncio.get_running_loop().time() - now["t"]
+        if not now["safe_state"] and lies_here_s < 0.3:
+            return float(now["t"])
+        await ask(viewing, "clear_faults", seen_at=now["t"])
 
 
 def _alive(pid: int, before: int) -> bool:

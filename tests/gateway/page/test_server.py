@@ -131,6 +131,21 @@ async def test_what_is_asked_for_is_answered(bench: Bench, session: ClientSessio
     ]
 
 
+async def test_a_wish_is_as_old_as_it_says_and_no_younger_than_it_is(
+    bench: Bench, session: ClientSession
+) -> None:
+    loop = asyncio.get_running_loop()
+    began = loop.time()
+    async with session.ws_connect(bench.url + "/live") as viewing:
+        for times in ("", f', "made_at": {began - 9}, "seen_at": 7.5', f', "made_at": {began + 9}'):
+            await viewing.send_str(f'{{"id": 5, "command": "hold"{times}}}')
+            await heard(viewing, "answer")
+    made = [ask.made_at for ask in bench.asked]
+    assert made[1] == began - 9
+    assert all(at is not None and began <= at <= loop.time() for at in (made[0], made[2]))
+    assert [ask.seen_at for ask in bench.asked] == [None, 7.5, None]
+
+
 async def test_whoever_waits_for_an_answer_can_still_vent(bench: Bench, session: ClientSession) -> None:
     async with session.ws_connect(bench.url + "/live") as viewing:
         bench.answers = False

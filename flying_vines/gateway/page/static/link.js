@@ -22,6 +22,7 @@ export class Link {
     this.refused = "";
     this.lostAt = now();
     this.shownAt = null; // the latest snapshot's time, by the drone's clock
+    this.told = null; // the latest that the drone told of its clock, and when it came by ours
     this.offset = Infinity; // of our clock from the drone's, the least that was seen
     this.patience = FIRST_PATIENCE_S;
     this.answers = new Map();
@@ -62,8 +63,10 @@ export class Link {
       this.refused = "";
       this.patience = FIRST_PATIENCE_S;
       this.offset = this.heardAt - message.t;
+      this.told = { t: message.t, at: this.heardAt };
     } else if (message.kind === "snapshot") {
       this.shownAt = message.snapshot.t;
+      this.told = { t: this.shownAt, at: this.heardAt };
       this.offset = Math.min(this.offset, this.heardAt - this.shownAt);
     } else if (message.kind === "answer") {
       this.answers.get(message.id)?.(message);
@@ -104,8 +107,14 @@ export class Link {
     }
   }
 
-  // What safety makes of it: accepted, limited, refused, or unanswered.
-  ask(command, value = null, name = null) {
+  // By the drone's clock, and too early rather than too late: what took long to come here counts as old.
+  get madeAt() {
+    return this.told && this.told.t + (now() - this.told.at);
+  }
+
+  // What safety makes of it: accepted, limited, refused, or unanswered. What it is told late it does not do, but
+  // for a vent. `seenAt` is the time of what was shown: no fault that came later is cleared.
+  ask(command, value = null, name = null, seenAt = this.shownAt) {
     if (!this.open) return Promise.resolve({ safety: "unanswered", reason: "no link" });
     const id = this.number++;
     return new Promise((resolve) => {
@@ -116,7 +125,7 @@ export class Link {
       };
       const late = setTimeout(() => end({ safety: "unanswered", reason: "no answer" }), 1000 * ANSWERED_WITHIN_S);
       this.answers.set(id, end);
-      this.socket.send(JSON.stringify({ id, command, value, name }));
+      this.socket.send(JSON.stringify({ id, command, value, name, made_at: this.madeAt, seen_at: seenAt }));
     });
   }
 }
@@ -136,6 +145,7 @@ export class Vent {
 
   press() {
     this.since = now();
+    this.seenAt = this.link.shownAt; // whatever comes to light while it tries was not seen
     this.confirmedAfter = null;
     this.attempt();
   }
@@ -146,7 +156,7 @@ export class Vent {
 
   async attempt() {
     const since = this.since;
-    const answer = await this.link.ask("vent");
+    const answer = await this.link.ask("vent", null, null, this.seenAt);
     if (answer.safety === "accepted" && since === this.since) this.confirmedAfter ??= now() - since;
   }
 }

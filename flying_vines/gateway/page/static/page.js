@@ -164,7 +164,7 @@ const vent = new Vent(link);
 async function wish(title, command, value = null, name = null) {
   say("", `${title}: asking…`);
   const { safety, reason } = await link.ask(command, value, name);
-  const words = safety === "unanswered" ? `not known whether it was done: ${reason}` : safety;
+  const words = safety === "unanswered" ? `${reason}: if it was not done by now, it will not be` : safety;
   say(safety === "accepted" || safety === "limited" ? "good" : "bad",
     `${title}: ${words}${reason && safety !== "unanswered" ? `, ${reason}` : ""}`);
 }
@@ -176,7 +176,7 @@ function say(style, text) {
 
 function showControls() {
   const live = latest !== null && !page.contains("stale");
-  const bench = live && (latest.bench || vine.bench_mode);
+  const bench = live && !latest.armed && (latest.bench || vine.bench_mode);
   $("armed").setAttribute("aria-checked", Boolean(latest?.pneumatics_armed));
   $("bench-mode").setAttribute("aria-checked", Boolean(latest?.bench));
   for (const id of ["armed", "bench-mode"]) $(id).disabled = !live;

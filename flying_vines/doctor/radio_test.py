@@ -1,0 +1,479 @@
+"""The guided test of the radio: the transmitter is switched off and on twice, and every sign of it is noted.
+
+Sans-IO: feed it the autopilot's messages and the moments of Enter; times are seconds of one clock. A stream
+that goes on with the last values shows nothing when the transmitter goes off, so a person presses Enter at
+that moment: latencies from there are right within a second, those between two signs are exact.
+
+Two losses, from two positions of the switch, tell a receiver that holds from one with a preset value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.config import Config, ReceiverFailsafe
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.radio_parameters import RadioParameters
+from flying_vines.vehicle.rc import (
+    CHANNELS,
+    HIGHEST_US,
+    JUMP_US,
+    LOWEST_US,
+    NO_RSSI,
+    NO_SIGNAL,
+    RC_BIT,
+    RadioLink,
+)
+from flying_vines.vehicle.state import KINDS
+from flying_vines.vehicle.switch import BOUNDARIES_US
+
+Step = Literal["ready", "off", "lost", "on", "done"]
+"""Get ready; press Enter and switch off; note what shows; switch on again."""
+SignKind = Literal["channels", "rssi", "RC status", "text", "no RC_CHANNELS", "throttle", "mode"]
+Problem = Literal[
+    "", "armed", "no autopilot", "no RC", "RC not good", "position", "ground station", "not back"
+]
+"""Why the test ended before its end."""
+
+READY_WITHIN_S = 30.0
+"""A transmitter takes some seconds to start."""
+SHOWS_WITHIN_S = 15.0
+BACK_WITHIN_S = 45.0
+"""A transmitter that starts with a switch out of place waits until its warning is confirmed."""
+REST_S = 1.0
+QUIET_S = 1.5
+"""After the last new sign: then a loss has shown all that it shows."""
+EARLY_S = 1.6
+"""A jump this long before a sign of loss belongs to it, where Enter was pressed late or not at all."""
+STATUS_WITHIN_S = 3.0
+"""By then an autopilot that has a receiver has said so."""
+SAME_US = 30
+"""A channel that is held jitters less."""
+LOSSES = 2
+TELLING: frozenset[SignKind] = frozenset({"rssi", "RC status", "text", "no RC_CHANNELS", "throttle"})
+"""The signs by which the service knows that RC is lost."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sign:
+    """One thing that changed."""
+
+    kind: SignKind
+    after_s: float
+    """Since Enter, or since the first sign where nobody pressed it."""
+    said: str
+
+    @property
+    def telling(self) -> bool:
+        """Whether the service knows by it that RC is lost."""
+        return self.kind in TELLING
+
+
+@dataclass(frozen=True, slots=True)
+class Return:
+    """What showed when the transmitter was on again."""
+
+    switch_us: int
+    good_after_s: float | None
+    """From the switch's new position to the autopilot's word that RC is good; None if it did not move."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """One time without the transmitter."""
+
+    pressed: bool
+    """Whether the latencies count from Enter."""
+    before_us: int
+    """Of the switch's channel."""
+    lost_us: int
+    signs: tuple[Sign, ...]
+    jumped: tuple[int, ...]
+    """Other channels that jumped, and did not come back at once."""
+    back: Return | None = None
+
+    @property
+    def seen(self) -> bool:
+        """Whether it showed at all, be it as a jump alone."""
+        return any(sign.kind != "mode" for sign in self.signs)
+
+    @property
+    def shown_after_s(self) -> float | None:
+        """By when the service knows of it; None if never."""
+        return min((sign.after_s for sign in self.signs if sign.telling), default=None)
+
+    @property
+    def told_after_jump_s(self) -> float | None:
+        """How long the receiver's preset passed for the pilot's hand; None if it never jumped or showed."""
+        jump = next((sign.after_s for sign in self.signs if sign.kind == "channels"), None)
+        shown = self.shown_after_s
+        return None if jump is None or shown is None else max(0.0, shown - jump)
+
+    @property
+    def held(self) -> bool:
+        return abs(self.lost_us - self.before_us) <= SAME_US
+
+
+def position_of(pulse_us: int, positions: int) -> int:
+    """Of a switch with so many, counted from 0."""
+    return sum(pulse_us >= boundary for boundary in BOUNDARIES_US[positions])
+
+
+def failsafe_of(losses: tuple[Loss, ...]) -> ReceiverFailsafe:
+    """What the switch's channel reads when the transmitter is lost.
+
+    Where it stayed in one position, and was never lost in another, it may be held or preset there: then the
+    pulse width is returned, which is true of both.
+    """
+    seen = [loss for loss in losses if loss.seen]
+    if not seen:
+        return "unknown"
+    read_us = [loss.lost_us for loss in seen]
+    if max(read_us) - min(read_us) <= SAME_US:
+        return read_us[-1] if LOWEST_US <= read_us[-1] <= HIGHEST_US else "unknown"
+    return "hold" if all(loss.held for loss in seen) else "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class RadioLearned:
+    """What this receiver and autopilot do when the transmitter is lost."""
+
+    autopilot: str = "unknown"
+    problem: Problem = ""
+    detail: str = ""
+    target: int = 0
+    """The position in which the switch should have been at last, counted from 0."""
+    losses: tuple[Loss, ...] = ()
+    parameters: dict[str, float] = field(default_factory=dict)
+    hidden_by: str = ""
+    """The parameter that lets the autopilot hide a loss."""
+    shows_within_s: float = 0.0
+    """On PX4: how long the service waits for the RC status after a move that may be the receiver's preset."""
+
+
+@dataclass(slots=True)
+class _Under:
+    """A loss that goes on."""
+
+    pressed: bool
+    off_at: float
+    before_us: int
+    signs: list[Sign] = field(default_factory=list)
+    jumped: dict[int, int] = field(default_factory=dict)
+    """Channel, and what it was before."""
+    jumped_switch: bool = False
+    last_sign_at: float = 0.0
+
+
+class RadioTest:
+    """Feed it `take` for the autopilot's messages, `press` at each Enter, and `advance` often."""
+
+    def __init__(self, config: Config) -> None:
+        self._switch = config.switch
+        self._silent_after_s = config.losses.rc_s
+        self._parameters = RadioParameters()
+        self._radio = RadioLink(config.switch, config.losses.rc_s)
+        self.step: Step = "ready"
+        self.round = 0
+        self.came_back_early = False
+        """RC was good again before all signs were seen: that loss does not count."""
+        self.target = 0
+        """The position that the switch is to be in, counted from 0."""
+        self._began_at: float | None = None
+        self._step_at = 0.0
+        self._problem: Problem = ""
+        self._detail = ""
+        self._losses: list[Loss] = []
+        self._under: _Under | None = None
+        self._autopilot = ""
+        self._mode: int | None = None
+        self._heard_at: float | None = None
+        self._channels_us: tuple[int, ...] = ()
+        self._chancount = 0
+        self._rssi = NO_RSSI
+        self._rssi_lost = False
+        self._status: tuple[int, int, int] | None = None
+        self._position: int | None = None
+        self._position_at = 0.0
+        self._rest_us: tuple[int, ...] = ()
+        self._jump_at: float | None = None
+        self._moved_at: float | None = None
+        self._good_at: float | None = None
+
+    # What comes in
+
+    def take(self, t: float, message: Message) -> None:
+        """A message of our autopilot."""
+        kind = message.get_type()
+        self._radio.handle(t, message)
+        if kind == "HEARTBEAT":
+            self._heartbeat(t, message)
+        elif kind == "RC_CHANNELS":
+            self._rc_channels(t, message)
+        elif kind == "SYS_STATUS":
+            self._sys_status(t, message)
+        elif kind == "STATUSTEXT" and message.text.startswith("Radio Failsafe"):
+            if "Cleared" not in message.text:
+                self._sign(t, "text", f"“{message.text}”")
+        elif kind == "PARAM_VALUE":
+            self._parameters.handle(self._autopilot, message)
+        self.advance(t)
+
+    def press(self, t: float) -> None:
+        """Somebody switches the transmitter off now."""
+        if self.step == "off":
+            jumped = self._jump_at is not None
+            self._begin_loss(t if self._jump_at is None else self._jump_at, pressed=not jumped)
+
+    def requests(self, t: float, system_id: int) -> list[Message]:
+        """The autopilot's parameters are asked for."""
+        return self._parameters.requests(t, system_id, self._autopilot)
+
+    def advance(self, t: float) -> None:
+        """Time passes."""
+        if self._began_at is None:
+            self._began_at = self._step_at = t
+        if self._silent(t):
+            self._sign(t, "no RC_CHANNELS", f"no RC_CHANNELS for {self._silent_after_s:g} s", once=True)
+        waited_s = t - self._step_at
+        match self.step:
+            case "ready":
+                self._advance_ready(t, waited_s)
+            case "off":
+                self._advance_off(t)
+            case "lost":
+                self._advance_lost(t, waited_s)
+            case "on":
+                self._advance_on(t, waited_s)
+
+    # What is known
+
+    @property
+    def learned(self) -> RadioLearned:
+        return RadioLearned(
+            self._autopilot or "unknown",
+            self._problem,
+            self._detail,
+            self.target,
+            tuple(self._losses),
+            dict(self._parameters.values),
+            self._parameters.hides_loss,
+            self._parameters.px4_shows_loss_within_s,
+        )
+
+    @property
+    def signs(self) -> tuple[Sign, ...]:
+        """Of the loss that goes on, as they came."""
+        return tuple(self._under.signs) if self._under else ()
+
+    @property
+    def position(self) -> int | None:
+        """Of the switch, as it reads now; counted from 0."""
+        return self._position
+
+    @property
+    def switch_us(self) -> int:
+        return self._channels_us[self._switch.channel - 1] if self._channels_us else 0
+
+    def trouble(self, t: float) -> str:
+        """Why RC cannot be called good now; empty if it can."""
+        if not self._autopilot:
+            return "no autopilot yet"
+        if (problem := self._radio.problem(t)) is not None:
+            return problem
+        if self._rssi_lost:
+            return "the receiver hears no transmitter"
+        return "" if self._status else "no SYS_STATUS yet"
+
+    # The steps
+
+    def _advance_ready(self, t: float, waited_s: float) -> None:
+        trouble = self.trouble(t)
+        if self._radio.by_station:
+            if waited_s >= STATUS_WITHIN_S:
+                self._end("ground station")
+            return
+        if trouble:
+            if waited_s >= READY_WITHIN_S:
+                no_rc = self._heard_at is None or self._chancount == 0
+                early: Problem = "no RC" if no_rc else "RC not good"
+                self._end("no autopilot" if not self._autopilot else early, trouble)
+            return
+        rests = self._position == self.target and t - self._position_at >= REST_S
+        if rests and waited_s >= REST_S:
+            if self._parameters.hides_loss:
+                self._end()
+                return
+            self._rest_us, self._jump_at = self._channels_us, None
+            self._go(t, "off")
+        elif waited_s >= READY_WITHIN_S and self._position != self.target:
+            self._end("position", f"{self.switch_us} µs")
+
+    def _advance_off(self, t: float) -> None:
+        """Waits for Enter, as long as it takes; a loss that shows without it counts, too."""
+        if self.trouble(t):
+            self._begin_loss(t if self._jump_at is None else self._jump_at, pressed=False)
+        elif self._jump_at is not None and t - self._jump_at > EARLY_S:
+            self._go(t, "ready")
+
+    def _begin_loss(self, off_at: float, *, pressed: bool) -> None:
+        under = self._under = _Under(pressed, off_at, self._rest_us[self._switch.channel - 1])
+        self._go(off_at, "lost")
+        self.came_back_early = False
+        if self._jump_at is not None:
+            number = self._switch.channel
+            under.jumped[number] = under.before_us
+            under.jumped_switch = True
+            self._note(
+                under, off_at, "channels", f"channel {number}: {under.before_us} → {self.switch_us} µs"
+            )
+
+    def _advance_lost(self, t: float, waited_s: float) -> None:
+        under = self._under
+        assert under is not None
+        told = any(sign.telling for sign in under.signs)
+        if told and (not self.trouble(t) or (under.jumped_switch and self._reads(under.before_us))):
+            # What the channel read meanwhile is not known well enough.
+            self.came_back_early, self._under = True, None
+            self._go(t, "ready")
+        elif told and t - under.last_sign_at >= QUIET_S:
+            self._losses.append(self._loss(under))
+            self._moved_at = self._good_at = None
+            self.target = self._next_target()
+            self._go(t, "on")
+        elif not told and waited_s >= SHOWS_WITHIN_S:
+            self._losses.append(self._loss(under))
+            self._end()
+
+    def _next_target(self) -> int:
+        """Another position than those in which the switch was lost and in which the receiver put it."""
+        first, count = self._losses[0], len(self._switch.positions)
+        taken = {position_of(us, count) for us in (first.before_us, first.lost_us)}
+        free = [position for position in range(count) if position not in taken]
+        return 0 if self.round or not free else free[-1]
+
+    def _advance_on(self, t: float, waited_s: float) -> None:
+        if self.trouble(t):
+            self._good_at = None
+            if waited_s >= BACK_WITHIN_S:
+                self._end("not back", self.trouble(t))
+            return
+        self._good_at = t if self._good_at is None else self._good_at
+        if t - max(self._good_at, self._position_at) < REST_S:
+            return
+        after_s = None if self._moved_at is None else self._good_at - self._moved_at
+        self._losses[-1] = replace(self._losses[-1], back=Return(self.switch_us, after_s))
+        self._under = None
+        self.round += 1
+        if self.round == LOSSES:
+            self._end()
+        else:
+            self._go(t, "ready")
+
+    def _go(self, t: float, step: Step) -> None:
+        self.step, self._step_at = step, t
+
+    def _end(self, problem: Problem = "", detail: str = "") -> None:
+        self.step, self._problem, self._detail = "done", problem, detail
+
+    def _loss(self, under: _Under) -> Loss:
+        others = tuple(
+            number
+            for number, before_us in sorted(under.jumped.items())
+            if number != self._switch.channel and abs(self._channels_us[number - 1] - before_us) > SAME_US
+        )
+        signs = tuple(sorted(under.signs, key=lambda sign: sign.after_s))
+        return Loss(under.pressed, under.before_us, self.switch_us, signs, others)
+
+    # The signs
+
+    def _sign(self, t: float, kind: SignKind, said: str, *, once: bool = False) -> None:
+        if self.step == "off" and kind in TELLING:
+            self._begin_loss(t if self._jump_at is None else self._jump_at, pressed=False)
+        under = self._under
+        if self.step != "lost" or under is None:
+            return
+        if not (once and any(sign.kind == kind for sign in under.signs)):
+            self._note(under, t, kind, said)
+
+    @staticmethod
+    def _note(under: _Under, t: float, kind: SignKind, said: str) -> None:
+        under.signs.append(Sign(kind, round(t - under.off_at, 3), said))
+        under.last_sign_at = max(t, under.last_sign_at)
+
+    def _reads(self, pulse_us: int) -> bool:
+        return abs(self.switch_us - pulse_us) <= SAME_US
+
+    def _heartbeat(self, t: float, message: Message) -> None:
+        self._autopilot = self._radio.autopilot = KINDS.get(message.autopilot, "other")
+        if message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED and self.step != "done":
+            self._end("armed")
+        if self._mode is not None and message.custom_mode != self._mode:
+            self._sign(t, "mode", "the flight mode changes")
+        self._mode = message.custom_mode
+
+    def _rc_channels(self, t: float, message: Message) -> None:
+        before_us = self._channels_us
+        self._channels_us = tuple(getattr(message, f"chan{number}_raw") for number in range(1, CHANNELS + 1))
+        self._heard_at, self._chancount = t, message.chancount
+        position = position_of(self.switch_us, len(self._switch.positions))
+        if position != self._position:
+            self._position, self._position_at = position, t
+        if before_us:
+            self._look_for_jump(t, before_us)
+        if self._chancount == 0:
+            self._sign(t, "no RC_CHANNELS", "the receiver has no channels", once=True)
+        if self._throttle_low():
+            self._sign(t, "throttle", "throttle below its range", once=True)
+        if self._autopilot == "px4":
+            if message.rssi not in (NO_SIGNAL, NO_RSSI):
+                self._rssi_lost = False
+            elif self._rssi not in (NO_SIGNAL, NO_RSSI):
+                self._rssi_lost = True
+                self._sign(t, "rssi", f"rssi {self._rssi} → {message.rssi}")
+        self._rssi = message.rssi
+
+    def _look_for_jump(self, t: float, before_us: tuple[int, ...]) -> None:
+        now_us, number = self._channels_us, self._switch.channel
+        if self.step == "off":
+            if self._reads(self._rest_us[number - 1]):
+                self._jump_at = None
+            elif self._jump_at is None:
+                self._jump_at = t
+        if self.step == "on" and self._moved_at is None and not self._reads(before_us[number - 1]):
+            self._moved_at = t
+        jumped = {
+            channel: was_us
+            for channel, (was_us, is_us) in enumerate(zip(before_us, now_us, strict=True), 1)
+            if abs(is_us - was_us) >= JUMP_US and was_us
+        }
+        if self.step != "lost" or self._under is None or not jumped:
+            return
+        for channel, was_us in jumped.items():
+            self._under.jumped.setdefault(channel, was_us)
+        if number in jumped:
+            self._under.jumped_switch = True
+            self._sign(t, "channels", f"channel {number}: {jumped[number]} → {self.switch_us} µs")
+        elif len(jumped) > 1:
+            self._sign(t, "channels", f"channels {', '.join(map(str, jumped))} jump")
+
+    def _sys_status(self, t: float, message: Message) -> None:
+        before = self._status
+        self._status = (
+            int(bool(message.onboard_control_sensors_present & RC_BIT)),
+            int(bool(message.onboard_control_sensors_enabled & RC_BIT)),
+            int(bool(message.onboard_control_sensors_health & RC_BIT)),
+        )
+        if before == (1, 1, 1) != self._status:
+            was, now = (" ".join(map(str, bits)) for bits in (before, self._status))
+            self._sign(t, "RC status", f"RC status (present, enabled, health) {was} → {now}")
+
+    def _silent(self, t: float) -> bool:
+        return self._heard_at is not None and t - self._heard_at > self._silent_after_s
+
+    def _throttle_low(self) -> bool:
+        number = self._switch.throttle_channel
+        return bool(number) and 0 < self._channels_us[number - 1] < self._switch.throttle_failsafe_us

@@ -1,0 +1,57 @@
+"""TIMESYNC answers: to the asker alone, and no more of them than a radio can carry.
+
+PX4 forwards a TIMESYNC without target fields to every link, and asks ten times a second.
+"""
+
+from __future__ import annotations
+
+import struct
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.codec import Message
+
+RATE_HZ = 1.0
+BURST = 4
+MAX_ASKERS = 16
+"""More links than any autopilot has; when all are taken, the one that asked longest ago is forgotten."""
+
+_TARGET = struct.Struct("<qqBB")
+_TARGET_AT = 16
+"""Where the target fields begin in the payload. A frame without them is shorter, or zero there."""
+
+
+class Timesync(mavlink.MAVLink_timesync_message):  # type: ignore[misc]
+    """TIMESYNC with its MAVLink 2 target fields, which the dialect lacks."""
+
+    def __init__(self, tc1: int, ts1: int, target_system: int, target_component: int) -> None:
+        super().__init__(tc1, ts1)
+        self.target_system, self.target_component = target_system, target_component
+
+    def pack(self, mav: Message, force_mavlink1: bool = False) -> bytes:
+        payload = _TARGET.pack(self.tc1, self.ts1, self.target_system, self.target_component)
+        frame: bytes = self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1)
+        return frame
+
+
+def target_of(message: Message) -> tuple[int, int]:
+    """System and component that a received TIMESYNC is for; zeros where it is for everybody."""
+    system, component = (message.get_payload() or b"")[_TARGET_AT:].ljust(2, b"\0")[:2]
+    return system, component
+
+
+class TokenBuckets:
+    """A token bucket for each asker: `BURST` answers at once, `RATE_HZ` in the long run."""
+
+    def __init__(self) -> None:
+        self._tokens: dict[tuple[int, int], tuple[float, float]] = {}
+
+    def take(self, t: float, asker: tuple[int, int]) -> bool:
+        """Whether `asker` gets an answer at time `t`."""
+        left, at = self._tokens.pop(asker, (float(BURST), t))
+        left = min(float(BURST), left + (t - at) * RATE_HZ)
+        may = left >= 1.0
+        if len(self._tokens) >= MAX_ASKERS:
+            del self._tokens[next(iter(self._tokens))]
+        self._tokens[asker] = (left - 1.0 if may else left, t)
+        return may

@@ -1,0 +1,53 @@
+"""The guided radio test on real recordings, with somebody who presses Enter at given times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines import config
+from flying_vines.config import Config
+from flying_vines.doctor.radio_test import RadioTest
+from flying_vines.vehicle.codec import Codec, Message
+from flying_vines.vehicle.tlog import TlogReader
+
+RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
+DEFAULT = config.default()
+TICK_S = 0.05
+
+
+def recorded(name: str, from_s: float, until_s: float) -> Iterator[tuple[float, Message]]:
+    """The autopilot's messages between two times; the vehicle that flew is told to be disarmed."""
+    codec, began = Codec(99, 191), None
+    for unix_s, frame in TlogReader(RECORDINGS / f"{name}.tlog").frames():
+        began = unix_s if began is None else began
+        t = unix_s - began
+        for message in codec.decode(frame):
+            if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1 or not from_s <= t <= until_s:
+                continue
+            if message.get_type() == "HEARTBEAT":
+                message.base_mode &= ~mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+            yield t, message
+
+
+def run_on(
+    name: str,
+    from_s: float,
+    until_s: float,
+    presses: Sequence[float] = (),
+    target: int = 0,
+    profile: Config = DEFAULT,
+) -> RadioTest:
+    """The test on a part of a recording, begun with the switch in position `target`."""
+    test, waiting, now = RadioTest(profile), sorted(presses), from_s
+    test.target = target
+    for t, message in recorded(name, from_s, until_s):
+        while now + TICK_S < t:
+            now += TICK_S
+            while waiting and waiting[0] <= now:
+                test.press(waiting.pop(0))
+            test.advance(now)
+        test.take(t, message)
+    return test

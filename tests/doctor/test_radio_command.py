@@ -1,0 +1,175 @@
+"""`flying-vines doctor --radio`: what it prints, what it writes into the profile, and how it ends."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import run
+from real_time import real_time
+
+from flying_vines import config as configuration
+from flying_vines.config import ConfigError
+from flying_vines.doctor import radio_command
+from flying_vines.doctor.radio_command import with_learned
+from flying_vines.doctor.radio_guide import NobodyThereError
+from flying_vines.doctor.radio_test import Loss, RadioLearned, Sign
+
+SIGN = Sign("RC status", 1.1, "RC status (present, enabled, health) 1 1 1 → 0 1 0")
+HELD = Loss(True, 1000, 1000, (SIGN,), ()), Loss(True, 2000, 2000, (SIGN,), ())
+HOLDS = RadioLearned("px4", losses=HELD, shows_within_s=1.6)
+STRAIGHT = '[profiles.straight]\nsegments = [{ kind = "step", to_deg = 0 }]\n'
+LINE = 'receiver_failsafe = "hold"'
+
+
+@pytest.fixture
+def profile(tmp_path: Path) -> Path:
+    path = tmp_path / "vine.toml"
+    path.write_text(configuration.default_text())
+    return path
+
+
+def having_learned(monkeypatch: pytest.MonkeyPatch, learned: RadioLearned) -> None:
+    async def test(*arguments: Any) -> RadioLearned:
+        return learned
+
+    monkeypatch.setattr(radio_command, "_test", test)
+
+
+@real_time
+def test_on_the_fake_it_goes_by_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run(capsys, "doctor", "--radio", "--fakes", "--json")
+    told = json.loads(out)
+    assert status == 0
+    assert (told["safe"], told["receiver_failsafe"], told["written_to"]) == (True, "hold", None)
+    assert told["autopilot"] == "ardupilot"
+    for loss, lost_us in zip(told["losses"], (1000, 2000), strict=True):
+        assert loss["lost_us"] == lost_us
+        assert [sign["kind"] for sign in loss["signs"]] == ["text", "RC status"]
+        assert 0.8 < loss["shown_after_s"] < 1.6
+    assert told["parameters"]["RC_OVERRIDE_TIME"] == 3.0
+    # What a person reads is on standard error meanwhile.
+    steps = [line for line in err.splitlines() if line[:1].isdigit()]
+    assert [line[:3] for line in steps] == ["1/5", "2/5", "3/5", "4/5", "5/5"]
+    assert "position 3 (bend-full)" in steps[2]
+    assert "\x1b" not in err
+
+
+def test_nobody_at_the_terminal_is_a_line_and_status_two(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def test(*arguments: Any) -> RadioLearned:
+        raise NobodyThereError
+
+    monkeypatch.setattr(radio_command, "_test", test)
+    status, out, err = run(capsys, "doctor", "--radio")
+    assert (status, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert "press Enter" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "answer", "written"),
+    [((), "y\n", True), ((), "\n", False), ((), "", False), (("--yes",), "", True)],
+)
+def test_the_profile_is_changed_only_when_somebody_says_so(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    profile: Path,
+    arguments: tuple[str, ...],
+    answer: str,
+    written: bool,
+) -> None:
+    having_learned(monkeypatch, HOLDS)
+    stdin = io.StringIO(answer)
+    monkeypatch.setattr(stdin, "isatty", lambda: bool(answer))
+    monkeypatch.setattr(sys, "stdin", stdin)
+    status, out, err = run(capsys, "doctor", "--radio", "--config", profile, *arguments)
+    assert (status, err) == (0, "")
+    assert radio_command.SAFE in out
+    assert (configuration.load(profile).switch.receiver_failsafe == "hold") is written
+    assert (f"Written to {profile}: {LINE}" in out) is written
+    assert ("Not written" in out) is not written
+    assert LINE in out
+
+
+def test_a_profile_that_has_it_already_is_left_alone(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, profile: Path
+) -> None:
+    having_learned(monkeypatch, HOLDS)
+    profile.write_text(profile.read_text().replace('receiver_failsafe = "unknown"', LINE))
+    before = profile.read_text()
+    _, out, _ = run(capsys, "doctor", "--radio", "--config", profile, "--yes")
+    assert f"{profile} has it already" in out
+    assert profile.read_text() == before
+
+
+def test_for_the_built_in_profile_the_line_is_printed(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    having_learned(monkeypatch, HOLDS)
+    status, out, _ = run(capsys, "doctor", "--radio", "--yes")
+    assert status == 0
+    assert f"[switch]\n{LINE}" in out
+
+
+def test_a_loss_that_does_not_show_is_status_one_and_takes_the_bends_from_the_switch(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, profile: Path
+) -> None:
+    having_learned(monkeypatch, RadioLearned("ardupilot", losses=(Loss(True, 1000, 1000, (), ()),)))
+    status, out, _ = run(capsys, "doctor", "--radio", "--config", profile, "--yes")
+    assert status == 1
+    assert "BAD  RC loss:" in out
+    assert radio_command.UNSAFE in out
+    assert configuration.load(profile).switch.receiver_failsafe == "hidden"
+
+
+def test_contradictory_losses_write_that_it_is_unknown(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, profile: Path
+) -> None:
+    profile.write_text(profile.read_text().replace('receiver_failsafe = "unknown"', LINE))
+    losses = HELD[0], Loss(True, 2000, 1500, (SIGN,), ())
+    having_learned(monkeypatch, RadioLearned("px4", losses=losses, shows_within_s=1.6))
+    run(capsys, "doctor", "--radio", "--config", profile, "--yes")
+    assert configuration.load(profile).switch.receiver_failsafe == "unknown"
+
+
+def test_a_port_that_is_not_there_is_said_and_nothing_asked(
+    capsys: pytest.CaptureFixture[str], profile: Path
+) -> None:
+    profile.write_text(profile.read_text().replace("udpin:0.0.0.0:14540", "serial:/dev/none-a"))
+    status, out, err = run(capsys, "doctor", "--radio", "--config", profile)
+    assert (status, err) == (1, "")
+    assert "BAD  vehicle port:         /dev/none-a is not there" in out
+    assert "1/5" not in out
+
+
+def test_only_the_one_line_changes_and_its_comment_stays() -> None:
+    text = configuration.default_text()
+    edited = with_learned(text, "vine.toml", 1999, "2026-11-22")
+    changed = [
+        pair for pair in zip(text.splitlines(), edited.splitlines(), strict=True) if len(set(pair)) > 1
+    ]
+    ((_, line),) = changed
+    assert line.startswith("receiver_failsafe = 1999 ")
+    assert 'was "unknown", measured 2026-11-22' in line
+    assert "what doctor --radio saw" in line
+    again = with_learned(edited, "vine.toml", "hold", "2026-11-23")
+    assert "2026-11-22" not in again
+    assert "was 1999, measured 2026-11-23" in again
+
+
+def test_a_profile_without_the_key_gets_it() -> None:
+    text = f'{STRAIGHT}\n[switch]\npositions = ["straight", ""]\n'
+    edited = with_learned(text, "vine.toml", "hold", "2026-11-22")
+    assert configuration.parse(edited, "vine.toml").switch.receiver_failsafe == "hold"
+
+
+def test_a_profile_that_is_not_written_by_lines_is_refused() -> None:
+    text = f'switch = {{ positions = ["straight", ""] }}\n{STRAIGHT}'
+    with pytest.raises(ConfigError, match="by hand"):
+        with_learned(text, "vine.toml", "hold", "2026-11-22")

@@ -1,0 +1,13 @@
+"""A PARAM_VALUE as it comes out of a decoder, which makes the name a text."""
+
+from __future__ import annotations
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.codec import Message
+
+
+def param_value(name: str, number: float, kind: int = mavlink.MAV_PARAM_TYPE_REAL32) -> Message:
+    message = mavlink.MAVLink_param_value_message(name.encode(), number, kind, 1, 65535)
+    (decoded,) = mavlink.MAVLink(None).parse_buffer(message.pack(mavlink.MAVLink(None, 1, 1)))
+    return decoded

@@ -1,0 +1,393 @@
+"""The pilot's switch, on a radio whose truth is known: what bends the vine, what does not, and how late."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from param_value import param_value
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines import config
+from flying_vines.intent import StartProfile
+from flying_vines.notice import Notice
+from flying_vines.vehicle.pilot import Pilot, PilotOutput, Straightened
+from flying_vines.vehicle.rc import NO_RSSI, OVERRIDE_RSSI, RC_BIT
+from flying_vines.vehicle.triggers import Rules, Trigger
+
+PERIOD_S = 0.05
+PULSES_US = (1000, 1500, 2000)
+BITS_AFTER_S = 1.4
+"""The latest that PX4's RC status was seen to follow a loss."""
+BITS_BACK_S = 0.3
+
+
+@dataclass
+class Radio:
+    """A transmitter, a receiver and an autopilot that streams RC at 20 Hz and its status at 10 Hz."""
+
+    autopilot: Literal["ardupilot", "px4"] = "px4"
+    failsafe: Literal["unknown", "hold", "hidden"] | int = "unknown"
+    preset: dict[int, int] | None = None
+    """What the receiver makes of its channels in a loss; None: it holds them."""
+    bits_after_s: float = BITS_AFTER_S
+    rssi: int = NO_RSSI
+    rssi_when_lost: int = NO_RSSI
+    by_station: bool = False
+    debounce_s: float = 0.15
+    outputs: list[tuple[float, PilotOutput]] = field(default_factory=list)
+    steps: int = 0
+    lost_at: float | None = None
+    good_bits_at: float = 0.0
+    sticks: list[int] = field(default_factory=lambda: [1500, 1500, 1400, *[1500] * 5, 1000, *[1500] * 9])
+
+    def __post_init__(self) -> None:
+        base = config.default()
+        switch = msgspec.structs.replace(
+            base.switch, receiver_failsafe=self.failsafe, debounce_s=self.debounce_s
+        )
+        profile = msgspec.structs.replace(base, switch=switch)
+        self.pilot = Pilot(profile, Rules(profile))
+        self.received = list(self.sticks)
+        self.run(2.0)
+        self.told_at_start = self.told
+        self.outputs.clear()
+
+    @property
+    def now_s(self) -> float:
+        return self.steps * PERIOD_S
+
+    def move(self, position: int) -> None:
+        self.sticks[8] = PULSES_US[position]
+
+    def lose(self) -> None:
+        self.lost_at = self.now_s
+        for number, pulse_us in (self.preset or {}).items():
+            self.received[number - 1] = pulse_us
+
+    def restore(self) -> None:
+        assert self.lost_at is not None
+        if self.now_s - self.lost_at >= self.bits_after_s:
+            self.good_bits_at = self.now_s + BITS_BACK_S
+        self.lost_at = None
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / PERIOD_S)):
+            self.steps += 1
+            if self.lost_at is None:
+                self.received = list(self.sticks)
+            lost_s = 0.0 if self.lost_at is None else self.now_s - self.lost_at
+            good = lost_s < self.bits_after_s and self.now_s >= self.good_bits_at and not self.by_station
+            rssi = self.rssi if lost_s < 0.6 else self.rssi_when_lost
+            if self.by_station:
+                rssi = OVERRIDE_RSSI
+            if not (self.by_station and self.lost_at is not None):
+                stamp_ms = round(1000 * self.now_s) + 60_000
+                self.hear(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *self.received, rssi))
+            if self.steps % 2 == 0:
+                bits = [RC_BIT * flag for flag in (good, True, good)]
+                self.hear(mavlink.MAVLink_sys_status_message(*bits, 0, 12000, -1, -1, 0, 0, 0, 0, 0, 0))
+            self.outputs.extend((self.now_s, output) for output in self.pilot.tick(self.now_s))
+
+    def hear(self, message: object) -> None:
+        outputs = self.pilot.handle(self.now_s, message, self.autopilot)
+        self.outputs.extend((self.now_s, output) for output in outputs)
+
+    @property
+    def asked(self) -> list[tuple[float, str, bool]]:
+        return [
+            (t, output.intent.name if isinstance(output.intent, StartProfile) else "", output.by_person)
+            for t, output in self.outputs
+            if isinstance(output, Trigger)
+        ]
+
+    @property
+    def bends(self) -> list[float]:
+        return [t for t, name, _ in self.asked if name.startswith("bend")]
+
+    @property
+    def told(self) -> list[str]:
+        return [output.text for _, output in self.outputs if isinstance(output, Notice)]
+
+
+def test_a_bend_on_px4_waits_until_the_status_would_have_told_of_a_loss() -> None:
+    radio = Radio()
+    moved_s = radio.now_s
+    radio.move(2)
+    radio.run(5.0)
+    (bent_s,) = radio.bends
+    assert 1.6 <= bent_s - moved_s <= 1.85
+
+
+def test_straightening_on_px4_waits_for_nothing() -> None:
+    radio = Radio()
+    radio.move(2)
+    radio.run(3.0)
+    moved_s = radio.now_s
+    radio.move(0)
+    radio.run(0.3)
+    assert radio.asked[-1][1:] == ("straight", False)
+    assert radio.asked[-1][0] - moved_s <= 0.25
+    assert not any(isinstance(output, Straightened) for _, output in radio.outputs)
+    radio.run(2.0)
+    assert isinstance(radio.outputs[-1][1], Straightened), "only then it was the pilot for sure"
+
+
+@pytest.mark.parametrize("failsafe", ["hold", 1000, 1500])
+def test_a_receiver_known_to_do_no_harm_bends_at_once(
+    failsafe: Literal["hold"] | int,
+) -> None:
+    radio = Radio(failsafe=failsafe)
+    moved_s = radio.now_s
+    radio.move(2)
+    radio.run(5.0)
+    (bent_s,) = radio.bends
+    assert bent_s - moved_s <= 0.25
+
+
+@given(
+    lasts_s=st.floats(0.05, 6.0),
+    bits_after_s=st.floats(0.8, BITS_AFTER_S),
+    preset=st.sampled_from([{9: 2000}, {9: 1500}, {9: 2000, 3: 1000, 1: 1100}, {9: 2000, 3: 1000}]),
+    failsafe=st.sampled_from(["unknown", 2000]),
+    rssi=st.sampled_from([NO_RSSI, 61]),
+    repeats=st.integers(1, 3),
+    pause_s=st.floats(0.05, 1.0),
+)
+def test_no_preset_bends_the_vine_however_long_it_lasts(
+    lasts_s: float,
+    bits_after_s: float,
+    preset: dict[int, int],
+    failsafe: Literal["unknown"] | int,
+    rssi: int,
+    repeats: int,
+    pause_s: float,
+) -> None:
+    if failsafe == 2000 and preset[9] != 2000:
+        failsafe = "unknown"
+    radio = Radio(failsafe=failsafe, preset=preset, bits_after_s=bits_after_s, rssi=rssi)
+    for _ in range(repeats):
+        radio.lose()
+        radio.run(lasts_s)
+        radio.restore()
+        radio.run(pause_s)
+    radio.run(4.0)
+    assert radio.bends == []
+
+
+@given(
+    lasts_s=st.floats(1.5, 6.0),
+    moved_after_s=st.floats(0.0, 6.0),
+    failsafe=st.sampled_from(["unknown", "hold"]),
+    rssi=st.sampled_from([NO_RSSI, 61]),
+)
+def test_a_switch_that_moved_while_rc_was_lost_bends_nothing(
+    lasts_s: float, moved_after_s: float, failsafe: Literal["unknown", "hold"], rssi: int
+) -> None:
+    radio = Radio(failsafe=failsafe, rssi=rssi)
+    radio.lose()
+    radio.run(min(moved_after_s, lasts_s))
+    radio.move(2)
+    radio.run(lasts_s - min(moved_after_s, lasts_s))
+    radio.restore()
+    radio.run(4.0)
+    assert radio.bends == []
+    assert any("moved while RC was lost, move it again" in text for text in radio.told)
+
+
+@given(dwells=st.lists(st.tuples(st.sampled_from([0, 1, 2]), st.floats(0.05, 1.4)), max_size=8))
+def test_no_position_bends_that_is_left_too_soon(dwells: list[tuple[int, float]]) -> None:
+    radio = Radio()
+    for position, for_s in dwells:
+        radio.move(position)
+        radio.run(for_s)
+        radio.move(0)
+        radio.run(0.1)
+    radio.run(3.0)
+    assert radio.bends == []
+
+
+@given(positions=st.lists(st.sampled_from([0, 1, 2]), min_size=1, max_size=8))
+def test_every_move_of_the_pilot_counts_once(positions: list[int]) -> None:
+    radio = Radio()
+    wanted, before = [], 0
+    for position in positions:
+        radio.move(position)
+        radio.run(2.5)
+        if position != before:
+            wanted.append(("straight", "bend-half", "bend-full")[position])
+        before = position
+    assert [name for _, name, _ in radio.asked] == wanted
+
+
+def test_rc_by_a_ground_station_needs_no_receiver_and_is_said() -> None:
+    radio = Radio(by_station=True)
+    radio.move(2)
+    radio.run(0.3)
+    assert len(radio.bends) == 1
+    assert radio.told_at_start == ["Vine: RC comes from a ground station"]
+
+
+def test_a_receiver_that_knows_its_signal_tells_of_a_loss_before_the_status() -> None:
+    radio = Radio(rssi=61)
+    radio.lose()
+    radio.run(0.75)
+    assert radio.pilot.radio.problem(radio.now_s) == "the receiver hears no transmitter"
+
+
+def test_a_receiver_that_reports_no_signal_is_lost_whatever_the_status_says() -> None:
+    """CRSF frames go on with a link quality of 0: PX4's status stays good."""
+    radio = Radio(rssi=53, rssi_when_lost=0, bits_after_s=100.0, preset={9: 2000})
+    radio.lose()
+    radio.run(10.0)
+    assert radio.pilot.radio.problem(radio.now_s) == "the receiver hears no transmitter"
+    radio.restore()
+    radio.run(4.0)
+    assert radio.bends == []
+
+
+def test_a_receiver_without_a_failsafe_flag_must_not_bend_the_vine() -> None:
+    """PX4 then shows no loss at all; `flying-vines doctor --radio` finds it."""
+    radio = Radio(failsafe="hidden", preset={9: 2000}, bits_after_s=100.0)
+    radio.lose()
+    radio.run(5.0)
+    assert radio.bends == []
+    (refused,) = [output for _, output in radio.outputs if isinstance(output, Trigger)]
+    assert "receiver_failsafe" in refused.problem
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_several_channels_that_jump_with_the_switch_are_no_pilot(
+    autopilot: Literal["ardupilot", "px4"],
+) -> None:
+    radio = Radio(autopilot, failsafe="hold")
+    radio.sticks[:4] = [1100, 1900, 1000, 1500]
+    radio.move(2)
+    radio.run(4.0)
+    assert radio.bends == []
+    assert radio.told == ["Vine: switch ch9 moved with other channels, move it again"]
+
+
+def test_channels_that_jump_still_straighten_but_clear_nothing() -> None:
+    radio = Radio("ardupilot")
+    radio.move(2)
+    radio.run(1.0)
+    radio.sticks[:4] = [1100, 1900, 1000, 1500]
+    radio.move(0)
+    radio.run(1.0)
+    assert radio.asked[-1][1:] == ("straight", False)
+
+
+def test_a_slow_stick_beside_the_switch_is_the_pilot() -> None:
+    radio = Radio("ardupilot")
+    radio.move(2)
+    for _ in range(5):
+        radio.sticks[0] += 80
+        radio.sticks[1] -= 80
+        radio.run(PERIOD_S)
+    radio.run(0.5)
+    assert len(radio.bends) == 1
+
+
+def test_where_ardupilot_hides_a_loss_the_switch_straightens_only() -> None:
+    radio = Radio("ardupilot")
+    radio.hear(param_value("FS_THR_ENABLE", 0.0))
+    assert radio.told == ["Vine: FS_THR_ENABLE 0 hides RC loss: switch cannot bend"]
+    radio.move(2)
+    radio.run(1.0)
+    (refused,) = [output for _, output in radio.outputs if isinstance(output, Trigger)]
+    assert refused.intent is None
+    assert "FS_THR_ENABLE 0" in refused.problem
+    radio.move(0)
+    radio.run(1.0)
+    assert radio.asked[-1][1] == "straight"
+    radio.hear(param_value("FS_THR_ENABLE", 1.0))
+    assert "can bend" in radio.told[-1]
+    radio.move(2)
+    radio.run(1.0)
+    assert len(radio.bends) == 1
+
+
+def overridden(radio: Radio, ends_after_s: float) -> None:
+    """The pilot bends, a ground station vents; then it overrides the switch, and the override ends."""
+    radio.move(2)
+    radio.run(1.0)
+    radio.pilot.others_asked(straightened=True)
+    radio.move(0)
+    radio.run(ends_after_s)
+    radio.move(2)
+    radio.run(1.0)
+
+
+def test_an_override_that_ends_bends_nothing_again() -> None:
+    radio = Radio("ardupilot")
+    overridden(radio, 7.0)
+    assert len(radio.bends) == 1
+    assert radio.told[-1] == "Vine: switch ch9 is back where it was, move it again"
+    radio.move(0)
+    radio.run(1.0)
+    radio.move(2)
+    radio.run(1.0)
+    assert len(radio.bends) == 2, "a fresh move counts"
+
+
+@pytest.mark.parametrize("parameter", [("RC_OPTIONS", 2.0), ("RC_OVERRIDE_TIME", 0.0)])
+def test_without_overrides_a_switch_that_comes_back_was_moved(
+    parameter: tuple[str, float],
+) -> None:
+    radio = Radio("ardupilot")
+    radio.hear(param_value(*parameter))
+    overridden(radio, 7.0)
+    assert len(radio.bends) == 2
+
+
+def test_sooner_than_an_override_can_end_it_was_the_pilot() -> None:
+    radio = Radio("ardupilot")
+    overridden(radio, 1.5)
+    assert len(radio.bends) == 2
+
+
+def test_an_override_that_we_hear_end_is_no_move_in_either_direction() -> None:
+    radio = Radio("ardupilot")
+    channels_us = [65535] * 8 + [1000] + [0] * 9
+    radio.pilot.override(radio.now_s, mavlink.MAVLink_rc_channels_override_message(1, 1, *channels_us))
+    radio.run(3.0)
+    radio.move(2)
+    radio.run(1.0)
+    assert radio.bends == []
+    assert radio.told[-1] == "Vine: switch ch9 moved as an override ended, move it again"
+
+
+def test_a_bend_that_waits_is_overtaken_by_what_others_ask() -> None:
+    radio = Radio()
+    radio.move(2)
+    radio.run(1.0)
+    radio.pilot.others_asked(straightened=True)
+    radio.run(4.0)
+    assert radio.bends == []
+
+
+def test_without_a_status_a_bend_is_refused_and_said() -> None:
+    radio = Radio()
+    radio.move(2)
+    radio.run(0.5)
+    for _ in range(200):
+        radio.steps += 1
+        stamp_ms = round(1000 * radio.now_s) + 60_000
+        radio.hear(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *radio.sticks, NO_RSSI))
+        radio.outputs.extend((radio.now_s, output) for output in radio.pilot.tick(radio.now_s))
+    (refused,) = [output for _, output in radio.outputs if isinstance(output, Trigger)]
+    assert refused.problem == "the autopilot does not confirm RC, move it again"
+
+
+def test_a_gap_that_nobody_saw_is_a_loss() -> None:
+    radio = Radio("ardupilot")
+    radio.steps += 120  # our process stood still
+    radio.move(2)
+    radio.run(3.0)
+    assert radio.bends == []
+    assert "moved while RC was lost" in radio.told[-1]
