@@ -39,6 +39,7 @@ from flying_vines.intent import (
     ACTS_WITHIN_S,
     COMMAND_OF,
     ArmPneumatics,
+    BendTo,
     ClearFaults,
     DisarmPneumatics,
     Hold,
@@ -46,6 +47,7 @@ from flying_vines.intent import (
     SetPressure,
     StartBench,
     StartCalibration,
+    StartProfile,
     StopBench,
     StopCalibration,
     Vent,
@@ -55,6 +57,7 @@ from flying_vines.notice import Notice, Severity
 from flying_vines.physics_checks import PhysicsChecks
 from flying_vines.reservoir import Belief, CyclesLeft, ReservoirEstimate, nominal
 from flying_vines.safety import Conditions, Entered, Left, Ruling, Safety
+from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.parameters import Changed
 from flying_vines.vehicle.link_loss import LinkLoss
@@ -74,6 +77,11 @@ SPEAK_FIRST_S = 1.5
 BENCH_S = 300.0
 """So long after the last that was asked for, whoever tried the vine on the ground has gone."""
 
+AT_ONCE_S = 0.05
+"""Of what is asked for within this time nothing is newer."""
+
+VENTING = (Vent, DisarmPneumatics, StopCalibration, StopBench)
+MOVING = (StartProfile, BendTo, SetPressure)
 _BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
 """Triggers that are no other's wish than the pilot's."""
 
@@ -126,6 +134,7 @@ class Core:
         self._calibration: tuple[Motion, Readings] | None = None
         self._pneumatics_armed = config.interlocks.armed_at_start and not disarmed
         self._bench_until = -math.inf
+        self._asked_at = -math.inf
         self._unheeded_since: float | None = None
         self._stopped = False
         self._actions: list[Action] = []
@@ -279,6 +288,8 @@ class Core:
             return self._record(t, trigger, Ruling("refused", trigger.problem))
         if self._stopped:
             return self._record(t, trigger, Ruling("refused", "the service is stopping"))
+        if problem := self._outdated(t, trigger, intent):
+            return self._record(t, trigger, Ruling("refused", problem))
         settled = self._without_air(t, intent, trigger)
         if settled is not None:
             return self._record(t, trigger, settled)
@@ -302,6 +313,17 @@ class Core:
                 self._calibration = self._motion, Readings(self.config.calibration.hold_s)
             self._drive(t)
         return self._record(t, trigger, ruling)
+
+    def _outdated(self, t: float, trigger: Trigger, intent: Intent) -> str:
+        """Why it is too late for what was asked. To let air out it is so only behind something newer."""
+        late = trigger.age_s > LATE_S
+        overtaken = self._asked_at > t - trigger.age_s + AT_ONCE_S
+        if isinstance(intent, VENTING) or not (late or overtaken):
+            return ""
+        moves = isinstance(intent, MOVING) and not self._mover.problem(intent)
+        if moves and not overtaken and self._move(t, intent).releases:
+            return ""
+        return f"came {trigger.age_s:.1f} s late" if late else "something newer was asked"
 
     def _note_trigger(self, t: float) -> None:
         self._triggered_at = t
@@ -379,6 +401,8 @@ class Core:
 
     def _record(self, t: float, trigger: Trigger, ruling: Ruling) -> Decision:
         motion = self._motion
+        if ruling.verdict != "refused":
+            self._asked_at = max(self._asked_at, t - trigger.age_s)
         decision = Decision(
             t=t,
             trigger=trigger.kind,
@@ -393,6 +417,8 @@ class Core:
             self._vehicle.pilot.others_asked(straightened=motion is None or motion.only_lets_out)
         if ruling.verdict == "refused":
             asked = decision.intent or trigger.kind.replace("_", " ")
+            if (seq := trigger.what.get("seq")) is not None:
+                asked = f"item {seq}" + (f", {decision.intent}" if decision.intent else "")
             self._notice(t, Severity.WARNING, f"refused {asked}: {ruling.reason}", True)
         elif ruling.verdict == "limited":
             self._notice(t, Severity.NOTICE, f"{decision.intent} limited {ruling.reason}", True)

@@ -36,7 +36,7 @@ from flying_vines.record.topics import (
 )
 from flying_vines.reservoir import Belief
 from flying_vines.simulated_world import SimulatedWorld
-from flying_vines.vehicle.codec import Codec
+from flying_vines.vehicle.codec import Codec, Message
 from flying_vines.vehicle.mission.item import MissionItem
 
 
@@ -53,12 +53,21 @@ def replay(
 
     The times of the actions count from the first frame. `pace` 1 plays at the recorded speed, 2 twice as
     fast, 0 as fast as it goes. A frame whose time lies before its predecessor's is taken at its
-    predecessor's.
+    predecessor's. Where the core asks for a mission item, it gets the one that the recording showed last.
     """
     world = SimulatedWorld(config, mission=mission, belief=belief, parameters=parameters)
     codec = Codec(config.vehicle.system_id, config.vehicle.component_id)
     began: float | None = None
     started = time.monotonic()
+    items: dict[int, Message] = {}
+
+    def live(actions: Iterable[Action]) -> Iterator[Action]:
+        for action in actions:
+            yield action
+            wanted = action.message if isinstance(action, ToVehicle) else None
+            if wanted is not None and wanted.get_type() == "MISSION_REQUEST_INT" and wanted.seq in items:
+                yield from live(world.feed(VehicleMessage(world.now, items[wanted.seq])))
+
     for unix_s, frame in frames:
         began = unix_s if began is None else began
         t = max(world.now, unix_s - began)
@@ -66,11 +75,14 @@ def replay(
             ahead_s = t / pace - (time.monotonic() - started)
             if ahead_s > 0.0:
                 sleep(ahead_s)
-        yield from world.advance(t)
+        yield from live(world.advance(t))
         for message in codec.decode(frame):
             # A ground station's recording holds what we said then, which is not to be heard as another's.
-            if message.get_srcComponent() != config.vehicle.component_id:
-                yield from world.feed(VehicleMessage(t, message))
+            if message.get_srcComponent() == config.vehicle.component_id:
+                continue
+            if message.get_type() in ("MISSION_ITEM_INT", "MISSION_ITEM") and message.mission_type == 0:
+                items[message.seq] = message
+            yield from live(world.feed(VehicleMessage(t, message)))
 
 
 @dataclass

@@ -173,8 +173,8 @@ def numbers_of_before(storm: Storm) -> list[float]:
 def _fits(one: Seen, ran_at: float, item: MissionItem, kind: Kind) -> bool:
     if item.command != one.command or not -TICK_S <= one.t - ran_at <= LONGEST_WAIT_S:
         return False
-    if kind == "px4":
-        return one.numbers is not None and same_numbers(one.numbers[:4], item.params[:4])
+    if kind == "px4" and one.numbers is not None:
+        return one.seq in (None, item.seq) and same_numbers(one.numbers[:4], item.params[:4])
     return one.seq == item.seq
 
 

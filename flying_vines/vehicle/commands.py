@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.intent import Intent, StartCalibration, StopCalibration
+from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.answer import acknowledgement
 from flying_vines.vehicle.mission.execution import Execution
@@ -42,8 +44,9 @@ class Commands:
         from_autopilot: bool,
         px4: Px4Watch | None,
         from_station: bool,
+        age_s: float = 0.0,
     ) -> list[Trigger | Message]:
-        """A trigger, or the answer where there is nothing to decide.
+        """A trigger, or the answer where there is nothing to decide. `age_s`: how long ago it was sent.
 
         Only a ground station and the autopilot itself may bend; what lets air out is done for whoever asks.
 
@@ -69,21 +72,27 @@ class Commands:
             execution = px4.execution(t, message.command, params, confirmation)
             if execution is None:
                 return [acknowledgement(message, mavlink.MAV_RESULT_ACCEPTED)]
+            execution = replace(execution, age_s=execution.age_s + age_s)
             return [self._rules.item_trigger(t, execution, message)]
         if is_item:
-            return [self._rules.item_trigger(t, Execution(message.command, None, None, params), message)]
+            execution = Execution(message.command, None, None, params, age_s)
+            return [self._rules.item_trigger(t, execution, message)]
         found = self._intent(message.command, params)
         if found is None:
             self._repeats.answer(_key(message), mavlink.MAV_RESULT_UNSUPPORTED)
             return [acknowledgement(message, mavlink.MAV_RESULT_UNSUPPORTED)]
         what = {"command": message.command, "params": list(params[:4]), "from": _sender(message)}
+        if age_s > LATE_S:
+            what["late_s"] = round(age_s, 1)
         intent, problem = found
         if not from_station and not from_autopilot and not problem:
             lets_out = intent is not None and self._rules.only_lets_out(intent)
             problem = "" if lets_out else f"{_sender(message)} is no ground station"
         # A repeat may come long after: what has come to light since, its sender may not have seen.
         by_person = from_station and not from_autopilot and not repeat
-        return [Trigger(t, "command", what, intent, problem, by_person=by_person, command=message)]
+        seen_at = t - age_s if age_s > LATE_S else math.inf
+        trigger = Trigger(t, "command", what, intent, problem, by_person, message, age_s, seen_at)
+        return [trigger]
 
     def _intent(self, command: int, params: tuple[float, ...]) -> tuple[Intent | None, str] | None:
         """None for what is no command of ours."""

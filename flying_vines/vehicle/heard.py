@@ -5,9 +5,8 @@ Whoever looks for one more adds it here; a test finds those that were forgotten.
 
 from __future__ import annotations
 
-STATE = frozenset({
-    "ATTITUDE", "GLOBAL_POSITION_INT", "HEARTBEAT", "SCALED_PRESSURE", "STATUSTEXT", "SYSTEM_TIME",
-})  # fmt: skip
+CLOCK = frozenset({"ATTITUDE", "GLOBAL_POSITION_INT", "RC_CHANNELS", "SYSTEM_TIME"})
+STATE = CLOCK | {"HEARTBEAT", "SCALED_PRESSURE", "STATUSTEXT"}
 RADIO = frozenset({"PARAM_VALUE", "RC_CHANNELS", "STATUSTEXT", "SYS_STATUS"})
 MISSION = frozenset({
     "MISSION_ACK", "MISSION_COUNT", "MISSION_CURRENT", "MISSION_ITEM", "MISSION_ITEM_INT",

@@ -6,20 +6,15 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.vehicle import heard
+from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.codec import Message
 
 ALTITUDE_FRESH_S = 2.0
-LONGEST_DELAY_S = 20.0
-YOUNG_DELAY_S = 2.0
-YOUNG_MS = 60_000
-"""A clock that lags is a link's delay, which can be long; but one that lags and is young started anew."""
-
 HEARTBEAT_FRESH_S = 5.0
 """HEARTBEAT alone says whether it is armed, once a second. Five in a row are not lost by chance,
 and for no longer may a vehicle that has disarmed be taken for an armed one."""
 
-CLOCK_PERIOD_S = 2**32 / 1000
-CLOCK_DRIFT = 2e-4
 CHOOSING_S = 2.0
 """How long after the first autopilot's heartbeat a second one still makes the choice ambiguous."""
 
@@ -79,8 +74,7 @@ class VehicleState:
         self._configured_id = system_id
         self._found_at: float | None = None
         self._ambiguous = False
-        self._boot_offset_s: float | None = None
-        self._clock_at = 0.0
+        self.clock = AutopilotClock()
         self._altitude_m = 0.0
         self._altitude_at: float | None = None
         self._ambient_kPa = 0.0
@@ -125,9 +119,7 @@ class VehicleState:
 
     def time_boot_ms(self, t: float) -> int:
         """Our time `t` on the autopilot's clock; 0 before that clock is known."""
-        if self._boot_offset_s is None:
-            return 0
-        return max(0, int((t - self._boot_offset_s) * 1000)) & 0xFFFFFFFF
+        return self.clock.time_boot_ms(t)
 
     def is_ours(self, message: Message) -> bool:
         """Whether a message comes from the autopilot that we serve."""
@@ -148,6 +140,9 @@ class VehicleState:
         if not self.is_ours(message):
             return events
         self.heard(t)
+        if kind in heard.CLOCK and self.clock.stamp(t, message.time_boot_ms, kind == "RC_CHANNELS"):
+            self._altitude_at = None
+            events.append(Rebooted())
         if kind == "HEARTBEAT":
             self.heartbeat_at = t
             self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
@@ -156,20 +151,15 @@ class VehicleState:
         elif kind == "GLOBAL_POSITION_INT":
             self._altitude_m = message.relative_alt / 1000.0
             self._altitude_at = t
-            events.extend(self._clock(t, message.time_boot_ms))
         elif kind == "SCALED_PRESSURE":
             self._ambient_kPa = message.press_abs / 10.0
             self._ambient_at = t
-        elif kind in ("SYSTEM_TIME", "ATTITUDE"):
-            events.extend(self._clock(t, message.time_boot_ms))
-        elif (
-            kind == "STATUSTEXT"
-            and message.text.startswith("ArduPilot Ready")
-            and self.time_boot_ms(t) > LONGEST_BOOT_MS
-        ):
+        elif kind == "STATUSTEXT" and message.text.startswith("ArduPilot Ready"):
             # No stream runs after a reboot, so this text may be long before any clock.
-            self._boot_offset_s = self._altitude_at = None
-            events.append(Rebooted())
+            if self.time_boot_ms(t) > LONGEST_BOOT_MS:
+                self._altitude_at = None
+                events.append(Rebooted())
+            self.clock.forget()
         return events
 
     def _choose(self, t: float, message: Message) -> list[VehicleEvent]:
@@ -188,22 +178,6 @@ class VehicleState:
             return [Ambiguous(pair)]
         self.system_id, self._found_at = system, t
         return [Found(system)]
-
-    def _clock(self, t: float, time_boot_ms: int) -> list[VehicleEvent]:
-        offset_s = t - time_boot_ms / 1000.0
-        known = self._boot_offset_s
-        if known is None:
-            known, self._clock_at = offset_s, t
-        # The least delay ever seen, as far as the two clocks keep the same pace.
-        known += CLOCK_DRIFT * (t - self._clock_at)
-        self._clock_at = t
-        if abs(offset_s - known - CLOCK_PERIOD_S) < LONGEST_DELAY_S:
-            known += CLOCK_PERIOD_S
-        if offset_s - known > (LONGEST_DELAY_S if time_boot_ms > YOUNG_MS else YOUNG_DELAY_S):
-            self._boot_offset_s, self._altitude_at = offset_s, None
-            return [Rebooted()]
-        self._boot_offset_s = min(known, offset_s)
-        return []
 
 
 def _is_autopilot(message: Message) -> bool:

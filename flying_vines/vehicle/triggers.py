@@ -23,6 +23,7 @@ from flying_vines.intent import (
     StopCalibration,
     Vent,
 )
+from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vine.profile import flatten, top_kPa
@@ -67,6 +68,8 @@ class Trigger:
     by_person: bool = False
     command: Message | None = None
     """The command that waits for an acknowledgement."""
+    age_s: float = 0.0
+    """How long ago it was asked for, at least."""
     seen_at: float = math.inf
     """Of a person: latched faults that came later were not seen, and are not cleared."""
 
@@ -116,7 +119,7 @@ class Rules:
         """The intent of a mission item or command, or None and why there is none."""
         name = NAME_OF_COMMAND.get(command, str(command))
         if params is None:
-            return None, f"{name}: its numbers are not known, the mission was not read"
+            return None, "numbers not confirmed"
         for item in self._items:
             if command not in item.command_ids or not _matches(item.match, params):
                 continue
@@ -135,7 +138,9 @@ class Rules:
         what: dict[str, object] = {"seq": execution.seq, "command": execution.command}
         if execution.params is not None:
             what["params"] = list(execution.params[:4])
-        return Trigger(t, "mission_item", what, intent, problem, command=command)
+        if execution.age_s > LATE_S:
+            what["late_s"] = round(execution.age_s, 1)
+        return Trigger(t, "mission_item", what, intent, problem, command=command, age_s=execution.age_s)
 
 
 def direct_intent(command: int, params: Sequence[float]) -> tuple[Intent | None, str] | None:

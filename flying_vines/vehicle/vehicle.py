@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -10,6 +12,7 @@ from flying_vines.config import CARRIERS, Config
 from flying_vines.intent import Vent
 from flying_vines.notice import Notice, Severity
 from flying_vines.vehicle import heard
+from flying_vines.vehicle.clock import Mark
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.commands import Commands
 from flying_vines.vehicle.component import Component
@@ -28,6 +31,10 @@ from flying_vines.vehicle.triggers import Rules, Trigger
 
 Output = Trigger | Notice | Straightened | Changed | Message
 """What follows from a message or from time: something to decide, to tell, to take over, or to send."""
+
+
+MOST_HELD = 50
+"""Commands that wait until it is clear how old they are: for a third of a second at most."""
 
 
 class Vehicle:
@@ -51,8 +58,9 @@ class Vehicle:
         self._missing: list[str] = []
         self.link_closed = False
         self._book = MissionBook(mission)
-        self._ardupilot = ArduPilotWatch(self._book, self._rules.commands)
-        self._px4 = Px4Watch(self._book)
+        self._ardupilot = ArduPilotWatch(self._book, self._rules.commands, self.state.clock)
+        self._px4 = Px4Watch(self._book, self._rules.commands, self.state.clock)
+        self._held: deque[tuple[Mark, Message]] = deque(maxlen=MOST_HELD)
         self._commands = Commands(self._rules, config.vehicle.component_id)
 
     @property
@@ -80,6 +88,8 @@ class Vehicle:
         """
         kind = message.get_type()
         from_autopilot = self.state.is_ours(message)
+        if from_autopilot:
+            self.state.clock.frame(t, message.get_seq())
         if from_autopilot and kind not in heard.STATE:
             self.state.heard(t)
         if kind not in heard.ALL:
@@ -102,10 +112,9 @@ class Vehicle:
             out.extend(answers or ())
             from_autopilot = self.state.is_ours(message)  # it may have been the first
         if answers is None and kind in ("COMMAND_LONG", "COMMAND_INT") and self.state.found:
-            px4 = None if self.state.kind == "ardupilot" else self._px4
-            from_station = self.component.is_station(message, self.state)
-            found = self._commands.handle(t, message, self.state.system_id, from_autopilot, px4, from_station)
-            out.extend(answer for output in found for answer in self._once(t, output))
+            self._held.append((self.state.clock.mark(t), message))
+        if kind in heard.CLOCK or kind in ("COMMAND_LONG", "COMMAND_INT"):
+            out.extend(self._command_triggers(t))
         if from_autopilot:
             self._streams.handle(t, message)
             if kind in heard.RADIO:
@@ -114,10 +123,12 @@ class Vehicle:
                 self._book.refresh(t)
                 self.pilot.parameters.refresh()
             if kind in heard.MISSION:
-                self._px4.handle(message)
                 self._book.handle(t, message)
+                self._px4.handle(t, message)
                 out.extend(self._book.acknowledgement(self.state.system_id))
             out.extend(self._watch(t, message))
+            if self._book.tell_anew():
+                out.append(Notice(t, Severity.NOTICE, "Vine: mission read anew"))
         elif kind == "RC_CHANNELS_OVERRIDE":
             self.pilot.override(t, message)
         if any(isinstance(output, Trigger) and output.by_person for output in out):
@@ -130,8 +141,10 @@ class Vehicle:
         out.extend(self.pilot.tick(t))
         if not self.state.found:
             return out
-        if self.state.kind != "px4":
-            out.extend(self._item_triggers(t, self._ardupilot.due(t)))
+        out.extend(self._command_triggers(t))
+        due = self._px4.due(t) if self.state.kind == "px4" else self._ardupilot.due(t)
+        out.extend(self._item_triggers(t, due))
+        out.extend(self._asks(t))
         out.extend(self._streams.requests(t, self.state.system_id))
         out.extend(self._book.requests(t, self.state.system_id, self.state.kind == "ardupilot"))
         out.extend(self.pilot.requests(t, self.state.system_id, self.state.kind))
@@ -170,12 +183,33 @@ class Vehicle:
         self.component.greet()
         self._streams.forget()
         self.pilot.restarted()
-        self._ardupilot = ArduPilotWatch(self._book, self._rules.commands)
+        self._ardupilot = ArduPilotWatch(self._book, self._rules.commands, self.state.clock)
         self._book.doubt(t)
         return [
             Notice(t, Severity.WARNING, "Vine: autopilot rebooted, vented"),
             Trigger(t, "link", {"event": "autopilot rebooted"}, Vent()),
         ]
+
+    def _command_triggers(self, t: float) -> list[Output]:
+        """Of the commands that came, those of which it is clear how old they are."""
+        out: list[Output] = []
+        px4 = None if self.state.kind == "ardupilot" else self._px4
+        while self._held:
+            mark, message = self._held[0]
+            age_s = self.state.clock.age_s(mark, t)
+            if age_s is None:
+                break
+            self._held.popleft()
+            theirs = self.state.is_ours(message)
+            from_station = self.component.is_station(message, self.state)
+            system_id = self.state.system_id
+            found = self._commands.handle(t, message, system_id, theirs, px4, from_station, age_s)
+            out.extend(answer for output in found for answer in self._once(t, output))
+        return out
+
+    def _asks(self, t: float) -> list[Message]:
+        """What the autopilot is asked for because it has just run it."""
+        return [self._book.ask(seq, self.state.system_id) for seq in self._ardupilot.asks(t)]
 
     def _once(self, t: float, output: Trigger | Message) -> list[Output]:
         """Of an item that a script on ArduPilot hands over and that is told by text as well, only one."""
@@ -188,17 +222,21 @@ class Vehicle:
         execution = self._ardupilot.handed_over(t, params)
         if execution is None:
             return list(self._commands.acknowledge(output, True))
+        execution = replace(execution, age_s=output.age_s)
         return [self._rules.item_trigger(t, execution, command)]
 
-    def _watch(self, t: float, message: Message) -> list[Trigger]:
-        """Every message of an ArduPilot: each tells whether frames were lost before it."""
+    def _watch(self, t: float, message: Message) -> list[Output]:
         if self.state.kind == "px4":
             return []
-        return self._item_triggers(t, self._ardupilot.handle(t, message))
+        return [*self._item_triggers(t, self._ardupilot.handle(t, message)), *self._asks(t)]
 
-    def _item_triggers(self, t: float, executions: Sequence[Execution]) -> list[Trigger]:
-        return [
-            self._rules.item_trigger(t, execution)
-            for execution in executions
-            if execution.command in self._rules.commands
-        ]
+    def _item_triggers(self, t: float, executions: Sequence[Execution]) -> list[Output]:
+        out: list[Output] = []
+        for execution in executions:
+            trigger = self._rules.item_trigger(t, execution)
+            if execution.anew:
+                self._book.told_anew()
+                text = f"Vine: mission read anew, item {execution.seq}: {trigger.intent or trigger.problem}"
+                out.append(Notice(t, Severity.NOTICE, text))
+            out.append(trigger)
+        return out

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import random
+import struct
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.codec import Codec, Message
-from flying_vines.vehicle.mission.ardupilot import WAIT_FOR_BOOK_S, WAIT_FOR_TEXT_S, ArduPilotWatch
+from flying_vines.vehicle.mission.ardupilot import ASK_AGAIN_S, GIVE_UP_S, WAIT_FOR_TEXT_S, ArduPilotWatch
 from flying_vines.vehicle.mission.book import MOST_ITEMS, MissionBook
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem
@@ -40,12 +42,37 @@ PLAN = mission(WP, TAKEOFF, WP, SCRIPT, GRIPPER, WP, SCRIPT, WP, LAND)
 """Home, take-off, and two legs that end in payload items: 3 and 4 behind waypoint 2, 6 behind waypoint 5."""
 
 
+def item_message(one: MissionItem) -> Message:
+    p1, p2, p3, p4, _, _, z = one.params
+    return mavlink.MAVLink_mission_item_int_message(
+        1, 191, one.seq, one.frame, one.command, 0, 1, p1, p2, p3, p4, 0, 0, z, 0
+    )
+
+
+def identified(total: int, mission_id: int) -> Message:
+    """MISSION_CURRENT of a newer autopilot, with fields that the dialect does not name."""
+    payload = struct.pack("<HHBBIII", 2, total, 0, 0, mission_id, 0, 0)
+    message = mavlink.MAVLink_mission_current_message(2, total)
+    message.pack = lambda mav, **_: _frame(payload, mav.seq)
+    return message
+
+
+def _frame(payload: bytes, sequence: int) -> bytes:
+    header = bytes((len(payload), 0, 0, sequence, 1, 1, 42, 0, 0))
+    checksum = mavlink.x25crc(header + payload + bytes((28,))).crc
+    return b"\xfd" + header + payload + struct.pack("<H", checksum)
+
+
 class Air:
     """What an ArduPilot sends, frame by frame, some of them lost."""
 
     def __init__(self, items: list[MissionItem], given_beforehand: bool = True) -> None:
         self.book = MissionBook(items) if given_beforehand else MissionBook()
-        self.watch = ArduPilotWatch(self.book, PAYLOAD)
+        self.clock = AutopilotClock()
+        self.watch = ArduPilotWatch(self.book, PAYLOAD, self.clock)
+        self.asked: list[int] = []
+        self.stored: dict[int, MissionItem] = {}
+        """What the autopilot answers with."""
         self.t = 100.0
         self.found: list[Execution] = []
         self._mav = mavlink.MAVLink(None, 1, 1)
@@ -55,14 +82,25 @@ class Air:
         frame = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
         if not lost:
-            arrived = mavlink.MAVLink(None).parse_char(frame)
-            self.book.handle(self.t, arrived)
-            self.found += self.watch.handle(self.t, arrived)
+            self._take(frame)
+            self._ask()
+
+    def _take(self, frame: bytes) -> None:
+        arrived = mavlink.MAVLink(None).parse_char(frame)
+        self.clock.frame(self.t, arrived.get_seq())
+        self.book.handle(self.t, arrived)
+        self.found += self.watch.handle(self.t, arrived)
+
+    def _ask(self) -> None:
+        for seq in self.watch.asks(self.t):
+            self.asked.append(seq)
+            if seq in self.stored:
+                self.send(item_message(self.stored[seq]))
 
     def send_twice(self, message: Message, later_s: float) -> None:
         frame = message.pack(self._mav)
         for wait_s in (later_s, 0.0):
-            self.found += self.watch.handle(self.t, mavlink.MAVLink(None).parse_char(frame))
+            self._take(frame)
             self.wait(wait_s)
 
     def text(self, words: str, lost: bool = False) -> None:
@@ -81,17 +119,17 @@ class Air:
     def give_book(self, items: list[MissionItem]) -> None:
         self.send(mavlink.MAVLink_mission_count_message(1, 191, len(items), 0))
         for one in items:
-            p1, p2, p3, p4, _, _, z = one.params
-            self.send(
-                mavlink.MAVLink_mission_item_int_message(
-                    1, 191, one.seq, one.frame, one.command, 0, 1, p1, p2, p3, p4, 0, 0, z, 0
-                )
-            )
+            self.send(item_message(one))
+
+    def stores(self, items: list[MissionItem]) -> None:
+        """The autopilot has this mission, and gives any item of it."""
+        self.stored = {one.seq: one for one in items}
 
     def wait(self, for_s: float) -> None:
         for _ in range(round(for_s / TICK_S)):
             self.t += TICK_S
             self.found += self.watch.due(self.t)
+            self._ask()
 
     def payloads(self) -> list[int | None]:
         return [execution.seq for execution in self.found if execution.command in PAYLOAD]
@@ -400,13 +438,12 @@ def test_a_script_that_had_to_repeat_is_still_the_same_item() -> None:
 def test_nothing_overtakes_an_item_that_waits_for_its_numbers() -> None:
     air = Air([], given_beforehand=False)
     air.give_book(PLAN)
-    air.book.doubt(air.t)
-    air.runs(3, "Scripting")
-    air.runs(4, "Gripper")
-    air.wait(1.0)
+    air.runs(3)
+    air.runs(4)
+    air.send(item_message(PLAN[4]))
+    air.wait(0.4)
     assert air.found == []
-    air.give_book(PLAN)
-    air.wait(0.1)
+    air.send(item_message(PLAN[3]))
     assert air.payloads() == [3, 4]
 
 
@@ -444,24 +481,120 @@ def test_a_book_that_changes_meanwhile_is_not_guessed_from() -> None:
     assert air.payloads() == []
 
 
-def test_before_the_book_is_read_an_item_waits_for_it() -> None:
+def test_an_item_needs_no_book() -> None:
     air = Air([], given_beforehand=False)
-    air.send(mavlink.MAVLink_mission_count_message(1, 191, len(PLAN), 0))
+    air.stores(PLAN)
     air.runs(3, "Scripting")
-    air.wait(1.0)
-    assert air.found == []
-    air.give_book(PLAN)
-    air.wait(0.1)
-    assert [(e.seq, e.params) for e in air.found] == [(3, PLAN[3].params)]
+    assert [(e.seq, e.params, e.age_s) for e in air.found] == [(3, PLAN[3].params, 0.0)]
     air.wait(10.0)
+    assert (air.payloads(), air.asked) == ([3], [3])
+
+
+def test_a_mission_of_the_same_length_that_nobody_told_of_gives_its_own_numbers() -> None:
+    air = Air([], given_beforehand=False)
+    air.give_book(PLAN)
+    other = [replace(one, params=(1.0, -11.0, 0.0, 0.0, 0.0, 0.0, 0.0)) for one in PLAN]
+    air.stores(other)
+    air.runs(3)
+    air.runs(4)
+    assert [(e.seq, e.params, e.anew) for e in air.found] == [
+        (3, other[3].params, True),
+        (4, other[4].params, False),  # the book is in doubt already
+    ]
+    assert not air.book.fresh
+
+
+def test_an_answer_from_before_an_item_ran_is_not_its() -> None:
+    air = Air([], given_beforehand=False)
+    air.give_book(PLAN)
+    air.send(item_message(PLAN[3]))
+    air.runs(3)
+    air.wait(GIVE_UP_S - 0.1)
+    assert air.found == []
+    assert air.asked == [3] * 4
+
+
+def test_a_request_that_is_lost_is_repeated_soon() -> None:
+    air = Air([], given_beforehand=False)
+    air.give_book(PLAN)
+    air.runs(3)
+    air.wait(ASK_AGAIN_S / 2)
+    air.stores(PLAN)
+    air.wait(ASK_AGAIN_S)
+    assert (air.payloads(), air.asked) == ([3], [3, 3])
+    assert air.found[0].age_s == pytest.approx(ASK_AGAIN_S, abs=2 * TICK_S)
+
+
+def test_an_item_that_the_autopilot_does_not_confirm_has_no_numbers() -> None:
+    air = Air([], given_beforehand=False)
+    air.give_book(PLAN)
+    air.runs(3)
+    air.wait(GIVE_UP_S + 0.1)
+    assert [(e.command, e.seq, e.item, e.params) for e in air.found] == [(SCRIPT, 3, None, None)]
+    air.send(item_message(PLAN[3]))
+    air.wait(5.0)
     assert air.payloads() == [3]
 
 
-def test_without_a_book_the_kind_is_told_and_the_numbers_are_not() -> None:
+def test_an_answer_of_another_kind_is_not_the_item_that_ran() -> None:
+    air = Air([], given_beforehand=False)
+    air.give_book(PLAN)
+    air.stores(mission(WP, TAKEOFF, WP, GRIPPER, GRIPPER, WP, WP, WP, LAND))
+    air.runs(3, "Scripting")
+    air.wait(GIVE_UP_S + 0.1)
+    assert [(e.command, e.seq, e.params) for e in air.found] == [(SCRIPT, 3, None)]
+
+
+def test_a_mission_with_an_identity_lends_its_numbers_where_no_answer_comes() -> None:
+    air = Air([], given_beforehand=False)
+    air.send(identified(9, 77))
+    air.give_book(PLAN)
+    air.runs(3)
+    air.wait(GIVE_UP_S - 0.1)
+    assert air.found == []
+    air.wait(0.2)
+    assert [(e.seq, e.params) for e in air.found] == [(3, PLAN[3].params)]
+    air.send(identified(9, 78))
+    air.runs(3)
+    air.wait(GIVE_UP_S + 0.1)
+    assert air.found[-1].params is None
+
+
+def test_what_was_made_up_for_is_asked_for_as_well() -> None:
+    air = Air([], given_beforehand=False)
+    air.give_book(PLAN)
+    other = [replace(one, params=(1.0, -11.0, 0.0, 0.0, 0.0, 0.0, 0.0)) for one in PLAN]
+    air.stores(other)
+    air.current(2)
+    air.reaches(2)
+    air.runs(3, lost=True)
+    air.runs(4, lost=True)
+    air.current(5)
+    air.wait(WAIT_FOR_TEXT_S + 0.1)
+    assert [(e.seq, e.params) for e in air.found] == [(3, other[3].params), (4, other[4].params)]
+    assert 0.5 <= air.found[0].age_s <= 0.6
+    assert air.asked == [3, 4]
+
+
+def test_a_text_that_comes_after_its_item_was_made_up_for_is_no_second_execution() -> None:
+    air = Air(PLAN)
+    air.current(2)
+    air.reaches(2)
+    air.text("another", lost=True)
+    air.current(5)
+    air.wait(WAIT_FOR_TEXT_S + 0.3)
+    assert air.payloads() == [3, 4]
+    air.runs(3)
+    air.wait(5.0)
+    air.runs(3)
+    assert air.payloads() == [3, 4, 3]
+
+
+def test_without_an_answer_the_kind_is_told_and_the_numbers_are_not() -> None:
     air = Air([], given_beforehand=False)
     air.runs(3, "Scripting")
     air.runs(7, "SetHome")
-    air.wait(WAIT_FOR_BOOK_S + 0.1)
+    air.wait(GIVE_UP_S + 0.1)
     assert [(e.command, e.seq, e.item, e.params) for e in air.found] == [(SCRIPT, 3, None, None)]
 
 
@@ -503,14 +636,12 @@ def test_a_name_that_stays_against_the_book_is_told_without_numbers_and_asked_ab
     assert [(e.command, e.seq, e.params) for e in air.found] == [(WINCH, 3, None)]
 
 
-def test_a_name_that_nobody_knows_is_believed_when_the_book_confirms_it() -> None:
+def test_a_name_that_nobody_knows_is_believed_when_the_autopilot_confirms_it() -> None:
     air = Air([], given_beforehand=False)
     air.give_book(PLAN)
     air.runs(3, "ScriptMsg")
     assert air.found == []
-    air.wait(0.6)
-    air.give_book(PLAN)
-    air.wait(5.0)
+    air.send(item_message(PLAN[3]))
     assert air.payloads() == [3]
 
 
@@ -658,13 +789,15 @@ def received(flight: Flight, loss: float, copies: float, late_s: float) -> list[
 
 
 def watched(flight: Flight, messages: list[tuple[float, Message]]) -> list[tuple[float, int]]:
-    watch = ArduPilotWatch(MissionBook(flight.items), PAYLOAD)
+    clock = AutopilotClock()
+    watch = ArduPilotWatch(MissionBook(flight.items), PAYLOAD, clock)
     found, now = [], 0.0
     for t, message in [*messages, (flight.t + 10.0, None)]:
         while now < t:
             found += [(now, execution) for execution in watch.due(now)]
             now += TICK_S
         if message is not None:
+            clock.frame(t, message.get_seq())
             found += [(t, execution) for execution in watch.handle(t, message)]
     assert all(execution.item is not None for _, execution in found)
     return [(t, e.seq) for t, e in found if e.command in PAYLOAD and e.seq is not None]
@@ -710,7 +843,7 @@ def test_at_a_common_loss_hardly_an_item_is_missed() -> None:
 
 def px4(*items: MissionItem, current: int = 0) -> Px4Watch:
     watch = Px4Watch(MissionBook(list(items)))
-    watch.handle(mavlink.MAVLink_mission_current_message(current))
+    watch.handle(0.0, mavlink.MAVLink_mission_current_message(current))
     return watch
 
 
@@ -732,11 +865,13 @@ def test_a_command_of_px4_is_the_item_with_its_numbers() -> None:
     assert found.item.seq == 4
 
 
-@pytest.mark.parametrize(("current", "wanted"), [(0, 2), (2, 2), (3, 2), (6, 6), (7, 6), (12, 11)])
-def test_of_equal_items_it_is_the_one_that_the_mission_is_at(current: int, wanted: int) -> None:
+@pytest.mark.parametrize("current", [0, 2, 6, 12])
+def test_of_equal_items_none_is_named(current: int) -> None:
+    """MISSION_CURRENT is stale after a jump: 12 was said for 23."""
     nan = float("nan")
-    watch = px4(actuator(2, 1.0), actuator(6, 1.0), actuator(11, 1.0), current=current)
-    assert ran(watch, 187, (1.0, nan, nan, nan)).seq == wanted
+    watch = px4(actuator(2, 1.0), actuator(6, 1.0), actuator(11, 0.5), current=current)
+    assert ran(watch, 187, (1.0, nan, nan, nan, 0.0, 0.0, 0.0)).seq is None
+    assert ran(watch, 187, (0.5, nan, nan, nan, 0.0, 0.0, 0.0)).seq == 11
 
 
 def test_a_command_that_the_book_does_not_have_keeps_its_own_numbers() -> None:
@@ -778,3 +913,191 @@ def test_the_model_flight_really_runs_what_it_should() -> None:
         counts.update(Counter(seq for _, seq in flight.executed).values())
     assert counts[1] > 100
     assert counts[2] > 10  # loops and jumps run items again
+
+
+# PX4, where the command of an item is lost.
+
+
+class Px4Air:
+    """What a PX4 sends, with the commands that come and those that do not."""
+
+    def __init__(self, *items: MissionItem, mission_id: int = 77) -> None:
+        self.clock, self.book = AutopilotClock(), MissionBook()
+        self.watch = Px4Watch(self.book, {187, GRIPPER, WINCH}, self.clock)
+        self.t, self.sequence = 100.0, 0
+        self.found: list[Execution] = []
+        self._mav = mavlink.MAVLink(None, 1, 1)
+        self.send(identified(len(items), mission_id))
+        self.send(mavlink.MAVLink_mission_count_message(1, 191, len(items), 0))
+        for one in items:
+            self.send(item_message(one))
+        self.wait(5.0)
+
+    def send(self, message: Message) -> None:
+        arrived = mavlink.MAVLink(None).parse_char(message.pack(self._mav))
+        self._mav.seq = (self._mav.seq + 1) % 256
+        self.clock.frame(self.t, arrived.get_seq())
+        self.book.handle(self.t, arrived)
+        self.watch.handle(self.t, arrived)
+
+    def lose_frames(self) -> None:
+        self._mav.seq = (self._mav.seq + 3) % 256
+
+    def reaches(self, seq: int) -> None:
+        self.send(mavlink.MAVLink_mission_item_reached_message(seq))
+
+    def command(self, item: MissionItem, confirmation: int = 0) -> None:
+        execution = self.watch.execution(self.t, item.command, item.params, confirmation)
+        if execution is not None:
+            self.found.append(execution)
+
+    def wait(self, for_s: float) -> None:
+        for _ in range(round(for_s / TICK_S)):
+            self.t += TICK_S
+            self.found += self.watch.due(self.t)
+
+    def seqs(self) -> list[int | None]:
+        return [execution.seq for execution in self.found]
+
+
+BENT, STRAIGHT = actuator(2, 0.5), actuator(4, 0.0)
+PX4_PLAN = (
+    MissionItem(0, TAKEOFF, (0.0,) * 7),
+    MissionItem(1, WP, (0.0,) * 7),
+    BENT,
+    MissionItem(3, WP, (0.0,) * 7),
+    STRAIGHT,
+    MissionItem(5, WP, (0.0,) * 7),
+    MissionItem(6, WINCH, (1.0, 1.0, 2.0, 0.5, 0.0, 0.0, 0.0), frame=2),
+    MissionItem(7, WP, (0.0,) * 7),
+)
+
+
+def test_a_straightening_whose_command_was_lost_comes_after_all_and_once() -> None:
+    air = Px4Air(*PX4_PLAN)
+    air.reaches(1)
+    air.command(BENT)
+    air.reaches(2)
+    for _ in range(9):
+        air.wait(1.0)
+        air.reaches(2)
+    air.lose_frames()
+    air.reaches(4)
+    assert air.seqs() == [2]
+    air.wait(0.4)
+    assert air.seqs() == [2, 4]
+    assert air.found[1].item == air.book.items[4]
+    for confirmation in (1, 2, 3):  # its repeats are that item
+        air.wait(0.5)
+        air.command(STRAIGHT, confirmation)
+        air.reaches(4)
+    assert air.seqs() == [2, 4]
+
+
+@pytest.mark.parametrize("reached_first", [False, True])
+def test_an_item_whose_command_came_is_not_carried_out_again(reached_first: bool) -> None:
+    air = Px4Air(*PX4_PLAN)
+    for item in (BENT, STRAIGHT):
+        if reached_first:
+            air.reaches(item.seq)
+            air.wait(0.02)
+        air.command(item)
+        for _ in range(10):
+            air.reaches(item.seq)
+            air.wait(1.0)
+    assert air.seqs() == [2, 4]
+
+
+def test_a_winch_is_told_as_reached_long_after_its_command() -> None:
+    air = Px4Air(*PX4_PLAN)
+    air.command(PX4_PLAN[6])
+    air.reaches(5)
+    air.wait(20.0)
+    air.reaches(6)
+    air.wait(5.0)
+    assert air.seqs() == [6]
+
+
+def test_a_second_pass_whose_command_was_lost_counts() -> None:
+    air = Px4Air(*PX4_PLAN)
+    for heard in (True, False):
+        air.reaches(3)
+        if heard:
+            air.command(STRAIGHT)
+        air.reaches(4)
+        air.wait(5.0)
+        air.reaches(5)
+        air.wait(5.0)
+    assert air.seqs() == [4, 4]
+
+
+def test_what_a_later_item_has_overtaken_is_not_made_up_for() -> None:
+    nan = float("nan")
+    burst = MissionItem(3, GRIPPER, (1.0, 1.0, nan, nan, 0.0, 0.0, 0.0), frame=2)
+    air = Px4Air(PX4_PLAN[0], PX4_PLAN[1], BENT, burst, MissionItem(4, WP, (0.0,) * 7))
+    air.reaches(1)
+    air.command(burst)
+    air.reaches(2)  # as a gripper's command comes before what was reached in front of it
+    air.wait(0.02)
+    air.reaches(3)
+    air.wait(5.0)
+    assert air.seqs() == [3]
+
+
+def test_what_waits_for_its_command_is_overtaken_by_a_later_one_and_by_a_person() -> None:
+    air = Px4Air(*PX4_PLAN)
+    air.reaches(2)
+    air.wait(0.1)
+    air.command(STRAIGHT)
+    air.wait(5.0)
+    assert air.seqs() == [4]
+    air.reaches(2)
+    air.wait(0.1)
+    air.watch.forget(air.t)
+    air.wait(5.0)
+    assert air.seqs() == [4]
+
+
+def test_what_was_reached_before_we_listened_is_history() -> None:
+    air = Px4Air(*PX4_PLAN)
+    late = Px4Watch(air.book, {187}, air.clock)
+    for _ in range(9):
+        late.handle(air.t, mavlink.MAVLink_mission_item_reached_message(2))
+        assert late.due(air.t + 0.5) == []
+        air.t += 1.0
+
+
+def test_a_mission_that_may_be_another_one_lends_no_numbers() -> None:
+    air = Px4Air(*PX4_PLAN, mission_id=0)
+    air.reaches(4)
+    air.wait(4.0)
+    assert [(e.seq, e.params) for e in air.found] == [(4, None)]
+    air = Px4Air(*PX4_PLAN)
+    air.send(identified(len(PX4_PLAN), 78))
+    air.reaches(4)
+    air.wait(4.0)
+    assert air.found == []  # nor is it known what item 4 is
+
+
+def test_how_late_what_was_reached_may_be_is_told_where_frames_were_lost() -> None:
+    air = Px4Air(*PX4_PLAN)
+    air.reaches(1)
+    air.wait(1.0)
+    air.reaches(1)
+    air.lose_frames()
+    air.wait(3.0)
+    air.reaches(2)
+    air.wait(1.0)
+    assert air.seqs() == [2]
+    assert air.found[0].age_s == pytest.approx(3.3, abs=0.05)
+
+
+def test_the_number_of_a_repeated_item_is_told_where_it_was_reached_first() -> None:
+    again = actuator(6, 0.5)
+    air = Px4Air(*PX4_PLAN[:6], again, PX4_PLAN[7])
+    air.command(BENT)
+    air.wait(5.0)
+    air.reaches(6)
+    air.wait(0.01)
+    air.command(again)
+    assert air.seqs() == [None, 6]

@@ -67,7 +67,7 @@ def test_without_a_script_the_text_is_refused_for_want_of_numbers() -> None:
     link.send(5.0, TEXT)
     link.wait(9.0)
     assert [trigger.intent for trigger in link.triggers] == [None]
-    assert "not known" in link.triggers[0].problem
+    assert "not confirmed" in link.triggers[0].problem
 
 
 def test_the_script_alone_is_enough() -> None:

@@ -33,6 +33,8 @@ class Link:
         self.triggers: list[Trigger] = []
         self.notices: list[Notice] = []
         self.sent: list[tuple[float, Message]] = []
+        self.items: dict[int, Message] = {}
+        """What the autopilot answers with when it is asked for an item."""
         self._senders: dict[tuple[int, int], mavlink.MAVLink] = {}
 
     @property
@@ -49,6 +51,8 @@ class Link:
 
     def receive(self, t: float, frame: bytes) -> None:
         for message in self.codec.decode(frame):
+            if message.get_type() == "MISSION_ITEM_INT":
+                self.items[message.seq] = message
             self._sort(t, self.vehicle.handle(t, message))
 
     def _sort(self, t: float, outputs: list[Trigger | Notice | Message]) -> None:
@@ -59,6 +63,8 @@ class Link:
                 self.notices.append(output)
             else:
                 self.sent.append((t, output))
+                if output.get_type() == "MISSION_REQUEST_INT" and output.seq in self.items:
+                    self._sort(t, self.vehicle.handle(t, self.items[output.seq]))
 
     def wait(self, for_s: float) -> None:
         for _ in range(round(for_s / TICK_S)):
@@ -254,3 +260,49 @@ def test_two_reboots_of_a_real_autopilot_are_each_seen_once() -> None:
     moves = [(trigger.t, trigger.what["position"]) for trigger in link.triggers if trigger.kind == "switch"]
     assert [position for _, position in moves] == [2, 0]
     assert [t for t, _ in moves] == pytest.approx([12.25, 45.3], abs=0.15)
+
+
+def test_another_mission_of_the_same_length_is_told_with_what_was_carried_out() -> None:
+    link = Link()
+    link.run(1.0, 1000)
+    read = [mission_item(0, 16), mission_item(1, 22), mission_item(2, 217, 1.0, 11.0)]
+    link.hear(mavlink.MAVLink_mission_count_message(1, 191, 3, 0))
+    for message in read:
+        link.hear(message)
+    link.run(1.0, 1000)
+    link.items.clear()
+    link.text("Mission: 2 Scripting")
+    link.run(0.1, 1000)
+    assert link.triggers == []
+    link.hear(mission_item(2, 217, 1.0, 44.0))
+    link.run(0.1, 1000)
+    assert [(trigger.intent, trigger.what["params"]) for trigger in link.triggers] == [
+        (BendTo(44.0), [1.0, 44.0, 0.0, 0.0])
+    ]
+    link.run(1.0, 1000)
+    link.hear(mavlink.MAVLink_mission_count_message(1, 191, 3, 0))
+    for message in (*read[:2], mission_item(2, 217, 1.0, 44.0)):
+        link.hear(message)
+    told = [notice.text for notice in link.notices if "anew" in notice.text]
+    assert told == ["Vine: mission read anew, item 2: bend 44°"]
+
+
+def mission_item(seq: int, command: int, param1: float = 0.0, param2: float = 0.0) -> Message:
+    return mavlink.MAVLink_mission_item_int_message(
+        1, 191, seq, 0, command, 0, 1, param1, param2, 0, 0, 0, 0, 0, 0
+    )
+
+
+def test_a_button_pressed_before_a_stall_comes_as_late_as_it_is() -> None:
+    link = Link()
+    link.run(5.0, 1000, boot_ms=100_000)
+    stopped_at = link.now_s
+    link.wait(7.0)
+    bend = mavlink.MAVLink_command_long_message(1, 191, 31011, 0, 30.0, 0, 0, 0, 0, 0, 0)
+    link.hear(bend, 255, 190)
+    assert link.triggers == []
+    boot_ms = 100_000 + int(1000 * (stopped_at + 0.5))
+    link.hear(mavlink.MAVLink_system_time_message(0, boot_ms))
+    (trigger,) = link.triggers
+    assert trigger.age_s == pytest.approx(6.5, abs=0.1)
+    assert trigger.what["late_s"] == pytest.approx(6.5, abs=0.1)

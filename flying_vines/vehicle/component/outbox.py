@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.fuel_status import FuelStatus
+from flying_vines.vehicle.mission.book import ItemRequest
 
 _WINDOW_S = 0.02 - 1e-6  # of clocks that count in floating point
 MOST_IN_WINDOW = 2
@@ -62,7 +63,8 @@ class Outbox:
 
     def put(self, message: Message) -> None:
         """Let a message wait; where there are too many the oldest of the least rank is dropped."""
-        self._waiting[_RANKS.get(message.get_msgId(), Rank.ANSWER)].append(message)
+        rank = _RANKS.get(message.get_msgId(), Rank.ANSWER)
+        self._waiting[Rank.ANSWER if isinstance(message, ItemRequest) else rank].append(message)
         self._count += 1
         if self._count > MOST_WAITING:
             least = max(rank for rank, queue in self._waiting.items() if queue)

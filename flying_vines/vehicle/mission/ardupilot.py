@@ -6,10 +6,13 @@ import math
 import re
 from collections import deque
 from collections.abc import Container
+from dataclasses import dataclass
+from itertools import islice
 from typing import NamedTuple
 
+from flying_vines.vehicle.clock import AutopilotClock, Mark
 from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.mission.book import MOST_ITEMS, MissionBook
+from flying_vines.vehicle.mission.book import MOST_ITEMS, MissionBook, item_of
 from flying_vines.vehicle.mission.execution import Execution, same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
 
@@ -34,13 +37,16 @@ COMMAND_OF_NAME = {
 
 NAMED_COMMANDS = set(COMMAND_OF_NAME.values())
 
-WAIT_FOR_BOOK_S = 2.5
-WAIT_FOR_SCRIPT_S = 0.1
+ASK_AGAIN_S = 0.2
+GIVE_UP_S = 0.8
+"""An ArduPilot answers within 6 ms."""
 SAME_SCRIPT_ITEM_S = 3.0
 """A script on the autopilot was seen to hand an item's numbers over 5 to 17 ms after the item's text, and
 ours repeats for two seconds what is not acknowledged."""
 SCRIPT_MESSAGE = 217
-WAIT_FOR_TEXT_S = 1.0
+WAIT_FOR_TEXT_S = 0.5
+TEXT_LATE_S = 1.0
+"""A text that comes this soon after its item was made up for belongs to that item."""
 LATEST_S = 0.5
 """How much later than another a frame may arrive that was sent at the same time."""
 COPIES_WITHIN_S = 2.0
@@ -54,12 +60,25 @@ JUMP = 177
 FLYING = {0, 3}
 """MISSION_CURRENT.mission_state of a mission that runs; older releases leave it at 0."""
 MOST_WAITING = 64
+MOST_ASKED = 8
 
 
-class _Told(NamedTuple):
-    t: float
+@dataclass(slots=True)
+class _Waiting:
+    """An item that ran, and waits for its numbers."""
+
     seq: int
-    name: str
+    name: str | None
+    """What its text called it; None where its text was lost."""
+    command: int | None
+    before: MissionItem | None
+    """What the mission had here, as far as we had read it."""
+    mark: Mark
+    late_s: float = 0.0
+    """How much later than the item the mark is."""
+    item: MissionItem | None = None
+    """The autopilot's answer."""
+    asked_at: float = -math.inf
 
 
 class _Suspect(NamedTuple):
@@ -80,47 +99,49 @@ class ArduPilotWatch:
     reached, the mission moved on to the next one, frames were lost on the way, and nothing conditional stands
     before it; not when a later item has run meanwhile, which is what counts then. A script message that a
     script on the autopilot hands over as a command as well is one execution, whichever comes first.
+
+    The mission may have been replaced by another of the same length, which nothing tells. So each item that
+    runs is asked for again (`asks`), and only an answer that comes after it counts.
     """
 
-    def __init__(self, book: MissionBook, commands: Container[int]) -> None:
+    def __init__(
+        self, book: MissionBook, commands: Container[int], clock: AutopilotClock | None = None
+    ) -> None:
         self._book = book
         self._commands = commands
-        self._waiting: deque[_Told] = deque(maxlen=MOST_WAITING)
+        self._clock = clock or AutopilotClock()
+        self._waiting: deque[_Waiting] = deque(maxlen=MOST_WAITING)
         self._frames: dict[int, tuple[float, int]] = {}
         self._told: dict[int, float] = {}
-        self._ran: deque[tuple[float, int]] = deque(maxlen=MOST_WAITING)
+        self._ran: deque[tuple[float, int | None]] = deque(maxlen=MOST_WAITING)
         self._reached: dict[int, float] = {}
         self._current: int | None = None
         self._flying = False
-        self._last_sequence: int | None = None
-        self._lost_at = -math.inf
         self._suspects: deque[_Suspect] = deque(maxlen=MOST_WAITING)
+        self._made_up: dict[int, float] = {}
         self._run_by_text = _Numbers()
         self._handed = _Numbers()
 
     def handed_over(self, t: float, params: tuple[float, ...]) -> Execution | None:
         """A script message's numbers, from a script on the autopilot; None when that item has run already."""
-        for told in self._waiting:
-            if COMMAND_OF_NAME.get(told.name) == SCRIPT_MESSAGE:
-                self._waiting.remove(told)
-                return Execution(SCRIPT_MESSAGE, told.seq, None, params)
+        for waiting in self._waiting:
+            if waiting.command == SCRIPT_MESSAGE:
+                self._waiting.remove(waiting)
+                return Execution(SCRIPT_MESSAGE, waiting.seq, None, params)
         if self._run_by_text.take(t, params):
             return None
         self._handed.put(t, params)
-        item = self._book.nearest(SCRIPT_MESSAGE, params, self._current or 0)
-        if item is not None:
-            self._note(t, item.seq)
-        return Execution(SCRIPT_MESSAGE, item.seq if item else None, item, params)
+        item = self._book.only(SCRIPT_MESSAGE, params)
+        seq = item.seq if item else None
+        self._note(t, seq)
+        return Execution(SCRIPT_MESSAGE, seq, item, params)
 
     def handle(self, t: float, message: Message) -> list[Execution]:
+        """Take in a message of the autopilot, which the book and the clock have seen."""
         kind = message.get_type()
-        sequence = message.get_seq()
-        if self._last_sequence is not None and sequence != (self._last_sequence + 1) & 0xFF:
-            self._lost_at = t
-        self._last_sequence = sequence
         if kind == "STATUSTEXT":
             if match := ITEM_TEXT.match(message.text):
-                self._tell(t, sequence, int(match[1]), match[2])
+                self._tell(t, message.get_seq(), int(match[1]), match[2])
             elif match := REACHED_TEXT.match(message.text):
                 self._reach(t, int(match[1]))
         elif kind == "MISSION_ITEM_REACHED":
@@ -130,27 +151,46 @@ class ArduPilotWatch:
             if self._current not in (None, message.seq):
                 self._suspect_between(t, self._current, message.seq)
             self._current = message.seq
+        elif kind in ("MISSION_ITEM_INT", "MISSION_ITEM") and message.mission_type == 0:
+            self._answer(item_of(message))
         return self.due(t)
+
+    def asks(self, t: float) -> list[int]:
+        """The numbers of the items that the autopilot shall be asked for now."""
+        asks = []
+        for waiting in islice(self._waiting, MOST_ASKED):
+            if waiting.item is None and not self._book.is_given and t - waiting.asked_at >= ASK_AGAIN_S:
+                waiting.asked_at = t
+                asks.append(waiting.seq)
+        return asks
+
+    def _answer(self, item: MissionItem) -> None:
+        for waiting in self._waiting:
+            if waiting.seq == item.seq and waiting.item is None and _fits(waiting.name, item.command, True):
+                waiting.item = item
 
     def _tell(self, t: float, sequence: int, seq: int, name: str) -> None:
         copied_at, copied_seq = self._frames.get(sequence, (-math.inf, seq))
         if seq > MOST_ITEMS or (copied_seq == seq and t - copied_at < COPIES_WITHIN_S):
             return
         self._frames[sequence] = (t, seq)
+        if t - self._made_up.pop(seq, -math.inf) < TEXT_LATE_S:
+            return
         self._told[seq] = t
         command = COMMAND_OF_NAME.get(name)
+        item = self._book.items.get(seq) if self._book.fresh else None
         if self._book.fresh:
-            item = self._book.items.get(seq)
-            if item is None or not _fits(name, item.command, confirmed=False):
+            if item is None or not _fits(name, item.command):
                 self._book.doubt(t)
             elif command is None:
                 command = item.command
         if command is None or command in self._commands:
             self._note(t, seq)
-            self._waiting.append(_Told(t, seq, name))
+            self._waiting.append(_Waiting(seq, name, command, item, self._clock.mark(t)))
 
-    def _note(self, t: float, seq: int) -> None:
-        self._told[seq] = t
+    def _note(self, t: float, seq: int | None) -> None:
+        if seq is not None:
+            self._told[seq] = t
         self._ran.append((t, seq))
 
     def _reach(self, t: float, seq: int) -> None:
@@ -199,58 +239,58 @@ class ArduPilotWatch:
 
     def due(self, t: float) -> list[Execution]:
         """The executions that are certain by now."""
+        self._make_up(t)
         executions = []
         while self._waiting:
-            told = self._waiting[0]
-            item = self._book.items.get(told.seq)
-            expected = COMMAND_OF_NAME.get(told.name)
-            known = (
-                item is not None
-                and self._book.fresh
-                and _fits(told.name, item.command, self._book.read_since(told.t))
-            )
-            if expected == SCRIPT_MESSAGE and self._handed.take(t, item.params if item and known else None):
-                self._waiting.popleft()
-                continue
-            if not known and t - told.t < self._patience_s(told.name):
+            waiting = self._waiting[0]
+            item = waiting.item
+            gave_up = t - waiting.mark.t >= GIVE_UP_S
+            if self._book.is_given or (gave_up and self._book.is_running):
+                known = self._book.items.get(waiting.seq)
+                item = item or (known if known and _fits(waiting.name, known.command) else None)
+            age_s = self._clock.age_s(waiting.mark, t)
+            if age_s is None or (item is None and not gave_up and not self._book.is_given):
                 break  # nothing overtakes an item that waits for its numbers
             self._waiting.popleft()
-            if item is not None and known:
-                if item.command == SCRIPT_MESSAGE:
-                    self._run_by_text.put(t, item.params)
-                if item.command in self._commands:
-                    executions.append(Execution(item.command, told.seq, item, item.params))
-            elif expected is not None:
-                executions.append(Execution(expected, told.seq, None, None))
-        executions.extend(self._untold(t))
+            command = item.command if item else waiting.command
+            params = item.params if item else None
+            if command is None or command not in self._commands:
+                continue
+            if command == SCRIPT_MESSAGE:
+                if self._handed.take(t, params):
+                    continue
+                if params is not None:
+                    self._run_by_text.put(t, params)
+            before = waiting.before
+            anew = bool(item and before and not _same(item, before))
+            executions.append(Execution(command, waiting.seq, item, params, age_s + waiting.late_s, anew))
         return executions
 
-    def _patience_s(self, name: str) -> float:
-        """How long an item may wait for its numbers."""
-        if self._book.items or self._book.arriving:
-            return WAIT_FOR_BOOK_S
-        return WAIT_FOR_SCRIPT_S if name == "Scripting" else 0.0
-
-    def _untold(self, t: float) -> list[Execution]:
-        executions = []
+    def _make_up(self, t: float) -> None:
+        """Let the items whose texts were lost wait for their numbers."""
         while self._suspects and t - self._suspects[0].t >= WAIT_FOR_TEXT_S:
             suspect = self._suspects.popleft()
-            if self._has_run_untold(suspect):
+            if self._has_run_untold(t, suspect):
                 item = suspect.item
                 self._note(t, item.seq)
-                executions.append(Execution(item.command, item.seq, item, item.params))
-        return executions
+                self._made_up[item.seq] = t
+                waiting = _Waiting(item.seq, None, item.command, item, Mark(t), t - suspect.since)
+                self._waiting.append(waiting)
 
-    def _has_run_untold(self, suspect: _Suspect) -> bool:
+    def _has_run_untold(self, t: float, suspect: _Suspect) -> bool:
         since, item = suspect.since - LATEST_S, suspect.item
-        if not self._book.fresh or self._book.items.get(item.seq) != item or self._lost_at < since:
+        book = self._book
+        if not book.fresh or book.items.get(item.seq) != item or self._clock.lost_at < since:
             return False
         if self._told.get(item.seq, -math.inf) >= since:
             return False
-        if any(t >= since and not suspect.before < seq <= item.seq for t, seq in self._ran):
+        if any(ran_at >= since and not self._is_before(seq, suspect) for ran_at, seq in self._ran):
             return False
         here = suspect.certain_while_at
         return here is None or (here == self._current and self._flying)
+
+    def _is_before(self, seq: int | None, suspect: _Suspect) -> bool:
+        return seq is not None and suspect.before < seq <= suspect.item.seq
 
 
 class _Numbers:
@@ -273,9 +313,13 @@ class _Numbers:
         return False
 
 
-def _fits(name: str, command: int, confirmed: bool) -> bool:
-    """Whether the item that the book has is the one named; other releases may have other names."""
-    expected = COMMAND_OF_NAME.get(name)
-    if expected is None:
-        return confirmed or command not in NAMED_COMMANDS
-    return expected == command
+def _fits(name: str | None, command: int, confirmed: bool = False) -> bool:
+    """Whether an item is the one named; other releases may have other names, if the autopilot confirms it."""
+    expected = COMMAND_OF_NAME.get(name or "")
+    if expected is not None:
+        return expected == command
+    return name is None or confirmed or command not in NAMED_COMMANDS
+
+
+def _same(a: MissionItem, b: MissionItem) -> bool:
+    return a.command == b.command and same_numbers(a.params, b.params)

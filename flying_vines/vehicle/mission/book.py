@@ -19,10 +19,10 @@ QUIET_BEFORE_READING_S = 0.5
 SAME_CHANGE_S = 5.0
 """A total that is reported this soon after a reading, and fits it, is not news."""
 MOST_ITEMS = 5000
-LOOK_AGAIN_S = 2.0
-LOOK_RETRY_S = 0.5
-MISSION_RUNS = 3
-"""MISSION_CURRENT.mission_state while the vehicle flies its mission."""
+
+
+class ItemRequest(mavlink.MAVLink_mission_request_int_message):  # type: ignore[misc]
+    """MISSION_REQUEST_INT for an item that has run, and waits for the answer."""
 
 
 class MissionBook:
@@ -31,8 +31,9 @@ class MissionBook:
     A download that somebody else asked for is read as well: so a recording of a companion's link fills the
     book without anybody answering our requests.
 
-    ArduPilot has no identity of a mission: one that is replaced by another of the same length shows in
-    nothing that it sends. So in flight what runs next is looked at again and again, the rest in turn.
+    ArduPilot may have no identity of a mission: one that is replaced by another of the same length shows in
+    nothing that it sends. So an item that runs there is asked for again, and `is_running` says where the
+    book's own numbers will do.
     """
 
     def __init__(self, items: Sequence[MissionItem] = ()) -> None:
@@ -50,9 +51,8 @@ class MissionBook:
         self._gave_up_at: float | None = None
         self._owes_ack = False
         self._current: int | None = None
-        self._look_at: list[int] = []
-        self._look_since = self._looked_at = -math.inf
-        self._in_turn = 0
+        self._read_id = self._arriving_id = 0
+        self._told_anew = self._is_anew = False
         self.fresh = bool(items)
 
     @property
@@ -64,24 +64,43 @@ class MissionBook:
     def items(self) -> Mapping[int, MissionItem]:
         return self._items
 
-    def nearest(self, command: int, params: Sequence[float], seq: int) -> MissionItem | None:
-        """Of the items of this kind with these first four numbers, the one nearest to item `seq`.
+    @property
+    def is_given(self) -> bool:
+        """Whether it was known beforehand and none was read since."""
+        return self._given
 
-        Of two that are as near, the one ahead: what the vehicle says of where it is comes late.
-        """
-        alike = [
+    @property
+    def is_running(self) -> bool:
+        """Whether the book is known to be of the mission that the autopilot has."""
+        return self._given or (self.fresh and self._read_id != 0 and self._read_id == self._mission_id)
+
+    def alike(self, command: int, params: Sequence[float]) -> list[MissionItem]:
+        """The items of this kind with these first four numbers."""
+        return [
             item
             for item in self._items.values()
             if item.command == command and same_numbers(item.params[:4], params[:4])
         ]
-        return min(alike, key=lambda item: (abs(item.seq - seq), -item.seq), default=None)
+
+    def only(self, command: int, params: Sequence[float]) -> MissionItem | None:
+        """The one item with these numbers; None where there is none or more than one."""
+        alike = self.alike(command, params)
+        return alike[0] if len(alike) == 1 else None
+
+    def tell_anew(self) -> bool:
+        """Whether another mission was read than the one before, and nobody was told yet."""
+        anew, self._is_anew = self._is_anew, False
+        return anew
+
+    def told_anew(self) -> None:
+        """The pilot knows that this mission is another one: its reading is no news."""
+        self._told_anew = True
 
     def doubt(self, t: float) -> None:
         """Something says that the mission is another one now: do not trust the book, read it again."""
         if not self._given:
             self.fresh = False
         self._arriving, self._expected = {}, None  # what has arrived is of the mission before
-        self._look_at = []
         self._changed_at = t
         self._attempts = 0
         self._gave_up_at = None
@@ -92,16 +111,12 @@ class MissionBook:
         self._attempts = 0
         self._gave_up_at = None
 
-    def read_since(self, t: float) -> bool:
-        """Whether the book was read from the autopilot after `t`, and nothing has called it in question."""
-        return self.fresh and self._complete_at is not None and self._complete_at > t
-
     def handle(self, t: float, message: Message) -> None:
         """Take in a message of our autopilot."""
         kind = message.get_type()
         if kind == "MISSION_CURRENT":
+            self._current = message.seq
             self._watch_for_change(t, message)
-            self._look_ahead(t, message)
         elif kind == "STATUSTEXT" and message.text.startswith("Flight plan received"):
             self.doubt(t)
         elif kind == "PARAM_VALUE" and message.param_id == "MIS_TOTAL":
@@ -115,9 +130,10 @@ class MissionBook:
                 self._arriving, self._expected = {}, None  # the transfer is over; begin again
         elif kind == "MISSION_COUNT" and message.mission_type == 0 and message.count <= MOST_ITEMS:
             self._expected, self._arriving = message.count, {}
+            self._arriving_id = _mission_id(message, 5) or self._mission_id or 0
             self._progress(t)
         elif kind in ("MISSION_ITEM_INT", "MISSION_ITEM") and message.mission_type == 0:
-            self._take(t, _item(message))
+            self._take(t, item_of(message))
 
     def _take(self, t: float, item: MissionItem) -> None:
         known = self._items.get(item.seq)
@@ -125,47 +141,37 @@ class MissionBook:
         reading = self._expected is not None
         if self.fresh and not same and not (self._given and reading):
             self.doubt(t)
-        elif not reading:
-            self._look_at = [seq for seq in self._look_at if seq != item.seq]
-            self._looked_at = -math.inf
-        elif item.seq < (self._expected or 0):
+        elif reading and item.seq < (self._expected or 0):
             self._arriving[item.seq] = item
-            self._owes_ack = self._asking and len(self._arriving) == self._expected
             self._progress(t)
 
     def _progress(self, t: float) -> None:
         self._asked_at, self._attempts = t - RETRY_S, 0
-        if self._expected is not None and len(self._arriving) == self._expected:
-            self._items, self._arriving, self._expected = self._arriving, {}, None
-            self._complete_at, self._changed_at = t, None
-            self._given = False
-            self.fresh = True
-
-    def _look_ahead(self, t: float, message: Message) -> None:
-        """Have another look at what runs when the present waypoint is reached, and at one item more."""
-        moved, self._current = message.seq != self._current, message.seq
-        has_identity = self._mission_id != 0
-        if self._given or has_identity or not self.fresh or message.mission_state != MISSION_RUNS:
+        if self._expected is None or len(self._arriving) < self._expected:
             return
-        if moved or t - self._look_since >= LOOK_AGAIN_S:
-            actions = [seq for seq, item in self._items.items() if not is_nav(item.command)]
-            runs_next = self._run_next(message.seq)
-            in_turn = sorted(actions, key=lambda seq: (seq <= self._in_turn, seq))[:1]
-            self._in_turn = in_turn[0] if in_turn else 0
-            self._look_since, self._look_at = t, [*runs_next, *in_turn]
+        self._is_anew = bool(self._items) and not self._told_anew and self._acts_differ()
+        self._items, self._arriving, self._expected = self._arriving, {}, None
+        self._complete_at, self._changed_at = t, None
+        self._read_id = self._arriving_id
+        self._given = self._told_anew = False
+        self.fresh = True
+        self._owes_ack = self._asking
 
-    def _run_next(self, seq: int) -> list[int]:
-        found = []
-        while (item := self._items.get(seq + 1)) is not None and not is_nav(item.command):
-            seq += 1
-            found.append(seq)
-        return found
+    def _acts_differ(self) -> bool:
+        """Whether what is arriving has other actions; home, which is an item, changes in every flight."""
+        before, now = (
+            {seq: (item.command, *item.params) for seq, item in items.items() if not is_nav(item.command)}
+            for items in (self._items, self._arriving)
+        )
+        return before.keys() != now.keys() or any(not same_numbers(before[seq], now[seq]) for seq in now)
 
     def _watch_for_change(self, t: float, message: Message) -> None:
-        total, mission_id = message.total, _mission_id(message)
+        total, mission_id = message.total, _mission_id(message, 6)
         first = self._total is None
         if first or (total, mission_id) == (self._total, self._mission_id):
             self._total, self._mission_id = total, mission_id
+            if first and mission_id and self._complete_at is not None and mission_id != self._read_id:
+                self.refresh(t)  # it was read before we knew what identity it has
             return
         same_id = mission_id == self._mission_id
         self._total, self._mission_id = total, mission_id
@@ -183,7 +189,7 @@ class MissionBook:
         if self._gave_up_at is not None and t - self._gave_up_at < TRY_AGAIN_S:
             return []
         if self.fresh and self._expected is None and self._changed_at is None:
-            return self._look(t, system_id) if in_any_order else []
+            return []
         if self._changed_at is not None and t - self._changed_at < QUIET_BEFORE_READING_S:
             return []
         if t - self._asked_at < RETRY_S:
@@ -200,11 +206,10 @@ class MissionBook:
         first = min(missing, key=lambda seq: (seq < here, seq))  # what runs soon is needed first
         return [mavlink.MAVLink_mission_request_int_message(system_id, 1, first, 0)]
 
-    def _look(self, t: float, system_id: int) -> list[Message]:
-        if not self._look_at or t - self._looked_at < LOOK_RETRY_S:
-            return []
-        self._looked_at, self._asking = t, True
-        return [mavlink.MAVLink_mission_request_int_message(system_id, 1, self._look_at[0], 0)]
+    def ask(self, seq: int, system_id: int) -> Message:
+        """Ask for one item, which ArduPilot gives at any time."""
+        self._asking = True
+        return ItemRequest(system_id, 1, seq, 0)
 
     def acknowledgement(self, system_id: int) -> list[Message]:
         """The MISSION_ACK that ends a download that we asked for, once it is complete."""
@@ -214,7 +219,8 @@ class MissionBook:
         return [mavlink.MAVLink_mission_ack_message(system_id, 1, mavlink.MAV_MISSION_ACCEPTED, 0)]
 
 
-def _item(message: Message) -> MissionItem:
+def item_of(message: Message) -> MissionItem:
+    """The item that MISSION_ITEM_INT or MISSION_ITEM carries."""
     whole_numbers = message.get_type() == "MISSION_ITEM_INT"
     scale = 1e-7 if whole_numbers and has_place(message.command, message.frame) else 1.0
     params = (
@@ -231,10 +237,11 @@ def _item(message: Message) -> MissionItem:
     )
 
 
-def _mission_id(message: Message) -> int:
-    """PX4's checksum of the mission: an extension of MISSION_CURRENT that the dialect does not name."""
+def _mission_id(message: Message, at: int) -> int:
+    """PX4's checksum of the mission: an extension of MISSION_CURRENT and of MISSION_COUNT that the dialect
+    does not name, at this place in the payload."""
     frame = message.get_msgbuf()
     if not frame or frame[0] != 0xFD:
         return 0
     payload = bytes(frame[10 : 10 + frame[1]])
-    return int.from_bytes(payload[6:10], "little")
+    return int.from_bytes(payload[at : at + 4], "little")

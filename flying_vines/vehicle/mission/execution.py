@@ -11,12 +11,16 @@ from flying_vines.vehicle.mission.item import MissionItem
 
 @dataclass(frozen=True, slots=True)
 class Execution:
-    """A mission item ran. `item` is None where only its number and kind are known."""
+    """A mission item ran. `seq` and `params` are None where its place or its numbers are not certain."""
 
     command: int
     seq: int | None
     item: MissionItem | None
     params: tuple[float, ...] | None
+    age_s: float = 0.0
+    """How long ago it ran, at least."""
+    anew: bool = False
+    """The autopilot gave other numbers than the mission that we had read."""
 
 
 def same_numbers(a: Sequence[float], b: Sequence[float]) -> bool:

@@ -1,0 +1,151 @@
+"""The autopilot's clock, and how old a message was when it arrived.
+
+A link that stalls delivers everything at once, and so does the operating system when our process stood
+still. A text or a command has no time stamp: the `time_boot_ms` of the messages around it tells its age.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from flying_vines.intent import ACTS_WITHIN_S
+
+LATE_S = ACTS_WITHIN_S
+"""What was asked for longer ago over the link than this only lets air out, as from the page."""
+
+WAIT_FOR_STAMP_S = 0.3
+"""How long a message that may be late waits for the next time stamp."""
+SLOWEST_STREAM_S = 1.0
+SILENCE_S = 1.2
+"""HEARTBEAT comes at 1 Hz: a longer silence is a link, or a process, that stood still."""
+BACKLOG_S = 2.0
+"""What a stall has held back has arrived by then."""
+
+CLOCK_PERIOD_S = 2**32 / 1000
+FASTEST_DRIFT = 0.03
+"""A simulated PX4 on a busy computer was 1.4 % slow. Faster than this is a delay of the link."""
+LONGEST_STEP_S = 1.0
+
+LONGEST_DELAY_S = 20.0
+YOUNG_DELAY_S = 2.0
+YOUNG_S = 60.0
+"""A clock that lags is a link's delay, which can be long; but one that lags and is young started anew."""
+OVERTAKEN_S = 1.0
+CONTINUOUS_S = 2.0
+"""After a stall the clock goes on where it was, after a reboot it does not."""
+MOST_MARKS = 64
+
+
+@dataclass(slots=True)
+class Mark:
+    """The arrival of a message, and what is known of how late it came."""
+
+    t: float
+    suspected_s: float = 0.0
+    """The delay of the last stamp before it, and how long the autopilot was silent since."""
+    continuous: bool = True
+    """No frame was lost between that stamp and the message."""
+    least_s: float | None = None
+    """How old it was at least, by the first stamp after it."""
+
+
+class AutopilotClock:
+    """Sans-IO; all times are seconds of one clock, unless they are `time_boot_ms`."""
+
+    def __init__(self) -> None:
+        self._offset_s: float | None = None
+        self._heard_at: float | None = None
+        self._sequence: int | None = None
+        self.lost_at = -math.inf
+        """When frames of the autopilot were last found missing."""
+        self.forget()
+
+    def forget(self) -> None:
+        """The autopilot has started anew."""
+        self._offset_s = None
+        self._newest_s = -math.inf
+        self._stamped_at = -math.inf
+        self._delay_s = self._silence_s = 0.0
+        self._lost = False
+        self._open: deque[Mark] = deque(maxlen=MOST_MARKS)
+
+    def time_boot_ms(self, t: float) -> int:
+        """Our time `t` on the autopilot's clock; 0 before that clock is known."""
+        if self._offset_s is None:
+            return 0
+        return max(0, int((t - self._offset_s) * 1000)) & 0xFFFFFFFF
+
+    def frame(self, t: float, sequence: int) -> None:
+        """Any frame of the autopilot."""
+        if self._sequence is not None and (sequence - self._sequence) & 0xFF > 1:
+            self._lost, self.lost_at = True, t
+        self._sequence = sequence
+        if self._heard_at is not None and t - self._heard_at > SILENCE_S:
+            self._silence_s += t - self._heard_at
+            self._silence_over_at = t
+        self._heard_at = t
+
+    def stamp(self, t: float, time_boot_ms: int, is_measured: bool = False) -> bool:
+        """A message that carries `time_boot_ms`; whether the autopilot has started anew.
+
+        `is_measured` says that it may be the time of a measurement, which stands still when that stops.
+        """
+        boot_s = time_boot_ms / 1000.0
+        offset_s = t - boot_s
+        known = self._offset_s
+        if known is None:
+            known = offset_s
+        else:
+            # The least delay ever seen, as far as the two clocks keep the same pace.
+            known += FASTEST_DRIFT * min(t - self._stamped_at, LONGEST_STEP_S)
+        if abs(offset_s - known - CLOCK_PERIOD_S) < LONGEST_DELAY_S:
+            known += CLOCK_PERIOD_S
+            self._newest_s -= CLOCK_PERIOD_S
+        step_s = boot_s - self._newest_s
+        lags = offset_s - known > (YOUNG_DELAY_S if boot_s <= YOUNG_S else LONGEST_DELAY_S)
+        rebooted = lags and not -OVERTAKEN_S <= step_s <= CONTINUOUS_S
+        if rebooted and is_measured:
+            return False
+        if rebooted:
+            self.forget()
+            known = offset_s
+        self._offset_s = min(known, offset_s)
+        self._stamped_at = t
+        if boot_s > self._newest_s:
+            self._newest_s, self._delay_s = boot_s, offset_s - self._offset_s
+            self._silence_s, self._lost = 0.0, False
+            while self._open:
+                mark = self._open.popleft()
+                mark.least_s = mark.t - self._offset_s - boot_s
+        return rebooted
+
+    def mark(self, t: float) -> Mark:
+        """A message arrives that must not act late."""
+        if self._offset_s is None:
+            return Mark(t)
+        # A stream that has stopped tells nothing of what comes later.
+        delay_s = self._delay_s if t - self._stamped_at < BACKLOG_S + self._silence_s else 0.0
+        if self._silence_s and t - self._silence_over_at > BACKLOG_S:
+            self._silence_s = 0.0
+        silence_s = self._silence_s
+        if self._heard_at is not None and t - self._heard_at > SILENCE_S:
+            silence_s += t - self._heard_at  # somebody else's message comes first after it
+        mark = Mark(t, delay_s + silence_s, not self._lost)
+        self._open.append(mark)
+        return mark
+
+    def age_s(self, mark: Mark, t: float) -> float | None:
+        """How long ago the marked message was sent, at least; None if that is not clear yet."""
+        waited_s = t - mark.t
+        if mark.suspected_s <= LATE_S:
+            return waited_s
+        if mark.least_s is None and waited_s < WAIT_FOR_STAMP_S:
+            return None
+        least_s = mark.least_s
+        if mark.continuous:
+            least_s = max(least_s or 0.0, mark.suspected_s - SLOWEST_STREAM_S)
+        elif least_s is None:
+            least_s = mark.suspected_s
+        return max(0.0, least_s) + waited_s

@@ -1,0 +1,198 @@
+"""How old what arrives is, by the autopilot's clock."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flying_vines.vehicle.clock import LATE_S, WAIT_FOR_STAMP_S, AutopilotClock, Mark
+
+UP_S = 500.0
+
+
+class Line:
+    """An autopilot that was up for some time at t = 0, behind a link that may hold frames back."""
+
+    def __init__(self) -> None:
+        self.clock = AutopilotClock()
+        self.sequence = 0
+
+    def frame(self, t: float, lost: int = 0) -> None:
+        self.sequence += 1 + lost
+        self.clock.frame(t, self.sequence & 0xFF)
+
+    def stamp(self, sent_at: float, t: float | None = None, lost: int = 0) -> None:
+        t = sent_at if t is None else t
+        self.frame(t, lost)
+        assert not self.clock.stamp(t, int((UP_S + sent_at) * 1000))
+
+    def stream(self, until_t: float, every_s: float = 0.1, since_t: float = 0.0) -> None:
+        for i in range(round((until_t - since_t) / every_s) + 1):
+            self.stamp(since_t + i * every_s)
+
+    def item(self, t: float, lost: int = 0) -> Mark:
+        self.frame(t, lost)
+        return self.clock.mark(t)
+
+    def age_s(self, mark: Mark, t: float) -> float:
+        age_s = self.clock.age_s(mark, t)
+        assert age_s is not None
+        return age_s
+
+
+def test_on_a_good_link_nothing_waits() -> None:
+    line = Line()
+    line.stream(5.0)
+    assert line.age_s(line.item(5.05), 5.05) == 0.0
+
+
+def test_before_any_clock_is_heard_nothing_is_late() -> None:
+    line = Line()
+    assert line.age_s(line.item(1.0), 1.0) == 0.0
+    assert line.age_s(line.item(9.0), 9.0) == 0.0
+
+
+@pytest.mark.parametrize("every_s", [0.1, 1.0])
+def test_what_a_stalled_link_delivers_at_once_is_as_old_as_its_neighbours(every_s: float) -> None:
+    line = Line()
+    line.stream(10.0, every_s)
+    marks = []
+    for i in range(1, round(7.0 / every_s)):
+        marks.append((10.0 + i * every_s, line.item(17.0)))
+        line.stamp(10.0 + i * every_s, 17.0)
+    for sent_at, mark in marks:
+        assert line.age_s(mark, 17.0) == pytest.approx(17.0 - sent_at if sent_at < 16.0 else 0.0, abs=1.01)
+
+
+def test_the_first_of_a_burst_waits_for_the_stamp_behind_it() -> None:
+    line = Line()
+    line.stream(10.0)
+    mark = line.item(17.0)
+    assert line.clock.age_s(mark, 17.0) is None
+    line.stamp(10.2, 17.001)
+    assert line.age_s(mark, 17.02) == pytest.approx(6.82, abs=0.05)
+
+
+def test_of_a_burst_whose_end_was_lost_the_beginning_is_still_old() -> None:
+    """A process stood still for longer than its buffer holds."""
+    line = Line()
+    line.stream(10.0)
+    line.stamp(10.1, 16.0)
+    mark = line.item(16.0)
+    line.stamp(15.95, 16.01, lost=90)
+    assert line.age_s(mark, 16.01) > 4.0
+
+
+def test_what_comes_first_after_a_link_was_cut_is_new() -> None:
+    line = Line()
+    line.stream(10.0)
+    mark = line.item(14.0, lost=30)
+    assert line.clock.age_s(mark, 14.0) is None
+    line.stamp(14.05)
+    assert line.age_s(mark, 14.05) == pytest.approx(0.05)
+    # And where no stamp comes, nobody knows.
+    line = Line()
+    line.stream(10.0)
+    mark = line.item(14.0, lost=30)
+    assert line.age_s(mark, 14.0 + WAIT_FOR_STAMP_S) > LATE_S
+
+
+def test_a_stream_that_has_stopped_makes_nothing_late() -> None:
+    line = Line()
+    line.stream(10.0)
+    for i in range(1, 60):
+        line.frame(10.0 + i)
+        assert line.age_s(line.item(10.0 + i + 0.5), 10.0 + i + 0.5) == 0.0
+
+
+def test_a_stall_is_forgotten_although_no_stamp_follows() -> None:
+    line = Line()
+    line.stream(10.0)
+    for i in range(6):
+        line.frame(17.0 + i)
+    assert line.age_s(line.item(22.5), 22.5) == 0.0
+
+
+def test_a_slow_stream_makes_nothing_late() -> None:
+    line = Line()
+    for t in range(100):
+        line.frame(float(t))
+        if t % 7 == 0:
+            line.stamp(float(t))
+        assert line.age_s(line.item(t + 0.9), t + 0.9) == 0.0
+
+
+@pytest.mark.parametrize("pace", [0.98, 0.986, 0.9999, 1.0001, 1.02])
+def test_a_clock_that_goes_wrong_makes_nothing_late_and_hides_no_stall(pace: float) -> None:
+    clock = AutopilotClock()
+    for i in range(6000):
+        t = i * 0.1
+        clock.stamp(t, int((UP_S + t * pace) * 1000))
+        assert clock.age_s(clock.mark(t), t) == 0.0
+    clock.stamp(606.0, int((UP_S + 600.1 * pace) * 1000))
+    mark = clock.mark(606.0)
+    clock.stamp(606.0, int((UP_S + 600.2 * pace) * 1000))
+    assert clock.age_s(mark, 606.0) == pytest.approx(5.8, abs=0.2)
+
+
+def test_a_reboot_is_no_stall() -> None:
+    line = Line()
+    line.stream(10.0)
+    line.frame(20.0)
+    assert line.clock.stamp(20.0, 3000)
+    assert line.age_s(line.item(20.1), 20.1) == 0.0
+
+
+def test_a_stall_in_an_autopilots_first_minute_is_no_reboot() -> None:
+    clock = AutopilotClock()
+    for i in range(100):
+        assert not clock.stamp(i * 0.1, 20_000 + i * 100)
+    for i in range(100, 160):
+        assert not clock.stamp(16.0, 20_000 + i * 100)
+    assert clock.time_boot_ms(16.0) == pytest.approx(36_000, abs=50)
+
+
+def test_a_time_that_stands_still_is_no_reboot() -> None:
+    line = Line()
+    line.stream(10.0)
+    for i in range(600):
+        assert not line.clock.stamp(10.0 + i * 0.1, int((UP_S + 10.0) * 1000), is_measured=True)
+
+
+@given(seed=st.integers(0, 2**32), every_s=st.floats(0.02, 1.0), stall_s=st.floats(0.0, 12.0))
+@settings(max_examples=150, deadline=None)
+def test_never_a_young_item_and_always_an_old_one(seed: int, every_s: float, stall_s: float) -> None:
+    """Streams of any spacing up to a second, a link that is late by up to 0.3 s and stalls once."""
+    dice = random.Random(seed)
+    sent: list[tuple[float, bool]] = []
+    t = 0.0
+    while t < 40.0:
+        sent.append((t, True))
+        t += every_s * dice.uniform(0.2, 1.0)
+    sent += [(dice.uniform(5.0, 40.0), False) for _ in range(20)]
+    stalls_at = dice.uniform(5.0, 25.0)
+    line, arrives_at = Line(), 0.0
+    open_marks: list[tuple[float, Mark]] = []
+    for sent_at, is_stamp in sorted(sent):
+        held_s = stalls_at + stall_s - sent_at if stalls_at <= sent_at <= stalls_at + stall_s else 0.0
+        arrives_at = max(arrives_at, sent_at + held_s + dice.uniform(0.0, 0.3))
+        for item_at, mark in open_marks[:]:
+            for decided_at in (mark.t, min(mark.t + WAIT_FOR_STAMP_S, arrives_at)):
+                age_s = line.clock.age_s(mark, decided_at)
+                if age_s is not None and (item_at, mark) in open_marks:
+                    open_marks.remove((item_at, mark))
+                    check(age_s, decided_at - item_at)
+        if is_stamp:
+            line.stamp(sent_at, arrives_at)
+        else:
+            open_marks.append((sent_at, line.item(arrives_at)))
+
+
+def check(age_s: float, really_s: float) -> None:
+    if really_s < LATE_S:
+        assert age_s <= LATE_S
+    if really_s > 2.0 + 0.35:
+        assert age_s > LATE_S
