@@ -108,6 +108,11 @@ class Setup:
         return self.receiver in ("sbus", "crsf")
 
     @property
+    def shows_rc(self) -> bool:
+        """A joystick is no RC that the service could see."""
+        return self.has_rc and self.receiver != "joystick"
+
+    @property
     def hides_rc_losses(self) -> bool:
         """ArduPilot by its parameters, which the service reads."""
         told = {"FS_THR_ENABLE": 1.0, "RC_FS_TIMEOUT": 1.0} | dict(self.parameters)
@@ -315,7 +320,7 @@ class RefereedFlight:
         enough_kPa = self.profile.limits.max_kPa + 2 * self.profile.interlocks.reserve_kPa
         return (
             self._clean
-            and self.setup.has_rc
+            and self.setup.shows_rc
             and not self.setup.hides_rc_losses
             and self._rc_in_use
             and self.referee.idle
@@ -326,7 +331,7 @@ class RefereedFlight:
         )
 
     def _switch_asks(self, position: int, *, certain: bool, what: str | None = None) -> None:
-        if not self.setup.has_rc and what is None:
+        if not self.setup.shows_rc and what is None:
             return
         confirmed = position > 0 and self.setup.has_real_receiver
         self._asked(
@@ -477,6 +482,7 @@ class RefereedFlight:
         now_s = self.now_s if at_s is None else at_s
         self._expected = None
         within_s += self._stalled_s
+        after_s = max(after_s, self._stalled_s)
         if self._vehicle_is_spoiled:
             within_s += LATE_S
         if bends:
@@ -738,11 +744,11 @@ class RefereedFlight:
         now_s, autopilot, profile = self.now_s, self.autopilot, self.profile
         if "silence" in self._unseen and now_s >= max(self._muted_until_s, self._boots_until_s):
             self._see("silence")
-        if "link stalled" in self._unseen and now_s >= self._stalled_until_s + STEP_S:
+        if "link stalled" in self._unseen and now_s >= self._stalled_until_s - 1.5 * STEP_S:
             self._see("link stalled")
         self._tell_override()
         self._call_missed()
-        rc_good = self.setup.has_rc and autopilot.armed and not self._unseen
+        rc_good = self.setup.shows_rc and autopilot.armed and not self._unseen
         if not rc_good:
             self._rc_good_since_s = None
         elif self._rc_good_since_s is None:

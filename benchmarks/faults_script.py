@@ -304,11 +304,13 @@ def _radio_fault(name: str, random: Random, setup: Setup, for_s: float) -> tuple
 
 def _faults(setup: Setup) -> tuple[str, ...]:
     """Those of the vehicle, the companion and the line, the radio's most often."""
-    more = ("RC overridden", "RC overridden") if setup.autopilot == "ardupilot" else ("items lost",)
+    more: tuple[str, ...] = (
+        ("RC overridden", "RC overridden") if setup.autopilot == "ardupilot" else ("items lost",)
+    )
     if setup.mission:
         more += ("mission replaced", "mission replaced", "mission replaced")
     if setup.has_rc:
-        more += ("RC lost", "RC lost", "RC blip", "RC blip")
+        more += 4 * ("RC lost", "RC blip")
     return _FAULTS + more
 
 

@@ -82,7 +82,7 @@ def test_a_link_is_back_with_the_first_heartbeat() -> None:
 
 
 def test_a_silent_link_is_told_again_when_the_vine_does_something_else() -> None:
-    flight = bent(holding(on_rc_loss="hold", on_autopilot_loss="hold", hold_at_most_s=1.5))
+    flight = bent(holding(on_rc_loss="hold", hold_at_most_s=1.5))
     flight.autopilot.mute(20.0)
     texts = told(lives(flight, 20.0))
     assert texts == ["Vine: vehicle link silent, holding", "Vine: vehicle link silent, vented"]

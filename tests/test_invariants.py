@@ -6,12 +6,12 @@ the forbidden things are caught by it, in flights in which the real ones are not
 
 from __future__ import annotations
 
+import dataclasses
 import random
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 import pytest
@@ -25,15 +25,17 @@ from firmware_link.protocol import Fault, Hello, Setpoint, Vent
 from flying_vines.config import Config
 from flying_vines.core import Core
 from flying_vines.events import Action, Decision, Event, Tick
+from flying_vines.fakes.autopilot import Kind, RcSource
+from flying_vines.fakes.autopilot.receiver import LOSSES
 from flying_vines.fakes.firmware import Drive, Firmware, FirmwareSettings
 from flying_vines.fakes.mishaps import DRAWN, PLACES, Filled, StuckAt
-from flying_vines.intent import StartProfile
+from flying_vines.intent import BendTo, StartProfile
 from flying_vines.safety import Entered, Left, Ruling
 from flying_vines.vehicle.triggers import Trigger
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 
-from faults_flight import RefereedFlight, Setup
+from faults_flight import PULSES_US, SWITCH, RefereedFlight, Setup
 from faults_script import draw, fly
 
 # Cheats, and the flights that show them up.
@@ -123,6 +125,24 @@ class NeverStraight(Core):
         return super()._decide(t, trigger)
 
 
+class DeafToTheSwitch(Core):
+    """Says that it bends the vine."""
+
+    def _decide(self, t: float, trigger: Trigger) -> Decision:
+        if trigger.what.get("position"):
+            return self._record(t, trigger, Ruling("accepted"))
+        return super()._decide(t, trigger)
+
+
+class OtherNumbers(Core):
+    """Bends the vine by half of what was asked for."""
+
+    def _decide(self, t: float, trigger: Trigger) -> Decision:
+        if isinstance(trigger.intent, BendTo):
+            trigger = dataclasses.replace(trigger, intent=BendTo(trigger.intent.angle_deg / 2))
+        return super()._decide(t, trigger)
+
+
 class LateDeadMan(Firmware):
     """Its dead-man waits for 400 ms, whatever the time-to-live."""
 
@@ -205,6 +225,12 @@ def lose_rc_while_bending(flight: RefereedFlight) -> None:
 def do_nothing(flight: RefereedFlight) -> None:
     airborne(flight)
     flight.run(4.5)
+
+
+def bend_by_a_number(flight: RefereedFlight) -> None:
+    airborne(flight)
+    flight.bend_to(40.0)
+    flight.run(2.0)
 
 
 def disarm(flight: RefereedFlight) -> None:
@@ -293,6 +319,8 @@ CHEATS = [
     Cheat(reset_board, {"resumed"}, core=ResetAndOn),
     Cheat(cut_and_ask_again, {"resumed"}, core=NeedsNobody),
     Cheat(straighten, {"safe state"}, core=NeverStraight),
+    Cheat(stay_bent, {"missed"}, core=DeafToTheSwitch),
+    Cheat(bend_by_a_number, {"numbers"}, core=OtherNumbers),
     Cheat(stay_bent, {"trigger"}, core=BlindToSafety, setup=Setup(max_bent_s=2.0)),
     Cheat(lose_rc_while_bending, {"resumed"}, HoldsByGoingOn, setup=Setup(holds=True)),
     Cheat(bent, {"limits"}, core=TooFar),
@@ -337,10 +365,11 @@ def test_a_limit_that_is_too_high_is_seen_at_the_vine() -> None:
 class AnyFlight(RuleBasedStateMachine):
     """Everybody does what they like, and everything breaks; after each of it the referee is asked."""
 
-    @initialize(autopilot=st.sampled_from(["ardupilot", "px4"]), holds=st.booleans())
-    def take_off(self, autopilot: Literal["ardupilot", "px4"], holds: bool) -> None:
-        self.flight = RefereedFlight(Setup(autopilot, holds=holds))
-        self.rc_lost = self.unplugged = self.link_closed = False
+    @initialize(receiver=st.sampled_from(sorted(LOSSES)), holds=st.booleans())
+    def take_off(self, receiver: RcSource, holds: bool) -> None:
+        autopilot: Kind = "ardupilot" if receiver == "pulses" else "px4"
+        self.flight = RefereedFlight(Setup(autopilot, receiver=receiver, holds=holds))
+        self.rc_lost = self.unplugged = self.link_closed = self.overridden = False
         airborne(self.flight)
 
     @rule(seconds=st.floats(0.05, 2.0))
@@ -362,16 +391,30 @@ class AnyFlight(RuleBasedStateMachine):
         getattr(self.flight, verb)()
         self.flight.run(0.2)
 
-    @rule(jumps=st.booleans())
-    def rc_is_lost_or_returns(self, jumps: bool) -> None:
+    @precondition(lambda self: self.flight.setup.receiver != "joystick")
+    @rule(jumps=st.booleans(), preset_us=st.none() | st.sampled_from(PULSES_US))
+    def rc_is_lost_or_returns(self, jumps: bool, preset_us: int | None) -> None:
         if self.rc_lost:
             self.flight.return_rc()
         else:
-            otherwise: Literal["frozen", "silent"] = (
-                "frozen" if self.flight.setup.autopilot == "ardupilot" else "silent"
-            )
-            self.flight.lose_rc("jump" if jumps else otherwise)
+            how = LOSSES[self.flight.autopilot.receiver.source][-1 if jumps else 0]
+            # On ArduPilot a preset that leaves the throttle alone is seen by nobody.
+            unseen = self.flight.setup.autopilot == "ardupilot" or preset_us is None
+            self.flight.lose_rc(how, None if unseen else {SWITCH: preset_us or 0})
         self.rc_lost = not self.rc_lost
+
+    @precondition(lambda self: self.flight.setup.autopilot == "ardupilot")
+    @rule(position=st.integers(0, 2))
+    def a_ground_station_overrides_rc_or_ceases_to(self, position: int) -> None:
+        if self.overridden:
+            self.flight.stop_override()
+        else:
+            self.flight.override(position)
+        self.overridden = not self.overridden
+
+    @rule(seconds=st.floats(0.1, 4.0), both_ways=st.booleans())
+    def the_vehicle_link_stalls(self, seconds: float, both_ways: bool) -> None:
+        self.flight.stall_vehicle_link(seconds, both_ways)
 
     @rule()
     def the_vehicle_link_closes_or_opens(self) -> None:

@@ -99,7 +99,7 @@ class Referee:
         self._codec = Codec()
         self._triggers: list[_Trigger] = []
         self._targets: list[_Target] = []
-        self._steady_kPa = self._steady_since_s = 0.0
+        self._steady_kPa, self._steady_since_s = -math.inf, 0.0
         self._last_trigger_s = -math.inf
         self._forbidden: dict[str, float] = {}
         self._no_inflation: dict[str, float] = {}
@@ -329,7 +329,7 @@ class Referee:
             self._call(t, "safe state", f"moving in spite of: {_holding(self._forbidden, t)}")
         if drive.evp > 0.0 and t >= self._no_inflation_from_s:
             self._call(t, "safe state", f"inflating in spite of: {_holding(self._no_inflation, t)}")
-        if t > self._last_trigger_s + self._rules.max_bent_s + 0.5:
+        if math.inf > t - self._last_trigger_s > self._rules.max_bent_s + 0.5:
             self._call(t, "trigger", f"bent for more than {self._rules.max_bent_s:g} s without a trigger")
         if self._resting:
             self._resting = False
@@ -410,6 +410,7 @@ class Referee:
     def _rest(self) -> None:
         self._resting = True
         self._asked_s = None
+        self._steady_kPa = -math.inf
 
     def _find_deadlines(self) -> None:
         self._forbidden_from_s = min(self._forbidden.values(), default=math.inf)

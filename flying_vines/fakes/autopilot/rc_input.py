@@ -176,7 +176,8 @@ class Px4Rc:
         self._due, self._report_due, self._override_ends = [], None, None
         self.failsafe = False
         self._good = self.reported_good = self.has_driver and self.receiver.lost is None
-        self.receiver.has_rssi = self._good
+        if self.has_driver:
+            self.receiver.has_rssi = self._good
 
     def report(self) -> None:
         """Health has changed somewhere: it is reported as it is now, or as it will be when the time is up."""
