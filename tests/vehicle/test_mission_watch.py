@@ -560,20 +560,23 @@ def test_a_mission_with_an_identity_lends_its_numbers_where_no_answer_comes() ->
     assert air.found[-1].params is None
 
 
-def test_what_was_made_up_for_is_asked_for_as_well() -> None:
+@pytest.mark.parametrize("replaced", [False, True])
+def test_what_was_made_up_for_is_confirmed_as_well(replaced: bool) -> None:
     air = Air([], given_beforehand=False)
     air.give_book(PLAN)
     other = [replace(one, params=(1.0, -11.0, 0.0, 0.0, 0.0, 0.0, 0.0)) for one in PLAN]
-    air.stores(other)
+    air.stores(other if replaced else PLAN)
     air.current(2)
     air.reaches(2)
     air.runs(3, lost=True)
     air.runs(4, lost=True)
     air.current(5)
-    air.wait(WAIT_FOR_TEXT_S + 0.1)
-    assert [(e.seq, e.params) for e in air.found] == [(3, other[3].params), (4, other[4].params)]
-    assert 0.5 <= air.found[0].age_s <= 0.6
-    assert air.asked == [3, 4]
+    air.wait(WAIT_FOR_TEXT_S + GIVE_UP_S + 0.1)
+    wanted = [None, None] if replaced else [PLAN[3].params, PLAN[4].params]
+    assert [(e.seq, e.params) for e in air.found] == list(zip((3, 4), wanted, strict=True))
+    if not replaced:
+        assert 0.5 <= air.found[0].age_s <= 0.6
+        assert air.asked == [3, 4]
 
 
 def test_a_text_that_comes_after_its_item_was_made_up_for_is_no_second_execution() -> None:

@@ -166,7 +166,11 @@ class ArduPilotWatch:
 
     def _answer(self, item: MissionItem) -> None:
         for waiting in self._waiting:
-            if waiting.seq == item.seq and waiting.item is None and _fits(waiting.name, item.command, True):
+            if waiting.seq != item.seq or waiting.item is not None:
+                continue
+            # What was made up for ran a while ago: other numbers may be of a mission that came since.
+            guess = waiting.before if waiting.name is None else None
+            if _same(item, guess) if guess else _fits(waiting.name, item.command, confirmed=True):
                 waiting.item = item
 
     def _tell(self, t: float, sequence: int, seq: int, name: str) -> None:
