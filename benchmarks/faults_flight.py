@@ -23,6 +23,7 @@ from flying_vines.core import Core
 from flying_vines.events import Action, Decision, Event, LinkChanged
 from flying_vines.fakes.autopilot import Autopilot, RcLoss, RcSource
 from flying_vines.fakes.autopilot.forwarding import PX4_BUFFER
+from flying_vines.fakes.autopilot.rc_input import REPORTS_APART_S
 from flying_vines.fakes.board import Board
 from flying_vines.fakes.compiled_firmware import CompiledFirmware
 from flying_vines.fakes.mishaps import Hanging, Kind, Kinked, StuckAt, Unpowered
@@ -58,6 +59,8 @@ SURELY_BENDS_S = 2.7
 """A position that lasts for so long, with RC good throughout, is carried out."""
 RC_SHOWN_S = 1.5
 """From PX4's report that a receiver of its own is lost to a vented vine."""
+TOLD_LATE_S = 2.5
+"""And so late it may be believed where PX4 has just reported something else."""
 REPORTED_S = 2.4
 """PX4 tells that RC is good again, at the latest."""
 RC_LOST_S = 1.4
@@ -224,6 +227,7 @@ class RefereedFlight:
         self._override_sent_s = self._override_ends_s = 0.0
         self._vented = False
         """By somebody else than the switch, since it was last moved."""
+        self._stirred_s = -math.inf
         self._stalled_until_s = 0.0
         self._clean = True
         """Nothing has gone wrong but RC."""
@@ -510,6 +514,8 @@ class RefereedFlight:
         self._rc_shown = not self.setup.has_real_receiver and (
             how != "frozen" or not self.setup.hides_rc_losses
         )
+        if how == "jump" and self.now_s < self._stirred_s + REPORTS_APART_S:
+            self.referee.trigger(self.now_s, TOLD_LATE_S, f"{LIMIT}PX4 tells of it later than ever")
         self._unsee("rc")
         self._noticed |= how == "jump" and not self.setup.has_real_receiver
         self._expected = None
@@ -532,6 +538,7 @@ class RefereedFlight:
     def stir_health(self) -> None:
         """Something else makes PX4 report its health now, and nothing more for 2 s."""
         self.autopilot.stir_health()
+        self._stirred_s = self.now_s
 
     def stall_vehicle_link(self, seconds: float, both_ways: bool = False) -> None:
         """What the vehicle sends comes late, and all of it at once."""

@@ -39,6 +39,7 @@ _TYPES: dict[Kind, dict[str, int]] = {
     },
     "px4": {
         "COM_RC_IN_MODE": _INT32,
+        "COM_RC_LOSS_T": _REAL32,
         "MAV_0_FORWARD": _INT32,
         "MAV_1_CONFIG": _INT32,
         "MAV_1_FORWARD": _INT32,
@@ -60,6 +61,7 @@ _FACTORY = {
     "RC_OPTIONS": 32.0,
     "RC_OVERRIDE_TIME": 3.0,
     "STAT_BOOTCNT": 1.0,
+    "COM_RC_LOSS_T": 0.5,
     "MAV_0_FORWARD": 1.0,
     "MAV_1_CONFIG": 102.0,
     "MAV_1_FORWARD": 1.0,
