@@ -18,6 +18,8 @@ from flying_vines.vehicle.triggers import Rules, Trigger
 
 CONFIRMED_WITHIN_S = 4.0
 """Longer than it should take: then nothing tells of RC any more."""
+HEALTH_REPORTS_APART_S = 2.0
+"""PX4 reports its health no more often (min_reporting_interval): after any change of it RC's comes late."""
 OVERRIDE_SLACK_S = 0.7
 """An override ends so much sooner or later than we can tell."""
 RELEASED_US = 65534
@@ -248,7 +250,10 @@ class Pilot:
         waiting = self._waiting
         if waiting is None or waiting.since_s is None or not self.radio.status_good:
             return []
-        if self.radio.stamp_s - waiting.since_s < self._confirmed_after_s:
+        wait_s = self._confirmed_after_s
+        if self.radio.health_changed_since(waiting.since_s - HEALTH_REPORTS_APART_S):
+            wait_s += HEALTH_REPORTS_APART_S
+        if self.radio.stamp_s - waiting.since_s < wait_s:
             return []
         self._waiting = None
         return (

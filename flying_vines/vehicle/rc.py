@@ -6,6 +6,8 @@ receiver makes up. So several signs are weighed, and one that says "lost" is eno
 
 from __future__ import annotations
 
+import math
+
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import Switch
@@ -14,6 +16,7 @@ from flying_vines.vehicle.codec import Message
 RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 LOWEST_US, HIGHEST_US = 800, 2200
 CHANNELS = 18
+HEALTH = ("present", "enabled", "health")
 TEXT_OUTLIVED_BY_HEALTH_S = 1.5
 """Good health that is reported this long after a "Radio Failsafe" means that its "Cleared" was lost."""
 
@@ -67,6 +70,8 @@ class RadioLink:
         self._status: bool | None = None
         self._unhealthy = False
         self._status_told_good = False
+        self._health: tuple[int, ...] | None = None
+        self._health_stamp_s = -math.inf
         self._failsafe_text_at: float | None = None
 
     @property
@@ -92,8 +97,13 @@ class RadioLink:
             self._take_channels(t, message)
         elif kind == "SYS_STATUS":
             self._take_status(t, message)
+            self._take_health(message)
         elif kind == "STATUSTEXT" and message.text.startswith("Radio Failsafe"):
             self._failsafe_text_at = None if "Cleared" in message.text else t
+
+    def health_changed_since(self, stamp_s: float) -> bool:
+        """Whether SYS_STATUS has changed since then for any sensor, by the autopilot's clock."""
+        return self._health_stamp_s >= stamp_s
 
     def take_interruption(self) -> bool:
         """Whether RC was lost for a moment since the last call, even if it is good again."""
@@ -158,6 +168,12 @@ class RadioLink:
         if self._rssi_lost_at is None:
             return False
         return self._rssi == NO_SIGNAL or t - self._rssi_lost_at < RSSI_WARNS_FOR_S
+
+    def _take_health(self, message: Message) -> None:
+        health = tuple(getattr(message, f"onboard_control_sensors_{part}") for part in HEALTH)
+        if self._health not in (None, health):
+            self._health_stamp_s = self.stamp_s
+        self._health = health
 
     def _take_status(self, t: float, message: Message) -> None:
         present = bool(message.onboard_control_sensors_present & RC_BIT)

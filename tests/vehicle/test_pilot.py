@@ -41,6 +41,8 @@ class Radio:
     debounce_s: float = 0.15
     outputs: list[tuple[float, PilotOutput]] = field(default_factory=list)
     steps: int = 0
+    sensors: int = 0
+    """Health that is not RC's."""
     lost_at: float | None = None
     good_bits_at: float = 0.0
     sticks: list[int] = field(default_factory=lambda: [1500, 1500, 1400, *[1500] * 5, 1000, *[1500] * 9])
@@ -89,7 +91,7 @@ class Radio:
                 stamp_ms = round(1000 * self.now_s) + 60_000
                 self.hear(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *self.received, rssi))
             if self.steps % 2 == 0:
-                bits = [RC_BIT * flag for flag in (good, True, good)]
+                bits = [RC_BIT * flag | self.sensors for flag in (good, True, good)]
                 self.hear(mavlink.MAVLink_sys_status_message(*bits, 0, 12000, -1, -1, 0, 0, 0, 0, 0, 0))
             self.outputs.extend((self.now_s, output) for output in self.pilot.tick(self.now_s))
 
@@ -121,6 +123,24 @@ def test_a_bend_on_px4_waits_until_the_status_would_have_told_of_a_loss() -> Non
     radio.run(5.0)
     (bent_s,) = radio.bends
     assert 1.6 <= bent_s - moved_s <= 1.85
+
+
+def test_a_bend_waits_longer_where_px4_has_just_reported_its_health() -> None:
+    """It reports no more often than each 2 s: what happens to RC meanwhile is told later."""
+    radio = Radio(preset={9: 2000}, bits_after_s=2.6)
+    radio.sensors = 0x20
+    radio.run(0.3)
+    radio.lose()
+    radio.run(6.0)
+    assert radio.bends == []
+    radio.restore()
+    radio.run(4.0)
+    radio.sensors = 0
+    moved_s = radio.now_s
+    radio.move(2)
+    radio.run(5.0)
+    (bent_s,) = radio.bends
+    assert 3.6 <= bent_s - moved_s <= 3.85
 
 
 def test_straightening_on_px4_waits_for_nothing() -> None:
