@@ -17,7 +17,7 @@ from needed import needs_compiler
 from flying_vines.fakes.autopilot import Kind, RcSource
 from flying_vines.vehicle.mission.item import MissionItem
 
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
 from faults_flight import ACTUATOR, SCRIPT_MESSAGE, RefereedFlight, Setup
 
