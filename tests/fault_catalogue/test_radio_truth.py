@@ -8,14 +8,22 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import pytest
 from needed import needs_compiler
 
+from flying_vines.config import Config
+from flying_vines.core import Core
 from flying_vines.fakes.autopilot import Kind, RcSource
+from flying_vines.intent import Intent
+from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.pilot import PilotOutput
+from flying_vines.vehicle.triggers import Trigger
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -28,9 +36,13 @@ BENT_KPA = 5.0
 SWITCH = 9
 
 
+FLOWN: dict[str, Callable[[Config], Core]] = {"core": Core}
+"""Below, cores that lack a rule take its place."""
+
+
 def airborne(setup: Setup) -> RefereedFlight:
     """And RC has been good for long enough to be believed."""
-    flight = RefereedFlight(setup)
+    flight = RefereedFlight(setup, FLOWN["core"])
     flight.run(1.5)
     flight.take_off()
     flight.run(5.5)
@@ -49,7 +61,8 @@ def bent(flight: RefereedFlight) -> RefereedFlight:
     """By its pilot."""
     flight.move_switch(2)
     flight.run(3.0)
-    assert flight.phlosar.cv_kPa > BENT_KPA
+    if flight.phlosar.cv_kPa <= BENT_KPA:
+        raise RuntimeError("the pilot's own move did not bend the vine")
     return flight
 
 
@@ -300,3 +313,114 @@ def test_losses_do_not_restart_the_longest_hold() -> None:
         flight.run(0.3)
     assert flight.phlosar.cv_kPa < 1.0, "held for 4 s at most"
     assert_clean(flight)
+
+
+# Each rule taken away, and a flight that shows it: a rule that nothing misses is none.
+
+
+class BelievesAnyRc(Core):
+    """Takes what RC_CHANNELS says for the pilot's."""
+
+    def __init__(self, profile: Config) -> None:
+        super().__init__(profile)
+        handle = self._vehicle.pilot.handle
+
+        def believe(t: float, message: Message, autopilot: str, vented: bool = False) -> list[PilotOutput]:
+            return [] if message.get_type() == "SYS_STATUS" else handle(t, message, "other", vented)
+
+        self._vehicle.pilot.handle = believe  # type: ignore[method-assign]
+
+
+class BendsAtOnce(Core):
+    """Does not wait for PX4's RC status."""
+
+    def __init__(self, profile: Config) -> None:
+        super().__init__(profile)
+        self._vehicle.pilot._must_wait = lambda position: False  # type: ignore[method-assign]
+
+
+class ReadsNoParameters(Core):
+    """Does not know that losses are hidden."""
+
+    def __init__(self, profile: Config) -> None:
+        super().__init__(profile)
+        self._vehicle.pilot.parameters.handle = lambda autopilot, message: False  # type: ignore[method-assign]
+
+
+class TakesOverridesForThePilot(Core):
+    """A switch that comes back was moved."""
+
+    def __init__(self, profile: Config) -> None:
+        super().__init__(profile)
+        self._vehicle.pilot._not_the_pilots = lambda t, move: ""  # type: ignore[method-assign]
+
+
+class TrustsItsBook(Core):
+    """Does not ask for an item again when it runs."""
+
+    class _Book(MissionBook):
+        @property
+        def is_given(self) -> bool:
+            return self.fresh
+
+    def __init__(self, profile: Config) -> None:
+        super().__init__(profile)
+        self._vehicle._book.__class__ = self._Book
+
+
+class IsNeverTooLate(Core):
+    """Carries out whatever it hears."""
+
+    def _outdated(self, t: float, trigger: Trigger, intent: Intent) -> str:
+        return ""
+
+
+class HearsCommandsOnly(Core):
+    """Does not listen to what PX4 has reached."""
+
+    def __init__(self, profile: Config) -> None:
+        super().__init__(profile)
+        self._vehicle._px4.due = lambda t: []  # type: ignore[method-assign]
+
+
+class CountsFromEachLoss(Core):
+    """A loss that holds the vine restarts its limits."""
+
+    def _freeze(self, t: float) -> None:
+        self._note_trigger(t)
+        super()._freeze(t)
+
+
+@pytest.mark.parametrize(
+    ("cheat", "witness"),
+    [
+        (BelievesAnyRc, partial(test_px4_frozen_values_hold_no_bend, "sbus")),
+        (BelievesAnyRc, partial(test_px4_switch_moved_while_rc_was_lost_bends_nothing, "crsf")),
+        (BendsAtOnce, partial(test_px4_preset_of_the_receiver_is_no_move, {})),
+        (BendsAtOnce, partial(test_px4_preset_in_a_blip_is_no_move, 0.9)),
+        (
+            ReadsNoParameters,
+            partial(test_ardupilot_switch_moved_in_a_hidden_loss_bends_nothing, {"FS_THR_ENABLE": 0}),
+        ),
+        (TakesOverridesForThePilot, test_an_override_that_ends_is_no_move),
+        (
+            TrustsItsBook,
+            partial(test_what_is_stored_is_executed_when_it_was_replaced_on_the_way, "ardupilot", 0.5),
+        ),
+        (
+            IsNeverTooLate,
+            partial(test_an_item_that_is_heard_late_is_not_carried_out, "ardupilot", 5.0, False),
+        ),
+        (IsNeverTooLate, partial(test_an_item_that_is_heard_late_is_not_carried_out, "px4", 5.0, True)),
+        (IsNeverTooLate, partial(test_a_button_that_is_heard_late_bends_nothing, "ardupilot", False)),
+        (HearsCommandsOnly, test_a_straightening_that_was_lost_on_px4_comes_after_all),
+        (CountsFromEachLoss, test_losses_do_not_restart_the_longest_time_bent),
+        (CountsFromEachLoss, test_losses_do_not_restart_the_longest_hold),
+    ],
+)
+def test_without_the_rule_a_flight_shows_it(
+    cheat: type[Core], witness: Callable[[], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(FLOWN, "core", cheat)
+    with pytest.raises(AssertionError):
+        witness()
