@@ -47,6 +47,7 @@ SCRIPT_MESSAGE, ACTUATOR = 217, 187
 ALTITUDE = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 COMMAND = mavlink.MAVLINK_MSG_ID_COMMAND_LONG
 STEP_S = 0.01
+LONGEST_CALIBRATION_S = 60.0
 WRITTEN_EVERY_S = 0.5
 RESTING_KPA = 0.5
 DEBOUNCED_S = 0.5
@@ -243,6 +244,7 @@ class RefereedFlight:
         self._noticed = False
         self._settled_s = self._surely_settled_s = 0.0
         self._moved_s = 0.0
+        self._standing: int | None = None
         self._settle()
         self._conditions: dict[str, float] = {}
         self._items_seen = 0
@@ -305,7 +307,7 @@ class RefereedFlight:
         # Back where it was before anybody saw that it had left is no move.
         lasted = self.now_s > self._moved_s + FLICK_S
         self._moved_s = self.now_s
-        self._expected = None
+        self._expected = self._standing = None
         if self._unseen or self._override is not None:
             return
         self._vented = False
@@ -314,6 +316,8 @@ class RefereedFlight:
         certain = self.now_s >= self._surely_settled_s
         if self.now_s >= self._settled_s:
             self._switch_asks(position, certain=certain and lasted)
+            if position > 0 and self.setup.has_real_receiver:
+                self._standing = len(self.referee.begins)
             if certain and lasted and position > 0 and self._nothing_is_against_it:
                 self._expected = self.now_s, _switch_to(position)
         if not certain:
@@ -437,6 +441,7 @@ class RefereedFlight:
         self._disturb()
         self._command(mavlink.MAV_CMD_USER_5, 2)
         self._asked_by_station("calibration", bends=True)
+        self.referee.any_target(self.now_s + LONGEST_CALIBRATION_S)
 
     def _command(self, command: int, *params: float) -> None:
         seven = (*params, *(0.0,) * (7 - len(params)))
@@ -528,6 +533,9 @@ class RefereedFlight:
         if self._held_from_s > self.now_s:
             self.referee.hold_still(math.inf)
         self._see("rc")
+        if self._standing == len(self.referee.begins):
+            # The pilot's own move, which a short loss has held up, and whose switch still stands there.
+            self._switch_asks(self._position, certain=False)
 
     def hide_rc_losses(self, name: str, value: float) -> None:
         """Somebody sets a parameter of the autopilot so that it does not tell of them."""
@@ -766,7 +774,9 @@ class RefereedFlight:
             self._rc_in_use = False
         lowest_m = profile.interlocks.min_altitude_m - LANDING_MARGIN_M
         self._rc_shown |= self._rc_lost is not None and autopilot.tells_rc_lost
-        rc_lost = self._rc_lost is not None and self._rc_in_use and self._rc_shown
+        # A ground station's override ends ArduPilot's loss, or keeps it from being told at all.
+        replaced = self._override is not None and not autopilot.tells_rc_lost
+        rc_lost = self._rc_lost is not None and self._rc_in_use and self._rc_shown and not replaced
         rc_lost_s = RC_SHOWN_S if now_s > self._rc_lost_s + 0.5 else RC_LOST_S
         silent = bool(self._unseen.keys() & {"silence", "link", "link stalled"})
         held_s = HELD_AT_MOST_S if self.setup.holds else 0.0

@@ -185,7 +185,7 @@ class Core:
             elif isinstance(output, Changed):
                 self._configure(output)
             elif isinstance(output, Straightened):
-                self._clear_faults(t)
+                self._clear_faults(t, output.seen_at)
             else:
                 self._send(output)
 
@@ -558,6 +558,7 @@ class Core:
         straightened = self._motion is None or self._motion.only_lets_out
         hold = change.response == "hold" and not straightened
         mattered = self._motion is not None or self._vehicle.state.armed
+        self._vehicle.pilot.overtaken()
         if hold:
             self._freeze(t)
         else:

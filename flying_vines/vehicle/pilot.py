@@ -28,7 +28,9 @@ IGNORED_US = (0, 65535)
 
 @dataclass(frozen=True, slots=True)
 class Straightened:
-    """RC was good when the switch straightened the vine: it was the pilot, who has seen to latched faults."""
+    """RC was good when the switch straightened the vine: the pilot has seen to the faults of before."""
+
+    seen_at: float
 
 
 PilotOutput = Trigger | Notice | Straightened
@@ -60,6 +62,8 @@ class Pilot:
         self.switch = _switch(config)
         self.parameters = RadioParameters()
         self._waiting: _Waiting | None = None
+        self._stood: set[int] = set()
+        """Where the switch stood last for sure, and since others asked: to come back there is no move."""
         self._hides_loss = ""
         self._by_station = False
         self._override_ends_at = -math.inf
@@ -88,13 +92,19 @@ class Pilot:
         self.forget()
         self.parameters.forget()
 
+    def overtaken(self) -> None:
+        """Something else came after the move that waits: it is no wish any more."""
+        if self._waiting is not None:
+            self._stood.add(self._waiting.move.position)
+        self._waiting = None
+
     def others_asked(self, straightened: bool) -> None:
-        """Something else than the switch moved the vine: a move that waits is overtaken.
+        """Somebody else than the pilot moved the vine.
 
         An override that ends looks as if the switch came back to where it stood. After somebody else has
         straightened the vine, that alone does not bend it again.
         """
-        self._waiting = None
+        self.overtaken()
         position = self.switch.position
         if not straightened:
             self._position_overruled = None
@@ -180,11 +190,11 @@ class Pilot:
         if self._waiting is not None:
             self._keep_waiting(self._waiting)
         seen = self.switch.sample(t, radio.switch_us, radio.jumped)
-        if isinstance(seen, MovedUnseen):
-            return [self._move_again(t, "moved while RC was lost")]
         if isinstance(seen, Move):
             return self._moved(t, seen, vented)
-        return []
+        if seen is not None:
+            self._stood = {seen.position}
+        return [self._move_again(t, "moved while RC was lost")] if isinstance(seen, MovedUnseen) else []
 
     def _keep_waiting(self, waiting: _Waiting) -> None:
         if self.switch.reads(self.radio.switch_us) != waiting.move.position:
@@ -213,8 +223,18 @@ class Pilot:
                 self._waiting.before = before.before
         if bends:
             self._position_overruled = None
-            return [] if must_wait else self._asks(t, move, by_person=True)
+            return [] if must_wait else self._for_sure(t, move)
+        if not must_wait:
+            self._stood = {move.position}
         return self._asks(t, move, by_person=not (must_wait or move.jumped))
+
+    def _for_sure(self, t: float, move: Move) -> list[PilotOutput]:
+        """A move that bends is as sure as it gets."""
+        was_there = move.position in self._stood
+        self._stood = {move.position}
+        if was_there:
+            return [self._move_again(t, "is back where it was")]
+        return self._asks(t, move, by_person=True)
 
     def _not_the_pilots(self, t: float, move: Move) -> str:
         """What else than the pilot may have made this move; empty if nothing."""
@@ -256,9 +276,11 @@ class Pilot:
         if self.radio.stamp_s - waiting.since_s < wait_s:
             return []
         self._waiting = None
-        return (
-            self._asks(t, waiting.move, by_person=True) if self._waits_to_bend(waiting) else [Straightened()]
-        )
+        if self._waits_to_bend(waiting):
+            return self._for_sure(t, waiting.move)
+        was_there = waiting.move.position in self._stood
+        self._stood = {waiting.move.position}
+        return [] if was_there else [Straightened(waiting.seen_at)]
 
     def _asks(self, t: float, move: Move, *, by_person: bool) -> list[PilotOutput]:
         intent = self._rules.for_position(move.position)

@@ -405,7 +405,7 @@ class CountsFromEachLoss(Core):
         (TakesOverridesForThePilot, test_an_override_that_ends_is_no_move),
         (
             TrustsItsBook,
-            partial(test_what_is_stored_is_executed_when_it_was_replaced_on_the_way, "ardupilot", 0.5),
+            partial(test_what_is_stored_is_executed_when_the_mission_begins, "ardupilot", 0.2, *OTHERS[0]),
         ),
         (
             IsNeverTooLate,

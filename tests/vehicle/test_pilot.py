@@ -391,6 +391,53 @@ def test_a_bend_that_waits_is_overtaken_by_what_others_ask() -> None:
     assert radio.bends == []
 
 
+@given(
+    preset=st.sampled_from([1000, 1500]),
+    lasts_s=st.floats(0.1, 1.3),
+    failsafe=st.sampled_from(["unknown", 1000]),
+    vented=st.booleans(),
+)
+def test_a_switch_that_comes_back_from_a_preset_bends_nothing_again(
+    preset: int, lasts_s: float, failsafe: Literal["unknown"] | int, vented: bool
+) -> None:
+    radio = Radio(preset={9: preset}, failsafe=failsafe if preset == 1000 else "unknown")
+    radio.move(2)
+    radio.run(3.0)
+    assert len(radio.bends) == 1
+    if vented:
+        radio.pilot.others_asked(straightened=True)
+    radio.lose()
+    radio.run(lasts_s)
+    radio.restore()
+    radio.run(5.0)
+    assert len(radio.bends) == 1
+    radio.move(0)
+    radio.run(2.5)
+    radio.move(2)
+    radio.run(3.0)
+    assert len(radio.bends) == 2, "a fresh move counts"
+
+
+def test_what_came_after_a_straightening_is_not_seen_to_by_it() -> None:
+    radio = Radio()
+    radio.move(2)
+    radio.run(3.0)
+    radio.move(0)
+    moved_s = radio.now_s
+    radio.run(3.0)
+    (seen_at,) = [output.seen_at for _, output in radio.outputs if isinstance(output, Straightened)]
+    assert seen_at - moved_s < 0.3
+
+
+def test_a_loss_overtakes_a_bend_that_waits() -> None:
+    radio = Radio()
+    radio.move(2)
+    radio.run(1.0)
+    radio.pilot.overtaken()
+    radio.run(3.0)
+    assert radio.bends == []
+
+
 def test_without_a_status_a_bend_is_refused_and_said() -> None:
     radio = Radio()
     radio.move(2)
