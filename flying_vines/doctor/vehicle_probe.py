@@ -20,6 +20,7 @@ from flying_vines.vehicle.component.outbox import Outbox
 from flying_vines.vehicle.component.telemetry import Heartbeat
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.radio_parameters import RadioParameters
 from flying_vines.vehicle.rc import RadioLink
 from flying_vines.vehicle.signing import Refused
 from flying_vines.vehicle.state import Ambiguous, VehicleState
@@ -59,6 +60,10 @@ class Radio:
     """Counted from 0 at the lowest pulse width; None before it has settled."""
     seen: frozenset[int] = frozenset()
     """All positions in which it has rested."""
+    hides_loss: str = ""
+    """Which parameter lets the autopilot hide a lost transmitter."""
+    bends_late: bool = False
+    """On PX4, nothing is known of what its receiver does in a loss."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +139,7 @@ class VehicleProbe:
         self._state = VehicleState(config.vehicle.system_id)
         self._streams = Streams(config.vehicle.rc_rate_Hz)
         self._radio = RadioLink(switch, config.losses.rc_s)
+        self._parameters = RadioParameters()
         self._switch = Switch(len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us)
         self._book = MissionBook()
         self._heartbeat = Heartbeat()
@@ -187,6 +193,8 @@ class VehicleProbe:
         self._book.handle(t, message)
         self._radio.autopilot = self._state.kind
         self._radio.handle(t, message)
+        if kind == "PARAM_VALUE":
+            self._parameters.handle(self._state.kind, message)
         if kind == "RC_CHANNELS":
             self._sample_switch(t)
         elif kind == "AUTOPILOT_VERSION":
@@ -222,6 +230,7 @@ class VehicleProbe:
             *self._streams.requests(t, system_id),
             *self._book.requests(t, system_id),
             *self._book.acknowledgement(system_id),
+            *self._parameters.requests(t, system_id, self._state.kind),
             *self._ask_version(t, system_id),
         ):
             self._outbox.put(message)
@@ -246,8 +255,15 @@ class VehicleProbe:
 
     def radio(self, t: float) -> Radio:
         """The switch, as it is now."""
+        px4_receiver = self._state.kind == "px4" and self._radio.by_receiver
+        watched = self._state.kind == "ardupilot" or px4_receiver
         return Radio(
-            self._radio.problem(t), self._radio.switch_us, self._switch.position, frozenset(self._seen)
+            self._radio.problem(t),
+            self._radio.switch_us,
+            self._switch.position,
+            frozenset(self._seen),
+            self._parameters.hides_loss if watched else "",
+            px4_receiver and self._config.switch.receiver_failsafe == "unknown",
         )
 
     def facts(self, t: float) -> VehicleFacts:

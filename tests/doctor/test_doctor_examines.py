@@ -215,6 +215,7 @@ def test_the_vehicle_is_only_asked(seen: dict[str, Examined]) -> None:
         "MISSION_REQUEST_LIST",
         "MISSION_REQUEST_INT",
         "MISSION_ACK",
+        "PARAM_REQUEST_READ",
     }
     commands = {message.command for message in told if message.get_type() == "COMMAND_LONG"}
     assert commands == {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE}

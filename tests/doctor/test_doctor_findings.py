@@ -290,6 +290,8 @@ CASES: list[tuple[Line, list[Finding]]] = [
     (radio.NOT_USED, of_switch(config=changed("switch", positions=("", "")))),
     (radio.NOT_HEARD, [radio.check(None, CONFIG, False)]),
     (radio.NOT_BELIEVED, of_switch(problem="radio failsafe")),
+    (radio.HIDES_LOSS, of_switch(hides_loss="FS_THR_ENABLE 0")),
+    (radio.BENDS_LATE, of_switch(bends_late=True)),
     (radio.UNSETTLED, of_switch(position=None)),
     (radio.STANDS, of_switch()),
     (radio.STANDS_BENT, of_switch(position=2, pulse_us=2000, seen=frozenset({2}))),

@@ -15,6 +15,18 @@ NOT_BELIEVED = Line(
     "channel {channel} cannot be believed: {why}",
     "switch the transmitter on, bind the receiver; give the channel in switch.channel",
 )
+HIDES_LOSS = Line(
+    "RC switch",
+    "bad",
+    "{why} hides a lost transmitter: the switch does not bend the vine",
+    "ArduPilot: FS_THR_ENABLE 1, RC_FS_TIMEOUT 1, RC_OPTIONS without 1 and 4; PX4: COM_RC_IN_MODE 0",
+)
+BENDS_LATE = Line(
+    "RC switch",
+    "warning",
+    "channel {channel} works, but a bend waits 1.6 s: what this receiver does in a loss is not known",
+    "run flying-vines doctor --radio once for this receiver",
+)
 UNSETTLED = Line(
     "RC switch",
     "bad",
@@ -55,8 +67,12 @@ def check(radio: Radio | None, config: Config, asked: bool) -> Finding:
         return NOT_HEARD()
     if radio.problem is not None:
         return NOT_BELIEVED(channel=channel, why=radio.problem)
+    if radio.hides_loss:
+        return HIDES_LOSS(why=radio.hides_loss)
     if radio.position is None:
         return UNSETTLED(channel=channel, pulse=radio.pulse_us)
+    if len(radio.seen) == count and radio.bends_late:
+        return BENDS_LATE(channel=channel)
     if len(radio.seen) == count:
         return ALL_SEEN(channel=channel, count=count)
     seen = _numbers(radio.seen)
@@ -65,6 +81,8 @@ def check(radio: Radio | None, config: Config, asked: bool) -> Finding:
     if len(radio.seen) > 1:
         unseen = _numbers(frozenset(range(count)) - radio.seen)
         return SOME_SEEN(channel=channel, seen=seen, unseen=unseen, bounds=bounds(count))
+    if radio.position == 0 and radio.bends_late:
+        return BENDS_LATE(channel=channel)
     line = STANDS if radio.position == 0 else STANDS_BENT
     profile = switch.positions[radio.position] or "nothing"
     return line(channel=channel, pulse=radio.pulse_us, position=radio.position + 1, profile=profile)
