@@ -732,7 +732,8 @@ class RefereedFlight:
                 self.referee.permit("pneumatics disarmed")
             for name, due_s in self._conditions.items():
                 if due_s == math.inf:
-                    self._conditions[name] = now_s + _TOLD_BY_VEHICLE[name] + self._patience_s
+                    held_s = HELD_AT_MOST_S if self.setup.holds and name == "RC lost" else 0.0
+                    self._conditions[name] = now_s + _TOLD_BY_VEHICLE[name] + held_s + self._patience_s
                     self.referee.forbid(name, self._conditions[name])
         if self._unseen:
             return
