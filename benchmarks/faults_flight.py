@@ -380,8 +380,8 @@ class RefereedFlight:
             self.autopilot.receive(self.now_s, "gcs", self._station.encode(message, 255))
         elif self.now_s >= self._override_ends_s - STEP_S:
             before, self._override = self._override, None
-            if self._position not in (0, before) and not self._vented:
-                # Exactly as if the pilot had moved it there and back.
+            if self._position != before and not (self._position > 0 and self._vented):
+                # Exactly as if the pilot had moved it there and back; straight, that clears faults.
                 self._switch_asks(self._position, certain=False, what=f"{LIMIT}an override expired")
 
     def _settle(self) -> None:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.clock import AutopilotClock
+from flying_vines.vehicle.clock import LATE_S, AutopilotClock
 from flying_vines.vehicle.codec import Codec, Message
 from flying_vines.vehicle.mission.ardupilot import ASK_AGAIN_S, GIVE_UP_S, WAIT_FOR_TEXT_S, ArduPilotWatch
 from flying_vines.vehicle.mission.book import MOST_ITEMS, MissionBook
@@ -882,6 +882,14 @@ def test_a_command_that_the_book_does_not_have_keeps_its_own_numbers() -> None:
     for command, params in [(187, (0.6, 0.0, 0.0, 0.0)), (211, (0.5, 0.0, 0.0, 0.0))]:
         found = ran(watch, command, params)
         assert (found.command, found.seq, found.item, found.params) == (command, None, None, params)
+
+
+@pytest.mark.parametrize(("confirmation", "late"), [(0, False), (1, False), (2, True), (3, True)])
+def test_how_old_the_first_copy_is_that_arrives(confirmation: int, late: bool) -> None:
+    """PX4's repeats come half a second, or at first a second, apart."""
+    execution = px4(actuator(3, 0.5), current=3).execution(10.0, 187, actuator(3, 0.5).params, confirmation)
+    assert execution is not None
+    assert (execution.age_s > LATE_S) == late
 
 
 def test_a_repeat_of_an_item_that_ran_before_anybody_listened_or_asked_for_another_is_history() -> None:

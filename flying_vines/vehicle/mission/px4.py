@@ -16,6 +16,8 @@ from flying_vines.vehicle.repeats import LATE_S, PX4_REPEAT_S
 
 SHORTEST_REPEAT_S = 0.5
 """The first repeat comes half a second or, at times, a second after its item, and may be late itself."""
+FIRST_REPEAT_LATER_S = 0.25
+"""Half of what it may be later: a third or fourth copy is more than a second old for sure."""
 BEFORE_A_REPEAT_S = 0.4
 """Half a second at least lies between an item and its first repeat, less what a link takes: what ran since
 then ran later."""
@@ -142,7 +144,7 @@ class Px4Watch:
         already, or see `forget`. And for a command that comes after its item was made up for.
         """
         item = self._book.only(command, params) if self._book.is_running else None
-        age_s = confirmation * SHORTEST_REPEAT_S
+        age_s = confirmation * SHORTEST_REPEAT_S + (FIRST_REPEAT_LATER_S if confirmation else 0.0)
         execution = Execution(command, item.seq if item else None, item, params, age_s)
         made_up_s = (confirmation + 1) * PX4_REPEAT_S + LATE_S
         if self._made_up and t - self._made_up_at < made_up_s and _same(self._made_up, execution):
