@@ -367,7 +367,7 @@ class RefereedFlight:
 
     def stop_override(self) -> None:
         """It says so no longer; ArduPilot keeps it for a while."""
-        self._override_ends_s = self.now_s + self.autopilot.parameters["RC_OVERRIDE_TIME"]
+        self._override_ends_s = self._override_sent_s + self.autopilot.parameters["RC_OVERRIDE_TIME"]
 
     def _tell_override(self) -> None:
         if self._override is None:
@@ -583,6 +583,8 @@ class RefereedFlight:
     def close_vehicle_link(self) -> None:
         self._disturb()
         self.from_autopilot.cut = True
+        if self.setup.holds:
+            self.referee.any_target(math.inf)
         self._unsee("link")
         self._noticed = True
         self._feed(LinkChanged(self.now_s, "vehicle", False, "closed"))
@@ -792,7 +794,8 @@ class RefereedFlight:
         self._watch("altitude lost", not told_height, 2.5)
         # Where nothing reaches the board either, only its dead-man can act.
         deaf = self.from_board.cut and not self.to_board.cut
-        self._watch("telemetry lost", deaf, profile.losses.telemetry_s + 0.1)
+        # A companion that stands still notices nothing; then the dead-man ends it.
+        self._watch("telemetry lost", deaf, profile.losses.telemetry_s + 0.1 + DEAD_MAN_S)
         low = self.phlosar.reservoir_kPa < profile.interlocks.reserve_kPa
         self._watch("bottle low", low and self.phlosar.mishaps.reservoir_sensor is None, 3.0)
         self._hear_of_items()
