@@ -78,12 +78,12 @@ BENCH_S = 300.0
 """So long after the last that was asked for, whoever tried the vine on the ground has gone."""
 
 AT_ONCE_S = 0.05
-"""Of what is asked for within this time nothing is newer."""
+"""Requests within this time of each other count as simultaneous."""
 
 VENTING = (Vent, DisarmPneumatics, StopCalibration, StopBench)
 MOVING = (StartProfile, BendTo, SetPressure)
 _BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
-"""Triggers that are no other's wish than the pilot's."""
+"""Triggers that come from neither another person nor the mission."""
 
 PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
 """What the page may ask for in flight too, besides letting air out."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from flying_vines.intent import ACTS_WITHIN_S
 
 LATE_S = ACTS_WITHIN_S
-"""What was asked for longer ago over the link than this only lets air out, as from the page."""
+"""A request over the link that is older than this may only let air out, as one of the page."""
 
 WAIT_FOR_STAMP_S = 0.3
 """How long a message that may be late waits for the next time stamp."""
@@ -21,7 +21,7 @@ SLOWEST_STREAM_S = 1.0
 SILENCE_S = 1.2
 """HEARTBEAT comes at 1 Hz: a longer silence is a link, or a process, that stood still."""
 BACKLOG_S = 2.0
-"""What a stall has held back has arrived by then."""
+"""After a stall, the delayed messages arrive within this time."""
 
 CLOCK_PERIOD_S = 2**32 / 1000
 FASTEST_DRIFT = 0.03

@@ -17,18 +17,18 @@ from flying_vines.vehicle.switch import Move, MovedUnseen, Switch
 from flying_vines.vehicle.triggers import Rules, Trigger
 
 CONFIRMED_WITHIN_S = 4.0
-"""Longer than it should take: then nothing tells of RC any more."""
+"""A move that is still not confirmed this long after it could have been is refused."""
 HEALTH_REPORTS_APART_S = 2.0
-"""PX4 reports its health no more often (min_reporting_interval): after any change of it RC's comes late."""
+"""PX4 reports health at most this often (min_reporting_interval): a loss of RC may be reported late."""
 OVERRIDE_SLACK_S = 0.7
-"""An override ends so much sooner or later than we can tell."""
+"""Uncertainty of the time at which an override ends."""
 RELEASED_US = 65534
 IGNORED_US = (0, 65535)
 
 
 @dataclass(frozen=True, slots=True)
 class Straightened:
-    """RC was good when the switch straightened the vine: the pilot has seen to the faults of before."""
+    """The pilot straightened the vine, and RC was good: clears the faults that were latched at `seen_at`."""
 
     seen_at: float
 
@@ -38,13 +38,13 @@ PilotOutput = Trigger | Notice | Straightened
 
 @dataclass(slots=True)
 class _Waiting:
-    """A move that is the pilot's for sure once RC has been good for long enough after it."""
+    """A move that waits until RC has been good for long enough after it."""
 
     move: Move
     before: int
     seen_at: float
     since_s: float | None
-    """From when on RC must be good, by the autopilot's clock; None while the switch reads something else."""
+    """Since when the switch has read this position, by the autopilot's clock; None while it reads another."""
 
 
 class Pilot:
@@ -63,7 +63,7 @@ class Pilot:
         self.parameters = RadioParameters()
         self._waiting: _Waiting | None = None
         self._stood: set[int] = set()
-        """Where the switch stood last for sure, and since others asked: to come back there is no move."""
+        """Where the switch has stood since its last confirmed move. Coming back there is no move."""
         self._hides_loss = ""
         self._by_station = False
         self._override_ends_at = -math.inf
@@ -93,7 +93,7 @@ class Pilot:
         self.parameters.forget()
 
     def overtaken(self) -> None:
-        """Something else came after the move that waits: it is no wish any more."""
+        """A move that waits no longer counts, because something else happened after it."""
         if self._waiting is not None:
             self._stood.add(self._waiting.move.position)
         self._waiting = None
@@ -203,10 +203,11 @@ class Pilot:
             waiting.since_s = self.radio.stamp_s
 
     def _moved(self, t: float, move: Move, vented: bool) -> list[PilotOutput]:
-        before, bends = self._waiting, self._rules.bends(move.position)
-        self._waiting = None
-        back = before is not None and move.position == before.before and self._waits_to_bend(before)
-        if back and (bends or vented):
+        waiting, self._waiting = self._waiting, None
+        unconfirmed = waiting if waiting is not None and self._waits_to_bend(waiting) else None
+        origin = unconfirmed.before if unconfirmed else move.before
+        bends = self._rules.bends(move.position)
+        if unconfirmed and move.position == origin and (bends or vented):
             hold_s = self.parameters.px4_shows_loss_within_s
             return [Notice(t, Severity.INFO, f"Vine: hold switch ch{self.channel} {hold_s:.1f} s to bend")]
         if move.before == self._position_overruled:
@@ -218,9 +219,7 @@ class Pilot:
         if bends and (hides := self.hides_loss):
             return [self._refused(t, move, f"{hides} hides a lost transmitter")]
         if must_wait:
-            self._waiting = _Waiting(move, move.before, t, self.radio.stamp_s)
-            if before is not None and self._waits_to_bend(before):
-                self._waiting.before = before.before
+            self._waiting = _Waiting(move, origin, t, self.radio.stamp_s)
         if bends:
             self._position_overruled = None
             return [] if must_wait else self._for_sure(t, move)
@@ -229,7 +228,7 @@ class Pilot:
         return self._asks(t, move, by_person=not (must_wait or move.jumped))
 
     def _for_sure(self, t: float, move: Move) -> list[PilotOutput]:
-        """A move that bends is as sure as it gets."""
+        """Act on a bending move that is confirmed, or that needs no confirmation."""
         was_there = move.position in self._stood
         self._stood = {move.position}
         if was_there:

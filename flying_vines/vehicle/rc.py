@@ -22,13 +22,13 @@ TEXT_OUTLIVED_BY_HEALTH_S = 1.5
 
 JUMP_US = 150
 JUMPED_WITH_IT = 2
-"""A stick takes longer than one period of RC_CHANNELS for so much; a receiver's preset takes none."""
+"""A stick does not move this far within one period of RC_CHANNELS; a receiver's preset does."""
 
 OVERRIDE_RSSI = 100
 """What PX4 gives as rssi for a ground station's RC_CHANNELS_OVERRIDE."""
 NO_SIGNAL, NO_RSSI = 0, 255
 RSSI_WARNS_FOR_S = 3.0
-"""By then PX4's RC status has told whether a receiver that no longer gives an rssi is really lost."""
+"""A missing rssi counts as a loss for this long. By then PX4's RC status is up to date."""
 
 
 class RadioLink:

@@ -102,7 +102,7 @@ class Rules:
         self.commands = {command for item in config.items for command in item.command_ids}
 
     def only_lets_out(self, intent: Intent) -> bool:
-        """As the function of this name says."""
+        """Whether this intent can only let air out."""
         return only_lets_out(self._config, intent)
 
     def for_position(self, position: int) -> Intent | None:

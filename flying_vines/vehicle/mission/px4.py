@@ -17,7 +17,7 @@ from flying_vines.vehicle.repeats import LATE_S, PX4_REPEAT_S
 SHORTEST_REPEAT_S = 0.5
 """The first repeat comes half a second or, at times, a second after its item, and may be late itself."""
 FIRST_REPEAT_LATER_S = 0.25
-"""Half of what it may be later: a third or fourth copy is more than a second old for sure."""
+"""The first repeat comes 0.5 or 1 s after the item: half the difference. A third copy is over 1 s old."""
 BEFORE_A_REPEAT_S = 0.4
 """Half a second at least lies between an item and its first repeat, less what a link takes: what ran since
 then ran later."""
