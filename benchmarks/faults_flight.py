@@ -740,7 +740,9 @@ class RefereedFlight:
         if self._unseen:
             return
         # Whether a short loss was noticed is a matter of tens of milliseconds: both will do.
-        lasted_s, certain_s = now_s - self._unseen_from_s, self.profile.losses.rc_s + UNCERTAIN_S
+        # Of a silence just before it, nothing tells that it belongs to the loss.
+        since_s = self._rc_lost_s if what == "rc" else self._unseen_from_s
+        lasted_s, certain_s = now_s - since_s, self.profile.losses.rc_s + UNCERTAIN_S
         shown = self._rc_shown or self.setup.hides_rc_losses
         noticed = what != "stall" and (self._noticed or (lasted_s > certain_s and (what != "rc" or shown)))
         noticed |= what == "rc" and shown and (self.setup.has_real_receiver or self.setup.hides_rc_losses)

@@ -10,6 +10,7 @@ from heapq import heappop, heappush
 
 from flying_vines import config
 from flying_vines.fakes.autopilot import Autopilot, Kind
+from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.codec import Codec
 from flying_vines.vehicle.mission.execution import same_numbers
 from flying_vines.vehicle.mission.item import MissionItem
@@ -27,6 +28,10 @@ LONGEST_WAIT_S = 4.0
 ORDER_S: dict[Kind, float] = {"ardupilot": 0.1, "px4": 2.0}
 """Items that run this shortly after one another may come in another order: on ArduPilot those of one place,
 which are milliseconds apart; on PX4 those of which one came by its last repeat."""
+UNNUMBERED_WAIT_S = 7.0
+"""PX4's fourth copy of a command is the last; only then is an item told as run without its numbers."""
+LEARNT_S = 0.4
+"""How soon after its replacement a mission may run before we have been told of it."""
 RESTART_S = 3.0
 """A service that starts sooner is told by PX4 again what the one before it has not acknowledged."""
 GLOBAL_ABOVE_HOME, MISSION_FRAME = 3, 2
@@ -110,7 +115,7 @@ class Storm:
     def _take(self, outputs: list[object]) -> None:
         for output in outputs:
             if isinstance(output, Trigger):
-                if output.kind == "mission_item":
+                if output.kind == "mission_item" and output.age_s <= LATE_S:  # later it is refused
                     self._note(output)
                 self._take(list(self.vehicle.acknowledge(output, True)))
             elif hasattr(output, "get_type"):
@@ -140,7 +145,7 @@ def compare(storm: Storm, since: float = -math.inf) -> Comparison:
     free = set(range(len(ran)))
     extra = []
     for j, one in enumerate(seen):
-        fitting = [i for i in sorted(free) if _fits(one, *ran[i], storm.kind)]
+        fitting = [i for i in sorted(free) if _fits(storm, one, *ran[i])]
         if fitting:
             free.discard(fitting[0])
             pairs.append((fitting[0], j))
@@ -153,7 +158,7 @@ def in_order(storm: Storm) -> bool:
     """Whether triggers came in the order of their items, as far as the link kept it."""
     latest = -math.inf
     for one in storm.seen:
-        fitting = [ran_at for ran_at, item in storm.ran if _fits(one, ran_at, item, storm.kind)]
+        fitting = [ran_at for ran_at, item in storm.ran if _fits(storm, one, ran_at, item)]
         if fitting and max(fitting) < latest - storm.link.late_s - ORDER_S[storm.kind]:
             return False
         latest = max(latest, min(fitting, default=latest))
@@ -170,12 +175,15 @@ def numbers_of_before(storm: Storm) -> list[float]:
     ]
 
 
-def _fits(one: Seen, ran_at: float, item: MissionItem, kind: Kind) -> bool:
-    if item.command != one.command or not -TICK_S <= one.t - ran_at <= LONGEST_WAIT_S:
+def _fits(storm: Storm, one: Seen, ran_at: float, item: MissionItem) -> bool:
+    px4 = storm.kind == "px4"
+    longest_wait_s = UNNUMBERED_WAIT_S if px4 and one.numbers is None else LONGEST_WAIT_S
+    if item.command != one.command or not -TICK_S <= one.t - ran_at <= longest_wait_s:
         return False
-    if kind == "px4" and one.numbers is not None:
-        return one.seq in (None, item.seq) and same_numbers(one.numbers[:4], item.params[:4])
-    return one.seq == item.seq
+    if not px4 or one.numbers is None:
+        return one.seq == item.seq
+    renumbered = any(0.0 <= ran_at - changed_at < LEARNT_S for changed_at in storm.changed_at)
+    return (renumbered or one.seq in (None, item.seq)) and same_numbers(one.numbers[:4], item.params[:4])
 
 
 def vine_item(kind: Kind, dice: random.Random) -> tuple[int, tuple[float, ...]]:

@@ -47,8 +47,10 @@ class Mark:
     """The delay of the last stamp before it, and how long the autopilot was silent since."""
     continuous: bool = True
     """No frame was lost between that stamp and the message."""
-    least_s: float | None = None
-    """How old it was at least, by the first stamp after it."""
+    first_stamps: bool = False
+    """The clock was not known for long enough: what came first may have been delayed itself."""
+    boot_s: float = math.inf
+    """The autopilot's time at the first stamp after it: it was not sent later."""
 
 
 class AutopilotClock:
@@ -65,6 +67,7 @@ class AutopilotClock:
     def forget(self) -> None:
         """The autopilot has started anew."""
         self._offset_s = None
+        self._known_since = math.inf
         self._newest_s = -math.inf
         self._stamped_at = -math.inf
         self._delay_s = self._silence_s = 0.0
@@ -96,7 +99,7 @@ class AutopilotClock:
         offset_s = t - boot_s
         known = self._offset_s
         if known is None:
-            known = offset_s
+            known, self._known_since = offset_s, t
         else:
             # The least delay ever seen, as far as the two clocks keep the same pace.
             known += FASTEST_DRIFT * min(t - self._stamped_at, LONGEST_STEP_S)
@@ -110,21 +113,22 @@ class AutopilotClock:
             return False
         if rebooted:
             self.forget()
-            known = offset_s
+            known, self._known_since = offset_s, t
         self._offset_s = min(known, offset_s)
         self._stamped_at = t
         if boot_s > self._newest_s:
             self._newest_s, self._delay_s = boot_s, offset_s - self._offset_s
             self._silence_s, self._lost = 0.0, False
             while self._open:
-                mark = self._open.popleft()
-                mark.least_s = mark.t - self._offset_s - boot_s
+                self._open.popleft().boot_s = boot_s
         return rebooted
 
     def mark(self, t: float) -> Mark:
         """A message arrives that must not act late."""
-        if self._offset_s is None:
-            return Mark(t)
+        if t - self._known_since < BACKLOG_S:
+            mark = Mark(t, first_stamps=True)
+            self._open.append(mark)
+            return mark
         # A stream that has stopped tells nothing of what comes later.
         delay_s = self._delay_s if t - self._stamped_at < BACKLOG_S + self._silence_s else 0.0
         if self._silence_s and t - self._silence_over_at > BACKLOG_S:
@@ -139,11 +143,13 @@ class AutopilotClock:
     def age_s(self, mark: Mark, t: float) -> float | None:
         """How long ago the marked message was sent, at least; None if that is not clear yet."""
         waited_s = t - mark.t
-        if mark.suspected_s <= LATE_S:
+        if mark.suspected_s <= LATE_S and not mark.first_stamps:
             return waited_s
-        if mark.least_s is None and waited_s < WAIT_FOR_STAMP_S:
+        least_s = None
+        if self._offset_s is not None and mark.boot_s < math.inf:
+            least_s = mark.t - self._offset_s - mark.boot_s
+        if waited_s < WAIT_FOR_STAMP_S and (mark.first_stamps or least_s is None):
             return None
-        least_s = mark.least_s
         if mark.continuous:
             least_s = max(least_s or 0.0, mark.suspected_s - SLOWEST_STREAM_S)
         elif least_s is None:

@@ -90,8 +90,7 @@ class Commands:
             problem = "" if lets_out else f"{_sender(message)} is no ground station"
         # A repeat may come long after: what has come to light since, its sender may not have seen.
         by_person = from_station and not from_autopilot and not repeat
-        seen_at = t - age_s if age_s > LATE_S else math.inf
-        trigger = Trigger(t, "command", what, intent, problem, by_person, message, age_s, seen_at)
+        trigger = Trigger(t, "command", what, intent, problem, by_person, message, age_s, seen_at=t - age_s)
         return [trigger]
 
     def _intent(self, command: int, params: tuple[float, ...]) -> tuple[Intent | None, str] | None:

@@ -275,6 +275,24 @@ def test_a_button_that_is_heard_late_bends_nothing(kind: Kind, process: bool) ->
     assert_clean(flight)
 
 
+def test_a_vent_from_before_a_fault_does_not_clear_it() -> None:
+    """A link held it back until a companion was there that had heard nothing before."""
+    flight = airborne(Setup("px4", has_rc=False))
+    flight.arm_pneumatics()
+    flight.bend_to(20.0)
+    flight.run(1.0)
+    flight.stall_vehicle_link(2.0)
+    flight.run(1.4)
+    flight.kill_companion()
+    flight.vent()
+    flight.run(0.4)
+    flight.start_companion()
+    flight.run(2.0)
+    flight.bend_to(30.0)
+    flight.run(2.0)
+    assert_clean(flight)
+
+
 def test_a_straightening_that_was_lost_on_px4_comes_after_all() -> None:
     flight = airborne(Setup("px4", mission=mission("px4", (5.0, 0.0), (0.0, 0.0), delay_s=4.0), has_rc=False))
     flight.start_mission()
@@ -375,6 +393,16 @@ class IsNeverTooLate(Core):
         return ""
 
 
+class TakesItsFirstStampForNew(Core):
+    """Believes that what it hears first was sent then."""
+
+    def __init__(self, profile: Config) -> None:
+        super().__init__(profile)
+        clock = self._vehicle.state.clock
+        mark = clock.mark
+        clock.mark = lambda t: dataclasses.replace(mark(t), first_stamps=False)  # type: ignore[method-assign]
+
+
 class HearsCommandsOnly(Core):
     """Does not listen to what PX4 has reached."""
 
@@ -413,6 +441,7 @@ class CountsFromEachLoss(Core):
         ),
         (IsNeverTooLate, partial(test_an_item_that_is_heard_late_is_not_carried_out, "px4", 5.0, True)),
         (IsNeverTooLate, partial(test_a_button_that_is_heard_late_bends_nothing, "ardupilot", False)),
+        (TakesItsFirstStampForNew, test_a_vent_from_before_a_fault_does_not_clear_it),
         (HearsCommandsOnly, test_a_straightening_that_was_lost_on_px4_comes_after_all),
         (CountsFromEachLoss, test_losses_do_not_restart_the_longest_time_bent),
         (CountsFromEachLoss, test_losses_do_not_restart_the_longest_hold),

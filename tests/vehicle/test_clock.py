@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flying_vines.vehicle.clock import LATE_S, WAIT_FOR_STAMP_S, AutopilotClock, Mark
+from flying_vines.vehicle.clock import BACKLOG_S, LATE_S, WAIT_FOR_STAMP_S, AutopilotClock, Mark
 
 UP_S = 500.0
 
@@ -49,10 +49,25 @@ def test_on_a_good_link_nothing_waits() -> None:
     assert line.age_s(line.item(5.05), 5.05) == 0.0
 
 
-def test_before_any_clock_is_heard_nothing_is_late() -> None:
+def test_where_no_clock_is_heard_nothing_is_late() -> None:
     line = Line()
-    assert line.age_s(line.item(1.0), 1.0) == 0.0
-    assert line.age_s(line.item(9.0), 9.0) == 0.0
+    for t in (1.0, 9.0):
+        mark = line.item(t)
+        assert line.clock.age_s(mark, t) is None
+        assert line.age_s(mark, t + WAIT_FOR_STAMP_S) == pytest.approx(WAIT_FOR_STAMP_S)
+
+
+@pytest.mark.parametrize("stamp_first", [True, False])
+def test_what_was_sent_before_we_were_started_is_as_old_as_its_neighbours(stamp_first: bool) -> None:
+    """The first of its messages may have waited as long as what comes with it."""
+    line = Line()
+    if stamp_first:
+        line.stamp(-3.0, 0.0)
+    mark = line.item(0.0)
+    for i in range(31):
+        line.stamp(-3.0 + i * 0.1, 0.001)
+    assert line.clock.age_s(mark, 0.2) is None
+    assert line.age_s(mark, 0.3) == pytest.approx(3.3, abs=0.2)
 
 
 @pytest.mark.parametrize("every_s", [0.1, 1.0])
@@ -118,7 +133,8 @@ def test_a_stall_is_forgotten_although_no_stamp_follows() -> None:
 
 def test_a_slow_stream_makes_nothing_late() -> None:
     line = Line()
-    for t in range(100):
+    line.stream(0.0, since_t=-BACKLOG_S)
+    for t in range(1, 100):
         line.frame(float(t))
         if t % 7 == 0:
             line.stamp(float(t))
@@ -131,7 +147,7 @@ def test_a_clock_that_goes_wrong_makes_nothing_late_and_hides_no_stall(pace: flo
     for i in range(6000):
         t = i * 0.1
         clock.stamp(t, int((UP_S + t * pace) * 1000))
-        assert clock.age_s(clock.mark(t), t) == 0.0
+        assert t < BACKLOG_S or clock.age_s(clock.mark(t), t) == 0.0
     clock.stamp(606.0, int((UP_S + 600.1 * pace) * 1000))
     mark = clock.mark(606.0)
     clock.stamp(606.0, int((UP_S + 600.2 * pace) * 1000))
@@ -143,7 +159,8 @@ def test_a_reboot_is_no_stall() -> None:
     line.stream(10.0)
     line.frame(20.0)
     assert line.clock.stamp(20.0, 3000)
-    assert line.age_s(line.item(20.1), 20.1) == 0.0
+    mark = line.item(20.1)
+    assert line.age_s(mark, 20.1 + WAIT_FOR_STAMP_S) == pytest.approx(WAIT_FOR_STAMP_S)
 
 
 def test_a_stall_in_an_autopilots_first_minute_is_no_reboot() -> None:

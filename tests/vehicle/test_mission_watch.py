@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.clock import LATE_S, AutopilotClock
+from flying_vines.vehicle.clock import BACKLOG_S, LATE_S, AutopilotClock
 from flying_vines.vehicle.codec import Codec, Message
 from flying_vines.vehicle.mission.ardupilot import ASK_AGAIN_S, GIVE_UP_S, WAIT_FOR_TEXT_S, ArduPilotWatch
 from flying_vines.vehicle.mission.book import MOST_ITEMS, MissionBook
@@ -76,6 +76,8 @@ class Air:
         self.t = 100.0
         self.found: list[Execution] = []
         self._mav = mavlink.MAVLink(None, 1, 1)
+        self._awake_at = self.t - BACKLOG_S
+        self.clock.stamp(self._awake_at, int(self._awake_at * 1000))
         self.wait(0.1)
 
     def send(self, message: Message, lost: bool = False) -> None:
@@ -128,6 +130,10 @@ class Air:
     def wait(self, for_s: float) -> None:
         for _ in range(round(for_s / TICK_S)):
             self.t += TICK_S
+            if self.t - self._awake_at > 1.0:  # other messages come meanwhile
+                self._awake_at = self.t
+                self.clock.stamp(self.t, int(self.t * 1000))
+                self.clock.frame(self.t, (self._mav.seq - 1) % 256)
             self.found += self.watch.due(self.t)
             self._ask()
 
@@ -1076,6 +1082,23 @@ def test_what_was_reached_before_we_listened_is_history() -> None:
         late.handle(air.t, mavlink.MAVLink_mission_item_reached_message(2))
         assert late.due(air.t + 0.5) == []
         air.t += 1.0
+
+
+def test_what_was_reached_before_the_mission_was_read_is_not_told_by_its_repeat() -> None:
+    air = Px4Air(*PX4_PLAN)
+    air.send(identified(len(PX4_PLAN), 78))
+    air.command(STRAIGHT)
+    for _ in range(4):
+        air.reaches(4)
+        air.wait(1.0)
+    air.send(mavlink.MAVLink_mission_count_message(1, 191, len(PX4_PLAN), 0))
+    for one in PX4_PLAN:
+        air.send(item_message(one))
+    assert air.book.fresh
+    air.reaches(5)
+    air.reaches(4)
+    air.wait(4.0)
+    assert len(air.found) == 1
 
 
 def test_a_mission_that_may_be_another_one_lends_no_numbers() -> None:

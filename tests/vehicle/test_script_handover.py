@@ -27,9 +27,17 @@ class Link:
         self._autopilot, self._codec = Codec(1, 1), Codec(1, 191)
         self.triggers: list[Trigger] = []
         self.answers: list[int] = []
-        self.send(0.0, mavlink.MAVLink_heartbeat_message(2, 3, 217, 3, 4, 3))
+        self._stamped_at = -1.0
 
     def send(self, t: float, message: Message) -> None:
+        while self._stamped_at < t - 1.0:
+            self._stamped_at += 1.0
+            self._take(self._stamped_at, mavlink.MAVLink_heartbeat_message(2, 3, 217, 3, 4, 3))
+            boot_ms = int(60_000 + 1000 * self._stamped_at)
+            self._take(self._stamped_at, mavlink.MAVLink_system_time_message(0, boot_ms))
+        self._take(t, message)
+
+    def _take(self, t: float, message: Message) -> None:
         for received in self._codec.decode(self._autopilot.encode(message, 1)):
             self._keep(self.vehicle.handle(t, received))
 

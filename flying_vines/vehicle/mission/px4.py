@@ -106,11 +106,13 @@ class Px4Watch:
         lost = self._clock.lost_at > self._stood_at
         late_s = t - self._stood_at if lost else 0.0
         self._stood_at, self._has_moved = t, False
+        again = seq == known or t - self._reached_at.pop(seq, -math.inf) < REPEATED_WITHIN_S
+        self._reached_at[seq] = t
+        if len(self._reached_at) > MOST_PAST:
+            del self._reached_at[next(iter(self._reached_at))]
         item = self._book.items.get(seq) if self._book.fresh else None
         if item is None or item.command not in self._commands:
             return
-        again = seq == known or t - self._reached_at.get(seq, -math.inf) < REPEATED_WITHIN_S
-        self._reached_at[seq] = t
         if again or (known is None and t - (self._begun_at or 0.0) < HISTORY_S):
             return
         if not self._has_run(t, item) and not self._ran_later(t, item):
