@@ -82,6 +82,8 @@ FLICK_S = 0.3
 """A position that lasts for longer has been seen."""
 BOOTS_S = 1.5
 """A rebooted autopilot says nothing for a little less."""
+NEW_CLOCK_S, WAITS_S = 2.5, 0.3
+"""For so long after the autopilot's clock is first heard, a command waits for what comes behind it."""
 UNCERTAIN_S = 0.3
 """Messages come when they come: so much sooner or later both will do."""
 LATE_S = 3.5
@@ -230,6 +232,7 @@ class RefereedFlight:
         """By somebody else than the switch, since it was last moved."""
         self._stirred_s = -math.inf
         self._stalled_until_s = 0.0
+        self._clock_is_new_until_s = 0.0
         self._clean = True
         """Nothing has gone wrong but RC."""
         self._expected: tuple[float, str] | None = None
@@ -473,7 +476,8 @@ class RefereedFlight:
         self._vented |= not bends
         if self._station_is_heard:
             certain = self._surely_forwarded and not self._stalled_s
-            self._asked(what, COMMANDED_S, bends, by_person=True, certain=certain, kPa=kPa)
+            within_s = COMMANDED_S + (WAITS_S if self.now_s < self._clock_is_new_until_s else 0.0)
+            self._asked(what, within_s, bends, by_person=True, certain=certain, kPa=kPa)
 
     def _asked(
         self,
@@ -576,6 +580,7 @@ class RefereedFlight:
     def reboot_autopilot(self) -> None:
         self._disturb()
         self.autopilot.reboot()
+        self._clock_is_new_until_s = math.inf
         self._boots_until_s = self.now_s + BOOTS_S
         self._unsee("silence")
         self._noticed = True
@@ -634,6 +639,7 @@ class RefereedFlight:
             self._feed(LinkChanged(self.now_s, "firmware", True))
         if not self.from_autopilot.cut:
             self._feed(LinkChanged(self.now_s, "vehicle", True))
+        self._clock_is_new_until_s = math.inf
         self._see("companion")
 
     def stall_companion(self, seconds: float, meanwhile: Callable[[], None] | None = None) -> None:
@@ -729,6 +735,8 @@ class RefereedFlight:
             return  # Of two losses that overlap: it returned before.
         now_s = self.now_s
         if self._station_is_heard:
+            if self._clock_is_new_until_s == math.inf:
+                self._clock_is_new_until_s = now_s + NEW_CLOCK_S
             if now_s - self._arming_s < STEP_S:
                 # Of the same moment, it is still on its way.
                 self.referee.permit("pneumatics disarmed")
