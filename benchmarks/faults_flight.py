@@ -84,6 +84,7 @@ BOOTS_S = 1.5
 """A rebooted autopilot says nothing for a little less."""
 NEW_CLOCK_S, WAITS_S = 2.5, 0.3
 """For so long after the autopilot's clock is first heard, a command waits for what comes behind it."""
+TICKS_S = 0.05
 UNCERTAIN_S = 0.3
 """Messages come when they come: so much sooner or later both will do."""
 LATE_S = 3.5
@@ -680,6 +681,9 @@ class RefereedFlight:
         self.to_board.spoiled = self.from_board.spoiled = share
 
     def mend_line(self) -> None:
+        if self.to_board.cut:
+            # A bend that the board did not hear is given up 0.3 s after it was decided, or a tick later.
+            self.referee.delay(self.now_s, TICKS_S)
         for wire in (self.to_board, self.from_board):
             wire.cut, wire.spoiled = not self._plugged, 0.0
 

@@ -1,0 +1,221 @@
+"""Whether each rule of safety is missed by a test when it is taken away.
+
+    python benchmarks/rules_taken_away.py [--only PART] [--list] [--jobs N]
+
+A rule is an `if` of the functions below, one side of its `and` or `or`, or an entry of safety's tables. Each
+is taken away in turn, in a copy of the sources, and the tests of its module are run there: one of them has to
+fail. A rule that nobody misses is printed, and makes the exit status 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Queue
+
+ROOT = Path(__file__).resolve().parents[1]
+COPIED = ("flying_vines", "firmware_link", "missions")
+LINKED = ("tests", "benchmarks", "pyproject.toml", "docs", "README.md")
+LONGEST_S = 600.0
+"""A rule without which the tests do not end is missed, too."""
+
+CORE_TESTS = (
+    "tests/test_safety.py",
+    "tests/test_core.py",
+    "tests/test_core_asked.py",
+    "tests/test_core_late.py",
+    "tests/test_core_limits.py",
+    "tests/test_core_bench.py",
+    "tests/test_core_link_loss.py",
+    "tests/test_core_calibration.py",
+    "tests/test_physics_checks.py",
+    "tests/fault_catalogue/test_in_flight.py",
+    "tests/test_invariants.py",
+)
+RADIO_TESTS = (
+    "tests/vehicle/test_pilot.py",
+    "tests/vehicle/test_rc.py",
+    "tests/vehicle/test_switch.py",
+    "tests/vehicle/test_radio_parameters.py",
+    "tests/vehicle/test_vehicle.py",
+    "tests/test_replay.py",
+    "tests/fault_catalogue/test_radio_truth.py",
+)
+
+
+@dataclass(frozen=True)
+class Module:
+    """Where rules are, and the tests that shall miss them. Without functions: all of the module's."""
+
+    path: str
+    tests: tuple[str, ...]
+    functions: tuple[str, ...] = ()
+
+
+MODULES = (
+    Module("flying_vines/safety.py", CORE_TESTS),
+    Module(
+        "flying_vines/core.py",
+        CORE_TESTS,
+        (
+            *("_asked", "_may_not_ask", "_decide", "_outdated", "_without_air", "_hold", "_clear_faults"),
+            *("_note_heed", "_on_firmware_link", "_conditions", "_enter", "_leave", "_drive"),
+        ),
+    ),
+    Module("flying_vines/vehicle/pilot.py", RADIO_TESTS),
+    Module("flying_vines/vehicle/radio_parameters.py", RADIO_TESTS, ("hides_loss",)),
+    Module(
+        "flying_vines/vehicle/commands.py",
+        ("tests/vehicle/test_commands.py", "tests/vehicle/test_vehicle.py", *CORE_TESTS),
+        ("handle", "_does_no_harm_again"),
+    ),
+    Module(
+        "flying_vines/vehicle/clock.py",
+        (
+            "tests/vehicle/test_clock.py",
+            "tests/test_core_late.py",
+            "tests/fault_catalogue/test_radio_truth.py",
+        ),
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A piece of source, and what stands there without the rule."""
+
+    module: Module
+    function: str
+    line: int
+    begins: int
+    ends: int
+    text: str
+    instead: str
+
+    def __str__(self) -> str:
+        text = " ".join(self.text.split())
+        shown = text if len(text) <= 90 else text[:87] + "..."
+        return f"{self.module.path}:{self.line} {self.function}: {shown} -> {self.instead}"
+
+    def taken_away(self, source: str) -> str:
+        """The module without it. Offsets are of bytes, as those of `ast`."""
+        raw = source.encode()
+        return (raw[: self.begins] + self.instead.encode() + raw[self.ends :]).decode()
+
+
+def rules_of(module: Module) -> list[Rule]:
+    """In the order of the source."""
+    source = (ROOT / module.path).read_text(encoding="utf-8")
+    lines = [0]
+    for line in source.encode().splitlines(keepends=True):
+        lines.append(lines[-1] + len(line))
+
+    def rule(node: ast.expr, function: str, instead: str) -> Rule:
+        assert node.end_lineno is not None and node.end_col_offset is not None
+        begins = lines[node.lineno - 1] + node.col_offset
+        ends = lines[node.end_lineno - 1] + node.end_col_offset
+        text = source.encode()[begins:ends].decode()
+        return Rule(module, function, node.lineno, begins, ends, text, instead)
+
+    found = []
+    tree = ast.parse(source)
+    for function in ast.walk(tree):
+        if isinstance(function, ast.FunctionDef) and (
+            not module.functions or function.name in module.functions
+        ):
+            found += [rule(node, function.name, instead) for node, instead in _conditions(function)]
+    for table in tree.body:
+        if isinstance(table, ast.AnnAssign) and isinstance(table.value, ast.Dict):
+            name = ast.unparse(table.target)
+            if name in ("_LOSSES", "_LIMITS"):
+                found += [rule(value, name, "(lambda *_: None)") for value in table.value.values]
+    return sorted(set(found), key=lambda rule: (rule.begins, rule.ends))
+
+
+def _conditions(function: ast.FunctionDef) -> Iterator[tuple[ast.expr, str]]:
+    for node in ast.walk(function):
+        if isinstance(node, ast.If):
+            yield node.test, "False"
+        if isinstance(node, ast.BoolOp):
+            neutral = "True" if isinstance(node.op, ast.And) else "False"
+            for value in node.values:
+                yield value, neutral
+
+
+def is_missed(rule: Rule, room: Path) -> bool:
+    """Whether a test fails without it; `room` holds a copy of the sources that nobody else uses now."""
+    source = (ROOT / rule.module.path).read_text(encoding="utf-8")
+    place = room / rule.module.path
+    place.write_text(rule.taken_away(source), encoding="utf-8")
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *rule.module.tests]
+    try:
+        env = {**os.environ, "PYTHONPATH": str(room), "PYTHONDONTWRITEBYTECODE": "1"}
+        done = subprocess.run(command, cwd=room, env=env, capture_output=True, timeout=LONGEST_S)
+    except subprocess.TimeoutExpired:
+        return True
+    finally:
+        place.write_text(source, encoding="utf-8")
+    if done.returncode not in (0, 1, 2):
+        raise SystemExit(f"the tests did not run:\n{done.stdout.decode()[-2000:]}")
+    return done.returncode != 0
+
+
+def make_room(parent: Path, number: int) -> Path:
+    """A copy of what rules are taken out of, beside the tests as they are."""
+    room = parent / str(number)
+    room.mkdir()
+    for name in COPIED:
+        shutil.copytree(ROOT / name, room / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in LINKED:
+        (room / name).symlink_to(ROOT / name)
+    return room
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--only", default="", help="rules whose line of the listing contains this")
+    parser.add_argument("--list", action="store_true", help="name the rules, and run nothing")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    args = parser.parse_args()
+    rules = [rule for module in MODULES for rule in rules_of(module) if args.only in str(rule)]
+    if args.list:
+        print(*rules, sep="\n")
+        return 0
+    survivors: list[Rule] = []
+    began_s = time.monotonic()
+    with tempfile.TemporaryDirectory() as parent:
+        rooms: Queue[Path] = Queue()
+        for number in range(args.jobs):
+            rooms.put(make_room(Path(parent), number))
+
+        def take_away(rule: Rule) -> None:
+            room = rooms.get()
+            try:
+                missed = is_missed(rule, room)
+            finally:
+                rooms.put(room)
+            print("missed " if missed else "NOT MISSED ", rule, flush=True)
+            if not missed:
+                survivors.append(rule)
+
+        with ThreadPoolExecutor(args.jobs) as pool:
+            list(pool.map(take_away, rules))
+    minutes = (time.monotonic() - began_s) / 60.0
+    print(f"{len(rules)} rules taken away, {len(rules) - len(survivors)} missed, in {minutes:.0f} min")
+    for rule in survivors:
+        print(f"NOT MISSED {rule}")
+    return 1 if survivors else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
