@@ -1,11 +1,12 @@
 """A hundred million random and mutated bytes into each end of the line: nothing crashes, hangs or grows.
 
-    python benchmarks/fuzz.py [--bytes 100000000] [--seed 1] [--only blind|guided|host]
+    python benchmarks/fuzz.py [--bytes 100000000] [--seed 1] [--only blind|guided|host|service]
 
 The firmware's core runs with address and undefined-behaviour sanitizers, first under a driver of its own,
 which is blind and quick, then under clang's libFuzzer, which looks for inputs that reach code not reached
 before. What must hold is in firmware_link/firmware/fuzz/core.cpp. The host's decoder and session get what a
-device says: whole frames, and flipped, cut, doubled and spliced ones, and noise.
+device says: whole frames, and flipped, cut, doubled and spliced ones, and noise. The service's core gets
+that and, on its other link, MAVLink of every kind with absurd numbers, from anybody; its vehicle is disarmed.
 """
 
 from __future__ import annotations
@@ -25,6 +26,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from babble import Babble, serving_vehicle_1
+
 from firmware_link.framing import FRAME_END, encode_frame
 from firmware_link.host import VENTING, HostSession, Regulate, SessionState
 from firmware_link.protocol import (
@@ -37,10 +42,21 @@ from firmware_link.protocol import (
     Pong,
     Refusal,
     RefusalReason,
+    Setpoint,
     Setting,
     Telemetry,
     Welcome,
     encode,
+)
+from flying_vines.core import Core
+from flying_vines.events import (
+    Event,
+    FirmwareMessage,
+    LinkChanged,
+    Tick,
+    ToFirmware,
+    ToVehicle,
+    VehicleMessage,
 )
 from flying_vines.fakes.compiled_firmware import (
     SOURCES,
@@ -50,6 +66,7 @@ from flying_vines.fakes.compiled_firmware import (
     compiler,
     core_files,
 )
+from flying_vines.vehicle.codec import Codec as MavlinkCodec
 
 SANITIZERS = "address,undefined,float-cast-overflow"
 FLAGS = ("-std=c++17", "-O1", "-g", "-fno-exceptions", "-fno-rtti", "-fno-sanitize-recover=all")
@@ -57,10 +74,13 @@ MOST_INPUT_BYTES = 4096
 RUNS_AT_ONCE = 20_000
 LONGEST_INPUT_S = 60
 MEMORY_LOOKS = 10
+STEP_S = 0.005
 MOST_NEW_BYTES = 16 * 1024
 """Of the host's memory from the first look to the last. A tenth of the input is 10 MB."""
 _FUZZ = SOURCES / "fuzz"
-_ODD_FLOATS = (math.nan, math.inf, -math.inf, -1.0, 0.0, 3.4e38, 690.0, 15.0)
+MOST_NEW_TABLES_BYTES = 2_000_000
+"""Of the service's: its tables fill up, the largest of them a mission of 5000 items."""
+_ODD_FLOATS = (math.nan, math.inf, -math.inf, -1.0, 0.0, 3.4e38, 1e30, 1e12, -1e20, 690.0, 15.0)
 
 
 class FuzzError(Exception):
@@ -290,6 +310,63 @@ def listen(seed: int, most_bytes: int) -> Heard:
     return heard
 
 
+@dataclass
+class Served:
+    """What the service's core went through."""
+
+    from_phlosar_bytes: int = 0
+    from_vehicle_bytes: int = 0
+    messages: int = 0
+    answers: int = 0
+    ready: int = 0
+    memory_bytes: tuple[int, ...] = ()
+
+
+def serve(seed: int, most_bytes: int) -> Served:
+    """Feed a core by both links. FuzzError when it moves the vine, cannot go on, or grows."""
+    core, vehicle, out, phlosar = (
+        Core(serving_vehicle_1()),
+        MavlinkCodec(0, 191),
+        MavlinkCodec(0, 191),
+        Codec(),
+    )
+    line, air, served = babble(seed, core._firmware), Babble(seed, disarmed=True), Served()
+    core.handle(LinkChanged(0.0, "firmware", True))
+    for mask in range(1 << 16):
+        Fault(mask)
+    tracemalloc.start()
+    look_at = most_bytes // MEMORY_LOOKS
+    fed_bytes = step = 0
+    while fed_bytes < most_bytes:
+        step += 1
+        t = step * STEP_S
+        data = next(line)
+        said = air.frame() if step % 20 else air.noise() + air.alive() + air.frame()
+        served.from_phlosar_bytes += len(data)
+        served.from_vehicle_bytes += len(said)
+        fed_bytes += len(data) + len(said)
+        events: list[Event] = [FirmwareMessage(t, message) for message in phlosar.decode(data)]
+        events += [VehicleMessage(t, message) for message in vehicle.decode(said)]
+        served.messages += len(events)
+        for event in [*events, Tick(t)]:
+            for action in core.handle(event):
+                if isinstance(action, ToVehicle):
+                    served.answers += bool(out.encode(action.message, action.system_id))
+                elif isinstance(action, ToFirmware):
+                    phlosar.encode(action.message)
+                    if isinstance(action.message, Setpoint) and action.message.target_kPa != 0.0:
+                        raise FuzzError(f"seed {seed}, step {step}: {action.message}")
+        served.ready += core._firmware.state is SessionState.READY
+        if fed_bytes >= look_at:
+            look_at += most_bytes // MEMORY_LOOKS
+            gc.collect()
+            served.memory_bytes += (tracemalloc.get_traced_memory()[0],)
+    tracemalloc.stop()
+    if served.memory_bytes[-1] - served.memory_bytes[0] > MOST_NEW_TABLES_BYTES:
+        raise FuzzError(f"seed {seed}: the service grew: {served.memory_bytes}")
+    return served
+
+
 def _blind(seed: int, most_bytes: int) -> None:
     print(f"firmware, blind, seed {seed}")
     began_s = perf_counter()
@@ -330,7 +407,18 @@ def _host(seed: int, most_bytes: int) -> None:
     print(f"  memory after each tenth: {kB} kB")
 
 
-PARTS = {"blind": _blind, "guided": _guided, "host": _host}
+def _service(seed: int, most_bytes: int) -> None:
+    began_s = perf_counter()
+    served = serve(seed, most_bytes)
+    kB = ", ".join(f"{size / 1e3:.0f}" for size in served.memory_bytes)
+    print(f"service, seed {seed}")
+    print(f"  bytes: {served.from_phlosar_bytes} on the serial line, {served.from_vehicle_bytes} of MAVLink")
+    print(f"  messages: {served.messages} in {perf_counter() - began_s:.0f} s; frames sent: {served.answers}")
+    print(f"  steps with the phloSAR ready: {served.ready}")
+    print(f"  memory after each tenth: {kB} kB", flush=True)
+
+
+PARTS = {"blind": _blind, "guided": _guided, "host": _host, "service": _service}
 
 
 def main() -> int:
