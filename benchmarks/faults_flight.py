@@ -233,6 +233,8 @@ class RefereedFlight:
         """By somebody else than the switch, since it was last moved."""
         self._stirred_s = -math.inf
         self._stalled_until_s = 0.0
+        self._mended_unpowered: set[str] | None = None
+        """While the board is without power."""
         self._clock_is_new_until_s = 0.0
         self._clean = True
         """Nothing has gone wrong but RC."""
@@ -703,12 +705,19 @@ class RefereedFlight:
                 self.referee.excuse(place, math.inf)
             case "board", Unpowered():
                 self.referee.unpowered()
+                self._mended_unpowered = set()
             case "board", Hanging():
                 self.referee.excuse(place, self.now_s + LONGEST_HANG_S)
         self.phlosar.befall(place, kind)
 
     def heal(self, place: str) -> None:
-        self.referee.end_excuse(place, self.now_s)
+        if self._mended_unpowered is not None and place != "board":
+            # What it did is still there: without power the springs keep the air in.
+            self._mended_unpowered.add(place)
+        else:
+            for mended in {place, *(self._mended_unpowered or ())}:
+                self.referee.end_excuse(mended, self.now_s)
+            self._mended_unpowered = None
         self.phlosar.befall(place, None)
 
     # Looking.
