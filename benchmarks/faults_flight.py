@@ -228,6 +228,7 @@ class RefereedFlight:
         self._rc_shown = False
         """Whether anything in the stream has told of this loss."""
         self._override: int | None = None
+        self._overridden = 0
         self._override_sent_s = self._override_ends_s = 0.0
         self._vented = False
         """By somebody else than the switch, since it was last moved."""
@@ -365,6 +366,8 @@ class RefereedFlight:
     def override(self, position: int) -> None:
         """A ground station says where the switch is, and goes on to say so."""
         before = self._position if self._override is None else self._override
+        if self._override is None:
+            self._overridden = self._position
         self._override, self._override_sent_s = position, -math.inf
         self._override_ends_s = math.inf
         self._expected = None
@@ -386,7 +389,8 @@ class RefereedFlight:
             self.autopilot.receive(self.now_s, "gcs", self._station.encode(message, 255))
         elif self.now_s >= self._override_ends_s - STEP_S:
             before, self._override = self._override, None
-            if self._position != before and not (self._position > 0 and self._vented):
+            came_back = self._position == self._overridden
+            if self._position != before and not (self._position > 0 and self._vented and came_back):
                 # Exactly as if the pilot had moved it there and back; straight, that clears faults.
                 self._switch_asks(self._position, certain=False, what=f"{LIMIT}an override expired")
 
