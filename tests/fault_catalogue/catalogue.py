@@ -367,7 +367,7 @@ NETWORK = (
     Row(
         "gateway_killed",
         "the process of page and broker is killed (kill -9), or hangs",
-        "the service, which starts it again",
+        "the service: it ended, or was silent for 2 s; started again",
         "page and broker stopped",
         Cleared.AT_ONCE,
         safe_state="goes on; the broker tells that the vehicle is offline until it is back",
