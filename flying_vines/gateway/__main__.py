@@ -79,10 +79,12 @@ async def _mqtt(feed: Feed) -> str:
 
 
 async def _beat(send: Callable[[FromGateway], None]) -> None:
+    # The imports hold the loop up, so the first comes after them: until then the service allows more time.
+    await asyncio.sleep(0.0)
+    await asyncio.sleep(0.0)
     while True:
-        # The first comes after the imports: until then the service allows more time.
-        await asyncio.sleep(ALIVE_EVERY_S)
         send(Alive())
+        await asyncio.sleep(ALIVE_EVERY_S)
 
 
 def main() -> None:
