@@ -435,15 +435,15 @@ async def _serve(config: Config, text: str, known: Calibration | None, arguments
     tending = asyncio.create_task(gateway.run()) if Gateway.wanted(config) else None
     screen = Live(console=console, refresh_per_second=5, screen=True) if live else None
     problems: dict[str, str] = {}
-    log_problem = ""
+    log_told = ""
     if screen:
         screen.start()
     try:
         while not serving.done():
             snapshot = service.core.snapshot(service.now)
-            if log_problem != log.failed:
-                log_problem = log.failed
-                service.say(Severity.WARNING, log_problem)
+            if log_told != log.told:
+                log_told = log.told
+                service.say(Severity.WARNING, log_told)
             if screen:
                 screen.update(view.render(snapshot, problems=service.link_problems))
             elif problems != service.link_problems:

@@ -39,6 +39,9 @@ from flying_vines.simulated_world import SimulatedWorld
 from flying_vines.vehicle.codec import Codec, Message
 from flying_vines.vehicle.mission.item import MissionItem
 
+GAP_S = 0.5
+"""A log goes on in the next folder at once, unless its disk failed in between."""
+
 
 def replay(
     frames: Iterable[tuple[float, bytes]],
@@ -120,6 +123,9 @@ def replay_flight(log: FlightLog, config: Config | None = None) -> Again:
                 start = restored(Start, entry.fields)
                 if core is None:
                     core, again.began = _core(part, start, config), start.t
+                elif start.t > t + GAP_S:
+                    again.damage = f"nothing was recorded for {start.t - t:.1f} s before {part.folder.name}"
+                    return again
             elif entry.topic in EVENT_TOPICS:
                 if core is None:
                     raise LogError(f"{part.path}: its beginning is damaged")

@@ -75,7 +75,7 @@ class Bench:
     def _take(self, message: FromGateway) -> None:
         if isinstance(message, Trouble):
             self.troubles.append(message.text)
-        else:
+        elif isinstance(message, Ask):
             self.asked.append(message)
             if self.answers:
                 safety, reason = self.answer

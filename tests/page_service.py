@@ -21,12 +21,14 @@ from flying_vines.fakes.autopilot import Autopilot
 class Served:
     """The service as a process of its own, with a page."""
 
-    def __init__(self, bench: Bench, folder: Path, host: str) -> None:
+    def __init__(self, bench: Bench, folder: Path, host: str, bench_mode: bool) -> None:
         self.bench = bench
         self.port = free_port()
         self.url = f"http://127.0.0.1:{self.port}/"
         self.profile = folder / "vine.toml"
-        text = bench.profile.replace("bench_mode = true", "bench_mode = false")
+        text = bench.profile
+        if not bench_mode:
+            text = text.replace("bench_mode = true", "bench_mode = false")
         text = text.replace('host = "127.0.0.1"', f'host = "{host}"')
         self.profile.write_text(re.sub(r"^port = 0", f"port = {self.port}", text, flags=re.MULTILINE))
         self.said = folder / "said.txt"
@@ -70,9 +72,9 @@ class Served:
 
 
 @contextlib.asynccontextmanager
-async def serving(folder: Path, host: str = "127.0.0.1") -> AsyncIterator[Served]:
+async def serving(folder: Path, host: str = "127.0.0.1", bench_mode: bool = False) -> AsyncIterator[Served]:
     async with on_bench(Autopilot("ardupilot")) as bench:
-        served = Served(bench, folder, host)
+        served = Served(bench, folder, host, bench_mode)
         await served.start()
         try:
             yield served

@@ -93,7 +93,7 @@ async def calibrate(
         service.stop()
         await serving
         recorder.close()
-    return conductor.result(recorder.folder, recorder.failed)
+    return conductor.result(recorder.folder, recorder.told)
 
 
 async def _pass(serving: asyncio.Task[None], tasks: set[asyncio.Task[None]]) -> None:

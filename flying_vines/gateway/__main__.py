@@ -8,13 +8,21 @@ import os
 import signal
 import socket
 import sys
-import traceback
-from collections.abc import Awaitable, Iterator
+from collections.abc import Callable
+from functools import partial
 
 import msgspec
 
 from flying_vines.gateway.feed import Feed
-from flying_vines.gateway.messages import FromGateway, Profile, packet, read_to_gateway
+from flying_vines.gateway.keep_alive import keep_alive
+from flying_vines.gateway.messages import (
+    ALIVE_EVERY_S,
+    Alive,
+    FromGateway,
+    Profile,
+    packet,
+    read_to_gateway,
+)
 
 LONGEST_PACKET = 1024 * 1024
 NICE = 5
@@ -36,7 +44,12 @@ async def serve(service: socket.socket) -> None:
     if not isinstance(profile, Profile):
         raise msgspec.DecodeError("the profile comes first")
     feed = Feed(profile, send)
-    tasks = [asyncio.create_task(_guarded(feed, name, part)) for name, part in _parts(feed)]
+    parts = [_beat(send)]
+    if profile.config.page.port:
+        parts.append(keep_alive("page", partial(_page, feed), feed.trouble))
+    if profile.config.mqtt.broker:
+        parts.append(keep_alive("MQTT", partial(_mqtt, feed), feed.trouble))
+    tasks = [asyncio.create_task(part) for part in parts]
     try:
         with contextlib.suppress(ConnectionResetError):
             # It may have died with something unread.
@@ -48,26 +61,30 @@ async def serve(service: socket.socket) -> None:
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-def _parts(feed: Feed) -> Iterator[tuple[str, Awaitable[None]]]:
-    """What the profile asks for, imported only then."""
-    config = feed.profile.config
-    if config.page.port:
-        from flying_vines.gateway import page
-
-        yield "page", page.serve(feed)
-    if config.mqtt.broker:
-        from flying_vines.gateway import mqtt
-
-        yield "MQTT", mqtt.serve(feed)
+# Each is imported only where the profile asks for it, and where that fails the other serves all the same.
 
 
-async def _guarded(feed: Feed, name: str, part: Awaitable[None]) -> None:
-    """One that fails takes nobody with it."""
-    try:
-        await part
-    except Exception as error:
-        traceback.print_exc()
-        feed.trouble(f"{name} ended: {error}")
+async def _page(feed: Feed) -> str:
+    from flying_vines.gateway import page
+
+    await page.serve(feed)
+    return "it ended"
+
+
+async def _mqtt(feed: Feed) -> str:
+    from flying_vines.gateway import mqtt
+
+    await mqtt.serve(feed)
+    return "it ended"
+
+
+async def _beat(send: Callable[[FromGateway], None]) -> None:
+    # The imports hold the loop up, so the first comes after them: until then the service allows more time.
+    await asyncio.sleep(0.0)
+    await asyncio.sleep(0.0)
+    while True:
+        send(Alive())
+        await asyncio.sleep(ALIVE_EVERY_S)
 
 
 def main() -> None:

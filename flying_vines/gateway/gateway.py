@@ -18,12 +18,15 @@ import msgspec
 
 from flying_vines.config import Config
 from flying_vines.events import Action, Calibrated, Decision, Snapshot
+from flying_vines.gateway.keep_alive import keep_alive
 from flying_vines.gateway.messages import (
+    Alive,
     Answered,
     Ask,
     Happened,
     Profile,
     Seen,
+    Trouble,
     packet,
     raw,
     read_from_gateway,
@@ -37,12 +40,11 @@ COMMAND = (sys.executable, "-m", "flying_vines.gateway")
 LONGEST_PACKET = 64 * 1024
 MOST_BEHIND = 500
 """Events that wait for a gateway that starts, or is slow."""
-LOOK_S = 1.0
-HANGS_S = 10.0
-"""A gateway that reads nothing for so long is ended."""
-FIRST_PATIENCE_S, LONGEST_PATIENCE_S = 1.0, 60.0
-WELL_S = 60.0
-"""One that ran for so long may start again at once."""
+LOOK_S = 0.25
+HANGS_S = 2.0
+"""A gateway that is silent for so long is ended: it says `Alive` twice a second."""
+STARTS_S = 20.0
+"""A worn card may take so long to load it."""
 MOST_ASKED_PER_S = 20.0
 VENTED_EVERY_S = 0.05
 """Of vents that come more often those in between wait, and the next is for all of them."""
@@ -64,7 +66,8 @@ class Gateway(Watcher):
         self._say = say
         self._socket: socket.socket | None = None
         self._unsent: deque[bytes] = deque(maxlen=MOST_BEHIND)
-        self._read_at = 0.0
+        self._spoke = False
+        """Since the last look."""
         self._patience = Patience(0.0, MOST_ASKED_PER_S, MOST_ASKED_PER_S)
         self._vents: dict[Asker, list[Ask]] = {}
         """Those that wait."""
@@ -90,18 +93,7 @@ class Gateway(Watcher):
 
     async def run(self) -> None:
         """Until cancelled; then the gateway ends, too."""
-        patience_s = FIRST_PATIENCE_S
-        while True:
-            began = self._now
-            try:
-                why = await self._serve_once()
-            except OSError as error:
-                why = f"cannot be started: {error.strerror}"
-            if self._now - began > WELL_S:
-                patience_s = FIRST_PATIENCE_S
-            self._say(f"page and broker stopped ({why}), again in {patience_s:g} s")
-            await asyncio.sleep(patience_s)
-            patience_s = min(2.0 * patience_s, LONGEST_PATIENCE_S)
+        await keep_alive("page and broker", self._serve_once, self._say)
 
     async def _serve_once(self) -> str:
         """One process's life; why it ended."""
@@ -119,14 +111,12 @@ class Gateway(Watcher):
                 )
             assert process.stderr is not None
             last_words = asyncio.create_task(_last_line(process.stderr))
-            self._socket, self._read_at = ours, self._now
+            self._socket = ours
             self._send(packet(self._profile))
             listening = asyncio.create_task(self._listen(ours))
             try:
-                while not (listening.done() or last_words.done() or self._hangs):
-                    await asyncio.wait(
-                        {listening, last_words}, timeout=LOOK_S, return_when=asyncio.FIRST_COMPLETED
-                    )
+                if await self._hangs(listening, last_words):
+                    return "it hung"
                 return await self._why(listening, last_words)
             finally:
                 self._socket = None
@@ -136,9 +126,23 @@ class Gateway(Watcher):
                     process.kill()
                 await process.wait()
 
+    async def _hangs(self, *ends: asyncio.Task[str]) -> bool:
+        """Wait until it is silent for too long, or ends by itself.
+
+        Counts looks, not seconds: where this process stood still, the gateway is not to blame.
+        """
+        allowed_s, silent_s = STARTS_S, 0.0
+        while silent_s < allowed_s:
+            self._spoke = False
+            done, _ = await asyncio.wait(ends, timeout=LOOK_S, return_when=asyncio.FIRST_COMPLETED)
+            if done:
+                return False
+            silent_s = 0.0 if self._spoke else silent_s + LOOK_S
+            if self._spoke:
+                allowed_s = HANGS_S
+        return True
+
     async def _why(self, listening: asyncio.Task[str], last_words: asyncio.Task[str]) -> str:
-        if self._hangs:
-            return "it hung"
         if listening.done() and (why := listening.result()):
             return why
         with contextlib.suppress(TimeoutError):
@@ -162,7 +166,10 @@ class Gateway(Watcher):
 
     def _heard(self, said: bytes) -> None:
         message = read_from_gateway(said)
-        if not isinstance(message, Ask):
+        self._spoke = True
+        if isinstance(message, Alive):
+            return
+        if isinstance(message, Trouble):
             self._say(message.text)
         elif message.command == "vent":
             self._vents.setdefault(message.by, []).append(message)
@@ -205,12 +212,7 @@ class Gateway(Watcher):
         except OSError:
             # It is gone: whoever listens to it notices.
             return False
-        self._read_at = self._now
         return True
-
-    @property
-    def _hangs(self) -> bool:
-        return self._now - self._read_at > HANGS_S
 
     @property
     def _now(self) -> float:

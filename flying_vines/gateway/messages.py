@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from flying_vines.events import Action, Snapshot
 
 COMMANDS: tuple[Command, ...] = get_args(Command)
+ALIVE_EVERY_S = 0.5
 
 
 class _Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
@@ -99,7 +100,11 @@ class Trouble(_Message, frozen=True, tag="trouble"):
     text: str
 
 
-FromGateway = Ask | Trouble
+class Alive(_Message, frozen=True, tag="alive"):
+    """The gateway's loop runs. Said `ALIVE_EVERY_S`, whatever else is said."""
+
+
+FromGateway = Ask | Trouble | Alive
 
 _NEEDS = {"bend": "takes a value", "pressure": "takes a value", "profile": "takes a name"}
 _PLAIN: dict[str, Callable[[], Intent]] = {name: kind for kind, name in COMMAND_OF.items()}

@@ -18,7 +18,3 @@ class Patience:
             return False
         self._left -= 1.0
         return True
-
-    def is_rested(self, t: float) -> bool:
-        """Whether it is as if nobody had ever come."""
-        return self._left + self._per_s * (t - self._at) >= self._at_once

@@ -42,7 +42,10 @@ from flying_vines.vehicle.tlog import TlogWriter
 MCAP, TLOG = "flight.mcap", "flight.tlog"
 PROFILE, RIG, ABOUT = "profile.toml", "rig.toml", "about.json"
 SYNC_S = 0.5
-LOOK_AT_DISK_S = 5.0
+LOOK_AT_DISK_S = 1.0
+TRY_AGAIN_S = 2.0
+MORE_ROOM_MB = 10.0
+"""Than `least_free_MB`, before an ended log goes on: the disk is not full again at once."""
 MOST_INDEX_BYTES = 16 * 1024 * 1024
 """Of memory for the summary, after some ten hours: then another folder begins, flight or not."""
 _MAVLINK = (NUMBERS[MAVLINK_IN], NUMBERS[MAVLINK_OUT])
@@ -82,22 +85,33 @@ class Folders:
         self._zero_unix_ns = time.time_ns() - round(t * 1e9)
         self._firmware: protocol.Welcome | None = None
         self._looked_at = self._synced_at = t - LOOK_AT_DISK_S
+        self.problem = ""
+        """Why nothing can be written now."""
+        self.goes_on = ""
+        """The folder in which the log went on after the last problem."""
+        self._try_again_at = 0.0
         self.folder = self._make_folder()
         self._files: Files | None = self._begin(t, "")
 
     def write(self, batches: Sequence[Sequence[Entry | None]]) -> None:
-        """None among the entries begins another folder. Raises `OSError`, whatever goes wrong."""
-        try:
-            for batch in batches:
-                for entry in batch:
+        """None among the entries begins another folder. Raises `LogEnded` for what no disk can mend."""
+        for batch in batches:
+            for entry in batch:
+                try:
                     if entry is None:
                         self._next_folder()
                     else:
                         self._write_entry(entry)
-        except OSError:
-            raise
-        except Exception as error:
-            raise LogEnded(f"{type(error).__name__}: {error}") from error
+                except OSError as error:
+                    self._fail(error, self._looked_at if entry is None else entry[1])
+                except Exception as error:
+                    raise LogEnded(f"{type(error).__name__}: {error}") from error
+
+    def _fail(self, error: OSError, t: float) -> None:
+        self._try_again_at = t + TRY_AGAIN_S
+        with contextlib.suppress(OSError):
+            self.close(whole=False)
+        self.problem = error.strerror or str(error)
 
     def close(self, whole: bool) -> None:
         """With the summary that belongs to a log that is `whole`."""
@@ -109,13 +123,16 @@ class Folders:
                 files.finish()
 
     def _write_entry(self, entry: Entry) -> None:
-        if self._files is None:
-            return
         t = entry[1]
-        self._files.add(entry)
         if isinstance(entry[2], protocol.Welcome):
             self._firmware = entry[2]
-            self._files.tell_about(self._firmware)
+        if self._files is None:
+            if t < self._try_again_at:
+                return
+            self._files = self._go_on(t)
+        self._files.add(entry)
+        if isinstance(entry[2], protocol.Welcome):
+            self._files.tell_about(entry[2])
         if t - self._synced_at >= SYNC_S:
             self._synced_at = t
             self._files.sync()
@@ -123,23 +140,42 @@ class Folders:
                 self._next_folder()
         if t - self._looked_at >= LOOK_AT_DISK_S:
             self._looked_at = t
-            self._look_at_disk()
+            if not self._files.are_there:
+                raise LogEnded("its folder has vanished")
+            self._look_at_room(self.folder)
 
-    def _look_at_disk(self) -> None:
-        free_MB = shutil.disk_usage(self.folder).free / 1e6
-        if free_MB < self._least_free_MB:
+    def _look_at_room(self, folder: Path, more_MB: float = 0.0) -> None:
+        free_MB = shutil.disk_usage(folder).free / 1e6
+        if free_MB < self._least_free_MB + more_MB:
             self.close(whole=True)
             raise LogEnded(
                 f"the disk has {free_MB:.0f} MB left, and log.least_free_MB is {self._least_free_MB:g}"
             )
 
+    def _go_on(self, t: float) -> Files:
+        """In another folder, where that is possible again."""
+        with contextlib.suppress(FileNotFoundError):
+            self._look_at_room(self._parent, MORE_ROOM_MB)
+        files = self._open_next(t)
+        self.goes_on, self.problem = self.folder.name, ""
+        return files
+
     def _next_folder(self) -> None:
         if self._files is None:
             return
-        before, t = self.folder.name, self._files.latest
+        t = self._files.latest
         self.close(whole=True)
-        self.folder = self._make_folder()
-        self._files = self._begin(t, before)
+        self._files = self._open_next(t)
+
+    def _open_next(self, t: float) -> Files:
+        before, folder = self.folder, self._make_folder()
+        try:
+            self.folder = folder
+            return self._begin(t, before.name)
+        except OSError:
+            self.folder = before
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
 
     def _begin(self, t: float, continues: str) -> Files:
         files = Files(self.folder, self._zero_unix_ns, self._began, t, continues)
@@ -156,7 +192,11 @@ class Folders:
                 folder.mkdir(parents=True)
             except FileExistsError:
                 continue
-            on_disk.sync_folder(self._parent)
+            try:
+                on_disk.sync_folder(self._parent)
+            except OSError:
+                folder.rmdir()
+                raise
             return folder
         raise FileExistsError(f"{self._parent}: a thousand flights in one second")
 
@@ -171,10 +211,19 @@ class Files:
         self._about = About.of_this_machine(self._unix_ns(t) / 1e9, continues)
         self._opened = contextlib.ExitStack()
         self._file = self._opened.enter_context((folder / MCAP).open("wb"))
-        self._tlog = self._opened.enter_context(TlogWriter(folder / TLOG))
-        on_disk.put(folder / PROFILE, began.profile)
+        try:
+            self._begin(began, t, continues)
+        except OSError:
+            # Otherwise its buffers fail again when they are collected, and say so on the terminal.
+            with contextlib.suppress(OSError):
+                self._opened.close()
+            raise
+
+    def _begin(self, began: Began, t: float, continues: str) -> None:
+        self._tlog = self._opened.enter_context(TlogWriter(self._folder / TLOG))
+        on_disk.put(self._folder / PROFILE, began.profile)
         if began.rig:
-            on_disk.put(folder / RIG, began.rig)
+            on_disk.put(self._folder / RIG, began.rig)
         self._write_about()
         self._mcap = McapFile(self._file, TOPICS, f"flying-vines {version_of('flying-vines')}")
         believed = msgspec.to_builtins(nominal_rig(began.pneumatics))
@@ -204,6 +253,14 @@ class Files:
         self._mcap.flush()
         os.fsync(self._file.fileno())
         self._tlog.sync()
+
+    @property
+    def are_there(self) -> bool:
+        """Whether the folder still holds them: a file that was deleted can be written to as before."""
+        try:
+            return os.path.samestat((self._folder / MCAP).stat(), os.fstat(self._file.fileno()))
+        except FileNotFoundError:
+            return False
 
     def finish(self) -> None:
         """With a summary."""

@@ -1,7 +1,8 @@
 """The flight recorder: a folder per flight, with all that went into the core and all that came out of it.
 
 The loop that flies does no more than put things into a list. A thread of the recorder makes JSON of them and
-puts it on the disk. A disk that fails, fills or hangs ends the log, never the flight.
+puts it on the disk. A disk that fails, fills or vanishes interrupts the log, one that hangs ends it, and none
+ends the flight.
 """
 
 from __future__ import annotations
@@ -49,7 +50,21 @@ class Recorder(Watcher):
 
     @property
     def failed(self) -> str:
-        """A sentence for people, once the log has ended before its time."""
+        """A sentence for people, while nothing is written."""
+        if self._over:
+            return self._over
+        problem = self._folders.problem
+        return f"the flight log ends here: {problem}" if problem else ""
+
+    @property
+    def told(self) -> str:
+        """What people should read whenever it changes: that the log ends, or where it goes on."""
+        goes_on = self._folders.goes_on
+        return self.failed or (f"the flight log goes on in {goes_on}" if goes_on else "")
+
+    @property
+    def _over(self) -> str:
+        """Why nothing more will be written."""
         error = self._aside.error
         return f"the flight log ends here: {error.strerror}" if error else self._ended
 
@@ -86,7 +101,7 @@ class Recorder(Watcher):
 
     def _hand_over(self) -> None:
         waiting, self._waiting = self._waiting, []
-        if waiting and not self.failed and not self._aside.write(waiting, len(waiting)):
+        if waiting and not self._over and not self._aside.write(waiting, len(waiting)):
             self._ended = "the flight log ends here: the disk does not keep up"
 
 

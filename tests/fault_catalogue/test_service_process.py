@@ -6,6 +6,7 @@ import asyncio
 import os
 import resource
 import select
+import shutil
 import signal
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -123,6 +124,13 @@ async def test_a_flight_goes_on_whatever_happens_around_it(served: Served) -> No
     resource.prlimit(served.process.pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
     await served.told(ROWS["disk_full"].told)
     resource.prlimit(served.process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
+    await served.told("the flight log goes on in")
+    assert len(list(FlightLog(log).entries())) > 10
+    shutil.rmtree(served.folder / "flights")
+    await served.told(ROWS["log_vanished"].told)
+    await until(lambda: _count(served, "the flight log goes on in") == 2, "it goes on again")
+    assert _count(served, "the flight log ends here") == 2
+    (log,) = (served.folder / "flights").glob("*/flight.mcap")
 
     (served.folder / "state").write_text("a file where the folder should be")
     served.set_parameter("VINE_RATE_HZ", 3.0)
@@ -150,6 +158,12 @@ async def test_a_flight_goes_on_whatever_happens_around_it(served: Served) -> No
     output = await served.output()
     assert "Vented. Stopped." in output
     assert "Traceback" not in output
+    assert "Exception ignored" not in output
+
+
+def _count(served: Served, text: str) -> int:
+    """How often the ground station was told it."""
+    return "".join(served.ground.texts).count(text)
 
 
 async def test_a_frozen_terminal_holds_nobody_up(served: Served) -> None:

@@ -13,6 +13,7 @@ import shutil
 import threading
 import time
 from collections import Counter, namedtuple
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,7 @@ from flying_vines.record.recorder import Recorder
 from flying_vines.record.restore import event_of, start_of
 from flying_vines.record.schema import Schema
 from flying_vines.record.topics import TOPICS, encoded, entry_of_event
+from flying_vines.replay import replay_flight
 from flying_vines.vehicle.codec import Codec
 from flying_vines.vehicle.fuel_status import fuel_status
 from flying_vines.vehicle.tlog import TlogReader
@@ -284,6 +286,98 @@ def test_a_full_disk_ends_the_log_and_nothing_else(tmp_path: Path, monkeypatch: 
     write_some(recorder)
     recorder.close()
     assert recorder.failed == "the flight log ends here: No space left on device"
+
+
+def write_until(recorder: Recorder, t: float, condition: Callable[[], bool]) -> float:
+    """Seconds of ticks, one after another, until it is so; when that was."""
+    for _ in range(60):
+        for _ in range(50):
+            t += 0.02
+            recorder.event(Tick(t))
+        ends = time.monotonic() + 0.2
+        while time.monotonic() < ends:
+            if condition():
+                return t
+            time.sleep(0.001)
+    raise AssertionError("it never came")
+
+
+def ticks(folder: Path) -> list[float]:
+    return [entry.fields["t"] for entry in FlightLog(folder).entries(("tick",))]
+
+
+@pytest.mark.parametrize("what", ["the folder", "all folders", "the file"])
+def test_a_folder_that_vanishes_is_told_and_the_log_goes_on_in_another(tmp_path: Path, what: str) -> None:
+    flights = tmp_path / "flights"
+    recorder = Recorder(flights, BEGAN, t=0.0)
+    first = recorder.folder
+    recorder.event(FirmwareMessage(0.0, EVENTS[4].message))  # type: ignore[union-attr]
+    t = write_until(recorder, 0.0, lambda: (first / "flight.mcap").stat().st_size > 20_000)
+    if what == "the file":
+        (first / "flight.mcap").unlink()
+    else:
+        shutil.rmtree(flights if what == "all folders" else first)
+    t = write_until(recorder, t, lambda: bool(recorder.told))
+    assert recorder.told == recorder.failed == "the flight log ends here: its folder has vanished"
+    t = write_until(recorder, t, lambda: not recorder.failed)
+    assert recorder.told == f"the flight log goes on in {recorder.folder.name}"
+    for i in range(1, 101):
+        recorder.event(Tick(t + 0.02 * i))
+    recorder.close()
+    assert not recorder.failed
+    log = FlightLog(recorder.folder)
+    assert ticks(recorder.folder)[-1] == t + 2.0 and not log.damage
+    assert start_of(log).continues == first.name
+    assert json.loads((recorder.folder / "about.json").read_text())["firmware"]["boot_id"] == 77
+
+
+def test_a_disk_that_is_read_only_for_a_while_is_told_once_and_leaves_no_litter(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tries = [0]
+
+    def read_only(descriptor: int) -> None:
+        tries[0] += 1
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    told = []
+    recorder = Recorder(tmp_path, BEGAN, t=0.0)
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", read_only)
+
+        def several_tries() -> bool:
+            if recorder.told not in told:
+                told.append(recorder.told)
+            return tries[0] > 3
+
+        t = write_until(recorder, 0.0, several_tries)
+    assert told == ["", "the flight log ends here: Read-only file system"]
+    assert len(list(tmp_path.iterdir())) <= 2
+    write_until(recorder, t, lambda: not recorder.failed)
+    recorder.close()
+    assert len(list(tmp_path.iterdir())) == 2
+    assert ticks(recorder.folder)
+
+
+def test_a_replay_says_where_nothing_was_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Usage = namedtuple("Usage", "total used free")
+    free_MB = [500.0]
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: Usage(1e9, 5e8, free_MB[0] * 1e6))
+    recorder = Recorder(tmp_path, BEGAN, least_free_MB=200.0, t=0.0)
+    flight = new_flight()
+    fly(flight, recorder, ((3.0, LOW),))
+    free_MB[0] = 150.0
+    t = write_until(recorder, 3.0, lambda: bool(recorder.failed))
+    free_MB[0] = 205.0
+    t = write_until(recorder, t + 5.0, lambda: True)
+    assert recorder.failed, "it would soon be full again"
+    free_MB[0] = 500.0
+    write_until(recorder, t + 5.0, lambda: not recorder.failed)
+    recorder.close()
+    again = replay_flight(FlightLog(recorder.folder))
+    assert not again.differences
+    assert again.damage.startswith("nothing was recorded for ")
+    assert again.damage.endswith(f" s before {recorder.folder.name}")
 
 
 def test_little_room_ends_the_log_before_the_disk_is_full(

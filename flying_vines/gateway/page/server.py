@@ -15,21 +15,18 @@ from aiohttp.web import BaseRequest, RequestHandler, Response, Server, StreamRes
 
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.messages import Seen
-from flying_vines.gateway.page.crowd import Crowd
+from flying_vines.gateway.page.connections import MAX_VIEWERS, Connections
 from flying_vines.gateway.page.door import Door, Turned
 from flying_vines.gateway.page.history import History
 from flying_vines.gateway.page.viewer import Viewer
 from flying_vines.gateway.page.wish import LONGEST_WISH
 
-FIRST_PATIENCE_S, LONGEST_PATIENCE_S = 1.0, 30.0
 SWEEP_S = 1.0
 KEEP_ALIVE_S = 5.0
 LAST_WORDS_S = 0.2
 HEARTBEAT_S = 10.0
 MOST_WAITING = 1024
 """Connections that nobody has looked at yet."""
-REFUSED_EVERY_S = 0.001
-"""However many come, to send them away is to cost us little."""
 NO_MORE_FILES_S = 1.0
 SEND_BUFFER = 32 * 1024
 """Of the system and again of ours: what waits there for a slow viewer is old when it comes."""
@@ -56,27 +53,18 @@ HEADERS = {
 
 
 async def serve(feed: Feed) -> None:
-    """Until cancelled. A port that is taken is told of once, and tried again."""
+    """Until cancelled. Raises `OSError` where the port is not free."""
     page = feed.profile.config.page
     door = Door(page.host, page.port, feed.profile.page_token)
     history = History()
+    try:
+        listener = _listener(page.host, page.port)
+    except OSError as error:
+        why = os.strerror(error.errno or 0)
+        raise OSError(f"{page.host}:{page.port} cannot be opened: {why}") from None
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(_remember(feed, history))
-        patience_s, trouble = FIRST_PATIENCE_S, ""
-        while True:
-            try:
-                listener = _listener(page.host, page.port)
-            except OSError as error:
-                why = f"page: {page.host}:{page.port} cannot be had: {os.strerror(error.errno or 0)}"
-                if why != trouble:
-                    trouble = why
-                    feed.trouble(why)
-            else:
-                if trouble:
-                    feed.trouble("the page is served now")
-                await PageServer(feed, door, history).serve(listener)
-            await asyncio.sleep(patience_s)
-            patience_s = min(2.0 * patience_s, LONGEST_PATIENCE_S)
+        tasks.create_task(PageServer(feed, door, history).serve(listener))
 
 
 async def _remember(feed: Feed, history: History) -> None:
@@ -116,7 +104,7 @@ class PageServer(Server):
         self._feed = feed
         self._door = door
         self._history = history
-        self._crowd: Crowd[asyncio.Transport] = Crowd()
+        self._held: Connections[asyncio.Transport] = Connections()
         folder = resources.files("flying_vines.gateway.page").joinpath("static")
         self._files = {
             path: (folder.joinpath(name).read_bytes(), kind) for path, (name, kind) in FILES.items()
@@ -135,16 +123,11 @@ class PageServer(Server):
             await self.shutdown(LAST_WORDS_S)
 
     async def _receive(self, listener: socket.socket) -> None:
-        """Take connections in, and send those away at once whose address has too many."""
         loop = asyncio.get_running_loop()
         while True:
             try:
-                connection, peer = await loop.sock_accept(listener)
-                if self._crowd.bears(str(peer[0]), self._now):
-                    await loop.connect_accepted_socket(self, connection)
-                else:
-                    connection.close()
-                    await asyncio.sleep(REFUSED_EVERY_S)
+                connection, _ = await loop.sock_accept(listener)
+                await loop.connect_accepted_socket(self, connection)
             except ConnectionError:
                 # It has gone again.
                 continue
@@ -158,21 +141,23 @@ class PageServer(Server):
         transport.set_write_buffer_limits(high=SEND_BUFFER)
         peer = transport.get_extra_info("peername")
         address = str(peer[0]) if peer else "one that has gone"
-        crowded_out = self._crowd.came(transport, address, self._now)
-        if crowded_out is not None:
-            crowded_out.abort()
+        self._close(self._held.came(transport, address, self._now))
 
     def connection_lost(self, handler: RequestHandler, exc: BaseException | None = None) -> None:
         transport = self._connections.get(handler)
         if transport is not None:
-            self._crowd.left(transport)
+            self._held.left(transport)
         super().connection_lost(handler, exc)
+
+    def _close(self, transport: asyncio.Transport | None) -> None:
+        if transport is not None:
+            transport.abort()
 
     async def _sweep(self) -> None:
         """Close connections that nobody uses."""
         while True:
-            for transport in self._crowd.overdue(self._now):
-                transport.abort()
+            for transport in self._held.overdue(self._now):
+                self._close(transport)
             await asyncio.sleep(SWEEP_S)
 
     @property
@@ -182,8 +167,6 @@ class PageServer(Server):
     # Requests.
 
     async def _answer(self, request: BaseRequest) -> StreamResponse:
-        if not self._crowd.bears(request.remote or "", self._now):
-            return _refusal(Turned(429, "too many requests"))
         if request.method not in (hdrs.METH_GET, hdrs.METH_HEAD):
             return _refusal(Turned(405, "there is nothing here to be changed"))
         found = self._door.look(request.headers, request.query.get("token", ""))
@@ -210,10 +193,12 @@ class PageServer(Server):
             writer_limit=SEND_BUFFER // 2,
         )
         transport = request.transport
-        if transport is None or not viewing.can_prepare(request).ok:
+        if transport is None or transport.is_closing() or not viewing.can_prepare(request).ok:
             return _refusal(Turned(400, "this is for the page's own use"))
-        if why_not := self._crowd.look_on(transport):
-            return _refusal(Turned(503, why_not))
+        if may_ask:
+            self._close(self._held.command(transport))
+        elif not self._held.view(transport):
+            return _refusal(Turned(503, f"{MAX_VIEWERS} viewers are there already"))
         await viewing.prepare(request)
         try:
             await Viewer(self._feed, self._history, viewing, may_ask).serve()

@@ -36,6 +36,7 @@ class Vehicle:
         if isinstance(message, Trouble):
             self.troubles.append(message.text)
             return
+        assert isinstance(message, Ask)
         self.asked.append(message)
         if not self.deaf:
             answer = Answered(message.number, "accepted", "")

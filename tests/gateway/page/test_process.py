@@ -13,7 +13,7 @@ from typing import Any
 
 from aiohttp import ClientSession, ClientWebSocketResponse
 from page_bench import client, heard
-from page_service import serving
+from page_service import Served, serving
 from patience import until
 from real_time import real_time
 
@@ -55,12 +55,64 @@ async def test_it_bends_and_vents_the_vine_and_its_process_may_die(tmp_path: Pat
             while not viewing.closed:
                 await viewing.receive()
         assert served.bench.bent(), "that nobody looks on any more moves nothing"
-        await until(lambda: _alive(served.pid, before), "it is started again")
+        await _another(served, before)
         await until(served.listens, "the page is back")
         async with session.ws_connect(served.url + "live") as viewing:
             await _vents_under_a_flood(viewing, served.port)
             await until(served.bench.vented, "the vine is vented")
             assert not served.bench.phlosar.firmware.faults
+
+
+async def test_a_page_that_hangs_or_dies_is_back_within_five_seconds(tmp_path: Path) -> None:
+    async with serving(tmp_path) as served, client() as session:
+        async with session.ws_connect(served.url + "live") as viewing:
+            await ready(viewing)
+            assert await ask(viewing, "start_bench") == ("accepted", "")
+            assert await ask(viewing, "bend", value=50) == ("accepted", "")
+        await until(served.bench.bent, "the vine bends")
+        for harm in (signal.SIGSTOP, signal.SIGKILL):
+            before = served.gateway
+            os.kill(before, harm)
+            async with asyncio.timeout(5.0):
+                await _another(served, before)
+                await until(served.listens, "the page is back")
+                assert served.bench.bent(), "the vine is not moved by it"
+                async with session.ws_connect(served.url + "live") as viewing:
+                    # It tells what it has seen of the service, so it is no page of the past.
+                    await heard(viewing, "snapshot")
+                    assert await ask(viewing, "hold") == ("accepted", "")
+        async with session.ws_connect(served.url + "live") as viewing:
+            assert await ask(viewing, "vent") == ("accepted", "")
+        await until(served.bench.vented, "the vine is vented")
+        assert not served.bench.phlosar.firmware.faults
+        said = served.said.read_text()
+    assert said.count("page and broker stopped") == 1, "two in a row are told once"
+    assert "page and broker stopped (it hung), starting again" in said
+
+
+async def test_no_page_bends_the_vine_of_an_armed_vehicle(tmp_path: Path) -> None:
+    """Whatever a browser sends: the core refuses it, not the page."""
+    async with (
+        serving(tmp_path, bench_mode=True) as served,
+        client() as session,
+        session.ws_connect(served.url + "live") as viewing,
+    ):
+        await ready(viewing)
+        assert await ask(viewing, "bend", value=50) == ("accepted", "")
+        await until(served.bench.bent, "disarmed and in bench mode it bends")
+        assert await ask(viewing, "vent") == ("accepted", "")
+        await until(served.bench.vented, "the vine is vented")
+        served.bench.autopilot.arm()
+        while not (await heard(viewing, "snapshot"))["snapshot"]["armed"]:
+            pass
+        refused = ("refused", "the page bends nothing while the vehicle is armed")
+        assert await ask(viewing, "bend", value=50) == refused
+        assert await ask(viewing, "pressure", value=12) == refused
+        assert await ask(viewing, "profile", name="bend-half") == refused
+        assert await ask(viewing, "start_bench") == ("refused", "the vehicle is armed")
+        await asyncio.sleep(0.3)
+        assert served.bench.vented()
+        assert await ask(viewing, "vent") == ("accepted", "")
 
 
 async def test_what_was_not_answered_is_not_done_when_the_service_wakes(tmp_path: Path) -> None:
@@ -98,6 +150,10 @@ async def _all_well(viewing: ClientWebSocketResponse) -> float:
         if not now["safe_state"] and lies_here_s < 0.3:
             return float(now["t"])
         await ask(viewing, "clear_faults", seen_at=now["t"])
+
+
+async def _another(served: Served, before: int) -> None:
+    await until(lambda: _alive(served.pid, before), "it is started again")
 
 
 def _alive(pid: int, before: int) -> bool:

@@ -12,9 +12,9 @@ from collections.abc import AsyncIterator
 from importlib import resources
 
 import pytest
-from aiohttp import ClientError, ClientSession, TCPConnector, WSMsgType, WSServerHandshakeError
+from aiohttp import ClientSession, TCPConnector, WSMsgType, WSServerHandshakeError
 from page_bench import TOKEN, Bench, client, heard, served, snapshot
-from patience import PATIENCE_S, until
+from patience import PATIENCE_S
 from ports import free_port
 from real_time import real_time
 
@@ -22,7 +22,7 @@ from flying_vines.config import Page
 from flying_vines.events import Decision
 from flying_vines.gateway import page, page_token
 from flying_vines.gateway.page import server, viewer
-from flying_vines.gateway.page.crowd import MOST_VIEWERS_EACH
+from flying_vines.gateway.page.connections import MAX_NEW, MAX_PILOTS, MAX_VIEWERS
 from flying_vines.notice import Notice, Severity
 
 pytestmark = real_time
@@ -269,13 +269,41 @@ async def test_pings_are_answered_but_not_too_many(bench: Bench, session: Client
         await _vents(pilot)
 
 
-async def test_no_more_viewers_from_one_address_than_may_be(bench: Bench, session: ClientSession) -> None:
+async def test_viewers_from_four_addresses_and_half_open_connections_keep_no_pilot_out() -> None:
+    """One who sits at an address of theirs, and one who sits elsewhere."""
+    watching = f"Bearer {page_token.watching(TOKEN)}"
+    addresses = [f"127.0.0.{number}" for number in (61, 62, 63, 64)]
+    async with served("0.0.0.0") as bench, contextlib.AsyncExitStack() as stack:
+        viewers = [await stack.enter_async_context(_from(address, watching)) for address in addresses]
+        for i in range(MAX_VIEWERS):
+            await stack.enter_async_context(viewers[i % 4].ws_connect(bench.url + "/live"))
+        for viewer_session in viewers:
+            with pytest.raises(WSServerHandshakeError) as refused:
+                await viewer_session.ws_connect(bench.url + "/live")
+            assert refused.value.status == 503
+        for i in range(4 * MAX_NEW):
+            stack.enter_context(_started(bench.page.port, addresses[i % 4]))
+        for address in (addresses[0], "127.0.0.1"):
+            async with _from(address, f"Bearer {TOKEN}") as pilot, asyncio.timeout(1.0):
+                async with pilot.get(bench.url + "/") as response:
+                    assert response.status == 200
+                async with pilot.ws_connect(bench.url + "/live") as viewing:
+                    await _vents(viewing)
+        assert [ask.command for ask in bench.asked] == ["vent", "vent"]
+
+
+async def test_of_too_many_pilots_the_oldest_goes(bench: Bench, session: ClientSession) -> None:
+    """Pages that nobody closed keep none out who needs one now."""
     async with contextlib.AsyncExitStack() as stack:
-        for _ in range(MOST_VIEWERS_EACH):
+        pilots = [
             await stack.enter_async_context(session.ws_connect(bench.url + "/live"))
-        with pytest.raises(WSServerHandshakeError) as refused:
-            await session.ws_connect(bench.url + "/live")
-        assert refused.value.status == 503
+            for _ in range(MAX_PILOTS + 1)
+        ]
+        await _vents(pilots[-1])
+        await _vents(pilots[1])
+        async with asyncio.timeout(PATIENCE_S):
+            async for _ in pilots[0]:
+                pass
 
 
 async def test_a_slow_reader_is_dropped_and_nobody_waits_for_it(
@@ -321,32 +349,21 @@ async def test_a_thousand_connections_keep_nobody_out(bench: Bench, session: Cli
             async with client() as newcomer, newcomer.ws_connect(bench.url + "/live") as viewing:
                 await _vents(viewing, 1002)
             kept = sum(not _closed(connection) for connection in flood)
-            assert kept <= 64
+            assert kept <= MAX_NEW
         finally:
             for connection in flood:
                 connection.close()
 
 
-async def test_an_address_that_comes_too_often_is_sent_away_and_no_other(
-    bench: Bench, session: ClientSession
-) -> None:
-    stranger = TCPConnector(local_addr=("127.0.0.66", 0))
-    async with ClientSession(connector=stranger) as flood:
-        statuses = []
-        with contextlib.suppress(ClientError):
-            for _ in range(200):
-                async with flood.get(bench.url + "/style.css") as response:
-                    statuses.append(response.status)
-        # A connection, and the requests on it, until one is too many; then not even a connection.
-        assert 60 <= statuses.count(200) < 100
-        assert statuses[-1] == 429
-    async with session.get(bench.url) as response:
-        assert response.status == 200
+def _from(address: str, authorization: str) -> ClientSession:
+    return ClientSession(
+        connector=TCPConnector(local_addr=(address, 0)), headers={"Authorization": authorization}
+    )
 
 
-def _started(port: int) -> socket.socket:
+def _started(port: int, address: str = "127.0.0.66") -> socket.socket:
     """A stranger's connection that begins a request and never ends it."""
-    connection = socket.create_connection(("127.0.0.1", port), source_address=("127.0.0.66", 0))
+    connection = socket.create_connection(("127.0.0.1", port), source_address=(address, 0))
     connection.setblocking(False)
     with contextlib.suppress(OSError):
         connection.send(b"GET / HTTP/1.1\r\nX: ")
@@ -368,18 +385,13 @@ async def _vents(viewing: object, number: int = 1) -> None:
     assert (answer["id"], answer["safety"]) == (number, "accepted")
 
 
-async def test_a_port_that_is_taken_is_told_once_and_had_later(
-    monkeypatch: pytest.MonkeyPatch, session: ClientSession
-) -> None:
-    monkeypatch.setattr(server, "FIRST_PATIENCE_S", 0.05)
-    monkeypatch.setattr(server, "LONGEST_PATIENCE_S", 0.05)
+async def test_a_port_that_is_taken_is_told_and_had_later(session: ClientSession) -> None:
     bench = Bench(Page(port=free_port()))
-    with socket.create_server(("127.0.0.1", bench.page.port)):
-        serving = asyncio.create_task(page.serve(bench.feed))
-        await until(lambda: bool(bench.troubles), "it is told")
-        assert bench.troubles == [f"page: 127.0.0.1:{bench.page.port} cannot be had: Address already in use"]
-    await until(lambda: len(bench.troubles) > 1, "it is told again")
-    assert bench.troubles[1] == "the page is served now"
+    taken = "cannot be opened: Address already in use"
+    with socket.create_server(("127.0.0.1", bench.page.port)), pytest.raises(OSError, match=taken):
+        await page.serve(bench.feed)
+    serving = asyncio.create_task(page.serve(bench.feed))
+    await asyncio.sleep(0)
     async with session.get(bench.url) as response:
         assert response.status == 200
     serving.cancel()

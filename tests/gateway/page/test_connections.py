@@ -9,15 +9,12 @@ import pytest
 from page_bench import snapshot
 
 from flying_vines.gateway.messages import Seen, raw
-from flying_vines.gateway.page.crowd import (
-    COME_AT_ONCE,
-    COME_PER_S,
-    MOST_ADDRESSES,
-    MOST_STRANGERS,
-    MOST_VIEWERS,
-    MOST_VIEWERS_EACH,
-    PATIENCE_S,
-    Crowd,
+from flying_vines.gateway.page.connections import (
+    MAX_NEW,
+    MAX_PILOTS,
+    MAX_VIEWERS,
+    NEW_FOR_S,
+    Connections,
 )
 from flying_vines.gateway.page.history import KEPT_S, History
 from flying_vines.gateway.page.wish import MOST_AT_ONCE, MOST_PER_S, Wish, read_wish
@@ -25,66 +22,63 @@ from flying_vines.gateway.patience import Patience
 
 
 def test_a_flood_from_one_address_pushes_out_its_own() -> None:
-    crowd: Crowd[str] = Crowd()
-    assert crowd.came("pilot", "192.168.4.2", 0.0) is None
-    pushed = [crowd.came(f"flood {i}", "192.168.4.66", 1.0) for i in range(1000)]
+    held: Connections[str] = Connections()
+    assert held.came("pilot", "192.168.4.2", 0.0) is None
+    pushed = [held.came(f"flood {i}", "192.168.4.66", 1.0) for i in range(1000)]
     out = [who for who in pushed if who is not None]
-    assert out == [f"flood {i}" for i in range(1000 - MOST_STRANGERS + 1)]
-    assert crowd.look_on("pilot") == ""
-
-
-def test_each_address_comes_so_often_and_no_more() -> None:
-    crowd: Crowd[int] = Crowd()
-    borne = sum(crowd.bears("10.0.0.66", 0.001 * i) for i in range(10_000))
-    assert borne == pytest.approx(COME_AT_ONCE + 10 * COME_PER_S, abs=1)
-    assert crowd.bears("10.0.0.1", 10.0)
-    assert sum(crowd.bears("10.0.0.66", 11.0) for _ in range(1000)) == pytest.approx(COME_PER_S, abs=1)
-
-
-def test_many_addresses_do_not_fill_the_memory_nor_hide_one_that_makes_trouble() -> None:
-    crowd: Crowd[int] = Crowd()
-    assert sum(crowd.bears("10.0.0.66", 0.0) for _ in range(1000)) == COME_AT_ONCE
-    for i in range(2 * MOST_ADDRESSES):
-        assert crowd.bears(f"10.0.1.{i}", 0.001 * i)
-    assert sum(crowd.bears("10.0.0.66", 0.5) for _ in range(1000)) == 0.5 * COME_PER_S
-    for i in range(10_000):
-        assert crowd.bears(f"10.1.0.{i}", 0.6)
-    assert len(crowd._patience) <= MOST_ADDRESSES
-
-
-def test_viewers_are_not_pushed_out() -> None:
-    crowd: Crowd[int] = Crowd()
-    crowd.came(-1, "10.0.0.1", 0.0)
-    assert crowd.look_on(-1) == ""
-    assert -1 not in {crowd.came(i, "10.0.0.1", 0.0) for i in range(1000)}
+    assert out == [f"flood {i}" for i in range(1000 - MAX_NEW + 1)]
 
 
 def test_so_many_viewers_and_no_more() -> None:
-    crowd: Crowd[int] = Crowd()
-    for i in range(MOST_VIEWERS_EACH):
-        crowd.came(i, "10.0.0.1", 0.0)
-        assert crowd.look_on(i) == ""
-    crowd.came(100, "10.0.0.1", 0.0)
-    assert "from 10.0.0.1" in crowd.look_on(100)
-    for i in range(1000, 1000 + MOST_VIEWERS - MOST_VIEWERS_EACH):
-        crowd.came(i, f"10.0.1.{i}", 0.0)
-        assert crowd.look_on(i) == ""
-    crowd.came(101, "10.0.0.2", 0.0)
-    assert crowd.look_on(101)
-    crowd.left(0)
-    assert crowd.look_on(101) == ""
+    held: Connections[int] = Connections()
+    for i in range(MAX_VIEWERS):
+        held.came(i, "10.0.0.1", 0.0)
+        assert held.view(i)
+    held.came(100, "10.0.0.2", 0.0)
+    assert not held.view(100)
+    held.left(0)
+    assert held.view(100)
 
 
-def test_strangers_that_ask_for_nothing_are_overdue_once() -> None:
-    crowd: Crowd[str] = Crowd()
-    crowd.came("slow", "a", 0.0)
-    crowd.came("viewer", "a", 0.0)
-    crowd.came("new", "a", PATIENCE_S)
-    crowd.look_on("viewer")
-    assert crowd.overdue(PATIENCE_S) == []
-    assert crowd.overdue(PATIENCE_S + 0.1) == ["slow"]
-    assert crowd.overdue(PATIENCE_S + 0.2) == []
-    assert crowd.look_on("slow") == "too many connections"
+def test_viewers_are_not_pushed_out() -> None:
+    held: Connections[int] = Connections()
+    held.came(-1, "10.0.0.1", 0.0)
+    assert held.view(-1)
+    assert -1 not in {held.came(i, "10.0.0.1", 0.0) for i in range(1000)}
+
+
+def test_viewers_take_no_place_of_a_pilot() -> None:
+    held: Connections[str] = Connections()
+    for i in range(2 * MAX_VIEWERS):
+        held.came(f"viewer {i}", f"10.0.0.{i % 4}", 0.0)
+        held.view(f"viewer {i}")
+    held.came("pilot", "10.0.0.1", 0.0)
+    assert held.command("pilot") is None
+    assert "pilot" not in {held.came(f"new {i}", "10.0.0.1", 0.0) for i in range(1000)}
+
+
+def test_of_too_many_pilots_the_oldest_goes() -> None:
+    held: Connections[int] = Connections()
+    for i in range(MAX_PILOTS):
+        held.came(i, "10.0.0.1", 0.0)
+        assert held.command(i) is None
+    held.left(1)
+    for i, out in ((100, None), (101, 0), (102, 2)):
+        held.came(i, "10.0.0.1", 0.0)
+        assert held.command(i) == out
+
+
+def test_new_ones_that_ask_for_nothing_are_overdue_once() -> None:
+    held: Connections[str] = Connections()
+    held.came("slow", "a", 0.0)
+    held.came("viewer", "a", 0.0)
+    held.came("pilot", "a", 0.0)
+    held.came("new", "a", NEW_FOR_S)
+    held.view("viewer")
+    held.command("pilot")
+    assert held.overdue(NEW_FOR_S) == []
+    assert held.overdue(NEW_FOR_S + 0.1) == ["slow"]
+    assert held.overdue(NEW_FOR_S + 0.2) == []
 
 
 def test_patience_is_for_thumbs_not_for_floods() -> None:
