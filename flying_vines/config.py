@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import msgspec
 from msgspec import Meta
 
-from flying_vines.address import parse_address, parse_broker
+from flying_vines.address import NetworkAddress, parse_address, parse_broker
 from flying_vines.intent import Command
 from flying_vines.toml_text import Key, dotted, explained, located, not_finite, one_line, place, read_text
 from flying_vines.vine.curve import BendCurve
@@ -56,7 +56,7 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Vehicle(_Table, frozen=True):
-    link: str = "udpin:0.0.0.0:14540"
+    link: str = "udpin:127.0.0.1:14540"
     system_id: Annotated[int, Meta(ge=0, le=255)] = 0
     component_id: Annotated[int, Meta(ge=2, le=255)] = 191  # 1 is the autopilot
     rc_rate_Hz: Annotated[float, Meta(ge=4, le=50)] = 20.0
@@ -339,11 +339,19 @@ def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:
 def _contradictions(config: Config) -> list[tuple[Key, str]]:
     """What no single table can know: keys that do not fit each other, and why."""
     found: list[tuple[Key, str]] = []
-    for table, link in (("vehicle", config.vehicle.link), ("firmware", config.firmware.link)):
+    for table, link, key in (
+        ("vehicle", config.vehicle.link, config.vehicle.signing_key),
+        ("firmware", config.firmware.link, ""),
+    ):
         try:
-            parse_address(link)
+            address = parse_address(link)
         except ValueError as error:
             found.append(((table, "link"), str(error)))
+            continue
+        if isinstance(address, NetworkAddress) and address.is_open and not key:
+            way = f"name who sends ({link}?peer=ADDRESS), listen on 127.0.0.1"
+            way += ", or set vehicle.signing_key" if table == "vehicle" else ""
+            found.append(((table, "link"), f"anybody on the network could command the vine: {way}"))
     try:
         ipaddress.ip_address(config.page.host)
     except ValueError:

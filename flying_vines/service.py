@@ -80,7 +80,10 @@ class Service:
         self._answer = Answer()
         self._stopping = asyncio.Event()
         self._vehicle = open_link(
-            parse_address(config.vehicle.link), self._vehicle_bytes, self._vehicle_state
+            parse_address(config.vehicle.link),
+            self._vehicle_bytes,
+            self._vehicle_state,
+            self._vehicle_stranger,
         )
         self._firmware = open_link(
             parse_address(config.firmware.link), self._firmware_bytes, self._firmware_state
@@ -188,6 +191,14 @@ class Service:
     def _vehicle_bytes(self, data: bytes) -> None:
         now = self.now
         for message in self._mavlink.decode(data):
+            self._feed(VehicleMessage(now, message))
+
+    def _vehicle_stranger(self, data: bytes, enter: Callable[[], None]) -> None:
+        now = self.now
+        messages, proven = self._mavlink.decode_stranger(data)
+        if proven:
+            enter()
+        for message in messages:
             self._feed(VehicleMessage(now, message))
 
     def _firmware_bytes(self, data: bytes) -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from flying_vines.address import Address
 from flying_vines.config import Config
 from flying_vines.doctor.vehicle_probe import VehicleFacts, VehicleProbe
-from flying_vines.vehicle.codec import Codec
+from flying_vines.vehicle.codec import Codec, Message
 from flying_vines.vehicle.link import open_link
 from flying_vines.vehicle.signing import Refused, Signing
 
@@ -32,7 +32,7 @@ class VehicleWatch:
         self._signing = signing
         self._codec = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)
         self._received = 0
-        self._link = open_link(address, self._bytes, self._state)
+        self._link = open_link(address, self._bytes, self._state, self._stranger)
 
     @property
     def t(self) -> float:
@@ -60,8 +60,18 @@ class VehicleWatch:
 
     def _bytes(self, data: bytes) -> None:
         self._received += len(data)
+        self._take(self._codec.decode(data))
+
+    def _stranger(self, data: bytes, enter: Callable[[], None]) -> None:
+        self._received += len(data)
+        messages, proven = self._codec.decode_stranger(data)
+        if proven:
+            enter()
+        self._take(messages)
+
+    def _take(self, messages: Sequence[Message]) -> None:
         now, unix_s = self.t, time.time()
-        for message in self._codec.decode(data):
+        for message in messages:
             self.probe.take(now, unix_s, message)
 
     def _state(self, up: bool, why: str) -> None:

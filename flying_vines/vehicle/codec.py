@@ -55,8 +55,22 @@ class Codec:
 
     def decode(self, data: bytes) -> list[Message]:
         """The messages that `data` completes, in order; known types with a good checksum only."""
+        return self._admitted(self._frames.take(data))
+
+    def decode_stranger(self, data: bytes) -> tuple[list[Message], bool]:
+        """The messages in one datagram of somebody new, and whether they prove that he is an autopilot.
+
+        Half a frame is dropped: what others send must not wait for its end. Only a signature proves anything.
+        """
+        messages = self._admitted(Frames().take(data))
+        proven = self._signing is not None and any(
+            message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1 for message in messages
+        )
+        return messages, proven
+
+    def _admitted(self, frames: list[Frame]) -> list[Message]:
         messages = []
-        for frame in self._frames.take(data):
+        for frame in frames:
             if frame.component == self._component_id and self._is_echo(frame):
                 self.echoes += 1
                 continue
