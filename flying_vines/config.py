@@ -295,8 +295,11 @@ def text_of(path: Path) -> str:
     return read_text(path, ConfigError, f"; `flying-vines config init {path}` writes one")
 
 
-def parse(text: str, source: str) -> Config:
-    """Check the text of a profile; `source` is what errors call it."""
+def parse(text: str, source: str, recorded: bool = False) -> Config:
+    """Check the text of a profile; `source` is what errors call it.
+
+    The links of a `recorded` one are not opened again: earlier versions let them be open to anybody.
+    """
     try:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -315,7 +318,7 @@ def parse(text: str, source: str) -> Config:
         config = msgspec.convert(raw, Config)
     except msgspec.ValidationError as error:
         raise _explain(text, source, str(error), inside) from None
-    for key, reason in _contradictions(config):
+    for key, reason in _contradictions(config) or ([] if recorded else _open_doors(config)):
         raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
     return config
 
@@ -339,19 +342,11 @@ def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:
 def _contradictions(config: Config) -> list[tuple[Key, str]]:
     """What no single table can know: keys that do not fit each other, and why."""
     found: list[tuple[Key, str]] = []
-    for table, link, key in (
-        ("vehicle", config.vehicle.link, config.vehicle.signing_key),
-        ("firmware", config.firmware.link, ""),
-    ):
+    for table, link in (("vehicle", config.vehicle.link), ("firmware", config.firmware.link)):
         try:
-            address = parse_address(link)
+            parse_address(link)
         except ValueError as error:
             found.append(((table, "link"), str(error)))
-            continue
-        if isinstance(address, NetworkAddress) and address.is_open and not key:
-            way = f"name who sends ({link}?peer=ADDRESS), listen on 127.0.0.1"
-            way += ", or set vehicle.signing_key" if table == "vehicle" else ""
-            found.append(((table, "link"), f"anybody on the network could command the vine: {way}"))
     try:
         ipaddress.ip_address(config.page.host)
     except ValueError:
@@ -399,6 +394,21 @@ def _contradictions(config: Config) -> list[tuple[Key, str]]:
         found.append((("calibration",), reason))
     if config.pneumatics.cycle_swing_kPa > config.limits.max_kPa:
         found.append((("pneumatics", "cycle_swing_kPa"), "is above limits.max_kPa"))
+    return found
+
+
+def _open_doors(config: Config) -> list[tuple[Key, str]]:
+    """Links over which anybody on the network could command the vine, or tell lies about it."""
+    found: list[tuple[Key, str]] = []
+    for table, link, signed in (
+        ("vehicle", config.vehicle.link, bool(config.vehicle.signing_key)),
+        ("firmware", config.firmware.link, False),
+    ):
+        address = parse_address(link)
+        if isinstance(address, NetworkAddress) and address.is_open and not signed:
+            way = f"name who sends ({link}?peer=ADDRESS)"
+            way += ", listen on 127.0.0.1, or set vehicle.signing_key" if table == "vehicle" else ""
+            found.append(((table, "link"), f"anybody on the network could command the vine: {way}"))
     return found
 
 

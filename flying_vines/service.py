@@ -36,7 +36,7 @@ from flying_vines.notice import Severity
 from flying_vines.reservoir import Belief
 from flying_vines.vehicle import parameter_file
 from flying_vines.vehicle.codec import Codec
-from flying_vines.vehicle.link import open_link
+from flying_vines.vehicle.link import open_link, unread_from
 from flying_vines.vehicle.signing import Signing
 from flying_vines.vehicle.signing_key import SigningKeyError, TimestampFile
 from flying_vines.watcher import Watcher
@@ -78,6 +78,7 @@ class Service:
         self._mavlink = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)
         self._serial = protocol.Codec()
         self._answer = Answer()
+        self._unread_told = False
         self._stopping = asyncio.Event()
         self._vehicle = open_link(
             parse_address(config.vehicle.link),
@@ -175,6 +176,7 @@ class Service:
                 self._signing.advance(time.time())
             self._feed(Tick(self.now))
             self._tell_silence(self.now)
+            self._tell_unread()
             self.tell_watchers()
             due = max(due + TICK_S, self.now - TICK_S)
             await asyncio.sleep(max(0.0, due - self.now))
@@ -220,6 +222,13 @@ class Service:
         else:
             self._answer.closed()
         self._feed(LinkChanged(self.now, "firmware", up, why))
+
+    def _tell_unread(self) -> None:
+        """Once: a stranger could fill the log, and the one who is told of may be the autopilot itself."""
+        sender = unread_from(self._vehicle)
+        if sender and not self._unread_told:
+            self._unread_told = True
+            self.say(Severity.WARNING, f"not read: {sender} is not vehicle.link's peer")
 
     def _tell_silence(self, t: float) -> None:
         """Somebody else's port, or a board that does not run: that a port is open is not enough."""

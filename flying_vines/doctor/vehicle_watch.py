@@ -11,7 +11,7 @@ from flying_vines.address import Address
 from flying_vines.config import Config
 from flying_vines.doctor.vehicle_probe import VehicleFacts, VehicleProbe
 from flying_vines.vehicle.codec import Codec, Message
-from flying_vines.vehicle.link import open_link
+from flying_vines.vehicle.link import open_link, unread_from
 from flying_vines.vehicle.signing import Refused, Signing
 
 TICK_S = 0.02
@@ -41,7 +41,13 @@ class VehicleWatch:
     @property
     def facts(self) -> VehicleFacts:
         refused = self._signing.refused if self._signing else Refused()
-        return replace(self.probe.facts(self.t), down=self._down, bytes=self._received, refused=refused)
+        return replace(
+            self.probe.facts(self.t),
+            down=self._down,
+            bytes=self._received,
+            refused=refused,
+            unread_from=unread_from(self._link),
+        )
 
     async def run(self, over: Callable[[], bool]) -> None:
         opening = asyncio.create_task(self._link.run())

@@ -63,6 +63,11 @@ def open_link(
     return UdpLink(address, on_bytes, on_state, on_stranger)
 
 
+def unread_from(link: Link) -> str:
+    """The latest IP address whose datagrams were not read, because the link names another as its peer."""
+    return link.unread_from if isinstance(link, UdpLink) else ""
+
+
 class _NetworkLink:
     """What the network's links share: where they go, and telling each change once."""
 
@@ -148,7 +153,6 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
     ) -> None:
         super().__init__(address, on_bytes, on_state)
         self.unread_from = ""
-        """The latest IP address that sent something and is not the named peer's."""
         self._on_stranger = on_stranger
         self._transport: asyncio.DatagramTransport | None = None
         self._full = False

@@ -55,6 +55,12 @@ SILENT = Line(
     "set the autopilot's port: on ArduPilot SERIALn_PROTOCOL = 2 and its baud rate, on PX4 MAV_1_CONFIG; "
     "see vehicle.link, RX and TX",
 )
+NOT_THE_PEER = Line(
+    "vehicle link",
+    "bad",
+    "only {other} sends, and it is not the peer that vehicle.link names",
+    "write ?peer={other} in vehicle.link, if that is your autopilot",
+)
 NOISE = Line(
     "vehicle link",
     "bad",
@@ -162,6 +168,8 @@ def check(
             return [UNSIGNED(refused=facts.refused)]
         if facts.down:
             return [NO_LINK(why=facts.down)]
+        if facts.unread_from and not facts.bytes:
+            return [NOT_THE_PEER(other=facts.unread_from)]
         return [NOISE(bytes=facts.bytes)] if facts.bytes else [SILENT(seconds=seconds)]
     if facts.rivals:
         return [TWO_AUTOPILOTS(one=facts.rivals[0], other=facts.rivals[1])]
