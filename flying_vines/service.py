@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 
 from firmware_link import protocol
@@ -30,6 +30,7 @@ from flying_vines.events import (
     ToVehicle,
     VehicleMessage,
 )
+from flying_vines.host_clock import synchronised
 from flying_vines.intent import Asker, Intent
 from flying_vines.kept import Kept, KeptError
 from flying_vines.notice import Severity
@@ -73,6 +74,7 @@ class Service:
         """How to write what has changed, by what it is."""
         self._something_to_keep = asyncio.Event()
         self._signing = signing
+        self._synchronised = bool(synchronised())
         self._watchers = list(watchers)
         self._untold: list[tuple[Event, list[Action]]] = []
         self._mavlink = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)
@@ -157,23 +159,32 @@ class Service:
             return
         file = TimestampFile(self._kept.signing_timestamp) if self._kept else None
         told, told_at = self._signing.refused.total, -REFUSALS_TOLD_S
-        while True:
-            if file is not None and file.due(self._signing.timestamp):
-                try:
-                    await asyncio.to_thread(file.save, self._signing.timestamp)
-                except SigningKeyError as error:
-                    self.say(Severity.WARNING, str(error))
-            refused = self._signing.refused
-            if refused.total > told and self.now - told_at >= REFUSALS_TOLD_S:
-                self.say(Severity.WARNING, f"refused messages: {refused}")
-                told, told_at = refused.total, self.now
-            await asyncio.sleep(1.0)
+        try:
+            while True:
+                self._synchronised = bool(synchronised())
+                if file is not None and file.due(self._signing.timestamp):
+                    try:
+                        await asyncio.to_thread(file.save, self._signing.memory)
+                    except SigningKeyError as error:
+                        self.say(Severity.WARNING, str(error))
+                while self._signing.news:
+                    self.say(Severity.WARNING, self._signing.news.pop(0))
+                refused = self._signing.refused
+                if refused.total > told and self.now - told_at >= REFUSALS_TOLD_S:
+                    self.say(Severity.WARNING, f"refused messages: {refused}")
+                    told, told_at = refused.total, self.now
+                await asyncio.sleep(1.0)
+        finally:
+            # Exactly, so that nothing recorded in this run is believed in the next one.
+            if file is not None:
+                with suppress(SigningKeyError):
+                    file.save(self._signing.memory)
 
     async def _tick(self) -> None:
         due = self.now
         while True:
             if self._signing is not None:
-                self._signing.advance(time.time())
+                self._signing.advance(time.time(), self.now, self._synchronised)
             self._feed(Tick(self.now))
             self._tell_silence(self.now)
             self._tell_unread()

@@ -10,6 +10,7 @@ from dataclasses import replace
 from flying_vines.address import Address
 from flying_vines.config import Config
 from flying_vines.doctor.vehicle_probe import VehicleFacts, VehicleProbe
+from flying_vines.host_clock import synchronised
 from flying_vines.vehicle.codec import Codec, Message
 from flying_vines.vehicle.link import open_link, unread_from
 from flying_vines.vehicle.signing import Refused, Signing
@@ -30,6 +31,7 @@ class VehicleWatch:
         self.probe = probe or VehicleProbe(config)
         self._down = "it was not opened"
         self._signing = signing
+        self._synchronised = bool(synchronised())
         self._codec = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)
         self._received = 0
         self._link = open_link(address, self._bytes, self._state, self._stranger)
@@ -54,7 +56,7 @@ class VehicleWatch:
         try:
             while not over() and not opening.done():
                 if self._signing is not None:
-                    self._signing.advance(time.time())
+                    self._signing.advance(time.time(), self.t, self._synchronised)
                 for message in self.probe.due(self.t):
                     self._link.write(self._codec.encode(message, self.probe.system_id))
                 await asyncio.sleep(TICK_S)

@@ -45,7 +45,6 @@ class Codec:
         self._out = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         if signing is not None:
             self._out.signing.secret_key = signing.key
-            self._out.signing.link_id = signing.link_id
             self._out.signing.sign_outgoing = True
 
     @property
@@ -94,6 +93,7 @@ class Codec:
         """One MAVLink 2 frame from our component of the system `system_id`."""
         self._out.srcSystem = system_id
         if self._signing is not None:
+            self._out.signing.link_id = self._signing.link_id
             self._out.signing.timestamp = self._signing.next_timestamp()
         raw: bytes = message.pack(self._out)
         self._sent.append((system_id, self._out.seq, message.get_msgId(), message.get_crc()))
