@@ -285,6 +285,7 @@ CASES: list[tuple[Line, list[Finding]]] = [
     (vehicle.SERVED, vehicle.check(VehicleFacts(), CONFIG, 6.0, [SERVICE])),
     (vehicle.SERVED, vehicle.check(VehicleFacts(messages=9, others=((1, 191),)), CONFIG, 6.0, [SERVICE])),
     (vehicle.FREE, of_vehicle(others=((1, 154), (255, 190)))),
+    (vehicle.DATED_AHEAD, vehicle.check(VehicleFacts(refused=Refused(ahead=9)), CONFIG, 6.0)),
     (vehicle.UNSIGNED, of_vehicle(SIGNED, messages=0, refused=REFUSED)),
     (vehicle.SOME_REFUSED, of_vehicle(SIGNED, refused=REFUSED)),
     (vehicle.SIGNED, of_vehicle(SIGNED)),

@@ -126,6 +126,12 @@ UNSIGNED = Line(
     "nothing that came was believed: {refused}",
     "give both sides the same key (docs/mavlink.md), or take vehicle.signing_key out",
 )
+DATED_AHEAD = Line(
+    "signing",
+    "bad",
+    "nothing that came was believed: it is dated too far ahead of this computer's clock",
+    "set the clock that is wrong: this computer's, or the sender's (docs/mavlink.md)",
+)
 SOME_REFUSED = Line(
     "signing",
     "warning",
@@ -164,6 +170,8 @@ def check(
         why = f" ({facts.down})" if facts.down else ""
         return [SERVED(why=why, who=named(running), stop=stop(running))]
     if not facts.messages:
+        if facts.refused.ahead:
+            return [DATED_AHEAD()]
         if facts.refused.total:
             return [UNSIGNED(refused=facts.refused)]
         if facts.down:
