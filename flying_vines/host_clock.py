@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from pathlib import Path
 
 _TIMEX_BYTES = 256
 """A `struct timex`, and some: all zeros only asks."""
 _TIME_ERROR = 5
 """What `adjtimex` answers when the clock is not synchronised."""
+_BY_TIMESYNCD = Path("/run/systemd/timesync/synchronized")
+"""The sandbox of our systemd service refuses `adjtimex`, because it can set clocks; it lets us see this file."""
 
 
 def synchronised() -> bool | None:
@@ -18,5 +21,7 @@ def synchronised() -> bool | None:
     try:
         state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))
     except (AttributeError, OSError):
-        return None
-    return None if state < 0 else bool(state != _TIME_ERROR)
+        state = -1
+    if state < 0:
+        return True if _BY_TIMESYNCD.exists() else None
+    return bool(state != _TIME_ERROR)
