@@ -11,7 +11,7 @@ _TIMEX_BYTES = 256
 _TIME_ERROR = 5
 """What `adjtimex` answers when the clock is not synchronised."""
 _BY_TIMESYNCD = Path("/run/systemd/timesync/synchronized")
-"""The sandbox of our systemd service refuses `adjtimex`, because it can set clocks; it lets us see this file."""
+"""The sandbox of our systemd service refuses `adjtimex`, because it can set clocks. It shows this file."""
 
 
 def synchronised() -> bool | None:

@@ -152,7 +152,7 @@ class Signing:
                 if not self._told_jump:
                     self._told_jump = True
                     self.news.append(f"own clock jumped {jump / DAY:+.0f} days: not followed")
-                return expected
+                return min(_LARGEST, expected)
         self._followed = (reading, at_s)
         self._told_jump = False
         self._synchronised |= synchronised

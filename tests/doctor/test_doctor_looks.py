@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import os
 import socket
 import subprocess
@@ -239,7 +240,7 @@ def test_where_the_kernel_may_not_be_asked_timesyncd_tells(
         def __init__(self, *_: object, **__: object) -> None:
             self.adjtimex = lambda _: -1
 
-    monkeypatch.setattr(host_clock.ctypes, "CDLL", Sandbox)
+    monkeypatch.setattr(ctypes, "CDLL", Sandbox)
     monkeypatch.setattr(host_clock, "_BY_TIMESYNCD", tmp_path / "synchronized")
     assert host_clock.synchronised() is None
     (tmp_path / "synchronized").touch()
