@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ipaddress
 import re
 from dataclasses import dataclass
 from typing import Literal
@@ -11,7 +12,9 @@ from urllib.parse import urlsplit
 from firmware_link.find import FORM as USB_FORM
 from firmware_link.find import UsbBoard
 
-FORMS = f"serial:/dev/NAME[:BAUD], {USB_FORM}, udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT"
+FORMS = (
+    f"serial:/dev/NAME[:BAUD], {USB_FORM}, udpin:HOST:PORT[?peer=ADDRESS], udpout:HOST:PORT or tcp:HOST:PORT"
+)
 DEFAULT_BAUD = 115200
 BROKER_FORMS = "mqtt://HOST[:PORT], or mqtts://HOST[:PORT] for TLS"
 _BAUD = re.compile(r"[1-9][0-9]{1,7}")
@@ -33,6 +36,25 @@ class NetworkAddress:
     kind: Literal["udpin", "udpout", "tcp"]
     host: str
     port: int
+    peer: str = ""
+    """Only this address is read, where one is named (udpin)."""
+
+    @property
+    def on_loopback(self) -> bool:
+        """Whether only programs of this computer can be at the other end."""
+        try:
+            return self.host == "localhost" or ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether anybody on the network can send to us."""
+        return self.kind == "udpin" and not self.peer and not self.on_loopback
+
+    def reads(self, sender: str) -> bool:
+        """Whether what comes from this IP address is read at all."""
+        return not self.peer or same_address(sender, self.peer)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +69,30 @@ class BrokerAddress:
 Address = SerialAddress | UsbBoard | NetworkAddress
 
 
+def same_address(one: str, other: str) -> bool:
+    """Whether two texts are one IP address; IPv6 sockets write IPv4 addresses as ::ffff:192.0.2.1."""
+    return _plain(one) == _plain(other)
+
+
+def _plain(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+    address = ipaddress.ip_address(text)
+    return getattr(address, "ipv4_mapped", None) or address
+
+
+def believed(address: Address, signed: bool) -> str:
+    """Who is believed on the vehicle link, in one line."""
+    if signed:
+        return "signed: only those who have the key are believed"
+    if not isinstance(address, NetworkAddress):
+        return "unsigned: whoever sends over this port can command the vine"
+    if address.on_loopback:
+        return "unsigned: every program on this computer can command the vine"
+    if address.is_open:
+        return "unsigned: anybody on the network can command the vine"
+    peer = address.peer or address.host
+    return f"unsigned: whoever sends from {peer}, or forges this address, can command the vine"
+
+
 def parse_address(text: str) -> Address:
     """Raises `ValueError` with a sentence when `text` is none of the forms."""
     kind, _, rest = text.partition(":")
@@ -57,14 +103,26 @@ def parse_address(text: str) -> Address:
         return SerialAddress(rest)
     if kind == "usb":
         return UsbBoard.parse(text)
+    rest, asks, query = rest.partition("?")
     host, _, port = rest.rpartition(":")
     if host and _PORT.fullmatch(port) and 0 < int(port) < 65536:
         match kind:
             case "udpin" | "udp":
-                return NetworkAddress("udpin", host, int(port))
-            case "udpout" | "tcp":
+                return NetworkAddress("udpin", host, int(port), _peer(query) if asks else "")
+            case "udpout" | "tcp" if not asks:
                 return NetworkAddress(kind, host, int(port))
     raise ValueError(f"'{text}' is no link: give {FORMS}")
+
+
+def _peer(query: str) -> str:
+    key, _, peer = query.partition("=")
+    try:
+        address = _plain(peer)
+    except ValueError:
+        address = None
+    if key != "peer" or address is None or address.is_unspecified or address.is_multicast:
+        raise ValueError(f"'?{query}' is no peer: give its IP address, as in ?peer=192.168.4.1")
+    return peer
 
 
 def parse_broker(text: str) -> BrokerAddress:

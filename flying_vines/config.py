@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import msgspec
 from msgspec import Meta
 
-from flying_vines.address import parse_address, parse_broker
+from flying_vines.address import NetworkAddress, parse_address, parse_broker
 from flying_vines.intent import Command
 from flying_vines.toml_text import Key, dotted, explained, located, not_finite, one_line, place, read_text
 from flying_vines.vine.curve import BendCurve
@@ -56,7 +56,7 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Vehicle(_Table, frozen=True):
-    link: str = "udpin:0.0.0.0:14540"
+    link: str = "udpin:127.0.0.1:14540"
     system_id: Annotated[int, Meta(ge=0, le=255)] = 0
     component_id: Annotated[int, Meta(ge=2, le=255)] = 191  # 1 is the autopilot
     rc_rate_Hz: Annotated[float, Meta(ge=4, le=50)] = 20.0
@@ -295,8 +295,11 @@ def text_of(path: Path) -> str:
     return read_text(path, ConfigError, f"; `flying-vines config init {path}` writes one")
 
 
-def parse(text: str, source: str) -> Config:
-    """Check the text of a profile; `source` is what errors call it."""
+def parse(text: str, source: str, recorded: bool = False) -> Config:
+    """Check the text of a profile; `source` is what errors call it.
+
+    The links of a `recorded` one are not opened again: earlier versions let them be open to anybody.
+    """
     try:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -315,7 +318,7 @@ def parse(text: str, source: str) -> Config:
         config = msgspec.convert(raw, Config)
     except msgspec.ValidationError as error:
         raise _explain(text, source, str(error), inside) from None
-    for key, reason in _contradictions(config):
+    for key, reason in _contradictions(config) or ([] if recorded else _open_doors(config)):
         raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
     return config
 
@@ -391,6 +394,21 @@ def _contradictions(config: Config) -> list[tuple[Key, str]]:
         found.append((("calibration",), reason))
     if config.pneumatics.cycle_swing_kPa > config.limits.max_kPa:
         found.append((("pneumatics", "cycle_swing_kPa"), "is above limits.max_kPa"))
+    return found
+
+
+def _open_doors(config: Config) -> list[tuple[Key, str]]:
+    """Links over which anybody on the network could command the vine, or tell lies about it."""
+    found: list[tuple[Key, str]] = []
+    for table, link, signed in (
+        ("vehicle", config.vehicle.link, bool(config.vehicle.signing_key)),
+        ("firmware", config.firmware.link, False),
+    ):
+        address = parse_address(link)
+        if isinstance(address, NetworkAddress) and address.is_open and not signed:
+            way = f"name who sends ({link}?peer=ADDRESS)"
+            way += ", listen on 127.0.0.1, or set vehicle.signing_key" if table == "vehicle" else ""
+            found.append(((table, "link"), f"anybody on the network could command the vine: {way}"))
     return found
 
 

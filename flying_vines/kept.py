@@ -82,5 +82,5 @@ class Kept:
         if not config.vehicle.signing_key:
             return None, ""
         key = read_key(self.profile.parent / config.vehicle.signing_key)
-        timestamp, problem = TimestampFile(self.signing_timestamp).load()
-        return Signing(key, link_id=config.vehicle.component_id, timestamp=timestamp), problem
+        memory, problem = TimestampFile(self.signing_timestamp).load()
+        return Signing(key, config.vehicle.component_id, memory), problem

@@ -156,7 +156,7 @@ def _since_the_service_began(log: FlightLog) -> list[FlightLog]:
 
 
 def _core(log: FlightLog, start: Start, config: Config | None) -> Core:
-    config = config or configuration.parse(start.profile, f"{log.path}: the profile in it")
+    config = config or configuration.parse(start.profile, f"{log.path}: the profile in it", recorded=True)
     belief = None
     if start.rig:
         from flying_vines.reservoir.calibration import load_calibration

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 
 from firmware_link import protocol
@@ -30,13 +30,14 @@ from flying_vines.events import (
     ToVehicle,
     VehicleMessage,
 )
+from flying_vines.host_clock import synchronised
 from flying_vines.intent import Asker, Intent
 from flying_vines.kept import Kept, KeptError
 from flying_vines.notice import Severity
 from flying_vines.reservoir import Belief
 from flying_vines.vehicle import parameter_file
 from flying_vines.vehicle.codec import Codec
-from flying_vines.vehicle.link import open_link
+from flying_vines.vehicle.link import open_link, unread_from
 from flying_vines.vehicle.signing import Signing
 from flying_vines.vehicle.signing_key import SigningKeyError, TimestampFile
 from flying_vines.watcher import Watcher
@@ -73,14 +74,19 @@ class Service:
         """How to write what has changed, by what it is."""
         self._something_to_keep = asyncio.Event()
         self._signing = signing
+        self._synchronised = bool(synchronised())
         self._watchers = list(watchers)
         self._untold: list[tuple[Event, list[Action]]] = []
         self._mavlink = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)
         self._serial = protocol.Codec()
         self._answer = Answer()
+        self._unread_told = False
         self._stopping = asyncio.Event()
         self._vehicle = open_link(
-            parse_address(config.vehicle.link), self._vehicle_bytes, self._vehicle_state
+            parse_address(config.vehicle.link),
+            self._vehicle_bytes,
+            self._vehicle_state,
+            self._vehicle_stranger,
         )
         self._firmware = open_link(
             parse_address(config.firmware.link), self._firmware_bytes, self._firmware_state
@@ -153,25 +159,35 @@ class Service:
             return
         file = TimestampFile(self._kept.signing_timestamp) if self._kept else None
         told, told_at = self._signing.refused.total, -REFUSALS_TOLD_S
-        while True:
-            if file is not None and file.due(self._signing.timestamp):
-                try:
-                    await asyncio.to_thread(file.save, self._signing.timestamp)
-                except SigningKeyError as error:
-                    self.say(Severity.WARNING, str(error))
-            refused = self._signing.refused
-            if refused.total > told and self.now - told_at >= REFUSALS_TOLD_S:
-                self.say(Severity.WARNING, f"refused messages: {refused}")
-                told, told_at = refused.total, self.now
-            await asyncio.sleep(1.0)
+        try:
+            while True:
+                self._synchronised = bool(synchronised())
+                if file is not None and file.due(self._signing.timestamp):
+                    try:
+                        await asyncio.to_thread(file.save, self._signing.memory)
+                    except SigningKeyError as error:
+                        self.say(Severity.WARNING, str(error))
+                while self._signing.news:
+                    self.say(Severity.WARNING, self._signing.news.pop(0))
+                refused = self._signing.refused
+                if refused.total > told and self.now - told_at >= REFUSALS_TOLD_S:
+                    self.say(Severity.WARNING, f"refused messages: {refused}")
+                    told, told_at = refused.total, self.now
+                await asyncio.sleep(1.0)
+        finally:
+            # Exactly, so that nothing recorded in this run is believed in the next one.
+            if file is not None:
+                with suppress(SigningKeyError):
+                    file.save(self._signing.memory)
 
     async def _tick(self) -> None:
         due = self.now
         while True:
             if self._signing is not None:
-                self._signing.advance(time.time())
+                self._signing.advance(time.time(), self.now, self._synchronised)
             self._feed(Tick(self.now))
             self._tell_silence(self.now)
+            self._tell_unread()
             self.tell_watchers()
             due = max(due + TICK_S, self.now - TICK_S)
             await asyncio.sleep(max(0.0, due - self.now))
@@ -188,6 +204,14 @@ class Service:
     def _vehicle_bytes(self, data: bytes) -> None:
         now = self.now
         for message in self._mavlink.decode(data):
+            self._feed(VehicleMessage(now, message))
+
+    def _vehicle_stranger(self, data: bytes, enter: Callable[[], None]) -> None:
+        now = self.now
+        messages, proven = self._mavlink.decode_stranger(data)
+        if proven:
+            enter()
+        for message in messages:
             self._feed(VehicleMessage(now, message))
 
     def _firmware_bytes(self, data: bytes) -> None:
@@ -209,6 +233,13 @@ class Service:
         else:
             self._answer.closed()
         self._feed(LinkChanged(self.now, "firmware", up, why))
+
+    def _tell_unread(self) -> None:
+        """Once: a stranger could fill the log, and the one who is told of may be the autopilot itself."""
+        sender = unread_from(self._vehicle)
+        if sender and not self._unread_told:
+            self._unread_told = True
+            self.say(Severity.WARNING, f"not read: {sender} is not vehicle.link's peer")
 
     def _tell_silence(self, t: float) -> None:
         """Somebody else's port, or a board that does not run: that a port is open is not enough."""

@@ -85,6 +85,8 @@ def mavsdk_url(link: str) -> str:
             raise ValueError(str(error)) from None
     if isinstance(address, SerialAddress):
         return f"serial://{address.path}:{address.baud}"
+    if address.peer:
+        raise ValueError(f"'{link}': ?peer= is for the service's links; leave it out here")
     scheme = "tcpout" if address.kind == "tcp" else address.kind
     return f"{scheme}://{address.host}:{address.port}"
 

@@ -22,7 +22,7 @@ def between(companion_port: int, serial_path: str) -> str:
     """The default profile's text, for a service that lives between these two."""
     return (
         config.default_text()
-        .replace("udpin:0.0.0.0:14540", f"udpin:127.0.0.1:{companion_port}")
+        .replace("udpin:127.0.0.1:14540", f"udpin:127.0.0.1:{companion_port}")
         .replace("serial:/dev/ttyACM0", f"serial:{serial_path}")
         .replace("port = 8017", "port = 0")
     )

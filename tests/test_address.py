@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_link.find import UsbBoard
-from flying_vines.address import FORMS, Address, NetworkAddress, SerialAddress, parse_address
+from flying_vines.address import FORMS, Address, NetworkAddress, SerialAddress, believed, parse_address
 
 
 @pytest.mark.parametrize(
@@ -23,6 +23,8 @@ from flying_vines.address import FORMS, Address, NetworkAddress, SerialAddress, 
         ("usb:16c0:0483", UsbBoard(0x16C0, 0x0483)),
         ("usb:16C0:0483:1234560", UsbBoard(0x16C0, 0x0483, "1234560")),
         ("udpin:0.0.0.0:14540", NetworkAddress("udpin", "0.0.0.0", 14540)),
+        ("udpin:0.0.0.0:14540?peer=192.168.4.1", NetworkAddress("udpin", "0.0.0.0", 14540, "192.168.4.1")),
+        ("udpin::::14540?peer=fe80::1", NetworkAddress("udpin", "::", 14540, "fe80::1")),
         ("udp::14550", None),
         ("udp:0.0.0.0:14550", NetworkAddress("udpin", "0.0.0.0", 14550)),
         ("udpout:10.0.0.1:1", NetworkAddress("udpout", "10.0.0.1", 1)),
@@ -43,6 +45,7 @@ def test_every_form(text: str, address: Address | None) -> None:
     [
         "", ":", "serial", "serial:", "/dev/ttyACM0", "tcp", "tcp:", "tcp:host", "tcp:host:", "tcp::5760",
         "tcp:host:0", "tcp:host:65536", "tcp:host:-1", "tcp:host:+5", "tcp:host:5760 ", "tcp:host:5_760",
+        "udpout:10.0.0.1:1?peer=10.0.0.1", "tcp:host:1?peer=10.0.0.1", "udpin:0.0.0.0?peer=1.2.3.4:1",
         "tcp:host:²", "tcp:host:" + "9" * 5000, "udpin:5760", "TCP:host:5760", "tcpin:host:5760", "http:a:80",
     ],
 )  # fmt: skip
@@ -50,6 +53,65 @@ def test_what_is_no_link_gives_a_sentence_with_the_forms(text: str) -> None:
     with pytest.raises(ValueError, match="is no link: give ") as caught:
         parse_address(text)
     assert FORMS in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "query", ["", "peer", "peer=", "peer=drone.local", "peer=0.0.0.0", "peer=1.2.3.4/24", "x=1"]
+)
+def test_what_is_no_peer_gives_a_sentence(query: str) -> None:
+    with pytest.raises(ValueError, match="is no peer: give its IP address, as in "):
+        parse_address(f"udpin:0.0.0.0:14540?{query}")
+
+
+@pytest.mark.parametrize(
+    ("text", "is_open"),
+    [
+        ("udpin:127.0.0.1:14540", False),
+        ("udpin:127.0.0.9:14540", False),
+        ("udpin:localhost:14540", False),
+        ("udpin:::1:14540", False),
+        ("udpin:0.0.0.0:14540", True),
+        ("udpin:::14540", True),
+        ("udpin:192.168.4.2:14540", True),
+        ("udpin:drone.local:14540", True),
+        ("udpin:0.0.0.0:14540?peer=192.168.4.1", False),
+        ("udpout:192.168.4.1:14540", False),
+        ("tcp:192.168.4.1:5760", False),
+    ],
+)
+def test_which_links_are_open_to_anybody(text: str, is_open: bool) -> None:
+    address = parse_address(text)
+    assert isinstance(address, NetworkAddress)
+    assert address.is_open == is_open
+
+
+@pytest.mark.parametrize(
+    ("text", "signed", "said"),
+    [
+        ("serial:/dev/ttyAMA0", False, "unsigned: whoever sends over this port can command the vine"),
+        ("udpin:127.0.0.1:1", False, "unsigned: every program on this computer can command the vine"),
+        ("udpin:0.0.0.0:1", False, "unsigned: anybody on the network can command the vine"),
+        (
+            "udpin:0.0.0.0:1?peer=10.0.0.7",
+            False,
+            "unsigned: whoever sends from 10.0.0.7, or forges this address, can command the vine",
+        ),
+        (
+            "tcp:10.0.0.7:1",
+            False,
+            "unsigned: whoever sends from 10.0.0.7, or forges this address, can command the vine",
+        ),
+        ("udpin:0.0.0.0:1", True, "signed: only those who have the key are believed"),
+    ],
+)
+def test_it_is_said_who_is_believed(text: str, signed: bool, said: str) -> None:
+    assert believed(parse_address(text), signed) == said
+
+
+def test_an_ipv6_socket_writes_ipv4_addresses_in_its_own_way() -> None:
+    address = parse_address("udpin:::14540?peer=192.168.4.1")
+    assert isinstance(address, NetworkAddress)
+    assert address.reads("::ffff:192.168.4.1") and not address.reads("::ffff:192.168.4.2")
 
 
 @pytest.mark.parametrize("text", ["usb:", "usb:teensy", "usb:16c0", "usb:16c0:483", "usb:16c0:0483:a:b"])
@@ -70,7 +132,7 @@ def test_any_text_is_a_link_or_is_refused_with_a_sentence(text: str) -> None:
     try:
         address = parse_address(text)
     except ValueError as error:
-        assert "is no link" in str(error) or "is no board" in str(error)
+        assert any(f"is no {what}" in str(error) for what in ("link", "board", "peer"))
         return
     if isinstance(address, SerialAddress):
         assert address.baud > 0

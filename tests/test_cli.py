@@ -24,12 +24,31 @@ def test_init_writes_a_profile_that_check_likes(tmp_path: Path, capsys: pytest.C
     profile = tmp_path / "vine.toml"
     assert run("config", "init", profile) == 0
     assert run("config", "check", profile) == 0
-    assert "good" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "good" in out
+    assert out.endswith("Vehicle link unsigned: every program on this computer can command the vine.\n")
     assert run("config", "init", profile) == 2
     assert "already" in complaint(capsys)
     profile.write_text("")
     assert run("config", "init", profile, "--force") == 0
     assert profile.read_text().startswith("# A Flying Vines profile")
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.4.2", "::"])
+def test_a_link_that_anybody_can_reach_is_refused(
+    host: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    profile = tmp_path / "vine.toml"
+    run("config", "init", profile)
+    profile.write_text(profile.read_text().replace("udpin:127.0.0.1", f"udpin:{host}"))
+    capsys.readouterr()
+    for command in (("config", "check", profile), ("run", "--config", profile, "--out", tmp_path)):
+        assert run(*command) == 2
+        assert complaint(capsys) == (
+            f"flying-vines: {profile}:6: vehicle.link: anybody on the network could command the vine: "
+            f"name who sends (udpin:{host}:14540?peer=ADDRESS), listen on 127.0.0.1, "
+            "or set vehicle.signing_key\n"
+        )
 
 
 def test_check_names_file_line_and_key(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -260,6 +260,15 @@ def test_a_switch_has_two_three_or_six_positions(count: int) -> None:
     ("text", "line", "key", "reason"),
     [
         ("[vehicle]\nlink = 'tcp:host'", 2, "vehicle.link", "'tcp:host' is no link: give serial:"),
+        (
+            "[vehicle]\nlink = 'udpin:0.0.0.0:14540'",
+            2, "vehicle.link", "anybody on the network could command the vine: name who sends "
+            "(udpin:0.0.0.0:14540?peer=ADDRESS), listen on 127.0.0.1, or set vehicle.signing_key",
+        ),
+        ("[vehicle]\nlink = 'udpin:192.168.4.2:14540'", 2, "vehicle.link", "anybody on the network could"),
+        ("[vehicle]\nlink = 'udpin:0.0.0.0:14540?peer=192.168.4.1'\n", 0, "", ""),
+        ("[vehicle]\nlink = 'udpin:0.0.0.0:14540'\nsigning_key = 'key'\n", 0, "", ""),
+        ("[firmware]\nlink = 'udpin:0.0.0.0:3000'", 2, "firmware.link", "anybody on the network could"),
         ("[firmware]\nlink = '/dev/ttyACM0'", 2, "firmware.link", "is no link: give serial:"),
         (
             "[switch]\npositions = ['straight', 'bend-ful']",
@@ -315,6 +324,11 @@ def test_keys_that_do_not_fit_each_other(text: str, line: int, key: str, reason:
 def test_a_sine_just_within_the_limit_is_allowed() -> None:
     sine = "[profiles.x]\nsegments = [{ kind = 'sine', frequency_Hz = 0.95, from_kPa = 0, to_kPa = 20 }]"
     config.parse(sine + PROFILES, "my.toml")
+
+
+def test_a_recorded_profile_may_have_been_open() -> None:
+    text = "[vehicle]\nlink = 'udpin:0.0.0.0:14540'\n" + PROFILES
+    assert config.parse(text, "an old log", recorded=True).vehicle.link == "udpin:0.0.0.0:14540"
 
 
 def test_the_second_of_two_items_is_the_one_at_fault() -> None:

@@ -15,12 +15,14 @@ from real_time import real_time
 from service_bench import Bench, on_bench
 
 from flying_vines import config
-from flying_vines.events import Action
+from flying_vines.events import Action, Decision
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.kept import Kept
 from flying_vines.notice import Notice
 from flying_vines.service import Service
-from flying_vines.vehicle.signing import Signing
+from flying_vines.vehicle.codec import Codec
+from flying_vines.vehicle.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S, Signing
+from flying_vines.vehicle.signing_key import TimestampFile
 from flying_vines.watcher import EachAction
 
 pytestmark = real_time
@@ -173,7 +175,9 @@ async def test_a_signed_vehicle_bends_the_vine_and_the_clock_is_kept(tmp_path: P
         await until(served.kept.signing_timestamp.exists, "the clock is kept")
         again, problem = served.kept.read_signing(served.config)
         assert problem == ""
-        assert isinstance(again, Signing) and again.timestamp > int(served.kept.signing_timestamp.read_text())
+        assert isinstance(again, Signing) and again.timestamp > int(
+            served.kept.signing_timestamp.read_text().split()[0]
+        )
 
 
 @pytest.mark.parametrize("theirs", [None, bytes(32 * [7])], ids=["unsigned", "another key"])
@@ -185,3 +189,33 @@ async def test_whoever_lacks_the_key_is_not_believed_and_that_is_said(
         await until(lambda: any("refused messages" in text for text in served.texts), "it is said")
         assert served.service.core.snapshot(0.0).vehicle == "none heard"
         assert bench.vented()
+
+
+async def test_a_kept_timestamp_of_2040_is_set_right_and_told(tmp_path: Path) -> None:
+    autopilot = Autopilot("ardupilot", signing_key=KEY, unix_s=time.time())
+    (tmp_path / "vine.signing-timestamp").write_text("078890880000000 191\n255 001 001 078890880000000\n")
+    async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        await until(lambda: any("set right" in text for text in served.texts), "it is said")
+    memory, _ = TimestampFile(served.kept.signing_timestamp).load()
+    assert memory.link_id == 192
+    assert memory.timestamp < (time.time() + 120 - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S
+
+
+async def test_what_was_recorded_before_a_stop_is_refused_after_it(tmp_path: Path) -> None:
+    pilot, key = Signing(KEY), private_key(tmp_path, KEY)
+    pilot.advance(time.time())
+    station = Codec(255, 190, pilot)
+    bend = mavlink.MAVLink_command_long_message(1, 191, mavlink.MAV_CMD_USER_2, 0, 60, 0, 0, 0, 0, 0, 0)
+    recorded = station.encode(bend, 255)
+    async with on_bench(Autopilot("ardupilot", signing_key=KEY, unix_s=time.time())) as bench:
+        for expected in (1, 0):
+            async with serving(bench, tmp_path, key) as served:
+                await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+                # As whoever recorded it sends it: to the same port, the second time after the restart.
+                served.service._vehicle_bytes(recorded)
+                await until(bench.bent if expected else bench.vented, "what is due")
+                asked = [a for a in served.seen if isinstance(a, Decision) and a.trigger == "command"]
+                assert len(asked) == expected, (asked, served.texts)
+            await until(bench.vented, "vented by the stop")
+        assert served.service._signing is not None and served.service._signing.refused.replayed == 1

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from patience import until
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
 from service_bench import Bench, on_bench
 
@@ -68,6 +69,38 @@ async def test_what_moves_the_vine_is_sent_before_anybody_is_told(
     assert done == ["written", "written"]
     service.tell_watchers()
     assert done[2:] == ["Notice", "ToFirmware", "Notice", "ToFirmware"]
+
+
+async def test_a_stranger_on_the_network_bends_nothing(bench: Bench) -> None:
+    # A whole autopilot in the air, from another address than the one that is named, and a command as well.
+    seen: list[Action] = []
+    link = config.parse(bench.profile, "test").vehicle.link
+    port = int(link.rpartition(":")[2])
+    profile = bench.profile.replace(link, f"udpin:0.0.0.0:{port}?peer=127.0.0.1")
+    service = Service(config.parse(profile, "test"), (EachAction(seen.append),))
+    serving = asyncio.create_task(service.run())
+    await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
+    stranger, station = (mavlink.MAVLink(None, srcSystem=system, srcComponent=1) for system in (1, 255))
+    loop = asyncio.get_running_loop()
+    transport, _ = await loop.create_datagram_endpoint(
+        asyncio.DatagramProtocol, local_addr=("127.0.0.9", 0), remote_addr=("127.0.0.1", port)
+    )
+    bend = mavlink.MAVLink_command_long_message(1, 191, mavlink.MAV_CMD_USER_2, 0, 40, 0, 0, 0, 0, 0, 0)
+    channels = mavlink.MAVLink_rc_channels_message(0, 16, *[1500] * 8, 2000, *[1500] * 9, 255)
+    for _ in range(40):
+        transport.sendto(bend.pack(station))
+        transport.sendto(mavlink.MAVLink_heartbeat_message(2, 3, 128, 5, 4, 3).pack(stranger))
+        transport.sendto(channels.pack(stranger))
+        await asyncio.sleep(0.02)
+    assert bench.vented()
+    assert not [action for action in seen if isinstance(action, Decision)]
+    told = [action.text for action in seen if isinstance(action, Notice) and "not read" in action.text]
+    assert told == ["Vine: not read: 127.0.0.9 is not vehicle.link's peer"]
+    bench.autopilot.set_rc(9, 2000)
+    await until(bench.bent, "the real pilot bends")
+    transport.close()
+    service.stop()
+    await serving
 
 
 class Clumsy(Watcher):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
@@ -27,6 +28,7 @@ from flying_vines.kept import Kept, KeptError
 from flying_vines.notice import Severity
 from flying_vines.record.recorder import Recorder
 from flying_vines.service import Service
+from flying_vines.vehicle.signing_key import SigningKeyError, TimestampFile
 from flying_vines.watcher import EachAction
 
 
@@ -92,6 +94,9 @@ async def calibrate(
     finally:
         service.stop()
         await serving
+        if known.signing is not None and known.kept is not None:
+            with suppress(SigningKeyError):
+                TimestampFile(known.kept.signing_timestamp).save(known.signing.memory)
         recorder.close()
     return conductor.result(recorder.folder, recorder.told)
 

@@ -157,7 +157,7 @@ def keep_signing(examined: Profile) -> None:
     """The timestamps that were used must not be used again by the service."""
     if examined.signing is not None and examined.signing_timestamp is not None:
         try:
-            TimestampFile(examined.signing_timestamp).save(examined.signing.timestamp)
+            TimestampFile(examined.signing_timestamp).save(examined.signing.memory)
         except SigningKeyError:
             # That the folder cannot be written was found already.
             return

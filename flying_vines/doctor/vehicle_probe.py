@@ -73,6 +73,8 @@ class VehicleFacts:
     down: str = ""
     """Why the link is down, if it is."""
     bytes: int = 0
+    unread_from: str = ""
+    """An IP address that sends and is not read: the link names another as its peer."""
     messages: int = 0
     """Good ones, of anyone, that were believed."""
     refused: Refused = field(default_factory=Refused)

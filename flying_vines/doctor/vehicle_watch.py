@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from flying_vines.address import Address
 from flying_vines.config import Config
 from flying_vines.doctor.vehicle_probe import VehicleFacts, VehicleProbe
-from flying_vines.vehicle.codec import Codec
-from flying_vines.vehicle.link import open_link
+from flying_vines.host_clock import synchronised
+from flying_vines.vehicle.codec import Codec, Message
+from flying_vines.vehicle.link import open_link, unread_from
 from flying_vines.vehicle.signing import Refused, Signing
 
 TICK_S = 0.02
@@ -30,9 +31,10 @@ class VehicleWatch:
         self.probe = probe or VehicleProbe(config)
         self._down = "it was not opened"
         self._signing = signing
+        self._synchronised = bool(synchronised())
         self._codec = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)
         self._received = 0
-        self._link = open_link(address, self._bytes, self._state)
+        self._link = open_link(address, self._bytes, self._state, self._stranger)
 
     @property
     def t(self) -> float:
@@ -41,14 +43,20 @@ class VehicleWatch:
     @property
     def facts(self) -> VehicleFacts:
         refused = self._signing.refused if self._signing else Refused()
-        return replace(self.probe.facts(self.t), down=self._down, bytes=self._received, refused=refused)
+        return replace(
+            self.probe.facts(self.t),
+            down=self._down,
+            bytes=self._received,
+            refused=refused,
+            unread_from=unread_from(self._link),
+        )
 
     async def run(self, over: Callable[[], bool]) -> None:
         opening = asyncio.create_task(self._link.run())
         try:
             while not over() and not opening.done():
                 if self._signing is not None:
-                    self._signing.advance(time.time())
+                    self._signing.advance(time.time(), self.t, self._synchronised)
                 for message in self.probe.due(self.t):
                     self._link.write(self._codec.encode(message, self.probe.system_id))
                 await asyncio.sleep(TICK_S)
@@ -60,8 +68,18 @@ class VehicleWatch:
 
     def _bytes(self, data: bytes) -> None:
         self._received += len(data)
+        self._take(self._codec.decode(data))
+
+    def _stranger(self, data: bytes, enter: Callable[[], None]) -> None:
+        self._received += len(data)
+        messages, proven = self._codec.decode_stranger(data)
+        if proven:
+            enter()
+        self._take(messages)
+
+    def _take(self, messages: Sequence[Message]) -> None:
         now, unix_s = self.t, time.time()
-        for message in self._codec.decode(data):
+        for message in messages:
             self.probe.take(now, unix_s, message)
 
     def _state(self, up: bool, why: str) -> None:

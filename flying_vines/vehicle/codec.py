@@ -45,7 +45,6 @@ class Codec:
         self._out = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         if signing is not None:
             self._out.signing.secret_key = signing.key
-            self._out.signing.link_id = signing.link_id
             self._out.signing.sign_outgoing = True
 
     @property
@@ -55,8 +54,22 @@ class Codec:
 
     def decode(self, data: bytes) -> list[Message]:
         """The messages that `data` completes, in order; known types with a good checksum only."""
+        return self._admitted(self._frames.take(data))
+
+    def decode_stranger(self, data: bytes) -> tuple[list[Message], bool]:
+        """The messages in one datagram of somebody new, and whether they prove that he is an autopilot.
+
+        Half a frame is dropped: what others send must not wait for its end. Only a signature proves anything.
+        """
+        messages = self._admitted(Frames().take(data))
+        proven = self._signing is not None and any(
+            message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1 for message in messages
+        )
+        return messages, proven
+
+    def _admitted(self, frames: list[Frame]) -> list[Message]:
         messages = []
-        for frame in self._frames.take(data):
+        for frame in frames:
             if frame.component == self._component_id and self._is_echo(frame):
                 self.echoes += 1
                 continue
@@ -80,6 +93,7 @@ class Codec:
         """One MAVLink 2 frame from our component of the system `system_id`."""
         self._out.srcSystem = system_id
         if self._signing is not None:
+            self._out.signing.link_id = self._signing.link_id
             self._out.signing.timestamp = self._signing.next_timestamp()
         raw: bytes = message.pack(self._out)
         self._sent.append((system_id, self._out.seq, message.get_msgId(), message.get_crc()))

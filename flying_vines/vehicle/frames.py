@@ -27,6 +27,7 @@ _HEADER_SIZE_1, _HEADER_SIZE_2 = 6, 10
 _CHECKSUM_SIZE = 2
 SIGNATURE_SIZE: int = mavlink.MAVLINK_SIGNATURE_BLOCK_LEN
 _TAIL_SIZE = _CHECKSUM_SIZE + SIGNATURE_SIZE
+_AUTOPILOT: int = mavlink.MAV_COMP_ID_AUTOPILOT1
 _SIGNED: int = mavlink.MAVLINK_IFLAG_SIGNED
 LONGEST_FRAME = _HEADER_SIZE_2 + 255 + _TAIL_SIZE
 
@@ -111,6 +112,11 @@ class Frames:
         until = found.start() if found else len(data)
         self._bad_until = max(self._bad_until, until)
         return until
+
+
+def from_autopilot(data: bytes) -> bool:
+    """Whether these bytes hold a whole frame that says it comes from an autopilot."""
+    return any(frame.known and frame.component == _AUTOPILOT for frame in Frames().take(data))
 
 
 def _frame_at(data: bytes, at: int) -> Frame | None:

@@ -14,13 +14,20 @@ from typing import Protocol
 
 from firmware_link.find import UsbBoard
 from flying_vines.address import DEFAULT_BAUD, Address, NetworkAddress, SerialAddress
+from flying_vines.vehicle.frames import from_autopilot
 
 RETRY_S = 1.0
 MOST_PEERS = 4
 PEER_FORGOTTEN_S = 30.0
+PEER_REPLACED_S = 3.0
+"""A silent peer gives way to a new one after this time: a router that restarts has another port."""
+MOST_OF_STRANGERS = 2048
+"""Bytes in one datagram of somebody new. A frame has 280 at most, an Ethernet packet 1500."""
 MAX_QUEUED_BYTES = 64 * 1024
 
 OnBytes = Callable[[bytes], None]
+OnStranger = Callable[[bytes, Callable[[], None]], None]
+"""One datagram of somebody who is not answered yet, and what to call, before any answer, if he is to be."""
 OnState = Callable[[bool, str], None]
 
 
@@ -38,8 +45,13 @@ class Link(Protocol):
         """Send, or drop and say False."""
 
 
-def open_link(address: Address, on_bytes: OnBytes, on_state: OnState) -> Link:
-    """The transport for an address; nothing happens before `run`."""
+def open_link(
+    address: Address, on_bytes: OnBytes, on_state: OnState, on_stranger: OnStranger | None = None
+) -> Link:
+    """The transport for an address; nothing happens before `run`.
+
+    Without `on_stranger` a `udpin` link answers whoever sends to it.
+    """
     if isinstance(address, (SerialAddress, UsbBoard)):
         from firmware_link.serial_port import SerialPort
 
@@ -48,7 +60,12 @@ def open_link(address: Address, on_bytes: OnBytes, on_state: OnState) -> Link:
         return SerialPort(address.path, address.baud, on_bytes, on_state)
     if address.kind == "tcp":
         return TcpLink(address, on_bytes, on_state)
-    return UdpLink(address, on_bytes, on_state)
+    return UdpLink(address, on_bytes, on_state, on_stranger)
+
+
+def unread_from(link: Link) -> str:
+    """The latest IP address whose datagrams were not read, because the link names another as its peer."""
+    return link.unread_from if isinstance(link, UdpLink) else ""
 
 
 class _NetworkLink:
@@ -82,14 +99,64 @@ class _NetworkLink:
         raise NotImplementedError
 
 
-class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
-    """UDP: `udpout` sends to one address, `udpin` listens and answers those that it heard lately."""
+Source = tuple[str, int]
+"""IP address and port of who sent a datagram; IPv6 has more behind them."""
 
-    def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
+
+class Peers:
+    """Who is answered. Nobody who speaks loses his place to others, however many they are."""
+
+    def __init__(self) -> None:
+        self._heard_at: dict[Source, float] = {}
+
+    def __len__(self) -> int:
+        return len(self._heard_at)
+
+    def heard(self, source: Source, t: float) -> bool:
+        """Note that `source` has spoken; whether it is answered."""
+        if source not in self._heard_at:
+            return False
+        self._heard_at[source] = t
+        return True
+
+    def enter(self, source: Source, t: float) -> bool:
+        """Answer `source` from now on, if there is room."""
+        if source not in self._heard_at and len(self._heard_at) >= MOST_PEERS:
+            most_silent = min(self._heard_at, key=lambda peer: self._heard_at[peer])
+            if t - self._heard_at[most_silent] <= PEER_REPLACED_S:
+                return False
+            del self._heard_at[most_silent]
+        self._heard_at[source] = t
+        return True
+
+    def present(self, t: float) -> list[Source]:
+        """Whom to send to."""
+        for peer, heard_at in list(self._heard_at.items()):
+            if t - heard_at > PEER_FORGOTTEN_S:
+                del self._heard_at[peer]
+        return list(self._heard_at)
+
+
+class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
+    """UDP: `udpout` sends to one address, `udpin` listens and answers its `Peers`.
+
+    A peer is somebody who has sent a frame of an autopilot: from this computer or from the address that the
+    link names; on a link that is open to a network, with a signature.
+    """
+
+    def __init__(
+        self,
+        address: NetworkAddress,
+        on_bytes: OnBytes,
+        on_state: OnState,
+        on_stranger: OnStranger | None = None,
+    ) -> None:
         super().__init__(address, on_bytes, on_state)
+        self.unread_from = ""
+        self._on_stranger = on_stranger
         self._transport: asyncio.DatagramTransport | None = None
         self._full = False
-        self._peers: dict[tuple[str, int], float] = {}
+        self._peers = Peers()
 
     async def run(self) -> None:
         loop = asyncio.get_running_loop()
@@ -120,19 +187,29 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
         if self._address.kind == "udpout":
             self._transport.sendto(data)
             return True
-        now = asyncio.get_running_loop().time()
-        for peer, heard_at in list(self._peers.items()):
-            if now - heard_at > PEER_FORGOTTEN_S:
-                del self._peers[peer]
-            else:
-                self._transport.sendto(data, peer)
-        return bool(self._peers)
+        peers = self._peers.present(asyncio.get_running_loop().time())
+        for peer in peers:
+            self._transport.sendto(data, peer)
+        return bool(peers)
 
-    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        if addr not in self._peers and len(self._peers) >= MOST_PEERS:
-            del self._peers[min(self._peers, key=lambda peer: self._peers[peer])]
-        self._peers[addr] = asyncio.get_running_loop().time()
-        self._on_bytes(data)
+    def datagram_received(self, data: bytes, addr: Source) -> None:
+        now = asyncio.get_running_loop().time()
+        if self._peers.heard(addr, now):
+            self._on_bytes(data)
+        elif not self._address.reads(addr[0]):
+            self.unread_from = addr[0]
+        elif self._address.kind == "udpout" or self._on_stranger is None:
+            self._peers.enter(addr, now)
+            self._on_bytes(data)
+        elif len(data) > MOST_OF_STRANGERS:
+            return
+        elif not self._address.is_open and from_autopilot(data) and self._peers.enter(addr, now):
+            self._on_bytes(data)
+        else:
+            self._on_stranger(data, lambda: self._enter(addr))
+
+    def _enter(self, source: Source) -> None:
+        self._peers.enter(source, asyncio.get_running_loop().time())
 
     def pause_writing(self) -> None:
         """64 KiB wait for a driver that takes none, and asyncio itself would keep any amount."""

@@ -1,14 +1,15 @@
-"""The signing key's file, and the file that keeps the signing timestamp over restarts."""
+"""The signing key's file, and the file that keeps the signing timestamps over restarts."""
 
 from __future__ import annotations
 
 import hashlib
 import re
 import stat
+import threading
 from pathlib import Path
 
 from flying_vines import on_disk
-from flying_vines.vehicle.signing import KEY_SIZE, UNITS_PER_S
+from flying_vines.vehicle.signing import KEY_SIZE, UNITS_PER_S, Memory
 
 SHORTEST_PASSPHRASE = 8
 _PASSPHRASE = b"passphrase:"
@@ -18,8 +19,9 @@ _FORMS = '64 hexadecimal digits, 32 raw bytes, or a line "passphrase: ..."'
 SAVE_AFTER = 30 * UNITS_PER_S
 AHEAD_AFTER_RESTART = 60 * UNITS_PER_S
 """More than passes between two savings, so that no timestamp is used twice; ArduPilot does the same."""
-_TIMESTAMP = re.compile(r"\d{15}\n")
-"""Always as long as the largest there can be, so that a file that was cut off is none."""
+_FILE = re.compile(r"\d{15}(?: \d{3})?\n(?:\d{3} \d{3} \d{3} \d{15}\n)*")
+"""Ours: timestamp and link id; then each stream's link id, system, component and last timestamp. Earlier
+versions kept the first number alone. Each has all its digits, so that a file that was cut off is none."""
 _LARGEST = 2**48 - 1 - AHEAD_AFTER_RESTART
 
 
@@ -65,36 +67,45 @@ def _read_private(path: Path) -> bytes:
 
 
 class TimestampFile:
-    """Keeps the signing timestamp over restarts and power cuts, also where the clock starts in the past."""
+    """Keeps the signing timestamps over restarts and power cuts, also where the clock starts in the past."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._saved: int | None = None
+        self._writing = threading.Lock()
 
-    def load(self) -> tuple[int, str]:
-        """The timestamp to go on from, and a sentence where the file does not tell it."""
+    def load(self) -> tuple[Memory, str]:
+        """What to go on from, and a sentence where the file does not tell it."""
         try:
             text = self._path.read_text(encoding="ascii")
         except FileNotFoundError:
-            return 0, ""
+            return Memory(), ""
         except (OSError, UnicodeDecodeError) as error:
-            return 0, self._clock_alone(getattr(error, "strerror", None) or "damaged")
-        if not _TIMESTAMP.fullmatch(text) or int(text) > _LARGEST:
-            return 0, self._clock_alone("damaged")
-        return int(text) + AHEAD_AFTER_RESTART, ""
+            return Memory(), self._clock_alone(getattr(error, "strerror", None) or "damaged")
+        if not _FILE.fullmatch(text):
+            return Memory(), self._clock_alone("damaged")
+        (timestamp, *link_id), *lines = (tuple(map(int, line.split())) for line in text.splitlines())
+        streams = tuple(((link, system, component), at) for link, system, component, at in lines)
+        if max(timestamp, *(at for _, at in streams), 0) > _LARGEST:
+            return Memory(), self._clock_alone("damaged")
+        return Memory(timestamp + AHEAD_AFTER_RESTART, link_id[0] if link_id else None, streams), ""
 
     def _clock_alone(self, why: str) -> str:
         return f"{self._path}: {why}; the signing timestamp goes on from the clock alone"
 
     def due(self, timestamp: int) -> bool:
         """Whether to save: at once in a run, then every 30 s and where the clock jumped."""
-        return self._saved is None or timestamp - self._saved >= SAVE_AFTER
+        return self._saved is None or not 0 <= timestamp - self._saved < SAVE_AFTER
 
-    def save(self, timestamp: int) -> None:
+    def save(self, memory: Memory) -> None:
         """Write it so that a power cut leaves the old file or the new one. Blocks while the disk does."""
-        self._saved = timestamp
+        self._saved = memory.timestamp
+        lines = [f"{memory.timestamp:015d} {memory.link_id or 0:03d}\n"]
+        for (link_id, system, component), timestamp in memory.streams:
+            lines.append(f"{link_id:03d} {system:03d} {component:03d} {timestamp:015d}\n")
         try:
-            on_disk.put(self._path, f"{timestamp:015d}\n")
+            with self._writing:
+                on_disk.put(self._path, "".join(lines))
         except OSError as error:
             raise SigningKeyError(
                 f"{self._path}: the signing timestamp cannot be written: {error.strerror}"

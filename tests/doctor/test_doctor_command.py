@@ -84,7 +84,7 @@ def test_on_fakes_it_is_well_and_needs_nothing_else(
 
 def test_what_is_bad_makes_the_status_one(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     profile = tmp_path / "vine.toml"
-    text = configuration.default_text().replace("udpin:0.0.0.0:14540", "serial:/dev/none-a")
+    text = configuration.default_text().replace("udpin:127.0.0.1:14540", "serial:/dev/none-a")
     profile.write_text(text.replace("serial:/dev/ttyACM0", "serial:/dev/none-b"))
     status, out, err = run(capsys, "doctor", "--config", profile, "--out", tmp_path)
     assert (status, err) == (1, "")

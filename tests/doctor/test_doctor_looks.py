@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import os
 import socket
 import subprocess
@@ -18,6 +19,7 @@ from serial.tools.list_ports_common import ListPortInfo
 
 from firmware_link.find import UsbBoard
 from flying_vines import config as configuration
+from flying_vines import host_clock
 from flying_vines.address import NetworkAddress, SerialAddress
 from flying_vines.config import ConfigError, Mqtt
 from flying_vines.doctor.checks.network import BrokerFacts
@@ -222,13 +224,27 @@ def test_a_folder_is_tried_and_left_as_it_was(tmp_path: Path) -> None:
 
 
 def test_the_clock_is_asked_and_its_jumps_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert clock.synchronised() in (True, False)
+    assert host_clock.synchronised() in (True, False)
     looked = clock.Clock()
     assert abs(looked.facts(None, signing=False).jumped_s) < 0.1
     real = time.time
     monkeypatch.setattr(time, "time", lambda: real() + 7200.0)
     assert looked.facts(1.5, signing=True).jumped_s == pytest.approx(7200.0, abs=0.1)
     assert clock.when(0.0).startswith("19")
+
+
+def test_where_the_kernel_may_not_be_asked_timesyncd_tells(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    class Sandbox:
+        def __init__(self, *_: object, **__: object) -> None:
+            self.adjtimex = lambda _: -1
+
+    monkeypatch.setattr(ctypes, "CDLL", Sandbox)
+    monkeypatch.setattr(host_clock, "_BY_TIMESYNCD", tmp_path / "synchronized")
+    assert host_clock.synchronised() is None
+    (tmp_path / "synchronized").touch()
+    assert host_clock.synchronised() is True
 
 
 def of_broker(address: str, **others: str) -> BrokerFacts:

@@ -141,7 +141,7 @@ def test_contradictory_losses_write_that_it_is_unknown(
 def test_a_port_that_is_not_there_is_said_and_nothing_asked(
     capsys: pytest.CaptureFixture[str], profile: Path
 ) -> None:
-    profile.write_text(profile.read_text().replace("udpin:0.0.0.0:14540", "serial:/dev/none-a"))
+    profile.write_text(profile.read_text().replace("udpin:127.0.0.1:14540", "serial:/dev/none-a"))
     status, out, err = run(capsys, "doctor", "--radio", "--config", profile)
     assert (status, err) == (1, "")
     assert "BAD  vehicle port:         /dev/none-a is not there" in out

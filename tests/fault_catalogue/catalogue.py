@@ -337,7 +337,7 @@ FILES = (
     Row(
         "clock_jumps",
         "the companion's clock jumps, by hours and either way",
-        "not at all: all times are of a clock that nobody sets; signing's never falls",
+        "not at all: all times are of a clock that nobody sets; signing's does not follow a jump of years",
         "",
         Cleared.AT_ONCE,
         safe_state="goes on",

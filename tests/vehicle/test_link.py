@@ -11,12 +11,26 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from ports import free_port
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link import serial_port
 from flying_vines.address import Address, NetworkAddress, SerialAddress
 from flying_vines.vehicle import link as link_module
-from flying_vines.vehicle.link import MAX_QUEUED_BYTES, MOST_PEERS, Link, UdpLink, open_link
+from flying_vines.vehicle.codec import Codec, Message
+from flying_vines.vehicle.link import (
+    MAX_QUEUED_BYTES,
+    MOST_OF_STRANGERS,
+    MOST_PEERS,
+    PEER_FORGOTTEN_S,
+    Link,
+    Peers,
+    UdpLink,
+    open_link,
+)
+from flying_vines.vehicle.signing import Signing
 
 HOST = "127.0.0.1"
 TIMEOUT_S = 5.0
@@ -149,20 +163,204 @@ async def test_udp_that_listens_answers_whom_it_hears() -> None:
             assert (await two.next())[0] == b"to all"
 
 
-async def test_udp_answers_only_so_many() -> None:
-    port = free_port()
-    async with running(NetworkAddress("udpin", HOST, port)) as watched, contextlib.AsyncExitStack() as stack:
+def frame_of(component: int, system: int = 1) -> bytes:
+    sender = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+    return bytes(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3).pack(sender))
+
+
+AUTOPILOT = frame_of(1)
+
+
+@contextlib.asynccontextmanager
+async def serving(
+    address: NetworkAddress, codec: Codec | None = None
+) -> AsyncIterator[tuple[Watched, list[tuple[int, int]]]]:
+    """A vehicle's link as the service has it, and who said something that was believed."""
+    believed: list[tuple[int, int]] = []
+    codec = codec or Codec(0, 191)
+
+    def stranger(data: bytes, enter: Callable[[], None]) -> None:
+        messages, proven = codec.decode_stranger(data)
+        if proven:
+            enter()
+        take(messages)
+
+    def take(messages: list[Message]) -> None:
+        believed.extend((message.get_srcSystem(), message.get_srcComponent()) for message in messages)
+        watched.data += b"."
+
+    watched = Watched(address)
+    watched.link = open_link(address, lambda data: take(codec.decode(data)), watched._on_state, stranger)
+    task = asyncio.create_task(watched.link.run())
+    try:
         await watched.until(lambda: watched.up)
-        peers = []
-        for i in range(MOST_PEERS + 1):
-            peer, to_us, _ = await stack.enter_async_context(udp_peer((HOST, port)))
-            to_us.sendto(bytes((i,)))
-            await watched.until(lambda i=i: len(watched.data) == i + 1)  # type: ignore[misc]
-            peers.append(peer)
-        assert watched.link.write(b"x")
-        for peer in peers[1:]:
-            assert (await peer.next())[0] == b"x"
-        assert peers[0].received.empty()
+        yield watched, believed
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+
+async def settled(watched: Watched, datagrams: int) -> None:
+    """Until so many datagrams were read; each leaves a dot."""
+    async with asyncio.timeout(TIMEOUT_S):
+        while len(watched.data) < datagrams:
+            await asyncio.sleep(0.001)
+
+
+async def test_the_autopilot_keeps_its_answers_however_many_others_speak() -> None:
+    port = free_port()
+    async with (
+        serving(NetworkAddress("udpin", HOST, port)) as (watched, _),
+        contextlib.AsyncExitStack() as stack,
+    ):
+        autopilot, to_us, _ = await stack.enter_async_context(udp_peer((HOST, port)))
+        others = [await stack.enter_async_context(udp_peer((HOST, port))) for _ in range(8)]
+        sent, read = 50, 0
+        for i in range(sent):
+            if i % 10 == 0:
+                to_us.sendto(AUTOPILOT)
+                read += 1
+            for _, from_other, _ in others:
+                from_other.sendto(AUTOPILOT if i % 2 else frame_of(190, system=255))
+            read += len(others)
+            await settled(watched, read)
+            assert watched.link.write(b"%d" % i)
+        for i in range(sent):
+            assert (await autopilot.next())[0] == b"%d" % i
+        assert isinstance(watched.link, UdpLink)
+        assert len(watched.link._peers) == MOST_PEERS
+
+
+async def test_who_is_no_autopilot_is_read_and_not_answered() -> None:
+    port = free_port()
+    async with (
+        serving(NetworkAddress("udpin", HOST, port)) as (watched, believed),
+        udp_peer((HOST, port)) as (script, to_us, _),
+    ):
+        for data in (frame_of(190, system=255), b"noise", AUTOPILOT[:-1]):
+            to_us.sendto(data)
+        await settled(watched, 3)
+        assert believed == [(255, 190)]
+        assert not watched.link.write(b"for nobody")
+        assert script.received.empty()
+
+
+async def test_half_a_frame_of_a_stranger_does_not_hold_the_autopilots_up() -> None:
+    port = free_port()
+    async with (
+        serving(NetworkAddress("udpin", HOST, port)) as (watched, believed),
+        udp_peer((HOST, port)) as (_, to_us, _),
+        udp_peer((HOST, port)) as (_, from_stranger, _),
+    ):
+        for i in range(20):
+            from_stranger.sendto(b"\xfd\xff\x00\x00\x00\x01\x01\x00\x00\x00")
+            await settled(watched, 2 * i + 1)
+            sender = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+            sender.seq = i
+            to_us.sendto(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3).pack(sender))
+            await settled(watched, 2 * i + 2)
+            assert len(believed) == i + 1
+
+
+async def test_a_named_peer_is_read_and_nobody_else() -> None:
+    port = free_port()
+    async with (
+        serving(NetworkAddress("udpin", "127.0.0.1", port, peer="127.0.0.2")) as (watched, believed),
+        udp_peer((HOST, port)) as (_, from_stranger, _),
+    ):
+        assert isinstance(watched.link, UdpLink)
+        from_stranger.sendto(AUTOPILOT)
+        async with asyncio.timeout(TIMEOUT_S):
+            while not watched.link.unread_from:
+                await asyncio.sleep(0.001)
+        assert (believed, watched.link.unread_from) == ([], HOST)
+        assert not watched.link.write(b"for nobody")
+        loop = asyncio.get_running_loop()
+        transport, peer = await loop.create_datagram_endpoint(
+            Peer, local_addr=("127.0.0.2", 0), remote_addr=(HOST, port)
+        )
+        try:
+            transport.sendto(AUTOPILOT)
+            await settled(watched, 1)
+            assert believed == [(1, 1)]
+            assert watched.link.write(b"for you")
+            assert (await peer.next())[0] == b"for you"
+        finally:
+            transport.close()
+
+
+async def test_on_an_open_port_only_a_signature_opens() -> None:
+    signing, theirs = Signing(bytes(32)), Signing(bytes(32))
+    signing.advance(1_790_000_000.0)
+    theirs.advance(1_790_000_000.0)
+    signed = Codec(1, 1, theirs).encode(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3), 1)
+    radio = mavlink.MAVLink(None, srcSystem=51, srcComponent=68)
+    status = mavlink.MAVLink_radio_status_message(200, 200, 90, 30, 30, 0, 0).pack(radio)
+    port = free_port()
+    async with (
+        serving(NetworkAddress("udpin", "0.0.0.0", port), Codec(0, 191, signing)) as (watched, believed),
+        udp_peer((HOST, port)) as (_, from_stranger, _),
+        udp_peer((HOST, port)) as (autopilot, to_us, _),
+    ):
+        for data in (AUTOPILOT, status, signed[:-1] + bytes((signed[-1] ^ 1,))):
+            from_stranger.sendto(data)
+        await settled(watched, 3)
+        assert believed == [(51, 68)]
+        assert not watched.link.write(b"for nobody")
+        to_us.sendto(signed)
+        await settled(watched, 4)
+        from_stranger.sendto(signed)  # recorded, and sent again from elsewhere
+        await settled(watched, 5)
+        assert watched.link.write(b"for the autopilot")
+        assert (await autopilot.next())[0] == b"for the autopilot"
+        assert isinstance(watched.link, UdpLink)
+        assert len(watched.link._peers) == 1
+
+
+async def test_a_datagram_too_large_for_mavlink_is_not_read_from_strangers() -> None:
+    port = free_port()
+    async with (
+        serving(NetworkAddress("udpin", HOST, port)) as (watched, believed),
+        udp_peer((HOST, port)) as (_, to_us, _),
+    ):
+        to_us.sendto(AUTOPILOT * (MOST_OF_STRANGERS // len(AUTOPILOT) + 1))
+        to_us.sendto(frame_of(154))
+        await settled(watched, 1)
+        assert believed == [(1, 154)]
+
+
+moments = st.lists(st.tuples(st.integers(0, 12), st.booleans(), st.floats(0.0, 10.0)), max_size=80)
+
+
+@given(moments)
+@settings(max_examples=200, deadline=None)
+def test_who_speaks_often_enough_never_loses_his_place(
+    others: list[tuple[int, bool, float]],
+) -> None:
+    peers, t = Peers(), 0.0
+    assert peers.enter(("autopilot", 0), t)
+    for number, proven, pause_s in others:
+        while pause_s > 1.0:
+            pause_s -= 1.0
+            t += 1.0
+            assert peers.heard(("autopilot", 0), t)
+        t += pause_s
+        source = ("other", number)
+        if not peers.heard(source, t) and proven:
+            peers.enter(source, t)
+        present = peers.present(t)
+        assert ("autopilot", 0) in present
+        assert len(present) == len(peers) <= MOST_PEERS
+        assert peers.heard(("autopilot", 0), t)
+
+
+def test_a_router_that_restarts_with_another_port_is_answered_again_soon() -> None:
+    peers = Peers()
+    for restart in range(20):
+        assert peers.enter(("router", restart), 1.0 * restart)
+    assert len(peers.present(19.0)) == MOST_PEERS
+    assert peers.present(19.0 + PEER_FORGOTTEN_S + 1.0) == []
 
 
 async def test_udp_that_sends_speaks_first_and_hears_the_answer() -> None:

@@ -17,7 +17,14 @@ from flying_vines.events import Snapshot
 from flying_vines.fakes.autopilot.autopilot import Autopilot
 from flying_vines.simulated_world import SimulatedFlight
 from flying_vines.vehicle.codec import Codec, Message
-from flying_vines.vehicle.signing import MOST_STREAMS, UNITS_PER_S, UNIX_TIME_OF_ZERO_S, Refused, Signing
+from flying_vines.vehicle.signing import (
+    MOST_STREAMS,
+    UNITS_PER_S,
+    UNIX_TIME_OF_ZERO_S,
+    Memory,
+    Refused,
+    Signing,
+)
 from flying_vines.vehicle.tlog import TlogReader
 
 KEY = hashlib.sha256(b"a passphrase for tests").digest()
@@ -76,7 +83,7 @@ class Ours:
     """Our codec with a key, at `NOW_S`."""
 
     def __init__(self, timestamp: int = 0, clock_s: float | None = NOW_S, link_id: int = 0) -> None:
-        self.signing = Signing(KEY, link_id, timestamp)
+        self.signing = Signing(KEY, link_id, Memory(timestamp))
         if clock_s is not None:
             self.signing.advance(clock_s)
         self.codec = Codec(1, 191, self.signing)
@@ -138,17 +145,41 @@ def test_each_frame_has_a_timestamp_of_its_own_and_none_behind_the_clock() -> No
     assert stamps == [NOW + second * UNITS_PER_S + i for second in range(5) for i in (1, 2, 3)]
 
 
-@given(st.lists(st.one_of(st.floats(-1e10, 1e10), st.none()), max_size=60))
-@settings(max_examples=100, deadline=None)
-def test_timestamps_rise_whatever_the_clock_does(steps: list[float | None]) -> None:
-    signing, last = Signing(KEY, timestamp=500), 500
-    for unix_time_s in steps:
-        if unix_time_s is None:
-            assert signing.next_timestamp() > last
+clocks = st.lists(
+    st.one_of(
+        st.none(),
+        st.tuples(
+            st.one_of(st.floats(-1e10, 1e10), st.floats(NOW_S - 1e6, NOW_S + 1e6)),
+            st.one_of(st.none(), st.floats(0.0, 1e6)),
+            st.booleans(),
+        ),
+        st.integers(0, 2**48 - 1),
+    ),
+    max_size=60,
+)
+
+
+@given(st.integers(0, 2**47), clocks)
+@settings(max_examples=200, deadline=None)
+def test_whatever_the_clock_does_no_timestamp_comes_twice_on_one_link_id(
+    kept: int, steps: list[tuple[float, float | None, bool] | int | None]
+) -> None:
+    signing, at_s = Signing(KEY, memory=Memory(kept)), 0.0
+    last = {0: kept}
+    codec = Codec(1, 191, signing)
+    for step in steps:
+        if step is None:
+            stamp = signing.next_timestamp()
+            assert stamp > last.get(signing.link_id, -1)
+            last[signing.link_id] = stamp
+        elif isinstance(step, int):
+            codec.decode(signed_by_hand(b"\x06", step))
         else:
-            signing.advance(unix_time_s)
-        assert signing.timestamp >= last
-        last = signing.timestamp
+            unix_time_s, elapsed_s, synchronised = step
+            at_s += elapsed_s or 0.0
+            signing.advance(unix_time_s, None if elapsed_s is None else at_s, synchronised)
+            assert signing.timestamp <= signing._latest
+        assert 0 <= signing.timestamp <= 2**47 + len(steps)
 
 
 def test_without_a_clock_what_was_saved_goes_on() -> None:
@@ -308,6 +339,150 @@ def test_streams_that_fell_silent_make_room_and_stay_refused() -> None:
     for frame in said:
         ours.codec._senders.clear()  # as if these copies were not recognised by their sequence number
         assert ours.hears(frame) == []
+
+
+IN_2040_S = 2_208_988_800.0
+IN_2040 = int((IN_2040_S - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S)
+HOUR = 60 * MINUTE
+
+
+@pytest.mark.parametrize("synchronised", [True, False])
+def test_one_frame_of_2040_locks_nobody_out(synchronised: bool) -> None:
+    ours = Ours(clock_s=None)
+    ours.signing.advance(NOW_S, 0.0, synchronised)
+    station, autopilot = Peer(IN_2040, system=255, component=190), Peer()
+    assert ours.hears(station.say("what year is it?") + station.say("again")) == []
+    assert ours.refused == Refused(ahead=2)
+    assert ours.hears(autopilot.say("hello")) == ["hello"]
+    assert ours.hears(Peer(NOW, system=254).say("the right time")) == ["the right time"]
+    assert ours.signing.next_timestamp() < NOW + MINUTE
+    assert ours.signing.memory.timestamp < NOW + MINUTE
+    assert ours.signing.news == ["255/190 signs 4849 days ahead of our clock"]
+
+
+@pytest.mark.parametrize(("hours", "heard"), [(14, True), (23, True), (25, False)])
+def test_a_wrong_time_zone_is_heard_and_moves_no_border(hours: int, heard: bool) -> None:
+    ours = Ours(clock_s=None)
+    ours.signing.advance(NOW_S, 0.0, synchronised=True)
+    assert ours.hears(Peer(NOW + hours * HOUR, system=255).say("far east")) == (["far east"] if heard else [])
+    assert ours.hears(Peer(NOW - 50 * UNITS_PER_S).say("here")) == ["here"]
+
+
+def test_a_far_future_that_was_kept_is_dropped_and_the_others_hear_us_again() -> None:
+    poisoned = Memory(IN_2040, 191, (((0, 255, 190), IN_2040), ((3, 1, 1), NOW - HOUR)))
+    signing = Signing(KEY, 191, poisoned)
+    pilot = mavlink.MAVLink(None, srcSystem=255, srcComponent=230)
+    pilot.signing.secret_key, pilot.signing.timestamp = KEY, NOW
+    codec = Codec(1, 191, signing)
+    assert pilot.parse_buffer(codec.encode(text("in 2040"), 1))[0].get_signed()
+    pilot.signing.timestamp = NOW  # it was restarted, but knows our stream, as an autopilot does
+    signing.advance(NOW_S, 0.0)
+    assert signing.news == ["signing clock was 4849 days ahead: set right"]
+    assert signing.memory == Memory(NOW, 192, (((3, 1, 1), NOW - HOUR),))
+    assert pilot.parse_buffer(codec.encode(text("Vine: back"), 1))[0].get_signed()
+    assert [m.text for m in codec.decode(Peer(NOW, system=255, component=190, link_id=0).say("hello"))] == [
+        "hello"
+    ]
+
+
+@pytest.mark.parametrize("synchronised", [True, False])
+def test_a_jump_of_our_own_clock_is_not_followed(synchronised: bool) -> None:
+    signing = Signing(KEY)
+    signing.advance(NOW_S, 100.0, synchronised)
+    for second in range(1, 6):
+        signing.advance(IN_2040_S + second, 100.0 + second, synchronised)
+        assert abs(signing.next_timestamp() - NOW - second * UNITS_PER_S) < 10
+    assert signing.news == ["own clock jumped +4849 days: not followed"]
+    signing.advance(NOW_S + 6, 106.0, synchronised)
+    assert abs(signing.next_timestamp() - NOW - 6 * UNITS_PER_S) < 10
+    assert len(signing.news) == 1 and signing.link_id == 0
+
+
+def test_a_clock_that_jumps_back_far_does_not_shut_the_autopilot_out() -> None:
+    ours = Ours(clock_s=None)
+    ours.signing.advance(NOW_S, 0.0, synchronised=True)
+    ours.signing.advance(0.0, 1.0, synchronised=True)
+    assert ours.hears(Peer(NOW + MINUTE).say("hello")) == ["hello"]
+
+
+def test_the_first_synchronisation_is_followed_and_sets_right_what_was_ahead() -> None:
+    # A year ahead is within what an unsynchronised clock may be behind by: only a synchronised one tells.
+    ours = Ours(clock_s=None)
+    ours.signing.advance(NOW_S - 3 * 86400, 0.0)
+    year_ahead = Peer(NOW + 365 * 24 * HOUR, system=255)
+    assert ours.hears(year_ahead.say("next year")) == ["next year"]
+    ours.signing.advance(NOW_S, 1.0, synchronised=True)
+    assert ours.signing.news == ["signing clock was 365 days ahead: set right"]
+    assert ours.signing.timestamp == NOW
+    assert ours.hears(Peer(NOW).say("hello")) == ["hello"]
+    assert ours.hears(year_ahead.say("next year again")) == []
+
+
+def test_a_computer_that_starts_in_the_past_follows_its_autopilot() -> None:
+    ours = Ours(clock_s=None)
+    ours.signing.advance(NOW_S - 100 * 86400, 0.0)
+    assert ours.hears(Peer(NOW).say("I have GPS")) == ["I have GPS"]
+    assert ours.signing.next_timestamp() > NOW
+
+
+def test_what_was_recorded_before_a_restart_is_refused_after_it() -> None:
+    before, peer = Ours(), Peer()
+    recorded = [peer.say(f"bend {i}") for i in range(20)]
+    assert len(before.hears(b"".join(recorded))) == 20
+    after = Signing(KEY, memory=before.signing.memory)
+    after.advance(NOW_S + 2.0)
+    codec = Codec(1, 191, after)
+    assert codec.decode(b"".join(recorded)) == []
+    assert after.refused == Refused(replayed=20)
+    assert [m.text for m in codec.decode(peer.say("live"))] == ["live"]
+
+
+def test_after_a_crash_only_what_was_not_saved_can_come_again_and_not_once_its_sender_speaks() -> None:
+    before, peer = Ours(), Peer()
+    early = [peer.say(f"early {i}") for i in range(5)]
+    before.hears(b"".join(early))
+    memory = before.signing.memory
+    late = [peer.say(f"late {i}") for i in range(5)]
+    before.hears(b"".join(late))
+    crashed = Signing(KEY, memory=memory)
+    crashed.advance(NOW_S + 2.0)
+    codec = Codec(1, 191, crashed)
+    assert codec.decode(b"".join(early)) == []
+    assert [m.text for m in codec.decode(late[0])] == ["late 0"]
+    assert [m.text for m in codec.decode(peer.say("live"))] == ["live"]
+    assert codec.decode(b"".join(late)) == []
+
+
+sendings = st.lists(
+    st.tuples(st.sampled_from(["live", "copy", "restart", "time"]), st.integers(0, 2), st.integers(0, 400)),
+    max_size=60,
+)
+
+
+@given(sendings)
+@settings(max_examples=200, deadline=None)
+def test_no_frame_is_believed_twice_over_any_restarts(steps: list[tuple[str, int, int]]) -> None:
+    signing, now_s = Signing(KEY), NOW_S
+    signing.advance(now_s, 0.0, synchronised=True)
+    codec, peers, said, believed = Codec(1, 191, signing), [Peer(NOW, 1 + i) for i in range(3)], [b""], []
+    for what, number, value in steps:
+        if what == "time":
+            now_s += value
+            signing.advance(now_s, now_s - NOW_S, synchronised=True)
+        elif what == "restart":
+            signing = Signing(KEY, memory=signing.memory)
+            signing.advance(now_s, 0.0, synchronised=True)
+            codec = Codec(1, 191, signing)
+        else:
+            if what == "live":
+                peer = peers[number]
+                peer.timestamp = max(peer.timestamp, int((now_s - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S))
+                said.append(peer.say(f"{len(said)}"))
+            frame = said[-1] if what == "live" else said[value % len(said)]
+            texts = [message.text for message in codec.decode(frame)]
+            assert bool(texts) >= (what == "live")
+            believed += texts
+    assert len(believed) == len(set(believed))
 
 
 def test_a_key_has_32_bytes() -> None:

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from flying_vines.doctor.finding import Finding, Line
-from flying_vines.vehicle.signing import NEW_STREAM_MAY_LAG, UNITS_PER_S
+from flying_vines.vehicle.signing import CLOCK_SET_UNIX_S, NEW_STREAM_MAY_LAG, UNITS_PER_S
 
-EARLIEST_UNIX_S = 1_735_689_600
-"""The beginning of 2025: before it nobody can have installed this."""
 APART_S = 2.0
 JUMP_S = 0.5
 SIGNED_APART_S = NEW_STREAM_MAY_LAG / UNITS_PER_S
@@ -61,7 +59,7 @@ VEHICLE_WITHOUT = Line("clock", "skipped", "the autopilot does not know the time
 def check(facts: ClockFacts, when: str) -> list[Finding]:
     """`when` is how people write `facts.unix_s`."""
     found = []
-    if facts.unix_s < EARLIEST_UNIX_S:
+    if facts.unix_s < CLOCK_SET_UNIX_S:
         found.append(NOT_SET(when=when))
     elif facts.synchronised is not None:
         found.append((SYNCHRONISED if facts.synchronised else NOT_SYNCHRONISED)())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from flying_vines.address import NetworkAddress, believed, parse_address
 from flying_vines.config import Config
 from flying_vines.doctor.finding import Finding, Line
 
@@ -41,6 +42,13 @@ KEY = Line("configuration", "good", "signing key {path}: only its owner may read
 BAD_KEY = Line(
     "configuration", "bad", "{why}", "mend the file that vehicle.signing_key names, or take the key out"
 )
+BELIEVED = Line("configuration", "good", "vehicle link {who}")
+BELIEVED_FROM_AFAR = Line(
+    "configuration",
+    "warning",
+    "vehicle link {who}",
+    "set vehicle.signing_key, if your autopilot can sign (docs/mavlink.md)",
+)
 NO_CLOCK = Line(
     "configuration", "warning", "{why}", "set this computer's clock before each flight, or the file's rights"
 )
@@ -73,6 +81,7 @@ def check(facts: ProfileFacts) -> list[Finding]:
         found.append(BAD_KEY(why=facts.signing_problem))
     elif facts.signing_key:
         found.append(KEY(path=facts.signing_key))
+    found.append(_believed(config))
     if facts.signing_clock_problem:
         found.append(NO_CLOCK(why=facts.signing_clock_problem))
     if facts.parameters_problem:
@@ -85,3 +94,9 @@ def check(facts: ProfileFacts) -> list[Finding]:
     if config.interlocks.bench_mode:
         found.append(BENCH())
     return found
+
+
+def _believed(config: Config) -> Finding:
+    address, signed = parse_address(config.vehicle.link), bool(config.vehicle.signing_key)
+    afar = isinstance(address, NetworkAddress) and not address.on_loopback and not signed
+    return (BELIEVED_FROM_AFAR if afar else BELIEVED)(who=believed(address, signed))

@@ -55,6 +55,12 @@ SILENT = Line(
     "set the autopilot's port: on ArduPilot SERIALn_PROTOCOL = 2 and its baud rate, on PX4 MAV_1_CONFIG; "
     "see vehicle.link, RX and TX",
 )
+NOT_THE_PEER = Line(
+    "vehicle link",
+    "bad",
+    "only {other} sends, and it is not the peer that vehicle.link names",
+    "write ?peer={other} in vehicle.link, if that is your autopilot",
+)
 NOISE = Line(
     "vehicle link",
     "bad",
@@ -120,6 +126,12 @@ UNSIGNED = Line(
     "nothing that came was believed: {refused}",
     "give both sides the same key (docs/mavlink.md), or take vehicle.signing_key out",
 )
+DATED_AHEAD = Line(
+    "signing",
+    "bad",
+    "nothing that came was believed: it is dated too far ahead of this computer's clock",
+    "set the clock that is wrong: this computer's, or the sender's (docs/mavlink.md)",
+)
 SOME_REFUSED = Line(
     "signing",
     "warning",
@@ -158,10 +170,14 @@ def check(
         why = f" ({facts.down})" if facts.down else ""
         return [SERVED(why=why, who=named(running), stop=stop(running))]
     if not facts.messages:
+        if facts.refused.ahead:
+            return [DATED_AHEAD()]
         if facts.refused.total:
             return [UNSIGNED(refused=facts.refused)]
         if facts.down:
             return [NO_LINK(why=facts.down)]
+        if facts.unread_from and not facts.bytes:
+            return [NOT_THE_PEER(other=facts.unread_from)]
         return [NOISE(bytes=facts.bytes)] if facts.bytes else [SILENT(seconds=seconds)]
     if facts.rivals:
         return [TWO_AUTOPILOTS(one=facts.rivals[0], other=facts.rivals[1])]
