@@ -288,8 +288,10 @@ def test_the_service_makes_one_bend_of_text_command_and_repeats(autopilot: ArduP
                 elif hasattr(output, "get_type") and output.get_type() == "COMMAND_ACK":
                     answers.append(output)
 
-    tell(0.0, mavlink.MAVLink_heartbeat_message(2, 3, 217, 3, 4, 3))
-    for pass_at_s in (1.0, 2.5):  # the same numbers again, after a jump
+    for second in range(4):
+        tell(second, mavlink.MAVLink_heartbeat_message(2, 3, 217, 3, 4, 3))
+        tell(second, mavlink.MAVLink_system_time_message(0, 1000 * second))
+    for pass_at_s in (3.5, 5.0):  # the same numbers again, after a jump
         tell(pass_at_s, mavlink.MAVLink_statustext_message(6, b"Mission: 3 Scripting"))
         sent_before = len(autopilot.sent)
         autopilot.item(1, 40.0)
