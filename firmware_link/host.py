@@ -203,7 +203,7 @@ class HostSession:
         return self._number
 
     def telemetry_age(self, t: float) -> float:
-        """Seconds since the board made its latest telemetry, by its own clock; infinite when there was none."""
+        """Seconds since the board made its latest telemetry, by its clock; infinite when there was none."""
         return math.inf if self._telemetry_s is None else t - self._telemetry_s
 
     def opened(self, t: float) -> None:
