@@ -19,13 +19,13 @@ from flying_vines.physics_checks.vine_sensor import SuddenFall, Unsteady, Zero
 from flying_vines.reservoir import Belief
 
 LONGEST_GAP_S = 0.11
-"""Longer without telemetry, and nobody knows what the valves did: nearly everything is watched anew. Telemetry
-of 10 Hz has 0.1 s and a step of the board's loop."""
+"""Longer without telemetry, and nobody knows what the valves did: nearly everything is watched anew. At 10 Hz
+telemetry comes each 0.1 s, give or take a step of the board's loop."""
 LONGEST_BRIDGED_S = 0.5
 """Longer, and nothing at all is known."""
 BRIDGING = ("filling",)
-"""What counts only air that has gone in for sure goes on over a gap: on a line that loses a fifth of telemetry
-of 10 Hz a hose that is off would else be watched anew twice a second."""
+"""What counts only air that has gone in for sure goes on over a gap. Where a fifth of telemetry of 10 Hz is
+lost, everything else is watched anew twice a second."""
 UNBELIEVABLE = Fault.CV_SENSOR | Fault.RESERVOIR_SENSOR
 """While the firmware has one of these its telemetry repeats the last reading that it believed."""
 _CLOCK_MS = 1 << 32
