@@ -96,7 +96,7 @@ _DONE = {
     "regulates": "told to vent",
 }
 """Where nobody can know that the vine is vented, the pilot is told no more than was done about it."""
-_OF_THE_BOARD = ("firmware_reset", "serial", "telemetry", "firmware_fault", "refused_by_firmware")
+_OF_THE_BOARD = ("serial", "telemetry", "firmware_fault", "refused_by_firmware")
 """What a restart of the board brings with it."""
 
 
@@ -146,6 +146,8 @@ class Core:
         self._unheeded: tuple[protocol.Mode, float, float] | None = None
         """What the board is told and its mode is not, since when and until when, by its own clock."""
         self._restarts = Restarts()
+        self._restart_told = False
+        """And the board has not been ready since."""
         self._stopped = False
         self._actions: list[Action] = []
 
@@ -209,6 +211,7 @@ class Core:
 
     def _on_firmware_link(self, t: float, up: bool) -> None:
         self._unheeded = None
+        self._restart_told = False
         if up:
             self._firmware.opened(t)
             self._firmware_problem = "does not answer"
@@ -222,7 +225,7 @@ class Core:
             match event:
                 case fw.Ready(welcome):
                     self._firmware_was_ready = True
-                    self._firmware_problem = "does not answer"
+                    self._restart_told = False
                     self._firmware_limit_kPa = welcome.setpoint_limit_kPa
                     ready = f"phloSAR ready ({welcome.firmware_build})"
                     news = self._restarts.news(ready)
@@ -247,13 +250,14 @@ class Core:
                     self._enter(t, Entered("refused_by_firmware", f"phloSAR refused: {said}", "vent"))
 
     def _restarted(self, t: float, reason: str) -> None:
-        if self._firmware_problem == "restarted":
+        if self._restart_told:
             return  # the new boot id of a restart that its clock has told
+        self._restart_told = True
         self._firmware_problem = "restarted"
         self._unheeded = None
         first = self._restarts.note(t)
         why = f"phloSAR restarted: {reason}" if first else self._restarts.looping(t)
-        self._enter(t, self._safety.latch(t, "firmware_reset", why), quiet=not first)
+        self._enter(t, self._safety.latch(t, "firmware_reset", why))
 
     def _check(self, t: float, telemetry: protocol.Telemetry) -> None:
         """Whether the physics answers as predicted: what does not is a fault, or the pilot is told."""
@@ -593,14 +597,14 @@ class Core:
                 self._leave(t, change)
         return self._conditions(t) if changes else now
 
-    def _enter(self, t: float, change: Entered, quiet: bool = False) -> None:
+    def _enter(self, t: float, change: Entered) -> None:
         # A vine that is being straightened is not kept bent.
         straightened = self._motion is None or self._motion.only_lets_out
         hold = change.response == "hold" and not straightened
         moved = self._motion is not None
         done = "holding" if hold else _DONE.get(change.name, "vented")
         told = self._link_loss.entered(t, change.name, change.reason, done) or ""
-        quiet = quiet or not self._news(change.name, told)
+        quiet = not self._news(t, change.name, told)
         mattered = moved or (self._vehicle.state.armed and not quiet)
         self._vehicle.pilot.overtaken()
         if hold:
@@ -615,8 +619,10 @@ class Core:
         if told:
             self._notice(t, Severity.DEBUG if quiet else Severity.WARNING, told, mattered)
 
-    def _news(self, name: str, text: str) -> bool:
-        """Whether a text is more than one of the board's restarts brings each time."""
+    def _news(self, t: float, name: str, text: str) -> bool:
+        """Whether a text is more than what each of the board's restarts brings."""
+        if name == "firmware_reset":
+            return not self._restarts.looping(t)
         return name not in _OF_THE_BOARD or self._restarts.news(text)
 
     def _leave(self, t: float, change: Left) -> None:
@@ -631,7 +637,7 @@ class Core:
             "firmware_fault": "firmware fault cleared",
         }
         text = over.get(change.name, change.name)
-        news = self._news(change.name, text)
+        news = self._news(t, change.name, text)
         self._notice(t, Severity.NOTICE if news else Severity.DEBUG, text)
 
     def _warn_of_low_reservoir(self, t: float) -> None:

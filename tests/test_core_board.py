@@ -13,6 +13,7 @@ from firmware_link.protocol import Mode, Setpoint, Telemetry, Vent
 from flying_vines import config
 from flying_vines.events import Action, Decision, ToFirmware, ToVehicle
 from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.gateway.gateway import Gateway
 from flying_vines.notice import Notice, Severity
 from flying_vines.simulated_world import SimulatedFlight
 from flying_vines.terminal import event_line
@@ -227,6 +228,10 @@ def test_a_loop_of_restarts_is_told_at_once_and_then_counted(every_s: float) -> 
     logged = [n for n in notices(actions) if "restarted" in n.text and n.severity is Severity.DEBUG]
     assert len(logged) >= count - 1, "the log has each"
     assert all(event_line(notice, 0.0) is None for notice in logged)
+    gateway = Gateway(config.default(), ask=lambda *_: pytest.fail("nobody asks"), say=pytest.fail)
+    for notice in logged:
+        gateway.action(notice)
+    assert not gateway._unsent
     assert len(decisions(actions)) <= 3
     radioed = [a.message for a in actions if isinstance(a, ToVehicle)]
     assert sum(message.get_type() == "STATUSTEXT" for message in radioed) <= 10
