@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
+from firmware_link.device_clock import FULL_MS, DeviceClock, Verdict
 from firmware_link.protocol import (
     PROTOCOL_VERSION,
     ClearFaults,
@@ -120,12 +121,7 @@ _LATEST_PONG_S = 5.0
 _CLOCK_SAMPLES = 16
 _DRIFT_OVER_S = 60.0
 """From this long on the millisecond of the device's clock makes less than 20 ppm of drift."""
-_OVERTAKEN_MS = 100
-"""Telemetry that is older than what came before it by no more than this was overtaken on its way. A device
-that restarted is that near only if it was silent for as long as it had run before."""
-_HALF_DEVICE_CLOCK_MS = 1 << 31
-_FULL_DEVICE_CLOCK_MS = 1 << 32
-_FULL_DEVICE_CLOCK_S = _FULL_DEVICE_CLOCK_MS / 1e3
+_FULL_DEVICE_CLOCK_S = FULL_MS / 1e3
 # A timer that ticks a hair early still counts as due; otherwise a 10 ms timer repeats every 30 ms.
 _EARLY_S = 1e-4
 
@@ -189,7 +185,7 @@ class HostSession:
         self._command: Command = VENTING
         self._first_vent_owed = True
         self._telemetry_s: float | None = None
-        self._device_time_ms: int | None = None
+        self._device_clock = DeviceClock()
         self._ready_s = 0.0
         self._clock: deque[_ClockSample] = deque(maxlen=_CLOCK_SAMPLES)
         self._first_clock: _ClockSample | None = None
@@ -207,7 +203,7 @@ class HostSession:
         return self._number
 
     def telemetry_age(self, t: float) -> float:
-        """Seconds since the last telemetry; infinite when there was none."""
+        """Seconds since the board made its latest telemetry, by its clock; infinite when there was none."""
         return math.inf if self._telemetry_s is None else t - self._telemetry_s
 
     def opened(self, t: float) -> None:
@@ -293,28 +289,24 @@ class HostSession:
         # Before the handshake these bytes may be another version's telemetry.
         if self.state is not SessionState.READY:
             return []
-        passed_ms = self._passed_ms(telemetry.device_time_ms)
-        if passed_ms < 0:
-            if -passed_ms <= _OVERTAKEN_MS <= telemetry.device_time_ms:
+        match self._device_clock.take(t, telemetry.device_time_ms):
+            case Verdict.OLD:
                 return []
-            return self._reset(f"its clock went back to {telemetry.device_time_ms} ms")
-        self._device_time_ms = telemetry.device_time_ms
+            case Verdict.LEAPT:
+                self.telemetry_gaps += 1
+                return []
+            case Verdict.BACK:
+                return self._reset(f"its clock went back to {telemetry.device_time_ms} ms")
         if self.welcome is not None:
-            self.telemetry_gaps += max(0, round(passed_ms * self.welcome.telemetry_Hz / 1000) - 1)
+            periods = self._device_clock.passed_ms * self.welcome.telemetry_Hz / 1000
+            self.telemetry_gaps += max(0, round(periods) - 1)
         pressures = (telemetry.setpoint_kPa, telemetry.cv_kPa, telemetry.reservoir_kPa)
         if not all(map(math.isfinite, pressures)):
             self.telemetry_gaps += 1
             return []
         self.telemetry = telemetry
-        self._telemetry_s = t
+        self._telemetry_s = t - self._device_clock.behind_s
         return [TelemetryReceived(telemetry)]
-
-    def _passed_ms(self, device_time_ms: int) -> int:
-        """Since the last telemetry, by the device's clock; negative when it ran backwards, but for a wrap."""
-        if self._device_time_ms is None:
-            return 0
-        passed_ms = (device_time_ms - self._device_time_ms) % _FULL_DEVICE_CLOCK_MS
-        return passed_ms if passed_ms < _HALF_DEVICE_CLOCK_MS else passed_ms - _FULL_DEVICE_CLOCK_MS
 
     def _on_refusal(self, refusal: Refusal) -> list[HostEvent]:
         if refusal.reason is RefusalReason.VERSION and self.state is not SessionState.READY:
@@ -378,7 +370,7 @@ class HostSession:
         self.state = SessionState.GREETING
         self._nonce = (self._nonce + 1) & 0xFFFFFFFF
         self._hello.now()
-        self._device_time_ms = None
+        self._device_clock.restart()
         self._clock.clear()
         self._first_clock = None
         self.round_trip_s = None

@@ -56,6 +56,7 @@ from flying_vines.mover import Move, Mover
 from flying_vines.notice import Notice, Severity
 from flying_vines.physics_checks import PhysicsChecks
 from flying_vines.reservoir import Belief, CyclesLeft, ReservoirEstimate, nominal
+from flying_vines.restarts import Restarts
 from flying_vines.safety import Conditions, Entered, Left, Ruling, Safety
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.codec import Message
@@ -88,8 +89,15 @@ _BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
 PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
 """What the page may ask for in flight too, besides letting air out."""
 
-_DONE = {"serial": "its dead-man vents", "telemetry": "told to vent", "venting": "outlet told open"}
+_DONE = {
+    "serial": "its dead-man vents",
+    "telemetry": "told to vent",
+    "venting": "outlet told open",
+    "regulates": "told to vent",
+}
 """Where nobody can know that the vine is vented, the pilot is told no more than was done about it."""
+_OF_THE_BOARD = ("serial", "telemetry", "firmware_fault", "refused_by_firmware")
+"""What a restart of the board brings with it."""
 
 
 class Core:
@@ -135,7 +143,11 @@ class Core:
         self._pneumatics_armed = config.interlocks.armed_at_start and not disarmed
         self._bench_until = -math.inf
         self._asked_at = -math.inf
-        self._unheeded_since: float | None = None
+        self._unheeded: tuple[protocol.Mode, float, float] | None = None
+        """What the board is told and its mode is not, since when and until when, by its own clock."""
+        self._restarts = Restarts()
+        self._restart_told = False
+        """And the board has not been ready since."""
         self._stopped = False
         self._actions: list[Action] = []
 
@@ -198,6 +210,8 @@ class Core:
     # The firmware's side.
 
     def _on_firmware_link(self, t: float, up: bool) -> None:
+        self._unheeded = None
+        self._restart_told = False
         if up:
             self._firmware.opened(t)
             self._firmware_problem = "does not answer"
@@ -211,8 +225,11 @@ class Core:
             match event:
                 case fw.Ready(welcome):
                     self._firmware_was_ready = True
+                    self._restart_told = False
                     self._firmware_limit_kPa = welcome.setpoint_limit_kPa
-                    self._notice(t, Severity.INFO, f"phloSAR ready ({welcome.firmware_build})")
+                    ready = f"phloSAR ready ({welcome.firmware_build})"
+                    news = self._restarts.news(ready)
+                    self._notice(t, Severity.INFO if news else Severity.DEBUG, ready)
                 case fw.TelemetryReceived(telemetry):
                     self._actions.append(Measured(t, telemetry))
                     self._cv_kPa.append(telemetry.cv_kPa)
@@ -224,14 +241,23 @@ class Core:
                     if telemetry.faults or min(self._cv_kPa) > self.config.limits.overpressure_kPa:
                         self._look(t)
                 case fw.FirmwareReset(reason):
-                    self._firmware_problem = "restarted"
-                    self._enter(t, self._safety.latch(t, "firmware_reset", f"phloSAR restarted: {reason}"))
+                    self._restarted(t, reason)
                 case fw.Incompatible(reason):
                     self._firmware_problem = reason
                     self._notice(t, Severity.ERROR, f"{reason}")
                 case fw.CommandRefused(refusal):
                     said = refusal.reason.name.lower().replace("_", " ")
                     self._enter(t, Entered("refused_by_firmware", f"phloSAR refused: {said}", "vent"))
+
+    def _restarted(self, t: float, reason: str) -> None:
+        if self._restart_told:
+            return  # the new boot id of a restart that its clock has told
+        self._restart_told = True
+        self._firmware_problem = "restarted"
+        self._unheeded = None
+        first = self._restarts.note(t)
+        why = f"phloSAR restarted: {reason}" if first else self._restarts.looping(t)
+        self._enter(t, self._safety.latch(t, "firmware_reset", why))
 
     def _check(self, t: float, telemetry: protocol.Telemetry) -> None:
         """Whether the physics answers as predicted: what does not is a fault, or the pilot is told."""
@@ -243,10 +269,25 @@ class Core:
             self._look(t)
 
     def _note_heed(self, t: float, telemetry: protocol.Telemetry) -> None:
-        if self._motion is None or telemetry.mode is not protocol.Mode.VENT:
-            self._unheeded_since = None
-        elif self._unheeded_since is None:
-            self._unheeded_since = t
+        """Whether the board's mode follows what it is told. In a fault that it names it vents by itself."""
+        mode, told = telemetry.mode, self._told_mode
+        vents = mode is protocol.Mode.FAULT and (told is protocol.Mode.VENT or telemetry.faults)
+        if mode is told or vents:
+            self._unheeded = None
+            return
+        made_s = t - self._firmware.telemetry_age(t)
+        began = self._unheeded[1] if self._unheeded and self._unheeded[0] is told else made_s
+        self._unheeded = told, began, made_s
+
+    @property
+    def _told_mode(self) -> protocol.Mode:
+        return protocol.Mode.VENT if self._motion is None else protocol.Mode.REGULATE
+
+    @property
+    def _unheeded_s(self) -> float:
+        if self._unheeded is None or self._unheeded[0] is not self._told_mode:
+            return 0.0
+        return self._unheeded[2] - self._unheeded[1]
 
     # Deciding.
 
@@ -502,6 +543,8 @@ class Core:
         self._look(t)
         if told := self._link_loss.back(t, self._safety.reasons):
             self._notice(t, Severity.NOTICE, told)
+        if told := self._restarts.due(t):
+            self._notice(t, Severity.WARNING, told)
         if not self._stopped:
             self._drive(t)
         self._follow_calibration(t)
@@ -535,7 +578,8 @@ class Core:
             faults=telemetry.faults if telemetry else protocol.Fault.NONE,
             cv_kPa=min(self._cv_kPa),
             reservoir_kPa=self._reservoir.reservoir_kPa,
-            unheeded_s=0.0 if self._unheeded_since is None else t - self._unheeded_since,
+            unheeded_s=self._unheeded_s,
+            restarting=self._restarts.looping(t),
             bench=self._on_bench,
             moving=self._motion is not None,
             moving_s=t - self._triggered_at if self._motion else 0.0,
@@ -557,7 +601,11 @@ class Core:
         # A vine that is being straightened is not kept bent.
         straightened = self._motion is None or self._motion.only_lets_out
         hold = change.response == "hold" and not straightened
-        mattered = self._motion is not None or self._vehicle.state.armed
+        moved = self._motion is not None
+        done = "holding" if hold else _DONE.get(change.name, "vented")
+        told = self._link_loss.entered(t, change.name, change.reason, done) or ""
+        quiet = not self._news(t, change.name, told)
+        mattered = moved or (self._vehicle.state.armed and not quiet)
         self._vehicle.pilot.overtaken()
         if hold:
             self._freeze(t)
@@ -568,9 +616,14 @@ class Core:
         if mattered:
             trigger = Trigger(t, "failsafe", {"loss": change.name}, Hold() if hold else Vent())
             self._record(t, trigger, Ruling("accepted", change.reason))
-        done = "holding" if hold else _DONE.get(change.name, "vented")
-        if told := self._link_loss.entered(t, change.name, change.reason, done):
-            self._notice(t, Severity.WARNING, told, mattered)
+        if told:
+            self._notice(t, Severity.DEBUG if quiet else Severity.WARNING, told, mattered)
+
+    def _news(self, t: float, name: str, text: str) -> bool:
+        """Whether a text is more than what each of the board's restarts brings."""
+        if name == "firmware_reset":
+            return not self._restarts.looping(t)
+        return name not in _OF_THE_BOARD or self._restarts.news(text)
 
     def _leave(self, t: float, change: Left) -> None:
         if not self._link_loss.left(change.name):
@@ -583,7 +636,9 @@ class Core:
             "telemetry": "phloSAR telemetry is back",
             "firmware_fault": "firmware fault cleared",
         }
-        self._notice(t, Severity.NOTICE, f"{over.get(change.name, change.name)}")
+        text = over.get(change.name, change.name)
+        news = self._news(t, change.name, text)
+        self._notice(t, Severity.NOTICE if news else Severity.DEBUG, text)
 
     def _warn_of_low_reservoir(self, t: float) -> None:
         # Only here is it made anew: that somebody looks must change nothing.
@@ -697,4 +752,5 @@ class Core:
 
     def _tell(self, notice: Notice) -> None:
         self._actions.append(notice)
-        self._vehicle.component.say(notice.t, notice.severity, notice.text)
+        if notice.severity is not Severity.DEBUG:
+            self._vehicle.component.say(notice.t, notice.severity, notice.text)

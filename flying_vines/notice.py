@@ -13,6 +13,8 @@ class Severity(IntEnum):
     WARNING = 4
     NOTICE = 5
     INFO = 6
+    DEBUG = 7
+    """For the log alone: nobody is told what comes by the hundred."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from firmware_link.protocol import Fault
 from flying_vines.config import Config
 
 HEEDED_WITHIN_S = 0.3
-"""A board that is told to move the vine says that it does. Eleven commands in a row may be lost."""
+"""A board's mode follows what it is told. Eleven commands in a row may be lost."""
 LANDING_MARGIN_M = 0.5
 """The altitude interlock lets go of a bent vine this much lower than it lets one bend."""
 
@@ -54,7 +54,9 @@ class Conditions:
     cv_kPa: float = math.nan
     reservoir_kPa: float = math.nan
     unheeded_s: float = 0.0
-    """For how long the board has said that it vents, while it is told to move the vine."""
+    """For how long the board's mode has not been what it is told: to move the vine, or to vent."""
+    restarting: str = ""
+    """How often the board restarted lately, in words; empty where that is over, or was once."""
     bench: bool = False
     """Whether a person tries the vine on the ground."""
     moving: bool = False
@@ -188,8 +190,12 @@ class Safety:
 
     def _latching(self, now: Conditions) -> dict[str, str]:
         """The causes of latched faults that are there now."""
-        overpressure = self._overpressure(now)
-        return {**({"overpressure": overpressure} if overpressure else {}), **now.physics}
+        causes = {
+            "overpressure": self._overpressure(now),
+            "regulates": self._regulates(now),
+            "firmware_reset": now.restarting,
+        }
+        return {**{name: cause for name, cause in causes.items() if cause}, **now.physics}
 
     def latch(self, t: float, name: str, reason: str) -> Entered:
         """A fault that is an event, not a condition."""
@@ -262,6 +268,11 @@ class Safety:
         if now.cv_kPa > self._limits.overpressure_kPa:
             return f"vine at {now.cv_kPa:.1f} kPa, limit {self._limits.overpressure_kPa:g}"
         return None
+
+    def _regulates(self, now: Conditions) -> str | None:
+        """Told to vent. There is no more to do than to say so again and again: no setpoint lives on."""
+        unheeded = not now.moving and now.unheeded_s > HEEDED_WITHIN_S
+        return "phloSAR goes on regulating" if unheeded else None
 
     def _rc(self, now: Conditions) -> str | None:
         return f"RC lost: {now.rc_problem}" if now.rc_problem else None

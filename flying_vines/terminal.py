@@ -75,7 +75,7 @@ def event_line(action: Action, began: float) -> Text | None:
         if action.reason:
             line.append(f" ({action.reason})")
         return line
-    if isinstance(action, Notice) and not action.of_decision:
+    if isinstance(action, Notice) and not action.of_decision and action.severity is not Severity.DEBUG:
         return Text(
             f"{action.t - began:7.2f}  {action.text}", style=SEVERITY_STYLE.get(action.severity, "dim")
         )

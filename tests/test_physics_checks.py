@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import random
 from collections.abc import Callable, Iterator, Sequence
 
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from firmware_link import protocol
 from firmware_link.protocol import PROTOCOL_VERSION, Fault, Hello, Mode, Setpoint, Telemetry, Vent
 from flying_vines.config import Checks, Pneumatics
+from flying_vines.fakes.firmware import FirmwareSettings
 from flying_vines.fakes.mishaps import (
     Drifting,
     Filled,
@@ -44,8 +46,11 @@ def checks_of(cv_volume_L: float = 0.1, checks: Checks | None = None) -> Physics
 class Flying:
     """A simulated phloSAR under setpoints, watched by the checks."""
 
-    def __init__(self, phlosar: SimulatedPhlosar, checks: PhysicsChecks) -> None:
+    def __init__(
+        self, phlosar: SimulatedPhlosar, checks: PhysicsChecks, lost: Callable[[], bool] = lambda: False
+    ) -> None:
         self.phlosar = phlosar
+        self._lost = lost
         self.checks = checks
         self.found: Found = []
         self._codec = protocol.Codec()
@@ -64,7 +69,7 @@ class Flying:
             self.phlosar.receive(self._codec.encode(command))
             now_s = self._tick * HOST_TICK_S
             for message in self._codec.decode(self.phlosar.advance(now_s)):
-                if isinstance(message, Telemetry):
+                if isinstance(message, Telemetry) and not self._lost():
                     self.found += [(now_s, finding) for finding in self.checks.take(message)]
         return self.found[before:]
 
@@ -114,6 +119,55 @@ def test_a_mishap_is_found_in_time(place: str, kind: Kind, when: str, name: str,
     flying.phlosar.befall(place, kind)
     found = flying.run(within_s, None if when in (REST, RELEASE) else TOP_KPA)
     assert name in [finding.name for _, finding in found]
+
+
+def slowly_told(seed: int, loses: float, cv_volume_L: float = 0.1) -> Flying:
+    """Telemetry of 10 Hz, of which this share is lost."""
+    chance = random.Random(seed)
+    rig, settings = Rig(cv=ControlVolume(cv_volume_L)), FirmwareSettings(telemetry_Hz=10)
+    return Flying(
+        SimulatedPhlosar(rig, settings, seed=seed), checks_of(cv_volume_L), lambda: chance.random() < loses
+    )
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_hose_off_is_found_within_1_s_at_10_Hz_of_which_a_fifth_is_lost(seed: int) -> None:
+    flying = slowly_told(seed, 0.2)
+    flying.run(2.0, None)
+    flying.run(1.4 + 0.02 * (seed % 5), TOP_KPA)
+    assert flying.found == []
+    flying.phlosar.befall("hose", HoseOff())
+    assert "filling" in [finding.name for _, finding in flying.run(1.0, TOP_KPA)]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_hose_off_before_the_bend_is_found_at_10_Hz_nearly_as_soon_as_at_100_Hz(seed: int) -> None:
+    found_s = []
+    for flying in (Flying(SimulatedPhlosar(seed=seed), checks_of()), slowly_told(seed, 0.2)):
+        flying.run(2.0, None)
+        flying.phlosar.befall("hose", HoseOff())
+        found_s.append(next(at_s for at_s, finding in flying.run(4.0, TOP_KPA) if finding.level == "fault"))
+    assert found_s[1] <= found_s[0] + 1.0
+
+
+@pytest.mark.parametrize("loses", [0.0, 0.2, 0.5])
+@pytest.mark.parametrize("cv_volume_L", [0.05, 0.3])
+def test_a_healthy_rig_is_not_accused_by_telemetry_of_10_Hz(cv_volume_L: float, loses: float) -> None:
+    flying = slowly_told(1, loses, cv_volume_L)
+    flying.run(2.0, None)
+    for target_kPa in (TOP_KPA, 8.0, TOP_KPA, 0.0, TOP_KPA, None) * 2:
+        flying.run(1.5, target_kPa)
+    assert flying.found == []
+
+
+def test_readings_that_are_the_same_by_chance_are_no_stuck_sensor() -> None:
+    """Three of 10 Hz are 0.2 s."""
+    checks = checks_of()
+    opening = dataclasses.replace(HELD, setpoint_kPa=19.0, evp_opening=0.7)
+    told = [
+        dataclasses.replace(opening, cv_kPa=18.0 + 0.1 * (i // 4), device_time_ms=100 * i) for i in range(8)
+    ]
+    assert [finding.name for message in told for finding in checks.take(message)] == []
 
 
 def test_a_bottle_sensor_that_is_stuck_is_found_within_eight_bends() -> None:

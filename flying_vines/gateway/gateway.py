@@ -33,7 +33,7 @@ from flying_vines.gateway.messages import (
 )
 from flying_vines.gateway.patience import Patience
 from flying_vines.intent import Asker, Intent, Vent
-from flying_vines.notice import Notice
+from flying_vines.notice import Notice, Severity
 from flying_vines.watcher import Watcher
 
 COMMAND = (sys.executable, "-m", "flying_vines.gateway")
@@ -78,6 +78,8 @@ class Gateway(Watcher):
         return bool(config.page.port or config.mqtt.broker)
 
     def action(self, action: Action) -> None:
+        if isinstance(action, Notice) and action.severity is Severity.DEBUG:
+            return
         if isinstance(action, Decision | Notice | Calibrated):
             self._unsent.append(packet(Happened(type(action).__name__.lower(), raw(action))))
 

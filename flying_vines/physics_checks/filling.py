@@ -24,6 +24,8 @@ STUCK_S = 0.2
 """A sensor whose every reading is the same for so long, while air goes in …"""
 STILL_S = 0.4
 """… or while the inflation valve is told open, and perhaps nothing flows: only noise can then tell."""
+STUCK_READINGS = 10
+"""Two or three readings of a sound sensor are often the same, and at 10 Hz that is 0.2 s."""
 
 
 class Filling:
@@ -76,14 +78,18 @@ class StuckVineSensor:
     def __init__(self) -> None:
         self._reading_kPa = 0.0
         self._filling_s = self._told_s = 0.0
+        self._same = 0
 
     def look(self, now: Moment) -> str | None:
         """What is wrong, while it is."""
         if now.cv_read_kPa != self._reading_kPa or not now.regulating or now.venting_s > 0.0:
             self._reading_kPa = now.cv_read_kPa
             self._filling_s = self._told_s = 0.0
+            self._same = 0
         elif now.filling:
+            self._same += 1
             self._told_s += now.dt_s
             self._filling_s += now.dt_s if now.least_inflow_SL > 0.0 else 0.0
-        stuck = self._filling_s > STUCK_S or self._told_s > STILL_S
+        long = self._filling_s > STUCK_S or self._told_s > STILL_S
+        stuck = long and self._same >= STUCK_READINGS
         return f"vine sensor stuck at {now.cv_read_kPa:.1f} kPa" if stuck else None

@@ -10,6 +10,8 @@ from flying_vines.physics_checks.expected import Expected
 
 VALVE_LAG_S = 0.06
 """Delay and lag of a valve, and of the sensor behind its tube."""
+JUST_S = 0.001
+"""What has just been seen has lasted so long, for sure."""
 
 
 class Moment(NamedTuple):
@@ -53,27 +55,32 @@ class Reader:
         self._setpoint = 0.0
         self._venting_s = self._sealed_s = self._outlet_shut_s = self._resting_s = self._holding_s = 0.0
 
-    def read(self, dt_s: float, telemetry: Telemetry) -> Moment:
-        """The next moment, `dt_s` after the last one."""
+    def read(self, dt_s: float, telemetry: Telemetry, gap: bool = False) -> Moment:
+        """The next moment, `dt_s` after the last one. After a gap nobody knows what lasted, but for an outlet
+        that is shut again: the vine has still its air, or shows that it has not."""
         self._readings.append(telemetry.cv_kPa)
         cv_kPa = sorted(self._readings)[len(self._readings) // 2]
         evp, dvp = telemetry.evp_opening, telemetry.dvp_opening
         self._t += dt_s
+        # What was told before is there in any case: it held until now, or it did not.
+        earliest_s = min(self._t - VALVE_LAG_S, self._told[-1][0] if self._told else self._t)
         self._told.append((self._t, evp, dvp))
-        while self._told[0][0] < self._t - VALVE_LAG_S:
+        while self._told[0][0] < earliest_s:
             self._told.popleft()
         _, evps, dvps = zip(*self._told, strict=True)
         least_evp = min(evps) if self._t >= VALVE_LAG_S else 0.0
         bottle_kPa = telemetry.reservoir_kPa
 
-        def lasting(seconds: float, so: bool) -> float:
-            return seconds + dt_s if so else 0.0
+        def lasting(seconds: float, so: bool, bridged: bool = False) -> float:
+            if not so:
+                return 0.0
+            return JUST_S if gap and not (bridged and seconds > 0.0) else seconds + dt_s
 
         regulating = telemetry.mode is Mode.REGULATE
         asked = regulating and telemetry.setpoint_kPa > 0.0
         self._venting_s = lasting(self._venting_s, telemetry.solenoid and evp == 0.0)
         self._sealed_s = lasting(self._sealed_s, not telemetry.solenoid and evp == dvp == 0.0)
-        self._outlet_shut_s = lasting(self._outlet_shut_s, not telemetry.solenoid)
+        self._outlet_shut_s = lasting(self._outlet_shut_s, not telemetry.solenoid, bridged=True)
         self._resting_s = lasting(self._resting_s, telemetry.solenoid and evp == dvp == 0.0 and not asked)
         steady = asked and telemetry.setpoint_kPa == self._setpoint
         self._holding_s = lasting(self._holding_s, steady and dvp == 0.0)

@@ -19,6 +19,8 @@ TOLERATED_KPA = 0.3
 """Above its setpoint the regulator leaves a vine alone."""
 AT_ONCE_S = 0.035
 """A few readings: a fall in this time is no leak."""
+NEIGHBOURS_S = 0.05
+"""Further apart two readings differ because a vine comes down, or settles."""
 UNSTEADY_S = 1.0
 VINE_UNSTEADY_KPA = 1.2
 BOTTLE_UNSTEADY_KPA = 9.0
@@ -101,7 +103,7 @@ class Unsteady:
 
     def look(self, now: Moment) -> str | None:
         """What is wrong, while it is."""
-        if max(now.resting_s, now.sealed_s) < SEALED_S:
+        if max(now.resting_s, now.sealed_s) < SEALED_S or now.dt_s > NEIGHBOURS_S:
             self._before = None
             return self._sentence()
         if self._before is not None:

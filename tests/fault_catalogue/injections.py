@@ -198,6 +198,37 @@ def jump_board_clock(by_ms: int) -> Act:
     return begin
 
 
+def repeat_one_frame(flight: Watched) -> None:
+    """The line says the same telemetry over and over."""
+    first: list[protocol.Message] = []
+
+    def again(message: protocol.Message) -> protocol.Message:
+        if not isinstance(message, protocol.Telemetry):
+            return message
+        first.append(message)
+        return first[0]
+
+    flight.flight.world.from_phlosar = rewriting(again)
+
+
+def regulate_on(flight: Watched) -> None:
+    """Whatever the board is told, it says that it regulates."""
+
+    def regulating(message: protocol.Message) -> protocol.Message:
+        if isinstance(message, protocol.Telemetry):
+            return dataclasses.replace(message, mode=protocol.Mode.REGULATE)
+        return message
+
+    flight.flight.world.from_phlosar = rewriting(regulating)
+
+
+def restart_often(flight: Watched, seconds: float) -> None:
+    """A supply that breaks down ten times a second."""
+    for _ in range(round(seconds / 0.1)):
+        flight.phlosar.reset_firmware()
+        flight.run(0.1)
+
+
 def stall(flight: Watched, seconds: float) -> None:
     flight.take(flight.flight.stall(flight.now_s + seconds))
 
@@ -273,6 +304,9 @@ INJECTIONS: dict[str, Injection] = {
     "board_watchdog": Injection(lambda f: f.phlosar.reset_firmware(watchdog=True)),
     "board_of_another_version": Injection(reflash, heal_serial),
     "board_clock_back": Injection(jump_board_clock(-3000), heal_serial),
+    "board_repeats": Injection(repeat_one_frame, heal_serial),
+    "board_regulates_on": Injection(regulate_on, heal_serial, phase="held", live=straighten),
+    "board_restarts_often": Injection(nothing, lambda f: f.run(8.0), lasts_s=5.0, live=restart_often),
     "board_clock_ahead": Injection(jump_board_clock(3_600_000)),
     "companion_stutters": Injection(nothing, live=stall, lasts_s=0.2),
     "companion_stalled": Injection(nothing, live=stall, lasts_s=2.0),
