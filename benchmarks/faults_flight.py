@@ -85,6 +85,7 @@ BOOTS_S = 1.5
 NEW_CLOCK_S, WAITS_S = 2.5, 0.3
 """For so long after the autopilot's clock is first heard, a command waits for what comes behind it."""
 TICKS_S = 0.05
+TWO_RC_MESSAGES_S = 0.1
 UNCERTAIN_S = 0.3
 """Messages come when they come: so much sooner or later both will do."""
 LATE_S = 3.5
@@ -533,7 +534,6 @@ class RefereedFlight:
         if how == "jump" and self.now_s < self._stirred_s + REPORTS_APART_S:
             self.referee.trigger(self.now_s, TOLD_LATE_S, f"{LIMIT}PX4 tells of it later than ever")
         self._unsee("rc")
-        self._noticed |= how == "jump" and not self.setup.has_real_receiver
         self._expected = None
         if self.setup.holds:
             self.referee.any_target(math.inf)
@@ -791,6 +791,8 @@ class RefereedFlight:
             self._see("silence")
         if "link stalled" in self._unseen and now_s >= self._stalled_until_s - 1.5 * STEP_S:
             self._see("link stalled")
+        if self._rc_lost == "jump" and not self.setup.has_real_receiver and self._unseen.keys() <= {"rc"}:
+            self._noticed |= now_s > self._rc_lost_s + TWO_RC_MESSAGES_S
         self._tell_override()
         self._call_missed()
         rc_good = self.setup.shows_rc and autopilot.armed and not self._unseen
