@@ -445,7 +445,12 @@ async def _serve(config: Config, text: str, known: Calibration | None, arguments
                 log_problem = log.failed
                 service.say(Severity.WARNING, log_problem)
             if screen:
-                screen.update(view.render(snapshot, problems=service.link_problems))
+                try:
+                    screen.update(view.render(snapshot, problems=service.link_problems))
+                except Exception as error:
+                    service.failed("screen", error)
+                    screen.stop()
+                    screen = None
             elif problems != service.link_problems:
                 problems = dict(service.link_problems)
                 for link, why in problems.items():
