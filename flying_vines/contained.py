@@ -23,6 +23,7 @@ from flying_vines.events import (
     Event,
     Failed,
     InternalError,
+    LinkChanged,
     Snapshot,
     Tick,
     ToFirmware,
@@ -55,6 +56,7 @@ class Contained:
         """When the shutdown began."""
         self._noticed = self._told = False
         """On the screen here, and by a text to the pilot."""
+        self._tell_at = math.inf
         self._heartbeat_at = -math.inf
         self._number = 0
         """Of the latest command to the firmware."""
@@ -67,7 +69,7 @@ class Contained:
         for action in actions:
             self._note(event.t, action)
         if self._core.internal_error and self._down_at is None:
-            self._down_at = event.t
+            self._down_at, self._tell_at = event.t, event.t + TOLD_WITHIN_S
             # Where the core said it itself, one of the two is dropped.
             actions.append(Notice(event.t, Severity.WARNING, TOLD))
             return self._while_down(event, actions, at_once=True)
@@ -130,6 +132,9 @@ class Contained:
     def _while_down(self, event: Event, actions: list[Action], at_once: bool = False) -> list[Action]:
         """The actions without any that bends the vine or tells again, and with those that are missing."""
         t = event.t
+        if isinstance(event, LinkChanged) and event.link == "vehicle" and event.up:
+            # What was told while it was down nobody has read.
+            self._told, self._tell_at = False, t + TOLD_WITHIN_S
         kept = [action for action in actions if not self._must_not(action)]
         if at_once or isinstance(event, Tick):
             if self._number and not any(_vents(action) for action in kept):
@@ -159,7 +164,7 @@ class Contained:
                 *(mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID),
                 *(0, 0, mavlink.MAV_STATE_CRITICAL, 3),
             )
-        if not self._told and self._down_at is not None and t - self._down_at >= TOLD_WITHIN_S:
+        if not self._told and t >= self._tell_at:
             self._told = True
             yield mavlink.MAVLink_statustext_message(Severity.WARNING, TOLD.encode("ascii"), 0, 0)
 

@@ -140,8 +140,8 @@ class Service:
         try:
             async with asyncio.TaskGroup() as tasks:
                 edges = [
-                    tasks.create_task(self._restarted(*task))
-                    for task in (
+                    tasks.create_task(self._restarted(part, run, needed), name=part)
+                    for part, run, needed in (
                         ("vehicle link", self._vehicle.run, True),
                         ("phloSAR link", self._firmware.run, True),
                         ("tick", self._tick, True),
