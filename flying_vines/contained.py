@@ -15,6 +15,7 @@ from typing import Literal
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link.protocol import Setpoint, Vent
+from flying_vines.config import Config
 from flying_vines.core import Core
 from flying_vines.events import (
     Action,
@@ -63,6 +64,11 @@ class Contained:
         self._system_id = core.config.vehicle.system_id or 1
         self._seen: set[str] = set()
 
+    @property
+    def config(self) -> Config:
+        """The profile with the parameters that are in force."""
+        return self._core.config
+
     def handle(self, event: Event) -> list[Action]:
         """What is to be done about `event`."""
         actions = self._attempt(event)
@@ -88,7 +94,7 @@ class Contained:
             return self._core.handle(event)
         except Exception as error:
             # What was decided before the error holds, but for what moves the vine.
-            actions = [action for action in self._core.decided if not isinstance(action, ToFirmware)]
+            actions = self._decided()
             actions.extend(self._shut_down(event.t, error))
             if isinstance(event, Tick):
                 actions.extend(self._reported(event.t))
@@ -102,9 +108,11 @@ class Contained:
             return self._core.handle(failed)
         except Exception:
             self._core.internal_error = True
-            rest = [action for action in self._core.decided if not isinstance(action, ToFirmware)]
-            logged = InternalError(t, failed.part, failed.trace)
+            rest, logged = self._decided(), InternalError(t, failed.part, failed.trace)
             return rest if logged in rest else [*rest, logged]
+
+    def _decided(self) -> list[Action]:
+        return [action for action in self._core.decided if not isinstance(action, ToFirmware)]
 
     def _reported(self, t: float) -> list[Action]:
         try:
