@@ -99,9 +99,14 @@ class Incompatible:
 
 @dataclass(frozen=True, slots=True)
 class TelemetryReceived:
-    """Telemetry of a READY session, whose every number is one."""
+    """Telemetry of a READY session, whose every pressure is one that a sensor can have."""
 
     telemetry: Telemetry
+
+
+@dataclass(frozen=True, slots=True)
+class ImplausibleTelemetry:
+    """Telemetry says twice in a row what no sensor can; `HostSession.implausible` holds until it is over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,10 +116,19 @@ class CommandRefused:
     refusal: Refusal
 
 
-HostEvent = Ready | FirmwareReset | Incompatible | TelemetryReceived | CommandRefused
+HostEvent = Ready | FirmwareReset | Incompatible | TelemetryReceived | ImplausibleTelemetry | CommandRefused
 
 _ABSURD = 1e6
 """kPa and kPa/s. Keeps a float that does not fit the wire's out of a session that is running."""
+PLAUSIBLE_KPA = {
+    "cv_kPa": (-54.7, 474.7),
+    "reservoir_kPa": (-262.6, 2262.6),
+    "setpoint_kPa": (-54.7, 474.7),
+}
+"""What the firmware can say at the widest settings of its sensors: the span, 10.625 % on both sides and the
+zero. A setpoint begins at the reading."""
+IMPLAUSIBLE_IN_A_ROW = 2
+"""One in 65536 corrupted frames passes the CRC by chance."""
 _HELLO_PERIOD_S = 0.5
 _PING_PERIOD_S = 1.0
 _LATEST_PONG_S = 5.0
@@ -169,7 +183,10 @@ class HostSession:
         self.telemetry: Telemetry | None = None
         """The latest since the port was opened."""
         self.telemetry_gaps = 0
-        """Telemetry frames that did not come, or came with something that is not a number."""
+        """Telemetry frames that did not come, or came with a pressure that no sensor can have."""
+        self.implausible: tuple[str, float] | None = None
+        """The field of the latest telemetry, and its value, while each one has such a pressure."""
+        self._implausible_frames = 0
         self.round_trip_s: float | None = None
         """Of the latest ping."""
         self.clock_offset_s: float | None = None
@@ -300,10 +317,14 @@ class HostSession:
         if self.welcome is not None:
             periods = self._device_clock.passed_ms * self.welcome.telemetry_Hz / 1000
             self.telemetry_gaps += max(0, round(periods) - 1)
-        pressures = (telemetry.setpoint_kPa, telemetry.cv_kPa, telemetry.reservoir_kPa)
-        if not all(map(math.isfinite, pressures)):
+        if (found := _implausible(telemetry)) is not None:
             self.telemetry_gaps += 1
-            return []
+            self._implausible_frames += 1
+            if self._implausible_frames < IMPLAUSIBLE_IN_A_ROW:
+                return []
+            begun, self.implausible = self.implausible is None, found
+            return [ImplausibleTelemetry()] if begun else []
+        self._implausible_frames, self.implausible = 0, None
         self.telemetry = telemetry
         self._telemetry_s = t - self._device_clock.behind_s
         return [TelemetryReceived(telemetry)]
@@ -371,6 +392,7 @@ class HostSession:
         self._nonce = (self._nonce + 1) & 0xFFFFFFFF
         self._hello.now()
         self._device_clock.restart()
+        self._implausible_frames, self.implausible = 0, None
         self._clock.clear()
         self._first_clock = None
         self.round_trip_s = None
@@ -399,6 +421,15 @@ class HostSession:
         if isinstance(command, Regulate):
             return Setpoint(command.target_kPa, command.rate_kPa_per_s, command.ttl_ms, self._number)
         return Vent(self._number)
+
+
+def _implausible(telemetry: Telemetry) -> tuple[str, float] | None:
+    """The first pressure that no sensor can have, by field and value. NaN is one."""
+    for field, (least_kPa, most_kPa) in PLAUSIBLE_KPA.items():
+        value: float = getattr(telemetry, field)
+        if not least_kPa <= value <= most_kPa:
+            return field, value
+    return None
 
 
 def _why_incompatible(welcome: Welcome) -> str | None:

@@ -446,7 +446,12 @@ async def _serve(config: Config, text: str, known: Calibration | None, arguments
                 log_told = log.told
                 service.say(Severity.WARNING, log_told)
             if screen:
-                screen.update(view.render(snapshot, problems=service.link_problems))
+                try:
+                    screen.update(view.render(snapshot, problems=service.link_problems))
+                except Exception as error:
+                    service.failed("screen", error)
+                    screen.stop()
+                    screen = None
             elif problems != service.link_problems:
                 problems = dict(service.link_problems)
                 for link, why in problems.items():

@@ -22,7 +22,9 @@ from flying_vines.events import (
     Calibrated,
     Decision,
     Event,
+    Failed,
     FirmwareMessage,
+    InternalError,
     KeepDisarmed,
     KeepParameters,
     LinkChanged,
@@ -54,10 +56,11 @@ from flying_vines.intent import (
 )
 from flying_vines.mover import Move, Mover
 from flying_vines.notice import Notice, Severity
+from flying_vines.parts import Parts
 from flying_vines.physics_checks import PhysicsChecks
 from flying_vines.reservoir import Belief, CyclesLeft, ReservoirEstimate, nominal
 from flying_vines.restarts import Restarts
-from flying_vines.safety import Conditions, Entered, Left, Ruling, Safety
+from flying_vines.safety import INTERNAL_ERROR, Conditions, Entered, Left, Ruling, Safety
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.parameters import Changed
@@ -88,6 +91,13 @@ _BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
 
 PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
 """What the page may ask for in flight too, besides letting air out."""
+
+_SAYS = {
+    "cv_kPa": "vine sensor reads",
+    "reservoir_kPa": "bottle sensor reads",
+    "setpoint_kPa": "phloSAR holds",
+}
+"""Of telemetry's fields, for what no sensor can say."""
 
 _DONE = {
     "serial": "its dead-man vents",
@@ -149,6 +159,9 @@ class Core:
         self._restart_told = False
         """And the board has not been ready since."""
         self._stopped = False
+        self._parts = Parts(self._on_failed)
+        self.internal_error = False
+        """Something that the vine needs has failed: it stays vented until a person restarts the service."""
         self._actions: list[Action] = []
 
     @property
@@ -181,8 +194,21 @@ class Core:
             case Stop(t):
                 self._stop_moving(t)
                 self._stopped = True
+            case Failed():
+                self._on_failed(event)
         if leaving := self._vehicle.component.leaving(event.t):
             self._let_leave(leaving)
+        return self._actions
+
+    @property
+    def decided(self) -> list[Action]:
+        """The answer to the latest event, as far as it came."""
+        return self._actions
+
+    def report(self, t: float) -> list[Action]:
+        """Heartbeat, texts and named values that are due, and nothing else of a tick."""
+        self._actions = []
+        self._report(t)
         return self._actions
 
     # The vehicle's side.
@@ -233,13 +259,12 @@ class Core:
                 case fw.TelemetryReceived(telemetry):
                     self._actions.append(Measured(t, telemetry))
                     self._cv_kPa.append(telemetry.cv_kPa)
-                    self._bent_kPa = self._mover.curve.bent_kPa(telemetry.cv_kPa, self._bent_kPa)
                     self._note_heed(t, telemetry)
-                    self._reservoir.update(t, telemetry)
-                    self._read_level(t, telemetry)
-                    self._check(t, telemetry)
                     if telemetry.faults or min(self._cv_kPa) > self.config.limits.overpressure_kPa:
                         self._look(t)
+                    self._estimate(t, telemetry)
+                case fw.ImplausibleTelemetry():
+                    self._look(t)
                 case fw.FirmwareReset(reason):
                     self._restarted(t, reason)
                 case fw.Incompatible(reason):
@@ -258,6 +283,15 @@ class Core:
         first = self._restarts.note(t)
         why = f"phloSAR restarted: {reason}" if first else self._restarts.looping(t)
         self._enter(t, self._safety.latch(t, "firmware_reset", why))
+    def _estimate(self, t: float, telemetry: protocol.Telemetry) -> None:
+        """What follows from telemetry, once safety has looked at it."""
+        run, bent_kPa = self._parts.run, self._mover.curve.bent_kPa
+        self._bent_kPa = run(
+            t, "bend", lambda: bent_kPa(telemetry.cv_kPa, self._bent_kPa), self._bent_kPa, needed=True
+        )
+        run(t, "bottle estimate", lambda: self._reservoir.update(t, telemetry), None, needed=True)
+        run(t, "calibration", lambda: self._read_level(t, telemetry), None, needed=True)
+        run(t, "physics checks", lambda: self._check(t, telemetry), None, needed=True)
 
     def _check(self, t: float, telemetry: protocol.Telemetry) -> None:
         """Whether the physics answers as predicted: what does not is a fault, or the pilot is told."""
@@ -267,6 +301,14 @@ class Core:
                 self._notice(t, Severity.WARNING, finding.sentence)
         if any(finding.level == "fault" for finding in found):
             self._look(t)
+
+    def _on_failed(self, failed: Failed) -> None:
+        self._actions.append(InternalError(failed.t, failed.part, failed.trace))
+        if failed.needed:
+            self.internal_error = True
+            self._look(failed.t)
+        else:
+            self._notice(failed.t, Severity.WARNING, f"{failed.part} failed, flight goes on")
 
     def _note_heed(self, t: float, telemetry: protocol.Telemetry) -> None:
         """Whether the board's mode follows what it is told. In a fault that it names it vents by itself."""
@@ -337,7 +379,11 @@ class Core:
         if problem := self._mover.problem(intent):
             return self._record(t, trigger, Ruling("refused", problem))
         move = self._move(t, intent)
-        demand = move.demand(self._reservoir, self._belief)
+        demand = self._parts.run(
+            t, "bottle estimate", lambda: move.demand(self._reservoir, self._belief), None, needed=True
+        )
+        if demand is None:
+            return self._record(t, trigger, Ruling("refused", INTERNAL_ERROR))
         if trigger.by_person and demand.releases:
             self._clear_faults(t, trigger.seen_at)
         ruling = self._safety.judge(demand, now)
@@ -541,14 +587,14 @@ class Core:
         elif t > self._bench_until:
             self._leave_bench(t, "nobody asked for anything")
         self._look(t)
+        if not self._stopped:
+            self._drive(t)
+        self._to_firmware(self._firmware.tick(t))
         if told := self._link_loss.back(t, self._safety.reasons):
             self._notice(t, Severity.NOTICE, told)
         if told := self._restarts.due(t):
             self._notice(t, Severity.WARNING, told)
-        if not self._stopped:
-            self._drive(t)
         self._follow_calibration(t)
-        self._to_firmware(self._firmware.tick(t))
         self._warn_of_low_reservoir(t)
         self._report(t)
 
@@ -576,6 +622,7 @@ class Core:
             firmware_problem=self._firmware_problem,
             telemetry_age_s=self._firmware.telemetry_age(t),
             faults=telemetry.faults if telemetry else protocol.Fault.NONE,
+            sensor_problem=self._sensor_problem,
             cv_kPa=min(self._cv_kPa),
             reservoir_kPa=self._reservoir.reservoir_kPa,
             unheeded_s=self._unheeded_s,
@@ -584,7 +631,16 @@ class Core:
             moving=self._motion is not None,
             moving_s=t - self._triggered_at if self._motion else 0.0,
             physics=self._checks.faults,
+            internal_error=self.internal_error,
         )
+
+    @property
+    def _sensor_problem(self) -> str | None:
+        if self._firmware.implausible is None:
+            return None
+        field, value_kPa = self._firmware.implausible
+        # A log keeps no infinity, and is to say the same when it is asked again.
+        return f"{_SAYS[field]} " + (f"{value_kPa:g} kPa" if math.isfinite(value_kPa) else "no number")
 
     def _look(self, t: float) -> Conditions:
         """Let safety look, and do what it says; how things stand after that."""
@@ -642,7 +698,7 @@ class Core:
 
     def _warn_of_low_reservoir(self, t: float) -> None:
         # Only here is it made anew: that somebody looks must change nothing.
-        cycles = self._cycles = self._reservoir.cycles_left()
+        cycles = self._cycles = self._parts.run(t, "cycles left", self._reservoir.cycles_left, None)
         if cycles is None:
             return
         threshold = self.config.telemetry.low_reservoir_cycles
@@ -660,7 +716,7 @@ class Core:
             status = mavlink.MAV_STATE_CRITICAL
         values: Mapping[str, float] = {}
         if self._vehicle.state.found:
-            values = self._named_values(t)
+            values = self._parts.run(t, "named values", lambda: self._named_values(t), values)
         elif not self._may_speak_first(t):
             return
         boot_ms = self._vehicle.state.time_boot_ms(t)

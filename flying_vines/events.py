@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import traceback
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -11,6 +12,9 @@ from flying_vines.intent import Asker, Intent
 from flying_vines.notice import Notice, Severity
 from flying_vines.reservoir import CyclesLeft
 from flying_vines.vehicle.codec import Message
+
+MOST_OF_A_TRACE = 8000
+"""Characters; an endless recursion has a long one."""
 
 # Events: what happens.
 
@@ -77,7 +81,25 @@ class Stop:
     t: float
 
 
-Event = VehicleMessage | FirmwareMessage | LinkChanged | Tick | Said | Asked | Stop
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """A part of the service raised an error that nobody expects."""
+
+    t: float
+    part: str
+    trace: str
+    """The traceback."""
+    needed: bool
+    """Whether the vine must not bend without it."""
+
+    @classmethod
+    def by(cls, t: float, part: str, error: BaseException, needed: bool) -> Failed:
+        """By this exception."""
+        trace = "".join(traceback.format_exception(error))
+        return cls(t, part, trace[-MOST_OF_A_TRACE:], needed)
+
+
+Event = VehicleMessage | FirmwareMessage | LinkChanged | Tick | Said | Asked | Stop | Failed
 
 
 # Actions: what is to be done.
@@ -140,7 +162,26 @@ class KeepDisarmed:
     disarmed: bool
 
 
-Action = ToVehicle | ToFirmware | Decision | Notice | Measured | Calibrated | KeepParameters | KeepDisarmed
+@dataclass(frozen=True, slots=True)
+class InternalError:
+    """A part failed by this traceback, for the log."""
+
+    t: float
+    part: str
+    trace: str
+
+
+Action = (
+    ToVehicle
+    | ToFirmware
+    | Decision
+    | Notice
+    | Measured
+    | Calibrated
+    | KeepParameters
+    | KeepDisarmed
+    | InternalError
+)
 
 
 @dataclass(frozen=True, slots=True)

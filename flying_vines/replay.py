@@ -19,6 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines import config as configuration
 from flying_vines.config import Config
+from flying_vines.contained import Contained
 from flying_vines.core import Core
 from flying_vines.events import Action, Decision, ToVehicle, VehicleMessage
 from flying_vines.record.reader import Entry, FlightLog, LogError
@@ -111,7 +112,7 @@ def replay_flight(log: FlightLog, config: Config | None = None) -> Again:
     the log does not say how the core began.
     """
     again = Again()
-    core: Core | None = None
+    core: Contained | None = None
     ours: list[tuple[str, object]] = []
     theirs: list[tuple[str, object]] = []
     t = 0.0
@@ -155,7 +156,7 @@ def _since_the_service_began(log: FlightLog) -> list[FlightLog]:
     return logs
 
 
-def _core(log: FlightLog, start: Start, config: Config | None) -> Core:
+def _core(log: FlightLog, start: Start, config: Config | None) -> Contained:
     config = config or configuration.parse(start.profile, f"{log.path}: the profile in it", recorded=True)
     belief = None
     if start.rig:
@@ -165,7 +166,7 @@ def _core(log: FlightLog, start: Start, config: Config | None) -> Core:
             path = Path(folder) / "rig.toml"
             path.write_text(start.rig, encoding="utf-8")
             belief = load_calibration(path, config.pneumatics).belief
-    return Core(config, belief=belief, parameters=start.parameters, disarmed=start.disarmed)
+    return Contained(Core(config, belief=belief, parameters=start.parameters, disarmed=start.disarmed))
 
 
 def _ours(t: float, action: Action) -> list[tuple[str, object]]:
@@ -177,6 +178,8 @@ def _ours(t: float, action: Action) -> list[tuple[str, object]]:
         return []
     number, _, what = entry
     name = TOPICS[number - 1].name
+    if name not in ANSWER_TOPICS:
+        return []
     return [(name, _spoken(what) if name == MAVLINK_OUT else encoded(entry))]
 
 

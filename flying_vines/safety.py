@@ -20,6 +20,8 @@ HEEDED_WITHIN_S = 0.3
 LANDING_MARGIN_M = 0.5
 """The altitude interlock lets go of a bent vine this much lower than it lets one bend."""
 
+INTERNAL_ERROR = "internal error: restart the service"
+
 FAULT_SENTENCES = {
     Fault.DEAD_MAN: "dead-man timer ran out",
     Fault.CV_OVERPRESSURE: "over-pressure in the vine",
@@ -51,6 +53,8 @@ class Conditions:
     firmware_problem: str = "not connected"
     telemetry_age_s: float = math.inf
     faults: Fault = Fault.NONE
+    sensor_problem: str | None = None
+    """What telemetry says that no sensor can."""
     cv_kPa: float = math.nan
     reservoir_kPa: float = math.nan
     unheeded_s: float = 0.0
@@ -65,6 +69,8 @@ class Conditions:
     """Since a person or the mission last asked for what it does; a loss asks for nothing."""
     physics: Mapping[str, str] = field(default_factory=dict)
     """Where the physics does not answer as predicted: the checks that are faults, with a sentence each."""
+    internal_error: bool = False
+    """Something of ours that the vine needs has failed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +197,8 @@ class Safety:
     def _latching(self, now: Conditions) -> dict[str, str]:
         """The causes of latched faults that are there now."""
         causes = {
+            "internal_error": INTERNAL_ERROR if now.internal_error else None,
+            "sensor": now.sensor_problem,
             "overpressure": self._overpressure(now),
             "regulates": self._regulates(now),
             "firmware_reset": now.restarting,

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import traceback
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
+from typing import Any
 
 from firmware_link import protocol
 from firmware_link.answer import Answer
 from firmware_link.framing import FRAME_END
 from flying_vines.address import parse_address
 from flying_vines.config import Config
+from flying_vines.contained import Contained
 from flying_vines.core import TICK_S, Core
 from flying_vines.events import (
     Action,
     Asked,
     Decision,
     Event,
+    Failed,
     FirmwareMessage,
     KeepDisarmed,
     KeepParameters,
@@ -46,6 +50,14 @@ LAST_WORDS_S = 0.3
 """After a stop: the last status text and the vent must get out."""
 REFUSALS_TOLD_S = 60.0
 SNAPSHOT_S = 0.1
+RESTART_S = 1.0
+"""After which a task that has failed begins anew."""
+BARE_VENT = FRAME_END + protocol.encode(protocol.Vent(1), 0)
+"""Where a message cannot be made for the firmware this goes: a vent is accepted under every number."""
+ONLY_SHOWN = ("NAMED_VALUE_FLOAT", "FUEL_STATUS")
+"""What we send for displays alone."""
+_LINKS = ("flying_vines.vehicle.link", "firmware_link.serial_port")
+"""Modules whose callbacks the vine needs."""
 
 
 class Service:
@@ -65,7 +77,12 @@ class Service:
         signing: Signing | None = None,
         kept: Kept | None = None,
     ) -> None:
-        self.core = Core(config, belief=belief, parameters=parameters, disarmed=disarmed)
+        self.core = Contained(
+            Core(config, belief=belief, parameters=parameters, disarmed=disarmed),
+            lambda error: self._fail("display", error, needed=False),
+        )
+        self._failed: set[str] = set()
+        """Parts that were told to have failed."""
         self.link_problems: dict[str, str] = {}
         self._profile = config
         self._disarmed_before = disarmed
@@ -105,6 +122,10 @@ class Service:
         """Let people read this, here and on the ground station."""
         self._feed(Said(self.now, severity, text))
 
+    def failed(self, part: str, error: Exception) -> None:
+        """Something that is only for people has failed: told and logged."""
+        self._fail(part, error, needed=False)
+
     def ask(
         self, by: Asker, intent: Intent, made_at: float | None = None, seen_at: float | None = None
     ) -> Decision:
@@ -119,15 +140,21 @@ class Service:
         """Serve until `stop`; cancelling it does not vent, but then the firmware's dead-man does."""
         if self._disarmed_before:
             self.say(Severity.WARNING, "pneumatics disarmed before restart: arm them")
+        loop = asyncio.get_running_loop()
+        handled_before = loop.get_exception_handler()
+        loop.set_exception_handler(self._callback_failed)
         try:
             async with asyncio.TaskGroup() as tasks:
                 edges = [
-                    tasks.create_task(self._vehicle.run()),
-                    tasks.create_task(self._firmware.run()),
-                    tasks.create_task(self._tick()),
-                    tasks.create_task(self._show()),
-                    tasks.create_task(self._keep_changes()),
-                    tasks.create_task(self._keep_signing()),
+                    tasks.create_task(self._restarted(part, run, needed), name=part)
+                    for part, run, needed in (
+                        ("vehicle link", self._vehicle.run, True),
+                        ("phloSAR link", self._firmware.run, True),
+                        ("tick", self._tick, True),
+                        ("display", self._show, False),
+                        ("keeping files", self._keep_changes, False),
+                        ("keeping the signing clock", self._keep_signing, False),
+                    )
                 ]
                 await self._stopping.wait()
                 self._feed(Stop(self.now))
@@ -135,7 +162,35 @@ class Service:
                 for edge in edges:
                     edge.cancel()
         finally:
+            loop.set_exception_handler(handled_before)
             self.tell_watchers()
+
+    async def _restarted(self, part: str, run: Callable[[], Awaitable[None]], needed: bool) -> None:
+        """Run a task until it is done; one that fails is told and begins anew."""
+        while True:
+            with self._contained(part, needed):
+                return await run()
+            await asyncio.sleep(RESTART_S)
+
+    @contextmanager
+    def _contained(self, part: str, needed: bool) -> Iterator[None]:
+        """An unexpected error of a part of this edge is told to the core and goes no further."""
+        try:
+            yield
+        except Exception as error:
+            self._fail(part, error, needed)
+
+    def _fail(self, part: str, error: BaseException, needed: bool) -> None:
+        # Once each: what fails at every tick is one failure.
+        if part not in self._failed:
+            self._failed.add(part)
+            self._feed(Failed.by(self.now, part, error, needed))
+
+    def _callback_failed(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Of anything in the loop; without a link's the vine is not to be flown."""
+        error = context.get("exception") or RuntimeError(context.get("message"))
+        modules = {frame.f_globals.get("__name__") for frame, _ in traceback.walk_tb(error.__traceback__)}
+        self._fail("event loop", error, needed=not modules.isdisjoint(_LINKS))
 
     async def _keep_changes(self) -> None:
         """Write the latest; a slow disk delays nothing else."""
@@ -183,11 +238,13 @@ class Service:
     async def _tick(self) -> None:
         due = self.now
         while True:
-            if self._signing is not None:
-                self._signing.advance(time.time(), self.now, self._synchronised)
+            with self._contained("signing clock", needed=False):
+                if self._signing is not None:
+                    self._signing.advance(time.time(), self.now, self._synchronised)
             self._feed(Tick(self.now))
-            self._tell_silence(self.now)
-            self._tell_unread()
+            with self._contained("watch over the links", needed=False):
+                self._tell_silence(self.now)
+                self._tell_unread()
             self.tell_watchers()
             due = max(due + TICK_S, self.now - TICK_S)
             await asyncio.sleep(max(0.0, due - self.now))
@@ -203,23 +260,26 @@ class Service:
 
     def _vehicle_bytes(self, data: bytes) -> None:
         now = self.now
-        for message in self._mavlink.decode(data):
-            self._feed(VehicleMessage(now, message))
+        with self._contained("vehicle bytes", needed=True):
+            for message in self._mavlink.decode(data):
+                self._feed(VehicleMessage(now, message))
 
     def _vehicle_stranger(self, data: bytes, enter: Callable[[], None]) -> None:
         now = self.now
-        messages, proven = self._mavlink.decode_stranger(data)
-        if proven:
-            enter()
-        for message in messages:
-            self._feed(VehicleMessage(now, message))
+        with self._contained("vehicle bytes", needed=True):
+            messages, proven = self._mavlink.decode_stranger(data)
+            if proven:
+                enter()
+            for message in messages:
+                self._feed(VehicleMessage(now, message))
 
     def _firmware_bytes(self, data: bytes) -> None:
         now = self.now
-        messages = self._serial.decode(data)
-        self._answer.received(data, messages)
-        for message in messages:
-            self._feed(FirmwareMessage(now, message))
+        with self._contained("phloSAR bytes", needed=True):
+            messages = self._serial.decode(data)
+            for message in messages:
+                self._feed(FirmwareMessage(now, message))
+            self._answer.received(data, messages)
 
     def _vehicle_state(self, up: bool, why: str) -> None:
         self.link_problems["vehicle"] = "" if up else why
@@ -253,7 +313,10 @@ class Service:
     def _feed(self, event: Event) -> list[Action]:
         actions = self.core.handle(event)
         for action in actions:
-            self._carry_out(action)
+            try:
+                self._carry_out(action)
+            except Exception as error:
+                self._not_carried_out(action, error)
         self._untold.append((event, actions))
         return actions
 
@@ -274,8 +337,20 @@ class Service:
             yield
         except Exception as error:
             self._watchers.remove(watcher)
-            text = f"{type(watcher).__name__} failed: {error!r}"
-            asyncio.get_running_loop().call_soon(self.say, Severity.WARNING, text)
+            asyncio.get_running_loop().call_soon(self._fail, type(watcher).__name__, error, False)
+
+    def _not_carried_out(self, action: Action, error: Exception) -> None:
+        match action:
+            case ToFirmware():
+                with self._contained("phloSAR vent", needed=True):
+                    self._firmware.write(BARE_VENT)
+                self._fail("phloSAR messages", error, needed=True)
+            case ToVehicle(message) if message.get_type() not in ONLY_SHOWN:
+                self._fail("vehicle messages", error, needed=True)
+            case ToVehicle():
+                self._fail("named values", error, needed=False)
+            case _:
+                self._fail("keeping files", error, needed=False)
 
     def _carry_out(self, action: Action) -> None:
         match action:

@@ -15,7 +15,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.events import Action, Decision, Snapshot
+from flying_vines.events import Action, Decision, InternalError, Snapshot
 from flying_vines.notice import Notice, Severity
 from flying_vines.record.aside import Aside
 
@@ -79,6 +79,8 @@ def event_line(action: Action, began: float) -> Text | None:
         return Text(
             f"{action.t - began:7.2f}  {action.text}", style=SEVERITY_STYLE.get(action.severity, "dim")
         )
+    if isinstance(action, InternalError):
+        return Text(f"{action.t - began:7.2f}  {action.part}: {action.trace.rstrip()}", style="red")
     return None
 
 
@@ -92,7 +94,8 @@ class LiveView:
         self._events: deque[Text] = deque(maxlen=lines)
 
     def take(self, action: Action) -> None:
-        line = event_line(action, self._began)
+        # A traceback is for the log, and for who prints line by line.
+        line = None if isinstance(action, InternalError) else event_line(action, self._began)
         if line is not None:
             self._events.append(line)
 

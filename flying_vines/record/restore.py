@@ -18,6 +18,7 @@ from flying_vines.events import (
     Asked,
     Decision,
     Event,
+    Failed,
     FirmwareMessage,
     LinkChanged,
     Said,
@@ -33,7 +34,11 @@ from flying_vines.record.topics import MAVLINK_IN, START, Start, message_in, top
 T = TypeVar("T")
 _KINDS: dict[str, type] = {
     topic_of(kind): kind
-    for kind in (*get_args(protocol.DeviceMessage), Tick, LinkChanged, Said, Stop, Decision, Notice, Start)
+    for kind in (
+        *get_args(protocol.DeviceMessage),
+        *(Tick, LinkChanged, Said, Stop, Failed),
+        *(Decision, Notice, Start),
+    )
 }
 _INTENTS: dict[str, type] = {kind.__name__: kind for kind in get_args(Intent)}
 
@@ -54,7 +59,7 @@ def event_of(entry: Entry) -> Event:
         intent: Intent = restored(_INTENTS[said["intent"]["kind"]], said["intent"])
         return Asked(said["t"], said["by"], intent, said.get("made_at"), said.get("seen_at"))
     happened: Any = restored(_KINDS[entry.topic], said)
-    if isinstance(happened, Tick | LinkChanged | Said | Stop):
+    if isinstance(happened, Tick | LinkChanged | Said | Stop | Failed):
         return happened
     return FirmwareMessage(said["t"], happened)
 

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.events import Calibrated, Decision, KeepDisarmed, KeepParameters, LinkChanged
+from flying_vines.events import Calibrated, Decision, InternalError, KeepDisarmed, KeepParameters, LinkChanged
 from flying_vines.notice import Notice
 from flying_vines.record.folders import ABOUT
 from flying_vines.record.reader import Entry, FlightLog
@@ -26,7 +26,8 @@ from flying_vines.terminal import decision_table, event_line
 MOST_DIFFERENCES = 10
 _DECISION, _NOTICE, _LINK = topic_of(Decision), topic_of(Notice), topic_of(LinkChanged)
 _CALIBRATION, _PARAMETERS, _DISARMED = topic_of(Calibrated), topic_of(KeepParameters), topic_of(KeepDisarmed)
-TOLD = (_DECISION, _NOTICE, _LINK, _CALIBRATION, _PARAMETERS, _DISARMED)
+_ERROR = topic_of(InternalError)
+TOLD = (_DECISION, _NOTICE, _LINK, _CALIBRATION, _PARAMETERS, _DISARMED, _ERROR)
 
 
 def summary_table(summaries: Sequence[Summary]) -> Table:
@@ -117,6 +118,8 @@ def _lines(entry: Entry, began: float) -> Iterator[Text]:
         levels = zip(said["asked_kPa"], said["read_kPa"], strict=True)
         pairs = ", ".join(f"{asked:.1f} → {read:.1f}" for asked, read in levels)
         yield Text(f"{at}calibration, kPa: {pairs}")
+    elif entry.topic == _ERROR:
+        yield Text(f"{at}{said['part']}: {said['trace'].rstrip()}", style="red")
     elif entry.topic == _PARAMETERS:
         values = ", ".join(f"{name} = {value:g}" for name, value in said["values"].items())
         yield Text(f"{at}parameters: {values or 'as in the profile'}")

@@ -22,7 +22,9 @@ from flying_vines.events import (
     Calibrated,
     Decision,
     Event,
+    Failed,
     FirmwareMessage,
+    InternalError,
     KeepDisarmed,
     KeepParameters,
     LinkChanged,
@@ -114,7 +116,14 @@ _SERIAL: dict[type, str] = {
     kind: f"phlosar/{_snake(kind.__name__)}"
     for kind in (*get_args(protocol.HostMessage), *get_args(protocol.DeviceMessage))
 }
-_EVENTS: dict[type, str] = {Tick: "tick", LinkChanged: "link", Said: "said", Asked: "asked", Stop: "stop"}
+_EVENTS: dict[type, str] = {
+    Tick: "tick",
+    LinkChanged: "link",
+    Said: "said",
+    Asked: "asked",
+    Stop: "stop",
+    Failed: "failed",
+}
 _ANSWERS: dict[type, str] = {
     Decision: "decision",
     Notice: "notice",
@@ -122,7 +131,8 @@ _ANSWERS: dict[type, str] = {
     KeepParameters: "parameters",
     KeepDisarmed: "disarmed",
 }
-_STATES: dict[type, str] = {Start: "start", Snapshot: "snapshot"}
+_STATES: dict[type, str] = {Start: "start", Snapshot: "snapshot", InternalError: "internal_error"}
+"""Neither goes into the core nor is compared when it is asked again: a traceback names lines of a program."""
 MAVLINK_IN, MAVLINK_OUT = "mavlink/in", "mavlink/out"
 
 

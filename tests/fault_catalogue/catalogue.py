@@ -13,6 +13,7 @@ class Cleared(Enum):
     """It never stopped."""
     FRESH = "fresh trigger"
     PERSON = "a person"
+    RESTART = "a person restarts the service"
 
 
 @dataclass(frozen=True)
@@ -239,6 +240,24 @@ COMPANION = (
         Cleared.PERSON,
         300,
         243,
+    ),
+    Row(
+        "internal_error",
+        "an error in the service that nobody expects",
+        "the service, which goes on without bends, and tells its values as far as it can",
+        "internal error: restart the service, vented",
+        Cleared.RESTART,
+        safe_state="vented within 0.4 s",
+        proof="test_whatever_raises_in_the_core_the_vine_is_vented_and_the_pilot_reads_it_once",
+    ),
+    Row(
+        "display_error",
+        "an error in what is only shown or kept: cycles left, named values, screen, log, files",
+        "the service, which switches it off or begins it anew",
+        "failed, flight goes on",
+        Cleared.AT_ONCE,
+        safe_state="goes on",
+        proof="test_what_is_only_shown_is_switched_off_and_the_flight_goes_on",
     ),
 )
 
@@ -663,6 +682,15 @@ SENSORS = (
         Cleared.PERSON,
         1500,
         624,
+    ),
+    Row(
+        "telemetry_absurd",
+        "telemetry has a pressure that no sensor can have (1e30 kPa, NaN), in good frames",
+        "beyond the sensors' widest settings, twice in a row; no estimate is fed with it",
+        "sensor reads",
+        Cleared.PERSON,
+        safe_state="vented",
+        proof="test_a_sensor_that_says_what_none_can_is_a_fault_that_a_person_clears",
     ),
 )
 

@@ -13,7 +13,7 @@ PAGE = (TESTS.parent / "docs" / "faults.md").read_text(encoding="utf-8")
 PROOFS = set(
     re.findall(
         r"def (test_\w+)",
-        "\n".join(path.read_text(encoding="utf-8") for path in TESTS.glob("[fr]*/test_*.py")),
+        "\n".join(path.read_text(encoding="utf-8") for path in TESTS.rglob("test_*.py")),
     )
 )
 AT_LEAST = 30

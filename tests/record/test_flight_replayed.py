@@ -10,10 +10,12 @@ import msgspec
 import pytest
 from recorded_flight import BEGAN, CONFIG, HIGH, LOW, fly, new_flight, one_bend
 
+from firmware_link.protocol import Telemetry
 from flying_vines import config
 from flying_vines.cli import main
+from flying_vines.contained import Contained
 from flying_vines.core import Core
-from flying_vines.events import Asked, Decision
+from flying_vines.events import Asked, Decision, InternalError
 from flying_vines.intent import BendTo
 from flying_vines.pneumatics.plant.true_rig import TrueRig, true_rig_text
 from flying_vines.pneumatics.rig import Rig
@@ -21,8 +23,9 @@ from flying_vines.record.folders import MCAP
 from flying_vines.record.mcap_file import McapFile
 from flying_vines.record.reader import Entry, FlightLog, LogError
 from flying_vines.record.recorder import Recorder
-from flying_vines.record.topics import NUMBERS, TOPICS
+from flying_vines.record.topics import NUMBERS, TOPICS, topic_of
 from flying_vines.replay import replay_flight
+from flying_vines.reservoir import ReservoirEstimate
 from flying_vines.reservoir.calibration import load_calibration
 from flying_vines.simulated_world import SimulatedFlight
 
@@ -86,6 +89,28 @@ def test_what_a_page_asked_is_asked_again(tmp_path: Path) -> None:
     (asked,) = (action for action in actions if isinstance(action, Decision))
     again = replay_flight(FlightLog(recorder.folder))
     assert again.decisions == [asked] and asked.intent == "bend 33.3°" and not again.differences
+
+
+def test_a_shutdown_is_in_the_log_and_comes_out_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    update = ReservoirEstimate.update
+
+    def failing(estimate: ReservoirEstimate, t: float, telemetry: Telemetry) -> None:
+        if t > 4.0:
+            raise RuntimeError("unexpected")
+        update(estimate, t, telemetry)
+
+    monkeypatch.setattr(ReservoirEstimate, "update", failing)
+    flight, recorder = new_flight(), Recorder(tmp_path, BEGAN, t=0.0)
+    flight.world.core = Contained(flight.core)  # type: ignore[assignment]
+    fly(flight, recorder, ((3.0, LOW), (5.0, HIGH)))
+    recorder.close()
+    log = FlightLog(recorder.folder)
+    (error,) = log.entries((topic_of(InternalError),))
+    assert error.fields["part"] == "bottle estimate" and "failing" in error.fields["trace"]
+    again = replay_flight(log)
+    assert not again.differences and again.decisions[-1].what == {"loss": "internal_error"}
 
 
 def fly_on(flight: SimulatedFlight, recorder: Recorder, until_s: float) -> None:
