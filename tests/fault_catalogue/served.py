@@ -41,6 +41,7 @@ class Served:
         text = between(companion_port, str(self.device)).replace("bench_mode = false", "bench_mode = true")
         text = text.replace('folder = ""', 'folder = "state"').replace("settle_s = 1.0", "settle_s = 0.2")
         self.profile.write_text(text)
+        self.environment = {**os.environ}
         self.process: asyncio.subprocess.Process | None = None
         self._port: PtyPhlosar | None = None
         self._living: asyncio.Task[None] | None = None
@@ -72,7 +73,7 @@ class Served:
             stdin=terminal,
             stdout=asyncio.subprocess.PIPE if terminal is None else terminal,
             stderr=asyncio.subprocess.STDOUT,
-            env={**os.environ, "TERM": "xterm"},
+            env={**self.environment, "TERM": "xterm"},
         )
         await until(lambda: len(self._logs) > flights, "the service runs")
         await until(lambda: self._switch_is_believed, "the switch is believed")
@@ -133,8 +134,8 @@ class Served:
 
 
 @contextlib.asynccontextmanager
-async def on_bench(folder: Path) -> AsyncIterator[Served]:
-    autopilot = Autopilot("ardupilot")
+async def on_bench(folder: Path, autopilot: Autopilot | None = None) -> AsyncIterator[Served]:
+    autopilot = autopilot or Autopilot("ardupilot")
     ground = GroundStation()
     ground_port = await ground.listen()
     companion_port = free_port()
