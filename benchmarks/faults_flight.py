@@ -372,7 +372,8 @@ class RefereedFlight:
         self._override, self._override_sent_s = position, -math.inf
         self._override_ends_s = math.inf
         self._expected = None
-        if position != before and not self._unseen and self.now_s >= self._settled_s:
+        # It is heard although the transmitter is not.
+        if position != before and self._unseen.keys() <= {"rc"} and self.now_s >= self._settled_s:
             self._switch_asks(position, certain=False, what=f"override to {position}")
 
     def stop_override(self) -> None:
