@@ -85,7 +85,7 @@ BOOTS_S = 1.5
 NEW_CLOCK_S, WAITS_S = 2.5, 0.3
 """For so long after the autopilot's clock is first heard, a command waits for what comes behind it."""
 TICKS_S = 0.05
-TWO_RC_MESSAGES_S = 0.1
+RC_MESSAGE_S, TWO_RC_MESSAGES_S = 0.06, 0.1
 UNCERTAIN_S = 0.3
 """Messages come when they come: so much sooner or later both will do."""
 LATE_S = 3.5
@@ -230,6 +230,7 @@ class RefereedFlight:
         """Whether anything in the stream has told of this loss."""
         self._override: int | None = None
         self._overridden = 0
+        self._stood: set[int] = set()
         self._override_sent_s = self._override_ends_s = 0.0
         self._vented = False
         """By somebody else than the switch, since it was last moved."""
@@ -314,6 +315,11 @@ class RefereedFlight:
         self.autopilot.set_rc(SWITCH, PULSES_US[position])
         # Back where it was before anybody saw that it had left is no move.
         lasted = self.now_s > self._moved_s + FLICK_S
+        # Nor is it, on PX4 with a receiver, before RC was good for long enough where the switch was meanwhile.
+        if not self.setup.has_real_receiver or self.now_s > self._moved_s + CONFIRMED_S:
+            self._stood = set()
+        self._stood.add(left)
+        came_back = position in self._stood
         self._moved_s = self.now_s
         self._expected = self._standing = None
         if self._unseen or self._override is not None:
@@ -326,7 +332,7 @@ class RefereedFlight:
             self._switch_asks(position, certain=certain and lasted)
             if position > 0 and self.setup.has_real_receiver:
                 self._standing = len(self.referee.begins)
-            if certain and lasted and position > 0 and self._nothing_is_against_it:
+            if certain and lasted and position > 0 and not came_back and self._nothing_is_against_it:
                 self._expected = self.now_s, _switch_to(position)
         if not certain:
             self._settle()
@@ -534,6 +540,8 @@ class RefereedFlight:
         )
         if how == "jump" and self.now_s < self._stirred_s + REPORTS_APART_S:
             self.referee.trigger(self.now_s, TOLD_LATE_S, f"{LIMIT}PX4 tells of it later than ever")
+        if how == "jump" and self.setup.has_real_receiver and self.now_s < self._moved_s + RC_MESSAGE_S:
+            self.referee.trigger(self.now_s, CONFIRMED_S, f"{LIMIT}a preset hides the move before it")
         self._unsee("rc")
         self._expected = None
         if self.setup.holds:

@@ -144,8 +144,12 @@ class Safety:
         return {**self._present, **self._latched}
 
     def triggered(self) -> None:
-        """A person or the mission asked, and it is carried out: what is held is counted anew."""
-        self._held_s = 0.0
+        """A person or the mission asked, and it is carried out: the next loss is held anew.
+
+        Not the loss that holds now, in which only air can be asked out.
+        """
+        if self._held_at is None:
+            self._held_s = 0.0
 
     def watch(self, t: float, now: Conditions) -> list[Entered | Left]:
         """What began and what ended at time `t`."""
