@@ -142,11 +142,13 @@ async def test_a_task_that_fails_behind_the_flight_is_told_and_begins_anew(
 async def test_absurd_telemetry_vents_and_the_service_lives(serving: Serving) -> None:
     latest = serving.service.core._core._firmware.telemetry
     assert latest is not None
+    made_ms = latest.device_time_ms
     for value in (1e30, 1e20, 1e12, -1e30, math.nan, math.inf):
         for field in ("cv_kPa", "reservoir_kPa", "setpoint_kPa"):
-            absurd = dataclasses.replace(latest, **{field: value})  # type: ignore[arg-type]
-            frame = protocol.encode(absurd, 0)
-            serving.service._firmware_bytes(frame + frame)
+            for _ in range(2):
+                made_ms += 1
+                absurd = dataclasses.replace(latest, device_time_ms=made_ms, **{field: value})  # type: ignore[arg-type]
+                serving.service._firmware_bytes(protocol.encode(absurd, 0))
     await until(serving.bench.vented, "vented")
     await until(lambda: any("sensor reads" in text for text in serving.bench.ground.texts), "told")
     assert TOLD not in serving.texts()

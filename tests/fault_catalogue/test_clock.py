@@ -34,6 +34,7 @@ async def served(tmp_path: Path) -> AsyncIterator[Served]:
         "LD_PRELOAD": str(library),
         "FAKETIME_TIMESTAMP_FILE": str(jump),
         "FAKETIME_CACHE_DURATION": "1",
+        "FAKETIME_DISABLE_SHM": "1",
         "FAKETIME_DONT_FAKE_MONOTONIC": "1",  # nobody can set that one
     }
     autopilot = Autopilot("ardupilot", signing_key=KEY, unix_s=time.time())

@@ -416,6 +416,7 @@ class CountsFromEachLoss(Core):
 
     def _freeze(self, t: float) -> None:
         self._note_trigger(t)
+        self._safety._held_s = 0.0
         super()._freeze(t)
 
 
