@@ -315,7 +315,7 @@ class RefereedFlight:
         self.autopilot.set_rc(SWITCH, PULSES_US[position])
         # Back where it was before anybody saw that it had left is no move.
         lasted = self.now_s > self._moved_s + FLICK_S
-        # Nor is it, on PX4 with a receiver, before RC was good for long enough where the switch was meanwhile.
+        # Nor is it, on PX4 with a receiver, before RC was good for long enough where it stood meanwhile.
         if not self.setup.has_real_receiver or self.now_s > self._moved_s + CONFIRMED_S:
             self._stood = set()
         self._stood.add(left)

@@ -283,6 +283,7 @@ class Core:
         first = self._restarts.note(t)
         why = f"phloSAR restarted: {reason}" if first else self._restarts.looping(t)
         self._enter(t, self._safety.latch(t, "firmware_reset", why))
+
     def _estimate(self, t: float, telemetry: protocol.Telemetry) -> None:
         """What follows from telemetry, once safety has looked at it."""
         run, bent_kPa = self._parts.run, self._mover.curve.bent_kPa

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import os
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
 import pytest
 from needed import need
-from real_time import real_time
+from real_time import TRIES, real_time
 
 from flying_vines.fakes.autopilot import Autopilot
 
@@ -20,9 +20,10 @@ pytestmark = real_time
 
 KEY = bytes(range(32))
 FAKETIME = "sudo apt install faketime"
-JUMPS = ("+1h", "-2h", "+14y", "+0")
-"""Away from the true time, one after the other, while the vine is bent."""
-LONGER_THAN_ANY_LOSS_S = 3.5
+JUMPS = ("+1h", "-2h", "+14y")
+SEEN_WITHIN_S = 1.2
+"""libfaketime looks once a second."""
+LONGER_THAN_RC_LOSS_S = SEEN_WITHIN_S + 1.3
 
 
 @pytest.fixture
@@ -49,19 +50,31 @@ async def served(tmp_path: Path) -> AsyncIterator[Served]:
         yield served
 
 
+async def stays_bent(served: Served, jumps: Callable[[str], object], jump: str) -> bool:
+    """Whether the vine stays bent while the clock jumps, and back; then it is straight again."""
+    served.bend_full()
+    await served.bent()
+    jumps(jump)
+    await asyncio.sleep(LONGER_THAN_RC_LOSS_S)
+    bent = served.phlosar.cv_kPa > 15.0
+    served.straighten()
+    await served.vented()
+    jumps("+0")
+    await asyncio.sleep(SEEN_WITHIN_S)
+    return bent
+
+
 async def test_clock_jumps(served: Served, tmp_path: Path) -> None:
+    jumps = (tmp_path / "jump").write_text
     await served.serve()
     for jump in JUMPS:
-        served.bend_full()
-        await served.bent()
-        (tmp_path / "jump").write_text(jump)
-        await asyncio.sleep(LONGER_THAN_ANY_LOSS_S)
-        assert served.phlosar.cv_kPa > 15.0, jump
-        served.straighten()
-        await served.vented()
-    assert not served.phlosar.firmware.faults
+        # A busy machine may hold the service up once; a clock would each time.
+        tries = [await stays_bent(served, jumps, jump)]
+        while not tries[-1] and len(tries) < TRIES:
+            tries.append(await stays_bent(served, jumps, jump))
+        assert tries[-1], jump
     assert served.process is not None
     served.process.terminate()
     said = await served.output()
     assert "own clock jumped" in said, "by years, which signing does not follow"
-    assert "lost" not in said
+    assert not [word for word in ("RC lost", "silent", "refused messages") if word in said], said
