@@ -11,15 +11,15 @@ import math
 
 from cycles_left_flights import told
 
-from flying_vines.calibrate.calibrator import BY, LATE_S, Ask, Calibrator, Out, Question, Work
-from flying_vines.calibrate.plan import Plan
-from flying_vines.core import TICK_S
-from flying_vines.events import Decision, Measured, Snapshot
-from flying_vines.fakes.closed_loop import Setpoint, closed_loop
-from flying_vines.intent import Intent, SetPressure, StartProfile
-from flying_vines.mover import Mover
-from flying_vines.pneumatics.plant.causes import Setup
-from flying_vines.pneumatics.plant.plant import State, at_rest
+from flying_vines.calibration.calibrator import BY, LATE_S, Ask, Calibrator, Out, Question, Work
+from flying_vines.calibration.plan import Plan
+from flying_vines.core.core import TICK_S
+from flying_vines.core.events import Decision, Measured, Snapshot
+from flying_vines.core.motion_planner import Mover
+from flying_vines.physics.plant.causes import Setup
+from flying_vines.physics.plant.plant import State, at_rest
+from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
+from flying_vines.vine.intent import Intent, SetPressure, StartProfile
 from flying_vines.vine.motion import Motion
 
 LOOKS_S = 0.1

@@ -31,7 +31,7 @@ from cycles_left_rigs import draw
 from rich.console import Console
 from rich.table import Table
 
-from flying_vines.reservoir import ReservoirEstimate, n_cycles, nominal
+from flying_vines.supply import ReservoirEstimate, n_cycles, nominal
 
 T = TypeVar("T")
 MOMENTS = ("after 5 cycles", "after 15 cycles", "half way")

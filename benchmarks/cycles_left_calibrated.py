@@ -21,16 +21,16 @@ from cycles_left_guess import Guess, quantity
 from cycles_left_rigs import Case, Manoeuvre
 from rich.table import Table
 
-from flying_vines.config import Pneumatics
-from flying_vines.discrepancy.case import read_case
-from flying_vines.discrepancy.diagnose import diagnose
-from flying_vines.discrepancy.extended import extended_rig
-from flying_vines.fakes.regulator import RegulatorSettings
-from flying_vines.pneumatics.plant.true_rig import TrueRig, load_true_rig, true_rig_text
-from flying_vines.pneumatics.rig import ControlVolume, Dvp, Evp, Reservoir, Rig, Solenoid
-from flying_vines.reservoir import ReservoirEstimate, n_cycles
-from flying_vines.reservoir.calibration import TOP_SHARE, believed
-from flying_vines.simulate import parse_scenario, simulate_scenario, write_case
+from flying_vines.config.config import Pneumatics
+from flying_vines.identification.case import read_case
+from flying_vines.identification.diagnose import diagnose
+from flying_vines.identification.extended import extended_rig
+from flying_vines.physics.plant.true_rig import TrueRig, load_true_rig, true_rig_text
+from flying_vines.physics.rig import ControlVolume, Dvp, Evp, Reservoir, Rig, Solenoid
+from flying_vines.simulation.phlosar.regulator import RegulatorSettings
+from flying_vines.simulation.scenario import parse_scenario, simulate_scenario, write_case
+from flying_vines.supply import ReservoirEstimate, n_cycles
+from flying_vines.supply.known_rig import TOP_SHARE, believed
 
 Causes = Mapping[str, Mapping[str, float]]
 MOMENTS = {"before the first": 0.0, "after 2 cycles": 2.0, "after 5 cycles": 5.0, "after 15 cycles": 15.0}

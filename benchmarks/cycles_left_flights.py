@@ -18,9 +18,9 @@ from cycles_left_rigs import HOST_TICK_S, Case, Manoeuvre
 from numpy.typing import NDArray
 
 from firmware_link.protocol import Fault, Mode, Telemetry
-from flying_vines.fakes.closed_loop import Setpoint, closed_loop
-from flying_vines.pneumatics.plant.plant import at_rest
-from flying_vines.reservoir.flying import tolerance_kPa
+from flying_vines.physics.plant.plant import at_rest
+from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
+from flying_vines.supply.flying import tolerance_kPa
 
 Array = NDArray[np.float64]
 

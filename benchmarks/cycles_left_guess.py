@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import fmean, median
 
-from flying_vines.reservoir import CyclesLeft
+from flying_vines.supply import CyclesLeft
 
 
 @dataclass(frozen=True)

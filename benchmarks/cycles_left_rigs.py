@@ -10,19 +10,19 @@ import math
 import random
 from dataclasses import dataclass, replace
 
-from flying_vines.config import Pneumatics
-from flying_vines.fakes.regulator import RegulatorSettings
-from flying_vines.pneumatics.plant.ambient import Steady
-from flying_vines.pneumatics.plant.effects import Effects
-from flying_vines.pneumatics.plant.flow import Iso6358, Ohm
-from flying_vines.pneumatics.plant.likely import DVP, EVP, SOLENOID, likely_effects
-from flying_vines.pneumatics.plant.motion import SolenoidTiming, ValveMotion
-from flying_vines.pneumatics.plant.plant import Plant
-from flying_vines.pneumatics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, Sensor
-from flying_vines.pneumatics.plant.shape import Compliant, Pouch, Shape
-from flying_vines.pneumatics.plant.tubing import Tubing
-from flying_vines.pneumatics.plant.wall import Wall
-from flying_vines.pneumatics.rig import ControlVolume, Reservoir, Rig
+from flying_vines.config.config import Pneumatics
+from flying_vines.physics.plant.ambient import Steady
+from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.flow import Iso6358, Ohm
+from flying_vines.physics.plant.likely import DVP, EVP, SOLENOID, likely_effects
+from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion
+from flying_vines.physics.plant.plant import Plant
+from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, Sensor
+from flying_vines.physics.plant.shape import Compliant, Pouch, Shape
+from flying_vines.physics.plant.tubing import Tubing
+from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
+from flying_vines.simulation.phlosar.regulator import RegulatorSettings
 
 HOST_TICK_S = 0.02
 """How often a setpoint is sent, as the service does."""

@@ -25,10 +25,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from hidden_truth import draw, write
 
-from flying_vines.discrepancy.case import read_case
-from flying_vines.discrepancy.cores import cores
-from flying_vines.discrepancy.diagnose import diagnose
-from flying_vines.discrepancy.many import Outcome, diagnose_all
+from flying_vines.identification.case import read_case
+from flying_vines.identification.cores import cores
+from flying_vines.identification.diagnose import diagnose
+from flying_vines.identification.many import Outcome, diagnose_all
 
 TIER = "clear"
 Way = Callable[[list[Path]], Iterable[tuple[Path, Outcome]]]

@@ -24,10 +24,10 @@ from typing import Any, NamedTuple
 import discrepancy_peers
 from discrepancy_outcome import DIAGNOSE, Key, as_outcome
 
-import flying_vines.discrepancy
-from flying_vines.discrepancy.case import Case, read_case
-from flying_vines.discrepancy.diagnose import diagnose
-from flying_vines.discrepancy.fit import Problem
+import flying_vines.identification
+from flying_vines.identification.case import Case, read_case
+from flying_vines.identification.diagnose import diagnose
+from flying_vines.identification.fit import Problem
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "tests"))
@@ -35,7 +35,7 @@ sys.path.insert(0, str(HERE.parent / "tests"))
 from hidden_truth import draw, write  # noqa: E402
 
 _FRESH = HERE / "discrepancy_fresh.py"
-_SOURCES = (Path(flying_vines.discrepancy.__file__).parent, HERE.parent / "tests" / "hidden_truth")
+_SOURCES = (Path(flying_vines.identification.__file__).parent, HERE.parent / "tests" / "hidden_truth")
 
 
 class Job(NamedTuple):

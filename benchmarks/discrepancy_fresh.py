@@ -14,7 +14,7 @@ import sys
 
 from process_cost import cpu_s, memory
 
-from flying_vines.cli import main
+from flying_vines.cli.main import main
 
 
 def run(case: str) -> None:

@@ -21,14 +21,14 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from threadpoolctl import threadpool_limits
 
-from flying_vines.discrepancy.case import Case, Run
-from flying_vines.discrepancy.fit import Point, Problem
-from flying_vines.discrepancy.noise import stated_noise_kPa
-from flying_vines.discrepancy.recording import Array
-from flying_vines.discrepancy.simulate import believed_keys
-from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED
-from flying_vines.pneumatics.baseline import Inputs, State, step
-from flying_vines.pneumatics.rig import Rig, with_numbers
+from flying_vines.identification.case import Case, Run
+from flying_vines.identification.fit import Point, Problem
+from flying_vines.identification.noise import stated_noise_kPa
+from flying_vines.identification.recording import Array
+from flying_vines.identification.simulate import believed_keys
+from flying_vines.identification.verdict import NONE, UNEXPLAINED
+from flying_vines.physics.baseline import Inputs, State, step
+from flying_vines.physics.rig import Rig, with_numbers
 
 MOST_ROWS = 300
 """That a process learns from, of either pressure: its time goes with their cube."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED
+from flying_vines.identification.verdict import NONE, UNEXPLAINED
 
 DIAGNOSE = "diagnose"
 """Who says it: this project, as against its peers."""

@@ -10,7 +10,7 @@ import importlib
 from collections.abc import Callable
 from typing import Any
 
-from flying_vines.discrepancy.case import Case
+from flying_vines.identification.case import Case
 
 PEERS = {
     "pysindy": "discrepancy_pysindy",

@@ -17,10 +17,10 @@ from discrepancy_rates import Series, inflation, motive, outlet, per_SL, series,
 from numpy.typing import NDArray
 from pysindy.optimizers import STLSQ
 
-from flying_vines.discrepancy.case import Case
-from flying_vines.discrepancy.fit import Problem
-from flying_vines.discrepancy.recording import Array
-from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED
+from flying_vines.identification.case import Case
+from flying_vines.identification.fit import Problem
+from flying_vines.identification.recording import Array
+from flying_vines.identification.verdict import NONE, UNEXPLAINED
 
 THRESHOLDS = np.geomspace(1e-3, 0.5, 16)
 """Of a term's share in the rates."""

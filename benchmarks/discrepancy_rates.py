@@ -15,12 +15,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from flying_vines.discrepancy.case import Case, Run
-from flying_vines.discrepancy.fit import Point, Problem
-from flying_vines.discrepancy.recording import Array
-from flying_vines.discrepancy.simulate import GAP
-from flying_vines.pneumatics.baseline import ALPHA_KPA
-from flying_vines.pneumatics.rig import Rig
+from flying_vines.identification.case import Case, Run
+from flying_vines.identification.fit import Point, Problem
+from flying_vines.identification.recording import Array
+from flying_vines.identification.simulate import GAP
+from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.rig import Rig
 
 WINDOW_S = 0.2
 FEWEST = 2

@@ -11,7 +11,7 @@ from statistics import fmean
 
 from discrepancy_outcome import Interval, Outcome, Said, Truth
 
-from flying_vines.discrepancy.verdict import NONE, UNEXPLAINED
+from flying_vines.identification.verdict import NONE, UNEXPLAINED
 
 Neutral = Mapping[tuple[str, str], float | None]
 """Where a parameter of a cause does nothing."""

@@ -16,27 +16,27 @@ from dataclasses import dataclass, field
 
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from referee import DEAD_MAN_S, LONGEST_HANG_S, Foul, Referee, RefereedBoard, Rules
 
-from flying_vines import config
-from flying_vines.config import Config
-from flying_vines.core import Core
-from flying_vines.events import Action, Decision, Event, LinkChanged
-from flying_vines.fakes.autopilot import Autopilot, RcLoss, RcSource
-from flying_vines.fakes.autopilot.forwarding import PX4_BUFFER
-from flying_vines.fakes.autopilot.rc_input import REPORTS_APART_S
-from flying_vines.fakes.board import Board
-from flying_vines.fakes.compiled_firmware import CompiledFirmware
-from flying_vines.fakes.mishaps import Hanging, Kind, Kinked, StuckAt, Unpowered
-from flying_vines.fakes.phlosar import SimulatedPhlosar
-from flying_vines.fakes.referee import DEAD_MAN_S, LONGEST_HANG_S, Foul, Referee, RefereedBoard, Rules
-from flying_vines.fakes.regulator import SAFE
-from flying_vines.notice import Notice
-from flying_vines.pneumatics.plant.effects import Effects
-from flying_vines.safety import LANDING_MARGIN_M
-from flying_vines.simulated_world import SimulatedFlight
-from flying_vines.vehicle.codec import Codec
+from flying_vines.config import config
+from flying_vines.config.config import Config
+from flying_vines.core.core import Core
+from flying_vines.core.events import Action, Decision, Event, LinkChanged
+from flying_vines.core.safety import LANDING_MARGIN_M
+from flying_vines.physics.plant.effects import Effects
+from flying_vines.simulation.autopilot import Autopilot, RcLoss, RcSource
+from flying_vines.simulation.autopilot.forwarding import PX4_BUFFER
+from flying_vines.simulation.autopilot.rc_input import REPORTS_APART_S
+from flying_vines.simulation.phlosar.board import Board
+from flying_vines.simulation.phlosar.compiled_firmware import CompiledFirmware
+from flying_vines.simulation.phlosar.mishaps import Hanging, Kind, Kinked, StuckAt, Unpowered
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.simulation.phlosar.regulator import SAFE
+from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.vehicle.mavlink.codec import Codec
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import Kind as AutopilotKind
+from flying_vines.vehicle.notice import Notice
 from flying_vines.vine.curve import BendCurve
 
 SWITCH = 9

@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.codec import Codec, Message
-from flying_vines.vehicle.signing import Signing
+from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.signing import Signing
 
 RC_RATE_HZ = 50.0
 MESSAGES_PER_S = 500.0

@@ -48,8 +48,8 @@ from firmware_link.protocol import (
     Welcome,
     encode,
 )
-from flying_vines.core import Core
-from flying_vines.events import (
+from flying_vines.core.core import Core
+from flying_vines.core.events import (
     Event,
     FirmwareMessage,
     LinkChanged,
@@ -58,7 +58,7 @@ from flying_vines.events import (
     ToVehicle,
     VehicleMessage,
 )
-from flying_vines.fakes.compiled_firmware import (
+from flying_vines.simulation.phlosar.compiled_firmware import (
     SOURCES,
     WHAT_TO_INSTALL,
     FirmwareBuildError,
@@ -66,7 +66,7 @@ from flying_vines.fakes.compiled_firmware import (
     compiler,
     core_files,
 )
-from flying_vines.vehicle.codec import Codec as MavlinkCodec
+from flying_vines.vehicle.mavlink.codec import Codec as MavlinkCodec
 
 SANITIZERS = "address,undefined,float-cast-overflow"
 FLAGS = ("-std=c++17", "-O1", "-g", "-fno-exceptions", "-fno-rtti", "-fno-sanitize-recover=all")

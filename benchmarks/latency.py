@@ -33,14 +33,17 @@ from rich.table import Table
 from serial_board import SerialBoard
 from switch_flips import Flight, Flipper, NotMeasured
 
-from flying_vines import config as configuration
+from flying_vines.config import config as configuration
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
 SERVICE = "flying_vines run"
 MAVSDK_WANTED = "mavsdk>=4.1,<5"
 GOALS = {"p50_ms": 1.0, "p99_ms": 5.0, "cpu_percent": 15.0, "peak_memory_MB": 80.0, "import_ms": 500.0}
-IMPORTS = "import flying_vines.cli, flying_vines.service, flying_vines.terminal, flying_vines.record.recorder"
+IMPORTS = (
+    "import flying_vines.cli.main, flying_vines.service.service, "
+    "flying_vines.terminal.screen, flying_vines.record.recorder"
+)
 QUICK_FLIPS = 20
 MOST_UNMEASURED = 0.1
 """Of all flips: above it a machine was too busy, or a process too unwilling, to be measured."""

@@ -19,7 +19,7 @@ from typing import Any
 import serial
 
 from firmware_link.protocol import Codec, Hello, Setpoint
-from flying_vines.vehicle.switch import Move, Switch
+from flying_vines.vehicle.radio.switch import Move, Switch
 
 TARGETS_KPA = (0.0, 11.35, 20.7)
 _MAVLINK_2 = 0xFD

@@ -29,13 +29,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from rich.console import Console
 from rich.table import Table
 
-from flying_vines import config
-from flying_vines.core import Core
-from flying_vines.events import VehicleMessage
-from flying_vines.vehicle.codec import Codec
-from flying_vines.vehicle.frames import Frame, Frames
-from flying_vines.vehicle.signing import Signing
-from flying_vines.vehicle.tlog import TlogReader
+from flying_vines.config import config
+from flying_vines.core.core import Core
+from flying_vines.core.events import VehicleMessage
+from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.frames import Frame, Frames
+from flying_vines.vehicle.mavlink.signing import Signing
+from flying_vines.vehicle.mavlink.tlog import TlogReader
 
 RECORDINGS = Path(__file__).resolve().parents[1] / "tests" / "data" / "recordings"
 CHUNK = 1024

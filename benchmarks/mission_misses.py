@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from mission_storm import Link, Storm, compare, fly, mission
 
-from flying_vines.fakes.autopilot import Kind
+from flying_vines.simulation.autopilot import Kind
 
 LOSSES = (0.0, 0.01, 0.05, 0.2)
 KINDS: tuple[Kind, Kind] = ("ardupilot", "px4")

@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from service_bench import on_bench
 
-from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.simulation.autopilot import Autopilot
 
 SECONDS = 20.0
 VENTS = 60

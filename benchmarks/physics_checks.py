@@ -25,9 +25,9 @@ from physics_checks_flights import MISHAPS, Noticed, fly
 from physics_checks_rigs import drawn, telemetry_of
 from rich.console import Console
 
-from flying_vines.config import Checks
-from flying_vines.physics_checks import CHECKS, PhysicsChecks
-from flying_vines.reservoir import nominal
+from flying_vines.config.config import Checks
+from flying_vines.supply import nominal
+from flying_vines.supply.physics_checks import CHECKS, PhysicsChecks
 
 T = TypeVar("T")
 HEALTHY_S = 90.0

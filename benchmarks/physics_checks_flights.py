@@ -11,8 +11,9 @@ from physics_checks_rigs import RESERVE_KPA, drawn
 
 from firmware_link import protocol
 from firmware_link.protocol import PROTOCOL_VERSION, Hello, Setpoint, Telemetry, Vent
-from flying_vines.config import Checks, Limits
-from flying_vines.fakes.mishaps import (
+from flying_vines.config.config import Checks, Limits
+from flying_vines.physics.plant.true_rig import TrueRig
+from flying_vines.simulation.phlosar.mishaps import (
     Drifting,
     Filled,
     Gain,
@@ -28,10 +29,9 @@ from flying_vines.fakes.mishaps import (
     Stuck,
     StuckAt,
 )
-from flying_vines.fakes.phlosar import SimulatedPhlosar
-from flying_vines.physics_checks import PhysicsChecks
-from flying_vines.pneumatics.plant.true_rig import TrueRig
-from flying_vines.reservoir import nominal
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.supply import nominal
+from flying_vines.supply.physics_checks import PhysicsChecks
 
 LIMITS = Limits()
 RESTS_S = 8.0

@@ -14,12 +14,12 @@ from cycles_left_flights import setpoints_of, told
 from cycles_left_rigs import HOST_TICK_S, Case, Manoeuvre, draw
 
 from firmware_link.protocol import Telemetry
-from flying_vines.config import Interlocks
-from flying_vines.fakes.closed_loop import Setpoint, closed_loop
-from flying_vines.pneumatics.plant.plant import Plant, at_rest
-from flying_vines.pneumatics.plant.shape import Compliant, Pouch
-from flying_vines.pneumatics.plant.wall import Wall
-from flying_vines.pneumatics.rig import ControlVolume, Rig
+from flying_vines.config.config import Interlocks
+from flying_vines.physics.plant.plant import Plant, at_rest
+from flying_vines.physics.plant.shape import Compliant, Pouch
+from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.rig import ControlVolume, Rig
+from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
 
 RESERVE_KPA = Interlocks().reserve_kPa
 """Below it nothing is flown."""

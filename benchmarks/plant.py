@@ -31,20 +31,20 @@ from rich.console import Console
 from rich.table import Table
 from scipy.integrate import solve_ivp
 
-from flying_vines.fakes.closed_loop import Setpoint, closed_loop
-from flying_vines.fakes.regulator import SAFE, RegulatorSettings, begin, regulate
-from flying_vines.pneumatics.baseline import Inputs
-from flying_vines.pneumatics.compiler import compiled, record
-from flying_vines.pneumatics.plant.ambient import Air, air_at
-from flying_vines.pneumatics.plant.compiled import batch, floats_of
-from flying_vines.pneumatics.plant.effects import Effects
-from flying_vines.pneumatics.plant.likely import likely_effects
-from flying_vines.pneumatics.plant.numbers import Numbers
-from flying_vines.pneumatics.plant.plant import Conditions, Held, Plant
-from flying_vines.pneumatics.plant.rates import conditions, rates
-from flying_vines.pneumatics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, read, rested
-from flying_vines.pneumatics.plant.simulator import TICK_S, Simulator
-from flying_vines.pneumatics.rig import ControlVolume, Evp, Reservoir, Rig
+from flying_vines.physics.baseline import Inputs
+from flying_vines.physics.compiler import compiled, record
+from flying_vines.physics.plant.ambient import Air, air_at
+from flying_vines.physics.plant.compiled import batch, floats_of
+from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.likely import likely_effects
+from flying_vines.physics.plant.numbers import Numbers
+from flying_vines.physics.plant.plant import Conditions, Held, Plant
+from flying_vines.physics.plant.rates import conditions, rates
+from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, read, rested
+from flying_vines.physics.plant.simulator import TICK_S, Simulator
+from flying_vines.physics.rig import ControlVolume, Evp, Reservoir, Rig
+from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
+from flying_vines.simulation.phlosar.regulator import SAFE, RegulatorSettings, begin, regulate
 
 SECONDS = 60.0
 SETPOINTS = [Setpoint(0.1 + 6.0 * cycle, 20.7, 60.0) for cycle in range(10)]
@@ -302,7 +302,7 @@ FAKE = """
 import sys, time
 sys.modules["numba"] = sys.modules["scipy"] = sys.modules["numpy"] = None
 from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello, Setpoint
-from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 fake, host = SimulatedPhlosar(), Codec()
 fake.receive(host.encode(Hello(PROTOCOL_VERSION, 1)))
 began_s = time.process_time()

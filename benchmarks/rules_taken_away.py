@@ -31,16 +31,16 @@ LONGEST_S = 600.0
 
 # The quick ones first: a run ends at the first failure.
 CORE_TESTS = (
-    "tests/test_safety.py",
-    "tests/test_core_bench.py",
-    "tests/test_core_calibration.py",
-    "tests/test_core_late.py",
-    "tests/test_core_link_loss.py",
-    "tests/test_core_asked.py",
-    "tests/test_core.py",
-    "tests/test_core_limits.py",
-    "tests/test_invariants.py",
-    "tests/test_physics_checks.py",
+    "tests/core/test_safety.py",
+    "tests/core/test_core_on_bench.py",
+    "tests/core/test_core_calibration.py",
+    "tests/core/test_core_late.py",
+    "tests/core/test_core_link_loss.py",
+    "tests/core/test_core_asked.py",
+    "tests/core/test_core.py",
+    "tests/core/test_core_limits.py",
+    "tests/core/test_invariants.py",
+    "tests/supply/test_physics_checks.py",
     "tests/fault_catalogue/test_in_flight.py",
 )
 RADIO_TESTS = (
@@ -50,7 +50,7 @@ RADIO_TESTS = (
     "tests/vehicle/test_switch.py",
     "tests/vehicle/test_pilot.py",
     "tests/fault_catalogue/test_radio_truth.py",
-    "tests/test_replay.py",
+    "tests/simulation/test_replay.py",
 )
 
 
@@ -64,17 +64,17 @@ class Module:
 
 
 MODULES = (
-    Module("flying_vines/safety.py", CORE_TESTS),
+    Module("flying_vines/core/safety.py", CORE_TESTS),
     Module(
-        "flying_vines/core.py",
+        "flying_vines/core/core.py",
         CORE_TESTS,
         (
             *("_asked", "_may_not_ask", "_decide", "_outdated", "_without_air", "_hold", "_clear_faults"),
             *("_note_heed", "_on_firmware_link", "_conditions", "_enter", "_leave", "_drive"),
         ),
     ),
-    Module("flying_vines/vehicle/pilot.py", RADIO_TESTS),
-    Module("flying_vines/vehicle/radio_parameters.py", RADIO_TESTS, ("hides_loss",)),
+    Module("flying_vines/vehicle/radio/pilot.py", RADIO_TESTS),
+    Module("flying_vines/vehicle/radio/radio_parameters.py", RADIO_TESTS, ("hides_loss",)),
     Module(
         "flying_vines/vehicle/commands.py",
         ("tests/vehicle/test_commands.py", "tests/vehicle/test_vehicle.py", *CORE_TESTS),
@@ -84,7 +84,7 @@ MODULES = (
         "flying_vines/vehicle/clock.py",
         (
             "tests/vehicle/test_clock.py",
-            "tests/test_core_late.py",
+            "tests/core/test_core_late.py",
             "tests/fault_catalogue/test_radio_truth.py",
         ),
     ),

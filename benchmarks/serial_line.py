@@ -25,8 +25,8 @@ from firmware_link.host import Regulate, SessionState
 from firmware_link.link import FirmwareLink
 from firmware_link.protocol import Fault, Mode
 from firmware_link.serial_port import MAX_QUEUED_BYTES
-from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
-from flying_vines.pneumatics.plant.effects import Effects
+from flying_vines.physics.plant.effects import Effects
+from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 BOARD = UsbBoard(0x16C0, 0x0483, "1234560")
 WITHIN_S = 1.0

@@ -39,20 +39,20 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
 from service_bench import between
 
-from flying_vines import config
-from flying_vines.events import Decision
-from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.autopilot_server import AutopilotServer
-from flying_vines.fakes.compiled_firmware import CompiledFirmware
-from flying_vines.fakes.ground_station import COMPONENT_ID, SYSTEM_ID, GroundStation
-from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
-from flying_vines.pneumatics.plant.effects import Effects
+from flying_vines.config import config
+from flying_vines.core.events import Decision
+from flying_vines.physics.plant.effects import Effects
 from flying_vines.record.reader import FlightLog
 from flying_vines.record.restore import restored
 from flying_vines.record.summary import flights_in
 from flying_vines.record.topics import DECISION
-from flying_vines.simulated_world import SimulatedFlight
-from flying_vines.vehicle.codec import Codec, Message
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot_server import AutopilotServer
+from flying_vines.simulation.ground_station import COMPONENT_ID, SYSTEM_ID, GroundStation
+from flying_vines.simulation.phlosar.compiled_firmware import CompiledFirmware
+from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
+from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.vehicle.mavlink.codec import Codec, Message
 from flying_vines.vehicle.mission.storage import Kind
 
 HOUR_S = 3600.0

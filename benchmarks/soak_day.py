@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.phlosar import SimulatedPhlosar
-from flying_vines.vehicle.codec import Message
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import Kind
 

@@ -18,9 +18,9 @@ from rich.console import Console
 from rich.table import Table
 
 from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello, Setpoint, Vent
-from flying_vines.fakes.mishaps import StuckAt
-from flying_vines.fakes.phlosar import SimulatedPhlosar
-from flying_vines.pneumatics.rig import ControlVolume, Rig
+from flying_vines.physics.rig import ControlVolume, Rig
+from flying_vines.simulation.phlosar.mishaps import StuckAt
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 
 HELD_KPA, LIMIT_KPA = 20.7, 30.0
 SETTLED_S, WATCHED_S = 6.0, 12.0

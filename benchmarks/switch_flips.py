@@ -19,8 +19,8 @@ from time import monotonic
 from flight_load import RC_RATE_HZ, SYSTEM_ID, FlightLoad, mission_count, rc_channels
 from serial_board import TELEMETRY_HZ, SerialBoard
 
-from flying_vines.vehicle.codec import Codec
-from flying_vines.vehicle.signing import Signing
+from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.signing import Signing
 
 PULSES_US = (1100, 1500, 1900)
 DEBOUNCE_S = 0.14

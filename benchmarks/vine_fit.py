@@ -13,9 +13,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from flying_vines.vine.calibration import Calibration, Law, Pairs, fit
-from flying_vines.vine.calibration.pairs import Array
-from flying_vines.vine.calibration.sequence import Estimate, bent_kPa
+from flying_vines.identification.bend_curve import Calibration, Law, Pairs, fit
+from flying_vines.identification.bend_curve.pairs import Array
+from flying_vines.identification.bend_curve.sequence import Estimate, bent_kPa
 
 UP_KPA = np.linspace(0.0, 20.7, 24)
 KPA = np.concatenate([UP_KPA, UP_KPA[::-1], UP_KPA[::3]])

@@ -30,7 +30,7 @@ from serial_board import SerialBoard
 from switch_flips import Flight, Flipper, NotMeasured
 
 from flying_vines.gateway import page_token
-from flying_vines.vehicle.signing import KEY_SIZE, Signing
+from flying_vines.vehicle.mavlink.signing import KEY_SIZE, Signing
 
 STARTS_WITHIN_S = 20.0
 VEHICLE = "benchmark"

@@ -1,5 +1,5 @@
 """`python -m flying_vines` is `flying-vines`."""
 
-from flying_vines.cli import main
+from flying_vines.cli.main import main
 
 main()

@@ -11,16 +11,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from flying_vines.config import Config
-from flying_vines.intent import Intent
-from flying_vines.mover import Move, Mover
-from flying_vines.pneumatics.paper import STANDARD_TEMPERATURE_K
-from flying_vines.reservoir import Belief, CyclesLeft, ReservoirEstimate
-from flying_vines.reservoir.bottle import GAS, Bottle, Spent, X
-from flying_vines.reservoir.estimate import READING_SD_KPA, Z90
-from flying_vines.reservoir.flying import BLOCK_S, FLAT_KPA
-from flying_vines.safety import Conditions, Ruling, Safety
+from flying_vines.config.config import Config
+from flying_vines.core.motion_planner import Move, Mover
+from flying_vines.core.safety import Conditions, Ruling, Safety
+from flying_vines.physics.paper import STANDARD_TEMPERATURE_K
+from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate
+from flying_vines.supply.estimate import READING_SD_KPA, Z90
+from flying_vines.supply.flying import BLOCK_S, FLAT_KPA
+from flying_vines.supply.reservoir import GAS, Bottle, Spent, X
 from flying_vines.vehicle.triggers import Rules
+from flying_vines.vine.intent import Intent
 from missions.timeline import ENDS, Step, Timeline
 
 WATCHED_S = 60.0

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from flying_vines.config import Config
-from flying_vines.fakes.autopilot import Home
-from flying_vines.intent import BendTo, Intent, StartProfile
-from flying_vines.mover import Mover
-from flying_vines.toml_text import Key, dotted, place
+from flying_vines.config.config import Config
+from flying_vines.config.toml_text import Key, dotted, place
+from flying_vines.core.motion_planner import Mover
+from flying_vines.simulation.autopilot import Home
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, Kind
+from flying_vines.vine.intent import BendTo, Intent, StartProfile
 from missions.carriers import NAMES, carrier, suggestion
 from missions.mission import Action, Mission, MissionError, Waypoint
 

@@ -11,11 +11,11 @@ import struct
 from collections.abc import Iterator
 from dataclasses import replace
 
-from flying_vines.config import CARRIERS, Config, Item
-from flying_vines.intent import BendTo, Intent, StartProfile
+from flying_vines.config.config import CARRIERS, Config, Item
 from flying_vines.vehicle.mission.item import MissionItem, has_place, is_nav
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, Kind, MissionRefused, Params, store
 from flying_vines.vehicle.triggers import NAME_OF_COMMAND, Rules
+from flying_vines.vine.intent import BendTo, Intent, StartProfile
 
 ANGLE_KEPT_DEG = 0.01
 """What becomes of an angle on its way through 32-bit floats and a scale."""

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
-from flying_vines.config import Config
-from flying_vines.fakes.autopilot.runner import FOR_EVER, JUMP
-from flying_vines.intent import BendTo
+from flying_vines.config.config import Config
+from flying_vines.simulation.autopilot.runner import FOR_EVER, JUMP
 from flying_vines.vehicle.mission.execution import same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.storage import (
@@ -29,6 +28,7 @@ from flying_vines.vehicle.mission.storage import (
     store,
 )
 from flying_vines.vehicle.triggers import Rules
+from flying_vines.vine.intent import BendTo
 from missions.budget import Bend, Budget
 from missions.build import (
     ABOVE_HOME_FRAME,

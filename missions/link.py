@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 from firmware_link.find import BoardNotFoundError, UsbBoard
-from flying_vines.address import DEFAULT_BAUD, SerialAddress, parse_address
+from flying_vines.config.address import DEFAULT_BAUD, SerialAddress, parse_address
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.storage import Kind
 

@@ -9,8 +9,17 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from flying_vines.fakes.autopilot import ARDUPILOT_HOME, PX4_HOME, Home
-from flying_vines.toml_text import Key, dotted, explained, located, not_finite, one_line, place, read_text
+from flying_vines.config.toml_text import (
+    Key,
+    dotted,
+    explained,
+    located,
+    not_finite,
+    one_line,
+    place,
+    read_text,
+)
+from flying_vines.simulation.autopilot import ARDUPILOT_HOME, PX4_HOME, Home
 from flying_vines.vehicle.mission.storage import Kind
 
 Height = Annotated[float, Meta(gt=0, le=1000)]

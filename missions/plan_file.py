@@ -17,9 +17,9 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from flying_vines.fakes.autopilot import Home
-from flying_vines.fakes.autopilot.flight import CRUISE_M_S
-from flying_vines.toml_text import one_line, read_text
+from flying_vines.config.toml_text import one_line, read_text
+from flying_vines.simulation.autopilot import Home
+from flying_vines.simulation.autopilot.flight import CRUISE_M_S
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.storage import Kind
 

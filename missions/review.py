@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from flying_vines.config import Config
-from flying_vines.fakes.autopilot import Home
-from flying_vines.pneumatics.plant.true_rig import load_true_rig
-from flying_vines.reservoir import Belief
+from flying_vines.config.config import Config
+from flying_vines.physics.plant.true_rig import load_true_rig
+from flying_vines.simulation.autopilot import Home
+from flying_vines.simulation.mission_flight import fly
+from flying_vines.supply import Belief
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import Kind
 from missions.budget import budget
 from missions.checks import Case, check
 from missions.report import Report
 from missions.timeline import timeline
-from missions.trial import fly
 
 
 def review(

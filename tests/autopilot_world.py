@@ -10,7 +10,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.simulation.autopilot import Autopilot
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 
 RECORDINGS = Path(__file__).parent / "data" / "recordings"

@@ -10,8 +10,8 @@ from typing import Any
 from msgspec import structs
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines import config
-from flying_vines.config import Config
+from flying_vines.config import config
+from flying_vines.config.config import Config
 
 AUTOPILOT, STATION, GIMBAL, OTHER, OURSELVES = (1, 1), (255, 190), (1, 154), (2, 1), (1, 191)
 SENDERS = (AUTOPILOT, AUTOPILOT, AUTOPILOT, STATION, STATION, GIMBAL, OTHER, OURSELVES, (0, 0))

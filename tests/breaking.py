@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 
 from firmware_link import protocol
-from flying_vines.core import Core
+from flying_vines.core.core import Core
 
 OURS = ("flying_vines", "firmware_link")
 ONLY_SHOWN = {"cycles_left", "_named_values", "snapshot"}

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from firmware_link.protocol import Fault, Mode, Telemetry
-from flying_vines.calibrate.calibrator import BY, Ask, Calibrator, Ended, Out, Question, Say, Work
-from flying_vines.calibrate.findings import Result
-from flying_vines.calibrate.plan import Plan
-from flying_vines.events import Action, Asked, Decision, Measured, Snapshot
-from flying_vines.fakes.phlosar import SimulatedPhlosar
-from flying_vines.intent import Intent, SetPressure, StartProfile, Vent
-from flying_vines.simulated_world import SimulatedWorld
+from flying_vines.calibration.calibrator import BY, Ask, Calibrator, Ended, Out, Question, Say, Work
+from flying_vines.calibration.findings import Result
+from flying_vines.calibration.plan import Plan
+from flying_vines.core.events import Action, Asked, Decision, Measured, Snapshot
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.simulation.simulated_world import SimulatedWorld
+from flying_vines.vine.intent import Intent, SetPressure, StartProfile, Vent
 
 STEP_S = 0.05
 Person = Callable[[Question], str | None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from flying_vines.cli import main
+from flying_vines.cli.main import main
 
 
 def status(*arguments: object) -> int:

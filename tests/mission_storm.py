@@ -8,10 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 
-from flying_vines import config
-from flying_vines.fakes.autopilot import Autopilot, Kind
+from flying_vines.config import config
+from flying_vines.simulation.autopilot import Autopilot, Kind
 from flying_vines.vehicle.clock import LATE_S
-from flying_vines.vehicle.codec import Codec
+from flying_vines.vehicle.mavlink.codec import Codec
 from flying_vines.vehicle.mission.execution import same_numbers
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.triggers import Rules, Trigger

@@ -14,14 +14,14 @@ from aiohttp import ClientSession, ClientTimeout, ClientWebSocketResponse
 from patience import PATIENCE_S
 from ports import free_port
 
-from flying_vines import config
-from flying_vines.config import Page
-from flying_vines.events import Decision, Snapshot
+from flying_vines.config import config
+from flying_vines.config.config import Page
+from flying_vines.core.events import Decision, Snapshot
 from flying_vines.gateway import page
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.messages import Answered, Ask, FromGateway, Happened, Profile, Seen, Trouble, raw
-from flying_vines.notice import Notice
-from flying_vines.reservoir import CyclesLeft
+from flying_vines.supply import CyclesLeft
+from flying_vines.vehicle.notice import Notice
 
 TOKEN = "abcd-efgh-ijkl-mnop"
 

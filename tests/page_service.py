@@ -15,7 +15,7 @@ from patience import until
 from ports import free_port
 from service_bench import Bench, on_bench
 
-from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.simulation.autopilot import Autopilot
 
 
 class Served:

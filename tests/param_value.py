@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.mavlink.codec import Message
 
 
 def param_value(name: str, number: float, kind: int = mavlink.MAV_PARAM_TYPE_REAL32) -> Message:

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from flying_vines import config
-from flying_vines.core import Core
-from flying_vines.events import Action, Event, ToVehicle
-from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.firmware import FirmwareSettings
-from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.config import config
+from flying_vines.core.core import Core
+from flying_vines.core.events import Action, Event, ToVehicle
 from flying_vines.record.recorder import Began, Recorder
-from flying_vines.simulated_world import SimulatedFlight
-from flying_vines.vehicle.codec import Codec
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.phlosar.firmware import FirmwareSettings
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.vehicle.mavlink.codec import Codec
 
 SWITCH, LOW, MIDDLE, HIGH = 9, 1000, 1500, 2000
 PROFILE = (

@@ -11,11 +11,11 @@ from tempfile import TemporaryDirectory
 
 from ports import free_port
 
-from flying_vines import config
-from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.autopilot_server import AutopilotServer
-from flying_vines.fakes.ground_station import GroundStation
-from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
+from flying_vines.config import config
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot_server import AutopilotServer
+from flying_vines.simulation.ground_station import GroundStation
+from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 
 def between(companion_port: int, serial_path: str) -> str:

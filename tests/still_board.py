@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from firmware_link.protocol import Fault, Mode
-from flying_vines.fakes.regulator import Drive
+from flying_vines.simulation.phlosar.regulator import Drive
 
 
 class StillBoard:

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from flying_vines.address import Address, NetworkAddress, parse_address
-from flying_vines.config import Config
+from flying_vines.config.address import Address, NetworkAddress, parse_address
+from flying_vines.config.config import Config
 from flying_vines.doctor.checks import clock as clocks
 from flying_vines.doctor.checks import (
     disk,
@@ -34,7 +34,7 @@ from flying_vines.doctor.look.clock import Clock, when
 from flying_vines.doctor.look.profile import Profile
 from flying_vines.doctor.vehicle_probe import Radio
 from flying_vines.doctor.vehicle_watch import TICK_S, VehicleWatch
-from flying_vines.vehicle.signing_key import SigningKeyError, TimestampFile
+from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile
 
 MOVING_S = 20.0
 """How long one has for moving the switch through all its positions."""

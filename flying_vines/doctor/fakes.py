@@ -10,11 +10,11 @@ from contextlib import ExitStack, asynccontextmanager
 
 import msgspec
 
-from flying_vines.config import Config
-from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.autopilot_server import AutopilotServer
-from flying_vines.fakes.board import best_board
-from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
+from flying_vines.config.config import Config
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot_server import AutopilotServer
+from flying_vines.simulation.phlosar.board import best_board
+from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 
 @asynccontextmanager

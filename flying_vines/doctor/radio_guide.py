@@ -14,14 +14,14 @@ from rich.status import Status
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.address import Address
-from flying_vines.config import Config
+from flying_vines.config.address import Address
+from flying_vines.config.config import Config
 from flying_vines.doctor.radio_test import LOSSES, Loss, RadioLearned, RadioTest, Sign, Step
 from flying_vines.doctor.vehicle_probe import VehicleProbe
 from flying_vines.doctor.vehicle_watch import TICK_S, VehicleWatch
-from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.signing import Signing
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.signing import Signing
 
 BEGIN = (
     "Props off, and the vine disconnected or the bottle shut. The test itself moves nothing. Ctrl-C ends it."

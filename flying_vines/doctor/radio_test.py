@@ -14,10 +14,10 @@ from typing import Literal
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.config import Config, ReceiverFailsafe
-from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.radio_parameters import RadioParameters
-from flying_vines.vehicle.rc import (
+from flying_vines.config.config import Config, ReceiverFailsafe
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.radio.radio_parameters import RadioParameters
+from flying_vines.vehicle.radio.rc import (
     CHANNELS,
     HIGHEST_US,
     JUMP_US,
@@ -27,8 +27,8 @@ from flying_vines.vehicle.rc import (
     RC_BIT,
     RadioLink,
 )
+from flying_vines.vehicle.radio.switch import BOUNDARIES_US
 from flying_vines.vehicle.state import KINDS
-from flying_vines.vehicle.switch import BOUNDARIES_US
 
 Step = Literal["ready", "off", "lost", "on", "done"]
 """Get ready; press Enter and switch off; note what shows; switch on again."""

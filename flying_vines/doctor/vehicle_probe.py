@@ -12,20 +12,20 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.config import Config
-from flying_vines.core import SPEAK_FIRST_S
-from flying_vines.vehicle.codec import Message
+from flying_vines.config.config import Config
+from flying_vines.core.core import SPEAK_FIRST_S
 from flying_vines.vehicle.component.clash import Clash
-from flying_vines.vehicle.component.outbox import Outbox
 from flying_vines.vehicle.component.telemetry import Heartbeat
+from flying_vines.vehicle.component.transmit_queue import Outbox
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.signing import Refused
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.radio_parameters import RadioParameters
-from flying_vines.vehicle.rc import RadioLink
-from flying_vines.vehicle.signing import Refused
+from flying_vines.vehicle.radio.radio_parameters import RadioParameters
+from flying_vines.vehicle.radio.rc import RadioLink
+from flying_vines.vehicle.radio.switch import Move, MovedUnseen, Ready, Switch
 from flying_vines.vehicle.state import Ambiguous, VehicleState
 from flying_vines.vehicle.streams import Streams, Wanted
-from flying_vines.vehicle.switch import Move, MovedUnseen, Ready, Switch
 
 SETTLE_S = 1.5
 """From the first heartbeat on: the streams are asked for, and take up their rate."""

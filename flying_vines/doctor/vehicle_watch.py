@@ -7,13 +7,13 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from flying_vines.address import Address
-from flying_vines.config import Config
+from flying_vines.config.address import Address
+from flying_vines.config.config import Config
 from flying_vines.doctor.vehicle_probe import VehicleFacts, VehicleProbe
-from flying_vines.host_clock import synchronised
-from flying_vines.vehicle.codec import Codec, Message
-from flying_vines.vehicle.link import open_link, unread_from
-from flying_vines.vehicle.signing import Refused, Signing
+from flying_vines.service.host_clock import synchronised
+from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.link import open_link, unread_from
+from flying_vines.vehicle.mavlink.signing import Refused, Signing
 
 TICK_S = 0.02
 

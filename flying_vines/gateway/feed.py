@@ -17,7 +17,7 @@ from flying_vines.gateway.messages import (
     ToGateway,
     Trouble,
 )
-from flying_vines.intent import ACTS_WITHIN_S, Asker, Command
+from flying_vines.vine.intent import ACTS_WITHIN_S, Asker, Command
 
 REMEMBERED = 500
 """Events that whoever comes later is told of."""

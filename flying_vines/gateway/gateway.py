@@ -16,8 +16,9 @@ from importlib import metadata
 
 import msgspec
 
-from flying_vines.config import Config
-from flying_vines.events import Action, Calibrated, Decision, Snapshot
+from flying_vines.config.config import Config
+from flying_vines.core.events import Action, Calibrated, Decision, Snapshot
+from flying_vines.core.watcher import Watcher
 from flying_vines.gateway.keep_alive import keep_alive
 from flying_vines.gateway.messages import (
     Alive,
@@ -31,10 +32,9 @@ from flying_vines.gateway.messages import (
     raw,
     read_from_gateway,
 )
-from flying_vines.gateway.patience import Patience
-from flying_vines.intent import Asker, Intent, Vent
-from flying_vines.notice import Notice, Severity
-from flying_vines.watcher import Watcher
+from flying_vines.gateway.token_bucket import Patience
+from flying_vines.vehicle.notice import Notice, Severity
+from flying_vines.vine.intent import Asker, Intent, Vent
 
 COMMAND = (sys.executable, "-m", "flying_vines.gateway")
 LONGEST_PACKET = 64 * 1024

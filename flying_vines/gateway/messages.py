@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import msgspec
 
-from flying_vines.config import Config
-from flying_vines.intent import COMMAND_OF, Asker, BendTo, Command, Intent, SetPressure, StartProfile
+from flying_vines.config.config import Config
+from flying_vines.vine.intent import COMMAND_OF, Asker, BendTo, Command, Intent, SetPressure, StartProfile
 
 if TYPE_CHECKING:
     # What these need is not needed by the gateway: it is to be light.
-    from flying_vines.events import Action, Snapshot
+    from flying_vines.core.events import Action, Snapshot
 
 COMMANDS: tuple[Command, ...] = get_args(Command)
 ALIVE_EVERY_S = 0.5

@@ -16,7 +16,7 @@ import stat
 from ipaddress import ip_address
 from pathlib import Path
 
-from flying_vines.config import Page
+from flying_vines.config.config import Page
 
 RANDOM_BYTES = 10
 """As long as no guessing over a network comes through, as short as a thumb can type."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from flying_vines import on_disk
+from flying_vines.config import on_disk
 from flying_vines.install import files
 from flying_vines.install.files import File
 

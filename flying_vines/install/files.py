@@ -10,7 +10,7 @@ from pathlib import Path
 from string import Template
 
 from firmware_link.find import UsbBoard
-from flying_vines import config as configuration
+from flying_vines.config import config as configuration
 from flying_vines.install.program import InstallError
 
 USER = "flying-vines"

@@ -22,8 +22,8 @@ from typing import Self
 import msgspec
 
 from firmware_link import protocol
-from flying_vines import on_disk
-from flying_vines.config import Pneumatics
+from flying_vines.config import on_disk
+from flying_vines.config.config import Pneumatics
 from flying_vines.record.about import About, version_of
 from flying_vines.record.mcap_file import McapFile
 from flying_vines.record.topics import (
@@ -36,8 +36,8 @@ from flying_vines.record.topics import (
     encoded,
     entry_of_state,
 )
-from flying_vines.reservoir import nominal_rig
-from flying_vines.vehicle.tlog import TlogWriter
+from flying_vines.supply import nominal_rig
+from flying_vines.vehicle.mavlink.tlog import TlogWriter
 
 MCAP, TLOG = "flight.mcap", "flight.tlog"
 PROFILE, RIG, ABOUT = "profile.toml", "rig.toml", "about.json"

@@ -11,10 +11,10 @@ from typing import Any
 
 from matplotlib import pyplot as plt
 
+from flying_vines.plots.style import BLUE, GREEN, GREY, LABEL_BOX, ORANGE, PURPLE, RED, plain
+from flying_vines.plots.vine import draw_drone, draw_vine, frame
 from flying_vines.record.reader import FlightLog, LogError
-from flying_vines.record.style import BLUE, GREEN, GREY, LABEL_BOX, ORANGE, PURPLE, RED, plain
 from flying_vines.record.topics import DECISION, SNAPSHOT, TELEMETRY
-from flying_vines.vine.drawing import draw_drone, draw_vine, frame
 
 MARKS = {"accepted": GREEN, "limited": ORANGE, "refused": RED}
 ROW, MOST_ROWS = 0.13, 5

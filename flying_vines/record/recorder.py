@@ -10,11 +10,11 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from flying_vines.events import Action, Event, Snapshot
-from flying_vines.record.aside import Aside
+from flying_vines.core.events import Action, Event, Snapshot
+from flying_vines.core.watcher import Watcher
+from flying_vines.record.background_writer import Aside
 from flying_vines.record.folders import Began, Folders
 from flying_vines.record.topics import Entry, entry_of_action, entry_of_event, entry_of_state
-from flying_vines.watcher import Watcher
 
 __all__ = ["Began", "Recorder"]
 

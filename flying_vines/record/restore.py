@@ -14,7 +14,7 @@ from functools import cache
 from typing import Any, TypeVar, get_args, get_type_hints
 
 from firmware_link import protocol
-from flying_vines.events import (
+from flying_vines.core.events import (
     Asked,
     Decision,
     Event,
@@ -26,10 +26,10 @@ from flying_vines.events import (
     Tick,
     VehicleMessage,
 )
-from flying_vines.intent import Intent
-from flying_vines.notice import Notice
 from flying_vines.record.reader import Entry, FlightLog, LogError
 from flying_vines.record.topics import MAVLINK_IN, START, Start, message_in, topic_of
+from flying_vines.vehicle.notice import Notice
+from flying_vines.vine.intent import Intent
 
 T = TypeVar("T")
 _KINDS: dict[str, type] = {

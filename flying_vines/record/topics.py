@@ -16,7 +16,7 @@ import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link import protocol
-from flying_vines.events import (
+from flying_vines.core.events import (
     Action,
     Asked,
     Calibrated,
@@ -37,13 +37,13 @@ from flying_vines.events import (
     ToVehicle,
     VehicleMessage,
 )
-from flying_vines.intent import Intent
-from flying_vines.notice import Notice
 from flying_vines.record.schema import Schema, merged, obj, of_dataclass, of_mavlink, of_type
-from flying_vines.vehicle import heard
-from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.frames import Frame, Frames
-from flying_vines.vehicle.payloads import message_of
+from flying_vines.vehicle.mavlink import handled_messages as heard
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.frames import Frame, Frames
+from flying_vines.vehicle.mavlink.payloads import message_of
+from flying_vines.vehicle.notice import Notice
+from flying_vines.vine.intent import Intent
 
 _ANOTHER = bytes((mavlink.PROTOCOL_MARKER_V2,))
 _encode = msgspec.json.Encoder().encode

@@ -10,7 +10,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from flying_vines.intent import ACTS_WITHIN_S
+from flying_vines.vine.intent import ACTS_WITHIN_S
 
 LATE_S = ACTS_WITHIN_S
 """A request over the link that is older than this may only let air out, as one of the page."""

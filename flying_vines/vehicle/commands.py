@@ -7,14 +7,14 @@ from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.intent import Intent, StartCalibration, StopCalibration
 from flying_vines.vehicle.clock import LATE_S
-from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.answer import acknowledgement
+from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.px4 import Px4Watch
 from flying_vines.vehicle.repeats import PX4_REPEAT_S, STATION_REPEAT_S, Repeats
 from flying_vines.vehicle.triggers import Rules, Trigger, direct_intent
+from flying_vines.vine.intent import Intent, StartCalibration, StopCalibration
 
 PROGRESS_S = 1.0
 

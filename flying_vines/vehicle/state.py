@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle import heard
 from flying_vines.vehicle.clock import AutopilotClock
-from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.mavlink import handled_messages as heard
+from flying_vines.vehicle.mavlink.codec import Message
 
 ALTITUDE_FRESH_S = 2.0
 HEARTBEAT_FRESH_S = 5.0

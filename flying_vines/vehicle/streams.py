@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.mavlink.codec import Message
 
 ASK_SPACING_S = 0.1
 ASK_AGAIN_S = 3.0

@@ -8,8 +8,11 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.config import CARRIERS, Config, Param
-from flying_vines.intent import (
+from flying_vines.config.config import CARRIERS, Config, Param
+from flying_vines.vehicle.clock import LATE_S
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mission.execution import Execution
+from flying_vines.vine.intent import (
     ArmPneumatics,
     BendTo,
     ClearFaults,
@@ -23,9 +26,6 @@ from flying_vines.intent import (
     StopCalibration,
     Vent,
 )
-from flying_vines.vehicle.clock import LATE_S
-from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vine.profile import flatten, top_kPa
 
 FLOAT32 = 1e-6

@@ -8,26 +8,26 @@ from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.config import CARRIERS, Config
-from flying_vines.intent import Vent
-from flying_vines.notice import Notice, Severity
-from flying_vines.vehicle import heard
+from flying_vines.config.config import CARRIERS, Config
 from flying_vines.vehicle.clock import Mark
-from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.commands import Commands
 from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.parameters import Changed
+from flying_vines.vehicle.mavlink import handled_messages as heard
+from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mission.ardupilot import ArduPilotWatch
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.px4 import Px4Watch
-from flying_vines.vehicle.pilot import Pilot, Straightened
-from flying_vines.vehicle.rc import RadioLink
+from flying_vines.vehicle.notice import Notice, Severity
+from flying_vines.vehicle.radio.pilot import Pilot, Straightened
+from flying_vines.vehicle.radio.rc import RadioLink
+from flying_vines.vehicle.radio.switch import Switch
 from flying_vines.vehicle.state import Ambiguous, Found, Rebooted, VehicleState
 from flying_vines.vehicle.streams import Streams
-from flying_vines.vehicle.switch import Switch
 from flying_vines.vehicle.triggers import Rules, Trigger
+from flying_vines.vine.intent import Vent
 
 Output = Trigger | Notice | Straightened | Changed | Message
 """What follows from a message or from time: something to decide, to tell, to take over, or to send."""

@@ -39,8 +39,10 @@ HOURS = NotHere("works for many minutes; its arguments are parsed by its own par
 BOARD = NotHere("needs a board to flash, or its maker's tools")
 PEER = NotHere("another program, on another machine or with people in front")
 
-PAPER = Elsewhere(("tests/test_paper_report.py",))
-DIAGNOSED = Elsewhere(("tests/discrepancy/test_diagnose_command.py", "tests/discrepancy/test_report.py"))
+PAPER = Elsewhere(("tests/studies/test_paper_report.py",))
+DIAGNOSED = Elsewhere(
+    ("tests/identification/test_diagnose_command.py", "tests/identification/test_report.py")
+)
 PTY = Elsewhere(("tests/firmware/test_pty_firmware.py",), ("make", "phlosar-pty", "--link"))
 OF_THE_README = Elsewhere(("README.md",))
 FLOWN = Elsewhere(("tests/missions/test_mission_command.py",))
@@ -75,21 +77,23 @@ ACCOUNTED: dict[str, Accounted] = {
     # Ours, where it takes long.
     "flying-vines paper": PAPER,
     "flying-vines paper --out DIR --json": PAPER,
-    "flying-vines paper --diagnose …": Elsewhere(("tests/test_paper_diagnosis.py",)),
+    "flying-vines paper --diagnose …": Elsewhere(("tests/studies/test_paper_diagnosis.py",)),
     "flying-vines diagnose CASE …": DIAGNOSED,
-    "flying-vines diagnose CASE CASE …": Elsewhere(("tests/discrepancy/test_many.py", *DIAGNOSED.tests)),
-    "flying-vines diagnose season/first season/second": Elsewhere(("tests/discrepancy/test_many.py",)),
-    "flying-vines diagnose season/*": Elsewhere(("tests/discrepancy/test_many.py",), ("diagnose",)),
-    "flying-vines diagnose --from-log …": Elsewhere(("tests/discrepancy/test_from_log.py", *DIAGNOSED.tests)),
-    "flying-vines diagnose --plan …": Elsewhere(("tests/discrepancy/test_plan.py",)),
+    "flying-vines diagnose CASE CASE …": Elsewhere(("tests/identification/test_many.py", *DIAGNOSED.tests)),
+    "flying-vines diagnose season/first season/second": Elsewhere(("tests/identification/test_many.py",)),
+    "flying-vines diagnose season/*": Elsewhere(("tests/identification/test_many.py",), ("diagnose",)),
+    "flying-vines diagnose --from-log …": Elsewhere(
+        ("tests/identification/test_from_log.py", *DIAGNOSED.tests)
+    ),
+    "flying-vines diagnose --plan …": Elsewhere(("tests/identification/test_plan.py",)),
     "flying-vines mission check FILE …": FLOWN,
     "flying-vines mission check bridge_inspection-ardupilot.plan --fly": FLOWN,
     "flying-vines mission check plans/canopy-px4.plan --fly": FLOWN,
     "commands.md: flying-vines diagnose leaky --out report --write-rig extended.toml": Elsewhere(
         ("README.md",)
     ),
-    "flying-vines design --robot …": Elsewhere(("tests/design/test_design_command.py",)),
-    "flying-vines calibrate …": Elsewhere(("tests/calibrate/test_calibrate_command.py",)),
+    "flying-vines design --robot …": Elsewhere(("tests/studies/test_design_command.py",)),
+    "flying-vines calibrate …": Elsewhere(("tests/calibration/test_calibrate_command.py",)),
     # Ours, where more is to be seen than a status.
     "sudo flying-vines install-service": Elsewhere(("tests/install/test_install_service.py",)),
     "flying-vines doctor …": DOCTOR,

@@ -18,13 +18,13 @@ from typing import get_args
 import msgspec
 from msgspec import inspect
 
-from flying_vines import config as configuration
-from flying_vines.cli import _parser
-from flying_vines.config import CARRIERS, Config
-from flying_vines.toml_edit import value_text
-from flying_vines.toml_text import lines_of_keys
+from flying_vines.cli.main import _parser
+from flying_vines.config import config as configuration
+from flying_vines.config.config import CARRIERS, Config
+from flying_vines.config.toml_edit import value_text
+from flying_vines.config.toml_text import lines_of_keys
 from flying_vines.vehicle.component.settings import SETTINGS
-from flying_vines.vehicle.switch import BOUNDARIES_US
+from flying_vines.vehicle.radio.switch import BOUNDARIES_US
 from flying_vines.vine.profile import Segment
 
 DOCS = Path(__file__).parents[2] / "docs"

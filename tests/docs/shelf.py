@@ -14,7 +14,7 @@ from hidden_truth import draw, write
 from recorded_flight import PROFILE, one_bend
 
 from docs.commands_said import ROOT
-from flying_vines import config
+from flying_vines.config import config
 from flying_vines.gateway.page_token import read_or_make
 
 Maker = Callable[[Path], object]
@@ -95,13 +95,13 @@ SHELF: tuple[tuple[str, Maker], ...] = (
     (r"wrong\.waypoints", _refused),
     (r"(rig|RIG)\.toml", _text("[cv]\nvolume_L = 0.1\n")),
     (r"(leaky|extended)\.toml", _text(LEAKY)),
-    (r"robot\.toml", _copy(ROOT / "flying_vines/design/examples/vine.toml")),
+    (r"robot\.toml", _copy(ROOT / "flying_vines/studies/design/examples/vine.toml")),
     (
         r"short\.toml",
         _text(SHORT),
     ),
     (r"(PAIRS|pairs)\.csv", _text(PAIRS)),
-    (r"my-vine\.toml", _copy(ROOT / "flying_vines/vine/bending/examples/pouch.toml")),
+    (r"my-vine\.toml", _copy(ROOT / "flying_vines/studies/bending/examples/pouch.toml")),
     (r"parts", lambda path: path.mkdir()),
     (r"mav\.tlog", _beginning_of(ROOT / "tests/data/recordings/rc_switch.tlog")),
     (r"(\w+/)?(canopy|bridge|MISSION)[\w-]*\.(toml|plan|waypoints)", _example),

@@ -27,7 +27,7 @@ from patience import PATIENCE_S
 from ports import free_port
 
 from docs.commands_said import ROOT
-from flying_vines.cli import main
+from flying_vines.cli.main import main
 
 T = TypeVar("T")
 
@@ -77,14 +77,14 @@ WRITES = ("--out", "--write-rig", "-o", ">", "init", "download")
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(
     [
-        "flying_vines.service",
-        "flying_vines.demo",
-        "flying_vines.terminal",
-        "flying_vines.fakes.autopilot_server",
-        "flying_vines.discrepancy.report",
-        "flying_vines.simulate.picture",
+        "flying_vines.service.service",
+        "flying_vines.simulation.demo",
+        "flying_vines.terminal.screen",
+        "flying_vines.simulation.autopilot_server",
+        "flying_vines.identification.report",
+        "flying_vines.simulation.scenario.picture",
         "flying_vines.record.picture",
-        "flying_vines.watch.watching",
+        "flying_vines.terminal.watching",
         "missions.review",
         "matplotlib.backends.backend_agg",
         "rich.progress",

@@ -25,7 +25,7 @@ from docs.commands_said import BEGINS, PAGES, ROOT, Said, bare, blocks_and_spans
 from docs.references import commands
 from docs.shelf import maker
 from docs.stage import LASTING, Ended, Stage
-from flying_vines.cli import _parser
+from flying_vines.cli.main import _parser
 
 pytestmark = real_time
 

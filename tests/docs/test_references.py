@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from docs.references import BLOCK, PAGES, arguments, commands, filled, marked, tables
-from flying_vines import config
-from flying_vines.config import Config, ConfigError, Item
+from flying_vines.config import config
+from flying_vines.config.config import Config, ConfigError, Item
 from flying_vines.vine.profile import Profile
 
 COMMANDS, CONFIGURATION = (page.read_text(encoding="utf-8") for page in PAGES)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines import config
-from flying_vines.config import Config
+from flying_vines.config import config
+from flying_vines.config.config import Config
 from flying_vines.doctor.radio_test import RadioTest
-from flying_vines.vehicle.codec import Codec, Message
-from flying_vines.vehicle.tlog import TlogReader
+from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.tlog import TlogReader
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 DEFAULT = config.default()

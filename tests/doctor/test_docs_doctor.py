@@ -8,7 +8,7 @@ from types import ModuleType
 import pytest
 
 from doctor.known_lines import CHECKS, lines_of, with_blanks
-from flying_vines import config
+from flying_vines.config import config
 from flying_vines.doctor.checks.vehicle import GROUPS, USES
 from flying_vines.doctor.finding import Line
 from flying_vines.vehicle.streams import Streams

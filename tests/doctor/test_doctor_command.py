@@ -16,11 +16,11 @@ from real_time import real_time
 from rich.console import Console
 from service_bench import on_bench
 
-from flying_vines import config as configuration
+from flying_vines.config import config as configuration
 from flying_vines.doctor.finding import Finding
 from flying_vines.doctor.show import asking, last_line, show
 from flying_vines.doctor.vehicle_probe import Radio
-from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.simulation.autopilot import Autopilot
 
 pytestmark = real_time
 

@@ -24,16 +24,16 @@ from doctor.worlds import (
     silent,
 )
 from firmware_link.protocol import GetSetting, Hello, Ping
-from flying_vines import config as configuration
-from flying_vines.config import Config
+from flying_vines.config import config as configuration
+from flying_vines.config.config import Config
 from flying_vines.doctor.examine import Ask
 from flying_vines.doctor.fakes import linked
 from flying_vines.doctor.finding import may_fly
 from flying_vines.doctor.look import profile
 from flying_vines.doctor.look.profile import Profile
 from flying_vines.doctor.vehicle_probe import Radio
-from flying_vines.fakes.phlosar import SimulatedPhlosar
-from flying_vines.vehicle.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S
 
 pytestmark = real_time
 

@@ -11,8 +11,8 @@ import pytest
 
 from doctor.known_lines import every_line, says
 from firmware_link.protocol import PROTOCOL_VERSION, Fault, Setting, Units, Welcome
-from flying_vines import config as configuration
-from flying_vines.config import Config
+from flying_vines.config import config as configuration
+from flying_vines.config.config import Config
 from flying_vines.doctor.checks import (
     clock,
     disk,
@@ -38,9 +38,9 @@ from flying_vines.doctor.finding import Finding, Line, may_fly, summary
 from flying_vines.doctor.firmware_probe import FirmwareFacts
 from flying_vines.doctor.radio_test import Loss, RadioLearned, Sign
 from flying_vines.doctor.vehicle_probe import Radio, Stream, VehicleFacts
-from flying_vines.reservoir import CyclesLeft
+from flying_vines.supply import CyclesLeft
+from flying_vines.vehicle.mavlink.signing import Refused
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.signing import Refused
 
 CONFIG = configuration.default()
 PROFILE = ProfileFacts("vine.toml", CONFIG)

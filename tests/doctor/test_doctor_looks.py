@@ -18,13 +18,13 @@ from patience import PATIENCE_S
 from serial.tools.list_ports_common import ListPortInfo
 
 from firmware_link.find import UsbBoard
-from flying_vines import config as configuration
-from flying_vines import host_clock
-from flying_vines.address import NetworkAddress, SerialAddress
-from flying_vines.config import ConfigError, Mqtt
+from flying_vines.config import config as configuration
+from flying_vines.config.address import NetworkAddress, SerialAddress
+from flying_vines.config.config import ConfigError, Mqtt
 from flying_vines.doctor.checks.network import BrokerFacts
 from flying_vines.doctor.checks.service import Process
 from flying_vines.doctor.look import broker, clock, disk, machine, ports, processes, profile
+from flying_vines.service import host_clock
 
 HOLD_A_TERMINAL = (
     "import os, sys; os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); print('open', flush=True); input()"

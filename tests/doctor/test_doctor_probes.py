@@ -9,11 +9,11 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link.protocol import Fault, Mode, Telemetry
-from flying_vines import config
+from flying_vines.config import config
 from flying_vines.doctor.firmware_probe import FirmwareFacts, with_readings
 from flying_vines.doctor.vehicle_probe import SETTLE_S, VehicleProbe
-from flying_vines.vehicle.codec import Codec
-from flying_vines.vehicle.rc import RC_BIT
+from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.radio.rc import RC_BIT
 
 
 class Feed:

@@ -12,10 +12,10 @@ import pytest
 from command_line import run
 from real_time import real_time
 
-from flying_vines import config as configuration
-from flying_vines.config import ConfigError
-from flying_vines.doctor import radio_command
-from flying_vines.doctor.radio_command import with_learned
+from flying_vines.cli import doctor_radio as radio_command
+from flying_vines.cli.doctor_radio import with_learned
+from flying_vines.config import config as configuration
+from flying_vines.config.config import ConfigError
 from flying_vines.doctor.radio_guide import NobodyThereError
 from flying_vines.doctor.radio_test import Loss, RadioLearned, Sign
 

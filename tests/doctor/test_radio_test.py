@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from doctor.radio_worlds import run_on
-from flying_vines import config
+from flying_vines.config import config
 from flying_vines.doctor.checks import receiver
 from flying_vines.doctor.finding import may_fly
 from flying_vines.doctor.radio_test import (
@@ -22,8 +22,8 @@ from flying_vines.doctor.radio_test import (
     Sign,
     failsafe_of,
 )
-from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.rc import RC_BIT
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.radio.rc import RC_BIT
 
 CONFIG = config.default()
 TWO = msgspec.structs.replace(

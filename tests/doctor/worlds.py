@@ -17,20 +17,20 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link import protocol
 from firmware_link.protocol import PROTOCOL_VERSION, Fault, Mode, Telemetry, Units, Welcome
-from flying_vines import config as configuration
-from flying_vines.address import NetworkAddress, parse_address
-from flying_vines.config import Config
+from flying_vines.config import config as configuration
+from flying_vines.config.address import NetworkAddress, parse_address
+from flying_vines.config.config import Config
 from flying_vines.doctor.examine import Ask, examine
 from flying_vines.doctor.fakes import between, linked
 from flying_vines.doctor.finding import Finding
 from flying_vines.doctor.look import profile
 from flying_vines.doctor.look.profile import Profile
-from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.board import Between
-from flying_vines.fakes.firmware import Firmware
-from flying_vines.fakes.phlosar import SimulatedPhlosar
-from flying_vines.pneumatics.plant.effects import Effects
-from flying_vines.vehicle.codec import Codec
+from flying_vines.physics.plant.effects import Effects
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.phlosar.board import Between
+from flying_vines.simulation.phlosar.firmware import Firmware
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.vehicle.mavlink.codec import Codec
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import Kind
 

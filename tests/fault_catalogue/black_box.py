@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from firmware_link.protocol import Codec, Setpoint
-from flying_vines.fakes.board import Between
-from flying_vines.fakes.phlosar import SimulatedPhlosar
-from flying_vines.fakes.regulator import Drive
+from flying_vines.simulation.phlosar.board import Between
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.simulation.phlosar.regulator import Drive
 
 STEP_S = 0.001
 

@@ -11,9 +11,9 @@ from typing import Literal
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link import protocol
-from flying_vines import config
-from flying_vines.events import LinkChanged, VehicleMessage
-from flying_vines.fakes.mishaps import (
+from flying_vines.config import config
+from flying_vines.core.events import LinkChanged, VehicleMessage
+from flying_vines.simulation.phlosar.mishaps import (
     Drifting,
     Gain,
     Glitching,
@@ -29,8 +29,8 @@ from flying_vines.fakes.mishaps import (
     StuckAt,
     Unpowered,
 )
-from flying_vines.simulated_world import Wire, perfect
-from flying_vines.vehicle.codec import Codec
+from flying_vines.simulation.simulated_world import Wire, perfect
+from flying_vines.vehicle.mavlink.codec import Codec
 from flying_vines.vehicle.mission.storage import Kind as AutopilotKind
 
 from .watched import Watched

@@ -14,12 +14,12 @@ from ports import free_port
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from service_bench import between
 
-from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.autopilot_server import AutopilotServer
-from flying_vines.fakes.ground_station import GroundStation
-from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
-from flying_vines.pneumatics.plant.effects import Effects
+from flying_vines.physics.plant.effects import Effects
 from flying_vines.record.reader import FlightLog, LogError
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot_server import AutopilotServer
+from flying_vines.simulation.ground_station import GroundStation
+from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 from .black_box import BlackBox
 from .watched import HIGH, LOW, MIDDLE, SWITCH

@@ -12,7 +12,7 @@ import pytest
 from needed import need
 from real_time import TRIES, real_time
 
-from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.simulation.autopilot import Autopilot
 
 from .served import Served, on_bench
 

@@ -14,10 +14,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
 from service_bench import on_bench
 
-from flying_vines import config
-from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.kept import Kept
-from flying_vines.service import Service
+from flying_vines.config import config
+from flying_vines.service.persistent_state import Kept
+from flying_vines.service.service import Service
+from flying_vines.simulation.autopilot import Autopilot
 
 from .catalogue import ROWS
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from flying_vines.fakes.firmware import FirmwareSettings
+from flying_vines.simulation.phlosar.firmware import FirmwareSettings
 
 from .black_box import STEP_S, BlackBox
 from .catalogue import ROWS, UNPOWERED, Cleared, Row

@@ -15,15 +15,15 @@ from pathlib import Path
 import pytest
 from needed import needs_compiler
 
-from flying_vines.config import Config
-from flying_vines.core import Core
-from flying_vines.fakes.autopilot import Kind, RcSource
-from flying_vines.intent import Intent
-from flying_vines.vehicle.codec import Message
+from flying_vines.config.config import Config
+from flying_vines.core.core import Core
+from flying_vines.simulation.autopilot import Kind, RcSource
+from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.pilot import PilotOutput
+from flying_vines.vehicle.radio.pilot import PilotOutput
 from flying_vines.vehicle.triggers import Trigger
+from flying_vines.vine.intent import Intent
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 

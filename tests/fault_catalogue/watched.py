@@ -8,14 +8,14 @@ from collections.abc import Mapping
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines import config
-from flying_vines.events import Action, Decision, Event, ToVehicle, VehicleMessage
-from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.board import best_board
-from flying_vines.fakes.phlosar import SimulatedPhlosar
-from flying_vines.pneumatics.plant.effects import Effects
-from flying_vines.simulated_world import SimulatedFlight
-from flying_vines.vehicle.codec import Codec
+from flying_vines.config import config
+from flying_vines.core.events import Action, Decision, Event, ToVehicle, VehicleMessage
+from flying_vines.physics.plant.effects import Effects
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.phlosar.board import best_board
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.vehicle.mavlink.codec import Codec
 from flying_vines.vehicle.mission.storage import Kind
 
 from .black_box import STEP_S, BlackBox

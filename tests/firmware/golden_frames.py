@@ -29,7 +29,7 @@ from firmware_link.protocol import (
     decode,
     encode,
 )
-from flying_vines.fakes.firmware_settings import SETTING_ROWS, FirmwareSettings, value_of
+from flying_vines.simulation.phlosar.firmware_settings import SETTING_ROWS, FirmwareSettings, value_of
 
 from .golden_run import Done, PowerUp, Step, Told
 

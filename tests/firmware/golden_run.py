@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from firmware_link.protocol import Mode
-from flying_vines.fakes.compiled_firmware import _Outputs, load
+from flying_vines.simulation.phlosar.compiled_firmware import _Outputs, load
 
 GOLDEN_RUN = Path(__file__).with_name("golden_run.txt.xz")
 HEADER = """\

@@ -27,10 +27,10 @@ from firmware_link.protocol import (
     Vent,
     encode,
 )
-from flying_vines.fakes.firmware_settings import SETTING_ROWS
-from flying_vines.fakes.mishaps import Open, Shorted
-from flying_vines.fakes.phlosar import SimulatedPhlosar
-from flying_vines.fakes.regulator import Drive
+from flying_vines.simulation.phlosar.firmware_settings import SETTING_ROWS
+from flying_vines.simulation.phlosar.mishaps import Open, Shorted
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.simulation.phlosar.regulator import Drive
 
 from .golden_run import FULL_EVP_DUTY, GOLDEN_RUN, PACKET, Done, HostBoard, Part, PowerUp, Step, write
 

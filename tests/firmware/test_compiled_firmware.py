@@ -19,13 +19,10 @@ from firmware_link.protocol import (
     SetSetting,
     Telemetry,
 )
-from flying_vines.fakes import compiled_firmware
-from flying_vines.fakes.compiled_firmware import (
-    CompiledFirmware,
-    FirmwareBuildError,
-)
-from flying_vines.fakes.firmware_settings import SETTING_ROWS, FirmwareSettings, value_of
-from flying_vines.fakes.regulator import SAFE, RegulatorSettings
+from flying_vines.simulation.phlosar import compiled_firmware
+from flying_vines.simulation.phlosar.compiled_firmware import CompiledFirmware, FirmwareBuildError
+from flying_vines.simulation.phlosar.firmware_settings import SETTING_ROWS, FirmwareSettings, value_of
+from flying_vines.simulation.phlosar.regulator import SAFE, RegulatorSettings
 
 DOCS = Path(__file__).parents[2] / "docs"
 

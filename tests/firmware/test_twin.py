@@ -35,10 +35,10 @@ from firmware_link.protocol import (
     Telemetry,
     Vent,
 )
-from flying_vines.fakes.board import Board
-from flying_vines.fakes.compiled_firmware import CompiledFirmware
-from flying_vines.fakes.firmware import Drive, Firmware
-from flying_vines.fakes.firmware_settings import (
+from flying_vines.simulation.phlosar.board import Board
+from flying_vines.simulation.phlosar.compiled_firmware import CompiledFirmware
+from flying_vines.simulation.phlosar.firmware import Drive, Firmware
+from flying_vines.simulation.phlosar.firmware_settings import (
     SETTING_ROWS,
     CV_SENSOR_SPAN_kPa,
     FirmwareSettings,
@@ -47,7 +47,7 @@ from flying_vines.fakes.firmware_settings import (
     value_of,
     with_value,
 )
-from flying_vines.fakes.phlosar import SimulatedPhlosar
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 
 pytestmark = needs_compiler
 

@@ -18,10 +18,10 @@ from firmware_link.host import (
     TelemetryReceived,
 )
 from firmware_link.protocol import PROTOCOL_VERSION, Fault, Mode
-from flying_vines.fakes import firmware as firmware_module
-from flying_vines.fakes.board import Board, why_emulated
-from flying_vines.fakes.compiled_firmware import CompiledFirmware
-from flying_vines.fakes.firmware import Firmware
+from flying_vines.simulation.phlosar import firmware as firmware_module
+from flying_vines.simulation.phlosar.board import Board, why_emulated
+from flying_vines.simulation.phlosar.compiled_firmware import CompiledFirmware
+from flying_vines.simulation.phlosar.firmware import Firmware
 
 HELLO_MS = 500
 REPEAT_MS = 20

@@ -24,7 +24,7 @@ from firmware_link.protocol import (
     Welcome,
 )
 from firmware_link.settings import SettingsTalk
-from flying_vines.fakes.firmware import Firmware
+from flying_vines.simulation.phlosar.firmware import Firmware
 
 
 def watch(monitor: Monitor, firmware: Firmware, for_ms: int, began_ms: int = 0) -> list[Seen]:

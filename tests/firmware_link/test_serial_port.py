@@ -21,8 +21,8 @@ from firmware_link.host import FirmwareReset, HostEvent, Ready, Regulate, Sessio
 from firmware_link.link import FirmwareLink
 from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello, Mode, Telemetry, Vent, Welcome
 from firmware_link.serial_port import MAX_QUEUED_BYTES, SerialPort
-from flying_vines.fakes.firmware import Firmware
-from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
+from flying_vines.simulation.phlosar.firmware import Firmware
+from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 pytestmark = real_time
 

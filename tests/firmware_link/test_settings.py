@@ -18,7 +18,7 @@ from firmware_link.protocol import (
     Setting,
 )
 from firmware_link.settings import SettingsTalk
-from flying_vines.fakes.firmware import Firmware
+from flying_vines.simulation.phlosar.firmware import Firmware
 
 
 class Board:

@@ -19,14 +19,14 @@ from patience import PATIENCE_S, until
 from ports import free_port
 from real_time import real_time
 
-from flying_vines.config import Page
-from flying_vines.events import Decision
+from flying_vines.config.config import Page
+from flying_vines.core.events import Decision
 from flying_vines.gateway import __main__ as gateway_process
 from flying_vines.gateway import gateway, keep_alive, mqtt, page
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.gateway import Gateway
 from flying_vines.gateway.messages import Alive, Profile, Trouble, packet, read_from_gateway
-from flying_vines.intent import Asker, Hold, Intent, StartBench, Vent
+from flying_vines.vine.intent import Asker, Hold, Intent, StartBench, Vent
 
 from .mqtt.brokers import Broker, Onlooker
 from .told import configured, decision, notice, snapshot

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from flying_vines.gateway import messages
 from flying_vines.gateway.messages import Answered, Ask, FromGateway, Happened, Seen, ToGateway, Trouble
-from flying_vines.intent import BendTo, Command, SetPressure, StartProfile, Vent
+from flying_vines.vine.intent import BendTo, Command, SetPressure, StartProfile, Vent
 
 from .told import calibrated, decision, happened, notice, profile, seen
 

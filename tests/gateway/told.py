@@ -6,12 +6,12 @@ from typing import Any
 
 import msgspec
 
-from flying_vines import config
-from flying_vines.config import Config
-from flying_vines.events import Calibrated, Decision, Snapshot
+from flying_vines.config import config
+from flying_vines.config.config import Config
+from flying_vines.core.events import Calibrated, Decision, Snapshot
 from flying_vines.gateway.messages import Happened, Profile, Seen, raw
-from flying_vines.notice import Notice, Severity
-from flying_vines.reservoir import CyclesLeft
+from flying_vines.supply import CyclesLeft
+from flying_vines.vehicle.notice import Notice, Severity
 
 CYCLES = CyclesLeft(31.2, 27.9, 35.0, 12.0, 18.4, 102.0)
 

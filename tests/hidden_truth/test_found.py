@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from flying_vines.discrepancy.case import read_case
-from flying_vines.discrepancy.diagnose import diagnose
-from flying_vines.discrepancy.verdict import Verdict
+from flying_vines.identification.case import read_case
+from flying_vines.identification.diagnose import diagnose
+from flying_vines.identification.verdict import Verdict
 from hidden_truth import draw, write
 from hidden_truth.truth import Truth
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from flying_vines.install import command, files
+from flying_vines.cli import install as command
+from flying_vines.install import files
 
 PAGE = (Path(__file__).parents[2] / "docs" / "install.md").read_text(encoding="utf-8")
 UNIT = files.unit(("flying-vines",), files.USER, files.PROFILE, (), files.STATE).text

@@ -15,7 +15,7 @@ from command_line import run
 from needed import need
 
 from firmware_link.find import UsbBoard
-from flying_vines import config
+from flying_vines.config import config
 from flying_vines.install import files, program
 from flying_vines.install.program import InstallError, Program, Reader, check_reachable
 

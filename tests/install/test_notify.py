@@ -21,11 +21,11 @@ from ports import free_port
 from real_time import real_time
 from service_bench import between
 
-from flying_vines import config
-from flying_vines.core import Core
-from flying_vines.events import LinkChanged, Stop, Tick
-from flying_vines.notify import PER_WATCHDOG, ServiceManager, service_manager, status_line
-from flying_vines.service import Service
+from flying_vines.config import config
+from flying_vines.core.core import Core
+from flying_vines.core.events import LinkChanged, Stop, Tick
+from flying_vines.service.service import Service
+from flying_vines.service.systemd import PER_WATCHDOG, ServiceManager, service_manager, status_line
 
 pytestmark = real_time
 

@@ -89,7 +89,7 @@ def test_the_wheel_holds_every_file_of_the_packages_and_no_other(sources: Path, 
         names = set(archive.namelist())
     of_packages = {name for name in names if ".dist-info/" not in name}
     assert of_packages == files(sources, *PACKAGES)
-    assert "flying_vines/default.toml" in of_packages
+    assert "flying_vines/config/default.toml" in of_packages
     assert "firmware_link/firmware/phlosar/phlosar.ino" in of_packages
 
 

@@ -8,18 +8,18 @@ import msgspec
 import pytest
 from mission_building import HEAD, HOMES, KINDS, built, reviewed, said, waypoint
 
-from flying_vines import config as configuration
-from flying_vines.fakes.autopilot import Home
-from flying_vines.pneumatics.plant.effects import Effects
-from flying_vines.pneumatics.plant.true_rig import TrueRig
-from flying_vines.pneumatics.rig import Rig
-from flying_vines.reservoir import nominal
+from flying_vines.config import config as configuration
+from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.true_rig import TrueRig
+from flying_vines.physics.rig import Rig
+from flying_vines.simulation.autopilot import Home
+from flying_vines.simulation.mission_flight import fly
+from flying_vines.supply import nominal
 from flying_vines.vehicle.mission.storage import Kind
 from missions.budget import budget
 from missions.report import as_json
 from missions.review import review
 from missions.timeline import timeline
-from missions.trial import fly
 
 CONFIG = configuration.default()
 IDEAL = TrueRig(Rig(), effects=Effects())

@@ -27,8 +27,8 @@ from mission_building import (
     waypoint,
 )
 
-from flying_vines import config as configuration
-from flying_vines.config import Item
+from flying_vines.config import config as configuration
+from flying_vines.config.config import Item
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import Kind
 

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines import config
-from flying_vines.vehicle.codec import Codec, Message
+from flying_vines.config import config
+from flying_vines.vehicle.mavlink.codec import Codec, Message
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vehicle.vehicle import Vehicle

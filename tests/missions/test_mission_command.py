@@ -11,7 +11,7 @@ import pytest
 from command_line import run
 from mission_building import EXAMPLES, HEAD, KINDS, waypoint
 
-from flying_vines.fakes.autopilot import Autopilot
+from flying_vines.simulation.autopilot import Autopilot
 from flying_vines.vehicle.mission.storage import Kind
 from missions.files import load_items
 
@@ -164,7 +164,7 @@ def test_what_is_built_already_is_checked_not_built(mission: Path, capsys: Captu
 
 
 def test_the_service_does_not_import_it() -> None:
-    code = "import sys, flying_vines.cli; sys.exit('missions.review' in sys.modules)"
+    code = "import sys, flying_vines.cli.main; sys.exit('missions.review' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -9,8 +9,8 @@ import pytest
 from mission_building import EXAMPLES, KINDS
 from patience import PATIENCE_S
 
-from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.autopilot_server import AutopilotServer
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.vehicle.mission.item import has_place
 from flying_vines.vehicle.mission.storage import Kind
 from missions.carriers import over_the_wire

@@ -12,8 +12,8 @@ from pathlib import Path
 import command_line
 import pytest
 
-from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.autopilot_server import AutopilotServer
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot_server import AutopilotServer
 
 VINE_MISSION = Path(__file__).parents[1] / "data" / "recordings" / "ardupilot_vine_mission.waypoints"
 NOBODY = "udpin:127.0.0.1:1"

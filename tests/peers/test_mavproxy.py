@@ -22,15 +22,15 @@ from ports import free_port
 from real_time import real_time
 from service_bench import between
 
-from flying_vines import config
-from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.fakes.autopilot_server import AutopilotServer
-from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
-from flying_vines.service import Service
+from flying_vines.config import config
+from flying_vines.service.service import Service
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot_server import AutopilotServer
+from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.vehicle.component.settings import SETTINGS
+from flying_vines.vehicle.mavlink.signing import Signing
+from flying_vines.vehicle.mavlink.signing_key import read_key
 from flying_vines.vehicle.mission.storage import Kind
-from flying_vines.vehicle.signing import Signing
-from flying_vines.vehicle.signing_key import read_key
 from peers.mavproxy import HOW_TO_INSTALL, MavProxy, installed, mavproxy
 
 pytestmark = [

@@ -20,13 +20,13 @@ from real_time import real_time
 from rich.console import Console
 from service_bench import between
 
-from flying_vines import config
-from flying_vines.events import Action, Decision
-from flying_vines.fakes.autopilot import Autopilot, Kind
-from flying_vines.fakes.autopilot_server import AutopilotServer
-from flying_vines.fakes.phlosar import PtyPhlosar, SimulatedPhlosar
-from flying_vines.service import Service
-from flying_vines.watcher import EachAction
+from flying_vines.config import config
+from flying_vines.core.events import Action, Decision
+from flying_vines.core.watcher import EachAction
+from flying_vines.service.service import Service
+from flying_vines.simulation.autopilot import Autopilot, Kind
+from flying_vines.simulation.autopilot_server import AutopilotServer
+from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 from missions.download import download
 from missions.files import load_items
 from missions.link import Ears, Heard, LinkError, vehicle

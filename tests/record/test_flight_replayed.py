@@ -11,23 +11,23 @@ import pytest
 from recorded_flight import BEGAN, CONFIG, HIGH, LOW, fly, new_flight, one_bend
 
 from firmware_link.protocol import Telemetry
-from flying_vines import config
-from flying_vines.cli import main
-from flying_vines.contained import Contained
-from flying_vines.core import Core
-from flying_vines.events import Asked, Decision, InternalError
-from flying_vines.intent import BendTo
-from flying_vines.pneumatics.plant.true_rig import TrueRig, true_rig_text
-from flying_vines.pneumatics.rig import Rig
+from flying_vines.cli.main import main
+from flying_vines.config import config
+from flying_vines.core.contained import Contained
+from flying_vines.core.core import Core
+from flying_vines.core.events import Asked, Decision, InternalError
+from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
+from flying_vines.physics.rig import Rig
 from flying_vines.record.folders import MCAP
 from flying_vines.record.mcap_file import McapFile
 from flying_vines.record.reader import Entry, FlightLog, LogError
 from flying_vines.record.recorder import Recorder
 from flying_vines.record.topics import NUMBERS, TOPICS, topic_of
-from flying_vines.replay import replay_flight
-from flying_vines.reservoir import ReservoirEstimate
-from flying_vines.reservoir.calibration import load_calibration
-from flying_vines.simulated_world import SimulatedFlight
+from flying_vines.simulation.replay import replay_flight
+from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.supply import ReservoirEstimate
+from flying_vines.supply.known_rig import load_calibration
+from flying_vines.vine.intent import BendTo
 
 
 @pytest.fixture(scope="module")

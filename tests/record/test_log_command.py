@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from recorded_flight import one_bend
 
-from flying_vines.cli import main
+from flying_vines.cli.main import main
 from flying_vines.record.reader import FlightLog
 
 

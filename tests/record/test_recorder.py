@@ -25,8 +25,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from recorded_flight import BEGAN, CONFIG, HIGH, LOW, fly, new_flight, one_bend
 
 from firmware_link.protocol import Fault, Mode, Telemetry, Welcome
-from flying_vines.core import Core
-from flying_vines.events import (
+from flying_vines.core.core import Core
+from flying_vines.core.events import (
     Asked,
     Calibrated,
     Decision,
@@ -41,8 +41,6 @@ from flying_vines.events import (
     ToVehicle,
     VehicleMessage,
 )
-from flying_vines.intent import BendTo, StartProfile, Vent
-from flying_vines.notice import Notice, Severity
 from flying_vines.record import folders as folders_module
 from flying_vines.record import recorder as recorder_module
 from flying_vines.record.reader import Entry, FlightLog
@@ -50,10 +48,12 @@ from flying_vines.record.recorder import Recorder
 from flying_vines.record.restore import event_of, start_of
 from flying_vines.record.schema import Schema
 from flying_vines.record.topics import TOPICS, encoded, entry_of_event
-from flying_vines.replay import replay_flight
-from flying_vines.vehicle.codec import Codec
-from flying_vines.vehicle.fuel_status import fuel_status
-from flying_vines.vehicle.tlog import TlogReader
+from flying_vines.simulation.replay import replay_flight
+from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.fuel_status import fuel_status
+from flying_vines.vehicle.mavlink.tlog import TlogReader
+from flying_vines.vehicle.notice import Notice, Severity
+from flying_vines.vine.intent import BendTo, StartProfile, Vent
 
 SNAPSHOT = Core(CONFIG).snapshot(1.0)
 READING = Telemetry(1234, Mode.REGULATE, Fault.DEAD_MAN | Fault.SUPPLY, 3, 10.0, 0.1, 600.0, 0.5, 0.0, True)

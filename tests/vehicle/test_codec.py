@@ -10,8 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.codec import MOST_SENDERS, REMEMBERED_FRAMES, REMEMBERED_SENT, Codec, Message
-from flying_vines.vehicle.frames import LONGEST_FRAME
+from flying_vines.vehicle.mavlink.codec import (
+    MOST_SENDERS,
+    REMEMBERED_FRAMES,
+    REMEMBERED_SENT,
+    Codec,
+    Message,
+)
+from flying_vines.vehicle.mavlink.frames import LONGEST_FRAME
 
 
 class Sender:

@@ -9,8 +9,15 @@ from itertools import count, pairwise
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines import config
-from flying_vines.intent import (
+from flying_vines.config import config
+from flying_vines.vehicle.commands import Commands
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mission.book import MissionBook
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.px4 import Px4Watch
+from flying_vines.vehicle.repeats import LATE_S, MOST_REMEMBERED, PX4_REPEAT_S
+from flying_vines.vehicle.triggers import Rules, Trigger
+from flying_vines.vine.intent import (
     ArmPneumatics,
     BendTo,
     ClearFaults,
@@ -22,13 +29,6 @@ from flying_vines.intent import (
     StopCalibration,
     Vent,
 )
-from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.commands import Commands
-from flying_vines.vehicle.mission.book import MissionBook
-from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.px4 import Px4Watch
-from flying_vines.vehicle.repeats import LATE_S, MOST_REMEMBERED, PX4_REPEAT_S
-from flying_vines.vehicle.triggers import Rules, Trigger
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = 0, 2, 3, 4, 5
 US, AUTOPILOT, STATION = 191, (1, 1), (255, 190)

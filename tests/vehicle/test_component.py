@@ -14,17 +14,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines import config
-from flying_vines.core import Core
-from flying_vines.events import Action, Event, ToVehicle, VehicleMessage
-from flying_vines.fakes.autopilot import Autopilot
-from flying_vines.notice import Notice
-from flying_vines.simulated_world import SimulatedFlight
-from flying_vines.vehicle.codec import Codec, Message
+from flying_vines.config import config
+from flying_vines.core.core import Core
+from flying_vines.core.events import Action, Event, ToVehicle, VehicleMessage
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.telemetry import NamedValues
 from flying_vines.vehicle.component.texts import CHUNK_LENGTH, LONGEST_TEXT, SAME_AGAIN_S, SPACING_S, Texts
+from flying_vines.vehicle.mavlink.codec import Codec, Message
 from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.notice import Notice
 from flying_vines.vehicle.state import VehicleState
 
 TICK_S = 0.02

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.frames import LONGEST_FRAME, Frame, Frames
+from flying_vines.vehicle.mavlink.frames import LONGEST_FRAME, Frame, Frames
 
 
 def packed(count: int, version_1: bool = False) -> list[bytes]:

@@ -13,8 +13,8 @@ import pymavlink.dialects.v20 as dialects
 import pytest
 from pymavlink.generator import mavgen, mavparse
 
-from flying_vines.vehicle.codec import Codec
-from flying_vines.vehicle.fuel_status import fuel_status
+from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.fuel_status import fuel_status
 
 DEFINITION = """<?xml version="1.0"?>
 <mavlink>

@@ -17,10 +17,10 @@ from ports import free_port
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link import serial_port
-from flying_vines.address import Address, NetworkAddress, SerialAddress
-from flying_vines.vehicle import link as link_module
-from flying_vines.vehicle.codec import Codec, Message
-from flying_vines.vehicle.link import (
+from flying_vines.config.address import Address, NetworkAddress, SerialAddress
+from flying_vines.vehicle.mavlink import link as link_module
+from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.link import (
     MAX_QUEUED_BYTES,
     MOST_OF_STRANGERS,
     MOST_PEERS,
@@ -30,7 +30,7 @@ from flying_vines.vehicle.link import (
     UdpLink,
     open_link,
 )
-from flying_vines.vehicle.signing import Signing
+from flying_vines.vehicle.mavlink.signing import Signing
 
 HOST = "127.0.0.1"
 TIMEOUT_S = 5.0

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 import flying_vines
-from flying_vines import config
-from flying_vines.notice import Notice, Severity
-from flying_vines.vehicle.codec import Message
+from flying_vines.config import config
 from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.clash import AGAIN_S, WITHIN_S, Clash
 from flying_vines.vehicle.component.settings import SETTINGS
 from flying_vines.vehicle.component.texts import LONGEST_TEXT, harmless
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.state import VehicleState
 from flying_vines.vehicle.vehicle import Vehicle
 

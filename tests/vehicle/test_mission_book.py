@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mission.book import MOST_ATTEMPTS, RETRY_S, TRY_AGAIN_S, MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
 

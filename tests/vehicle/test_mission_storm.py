@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mission_storm import RESTART_S, Link, Storm, compare, fly, in_order, mission, numbers_of_before
 
-from flying_vines.fakes.autopilot import Kind
+from flying_vines.simulation.autopilot import Kind
 
 KINDS: tuple[Kind, Kind] = ("ardupilot", "px4")
 

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.answer import acknowledgement
 from flying_vines.vehicle.component.identity import autopilot_version
-from flying_vines.vehicle.component.outbox import MOST_WAITING, Outbox
-from flying_vines.vehicle.fuel_status import fuel_status
+from flying_vines.vehicle.component.transmit_queue import MOST_WAITING, Outbox
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.fuel_status import fuel_status
 
 TICK_S = 0.02
 LATE_S = 0.002

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
-from flying_vines import config
+from flying_vines.config import config
+from flying_vines.vehicle.component.parameter_file import ParameterFileError, read, write
 from flying_vines.vehicle.component.parameters import Parameters
 from flying_vines.vehicle.component.settings import SETTINGS, Refused, bounds
-from flying_vines.vehicle.parameter_file import ParameterFileError, read, write
 
 PROFILE = config.default()
 VALUES = {"VINE_MAX_KPA": 18.1, "VINE_RC_ACTION": 1.0}

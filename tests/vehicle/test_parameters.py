@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines import config
-from flying_vines.config import Config
-from flying_vines.notice import Notice, Severity
-from flying_vines.vehicle.codec import Message
+from flying_vines.config import config
+from flying_vines.config.config import Config
 from flying_vines.vehicle.component.parameters import LIST_SPACING_S, Changed, Parameters
 from flying_vines.vehicle.component.settings import BY_NAME, SETTINGS, Refused, bounds, decimal, value_of
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.notice import Notice, Severity
 
 US, STATION = (1, 191), (255, 190)
 REAL32 = mavlink.MAV_PARAM_TYPE_REAL32

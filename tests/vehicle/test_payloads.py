@@ -7,8 +7,8 @@ import random
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.frames import Frames
-from flying_vines.vehicle.payloads import Message, message_of
+from flying_vines.vehicle.mavlink.frames import Frames
+from flying_vines.vehicle.mavlink.payloads import Message, message_of
 
 TYPES = sorted(mavlink.mavlink_map)
 

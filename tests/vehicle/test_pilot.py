@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from param_value import param_value
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines import config
-from flying_vines.intent import StartProfile
-from flying_vines.notice import Notice
-from flying_vines.vehicle.pilot import Pilot, PilotOutput, Straightened
-from flying_vines.vehicle.rc import NO_RSSI, OVERRIDE_RSSI, RC_BIT
+from flying_vines.config import config
+from flying_vines.vehicle.notice import Notice
+from flying_vines.vehicle.radio.pilot import Pilot, PilotOutput, Straightened
+from flying_vines.vehicle.radio.rc import NO_RSSI, OVERRIDE_RSSI, RC_BIT
 from flying_vines.vehicle.triggers import Rules, Trigger
+from flying_vines.vine.intent import StartProfile
 
 PERIOD_S = 0.05
 PULSES_US = (1000, 1500, 2000)

@@ -8,7 +8,7 @@ import pytest
 from param_value import param_value
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.radio_parameters import MOST_ATTEMPTS, NAMES, RadioParameters
+from flying_vines.vehicle.radio.radio_parameters import MOST_ATTEMPTS, NAMES, RadioParameters
 
 
 def read(autopilot: str, **values: float) -> RadioParameters:

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.config import Switch
-from flying_vines.vehicle.codec import Codec, Message
-from flying_vines.vehicle.rc import RC_BIT, TEXT_OUTLIVED_BY_HEALTH_S, RadioLink
-from flying_vines.vehicle.tlog import TlogReader
+from flying_vines.config.config import Switch
+from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.tlog import TlogReader
+from flying_vines.vehicle.radio.rc import RC_BIT, TEXT_OUTLIVED_BY_HEALTH_S, RadioLink
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 SILENT_AFTER_S = 1.0

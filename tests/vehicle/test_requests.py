@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.codec import Codec, Message
 from flying_vines.vehicle.component.identity import ProtocolVersion, autopilot_version, packed_version
 from flying_vines.vehicle.component.requests import Requests
 from flying_vines.vehicle.component.telemetry import Heartbeat, NamedValues
 from flying_vines.vehicle.component.timesync import MAX_ASKERS, Timesync, TokenBuckets
+from flying_vines.vehicle.mavlink.codec import Codec, Message
 
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
 US, STATION, AUTOPILOT = (1, 191), (255, 190), (1, 1)

@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines import config
-from flying_vines.events import Snapshot
-from flying_vines.fakes.autopilot.autopilot import Autopilot
-from flying_vines.simulated_world import SimulatedFlight
-from flying_vines.vehicle.codec import Codec, Message
-from flying_vines.vehicle.signing import (
+from flying_vines.config import config
+from flying_vines.core.events import Snapshot
+from flying_vines.simulation.autopilot.autopilot import Autopilot
+from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.signing import (
     MOST_STREAMS,
     UNITS_PER_S,
     UNIX_TIME_OF_ZERO_S,
@@ -25,7 +25,7 @@ from flying_vines.vehicle.signing import (
     Refused,
     Signing,
 )
-from flying_vines.vehicle.tlog import TlogReader
+from flying_vines.vehicle.mavlink.tlog import TlogReader
 
 KEY = hashlib.sha256(b"a passphrase for tests").digest()
 NOW_S = 1_790_000_000.0

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from flying_vines.vehicle.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S, Memory, Signing
-from flying_vines.vehicle.signing_key import SigningKeyError, TimestampFile, read_key
+from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S, Memory, Signing
+from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile, read_key
 
 KEY = bytes(range(32))
 

@@ -7,7 +7,7 @@ import itertools
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.streams import ASK_AGAIN_S, ASK_SPACING_S, MISSING_AFTER_S, REFUSED_S, Streams
 
 WANTED_HZ = {65: 20.0, 1: 10.0, 33: 5.0, 42: 5.0, 2: 1.0, 29: 1.0}

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
-from flying_vines.vehicle.switch import (
+from flying_vines.vehicle.radio.switch import (
     BOUNDARIES_US,
     SAMPLING_SLACK_S,
     Move,

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.tlog import TlogError, TlogReader
+from flying_vines.vehicle.mavlink.tlog import TlogError, TlogReader
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 FRAMES = {

@@ -8,14 +8,14 @@ import msgspec
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines import config
-from flying_vines.intent import BendTo, StartProfile, Vent
-from flying_vines.notice import Notice
-from flying_vines.vehicle.codec import Codec, Message
+from flying_vines.config import config
+from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.tlog import TlogReader
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.tlog import TlogReader
+from flying_vines.vehicle.notice import Notice
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vehicle.vehicle import Vehicle
+from flying_vines.vine.intent import BendTo, StartProfile, Vent
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 TICK_S = 0.02

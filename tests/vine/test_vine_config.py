@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from flying_vines import config
-from flying_vines.config import ConfigError
+from flying_vines.config import config
+from flying_vines.config.config import ConfigError
 from flying_vines.vine.profile import Sine, ends_kPa, plan
 
 PROFILES = """

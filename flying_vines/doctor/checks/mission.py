@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from flying_vines.config import Config
+from flying_vines.config.config import Config
+from flying_vines.core.motion_planner import Mover
 from flying_vines.doctor.finding import Finding, Line
-from flying_vines.mover import Mover
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.triggers import Rules
 

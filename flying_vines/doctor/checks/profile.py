@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from flying_vines.address import NetworkAddress, believed, parse_address
-from flying_vines.config import Config
+from flying_vines.config.address import NetworkAddress, believed, parse_address
+from flying_vines.config.config import Config
 from flying_vines.doctor.finding import Finding, Line
 
 

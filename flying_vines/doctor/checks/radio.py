@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from flying_vines.config import Config
+from flying_vines.config.config import Config
 from flying_vines.doctor.finding import Finding, Line
 from flying_vines.doctor.vehicle_probe import Radio
-from flying_vines.vehicle.switch import BOUNDARIES_US
+from flying_vines.vehicle.radio.switch import BOUNDARIES_US
 
 NOT_USED = Line("RC switch", "skipped", "the profile gives its positions nothing to do")
 NOT_HEARD = Line("RC switch", "skipped", "not looked at: no autopilot was heard")

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from flying_vines.config import Config, ReceiverFailsafe
+from flying_vines.config.config import Config, ReceiverFailsafe
 from flying_vines.doctor.finding import Finding, Line, may_fly
 from flying_vines.doctor.radio_test import Loss, RadioLearned, failsafe_of, position_of
-from flying_vines.vehicle.radio_parameters import NAMES, SHOWN_WITHIN_S
+from flying_vines.vehicle.radio.radio_parameters import NAMES, SHOWN_WITHIN_S
 from flying_vines.vehicle.triggers import Rules
 
 HUMAN_S = 1.0

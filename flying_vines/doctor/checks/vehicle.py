@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from flying_vines.config import Config
+from flying_vines.config.config import Config
 from flying_vines.doctor.checks.service import Process, named, stop
 from flying_vines.doctor.finding import Finding, Line
 from flying_vines.doctor.vehicle_probe import Stream, VehicleFacts

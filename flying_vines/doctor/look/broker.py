@@ -7,8 +7,8 @@ import logging
 import ssl
 import time
 
-from flying_vines.address import parse_broker
-from flying_vines.config import Mqtt
+from flying_vines.config.address import parse_broker
+from flying_vines.config.config import Mqtt
 from flying_vines.doctor.checks.network import BrokerFacts
 
 PATIENCE_S = 5.0

@@ -6,7 +6,7 @@ import time
 from datetime import datetime
 
 from flying_vines.doctor.checks.clock import ClockFacts
-from flying_vines.host_clock import synchronised
+from flying_vines.service.host_clock import synchronised
 
 
 class Clock:

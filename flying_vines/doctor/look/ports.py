@@ -14,7 +14,7 @@ from serial.tools.list_ports import comports
 from serial.tools.list_ports_common import ListPortInfo
 
 from firmware_link.find import BoardNotFoundError, UsbBoard
-from flying_vines.address import NetworkAddress, SerialAddress
+from flying_vines.config.address import NetworkAddress, SerialAddress
 from flying_vines.doctor.checks.port import PortFacts, Which
 from flying_vines.doctor.checks.service import Process
 from flying_vines.doctor.look import processes

@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from flying_vines import config as configuration
-from flying_vines.config import Config
+from flying_vines.config import config as configuration
+from flying_vines.config.config import Config
 from flying_vines.doctor.checks.profile import ProfileFacts
-from flying_vines.kept import Kept
-from flying_vines.pneumatics.rig import RigError
-from flying_vines.reservoir import Belief, nominal
-from flying_vines.reservoir.calibration import load_calibration
+from flying_vines.physics.rig import RigError
+from flying_vines.service.persistent_state import Kept
+from flying_vines.supply import Belief, nominal
+from flying_vines.supply.known_rig import load_calibration
+from flying_vines.vehicle.component.parameter_file import ParameterFileError
 from flying_vines.vehicle.component.parameters import Parameters
-from flying_vines.vehicle.parameter_file import ParameterFileError
-from flying_vines.vehicle.signing import Signing
-from flying_vines.vehicle.signing_key import SigningKeyError
+from flying_vines.vehicle.mavlink.signing import Signing
+from flying_vines.vehicle.mavlink.signing_key import SigningKeyError
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ import msgspec
 from flying_vines.gateway import messages
 from flying_vines.gateway.mqtt.payloads import Answer, Ask
 from flying_vines.gateway.mqtt.teller import Now
-from flying_vines.gateway.patience import Patience
-from flying_vines.intent import Command
+from flying_vines.gateway.token_bucket import Patience
+from flying_vines.vine.intent import Command
 
 LONGEST_ASK = 1024
 MOST_AT_ONCE, MOST_PER_S = 10.0, 5.0

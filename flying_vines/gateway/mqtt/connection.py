@@ -14,7 +14,7 @@ import aiomqtt
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from flying_vines.address import parse_broker
+from flying_vines.config.address import parse_broker
 from flying_vines.gateway.feed import Feed, NoAnswerError, Reader
 from flying_vines.gateway.messages import Happened
 from flying_vines.gateway.mqtt import credentials

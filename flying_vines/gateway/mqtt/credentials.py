@@ -6,8 +6,8 @@ import ssl
 import stat
 from pathlib import Path
 
-from flying_vines.address import BrokerAddress
-from flying_vines.config import Mqtt
+from flying_vines.config.address import BrokerAddress
+from flying_vines.config.config import Mqtt
 from flying_vines.gateway.mqtt.problems import FileError
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from flying_vines.config import Mqtt
+from flying_vines.config.config import Mqtt
 from flying_vines.gateway.mqtt.teller import Publication
 from flying_vines.gateway.mqtt.topics import Topics
 

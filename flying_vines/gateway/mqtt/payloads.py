@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from flying_vines.intent import Command
+from flying_vines.vine.intent import Command
 
 SCHEMA_VERSION = 1
 LONGEST_ID = 64

@@ -8,7 +8,7 @@ import ssl
 import aiomqtt
 from paho.mqtt.reasoncodes import ReasonCode
 
-from flying_vines.address import BrokerAddress
+from flying_vines.config.address import BrokerAddress
 from flying_vines.gateway.mqtt.health import Problem
 
 _OTHER_VERSION = 0x84

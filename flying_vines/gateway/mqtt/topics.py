@@ -6,7 +6,7 @@ import re
 import socket
 from dataclasses import dataclass
 
-from flying_vines.config import Mqtt
+from flying_vines.config.config import Mqtt
 
 
 @dataclass(frozen=True, slots=True)

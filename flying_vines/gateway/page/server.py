@@ -15,11 +15,11 @@ from aiohttp.web import BaseRequest, RequestHandler, Response, Server, StreamRes
 
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.messages import Seen
+from flying_vines.gateway.page.access import Door, Turned
 from flying_vines.gateway.page.connections import MAX_VIEWERS, Connections
-from flying_vines.gateway.page.door import Door, Turned
 from flying_vines.gateway.page.history import History
+from flying_vines.gateway.page.request import LONGEST_WISH
 from flying_vines.gateway.page.viewer import Viewer
-from flying_vines.gateway.page.wish import LONGEST_WISH
 
 SWEEP_S = 1.0
 KEEP_ALIVE_S = 5.0

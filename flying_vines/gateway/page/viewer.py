@@ -9,12 +9,12 @@ import msgspec
 from aiohttp import WSCloseCode, WSMsgType
 from aiohttp.web import WebSocketResponse
 
-from flying_vines.config import Config
+from flying_vines.config.config import Config
 from flying_vines.gateway.feed import Feed, NoAnswerError, Reader
 from flying_vines.gateway.messages import Happened, Seen
 from flying_vines.gateway.page.history import History, Sample
-from flying_vines.gateway.page.wish import MOST_AT_ONCE, MOST_PER_S, Wish, read_wish
-from flying_vines.gateway.patience import Patience
+from flying_vines.gateway.page.request import MOST_AT_ONCE, MOST_PER_S, Wish, read_wish
+from flying_vines.gateway.token_bucket import Patience
 
 BEAT_S = 1.0
 """Something is said so often, if only that nothing is new: who hears nothing knows that the link is cut."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from flying_vines.notice import Notice, Severity
+from flying_vines.vehicle.notice import Notice, Severity
 
 ENOUGH = 2
 WITHIN_S = 5.0

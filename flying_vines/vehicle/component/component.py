@@ -7,16 +7,16 @@ from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.config import Config
-from flying_vines.notice import Notice, Severity
-from flying_vines.vehicle.codec import Message
+from flying_vines.config.config import Config
 from flying_vines.vehicle.component.clash import Clash
-from flying_vines.vehicle.component.outbox import Outbox
 from flying_vines.vehicle.component.parameters import Output, Parameters
 from flying_vines.vehicle.component.requests import Requests
 from flying_vines.vehicle.component.stations import Stations
 from flying_vines.vehicle.component.telemetry import FuelGauge, Heartbeat, NamedValues
 from flying_vines.vehicle.component.texts import Texts
+from flying_vines.vehicle.component.transmit_queue import Outbox
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.state import VehicleState
 
 

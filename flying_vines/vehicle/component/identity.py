@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.mavlink.codec import Message
 
 CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2

@@ -13,9 +13,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.config import Config
-from flying_vines.notice import Notice, Severity
-from flying_vines.vehicle.codec import Message
+from flying_vines.config.config import Config
 from flying_vines.vehicle.component.settings import (
     BY_NAME,
     SETTINGS,
@@ -25,6 +23,8 @@ from flying_vines.vehicle.component.settings import (
     same,
     value_of,
 )
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.notice import Notice, Severity
 
 LIST_SPACING_S = 0.1
 _BY_NAME = -1

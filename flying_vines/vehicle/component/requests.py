@@ -11,7 +11,6 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.codec import Message
 from flying_vines.vehicle.component.answer import acknowledgement
 from flying_vines.vehicle.component.identity import ProtocolVersion, autopilot_version
 from flying_vines.vehicle.component.telemetry import (
@@ -22,6 +21,7 @@ from flying_vines.vehicle.component.telemetry import (
     NamedValues,
 )
 from flying_vines.vehicle.component.timesync import Timesync, TokenBuckets, target_of
+from flying_vines.vehicle.mavlink.codec import Message
 
 ACCEPTED, DENIED, UNSUPPORTED = (
     mavlink.MAV_RESULT_ACCEPTED,

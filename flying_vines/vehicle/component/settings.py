@@ -16,7 +16,7 @@ from typing import Literal, get_type_hints
 import msgspec
 from msgspec import inspect
 
-from flying_vines.config import Config
+from flying_vines.config.config import Config
 
 Guard = Literal["none", "most", "least"]
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.codec import Message
-from flying_vines.vehicle.fuel_status import fuel_status
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.fuel_status import fuel_status
 
 HEARTBEAT_S = 1.0
 SILENCE_S = 1.2

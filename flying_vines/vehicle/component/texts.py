@@ -14,7 +14,7 @@ from collections import deque
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.mavlink.codec import Message
 
 OURS = "Vine:"
 """Every text begins with this, so none begins with what another program looks for."""

@@ -11,7 +11,7 @@ from itertools import islice
 from typing import NamedTuple
 
 from flying_vines.vehicle.clock import AutopilotClock, Mark
-from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mission.book import MOST_ITEMS, MissionBook, item_of
 from flying_vines.vehicle.mission.execution import Execution, same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, is_nav

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mission.execution import same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, has_place, is_nav
 

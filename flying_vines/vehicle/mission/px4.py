@@ -8,7 +8,7 @@ from collections.abc import Container
 from dataclasses import dataclass, replace
 
 from flying_vines.vehicle.clock import AutopilotClock, Mark
-from flying_vines.vehicle.codec import Message
+from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution, same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, is_nav

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from flying_vines.gateway.mqtt.asks import LONGEST_ASK, MOST_WAITING, Asks
 from flying_vines.gateway.mqtt.payloads import Answer
 from flying_vines.gateway.mqtt.teller import Now
-from flying_vines.intent import Command
+from flying_vines.vine.intent import Command
 
 NOW = Now(50.0, 1_700_000_000.0)
 ALL: tuple[Command, ...] = ("vent", "bend", "profile", "hold")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from flying_vines import config
-from flying_vines.address import BrokerAddress, parse_broker
+from flying_vines.config import config
+from flying_vines.config.address import BrokerAddress, parse_broker
 
 TLS = 'broker = "mqtts://b"\n'
 

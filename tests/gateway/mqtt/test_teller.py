@@ -9,15 +9,15 @@ import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flying_vines.events import Action, Asked, Calibrated, Decision
+from flying_vines.core.events import Action, Asked, Calibrated, Decision
 from flying_vines.gateway.messages import Happened, Seen, raw
 from flying_vines.gateway.mqtt.home_assistant import discovery
 from flying_vines.gateway.mqtt.payloads import PAYLOADS, Event, LostEvent, NoticeEvent
 from flying_vines.gateway.mqtt.teller import RESERVOIR_S, SILENT_S, Events, Now, Publication, Teller
 from flying_vines.gateway.mqtt.topics import Topics
-from flying_vines.intent import BendTo, Intent, StartBench, StartCalibration, StartProfile, Vent
-from flying_vines.notice import Notice
-from flying_vines.simulated_world import SimulatedWorld
+from flying_vines.simulation.simulated_world import SimulatedWorld
+from flying_vines.vehicle.notice import Notice
+from flying_vines.vine.intent import BendTo, Intent, StartBench, StartCalibration, StartProfile, Vent
 
 from ..told import calibrated, configured, decision, happened, notice, profile, seen
 

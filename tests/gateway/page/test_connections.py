@@ -17,8 +17,8 @@ from flying_vines.gateway.page.connections import (
     Connections,
 )
 from flying_vines.gateway.page.history import KEPT_S, History
-from flying_vines.gateway.page.wish import MOST_AT_ONCE, MOST_PER_S, Wish, read_wish
-from flying_vines.gateway.patience import Patience
+from flying_vines.gateway.page.request import MOST_AT_ONCE, MOST_PER_S, Wish, read_wish
+from flying_vines.gateway.token_bucket import Patience
 
 
 def test_a_flood_from_one_address_pushes_out_its_own() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from flying_vines.gateway import page_token
-from flying_vines.gateway.page.door import Admitted, Door, Turned
+from flying_vines.gateway.page.access import Admitted, Door, Turned
 from flying_vines.gateway.page_token import PageTokenError
 
 TOKEN = "abcd-efgh-ijkl-mnop"

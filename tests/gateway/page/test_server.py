@@ -18,12 +18,12 @@ from patience import PATIENCE_S
 from ports import free_port
 from real_time import real_time
 
-from flying_vines.config import Page
-from flying_vines.events import Decision
+from flying_vines.config.config import Page
+from flying_vines.core.events import Decision
 from flying_vines.gateway import page, page_token
 from flying_vines.gateway.page import server, viewer
 from flying_vines.gateway.page.connections import MAX_NEW, MAX_PILOTS, MAX_VIEWERS
-from flying_vines.notice import Notice, Severity
+from flying_vines.vehicle.notice import Notice, Severity
 
 pytestmark = real_time
 

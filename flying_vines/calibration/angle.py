@@ -1,0 +1,52 @@
+"""Angle against pressure: what a person saw, as the bend curve of the profile."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flying_vines.calibration.charts import Chart, Series
+from flying_vines.calibration.estimate import Estimate
+from flying_vines.calibration.findings import Finding, Result
+
+
+def curve(pairs: tuple[tuple[float, float], ...]) -> Result:
+    """The curve and hysteresis of pairs (gauge kPa, degrees) in the order in which they were seen."""
+    top = Finding("bend_top_deg", "bend at the highest pressure", "deg", key="vine.curve")
+    width = Finding("hysteresis_kPa", "bend's hysteresis", "kPa", key="vine.hysteresis_kPa")
+    try:
+        from flying_vines.identification.bend_curve import Pairs, PairsError, fit
+        from flying_vines.identification.bend_curve.pairs import LEAST_PAIRS
+    except ImportError:
+        why = "needs pip install 'flying-vines[analysis]'; the pairs are kept for `flying-vines vine fit`"
+        return Result((top.unknown(why), width.unknown(why)))
+    if len(pairs) < LEAST_PAIRS:
+        why = f"{len(pairs)} angles were seen; a curve needs at least {LEAST_PAIRS}, up and down"
+        return Result((top.unknown(why), width.unknown(why)))
+    kPa, deg = np.array(pairs).T
+    try:
+        found = fit(Pairs(kPa, deg))
+    except PairsError as error:
+        return Result((top.unknown(str(error)), width.unknown(str(error))))
+    last = found.curve[-1]
+    sd = found.rms_deg / float(np.sqrt(len(pairs)))
+    hysteresis = width.unknown("no way down was seen")
+    if found.hysteresis_kPa is not None:
+        h = found.hysteresis_kPa
+        hysteresis = width.measured(Estimate.of_interval(h.value, h.low, h.high), least=0.0)
+    line_kPa, line_deg = np.array(found.curve).T
+    shift = found.written_hysteresis_kPa
+    chart = Chart(
+        "angle", "Angle against pressure", "vine, kPa", "bend, degrees",
+        (
+            Series("seen", "points", kPa, deg),
+            Series("on the way up", "line", line_kPa, line_deg),
+            Series("on the way down", "line", np.maximum(0.0, line_kPa - shift), line_deg),
+        ),
+    )  # fmt: skip
+    return Result(
+        (top.measured(Estimate(last[1], sd), f"at {last[0]:g} kPa"), hysteresis),
+        remarks=found.notes,
+        charts=(chart,),
+        curve=found.curve,
+        hysteresis_kPa=shift,
+    )

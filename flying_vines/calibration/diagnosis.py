@@ -1,0 +1,65 @@
+"""A calibration's flight, diagnosed with its own numbers as the believed rig. Needs the analysis extra."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flying_vines.config.config import Pneumatics
+from flying_vines.identification.case import Case
+from flying_vines.identification.diagnose import diagnose
+from flying_vines.identification.extended import extended_rig
+from flying_vines.identification.from_log import read_flight
+from flying_vines.identification.report import write_report
+from flying_vines.identification.search import Progress
+from flying_vines.identification.verdict import Verdict
+from flying_vines.physics.plant.true_rig import true_rig_text
+from flying_vines.supply.known_rig import load_calibration
+
+BEGINNING_S = 20.0
+"""Of the recorded movements: on a rig of many effects much is tried, and minutes of it would take an hour."""
+EXTENDED, REPORT = "rig.toml", "diagnosis"
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What came of it."""
+
+    verdict: Verdict
+    report: Path
+    rig: Path | None
+    """The file of the rig with the named causes in it; None where none is named."""
+    helps: bool
+    """Whether it makes the cycles left better: its causes predict data that they never saw, and cost air."""
+
+
+def diagnosed(flight: Path, believed: Path, numbers: Pneumatics, progress: Progress) -> Diagnosis:
+    """Diagnose a calibration's flight; report and rig go beside the file of the `believed` rig.
+
+    Raises `CaseError` where the flight holds nothing to be diagnosed.
+    """
+    case = _beginning(read_flight(flight, believed))
+    verdict = diagnose(case, progress=progress)
+    report = write_report(verdict, case, believed.parent / REPORT)[0]
+    if not verdict.named:
+        return Diagnosis(verdict, report, None, False)
+    rig = believed.parent / EXTENDED
+    rig.write_text(true_rig_text(extended_rig(case.rig, verdict)), encoding="utf-8")
+    predicts = verdict.held_out.gain[0] > 0.0
+    return Diagnosis(verdict, report, rig, predicts and bool(load_calibration(rig, numbers).used))
+
+
+def _beginning(case: Case) -> Case:
+    """The first run's first part, with a remark."""
+    run = case.runs[0]
+    rows = int(np.searchsorted(run.time_s, BEGINNING_S))
+    columns: dict[str, Any] = {
+        field.name: value[:rows]
+        for field in fields(run)
+        if isinstance(value := getattr(run, field.name), np.ndarray)
+    }
+    remark = f"of what was recorded the first {BEGINNING_S:g} s of movement are diagnosed"
+    return replace(case, runs=(replace(run, **columns),), remarks=(*case.remarks, remark))

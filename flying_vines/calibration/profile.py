@@ -1,0 +1,139 @@
+"""A person's profile with what was measured in it: the same text but for the lines of these keys."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from firmware_link.protocol import Setting
+from flying_vines.calibration.findings import Finding, Findings, Proposal
+from flying_vines.calibration.procedure import measured
+from flying_vines.config import config as configuration
+from flying_vines.config.config import Config, ConfigError
+from flying_vines.config.toml_edit import value_text, with_value
+from flying_vines.config.toml_text import lines_of_keys
+from flying_vines.vine.curve import BendCurve
+
+LEAST_SURE = 0.25
+"""Half an interval, as a share of the value: what is less sure is told, and changes no profile."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """Of one key of the profile."""
+
+    table: str
+    name: str
+    value: Any
+    why: str
+    """A clause: how well it is known."""
+
+
+def changes(findings: Findings, max_kPa: float) -> Iterator[Change]:
+    """What of the findings belongs into a profile, with as many digits as are known.
+
+    A curve goes as a whole, up to the profile's limit, which a held pressure may be a little above.
+    """
+    for finding in findings.findings:
+        if finding.key is not None and is_sure(finding):
+            table, name = finding.key.split(".")
+            if table != "vine":
+                value, interval = measured(finding)
+                yield Change(table, name, float(value), interval)
+    seen = f"{len(findings.pairs)} angles" if findings.pairs else "fitted to a file of pairs"
+    if findings.curve:
+        pairs = [[round(kPa, 3), round(deg, 2)] for kPa, deg in _up_to(max_kPa, findings.curve)]
+        yield Change("vine", "curve", pairs, seen)
+    if findings.hysteresis_kPa is not None:
+        yield Change("vine", "hysteresis_kPa", findings.hysteresis_kPa, seen)
+
+
+def _up_to(max_kPa: float, curve: Sequence[tuple[float, float]]) -> Sequence[tuple[float, float]]:
+    if curve[-1][0] <= max_kPa:
+        return curve
+    within = [pair for pair in curve if pair[0] < max_kPa]
+    return [*within, (max_kPa, BendCurve(curve).angle_deg(max_kPa))]
+
+
+def is_sure(finding: Finding) -> bool:
+    """Whether it is known well enough to take the place of what was believed."""
+    value, low, high = finding.value, finding.low, finding.high
+    if value is None or low is None or high is None:
+        return False
+    return low > 0.0 and high - low <= 2.0 * LEAST_SURE * value
+
+
+def with_changes(text: str, source: str, changed: Sequence[Change], day: str) -> str:
+    """The profile's text with these values; each line says what it was, and on which `day` it was measured.
+
+    Raises `ConfigError` where the profile is not written so that single lines can be replaced, or where what
+    was measured contradicts the rest of it.
+    """
+    before = configuration.parse(text, source)
+    edited = text
+    for change in changed:
+        table = getattr(before, change.table)
+        was = value_text(msgspec.to_builtins(getattr(table, change.name)))
+        remark = f"was {was}, measured {day}: {change.why}".replace(";", ",")
+        edited = with_value(edited, change.table, change.name, value_text(change.value), remark)
+    if not _says(edited, with_numbers(before, changed)):
+        names = ", ".join(f"{change.table}.{change.name}" for change in changed)
+        raise ConfigError(f"{source}: it is not written a key a line: set {names} by hand")
+    configuration.parse(edited, f"{source}, calibrated")
+    return edited
+
+
+def _says(text: str, config: Config) -> bool:
+    try:
+        return msgspec.convert(tomllib.loads(text), Config) == config
+    except tomllib.TOMLDecodeError:
+        return False
+
+
+def calibrated(text: str, source: str, found: Sequence[Change], day: str) -> tuple[str, str]:
+    """As `with_changes`, and a sentence where the measured curve stands there only as a comment.
+
+    The rest of a profile may ask for angles that the vine does not reach, and would not be read with it.
+    """
+    try:
+        return with_changes(text, source, found, day), ""
+    except ConfigError as error:
+        curve = [change for change in found if change.table == "vine"]
+        if not curve:
+            raise
+        rest = [change for change in found if change.table != "vine"]
+        why = str(error).partition(": ")[2]
+    lines = with_changes(text, source, rest, day).split("\n")
+    told = [f"# {change.name} = {value_text(change.value)}" for change in curve]
+    place = lines_of_keys(text).get(("vine",), len(lines))
+    lines[place:place] = [f"# Measured {day}, but not in force, for {why}", *told]
+    return "\n".join(lines), f"The measured curve is in the profile as a comment only, for {why}"
+
+
+def with_numbers(config: Config, found: Sequence[Change]) -> Config:
+    """The configuration with these values, whatever else it says."""
+    for change in found:
+        config = _replaced(config, change)
+    return config
+
+
+def _replaced(config: Config, change: Change) -> Config:
+    table = getattr(config, change.table)
+    values = {**msgspec.to_builtins(table), change.name: change.value}
+    return msgspec.structs.replace(config, **{change.table: msgspec.convert(values, type(table))})
+
+
+def proposed(proposals: Sequence[Proposal], settings: Sequence[Setting]) -> Mapping[str, float]:
+    """What is to be set in the firmware, whose settings are known, within what it takes."""
+    now = {setting.name: setting for setting in settings}
+    wanted = {}
+    for proposal in proposals:
+        setting = now.get(proposal.setting)
+        if setting is not None:
+            value = proposal.value + (setting.value if proposal.relative else 0.0)
+            wanted[proposal.setting] = min(max(round(value, 4), setting.least), setting.most)
+    return wanted

@@ -1,0 +1,101 @@
+"""`flying-vines doctor`: what it is given, what it prints, and with which status it ends."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+from contextlib import AsyncExitStack
+from pathlib import Path
+from typing import Any
+
+MAY_NOT_FLY = 1
+SECONDS = 6.0
+SHORTEST_S = 5.0
+"""A silent board is told after three; and one stream after another is asked for, some once a second."""
+
+
+def add(commands: Any, logs: Path) -> None:
+    """Add `doctor` to the parsers of the command line; `logs` is where `run` puts its logs by default."""
+    doctor = commands.add_parser("doctor", help="may one fly? what is wrong, and what to do about it")
+    doctor.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
+    doctor.add_argument(
+        "--seconds", type=_seconds, default=SECONDS, metavar="N", help=f"how long to listen ({SECONDS:g})"
+    )
+    doctor.add_argument(
+        "--out", type=Path, default=logs, metavar="DIR", help=f"where the flight logs go ({logs})"
+    )
+    doctor.add_argument(
+        "--radio",
+        action="store_true",
+        help="a guided test instead: what shows when the transmitter goes off?",
+    )
+    doctor.add_argument(
+        "--yes",
+        action="store_true",
+        help="ask nothing: neither to move the RC switch, nor (--radio) to write to the profile",
+    )
+    doctor.add_argument(
+        "--fakes", action="store_true", help="look at an embedded vehicle and phloSAR instead"
+    )
+    doctor.add_argument("--json", action="store_true", help="one object instead of lines")
+    doctor.set_defaults(run=run)
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not SHORTEST_S <= seconds <= 3600.0:
+        raise argparse.ArgumentTypeError(f"from {SHORTEST_S:g} to 3600")
+    return seconds
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 where one may fly, 1 where not; `ConfigError` where the profile cannot be read."""
+    if arguments.radio:
+        from flying_vines.cli.doctor_radio import test_radio
+
+        return test_radio(arguments)
+    return asyncio.run(_run(arguments))
+
+
+async def _run(arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from flying_vines.config import config as configuration
+    from flying_vines.doctor.examine import examine
+    from flying_vines.doctor.finding import may_fly
+    from flying_vines.doctor.look import profile
+    from flying_vines.doctor.show import as_json, asking, last_line, show
+    from flying_vines.doctor.vehicle_probe import Radio
+
+    async with AsyncExitStack() as stack:
+        if arguments.fakes:
+            from flying_vines.doctor.fakes import healthy
+
+            base = configuration.load(arguments.config) if arguments.config else configuration.default()
+            config = await stack.enter_async_context(healthy(base))
+            examined = profile.given(config, "the profile between two fakes")
+        elif arguments.config:
+            examined = profile.read(arguments.config)
+        else:
+            examined = profile.given(configuration.default(), "the built-in profile")
+        if arguments.json:
+            found = await examine(examined, arguments.out, arguments.seconds, lambda findings: None)
+            print(json.dumps(as_json(found), allow_nan=False))
+            return 0 if may_fly(found) else MAY_NOT_FLY
+        console = Console(highlight=False)
+        switch = examined.config.switch
+        with console.status(f"Listening to both links for {arguments.seconds:g} s") as status:
+
+            def ask(radio: Radio) -> None:
+                status.update(asking(radio, switch.channel, switch.positions))
+
+            found = await examine(
+                examined,
+                arguments.out,
+                arguments.seconds,
+                lambda findings: show(findings, console),
+                ask if console.is_terminal and not (arguments.yes or arguments.fakes) else None,
+            )
+    console.print(last_line(found))
+    return 0 if may_fly(found) else MAY_NOT_FLY

@@ -1,0 +1,171 @@
+"""`flying-vines doctor --radio`: the guided test, its verdict, and what of it goes into the profile."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from rich.console import Console
+from rich.text import Text
+
+from flying_vines.cli.bad_input import bad_input
+from flying_vines.config import config as configuration
+from flying_vines.config import on_disk
+from flying_vines.config.address import parse_address
+from flying_vines.config.config import ConfigError, ReceiverFailsafe
+from flying_vines.config.toml_edit import value_text, with_value
+from flying_vines.doctor.checks import receiver
+from flying_vines.doctor.examine import keep_signing, link_to
+from flying_vines.doctor.fakes import between
+from flying_vines.doctor.finding import Finding, may_fly
+from flying_vines.doctor.look import processes, profile
+from flying_vines.doctor.look.profile import Profile
+from flying_vines.doctor.radio_guide import NobodyThereError, guided
+from flying_vines.doctor.radio_test import RadioLearned
+from flying_vines.doctor.show import show
+from flying_vines.simulation.autopilot import Autopilot
+
+NOT_SAFE = 1
+SAFE = "The vine is safe with this receiver."
+UNSAFE = "The vine is not safe with this receiver."
+NOT_KNOWN = "The test did not come to its end: nothing was learned."
+KEY = "receiver_failsafe"
+
+
+def test_radio(arguments: argparse.Namespace) -> int:
+    """0 where the vine is safe with this receiver, 1 where it is not or nobody knows, 2 for bad input."""
+    path: Path | None = arguments.config
+    examined = profile.read(path) if path else profile.given(configuration.default(), "the built-in profile")
+    # What a program reads stands alone on standard output.
+    console = Console(highlight=False, stderr=arguments.json)
+    ports: list[Finding] = []
+    try:
+        learned = asyncio.run(_test(examined, arguments.fakes, console, ports))
+    except NobodyThereError:
+        return bad_input(
+            "nobody is at a terminal to press Enter and switch the transmitter off: use one, or --fakes"
+        )
+    keep_signing(examined)
+    if learned is None:
+        findings = [finding for finding in ports if finding.verdict == "bad"]
+        learned = RadioLearned(problem="no autopilot")
+    else:
+        findings = receiver.check(learned, examined.config)
+    console.print(Text())
+    show(findings, console)
+    console.print(_last_line(findings, learned))
+    try:
+        learned_failsafe = receiver.to_write(learned, examined.config)
+        written = _keep(learned_failsafe, arguments, console)
+    except OSError as error:
+        return bad_input(f"{path}: {error.strerror}")
+    if arguments.json:
+        print(json.dumps(as_json(findings, learned, learned_failsafe, written), allow_nan=False))
+    return 0 if may_fly(findings) else NOT_SAFE
+
+
+async def _test(
+    examined: Profile, fakes: bool, console: Console, ports: list[Finding]
+) -> RadioLearned | None:
+    """None where the vehicle's link cannot be opened: then `ports` says why."""
+    config = examined.config
+    if fakes:
+        autopilot = Autopilot("ardupilot", unix_s=time.time())
+        async with between(config, autopilot, None) as linked:
+            return await guided(parse_address(linked.vehicle.link), linked, None, console, autopilot)
+    address = link_to("vehicle", config.vehicle.link, ports.extend, processes.services(), [])
+    if address is None:
+        return None
+    return await guided(address, config, examined.signing, console)
+
+
+def as_json(
+    findings: Sequence[Finding],
+    learned: RadioLearned,
+    failsafe: ReceiverFailsafe | None,
+    written: Path | None,
+) -> dict[str, Any]:
+    """`receiver_failsafe` is null where nothing was learned."""
+    return {
+        "safe": may_fly(findings),
+        "summary": _summary(findings, learned),
+        "receiver_failsafe": failsafe,
+        "written_to": None if written is None else str(written),
+        "findings": [*map(asdict, findings)],
+        "autopilot": learned.autopilot,
+        "parameters": learned.parameters,
+        "losses": [
+            {**asdict(loss), "shown_after_s": loss.shown_after_s, "told_after_jump_s": loss.told_after_jump_s}
+            for loss in learned.losses
+        ],
+    }
+
+
+def with_learned(text: str, source: str, failsafe: ReceiverFailsafe, day: str) -> str:
+    """The profile's text with what was learned, all else as it was.
+
+    Raises `ConfigError` where it is not written so that this line can be replaced.
+    """
+    before = configuration.parse(text, source)
+    was = value_text(before.switch.receiver_failsafe)
+    edited = with_value(text, "switch", KEY, value_text(failsafe), f"was {was}, measured {day}")
+    wanted = msgspec.structs.replace(
+        before, switch=msgspec.structs.replace(before.switch, receiver_failsafe=failsafe)
+    )
+    try:
+        if configuration.parse(edited, source) == wanted:
+            return edited
+    except ConfigError:
+        pass
+    raise ConfigError(f"{source}: it is not written a key a line: set switch.{KEY} by hand")
+
+
+def _summary(findings: Sequence[Finding], learned: RadioLearned) -> str:
+    if learned.problem:
+        return "" if learned.problem == "ground station" else NOT_KNOWN
+    return SAFE if may_fly(findings) else UNSAFE
+
+
+def _last_line(findings: Sequence[Finding], learned: RadioLearned) -> Text:
+    style = "bold green" if may_fly(findings) else "bold red"
+    return Text(f"\n{_summary(findings, learned)}" if _summary(findings, learned) else "", style=style)
+
+
+def _keep(failsafe: ReceiverFailsafe | None, arguments: argparse.Namespace, console: Console) -> Path | None:
+    """Into the profile, where that is wanted; the file that was written."""
+    if failsafe is None:
+        return None
+    line = f"{KEY} = {value_text(failsafe)}"
+    path: Path | None = arguments.config
+    if arguments.fakes:
+        console.print(Text(f"For a receiver of yours, this would go into its profile: {line}", style="dim"))
+        return None
+    if path is None:
+        console.print(f"Add to your profile:\n\n[switch]\n{line}", markup=False)
+        return None
+    text = configuration.text_of(path)
+    if configuration.parse(text, str(path)).switch.receiver_failsafe == failsafe:
+        console.print(f"{path} has it already: {line}", markup=False, soft_wrap=True)
+        return None
+    edited = with_learned(text, str(path), failsafe, time.strftime("%Y-%m-%d"))
+    if not arguments.yes and not _agreed(f"Write {line} to {path}? [y/N] ", console):
+        console.print(f"Not written. The line for [switch] is: {line}", markup=False, soft_wrap=True)
+        return None
+    on_disk.put(path, edited)
+    console.print(f"Written to {path}: {line}", markup=False, soft_wrap=True)
+    return path
+
+
+def _agreed(question: str, console: Console) -> bool:
+    if not sys.stdin.isatty():
+        return False
+    console.print(Text(question, style="bold magenta"), end="", soft_wrap=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")

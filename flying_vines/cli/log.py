@@ -1,0 +1,173 @@
+"""`flying-vines log`: list, show, plot, export, bundle; each imports what it needs then."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flying_vines.cli.bad_input import bad_input, lacks
+
+if TYPE_CHECKING:
+    from flying_vines.record.reader import FlightLog
+
+FLIGHTS = Path("flights")
+DIFFERENT = 1
+PICTURES = (".png", ".pdf", ".svg")
+
+
+def add(commands: Any) -> None:
+    """Add `log` to the parsers of the command line."""
+    log = commands.add_parser("log", help="the flights that were recorded: list, show, plot, export, bundle")
+    actions = log.add_subparsers(required=True, metavar="ACTION")
+
+    listing = actions.add_parser("list", help="a line a flight")
+    listing.add_argument(
+        "folder", type=Path, nargs="?", default=FLIGHTS, metavar="DIR", help="where flights are (flights)"
+    )
+    listing.add_argument("--json", action="store_true", help="an array of objects instead of a table")
+    listing.set_defaults(run=_list)
+
+    show = _of_a_flight(actions, "show", _show, "what happened: decisions, notices, and a summary")
+    show.add_argument("--json", action="store_true", help="one object instead")
+    plot = _of_a_flight(actions, "plot", _plot, "a picture of it: .png, .pdf or .svg")
+    plot.add_argument(
+        "-o", "--out", type=Path, metavar="FILE", help="the picture (flight.png in the flight's folder)"
+    )
+    plot.add_argument("--title", metavar="TEXT", help="above the picture (the day and time of the flight)")
+    export = _of_a_flight(actions, "export", _export, "tables of it, for other programs")
+    export.add_argument("--csv", action="store_true", required=True, help="a CSV file a topic")
+    export.add_argument("-o", "--out", type=Path, metavar="DIR", help="where to (csv in the flight's folder)")
+    bundle = _of_a_flight(actions, "bundle", _bundle, "all of it in one zip file, for a report of a bug")
+    bundle.add_argument(
+        "-o", "--out", type=Path, metavar="FILE.zip", help="where to (here, named after the flight)"
+    )
+
+
+def _of_a_flight(
+    actions: Any, name: str, run: Callable[[FlightLog, argparse.Namespace], int], what: str
+) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = actions.add_parser(name, help=what)
+    parser.add_argument("flight", metavar="FLIGHT", help="its folder, its flight.mcap, or: last")
+    parser.add_argument(
+        "--in", type=Path, default=FLIGHTS, dest="folder", metavar="DIR", help="where flights are (flights)"
+    )
+    parser.set_defaults(run=lambda arguments: _reading(run, arguments))
+    return parser
+
+
+def _reading(run: Callable[[FlightLog, argparse.Namespace], int], arguments: argparse.Namespace) -> int:
+    """Find the flight, and say in one line what cannot be read or written."""
+    from flying_vines.record.reader import LogError
+    from flying_vines.record.summary import find_flight
+
+    try:
+        log = find_flight(arguments.flight, arguments.folder)
+        status = run(log, arguments)
+    except LogError as error:
+        return bad_input(str(error))
+    except ModuleNotFoundError as error:
+        return bad_input(lacks(error))
+    except OSError as error:
+        return bad_input(f"{error.filename}: {error.strerror}")
+    if log.damage:
+        print(f"flying-vines: {log.damage}", file=sys.stderr)
+    return status
+
+
+def _list(arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from flying_vines.cli.log_tables import summary_as_json, summary_table
+    from flying_vines.record.reader import FlightLog, LogError
+    from flying_vines.record.summary import flights_in, summarise
+
+    if not arguments.folder.is_dir():
+        return bad_input(f"{arguments.folder}: is no folder; `run` and `demo` write flights there")
+    summaries, unreadable = [], []
+    for folder in flights_in(arguments.folder):
+        try:
+            summaries.append(summarise(FlightLog(folder)))
+        except LogError as error:
+            unreadable.append(str(error))
+    if arguments.json:
+        print(json.dumps([summary_as_json(summary) for summary in summaries]))
+    elif summaries:
+        Console().print(summary_table(summaries))
+    else:
+        print(f"{arguments.folder}: no flights yet")
+    for why in unreadable:
+        print(f"flying-vines: {why}", file=sys.stderr)
+    return 0
+
+
+def _show(log: FlightLog, arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from flying_vines.cli.log_tables import story, story_as_json
+
+    if arguments.json:
+        print(json.dumps(story_as_json(log), allow_nan=False))
+    else:
+        story(log, Console())
+    return 0
+
+
+def _plot(log: FlightLog, arguments: argparse.Namespace) -> int:
+    from flying_vines.record.picture import draw_flight
+
+    path: Path = arguments.out or log.folder / "flight.png"
+    if path.suffix not in PICTURES:
+        return bad_input(f"{path}: a picture ends with {', '.join(PICTURES)}")
+    draw_flight(log, path, arguments.title)
+    print(f"Picture  {path}")
+    return 0
+
+
+def _export(log: FlightLog, arguments: argparse.Namespace) -> int:
+    from flying_vines.record.export import export_csv
+
+    folder: Path = arguments.out or log.folder / "csv"
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = export_csv(log, folder)
+    print(f"Wrote {len(paths)} tables into {folder}")
+    return 0
+
+
+def _bundle(log: FlightLog, arguments: argparse.Namespace) -> int:
+    import io
+
+    from rich.console import Console
+
+    from flying_vines.cli.log_tables import story
+    from flying_vines.record.bundle import bundle
+
+    path: Path = arguments.out or Path(f"{log.folder.resolve().name}.zip")
+    told = io.StringIO()
+    story(log, Console(file=told, width=120))
+    names = bundle(log, told.getvalue(), path)
+    print(f"Wrote {path}: {', '.join(names)}")
+    return 0
+
+
+def replay_again(recording: Path, config: Path | None, as_json: bool) -> int:
+    """`flying-vines replay` of a flight's own log: the status says whether the answers were the same."""
+    from rich.console import Console
+
+    from flying_vines.cli.log_tables import show_again
+    from flying_vines.config import config as configuration
+    from flying_vines.record.reader import FlightLog, LogError
+    from flying_vines.simulation.replay import replay_flight
+
+    profile = configuration.load(config) if config else None
+    try:
+        again = replay_flight(FlightLog(recording), profile)
+    except LogError as error:
+        return bad_input(str(error))
+    show_again(again, as_json, Console())
+    if again.damage:
+        print(f"flying-vines: {again.damage}", file=sys.stderr)
+    return DIFFERENT if again.differences else 0

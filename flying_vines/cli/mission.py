@@ -1,0 +1,275 @@
+"""`flying-vines mission`: build, check, upload, watch, download, script; each imports what it needs then."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import re
+from collections.abc import Callable, Coroutine
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flying_vines.cli.bad_input import BAD_INPUT, bad_input
+from flying_vines.config.address import FORMS
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from flying_vines.config.config import Config
+    from flying_vines.simulation.autopilot import Home
+    from flying_vines.vehicle.mission.item import MissionItem
+    from flying_vines.vehicle.mission.storage import Kind
+    from missions.report import Report
+
+NOT_AS_PLANNED = 1
+SCRIPT = "vine_items.lua"
+_NEGATIVE = re.compile(r"-\.?\d")
+GROUND_STATION_LINK = "udpin:0.0.0.0:14550"
+
+
+def add(commands: Any) -> None:
+    """Add `mission` to the parsers of the command line."""
+    mission = commands.add_parser("mission", help="missions with vine items: build, check, upload, watch")
+    actions = mission.add_subparsers(required=True, metavar="ACTION")
+
+    build = actions.add_parser("build", help="a .plan and a .waypoints for one autopilot out of a TOML file")
+    build.add_argument("mission", type=Path, metavar="MISSION.toml", help="the text")
+    build.add_argument(
+        "--out", type=Path, metavar="PATH", help="a folder, or one file (default: beside the mission)"
+    )
+    _common(build)
+    build.set_defaults(run=_build)
+
+    check = actions.add_parser("check", help="what is wrong with a mission, and the air that it takes")
+    check.add_argument("mission", type=Path, metavar="FILE", help="a .toml, .plan or .waypoints")
+    check.add_argument("--fly", action="store_true", help="fly it in simulation as well")
+    _common(check)
+    check.set_defaults(run=_check)
+
+    upload = actions.add_parser("upload", help="put a mission on the vehicle, and read it back")
+    upload.add_argument("mission", type=Path, metavar="FILE", help="a .plan or .waypoints")
+    _vehicle(upload, _upload)
+    watch = actions.add_parser("watch", help="follow the mission that the vehicle flies, to its end")
+    watch.add_argument("--plain", action="store_true", help="one line an event instead of a live view")
+    _vehicle(watch, _watch)
+    download = actions.add_parser("download", help="get the mission that the vehicle holds")
+    download.add_argument("mission", type=Path, metavar="FILE", help="a .plan or .waypoints to write")
+    _vehicle(download, _download)
+    script = actions.add_parser("script", help="write the script that hands items over on ArduPilot")
+    script.add_argument(
+        "--out", type=Path, default=Path(SCRIPT), metavar="FILE.lua", help=f"where to ({SCRIPT})"
+    )
+    script.set_defaults(run=_script)
+
+
+def _common(parser: argparse.ArgumentParser) -> None:
+    # Before Python 3.14 a place in the south or west ("-35.36,149.16,584") was taken for an option.
+    parser._negative_number_matcher = _NEGATIVE
+    parser.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
+    parser.add_argument("--autopilot", choices=("ardupilot", "px4"), help="(default: what the mission says)")
+    parser.add_argument(
+        "--home",
+        type=_home,
+        metavar="LAT,LON,ALT",
+        help="degrees, and metres above the sea: instead of the file's",
+    )
+    parser.add_argument(
+        "--reservoir-kPa",
+        type=_pressure,
+        dest="reservoir_kPa",
+        metavar="P",
+        help="in the bottle at the start, gauge (default: full)",
+    )
+    parser.add_argument("--rig", type=Path, metavar="RIG.toml", help="what is known (default: the profile's)")
+    parser.add_argument("--json", action="store_true", help="one object instead of a table")
+
+
+def _vehicle(parser: argparse.ArgumentParser, run: Callable[[argparse.Namespace], int]) -> None:
+    parser.add_argument(
+        "--link",
+        default=GROUND_STATION_LINK,
+        metavar="LINK",
+        help=f"{FORMS} ({GROUND_STATION_LINK})",
+    )
+    parser.set_defaults(run=run)
+
+
+def _upload(arguments: argparse.Namespace) -> int:
+    from missions.upload import upload
+
+    return _on_vehicle(upload(arguments.mission, arguments.link, _console()))
+
+
+def _watch(arguments: argparse.Namespace) -> int:
+    from missions.watch import watch
+
+    console = _console()
+    live = console.is_terminal and not arguments.plain
+    return _on_vehicle(watch(arguments.link, console, live))
+
+
+def _download(arguments: argparse.Namespace) -> int:
+    from missions.download import download
+
+    return _on_vehicle(download(arguments.mission, arguments.link, _console()))
+
+
+def _script(arguments: argparse.Namespace) -> int:
+    shipped = resources.files("missions").joinpath("ardupilot", SCRIPT)
+    try:
+        arguments.out.write_bytes(shipped.read_bytes())
+    except OSError as error:
+        return _fail(f"{arguments.out}: {error.strerror}")
+    print(f"{arguments.out}: for APM/scripts on the autopilot's SD card; SCR_ENABLE 1, then reboot")
+    return 0
+
+
+def _on_vehicle(work: Coroutine[None, None, int]) -> int:
+    from missions.link import LinkError
+    from missions.mission import MissionError
+
+    try:
+        return asyncio.run(work)
+    except (LinkError, MissionError) as error:
+        return _fail(str(error))
+
+
+def _console() -> Console:
+    from rich.console import Console
+
+    return Console(highlight=False)
+
+
+def _home(text: str) -> Home:
+    from flying_vines.simulation.autopilot import Home
+
+    try:
+        latitude, longitude, altitude_m = map(float, text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not LAT,LON,ALT") from None
+    if not (abs(latitude) <= 90 and abs(longitude) <= 180 and -500 <= altitude_m <= 9000):
+        raise argparse.ArgumentTypeError(f"{text!r} is no place on earth")
+    return Home(latitude, longitude, altitude_m)
+
+
+def _pressure(text: str) -> float:
+    try:
+        pressure_kPa = float(text)
+    except ValueError:
+        pressure_kPa = -1.0
+    if not 0.0 <= pressure_kPa <= 2000.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a pressure from 0 to 2000 kPa gauge")
+    return pressure_kPa
+
+
+def _build(arguments: argparse.Namespace) -> int:
+    from missions.mission import MissionError
+    from missions.plan_file import write_plan
+    from missions.waypoints import write_waypoints
+
+    path: Path = arguments.mission
+    if path.suffix in (".plan", ".waypoints"):
+        return _fail(f"{path}: is built already; `flying-vines mission check` looks at it")
+    try:
+        report = _report(arguments)
+    except MissionError as error:
+        return _fail(str(error))
+    if report.errors:
+        return _tell(report, arguments.json, [])
+    written: list[Path] = []
+    try:
+        for target in _targets(arguments.out or path.parent, path.stem, report.kind):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if target.suffix == ".plan":
+                write_plan(target, report.items, report.kind, report.home)
+            else:
+                write_waypoints(target, report.items)
+            written.append(target)
+    except OSError as error:
+        return _fail(f"{error.filename or arguments.out}: {error.strerror}")
+    return _tell(report, arguments.json, written)
+
+
+def _targets(out: Path, stem: str, kind: Kind) -> list[Path]:
+    if out.suffix in (".plan", ".waypoints"):
+        return [out]
+    return [out / f"{stem}-{kind}{suffix}" for suffix in (".plan", ".waypoints")]
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from missions.mission import MissionError
+
+    try:
+        report = _report(arguments, flies=arguments.fly)
+    except MissionError as error:
+        return _fail(str(error))
+    status = _tell(report, arguments.json, [])
+    return status or (NOT_AS_PLANNED if report.differences else 0)
+
+
+def _report(arguments: argparse.Namespace, flies: bool = False) -> Report:
+    from flying_vines.config import config as configuration
+    from flying_vines.physics.rig import RigError
+    from flying_vines.supply import nominal
+    from flying_vines.supply.known_rig import load_calibration
+    from missions.mission import MissionError
+    from missions.review import review
+
+    config = configuration.load(arguments.config) if arguments.config else configuration.default()
+    name, items, kind, home = _items(arguments, config)
+    rig: Path | None = arguments.rig
+    rig = rig or configuration.rig_named(config, arguments.config)
+    try:
+        belief = load_calibration(rig, config.pneumatics).belief if rig else nominal(config.pneumatics)
+    except RigError as error:
+        raise MissionError(str(error)) from None
+    reservoir_kPa = arguments.reservoir_kPa
+    if reservoir_kPa is None:
+        reservoir_kPa = config.pneumatics.full_kPa
+    return review(name, items, kind, home, config, belief, reservoir_kPa, rig, flies)
+
+
+def _items(arguments: argparse.Namespace, config: Config) -> tuple[str, list[MissionItem], Kind, Home]:
+    """Name, items, autopilot and home, from whichever file."""
+    from missions.build import build
+    from missions.files import SUFFIXES, load_items
+    from missions.mission import MissionError, load, planned_home
+
+    path: Path = arguments.mission
+    if path.suffix in SUFFIXES:
+        if arguments.home:
+            raise MissionError(f"{path}: --home is for missions that are built; this one has its places")
+        found = load_items(path, arguments.autopilot)
+        return path.stem, list(found.items), found.kind, found.home
+    mission, text = load(path)
+    kind = arguments.autopilot or mission.autopilot
+    if kind is None:
+        raise MissionError(
+            f'{path}: for which autopilot? autopilot = "ardupilot" or "px4" in the file, or --autopilot'
+        )
+    home = arguments.home or planned_home(mission, kind, str(path))
+    return mission.name or path.stem, build(mission, config, kind, home, str(path), text), kind, home
+
+
+def _tell(report: Report, as_json_wanted: bool, written: list[Path]) -> int:
+    from rich.console import Console
+
+    from missions.report import as_json, show
+
+    if as_json_wanted:
+        files = {"files": [str(path) for path in written]}
+        print(json.dumps({**as_json(report), **files}, allow_nan=False))
+        return BAD_INPUT if report.errors else 0
+    console = Console(highlight=False)
+    show(report, console)
+    for path in written:
+        console.print(f"Written  {path}", soft_wrap=True)
+    return _fail("\n".join(finding.text for finding in report.errors)) if report.errors else 0
+
+
+def _fail(sentences: str) -> int:
+    for sentence in sentences.splitlines():
+        bad_input(sentence)
+    return BAD_INPUT

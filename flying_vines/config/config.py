@@ -1,0 +1,520 @@
+"""One TOML profile of the whole rig, decoded into frozen structures. Unknown keys are errors."""
+
+from __future__ import annotations
+
+import difflib
+import ipaddress
+import math
+import re
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+import msgspec
+from msgspec import Meta
+
+from flying_vines.config.address import NetworkAddress, parse_address, parse_broker
+from flying_vines.config.toml_text import (
+    Key,
+    dotted,
+    explained,
+    located,
+    not_finite,
+    one_line,
+    place,
+    read_text,
+)
+from flying_vines.vine.curve import BendCurve
+from flying_vines.vine.intent import Command
+from flying_vines.vine.profile import Profile, Segment, Sine, ends_kPa, flatten
+
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+
+CARRIERS = {
+    "script_message": 217,
+    "script_time": 42702,
+    "gripper": 211,
+    "winch": 42600,
+    "actuator": 187,
+    "relay": 181,
+    "servo": 183,
+    "aux_function": 218,
+    "user_1": 31010,
+}
+"""MAVLink commands that carry a vine item, by the name that the configuration uses for them."""
+
+_TOPIC_LEVEL = re.compile(r"[\w.-]{1,64}", re.ASCII)
+
+CheckLevel = Literal["fault", "warn"]
+
+Param = Literal["param1", "param2", "param3", "param4", "param5", "param6", "param7"]
+"""Of a mission item or command; the last three are an item's x, y and z."""
+
+
+class ConfigError(Exception):
+    """The configuration cannot be used; the text says which file, key and line, and what to do."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(one_line(text))
+
+
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    pass
+
+
+class Vehicle(_Table, frozen=True):
+    link: str = "udpin:127.0.0.1:14540"
+    system_id: Annotated[int, Meta(ge=0, le=255)] = 0
+    component_id: Annotated[int, Meta(ge=2, le=255)] = 191  # 1 is the autopilot
+    rc_rate_Hz: Annotated[float, Meta(ge=4, le=50)] = 20.0
+    signing_key: str = ""
+
+
+class Firmware(_Table, frozen=True):
+    link: str = "serial:/dev/ttyACM0"
+
+
+ReceiverFailsafe = Literal["unknown", "hold", "hidden"] | Annotated[int, Meta(ge=800, le=2200)]
+"""What the switch's channel reads while the transmitter is lost, as `flying-vines doctor --radio` saw it."""
+
+
+class Switch(_Table, frozen=True):
+    positions: tuple[str, ...] = ("straight", "bend-half", "bend-full")
+    channel: Annotated[int, Meta(ge=1, le=18)] = 9
+    debounce_s: Annotated[float, Meta(ge=0.1, le=2)] = 0.15
+    settle_s: Annotated[float, Meta(ge=0.2, le=10)] = 1.0
+    hysteresis_us: Annotated[float, Meta(ge=0, le=60)] = 25.0
+    throttle_channel: Annotated[int, Meta(ge=0, le=18)] = 3
+    throttle_failsafe_us: Annotated[float, Meta(ge=0, le=1200)] = 975.0
+    receiver_failsafe: Literal["unknown", "hold", "hidden"] | Annotated[int, Meta(ge=800, le=2200)] = (
+        "unknown"
+    )
+
+    def __post_init__(self) -> None:
+        if len(self.positions) not in (2, 3, 6):
+            raise ValueError(f"a switch has 2, 3 or 6 positions, not {len(self.positions)}")
+
+
+class Item(_Table, frozen=True):
+    """What a mission item or command of the vehicle means for the vine."""
+
+    command: str | int | tuple[str | int, ...]
+    match: dict[Param, float] = {}
+    profile: str | None = None
+    bend: Param | None = None
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in self._commands:
+            if isinstance(name, str) and name not in CARRIERS:
+                raise ValueError(
+                    f"unknown command '{name}': give one of {', '.join(CARRIERS)}, or a MAV_CMD number"
+                )
+        if not self._commands:
+            raise ValueError("an item needs a command")
+        if (self.profile is None) == (self.bend is None):
+            raise ValueError("an item needs either profile or bend")
+
+    @property
+    def command_ids(self) -> tuple[int, ...]:
+        """The MAV_CMD numbers, in the order given."""
+        return tuple(CARRIERS[name] if isinstance(name, str) else name for name in self._commands)
+
+    @property
+    def _commands(self) -> tuple[str | int, ...]:
+        return self.command if isinstance(self.command, tuple) else (self.command,)
+
+
+class Vine(_Table, frozen=True):
+    curve: tuple[tuple[float, float], ...] = ((0.0, 0.0), (2.0, 0.0), (20.7, 60.0))
+    hysteresis_kPa: NotNegative = 0.0
+
+    def __post_init__(self) -> None:
+        BendCurve(self.curve)
+
+    def bend_curve(self) -> BendCurve:
+        return BendCurve(self.curve, self.hysteresis_kPa)
+
+
+class Limits(_Table, frozen=True):
+    max_kPa: Annotated[float, Meta(gt=0, le=200)] = 20.7
+    max_rate_kPa_per_s: Annotated[float, Meta(gt=0, le=2000)] = 60.0
+    max_bent_s: Positive = 120.0
+    overpressure_kPa: Annotated[float, Meta(gt=0, le=206)] = 25.0
+
+    def __post_init__(self) -> None:
+        if self.overpressure_kPa <= self.max_kPa:
+            raise ValueError("overpressure_kPa must be above max_kPa")
+
+
+class Interlocks(_Table, frozen=True):
+    bench_mode: bool = False
+    armed_at_start: bool = True
+    min_altitude_m: NotNegative = 2.0
+    reserve_kPa: NotNegative = 40.0
+
+
+class Losses(_Table, frozen=True):
+    """How long each thing may be silent, and what the vine does then."""
+
+    rc_s: Annotated[float, Meta(ge=0.3, le=10)] = 1.0
+    autopilot_s: Annotated[float, Meta(ge=1.5, le=30)] = 3.0
+    telemetry_s: Annotated[float, Meta(ge=0.1, le=2)] = 0.3
+    on_rc_loss: Literal["vent", "hold"] = "vent"
+    hold_at_most_s: Positive = 30.0
+
+
+class Pneumatics(_Table, frozen=True):
+    """What is known of the rig, for the reservoir estimate (as in the paper's demonstration)."""
+
+    rig: str = ""
+    reservoir_volume_L: Positive = 2.0
+    full_kPa: Positive = 690.0
+    cv_volume_L: Positive = 0.1
+    evp_flow_resistance_kPa_s_per_SL: Positive = 2042.0
+    dvp_flow_resistance_kPa_s_per_SL: Positive = 618.0
+    venturi_least_supply_kPa: NotNegative = 100.0
+    cycle_swing_kPa: Positive = 20.7
+    cycle_rate_kPa_per_s: Positive = 22.8
+
+
+class Checks(_Table, frozen=True):
+    """What follows when the physics does not answer as predicted, and how far the rig may be from belief."""
+
+    volume_factor: Annotated[float, Meta(ge=1, le=10)] = 2.0
+    zero_kPa: Annotated[float, Meta(ge=1, le=50)] = 4.0
+    filling: CheckLevel = "fault"
+    venting: CheckLevel = "fault"
+    sudden_fall: CheckLevel = "fault"
+    vine_sensor: CheckLevel = "fault"
+    vine_zero: CheckLevel = "fault"
+    bottle_loss: CheckLevel = "fault"
+    bottle_sensor: CheckLevel = "warn"
+    bottle_hot: CheckLevel = "warn"
+    vine_leak: CheckLevel = "warn"
+    unsteady: CheckLevel = "warn"
+
+
+class Telemetry(_Table, frozen=True):
+    rate_Hz: Annotated[float, Meta(ge=0.1, le=10)] = 2.0
+    fuel_status: bool = False
+    low_reservoir_cycles: Annotated[float, Meta(ge=0)] = 10.0
+
+
+class Calibration(_Table, frozen=True):
+    """The staircase of pressures that a calibration goes up and down."""
+
+    steps: Annotated[int, Meta(ge=1, le=50)] = 6
+    hold_s: Annotated[float, Meta(ge=0.5, le=60)] = 3.0
+
+
+class Page(_Table, frozen=True):
+    """The page that `run` serves."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Meta(ge=0, le=65535)] = 8017
+    token_file: str = ""
+
+    @property
+    def needs_token(self) -> bool:
+        """Whether anybody but this machine can reach it."""
+        return self.port != 0 and not ipaddress.ip_address(self.host).is_loopback
+
+
+class Mqtt(_Table, frozen=True):
+    """A broker that is told what happens, and what may be asked for over it."""
+
+    broker: str = ""
+    prefix: str = "flying-vines"
+    name: str = ""
+    rate_Hz: Annotated[float, Meta(ge=0.1, le=10)] = 2.0
+    username: str = ""
+    password_file: str = ""
+    ca_file: str = ""
+    certificate_file: str = ""
+    key_file: str = ""
+    client_id: str = ""
+    keepalive_s: Annotated[int, Meta(ge=5, le=3600)] = 30
+    kept_events: Annotated[int, Meta(ge=1, le=100_000)] = 1000
+    commands: tuple[Command, ...] = ()
+    asked_within_s: Annotated[float, Meta(ge=0.5, le=60)] = 5.0
+    discovery_prefix: str = ""
+
+
+class Log(_Table, frozen=True):
+    """The flight recorder's."""
+
+    least_free_MB: NotNegative = 200.0
+
+
+class State(_Table, frozen=True):
+    """Where the service keeps what must survive it."""
+
+    folder: str = ""
+
+
+class Config(_Table, frozen=True):
+    """The whole profile."""
+
+    profiles: dict[str, Profile]
+    vehicle: Vehicle = Vehicle()
+    firmware: Firmware = Firmware()
+    switch: Switch = Switch()
+    items: tuple[Item, ...] = ()
+    vine: Vine = Vine()
+    limits: Limits = Limits()
+    interlocks: Interlocks = Interlocks()
+    losses: Losses = Losses()
+    pneumatics: Pneumatics = Pneumatics()
+    checks: Checks = Checks()
+    telemetry: Telemetry = Telemetry()
+    calibration: Calibration = Calibration()
+    page: Page = Page()
+    mqtt: Mqtt = Mqtt()
+    log: Log = Log()
+    state: State = State()
+
+
+def default_text() -> str:
+    """The commented profile that `config init` writes."""
+    return resources.files("flying_vines.config").joinpath("default.toml").read_text(encoding="utf-8")
+
+
+def default() -> Config:
+    return parse(default_text(), "the built-in profile")
+
+
+def load(path: Path) -> Config:
+    """Read and check a profile.
+
+    Raises `ConfigError` with one line that names the file, the key and the line.
+    """
+    return parse(text_of(path), str(path))
+
+
+def rig_named(config: Config, profile: Path | None) -> Path | None:
+    """The rig file that a profile names, if any; paths in it start from where it is."""
+    return profile.parent / config.pneumatics.rig if profile and config.pneumatics.rig else None
+
+
+def text_of(path: Path) -> str:
+    """What is in the file of a profile; `ConfigError` when it cannot be read."""
+    return read_text(path, ConfigError, f"; `flying-vines config init {path}` writes one")
+
+
+def parse(text: str, source: str, recorded: bool = False) -> Config:
+    """Check the text of a profile; `source` is what errors call it.
+
+    The links of a `recorded` one are not opened again: earlier versions let them be open to anybody.
+    """
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        at = re.search(r"\(at (?:line (\d+), column \d+|end of document)\)", str(error))
+        line = int(at[1]) if at and at[1] else len(text.splitlines())
+        raise ConfigError(f"{source}:{line}: not TOML: {str(error).split(' (at')[0]}") from None
+    except RecursionError:
+        raise ConfigError(f"{source}: not TOML: nested too deeply") from None
+    _leave_out_what_is_gone(raw, text, source)
+    try:
+        inside: Key = ()
+        for name, profile in _profiles_of(raw):
+            inside = ("profiles", name)
+            msgspec.convert(profile, Profile)
+        inside = ()
+        config = msgspec.convert(raw, Config)
+    except msgspec.ValidationError as error:
+        raise _explain(text, source, str(error), inside) from None
+    for key, reason in _contradictions(config) or ([] if recorded else _open_doors(config)):
+        raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
+    return config
+
+
+def _leave_out_what_is_gone(raw: dict[str, Any], text: str, source: str) -> None:
+    """A profile of an earlier version holds where it asks for what is done anyway."""
+    losses = raw.get("losses")
+    wanted = losses.pop("on_autopilot_loss", "vent") if isinstance(losses, dict) else "vent"
+    if wanted != "vent":
+        key = ("losses", "on_autopilot_loss")
+        reason = "take this line out: a lost autopilot always vents, as the altitude is lost with it"
+        raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
+
+
+def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:
+    """The profiles one by one: decoded together, an error in one would not say in which."""
+    profiles = raw.get("profiles")
+    return list(profiles.items()) if isinstance(profiles, dict) else []
+
+
+def _contradictions(config: Config) -> list[tuple[Key, str]]:
+    """What no single table can know: keys that do not fit each other, and why."""
+    found: list[tuple[Key, str]] = []
+    for table, link in (("vehicle", config.vehicle.link), ("firmware", config.firmware.link)):
+        try:
+            parse_address(link)
+        except ValueError as error:
+            found.append(((table, "link"), str(error)))
+    try:
+        ipaddress.ip_address(config.page.host)
+    except ValueError:
+        reason = f"'{config.page.host}' is no address of this machine: give 127.0.0.1, or 0.0.0.0 for all"
+        found.append((("page", "host"), reason))
+    found.extend((key, "is not a finite number") for key in not_finite(msgspec.to_builtins(config)))
+    found.extend((("mqtt", key), reason) for key, reason in _broker_contradictions(config.mqtt))
+    if found:
+        return found
+    try:
+        curve = config.vine.bend_curve()
+    except ValueError as error:
+        return [(("vine", "hysteresis_kPa"), str(error))]
+    for name, profile in config.profiles.items():
+        try:
+            segments = tuple(flatten(config.profiles, name))
+        except ValueError as error:
+            found.append((("profiles", name), str(error)))
+            continue
+        for segment in segments:
+            for value in (getattr(segment, key, None) for key in ("to_deg", "from_deg")):
+                if value is not None and not curve.min_deg <= value <= curve.max_deg:
+                    angles = f"{curve.min_deg:g}…{curve.max_deg:g}°"
+                    found.append((("profiles", name), f"{value:g}° is outside the bend curve's {angles}"))
+            for value in (getattr(segment, key, None) for key in ("to_kPa", "from_kPa")):
+                if value is not None and not 0 <= value <= config.limits.max_kPa:
+                    limit = f"0…{config.limits.max_kPa:g} kPa (limits.max_kPa)"
+                    found.append((("profiles", name), f"{value:g} kPa is outside {limit}"))
+            if isinstance(segment, Sine):
+                found.extend(_too_fast(config, curve, name, profile, segment))
+    for i, name in enumerate(config.switch.positions):
+        if name and name not in config.profiles:
+            found.append((("switch", "positions", i), no_profile(config, name)))
+    for i, item in enumerate(config.items):
+        if item.profile is not None and item.profile not in config.profiles:
+            found.append((("items", i, "profile"), no_profile(config, item.profile)))
+    if curve.max_kPa > config.limits.max_kPa:
+        reason = f"the curve goes to {curve.max_kPa:g} kPa, above limits.max_kPa = {config.limits.max_kPa:g}"
+        found.append((("vine", "curve"), reason))
+    stairs = config.calibration
+    calibrates_s = (2 * stairs.steps + 1) * stairs.hold_s
+    calibrates_s += 2 * config.limits.max_kPa / config.limits.max_rate_kPa_per_s
+    if calibrates_s > config.limits.max_bent_s:
+        reason = f"takes {calibrates_s:.0f} s, longer than limits.max_bent_s = {config.limits.max_bent_s:g}"
+        found.append((("calibration",), reason))
+    if config.pneumatics.cycle_swing_kPa > config.limits.max_kPa:
+        found.append((("pneumatics", "cycle_swing_kPa"), "is above limits.max_kPa"))
+    return found
+
+
+def _open_doors(config: Config) -> list[tuple[Key, str]]:
+    """Links over which anybody on the network could command the vine, or tell lies about it."""
+    found: list[tuple[Key, str]] = []
+    for table, link, signed in (
+        ("vehicle", config.vehicle.link, bool(config.vehicle.signing_key)),
+        ("firmware", config.firmware.link, False),
+    ):
+        address = parse_address(link)
+        if isinstance(address, NetworkAddress) and address.is_open and not signed:
+            way = f"name who sends ({link}?peer=ADDRESS)"
+            way += ", listen on 127.0.0.1, or set vehicle.signing_key" if table == "vehicle" else ""
+            found.append(((table, "link"), f"anybody on the network could command the vine: {way}"))
+    return found
+
+
+def _broker_contradictions(mqtt: Mqtt) -> list[tuple[str, str]]:
+    found = []
+    tls = False
+    if mqtt.broker:
+        try:
+            tls = parse_broker(mqtt.broker).tls
+        except ValueError as error:
+            found.append(("broker", str(error)))
+    for key in ("prefix", "discovery_prefix", "name", "client_id"):
+        value = getattr(mqtt, key)
+        levels = value.split("/") if "prefix" in key else [value]
+        if value and not all(_TOPIC_LEVEL.fullmatch(level) for level in levels):
+            found.append(
+                (key, f"'{value}' is none: letters, digits, '-', '_' and '.' make a name in a topic")
+            )
+    if not mqtt.prefix:
+        found.append(("prefix", "is empty: give the first word of the topics"))
+    for key in ("password_file", "ca_file", "certificate_file", "key_file"):
+        if (file := getattr(mqtt, key)) and not file.startswith("/"):
+            found.append((key, f"'{file}': give the whole path, from / on"))
+        if file and key != "password_file" and mqtt.broker and not tls:
+            found.append((key, "is for TLS: the broker's address must begin with mqtts://"))
+    if mqtt.password_file and not mqtt.username:
+        found.append(("password_file", "needs a username"))
+    if bool(mqtt.certificate_file) != bool(mqtt.key_file):
+        found.append(
+            (
+                "certificate_file" if mqtt.certificate_file else "key_file",
+                "certificate and key belong together",
+            )
+        )
+    return found
+
+
+def _too_fast(
+    config: Config, curve: BendCurve, name: str, profile: Profile, sine: Sine
+) -> list[tuple[Key, str]]:
+    low, high = ends_kPa(sine, curve)
+    steepest = math.pi * sine.frequency_Hz * abs(high - low)
+    limit = min(profile.rate_kPa_per_s or math.inf, config.limits.max_rate_kPa_per_s)
+    if steepest <= limit:
+        return []
+    return [(("profiles", name), f"the sine needs {steepest:.0f} kPa/s, the rate limit is {limit:g} kPa/s")]
+
+
+def no_profile(config: Config, name: str) -> str:
+    """What to say of a profile that is not there."""
+    near = difflib.get_close_matches(name, config.profiles, n=1)
+    return f"there is no profile '{name}'" + (f"; did you mean '{near[0]}'?" if near else "")
+
+
+def _explain(text: str, source: str, error: str, inside: Key) -> ConfigError:
+    key, reason = explained(error, _known_keys, inside)
+    if reason.startswith("Invalid"):
+        reason += f": give one of {', '.join(_choices(key))}"
+    return ConfigError(located(text, source, key, reason))
+
+
+def _known_keys(path: Key) -> list[str]:
+    """The keys that the table at `path` may have."""
+    if "segments" in path:
+        return sorted({field for segment in get_args(Segment) for field in segment.__struct_fields__})
+    here: object = Config
+    for part in path:
+        if isinstance(part, str):
+            here = _TABLES.get(part, here)
+    return list(getattr(here, "__struct_fields__", ()))
+
+
+def _choices(key: Key) -> list[str]:
+    """What the value at `key` may be, where that is one of a few words."""
+    if key[-1] == "kind":
+        return [str(segment.__struct_config__.tag) for segment in get_args(Segment)]
+    hint = get_type_hints(_TABLES.get(str(key[0]), Config)).get(str(key[-1]))
+    literals = [part for part in (hint, *get_args(hint)) if get_origin(part) is Literal]
+    return [str(word) for literal in literals for word in get_args(literal)]
+
+
+_TABLES = {
+    "vehicle": Vehicle,
+    "firmware": Firmware,
+    "switch": Switch,
+    "vine": Vine,
+    "limits": Limits,
+    "interlocks": Interlocks,
+    "losses": Losses,
+    "pneumatics": Pneumatics,
+    "checks": Checks,
+    "telemetry": Telemetry,
+    "calibration": Calibration,
+    "page": Page,
+    "mqtt": Mqtt,
+    "log": Log,
+    "state": State,
+    "items": Item,
+    "profiles": Profile,
+}

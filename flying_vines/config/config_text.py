@@ -1,0 +1,36 @@
+"""A configuration as the text of a profile, for those that no person wrote."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import msgspec
+
+from flying_vines.config.config import Config
+from flying_vines.config.toml_edit import value_text
+
+
+def profile_text(config: Config) -> str:
+    """What `config.parse` makes the same configuration of."""
+    return "\n".join(_tables(msgspec.to_builtins(config))) + "\n"
+
+
+def _tables(raw: Mapping[str, Any]) -> Iterator[str]:
+    for name, content in raw.items():
+        if name == "items":
+            for item in content:
+                yield from _table("[items]", item)
+        elif name == "profiles":
+            for profile, segments in content.items():
+                yield from _table(f"profiles.{value_text(profile)}", segments)
+        else:
+            yield from _table(name, content)
+
+
+def _table(name: str, content: Mapping[str, Any]) -> Iterator[str]:
+    yield f"[{name}]"
+    for key, value in content.items():
+        if value is not None:
+            yield f"{key} = {value_text(value)}"
+    yield ""

@@ -1,0 +1,1 @@
+"""What decides: time-stamped events in, actions out. No clock, port or await."""

@@ -1,0 +1,813 @@
+"""The one machine that decides: time-stamped events in, actions out. No clock, no port, no await.
+
+One bend, from end to end: a MAVLink message -> vehicle state -> trigger -> intent -> safety -> motion ->
+setpoint -> firmware; and back: telemetry -> reservoir estimate -> named values. `run`, `replay` and `demo`
+feed the same machine, so the same events always give the same decisions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from firmware_link import host as fw
+from firmware_link import protocol
+from flying_vines.config.config import Config
+from flying_vines.core.events import (
+    Action,
+    Asked,
+    Calibrated,
+    Decision,
+    Event,
+    Failed,
+    FirmwareMessage,
+    InternalError,
+    KeepDisarmed,
+    KeepParameters,
+    LinkChanged,
+    Measured,
+    Said,
+    Snapshot,
+    Stop,
+    Tick,
+    ToFirmware,
+    ToVehicle,
+    VehicleMessage,
+)
+from flying_vines.core.motion_planner import Move, Mover
+from flying_vines.core.parts import Parts
+from flying_vines.core.restarts import Restarts
+from flying_vines.core.safety import INTERNAL_ERROR, Conditions, Entered, Left, Ruling, Safety
+from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate, nominal
+from flying_vines.supply.physics_checks import PhysicsChecks
+from flying_vines.vehicle.clock import LATE_S
+from flying_vines.vehicle.component.parameters import Changed
+from flying_vines.vehicle.link_loss import LinkLoss
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.notice import Notice, Severity
+from flying_vines.vehicle.radio.pilot import Straightened
+from flying_vines.vehicle.triggers import Trigger, only_lets_out
+from flying_vines.vehicle.vehicle import Output, Vehicle
+from flying_vines.vine.intent import (
+    ACTS_WITHIN_S,
+    COMMAND_OF,
+    ArmPneumatics,
+    BendTo,
+    ClearFaults,
+    DisarmPneumatics,
+    Hold,
+    Intent,
+    SetPressure,
+    StartBench,
+    StartCalibration,
+    StartProfile,
+    StopBench,
+    StopCalibration,
+    Vent,
+)
+from flying_vines.vine.motion import Motion
+from flying_vines.vine.staircase import Readings
+
+TICK_S = 0.02
+"""How often `Tick` is due, and how far a setpoint looks ahead."""
+
+SPEAK_FIRST_S = 1.5
+"""How long we listen for an autopilot before we say anything ourselves."""
+
+BENCH_S = 300.0
+"""So long after the last that was asked for, whoever tried the vine on the ground has gone."""
+
+AT_ONCE_S = 0.05
+"""Requests within this time of each other count as simultaneous."""
+
+VENTING = (Vent, DisarmPneumatics, StopCalibration, StopBench)
+MOVING = (StartProfile, BendTo, SetPressure)
+_BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
+"""Triggers that come from neither another person nor the mission."""
+
+PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
+"""What the page may ask for in flight too, besides letting air out."""
+
+_SAYS = {
+    "cv_kPa": "vine sensor reads",
+    "reservoir_kPa": "bottle sensor reads",
+    "setpoint_kPa": "phloSAR holds",
+}
+"""Of telemetry's fields, for what no sensor can say."""
+
+_DONE = {
+    "serial": "its dead-man vents",
+    "telemetry": "told to vent",
+    "venting": "outlet told open",
+    "regulates": "told to vent",
+}
+"""Where nobody can know that the vine is vented, the pilot is told no more than was done about it."""
+_OF_THE_BOARD = ("serial", "telemetry", "firmware_fault", "refused_by_firmware")
+"""What a restart of the board brings with it."""
+
+
+class Core:
+    """One vine on one vehicle. `handle` takes every event, in time order, and returns what to do, in order.
+
+    `mission` is the vehicle's mission where it is known beforehand; otherwise it is read from the autopilot.
+    `belief` is what is known of the rig, where that is more than the configuration's numbers. `parameters`
+    are those that a pilot has set and that were kept. `disarmed` pneumatics were so when the last core ended:
+    they stay so, whatever the profile says, until a person arms them.
+    """
+
+    def __init__(
+        self,
+        profile: Config,
+        mission: Sequence[MissionItem] = (),
+        belief: Belief | None = None,
+        parameters: Mapping[str, float] | None = None,
+        disarmed: bool = False,
+    ) -> None:
+        self._vehicle = Vehicle(profile, mission, parameters)
+        self._link_loss = LinkLoss(self._vehicle)
+        config = self.config
+        self._bent_kPa = 0.0
+        self._cv_kPa = deque((math.nan,), maxlen=2)
+        """The last two readings: a single one that is too high may be a glitch."""
+        self._mover = Mover(config)
+        self._rc_in_use = False
+        self._firmware = fw.HostSession(repeat_s=TICK_S)
+        self._firmware_was_ready = False
+        self._firmware_limit_kPa = math.inf
+        self._firmware_problem = "not connected"
+        self._safety = Safety(config)
+        self._belief = belief or nominal(config.pneumatics)
+        self._reservoir = ReservoirEstimate(self._belief)
+        self._checks = PhysicsChecks(self._belief, config.checks)
+        self._cycles: CyclesLeft | None = None
+        self._low_told = False
+        self._alone_since: float | None = None
+        self._motion: Motion | None = None
+        self._triggered_at = 0.0
+        """When a person or the mission last asked for what the vine does now."""
+        self._calibration: tuple[Motion, Readings] | None = None
+        self._pneumatics_armed = config.interlocks.armed_at_start and not disarmed
+        self._bench_until = -math.inf
+        self._asked_at = -math.inf
+        self._unheeded: tuple[protocol.Mode, float, float] | None = None
+        """What the board is told and its mode is not, since when and until when, by its own clock."""
+        self._restarts = Restarts()
+        self._restart_told = False
+        """And the board has not been ready since."""
+        self._stopped = False
+        self._parts = Parts(self._on_failed)
+        self.internal_error = False
+        """Something that the vine needs has failed: it stays vented until a person restarts the service."""
+        self._actions: list[Action] = []
+
+    @property
+    def config(self) -> Config:
+        """The profile with the parameters that are in force."""
+        return self._vehicle.config
+
+    @property
+    def _max_kPa(self) -> float:
+        return min(self.config.limits.max_kPa, self._firmware_limit_kPa)
+
+    def handle(self, event: Event) -> list[Action]:
+        """What is to be done about `event`."""
+        self._actions = []
+        match event:
+            case VehicleMessage():  # most events are; a pattern that names its fields takes twice as long
+                self._take(event.t, self._vehicle.handle(event.t, event.message, self._vented))
+            case FirmwareMessage(t, message):
+                self._on_firmware(t, message)
+            case LinkChanged(t, "vehicle", up):
+                self._vehicle.link_changed(up)
+            case LinkChanged(t, "firmware", up):
+                self._on_firmware_link(t, up)
+            case Tick(t):
+                self._on_tick(t)
+            case Asked():
+                self._decide(event.t, self._asked(event))
+            case Said(t, severity, text):
+                self._notice(t, severity, text)
+            case Stop(t):
+                self._stop_moving(t)
+                self._stopped = True
+            case Failed():
+                self._on_failed(event)
+        if leaving := self._vehicle.component.leaving(event.t):
+            self._let_leave(leaving)
+        return self._actions
+
+    @property
+    def decided(self) -> list[Action]:
+        """The answer to the latest event, as far as it came."""
+        return self._actions
+
+    def report(self, t: float) -> list[Action]:
+        """Heartbeat, texts and named values that are due, and nothing else of a tick."""
+        self._actions = []
+        self._report(t)
+        return self._actions
+
+    # The vehicle's side.
+
+    def _take(self, t: float, outputs: Sequence[Output]) -> None:
+        for output in outputs:
+            if isinstance(output, Trigger):
+                decision = self._decide(t, output)
+                self._send(*self._vehicle.acknowledge(output, decision.safety != "refused"))
+            elif isinstance(output, Notice):
+                self._tell(output)
+            elif isinstance(output, Changed):
+                self._configure(output)
+            elif isinstance(output, Straightened):
+                self._clear_faults(t, output.seen_at)
+            else:
+                self._send(output)
+
+    def _configure(self, change: Changed) -> None:
+        self._safety.configure(change.config)
+        self._mover = Mover(change.config)
+        self._vehicle.configure()
+        self._actions.append(KeepParameters(change.t, dict(self._vehicle.component.parameters.values)))
+
+    # The firmware's side.
+
+    def _on_firmware_link(self, t: float, up: bool) -> None:
+        self._unheeded = None
+        self._restart_told = False
+        if up:
+            self._firmware.opened(t)
+            self._firmware_problem = "does not answer"
+        else:
+            self._firmware.closed(t)
+            self._firmware_problem = "disconnected"
+        self._look(t)
+
+    def _on_firmware(self, t: float, message: protocol.Message) -> None:
+        for event in self._firmware.receive(t, message):
+            match event:
+                case fw.Ready(welcome):
+                    self._firmware_was_ready = True
+                    self._restart_told = False
+                    self._firmware_limit_kPa = welcome.setpoint_limit_kPa
+                    ready = f"phloSAR ready ({welcome.firmware_build})"
+                    news = self._restarts.news(ready)
+                    self._notice(t, Severity.INFO if news else Severity.DEBUG, ready)
+                case fw.TelemetryReceived(telemetry):
+                    self._actions.append(Measured(t, telemetry))
+                    self._cv_kPa.append(telemetry.cv_kPa)
+                    self._note_heed(t, telemetry)
+                    if telemetry.faults or min(self._cv_kPa) > self.config.limits.overpressure_kPa:
+                        self._look(t)
+                    self._estimate(t, telemetry)
+                case fw.ImplausibleTelemetry():
+                    self._look(t)
+                case fw.FirmwareReset(reason):
+                    self._restarted(t, reason)
+                case fw.Incompatible(reason):
+                    self._firmware_problem = reason
+                    self._notice(t, Severity.ERROR, f"{reason}")
+                case fw.CommandRefused(refusal):
+                    said = refusal.reason.name.lower().replace("_", " ")
+                    self._enter(t, Entered("refused_by_firmware", f"phloSAR refused: {said}", "vent"))
+
+    def _restarted(self, t: float, reason: str) -> None:
+        if self._restart_told:
+            return  # the new boot id of a restart that its clock has told
+        self._restart_told = True
+        self._firmware_problem = "restarted"
+        self._unheeded = None
+        first = self._restarts.note(t)
+        why = f"phloSAR restarted: {reason}" if first else self._restarts.looping(t)
+        self._enter(t, self._safety.latch(t, "firmware_reset", why))
+
+    def _estimate(self, t: float, telemetry: protocol.Telemetry) -> None:
+        """What follows from telemetry, once safety has looked at it."""
+        run, bent_kPa = self._parts.run, self._mover.curve.bent_kPa
+        self._bent_kPa = run(
+            t, "bend", lambda: bent_kPa(telemetry.cv_kPa, self._bent_kPa), self._bent_kPa, needed=True
+        )
+        run(t, "bottle estimate", lambda: self._reservoir.update(t, telemetry), None, needed=True)
+        run(t, "calibration", lambda: self._read_level(t, telemetry), None, needed=True)
+        run(t, "physics checks", lambda: self._check(t, telemetry), None, needed=True)
+
+    def _check(self, t: float, telemetry: protocol.Telemetry) -> None:
+        """Whether the physics answers as predicted: what does not is a fault, or the pilot is told."""
+        found = self._checks.take(telemetry)
+        for finding in found:
+            if finding.level == "warn":
+                self._notice(t, Severity.WARNING, finding.sentence)
+        if any(finding.level == "fault" for finding in found):
+            self._look(t)
+
+    def _on_failed(self, failed: Failed) -> None:
+        self._actions.append(InternalError(failed.t, failed.part, failed.trace))
+        if failed.needed:
+            self.internal_error = True
+            self._look(failed.t)
+        else:
+            self._notice(failed.t, Severity.WARNING, f"{failed.part} failed, flight goes on")
+
+    def _note_heed(self, t: float, telemetry: protocol.Telemetry) -> None:
+        """Whether the board's mode follows what it is told. In a fault that it names it vents by itself."""
+        mode, told = telemetry.mode, self._told_mode
+        vents = mode is protocol.Mode.FAULT and (told is protocol.Mode.VENT or telemetry.faults)
+        if mode is told or vents:
+            self._unheeded = None
+            return
+        made_s = t - self._firmware.telemetry_age(t)
+        began = self._unheeded[1] if self._unheeded and self._unheeded[0] is told else made_s
+        self._unheeded = told, began, made_s
+
+    @property
+    def _told_mode(self) -> protocol.Mode:
+        return protocol.Mode.VENT if self._motion is None else protocol.Mode.REGULATE
+
+    @property
+    def _unheeded_s(self) -> float:
+        if self._unheeded is None or self._unheeded[0] is not self._told_mode:
+            return 0.0
+        return self._unheeded[2] - self._unheeded[1]
+
+    # Deciding.
+
+    def _asked(self, asked: Asked) -> Trigger:
+        """Of one who does not ask over MAVLink: how late it may be, and what may be asked for in what way."""
+        t, by, intent = asked.t, asked.by, asked.intent
+        problem = "" if only_lets_out(self.config, intent) else self._may_not_ask(asked)
+        seen_at = asked.seen_at
+        if by == "calibration":
+            seen_at = t
+        elif seen_at is None or seen_at > t:
+            # Of the time before the computer was started: it has seen nothing of this run.
+            seen_at = -math.inf
+        if isinstance(intent, ClearFaults) and seen_at == -math.inf:
+            problem = problem or "it does not say which state was seen"
+        return Trigger(t, by, {}, intent, problem, by_person=not problem, seen_at=seen_at)
+
+    def _may_not_ask(self, asked: Asked) -> str:
+        age_s = 0.0 if asked.made_at is None else asked.t - asked.made_at
+        if age_s > ACTS_WITHIN_S:
+            return f"too late: asked {age_s:.1f} s ago"
+        command = COMMAND_OF[type(asked.intent)]
+        if asked.by == "broker" and command not in self.config.mqtt.commands:
+            return f"mqtt.commands does not list {command}"
+        if asked.by == "page" and command not in PAGE_COMMANDS:
+            if self._vehicle.state.armed:
+                return "the page bends nothing while the vehicle is armed"
+            if not (self._on_bench or self.config.interlocks.bench_mode):
+                return "the page bends in bench mode only"
+        return ""
+
+    def _decide(self, t: float, trigger: Trigger) -> Decision:
+        """Let safety look at a trigger, carry its intent out or say why not."""
+        now = self._look(t)
+        intent = trigger.intent
+        if trigger.by_person and self._on_bench:
+            self._bench_until = t + BENCH_S
+        if intent is None or trigger.problem:
+            return self._record(t, trigger, Ruling("refused", trigger.problem))
+        if self._stopped:
+            return self._record(t, trigger, Ruling("refused", "the service is stopping"))
+        if problem := self._outdated(t, trigger, intent):
+            return self._record(t, trigger, Ruling("refused", problem))
+        settled = self._without_air(t, intent, trigger)
+        if settled is not None:
+            return self._record(t, trigger, settled)
+        if problem := self._mover.problem(intent):
+            return self._record(t, trigger, Ruling("refused", problem))
+        move = self._move(t, intent)
+        demand = self._parts.run(
+            t, "bottle estimate", lambda: move.demand(self._reservoir, self._belief), None, needed=True
+        )
+        if demand is None:
+            return self._record(t, trigger, Ruling("refused", INTERNAL_ERROR))
+        if trigger.by_person and demand.releases:
+            self._clear_faults(t, trigger.seen_at)
+        ruling = self._safety.judge(demand, now)
+        if ruling.verdict == "refused":
+            return self._record(t, trigger, ruling)
+        if ruling.rate_scale < 1.0:
+            move = self._move(t, intent, ruling.rate_scale)
+        if demand.releases and self._motion is None:
+            self._stop_moving(t)
+        else:
+            self._note_trigger(t)
+            self._motion = Motion(move.trajectory, t, move.rate_kPa_per_s, str(intent))
+            if isinstance(intent, StartCalibration):
+                self._calibration = self._motion, Readings(self.config.calibration.hold_s)
+            self._drive(t)
+        return self._record(t, trigger, ruling)
+
+    def _outdated(self, t: float, trigger: Trigger, intent: Intent) -> str:
+        """Why it is too late for what was asked. To let air out it is so only behind something newer."""
+        late = trigger.age_s > LATE_S
+        overtaken = self._asked_at > t - trigger.age_s + AT_ONCE_S
+        if isinstance(intent, VENTING) or not (late or overtaken):
+            return ""
+        moves = isinstance(intent, MOVING) and not self._mover.problem(intent)
+        if moves and not overtaken and self._move(t, intent).releases:
+            return ""
+        return f"came {trigger.age_s:.1f} s late" if late else "something newer was asked"
+
+    def _note_trigger(self, t: float) -> None:
+        self._triggered_at = t
+        self._safety.triggered()
+
+    def _without_air(self, t: float, intent: Intent, trigger: Trigger) -> Ruling | None:
+        """Carry out what takes no air, or say why not; None for what does take some."""
+        match intent:
+            case ClearFaults() | ArmPneumatics() | StartBench() | StartCalibration() if not trigger.by_person:
+                return Ruling("refused", "only a person may do that")
+            case ClearFaults():
+                return self._clear_faults(t, trigger.seen_at)
+            case ArmPneumatics():
+                self._pneumatics_armed = True
+                self._actions.append(KeepDisarmed(t, False))
+                return Ruling("accepted")
+            case DisarmPneumatics():
+                self._pneumatics_armed = False
+                self._stop_moving(t)
+                self._actions.append(KeepDisarmed(t, True))
+                return Ruling("accepted")
+            case Vent():
+                if trigger.by_person:
+                    self._clear_faults(t, trigger.seen_at)
+                self._stop_moving(t)
+                return Ruling("accepted")
+            case Hold():
+                return self._hold(t)
+            case StartBench() if self._vehicle.state.armed:
+                return Ruling("refused", "the vehicle is armed")
+            case StartBench():
+                self._bench_until = t + BENCH_S
+                return Ruling("accepted")
+            case StopBench():
+                self._leave_bench(t, "left")
+                return Ruling("accepted")
+            case StartCalibration() if self._motion is not None:
+                return Ruling("refused", "vent the vine first")
+            case StopCalibration() if self._calibration is None:
+                return Ruling("refused", "none is under way")
+            case StopCalibration():
+                self._stop_moving(t)
+                return Ruling("accepted")
+        return None
+
+    def _move(self, t: float, intent: Intent, rate_scale: float = 1.0) -> Move:
+        """From where the vine is wanted now."""
+        start_kPa = self._setpoint_kPa(t)
+        return self._mover.move(intent, start_kPa, self._bent_kPa, self._firmware_limit_kPa, rate_scale)
+
+    def _hold(self, t: float) -> Ruling:
+        if self._motion is None:
+            return Ruling("refused", "the vine is vented")
+        if self._safety.reasons:
+            return Ruling("refused", "; ".join(self._safety.reasons.values()))
+        # Whoever holds wants the vine as it is from now on.
+        self._note_trigger(t)
+        self._freeze(t)
+        return Ruling("accepted")
+
+    def _freeze(self, t: float) -> None:
+        """Stay where the vine is. `limits.max_bent_s` runs on: a loss that holds is nobody's wish."""
+        move = self._move(t, SetPressure(self._setpoint_kPa(t)))
+        self._motion = Motion(move.trajectory, t, move.rate_kPa_per_s, "hold")
+        self._drive(t)
+
+    def _clear_faults(self, t: float, seen_at: float = math.inf) -> Ruling:
+        now = self._conditions(t)
+        cleared = self._safety.clear(now, seen_at)
+        if now.faults and self._safety.firmware_faults_seen(seen_at):
+            self._to_firmware(self._firmware.clear_faults(t, now.faults))
+        if cleared:
+            self._notice(t, Severity.NOTICE, f"cleared {', '.join(cleared)}")
+        return Ruling("accepted")
+
+    def _record(self, t: float, trigger: Trigger, ruling: Ruling) -> Decision:
+        motion = self._motion
+        if ruling.verdict != "refused":
+            self._asked_at = max(self._asked_at, t - trigger.age_s)
+        decision = Decision(
+            t=t,
+            trigger=trigger.kind,
+            what=trigger.what,
+            intent=None if trigger.intent is None else str(trigger.intent),
+            safety=ruling.verdict,
+            reason=ruling.reason,
+            setpoint_kPa=round(motion.trajectory.aim_kPa, 3) if motion else 0.0,
+        )
+        self._actions.append(decision)
+        if ruling.verdict != "refused" and trigger.kind not in _BY_PILOT_OR_SAFETY:
+            self._vehicle.pilot.others_asked(straightened=motion is None or motion.only_lets_out)
+        if ruling.verdict == "refused":
+            asked = decision.intent or trigger.kind.replace("_", " ")
+            if (seq := trigger.what.get("seq")) is not None:
+                asked = f"item {seq}" + (f", {decision.intent}" if decision.intent else "")
+            self._notice(t, Severity.WARNING, f"refused {asked}: {ruling.reason}", True)
+        elif ruling.verdict == "limited":
+            self._notice(t, Severity.NOTICE, f"{decision.intent} limited {ruling.reason}", True)
+        return decision
+
+    # Moving.
+
+    def _setpoint_kPa(self, t: float) -> float:
+        """Where the vine is wanted, or where it is while nothing wants it anywhere."""
+        if self._motion is not None:
+            return self._motion.setpoint_kPa(t)
+        telemetry = self._firmware.telemetry
+        return min(max(0.0, telemetry.cv_kPa), self._max_kPa) if telemetry else 0.0
+
+    def _drive(self, t: float) -> None:
+        """Tell the firmware what holds until the next tick."""
+        if self._motion is not None and self._motion.releases(t) and self._near_zero():
+            self._motion = None
+        command: fw.Command = fw.VENTING
+        if self._motion is not None:
+            command = fw.Regulate(self._motion.setpoint_kPa(t + TICK_S), self._motion.rate_kPa_per_s)
+        self._to_firmware(self._firmware.command(t, command))
+
+    @property
+    def _vented(self) -> bool:
+        return self._motion is None and self._near_zero()
+
+    def _near_zero(self) -> bool:
+        telemetry = self._firmware.telemetry
+        return telemetry is None or telemetry.cv_kPa < 1.0
+
+    def _stop_moving(self, t: float) -> None:
+        self._motion = None
+        self._to_firmware(self._firmware.command(t, fw.VENTING))
+
+    # Calibrating.
+
+    def _read_level(self, t: float, telemetry: protocol.Telemetry) -> None:
+        if self._calibration is not None:
+            motion, readings = self._calibration
+            readings.take(t, motion.setpoint_kPa(t), telemetry.cv_kPa, telemetry.reservoir_kPa)
+
+    def _follow_calibration(self, t: float) -> None:
+        """Tell how far it is; and what it found, or that something else took its place."""
+        if self._calibration is None:
+            return
+        motion, readings = self._calibration
+        if self._motion is motion and not motion.over(t):
+            self._send(*self._vehicle.progress(t, motion.share(t)))
+            return
+        self._calibration = None
+        if motion.over(t):
+            levels = tuple((level.asked_kPa, level.read_kPa) for level in readings.held)
+            self._actions.append(Calibrated(t, levels))
+            self._notice(t, Severity.NOTICE, f"calibrated: {readings.summary()}")
+        else:
+            self._notice(t, Severity.WARNING, "calibration ended early")
+        self._send(*self._vehicle.end_command(motion.over(t)))
+
+    # On the bench.
+
+    @property
+    def _on_bench(self) -> bool:
+        return self._bench_until > -math.inf
+
+    def _leave_bench(self, t: float, why: str) -> None:
+        """What bends there by nobody's right but the bench's is straightened."""
+        if self._on_bench:
+            self._bench_until = -math.inf
+            self._stop_moving(t)
+            self._notice(t, Severity.NOTICE, f"bench mode over, {why}: vented")
+
+    # Watching.
+
+    def _on_tick(self, t: float) -> None:
+        self._take(t, self._vehicle.tick(t))
+        if self._vehicle.state.armed:
+            self._leave_bench(t, "the vehicle is armed")
+        elif t > self._bench_until:
+            self._leave_bench(t, "nobody asked for anything")
+        self._look(t)
+        if not self._stopped:
+            self._drive(t)
+        self._to_firmware(self._firmware.tick(t))
+        if told := self._link_loss.back(t, self._safety.reasons):
+            self._notice(t, Severity.NOTICE, told)
+        if told := self._restarts.due(t):
+            self._notice(t, Severity.WARNING, told)
+        self._follow_calibration(t)
+        self._warn_of_low_reservoir(t)
+        self._report(t)
+
+    def _conditions(self, t: float) -> Conditions:
+        telemetry = self._firmware.telemetry
+        rc_problem = self._vehicle.rc.problem(t)
+        if rc_problem is None:
+            self._rc_in_use = (
+                self._rc_in_use
+                or self._vehicle.state.armed
+                or self._on_bench
+                or self.config.interlocks.bench_mode
+            )
+        elif not self._vehicle.state.armed and self._motion is None:
+            self._rc_in_use = False
+        return Conditions(
+            pneumatics_armed=self._pneumatics_armed,
+            armed=self._vehicle.state.armed,
+            altitude_m=self._vehicle.state.altitude_m(t),
+            rc_problem=rc_problem if self._rc_in_use else None,
+            autopilot_age_s=self._vehicle.state.silence_s(t),
+            heartbeat_missing=self._vehicle.state.heartbeat_missing,
+            firmware_ready=self._firmware.state is fw.SessionState.READY,
+            firmware_was_ready=self._firmware_was_ready,
+            firmware_problem=self._firmware_problem,
+            telemetry_age_s=self._firmware.telemetry_age(t),
+            faults=telemetry.faults if telemetry else protocol.Fault.NONE,
+            sensor_problem=self._sensor_problem,
+            cv_kPa=min(self._cv_kPa),
+            reservoir_kPa=self._reservoir.reservoir_kPa,
+            unheeded_s=self._unheeded_s,
+            restarting=self._restarts.looping(t),
+            bench=self._on_bench,
+            moving=self._motion is not None,
+            moving_s=t - self._triggered_at if self._motion else 0.0,
+            physics=self._checks.faults,
+            internal_error=self.internal_error,
+        )
+
+    @property
+    def _sensor_problem(self) -> str | None:
+        if self._firmware.implausible is None:
+            return None
+        field, value_kPa = self._firmware.implausible
+        # A log keeps no infinity, and is to say the same when it is asked again.
+        return f"{_SAYS[field]} " + (f"{value_kPa:g} kPa" if math.isfinite(value_kPa) else "no number")
+
+    def _look(self, t: float) -> Conditions:
+        """Let safety look, and do what it says; how things stand after that."""
+        now = self._conditions(t)
+        changes = self._safety.watch(t, now)
+        for change in changes:
+            if isinstance(change, Entered):
+                self._enter(t, change)
+            else:
+                self._leave(t, change)
+        return self._conditions(t) if changes else now
+
+    def _enter(self, t: float, change: Entered) -> None:
+        # A vine that is being straightened is not kept bent.
+        straightened = self._motion is None or self._motion.only_lets_out
+        hold = change.response == "hold" and not straightened
+        moved = self._motion is not None
+        done = "holding" if hold else _DONE.get(change.name, "vented")
+        told = self._link_loss.entered(t, change.name, change.reason, done) or ""
+        quiet = not self._news(t, change.name, told)
+        mattered = moved or (self._vehicle.state.armed and not quiet)
+        self._vehicle.pilot.overtaken()
+        if hold:
+            self._freeze(t)
+        else:
+            self._stop_moving(t)
+        if change.name == "autopilot" and not self._vehicle.state.heartbeat_missing:
+            self._vehicle.forget_radio()
+        if mattered:
+            trigger = Trigger(t, "failsafe", {"loss": change.name}, Hold() if hold else Vent())
+            self._record(t, trigger, Ruling("accepted", change.reason))
+        if told:
+            self._notice(t, Severity.DEBUG if quiet else Severity.WARNING, told, mattered)
+
+    def _news(self, t: float, name: str, text: str) -> bool:
+        """Whether a text is more than what each of the board's restarts brings."""
+        if name == "firmware_reset":
+            return not self._restarts.looping(t)
+        return name not in _OF_THE_BOARD or self._restarts.news(text)
+
+    def _leave(self, t: float, change: Left) -> None:
+        if not self._link_loss.left(change.name):
+            return
+        rc_is_off = self._vehicle.rc.problem(t) is not None
+        over = {
+            "rc": f"{'going on without RC' if rc_is_off else 'RC is back'}, waiting for a fresh move",
+            "autopilot": "autopilot is back",
+            "serial": "phloSAR is back",
+            "telemetry": "phloSAR telemetry is back",
+            "firmware_fault": "firmware fault cleared",
+        }
+        text = over.get(change.name, change.name)
+        news = self._news(t, change.name, text)
+        self._notice(t, Severity.NOTICE if news else Severity.DEBUG, text)
+
+    def _warn_of_low_reservoir(self, t: float) -> None:
+        # Only here is it made anew: that somebody looks must change nothing.
+        cycles = self._cycles = self._parts.run(t, "cycles left", self._reservoir.cycles_left, None)
+        if cycles is None:
+            return
+        threshold = self.config.telemetry.low_reservoir_cycles
+        if cycles.expected < threshold and not self._low_told:
+            self._low_told = True
+            pressure = self._reservoir.reservoir_kPa
+            left = f"{cycles.expected:.0f} cycles left ({cycles.low:.0f}-{cycles.high:.0f})"
+            self._notice(t, Severity.WARNING, f"bottle low, {pressure:.0f} kPa, {left}")
+        elif cycles.expected > 1.5 * threshold + 1:
+            self._low_told = False
+
+    def _report(self, t: float) -> None:
+        status = mavlink.MAV_STATE_ACTIVE if self._motion else mavlink.MAV_STATE_STANDBY
+        if self._safety.reasons:
+            status = mavlink.MAV_STATE_CRITICAL
+        values: Mapping[str, float] = {}
+        if self._vehicle.state.found:
+            values = self._parts.run(t, "named values", lambda: self._named_values(t), values)
+        elif not self._may_speak_first(t):
+            return
+        boot_ms = self._vehicle.state.time_boot_ms(t)
+        self._let_leave(self._vehicle.component.due(t, boot_ms, values, status))
+
+    def _may_speak_first(self, t: float) -> bool:
+        """Some peers send nothing before they have heard something (a port that waits for its client)."""
+        self._alone_since = t if self._alone_since is None else self._alone_since
+        return t - self._alone_since >= SPEAK_FIRST_S
+
+    def _fresh_telemetry(self, t: float) -> protocol.Telemetry | None:
+        """The latest telemetry, unless it is too old to be shown as the present."""
+        fresh = self._firmware.telemetry_age(t) <= self.config.losses.telemetry_s
+        return self._firmware.telemetry if fresh else None
+
+    def _named_values(self, t: float) -> dict[str, float]:
+        telemetry = self._fresh_telemetry(t)
+        if telemetry is None:
+            return {}
+        cycles = self._cycles
+        return {
+            "RES_KPA": telemetry.reservoir_kPa,
+            "CYC_LEFT": cycles.expected if cycles else math.nan,
+            "CV_KPA": telemetry.cv_kPa,
+            "CMD_KPA": self._commanded_kPa(t),
+            "BEND_DEG": self._mover.curve.angle_deg(self._bent_kPa),
+        }
+
+    def _commanded_kPa(self, t: float) -> float:
+        return self._motion.setpoint_kPa(t) if self._motion else 0.0
+
+    def snapshot(self, t: float) -> Snapshot:
+        """What a display shows at time `t`."""
+        telemetry = self._fresh_telemetry(t)
+        vehicle = (
+            f"{self._vehicle.state.kind} {self._vehicle.state.system_id}"
+            if self._vehicle.state.found
+            else "none heard"
+        )
+        altitude_m = self._vehicle.state.altitude_m(t)
+        ambient_kPa = self._vehicle.state.ambient_kPa(t)
+        ready = self._firmware.state is fw.SessionState.READY
+        return Snapshot(
+            t=t,
+            vehicle=vehicle,
+            mode=self._vehicle.state.mode,
+            armed=self._vehicle.state.armed,
+            altitude_m=math.nan if altitude_m is None else altitude_m,
+            rc=self._vehicle.rc.problem(t) or "good",
+            switch_position=self._vehicle.switch.position,
+            firmware="ready" if ready else self._firmware_problem,
+            round_trip_s=self._firmware.round_trip_s,
+            telemetry_gaps=self._firmware.telemetry_gaps,
+            reservoir_kPa=telemetry.reservoir_kPa if telemetry else math.nan,
+            cv_kPa=telemetry.cv_kPa if telemetry else math.nan,
+            command_kPa=self._commanded_kPa(t),
+            bend_deg=self._mover.curve.angle_deg(self._bent_kPa) if telemetry else math.nan,
+            evp_opening=telemetry.evp_opening if telemetry else math.nan,
+            dvp_opening=telemetry.dvp_opening if telemetry else math.nan,
+            solenoid=telemetry.solenoid if telemetry else None,
+            cycles=self._cycles,
+            doing=self._motion.name if self._motion else self._resting,
+            safe_state=self._safety.reasons,
+            findings=dict(self._checks.counts),
+            ambient_kPa=math.nan if ambient_kPa is None else ambient_kPa,
+            pneumatics_armed=self._pneumatics_armed,
+            bench=self._on_bench,
+        )
+
+    @property
+    def _resting(self) -> str:
+        return "vented" if self._pneumatics_armed else "pneumatics disarmed"
+
+    # Sending.
+
+    def _send(self, *messages: Message) -> None:
+        for message in messages:
+            self._vehicle.component.send(message)
+
+    def _let_leave(self, messages: Sequence[Message]) -> None:
+        system_id = self._vehicle.state.system_id or self.config.vehicle.system_id or 1
+        self._actions.extend(ToVehicle(message, system_id) for message in messages)
+
+    def _to_firmware(self, messages: Sequence[protocol.HostMessage]) -> None:
+        self._actions.extend(ToFirmware(message) for message in messages)
+
+    def _notice(self, t: float, severity: Severity, text: str, of_decision: bool = False) -> None:
+        self._tell(Notice(t, severity, f"Vine: {text}", of_decision))
+
+    def _tell(self, notice: Notice) -> None:
+        self._actions.append(notice)
+        if notice.severity is not Severity.DEBUG:
+            self._vehicle.component.say(notice.t, notice.severity, notice.text)

@@ -1,0 +1,218 @@
+"""What goes into the core and what comes out of it: events, actions, and a snapshot for displays and logs."""
+
+from __future__ import annotations
+
+import math
+import traceback
+from dataclasses import dataclass, field
+from typing import Literal
+
+from firmware_link import protocol
+from flying_vines.supply import CyclesLeft
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.notice import Notice, Severity
+from flying_vines.vine.intent import Asker, Intent
+
+MOST_OF_A_TRACE = 8000
+"""Characters; an endless recursion has a long one."""
+
+# Events: what happens.
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleMessage:
+    """A MAVLink message of anyone on the vehicle's link."""
+
+    t: float
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class FirmwareMessage:
+    """A message of the phloSAR's firmware."""
+
+    t: float
+    message: protocol.Message
+
+
+@dataclass(frozen=True, slots=True)
+class LinkChanged:
+    """A link came up or went down; `why` is a sentence for people."""
+
+    t: float
+    link: Literal["vehicle", "firmware"]
+    up: bool
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Time passed."""
+
+    t: float
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """Something outside the core that people should read: a file that cannot be written, forged messages."""
+
+    t: float
+    severity: Severity
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A person wants something of the vine."""
+
+    t: float
+    by: Asker
+    intent: Intent
+    made_at: float | None = None
+    """When it was asked for, by the clock of `t`; None: now."""
+    seen_at: float | None = None
+    """The `t` of the snapshot that the person looked at: page and broker clear no fault that came later."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """The service is to end: vent."""
+
+    t: float
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """A part of the service raised an error that nobody expects."""
+
+    t: float
+    part: str
+    trace: str
+    """The traceback."""
+    needed: bool
+    """Whether the vine must not bend without it."""
+
+    @classmethod
+    def by(cls, t: float, part: str, error: BaseException, needed: bool) -> Failed:
+        """By this exception."""
+        trace = "".join(traceback.format_exception(error))
+        return cls(t, part, trace[-MOST_OF_A_TRACE:], needed)
+
+
+Event = VehicleMessage | FirmwareMessage | LinkChanged | Tick | Said | Asked | Stop | Failed
+
+
+# Actions: what is to be done.
+
+
+@dataclass(frozen=True, slots=True)
+class ToVehicle:
+    message: Message
+    system_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class ToFirmware:
+    message: protocol.HostMessage
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """A trigger and what came of it."""
+
+    t: float
+    trigger: str
+    what: dict[str, object]
+    intent: str | None
+    safety: Literal["accepted", "limited", "refused"]
+    reason: str
+    setpoint_kPa: float
+    """What the vine is going to (gauge): when refused, where the motion under way goes, or 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What the firmware said of itself and the pressures, for the log."""
+
+    t: float
+    telemetry: protocol.Telemetry
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """A calibration came to its end: each level that was held, asked and read (gauge kPa), in order."""
+
+    t: float
+    levels_kPa: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class KeepParameters:
+    """The parameters that differ from the profile have changed, and are to survive the service."""
+
+    t: float
+    values: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class KeepDisarmed:
+    """The pneumatics were disarmed, or armed again, and that is to survive the service."""
+
+    t: float
+    disarmed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class InternalError:
+    """A part failed by this traceback, for the log."""
+
+    t: float
+    part: str
+    trace: str
+
+
+Action = (
+    ToVehicle
+    | ToFirmware
+    | Decision
+    | Notice
+    | Measured
+    | Calibrated
+    | KeepParameters
+    | KeepDisarmed
+    | InternalError
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Everything that a display or a log shows of one moment. Gauge kPa, degrees; NaN is unknown."""
+
+    t: float
+    vehicle: str
+    mode: str
+    armed: bool
+    altitude_m: float
+    rc: str
+    switch_position: int | None
+    firmware: str
+    round_trip_s: float | None
+    """Of the latest ping to the firmware."""
+    telemetry_gaps: int
+    reservoir_kPa: float
+    cv_kPa: float
+    command_kPa: float
+    bend_deg: float
+    evp_opening: float
+    dvp_opening: float
+    solenoid: bool | None
+    cycles: CyclesLeft | None
+    doing: str
+    safe_state: dict[str, str] = field(default_factory=dict)
+    findings: dict[str, int] = field(default_factory=dict)
+    """How often each of the physics checks has found something."""
+    ambient_kPa: float = math.nan
+    """Absolute, as the autopilot's barometer has it."""
+    pneumatics_armed: bool = True
+    bench: bool = False
+    """Whether the vine may be tried on the ground."""

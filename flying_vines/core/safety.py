@@ -1,0 +1,353 @@
+"""What may move, how far, and what happens when something is lost: one pure state machine.
+
+Losses last until they end, latched faults until a person clears them, limits act once. While any of them
+holds, the vine vents (or, where the configuration says so, holds for a while) and nothing bends. When they
+are over the vine stays as it is: only a fresh trigger moves it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from firmware_link.protocol import Fault
+from flying_vines.config.config import Config
+
+HEEDED_WITHIN_S = 0.3
+"""A board's mode follows what it is told. Eleven commands in a row may be lost."""
+LANDING_MARGIN_M = 0.5
+"""The altitude interlock lets go of a bent vine this much lower than it lets one bend."""
+
+INTERNAL_ERROR = "internal error: restart the service"
+
+FAULT_SENTENCES = {
+    Fault.DEAD_MAN: "dead-man timer ran out",
+    Fault.CV_OVERPRESSURE: "over-pressure in the vine",
+    Fault.RESERVOIR_OVERPRESSURE: "over-pressure in the bottle",
+    Fault.CV_SENSOR: "vine pressure sensor",
+    Fault.RESERVOIR_SENSOR: "bottle pressure sensor",
+    Fault.WATCHDOG_RESET: "watchdog reset",
+    Fault.SETTINGS: "stored settings damaged",
+    Fault.SUPPLY: "sensors' 5 V supply",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """All that safety looks at, at one moment. Pressures are gauge kPa, NaN when unknown."""
+
+    pneumatics_armed: bool = True
+    """Whether a person lets the vine bend at all; `armed` is the vehicle."""
+    armed: bool = False
+    altitude_m: float | None = None
+    rc_problem: str | None = None
+    """Why RC cannot be believed; None when it can, or when this flight does without RC."""
+    autopilot_age_s: float | None = None
+    """Since any frame of it; None when none was ever heard."""
+    heartbeat_missing: bool = False
+    """Other frames of the autopilot come, but none says whether it is armed."""
+    firmware_ready: bool = False
+    firmware_was_ready: bool = False
+    firmware_problem: str = "not connected"
+    telemetry_age_s: float = math.inf
+    faults: Fault = Fault.NONE
+    sensor_problem: str | None = None
+    """What telemetry says that no sensor can."""
+    cv_kPa: float = math.nan
+    reservoir_kPa: float = math.nan
+    unheeded_s: float = 0.0
+    """For how long the board's mode has not been what it is told: to move the vine, or to vent."""
+    restarting: str = ""
+    """How often the board restarted lately, in words; empty where that is over, or was once."""
+    bench: bool = False
+    """Whether a person tries the vine on the ground."""
+    moving: bool = False
+    """Whether the vine is held or moved under pressure."""
+    moving_s: float = 0.0
+    """Since a person or the mission last asked for what it does; a loss asks for nothing."""
+    physics: Mapping[str, str] = field(default_factory=dict)
+    """Where the physics does not answer as predicted: the checks that are faults, with a sentence each."""
+    internal_error: bool = False
+    """Something of ours that the vine needs has failed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Demand:
+    """What an intent would take."""
+
+    releases: bool
+    """It only lets air out."""
+    peak_kPa: float = 0.0
+    wanted_kPa: float = 0.0
+    """What was asked for, before the curve and the limits clipped it."""
+    spending_kPa: float = 0.0
+    """What it is expected to take from the reservoir."""
+    floor_kPa: float = 0.0
+    """What the reservoir must hold for the wanted rate."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ruling:
+    """What safety makes of an intent."""
+
+    verdict: Literal["accepted", "limited", "refused"]
+    reason: str = ""
+    rate_scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Entered:
+    """A loss, fault or limit began; `response` is what the vine does."""
+
+    name: str
+    reason: str
+    response: Literal["vent", "hold"]
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """It is over. Nothing moves until a fresh trigger."""
+
+    name: str
+
+
+class Safety:
+    """Feed it `watch` often, ask it `judge` for every intent."""
+
+    def __init__(self, config: Config) -> None:
+        self.configure(config)
+        self._present: dict[str, str] = {}
+        self._latched: dict[str, str] = {}
+        self._latched_at: dict[str, float] = {}
+        """When the cause of each appeared last."""
+        self._causes: set[str] = set()
+        self._faults = Fault.NONE
+        self._faults_at = -math.inf
+        """When the firmware told a new fault last."""
+        self._held_s = 0.0
+        """For how long the vine was held in losses since the last trigger, however many they were."""
+        self._held_at: float | None = None
+        """Up to when that is counted, while it is held."""
+        self._tripped: set[str] = set()
+
+    def configure(self, config: Config) -> None:
+        """Look by other limits from now on; what holds or is latched stays so."""
+        self._limits = config.limits
+        self._interlocks = config.interlocks
+        self._losses = config.losses
+
+    @property
+    def reasons(self) -> dict[str, str]:
+        """Losses and latched faults that hold now, by name, with a sentence each."""
+        return {**self._present, **self._latched}
+
+    def triggered(self) -> None:
+        """A person or the mission asked, and it is carried out: the next loss is held anew.
+
+        Not the loss that holds now, in which only air can be asked out.
+        """
+        if self._held_at is None:
+            self._held_s = 0.0
+
+    def watch(self, t: float, now: Conditions) -> list[Entered | Left]:
+        """What began and what ended at time `t`."""
+        changes: list[Entered | Left] = []
+        causes = self._latching(now)
+        for name, cause in causes.items():
+            if name not in self._latched:
+                changes.append(self.latch(t, name, cause))
+            elif name not in self._causes:
+                self._latched_at[name] = t
+        self._causes = set(causes)
+        if int(now.faults) & ~int(self._faults):
+            self._faults_at = t
+        self._faults = now.faults
+        if self._held_at is not None:
+            self._held_s += t - self._held_at
+            self._held_at = t
+        for name, look in _LOSSES.items():
+            reason = look(self, now)
+            if reason and name not in self._present:
+                self._present[name] = reason
+                response = self._response(name)
+                if response == "hold":
+                    self._held_at = t
+                changes.append(Entered(name, reason, response))
+            elif not reason and name in self._present:
+                del self._present[name]
+                if name == "rc":
+                    self._held_at = None
+                changes.append(Left(name))
+        if self._held_at is not None and self._held_s >= self._losses.hold_at_most_s:
+            self._held_at = None
+            changes.append(Entered("rc", f"{self._present['rc']}, held long enough", "vent"))
+        for name, look in _LIMITS.items():
+            reason = look(self, now) if now.moving else None
+            if not reason:
+                self._tripped.discard(name)
+            elif name not in self._tripped:
+                self._tripped.add(name)
+                changes.append(Entered(name, reason, "vent"))
+        return changes
+
+    def _response(self, name: str) -> Literal["vent", "hold"]:
+        """Only a lost RC is held: without autopilot or board nobody knows where the vine is, and how high."""
+        if name == "rc" and self._held_s < self._losses.hold_at_most_s:
+            return self._losses.on_rc_loss
+        return "vent"
+
+    def _latching(self, now: Conditions) -> dict[str, str]:
+        """The causes of latched faults that are there now."""
+        causes = {
+            "internal_error": INTERNAL_ERROR if now.internal_error else None,
+            "sensor": now.sensor_problem,
+            "overpressure": self._overpressure(now),
+            "regulates": self._regulates(now),
+            "firmware_reset": now.restarting,
+        }
+        return {**{name: cause for name, cause in causes.items() if cause}, **now.physics}
+
+    def latch(self, t: float, name: str, reason: str) -> Entered:
+        """A fault that is an event, not a condition."""
+        self._latched[name] = reason
+        self._latched_at[name] = t
+        return Entered(name, reason, "vent")
+
+    def clear(self, now: Conditions, seen_at: float = math.inf) -> list[str]:
+        """A person clears latched faults. Returns what was cleared.
+
+        Those stay whose cause is still there, and those that came after `seen_at`: they were not seen.
+        """
+        present = self._latching(now)
+        cleared = [
+            name for name in self._latched if name not in present and self._latched_at[name] <= seen_at
+        ]
+        for name in cleared:
+            del self._latched[name]
+        return cleared
+
+    def firmware_faults_seen(self, seen_at: float) -> bool:
+        """Whether all faults that the firmware tells now were there at `seen_at`."""
+        return self._faults_at <= seen_at
+
+    def judge(self, demand: Demand, now: Conditions) -> Ruling:
+        """Whether an intent may be carried out. Letting air out always may."""
+        if demand.releases:
+            return Ruling("accepted")
+        problem = self._problem(demand, now)
+        if problem:
+            return Ruling("refused", problem)
+        if demand.wanted_kPa > demand.peak_kPa + 1e-6:
+            return Ruling("limited", f"to {demand.peak_kPa:g} kPa")
+        left_kPa = now.reservoir_kPa - demand.peak_kPa
+        if left_kPa < demand.floor_kPa:
+            return Ruling(
+                "limited", f"slower: bottle at {now.reservoir_kPa:.0f} kPa", left_kPa / demand.floor_kPa
+            )
+        return Ruling("accepted")
+
+    def _problem(self, demand: Demand, now: Conditions) -> str | None:
+        if self.reasons:
+            return "; ".join(self.reasons.values())
+        if not now.pneumatics_armed:
+            return "the pneumatics are disarmed"
+        if not now.firmware_ready:
+            return f"phloSAR {now.firmware_problem}"
+        if not now.telemetry_age_s <= self._losses.telemetry_s:
+            return "no telemetry from the phloSAR"
+        if not self._on_bench(now):
+            if now.autopilot_age_s is None:
+                return "no autopilot heard"
+            if not now.armed:
+                return "not armed"
+            if now.altitude_m is None:
+                return "altitude not known"
+            if now.altitude_m < self._interlocks.min_altitude_m:
+                return f"at {now.altitude_m:.1f} m, below {self._interlocks.min_altitude_m:g} m"
+        needed_kPa = demand.peak_kPa + self._interlocks.reserve_kPa + demand.spending_kPa
+        if not now.reservoir_kPa >= needed_kPa:
+            return f"bottle at {now.reservoir_kPa:.0f} kPa, needs {needed_kPa:.0f}"
+        return None
+
+    def _on_bench(self, now: Conditions) -> bool:
+        return now.bench or self._interlocks.bench_mode
+
+    # One sentence each, or None.
+
+    def _overpressure(self, now: Conditions) -> str | None:
+        if now.cv_kPa > self._limits.overpressure_kPa:
+            return f"vine at {now.cv_kPa:.1f} kPa, limit {self._limits.overpressure_kPa:g}"
+        return None
+
+    def _regulates(self, now: Conditions) -> str | None:
+        """Told to vent. There is no more to do than to say so again and again: no setpoint lives on."""
+        unheeded = not now.moving and now.unheeded_s > HEEDED_WITHIN_S
+        return "phloSAR goes on regulating" if unheeded else None
+
+    def _rc(self, now: Conditions) -> str | None:
+        return f"RC lost: {now.rc_problem}" if now.rc_problem else None
+
+    def _autopilot(self, now: Conditions) -> str | None:
+        if now.autopilot_age_s is not None and now.autopilot_age_s > self._losses.autopilot_s:
+            return f"autopilot silent for {self._losses.autopilot_s:g} s"
+        return "no HEARTBEAT, armed or not is unknown" if now.heartbeat_missing else None
+
+    def _serial(self, now: Conditions) -> str | None:
+        if now.firmware_was_ready and not now.firmware_ready:
+            return f"phloSAR {now.firmware_problem}"
+        return None
+
+    def _telemetry(self, now: Conditions) -> str | None:
+        if now.firmware_ready and not now.telemetry_age_s <= self._losses.telemetry_s:
+            return "phloSAR telemetry stale"
+        return None
+
+    def _firmware_fault(self, now: Conditions) -> str | None:
+        if not now.faults:
+            return None
+        names = [sentence for fault, sentence in FAULT_SENTENCES.items() if fault in now.faults]
+        return f"firmware fault: {', '.join(names) or f'0x{int(now.faults):04x}'}"
+
+    def _reservoir(self, now: Conditions) -> str | None:
+        if now.reservoir_kPa < self._interlocks.reserve_kPa:
+            return f"bottle low: {now.reservoir_kPa:.0f} kPa"
+        return None
+
+    def _deaf(self, now: Conditions) -> str | None:
+        """Where the wire to the board is broken at rest, no dead-man runs out, and its telemetry goes on."""
+        return "phloSAR does not hear us" if now.unheeded_s > HEEDED_WITHIN_S else None
+
+    def _disarmed(self, now: Conditions) -> str | None:
+        return "disarmed" if not now.armed and not self._on_bench(now) else None
+
+    def _altitude(self, now: Conditions) -> str | None:
+        lowest_m = self._interlocks.min_altitude_m - LANDING_MARGIN_M
+        if self._on_bench(now) or lowest_m <= 0:
+            return None
+        if now.altitude_m is None:
+            return "altitude no longer known"
+        return f"landing, at {now.altitude_m:.1f} m" if now.altitude_m < lowest_m else None
+
+    def _duration(self, now: Conditions) -> str | None:
+        if now.moving_s > self._limits.max_bent_s:
+            return f"bent for {self._limits.max_bent_s:g} s"
+        return None
+
+
+_Look = Callable[[Safety, Conditions], str | None]
+_LOSSES: dict[str, _Look] = {
+    "rc": Safety._rc,
+    "autopilot": Safety._autopilot,
+    "serial": Safety._serial,
+    "telemetry": Safety._telemetry,
+    "firmware_fault": Safety._firmware_fault,
+}
+_LIMITS: dict[str, _Look] = {
+    "reservoir": Safety._reservoir,
+    "deaf": Safety._deaf,
+    "disarmed": Safety._disarmed,
+    "altitude": Safety._altitude,
+    "duration": Safety._duration,
+}

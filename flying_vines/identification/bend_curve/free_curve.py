@@ -1,0 +1,67 @@
+"""Any rising curve, for vines that do not follow the law: an S, a kink, a second dead zone.
+
+Straight pieces between evenly spaced pressures, none of them falling, behind a play of width h. For each h
+the pieces are a least-squares problem of numbers that are not negative; h is what leaves least. Its 95 %
+interval is where the residuals' power stays within what F allows of the least (a profile), with
+neighbouring residuals counted for what they say.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import brentq, minimize_scalar, nnls
+from scipy.stats import f as fisher
+
+from flying_vines.identification.bend_curve.pairs import Array, Pairs
+from flying_vines.identification.bend_curve.sequence import (
+    Estimate,
+    Explanation,
+    bent_kPa,
+    pairs_per_news,
+    rounded,
+)
+
+MOST_PIECES = 12
+PAIRS_PER_PIECE = 5
+TRIED = 24
+"""Widths from which the search for the best begins."""
+
+
+def fit_free_curve(pairs: Pairs) -> Explanation:
+    """The best rising curve and hysteresis."""
+    kPa, deg = pairs.pressure_kPa, pairs.angle_deg
+    pieces = max(2, min(MOST_PIECES, len(kPa) // PAIRS_PER_PIECE))
+    knots = np.linspace(float(np.min(kPa)), float(np.max(kPa)), pieces + 1)
+
+    def solve(width_kPa: float) -> tuple[Array, float]:
+        bent = bent_kPa(kPa, width_kPa)
+        passed = np.clip((bent[:, None] - knots[:-1]) / np.diff(knots), 0.0, 1.0)
+        rises, rest = nnls(np.column_stack([np.ones(len(kPa)), passed]), deg)
+        return rises, rest**2
+
+    def power(width_kPa: float) -> float:
+        return solve(width_kPa)[1]
+
+    width_kPa, widest_kPa = 0.0, 0.9 * float(np.ptp(kPa))
+    if pairs.unloads:
+        tried = np.linspace(0.0, widest_kPa, TRIED)
+        near = int(np.argmin([power(width) for width in tried]))
+        bounds = tried[max(0, near - 1)], tried[min(TRIED - 1, near + 1)]
+        width_kPa = float(minimize_scalar(power, bounds=bounds, method="bounded").x)
+    rises, least = solve(width_kPa)
+    angles = np.cumsum(rises)
+    residual = deg - np.interp(bent_kPa(kPa, width_kPa), knots, angles)
+    numbers = int(np.count_nonzero(rises)) + int(pairs.unloads)
+    hysteresis = Estimate(width_kPa, width_kPa, width_kPa)
+    if pairs.unloads:
+        shared = pairs_per_news(residual)
+        free = max(len(kPa) / shared - numbers, 1.0)
+        allowed = least * (1.0 + float(fisher.ppf(0.95, 1, free)) / free)
+
+        def beyond(width: float) -> float:
+            return power(width) - allowed
+
+        low = brentq(beyond, 0.0, width_kPa, xtol=1e-4) if beyond(0.0) > 0.0 else 0.0
+        high = brentq(beyond, width_kPa, widest_kPa, xtol=1e-4) if beyond(widest_kPa) > 0.0 else widest_kPa
+        hysteresis = Estimate(width_kPa, float(low), float(high))
+    return Explanation(rounded(knots, angles), hysteresis, residual, numbers)

@@ -1,0 +1,96 @@
+"""The law of four numbers that most vines follow.
+
+θ = θ_max (1 − exp(−(u − P_d)/P_s)) above the dead zone P_d and 0 below, where u is the pressure on the way
+up and a play (backlash) of width h behind it. Least squares over all pairs in their order. Intervals are
+for 95 %, from the curvature at the best fit and Student's t, wider by what neighbouring residuals have in
+common: a law that does not quite fit is not made certain by measuring more densely.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.stats import t as student
+
+from flying_vines.identification.bend_curve.pairs import Array, Pairs
+from flying_vines.identification.bend_curve.sequence import (
+    Estimate,
+    Explanation,
+    bent_kPa,
+    pairs_per_news,
+    rounded,
+)
+
+KNOTS = 8
+"""Straight pieces of the curve that is written: evenly by angle, off by less than 1 % of it."""
+
+
+class Law(NamedTuple):
+    """Its numbers."""
+
+    bend_max_deg: float
+    """θ_max, which the bend approaches at high pressure."""
+    dead_kPa: float
+    """P_d, up to which it does not bend."""
+    scale_kPa: float
+    """P_s, in which what is left to bend falls by e."""
+    hysteresis_kPa: float
+    """h."""
+
+    def curve_deg(self, bent: Array) -> Array:
+        """Angle against pressure on the way up."""
+        over = np.maximum(0.0, bent - self.dead_kPa) / self.scale_kPa
+        return -self.bend_max_deg * np.expm1(-over)
+
+    def angles_deg(self, pressure_kPa: Array) -> Array:
+        """Angle pair by pair; the first as on the way up."""
+        return self.curve_deg(bent_kPa(pressure_kPa, self.hysteresis_kPa))
+
+
+def fit_law(pairs: Pairs) -> tuple[Law, list[Estimate], Explanation]:
+    """The best law, its numbers with their intervals, and what it explains."""
+    kPa, deg = pairs.pressure_kPa, pairs.angle_deg
+    span, top = float(np.ptp(kPa)), float(np.ptp(deg))
+    widest = 0.9 * span if pairs.unloads else 0.0
+    lower = np.array([0.0, 0.0, 1e-3 * span, 0.0])
+    upper = np.array([1e4, float(np.max(kPa)), 30.0 * span, widest + 1e-12])
+
+    def off(numbers: Array) -> Array:
+        return Law(*numbers).angles_deg(kPa) - deg
+
+    best: OptimizeResult | None = None
+    for dead, scale, width in itertools.product((0.0, 0.3), (0.3, 1.0), (0.05, 0.3)):
+        start = np.array([1.2 * top, dead * np.max(kPa), scale * span, min(width * span, 0.9 * widest)])
+        found = least_squares(
+            off, np.clip(start, lower, upper), bounds=(lower, upper), x_scale=[top, span, span, span]
+        )
+        if best is None or found.cost < best.cost:
+            best = found
+    assert best is not None
+    law = Law(*(float(x) for x in best.x))
+    numbers = 4 if pairs.unloads else 3
+    estimates = _estimates(law, best.jac[:, :numbers], -best.fun)
+    hysteresis = estimates[3] if pairs.unloads else Estimate(0.0, 0.0, 0.0)
+    return law, estimates[:3], Explanation(_curve(law, float(np.max(kPa))), hysteresis, -best.fun, numbers)
+
+
+def _estimates(law: Law, jacobian: Array, residual: Array) -> list[Estimate]:
+    count, numbers = jacobian.shape
+    shared = pairs_per_news(residual)
+    sigma = math.sqrt(float(residual @ residual) / max(count - numbers, 1) * shared)
+    quantile = float(student.ppf(0.975, max(count / shared - numbers, 1.0)))
+    reach = quantile * sigma * np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)))
+    return [
+        Estimate(value, max(0.0, value - float(width)), value + float(width))
+        for value, width in zip(law, reach, strict=False)
+    ]
+
+
+def _curve(law: Law, most_kPa: float) -> tuple[tuple[float, float], ...]:
+    deg = float(law.curve_deg(np.array(most_kPa))) * np.arange(KNOTS + 1) / KNOTS
+    left = np.maximum(1.0 - deg / law.bend_max_deg, 1e-9) if deg[-1] > 0.0 else np.ones(KNOTS + 1)
+    return rounded(np.minimum(law.dead_kPa - law.scale_kPa * np.log(left), most_kPa), deg)

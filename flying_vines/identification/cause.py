@@ -1,0 +1,105 @@
+"""What a cause is: a named effect that the baseline lacks, its parameters, and what it does.
+
+A cause does its work through any of five functions, each given the values of its parameters `x`:
+
+- `numbers`: other numbers of the simulation;
+- `commands`: valves that do something else than they were told;
+- `ambient`: another ambient pressure over time;
+- `flows`: other flows, a function in the part of Python that numba compiles;
+- `readings`: sensors that say something else than what is.
+
+Adding a cause is adding a file to `causes`, with one `CAUSE` in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from flying_vines.identification.commands import Commands
+from flying_vines.identification.model import Array, Numbers
+
+Values = tuple[float, ...]
+
+
+class Readings(NamedTuple):
+    """(n,) kPa gauge."""
+
+    cv_kPa: Array
+    reservoir_kPa: Array
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number that a fit may choose."""
+
+    name: str
+    """With its unit."""
+    low: float
+    high: float
+    """Beyond these no rig is; a fit that ends here is evidence against the cause."""
+    seeds: tuple[float, ...]
+    """Where fits begin: far enough apart that one of them finds the way."""
+    neutral: float | None
+    """Where the cause does nothing; may be infinite. None where it always does something."""
+    source: str
+    """Of the range."""
+    logarithmic: bool = False
+    """Whether the fit moves along its logarithm."""
+    typical: tuple[float, float] | None = None
+    """Mean and standard deviation over rigs (of the logarithm, if that is moved): what stands where the data
+    say nothing."""
+
+    def inner(self, value: float) -> float:
+        """What the fit moves."""
+        return float(np.log(value)) if self.logarithmic else value
+
+    @property
+    def range(self) -> float:
+        """Of what the fit moves."""
+        return self.inner(self.high) - self.inner(self.low)
+
+    def within(self, inner: float) -> float:
+        """The value there, or the bound if that is nearer."""
+        return self.outer(min(max(inner, self.inner(self.low)), self.inner(self.high)))
+
+    def share(self, value: float) -> float:
+        """How far along its range a value is, 0…1."""
+        return (self.inner(value) - self.inner(self.low)) / self.range if self.range > 0.0 else 0.5
+
+    def surprise(self, inner: float) -> float:
+        """How far from typical a value is: squared, in standard deviations."""
+        if self.typical is None:
+            return 0.0
+        mean, sd = self.typical
+        return ((inner - mean) / sd) ** 2
+
+    def outer(self, inner: float) -> float:
+        return float(np.exp(inner)) if self.logarithmic else inner
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A physical or measuring effect."""
+
+    name: str
+    what: str
+    """In plain words, what is different in the rig."""
+    parameters: tuple[Parameter, ...]
+    experiment: str
+    """A minute's recording that shows it best."""
+    numbers: Callable[[Numbers, Values], Numbers] | None = None
+    commands: Callable[[Commands, Values], Commands] | None = None
+    ambient: Callable[[Array, Array, Values], Array] | None = None
+    flows: Callable[..., object] | None = None
+    readings: Callable[[Readings, Values], Readings] | None = None
+    order: int = 0
+    """Among the causes that change the commands, or the readings: the lower acts first."""
+
+    def seeds(self) -> list[Values]:
+        """Where fits begin: the first parameter's seeds, the others where they begin first."""
+        rest = tuple(parameter.seeds[0] for parameter in self.parameters[1:])
+        return [(seed, *rest) for seed in self.parameters[0].seeds]

@@ -1,0 +1,29 @@
+"""The inflation valve's opening follows what it is told with a first-order lag."""
+
+from __future__ import annotations
+
+from flying_vines.identification.cause import Cause, Parameter, Values
+from flying_vines.identification.model import Numbers
+
+
+def numbers(numbers: Numbers, x: Values) -> Numbers:
+    return numbers._replace(evp_lag_s=x[0])
+
+
+CAUSE = Cause(
+    name="evp_lag",
+    what="The inflation valve follows its command slowly.",
+    parameters=(
+        Parameter(
+            "time_constant_s",
+            low=1e-4,
+            high=2.0,
+            seeds=(0.003, 0.05),
+            neutral=0.0,
+            logarithmic=True,
+            source="small proportional valves: 5 to 30 ms; with a slow driver more",
+        ),
+    ),
+    experiment="Open and shut the inflation valve in pulses of 0.05 to 0.5 s.",
+    numbers=numbers,
+)

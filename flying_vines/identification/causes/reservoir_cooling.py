@@ -1,0 +1,35 @@
+"""Gas in the reservoir cools as it leaves, and the wall warms it again:
+
+dθ/dt = −(γ−1) θ² α ΣQ/(V P_a) + (1 − θ)/τ      dP/dt = −γ θ α ΣQ/V + (P_a/θ)(1 − θ)/τ
+"""
+
+from __future__ import annotations
+
+from flying_vines.identification.cause import Cause, Parameter, Values
+from flying_vines.identification.model import Numbers
+
+
+def numbers(numbers: Numbers, x: Values) -> Numbers:
+    return numbers._replace(reservoir_time_constant_s=x[0])
+
+
+CAUSE = Cause(
+    name="reservoir_cooling",
+    what="Gas in the reservoir cools as it expands, and warms up again at the wall.",
+    parameters=(
+        Parameter(
+            "time_constant_s",
+            low=3e-3,
+            high=3000.0,
+            seeds=(0.1, 10.0, 300.0),
+            neutral=0.0,
+            logarithmic=True,
+            source="a 2 L bottle with natural convection: about 10 s; stuffed with wire: near 0",
+        ),
+    ),
+    experiment=(
+        "Let air out for some seconds, shut all valves, and record for half a minute: "
+        "cooled gas makes the pressure rise again."
+    ),
+    numbers=numbers,
+)

@@ -1,0 +1,229 @@
+"""From a case to its verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import exp, isfinite, sqrt
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from flying_vines.identification.case import Case
+from flying_vines.identification.cause import Cause
+from flying_vines.identification.causes import catalogue
+from flying_vines.identification.cores import mapped
+from flying_vines.identification.evidence import evidence
+from flying_vines.identification.fit import Problem
+from flying_vines.identification.held_out import HeldOut, Split, held_out, splits_for, unseen_error
+from flying_vines.identification.intervals import Profile, profile
+from flying_vines.identification.noise import noise_kPa, stated_noise_kPa
+from flying_vines.identification.plan import recommend
+from flying_vines.identification.search import CLAIM, Candidate, Found, Progress, Search, silent
+from flying_vines.identification.verdict import NONE, UNEXPLAINED, Estimate, Named, Tried, Verdict
+
+ALIKE = 9.2
+"""A candidate whose evidence is within a factor of 100 of the best cannot be told apart from it."""
+_SURPRISE = 0.02
+"""How often, before any data, something is there that the catalogue does not hold, and looks like noise."""
+_SURPRISE_UNEXPLAINED = 0.1
+"""How often what is left after all is a cause of the catalogue after all, that no fit has found."""
+_SCORED = 4
+"""So many of the best candidates are held against unseen data."""
+_ON_BOUND = 1e-6
+"""Of a parameter's range."""
+
+
+def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progress = silent) -> Verdict:
+    """Where the baseline simulation departs from a rig's data, why, and what the cause is worth.
+
+    Args:
+        case: the recorded runs and the believed rig.
+        causes: to be considered; the whole catalogue if not given.
+        progress: is told what is being done, and which share of all is done.
+    """
+    every = catalogue() if causes is None else causes
+    # The fits themselves run on all cores; small matrices on several more would only wait for each other.
+    with threadpool_limits(1):
+        stated = stated_noise_kPa(case.rig)
+        found = Search(Problem(case, stated), every).best(progress)
+        noise = _noise_left(found.chosen)
+        if noise != stated:
+            progress("again, with the noise that the data have", 0.0)
+            found = Search(Problem(case, noise), every).best(progress)
+        return _verdict(found, progress)
+
+
+def _noise_left(chosen: Candidate) -> tuple[float, float]:
+    """The sensors' noise, as stated, or as what the fit leaves tells where that contradicts."""
+    problem = chosen.problem
+    found = []
+    for row, stated_kPa in enumerate(problem.noise_kPa):
+        residuals = [
+            np.where(w[row] > 0.0, r[row] * stated_kPa, np.nan)
+            for r, w in zip(chosen.fit.residuals, problem.weights, strict=True)
+        ]
+        found.append(noise_kPa(residuals, stated_kPa))
+    return found[0], found[1]
+
+
+def _verdict(found: Found, progress: Progress) -> Verdict:
+    chosen, problem = found.chosen, found.chosen.problem
+    progress("intervals", 0.85)
+    parameters = [(i, n) for i, cause in enumerate(chosen.causes) for n in range(len(cause.parameters))]
+    profiles = mapped(lambda parameter: profile(chosen, *parameter), parameters)
+    progress("unseen data", 0.9)
+    splits = splits_for(problem, chosen.fit.point, profiles)
+    null = found.search.null
+    errors = held_out(problem, splits, None if chosen is null else null.fit.point)
+    left = None if chosen.adequate else chosen.patterns[0]
+    unexplained = Verdict(
+        cause=UNEXPLAINED,
+        confidence=1.0 - _SURPRISE_UNEXPLAINED,
+        indistinguishable=(),
+        parameters={},
+        also=(),
+        numbers={},
+        held_out=errors,
+        ranking=_ranking(found, splits, errors),
+        next_experiment="Repeat the run that fits worst with one valve moved at a time.",
+        remainder=f"{left.channel}: {left.feature}" if left else "",
+        remarks=(*problem.case.remarks, *_noise_remarks(problem)),
+        evidence=evidence(found, profiles),
+    )
+    if left is not None:
+        return unexplained
+    known = replace(unexplained, numbers=problem.moved(chosen.fit.point), next_experiment="")
+    if not chosen.causes:
+        others = [c.score - chosen.score for c in found.tried if c.causes]
+        doubt = sum(exp(-0.5 * max(0.0, d)) for d in others[:5]) * 0.05
+        return replace(known, cause=NONE, confidence=1.0 / (1.0 + doubt + _SURPRISE))
+    main, further = _main_first(chosen, found)
+    doubts = _doubts(chosen, (main, *further), found)
+    named = {cause.name: _measured(cause.name, profiles) for cause in chosen.causes}
+    return replace(
+        known,
+        cause=main,
+        confidence=_sureness(chosen, main, found),
+        indistinguishable=tuple(dict.fromkeys(name for others in doubts.values() for name in others)),
+        parameters=named[main],
+        also=tuple(Named(name, named[name]) for name in further),
+        next_experiment=_settling(problem.case, doubts),
+    )
+
+
+def _noise_remarks(problem: Problem) -> list[str]:
+    """Where the data contradict what the rig states."""
+    sensors = problem.case.rig.sensors
+    stated = {
+        "cv_noise_std_kPa": sensors.cv_noise_std_kPa,
+        "reservoir_noise_std_kPa": sensors.reservoir_noise_std_kPa,
+    }
+    return [
+        f"{key} is stated as {said:g}; the data say {used:.3g}"
+        for (key, said), used in zip(stated.items(), problem.noise_kPa, strict=True)
+        if used != said
+    ]
+
+
+def _ranking(found: Found, splits: Sequence[Split], errors: HeldOut) -> tuple[Tried, ...]:
+    best: dict[frozenset[str], Candidate] = {}
+    for candidate in found.tried:
+        if not isfinite(candidate.score):
+            continue
+        key = frozenset(candidate.names)
+        if key not in best or candidate.score < best[key].score:
+            best[key] = candidate
+    ranked = sorted(best.values(), key=lambda candidate: candidate.score)
+    known = {(): errors.nrmse_before, found.chosen.names: errors.nrmse_after}
+    for candidate in ranked[:_SCORED]:
+        if candidate.names not in known:
+            known[candidate.names] = unseen_error(candidate.problem, splits, candidate.fit.point)
+    return tuple(
+        Tried(
+            named=tuple(Named(cause.name, _roughly(candidate, cause)) for cause in candidate.causes),
+            on_bound=_on_bound(candidate),
+            chi2_per_reading=candidate.fit.chi2 / candidate.problem.readings,
+            score=candidate.score - ranked[0].score,
+            unseen_nrmse=known.get(candidate.names),
+        )
+        for candidate in ranked
+    )
+
+
+def _roughly(candidate: Candidate, cause: Cause) -> dict[str, Estimate]:
+    """Parameters of one of the causes, with intervals as if χ² were a parabola."""
+    point = candidate.fit.point
+    index = point.causes.index(cause)
+    at = len(point.deviation) + sum(len(c.parameters) for c in point.causes[:index])
+    estimates = {}
+    for number, (parameter, value) in enumerate(zip(cause.parameters, point.values[index], strict=True)):
+        reach = 1.96 * sqrt(max(0.0, candidate.covariance[at + number, at + number]))
+        inner = parameter.inner(value)
+        estimates[parameter.name] = Estimate(
+            value, parameter.within(inner - reach), parameter.within(inner + reach)
+        )
+    return estimates
+
+
+def _on_bound(candidate: Candidate) -> tuple[str, ...]:
+    point = candidate.fit.point
+    return tuple(
+        parameter.name
+        for cause, values in zip(point.causes, point.values, strict=True)
+        for parameter, value in zip(cause.parameters, values, strict=True)
+        if parameter.share(value) < _ON_BOUND or parameter.share(value) > 1.0 - _ON_BOUND
+    )
+
+
+def _main_first(chosen: Candidate, found: Found) -> tuple[str, list[str]]:
+    """The cause that explains most by itself, and the others."""
+    alone = {c.names[0]: c.fit.chi2 for c in found.tried if len(c.names) == 1}
+    names = sorted(chosen.names, key=lambda name: alone[name])
+    return names[0], names[1:]
+
+
+def _instead(chosen: Candidate, cause: str, found: Found) -> dict[str, float]:
+    """How much worse the evidence is with another cause in place of one of the chosen, by its name."""
+    rest = set(chosen.names) - {cause}
+    worse: dict[str, float] = {}
+    for candidate in found.tried:
+        others = set(candidate.names) - rest
+        if rest <= set(candidate.names) and len(others) == 1:
+            (name,) = others
+            worse[name] = min(candidate.score - chosen.score, worse.get(name, np.inf))
+    return worse
+
+
+def _doubts(chosen: Candidate, names: Sequence[str], found: Found) -> dict[str, tuple[str, ...]]:
+    """What could as well stand in place of each cause, the likeliest first; of those for which something
+    could."""
+    doubts = {}
+    for cause in names:
+        worse = _instead(chosen, cause, found)
+        alike = [name for name in sorted(worse, key=worse.__getitem__) if worse[name] < ALIKE]
+        if others := tuple(name for name in alike if name not in names):
+            doubts[cause] = others
+    return doubts
+
+
+def _sureness(chosen: Candidate, main: str, found: Found) -> float:
+    """How probable it is that the main cause, or what is like it, is the cause."""
+    worse = _instead(chosen, main, found)
+    worse[NONE] = max(0.0, found.search.null.score - CLAIM - chosen.score)
+    weight = {name: exp(-0.5 * by) for name, by in worse.items()}
+    inside = sum(weight[name] for name, by in worse.items() if name != NONE and by < ALIKE)
+    return inside / sum(weight.values()) * (1.0 - _SURPRISE)
+
+
+def _settling(case: Case, doubts: Mapping[str, Sequence[str]]) -> str:
+    """What to record next, for the first of the doubts."""
+    if not doubts:
+        return ""
+    cause, others = next(iter(doubts.items()))
+    return recommend(case.rig, {cause, *others}).in_words()
+
+
+def _measured(cause: str, profiles: Sequence[Profile]) -> dict[str, Estimate]:
+    """The parameters of a cause, with their intervals."""
+    return {p.parameter.name: Estimate(p.estimate, p.low, p.high) for p in profiles if p.cause == cause}

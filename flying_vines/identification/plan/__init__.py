@@ -1,0 +1,21 @@
+"""Which runs to record, before measuring: those that tell the causes of a discrepancy apart best.
+
+made = plan(load_rig("rig.toml"), minutes=3.0)      the runs, and what they will tell apart
+made.best.scenario                                  for `flying_vines.simulation.scenario`
+recommend(rig, ("evp_lag", "line_delay"))           the one run that settles a doubt
+"""
+
+from __future__ import annotations
+
+from flying_vines.identification.plan.planning import (
+    Pair,
+    Plan,
+    PlanError,
+    PlannedRun,
+    Recommendation,
+    Recording,
+    plan,
+    recommend,
+)
+
+__all__ = ["Pair", "Plan", "PlanError", "PlannedRun", "Recommendation", "Recording", "plan", "recommend"]

@@ -1,0 +1,55 @@
+"""The same distance between two causes by a full fit of the diagnosis, to hold the traces against.
+
+The runs of a plan are simulated with A in the rig and no noise, with the inputs that the believed rig has.
+B is fitted to them as a diagnosis would: its strength, the believed numbers within their tolerances, all
+initial pressures, from where the traces say that B looks most like A. What is left is Δχ².
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from flying_vines.identification.case import Case
+from flying_vines.identification.fit import Problem
+from flying_vines.identification.plan.apart import nearest
+from flying_vines.identification.plan.rehearsal import rehearsed
+from flying_vines.identification.plan.traces import Layout, Part
+from flying_vines.identification.simulate import Simulation
+
+
+class Check:
+    """Full fits to what the runs of one plan would read."""
+
+    def __init__(self, layout: Layout, parts: Sequence[Part]) -> None:
+        self._layout = layout
+        self._runs = tuple(rehearsed(layout.rig, part.kind) for part in parts)
+        self._initial = [np.array([[part.kind.reservoir_kPa, 0.0]]) for part in parts]
+        self._gram = sum((part.gram for part in parts), start=layout.nothing)
+
+    def apart(self, there: int, fitted: int) -> float:
+        """Δχ² of the cause `fitted` to what the cause `there` reads, both by their column in the matrix."""
+        layout = self._layout
+        problem = Problem(self._case(there), layout.noise_kPa)
+        start = replace(problem.start().freed(layout.keys), initial=np.concatenate(self._initial))
+        if fitted < len(layout.causes):
+            cause = layout.causes[fitted]
+            value = nearest(layout, self._gram, there, fitted)
+            start = start.with_cause(cause, (value, *cause.seeds()[0][1:]))
+        return problem.fit(start).cost
+
+    def _case(self, there: int) -> Case:
+        layout = self._layout
+        cause = layout.causes[there]
+        values = (layout.values[there][layout.usual[there] - layout.first[there]], *cause.seeds()[0][1:])
+        bare = Case(Path("plan"), layout.rig, self._runs, ())
+        simulation = Simulation(bare)
+        runs = []
+        for index, (run, initial) in enumerate(zip(self._runs, self._initial, strict=True)):
+            readings = simulation.readings(index, simulation.believed, [(cause, values)], initial)
+            cv_kPa = np.full_like(run.time_s, np.nan) if run.to_atmosphere else readings.cv_kPa
+            runs.append(replace(run, cv_kPa=cv_kPa, reservoir_kPa=readings.reservoir_kPa))
+        return replace(bare, runs=tuple(runs))

@@ -1,0 +1,177 @@
+"""The runs that a plan chooses from: each shows some part of the rig, and is as long as one likes.
+
+Runs of commands are what the service and its firmware can do: pressures over time. Runs of openings move the
+valves one by one, without a regulator; they say most about the valves, and need a rig that takes openings.
+Their times are from the believed rig, so that a small vine is not filled for as long as a large vessel.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import ceil, log
+
+from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.rig import ControlVolume, Rig
+from flying_vines.simulation.scenario.kinds import Kind, Openings, Profile, Segment, Valves
+from flying_vines.vine.profile import HoldFor, Step
+
+Visit = tuple[float, float]
+"""A share of the highest pressure, and for how many seconds it is held."""
+
+MOST_KPA = 20.7
+"""To which the control volume is inflated unless told otherwise: what the service allows by default."""
+FULL_KPA, HALF_KPA, LOW_KPA = 690.0, 400.0, 180.0
+"""Of the reservoir when a run begins. A Venturi has its rated vacuum only from some 600 kPa on."""
+GUARD = 1.6
+"""Openings end early above so many times the pressure that they are to reach: the rig is not as believed."""
+_SAMPLE_S = 0.02
+_PATTERN = 7
+"""Of what is drawn at random, so that the same rig gets the same plan."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A run of which the first `count` parts may be done; `make(n)` begins as `make(n + 1)` does."""
+
+    name: str
+    shows: str
+    """What it is there for, in plain words."""
+    make: Callable[[int], Kind]
+    counts: tuple[int, ...]
+    """That a plan may choose, rising."""
+    commanded: bool
+    """Whether it consists of pressure commands alone."""
+
+
+def library(rig: Rig, most_kPa: float = MOST_KPA) -> tuple[Candidate, ...]:
+    """All runs that a rig can do."""
+    runs = [*_discharges(rig)]
+    if rig.cv is not None:
+        runs += [*_commands(most_kPa), *_openings(rig, rig.cv, most_kPa)]
+    return tuple(runs)
+
+
+def _commands(most_kPa: float) -> Iterator[Candidate]:
+    """Profiles, as they stand in a configuration of the service."""
+
+    def profile(
+        name: str, shows: str, supply_kPa: float, visits: list[Visit], counts: tuple[int, ...]
+    ) -> Candidate:
+        def make(count: int) -> Kind:
+            segments: list[Segment] = []
+            for share, hold_s in visits[:count]:
+                segments += [Step(to_kPa=round(share * most_kPa, 2)), HoldFor(hold_s)]
+            return Profile(name=name, reservoir_kPa=supply_kPa, segments=tuple(segments))
+
+        return Candidate(name, shows, make, counts, True)
+
+    stairs = [(share, 2.0) for share in (0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0)]
+    yield profile("staircase", "pressures up and down by steps, each held", FULL_KPA, 2 * stairs, (4, 8, 16))
+    bends = [(1.0, 0.6), (0.0, 0.6)] * 10
+    for supply_kPa, word in ((FULL_KPA, "full"), (HALF_KPA, "half"), (LOW_KPA, "low")):
+        shows = f"fast bends from a {word} reservoir"
+        yield profile(f"bends_{word}", shows, supply_kPa, bends, (8, 20))
+    yield profile(
+        "vents",
+        "the highest pressure let out again and again, by the Venturi where the firmware wants it",
+        FULL_KPA,
+        [(1.0, 1.5), (0.0, 2.0)] * 6,
+        (4, 12),
+    )
+    yield profile("hold", "one pressure held for long", FULL_KPA, [(1.0, 7.5)] * 4, (2, 4))
+    yield profile("rest", "nothing is done", FULL_KPA, [(0.0, 10.0)] * 4, (1, 2, 4))
+    drawn = random.Random(_PATTERN)
+    visits = [(drawn.random(), round(drawn.uniform(0.3, 1.5), 2)) for _ in range(40)]
+    for supply_kPa, word in ((FULL_KPA, "full"), (HALF_KPA, "half"), (LOW_KPA, "low")):
+        yield profile(
+            f"random_{word}",
+            f"pressures at random, from a {word} reservoir",
+            supply_kPa,
+            visits,
+            (10, 20, 40),
+        )
+
+
+def _openings(rig: Rig, cv: ControlVolume, most_kPa: float) -> Iterator[Candidate]:
+    """The valves one by one."""
+
+    def fill(supply_kPa: float, opening: float, to_kPa: float, share: float = 1.0) -> Valves:
+        """For this share of the time that it takes."""
+        return Valves(
+            for_s=_samples(share * filling_s(rig, cv, supply_kPa, opening, to_kPa)),
+            evp=opening,
+            until_kPa=GUARD * to_kPa,
+        )
+
+    emptying_s = rig.solenoid.flow_resistance_kPa_s_per_SL * cv.volume_L / ALPHA_KPA
+    vent = Valves(for_s=_samples(max(0.3, 5.0 * emptying_s)), solenoid=True)
+    pull = Valves(for_s=_samples(max(1.0, 5.0 * emptying_s)), solenoid=True, dvp=1.0)
+    shut = Valves(for_s=0.5)
+
+    stairs = []
+    for opening in (0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1):
+        whole = fill(HALF_KPA, 1.0, 0.8 * most_kPa)
+        stairs.append([Valves(for_s=whole.for_s, evp=opening, until_kPa=whole.until_kPa), shut, vent])
+    yield _of_openings(
+        "opening_stairs",
+        "the inflation valve a little wider each time, then narrower, for the same time",
+        HALF_KPA,
+        stairs,
+        (7, 13),
+    )
+    for supply_kPa, word in ((FULL_KPA, "full"), (HALF_KPA, "half")):
+        for opening, how in ((1.0, "fast"), (0.5, "slow")):
+            shutting = [[fill(supply_kPa, opening, most_kPa), Valves(for_s=8.0)], [Valves(for_s=12.0), vent]]
+            shows = f"filled {how} from a {word} reservoir, then shut in"
+            yield _of_openings(f"fill_hold_{how}_{word}", shows, supply_kPa, shutting, (1, 2))
+    for supply_kPa, word in ((FULL_KPA, "full"), (HALF_KPA, "half"), (LOW_KPA, "low")):
+        cycles = [[fill(supply_kPa, 0.7, 0.6 * most_kPa), shut, pull, shut]] * 6
+        shows = f"filled and pulled empty by the Venturi, from a {word} reservoir"
+        yield _of_openings(f"vent_venturi_{word}", shows, supply_kPa, cycles, (2, 4, 6))
+    cycles = [[fill(FULL_KPA, 0.7, 0.6 * most_kPa), shut, vent, shut]] * 6
+    yield _of_openings("vent_solenoid", "filled and let out by the solenoid alone", FULL_KPA, cycles, (3, 6))
+    pulses = []
+    drawn = random.Random(_PATTERN)
+    for _ in range(24):
+        opening, count = drawn.choice((0.3, 0.5, 0.75, 1.0)), drawn.choice((1, 2, 4))
+        pulse = fill(FULL_KPA, opening, 0.8 * most_kPa, 1.0 / count)
+        out = Valves(for_s=_samples(drawn.uniform(0.3, 1.0) * vent.for_s), solenoid=True)
+        pulses.append([pulse, Valves(for_s=0.1)] * count + [out, Valves(for_s=0.1)])
+    shows = "inflation valve and solenoid in pulses at random"
+    yield _of_openings("pulses", shows, FULL_KPA, pulses, (8, 24))
+
+
+def _discharges(rig: Rig) -> Iterator[Candidate]:
+    """The reservoir empties: in stretches, with a rest at the end of each."""
+    through_evp = rig.cv is not None
+    for name, through, out in (
+        ("discharge_dvp", "Venturi", Valves(for_s=4.0, dvp=1.0)),
+        ("discharge_evp", "inflation valve", Valves(for_s=4.0, evp=1.0, solenoid=through_evp)),
+        ("discharge_evp_half", "half open inflation valve", Valves(for_s=4.0, evp=0.5, solenoid=through_evp)),
+    ):
+        stretches = [[out, Valves(for_s=6.0, solenoid=out.solenoid)]] * 4
+        shows = f"the reservoir let out through the {through} and left to rest"
+        yield _of_openings(name, shows, FULL_KPA, stretches, (1, 2, 4))
+
+
+def _of_openings(
+    name: str, shows: str, supply_kPa: float, parts: list[list[Valves]], counts: tuple[int, ...]
+) -> Candidate:
+    def make(count: int) -> Kind:
+        valves = tuple(one for part in parts[:count] for one in part)
+        return Openings(name=name, reservoir_kPa=supply_kPa, valves=valves)
+
+    return Candidate(name, shows, make, counts, False)
+
+
+def filling_s(rig: Rig, cv: ControlVolume, supply_kPa: float, opening: float, to_kPa: float) -> float:
+    """How long the inflation valve has to be open on the believed rig."""
+    time_constant_s = rig.evp.flow_resistance_kPa_s_per_SL * cv.volume_L / (ALPHA_KPA * opening)
+    return time_constant_s * log(supply_kPa / (supply_kPa - to_kPa))
+
+
+def _samples(seconds: float) -> float:
+    """Whole samples, one at least."""
+    return round(max(1, ceil(seconds / _SAMPLE_S - 1e-6)) * _SAMPLE_S, 6)

@@ -1,0 +1,107 @@
+"""A plan on a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import sqrt
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from flying_vines.identification.plan.apart import SETTLED
+from flying_vines.identification.plan.planning import Pair, Plan, PlannedRun, Recording
+from flying_vines.identification.verdict import NONE
+
+_NAMED = 2
+_WORST = 8
+
+
+def show(plan: Plan, console: Console) -> None:
+    """Print the runs and why each is there, what is told apart worst, and what stays open."""
+    best = plan.best
+    runs = f"{len(best.runs)} run{'s' if len(best.runs) > 1 else ''}"
+    time = f"{best.seconds:.0f} of {60.0 * plan.minutes:.0f} s"
+    air = f"{best.air_SL:.2f} of {plan.air_SL:.2f} standard litres of air"
+    console.print(Text(f"{runs}, {time}, {air}", style="bold"))
+    console.print(_runs(best))
+    console.print()
+    console.print(_worst(plan))
+    console.print()
+    for line in _left(plan):
+        console.print(Text(line))
+
+
+def in_words(pairs: Sequence[Pair]) -> str:
+    """`a from b; c does not show`."""
+    hidden = [pair.first for pair in pairs if pair.second == NONE]
+    told = [f"{a} from {b}" for a, b in pairs if b != NONE]
+    if hidden:
+        told.append(f"that there is {', '.join(hidden)} at all")
+    return "; ".join(told)
+
+
+def _runs(recording: Recording) -> Table:
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    table.add_column("run")
+    table.add_column("reservoir,\nkPa gauge", justify="right")
+    table.add_column("s", justify="right")
+    table.add_column("air,\nSL", justify="right")
+    mixed = len({run.commanded for run in recording.runs}) > 1
+    if mixed:
+        table.add_column("by")
+    table.add_column("what for", overflow="fold")
+    for run in recording.runs:
+        table.add_row(
+            run.name,
+            f"{run.kind.reservoir_kPa:.0f}",
+            f"{run.seconds:.1f}",
+            f"{run.air_SL:.2f}",
+            *(("commands" if run.commanded else "openings",) if mixed else ()),
+            f"{run.shows}; {_why(run)}",
+        )
+    return table
+
+
+def _why(run: PlannedRun) -> str:
+    told = [f"{t.pair.first} / {t.pair.second} {t.without:.0f} → {t.having:.0f} σ" for t in run.told[:_NAMED]]
+    if len(run.told) > _NAMED:
+        told.append(f"{len(run.told) - _NAMED} more")
+    return ", ".join(told)
+
+
+def _worst(plan: Plan) -> Table:
+    """Of the pairs in which the first shows."""
+    table = Table(box=None, padding=(0, 2, 0, 0), title="Told apart worst", title_justify="left")
+    table.add_column("there")
+    table.add_column("fitted")
+    table.add_column("σ", justify="right")
+    fitted = (*plan.names, NONE)
+    cells = [
+        (float(plan.matrix[row, column]), name, fitted[column])
+        for row, name in enumerate(plan.names)
+        for column in range(len(fitted))
+        if row != column and plan.matrix[row, -1] >= SETTLED
+    ]
+    for value, there, other in sorted(cells)[:_WORST]:
+        table.add_row(there, other, f"{sqrt(value):.1f}", style="" if value >= SETTLED else "red")
+    return table
+
+
+def _left(plan: Plan) -> list[str]:
+    if not plan.best.open:
+        lines = ["Every cause is told from every other, and from none."]
+    else:
+        sooner = [pair for pair in plan.best.open if pair not in plan.never]
+        lines = [f"Left open for want of time or air: {in_words(sooner)}."] if sooner else []
+        if plan.never:
+            lines.append(f"Not told by any run of the library: {in_words(plan.never)}.")
+    if any(not run.commanded for run in plan.best.runs):
+        if plan.by_commands.runs:
+            lines.append(
+                f"With the service's commands alone ({len(plan.by_commands.runs)} runs, "
+                f"{plan.by_commands.seconds:.0f} s) stays open: {in_words(plan.by_commands.open)}."
+            )
+        else:
+            lines.append("Nothing of it can be done by the service's commands alone.")
+    return lines

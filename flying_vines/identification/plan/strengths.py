@@ -1,0 +1,82 @@
+"""How strong each cause typically is, and the strengths at which its trace is taken.
+
+A plan has to tell causes apart at strengths that real rigs show: the middle of what is known of leaks,
+valves, walls and sensors (the same facts that the causes' ranges rest on). What imitates them may have any
+strength: a cause's trace is taken at a row of strengths from next to nothing to many times the typical, and
+what lies between two of them is taken to lie on the straight line between their traces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isinf
+
+from flying_vines.identification.cause import Cause, Parameter
+from flying_vines.physics.rig import Rig
+
+TYPICAL = {
+    "ambient_drop": 0.07,
+    "compressible_flow": 0.3,
+    "cv_compliance": 0.005,
+    "cv_heating": 2.0,
+    "cv_leak": 550.0,
+    "cv_sensor_gain": 1.04,
+    "cv_sensor_lag": 0.03,
+    "cv_sensor_offset": 1.5,
+    "evp_dead_zone": 0.2,
+    "evp_hysteresis": 0.1,
+    "evp_lag": 0.017,
+    "evp_restriction": 1.18,
+    "line_delay": 0.03,
+    "reservoir_cooling": 9.0,
+    "reservoir_leak": 8000.0,
+    "reservoir_sensor_gain": 1.04,
+    "reservoir_sensor_offset": 11.0,
+    "reservoir_volume": 1.11,
+    "solenoid_slow_close": 0.03,
+    "venturi_stall": 440.0,
+}
+"""In the unit of the cause's first parameter."""
+DEAD_SHARE = 0.18
+"""Of the control volume: typical tubing and fittings."""
+_ONE_SIDED = (0.02, 0.06, 0.15, 0.3, 0.5, 0.75, 1.0, 1.4, 2.0, 3.0, 5.0, 10.0, 25.0)
+_TWO_SIDED = (-6.0, -3.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 3.0, 6.0)
+_EVENLY = 16
+
+
+def typical(cause: Cause, rig: Rig) -> float:
+    """Of the cause's first parameter."""
+    if cause.name == "dead_volume" and rig.cv is not None:
+        return DEAD_SHARE * rig.cv.volume_L
+    if cause.name in TYPICAL:
+        return TYPICAL[cause.name]
+    # A cause that nobody has said more about: where its fits begin.
+    parameter = cause.parameters[0]
+    seed = parameter.seeds[len(parameter.seeds) // 2]
+    if seed != parameter.neutral:
+        return seed
+    return parameter.outer(parameter.inner(seed) + 0.03 * parameter.range)
+
+
+def strengths(cause: Cause, rig: Rig) -> tuple[float, ...]:
+    """Values of the first parameter in which neighbours look alike; the typical is among them."""
+    parameter, usual = cause.parameters[0], typical(cause, rig)
+    neutral = parameter.neutral
+    if neutral is None or _is_threshold(parameter):
+        steps = [parameter.low + i / _EVENLY * (parameter.high - parameter.low) for i in range(_EVENLY + 1)]
+        return tuple(sorted({*steps, usual}))
+    if parameter.low < neutral < parameter.high:
+        zero = parameter.inner(neutral)
+        values = [parameter.outer(zero + s * (parameter.inner(usual) - zero)) for s in _TWO_SIDED]
+        return _within(parameter, values)
+    values = [usual / share if isinf(neutral) else share * usual for share in _ONE_SIDED]
+    return (neutral, *_within(parameter, values))
+
+
+def _within(parameter: Parameter, values: Sequence[float]) -> tuple[float, ...]:
+    return tuple(dict.fromkeys(min(max(value, parameter.low), parameter.high) for value in values))
+
+
+def _is_threshold(parameter: Parameter) -> bool:
+    """Many seeds: a place on a scale, and no size."""
+    return len(parameter.seeds) > 8

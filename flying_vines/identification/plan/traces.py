@@ -1,0 +1,150 @@
+"""What every cause would do to the readings of a run, and what that says about telling them apart.
+
+Each cause is simulated by the diagnosis' own engine at a row of strengths, with the inputs of the run as
+rehearsed on the believed rig; the difference to the baseline, in units of the sensors' noise, is its trace.
+The traces' inner products are all that readings with independent noise can say, and those of a plan are the
+sums over its runs:
+
+    G = Σ traces · tracesᵀ
+
+The two initial pressures of a run are free, so what they can imitate is taken out of G run by run; the
+believed numbers are common to all runs, and are rows of G as well (each moved by its standard deviation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flying_vines.identification.case import Case
+from flying_vines.identification.cause import Cause, Values
+from flying_vines.identification.model import Array, Numbers
+from flying_vines.identification.noise import stated_noise_kPa
+from flying_vines.identification.plan.library import Candidate
+from flying_vines.identification.plan.rehearsal import rehearsed
+from flying_vines.identification.plan.strengths import strengths, typical
+from flying_vines.identification.recording import Run
+from flying_vines.identification.simulate import BELIEVED, Simulation, believed_keys, believed_spread
+from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.rig import Rig
+from flying_vines.simulation.scenario.kinds import Kind
+
+Causes = Sequence[tuple[Cause, Values]]
+
+_RESERVOIR_KPA, _CV_KPA = 1.0, 0.1
+"""How far initial pressures are moved for a derivative."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which row of G is what: each cause at its strengths, then the believed numbers."""
+
+    rig: Rig
+    causes: tuple[Cause, ...]
+    values: tuple[tuple[float, ...], ...]
+    first: NDArray[np.intp]
+    """Row of each cause's first strength."""
+    usual: NDArray[np.intp]
+    """Row of each cause at its typical strength."""
+    keys: tuple[str, ...]
+    noise_kPa: tuple[float, float]
+
+    @property
+    def traces(self) -> int:
+        """Rows before those of the believed numbers."""
+        return sum(map(len, self.values))
+
+    @property
+    def nothing(self) -> Array:
+        """G of no run at all."""
+        return np.zeros((self.traces + len(self.keys),) * 2)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(cause.name for cause in self.causes)
+
+
+@dataclass(frozen=True)
+class Part:
+    """The first so many parts of a candidate."""
+
+    candidate: Candidate
+    count: int
+    seconds: float
+    air_SL: float
+    """That leaves the reservoir on the believed rig."""
+    gram: Array
+
+    @cached_property
+    def kind(self) -> Kind:
+        """As it stands in a scenario."""
+        return self.candidate.make(self.count)
+
+
+def layout_of(rig: Rig, causes: Sequence[Cause]) -> Layout:
+    values = tuple(strengths(cause, rig) for cause in causes)
+    first = np.cumsum([0, *map(len, values)])[:-1]
+    usual = [row.index(typical(cause, rig)) for cause, row in zip(causes, values, strict=True)]
+    return Layout(
+        rig=rig,
+        causes=tuple(causes),
+        values=values,
+        first=first,
+        usual=first + np.array(usual),
+        keys=believed_keys(rig),
+        noise_kPa=stated_noise_kPa(rig),
+    )
+
+
+def parts_of(layout: Layout, candidate: Candidate) -> list[Part]:
+    """A candidate at each of its lengths."""
+    whole = candidate.make(candidate.counts[-1])
+    run = rehearsed(layout.rig, whole)
+    rows, reservoir_kPa = _traces(layout, run, whole.reservoir_kPa)
+    parts, gram, done = [], np.zeros((len(rows), len(rows))), 0
+    for count in candidate.counts:
+        seconds = candidate.make(count).length_s
+        end = min(len(run.time_s), round(seconds * whole.sample_rate_Hz))
+        piece = rows[:, :, done:end].reshape(len(rows), -1)
+        gram, done = gram + piece @ piece.T, end
+        air_SL = layout.rig.reservoir.volume_L * (reservoir_kPa[0] - reservoir_kPa[end - 1]) / ALPHA_KPA
+        parts.append(Part(candidate, count, seconds, float(air_SL), _without_initial(gram)))
+    return parts
+
+
+def _traces(layout: Layout, run: Run, reservoir_kPa: float) -> tuple[Array, Array]:
+    """(rows, 2, n): of G's rows, then of the two initial pressures; and the reservoir's baseline, kPa."""
+    simulation = Simulation(Case(Path(run.name), layout.rig, (run,), ()))
+    believed = simulation.believed
+    start = np.array([[reservoir_kPa, 0.0]])
+    noise = np.array(layout.noise_kPa)[:, None]
+    if run.to_atmosphere:
+        noise[0] = np.inf
+
+    def readings(numbers: Numbers = believed, causes: Causes = (), initial: Array = start) -> Array:
+        return np.stack(simulation.readings(0, numbers, causes, initial))
+
+    baseline = readings()
+    rows = [
+        readings(causes=[(cause, (value, *cause.seeds()[0][1:]))])
+        for cause, values in zip(layout.causes, layout.values, strict=True)
+        for value in values
+    ]
+    for key in layout.keys:
+        moved = getattr(believed, BELIEVED[key]) * (1.0 + believed_spread(layout.rig, key))
+        rows.append(readings(numbers=believed._replace(**{BELIEVED[key]: moved})))
+    rows += [readings(initial=start + move) for move in ((_RESERVOIR_KPA, 0.0), (0.0, _CV_KPA))]
+    traces = (np.array(rows) - baseline) / noise
+    return np.nan_to_num(traces, nan=0.0, posinf=0.0, neginf=0.0), baseline[1]
+
+
+def _without_initial(gram: Array) -> Array:
+    """What is left when the last two rows may be anything."""
+    free, shared = gram[-2:, -2:], gram[:-2, -2:]
+    left: Array = gram[:-2, :-2] - shared @ np.linalg.pinv(free, hermitian=True) @ shared.T
+    return left

@@ -1,0 +1,71 @@
+"""A plan as files: a scenario for the simulator, profiles for the service."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from flying_vines.identification.plan.planning import Plan, PlannedRun, Recording
+from flying_vines.simulation.scenario.kinds import Profile
+
+SCENARIO, PROFILES = "scenario.toml", "profiles.toml"
+_FIRST_NUMBER = 101
+_HEADER = """\
+# For the end of the service's configuration; check it with: flying-vines config check FILE
+# Each run begins from a vented vine, 2 s after the reservoir was filled or let down to what stands above the
+# run. The command USER_1 with its number as param1 starts it; after it vent, and touch nothing for 6 s.
+"""
+
+
+def write_plan(plan: Plan, folder: Path) -> list[Path]:
+    """Write the best runs as a scenario and what the service can do as profiles: where they are."""
+    folder.mkdir(parents=True, exist_ok=True)
+    texts = {SCENARIO: scenario_text(plan.best)}
+    if plan.by_commands.runs:
+        texts[PROFILES] = profiles_text(plan.by_commands)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return [folder / name for name in texts]
+
+
+def scenario_text(recording: Recording) -> str:
+    """A scenario file."""
+    lines = [f"name = {_value(recording.scenario.name)}"]
+    for run in recording.runs:
+        lines += ["", f"# {run.shows}", "[[runs]]", *_lines(msgspec.to_builtins(run.kind))]
+    return "\n".join([*lines, ""])
+
+
+def profiles_text(recording: Recording) -> str:
+    """Profiles of the service's configuration, and the commands that start them."""
+    lines = [_HEADER.rstrip()]
+    for number, run in enumerate(recording.runs, start=_FIRST_NUMBER):
+        name = f"plan-{number}-{run.name.replace('_', '-')}"
+        lines += ["", f"# {run.shows}; {run.seconds:.0f} s, reservoir at {run.kind.reservoir_kPa:g} kPa"]
+        lines += ["[[items]]", 'command = "user_1"', f"match = {{ param1 = {number} }}"]
+        lines += [f"profile = {_value(name)}", "", f"[profiles.{name}]", *_segments(run)]
+    return "\n".join([*lines, ""])
+
+
+def _segments(run: PlannedRun) -> list[str]:
+    assert isinstance(run.kind, Profile)
+    segments = list(msgspec.to_builtins(run.kind.segments))
+    if segments[-2:-1] != (end := [{"kind": "step", "to_kPa": 0.0}]):
+        segments += end
+    return _lines({"segments": segments, "rate_kPa_per_s": run.kind.rate_kPa_per_s})
+
+
+def _lines(table: dict[str, Any]) -> list[str]:
+    return [f"{key} = {_value(value)}" for key, value in table.items() if value is not None]
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, dict):
+        told = [f"{key} = {_value(inner)}" for key, inner in value.items() if inner is not None]
+        return "{ " + ", ".join(told) + " }"
+    if isinstance(value, list | tuple):
+        return "\n".join(["[", *(f"    {_value(inner)}," for inner in value), "]"])
+    return json.dumps(value)

@@ -1,0 +1,437 @@
+"""Whether what was recorded can be what its columns say, before anybody fits anything to it.
+
+Refused is only what no rig gives, however worn: reservoirs of 20 to 900 kPa and control volumes of -60 to
+210 kPa, read with offsets of 25 and 5 kPa, gains off by a fifth, at any altitude, through valves that may be
+blocked, with noise other than believed. Where a level alone does not tell a unit, the noise has to agree, and
+what the baseline lets flow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flying_vines.identification.recording import Array, CaseError, Run
+from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.rig import Rig
+
+ISA_KPA = 101.325
+_MOST_OFFSET_KPA = 25.0
+_GLITCHES = 3
+"""As many readings beyond all reason are taken for slips of the recorder, more for another unit."""
+_FEW = 8
+_ENOUGH = 30
+"""Readings, for a noise."""
+_WIDE = 0.9
+"""An opening that no dead zone or backlash shuts."""
+
+
+class _Channel(NamedTuple):
+    """A pressure column, and between what bounds its readings are."""
+
+    column: str
+    field: str
+    lowest_kPa: float
+    highest_kPa: float
+    least_top_kPa: float
+    """Hardly anybody records a whole run below in another unit, and a weak one in kPa looks like it."""
+
+
+_CV = _Channel("cv_pressure_kPa", "cv_kPa", -130.0, 280.0, 0.0)
+_RESERVOIR = _Channel("reservoir_pressure_kPa", "reservoir_kPa", -60.0, 1200.0, 200.0)
+_CHANNELS = (_CV, _RESERVOIR)
+
+
+class _Noise(NamedTuple):
+    """A standard deviation as estimated, in whatever unit the readings are, and what it hardly exceeds."""
+
+    std: float
+    at_most: float
+
+
+class _Unit(NamedTuple):
+    name: str
+    per_kPa: float
+    noise_within: float
+    """How close the noise has to be to what it would be in this unit, as a factor."""
+    otherwise: str = ", or correct the noise in the rig file if this is kPa"
+
+
+_LARGE = (_Unit("hPa (mbar)", 10.0, np.inf, ""), _Unit("Pa", 1000.0, np.inf, ""))
+_PSI = _Unit("psi", 0.145038, 1.33)
+_SMALL = (_PSI, _Unit("bar", 0.01, 3.0), _Unit("MPa", 0.001, 3.0))
+
+
+def check(rig: Rig, runs: Mapping[Path, Run]) -> list[str]:
+    """Remarks. CaseError for the first run that is no recording of a rig like this."""
+    for path, run in runs.items():
+        _check_swapped(path, run)
+        _check_levels(path, run)
+        _check_ambient(path, run)
+    _check_small_units(rig, runs)
+    _check_cv_absolute(rig, runs)
+    for path, run in runs.items():
+        _check_time_unit(path, run, rig)
+        _check_reservoir_absolute(path, run, rig)
+        _check_stuck(path, run, rig)
+    return _check_anything_moves(rig, runs)
+
+
+def check_shut(path: Path, name: str, run: Run, rig: Rig) -> None:
+    """CaseError where a valve that was not recorded cannot have been shut."""
+    time_s, cv_kPa = _readings(run, _CV)
+    if len(time_s) == 0 or rig.cv is None:
+        return
+    if name == "evp_opening":
+        # Up to ambient pressure it may fill through the solenoid or a leak.
+        seen = bool(np.any(cv_kPa - np.maximum(np.minimum.accumulate(cv_kPa), 0.0) > 15.0))
+        what = "the control volume fills"
+    elif name == "dvp_opening":
+        seen = bool((cv_kPa < -15.0).sum() > _GLITCHES)
+        what = "the control volume is sucked below ambient pressure"
+    else:
+        # Nothing else empties it as fast: a leak of the solenoid's size would be a hole.
+        soon = np.searchsorted(time_s, time_s + 3.0 * _vent_s(rig, rig.cv.volume_L), side="right") - 1
+        seen = bool(((cv_kPa > 20.0) & (cv_kPa[soon] < 0.25 * cv_kPa)).sum() > _GLITCHES)
+        what = "the control volume empties at once"
+    if seen:
+        raise CaseError(f"{path}: {what}, but {name} was not recorded; add the column")
+
+
+def _check_swapped(path: Path, run: Run) -> None:
+    """The reservoir is the higher one, and falls while the other one fills."""
+    both = np.isfinite(run.cv_kPa) & np.isfinite(run.reservoir_kPa)
+    if not both.any() or np.median((run.cv_kPa - run.reservoir_kPa)[both]) < 40.0:
+        return
+    never_low = _bottom(run.cv_kPa) > -_CV.lowest_kPa
+    exchanged = _CV.highest_kPa < _top(run.cv_kPa) < _RESERVOIR.highest_kPa and never_low
+    fills = (run.evp_opening > 0.0) & (run.solenoid == 0.0)
+    slack_kPa = 10.0 + 6.0 * np.nan_to_num(_noise(run, _RESERVOIR).std) * np.sqrt(2 * len(_spells(fills)))
+    falls = _change(run.cv_kPa, fills) < 0.0 and _change(run.reservoir_kPa, fills) > slack_kPa
+    if falls or (exchanged and _top(run.reservoir_kPa) <= _CV.highest_kPa):
+        raise CaseError(
+            f"{path}: {_CV.column} and {_RESERVOIR.column} look swapped: the second is to be the higher one, "
+            "which falls when the inflation valve opens; exchange their names"
+        )
+
+
+def _check_levels(path: Path, run: Run) -> None:
+    for channel in _CHANNELS:
+        time_s, readings = _readings(run, channel)
+        beyond = (readings > channel.highest_kPa) | (readings < channel.lowest_kPa)
+        if not beyond.any():
+            continue
+        where = f"{path}: {channel.column}"
+        if beyond.sum() <= _GLITCHES and len(readings) > 4 * _GLITCHES:
+            at = int(np.argmax(beyond))
+            raise CaseError(
+                f"{where}: reads {readings[at]:g} at {time_s[at]:.6g} s, which no such sensor gives; "
+                "leave the cell empty if it is a slip"
+            )
+        top, bottom = _top(readings), _bottom(readings)
+        for unit in _LARGE:
+            if channel.highest_kPa < top <= channel.highest_kPa * unit.per_kPa:
+                raise _other_unit(where, f"reads up to {top:.4g}", unit)
+        raise CaseError(
+            f"{where}: reads {bottom:.4g} to {top:.4g}, which is no gauge pressure in kPa of such a rig "
+            f"({channel.lowest_kPa:g} to {channel.highest_kPa:g}); check the unit and the column's name"
+        )
+
+
+def _check_ambient(path: Path, run: Run) -> None:
+    if run.ambient_kPa is not None and not 40.0 <= (level := float(np.nanmedian(run.ambient_kPa))) <= 115.0:
+        raise CaseError(
+            f"{path}: ambient_pressure_kPa: is about {level:.4g}, and the air has 40 to 115 kPa absolute; "
+            "check the unit, or remove the column"
+        )
+    if run.ambient_C is not None and not -60.0 <= (level := float(np.nanmedian(run.ambient_C))) <= 80.0:
+        raise CaseError(
+            f"{path}: ambient_temperature_C: is about {level:.4g}, and the air has -60 to 80 °C; "
+            "check the unit, or remove the column"
+        )
+
+
+def check_discharge(path: Path, run: Run, rig: Rig) -> None:
+    """CaseError where a reservoir of which only the pressure was recorded has no open outlet."""
+    time_s, readings = _readings(run, _RESERVOIR)
+    tau_s = rig.evp.flow_resistance_kPa_s_per_SL * rig.reservoir.volume_L / ALPHA_KPA
+    expected_kPa = readings[0] * -np.expm1((time_s[0] - time_s[-1]) / tau_s)
+    if expected_kPa > 50.0 and _lost(readings) < 0.05 * expected_kPa:
+        raise CaseError(
+            f"{path}: only the reservoir's pressure was recorded, as in a discharge through the open valve, "
+            "but it hardly falls; add evp_opening, dvp_opening and solenoid"
+        )
+
+
+def _check_small_units(rig: Rig, runs: Mapping[Path, Run]) -> None:
+    """psi, bar and MPa give numbers that a weak reservoir could give in kPa, but with too little noise."""
+    believed_kPa = {_CV: rig.sensors.cv_noise_std_kPa, _RESERVOIR: rig.sensors.reservoir_noise_std_kPa}
+    for channel in _CHANNELS:
+        # Runs with readings too high for psi know the noise better than the rig file does, unless they bend.
+        level = channel.highest_kPa * _PSI.per_kPa
+        sure = [run for run in runs.values() if _top(getattr(run, channel.field)) > level]
+        seen_kPa = [_noise(run, channel, only_quiet=True).std for run in sure]
+        if np.isfinite(seen_kPa).any():
+            believed_kPa[channel] = float(np.nanmedian(seen_kPa))
+    for path, run in runs.items():
+        cv, reservoir = (_small_unit(run, channel, believed_kPa[channel]) for channel in _CHANNELS)
+        if np.isfinite(run.cv_kPa).any() and (cv is None) != (reservoir is None):
+            # With one wrong column the air that flows is wrong by the unit as well.
+            flow = _flow_ratio(run, rig)
+            reservoir = reservoir if flow > 3.5 else None
+            cv = cv if flow < 1.0 / 3.5 else None
+        for channel, unit in ((_RESERVOIR, reservoir), (_CV, cv)):
+            if unit:
+                top = _top(getattr(run, channel.field))
+                what = f"reads up to {top:.3g} with {1.0 / unit.per_kPa:.3g} times less noise than in kPa"
+                raise _other_unit(f"{path}: {channel.column}", what, unit)
+
+
+def _small_unit(run: Run, channel: _Channel, noise_kPa: float) -> _Unit | None:
+    top, noise = _top(getattr(run, channel.field)), _noise(run, channel)
+    if not (top > 0.0 and noise.std > 0.0 and noise_kPa > 0.0):
+        return None
+    for unit in _SMALL:
+        expected = noise_kPa * unit.per_kPa
+        close = expected / unit.noise_within < noise.std and noise.at_most < expected * unit.noise_within
+        if close and channel.least_top_kPa * unit.per_kPa < top <= channel.highest_kPa * unit.per_kPa:
+            return unit
+    return None
+
+
+def _check_cv_absolute(rig: Rig, runs: Mapping[Path, Run]) -> None:
+    """An absolute sensor rests at ambient pressure, not at zero."""
+    if rig.cv is None:
+        return
+    settled_s = 0.2 + 3.0 * _vent_s(rig, rig.cv.volume_L)
+    begins: dict[Path, float] = {}
+    never_below = True
+    rises = False
+    for path, run in runs.items():
+        _, readings = _readings(run, _CV)
+        if len(readings) < _FEW:
+            continue
+        low_kPa = _bottom(readings)
+        vented = run.cv_kPa[_held_for(run, (run.solenoid > 0.0) & (run.dvp_opening == 0.0), settled_s)]
+        vented = vented[np.isfinite(vented)]
+        if low_kPa > 20.0 and len(vented) > _GLITCHES and _is_ambient(float(np.median(vented))):
+            raise _absolute(path, _CV, f"rests at {np.median(vented):.4g} when it is vented")
+        begins[path] = begin_kPa = float(np.min(readings[:5]))
+        ambient_kPa = ISA_KPA if run.ambient_kPa is None else float(np.nanmedian(run.ambient_kPa))
+        least_kPa = 20.0 if run.dvp_opening.any() else begin_kPa - 4.0
+        never_below &= abs(begin_kPa - ambient_kPa) < 6.0 and low_kPa > least_kPa
+        rises |= _top(readings) > begin_kPa + 5.0
+    if begins and never_below and rises:
+        path, begin_kPa = next(iter(begins.items()))
+        raise _absolute(path, _CV, f"begins at {begin_kPa:.4g} and hardly falls below")
+
+
+def _check_reservoir_absolute(path: Path, run: Run, rig: Rig) -> None:
+    """It empties to zero, not to ambient pressure, through a valve so far open that nothing blocks it."""
+    outlet = (run.to_atmosphere | (run.solenoid > 0.0)) & (run.evp_opening >= _WIDE)
+    per_R = np.where(outlet, 1.0 / rig.evp.flow_resistance_kPa_s_per_SL, 0.0)
+    per_R += np.where(run.dvp_opening >= _WIDE, 1.0 / rig.dvp.flow_resistance_kPa_s_per_SL, 0.0)
+    for first, last in _spells(per_R > 0.0):
+        read = np.flatnonzero(np.isfinite(run.reservoir_kPa[first:last])) + first
+        if len(read) < 4 * 4:
+            continue
+        tail = read[-(len(read) // 4) :]
+        begin_kPa, before_kPa, end_kPa = (
+            float(np.median(run.reservoir_kPa[part])) for part in (read[:3], tail[:3], tail[-3:])
+        )
+        rate_per_s = ALPHA_KPA / rig.reservoir.volume_L * float(np.median(per_R[tail]))
+        lost_kPa = -before_kPa * np.expm1(-rate_per_s * (run.time_s[tail[-2]] - run.time_s[tail[1]]))
+        rests = lost_kPa > 30.0 and before_kPa - end_kPa < 0.3 * lost_kPa
+        if rests and begin_kPa - end_kPa > 60.0 and _is_ambient(end_kPa):
+            raise _absolute(path, _RESERVOIR, f"comes to rest at {end_kPa:.4g} although a valve is open")
+
+
+def _check_time_unit(path: Path, run: Run, rig: Rig) -> None:
+    """In milliseconds the valves would have let out far more air than is missing."""
+    step_s = float(np.median(np.diff(run.time_s)))
+    _, readings = _readings(run, _RESERVOIR)
+    if step_s < 0.5 or len(readings) < _FEW:
+        return
+    # What an offset alone may read of an empty bottle lets nothing out.
+    surely_there = replace(run, reservoir_kPa=run.reservoir_kPa - _MOST_OFFSET_KPA)
+    ratio = _lost_through_valves(surely_there, rig) / max(_lost(readings), 5.0)
+    if ratio > 30.0:
+        unit = "microseconds" if ratio > 30_000.0 else "milliseconds"
+        raise CaseError(
+            f"{path}: time_s: looks like {unit}: with {step_s:.3g} s a sample the valves would have let out "
+            f"{ratio:.2g} times the air that the reservoir lost; write seconds"
+        )
+
+
+def _check_stuck(path: Path, run: Run, rig: Rig) -> None:
+    """The same to the last digit, although the valves move, or one is so far open that it has to move."""
+    wide = run.evp_opening >= _WIDE
+    has_to_move = {
+        _CV: _filled_through_evp(run, rig, wide) > 20.0,
+        _RESERVOIR: _lost_through_valves(run, rig, wide) > 30.0,
+    }
+    flat = {channel: np.ptp(readings) == 0.0 for channel, readings in _all_readings(run).items()}
+    for channel, is_flat in flat.items():
+        if is_flat and (has_to_move[channel] or (_moves(run) and all(flat.values()))):
+            raise CaseError(
+                f"{path}: {channel.column}: is stuck at {_readings(run, channel)[1][0]:g} while the valves "
+                "move; check the sensor and record again, or remove the file"
+            )
+
+
+def _check_anything_moves(rig: Rig, runs: Mapping[Path, Run]) -> list[str]:
+    still = [path for path, run in runs.items() if not _moves(run)]
+    noise_kPa = {_CV: rig.sensors.cv_noise_std_kPa, _RESERVOIR: rig.sensors.reservoir_noise_std_kPa}
+    drifts = any(
+        abs(_lost(readings)) > 5.0 * noise_kPa[channel]
+        for path in still
+        for channel, readings in _all_readings(runs[path]).items()
+    )
+    if len(still) == len(runs) and not drifts:
+        raise CaseError(
+            f"{still[0].parent}: no valve ever opens, and no pressure changes; record a run that moves"
+        )
+    return [f"{path.name}: no valve ever opens" for path in still]
+
+
+def _other_unit(where: str, what: str, unit: _Unit) -> CaseError:
+    by = f"divide by {unit.per_kPa:g}" if unit.per_kPa > 1.0 else f"multiply by {1.0 / unit.per_kPa:.5g}"
+    return CaseError(f"{where}: {what}, which looks like {unit.name}; write kPa: {by}{unit.otherwise}")
+
+
+def _absolute(path: Path, channel: _Channel, what: str) -> CaseError:
+    return CaseError(
+        f"{path}: {channel.column}: {what}, which looks like absolute pressure; write gauge pressure: "
+        "subtract the ambient pressure"
+    )
+
+
+def _is_ambient(kPa: float) -> bool:
+    """Absolute, from 5 km above the sea down, with a sensor's offset."""
+    return 50.0 < kPa < 127.0
+
+
+def _readings(run: Run, channel: _Channel) -> tuple[Array, Array]:
+    """Times and values where there is a reading."""
+    values: Array = getattr(run, channel.field)
+    there = np.isfinite(values)
+    return run.time_s[there], values[there]
+
+
+def _all_readings(run: Run) -> dict[_Channel, Array]:
+    """Of the pressures that were recorded."""
+    return {channel: readings for channel in _CHANNELS if len(readings := _readings(run, channel)[1]) >= _FEW}
+
+
+def _top(values: Array) -> float:
+    """The highest but for slips; NaN where there are hardly any readings."""
+    readings = np.sort(values[np.isfinite(values)])
+    return float(readings[-1 - _GLITCHES]) if len(readings) > _GLITCHES else np.nan
+
+
+def _bottom(values: Array) -> float:
+    return -_top(-values)
+
+
+def _lost(readings: Array) -> float:
+    """From the beginning to the end."""
+    part = max(3, len(readings) // 20)
+    return float(np.median(readings[:part]) - np.median(readings[-part:]))
+
+
+def _moves(run: Run) -> bool:
+    return bool(((run.evp_opening > 0.0) | (run.dvp_opening > 0.0) | (run.solenoid > 0.0)).any())
+
+
+def _spells(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Where a mask is true on end: from, and up to but without."""
+    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
+    return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
+
+
+def _held_for(run: Run, mask: NDArray[np.bool_], least_s: float) -> NDArray[np.bool_]:
+    """Where a mask has been true for so long."""
+    held = np.zeros_like(mask)
+    for first, last in _spells(mask):
+        held[first:last] = run.time_s[first:last] - run.time_s[first] >= least_s
+    return held
+
+
+def _change(values: Array, mask: NDArray[np.bool_]) -> float:
+    """What a pressure rises by, summed over the intervals that begin where the mask is true."""
+    return float(np.nansum(np.diff(values)[mask[:-1]]))
+
+
+def _noise(run: Run, channel: _Channel, *, only_quiet: bool = False) -> _Noise:
+    """Of the readings about a straight line through their neighbours; NaN of too few.
+
+    Nothing bends while all valves are shut. Over all readings bends only add to it, but so many more may
+    still bound it lower.
+    """
+    t, x = _readings(run, channel)
+    later = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+    off = (x[1:-1] - x[:-2] * (1.0 - later) - x[2:] * later) / np.sqrt(1.0 + later**2 + (1.0 - later) ** 2)
+    busy = (run.evp_opening + run.dvp_opening + run.solenoid)[np.isfinite(getattr(run, channel.field))] > 0.0
+    quiet = off[~(busy[:-2] | busy[1:-1])]
+    step = float(np.min(np.diff(np.unique(x)), initial=np.inf))
+    parts = (quiet,) if only_quiet else (quiet, off)
+    noises = (_spread(part, step) for part in parts if len(part) >= _ENOUGH)
+    return min(noises, key=lambda noise: noise.at_most, default=_Noise(np.nan, np.nan))
+
+
+def _spread(off: Array, step: float) -> _Noise:
+    """Of deviations between readings that are whole steps."""
+    size = np.abs(off)
+    # The median alone needs twice as many to be as sure.
+    std = float(np.sqrt(np.mean(np.minimum(size, 3.0 * 1.4826 * np.median(size)) ** 2)))
+    # Neighbours share readings: the estimate is good to 1 / sqrt(n), not to 1 / sqrt(2 n). And what is less
+    # than half a step may not show at all.
+    return _Noise(std, max(std * float(np.exp(2.0 / np.sqrt(len(off)))), 0.5 * step))
+
+
+def _vent_s(rig: Rig, cv_L: float) -> float:
+    """Time constant of the control volume emptying through the solenoid."""
+    return rig.solenoid.flow_resistance_kPa_s_per_SL * cv_L / ALPHA_KPA
+
+
+def _filled(run: Run, channel: _Channel) -> Array:
+    """A pressure at every sample, straight between readings; zero where it was not recorded."""
+    t, x = _readings(run, channel)
+    return np.interp(run.time_s, t, x) if len(t) else np.zeros_like(run.time_s)
+
+
+def _through_evp(run: Run, rig: Rig, where: NDArray[np.bool_]) -> Array:
+    """Standard litres that the baseline lets through the inflation valve from each sample to the next."""
+    drop_kPa = np.maximum(_filled(run, _RESERVOIR) - _filled(run, _CV), 0.0)
+    flow = np.where(where, run.evp_opening, 0.0) * drop_kPa / rig.evp.flow_resistance_kPa_s_per_SL
+    volume: Array = flow * np.diff(run.time_s, append=run.time_s[-1])
+    return volume
+
+
+def _lost_through_valves(run: Run, rig: Rig, where: NDArray[np.bool_] | None = None) -> float:
+    """What the reservoir loses in the baseline at the pressures that were recorded, kPa."""
+    everywhere = np.ones(len(run.time_s), dtype=bool) if where is None else where
+    motive = np.where(everywhere, run.dvp_opening, 0.0) * np.maximum(_filled(run, _RESERVOIR), 0.0)
+    motive *= np.diff(run.time_s, append=run.time_s[-1]) / rig.dvp.flow_resistance_kPa_s_per_SL
+    return float(ALPHA_KPA / rig.reservoir.volume_L * (_through_evp(run, rig, everywhere) + motive).sum())
+
+
+def _filled_through_evp(run: Run, rig: Rig, where: NDArray[np.bool_]) -> float:
+    """What the control volume gains in the baseline while the solenoid is shut, likewise."""
+    if rig.cv is None:
+        return 0.0
+    return float(ALPHA_KPA / rig.cv.volume_L * _through_evp(run, rig, where & (run.solenoid == 0.0)).sum())
+
+
+def _flow_ratio(run: Run, rig: Rig) -> float:
+    """What the control volume gained over what it gains in the baseline; NaN where neither is much."""
+    fills = (run.evp_opening > 0.0) & (run.solenoid == 0.0)
+    gained, expected = _change(run.cv_kPa, fills), _filled_through_evp(run, rig, fills)
+    if not np.isfinite(run.reservoir_kPa).any() or max(gained, expected) < 20.0:
+        return float("nan")
+    return gained / max(expected, 1e-9)

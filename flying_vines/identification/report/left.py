@@ -1,0 +1,131 @@
+"""What is left of the readings after each simulation: is it noise?"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from flying_vines.identification.model import Array
+from flying_vines.identification.report.canvas import (
+    AFTER,
+    BEFORE,
+    INK,
+    blank,
+    channels,
+    extended,
+    models,
+    quiet,
+    residuals,
+)
+from flying_vines.identification.residuals import CHANNELS
+from flying_vines.identification.verdict import Verdict
+
+BAND = 2.0
+"""Standard deviations."""
+_LEAST_SPAN = 4.5
+_BINS = 45
+_NARROW = 15.0
+"""In wider panels the normal distribution would be a needle."""
+_LAGS = 60
+
+
+def draw_residuals(verdict: Verdict) -> Figure:
+    """Residuals in units of noise over all runs, before and after, beside their histograms."""
+    panels = [
+        (row, after)
+        for row in channels(verdict)
+        for after in ((False, True) if models(verdict) else (False,))
+    ]
+    figure = blank(0.35 + 1.2 * len(panels))
+    axes = figure.subplots(len(panels), 2, squeeze=False, sharey="row", width_ratios=[4.2, 1.0])
+    for (row, after), (series, histogram) in zip(panels, axes, strict=True):
+        _panel(verdict, row, after, series, histogram)
+    for series in axes[:-1, 0]:
+        series.tick_params(labelbottom=False)
+    axes[-1, 0].set_xlabel("time, s; one run after the other")
+    return figure
+
+
+def _panel(verdict: Verdict, row: int, after: bool, series: Any, histogram: Any) -> None:
+    color = AFTER if after else BEFORE
+    begin_s, every = 0.0, []
+    for run in verdict.evidence.runs:
+        residual = residuals(run, row, verdict.evidence.noise_kPa)[after]
+        time_s = begin_s + run.time_s - run.time_s[0]
+        series.plot(time_s, residual, color=color, ls="none", marker="o", ms=0.9, mew=0, rasterized=True)
+        if begin_s > 0.0:
+            series.axvline(begin_s, color=INK, lw=0.5, ls=(0, (2, 3)))
+        begin_s = time_s[-1]
+        every.append(residual[np.isfinite(residual)])
+    values = np.concatenate(every)
+    span = max(_LEAST_SPAN, 1.05 * float(np.abs(values).max(initial=0.0)))
+    for axis in (series, histogram):
+        axis.axhspan(-BAND, BAND, color=INK, alpha=0.12, lw=0)
+    edges = np.linspace(-span, span, _BINS + 1)
+    density, *_ = histogram.hist(
+        values, edges, orientation="horizontal", density=True, color=color, alpha=0.75
+    )
+    if span < _NARROW:
+        x = np.linspace(-span, span, 200)
+        histogram.plot(np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), x, color=INK, lw=0.9)
+    histogram.set_xlim(0.0, 1.15 * float(density.max()))
+    histogram.set_xticks([])
+    series.set_xlim(0.0, begin_s)
+    series.set_ylim(-span, span)
+    series.yaxis.set_major_locator(MaxNLocator(5, integer=True))
+    inside = float(np.mean(np.abs(values) < BAND))
+    what = "extended" if after else "baseline"
+    quiet(series, f"{CHANNELS[row]}, {what}: {100.0 * inside:.0f} % within ±{BAND:g}σ")
+    quiet(histogram)
+    histogram.grid(False)
+    series.set_ylabel("σ")
+
+
+def draw_autocorrelation(verdict: Verdict) -> Figure:
+    """How alike residuals are that lie so many samples apart; of noise within the band, 95 times of 100."""
+    read = channels(verdict)
+    figure = blank(1.9)
+    axes = figure.subplots(1, len(read), squeeze=False, sharey=True)[0]
+    for row, axis in zip(read, axes, strict=True):
+        for after, color in ((False, BEFORE), (True, AFTER)):
+            if after and not models(verdict):
+                continue
+            lagged, readings = _autocorrelation(verdict, row, after)
+            axis.plot(
+                np.arange(1, len(lagged) + 1),
+                lagged,
+                color=color,
+                lw=0.8,
+                marker="o",
+                ms=2.2,
+                mew=0,
+                label=extended(models(verdict)) if after else "baseline",
+            )
+        axis.axhspan(-1.96 / readings**0.5, 1.96 / readings**0.5, color=INK, alpha=0.15, lw=0)
+        axis.set_xlim(0.0, _LAGS)
+        axis.set_xlabel("samples apart")
+        quiet(axis, CHANNELS[row])
+    axes[0].set_ylabel("correlation")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=2)
+    return figure
+
+
+def _autocorrelation(verdict: Verdict, row: int, after: bool) -> tuple[Array, int]:
+    """(lags,) from the first lag on, over pairs of readings of one run; and how many readings there are."""
+    products, squares, readings = np.zeros(_LAGS), 0.0, 0
+    pairs = np.zeros(_LAGS)
+    for run in verdict.evidence.runs:
+        residual = residuals(run, row, verdict.evidence.noise_kPa)[after]
+        there = np.isfinite(residual)
+        residual = np.where(there, residual, 0.0)
+        squares += float(residual @ residual)
+        readings += int(there.sum())
+        for lag in range(1, min(_LAGS, len(residual) - 1) + 1):
+            products[lag - 1] += residual[:-lag] @ residual[lag:]
+            pairs[lag - 1] += np.count_nonzero(there[:-lag] & there[lag:])
+    kept = pairs > 0
+    return products[kept] / pairs[kept] / (squares / readings), readings

@@ -1,0 +1,94 @@
+"""A verdict on a terminal."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.table import Table
+
+from flying_vines.identification.causes import catalogue
+from flying_vines.identification.verdict import NONE, UNEXPLAINED, Estimate, Verdict
+
+RANKED = 8
+
+
+def show(verdict: Verdict, console: Console) -> None:
+    """Print the verdict in plain words, its evidence, and what was tried."""
+    facts = Table.grid(padding=(0, 2))
+    facts.add_column(style="bold")
+    facts.add_column(overflow="fold")
+    facts.add_row("Verdict", in_words(verdict))
+    for named in verdict.named:
+        for parameter, estimate in named.parameters.items():
+            facts.add_row(named.cause, f"{parameter}  {_estimate(estimate)}")
+    facts.add_row("Sure", f"{verdict.confidence:.0%}")
+    if verdict.indistinguishable:
+        facts.add_row("As well", ", ".join(verdict.indistinguishable))
+    errors = verdict.held_out
+    facts.add_row(
+        "Unseen data",
+        f"error {errors.nrmse_before:.2%} of the range before, {errors.nrmse_after:.2%} after; "
+        f"noise alone {errors.noise_floor:.2%}",
+    )
+    if verdict.remainder:
+        facts.add_row("What is left", f"depends most on {verdict.remainder}")
+    if verdict.next_experiment:
+        facts.add_row("Next", verdict.next_experiment)
+    for cause in catalogue():
+        if cause.name == verdict.cause:
+            facts.add_row("See it", cause.experiment)
+    for remark in verdict.remarks:
+        facts.add_row("Remark", remark)
+    console.print(facts)
+    console.print(_ranking(verdict))
+
+
+def in_words(verdict: Verdict) -> str:
+    """One or two sentences."""
+    if verdict.cause == NONE:
+        return "The baseline explains the data to within noise and tolerances."
+    if verdict.cause == UNEXPLAINED:
+        return "Something is there that no known cause accounts for." + _nearest(verdict)
+    what = {cause.name: cause.what for cause in catalogue()}
+    return " And: ".join(what[named.cause] for named in verdict.named)
+
+
+def _nearest(verdict: Verdict) -> str:
+    """What accounts for a part of it, as far as that can be said."""
+    best = verdict.ranking[0]
+    (baseline,) = (tried for tried in verdict.ranking if not tried.causes)
+    over_noise = baseline.chi2_per_reading - 1.0
+    if not best.causes or over_noise <= 0.0:
+        return ""
+    share = (baseline.chi2_per_reading - best.chi2_per_reading) / over_noise
+    return f" Nearest comes {' with '.join(best.causes)}, with {min(share, 1.0):.1%} of what is above noise."
+
+
+def _estimate(estimate: Estimate) -> str:
+    return f"{estimate.estimate:.4g} ({estimate.low:.4g} … {estimate.high:.4g})"
+
+
+def _ranking(verdict: Verdict) -> Table:
+    table = Table(
+        box=None, padding=(0, 2, 0, 0), title="What was tried, the best first", title_justify="left"
+    )
+    table.add_column("cause, and what it measures", overflow="fold")
+    table.add_column("χ²/n", justify="right")
+    table.add_column("unseen", justify="right")
+    table.add_column("evidence", justify="right")
+    for tried in verdict.ranking[:RANKED]:
+        measures = [
+            f"  {name} {_estimate(estimate)}" + (", on its bound" if name in tried.on_bound else "")
+            for named in tried.named
+            for name, estimate in named.parameters.items()
+        ]
+        table.add_row(
+            "\n".join([" + ".join(tried.causes) or NONE, *measures]),
+            f"{tried.chi2_per_reading:.3f}",
+            "" if tried.unseen_nrmse is None else f"{tried.unseen_nrmse:.2%}",
+            f"{-tried.score / 2.0:,.1f}" if tried.score else "best",
+        )
+    table.caption = (
+        "evidence: its natural logarithm, under the best; unseen: error on data that the fit never saw"
+    )
+    table.caption_justify = "left"
+    return table

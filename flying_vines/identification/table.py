@@ -1,0 +1,196 @@
+"""A CSV file as columns of numbers. What cannot be read is said with file, line and column.
+
+The line that names the columns is the first with `time_s` in it, commented out or not. Commas, semicolons or
+tabs separate; numbers have a decimal point. Empty lines and lines that start with `#` are passed over.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flying_vines.identification.recording import Array, CaseError
+
+TIME = "time_s"
+_SEPARATORS = (",", ";", "\t")
+_MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
+_WORDS = {"false": "0", "true": "1"}
+_COMMENT = re.compile(r"\s*#\s*")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Table:
+    """The cells of a file, by the name of their column."""
+
+    path: Path
+    header: str
+    """`file:line` of the names."""
+    columns: Mapping[str, Sequence[str]]
+    lines: Sequence[int]
+    """Where each row stands in the file."""
+    remarks: Sequence[str]
+
+    def numbers(self, name: str) -> Array:
+        """A column; NaN where a cell is empty."""
+        cells = self.columns[name]
+        try:
+            values = np.array([float(cell) for cell in cells], dtype=np.float64)
+        except ValueError:
+            values = np.array([self._number(row, name) for row in range(len(cells))], dtype=np.float64)
+        self.refuse(name, np.isinf(values), "is not a finite number; leave the cell empty")
+        # Python reads 1_0 as ten, and nobody writes ten like this.
+        self.refuse(name, np.array(["_" in cell for cell in cells], dtype=bool), "is not a number")
+        return values
+
+    def switches(self, name: str) -> Array:
+        """A column of 0 and 1, or false and true; NaN where a cell is empty."""
+        words = [_WORDS.get(cell.strip().casefold(), cell) for cell in self.columns[name]]
+        values = replace(self, columns={name: words}).numbers(name)
+        odd = ~np.isnan(values) & (values != 0.0) & (values != 1.0)
+        self.refuse(name, odd, "is neither 0 (shut) nor 1 (open); check which column is which")
+        return values
+
+    def refuse(self, name: str, odd: NDArray[np.bool_], why: str) -> None:
+        """CaseError about the first cell of a column that is `odd`."""
+        if odd.any():
+            row = int(np.argmax(odd))
+            raise CaseError(f"{self.place(row, name)}: {_short(self.columns[name][row])} {why}")
+
+    def place(self, row: int, name: str) -> str:
+        """What an error about a cell begins with."""
+        return f"{self.path}:{self.lines[row]}: {name}"
+
+    def _number(self, row: int, name: str) -> float:
+        cell = self.columns[name][row].strip()
+        if cell.casefold() in _MISSING:
+            return float("nan")
+        try:
+            return float(cell)
+        except ValueError:
+            pass
+        if _DECIMAL_COMMA.fullmatch(cell):
+            why = "has a decimal comma; write the numbers with a decimal point"
+        else:
+            why = "is not a number; leave the cell empty if there was no reading"
+        raise CaseError(f"{self.place(row, name)}: {_short(cell)} {why}")
+
+
+def read_table(path: Path) -> Table:
+    """The cells of a CSV file. CaseError where it is none."""
+    lines = _lines_of(path)
+    at, separator, names = _names(path, lines)
+    header = f"{path}:{at + 1}"
+    while names and not names[-1]:
+        del names[-1]
+    for name in names:
+        if name and names.count(name) > 1:
+            raise CaseError(f"{header}: two columns are named {name}; remove one")
+    remarks = []
+    if any(_is_content(line) for line in lines[:at]):
+        remarks.append(f"{path.name}: what stands above the line of column names is ignored")
+    kept = [number for number in range(at + 1, len(lines)) if _is_content(lines[number])]
+    rows = list(_rows(path, lines, kept, separator))
+    if rows and (len(rows[-1]) < len(names) or (lines[-1] and _is_cut_off(rows))):
+        remarks.append(f"{path.name}: the last line is cut off, and left out")
+        del rows[-1], kept[-1]
+    for number, row in zip(kept, rows, strict=True):
+        if len(row) < len(names) or any(cell.strip() for cell in row[len(names) :]):
+            raise CaseError(
+                f"{path}:{number + 1}: has {len(row)} cells where there are {len(names)} columns; "
+                "each row needs one cell a column, and numbers a decimal point"
+            )
+    cells = list(zip(*rows, strict=False)) or [()] * len(names)
+    columns = dict(zip(names, cells, strict=False))
+    return Table(path, header, columns, [number + 1 for number in kept], remarks)
+
+
+def _rows(path: Path, lines: Sequence[str], kept: Sequence[int], separator: str) -> Iterator[list[str]]:
+    """The cells of each line in `kept` (numbered from 0)."""
+    reader = csv.reader((lines[number] for number in kept), delimiter=separator)
+    for index, number in enumerate(kept):
+        try:
+            row = next(reader)
+        except csv.Error as error:
+            raise CaseError(f"{path}:{number + 1}: is no line of a CSV: {error}") from None
+        if reader.line_num != index + 1:
+            raise CaseError(f"{path}:{number + 1}: a quotation mark is not closed; remove it")
+        yield row
+
+
+def _is_cut_off(rows: Sequence[Sequence[str]]) -> bool:
+    """Whether the last number lacks decimals that all others have: the power failed while it was written."""
+    *others, last = (len(row[-1].strip().partition(".")[2]) for row in rows)
+    return len(set(others)) == 1 and len(rows[-1][-1].strip()) > 0 and last < others[0]
+
+
+def _names(path: Path, lines: Sequence[str]) -> tuple[int, str, list[str]]:
+    """The column names: on which line (from 0) they stand, and what separates them."""
+    for comment in (False, True):
+        for at, line in enumerate(lines):
+            if TIME not in line or (comment and _COMMENT.match(line) is None):
+                continue
+            separator = _separator(line)
+            names = [name.strip() for name in _cells(_COMMENT.sub("", line) if comment else line, separator)]
+            if TIME in names:
+                return at, separator, names
+    raise CaseError(_no_names(path, lines))
+
+
+def _separator(line: str) -> str:
+    return max(_SEPARATORS, key=line.count)
+
+
+def _lines_of(path: Path) -> list[str]:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise CaseError(f"{path}: no such file") from None
+    except OSError as error:
+        raise CaseError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise CaseError(f"{path}:{line}: is not UTF-8 text; save the recording as CSV in UTF-8") from None
+    if "\0" in text:
+        raise CaseError(f"{path}: is not a text file; save the recording as CSV in UTF-8")
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def _is_content(line: str) -> bool:
+    """Neither a comment nor empty, nor what a spreadsheet writes for an empty row."""
+    bare = line.strip(" \t,;")
+    return bool(bare) and not bare.startswith("#")
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    try:
+        return next(csv.reader([line], delimiter=separator), [])
+    except csv.Error:
+        return []
+
+
+def _no_names(path: Path, lines: Sequence[str]) -> str:
+    """Why there is no line of column names."""
+    contents = [(number, line) for number, line in enumerate(lines, start=1) if _is_content(line)]
+    if not contents:
+        return f"{path}: is empty; remove it, or record again"
+    number, line = contents[0]
+    names = _cells(line, _separator(line))
+    need = "the first line has to name the columns: time_s, evp_opening, cv_pressure_kPa and so on"
+    try:
+        float(names[0].strip().replace(",", "."))
+    except ValueError:
+        return f"{path}:{number}: there is no column {TIME} among {_short(', '.join(names), 60)}; {need}"
+    return f"{path}:{number}: the columns have no names; {need}"
+
+
+def _short(text: str, most: int = 30) -> str:
+    return repr(text if len(text) <= most else text[: most - 1] + "…")

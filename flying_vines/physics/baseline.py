@@ -1,0 +1,88 @@
+"""The baseline simulation: isothermal gas, Ohm's law of flow, affine valves, rigid volumes.
+
+    Q_e = u_e (P_r − P_cv) / R_evp      into the control volume
+    Q_m = u_d P_r / R_dvp               motive air through the Venturi
+    Q_o = s (P_cv + P_vac) / R_sol      out of the control volume
+    P_vac = full_vacuum u_d min(1, P_r / rated_supply)
+
+    dP_r/dt  = −α (Q_e + Q_m) / V_r
+    dP_cv/dt =  α (Q_e − Q_o) / V_cv
+
+Pressures in kPa gauge, flows in standard litres per second. Plain floats, for a thousand steps a second.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from flying_vines.physics.rig import Rig
+
+ALPHA_KPA = 101.325
+"""ρ Rᵤ T / M: kPa of a litre into which a standard litre went."""
+
+
+class State(NamedTuple):
+    """kPa gauge."""
+
+    reservoir_kPa: float
+    cv_kPa: float
+
+
+class Inputs(NamedTuple):
+    """Openings 0…1; the solenoid open or closed."""
+
+    evp: float
+    dvp: float
+    solenoid: bool
+
+
+class Flows(NamedTuple):
+    """Standard litres per second."""
+
+    evp_SL_per_s: float
+    motive_SL_per_s: float
+    outlet_SL_per_s: float
+
+
+def flows(rig: Rig, state: State, inputs: Inputs) -> Flows:
+    """What flows through each valve. Without a control volume the inflation valve opens to atmosphere."""
+    reservoir_kPa, cv_kPa = state
+    evp, dvp, solenoid = inputs
+    inflation = evp * (reservoir_kPa - cv_kPa) / rig.evp.flow_resistance_kPa_s_per_SL
+    motive = dvp * reservoir_kPa / rig.dvp.flow_resistance_kPa_s_per_SL
+    if not solenoid or rig.cv is None:
+        return Flows(inflation, motive, 0.0)
+    venturi = rig.venturi
+    vacuum_kPa = venturi.full_vacuum_kPa * dvp * min(1.0, reservoir_kPa / venturi.rated_supply_kPa)
+    outlet = (cv_kPa + vacuum_kPa) / rig.solenoid.flow_resistance_kPa_s_per_SL
+    # A running Venturi lets nothing back in; a Venturi at rest is an open pipe.
+    if dvp > 0.0 and outlet < 0.0:
+        outlet = 0.0
+    return Flows(inflation, motive, outlet)
+
+
+def derivatives(rig: Rig, state: State, inputs: Inputs) -> tuple[float, float]:
+    """dP_r/dt and dP_cv/dt, kPa/s."""
+    inflation, motive, outlet = flows(rig, state, inputs)
+    reservoir = -ALPHA_KPA * (inflation + motive) / rig.reservoir.volume_L
+    if rig.cv is None:
+        return reservoir, 0.0
+    return reservoir, ALPHA_KPA * (inflation - outlet) / rig.cv.volume_L
+
+
+def step(rig: Rig, state: State, inputs: Inputs, dt_s: float) -> State:
+    """The state `dt_s` later, inputs held (Runge-Kutta of fourth order, one step).
+
+    Good while `dt_s` is short against the quickest time constant, R_sol V_cv / α: 69 ms for the vine.
+    """
+    reservoir, cv = state
+    half = dt_s / 2.0
+    r1, c1 = derivatives(rig, state, inputs)
+    r2, c2 = derivatives(rig, State(reservoir + half * r1, cv + half * c1), inputs)
+    r3, c3 = derivatives(rig, State(reservoir + half * r2, cv + half * c2), inputs)
+    r4, c4 = derivatives(rig, State(reservoir + dt_s * r3, cv + dt_s * c3), inputs)
+    sixth = dt_s / 6.0
+    return State(
+        reservoir + sixth * (r1 + 2.0 * (r2 + r3) + r4),
+        cv + sixth * (c1 + 2.0 * (c2 + c3) + c4),
+    )

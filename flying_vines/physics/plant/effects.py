@@ -1,0 +1,46 @@
+"""Which effects a rig has. What is None is as in the baseline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flying_vines.physics.plant.ambient import Ambient
+from flying_vines.physics.plant.coil import Coil
+from flying_vines.physics.plant.flow import FlowLaw, Iso6358
+from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion
+from flying_vines.physics.plant.shape import Shape
+from flying_vines.physics.plant.tubing import Tubing
+from flying_vines.physics.plant.venturi import Ejector
+from flying_vines.physics.plant.wall import Wall
+
+
+@dataclass(frozen=True)
+class Effects:
+    """Each one may be left out.
+
+    `*_law`: how a fully open valve flows (None: Ohm with the rig's resistance). `*_wall`: gas with a
+    temperature of its own (None: isothermal). `*_motion`, `*_coil`: how a valve follows its command.
+    `*_leak`: an opening to ambient that is always there. `ambient`: None is 101.325 kPa and 293.15 K.
+    """
+
+    evp_law: FlowLaw | None = None
+    dvp_law: FlowLaw | None = None
+    solenoid_law: FlowLaw | None = None
+    ejector: Ejector | None = None
+    reservoir_wall: Wall | None = None
+    cv_wall: Wall | None = None
+    evp_motion: ValveMotion | None = None
+    dvp_motion: ValveMotion | None = None
+    evp_coil: Coil | None = None
+    dvp_coil: Coil | None = None
+    solenoid_timing: SolenoidTiming | None = None
+    tubing: Tubing | None = None
+    cv_shape: Shape | None = None
+    reservoir_leak: FlowLaw | None = None
+    cv_leak: FlowLaw | None = None
+    ambient: Ambient | None = None
+
+    def __post_init__(self) -> None:
+        nozzle = self.ejector is not None and self.ejector.nozzle_conductance_SL_per_s_kPa is not None
+        if nozzle and not isinstance(self.dvp_law, Iso6358):
+            raise ValueError("a nozzle in series needs a supply valve that follows ISO 6358")

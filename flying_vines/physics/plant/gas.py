@@ -1,0 +1,48 @@
+"""The gas: what is known of air in a bottle without solving anything.
+
+Air is counted in standard litres (101.325 kPa, 293.15 K), so that a volume V with n SL at a temperature ratio
+θ = T / 293.15 K has the absolute pressure α n θ / V. A kPa·L is a joule, and p V / (γ − 1) is internal
+energy.
+"""
+
+from __future__ import annotations
+
+import math
+
+from flying_vines.physics.baseline import ALPHA_KPA
+
+GAMMA = 1.4
+"""c_p / c_v of dry air."""
+STANDARD_PRESSURE_KPA = 101.325
+STANDARD_TEMPERATURE_K = 293.15
+
+
+def air_SL(pressure_kPa_abs: float, volume_L: float, temperature_K: float = STANDARD_TEMPERATURE_K) -> float:
+    """Standard litres in a volume: n = p V / (α θ), the ideal gas law."""
+    return pressure_kPa_abs * volume_L * STANDARD_TEMPERATURE_K / (ALPHA_KPA * temperature_K)
+
+
+def choked_time_constant_s(volume_L: float, sonic_conductance_SL_per_s_kPa: float) -> float:
+    """τ = V / (α C), s: how quickly a volume empties through a choked valve, at standard temperature."""
+    return volume_L / (ALPHA_KPA * sonic_conductance_SL_per_s_kPa)
+
+
+def isothermal_choked_discharge_kPa_abs(start_kPa_abs: float, t_s: float, time_constant_s: float) -> float:
+    """p = p₀ exp(−t/τ): absolute pressure while the flow is choked and the gas stays at its temperature."""
+    return start_kPa_abs * math.exp(-t_s / time_constant_s)
+
+
+def adiabatic_choked_discharge_kPa_abs(start_kPa_abs: float, t_s: float, time_constant_s: float) -> float:
+    """p = p₀ [1 + (γ−1)/2 · t/τ]^(−2γ/(γ−1)): the same without heat, the flow going with 1/√T.
+
+    Textbook vessel blow-down, e.g. aefarrell.github.io/2025/01/24/vessel_blowdown_ideal_gases.
+    """
+    exponent = -2.0 * GAMMA / (GAMMA - 1.0)
+    return start_kPa_abs * float((1.0 + (GAMMA - 1.0) / 2.0 * t_s / time_constant_s) ** exponent)
+
+
+def polytropic_temperature_K(
+    start_K: float, start_kPa_abs: float, kPa_abs: float, exponent: float = GAMMA
+) -> float:
+    """T = T₀ (p/p₀)^((n−1)/n): gas that stays behind while a bottle empties; n = γ without heat."""
+    return start_K * float((kPa_abs / start_kPa_abs) ** ((exponent - 1.0) / exponent))

@@ -1,0 +1,39 @@
+"""A phloSAR as it probably is: every effect on, with numbers of real parts where there are some."""
+
+from __future__ import annotations
+
+from flying_vines.physics.plant.coil import Coil
+from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.flow import Iso6358, Ohm, conductance_from_rating_SL_per_s_kPa
+from flying_vines.physics.plant.motion import CLIPPARD_DVP, CLIPPARD_EVP, HUAMEI_12V
+from flying_vines.physics.plant.shape import Pouch
+from flying_vines.physics.plant.tubing import Tubing
+from flying_vines.physics.plant.venturi import COVAL_VR09
+from flying_vines.physics.plant.wall import PET_BOTTLE_2L, Wall
+
+EVP = Iso6358(conductance_from_rating_SL_per_s_kPa(23.5, 690.0))
+"""C from the rating; b = 0.3 as valves with fittings have it: assumption."""
+DVP = Iso6358(conductance_from_rating_SL_per_s_kPa(67.0, 690.0))
+SOLENOID = Iso6358(3.65e-3)
+"""C = 0.37 dm³/(s·bar), within what small solenoids have: 70 kPa·s/SL from 20 kPa. Assumption."""
+
+
+def likely_effects(*, pouch: bool = True) -> Effects:
+    """All of them. A pouch fits a control volume above its flat 0.01 L; leaks let 5 % go in two minutes."""
+    return Effects(
+        evp_law=EVP,
+        dvp_law=DVP,
+        solenoid_law=SOLENOID,
+        ejector=COVAL_VR09,
+        reservoir_wall=PET_BOTTLE_2L,
+        cv_wall=Wall(conductance_W_per_K=0.3, capacity_J_per_K=20.0, outer_conductance_W_per_K=0.5),
+        evp_motion=CLIPPARD_EVP,
+        dvp_motion=CLIPPARD_DVP,
+        evp_coil=Coil(),
+        dvp_coil=Coil(),
+        solenoid_timing=HUAMEI_12V,
+        tubing=Tubing(),
+        cv_shape=Pouch(per_kPa=0.002) if pouch else None,
+        reservoir_leak=Ohm(100_000.0),
+        cv_leak=Ohm(20_000.0),
+    )

@@ -1,0 +1,139 @@
+"""A plant as nothing but numbers: what the right-hand side calculates with.
+
+A description says what there is and refuses what cannot be; here every effect has its numbers, and one that
+is left out has those that change nothing. So the functions of `rates` and `tick` are the same for every
+plant, and a compiler for numbers takes them as they are.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.plant.coil import Coil
+from flying_vines.physics.plant.flow import FlowLaw, Ohm, Opening
+from flying_vines.physics.plant.gas import GAMMA
+from flying_vines.physics.plant.motion import ValveMotion, ticks
+from flying_vines.physics.plant.plant import Plant
+from flying_vines.physics.plant.shape import Chamber
+from flying_vines.physics.plant.venturi import Ejector, Suction
+from flying_vines.physics.plant.wall import Heat
+
+
+class Valve(NamedTuple):
+    """A proportional valve: how it flows when it is fully open, and how it follows its command."""
+
+    law: Opening
+    motion: ValveMotion
+    delay_ticks: int
+    lag_per_s: float
+    """1/τ; 0: it is where it is driven to."""
+    has_coil: bool
+    coil: Coil
+    stuck_opening: float = -1.0
+    """0…1: it goes there, and stays, whatever it is told. Below 0: it does as it is told."""
+
+
+class Numbers(NamedTuple):
+    """A plant, for ticks of `tick_s`."""
+
+    tick_s: float
+    least_steps: int
+    """Of a tick, however slow everything is."""
+    reservoir_per_L: float
+    reservoir_heat: Heat
+    reservoir_leak: Opening
+    evp: Valve
+    dvp: Valve
+    venturi: Suction
+    solenoid: Opening
+    solenoid_opening_ticks: int
+    solenoid_closing_ticks: int
+    has_cv: bool
+    cv: Chamber
+    cv_heat: Heat
+    cv_leak: Opening
+    has_tubing: bool
+    line_kPa_per_SL: float
+    line_SL_per_s_kPa: float
+    line_hole: Opening
+    """From the tubing's near end to ambient."""
+    has_edges: bool
+    """Whether the right-hand side has kinks or jumps that a step must not pass."""
+    standing_per_s: float
+    """A bound on the quickest rate of what does not depend on where the valves and the volume are."""
+
+
+def numbers_of(plant: Plant, tick_s: float) -> Numbers:
+    """The numbers of a plant."""
+    rig, effects = plant.rig, plant.effects
+    evp = _valve(
+        effects.evp_law, rig.evp.flow_resistance_kPa_s_per_SL, effects.evp_motion, effects.evp_coil, tick_s
+    )
+    dvp = _valve(
+        effects.dvp_law, rig.dvp.flow_resistance_kPa_s_per_SL, effects.dvp_motion, effects.dvp_coil, tick_s
+    )
+    timing, tubing = effects.solenoid_timing, effects.tubing if rig.cv else None
+    venturi = (effects.ejector or Ejector()).numbers(rig.venturi)
+    reservoir_heat = effects.reservoir_wall.numbers() if effects.reservoir_wall else Heat()
+    cv_heat = effects.cv_wall.numbers() if effects.cv_wall and rig.cv else Heat()
+    cv = plant.shape.numbers(plant.cv_volume_L, GAMMA - 1.0 if cv_heat.own_temperature else 0.0)
+    reservoir_leak = effects.reservoir_leak.numbers() if effects.reservoir_leak else Opening()
+    reservoir_gas = GAMMA if effects.reservoir_wall else 1.0
+    steepest = evp.law.steepest_SL_per_s_kPa + dvp.law.steepest_SL_per_s_kPa
+    standing_per_s = max(
+        ALPHA_KPA
+        * reservoir_gas
+        * (steepest + reservoir_leak.steepest_SL_per_s_kPa)
+        / rig.reservoir.volume_L,
+        _heat_per_s(reservoir_heat, rig.reservoir.volume_L),
+        _heat_per_s(cv_heat, cv.flat_L),
+        evp.lag_per_s,
+        dvp.lag_per_s,
+    )
+    return Numbers(
+        tick_s=tick_s,
+        least_steps=1,
+        reservoir_per_L=1.0 / rig.reservoir.volume_L,
+        reservoir_heat=reservoir_heat,
+        reservoir_leak=reservoir_leak,
+        evp=evp,
+        dvp=dvp,
+        venturi=venturi,
+        solenoid=_opening(effects.solenoid_law, rig.solenoid.flow_resistance_kPa_s_per_SL),
+        solenoid_opening_ticks=ticks(timing.opening_s, tick_s) if timing else 0,
+        solenoid_closing_ticks=ticks(timing.closing_s, tick_s) if timing else 0,
+        has_cv=rig.cv is not None,
+        cv=cv,
+        cv_heat=cv_heat,
+        cv_leak=effects.cv_leak.numbers() if effects.cv_leak else Opening(),
+        has_tubing=tubing is not None,
+        line_kPa_per_SL=ALPHA_KPA / tubing.volume_L if tubing else 0.0,
+        line_SL_per_s_kPa=1.0 / tubing.flow_resistance_kPa_s_per_SL if tubing else 0.0,
+        line_hole=Opening(),
+        has_edges=venturi.stall_supply_kPa > 0.0 or cv.full_edge_L > 0.0,
+        standing_per_s=standing_per_s,
+    )
+
+
+def _opening(law: FlowLaw | None, flow_resistance_kPa_s_per_SL: float) -> Opening:
+    return (Ohm(flow_resistance_kPa_s_per_SL) if law is None else law).numbers()
+
+
+def _valve(
+    law: FlowLaw | None, resistance: float, motion: ValveMotion | None, coil: Coil | None, tick_s: float
+) -> Valve:
+    motion = motion or ValveMotion()
+    return Valve(
+        _opening(law, resistance),
+        motion,
+        ticks(motion.delay_s, tick_s),
+        1.0 / motion.time_constant_s if motion.time_constant_s > 0.0 else 0.0,
+        coil is not None,
+        coil or Coil(),
+    )
+
+
+def _heat_per_s(heat: Heat, volume_L: float) -> float:
+    """How quickly gas at half an atmosphere, and the wall, take the other's temperature."""
+    return heat.per_air / ALPHA_KPA + heat.fixed / (0.5 * ALPHA_KPA * volume_L) + heat.wall_per_s

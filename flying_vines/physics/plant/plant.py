@@ -1,0 +1,113 @@
+"""A plant: a rig with effects, and the state that it is in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from flying_vines.physics.plant.ambient import Ambient, Steady
+from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.gas import GAMMA, air_SL
+from flying_vines.physics.plant.shape import Compliant, Shape
+from flying_vines.physics.rig import Rig
+
+
+@dataclass(frozen=True)
+class Plant:
+    """What there is. Without effects it is the baseline."""
+
+    rig: Rig = field(default_factory=Rig)
+    effects: Effects = field(default_factory=Effects)
+
+    def __post_init__(self) -> None:
+        if self.rig.cv is not None:
+            self.shape.numbers(self.rig.cv.volume_L, 0.0)
+
+    @property
+    def ambient(self) -> Ambient:
+        return Steady() if self.effects.ambient is None else self.effects.ambient
+
+    @property
+    def shape(self) -> Shape:
+        """The control volume's: rigid unless an effect says otherwise, or there is none."""
+        shape = self.effects.cv_shape
+        return Compliant() if shape is None or self.rig.cv is None else shape
+
+    @property
+    def cv_volume_L(self) -> float:
+        """Believed, at ambient pressure; of one litre where there is none, which then nothing flows into."""
+        return 1.0 if self.rig.cv is None else self.rig.cv.volume_L
+
+
+class State(NamedTuple):
+    """What is integrated. `reservoir_pV_J` is absolute pressure times volume, internal energy times (γ − 1);
+    `cv_energy_J` is that and (γ − 1) times the work done on wall and ambient (see `shape`).
+
+    Where an effect is left out its numbers stand still and mean nothing: pV of isothermal gas, a wall at
+    ambient temperature, the line without tubing, an opening without lag. `vented_SL` is air that has left to
+    ambient (less what came in).
+    """
+
+    reservoir_air_SL: float
+    reservoir_pV_J: float
+    reservoir_wall_K: float
+    cv_air_SL: float
+    cv_energy_J: float
+    cv_wall_K: float
+    line_air_SL: float
+    evp_opening: float
+    dvp_opening: float
+    vented_SL: float
+
+
+class Held(NamedTuple):
+    """What holds during one tick: where the valves are driven to, and how the Venturi stands."""
+
+    evp_target: float
+    dvp_target: float
+    solenoid_open: bool
+    venturi_stalled: bool = False
+
+
+class Conditions(NamedTuple):
+    """What is true at an instant. Pressures in kPa gauge, temperatures in K, volume in L."""
+
+    reservoir_kPa: float
+    cv_kPa: float
+    line_kPa: float
+    reservoir_K: float
+    cv_K: float
+    cv_volume_L: float
+    ambient_kPa: float
+    ambient_K: float
+
+
+def at_rest(
+    plant: Plant,
+    reservoir_kPa: float = 690.0,
+    cv_kPa: float = 0.0,
+    *,
+    t_s: float = 0.0,
+    pouch_volume_L: float | None = None,
+) -> State:
+    """Everything shut and at ambient temperature, gauge pressures as given.
+
+    A pouch at 0 kPa holds `pouch_volume_L`: flat if not given.
+    """
+    effects = plant.effects
+    ambient_kPa, ambient_K, _ = plant.ambient.at(t_s)
+    volume_L, work_J = plant.shape.at(plant.cv_volume_L, cv_kPa, ambient_kPa, pouch_volume_L)
+    reservoir_kPa_abs, cv_kPa_abs = reservoir_kPa + ambient_kPa, cv_kPa + ambient_kPa
+    line_L = effects.tubing.volume_L if effects.tubing else 0.0
+    return State(
+        air_SL(reservoir_kPa_abs, plant.rig.reservoir.volume_L, ambient_K),
+        reservoir_kPa_abs * plant.rig.reservoir.volume_L,
+        ambient_K,
+        air_SL(cv_kPa_abs, volume_L, ambient_K),
+        cv_kPa_abs * volume_L + (GAMMA - 1.0) * work_J,
+        ambient_K,
+        air_SL(cv_kPa_abs, line_L, ambient_K),
+        0.0,
+        0.0,
+        0.0,
+    )

@@ -1,0 +1,231 @@
+"""The right-hand side: what flows where, and how the state changes.
+
+    dn/dt     = ΣQ                                          air of each volume, SL
+    dE/dt     = γ α Σθ Q + q + (γ−1) (V − V_min) dp_a/dt    where gas has a temperature of its own, kPa·L/s
+    q         = (α n / τ + (γ−1) hA · 293.15 K) (θ_w − θ)   kPa·L/s
+    C_w dT_w/dt = −q/(γ−1) + h_o A_o (T_a − T_w)
+    dx/dt     = (target − x) / τ                            valves with lag
+
+Every flow carries the temperature of where it comes from; throttling changes none (ideal gas). E is p V, in
+the control volume with (γ−1) times the work done on wall and ambient (see `shape`): the first law, in which
+that work then appears only where ambient pressure changes.
+
+Plain functions over tuples of numbers: Python runs them as they stand, and `compiled` compiles them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.plant.ambient import Air
+from flying_vines.physics.plant.flow import flow_SL_per_s
+from flying_vines.physics.plant.gas import GAMMA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.plant.numbers import Numbers
+from flying_vines.physics.plant.plant import Conditions, Held
+from flying_vines.physics.plant.shape import pressure_and_volume
+from flying_vines.physics.plant.venturi import outlet_SL_per_s, supply
+from flying_vines.physics.plant.wall import heat_kPa_L_per_s, wall_K_per_s
+
+Floats = tuple[float, ...]
+"""A state's numbers, without their names."""
+_G1 = GAMMA - 1.0
+_GAMMA_ALPHA = GAMMA * ALPHA_KPA
+
+
+class Flows(NamedTuple):
+    """Standard litres per second, and heat into the gas in W.
+
+    Each flow's `…_ratio` is the temperature ratio (to 293.15 K) of what flows.
+    """
+
+    inflation_SL_per_s: float
+    inflation_ratio: float
+    motive_SL_per_s: float
+    motive_ratio: float
+    outlet_SL_per_s: float
+    outlet_ratio: float
+    reservoir_leak_SL_per_s: float
+    reservoir_leak_ratio: float
+    cv_leak_SL_per_s: float
+    cv_leak_ratio: float
+    line_to_cv_SL_per_s: float
+    line_to_cv_ratio: float
+    reservoir_heat_W: float
+    cv_heat_W: float
+
+
+def flows(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held) -> Flows:
+    """What flows where, `at_s` after the start of what `air` tells."""
+    found = _balance(numbers, air, at_s, state, held)
+    return Flows._make((*found[:12], found[12] / _G1, found[13] / _G1))
+
+
+def rates(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held) -> Floats:
+    """The state's change per second, `at_s` after the start of what `air` tells."""
+    (
+        evp, evp_ratio, motive, motive_ratio, outlet, outlet_ratio,
+        leak_r, leak_r_ratio, leak_c, leak_c_ratio, onward, onward_ratio,
+        heat_r, heat_c, lost, ratio_a, volume,
+    ) = _balance(numbers, air, at_s, state, held)  # fmt: skip
+    reservoir_pV = reservoir_wall = cv_energy = cv_wall = cv_air = line_air = 0.0
+    vented = motive + outlet + leak_r + leak_c + lost
+    if numbers.reservoir_heat.own_temperature:
+        reservoir_pV = heat_r - _GAMMA_ALPHA * (
+            evp_ratio * evp + motive_ratio * motive + leak_r_ratio * leak_r
+        )
+        reservoir_wall = wall_K_per_s(numbers.reservoir_heat, heat_r, state[2], ratio_a)
+    if not numbers.has_cv:
+        vented += evp
+    else:
+        if numbers.has_tubing:
+            line_air = evp - outlet - onward - lost
+            cv_air = onward - leak_c
+            enthalpy = onward_ratio * onward - leak_c_ratio * leak_c
+        else:
+            cv_air = evp - outlet - leak_c
+            enthalpy = evp_ratio * evp - outlet_ratio * outlet - leak_c_ratio * leak_c
+        if numbers.cv_heat.own_temperature:
+            cv_energy = _GAMMA_ALPHA * enthalpy + heat_c + _G1 * (volume - numbers.cv.flat_L) * air.kPa_per_s
+            cv_wall = wall_K_per_s(numbers.cv_heat, heat_c, state[5], ratio_a)
+    return (
+        -(evp + motive + leak_r),
+        reservoir_pV,
+        reservoir_wall,
+        cv_air,
+        cv_energy,
+        cv_wall,
+        line_air,
+        (held.evp_target - state[7]) * numbers.evp.lag_per_s,
+        (held.dvp_target - state[8]) * numbers.dvp.lag_per_s,
+        vented,
+    )
+
+
+def _balance(
+    numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held
+) -> tuple[
+    float, float, float, float, float, float, float, float, float,
+    float, float, float, float, float, float, float, float,
+]:  # fmt: skip
+    """All flows with their temperatures, the heats, what the line loses, ambient temperature, and the
+    control volume."""
+    n_r, e_r, wall_r, n_c, e_c, wall_c, n_l, x_e, x_d, _ = state
+    if numbers.evp.lag_per_s == 0.0:
+        x_e = held.evp_target
+    if numbers.dvp.lag_per_s == 0.0:
+        x_d = held.dvp_target
+    ambient = air.kPa + air.kPa_per_s * at_s
+    ratio_a = air.ratio + air.ratio_per_s * at_s
+
+    ratio_r, heat_r = ratio_a, 0.0
+    if numbers.reservoir_heat.own_temperature:
+        ratio_r = e_r / (ALPHA_KPA * n_r)
+        heat_r = heat_kPa_L_per_s(numbers.reservoir_heat, n_r, ratio_r, wall_r, ratio_a)
+    else:
+        e_r = ALPHA_KPA * n_r * ratio_a
+    p_r = e_r * numbers.reservoir_per_L
+
+    leak_r = flow_SL_per_s(numbers.reservoir_leak, p_r, ambient, ratio_r, ratio_a)
+    motive = vacuum = 0.0
+    if x_d > 0.0:
+        motive, vacuum = supply(numbers.venturi, numbers.dvp.law, x_d, p_r, ambient, ratio_r, ratio_a)
+        if held.venturi_stalled:
+            vacuum = 0.0
+
+    evp = outlet = leak_c = onward = heat_c = lost = volume = 0.0
+    ratio_c = ratio_near = ratio_a
+    if not numbers.has_cv:
+        if x_e > 0.0:
+            evp = x_e * flow_SL_per_s(numbers.evp.law, p_r, ambient, ratio_r, ratio_a)
+    else:
+        if not numbers.cv_heat.own_temperature:
+            e_c = ALPHA_KPA * n_c * ratio_a
+        p_c, volume = pressure_and_volume(numbers.cv, e_c, ambient)
+        if numbers.cv_heat.own_temperature:
+            ratio_c = p_c * volume / (ALPHA_KPA * n_c)
+            heat_c = heat_kPa_L_per_s(numbers.cv_heat, n_c, ratio_c, wall_c, ratio_a)
+        if numbers.has_tubing:
+            near = n_l * ratio_a * numbers.line_kPa_per_SL
+            onward = (near - p_c) * numbers.line_SL_per_s_kPa
+            if numbers.line_hole.conductance_SL_per_s_kPa > 0.0:
+                lost = flow_SL_per_s(numbers.line_hole, near, ambient, ratio_near, ratio_a)
+        else:
+            near, ratio_near = p_c, ratio_c
+        if x_e > 0.0:
+            evp = x_e * flow_SL_per_s(numbers.evp.law, p_r, near, ratio_r, ratio_near)
+        # As the baseline: a running Venturi lets nothing back in, a Venturi at rest is an open pipe.
+        if held.solenoid_open and (near > ambient - vacuum or held.dvp_target <= 0.0):
+            outlet = outlet_SL_per_s(
+                numbers.venturi, numbers.solenoid, near, ratio_near, ambient, ratio_a, vacuum, motive
+            )
+        leak_c = flow_SL_per_s(numbers.cv_leak, p_c, ambient, ratio_c, ratio_a)
+    return (
+        evp, ratio_r if evp >= 0.0 else ratio_near,
+        motive, ratio_r if motive >= 0.0 else ratio_a,
+        outlet, ratio_near if outlet >= 0.0 else ratio_a,
+        leak_r, ratio_r if leak_r >= 0.0 else ratio_a,
+        leak_c, ratio_c if leak_c >= 0.0 else ratio_a,
+        onward, ratio_a if onward >= 0.0 else ratio_c,
+        heat_r, heat_c, lost, ratio_a, volume,
+    )  # fmt: skip
+
+
+def conditions(numbers: Numbers, air: Air, state: Floats) -> Conditions:
+    """What is true of a state, at the start of what `air` tells."""
+    n_r, e_r, _, n_c, e_c, _, n_l, _, _, _ = state
+    ambient, ambient_K = air.kPa, air.ratio * STANDARD_TEMPERATURE_K
+    if not numbers.reservoir_heat.own_temperature:
+        e_r = ALPHA_KPA * n_r * air.ratio
+    reservoir_kPa = e_r * numbers.reservoir_per_L - ambient
+    reservoir_K = e_r / (ALPHA_KPA * n_r) * STANDARD_TEMPERATURE_K
+    if not numbers.has_cv:
+        return Conditions(reservoir_kPa, 0.0, 0.0, reservoir_K, ambient_K, 0.0, ambient, ambient_K)
+    if not numbers.cv_heat.own_temperature:
+        e_c = ALPHA_KPA * n_c * air.ratio
+    p_c, volume = pressure_and_volume(numbers.cv, e_c, ambient)
+    near = n_l * air.ratio * numbers.line_kPa_per_SL if numbers.has_tubing else p_c
+    return Conditions(
+        reservoir_kPa,
+        p_c - ambient,
+        near - ambient,
+        reservoir_K,
+        p_c * volume / (ALPHA_KPA * n_c) * STANDARD_TEMPERATURE_K,
+        volume,
+        ambient,
+        ambient_K,
+    )
+
+
+def edges(numbers: Numbers, air: Air, at_s: float, state: Floats) -> tuple[float, float, float]:
+    """Each changes its sign where the right-hand side has a jump or kink: the Venturi stalls; the control
+    volume becomes flat, full."""
+    ambient = air.kPa + air.kPa_per_s * at_s
+    ratio = air.ratio + air.ratio_per_s * at_s
+    stall = 1.0
+    if numbers.venturi.stall_supply_kPa > 0.0:
+        pV = state[1] if numbers.reservoir_heat.own_temperature else ALPHA_KPA * state[0] * ratio
+        stall = pV * numbers.reservoir_per_L - ambient - numbers.venturi.stall_supply_kPa
+    energy = state[4] if numbers.cv_heat.own_temperature else ALPHA_KPA * state[3] * ratio
+    return stall, energy - numbers.cv.flat_edge_L * ambient, energy - numbers.cv.full_edge_L * ambient
+
+
+def quickest_per_s(numbers: Numbers, air: Air, state: Floats, held: Held) -> float:
+    """A bound on the quickest rate of a tick that begins here: what an explicit integrator has to resolve."""
+    if not numbers.has_cv:
+        return numbers.standing_per_s
+    through = max(state[7], held.evp_target) * numbers.evp.law.steepest_SL_per_s_kPa
+    if held.solenoid_open:
+        through += numbers.solenoid.steepest_SL_per_s_kPa
+    energy, gas = state[4], GAMMA
+    if not numbers.cv_heat.own_temperature:
+        energy, gas = ALPHA_KPA * state[3] * air.ratio, 1.0
+    per_litre = gas / pressure_and_volume(numbers.cv, energy, air.kPa)[1]
+    leak = numbers.cv_leak.steepest_SL_per_s_kPa
+    if numbers.has_tubing:
+        line = numbers.line_SL_per_s_kPa
+        through += numbers.line_hole.steepest_SL_per_s_kPa
+        quickest = (through + line) * numbers.line_kPa_per_SL + ALPHA_KPA * (line + leak) * per_litre
+    else:
+        quickest = ALPHA_KPA * (through + leak) * per_litre
+    return max(numbers.standing_per_s, quickest)

@@ -1,0 +1,93 @@
+"""A plant that lives, one tick of the firmware after the other."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from flying_vines.physics.baseline import Inputs
+from flying_vines.physics.plant.ambient import Steady, air_at, air_between
+from flying_vines.physics.plant.gas import STANDARD_TEMPERATURE_K
+from flying_vines.physics.plant.numbers import Numbers, numbers_of
+from flying_vines.physics.plant.plant import Conditions, Held, Plant, State, at_rest
+from flying_vines.physics.plant.rates import conditions
+from flying_vines.physics.plant.tick import memory_at_rest, tick
+
+TICK_S = 0.001
+SHUT = Inputs(0.0, 0.0, False)
+
+
+class Simulator:
+    """`advance` by ticks with the firmware's commands; ask `conditions` in between.
+
+    `initial` is what the delays still hold of before; lag starts from the state, play closed, coils at the
+    ambient temperature. The same plant, state and commands give the same floats. `numbers` and `state` may be
+    exchanged between ticks.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        state: State | None = None,
+        *,
+        initial: Inputs = SHUT,
+        t_s: float = 0.0,
+        tick_s: float = TICK_S,
+    ) -> None:
+        self.plant = plant
+        self.numbers = numbers_of(plant, tick_s)
+        self.state = at_rest(plant, t_s=t_s) if state is None else state
+        self._start_s = t_s
+        self._ticks = 0
+        self._steady = isinstance(plant.ambient, Steady)
+        self._air = air_at(plant.ambient, t_s)
+        self._memory = memory_at_rest(bool(initial.solenoid), self._air.ratio * STANDARD_TEMPERATURE_K)
+        self._evp_line = deque((initial.evp,) * self.numbers.evp.delay_ticks)
+        self._dvp_line = deque((initial.dvp,) * self.numbers.dvp.delay_ticks)
+        # What the last tick was given, if it changed nothing.
+        self._at_rest: tuple[Numbers, State, float, float, bool] | None = None
+
+    @property
+    def t_s(self) -> float:
+        return self._start_s + self._ticks * self.numbers.tick_s
+
+    @property
+    def conditions(self) -> Conditions:
+        """Pressures and temperatures now."""
+        return conditions(self.numbers, self._air, self.state)
+
+    @property
+    def held(self) -> Held:
+        """What held during the last tick."""
+        memory = self._memory
+        return Held(memory.evp.target, memory.dvp.target, memory.solenoid_open, memory.venturi_stalled)
+
+    @property
+    def evp_coil_K(self) -> float:
+        return self._memory.evp.coil_K
+
+    def advance(self, command: Inputs) -> bool:
+        """One tick, for which the firmware commands this; whether anything changed."""
+        evp, dvp, solenoid = command
+        if self._evp_line:
+            self._evp_line.append(evp)
+            evp = self._evp_line.popleft()
+        if self._dvp_line:
+            self._dvp_line.append(dvp)
+            dvp = self._dvp_line.popleft()
+        self._ticks += 1
+        air = during = self._air
+        if not self._steady:
+            air = air_at(self.plant.ambient, self.t_s)
+            during = air_between(self._air, air, self.numbers.tick_s)
+        told = bool(solenoid)
+        given = (self.numbers, self.state, evp, dvp, told)
+        # What changed nothing changes nothing again. A vine waits most of its time.
+        if given == self._at_rest:
+            return False
+        memory, state = tick(self.numbers, during, self._memory, self.state, evp, dvp, told)
+        resting = self._steady and state == self.state and memory == self._memory
+        self._at_rest = given if resting else None
+        self._memory = memory
+        self._air = air
+        self.state = State._make(state)
+        return True

@@ -1,0 +1,192 @@
+"""One tick of the firmware: what the commands move, and the gas meanwhile.
+
+Within a tick what the valves are driven to holds, and the gas is integrated by classical Runge–Kutta in as
+many equal steps as its quickest part needs now, more of them after a jump. Where the law has a kink or jump
+(a pouch becomes full, the Venturi stalls) the step ends there.
+"""
+
+from __future__ import annotations
+
+from math import ceil
+from typing import NamedTuple
+
+from flying_vines.physics.plant.ambient import Air
+from flying_vines.physics.plant.coil import current_A, temperature_after_K
+from flying_vines.physics.plant.gas import STANDARD_TEMPERATURE_K
+from flying_vines.physics.plant.motion import backlash, dead_zone, solenoid_after
+from flying_vines.physics.plant.numbers import Numbers, Valve
+from flying_vines.physics.plant.plant import Held
+from flying_vines.physics.plant.rates import Floats, edges, quickest_per_s, rates
+
+_LONGEST_STEP = 2.3
+"""In quickest time constants; Runge–Kutta is stable to 2.8."""
+_SHORT_STEP = 0.25
+"""So short a step needs no finer ones."""
+_FINER = 3
+_FINE_TICKS = 3
+"""So much finer, and so long, after a jump of a valve, a turn of the solenoid, or an edge."""
+_JUMP = 0.1
+"""Of where a valve is driven to."""
+_ARRIVED = 1e-9
+"""So near an opening is where it is driven to."""
+_GRAZE = 1e-7
+"""Who passes an edge by less (kPa, kPa·L) rests upon it."""
+_MOST_PARTS = 3
+"""How often a tick is divided at edges: as often as a plant has edges."""
+
+
+class ValveMemory(NamedTuple):
+    """What one tick hands to the next."""
+
+    target: float
+    passed_on: float
+    """By the play."""
+    coil_K: float
+
+
+class Memory(NamedTuple):
+    """What there is beside the gas."""
+
+    evp: ValveMemory
+    dvp: ValveMemory
+    solenoid_open: bool
+    solenoid_waited_ticks: int
+    venturi_stalled: bool
+    fine_ticks: int
+
+
+def memory_at_rest(solenoid_open: bool, ambient_K: float) -> Memory:
+    """Valves shut, play closed, coils at ambient temperature."""
+    valve = ValveMemory(0.0, 0.0, ambient_K)
+    return Memory(valve, valve, solenoid_open, 0, False, 0)
+
+
+def tick(
+    numbers: Numbers, air: Air, memory: Memory, state: Floats, evp: float, dvp: float, solenoid: bool
+) -> tuple[Memory, Floats]:
+    """What is remembered and the state one tick later, for which the valves are told this.
+
+    Openings as they come out of their delays, `air` from the tick's start to its end.
+    """
+    tick_s = numbers.tick_s
+    evp_now = _follow(numbers.evp, memory.evp, evp, air, tick_s)
+    dvp_now = _follow(numbers.dvp, memory.dvp, dvp, air, tick_s)
+    solenoid_open, waited = solenoid_after(
+        memory.solenoid_open,
+        memory.solenoid_waited_ticks,
+        solenoid,
+        numbers.solenoid_opening_ticks,
+        numbers.solenoid_closing_ticks,
+    )
+    seen = edges(numbers, air, 0.0, state) if numbers.has_edges else (1.0, 1.0, 1.0)
+    held = Held(evp_now.target, dvp_now.target, solenoid_open, seen[0] < 0.0)
+    fine_ticks = memory.fine_ticks
+    if (
+        solenoid_open != memory.solenoid_open
+        or abs(evp_now.target - memory.evp.target) > _JUMP
+        or abs(dvp_now.target - memory.dvp.target) > _JUMP
+    ):
+        fine_ticks = _FINE_TICKS
+    quickest = quickest_per_s(numbers, air, state, held) * tick_s
+    steps = max(numbers.least_steps, ceil(quickest / _LONGEST_STEP))
+    if fine_ticks > 0 and quickest > _SHORT_STEP * steps:
+        steps *= _FINER
+    step_s = tick_s / steps
+
+    if not numbers.has_edges:
+        for index in range(steps):
+            state = runge_kutta(numbers, air, index * step_s, state, held, step_s)
+    else:
+        divided = 0
+        done_s = 0.0
+        # What is left of rounding is no step.
+        while tick_s - done_s > 1e-9 * tick_s:
+            part_s = min(step_s, tick_s - done_s)
+            after = runge_kutta(numbers, air, done_s, state, held, part_s)
+            found = edges(numbers, air, done_s + part_s, after)
+            share = _first_crossing(seen, found)
+            # Runge–Kutta over a jump is no better than Euler.
+            if share < 1.0 and divided < _MOST_PARTS:
+                divided += 1
+                fine_ticks = _FINE_TICKS
+                # Just beyond the edge, so that the next step is on the other side.
+                part_s *= min(1.0, share + 1e-6)
+                after = runge_kutta(numbers, air, done_s, state, held, part_s)
+                found = edges(numbers, air, done_s + part_s, after)
+                step_s = min(step_s, tick_s - done_s - part_s) / _FINER
+            done_s += part_s
+            state = after
+            seen = found
+            held = Held(held.evp_target, held.dvp_target, held.solenoid_open, seen[0] < 0.0)
+
+    s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state
+    # An opening without lag is not integrated, but it is to be read.
+    if numbers.evp.lag_per_s == 0.0 or abs(s7 - evp_now.target) < _ARRIVED:
+        s7 = evp_now.target
+    if numbers.dvp.lag_per_s == 0.0 or abs(s8 - dvp_now.target) < _ARRIVED:
+        s8 = dvp_now.target
+    fine_ticks = max(0, fine_ticks - 1)
+    return (
+        Memory(evp_now, dvp_now, solenoid_open, waited, held.venturi_stalled, fine_ticks),
+        (s0, s1, s2, s3, s4, s5, s6, s7, s8, s9),
+    )
+
+
+def _follow(valve: Valve, memory: ValveMemory, command: float, air: Air, tick_s: float) -> ValveMemory:
+    """Where a valve is driven to during a tick."""
+    coil_K = memory.coil_K
+    if valve.stuck_opening >= 0.0:
+        return ValveMemory(valve.stuck_opening, memory.passed_on, coil_K)
+    if valve.has_coil:
+        current = current_A(valve.coil, command, coil_K)
+        ambient_K = air.ratio * STANDARD_TEMPERATURE_K
+        coil_K = temperature_after_K(valve.coil, coil_K, current, ambient_K, tick_s)
+        command = current / valve.coil.full_current_A
+    command = backlash(memory.passed_on, command, valve.motion.backlash_width)
+    return ValveMemory(dead_zone(command, valve.motion.dead_opening), command, coil_K)
+
+
+def _first_crossing(before: tuple[float, float, float], after: tuple[float, float, float]) -> float:
+    """The share of a step at which the first edge is crossed; 1 when none is."""
+    share = 1.0
+    for index in range(3):
+        a, b = before[index], after[index]
+        if (a < 0.0) != (b < 0.0) and abs(a - b) > _GRAZE:
+            share = min(share, a / (a - b))
+    return share
+
+
+def runge_kutta(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held, dt_s: float) -> Floats:
+    """The classical step. Written out: loops over ten numbers cost more than the numbers."""
+    h = dt_s / 2.0
+    s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state
+    a0, a1, a2, a3, a4, a5, a6, a7, a8, a9 = rates(numbers, air, at_s, state, held)
+    middle = (
+        s0 + h * a0, s1 + h * a1, s2 + h * a2, s3 + h * a3, s4 + h * a4,
+        s5 + h * a5, s6 + h * a6, s7 + h * a7, s8 + h * a8, s9 + h * a9,
+    )  # fmt: skip
+    b0, b1, b2, b3, b4, b5, b6, b7, b8, b9 = rates(numbers, air, at_s + h, middle, held)
+    middle = (
+        s0 + h * b0, s1 + h * b1, s2 + h * b2, s3 + h * b3, s4 + h * b4,
+        s5 + h * b5, s6 + h * b6, s7 + h * b7, s8 + h * b8, s9 + h * b9,
+    )  # fmt: skip
+    c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = rates(numbers, air, at_s + h, middle, held)
+    h = dt_s
+    last = (
+        s0 + h * c0, s1 + h * c1, s2 + h * c2, s3 + h * c3, s4 + h * c4,
+        s5 + h * c5, s6 + h * c6, s7 + h * c7, s8 + h * c8, s9 + h * c9,
+    )  # fmt: skip
+    d0, d1, d2, d3, d4, d5, d6, d7, d8, d9 = rates(numbers, air, at_s + h, last, held)
+    h = dt_s / 6.0
+    return (
+        s0 + h * (a0 + 2.0 * (b0 + c0) + d0),
+        s1 + h * (a1 + 2.0 * (b1 + c1) + d1),
+        s2 + h * (a2 + 2.0 * (b2 + c2) + d2),
+        s3 + h * (a3 + 2.0 * (b3 + c3) + d3),
+        s4 + h * (a4 + 2.0 * (b4 + c4) + d4),
+        s5 + h * (a5 + 2.0 * (b5 + c5) + d5),
+        s6 + h * (a6 + 2.0 * (b6 + c6) + d6),
+        s7 + h * (a7 + 2.0 * (b7 + c7) + d7),
+        s8 + h * (a8 + 2.0 * (b8 + c8) + d8),
+        s9 + h * (a9 + 2.0 * (b9 + c9) + d9),
+    )

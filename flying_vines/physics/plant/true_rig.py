@@ -1,0 +1,269 @@
+"""A rig file that also tells what is really there: believed numbers, and causes and effects beside them.
+
+    [cv]                                        what is believed, as in any rig.toml
+    volume_L = 0.1
+    [causes.cv_leak]                            a cause of the rig-data format, by its name
+    flow_resistance_kPa_s_per_SL = 300
+    [effects]
+    likely = true                               everything that a real one probably has, sensors too …
+    without = ["cv_shape"]                      … but this
+    [effects.evp_law]                           one effect; `kind` where there are several
+    kind = "iso6358"
+    sonic_conductance_SL_per_s_kPa = 4.95e-4
+
+Without `[causes]` and `[effects]` it is a plain rig file, and the believed numbers are all there is. An empty
+`[causes]` says that somebody has looked, and found none.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import types
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import msgspec
+
+from flying_vines.physics.plant.causes import CAUSES, Setup, setup
+from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.flow import Iso6358, Ohm
+from flying_vines.physics.plant.likely import likely_effects
+from flying_vines.physics.plant.plant import Plant
+from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, Sensor
+from flying_vines.physics.rig import Rig, RigError, Sensors, read_rig, rig_from
+
+_EFFECTS: dict[str, dict[str, type]] = {
+    name: {kind.__name__.lower(): kind for kind in get_args(hint) if kind is not types.NoneType}
+    for name, hint in get_type_hints(Effects).items()
+}
+"""Name by name, what an effect may be, by kind."""
+_NEEDS_CV = ("cv_", "dead_volume")
+_POSITIVE = ("gain", "scale")
+
+
+@dataclass(frozen=True)
+class TrueRig:
+    """What a rig is believed to be, and what is really there. `setup` is the latter.
+
+    `effects` are those that are given one by one, instead of the likely ones of the same names; a cause
+    changes what it speaks of in an effect that is there already.
+    """
+
+    believed: Rig = field(default_factory=Rig)
+    causes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    effects: Effects = field(default_factory=Effects)
+    likely: bool = False
+    without: tuple[str, ...] = ()
+    """Likely effects that are not there."""
+    none_found: bool = False
+    """There are no causes because none was found, and not because nobody has looked."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether this says what is really there, and not only what is believed."""
+        return bool(self.causes or self.likely or self.none_found or self.effects != Effects())
+
+    def __post_init__(self) -> None:
+        # What cannot be made is found out here.
+        _ = self.setup
+
+    @cached_property
+    def setup(self) -> Setup:
+        """The plant and its sensors."""
+        made = setup(self.believed)
+        own = {f.name: value for f in fields(Effects) if (value := getattr(self.effects, f.name)) is not None}
+        try:
+            if self.likely:
+                made = Setup(made.plant, *likely_sensors(self.believed.sensors))
+                own = {**vars(likely_effects()), **dict.fromkeys(self.without), **own}
+            made = replace(made, plant=Plant(self.believed, Effects(**own)))
+        except ValueError as error:
+            raise RigError(f"effects: {error}.") from None
+        for name, parameters in self.causes.items():
+            made = _caused(made, name, parameters)
+        return made
+
+
+def likely_sensors(noise: Sensors, bits: int = 12) -> tuple[Sensor, Sensor]:
+    """The control volume's and the reservoir's, behind the converter that the firmware will use."""
+    adc = Adc(bits)
+    return (
+        replace(HONEYWELL_30PSI, noise_std_kPa=noise.cv_noise_std_kPa, adc=adc),
+        replace(HONEYWELL_15BAR, noise_std_kPa=noise.reservoir_noise_std_kPa, adc=adc),
+    )
+
+
+def load_true_rig(path: Path | str) -> TrueRig:
+    """The rig in a TOML file, with what is really there.
+
+    RigError when the file cannot be read, names something unknown, or holds an impossible number.
+    """
+    return read_rig(path, true_rig_from)
+
+
+def true_rig_from(content: Mapping[str, Any]) -> TrueRig:
+    """The rig in a decoded TOML file, as `load_true_rig`."""
+    believed = {key: value for key, value in content.items() if key not in ("causes", "effects")}
+    rig = rig_from(believed)
+    causes = _table(content.get("causes", {}), "causes")
+    effects = dict(_table(content.get("effects", {}), "effects"))
+    likely, without = effects.pop("likely", False), effects.pop("without", [])
+    if not isinstance(likely, bool):
+        raise RigError("effects.likely is true or false.")
+    if not (isinstance(without, list) and all(str(name) in _EFFECTS for name in without)):
+        raise RigError(f"effects.without is a list of effects: {', '.join(_EFFECTS)}.")
+    if without and not likely:
+        raise RigError("effects.without takes away from the likely effects: it needs likely = true.")
+    for name in effects:
+        if name not in _EFFECTS:
+            raise RigError(f"effects.{name} is no effect: the effects are {', '.join(_EFFECTS)}.")
+    return TrueRig(
+        believed=rig,
+        causes={name: _numbers(value, f"causes.{name}") for name, value in causes.items()},
+        effects=_checked_effects({name: _effect(name, value) for name, value in effects.items()}),
+        likely=likely,
+        without=tuple(without),
+        none_found=content.get("causes") == {},
+    )
+
+
+def true_rig_text(rig: TrueRig) -> str:
+    """The file of a rig: what `load_true_rig` makes into the same rig again."""
+    tables = [
+        (name, value) for name, value in asdict(rig.believed).items() if value is not None and value != {}
+    ]
+    tables += [(f"causes.{name}", dict(parameters)) for name, parameters in rig.causes.items()]
+    if rig.none_found:
+        tables.append(("causes", {}))
+    if rig.likely:
+        tables.append(("effects", {"likely": True, **({"without": rig.without} if rig.without else {})}))
+    for name, kinds in _EFFECTS.items():
+        effect = getattr(rig.effects, name)
+        if effect is not None:
+            kind = {"kind": type(effect).__name__.lower()} if len(kinds) > 1 else {}
+            tables.append((f"effects.{name}", {**kind, **_changed(effect)}))
+    return "\n".join(_toml(name, values) for name, values in tables)
+
+
+def _caused(made: Setup, name: str, parameters: Mapping[str, float]) -> Setup:
+    """What a cause adds to what is there already."""
+    where = f"causes.{name}"
+    if name not in CAUSES:
+        raise RigError(f"{where} is no cause: the causes are {', '.join(CAUSES)}.")
+    rig, effects = made.plant.rig, made.plant.effects
+    if rig.cv is None and name.startswith(_NEEDS_CV):
+        raise RigError(f"{where} needs a control volume, and the rig has no [cv].")
+    known = list(inspect.signature(CAUSES[name]).parameters)[1:]
+    for parameter, value in parameters.items():
+        if parameter not in known:
+            raise RigError(f"{where}.{parameter} is no parameter: {_listed(known)}.")
+        if parameter in _POSITIVE and not value > 0.0:
+            raise RigError(f"{where}.{parameter} is {value:g}, and must be above 0.")
+    for parameter in known:
+        if parameter not in parameters:
+            raise RigError(f"{where}.{parameter} is missing.")
+    try:
+        alone = CAUSES[name](replace(made, plant=Plant(rig)), **parameters)
+        added = {
+            f.name: _merged(getattr(effects, f.name), new)
+            for f in fields(Effects)
+            if (new := getattr(alone.plant.effects, f.name)) is not None
+        }
+        restriction = alone.plant.rig.evp.flow_resistance_kPa_s_per_SL / rig.evp.flow_resistance_kPa_s_per_SL
+        if restriction != 1.0 and effects.evp_law is not None:
+            added["evp_law"] = _restricted(effects.evp_law, restriction)
+        rig = msgspec.convert(asdict(alone.plant.rig), Rig)
+        return replace(alone, plant=Plant(rig, replace(effects, **added)))
+    except msgspec.ValidationError:
+        raise RigError(f"{where} makes the rig impossible: {_said(parameters)}.") from None
+    except ValueError as error:
+        raise RigError(f"{where}: {error}.") from None
+
+
+def _restricted(law: Ohm | Iso6358, scale: float) -> Ohm | Iso6358:
+    """A valve with a law of its own, its resistance `scale` times as high."""
+    if isinstance(law, Ohm):
+        return Ohm(scale * law.flow_resistance_kPa_s_per_SL)
+    return replace(law, sonic_conductance_SL_per_s_kPa=law.sonic_conductance_SL_per_s_kPa / scale)
+
+
+def _merged(old: Any, new: Any) -> Any:
+    """`new`, or, where `old` has all that `new` says, `old` with that."""
+    says = _changed(new)
+    return replace(old, **says) if old is not None and all(hasattr(old, name) for name in says) else new
+
+
+def _changed(part: Any) -> dict[str, Any]:
+    """What of a description is not as its defaults have it."""
+    return {f.name: v for f in fields(part) if (v := getattr(part, f.name)) != f.default}
+
+
+def _effect(name: str, value: Any) -> Any:
+    where, kinds = f"effects.{name}", _EFFECTS[name]
+    table = dict(_table(value, where))
+    kind = table.pop("kind", None) if len(kinds) > 1 else next(iter(kinds))
+    if str(kind) not in kinds:
+        raise RigError(f"{where}.kind is one of {', '.join(kinds)}.")
+    described = kinds[kind]
+    known = {f.name: f for f in fields(described)}
+    for key in table:
+        if key not in known:
+            raise RigError(f"{where}.{key} is no parameter: {_listed(list(known))}.")
+    for key, parameter in known.items():
+        if key not in table and parameter.default is MISSING:
+            raise RigError(f"{where}.{key} is missing.")
+    for key, found in table.items():
+        for number in found if isinstance(found, list) else [found]:
+            if isinstance(number, float) and not math.isfinite(number):
+                raise RigError(f"{where}.{key} is {number}, which is not a number.")
+    try:
+        return msgspec.convert(table, described)
+    except msgspec.ValidationError as error:
+        reason, _, at = str(error).partition(" - at `$")
+        raise RigError(f"{where}{at.rstrip('`')}: {reason}.") from None
+
+
+def _checked_effects(effects: dict[str, Any]) -> Effects:
+    try:
+        return Effects(**effects)
+    except ValueError as error:
+        raise RigError(f"effects: {error}.") from None
+
+
+def _table(value: Any, where: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise RigError(f"{where} is a table.")
+    return value
+
+
+def _numbers(value: Any, where: str) -> dict[str, float]:
+    table = _table(value, where)
+    for key, number in table.items():
+        if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
+            raise RigError(f"{where}.{key} is a number, not {number!r}.")
+    return {key: float(value) for key, value in table.items()}
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f"the parameters are {', '.join(names)}" if names else "there are none"
+
+
+def _said(parameters: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
+
+
+def _toml(name: str, values: Mapping[str, Any]) -> str:
+    lines = [f"{key if key.isidentifier() else repr(key)} = {_value(v)}" for key, v in values.items()]
+    return "\n".join([f"[{name}]", *lines, ""])
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(_value(v) for v in value)}]"
+    return repr(value).replace("'", '"') if isinstance(value, str) else repr(float(value))

@@ -1,0 +1,81 @@
+"""Heat between the gas of a volume and its wall.
+
+    m c_v dT/dt |heat = hA (T_w − T)         C_w dT_w/dt = hA (T − T_w) + h_o A_o (T_a − T_w)
+
+Two ways to say how much: a conductance hA in W/K that stays as it is, or a time constant τ = m c_v / hA that
+stays as it is (hA then goes with the mass of gas inside). Both may be given; they add.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import NamedTuple
+
+from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.plant.gas import GAMMA, STANDARD_TEMPERATURE_K
+
+_G1 = GAMMA - 1.0
+_PER_G1 = 1.0 / _G1
+_PER_K = 1.0 / STANDARD_TEMPERATURE_K
+
+
+class Heat(NamedTuple):
+    """The numbers of a wall, and those of isothermal gas."""
+
+    own_temperature: bool = False
+    """Whether the gas has one."""
+    per_air: float = 0.0
+    """kPa·L/s for each SL and each 293.15 K."""
+    fixed: float = 0.0
+    """kPa·L/s for each 293.15 K."""
+    per_capacity_K_per_J: float = 0.0
+    """0: the wall is at ambient temperature."""
+    outer_conductance_W_per_K: float = 0.0
+    wall_per_s: float = 0.0
+    """How quickly the wall follows."""
+
+
+def heat_kPa_L_per_s(heat: Heat, air_SL: float, ratio: float, wall_K: float, ambient_ratio: float) -> float:
+    """Into the gas; temperatures as ratios to 293.15 K where they are called so."""
+    wall_ratio = wall_K * _PER_K if heat.per_capacity_K_per_J > 0.0 else ambient_ratio
+    return (heat.per_air * air_SL + heat.fixed) * (wall_ratio - ratio)
+
+
+def wall_K_per_s(heat: Heat, into_gas_kPa_L_per_s: float, wall_K: float, ambient_ratio: float) -> float:
+    """How quickly the wall warms."""
+    from_outside_W = heat.outer_conductance_W_per_K * (ambient_ratio * STANDARD_TEMPERATURE_K - wall_K)
+    return (from_outside_W - into_gas_kPa_L_per_s * _PER_G1) * heat.per_capacity_K_per_J
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A wall; as it stands it passes no heat (adiabatic). A volume without a wall is isothermal.
+
+    With an infinite capacity the wall is at ambient temperature.
+    """
+
+    time_constant_s: float = inf
+    conductance_W_per_K: float = 0.0
+    capacity_J_per_K: float = inf
+    outer_conductance_W_per_K: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (self.time_constant_s > 0.0 and self.capacity_J_per_K > 0.0):
+            raise ValueError("a wall's time constant and capacity are positive")
+        if not (self.conductance_W_per_K >= 0.0 and self.outer_conductance_W_per_K >= 0.0):
+            raise ValueError("a wall's conductances are not negative")
+
+    def numbers(self) -> Heat:
+        return Heat(
+            True,
+            ALPHA_KPA / self.time_constant_s,
+            _G1 * self.conductance_W_per_K * STANDARD_TEMPERATURE_K,
+            1.0 / self.capacity_J_per_K,
+            self.outer_conductance_W_per_K,
+            (self.conductance_W_per_K + self.outer_conductance_W_per_K) / self.capacity_J_per_K,
+        )
+
+
+PET_BOTTLE_2L = Wall(conductance_W_per_K=1.0, capacity_J_per_K=70.0, outer_conductance_W_per_K=1.0)
+"""A 2 L bottle: natural convection inside 0.6 W/K at 2 bar to 1.4 at 8; 45 to 70 g of PET. Assumption."""

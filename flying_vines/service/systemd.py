@@ -1,0 +1,78 @@
+"""What systemd is told of the service: that it is up, that its loop turns, what it does, that it ends.
+
+The loop that flies says so itself at its own ticks, so one that hangs is missed by systemd's watchdog, which
+starts the service again. Where nobody listens nothing is sent.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import socket
+from collections.abc import MutableMapping
+
+from flying_vines.core.events import Event, Snapshot, Stop, Tick
+from flying_vines.core.watcher import Watcher
+
+PER_WATCHDOG = 4
+"""So often within the watchdog's time: being late once or twice is not being dead."""
+STATUS_S = 1.0
+
+
+def service_manager(environment: MutableMapping[str, str] = os.environ) -> tuple[Watcher, ...]:
+    """Whoever started us and wants to be told, if anyone. What we start is not to tell in our place."""
+    address = environment.pop("NOTIFY_SOCKET", "")
+    watchdog_us = float(environment.pop("WATCHDOG_USEC", "inf"))
+    if environment.pop("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
+        watchdog_us = math.inf
+    return (ServiceManager(address, watchdog_us / 1e6),) if address else ()
+
+
+class ServiceManager(Watcher):
+    """Tells by datagrams that wait for nobody; what the other side did not take is told at the next tick."""
+
+    def __init__(self, address: str, watchdog_s: float) -> None:
+        # A name that is no file begins with a zero byte, which the environment writes as @.
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        self._every_s = watchdog_s / PER_WATCHDOG
+        self._ready = False
+        self._alive_at = -math.inf
+        self._status = ""
+        self._status_at = -math.inf
+
+    def event(self, event: Event) -> None:
+        match event:
+            case Tick(t) if t - self._alive_at >= self._every_s or not self._ready:
+                if self._tell("WATCHDOG=1" if self._ready else "READY=1"):
+                    self._ready, self._alive_at = True, t
+            case Stop():
+                self._tell("STOPPING=1")
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        status = status_line(snapshot)
+        news = status != self._status and snapshot.t - self._status_at >= STATUS_S
+        if news and self._tell(f"STATUS={status}"):
+            self._status, self._status_at = status, snapshot.t
+
+    def _tell(self, what: str) -> bool:
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as ours:
+                ours.sendto(what.encode(), self._address)
+        except OSError:
+            return False
+        return True
+
+
+def status_line(snapshot: Snapshot) -> str:
+    """What `systemctl status` shows."""
+    said = [
+        f"vehicle {snapshot.vehicle}" + (" armed" if snapshot.armed else ""),
+        f"RC {snapshot.rc}",
+        f"phloSAR {snapshot.firmware}",
+    ]
+    if math.isfinite(snapshot.reservoir_kPa):
+        said.append(f"bottle {snapshot.reservoir_kPa:.0f} kPa")
+    if snapshot.safe_state:
+        said.append(f"SAFE: {', '.join(snapshot.safe_state.values())}")
+    # Some of it a board or a vehicle said, who are not to add lines of their own.
+    return " ".join("; ".join([*said, snapshot.doing]).split())

@@ -1,0 +1,757 @@
+"""The fake autopilot itself: links in, frames out, stimuli by method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from random import Random
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.simulation.autopilot import commands, files, legs, sensors, telemetry
+from flying_vines.simulation.autopilot.agenda import Agenda, Entry
+from flying_vines.simulation.autopilot.ardupilot import ArduPilotMission
+from flying_vines.simulation.autopilot.flight import Flight, Home
+from flying_vines.simulation.autopilot.forwarding import Forwarder
+from flying_vines.simulation.autopilot.mission_protocol import MissionStorage
+from flying_vines.simulation.autopilot.modes import Mode, mission_mode, mode_named, mode_numbered
+from flying_vines.simulation.autopilot.parameters import Parameters
+from flying_vines.simulation.autopilot.port import COMPANION, KNOWN, PX4_ALSO_KNOWS, Port
+from flying_vines.simulation.autopilot.px4 import Command, CommandSender, Px4Mission
+from flying_vines.simulation.autopilot.rc_input import ArduPilotRc, RcInput, rc_input
+from flying_vines.simulation.autopilot.receiver import RcLoss, RcSource, Receiver
+from flying_vines.simulation.autopilot.routing import Routes
+from flying_vines.simulation.autopilot.runner import Runner
+from flying_vines.simulation.autopilot.snapshot import Snapshot
+from flying_vines.simulation.autopilot.streams import Streams
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.storage import Kind
+
+ARDUPILOT_HOME = Home(-35.363262, 149.165237, 584.09)
+PX4_HOME = Home(47.3977431, 8.5455944, 489.443)
+
+_TICK_S = 0.02
+_UPTIME_S = 30.0
+_REBOOT_SILENCE_S = 1.25
+_CALIBRATION_S = 2.0
+_READY_S = 1.41
+_ORIGIN_S = 19.0
+_NO_SPACE_S = 0.5
+_DISARM_AFTER_LANDING_S = 2.0
+_REACHED_AGAIN_S = 1.0
+_REACHED_TIMES = 10
+_FASTEST_STREAM_S = 0.0025
+_FASTEST_GROUP_HZ = 50
+_RUNTIME_EVERY_S = 31.0
+_UNIX_AT_START_S = 1_795_211_406.0
+_WARNING, _INFO = 4, 6
+_GCS = 6
+_LINKS = 255
+_KEPT = 10_000
+"""Of what ran: more than any mission, and an end to it, for a fake may fly for days."""
+_MAVLINK_CAMERA, _CAMERA_ITEMS = 5, (202, 203)
+
+_MISSION_MESSAGES = frozenset(
+    {
+        "MISSION_COUNT",
+        "MISSION_ITEM",
+        "MISSION_ITEM_INT",
+        "MISSION_REQUEST",
+        "MISSION_REQUEST_INT",
+        "MISSION_REQUEST_LIST",
+        "MISSION_CLEAR_ALL",
+        "MISSION_ACK",
+        "MISSION_WRITE_PARTIAL_LIST",
+    }
+)
+_PARAMETER_MESSAGES = frozenset({"PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"})
+
+
+@dataclass(slots=True)
+class _Stall:
+    """A link that holds back what is sent on it."""
+
+    both_ways: bool
+    until_s: float = 0.0
+    outgoing: list[bytes] = field(default_factory=list)
+    incoming: list[bytes] = field(default_factory=list)
+
+
+class Autopilot:
+    """An ArduCopter or PX4 copter as a companion computer and a ground station hear it.
+
+    Sans-IO: `receive` what came in on a link, `advance` to a time and send what comes back. Times are
+    seconds of any clock that does not run backwards; the first one given is the start. Stimuli (`arm`,
+    `set_rc`, …) act at the latest time given so far; those given before the first time act at the start.
+
+    The vehicle has been up for 30 s at the start, so nothing of its boot is seen before `reboot`.
+    """
+
+    def __init__(
+        self,
+        kind: Kind = "ardupilot",
+        system_id: int = 1,
+        mission: Sequence[MissionItem] = (),
+        *,
+        links: Sequence[str] = (COMPANION,),
+        home: Home | None = None,
+        rc_present: bool = True,
+        receiver: RcSource | None = None,
+        rc_failsafe_mode: str | None = "RTL",
+        parameters: Mapping[str, float] | None = None,
+        signing_key: bytes | None = None,
+        unix_s: float = _UNIX_AT_START_S,
+        seed: int = 0,
+    ) -> None:
+        """A disarmed vehicle on the ground at `home`.
+
+        `mission` is stored as an upload would be (MissionRefused if it holds what the autopilot does not
+        take); on ArduPilot its item 0 is home. `links` are those that hear heartbeats from the start; others
+        appear when they are first heard. `receiver` is how the pilot's sticks get there: on PX4 by overrides
+        of a ground station unless it is given. `rc_failsafe_mode` is the mode after RC loss in flight, None
+        to stay; PX4 without a receiver of its own always stays. `parameters` are those that differ from the
+        factory's, such as PX4's MIS_COMMAND_TOUT. With a `signing_key` (32 bytes) it signs what it sends, and
+        hears only what is signed with it, except on a link named "usb". `unix_s` is what its clock says at
+        the start. `seed` decides how late PX4 tells of each loss.
+        """
+        self.kind: Kind = kind
+        self.system_id = system_id
+        self.agenda = Agenda()
+        self.flight = Flight(home or (ARDUPILOT_HOME if kind == "ardupilot" else PX4_HOME))
+        self._rc: RcInput = rc_input(
+            kind,
+            rc_present,
+            receiver,
+            self.agenda,
+            Random(seed),
+            lambda name: self.parameters[name],
+            self._rc_failsafe_changed,
+        )
+        self.payload_log: list[tuple[float, MissionItem]] = []
+        self.performed: list[tuple[float, int]] = []
+        self.armed = False
+        self.mode: Mode = mode_named(kind, "STABILIZE" if kind == "ardupilot" else "HOLD")
+        self._failsafe_mode = mode_named(kind, rc_failsafe_mode) if rc_failsafe_mode is not None else None
+        self._mode_before: Mode | None = None
+        """PX4 goes back to it when its failsafe is over."""
+        self._unix_s = unix_s
+        self._key = signing_key
+        self._epoch_s: float | None = None
+        self._outbox: list[tuple[str, bytes]] = []
+        self._texts: list[tuple[str, int]] = []
+        self._reached: int | None = None
+        self._ports: dict[str, Port] = {}
+        self._routes = Routes(kind, system_id)
+        self._forwarder = Forwarder(kind, self.agenda, self._put_out)
+        self._streams = Streams(kind, self.agenda, self._snapshot, self._send)
+        own = {"SYSID_THISMAV": system_id, "MAV_SYS_ID": system_id}
+        self.parameters = Parameters(
+            kind, {**(parameters or {}), **own}, self.agenda, self._send_to, self._tell, self.text
+        )
+        self._sender = CommandSender(self.agenda, self._send_command)
+        self._storage = MissionStorage(
+            kind, self.flight.home, self.agenda, self._send_to, self._mission_changed
+        )
+        self._runner: Runner = self._new_runner()
+        self._leg: legs.Leg | None = None
+        self._reached_again: Entry | None = None
+        self._grounded_s: float | None = None
+        self._muted_until_s = -1.0
+        self._stalls: dict[str, _Stall] = {}
+        self._running = False
+        self._boot_s = -_UPTIME_S
+        self._ready_s = -_UPTIME_S
+        self._ticks = 0
+        self._first_tick_s = 0.0
+        self._mission_mode = mission_mode(kind)
+        for name in links:
+            self.add_link(name)
+        if mission:
+            self._storage.load(mission)
+        self._come_up()
+
+    # What is known about it
+
+    @property
+    def receiver(self) -> Receiver:
+        return self._rc.receiver
+
+    @property
+    def tells_rc_lost(self) -> bool:
+        """A failsafe of ArduPilot; of PX4 a health report that calls a receiver of its own lost."""
+        rc = self._rc
+        return rc.failsafe if isinstance(rc, ArduPilotRc) else rc.has_driver and not rc.reported_good
+
+    @property
+    def items(self) -> list[MissionItem]:
+        """The mission as stored."""
+        return self._storage.items
+
+    @property
+    def mode_name(self) -> str:
+        return self.mode.name
+
+    @property
+    def airborne(self) -> bool:
+        return self.flight.airborne
+
+    @property
+    def height_m(self) -> float:
+        return self.flight.height_m
+
+    @property
+    def now_s(self) -> float:
+        """The latest time given, on the caller's clock."""
+        return (self._epoch_s or 0.0) + self.agenda.now_s
+
+    # Links
+
+    def add_link(self, name: str) -> None:
+        """Make a link known, so that it hears heartbeats."""
+        if name not in self._ports:
+            known = KNOWN if self.kind == "ardupilot" else KNOWN | PX4_ALSO_KNOWS
+            port = Port(name, self.system_id, len(self._ports) % _LINKS, self._key, known)
+            port.forwards = self._forwards(name)
+            self._ports[name] = port
+            if self._running:
+                self._streams.begin(port)
+
+    def receive(self, t: float, link: str, data: bytes) -> None:
+        """Bytes that arrived on `link` at `t`. Never raises, whatever the bytes."""
+        self._run_to(t)
+        stall = self._stalls.get(link)
+        if stall is not None and stall.both_ways:
+            stall.incoming.append(data)
+            return
+        self._receive(link, data)
+
+    def _receive(self, link: str, data: bytes) -> None:
+        if not self._running or self.agenda.now_s < self._muted_until_s:
+            return
+        self.add_link(link)
+        port = self._ports[link]
+        port.tell_time(self._unix_now_s)
+        for message in port.decode(data):
+            self._hear(port, message)
+            self.flush()
+            if not self._running:
+                return
+
+    def advance(self, t: float) -> list[tuple[str, bytes]]:
+        """Everything sent since the last call, up to and including `t`: (link, one frame), in order."""
+        self._run_to(t)
+        for link, stall in list(self._stalls.items()):
+            if self.agenda.now_s >= stall.until_s:
+                del self._stalls[link]
+                self._outbox = [(link, frame) for frame in stall.outgoing] + self._outbox
+                for data in stall.incoming:
+                    self._receive(link, data)
+        out, self._outbox = self._outbox, []
+        return out
+
+    def _run_to(self, t: float) -> None:
+        if self._epoch_s is None:
+            self._epoch_s = t
+        self.agenda.run_until(t - self._epoch_s)
+
+    # Stimuli
+
+    def arm(self) -> None:
+        if self.armed or not self._running:
+            return
+        self.armed = True
+        self._grounded_s = None
+        if self.kind == "ardupilot":
+            self._tell_home()
+            self.text("Arming motors")
+        self.flush()
+
+    def disarm(self) -> None:
+        """Motors off; in the air, that is the end of the flight."""
+        if not self.armed:
+            return
+        self.armed = False
+        self.flight.airborne = self.flight.landing = False
+        self.flight.height_m = 0.0
+        self._leg = None
+        if self.kind == "ardupilot":
+            self.text("Disarming motors")
+        if self.mode == self._mission_mode:
+            self._runner.disarmed()
+        self.flush()
+
+    def takeoff(self, altitude_m: float) -> None:
+        """Guided take-off to a height above home; arms first if need be."""
+        self.set_mode("GUIDED" if self.kind == "ardupilot" else "TAKEOFF")
+        self.arm()
+        self._take_off(altitude_m)
+
+    def land(self) -> None:
+        self.set_mode("LAND")
+
+    def set_mode(self, name: str) -> None:
+        """Select a mode by name; ValueError if there is none.
+
+        Without a mission the mission mode is refused with a status text, as an autopilot does.
+        """
+        self._select(mode_named(self.kind, name))
+        self.flush()
+
+    def start_mission(self) -> None:
+        """Select the mission mode and arm."""
+        self._select(mission_mode(self.kind))
+        self.flush()
+        self.arm()
+
+    def set_mission(self, items: Sequence[MissionItem]) -> None:
+        """Put another mission in place at once, as an upload would; MissionRefused if it would be refused."""
+        self._storage.load(items)
+        self.flush()
+
+    def replace_mission(self, items: Sequence[MissionItem], link: str = "gcs") -> None:
+        """Somebody on another link uploads a mission; MissionRefused if it would be refused."""
+        self.add_link(link)
+        self._storage.replace(link, items)
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Somebody changes a parameter; ValueError if there is none of that name."""
+        self.parameters.change(name, value)
+
+    def set_current(self, seq: int) -> None:
+        """Go on with mission item `seq`; on a DO item, it runs (again). ValueError if there is none."""
+        if not 0 <= seq < len(self.items):
+            raise ValueError(f"the mission has no item {seq}, only 0 to {len(self.items) - 1}")
+        self._runner.set_current(seq)
+        self.flush()
+
+    def set_rc(self, channel: int, us: int) -> None:
+        """Move a stick or switch (channels from 1)."""
+        self.receiver.move(channel, us)
+
+    def lose_rc(self, how: RcLoss | None = None, preset: Mapping[int, int] | None = None) -> None:
+        """The RC link is lost, by default as the receiver is most often seen to do it.
+
+        "frozen": RC_CHANNELS goes on with the last values. "jump": it goes on with the receiver's failsafe
+        values, which are those of `preset` (channel: us) on its channels. "silent": no more RC_CHANNELS.
+        ValueError if this receiver does no such thing.
+        """
+        self._rc.lose(how, preset)
+
+    def return_rc(self) -> None:
+        """The RC link is back, with the sticks as they are now."""
+        self._rc.restore()
+
+    def reboot(self) -> None:
+        """Restart on the ground: silence for 1.25 s, then as if never spoken to; the mission is kept."""
+        self.agenda.clear()
+        self._running = False
+        for port in self._ports.values():
+            port.reboot()
+        self._routes = Routes(self.kind, self.system_id)
+        self._sender = CommandSender(self.agenda, self._send_command)
+        place = self.flight
+        self.flight = Flight(place.home)
+        self.flight.north_m, self.flight.east_m = place.north_m, place.east_m
+        self._rc.reboot()
+        self._forwarder.reboot()
+        self._streams.reboot()
+        self.parameters.reboot()
+        self._storage.reboot()
+        self._runner = self._new_runner()
+        self._leg = self._reached_again = None
+        self.armed = False
+        self._mode_before = None
+        self._texts, self._reached = [], None
+        self.mode = mode_named(self.kind, "STABILIZE" if self.kind == "ardupilot" else "HOLD")
+        now_s = self.agenda.now_s
+        self._boot_s, self._ready_s = now_s + 0.2, now_s + _REBOOT_SILENCE_S
+        self.agenda.at(self._ready_s, self._come_up)
+        if self.kind == "ardupilot":
+            self.agenda.at(self._ready_s + _READY_S, self._say_ready)
+            self.agenda.at(self._ready_s + _ORIGIN_S, self._tell_home)
+
+    def stir_health(self) -> None:
+        """Something that is no RC changes in PX4's health: it is reported now, and nothing else for 2 s."""
+        if not isinstance(self._rc, ArduPilotRc):
+            self._rc.report()
+
+    def mute(self, seconds: float) -> None:
+        """Cut all links: nothing is sent or heard for so long, while the vehicle flies on."""
+        self._muted_until_s = self.agenda.now_s + seconds
+
+    def stall(self, seconds: float, link: str = COMPANION, *, both_ways: bool = False) -> None:
+        """What is sent on a link is held back for so long, and then comes all at once; nothing is lost.
+
+        With `both_ways` what comes in is held back as well.
+        """
+        self._stalls.setdefault(link, _Stall(both_ways)).until_s = self.agenda.now_s + seconds
+
+    # The mission runner's host
+
+    def text(self, text: str, severity: int = _INFO) -> None:
+        self._texts.append((text, severity))
+
+    def reached(self, seq: int) -> None:
+        self._reached = seq
+
+    def executed(self, item: MissionItem) -> None:
+        self.payload_log.append((self.now_s, item))
+        del self.payload_log[:-_KEPT]
+        hands_on = self.kind == "ardupilot" and self.parameters["CAM1_TYPE"] == _MAVLINK_CAMERA
+        if hands_on and item.command in _CAMERA_ITEMS:
+            self._tell(mavlink.MAVLink_command_long_message(0, 0, item.command, 0, *item.params))
+
+    def flush(self) -> None:
+        if self._reached is not None:
+            self._send_reached(self._reached, _REACHED_TIMES)
+            self._reached = None
+        texts, self._texts = self._texts, []
+        for text, severity in texts:
+            message = mavlink.MAVLink_statustext_message(severity, text.encode()[:50])
+            for port in self._ports.values():
+                if port.active if self.kind == "ardupilot" else port.hears_gcs:
+                    self._send(port, message)
+
+    # Inside
+
+    def _new_runner(self) -> Runner:
+        if self.kind == "ardupilot":
+            return ArduPilotMission(self)
+        return Px4Mission(self, self._sender, lambda: self.parameters["MIS_COMMAND_TOUT"])
+
+    def _come_up(self) -> None:
+        self._running = True
+        for port in self._ports.values():
+            port.forwards = self._forwards(port.name)
+            self._streams.begin(port)
+        if self.kind == "ardupilot":
+            runtime_s = self.agenda.now_s - self._boot_s
+            self.agenda.after(_RUNTIME_EVERY_S - runtime_s % _RUNTIME_EVERY_S, self._count_runtime)
+        self._ticks = 0
+        self._first_tick_s = self.agenda.now_s
+        self._schedule_tick()
+
+    def _schedule_tick(self) -> None:
+        # Counted, not added up, so that the grid does not drift.
+        self._ticks += 1
+        self.agenda.at(self._first_tick_s + self._ticks * _TICK_S, self._tick)
+
+    def _tell_home(self) -> None:
+        for port in self._ports.values():
+            self._streams.once(port, sensors.GPS_GLOBAL_ORIGIN)
+            self._streams.once(port, telemetry.HOME_POSITION)
+
+    def _say_ready(self) -> None:
+        self.text("ArduPilot Ready")
+        self.flush()
+
+    def _forwards(self, link: str) -> bool:
+        """PX4 reads at boot whether a link takes part in forwarding; ArduPilot's all do."""
+        if self.kind == "ardupilot":
+            return True
+        return bool(self.parameters["MAV_1_FORWARD" if link == COMPANION else "MAV_0_FORWARD"])
+
+    def _count_runtime(self) -> None:
+        self.agenda.after(_RUNTIME_EVERY_S, self._count_runtime)
+        self.parameters.change("STAT_RUNTIME", int(self.agenda.now_s - self._boot_s))
+
+    def _tick(self) -> None:
+        self._schedule_tick()
+        self.flight.step(_TICK_S)
+        if self.mode == self._mission_mode:
+            self._runner.update()
+        elif self._leg is not None:
+            self._leg.update(self.agenda.now_s, self.armed)
+            if self._leg.done:
+                self._leg = None
+                if self.mode.name == "TAKEOFF":
+                    self._select(mode_named(self.kind, "HOLD"))
+        self._watch_landing()
+        self.flush()
+
+    def _watch_landing(self) -> None:
+        if not (self.armed and self.flight.landing and not self.flight.airborne):
+            self._grounded_s = None
+        elif self._grounded_s is None:
+            self._grounded_s = self.agenda.now_s
+        elif self.agenda.now_s - self._grounded_s >= _DISARM_AFTER_LANDING_S:
+            self.disarm()
+
+    def _select(self, mode: Mode) -> bool:
+        if not self._running:
+            return False
+        flies_mission = self._mission_mode
+        if mode == flies_mission and len(self.items) < (2 if self.kind == "ardupilot" else 1):
+            self.text(f"Mode change to {mode.name} failed: no mission", _WARNING)
+            return False
+        if mode == self.mode:
+            return True
+        if self.mode == flies_mission:
+            self._runner.leave()
+        self.mode = mode
+        self._leg = None
+        if mode == flies_mission:
+            self._runner.enter()
+        elif mode.name in ("LAND", "RTL"):
+            command = legs.LAND if mode.name == "LAND" else legs.RETURN_HOME
+            self._leg = legs.Leg(self.flight, MissionItem(0, command, (0.0,) * 7, 3), self.agenda.now_s)
+        else:
+            self.flight.hold()
+        if self.kind == "ardupilot":
+            for port in self._ports.values():
+                self._streams.once(port, telemetry.HEARTBEAT)
+        return True
+
+    def _take_off(self, height_m: float) -> None:
+        item = MissionItem(0, legs.TAKEOFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m), 3)
+        self._leg = legs.Leg(self.flight, item, self.agenda.now_s)
+
+    def _rc_failsafe_changed(self, on: bool) -> None:
+        in_flight = self.armed and self.flight.airborne
+        if self.kind == "ardupilot":
+            self.text("Radio Failsafe" + self._goes_on if on else "Radio Failsafe Cleared", _WARNING)
+        elif self._mode_before is not None and not on:
+            self._select(self._mode_before)
+            self._mode_before = None
+        if on and self._failsafe_mode is not None and in_flight:
+            self._mode_before = self.mode
+            self._select(self._failsafe_mode)
+        self.flush()
+
+    @property
+    def _goes_on(self) -> str:
+        """What ArduPilot says where it stays in its mode."""
+        in_flight = self.armed and self.flight.airborne
+        if self._failsafe_mode is not None or not in_flight or self.mode.name not in ("AUTO", "GUIDED"):
+            return ""
+        return f" - Continuing {self.mode.name.capitalize()} Mode"
+
+    def _override_rc(self, message: Any) -> None:
+        if self.kind == "ardupilot" and message.get_srcSystem() != self.parameters["SYSID_MYGCS"]:
+            return
+        self._rc.override([getattr(message, f"chan{channel}_raw") for channel in range(1, 19)])
+
+    def _mission_changed(self) -> None:
+        self._runner.replaced()
+        if self.kind == "ardupilot":
+            if self.parameters["MIS_TOTAL"] != len(self.items):
+                self.parameters.change("MIS_TOTAL", len(self.items))
+            return
+        for port in self._ports.values():
+            self._streams.once(port, telemetry.MISSION_CURRENT)
+
+    # Sending
+
+    @property
+    def _unix_now_s(self) -> float:
+        return self._unix_s + self.agenda.now_s
+
+    def _tell(self, message: Any) -> None:
+        for port in self._ports.values():
+            if port.active:
+                self._send(port, message)
+
+    def _send(self, port: Port, message: Any) -> None:
+        if not self._running:
+            return
+        port.tell_time(self._unix_now_s)
+        self._put_out(port, port.encode(message))
+
+    def _put_out(self, port: Port, frame: bytes) -> None:
+        if self.agenda.now_s < self._muted_until_s:
+            return
+        if port.name in self._stalls:
+            self._stalls[port.name].outgoing.append(frame)
+        else:
+            self._outbox.append((port.name, frame))
+
+    def _send_to(self, link: str, message: Any) -> None:
+        self._send(self._ports[link], message)
+
+    def _send_reached(self, seq: int, times_left: int) -> None:
+        self._tell(mavlink.MAVLink_mission_item_reached_message(seq))
+        if self._reached_again is not None:
+            self._reached_again.cancel()
+            self._reached_again = None
+        if self.kind == "px4" and times_left:
+            again = self.agenda.after(_REACHED_AGAIN_S, lambda: self._send_reached(seq, times_left - 1))
+            self._reached_again = again
+
+    def _send_command(self, command: Command, confirmation: int) -> None:
+        target = self.system_id, command.target_component
+        self._tell(
+            mavlink.MAVLink_command_long_message(*target, command.command, confirmation, *command.params)
+        )
+
+    def _snapshot(self) -> Snapshot:
+        now_s = self.agenda.now_s
+        return Snapshot(
+            kind=self.kind,
+            mode=self.mode,
+            armed=self.armed,
+            calibrating=now_s - self._ready_s < _CALIBRATION_S,
+            rc_failsafe=self._rc.failsafe,
+            rc_reported=not isinstance(self._rc, ArduPilotRc) and self._rc.reported_good,
+            boot_s=now_s - self._boot_s,
+            unix_s=self._unix_now_s,
+            flight=self.flight,
+            receiver=self.receiver,
+            mission=self._runner.status(self.mode == self._mission_mode),
+            mission_id=self._storage.mission_id,
+        )
+
+    # Hearing
+
+    def _hear(self, port: Port, message: Any) -> None:
+        self._streams.activate(port)
+        kind, frame = message.get_type(), bytes(message.get_msgbuf())
+        if kind not in KNOWN:
+            for other in self._ports.values():
+                self._forwarder.pass_on(port, other, frame)
+            return
+        source = message.get_srcSystem(), message.get_srcComponent()
+        self._routes.learn(*source, port.name)
+        if kind == "HEARTBEAT":
+            port.hears_gcs |= message.type == _GCS
+            for other in self._ports.values():
+                self._forwarder.pass_on(port, other, frame)
+            return
+        system = getattr(message, "target_system", 0)
+        component = getattr(message, "target_component", 0)
+        decision = self._routes.decide(port.name, system, component)
+        for link in decision.forward:
+            self._forwarder.pass_on(port, self._ports[link], frame)
+        if decision.local:
+            self._obey(port, message, kind)
+
+    def _obey(self, port: Port, message: Any, kind: str) -> None:
+        if kind in ("COMMAND_LONG", "COMMAND_INT"):
+            self._command(port, message)
+        elif kind == "COMMAND_ACK":
+            self._sender.acknowledged(message.command)
+        elif kind in _MISSION_MESSAGES:
+            has_space = self.agenda.now_s - self._ready_s >= _NO_SPACE_S
+            self._storage.handle(port.name, message, has_space)
+        elif kind == "MISSION_SET_CURRENT":
+            if message.seq < len(self.items):
+                self._runner.set_current(message.seq)
+                self._streams.once(port, telemetry.MISSION_CURRENT)
+        elif kind in _PARAMETER_MESSAGES:
+            self.parameters.handle(port.name, message)
+        elif kind == "RC_CHANNELS_OVERRIDE":
+            self._override_rc(message)
+        elif kind == "NAMED_VALUE_FLOAT" and self.kind == "px4":
+            self._streams.hear_value(message)
+        elif kind == "FILE_TRANSFER_PROTOCOL":
+            reply = files.answer(message)
+            if reply is not None:
+                self._send(port, reply)
+        elif kind == "PING" and self.kind == "px4" and not message.target_system:
+            to = message.get_srcSystem(), message.get_srcComponent()
+            self._send(port, mavlink.MAVLink_ping_message(message.time_usec, message.seq, *to))
+        elif kind == "SET_MODE":
+            mode = mode_numbered(self.kind, message.custom_mode)
+            if mode is not None:
+                self._select(mode)
+        elif kind == "REQUEST_DATA_STREAM" and self.kind == "ardupilot":
+            rate_hz = min(message.req_message_rate, _FASTEST_GROUP_HZ)
+            on = bool(message.start_stop and rate_hz)
+            for message_id in commands.stream_group(message.req_stream_id):
+                self._streams.every(port, message_id, 1.0 / rate_hz if on else 0.0)
+        elif kind == "TIMESYNC" and message.tc1 == 0:
+            own_ns = int((self.agenda.now_s - self._boot_s) * 1e9)
+            self._send(port, mavlink.MAVLink_timesync_message(own_ns, message.ts1))
+
+    def _command(self, port: Port, message: Any) -> None:
+        params = commands.parameters(message)
+        result = self._carry_out(port, message.command, params)
+        target = message.get_srcSystem(), message.get_srcComponent()
+        self._send(port, mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, *target))
+        if result == commands.ACCEPTED:
+            self._answer(port, message.command, params)
+        if message.command == commands.REBOOT and result == commands.ACCEPTED:
+            self.reboot()
+
+    def _answer(self, port: Port, command: int, params: tuple[float, ...]) -> None:
+        """What was asked for, behind the acknowledgement."""
+        match command:
+            case commands.REQUEST_MESSAGE:
+                self._streams.once(port, commands.whole(params[0]))
+            case commands.GET_HOME:
+                self._streams.once(port, telemetry.HOME_POSITION)
+            case commands.REQUEST_CAPABILITIES:
+                self._streams.once(port, telemetry.AUTOPILOT_VERSION)
+            case commands.GET_MESSAGE_INTERVAL:
+                message_id = commands.whole(params[0])
+                stream = port.streams.get(message_id)
+                interval_us = round(stream.interval_s * 1e6) if stream else -1
+                self._send(port, mavlink.MAVLink_message_interval_message(message_id, interval_us))
+
+    def _carry_out(self, port: Port, command: int, params: tuple[float, ...]) -> int:
+        match command:
+            case commands.SET_MESSAGE_INTERVAL:
+                return self._set_interval(port, commands.whole(params[0]), params[1])
+            case commands.GET_HOME | commands.REQUEST_CAPABILITIES:
+                return commands.ACCEPTED
+            case commands.REQUEST_MESSAGE | commands.GET_MESSAGE_INTERVAL:
+                known = telemetry.streamable(commands.whole(params[0]))
+                return commands.ACCEPTED if known else commands.FAILED
+            case commands.ARM:
+                if params[0] == 1.0:
+                    self.arm()
+                else:
+                    self.disarm()
+                return commands.ACCEPTED
+            case commands.SET_MODE:
+                mode = commands.requested_mode(self.kind, params)
+                return _result(mode is not None and self._select(mode))
+            case commands.TAKEOFF:
+                return _result(self._guided_take_off(params[6]))
+            case commands.LAND:
+                return _result(self._select(mode_named(self.kind, "LAND")))
+            case commands.RETURN_HOME:
+                return _result(self._select(mode_named(self.kind, "RTL")))
+            case commands.START_MISSION:
+                return _result(self._select(mission_mode(self.kind)))
+            case commands.SET_CURRENT:
+                seq = commands.whole(params[0])
+                if not 0 <= seq < len(self.items):
+                    return commands.DENIED
+                self._runner.set_current(seq)
+                return commands.ACCEPTED
+            case commands.REBOOT:
+                return commands.ACCEPTED if params[0] == 1.0 and not self.armed else commands.DENIED
+            case _ if command in commands.PAYLOAD[self.kind]:
+                self.performed.append((self.now_s, command))
+                del self.performed[:-_KEPT]
+                return commands.ACCEPTED
+            case _:
+                return commands.UNSUPPORTED
+
+    def _guided_take_off(self, height_m: float) -> bool:
+        if not self.armed or not 0.0 < height_m < 10_000.0:
+            return False
+        if self.kind == "px4":
+            self._select(mode_named(self.kind, "TAKEOFF"))
+        elif self.mode.name != "GUIDED":
+            return False
+        self._take_off(height_m)
+        return True
+
+    def _set_interval(self, port: Port, message_id: int, interval_us: float) -> int:
+        if not telemetry.streamable(message_id):
+            if self.kind == "px4":
+                return commands.FAILED
+            self.text(f"No ap_message for mavlink id ({message_id})")
+            return commands.DENIED
+        if not -1.0 <= interval_us < 1e12:
+            return commands.DENIED
+        default_s = 1.0 if message_id == telemetry.HEARTBEAT else 0.0
+        interval_s = max(interval_us / 1e6, _FASTEST_STREAM_S) if interval_us > 0.0 else default_s
+        self._streams.every(port, message_id, interval_s if interval_us >= 0.0 else 0.0)
+        return commands.ACCEPTED
+
+
+def _result(done: bool) -> int:
+    return commands.ACCEPTED if done else commands.FAILED

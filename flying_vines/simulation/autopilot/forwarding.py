@@ -1,0 +1,48 @@
+"""Passing messages on from link to link: at once on ArduPilot, through a buffer for two on PX4."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+from flying_vines.simulation.autopilot.agenda import Agenda
+from flying_vines.simulation.autopilot.port import Port
+from flying_vines.vehicle.mission.storage import Kind
+
+PX4_BUFFER = 2
+_PX4_EVERY_S = 0.01
+
+
+class Forwarder:
+    """Puts frames out on other links as they are.
+
+    PX4 sends one forwarded message in each loop of a link, every 10 ms as on a slow one; what comes while
+    its buffer is full is lost. Both links must take part in forwarding.
+    """
+
+    def __init__(self, kind: Kind, agenda: Agenda, put_out: Callable[[Port, bytes], None]) -> None:
+        self._kind = kind
+        self._agenda = agenda
+        self._put_out = put_out
+        self._buffers: dict[str, deque[bytes]] = {}
+
+    def reboot(self) -> None:
+        self._buffers.clear()
+
+    def pass_on(self, source: Port, port: Port, frame: bytes) -> None:
+        if not (source.forwards and port.forwards and port.active and port is not source):
+            return
+        if self._kind == "ardupilot":
+            self._put_out(port, frame)
+            return
+        buffer = self._buffers.setdefault(port.name, deque())
+        if len(buffer) < PX4_BUFFER:
+            buffer.append(frame)
+            if len(buffer) == 1:
+                self._agenda.after(_PX4_EVERY_S, lambda: self._next(port))
+
+    def _next(self, port: Port) -> None:
+        buffer = self._buffers[port.name]
+        self._put_out(port, buffer.popleft())
+        if buffer:
+            self._agenda.after(_PX4_EVERY_S, lambda: self._next(port))

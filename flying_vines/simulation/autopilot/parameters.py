@@ -1,0 +1,223 @@
+"""The parameters: a small set that is true of this autopilot, in the encoding of its kind."""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.simulation.autopilot.agenda import Agenda, Entry
+from flying_vines.vehicle.mission.storage import Kind
+
+HASH_CHECK = "_HASH_CHECK"
+NO_INDEX = 65535
+
+_INT8, _INT16, _UINT32, _INT32, _REAL32 = 2, 4, 5, 6, 9
+_PACE_S = 0.01
+
+_TYPES: dict[Kind, dict[str, int]] = {
+    "ardupilot": {
+        "SYSID_THISMAV": _INT16,
+        "SYSID_MYGCS": _INT16,
+        "SERIAL1_PROTOCOL": _INT8,
+        "SERIAL1_BAUD": _INT32,
+        "SERIAL2_PROTOCOL": _INT8,
+        "SERIAL2_BAUD": _INT32,
+        "SCR_ENABLE": _INT8,
+        "CAM1_TYPE": _INT8,
+        "FS_THR_ENABLE": _INT8,
+        "RC_FS_TIMEOUT": _REAL32,
+        "RC_OPTIONS": _INT32,
+        "RC_OVERRIDE_TIME": _REAL32,
+        "MIS_TOTAL": _INT16,
+        "STAT_BOOTCNT": _INT16,
+        "STAT_RUNTIME": _INT32,
+    },
+    "px4": {
+        "COM_RC_IN_MODE": _INT32,
+        "COM_RC_LOSS_T": _REAL32,
+        "MAV_0_FORWARD": _INT32,
+        "MAV_1_CONFIG": _INT32,
+        "MAV_1_FORWARD": _INT32,
+        "MAV_1_MODE": _INT32,
+        "MAV_SYS_ID": _INT32,
+        "MIS_COMMAND_TOUT": _REAL32,
+        "NAV_RCL_ACT": _INT32,
+        "SYS_AUTOSTART": _INT32,
+    },
+}
+_FACTORY = {
+    "SYSID_MYGCS": 255.0,
+    "SERIAL1_PROTOCOL": 2.0,
+    "SERIAL1_BAUD": 57.0,
+    "SERIAL2_PROTOCOL": 2.0,
+    "SERIAL2_BAUD": 57.0,
+    "FS_THR_ENABLE": 1.0,
+    "RC_FS_TIMEOUT": 1.0,
+    "RC_OPTIONS": 32.0,
+    "RC_OVERRIDE_TIME": 3.0,
+    "STAT_BOOTCNT": 1.0,
+    "COM_RC_LOSS_T": 0.5,
+    "MAV_0_FORWARD": 1.0,
+    "MAV_1_CONFIG": 102.0,
+    "MAV_1_FORWARD": 1.0,
+    "MAV_1_MODE": 2.0,
+    "NAV_RCL_ACT": 2.0,
+    "SYS_AUTOSTART": 4001.0,
+}
+_OWN = {"SYSID_THISMAV", "MAV_SYS_ID", "MIS_TOTAL", "STAT_BOOTCNT", "STAT_RUNTIME"}
+"""Those that only the autopilot itself changes here; a set of one is answered with the value kept."""
+
+
+class _RawValue(mavlink.MAVLink_param_value_message):  # type: ignore[misc]
+    """PARAM_VALUE whose value is four given bytes: bytes that look like a NaN would not survive."""
+
+    def __init__(self, name: str, raw: bytes, kind: int, count: int, index: int) -> None:
+        super().__init__(name.encode(), struct.unpack("<f", raw)[0], kind, count, index)
+        self._raw = raw
+
+    def pack(self, mav: Any, force_mavlink1: bool = False) -> bytes:
+        rest = struct.pack(
+            "<HH16sB", self.param_count, self.param_index, self.param_id.encode(), self.param_type
+        )
+        return bytes(self._pack(mav, self.crc_extra, self._raw + rest, force_mavlink1=force_mavlink1))
+
+
+def _first_four_bytes(message: Any) -> bytes:
+    """The value as it was sent; of short MAVLink 2 payloads zeros at the end are left out."""
+    frame = bytes(message.get_msgbuf())
+    header = 10 if frame[0] == mavlink.PROTOCOL_MARKER_V2 else 6
+    return frame[header : header + min(4, frame[1])].ljust(4, b"\0")
+
+
+class Parameters:
+    """The parameter protocol's vehicle side.
+
+    ArduPilot writes integers as the number (a C cast), PX4 as their bytes. ArduPilot does not answer for a
+    name that it does not have, PX4 says so in a status text. A value that changes is told to everyone.
+    """
+
+    def __init__(
+        self,
+        kind: Kind,
+        values: Mapping[str, float],
+        agenda: Agenda,
+        send: Callable[[str, Any], None],
+        tell: Callable[[Any], None],
+        say: Callable[[str], None],
+    ) -> None:
+        """`values` differ from the factory's; `send` goes to one link, `tell` and `say` (a text) to all."""
+        self._kind = kind
+        self._types = _TYPES[kind]
+        self._values = {name: float(values.get(name, _FACTORY.get(name, 0.0))) for name in self._types}
+        self._names = list(self._types)
+        self._agenda = agenda
+        self._send = send
+        self._tell = tell
+        self._say = say
+        self._lists: dict[str, Entry] = {}
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[name]
+
+    def change(self, name: str, value: float) -> None:
+        """The autopilot itself, or whoever flies it, changes a value, and everyone is told."""
+        if name not in self._values:
+            raise ValueError(f"{self._kind} has no parameter {name} here")
+        self._values[name] = value
+        self._tell(self._message(name, NO_INDEX))
+
+    def reboot(self) -> None:
+        """Values are kept; a list that was under way is not."""
+        self._lists.clear()
+        if self._kind == "ardupilot":
+            self._values["STAT_BOOTCNT"] += 1
+
+    def handle(self, link: str, message: Any) -> None:
+        """PARAM_REQUEST_LIST, PARAM_REQUEST_READ or PARAM_SET for the autopilot."""
+        match message.get_type():
+            case "PARAM_REQUEST_LIST":
+                self._begin(link)
+            case "PARAM_REQUEST_READ":
+                self._read(link, message)
+            case "PARAM_SET":
+                self._set(link, message)
+
+    def _begin(self, link: str) -> None:
+        self._stop(link)
+        if self._kind == "px4":
+            self._send(link, self._hash())
+        self._lists[link] = self._agenda.after(_PACE_S, lambda: self._go_on(link, 0))
+
+    def _go_on(self, link: str, index: int) -> None:
+        self._send(link, self._message(self._names[index], index))
+        if index + 1 < len(self._names):
+            self._lists[link] = self._agenda.after(_PACE_S, lambda: self._go_on(link, index + 1))
+        else:
+            del self._lists[link]
+
+    def _stop(self, link: str) -> None:
+        running = self._lists.pop(link, None)
+        if running is not None:
+            running.cancel()
+
+    def _read(self, link: str, message: Any) -> None:
+        name = message.param_id
+        if message.param_index >= 0:
+            if message.param_index < len(self._names):
+                name = self._names[message.param_index]
+                self._send(link, self._message(name, message.param_index))
+        elif name == HASH_CHECK and self._kind == "px4":
+            self._send(link, self._hash())
+        elif name in self._values:
+            self._send(link, self._message(name, self._names.index(name)))
+        else:
+            self._unknown(name)
+
+    def _set(self, link: str, message: Any) -> None:
+        name = message.param_id
+        if name == HASH_CHECK and self._kind == "px4":
+            self._stop(link)  # the ground station has this very set in its cache
+            return
+        if name not in self._values:
+            self._unknown(name)
+            return
+        value = self._sent(message)
+        if math.isfinite(value) and name not in _OWN:
+            self._values[name] = value
+        self._tell(self._message(name, NO_INDEX if self._kind == "ardupilot" else self._names.index(name)))
+
+    def _sent(self, message: Any) -> float:
+        value = float(message.param_value)
+        if self._types[message.param_id] == _REAL32:
+            return value
+        if self._kind == "px4":
+            return float(struct.unpack("<i", _first_four_bytes(message))[0])
+        return float(int(value)) if math.isfinite(value) else value
+
+    def _unknown(self, name: str) -> None:
+        if self._kind == "px4":
+            self._say(f"[pm] unknown param: {name}"[:50])
+
+    def _message(self, name: str, index: int) -> Any:
+        kind, value = self._types[name], self._values[name]
+        if self._kind == "px4" and kind != _REAL32:
+            return _RawValue(name, self._bytes(name), kind, len(self._names), index)
+        return mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self._names), index)
+
+    def _bytes(self, name: str) -> bytes:
+        if self._types[name] == _REAL32:
+            return struct.pack("<f", self._values[name])
+        return struct.pack("<i", int(self._values[name]))
+
+    def _hash(self) -> Any:
+        """A checksum of names and values, by which a ground station may use its cache."""
+        crc = 0xFFFFFFFF
+        for name in sorted(self._names):
+            crc = zlib.crc32(self._bytes(name), zlib.crc32(name.encode(), crc))
+        raw = (crc ^ 0xFFFFFFFF).to_bytes(4, "little")
+        return _RawValue(HASH_CHECK, raw, _UINT32, len(self._names), NO_INDEX)

@@ -1,0 +1,242 @@
+"""RC as the autopilot lives with it: the receiver, its losses, and what a ground station sends instead."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from random import Random
+
+from flying_vines.simulation.autopilot.agenda import Agenda, Entry
+from flying_vines.simulation.autopilot.receiver import LOSSES, RcLoss, RcSource, Receiver
+from flying_vines.vehicle.mission.storage import Kind
+
+_JUMP_FAILSAFE_S = 0.05
+_THROTTLE_FAILSAFE_US = 975
+_IGNORE_OVERRIDES, _IGNORE_RECEIVER_FAILSAFE = 2, 4
+"""Bits of RC_OPTIONS."""
+_PX4_OVERRIDE_S = 0.5
+_RSSI_GONE_S, _RSSI_BACK_S = 0.5, 0.03
+REPORTS_APART_S = 2.0
+"""PX4 reports its health no more often, whatever changes."""
+
+
+def _loss(receiver: Receiver, how: RcLoss | None) -> RcLoss:
+    possible = LOSSES[receiver.source]
+    if how is not None and how not in possible:
+        raise ValueError(f"with {receiver.source!r} lose_rc takes {' or '.join(map(repr, possible))}")
+    return how or possible[0]
+
+
+class ArduPilotRc:
+    """Tells a loss by its failsafe, if its parameters let it.
+
+    No pulses: after RC_FS_TIMEOUT. Values of a receiver in failsafe: only a low throttle tells.
+    `failsafe_changed(on)` is called when the failsafe begins and ends.
+    """
+
+    def __init__(
+        self,
+        present: bool,
+        agenda: Agenda,
+        parameter: Callable[[str], float],
+        failsafe_changed: Callable[[bool], None],
+    ) -> None:
+        self.receiver = Receiver("ardupilot", present)
+        self.failsafe = False
+        self._agenda = agenda
+        self._parameter = parameter
+        self._failsafe_changed = failsafe_changed
+        self._failsafe_due: Entry | None = None
+        self._override_ends: Entry | None = None
+
+    def lose(self, how: RcLoss | None, preset: Mapping[int, int] | None) -> None:
+        how = _loss(self.receiver, how)
+        self.receiver.lose(how, preset)
+        if self.failsafe:
+            return
+        self._cancel_failsafe()
+        delay_s = _JUMP_FAILSAFE_S if how == "jump" else self._parameter("RC_FS_TIMEOUT")
+        self._failsafe_due = self._agenda.after(delay_s, self._fail)
+
+    def restore(self) -> None:
+        self.receiver.restore()
+        self._recover()
+
+    def override(self, channels_us: Sequence[int]) -> None:
+        """Kept for RC_OVERRIDE_TIME; below 0 is for ever."""
+        if self._option(_IGNORE_OVERRIDES):
+            return
+        self.receiver.override(channels_us)
+        if self._override_ends is not None:
+            self._override_ends.cancel()
+            self._override_ends = None
+        holds_s = self._parameter("RC_OVERRIDE_TIME")
+        if holds_s >= 0.0:
+            self._override_ends = self._agenda.after(holds_s, self._end_override)
+        if self.receiver.overridden:
+            self._recover()
+
+    def reboot(self) -> None:
+        self.receiver.reboot()
+        self._failsafe_due = self._override_ends = None
+        self.failsafe = False
+
+    @property
+    def _tells(self) -> bool:
+        """Whether its parameters let it see this loss."""
+        if not self._parameter("FS_THR_ENABLE"):
+            return False
+        if self.receiver.lost == "jump":
+            return self.receiver.throttle_us < _THROTTLE_FAILSAFE_US
+        return not self._option(_IGNORE_RECEIVER_FAILSAFE)
+
+    def _option(self, bit: int) -> bool:
+        return bool(int(self._parameter("RC_OPTIONS")) & bit)
+
+    def _end_override(self) -> None:
+        self.receiver.release()
+        if self.receiver.lost:
+            self._fail()
+
+    def _fail(self) -> None:
+        if self._tells:
+            self.failsafe = True
+            self._failsafe_changed(True)
+
+    def _recover(self) -> None:
+        self._cancel_failsafe()
+        if self.failsafe:
+            self.failsafe = False
+            self._failsafe_changed(False)
+
+    def _cancel_failsafe(self) -> None:
+        if self._failsafe_due is not None:
+            self._failsafe_due.cancel()
+            self._failsafe_due = None
+
+
+class Px4Rc:
+    """Tells a loss by the health that it reports, late, and no oftener than each 2 s.
+
+    `reported_good` is that report: only a receiver of its own makes it true. `failsafe_changed(on)` is called
+    when its failsafe acts, and when that is over.
+    """
+
+    _DETECTS_S = (0.85, 1.1)
+    _REPORTS_S = (0.0, 0.3)
+    _RETURNS_S = (0.08, 0.22)
+    _ACTS_UNTIL_S = 3.8
+
+    def __init__(
+        self,
+        present: bool,
+        source: RcSource | None,
+        agenda: Agenda,
+        random: Random,
+        failsafe_changed: Callable[[bool], None],
+    ) -> None:
+        self.receiver = Receiver("px4", present, source)
+        self.failsafe = False
+        self._agenda = agenda
+        self._random = random
+        self._failsafe_changed = failsafe_changed
+        self.has_driver = self.receiver.source in ("sbus", "crsf")
+        self._good = self.reported_good = self.has_driver and present
+        self._reported_s = -math.inf
+        self._due: list[Entry] = []
+        self._report_due: Entry | None = None
+        self._override_ends: Entry | None = None
+
+    def lose(self, how: RcLoss | None, preset: Mapping[int, int] | None) -> None:
+        self.receiver.lose(_loss(self.receiver, how), preset)
+        if self.has_driver:
+            detects_s = self._random.uniform(*self._DETECTS_S)
+            self._then((_RSSI_GONE_S, self._lose_rssi), (detects_s, self._detect))
+
+    def restore(self) -> None:
+        self.receiver.restore()
+        if self.has_driver:
+            returns_s = self._random.uniform(*self._RETURNS_S)
+            self._then(
+                (_RSSI_BACK_S, self._find_rssi),
+                (returns_s, self._recover),
+                (self._ACTS_UNTIL_S, lambda: self._act(False)),
+            )
+
+    def override(self, channels_us: Sequence[int]) -> None:
+        if self.has_driver:
+            return
+        self.receiver.override(channels_us)
+        if self._override_ends is not None:
+            self._override_ends.cancel()
+        self._override_ends = self._agenda.after(_PX4_OVERRIDE_S, self.receiver.release)
+
+    def reboot(self) -> None:
+        self.receiver.reboot()
+        self._due, self._report_due, self._override_ends = [], None, None
+        self.failsafe = False
+        self._good = self.reported_good = self.has_driver and self.receiver.lost is None
+        if self.has_driver:
+            self.receiver.has_rssi = self._good
+
+    def report(self) -> None:
+        """Health has changed somewhere: it is reported as it is now, or as it will be when the time is up."""
+        if self._report_due is not None:
+            return
+        wait_s = self._reported_s + REPORTS_APART_S - self._agenda.now_s
+        if wait_s > 0.0:
+            self._report_due = self._agenda.after(wait_s, self._report)
+        else:
+            self._report()
+
+    def _report(self) -> None:
+        self._report_due = None
+        self._reported_s = self._agenda.now_s
+        self.reported_good = self._good
+
+    def _then(self, *steps: tuple[float, Callable[[], None]]) -> None:
+        """These, instead of what was still to come of a loss or return before."""
+        for entry in self._due:
+            entry.cancel()
+        self._due = [self._agenda.after(delay_s, step) for delay_s, step in steps]
+
+    def _lose_rssi(self) -> None:
+        self.receiver.has_rssi = False
+
+    def _find_rssi(self) -> None:
+        self.receiver.has_rssi = True
+
+    def _detect(self) -> None:
+        self._good = False
+        self._due.append(self._agenda.after(self._random.uniform(*self._REPORTS_S), self.report))
+        self._act(True)
+
+    def _recover(self) -> None:
+        if not self._good:
+            self._good = True
+            self.report()
+
+    def _act(self, on: bool) -> None:
+        if self.failsafe != on:
+            self.failsafe = on
+            self._failsafe_changed(on)
+
+
+RcInput = ArduPilotRc | Px4Rc
+
+
+def rc_input(
+    kind: Kind,
+    present: bool,
+    source: RcSource | None,
+    agenda: Agenda,
+    random: Random,
+    parameter: Callable[[str], float],
+    failsafe_changed: Callable[[bool], None],
+) -> RcInput:
+    """What that kind of autopilot has."""
+    if kind == "ardupilot":
+        if source not in (None, "pulses"):
+            raise ValueError(f"ardupilot has no receiver {source!r} here")
+        return ArduPilotRc(present, agenda, parameter, failsafe_changed)
+    return Px4Rc(present, source, agenda, random, failsafe_changed)

@@ -1,0 +1,87 @@
+"""What runs a mission, and what it needs from the autopilot around it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+from flying_vines.simulation.autopilot.agenda import Agenda
+from flying_vines.simulation.autopilot.flight import Flight
+from flying_vines.vehicle.mission.item import MissionItem
+
+NO_MISSION, NOT_STARTED, ACTIVE, PAUSED, COMPLETE = 1, 2, 3, 4, 5
+
+JUMP = 177
+FOR_EVER = -1
+
+
+@dataclass(frozen=True, slots=True)
+class MissionStatus:
+    """What MISSION_CURRENT says."""
+
+    seq: int
+    total: int
+    state: int
+    mode: int
+
+
+class Host(Protocol):
+    """The autopilot as its mission runner sees it."""
+
+    agenda: Agenda
+    flight: Flight
+
+    @property
+    def items(self) -> list[MissionItem]: ...
+    @property
+    def armed(self) -> bool: ...
+    def text(self, text: str, severity: int = 6) -> None:
+        """Say it to everyone who may hear status texts."""
+
+    def reached(self, seq: int) -> None:
+        """MISSION_ITEM_REACHED: one slot, sent at the end of the loop, so the last of a loop wins."""
+
+    def executed(self, item: MissionItem) -> None:
+        """A DO item really ran."""
+
+    def flush(self) -> None:
+        """The end of a loop outside the autopilot's own ticks."""
+
+
+class Runner(Protocol):
+    """A mission runner; all methods are cheap and may be called at any time."""
+
+    def enter(self) -> None:
+        """The mission mode was selected."""
+
+    def leave(self) -> None:
+        """Another mode was selected."""
+
+    def update(self) -> None:
+        """Once per loop while the mission mode is on."""
+
+    def disarmed(self) -> None:
+        """The vehicle disarmed while the mission mode was on."""
+
+    def replaced(self) -> None:
+        """Another mission was loaded."""
+
+    def set_current(self, seq: int) -> None: ...
+    def status(self, in_mission_mode: bool) -> MissionStatus: ...
+
+
+class Jumps:
+    """Counts how often each DO_JUMP was taken."""
+
+    def __init__(self) -> None:
+        self._taken: dict[int, int] = {}
+
+    def take(self, item: MissionItem) -> int:
+        """The seq to go on with: the jump's target, or the item after it once it is used up."""
+        target, times = item.params[0], item.params[1]
+        taken = self._taken.get(item.seq, 0)
+        if not (math.isfinite(target) and target >= 0) or (times != FOR_EVER and not taken < times):
+            return item.seq + 1
+        self._taken[item.seq] = taken + 1
+        return int(target)

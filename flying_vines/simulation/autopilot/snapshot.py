@@ -1,0 +1,32 @@
+"""Everything that telemetry is made of, at one instant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flying_vines.simulation.autopilot.flight import Flight
+from flying_vines.simulation.autopilot.modes import Mode
+from flying_vines.simulation.autopilot.receiver import Receiver
+from flying_vines.simulation.autopilot.runner import MissionStatus
+from flying_vines.vehicle.mission.storage import Kind
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    kind: Kind
+    mode: Mode
+    armed: bool
+    calibrating: bool
+    rc_failsafe: bool
+    rc_reported: bool
+    """PX4's health report calls RC good."""
+    boot_s: float
+    unix_s: float
+    flight: Flight
+    receiver: Receiver
+    mission: MissionStatus
+    mission_id: int
+
+    @property
+    def boot_ms(self) -> int:
+        return int(self.boot_s * 1000) & 0xFFFFFFFF

@@ -1,0 +1,91 @@
+"""A fake autopilot flown, and a fake phloSAR broken, by typing."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import stat
+import sys
+from collections.abc import Callable
+from itertools import groupby
+
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.phlosar.mishaps import PLACES, Mishaps, kind_from, words_for
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+
+HELP = """\
+arm · disarm · takeoff METRES · land · mission · mode NAME · rc CHANNEL MICROSECONDS
+lose_rc · return_rc · mute SECONDS · reboot"""
+
+COMMANDS: dict[str, tuple[int, Callable[..., None]]] = {
+    "arm": (0, lambda a: a.arm()),
+    "disarm": (0, lambda a: a.disarm()),
+    "takeoff": (1, lambda a, height: a.takeoff(float(height))),
+    "land": (0, lambda a: a.land()),
+    "mission": (0, lambda a: a.start_mission()),
+    "mode": (1, lambda a, name: a.set_mode(name.upper())),
+    "rc": (2, lambda a, channel, pulse: a.set_rc(int(channel), int(pulse))),
+    "lose_rc": (0, lambda a: a.lose_rc()),
+    "return_rc": (0, lambda a: a.return_rc()),
+    "mute": (1, lambda a, seconds: a.mute(float(seconds))),
+    "reboot": (0, lambda a: a.reboot()),
+}
+
+
+def obey(autopilot: Autopilot, line: str) -> str:
+    """Do what a line says; what to tell the person who typed it, or nothing."""
+    words = line.split()
+    if not words:
+        return ""
+    name, arguments = words[0], words[1:]
+    if name not in COMMANDS:
+        return HELP
+    count, act = COMMANDS[name]
+    if len(arguments) != count:
+        return HELP
+    try:
+        act(autopilot, *arguments)
+    except ValueError as error:
+        return f"{name}: {error}"
+    return ""
+
+
+MISHAPS = "\n".join(
+    [
+        f"{', '.join(places)}:\n  {' · '.join(words)}"
+        for words, places in groupby(PLACES, lambda place: [words_for(place, word) for word in PLACES[place]])
+    ]
+    + ["any: well\nwell: all of it"]
+)
+
+
+def suffer(phlosar: SimulatedPhlosar, line: str) -> str:
+    """Let happen what a line says; what to tell the person who typed it, or nothing."""
+    words = line.split()
+    if not words:
+        return ""
+    if words == ["well"]:
+        phlosar.mishaps = Mishaps()
+        return ""
+    place, kind = words[0], words[1:]
+    if place not in PLACES:
+        return MISHAPS
+    try:
+        phlosar.befall(place, None if kind == ["well"] else kind_from(place, kind))
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+async def type_to(obeyed: Callable[[str], str]) -> None:
+    """Obey standard input, line by line, until it ends; where nobody can type there (a service), at once."""
+    kind = os.fstat(sys.stdin.fileno()).st_mode
+    if not (sys.stdin.isatty() or stat.S_ISFIFO(kind) or stat.S_ISSOCK(kind)):
+        return
+    reader = asyncio.StreamReader()
+    loop = asyncio.get_running_loop()
+    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    while line := await reader.readline():
+        answer = obeyed(line.decode(errors="replace"))
+        if answer:
+            print(answer, flush=True)

@@ -1,0 +1,443 @@
+"""A scripted flight: the real service between a fake autopilot and a fake phloSAR, step by step, checked.
+
+Each step does one thing to the world and says what must come of it, and by when. The flight has passed when
+every expectation was met and nothing moved that was not asked to.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rich.console import Console, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from flying_vines.cli.bad_input import lacks
+from flying_vines.config import config as configuration
+from flying_vines.config.config import Config
+from flying_vines.core.events import Action, Decision, Snapshot
+from flying_vines.core.watcher import EachAction
+from flying_vines.gateway.gateway import Gateway
+from flying_vines.gateway.page_token import address
+from flying_vines.physics.plant.true_rig import TrueRig
+from flying_vines.record.reader import FlightLog
+from flying_vines.record.recorder import Began, Recorder
+from flying_vines.service.service import Service
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot_server import AutopilotServer
+from flying_vines.simulation.ground_station import GroundStation
+from flying_vines.simulation.phlosar.board import best_board
+from flying_vines.simulation.phlosar.mishaps import Hole
+from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
+from flying_vines.terminal import vine_sketch as sketch
+from flying_vines.terminal.screen import LiveView, event_line
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.notice import Notice, Severity
+
+HOME = (-35.363262, 149.165237)
+NORTH_DEG_PER_M = 1 / 111_320
+LOOK_S = 0.05
+SWITCH_CHANNEL = 9
+LOW, MIDDLE, HIGH = 1000, 1500, 2000
+CRUISE_M = 6.0
+LEAK = Hole(bore_mm=4.0)
+EMPTY_KPA = 30.0
+ROOM_FOR_VINE = 110
+"""Columns of a terminal from which on the vine is drawn beside the live view."""
+
+
+@dataclass
+class World:
+    """What a step can act on and look at."""
+
+    config: Config
+    autopilot: Autopilot
+    phlosar: SimulatedPhlosar
+    ground: GroundStation
+    decisions: list[Decision] = field(default_factory=list)
+    notices: list[Notice] = field(default_factory=list)
+    snapshot: Snapshot | None = None
+
+    def decided(self, since: float, trigger: str, safety: str, reason: str = "", **what: object) -> bool:
+        """Whether a trigger was decided like this since a time."""
+        return any(
+            d.t >= since
+            and (d.trigger, d.safety) == (trigger, safety)
+            and reason in d.reason
+            and all(d.what.get(key) == value for key, value in what.items())
+            for d in self.decisions
+        )
+
+    def noticed(self, since: float, text: str) -> bool:
+        return any(n.t >= since and text in n.text for n in self.notices)
+
+    @property
+    def bend_deg(self) -> float:
+        return self.snapshot.bend_deg if self.snapshot else 0.0
+
+    @property
+    def vented(self) -> bool:
+        """As the plant itself knows it, not as telemetry says."""
+        return self.phlosar.cv_kPa < 1.0 and self.phlosar.drive.evp == 0.0
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """What must become true after a step, within a time."""
+
+    what: str
+    within_s: float
+    met: Callable[[World, float], bool]
+    """Of the world and of the time at which the step began."""
+    lasts: bool = False
+    """It must be true all the time until then."""
+
+
+@dataclass(frozen=True)
+class Step:
+    at_s: float
+    title: str
+    act: Callable[[World], None]
+    expect: tuple[Expectation, ...]
+
+
+@dataclass
+class Outcome:
+    """An expectation and when, after its step, it was met; None while it was not."""
+
+    step: Step
+    expectation: Expectation
+    began: float
+    met_after_s: float | None = None
+    failed: bool = False
+
+    def look(self, world: World, now: float) -> None:
+        """Whether it is decided now."""
+        if self.failed or self.met_after_s is not None:
+            return
+        late = now - self.began > self.expectation.within_s
+        met = self.expectation.met(world, self.began)
+        if met and (late if self.expectation.lasts else not late):
+            self.met_after_s = now - self.began
+        elif late or (self.expectation.lasts and not met):
+            self.failed = True
+
+
+def demo_mission() -> list[MissionItem]:
+    """Home, take-off, a waypoint, the vine item, a waypoint far enough away to last the flight."""
+    return [
+        _position(0, 16, 0.0, 584.0, frame=0),
+        _position(1, 22, 0.0, CRUISE_M),
+        _position(2, 16, 5.0, CRUISE_M),
+        MissionItem(3, 217, (1.0, 40.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+        _position(4, 16, 200.0, CRUISE_M),
+    ]
+
+
+def _position(seq: int, command: int, north_m: float, altitude_m: float, frame: int = 3) -> MissionItem:
+    latitude = HOME[0] + north_m * NORTH_DEG_PER_M
+    return MissionItem(seq, command, (0.0, 0.0, 0.0, 0.0, latitude, HOME[1], altitude_m), frame=frame)
+
+
+def _switch(pulse_us: int) -> Callable[[World], None]:
+    return lambda w: w.autopilot.set_rc(SWITCH_CHANNEL, pulse_us)
+
+
+def _switched(position: int, safety: str = "accepted", reason: str = "") -> Expectation:
+    said = f"switch seen in position {position}, bend {safety}"
+    return Expectation(
+        said, 1.0, lambda w, since: w.decided(since, "switch", safety, reason, position=position)
+    )
+
+
+def _bends_to(angle_deg: float) -> Expectation:
+    return Expectation(f"vine at {angle_deg:g}°", 2.0, lambda w, since: abs(w.bend_deg - angle_deg) < 4.0)
+
+
+def _vented(within_s: float) -> Expectation:
+    return Expectation("vine vented", within_s, lambda w, since: w.vented)
+
+
+def _stays_vented(for_s: float) -> Expectation:
+    return Expectation("vine stays vented", for_s, lambda w, since: w.vented, lasts=True)
+
+
+def _lost(loss: str, within_s: float) -> Expectation:
+    return Expectation(
+        f"safe state entered: {loss}",
+        within_s,
+        lambda w, since: w.decided(since, "failsafe", "accepted", loss=loss),
+    )
+
+
+def _told(text: str, within_s: float) -> Expectation:
+    return Expectation(f"pilot told: “{text}”", within_s, lambda w, since: w.noticed(since, text))
+
+
+def _open_leak(w: World) -> None:
+    w.phlosar.mishaps.bottle = LEAK
+
+
+def _unseen_move(w: World) -> None:
+    w.autopilot.set_rc(SWITCH_CHANNEL, HIGH)
+
+
+FIVE_VALUES = {"RES_KPA", "CYC_LEFT", "CV_KPA", "CMD_KPA", "BEND_DEG"}
+
+SCRIPT = (
+    Step(
+        0.5,
+        "Power on",
+        lambda w: None,
+        (
+            Expectation(
+                "phloSAR answers", 3.0, lambda w, _: bool(w.snapshot and w.snapshot.firmware == "ready")
+            ),
+            Expectation("RC heard", 4.0, lambda w, _: bool(w.snapshot and w.snapshot.rc == "good")),
+            Expectation(
+                "ground station sees all five values", 5.0, lambda w, _: w.ground.values.keys() >= FIVE_VALUES
+            ),
+        ),
+    ),
+    Step(
+        2.5,
+        "Arm and take off",
+        lambda w: w.autopilot.takeoff(CRUISE_M),
+        (
+            Expectation("armed", 2.0, lambda w, _: bool(w.snapshot and w.snapshot.armed)),
+            Expectation("above 4 m", 5.0, lambda w, _: bool(w.snapshot and w.snapshot.altitude_m > 4.0)),
+        ),
+    ),
+    Step(5.5, "Switch to the middle", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
+    Step(7.0, "Switch up", _switch(HIGH), (_switched(2), _bends_to(60.0))),
+    Step(8.5, "Switch down", _switch(LOW), (_switched(0), _vented(2.0))),
+    Step(
+        10.5,
+        "Fly the mission: item 3 bends to 40°",
+        lambda w: w.autopilot.start_mission(),
+        (
+            Expectation(
+                "mission item 3 seen, bend accepted",
+                5.0,
+                lambda w, since: w.decided(since, "mission_item", "accepted", seq=3),
+            ),
+            Expectation("vine at 40°", 6.0, lambda w, since: abs(w.bend_deg - 40.0) < 4.0),
+        ),
+    ),
+    Step(14.5, "RC is lost", lambda w: w.autopilot.lose_rc("frozen"), (_lost("rc", 2.0), _vented(3.0))),
+    Step(16.0, "The pilot moves the switch, unseen", _unseen_move, ()),
+    Step(
+        16.5,
+        "RC returns",
+        lambda w: w.autopilot.return_rc(),
+        (_told("RC is back", 1.0), _told("move it again", 2.5), _stays_vented(2.9)),
+    ),
+    Step(19.5, "A fresh move of the switch", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
+    Step(
+        21.0,
+        "The bottle is holed, and runs low",
+        _open_leak,
+        (_lost("bottle_loss", 2.0), _vented(2.5), _told("bottle low", 4.0)),
+    ),
+    Step(
+        24.5,
+        "Switch up with an empty bottle",
+        _switch(HIGH),
+        (_switched(2, "refused", "bottle loses"), _told("refused bend-full", 1.0), _stays_vented(3.0)),
+    ),
+    Step(
+        25.0,
+        "Land",
+        lambda w: w.autopilot.land(),
+        (
+            Expectation("landed and disarmed", 12.0, lambda w, _: bool(w.snapshot and not w.snapshot.armed)),
+            _stays_vented(6.0),
+            Expectation(
+                "ground station got the refusal",
+                8.0,
+                lambda w, _: any("refused bend-full" in text for text in w.ground.texts),
+            ),
+        ),
+    ),
+)
+
+ASKED_FOR = {"switch": 5, "mission_item": 1, "command": 0}
+"""How many triggers of each kind the script makes; the move while RC is lost is none."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What came of a scripted flight."""
+
+    outcomes: list[Outcome]
+    unasked: list[str]
+    folder: Path
+    picture: Path | None
+    values: dict[str, float]
+
+    @property
+    def passed(self) -> bool:
+        return not self.unasked and all(o.met_after_s is not None for o in self.outcomes)
+
+
+async def fly(
+    out: Path, console: Console, live: bool, rig: TrueRig | None = None, page: bool = False
+) -> Flight:
+    """Fly the script in real time; the log and its picture go to a new folder under `out`.
+
+    With `page`, a browser may look on.
+    """
+    ground = GroundStation()
+    ground_port = await ground.listen()
+    companion_port = _free_udp_port()
+    phlosar = SimulatedPhlosar(rig, best_board(), reservoir_kPa=690.0)
+    autopilot = Autopilot("ardupilot", mission=demo_mission(), rc_failsafe_mode=None)
+    autopilot.set_rc(SWITCH_CHANNEL, LOW)
+    with PtyPhlosar(phlosar) as port:
+        default = configuration.default()
+        text = configuration.default_text()
+        text = text.replace(default.vehicle.link, f"udpin:127.0.0.1:{companion_port}")
+        text = text.replace(default.firmware.link, f"serial:{port.path}")
+        config = configuration.parse(text, "the demo's profile")
+        log = Recorder(out, Began(text, config.pneumatics))
+        world = World(config, autopilot, phlosar, ground)
+        server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
+        began = asyncio.get_running_loop().time()
+        view = LiveView(began, config.limits.max_kPa, config.pneumatics.full_kPa)
+
+        def take(action: Action) -> None:
+            view.take(action)
+            if isinstance(action, Decision):
+                world.decisions.append(action)
+            elif isinstance(action, Notice):
+                world.notices.append(action)
+            line = None if live else event_line(action, began)
+            if line is not None:
+                console.print(line, soft_wrap=True)
+
+        gateway = Gateway(
+            config,
+            ask=lambda *asked: service.ask(*asked),
+            say=lambda text: service.say(Severity.WARNING, text),
+        )
+        service = Service(config, (log, EachAction(take), gateway))
+        parts = (server, port, ground, *((gateway,) if page else ()))
+        if page:
+            view.say(Text(f"Page {address(config.page)}", style="bold"))
+            console.print(f"Page {address(config.page)}")
+        async with asyncio.TaskGroup() as tasks:
+            running = [tasks.create_task(part.run()) for part in parts]
+            serving = tasks.create_task(service.run())
+            outcomes = await _direct(world, service, view, console, live)
+            service.stop()
+            await serving
+            for task in running:
+                task.cancel()
+    log.close()
+    picture = _draw(log, console)
+    return Flight(outcomes, _unasked(world), log.folder, picture, dict(ground.values))
+
+
+async def _direct(
+    world: World, service: Service, view: LiveView, console: Console, live: bool
+) -> list[Outcome]:
+    """Do the steps in time, and look whether what they say comes true."""
+    began = service.now
+    waiting = list(SCRIPT)
+    outcomes: list[Outcome] = []
+    screen = Live(console=console, refresh_per_second=10, screen=True) if live else None
+    if screen:
+        screen.start()
+    try:
+        while True:
+            now = service.now
+            while waiting and now - began >= waiting[0].at_s:
+                step = waiting.pop(0)
+                outcomes.extend(Outcome(step, expectation, now) for expectation in step.expect)
+                title = Text(f"{now - began:7.2f}  ▶ {step.title}", style="bold magenta")
+                view.say(title)
+                if not live:
+                    console.print(title)
+                step.act(world)
+            world.snapshot = service.core.snapshot(now)
+            if world.phlosar.reservoir_kPa < EMPTY_KPA:
+                world.phlosar.mishaps.bottle = None
+            for outcome in outcomes:
+                outcome.look(world, now)
+            if screen:
+                panel = view.render(world.snapshot, "Flying Vines demo")
+                screen.update(_with_vine(panel, world.bend_deg, console))
+            if not waiting and all(o.failed or o.met_after_s is not None for o in outcomes):
+                return outcomes
+            await asyncio.sleep(LOOK_S)
+    finally:
+        if screen:
+            screen.stop()
+
+
+def _with_vine(view: RenderableType, bend_deg: float, console: Console) -> RenderableType:
+    """The live view and, where there is room, the vine as it is bent now."""
+    if console.width < ROOM_FOR_VINE:
+        return view
+    both = Table.grid(padding=(0, 1), expand=True)
+    both.add_column(ratio=1)
+    both.add_column(width=sketch.COLUMNS)
+    lines = sketch.sketch(bend_deg, unicode=console.encoding.startswith("utf"))
+    both.add_row(view, Text("\n" + "\n".join(lines), style="green", no_wrap=True))
+    return both
+
+
+def _unasked(world: World) -> list[str]:
+    """What was triggered that the script did not ask for, and what the vine should not have done."""
+    found = []
+    for kind, asked in ASKED_FOR.items():
+        times = sum(d.trigger == kind for d in world.decisions)
+        if times != asked:
+            found.append(f"{times} triggers of kind {kind}, the script makes {asked}")
+    return found
+
+
+def _draw(log: Recorder, console: Console) -> Path | None:
+    try:
+        from flying_vines.record.picture import draw_flight
+    except ModuleNotFoundError as error:
+        console.print(f"No picture: {lacks(error)}.")
+        return None
+    path = log.folder / "flight.png"
+    draw_flight(FlightLog(log.folder), path, "Flying Vines demo flight")
+    return path
+
+
+def summary(flight: Flight) -> Table:
+    """The script's steps, what each had to bring about, and whether it did."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("at, s", justify="right")
+    table.add_column("step")
+    table.add_column("must happen")
+    table.add_column("after, s", justify="right")
+    table.add_column("")
+    shown: Step | None = None
+    for outcome in flight.outcomes:
+        first = outcome.step is not shown
+        shown = outcome.step
+        met = outcome.met_after_s
+        table.add_row(
+            f"{outcome.step.at_s:g}" if first else "",
+            outcome.step.title if first else "",
+            outcome.expectation.what,
+            f"{met:.2f}" if met is not None else "–",
+            Text("ok", style="green") if met is not None else Text("FAILED", style="bold red"),
+        )
+    return table
+
+
+def _free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

@@ -1,0 +1,89 @@
+"""Fly a mission in simulation: the service itself between a fake autopilot and a simulated phloSAR."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from time import perf_counter
+
+import msgspec
+
+from flying_vines.config.config import Config
+from flying_vines.core.events import Decision
+from flying_vines.physics.plant.true_rig import TrueRig
+from flying_vines.simulation.autopilot import Autopilot, Home, Kind
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.supply import nominal_rig
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.triggers import Rules
+
+GROUND_S = 8.0
+"""Before take-off: the service finds the autopilot and reads the mission."""
+LATE_S = 60.0
+"""After the planned end the flight is given up."""
+TURN_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What came of it. Gauge kPa."""
+
+    ran: tuple[MissionItem, ...]
+    """The vine items that the autopilot ran, in order."""
+    decisions: tuple[Decision, ...]
+    """What the service decided about them."""
+    begins_kPa: float
+    ends_kPa: float
+    length_s: float
+    landed: bool
+    took_s: float
+    """Of this machine's time."""
+
+    @property
+    def speed(self) -> float:
+        """How many times real time."""
+        return (self.length_s + GROUND_S) / max(1e-9, self.took_s)
+
+
+def fly(
+    items: Sequence[MissionItem],
+    config: Config,
+    kind: Kind,
+    home: Home,
+    reservoir_kPa: float,
+    planned_s: float,
+    rig: TrueRig | None = None,
+) -> Trial:
+    """Fly the items until the vehicle has landed, or `planned_s` is long over.
+
+    MissionRefused if the autopilot does not take them. `rig` is what is there; by default a likely
+    one with the profile's numbers.
+    """
+    began = perf_counter()
+    # In a trial nobody stands by to arm the pneumatics.
+    interlocks = msgspec.structs.replace(config.interlocks, armed_at_start=True)
+    config = msgspec.structs.replace(config, interlocks=interlocks)
+    autopilot = Autopilot(kind, mission=items, home=home)
+    rig = rig or TrueRig(nominal_rig(config.pneumatics), likely=True)
+    phlosar = SimulatedPhlosar(rig, reservoir_kPa=reservoir_kPa)
+    flight = SimulatedFlight(config, autopilot, phlosar)
+    actions = flight.run(GROUND_S)
+    begins_kPa = flight.phlosar.reservoir_kPa
+    autopilot.start_mission()
+    t = GROUND_S
+    while t < GROUND_S + planned_s + LATE_S and (t < GROUND_S + TURN_S or autopilot.armed):
+        t += TURN_S
+        actions += flight.run(t)
+    length_s = t - GROUND_S
+    landed = not autopilot.armed
+    commands = Rules(config).commands
+    return Trial(
+        ran=tuple(item for ran_s, item in autopilot.payload_log if item.command in commands),
+        decisions=tuple(a for a in actions if isinstance(a, Decision) and a.trigger == "mission_item"),
+        begins_kPa=begins_kPa,
+        ends_kPa=flight.phlosar.reservoir_kPa,
+        length_s=length_s,
+        landed=landed,
+        took_s=perf_counter() - began,
+    )

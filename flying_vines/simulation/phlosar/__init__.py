@@ -1,0 +1,1 @@
+"""The simulated phloSAR: the firmware on the plant, behind a pseudo-terminal."""

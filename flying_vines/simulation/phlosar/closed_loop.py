@@ -1,0 +1,139 @@
+"""The firmware's regulator and a plant in a closed loop, compiled: a minute in some thousandths of one.
+
+What `SimulatedPhlosar` does with bytes and in real time, as one call: sensors are read and the valves told
+anew at 1 kHz by the firmware's own `begin` and `regulate`. No protocol, no faults: whether a pressure was too
+high is for the caller to see in the table. Needs numba: pip install 'flying-vines[analysis]'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from flying_vines.physics.compiler import compiled, record
+from flying_vines.physics.plant.ambient import air_between
+from flying_vines.physics.plant.compiled import Run, empty_table, floats_of, named, noise_of, weather_of
+from flying_vines.physics.plant.gas import STANDARD_TEMPERATURE_K
+from flying_vines.physics.plant.loops import APART, Table, read_both, weather_at, write
+from flying_vines.physics.plant.numbers import Numbers, numbers_of
+from flying_vines.physics.plant.plant import Plant, State, at_rest
+from flying_vines.physics.plant.rates import Floats, conditions
+from flying_vines.physics.plant.sensors import Sensor, Transfer, rested
+from flying_vines.physics.plant.simulator import TICK_S
+from flying_vines.physics.plant.tick import memory_at_rest, tick
+from flying_vines.simulation.phlosar.regulator import SAFE, RegulatorSettings, begin, regulate
+
+
+class Setpoint(NamedTuple):
+    """From when on which pressure is to be held, and how fast to go there. NaN kPa: vent."""
+
+    from_s: float
+    target_kPa: float
+    rate_kPa_per_s: float
+
+
+def closed_loop(
+    plant: Plant,
+    setpoints: Sequence[Setpoint],
+    seconds: float,
+    state: State | None = None,
+    *,
+    settings: RegulatorSettings | None = None,
+    cv_sensor: Sensor | None = None,
+    reservoir_sensor: Sensor | None = None,
+    seed: int | None = None,
+    record_every: int = 10,
+) -> Run:
+    """The plant from `state` (default: `at_rest`) under the regulator for so long.
+
+    `setpoints` in the order of their times, each until the next one; before the first the plant is vented,
+    as the firmware does. Sensors are perfect unless given, and without noise unless there is a `seed`. A row
+    of the table tells of the start of every `record_every`-th tick of 1 ms: the default is the firmware's
+    telemetry of 100 Hz. Times are nearest ticks.
+    """
+    n_ticks = round(seconds / TICK_S)
+    orders = np.array([tuple(setpoint) for setpoint in setpoints], np.float64).reshape(-1, 3)
+    orders[:, 0] = np.round(orders[:, 0] / TICK_S)
+    if (np.diff(orders[:, 0]) <= 0.0).any():
+        raise ValueError("setpoints come one after the other: their times must rise, by a tick at least")
+    table = empty_table(n_ticks, record_every)
+    final = compiled(run_regulated, APART)(
+        record(numbers_of(plant, TICK_S)),
+        record((cv_sensor or Sensor()).numbers),
+        record((reservoir_sensor or Sensor()).numbers),
+        record(settings or RegulatorSettings()),
+        weather_of(plant, n_ticks, TICK_S),
+        noise_of(seed, n_ticks),
+        orders,
+        floats_of(at_rest(plant) if state is None else state),
+        np.empty((n_ticks, 2)),
+        record_every,
+        table,
+    )
+    return Run(named(table), State(*final))
+
+
+def run_regulated(
+    numbers: Numbers,
+    cv_sensor: Transfer,
+    reservoir_sensor: Transfer,
+    settings: RegulatorSettings,
+    weather: Table,
+    noise: Table,
+    orders: Table,
+    state: Floats,
+    told: Table,
+    every: int,
+    table: Table,
+) -> Floats:
+    """The state at the end; `told` (EVP, DVP: a row a tick) is for the valves' delays. Else as
+    `run_openings`."""
+    s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state
+    now: Floats = (s0, s1, s2, s3, s4, s5, s6, s7, s8, s9)
+    air = weather_at(weather, 0)
+    memory = memory_at_rest(False, air.ratio * STANDARD_TEMPERATURE_K)
+    found = conditions(numbers, air, now)
+    cv_seen, reservoir_seen = rested(found.line_kPa), rested(found.reservoir_kPa)
+    evp_delay, dvp_delay = numbers.evp.delay_ticks, numbers.dvp.delay_ticks
+    regulating = False
+    target_kPa, rate_kPa_per_s = np.nan, 0.0
+    remembered = begin(0.0)
+    cv_kPa = 0.0
+    due = row = order = 0
+    for index in range(len(told)):
+        cv_before_kPa = cv_kPa
+        found = conditions(numbers, air, now)
+        cv_seen, cv_kPa, reservoir_seen, reservoir_kPa = read_both(
+            cv_sensor, reservoir_sensor, cv_seen, reservoir_seen, found, numbers.tick_s, noise, index
+        )
+        while order < len(orders) and orders[order, 0] <= index:
+            target_kPa, rate_kPa_per_s = orders[order, 1], orders[order, 2]
+            order += 1
+            # As in the firmware: a regulation begins with what was read last.
+            if not regulating:
+                remembered = begin(cv_kPa if index == 0 else cv_before_kPa)
+            regulating = target_kPa == target_kPa
+        drive = SAFE
+        if regulating:
+            remembered, drive = regulate(
+                settings, remembered, target_kPa, rate_kPa_per_s, numbers.tick_s, cv_kPa, reservoir_kPa
+            )
+        told[index, 0], told[index, 1] = drive.evp, drive.dvp
+        if index == due:
+            setpoint_kPa = remembered.setpoint_kPa if regulating else np.nan
+            write(
+                table, row, index * numbers.tick_s, target_kPa, setpoint_kPa, cv_kPa, reservoir_kPa,
+                drive.evp, drive.dvp, drive.solenoid, found, now,
+            )  # fmt: skip
+            due += every
+            row += 1
+        evp = told[index - evp_delay, 0] if index >= evp_delay else SAFE.evp
+        dvp = told[index - dvp_delay, 1] if index >= dvp_delay else SAFE.dvp
+        later = weather_at(weather, index + 1)
+        memory, now = tick(
+            numbers, air_between(air, later, numbers.tick_s), memory, now, evp, dvp, drive.solenoid
+        )
+        air = later
+    return now

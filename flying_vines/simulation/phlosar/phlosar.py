@@ -1,0 +1,384 @@
+"""A phloSAR that is not there: firmware, the high-fidelity plant, its sensors, mishaps, and a serial port."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import random
+import tty
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from time import monotonic
+
+from flying_vines.physics.baseline import ALPHA_KPA, Inputs
+from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.gas import STANDARD_TEMPERATURE_K
+from flying_vines.physics.plant.numbers import Numbers
+from flying_vines.physics.plant.plant import Conditions, State, at_rest
+from flying_vines.physics.plant.sensors import Sensor, reading, rested
+from flying_vines.physics.plant.simulator import TICK_S, Simulator
+from flying_vines.physics.plant.true_rig import TrueRig
+from flying_vines.physics.rig import Rig
+from flying_vines.simulation.phlosar.board import Board
+from flying_vines.simulation.phlosar.firmware import SAFE, Drive, Firmware, FirmwareSettings
+from flying_vines.simulation.phlosar.mishaps import (
+    OPEN_SHARE,
+    SHORTED_SHARE,
+    WATCHDOG_MS,
+    Filled,
+    Hanging,
+    Heated,
+    Kind,
+    Mishap,
+    Mishaps,
+    Reading,
+    Reset,
+    SensorMishap,
+    Unpowered,
+    WatchdogReset,
+    with_mishaps,
+)
+
+STEP_US = round(TICK_S * 1e6)
+_UNPOWERED = Drive(0.0, 0.0, False)
+
+
+class SimulatedPhlosar:
+    """Firmware and plant, stepped together at 1 kHz. Time starts at 0 and is what `advance` says.
+
+    A rig is as it probably is: with all its effects, and sensors behind a converter of 12 bits. With
+    `effects` it has these and perfect sensors but for the noise: `Effects()` is the paper's ideal one, and
+    quick. A `TrueRig` says everything itself. The firmware is the emulated one, with these settings, unless a
+    board is given.
+
+    What goes wrong with the hardware is said to `mishaps`, from the next `advance` on, or beforehand to
+    `suffer`: `phlosar.mishaps.evp = StuckAt(1.0)`, and None for what is well again.
+
+    The same seed, bytes and times give the same bytes and pressures. `reservoir_kPa` and `cv_kPa` are the
+    true pressures; the firmware sees them with noise, and the control volume's at the near end of its tube.
+    """
+
+    def __init__(
+        self,
+        rig: Rig | TrueRig | None = None,
+        firmware: FirmwareSettings | Board | None = None,
+        *,
+        effects: Effects | None = None,
+        reservoir_kPa: float = 690.0,
+        cv_kPa: float = 0.0,
+        seed: int = 1,
+    ) -> None:
+        setup = (rig if isinstance(rig, TrueRig) else _true(rig or Rig(), effects)).setup
+        self.firmware: Board = (
+            Firmware(firmware) if firmware is None or isinstance(firmware, FirmwareSettings) else firmware
+        )
+        self.drive: Drive = SAFE
+        self.mishaps = Mishaps()
+        self._suffered = Mishaps()
+        self._planned: list[tuple[int, str, Kind | None]] = []
+        self._simulator = Simulator(setup.plant, at_rest(setup.plant, reservoir_kPa, cv_kPa))
+        self._well = self._simulator.numbers
+        self._conditions = self._simulator.conditions
+        self._steps = 0
+        self._hangs_until: int | None = None
+        self._random = random.Random(seed)
+        # Of its own, so that a mishap leaves the rest of the noise as it is.
+        noise = partial(random.Random(f"mishaps of {seed}").gauss, 0.0, 1.0)
+        self._cv_sensor = _Wire(setup.cv_sensor, cv_kPa, noise)
+        self._reservoir_sensor = _Wire(setup.reservoir_sensor, reservoir_kPa, noise)
+        # At time 0 the board has booted and listens.
+        self._step_firmware()
+
+    @property
+    def now_s(self) -> float:
+        return self._steps * STEP_US / 1e6
+
+    @property
+    def reservoir_kPa(self) -> float:
+        return self._conditions.reservoir_kPa
+
+    @property
+    def cv_kPa(self) -> float:
+        return self._conditions.cv_kPa
+
+    @property
+    def line_kPa(self) -> float:
+        """At the valves' end of the control volume's tube, where its sensor is."""
+        return self._conditions.line_kPa
+
+    @property
+    def state(self) -> State:
+        """Of the plant: where all the air is."""
+        return self._simulator.state
+
+    def receive(self, data: bytes) -> None:
+        """Bytes from the host."""
+        if self.mishaps.board is None:
+            self.firmware.receive(data)
+
+    def advance(self, to_t_s: float) -> bytes:
+        """Live until `to_t_s`; what the firmware sent on the way. A time in the past changes nothing."""
+        last = round(to_t_s * 1e6) // STEP_US
+        sent: list[bytes] = []
+        self._suffer_now()
+        while self._steps < last:
+            while self._planned and self._planned[0][0] <= self._steps:
+                # What was said before goes out, whatever becomes of the board.
+                sent.append(self.firmware.take_output())
+                _, place, kind = self._planned.pop(0)
+                self.befall(place, kind)
+                self._suffer_now()
+            self._step_plant()
+            self._steps += 1
+            self._step_firmware()
+            # The firmware's own buffer is small; a long jump must not overflow it.
+            if self._steps % 16 == 0:
+                sent.append(self.firmware.take_output())
+        sent.append(self.firmware.take_output())
+        return b"".join(sent)
+
+    def suffer(self, planned: Iterable[Mishap]) -> None:
+        """Let these happen, each at its time, or at once where that is over."""
+        for mishap in planned:
+            self._planned.append((round(mishap.begins_s / TICK_S), mishap.place, mishap.kind))
+            if mishap.ends_s is not None:
+                self._planned.append((round(mishap.ends_s / TICK_S), mishap.place, None))
+        self._planned.sort(key=lambda change: change[0])
+
+    def befall(self, place: str, kind: Kind | None) -> None:
+        """Let this happen there, now; what lasts is from now on in `mishaps`. None: it is well again."""
+        match kind:
+            case Filled(kPa):
+                self.fill(kPa)
+            case Heated(kelvin):
+                self.heat_bottle(kelvin)
+            case Reset() | WatchdogReset():
+                self.reset_firmware(watchdog=isinstance(kind, WatchdogReset))
+            case _:
+                setattr(self.mishaps, place, kind)
+
+    def fill(self, reservoir_kPa: float) -> None:
+        """Someone opens the filling valve, or another one, until the reservoir has this pressure.
+
+        Its temperature stays as it is.
+        """
+        now = self._conditions
+        ratio = (reservoir_kPa + now.ambient_kPa) / (now.reservoir_kPa + now.ambient_kPa)
+        state = self.state
+        air_SL = ratio * state.reservoir_air_SL
+        self._put(
+            state._replace(
+                reservoir_air_SL=air_SL,
+                reservoir_pV_J=ratio * state.reservoir_pV_J,
+                vented_SL=state.vented_SL - (air_SL - state.reservoir_air_SL),
+            )
+        )
+
+    def heat_bottle(self, kelvin: float) -> None:
+        """Bottle and air become so much warmer, and cool as they do.
+
+        Gas without a temperature of its own has the higher pressure by more air.
+        """
+        now = self._conditions
+        ratio = 1.0 + kelvin / now.reservoir_K
+        if not self._well.reservoir_heat.own_temperature:
+            self.fill(ratio * (now.reservoir_kPa + now.ambient_kPa) - now.ambient_kPa)
+            return
+        state = self.state
+        self._put(
+            state._replace(
+                reservoir_pV_J=ratio * state.reservoir_pV_J,
+                reservoir_wall_K=state.reservoir_wall_K + kelvin,
+            )
+        )
+
+    def reset_firmware(self, *, watchdog: bool = False) -> None:
+        """The board's power blinks, or its watchdog barks; the air stays where it is."""
+        self.firmware.reset(watchdog=watchdog)
+        self._step_firmware()
+
+    def _put(self, state: State) -> None:
+        self._simulator.state = state
+        self._conditions = self._simulator.conditions
+
+    def _suffer_now(self) -> None:
+        """Make everything as `mishaps` says."""
+        now, before = self.mishaps, self._suffered
+        if now == before:
+            return
+        self._suffered = replace(now)
+        self._cv_sensor.suffer(now.cv_sensor)
+        self._reservoir_sensor.suffer(now.reservoir_sensor)
+        numbers = with_mishaps(self._well, now)
+        if numbers.has_tubing != self._simulator.numbers.has_tubing:
+            self._put(_with_stub(numbers, self.state, self._conditions))
+        self._simulator.numbers = numbers
+        self._conditions = self._simulator.conditions
+        if now.board != before.board:
+            self._suffer_board(before.board)
+
+    def _suffer_board(self, before: Unpowered | Hanging | None) -> None:
+        board = self.mishaps.board
+        self._hangs_until = self._steps + WATCHDOG_MS if isinstance(board, Hanging) else None
+        if isinstance(board, Unpowered):
+            self.drive = _UNPOWERED
+        elif isinstance(before, Unpowered):
+            self.firmware.reset()
+
+    def _step_plant(self) -> None:
+        command = Inputs(*self.drive)
+        if self._suffered.solenoid is not None:
+            command = command._replace(solenoid=self._suffered.solenoid.opening >= 0.5)
+        if self._simulator.advance(command):
+            self._conditions = self._simulator.conditions
+
+    def _step_firmware(self) -> None:
+        gauss = self._random.gauss
+        cv_kPa = self._cv_sensor.read(self.line_kPa, gauss(0.0, 1.0))
+        reservoir_kPa = self._reservoir_sensor.read(self.reservoir_kPa, gauss(0.0, 1.0))
+        if self._suffered.board is not None and not self._woken():
+            return
+        self.drive = self.firmware.step(self._steps * STEP_US, cv_kPa, reservoir_kPa)
+
+    def _woken(self) -> bool:
+        """Whether the watchdog has just ended what the board suffers."""
+        if self._hangs_until is None or self._steps < self._hangs_until:
+            return False
+        self.mishaps.board = self._suffered.board = self._hangs_until = None
+        self.firmware.reset(watchdog=True)
+        return True
+
+
+class _Wire:
+    """A sensor and its wire, of which either may have a mishap."""
+
+    def __init__(self, sensor: Sensor, kPa: float, noise: Callable[[], float]) -> None:
+        self._numbers = sensor.numbers
+        self._seen = rested(kPa)
+        self._noise = noise
+        self._mishap: SensorMishap | None = None
+        self._last_kPa = kPa
+        self._for_ms = 0
+
+    def suffer(self, mishap: SensorMishap | None) -> None:
+        if mishap != self._mishap:
+            self._mishap = mishap
+            self._for_ms = 0
+
+    def read(self, true_kPa: float, standard_normal: float) -> float:
+        """What the board sees, a tick after it looked last."""
+        self._seen, kPa = reading(self._numbers, self._seen, true_kPa, TICK_S, standard_normal)
+        if self._mishap is None:
+            self._last_kPa = kPa
+            return kPa
+        self._for_ms += 1
+        kPa = self._mishap.read(Reading(kPa, self._last_kPa, self._for_ms, self._noise))
+        span_kPa = self._numbers.span_kPa
+        return min(SHORTED_SHARE * span_kPa, max(OPEN_SHARE * span_kPa, kPa))
+
+
+def _with_stub(numbers: Numbers, state: State, now: Conditions) -> State:
+    """The air at the valves parted from that of an actuator without tubing, or made one with it again."""
+    ratio = now.ambient_K / STANDARD_TEMPERATURE_K
+    into_SL = -state.line_air_SL
+    if numbers.has_tubing:
+        into_SL = (now.line_kPa + now.ambient_kPa) / (ratio * numbers.line_kPa_per_SL)
+    return state._replace(
+        cv_air_SL=state.cv_air_SL - into_SL,
+        cv_energy_J=state.cv_energy_J - ALPHA_KPA * ratio * into_SL,
+        line_air_SL=state.line_air_SL + into_SL,
+    )
+
+
+def _true(rig: Rig, effects: Effects | None) -> TrueRig:
+    return TrueRig(rig, likely=True) if effects is None else TrueRig(rig, effects=effects)
+
+
+_TICK_S = 0.005
+_MOST_BEHIND_S = 0.5
+_READ_SIZE = 4096
+
+
+class PtyPhlosar:
+    """A simulated phloSAR behind a pseudo-terminal, in real time.
+
+    `path` is the port to open, from construction on: `symlink`, made anew when it is a leftover link
+    (FileExistsError when it is anything else), or the terminal's number, which the next terminal on this
+    machine may have as soon as this one is closed. Hosts may close and open the port as they like. What
+    no host reads is dropped, and counted, as on a wire. Use as a context manager, or call `close`.
+    """
+
+    def __init__(
+        self,
+        phlosar: SimulatedPhlosar,
+        symlink: Path | str | None = None,
+        clock: Callable[[], float] = monotonic,
+    ) -> None:
+        self.phlosar = phlosar
+        self.dropped_bytes = 0
+        self._clock = clock
+        # Our own hold on the host's end: without it the first host to leave would end the terminal.
+        self._ours, self._hosts = os.openpty()
+        self._symlink: Path | None = None
+        try:
+            tty.setraw(self._hosts)
+            os.set_blocking(self._ours, False)
+            self._terminal = self.path = os.ttyname(self._hosts)
+            if symlink is not None:
+                self._link(Path(symlink))
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> PtyPhlosar:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Unplug it."""
+        if self._ours < 0:
+            return
+        # The name goes first, or it could lead to the terminal of somebody else.
+        if self._symlink is not None:
+            with contextlib.suppress(OSError):
+                if str(self._symlink.readlink()) == self._terminal:
+                    self._symlink.unlink()
+        os.close(self._ours)
+        os.close(self._hosts)
+        self._ours = self._hosts = -1
+
+    async def run(self) -> None:
+        """Live in real time until cancelled. After a stall of this process the board's time stands still."""
+        began_s = self._clock() - self.phlosar.now_s
+        while self._ours >= 0:
+            now_s = self._clock() - began_s
+            behind_s = now_s - self.phlosar.now_s - _MOST_BEHIND_S
+            if behind_s > 0:
+                began_s += behind_s
+                now_s -= behind_s
+            self._turn(now_s)
+            await asyncio.sleep(_TICK_S)
+
+    def _turn(self, now_s: float) -> None:
+        with contextlib.suppress(BlockingIOError):
+            self.phlosar.receive(os.read(self._ours, _READ_SIZE))
+        output = self.phlosar.advance(now_s)
+        if not output:
+            return
+        written = 0
+        with contextlib.suppress(BlockingIOError):
+            written = os.write(self._ours, output)
+        self.dropped_bytes += len(output) - written
+
+    def _link(self, symlink: Path) -> None:
+        if symlink.is_symlink():
+            symlink.unlink()
+        elif symlink.exists():
+            raise FileExistsError(f"{symlink} is not a link and stays as it is")
+        symlink.symlink_to(self._terminal)
+        self._symlink, self.path = symlink, str(symlink)

@@ -1,0 +1,30 @@
+"""The simulated rig through a scenario, recorded as a real one would be.
+
+    scenario = load_scenario("case")                        a file, or an example by its name
+    run = simulate(rig, scenario.runs[0], seed=1)           one run, as arrays
+    runs = simulate_scenario(rig, scenario, seed=1)         all of them
+    write_case(runs, rig_toml, folder)                      a case folder
+    picture.draw_runs(runs, path, title)                    a picture (needs matplotlib)
+
+A `Rig` is simulated by the baseline, a `TrueRig` with what it says is really there. `simulate` needs numpy.
+"""
+
+from __future__ import annotations
+
+from flying_vines.simulation.scenario.run import Run, simulate, simulate_scenario
+from flying_vines.simulation.scenario.scenario import Scenario, ScenarioError, load_scenario, parse_scenario
+from flying_vines.simulation.scenario.write import CaseError, case_files, csv_text, write_case
+
+__all__ = [
+    "CaseError",
+    "Run",
+    "Scenario",
+    "ScenarioError",
+    "case_files",
+    "csv_text",
+    "load_scenario",
+    "parse_scenario",
+    "simulate",
+    "simulate_scenario",
+    "write_case",
+]

@@ -1,0 +1,143 @@
+"""What a run asks for over time: a pressure from the regulator, or openings from the valves."""
+
+from __future__ import annotations
+
+import math
+import random
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
+from itertools import accumulate
+
+from flying_vines.simulation.phlosar.regulator import Drive
+from flying_vines.simulation.scenario.kinds import (
+    Bends,
+    Chirp,
+    Discharge,
+    Kind,
+    Openings,
+    Prbs,
+    Profile,
+    Sine,
+    Steps,
+    Valves,
+)
+
+Command = Callable[[float], float]
+"""From time in s to the setpoint in kPa gauge."""
+ValveCommand = Callable[[float, float], Drive]
+"""From time in s and the control volume's reading in kPa to the openings. Asked once a sample, in order."""
+
+_SLACK_S = 1e-9
+"""So that a change that falls on a sample is there in that sample."""
+_VENTURI_LEVELS = (0.0, 0.5, 1.0)
+
+
+def command_of(run: Kind, pattern: random.Random) -> Command | None:
+    """The setpoint of a run that regulates; None of one that does not."""
+    match run:
+        case Steps():
+            return _held(run.pressures_kPa, run.holds_s)
+        case Bends():
+            holds_s = (run.hold_s, run.rest_s) * run.cycles
+            return _held((run.bend_kPa, 0.0) * run.cycles, holds_s)
+        case Sine():
+            return _swing(run.low_kPa, run.high_kPa, lambda t_s: run.frequency_Hz * t_s)
+        case Chirp():
+            return _swing(run.low_kPa, run.high_kPa, lambda t_s: chirp_cycles(run, t_s))
+        case Prbs(levels_kPa=levels) if levels:
+            drawn = list(_draw(run, levels, pattern))
+            return _held([level for level, _ in drawn], [hold_s for _, hold_s in drawn])
+        case Profile():
+            return run.trajectory().pressure_kPa
+    return None
+
+
+def valves_of(run: Kind, pattern: random.Random) -> ValveCommand | None:
+    """The openings of a run that does not regulate; None of one that does."""
+    match run:
+        case Discharge():
+            drive = Drive(run.opening, 0.0, True) if run.valve == "evp" else Drive(0.0, run.opening, False)
+            return lambda t_s, cv_kPa: drive
+        case Openings():
+            return _Sequence(run.valves)
+        case Prbs(levels_opening=levels) if levels:
+            return _RandomValves(run, pattern)
+    return None
+
+
+def chirp_cycles(run: Chirp, t_s: float) -> float:
+    """How many cycles a chirp has made: the integral of its frequency."""
+    ratio = run.to_Hz / run.from_Hz
+    if run.sweep == "linear" or math.isclose(ratio, 1.0, rel_tol=1e-9):
+        return run.from_Hz * t_s + 0.5 * (run.to_Hz - run.from_Hz) * t_s**2 / run.duration_s
+    octaves = math.log(ratio)
+    return run.from_Hz * run.duration_s / octaves * math.expm1(octaves * t_s / run.duration_s)
+
+
+def _swing(low_kPa: float, high_kPa: float, cycles: Command) -> Command:
+    half = 0.5 * (high_kPa - low_kPa)
+    return lambda t_s: low_kPa + half * (1.0 - math.cos(2.0 * math.pi * cycles(t_s)))
+
+
+def _held(levels: list[float] | tuple[float, ...], holds_s: list[float] | tuple[float, ...]) -> Command:
+    ends_s = list(accumulate(holds_s))
+    return lambda t_s: levels[min(bisect_right(ends_s, t_s + _SLACK_S), len(levels) - 1)]
+
+
+def _draw(run: Prbs, levels: tuple[float, ...], pattern: random.Random) -> Iterator[tuple[float, float]]:
+    """Levels and how long each is held, until the run is full; no level follows itself."""
+    level = None
+    begin_s = 0.0
+    while begin_s < run.duration_s:
+        level = pattern.choice([other for other in levels if other != level])
+        hold_s = pattern.uniform(run.min_hold_s, run.max_hold_s)
+        yield level, hold_s
+        begin_s += hold_s
+
+
+class _Sequence:
+    """One set of openings after the other."""
+
+    def __init__(self, valves: tuple[Valves, ...]) -> None:
+        self._valves = valves
+        self._at = 0
+        self._ends_s = valves[0].for_s
+
+    def __call__(self, t_s: float, cv_kPa: float) -> Drive:
+        while self._at < len(self._valves) - 1 and self._is_over(t_s, cv_kPa):
+            left_early = t_s + _SLACK_S < self._ends_s
+            self._at += 1
+            self._ends_s = (t_s if left_early else self._ends_s) + self._valves[self._at].for_s
+        now = self._valves[self._at]
+        return Drive(now.evp, now.dvp, now.solenoid)
+
+    def _is_over(self, t_s: float, cv_kPa: float) -> bool:
+        until_kPa = self._valves[self._at].until_kPa
+        return t_s + _SLACK_S >= self._ends_s or (until_kPa is not None and cv_kPa >= until_kPa)
+
+
+class _RandomValves:
+    """Moves drawn one by one, for what is next depends on how full the control volume is."""
+
+    def __init__(self, run: Prbs, pattern: random.Random) -> None:
+        self._run = run
+        self._pattern = pattern
+        self._drive = Drive(0.0, 0.0, False)
+        self._ends_s = 0.0
+
+    def __call__(self, t_s: float, cv_kPa: float) -> Drive:
+        full = cv_kPa >= self._run.most_kPa
+        while t_s + _SLACK_S >= self._ends_s:
+            self._ends_s += self._pattern.uniform(self._run.min_hold_s, self._run.max_hold_s)
+            self._drive = self._next(full)
+        if full and self._drive.evp > 0.0:
+            self._drive = Drive(0.0, 0.0, False)
+        return self._drive
+
+    def _next(self, full: bool) -> Drive:
+        run, pattern, last = self._run, self._pattern, self._drive
+        # Drawn in any case, so that one reading more or less does not change all later moves.
+        vent = pattern.random() < run.vent_share
+        venturi = pattern.choice(_VENTURI_LEVELS)
+        level = pattern.choice([other for other in run.levels_opening if other != last.evp or last.solenoid])
+        return Drive(0.0, venturi, True) if vent or full else Drive(level, 0.0, False)

@@ -1,0 +1,204 @@
+"""A run: the emulated firmware at 1 kHz, the plant, its sensors, and a recorder.
+
+The valves take a new word only when a sample is recorded, rounded as it is written. So a recorded opening
+is what the valve was told from its own sample until the next, all the time, and the openings of the file,
+replayed through the same plant, give the true pressures again. At `sample_rate_Hz = 1000` that is every
+step of the firmware; below, its regulator has the gains of `regulation`. A recorded reading is the very one
+on which the firmware acted.
+"""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello, Setpoint
+from flying_vines.physics.baseline import Inputs
+from flying_vines.physics.plant.causes import Setup
+from flying_vines.physics.plant.plant import Conditions, at_rest
+from flying_vines.physics.plant.sensors import read, rested
+from flying_vines.physics.plant.simulator import TICK_S, Simulator
+from flying_vines.physics.plant.true_rig import TrueRig
+from flying_vines.physics.rig import ControlVolume, Rig
+from flying_vines.simulation.phlosar.firmware import Firmware
+from flying_vines.simulation.phlosar.regulator import Drive
+from flying_vines.simulation.scenario.command import Command, ValveCommand, command_of, valves_of
+from flying_vines.simulation.scenario.kinds import FIRMWARE_HZ, Kind
+from flying_vines.simulation.scenario.regulation import firmware_for
+from flying_vines.simulation.scenario.scenario import Scenario, ScenarioError
+
+Array = NDArray[np.float64]
+
+OPENING_DIGITS = 4
+"""After the point: of what is told to a valve, and of what is written."""
+_STEP_US = 1_000_000 // FIRMWARE_HZ
+_TTL_MS = 300
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What a run recorded, an element a sample; gauge pressures.
+
+    Openings hold from their sample until the next. `command_kPa` is NaN where nothing regulated, the control
+    volume's pressures where the rig has none. The true pressures are what a real rig would not tell.
+    """
+
+    label: str
+    time_s: Array
+    command_kPa: Array
+    evp_opening: Array
+    dvp_opening: Array
+    solenoid: NDArray[np.bool_]
+    cv_pressure_kPa: Array
+    reservoir_pressure_kPa: Array
+    true_cv_kPa: Array
+    true_reservoir_kPa: Array
+    faults: str
+    """What the firmware latched, and vented for; empty if nothing."""
+
+
+def simulate(rig: Rig | TrueRig, run: Kind, seed: int = 1, *, index: int = 0) -> Run:
+    """One run of a scenario, from rest. The same arguments give the same numbers.
+
+    Args:
+        rig: what is simulated; of a `Rig` the baseline, with the rig's noise.
+        run: what to do.
+        seed: of the noise and of what is drawn at random.
+        index: the run's place in its scenario, so that runs of one seed differ.
+
+    Raises ScenarioError when the run needs a control volume and the rig has none.
+    """
+    rig = rig if isinstance(rig, TrueRig) else TrueRig(rig)
+    believed, there = rig.believed, rig.setup
+    pattern = random.Random(f"{seed} {index} pattern")
+    command = command_of(run, pattern)
+    if believed.cv is None and run.needs_cv:
+        raise ScenarioError(f"runs[{index}]: {run.label} needs a control volume, and the rig has no [cv]")
+    controller: _Controller
+    if command is None or believed.cv is None:
+        valves = valves_of(run, pattern)
+        assert valves is not None, "a run either regulates or moves the valves"
+        controller = _OpenLoop(valves)
+    else:
+        controller = _ClosedLoop(believed, believed.cv, run, command)
+    plant = Simulator(there.plant, at_rest(there.plant, run.reservoir_kPa, 0.0))
+    true = plant.conditions
+    sense = _Senses(there, random.Random(f"{seed} {index} noise"), true)
+    reading = sense(true)
+    steps = FIRMWARE_HZ // run.sample_rate_Hz
+    rows: list[tuple[float, ...]] = []
+    for sample in range(max(1, round(run.length_s * run.sample_rate_Hz))):
+        first = sample * steps
+        t_s = first / FIRMWARE_HZ
+        wanted_kPa, told = controller.sample(t_s, reading)
+        drive = Drive(round(told.evp, OPENING_DIGITS), round(told.dvp, OPENING_DIGITS), told.solenoid)
+        rows.append((t_s, wanted_kPa, *drive, *reading, true.cv_kPa, true.reservoir_kPa))
+        inputs = Inputs(*drive)
+        for step in range(first + 1, first + steps + 1):
+            plant.advance(inputs)
+            true = plant.conditions
+            reading = sense(true)
+            if step < first + steps:
+                controller.watch(step / FIRMWARE_HZ, reading)
+    return _recorded(run, believed, np.array(rows, dtype=np.float64).T, controller.faults)
+
+
+def simulate_scenario(rig: Rig | TrueRig, scenario: Scenario, seed: int = 1) -> tuple[Run, ...]:
+    """All runs of a scenario, each from rest, as `simulate`."""
+    return tuple(simulate(rig, run, seed, index=i) for i, run in enumerate(scenario.runs))
+
+
+def _recorded(run: Kind, rig: Rig, columns: Array, faults: str) -> Run:
+    time_s, command, evp, dvp, solenoid, cv, reservoir, true_cv, true_reservoir = columns
+    if rig.cv is None:
+        cv = true_cv = np.full_like(time_s, np.nan)
+    return Run(
+        run.label, time_s, command, evp, dvp, solenoid > 0.5, cv, reservoir, true_cv, true_reservoir, faults
+    )
+
+
+class _Reading(NamedTuple):
+    """kPa gauge."""
+
+    cv_kPa: float
+    reservoir_kPa: float
+
+
+class _Senses:
+    """The sensors, asked once a tick."""
+
+    def __init__(self, there: Setup, noise: random.Random, true: Conditions) -> None:
+        self._cv, self._reservoir = there.cv_sensor, there.reservoir_sensor
+        self._seen_cv, self._seen_reservoir = rested(true.line_kPa), rested(true.reservoir_kPa)
+        self._gauss = noise.gauss
+
+    def __call__(self, true: Conditions) -> _Reading:
+        self._seen_cv, cv_kPa = read(self._cv, self._seen_cv, true.line_kPa, TICK_S, self._gauss(0.0, 1.0))
+        self._seen_reservoir, reservoir_kPa = read(
+            self._reservoir, self._seen_reservoir, true.reservoir_kPa, TICK_S, self._gauss(0.0, 1.0)
+        )
+        return _Reading(cv_kPa, reservoir_kPa)
+
+
+class _Controller(Protocol):
+    """What tells the valves: once a sample, and shown each reading in between."""
+
+    @property
+    def faults(self) -> str: ...
+
+    def sample(self, t_s: float, reading: _Reading) -> tuple[float, Drive]: ...
+
+    def watch(self, t_s: float, reading: _Reading) -> None: ...
+
+
+class _OpenLoop:
+    faults = ""
+
+    def __init__(self, valves: ValveCommand) -> None:
+        self._valves = valves
+
+    def sample(self, t_s: float, reading: _Reading) -> tuple[float, Drive]:
+        return float("nan"), self._valves(t_s, reading.cv_kPa)
+
+    def watch(self, t_s: float, reading: _Reading) -> None:
+        pass
+
+
+class _ClosedLoop:
+    """The emulated firmware, and a host that sends it a setpoint with every sample."""
+
+    def __init__(self, rig: Rig, cv: ControlVolume, run: Kind, command: Command) -> None:
+        self._settings = firmware_for(rig, cv, run.reservoir_kPa, run.sample_rate_Hz)
+        self._firmware = Firmware(self._settings)
+        self._command = command
+        self._codec = Codec()
+        self._number = 0
+        # A step before the run begins: the board has booted, and listens.
+        self._firmware.step(0, 0.0, run.reservoir_kPa)
+        self._firmware.receive(self._codec.encode(Hello(PROTOCOL_VERSION, 1)))
+
+    @property
+    def faults(self) -> str:
+        return ", ".join(
+            fault.name.lower().replace("_", " ") for fault in self._firmware.faults if fault.name
+        )
+
+    def sample(self, t_s: float, reading: _Reading) -> tuple[float, Drive]:
+        wanted_kPa = self._command(t_s)
+        self._number = (self._number + 1) & 0xFFFF
+        setpoint = Setpoint(wanted_kPa, self._settings.rate_limit_kPa_per_s, _TTL_MS, self._number)
+        self._firmware.receive(self._codec.encode(setpoint))
+        return wanted_kPa, self._step(t_s, reading)
+
+    def watch(self, t_s: float, reading: _Reading) -> None:
+        self._step(t_s, reading)
+
+    def _step(self, t_s: float, reading: _Reading) -> Drive:
+        now_us = _STEP_US + round(t_s * 1e6)
+        drive = self._firmware.step(now_us, reading.cv_kPa, reading.reservoir_kPa)
+        self._firmware.take_output()
+        return drive

@@ -1,0 +1,102 @@
+"""A scenario: the runs of one file, checked."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+import msgspec
+from msgspec import Meta
+
+from flying_vines.config.toml_text import dotted, not_finite, one_line, read_text
+from flying_vines.simulation.scenario.kinds import Kind, Segment, Valves
+
+_EXAMPLES = resources.files("flying_vines.simulation.scenario") / "examples"
+_KINDS = {str(kind.__struct_config__.tag): kind for kind in get_args(Kind)}
+_SEGMENTS = tuple(str(segment.__struct_config__.tag) for segment in get_args(Segment))
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be run; its text is one line, `file: key: reason`."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(one_line(text))
+
+
+class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Runs, each from rest, in their order."""
+
+    runs: Annotated[tuple[Kind, ...], Meta(min_length=1, max_length=20)]
+    name: Annotated[str, Meta(max_length=100)] = ""
+    """For people: the picture's title."""
+
+
+def examples() -> tuple[str, ...]:
+    """The names of the scenarios that come along."""
+    names = (entry.name for entry in _EXAMPLES.iterdir())
+    return tuple(sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml")))
+
+
+def load_scenario(source: Path | str) -> Scenario:
+    """The scenario in a TOML file; where there is no such file, the example of that name.
+
+    ScenarioError when the file cannot be read, or holds what cannot be run.
+    """
+    path = Path(source)
+    if not path.exists() and str(source) in examples():
+        return parse_scenario((_EXAMPLES / f"{source}.toml").read_text(encoding="utf-8"), str(source))
+    absent = f", nor an example; those are {', '.join(examples())}"
+    return parse_scenario(read_text(path, ScenarioError, absent), str(path))
+
+
+def parse_scenario(text: str, source: str) -> Scenario:
+    """Check a scenario's text; `source` is what errors call it."""
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"{source}: not TOML: {error}") from None
+    except RecursionError:
+        raise ScenarioError(f"{source}: not TOML: nested too deeply") from None
+    for key in not_finite(content):
+        raise ScenarioError(f"{source}: {dotted(key)}: is not a finite number")
+    try:
+        return msgspec.convert(content, Scenario)
+    except msgspec.ValidationError as error:
+        raise ScenarioError(f"{source}: {_explained(content, str(error))}") from None
+
+
+def _explained(content: dict[str, Any], error: str) -> str:
+    """`key: reason` for msgspec's `... - at `$.a[1].b``."""
+    reason, _, place = error.partition(" - at `$")
+    key = place.rstrip("`").removeprefix(".")
+    if named := re.search(r"(?:unknown|required) field `(.+)`", reason):
+        key = f"{key}.{named[1]}".removeprefix(".")
+        if "required" in reason:
+            reason = "is missing"
+        else:
+            near = difflib.get_close_matches(named[1], _keys_of_run(content, key), n=1)
+            reason = "unknown key" + (f"; did you mean '{near[0]}'?" if near else "")
+    elif own := re.match(r"([a-z]\w*(?:\[\d+\])?(?:\.\w+)?): (.+)", reason):
+        # A check of ours names the key inside the run.
+        key, reason = f"{key}.{own[1]}".removeprefix("."), own[2]
+    elif reason.startswith("Invalid value") and key.endswith("].kind"):
+        choices = _KINDS if key.count("[") == 1 else _SEGMENTS
+        reason = f"{reason[0].lower()}{reason[1:]}; give one of {', '.join(choices)}"
+    reason = reason.replace("Expected", "expected").replace("Object", "the table").replace("`", "")
+    return f"{key}: {reason}" if key else reason
+
+
+def _keys_of_run(content: dict[str, Any], key: str) -> tuple[str, ...]:
+    """The keys that may stand where `key` does, of the kinds that a run has."""
+    at = re.fullmatch(r"runs\[(\d+)\]\.(?:(valves|segments)\[\d+\]\.)?[^.\[]+", key)
+    if at is None:
+        return Scenario.__struct_fields__
+    if at[2]:
+        parts = (Valves,) if at[2] == "valves" else get_args(Segment)
+        return tuple(field for part in parts for field in part.__struct_fields__)
+    kind = content["runs"][int(at[1])].get("kind")
+    return _KINDS[kind].__struct_fields__ if kind in _KINDS else ()

@@ -1,0 +1,1 @@
+"""The paper reproduced, the design guide, bending models. Nothing else imports them."""

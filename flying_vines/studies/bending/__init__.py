@@ -1,0 +1,27 @@
+"""How far a vine bends: its actuator's pull against its body, over the actuator's pressure. Needs numpy.
+
+vine = load_vine("pouch")                   or load_vine(Path("my-vine.toml"))
+found = bend(vine)                          arrays over the actuator's pressure
+found.angle_deg, found.air_SL, found.tip_m, found.limits, found.end
+force_N(vine.actuator, 20.7, 0.1)           the actuator alone
+"""
+
+from flying_vines.studies.bending.actuator import burst_kPa, force_N, free, held_at, volume_L
+from flying_vines.studies.bending.description import Vine, VineError, examples, load_vine, parse_vine
+from flying_vines.studies.bending.equilibrium import Bend, Limit, bend
+
+__all__ = [
+    "Bend",
+    "Limit",
+    "Vine",
+    "VineError",
+    "bend",
+    "burst_kPa",
+    "examples",
+    "force_N",
+    "free",
+    "held_at",
+    "load_vine",
+    "parse_vine",
+    "volume_L",
+]

@@ -1,0 +1,88 @@
+"""A vine in a TOML file: its body, and the actuator that bends it."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, get_args
+
+import msgspec
+from msgspec import Meta
+
+from flying_vines.config.toml_text import explained, located, not_finite, one_line, read_text
+from flying_vines.studies.bending.body import Body
+from flying_vines.studies.bending.cpam import Cpam
+from flying_vines.studies.bending.fpam import Fpam
+from flying_vines.studies.bending.pouch_motor import PouchMotor
+
+Kind = PouchMotor | Fpam | Cpam
+_KINDS = {str(kind.__struct_config__.tag): kind for kind in get_args(Kind)}
+_EXAMPLES = resources.files("flying_vines.studies.bending") / "examples"
+
+
+class VineError(ValueError):
+    """A description that cannot be used; its text is one line, `file:line: key: reason`."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(one_line(text))
+
+
+class Vine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """An inflated tube with one actuator along its side, as long as the actuator."""
+
+    name: Annotated[str, Meta(min_length=1, max_length=60)]
+    max_kPa: Annotated[float, Meta(ge=0.1, le=1000)]
+    """The most that the supply gives the actuator, gauge."""
+    tip_load_N: Annotated[float, Meta(ge=0, le=1000)] = 0.0
+    """What the tip is to bear, across its direction."""
+    ambient_kPa: Annotated[float, Meta(ge=20, le=120)] = 101.325
+    """Absolute."""
+    body: Body
+    actuator: Kind
+
+
+def examples() -> tuple[str, ...]:
+    """The names of the vines that come along, the paper's first."""
+    names = (entry.name for entry in _EXAMPLES.iterdir())
+    found = sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml"))
+    return tuple(sorted(found, key=lambda name: name != "pouch"))
+
+
+def example_text(name: str) -> str:
+    """The commented file of an example."""
+    return (_EXAMPLES / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def load_vine(source: Path | str) -> Vine:
+    """The vine in a TOML file; where there is no such file, the example of that name.
+
+    Raises `VineError` when the file cannot be read, or describes no vine.
+    """
+    path = Path(source)
+    if not path.exists() and str(source) in examples():
+        return parse_vine(example_text(str(source)), str(source))
+    absent = f", nor an example; those are {', '.join(examples())}"
+    return parse_vine(read_text(path, VineError, absent), str(path))
+
+
+def parse_vine(text: str, source: str) -> Vine:
+    """Check the text of a description; `source` is what errors call it."""
+    try:
+        content = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise VineError(f"{source}: not TOML: {error}") from None
+    for key in not_finite(content):
+        raise VineError(located(text, source, key, "is not a finite number"))
+    try:
+        return msgspec.convert(content, Vine)
+    except msgspec.ValidationError as error:
+        raise _explained(text, source, str(error)) from None
+
+
+def _explained(text: str, source: str, error: str) -> VineError:
+    parts = (Vine, Body, *_KINDS.values())
+    key, reason = explained(error, lambda key: [field for part in parts for field in part.__struct_fields__])
+    if reason.startswith("Invalid value") and key[-1:] == ("kind",):
+        reason = f"give one of {', '.join(_KINDS)}"
+    return VineError(located(text, source, key, reason))

@@ -1,0 +1,62 @@
+"""The series pouch motor: two flat films sealed into pouches, which shorten as they fill.
+
+Inflated, each film is an arc of half angle θ and length s. With the chord L = s sin θ/θ and the area
+between the arcs s² (θ − sin θ cos θ)/(2 θ²), virtual work gives F = p w s cos θ/θ: no force at θ = 90°,
+where an inextensible film (s = L₀) has shortened by 1 − 2/π = 36.3 % (Niiyama et al. 2015, "Pouch motors";
+the equations are given here as virtual work yields them, and tests hold them to it).
+
+The film's tension T = p s/(2 θ) grows without bound as the pouch flattens, so that a film which does not
+stretch would pull with any force at the least pressure. A real one stretches: s = L₀ (1 + T/(E t)).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numpy.typing import ArrayLike
+
+from flying_vines.studies.bending.actuator import State
+
+Size = Annotated[float, Meta(ge=0.1, le=10_000)]
+
+
+class PouchMotor(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="pouch_motor", tag_field="kind"
+):
+    """Pouches in a row, all of one size."""
+
+    pouch_length_mm: Size
+    """Flat, along the vine, between its seams."""
+    width_mm: Size
+    """Between the seams at its sides, across the vine."""
+    count: Annotated[int, Meta(ge=1, le=1000)]
+    film_um: Size
+    modulus_MPa: Size
+    strength_N_per_mm: Size
+    """Of film or seam, whichever is weaker."""
+
+    @property
+    def length_m(self) -> float:
+        return self.count * self.pouch_length_mm / 1000.0
+
+    def state(self, pressure_kPa: ArrayLike, bulge: ArrayLike) -> State:
+        """θ is 90° times the bulge."""
+        p, theta = 1000.0 * np.asarray(pressure_kPa, float), 0.5 * np.pi * np.asarray(bulge, float)
+        flat, width = self.pouch_length_mm / 1000.0, self.width_mm / 1000.0
+        stiffness = self.modulus_MPa * self.film_um
+        left = 1.0 - p * flat / (2.0 * theta * stiffness)
+        arc = flat / np.where(left > 0.0, left, np.nan)
+        tension = p * arc / (2.0 * theta)
+        sin, cos = np.sin(theta), np.cos(theta)
+        area = arc**2 * (theta - sin * cos) / (2.0 * theta**2)
+        # Where no tension balances the pressure, the film would stretch without end.
+        return State(
+            contraction=np.where(left > 0.0, 1.0 - arc * sin / (theta * flat), -np.inf),
+            force_N=np.where(left > 0.0, 2.0 * tension * width * cos, np.inf),
+            volume_L=1000.0 * self.count * width * area,
+            elastic_J=self.count * width * flat * tension**2 / stiffness,
+            film_N_per_m=tension,
+        )

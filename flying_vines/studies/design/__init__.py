@@ -1,0 +1,14 @@
+"""The paper's design guide as a tool: what a phloSAR of given parts does for a robot, and which to take.
+
+robot = demonstration()                     or robot.load(path)
+parts = catalogue()                         or catalogue(folder, ...)
+evaluation = evaluate(robot, parts.choose(robot.parts))
+front = search(robot, parts)                least mass for most cycles, as evaluations
+"""
+
+from flying_vines.studies.design.evaluate import Evaluation, evaluate
+from flying_vines.studies.design.parts import Catalogue, Parts, catalogue
+from flying_vines.studies.design.robot import Robot, demonstration
+from flying_vines.studies.design.search import search
+
+__all__ = ["Catalogue", "Evaluation", "Parts", "Robot", "catalogue", "demonstration", "evaluate", "search"]

@@ -1,0 +1,253 @@
+"""One robot on one choice of parts: how fast, how often, how heavy, by the paper's equations and beyond."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flying_vines.physics import paper
+from flying_vines.studies.design.parts import Origin, Part, Parts, Valve, Venturi
+from flying_vines.studies.design.robot import Robot
+
+Array = NDArray[np.float64]
+
+DEFLATED = 0.05
+"""What is left of the swing when a deflation counts as done: passive venting never quite ends."""
+
+POINTS = 60
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What a phloSAR of these parts does for a robot. Speeds are means over a full swing, kPa/s.
+
+    The arrays run over `reservoir_kPa`, from empty to `fill_kPa`.
+    """
+
+    robot: Robot
+    parts: Parts
+    fill_kPa: float
+    """What the robot asks for, or the least that one of the parts bears."""
+
+    reservoir_kPa: Array
+    inflation_curve_kPa_per_s: Array
+    """Eq. 4; for a pouch, by the air that it takes."""
+    deflation_curve_kPa_per_s: Array
+    """With the Venturi where it helps."""
+    passive_kPa_per_s: float
+    """Deflation by the solenoid alone, whatever the reservoir holds."""
+    bandwidth_curve_Hz: Array
+    """Eq. 7 with the curve of inflation."""
+
+    least_kPa: float
+    """The reservoir pressure below which the wanted inflation is out of reach (Sec. VI-B)."""
+    cycles_rigid: float
+    """Eq. 8: a rigid control volume, and a Venturi that takes as much air again. 0 if out of reach."""
+    cycles_pouch_air: float
+    """Eq. 8 with its air scaled to that of a pouch, its least pressure as it is."""
+    cycles_pouch: float
+    """The same, and the pouch still filled as fast as wanted."""
+    cycles_passive: float
+    """This robot's, if it is always vented passively: the Venturi takes nothing."""
+
+    full_open_s: float
+    """Eq. 3 down to `least_kPa`: the inflation valve open all the time, the paper's conservative estimate."""
+    mass_kg: float
+    mass_by_origin_kg: dict[Origin, float]
+    power_W: float
+    """Mean over a cycle whose half inflates and whose half deflates, the valves fully on."""
+
+    @property
+    def inflation_kPa_per_s(self) -> float:
+        """From a full reservoir."""
+        return float(self.inflation_curve_kPa_per_s[-1])
+
+    @property
+    def deflation_kPa_per_s(self) -> float:
+        """From a full reservoir."""
+        return float(self.deflation_curve_kPa_per_s[-1])
+
+    @property
+    def bandwidth_Hz(self) -> float:
+        """From a full reservoir."""
+        return float(self.bandwidth_curve_Hz[-1])
+
+    @property
+    def passive_is_enough(self) -> bool:
+        """Whether the wanted deflation needs no Venturi."""
+        return self.passive_kPa_per_s >= self.robot.wanted_deflation_kPa_per_s
+
+    @property
+    def least_for_deflation_kPa(self) -> float | None:
+        """The reservoir pressure below which the wanted deflation is out of reach; None if it always is.
+
+        0 if passive venting is enough. To within a step of the curve, on the safe side.
+        """
+        enough = self.deflation_curve_kPa_per_s >= self.robot.wanted_deflation_kPa_per_s
+        return float(self.reservoir_kPa[int(np.argmax(enough))]) if enough.any() else None
+
+    @property
+    def cycles(self) -> float:
+        """Of this robot on these parts: with the Venturi's air wherever there is a Venturi."""
+        if self.parts.venturi is None:
+            return self.cycles_passive
+        return self.cycles_pouch if self.robot.cv_kind == "pouch" else self.cycles_rigid
+
+    @property
+    def operating_s(self) -> float:
+        """The time that those cycles last when one follows the other."""
+        return self.cycles / self.robot.cycle_rate_Hz
+
+    @property
+    def total_kg(self) -> float:
+        """With what else the vehicle carries."""
+        return self.mass_kg + self.robot.other_mass_kg
+
+    @property
+    def missed(self) -> dict[str, str]:
+        """Which wishes these parts do not meet, each with by how much; none if they meet them all."""
+        robot = self.robot
+        found = {}
+        for name, has, wish in (
+            ("inflation", self.inflation_kPa_per_s, robot.wanted_inflation_kPa_per_s),
+            ("deflation", self.deflation_kPa_per_s, robot.wanted_deflation_kPa_per_s),
+        ):
+            if has < wish:
+                found[name] = f"{name} {has:.3g} of {wish:.3g} kPa/s"
+        if self.fill_kPa <= robot.pressure_kPa:
+            found["fill"] = f"a fill of {self.fill_kPa:.3g} kPa is not above {robot.pressure_kPa:.3g} kPa"
+        if self.cycles < robot.least_cycles:
+            found["cycles"] = f"{math.floor(self.cycles)} of {robot.least_cycles:.4g} cycles"
+        if self.total_kg > robot.payload_kg:
+            found["payload"] = f"{self.total_kg:.2f} kg of {robot.payload_kg:.2f} kg payload"
+        return found
+
+    @property
+    def shortfalls(self) -> tuple[str, ...]:
+        """What `missed` says, as phrases."""
+        return tuple(self.missed.values())
+
+
+def evaluate(robot: Robot, parts: Parts) -> Evaluation:
+    """Compute what a choice of parts does for a robot.
+
+    Inflation, bandwidth, operating time and cycles are the paper's Eq. 3, 4, 7 and 8. Deflation is not
+    modelled there; see `_deflation_curve`.
+    """
+    fill_kPa = min(robot.fill_kPa, *_limits_kPa(parts))
+    reservoir_kPa = np.linspace(0.0, fill_kPa, POINTS)
+    resistance = parts.evp.resistance_kPa_s_per_SL
+    volume_L, swing_kPa = parts.reservoir_volume_L, robot.swing_kPa
+    wanted = robot.wanted_inflation_kPa_per_s
+    more_air = robot.fill_SL / robot.rigid_fill_SL
+    pouch_air = robot.pouch_fill_SL / robot.rigid_fill_SL
+
+    rigid_least_kPa = paper.least_reservoir_kPa(wanted, resistance, robot.cv_volume_L)
+    inflation = paper.inflation_rate_kPa_per_s(reservoir_kPa, resistance, robot.cv_volume_L) / more_air
+    cycles_rigid = paper.n_cycles(
+        fill_kPa,
+        reservoir_volume_L=volume_L,
+        cv_volume_L=robot.cv_volume_L,
+        swing_kPa=swing_kPa,
+        rate_kPa_per_s=wanted,
+        flow_resistance_kPa_s_per_SL=resistance,
+    )
+    # A pouch takes more air for the same swing: as Eq. 8 with that much more rate and swing.
+    cycles_pouch = paper.n_cycles(
+        fill_kPa,
+        reservoir_volume_L=volume_L,
+        cv_volume_L=robot.cv_volume_L,
+        swing_kPa=swing_kPa * pouch_air,
+        rate_kPa_per_s=wanted * pouch_air,
+        flow_resistance_kPa_s_per_SL=resistance,
+    )
+    own_cycles = cycles_pouch if robot.cv_kind == "pouch" else cycles_rigid
+    least_kPa = rigid_least_kPa * more_air
+    tau_s = paper.discharge_time_constant_s(resistance, volume_L)
+    deflation, passive = _deflation_curve(robot, parts, reservoir_kPa, more_air)
+    return Evaluation(
+        robot=robot,
+        parts=parts,
+        fill_kPa=fill_kPa,
+        reservoir_kPa=reservoir_kPa,
+        inflation_curve_kPa_per_s=inflation,
+        deflation_curve_kPa_per_s=deflation,
+        passive_kPa_per_s=passive,
+        bandwidth_curve_Hz=paper.cutoff_Hz(inflation, swing_kPa / 2.0),
+        least_kPa=least_kPa,
+        cycles_rigid=max(cycles_rigid, 0.0),
+        cycles_pouch_air=max(cycles_rigid, 0.0) / pouch_air,
+        cycles_pouch=max(cycles_pouch, 0.0),
+        cycles_passive=2.0 * max(own_cycles, 0.0),
+        full_open_s=tau_s * math.log(fill_kPa / least_kPa) if least_kPa < fill_kPa else 0.0,
+        mass_kg=sum(part.mass_g.value * count for part, count in parts.each()) / 1000.0,
+        mass_by_origin_kg=_mass_by_origin_kg(parts),
+        power_W=_power_W(parts, passive >= robot.wanted_deflation_kPa_per_s),
+    )
+
+
+def _limits_kPa(parts: Parts) -> list[float]:
+    limits = [parts.reservoir.max_kPa.value, parts.evp.max_inlet_kPa.value]
+    if parts.dvp is not None:
+        limits.append(parts.dvp.max_inlet_kPa.value)
+    return limits
+
+
+def _deflation_curve(
+    robot: Robot, parts: Parts, reservoir_kPa: Array, more_air: float
+) -> tuple[Array, float]:
+    """Mean speed of a deflation to `DEFLATED` of the swing, kPa/s: over P_r, and passively.
+
+    Ohm's law of flow (paper, Eq. 2) makes passive venting exponential, with τ = R_s V_cv / α of the solenoid.
+    A Venturi draws Q_s from atmosphere and, linearly, nothing at its greatest vacuum b; behind the solenoid
+    that is the same law towards −b through R_s + b / Q_s. The firmware uses it where it is faster. Whatever
+    a pouch holds beyond a rigid volume takes its share of time at the same flow.
+    """
+    high, low = robot.pressure_kPa, robot.pressure_kPa - (1.0 - DEFLATED) * robot.swing_kPa
+    solenoid = parts.solenoid.flow_resistance_kPa_s_per_SL.value
+
+    def speed(resistance: float, vacuum_kPa: float) -> float:
+        tau_s = paper.discharge_time_constant_s(resistance, robot.cv_volume_L)
+        return (high - low) / (tau_s * math.log((high + vacuum_kPa) / (low + vacuum_kPa))) / more_air
+
+    passive = speed(solenoid, 0.0)
+    curve = np.full_like(reservoir_kPa, passive)
+    if parts.venturi is not None and parts.dvp is not None:
+        for i, supply_kPa in enumerate(reservoir_kPa):
+            vacuum_kPa, suction = _suction(parts.dvp, parts.venturi, float(supply_kPa), robot.ambient_kPa)
+            if suction > 0.0 and vacuum_kPa > 0.0:
+                curve[i] = max(passive, speed(solenoid + vacuum_kPa / suction, vacuum_kPa))
+    return curve, passive
+
+
+def _suction(dvp: Valve, venturi: Venturi, supply_kPa: float, ambient_kPa: float) -> tuple[float, float]:
+    """Greatest vacuum (kPa below ambient) and free suction (SL/s) of a Venturi behind a fully open DVP.
+
+    The flows of two restrictions in series add as 1/Q², which is nearer to choked flow than adding R_v.
+    """
+    nozzle = venturi.resistance_kPa_s_per_SL
+    both = math.hypot(dvp.resistance_kPa_s_per_SL, nozzle)
+    motive_kPa = supply_kPa * nozzle / both
+    share = min(1.0, motive_kPa / venturi.full_vacuum_from_kPa.value)
+    # Even a perfect vacuum is no lower than ambient pressure.
+    vacuum_kPa = min(venturi.max_vacuum_fraction.value, 0.99) * ambient_kPa * share
+    return vacuum_kPa, venturi.suction_per_consumption.value * paper.flow_SL_per_s(supply_kPa, both)
+
+
+def _mass_by_origin_kg(parts: Parts) -> dict[Origin, float]:
+    masses: dict[Origin, float] = {"printed": 0.0, "computed": 0.0, "assumed": 0.0}
+    for part, count in parts.each():
+        masses[part.mass_g.origin] += part.mass_g.value * count / 1000.0
+    return masses
+
+
+def _power_W(parts: Parts, passive: bool) -> float:
+    def power(part: Part | None, count: int = 1) -> float:
+        return 0.0 if part is None or part.power_W is None else count * part.power_W.value
+
+    always = sum(power(part, part.count) for part in parts.fixed)
+    deflating = power(parts.solenoid) + (0.0 if passive else power(parts.dvp))
+    return always + 0.5 * (power(parts.evp) + deflating)

@@ -1,0 +1,235 @@
+"""The catalogue of parts: one TOML file each, and for every number where it is from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import msgspec
+from msgspec import Meta
+
+from flying_vines.config.config import ConfigError
+from flying_vines.config.toml_text import read_text
+from flying_vines.physics import paper
+from flying_vines.studies.design.reading import decode
+from flying_vines.studies.design.robot import PartNames
+
+Origin = Literal["printed", "computed", "assumed"]
+
+
+class Number(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A number not below 0 with its source, or marked as assumed with a note that says why."""
+
+    value: Annotated[float, Meta(ge=0, le=1e6)]
+    source: str = ""
+    assumed: bool = False
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.value):
+            raise ValueError("value is not a finite number")
+        if self.assumed and self.source.strip():
+            raise ValueError("has a source and is assumed: it is one or the other")
+        if self.assumed and not self.note.strip():
+            raise ValueError("an assumed number needs a note that says why")
+        if not self.assumed and not self.source.strip():
+            raise ValueError("source is missing; without one it is assumed = true, with a note")
+
+    @property
+    def origin(self) -> Origin:
+        """Whether a source prints it, it is computed from what sources print, or it is assumed."""
+        if self.assumed:
+            return "assumed"
+        return "computed" if self.source.startswith("computed from") else "printed"
+
+
+class PositiveNumber(Number, frozen=True, forbid_unknown_fields=True):
+    """A number above 0."""
+
+    def __post_init__(self) -> None:
+        if self.value < 1e-6:
+            raise ValueError("value must be above 0 (at least 1e-6)")
+        super().__post_init__()
+
+
+class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind"):
+    name: str
+    mass_g: Number
+    power_W: Number | None = None
+    """While it is switched on."""
+    length_mm: Number | None = None
+    cost_USD: Number | None = None
+    note: str = ""
+
+
+class Valve(_Part, frozen=True, tag="valve"):
+    """A proportional valve: an EVP, or the DVP before a Venturi."""
+
+    flow_SLPM: PositiveNumber
+    """At `at_kPa` to atmosphere."""
+    at_kPa: PositiveNumber
+    max_inlet_kPa: PositiveNumber
+    flow_resistance_kPa_s_per_SL: PositiveNumber | None = None
+    """The least R_v; without it, the rated flow's."""
+
+    @property
+    def resistance_kPa_s_per_SL(self) -> float:
+        """R_v,min, kPa·s/SL (paper, Eq. 2)."""
+        if self.flow_resistance_kPa_s_per_SL is not None:
+            return self.flow_resistance_kPa_s_per_SL.value
+        return paper.flow_resistance_kPa_s_per_SL(self.at_kPa.value, self.flow_SLPM.value)
+
+
+class Reservoir(_Part, frozen=True, tag="reservoir"):
+    """A vessel for compressed air; `max_kPa` is what it may be filled to, not what bursts it."""
+
+    volume_L: PositiveNumber
+    max_kPa: PositiveNumber
+
+
+class Venturi(_Part, frozen=True, tag="venturi"):
+    """A Venturi pump: what it consumes, and what it draws for that."""
+
+    consumption_SLPM: PositiveNumber
+    """At `at_kPa`."""
+    at_kPa: PositiveNumber
+    suction_per_consumption: PositiveNumber
+    """Flow that is drawn from atmosphere, per flow consumed."""
+    max_vacuum_fraction: PositiveNumber
+    """Of ambient pressure."""
+    full_vacuum_from_kPa: PositiveNumber
+    """Below this motive pressure the vacuum falls in proportion to it."""
+
+    @property
+    def resistance_kPa_s_per_SL(self) -> float:
+        """Of its nozzle, as R_v of a valve, kPa·s/SL (paper, Eq. 2)."""
+        return paper.flow_resistance_kPa_s_per_SL(self.at_kPa.value, self.consumption_SLPM.value)
+
+
+class Solenoid(_Part, frozen=True, tag="solenoid"):
+    """The binary valve out of the control volume."""
+
+    flow_resistance_kPa_s_per_SL: PositiveNumber
+
+
+class Fixed(_Part, frozen=True, tag="fixed"):
+    """What every phloSAR needs one set of: of each `role`, the search takes the lightest."""
+
+    role: str
+    count: Annotated[int, Meta(ge=1, le=1000)] = 1
+
+
+Part = Valve | Reservoir | Venturi | Solenoid | Fixed
+P = TypeVar("P", Valve, Reservoir, Venturi, Solenoid, Fixed)
+
+
+@dataclass(frozen=True)
+class Parts:
+    """One choice of parts. `venturi` and `dvp` are both there, or neither: then it vents passively."""
+
+    evp: Valve
+    reservoir: Reservoir
+    solenoid: Solenoid
+    fixed: tuple[Fixed, ...] = ()
+    dvp: Valve | None = None
+    venturi: Venturi | None = None
+    reservoirs: int = 1
+
+    def __post_init__(self) -> None:
+        if (self.dvp is None) != (self.venturi is None):
+            raise ValueError("a Venturi needs a DVP, and a DVP a Venturi")
+
+    @property
+    def reservoir_volume_L(self) -> float:
+        return self.reservoirs * self.reservoir.volume_L.value
+
+    def each(self) -> Iterable[tuple[Part, int]]:
+        """Every part, and how many of it."""
+        yield self.evp, 1
+        if self.dvp is not None and self.venturi is not None:
+            yield self.dvp, 1
+            yield self.venturi, 1
+        yield self.solenoid, 1
+        yield self.reservoir, self.reservoirs
+        for part in self.fixed:
+            yield part, part.count
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """Parts by the name of their file without `.toml`."""
+
+    parts: Mapping[str, Part]
+
+    def all(self, kind: type[P]) -> list[P]:
+        """Every part of a kind, in the order of their names."""
+        return [part for _, part in sorted(self.parts.items()) if isinstance(part, kind)]
+
+    def fixed(self) -> tuple[Fixed, ...]:
+        """The lightest of each role."""
+        lightest: dict[str, Fixed] = {}
+        for part in self.all(Fixed):
+            best = lightest.get(part.role)
+            if best is None or part.count * part.mass_g.value < best.count * best.mass_g.value:
+                lightest[part.role] = part
+        return tuple(lightest.values())
+
+    def choose(self, names: PartNames | None = None, source: str = "robot") -> Parts:
+        """The parts that are named, by default the paper's.
+
+        Args:
+            names: of files, without `.toml`.
+            source: what the error calls the file with the names.
+
+        Raises `ConfigError` where a name is in no file, or in one of another kind.
+        """
+        names = names or PartNames()
+        without = not names.venturi
+        return Parts(
+            evp=self._get(f"{source}: parts.evp", names.evp, Valve),
+            dvp=None if without else self._get(f"{source}: parts.dvp", names.dvp, Valve),
+            venturi=None if without else self._get(f"{source}: parts.venturi", names.venturi, Venturi),
+            solenoid=self._get(f"{source}: parts.solenoid", names.solenoid, Solenoid),
+            reservoir=self._get(f"{source}: parts.reservoir", names.reservoir, Reservoir),
+            reservoirs=names.reservoirs,
+            fixed=self.fixed(),
+        )
+
+    def _get(self, key: str, name: str, kind: type[P]) -> P:
+        part = self.parts.get(name)
+        if isinstance(part, kind):
+            return part
+        of_kind = sorted(name for name, part in self.parts.items() if isinstance(part, kind))
+        raise ConfigError(f"{key}: '{name}' is none of the catalogue's: {', '.join(of_kind)}")
+
+
+def catalogue(*folders: Path) -> Catalogue:
+    """The parts that ship, and those in further folders; a file of the same name replaces.
+
+    Raises `ConfigError` with one line that names file, line and key.
+    """
+    parts: dict[str, Part] = {}
+    for file in resources.files("flying_vines.studies.design").joinpath("parts").iterdir():
+        if file.name.endswith(".toml"):
+            parts[file.name.removesuffix(".toml")] = parse(file.read_text(encoding="utf-8"), file.name)
+    for folder in folders:
+        if not folder.is_dir():
+            raise ConfigError(f"{folder}: no such folder of parts")
+        for path in sorted(folder.glob("*.toml")):
+            parts[path.stem] = parse(read_text(path, ConfigError), str(path))
+    return Catalogue(parts)
+
+
+def parse(text: str, source: str) -> Part:
+    """Check the text of a part's file; `source` is what errors call it."""
+    known = {"kind", *Number.__struct_fields__}
+    for kind in (Valve, Reservoir, Venturi, Solenoid, Fixed):
+        known.update(kind.__struct_fields__)
+    part: Any = decode(text, source, Part, sorted(known))
+    if not isinstance(part, Part):
+        raise ConfigError(f"{source}: not a part")
+    return part

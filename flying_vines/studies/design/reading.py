@@ -1,0 +1,33 @@
+"""TOML files of the design guide, checked: what is wrong is one line that names file, line and key."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+
+from flying_vines.config.config import ConfigError
+from flying_vines.config.toml_text import explained, located
+
+
+def decode(text: str, source: str, kind: Any, known: Sequence[str] = ()) -> Any:
+    """The text of a file as the msgspec type `kind`.
+
+    Args:
+        text: TOML.
+        source: what errors call it.
+        kind: a type that msgspec converts to; the caller knows what comes back.
+        known: keys that a mistyped one may have meant.
+
+    Raises `ConfigError`.
+    """
+    try:
+        raw = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise ConfigError(f"{source}: not TOML: {error}") from None
+    try:
+        return msgspec.convert(raw, kind)
+    except msgspec.ValidationError as error:
+        raise ConfigError(located(text, source, *explained(str(error), lambda key: known))) from None

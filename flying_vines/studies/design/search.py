@@ -1,0 +1,68 @@
+"""Every choice that a catalogue allows, and the Pareto front of mass against performance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Literal
+
+from flying_vines.studies.design.evaluate import Evaluation, evaluate
+from flying_vines.studies.design.parts import Catalogue, Parts, Reservoir, Solenoid, Valve, Venturi
+from flying_vines.studies.design.robot import Robot
+
+Performance = Literal["cycles", "inflation", "deflation"]
+
+MOST_RESERVOIRS = 2
+"""Bottles of one kind, side by side."""
+
+
+def choices(catalogue: Catalogue) -> Iterator[Parts]:
+    """Every choice of valves, Venturi (or none), solenoid and one or two bottles, with the lightest rest."""
+    fixed = catalogue.fixed()
+    valves = catalogue.all(Valve)
+    pumps: list[tuple[Valve | None, Venturi | None]] = [(None, None)]
+    pumps += [(dvp, venturi) for dvp in valves for venturi in catalogue.all(Venturi)]
+    for evp in valves:
+        for dvp, venturi in pumps:
+            for solenoid in catalogue.all(Solenoid):
+                for reservoir in catalogue.all(Reservoir):
+                    for count in range(1, MOST_RESERVOIRS + 1):
+                        yield Parts(evp, reservoir, solenoid, fixed, dvp, venturi, count)
+
+
+def evaluate_all(robot: Robot, catalogue: Catalogue) -> list[Evaluation]:
+    """Every choice evaluated, also those that do not meet the wishes."""
+    return [evaluate(robot, parts) for parts in choices(catalogue)]
+
+
+def performance(evaluation: Evaluation, by: Performance) -> float:
+    """The number that more of is better: cycles, or kPa/s from a full reservoir."""
+    if by == "cycles":
+        return evaluation.cycles
+    return evaluation.inflation_kPa_per_s if by == "inflation" else evaluation.deflation_kPa_per_s
+
+
+def front(evaluations: Sequence[Evaluation], by: Performance = "cycles") -> list[Evaluation]:
+    """Those that meet the wishes and that none beats in both mass and performance, lightest first.
+
+    Of equals, the first.
+    """
+    meeting = [evaluation for evaluation in evaluations if not evaluation.shortfalls]
+    meeting.sort(key=lambda evaluation: (evaluation.mass_kg, -performance(evaluation, by)))
+    found: list[Evaluation] = []
+    for evaluation in meeting:
+        if not found or performance(evaluation, by) > performance(found[-1], by):
+            found.append(evaluation)
+    return found
+
+
+def search(robot: Robot, catalogue: Catalogue, by: Performance = "cycles") -> list[Evaluation]:
+    """The Pareto front of mass against performance among the choices that meet a robot's wishes.
+
+    Empty if none meets them: `evaluate_all` with `Evaluation.shortfalls` says why.
+
+    Args:
+        robot: what is wanted.
+        catalogue: the parts to choose from.
+        by: what performance is.
+    """
+    return front(evaluate_all(robot, catalogue), by)

@@ -1,0 +1,232 @@
+"""The design guide's answer on a terminal, and as plain data."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from flying_vines.studies.design.compass import METRICS, Compass
+from flying_vines.studies.design.evaluate import DEFLATED, Evaluation
+from flying_vines.studies.design.parts import Parts
+from flying_vines.studies.design.search import Performance
+
+WHAT: Mapping[Performance, str] = {
+    "cycles": "cycles",
+    "inflation": "inflation speed",
+    "deflation": "deflation speed",
+}
+
+
+def show(
+    evaluation: Evaluation,
+    fronts: Mapping[Performance, Sequence[Evaluation]],
+    compared: Compass,
+    tried: Sequence[Evaluation],
+    console: Console,
+) -> None:
+    """Print the robot's table, the fronts and the comparison."""
+    console.print(Text(evaluation.robot.name, style="bold"))
+    console.print(Text(words(evaluation.parts)))
+    console.print()
+    console.print(_table(evaluation))
+    short = evaluation.shortfalls
+    console.print(
+        Text(f"Does not meet: {'; '.join(short)}.", style="red")
+        if short
+        else Text("Meets every wish of the profile.", style="green")
+    )
+    for note in notes(evaluation):
+        console.print(Text(f"· {note}"))
+    for by, found in fronts.items():
+        console.print()
+        console.print(
+            Text(f"Least mass for most {WHAT[by]}: {len(found)} of {len(tried)} choices", style="bold")
+        )
+        if found:
+            console.print(_front(found))
+        else:
+            counts = Counter(name for e in tried for name in e.missed)
+            missed = ", ".join(f"{name} by {count}" for name, count in counts.most_common())
+            console.print(
+                Text(f"No choice of the catalogue meets every wish. Missed: {missed}.", style="red")
+            )
+    console.print()
+    console.print(Text("Compared, 1 (worst) to 5 (best), j: a judgement of ours", style="bold"))
+    console.print(_compass(compared))
+
+
+def words(parts: Parts) -> str:
+    """A choice in one line."""
+    count = f"{parts.reservoirs} × " if parts.reservoirs > 1 else ""
+    pump = (
+        f"{parts.venturi.name} behind {parts.dvp.name}" if parts.venturi and parts.dvp else "passive venting"
+    )
+    return f"{parts.evp.name} · {pump} · {count}{parts.reservoir.name}"
+
+
+def notes(evaluation: Evaluation) -> list[str]:
+    """What the numbers do not say by themselves."""
+    robot, e = evaluation.robot, evaluation
+    found = []
+    if e.fill_kPa < robot.fill_kPa:
+        found.append(f"The parts bear a fill of {e.fill_kPa:.0f} kPa, not of {robot.fill_kPa:.0f} kPa.")
+    if e.least_kPa < 3.0 * robot.pressure_kPa:
+        found.append(
+            f"Eq. 4 and 8 take P_r ≫ P_cv, but the least P_r is {e.least_kPa / robot.pressure_kPa:.1f} P_cv: "
+            "the last cycles will be slower."
+        )
+    least = e.least_for_deflation_kPa
+    if least is not None and least > e.least_kPa:
+        found.append(
+            f"Below {least:.0f} kPa deflation is slower than wanted; Eq. 8 counts cycles down to "
+            f"{e.least_kPa:.0f} kPa."
+        )
+    if e.parts.venturi is not None and e.passive_is_enough:
+        found.append("The solenoid alone is fast enough (its R_v is assumed): the Venturi adds speed only.")
+    shares = e.mass_by_origin_kg
+    if shares["computed"] + shares["assumed"] > 0.0:
+        found.append(
+            f"Of the mass, {shares['printed']:.3f} kg has a printed source, {shares['computed']:.3f} kg is "
+            f"computed, {shares['assumed']:.3f} kg assumed."
+        )
+    coils = [part.power_W for part, _ in e.parts.each() if part.power_W is not None]
+    if any(power.assumed for power in coils):
+        found.append("The power sums assumed powers; no data sheet was at hand.")
+    return found
+
+
+def rows(evaluation: Evaluation) -> list[tuple[str, str, float, float | None, str]]:
+    """Quantity, unit, value, the wish if there is one, and where it is from."""
+    e, robot = evaluation, evaluation.robot
+    least = robot.least_cycles or None
+    pouch = robot.cv_kind == "pouch"
+    active = e.parts.venturi is not None
+    kind = f"{robot.cv_kind} {robot.cv_volume_L:g} L"
+    wishes = {
+        "rigid": least if active and not pouch else None,
+        "pouch": least if active and pouch else None,
+        "passive": None if active else least,
+    }
+    up, down = robot.wanted_inflation_kPa_per_s, robot.wanted_deflation_kPa_per_s
+    left = f"to {100 * DEFLATED:.0f} % left, not in the paper"
+    swing = f"Eq. 7, {robot.swing_kPa:g} kPa peak to peak"
+    return [
+        ("filled to", "kPa", e.fill_kPa, None, "profile, or what parts bear"),
+        ("inflation speed", "kPa/s", e.inflation_kPa_per_s, up, f"Eq. 4, {kind}"),
+        ("deflation speed", "kPa/s", e.deflation_kPa_per_s, down, left),
+        ("deflation speed, passive", "kPa/s", e.passive_kPa_per_s, None, "solenoid alone, the same"),
+        ("bandwidth", "Hz", e.bandwidth_Hz, robot.frequency_Hz, swing),
+        ("least reservoir pressure", "kPa", e.least_kPa, None, "Eq. 4, wanted inflation"),
+        ("cycles, rigid", "", e.cycles_rigid, wishes["rigid"], "Eq. 8"),
+        ("cycles, pouch's air", "", e.cycles_pouch_air, None, "Eq. 8, air of V (P_a + P)"),
+        ("cycles, pouch, fast enough", "", e.cycles_pouch, wishes["pouch"], "least P_r by that air too"),
+        ("cycles, venting passively", "", e.cycles_passive, wishes["passive"], "no air for the Venturi"),
+        ("operating time, cycling", "s", e.operating_s, None, f"{robot.cycle_rate_Hz:.3g} cycles a second"),
+        ("operating time, fully open", "s", e.full_open_s, None, "Eq. 3 to least pressure"),
+        ("mass", "kg", e.mass_kg, None, "of the parts"),
+        ("mass with the robot", "kg", e.total_kg, robot.payload_kg, f"and {robot.other_mass_kg:g} kg else"),
+        ("power, mean", "W", e.power_W, None, "valves on; the paper: 3 W"),
+    ]
+
+
+def _table(evaluation: Evaluation) -> Table:
+    table = Table(box=None, padding=(0, 1), pad_edge=False)
+    table.add_column("quantity", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    for heading in ("value", "wanted"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("by", overflow="fold")
+    for quantity, unit, value, wish, by in rows(evaluation):
+        sign = "≤" if quantity.startswith("mass") else "≥"
+        wanted = "" if wish is None else f"{sign} {_number(wish)}"
+        table.add_row(quantity, unit, _number(value), wanted, Text(by))
+    return table
+
+
+def _front(found: Sequence[Evaluation]) -> Table:
+    table = Table(box=None, padding=(0, 1), pad_edge=False)
+    for heading in ("kg", "cycles", "up kPa/s", "down kPa/s"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("parts", overflow="fold")
+    for e in found:
+        table.add_row(
+            f"{e.mass_kg:.2f}",
+            f"{e.cycles:.0f}",
+            _number(e.inflation_kPa_per_s),
+            _number(e.deflation_kPa_per_s),
+            Text(words(e.parts)),
+        )
+    return table
+
+
+def _compass(compared: Compass) -> Table:
+    table = Table(box=None, padding=(0, 1), pad_edge=False)
+    table.add_column("", max_width=14)
+    for metric in METRICS:
+        table.add_column(metric.replace("_", " "), justify="right", no_wrap=True)
+    for solution in compared.solutions.values():
+        cells = []
+        for metric in METRICS:
+            rating = solution.rating(metric)
+            cells.append("–" if rating is None else f"{rating.value:g}" + ("j" if rating.judgement else " "))
+        table.add_row(solution.label, *cells)
+    design = [f"{compared.design[metric]:.1f}".removesuffix(".0") + " " for metric in METRICS]
+    table.add_row("your design", *design, style="bold")
+    return table
+
+
+def _number(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+
+
+def as_json(
+    evaluation: Evaluation,
+    fronts: Mapping[Performance, Sequence[Evaluation]],
+    compared: Compass,
+) -> dict[str, Any]:
+    """Everything as plain lists, numbers and texts; the keys are described in docs/design.md."""
+    return {
+        "evaluation": {
+            **_plain(evaluation),
+            "reservoir_kPa": evaluation.reservoir_kPa.tolist(),
+            "inflation_curve_kPa_per_s": evaluation.inflation_curve_kPa_per_s.tolist(),
+            "deflation_curve_kPa_per_s": evaluation.deflation_curve_kPa_per_s.tolist(),
+            "bandwidth_curve_Hz": evaluation.bandwidth_curve_Hz.tolist(),
+        },
+        "robot": msgspec.to_builtins(evaluation.robot),
+        "notes": notes(evaluation),
+        "fronts": {by: [_plain(e) for e in found] for by, found in fronts.items()},
+        "compass": {
+            "solutions": msgspec.to_builtins(dict(compared.solutions)),
+            "design": dict(compared.design),
+        },
+    }
+
+
+def _plain(e: Evaluation) -> dict[str, Any]:
+    return {
+        "parts": [{"name": part.name, "count": count} for part, count in e.parts.each()],
+        "shortfalls": list(e.shortfalls),
+        "fill_kPa": e.fill_kPa,
+        "inflation_kPa_per_s": e.inflation_kPa_per_s,
+        "deflation_kPa_per_s": e.deflation_kPa_per_s,
+        "passive_kPa_per_s": e.passive_kPa_per_s,
+        "bandwidth_Hz": e.bandwidth_Hz,
+        "least_kPa": e.least_kPa,
+        "cycles": e.cycles,
+        "cycles_rigid": e.cycles_rigid,
+        "cycles_pouch_air": e.cycles_pouch_air,
+        "cycles_pouch": e.cycles_pouch,
+        "cycles_passive": e.cycles_passive,
+        "operating_s": e.operating_s,
+        "full_open_s": e.full_open_s,
+        "mass_kg": e.mass_kg,
+        "mass_by_origin_kg": dict(e.mass_by_origin_kg),
+        "power_W": e.power_W,
+    }

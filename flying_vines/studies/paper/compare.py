@@ -1,0 +1,540 @@
+"""The paper's curves and the plant's answers to the same tests, as arrays."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flying_vines.physics import paper
+from flying_vines.physics.baseline import Inputs, State, step
+from flying_vines.physics.plant.compiled import replay
+from flying_vines.physics.plant.flow import Iso6358
+from flying_vines.physics.plant.plant import Plant, at_rest
+from flying_vines.physics.plant.simulator import TICK_S
+from flying_vines.physics.rig import Evp, Reservoir, Rig
+from flying_vines.simulation.phlosar.regulator import RegulatorSettings
+from flying_vines.studies.paper.bench import LIKELY, Bench, Trace, follow_sine, gain, run
+from flying_vines.studies.paper.data import Condition, Curve, condition, curve, stated
+
+Array = NDArray[np.float64]
+
+STEP_TEST_S = 2.5
+"""Enough for TC1 to TC3 to arrive and stand still; how long the paper's time series are is not stated."""
+
+NEAR_KPA = 1.0
+"""A step has arrived when it is this near: where the paper's on-off control ends."""
+
+DISCHARGE_STEP_S = 0.05
+
+HIGH_RESISTANCE = "4L_highRv"
+"""The series for which the paper closed the valve somewhat …"""
+HIGH_RESISTANCE_RATIO = 105.0188 / 80.6138
+"""… by the drawn curves to this many times the resistance."""
+
+BAND = 3.0
+
+
+@dataclass(frozen=True)
+class Discharge:
+    """One series of Fig. 3. Pressures kPa gauge, times s."""
+
+    name: str
+    label: str
+    reservoir_volume_L: float
+    measured: Curve
+    model: Curve
+    """As the paper draws it."""
+    time_constant_s: float
+    """τ of the drawn model."""
+    flow_resistance_kPa_s_per_SL: float
+    """What τ implies for R_v."""
+    best_time_constant_s: float
+    """τ of the exponential that is nearest to the measured points."""
+    nrmse_percent: float
+    """The drawn model against the measured points, of P_r0."""
+    nrmse_grid_percent: float
+    """The same on the logger's own uniform grid, between the points by linear interpolation."""
+    nrmse_best_percent: float
+    """With `best_time_constant_s`."""
+    plant_time_s: Array
+    plant_kPa: Array
+    """The baseline plant with the implied R_v."""
+    nrmse_plant_percent: float
+    likely_kPa: Array
+    """The high-fidelity plant, at the same times; nothing in it is fitted to the measurement."""
+    nrmse_likely_percent: float
+
+    @property
+    def likely_is_fast(self) -> bool:
+        """Whether the high-fidelity plant lies below the measured points on the whole."""
+        return bool(
+            np.mean(np.interp(self.measured.x, self.plant_time_s, self.likely_kPa) - self.measured.y) < 0
+        )
+
+
+@dataclass(frozen=True)
+class StepResponse:
+    """TC1, TC2 or TC3. Rates kPa/s."""
+
+    condition: Condition
+    model_rate_kPa_per_s: float
+    """By Eq. 4, with the R_v that the discharge at low R_v implies."""
+    rated_rate_kPa_per_s: float
+    """By Eq. 4, with the EVP's rated flow."""
+    faster_kPa_per_s: float
+    """What the paper measured, if its error means faster than the model."""
+    slower_kPa_per_s: float
+    """What the paper measured, if its error means slower."""
+    window_if_faster_s: float
+    """How long the paper's time series was, if both its errors are those of two ramps."""
+    window_if_slower_s: float
+    trace: Trace
+    rate_kPa_per_s: float
+    """The plant's, on average until it has arrived, or else to the end."""
+    rise_s: float
+    """Until it has arrived; NaN when it does not within `STEP_TEST_S`."""
+    overshoot_kPa: float
+    nrmse_percent: float
+    """The plant against the paper's two straight lines, of ΔP_cv, over `STEP_TEST_S`."""
+
+
+@dataclass(frozen=True)
+class FrequencyResponse:
+    """TC4 or TC5 on one supply. Frequencies Hz; arrays in the order of the measured points."""
+
+    condition: Condition
+    supply_kPa: float
+    measured: Curve
+    cutoff_Hz: float
+    """Of the paper's model, as drawn."""
+    model_gain: Array
+    """The paper's model at the measured frequencies."""
+    plant_gain: Array
+    """The plant's in closed loop there."""
+    model_rms_dB: float
+    plant_rms_dB: float
+    """Distances to the measured gain, over all points."""
+    model_band_rms_dB: float
+    plant_band_rms_dB: float
+    """Likewise, up to `BAND` times the drawn cut-off: the band that is meant to be used."""
+    measured_crosses_1_Hz: float
+    measured_3dB_Hz: float
+    plant_3dB_Hz: float
+
+
+@dataclass(frozen=True)
+class SineSeries:
+    """The response to 1.2 Hz and 34 kPa peak to peak (Fig. 6)."""
+
+    supply_kPa: float
+    cv_volume_L: float
+    trace: Trace
+    peak_to_peak_kPa: float
+
+
+@dataclass(frozen=True)
+class Cycles:
+    """Eq. 8 for the demonstration, and the plant at the same task."""
+
+    reservoir_kPa: Array
+    rigid: Array
+    """Eq. 8; the rate is a triangle's."""
+    rigid_sine: Array
+    """Eq. 8; the rate is a sine's greatest."""
+    pouch: Array
+    """Eq. 8 scaled to the air that a flat pouch takes."""
+    plant_kPa: Array
+    """Reservoir pressures at which the plant's cost of a cycle was found."""
+    plant_cost_kPa: Array
+    """What a cycle takes from the reservoir there."""
+    plant_cycles: Array
+    """Cycles left from there."""
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Everything that is compared."""
+
+    discharges: tuple[Discharge, ...]
+    steps: tuple[StepResponse, ...]
+    likely_steps: tuple[StepResponse, ...]
+    """TC1 to TC3 on the high-fidelity plant."""
+    vine_step: StepResponse
+    """TC1 on it with the vine's regulator, which looks ahead."""
+    frequencies: tuple[FrequencyResponse, ...]
+    """TC4; TC5 on 345 kPa; TC5 on 690 kPa."""
+    likely_frequencies: tuple[FrequencyResponse, ...]
+    """The same on the high-fidelity plant."""
+    baselines: tuple[Curve, Curve]
+    sines: tuple[SineSeries, ...]
+    """On 690 kPa; on half of it."""
+    likely_sines: tuple[SineSeries, ...]
+    rated_sines: tuple[SineSeries, ...]
+    """The same with the EVP's rated flow instead of the resistance that the discharge implies."""
+    low_supply_kPa: float
+    """On which the plant's peak to peak is the paper's for "low P_r"."""
+    cycles: Cycles
+
+
+def curves(bench: Bench | None = None, likely: Bench = LIKELY) -> Curves:
+    """Run every test of the paper on two benches: the baseline's nominal rig, and the high-fidelity plant."""
+    bench = bench or Bench()
+    discharges = (
+        discharge(HIGH_RESISTANCE, "4 L, high R_v", 4.0, likely),
+        discharge("4L_lowRv", "4 L, low R_v", 4.0, likely),
+        discharge("2L_lowRv", "2 L, low R_v", 2.0, likely),
+    )
+    resistance = discharges[1].flow_resistance_kPa_s_per_SL
+    fixed_kPa = stated()["tc5.fixed_supply"].value
+    rated = replace(bench, rig=replace(bench.rig, evp=Evp(rated_resistance_kPa_s_per_SL())))
+    vines = replace(likely, noise_seed=None, regulator=RegulatorSettings())
+
+    # Noise at the top would pass for an overshoot.
+    quiet = replace(likely, noise_seed=None)
+
+    def steps(on: Bench) -> tuple[StepResponse, ...]:
+        return tuple(step_response(on, condition(name), resistance) for name in ("tc1", "tc2", "tc3"))
+
+    def frequencies(on: Bench) -> tuple[FrequencyResponse, ...]:
+        return (
+            frequency_response(on, condition("tc4"), fixed_kPa),
+            frequency_response(on, condition("tc5"), condition("tc5").reservoir_kPa),
+            frequency_response(on, condition("tc5"), fixed_kPa),
+        )
+
+    def sines(on: Bench) -> tuple[SineSeries, ...]:
+        return tuple(sine_series(on, supply) for supply in (fixed_kPa, fixed_kPa / 2.0))
+
+    return Curves(
+        discharges=discharges,
+        steps=steps(bench),
+        likely_steps=steps(quiet),
+        vine_step=step_response(vines, condition("tc1"), resistance),
+        frequencies=frequencies(bench),
+        likely_frequencies=frequencies(likely),
+        baselines=(curve("frequency_baseline1"), curve("frequency_baseline2")),
+        sines=sines(bench),
+        likely_sines=sines(likely),
+        rated_sines=sines(rated),
+        low_supply_kPa=supply_for(bench, stated()["sine.low_supply"].value),
+        cycles=cycles(bench, resistance),
+    )
+
+
+def discharge(name: str, label: str, reservoir_volume_L: float, likely: Bench) -> Discharge:
+    """One series of Fig. 3 against Eq. 3, against the best exponential, and against both plants."""
+    measured, model = curve(f"discharge_{name}_measured"), curve(f"discharge_{name}_model")
+    initial_kPa = float(measured.y[0])
+    tau_s = fit_time_constant_s(model.x, model.y)
+    best_s = nearest_time_constant_s(measured.x, measured.y)
+    resistance = tau_s * paper.ALPHA_KPA / reservoir_volume_L
+
+    def nrmse(time_s: Array, pressure_kPa: Array, with_tau_s: float) -> float:
+        model_kPa = paper.discharge_kPa(time_s, initial_kPa, with_tau_s)
+        return 100.0 * rms(pressure_kPa - model_kPa) / initial_kPa
+
+    # The logger's period is the shortest distance of two points.
+    grid_s = np.arange(0.0, measured.x[-1] + 0.01, np.diff(measured.x).min())
+    plant_s, plant_kPa = plant_discharge(resistance, reservoir_volume_L, initial_kPa, float(measured.x[-1]))
+    at_points = np.interp(measured.x, plant_s, plant_kPa)
+    # How far the valve was closed is not stated; as the paper's own curves have it.
+    closed = HIGH_RESISTANCE_RATIO if name == HIGH_RESISTANCE else 1.0
+    likely_kPa = likely_discharge(likely, reservoir_volume_L, initial_kPa, len(plant_s), closed)
+    likely_at_points = np.interp(measured.x, plant_s, likely_kPa)
+    return Discharge(
+        name=name,
+        label=label,
+        reservoir_volume_L=reservoir_volume_L,
+        measured=measured,
+        model=model,
+        time_constant_s=tau_s,
+        flow_resistance_kPa_s_per_SL=resistance,
+        best_time_constant_s=best_s,
+        nrmse_percent=nrmse(measured.x, measured.y, tau_s),
+        nrmse_grid_percent=nrmse(grid_s, np.interp(grid_s, measured.x, measured.y), tau_s),
+        nrmse_best_percent=nrmse(measured.x, measured.y, best_s),
+        plant_time_s=plant_s,
+        plant_kPa=plant_kPa,
+        nrmse_plant_percent=100.0 * rms(measured.y - at_points) / initial_kPa,
+        likely_kPa=likely_kPa,
+        nrmse_likely_percent=100.0 * rms(measured.y - likely_at_points) / initial_kPa,
+    )
+
+
+def fit_time_constant_s(time_s: Array, pressure_kPa: Array) -> float:
+    """τ of rows that are an exponential from their first pressure on: least squares of the logarithm, s."""
+    fall = np.log(pressure_kPa / pressure_kPa[0])
+    return float(-(time_s @ time_s) / (time_s @ fall))
+
+
+def nearest_time_constant_s(time_s: Array, pressure_kPa: Array) -> float:
+    """τ of the exponential from the first pressure on that is nearest in least squares of pressure, s."""
+    rate = 1.0 / fit_time_constant_s(time_s, pressure_kPa)
+    for _ in range(50):
+        model = pressure_kPa[0] * np.exp(-rate * time_s)
+        slope = -time_s * model
+        rate += float((slope @ (pressure_kPa - model)) / (slope @ slope))
+    return 1.0 / rate
+
+
+def plant_discharge(
+    flow_resistance_kPa_s_per_SL: float, volume_L: float, initial_kPa: float, duration_s: float
+) -> tuple[Array, Array]:
+    """The baseline plant emptying to atmosphere through the fully open EVP: times s, pressures kPa gauge."""
+    rig = Rig(reservoir=Reservoir(volume_L), cv=None, evp=Evp(flow_resistance_kPa_s_per_SL))
+    state, wide_open = State(initial_kPa, 0.0), Inputs(1.0, 0.0, False)
+    pressures = [initial_kPa]
+    for _ in range(math.ceil(duration_s / DISCHARGE_STEP_S)):
+        state = step(rig, state, wide_open, DISCHARGE_STEP_S)
+        pressures.append(state.reservoir_kPa)
+    return DISCHARGE_STEP_S * np.arange(len(pressures), dtype=np.float64), np.array(pressures)
+
+
+def likely_discharge(bench: Bench, volume_L: float, initial_kPa: float, samples: int, closed: float) -> Array:
+    """The high-fidelity plant emptying to atmosphere through the EVP, `DISCHARGE_STEP_S` apart, kPa gauge.
+
+    Args:
+        bench: its effects; its wall is that of one bottle of 2 L, of which there may be more.
+        volume_L: of all bottles, L.
+        initial_kPa: at the start, kPa gauge.
+        samples: how many.
+        closed: how many times the rated valve's resistance the valve has.
+    """
+    effects = bench.effects
+    law, wall = effects.evp_law, effects.reservoir_wall
+    if isinstance(law, Iso6358):
+        law = replace(law, sonic_conductance_SL_per_s_kPa=law.sonic_conductance_SL_per_s_kPa / closed)
+    if wall is not None:
+        bottles = volume_L / 2.0
+        wall = replace(
+            wall,
+            conductance_W_per_K=bottles * wall.conductance_W_per_K,
+            capacity_J_per_K=bottles * wall.capacity_J_per_K,
+            outer_conductance_W_per_K=bottles * wall.outer_conductance_W_per_K,
+        )
+    plant = Plant(
+        Rig(reservoir=Reservoir(volume_L), cv=None), replace(effects, evp_law=law, reservoir_wall=wall)
+    )
+    ticks = round(DISCHARGE_STEP_S / TICK_S)
+    wide_open = np.tile((1.0, 0.0, 0.0), (samples * ticks, 1))
+    start = Inputs(1.0, 0.0, False)
+    flown = replay(plant, wide_open, at_rest(plant, initial_kPa), initial=start, record_every=ticks)
+    return np.asarray(flown.table["reservoir_kPa"])
+
+
+def rated_resistance_kPa_s_per_SL() -> float:
+    """R_v of the EVP by its rated flow (Sec. III-A) at the pressure up to which it may be used."""
+    return paper.flow_resistance_kPa_s_per_SL(
+        stated()["reservoir.pressure"].value, stated()["evp.flow"].value
+    )
+
+
+def step_response(bench: Bench, test: Condition, flow_resistance_kPa_s_per_SL: float) -> StepResponse:
+    """One step of Sec. V-B by Eq. 4 and by the plant, with the bottle as the supply."""
+    volume_L, target_kPa = test.cv_volume_L, test.swing_kPa
+    rate = paper.inflation_rate_kPa_per_s(test.reservoir_kPa, flow_resistance_kPa_s_per_SL, volume_L)
+    rated = rated_resistance_kPa_s_per_SL()
+    error = stated()[f"{test.name}.rate_error"].value / 100.0
+    nrmse = stated()[f"{test.name}.nrmse"].value / 100.0
+    trace = run(
+        bench.with_cv(volume_L),
+        lambda _: target_kPa,
+        reservoir_kPa=test.reservoir_kPa,
+        duration_s=STEP_TEST_S,
+    )
+    near_kPa = target_kPa - NEAR_KPA
+    arrives = bool(trace.cv_kPa.max() >= near_kPa)
+    arrived = int(np.argmax(trace.cv_kPa >= near_kPa)) if arrives else -1
+    lines = np.minimum(rate * trace.time_s, target_kPa)
+    return StepResponse(
+        condition=test,
+        model_rate_kPa_per_s=rate,
+        rated_rate_kPa_per_s=paper.inflation_rate_kPa_per_s(test.reservoir_kPa, rated, volume_L),
+        faster_kPa_per_s=rate * (1.0 + error),
+        slower_kPa_per_s=rate * (1.0 - error),
+        window_if_faster_s=window_s(target_kPa / rate, 1.0 + error, nrmse),
+        window_if_slower_s=window_s(target_kPa / rate, 1.0 - error, nrmse),
+        trace=trace,
+        rate_kPa_per_s=float(trace.cv_kPa[arrived] / trace.time_s[arrived]),
+        rise_s=float(trace.time_s[arrived]) if arrives else math.nan,
+        overshoot_kPa=max(0.0, float(trace.cv_kPa.max()) - target_kPa),
+        nrmse_percent=100.0 * rms(trace.cv_kPa - lines) / target_kPa,
+    )
+
+
+def window_s(model_rise_s: float, speed_ratio: float, nrmse: float) -> float:
+    """How long two ramps to one target were compared, if their nRMSE is this, s.
+
+    NaN when they would have to be compared for less time than the slower one needs.
+
+    Args:
+        model_rise_s: how long the model's ramp takes, s.
+        speed_ratio: the other's speed over the model's.
+        nrmse: of the target, as a part of 1.
+    """
+    slow, fast = sorted((1.0, 1.0 / speed_ratio), reverse=True)
+    # In units of the model's rise: apart while both rise, then while only the slower one does.
+    both = (1.0 / fast - 1.0 / slow) ** 2 * fast**3 / 3.0
+    one = (1.0 - fast / slow) ** 3 * slow / 3.0
+    window = (both + one) / nrmse**2
+    return model_rise_s * window if window >= slow else math.nan
+
+
+def frequency_response(bench: Bench, test: Condition, supply_kPa: float) -> FrequencyResponse:
+    """TC4 or TC5 by Eq. 6 and by the plant on a fixed supply; A is taken as peak to peak."""
+    measured = curve(f"frequency_measured_{test.name}")
+    cutoff = stated()[f"{test.name}.cutoff_drawn"].value
+    model_gain = paper.frequency_gain(measured.x, cutoff)
+    rig = bench.with_cv(test.cv_volume_L).with_fixed_source()
+    found: dict[float, float] = {}
+    for frequency in measured.x.tolist():
+        if frequency not in found:
+            found[frequency] = plant_gain(rig, frequency, test.swing_kPa, supply_kPa)
+    gains = np.array([found[frequency] for frequency in measured.x.tolist()])
+    model_dB, plant_dB = decibel(model_gain / measured.y), decibel(gains / measured.y)
+    band = measured.x <= BAND * cutoff
+    return FrequencyResponse(
+        condition=test,
+        supply_kPa=supply_kPa,
+        measured=measured,
+        cutoff_Hz=cutoff,
+        model_gain=model_gain,
+        plant_gain=gains,
+        model_rms_dB=rms(model_dB),
+        plant_rms_dB=rms(plant_dB),
+        model_band_rms_dB=rms(model_dB[band]),
+        plant_band_rms_dB=rms(plant_dB[band]),
+        measured_crosses_1_Hz=last_crossing_Hz(measured.x, measured.y, 1.0),
+        measured_3dB_Hz=last_crossing_Hz(measured.x, measured.y, math.sqrt(0.5)),
+        plant_3dB_Hz=last_crossing_Hz(measured.x, gains, math.sqrt(0.5)),
+    )
+
+
+def plant_gain(bench: Bench, frequency_Hz: float, peak_to_peak_kPa: float, supply_kPa: float) -> float:
+    """The plant's gain in closed loop at one frequency."""
+    trace = follow_sine(
+        bench, frequency_Hz=frequency_Hz, peak_to_peak_kPa=peak_to_peak_kPa, reservoir_kPa=supply_kPa
+    )
+    kept_s = len(trace.time_s) * (trace.time_s[1] - trace.time_s[0])
+    return gain(trace, round(kept_s * frequency_Hz))
+
+
+def last_crossing_Hz(frequency_Hz: Array, gains: Array, level: float) -> float:
+    """Where gain falls below a level for good, Hz; on straight lines in log-log. NaN where it never does.
+
+    Args:
+        frequency_Hz: in any order; of equal frequencies the mean gain counts.
+        gains: there.
+        level: of gain.
+    """
+    x = np.unique(frequency_Hz)
+    y = np.array([gains[frequency_Hz == f].mean() for f in x])
+    above = np.flatnonzero(y > level)
+    if len(above) == 0 or above[-1] == len(x) - 1:
+        return math.nan
+    i = above[-1]
+    part = math.log(y[i] / level) / math.log(y[i] / y[i + 1])
+    return float(x[i] * (x[i + 1] / x[i]) ** part)
+
+
+def sine_series(bench: Bench, supply_kPa: float, cv_volume_L: float = 0.5) -> SineSeries:
+    """The plant's answer to 1.2 Hz (Fig. 6); the paper states neither volume nor low supply."""
+    numbers = stated()
+    trace = follow_sine(
+        bench.with_cv(cv_volume_L).with_fixed_source(),
+        frequency_Hz=numbers["sine.frequency"].value,
+        peak_to_peak_kPa=numbers["sine.command"].value,
+        reservoir_kPa=supply_kPa,
+    )
+    return SineSeries(supply_kPa, cv_volume_L, trace, float(np.ptp(trace.cv_kPa)))
+
+
+def supply_for(bench: Bench, peak_to_peak_kPa: float) -> float:
+    """The supply pressure on which the plant's answer to 1.2 Hz has this peak to peak, kPa gauge."""
+    low, high = 50.0, 690.0
+    for _ in range(10):
+        middle = 0.5 * (low + high)
+        if sine_series(bench, middle).peak_to_peak_kPa < peak_to_peak_kPa:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+def cycles(bench: Bench, flow_resistance_kPa_s_per_SL: float) -> Cycles:
+    """Eq. 8 over reservoir pressure for the demonstration (Sec. VII), and the plant at the same task."""
+    numbers = stated()
+    volume_L, swing_kPa = numbers["cycles.cv_volume"].value, numbers["cycles.swing"].value
+    frequency, full_kPa = numbers["cycles.frequency"].value, numbers["reservoir.pressure"].value
+    reservoir = np.linspace(0.0, full_kPa, 139)
+
+    def by_paper(rate_kPa_per_s: float) -> Array:
+        left = paper.n_cycles(
+            reservoir,
+            reservoir_volume_L=numbers["reservoir.volume"].value,
+            cv_volume_L=volume_L,
+            swing_kPa=swing_kPa,
+            rate_kPa_per_s=rate_kPa_per_s,
+            flow_resistance_kPa_s_per_SL=flow_resistance_kPa_s_per_SL,
+        )
+        return np.maximum(left, 0.0)
+
+    rigid = by_paper(paper.triangle_rate_kPa_per_s(frequency, swing_kPa))
+    more_air = paper.pouch_fill_SL(swing_kPa, volume_L) / paper.rigid_fill_SL(swing_kPa, volume_L)
+    plant_kPa = np.array([40.0, 55.0, 70.0, 85.0, 100.0, 130.0, 170.0, 250.0, 350.0, 450.0, 570.0, full_kPa])
+    costs, reached = zip(
+        *(plant_cycle(bench.with_cv(volume_L), p, swing_kPa, frequency) for p in plant_kPa), strict=True
+    )
+    cost_kPa, part = np.array(costs), np.array(reached)
+    # A cycle that does not reach its swing is none.
+    per_kPa = np.where(part >= 0.95, 1.0 / cost_kPa, 0.0)
+    left = np.concatenate(([0.0], np.cumsum(np.diff(plant_kPa) * 0.5 * (per_kPa[1:] + per_kPa[:-1]))))
+    return Cycles(
+        reservoir_kPa=reservoir,
+        rigid=rigid,
+        rigid_sine=by_paper(paper.sine_peak_rate_kPa_per_s(frequency, swing_kPa / 2.0)),
+        pouch=rigid / more_air,
+        plant_kPa=plant_kPa,
+        plant_cost_kPa=cost_kPa,
+        plant_cycles=left,
+    )
+
+
+def plant_cycle(
+    bench: Bench, reservoir_kPa: float, swing_kPa: float, frequency_Hz: float
+) -> tuple[float, float]:
+    """A triangle's cost to the reservoir, kPa a cycle, and the part of its swing that is reached."""
+    period_s, counted = 1.0 / frequency_Hz, 3
+
+    def triangle(t: float) -> float:
+        return swing_kPa * (1.0 - abs(1.0 - 2.0 * (t / period_s % 1.0)))
+
+    trace = run(bench, triangle, reservoir_kPa=reservoir_kPa, duration_s=counted * period_s)
+    spent_kPa = float(trace.reservoir_kPa[0] - trace.reservoir_kPa[-1])
+    return spent_kPa / counted, float(np.ptp(trace.cv_kPa)) / swing_kPa
+
+
+def distance_dB(measured: Curve, frequency_Hz: Array, gains: Array) -> float:
+    """How far gains are from measured ones at other frequencies, dB rms; on straight lines in log-log.
+
+    Args:
+        measured: Hz, gain.
+        frequency_Hz: of the gains, in any order.
+        gains: there.
+    """
+    order = np.argsort(frequency_Hz)
+    at = np.interp(np.log(measured.x), np.log(frequency_Hz[order]), decibel(gains[order]))
+    return rms(at - decibel(measured.y))
+
+
+def decibel(ratio: Array) -> Array:
+    """20 log10 of a ratio, dB."""
+    return np.asarray(20.0 * np.log10(ratio))
+
+
+def rms(values: Array) -> float:
+    """Root of the mean square, in the unit of the values."""
+    return float(np.sqrt(np.mean(np.square(values))))

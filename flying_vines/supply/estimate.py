@@ -1,0 +1,355 @@
+"""How much air is left and how many cycles it buys, learned from use.
+
+A cycle takes A + B x kPa of the bottle at pressure x: air for the inflation whatever the pressure; leak over
+the time that a cycle takes at the present rhythm, and Venturi, as x goes. From here down to where the bottle
+no longer fills the control volume in time that makes
+
+    n = ∫ dx / (A + B x) = ln((A + B x₀) / (A + B x₁)) / B
+
+in two parts where the Venturi is left off below some pressure. What is uncertain in any of it makes the
+interval, in ln n.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from firmware_link.protocol import Fault, Telemetry
+from flying_vines.config.config import Pneumatics
+from flying_vines.physics.paper import STANDARD_TEMPERATURE_K
+from flying_vines.supply.belief import AMBIENT_KPA, Belief
+from flying_vines.supply.flying import TRACE, Flying, Inflation
+from flying_vines.supply.reservoir import (
+    CV_LEAK,
+    FLAT,
+    LEAK,
+    RISE,
+    SIZE,
+    VENTURI,
+    WARMTH,
+    Bottle,
+    Spent,
+    X,
+    colder_K,
+)
+from flying_vines.supply.supply import Demand, least_supply_kPa
+
+FILTER_S = 0.3
+READING_SD_KPA = 1.3
+"""Of one reading: sensor noise and a converter of 10 bits."""
+REGULATOR_SD = 0.07
+"""Of the least absolute supply: how the regulator lives with it."""
+MODEL_SD = 0.02
+UNFLOWN_SD = 0.1
+"""Of a cycle that has not been flown yet: how long it takes, and how the firmware vents it."""
+COUNT_SD = 0.4
+"""In cycles: it ends within one."""
+FEWEST = 1e-3
+"""So that there is always a logarithm."""
+FLAT_KEPT = 0.5
+"""Below the pressure at which the Venturi is left off nothing makes a pouch flat again. But what an inflation
+from flat takes more than its rise may as well be a compliance: all or nothing, nobody knows."""
+VENTURI_USED_S = 0.01
+"""In a cycle; less is none."""
+VENTURI_TREND = 0.3
+VENTURI_TREND_SD = 0.35
+"""How the Venturi's time grows as its supply falls: 0 not at all, 1 so that it always takes the same air."""
+MEMORY_CYCLES = 15.0
+"""Over which what is flown is averaged."""
+PRIOR_CYCLES = 0.05
+"""For how many flown ones the profile's own cycle counts."""
+KEPT_INFLATIONS = 10
+REFRESH_S = 0.5
+Z90 = 1.645
+
+
+@dataclass(frozen=True, slots=True)
+class CyclesLeft:
+    """A prediction with its 90 % interval, and what it rests on."""
+
+    expected: float
+    low: float
+    high: float
+    measured_cycles: float
+    """Cycles flown so far that the cost was measured on."""
+    cost_kPa: float
+    """What one cycle takes from the reservoir now, expected."""
+    floor_kPa: float
+    """Below this gauge pressure of the reservoir the flying is no longer kept up, expected."""
+
+
+class _Mix:
+    """What is flown, per cycle: sums that slowly forget."""
+
+    def __init__(self, belief: Belief) -> None:
+        p = belief.pneumatics
+        self._cycle_kPa = p.cycle_swing_kPa
+        self.cycles = self._believed_cycles = PRIOR_CYCLES
+        time_s = 2.0 * p.cycle_swing_kPa / p.cycle_rate_kPa_per_s
+        held = 0.5 * p.cycle_swing_kPa * time_s
+        cycle = (time_s, belief.cycle_rise_kPa, 1.0, belief.cycle_venturi_s, held)
+        self._sums = [PRIOR_CYCLES * amount for amount in cycle]
+        self._venturi_kPa_s = PRIOR_CYCLES * belief.cycle_venturi_s * (p.full_kPa + AMBIENT_KPA)
+
+    def add(self, inflation: Inflation, supply_kPa_abs: float) -> None:
+        cycles = inflation.swing_kPa / self._cycle_kPa
+        keep = math.exp(-cycles / MEMORY_CYCLES)
+        self.cycles = keep * self.cycles + cycles
+        self._believed_cycles *= keep
+        self._sums = [keep * a + b for a, b in zip(self._sums, inflation.spent, strict=True)]
+        self._venturi_kPa_s = keep * self._venturi_kPa_s + inflation.spent.venturi_s * supply_kPa_abs
+
+    @property
+    def believed_share(self) -> float:
+        """Of what is only believed, and not flown."""
+        return self._believed_cycles / self.cycles
+
+    def per_cycle(self) -> Spent:
+        return Spent(*(amount / self.cycles for amount in self._sums))
+
+    def venturi_supply_kPa(self) -> float:
+        """Gauge, mean while the Venturi's valve was open."""
+        return self._venturi_kPa_s / max(1e-9, self._sums[3]) - AMBIENT_KPA
+
+    def venturi_kPa_s(self) -> float:
+        return self._venturi_kPa_s / self.cycles
+
+
+class ReservoirEstimate:
+    """Watches telemetry and learns what a cycle costs, what leaks, and where it ends."""
+
+    def __init__(self, belief: Belief) -> None:
+        self._belief = belief
+        self._p = belief.pneumatics
+        self._filtered_kPa: float | None = None
+        self._t = 0.0
+        self._flying = Flying(belief)
+        self.bottle: Bottle | None = None
+        self._demand = Demand(belief)
+        self._mix = _Mix(belief)
+        self._inflations: list[Inflation] = []
+        self._warmed_up = belief.packed_kPa == 0.0
+        self._measured_cycles = 0.0
+        self._left: CyclesLeft | None = None
+        self._left_at = -math.inf
+
+    @property
+    def reservoir_kPa(self) -> float:
+        """What the filtered reading means; NaN before the first."""
+        return math.nan if self._filtered_kPa is None else self._filtered_kPa
+
+    def update(self, t: float, telemetry: Telemetry) -> None:
+        """Take in one telemetry message."""
+        reservoir_kPa: float | None = None
+        if math.isfinite(telemetry.reservoir_kPa) and not telemetry.faults & Fault.RESERVOIR_SENSOR:
+            reservoir_kPa = self._belief.reservoir_kPa(telemetry.reservoir_kPa)
+            if self._filtered_kPa is None:
+                self._filtered_kPa = reservoir_kPa
+            weight = 1.0 - math.exp(-max(0.0, t - self._t) / FILTER_S)
+            self._filtered_kPa += weight * (reservoir_kPa - self._filtered_kPa)
+            self._t = t
+        if self._filtered_kPa is None or not math.isfinite(telemetry.cv_kPa):
+            return
+        flying = self._flying
+        flying.take(t, telemetry, self._filtered_kPa, reservoir_kPa)
+        if flying.reading_kPa is not None and self.bottle is None:
+            self.bottle = Bottle(self._belief, flying.reading_kPa)
+        if self.bottle is None:
+            return
+        if flying.block is not None:
+            self.bottle.spend(flying.block, flying.unseen_s)
+            if flying.reading_kPa is not None:
+                self.bottle.read(flying.reading_kPa, READING_SD_KPA / math.sqrt(flying.readings))
+        if flying.inflation is not None:
+            self._add(flying.inflation, self.bottle)
+
+    def _add(self, inflation: Inflation, bottle: Bottle) -> None:
+        if not self._warmed_up:
+            # A pouch that has lain flat since it was packed: no other cycle is like the first.
+            self._warmed_up = True
+            return
+        self._measured_cycles += inflation.swing_kPa / self._p.cycle_swing_kPa
+        self._mix.add(inflation, bottle.absolute_kPa)
+        self._demand.learn(inflation, self._air_kPa(bottle.possible_mean(), inflation))
+        self._inflations = [*self._inflations[1 - KEPT_INFLATIONS :], inflation]
+        self._left_at = -math.inf
+
+    @staticmethod
+    def _air_kPa(mean: Sequence[float], inflation: Inflation) -> float:
+        return mean[RISE] * inflation.swing_kPa + mean[FLAT] * inflation.spent.flat
+
+    def spending_kPa(self, rise_kPa: float) -> float:
+        """What raising the CV by `rise_kPa` in all will take from the reservoir, expected."""
+        if self.bottle is None:
+            return 2.0 * self._p.cv_volume_L * rise_kPa / self._p.reservoir_volume_L
+        return _Forecast(self._belief, self._mix, self.bottle.possible_mean(), 0.0).cost_kPa() * (
+            rise_kPa / self._p.cycle_swing_kPa
+        )
+
+    def cycles_left(self) -> CyclesLeft | None:
+        """None before the first reading. Made anew every half second, and with every cycle."""
+        if self.bottle is not None and abs(self._t - self._left_at) >= REFRESH_S:
+            self._left = self._predict(self.bottle)
+            self._left_at = self._t
+        return self._left
+
+    def _predict(self, bottle: Bottle) -> CyclesLeft:
+        mean = bottle.possible_mean()
+        floor = self._floor(mean)
+        forecast = _Forecast(self._belief, self._mix, mean, floor.kPa)
+        expected = forecast.cycles()
+        spread = math.exp(Z90 * math.sqrt(self._variance(bottle, mean, floor, expected)))
+        return CyclesLeft(
+            expected=expected,
+            low=expected / spread,
+            high=min(expected * spread, max(expected, mean[X] / _least_cost_kPa(self._p))),
+            measured_cycles=self._measured_cycles,
+            cost_kPa=forecast.cost_kPa(),
+            floor_kPa=floor.kPa,
+        )
+
+    def _floor(self, mean: Sequence[float]) -> _Floor:
+        """Where the inflation that needs the most, of those flown lately, is no longer done in time."""
+        inflations = self._inflations or [self._believed_inflation()]
+        kappa = math.exp(self._demand.ln)
+        worst = max(inflations, key=lambda i: self._air_kPa(mean, i) / i.given_s)
+        air = self._air_kPa(mean, worst)
+        kPa = least_supply_kPa(self._belief, worst, air, kappa * air)
+        if worst.spent.venturi_s > VENTURI_USED_S and kPa < self._p.venturi_least_supply_kPa:
+            air = mean[RISE] * worst.swing_kPa + FLAT_KEPT * mean[FLAT] * worst.spent.flat
+            kPa = least_supply_kPa(self._belief, worst, air, kappa * air)
+        # What was done with less is proof.
+        proven = [i.supply_kPa_abs for i in inflations if i.reached and i.as_hard_as(worst)]
+        kPa = min([kPa, *(supply - AMBIENT_KPA for supply in proven)])
+        more_kPa = least_supply_kPa(self._belief, worst, air * 1.1, kappa * air * 1.1)
+        return _Floor(kPa, (more_kPa - kPa) / math.log(1.1), worst, air)
+
+    def _variance(self, bottle: Bottle, mean: Sequence[float], floor: _Floor, expected: float) -> float:
+        """Of ln n: what it moves by with each thing that is uncertain."""
+        slopes = [self._slope(bottle, mean, floor, i) for i in range(SIZE)]
+        variance = sum(
+            slopes[i] * slopes[k] * bottle.covariance[i][k] for i in range(SIZE) for k in range(SIZE)
+        )
+        floor_sd = math.hypot(
+            self._belief.zero_sd_kPa,
+            REGULATOR_SD * (floor.kPa + AMBIENT_KPA),
+            floor.kPa_per_ln * math.sqrt(self._demand.variance),
+        )
+        for otherwise in (
+            _Forecast(self._belief, self._mix, mean, floor.kPa + floor_sd),
+            _Forecast(self._belief, self._mix, mean, floor.kPa, trend=VENTURI_TREND + VENTURI_TREND_SD),
+            _Forecast(self._belief, self._mix, mean, floor.kPa, kept=0.0),
+        ):
+            variance += math.log(otherwise.cycles() / expected) ** 2
+        unflown = UNFLOWN_SD * self._mix.believed_share
+        return variance + unflown**2 + MODEL_SD**2 + (COUNT_SD / max(COUNT_SD, expected)) ** 2
+
+    def _slope(self, bottle: Bottle, mean: Sequence[float], floor: _Floor, i: int) -> float:
+        """d ln n / d of one of the bottle's states."""
+        half_sd = 0.5 * math.sqrt(bottle.covariance[i][i])
+        ends = []
+        for end in (-half_sd, half_sd):
+            moved = list(mean)
+            moved[i] += end
+            if RISE <= i < WARMTH:
+                moved[i] = max(0.0, moved[i])
+            kPa = floor.kPa
+            if i in (RISE, FLAT) and floor.air_kPa > 0.0:
+                kPa += floor.kPa_per_ln * (self._air_kPa(moved, floor.worst) / floor.air_kPa - 1.0)
+            ends.append((moved[i], math.log(_Forecast(self._belief, self._mix, moved, kPa).cycles())))
+        (a, ln_a), (b, ln_b) = ends
+        return (ln_b - ln_a) / (b - a) if b > a else 0.0
+
+    def _believed_inflation(self) -> Inflation:
+        """The profile's own cycle, before there is another: up evenly, and a little time at the top."""
+        swing = self._p.cycle_swing_kPa
+        return Inflation(
+            low_kPa=0.0,
+            top_kPa=swing,
+            given_s=1.2 * swing / self._p.cycle_rate_kPa_per_s,
+            valve_kPa_s=0.0,
+            partly=1.0,
+            supply_kPa_abs=self._p.full_kPa + AMBIENT_KPA,
+            reached=True,
+            setpoints_kPa=tuple(min(swing, 1.2 * swing * (i + 0.5) / TRACE) for i in range(TRACE)),
+            spent=self._mix.per_cycle(),
+        )
+
+
+def _least_cost_kPa(p: Pneumatics) -> float:
+    """A cycle never takes less: a fifth of what the believed volume takes if it is rigid."""
+    return 0.2 * p.cv_volume_L * p.cycle_swing_kPa / p.reservoir_volume_L
+
+
+class _Floor(NamedTuple):
+    """The least supply (gauge), what it grows by with ln of the air, and the inflation that needs it."""
+
+    kPa: float
+    kPa_per_ln: float
+    worst: Inflation
+    air_kPa: float
+
+
+class _Cost(NamedTuple):
+    """What a cycle takes at pressure x: fixed + per_kPa · x."""
+
+    fixed_kPa: float
+    per_kPa: float
+
+    def at(self, x_kPa: float) -> float:
+        return self.fixed_kPa + self.per_kPa * max(0.0, x_kPa)
+
+    def cycles(self, from_kPa: float, to_kPa: float) -> float:
+        """How many there are on the way down."""
+        fall = from_kPa - to_kPa
+        if self.per_kPa * fall < 1e-6 * self.fixed_kPa:
+            return fall / self.fixed_kPa
+        return math.log(self.at(from_kPa) / self.at(to_kPa)) / self.per_kPa
+
+
+class _Forecast:
+    """What a cycle of the present flying takes, and how many there are down to a floor."""
+
+    def __init__(
+        self,
+        belief: Belief,
+        mix: _Mix,
+        mean: Sequence[float],
+        floor_kPa: float,
+        trend: float = VENTURI_TREND,
+        kept: float = FLAT_KEPT,
+    ) -> None:
+        cycle, p = mix.per_cycle(), belief.pneumatics
+        self._belief = belief
+        self._x = mean[X]
+        self._floor = floor_kPa
+        self._time_s = cycle.time_s
+        self._volume_L = p.reservoir_volume_L
+        self._warmth = math.exp(mean[WARMTH])
+        sucked = cycle.venturi_s > VENTURI_USED_S
+        self._venturi_stops = p.venturi_least_supply_kPa if sucked else 0.0
+        least = _least_cost_kPa(p)
+        rigid = max(least, mean[RISE] * cycle.rise_kPa + mean[CV_LEAK] * cycle.held_kPa_s)
+        leak = mean[LEAK] * cycle.time_s
+        flat = mean[FLAT] * cycle.flat
+        self._without = _Cost(rigid + (kept if sucked else 1.0) * flat, leak)
+        slope = mean[VENTURI] * cycle.venturi_s * (1.0 - trend)
+        venturi = mean[VENTURI] * mix.venturi_kPa_s() - slope * mix.venturi_supply_kPa()
+        self._with = _Cost(max(least, rigid + flat + venturi), leak + slope)
+
+    def cost_kPa(self) -> float:
+        return (self._with if self._x > self._venturi_stops else self._without).at(self._x)
+
+    def cycles(self) -> float:
+        end = self._floor
+        # The gas is as cold then as the flying makes it.
+        heat_W = self._volume_L * self._without.at(end) / max(0.1, self._time_s)
+        colder = colder_K(self._belief, heat_W, end + AMBIENT_KPA, self._warmth)
+        end += (end + AMBIENT_KPA) / STANDARD_TEMPERATURE_K * colder
+        if self._x <= end:
+            return FEWEST
+        stops = min(max(self._venturi_stops, end), self._x)
+        return FEWEST + self._with.cycles(self._x, stops) + self._without.cycles(stops, end)

@@ -1,0 +1,257 @@
+"""What telemetry says of the flying: what cost air, when the bottle may be read, each inflation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from firmware_link.protocol import Mode, Telemetry
+from flying_vines.physics.plant.flow import Opening, choked_share
+from flying_vines.supply.belief import AMBIENT_KPA, Belief
+from flying_vines.supply.reservoir import Spent
+
+BLOCK_S = 0.1
+"""What a reading of the bottle is averaged over."""
+SETPOINT_TURN_KPA = 1.0
+CV_TURN_KPA = 1.5
+"""A control volume that turns by less has not turned: its reading is noisy."""
+CV_FILTER_S = 0.02
+RESTED_S = 0.5
+"""A control volume that has been vented for so long has come down: what it reads is its zero."""
+FLAT_KPA = 0.8
+"""So near to its zero a pouch may be flat."""
+NEAR_KPA = 1.0
+WORKING_OPENING = 0.6
+CALM_S = 0.1
+SHORTEST_S = 0.01
+"""Of an inflation; a clock that steps back would make it none."""
+LONGEST_GAP_S = 0.5
+"""Longer without telemetry, and nobody knows what the valves did."""
+WIDE_OPEN = 0.95
+TRACE = 24
+"""Setpoints that are kept of an inflation."""
+LONGEST_TRACE = 20_000
+"""Some minutes; a longer one is a hold."""
+
+
+def tolerance_kPa(swing_kPa: float) -> float:
+    """How near to its top an inflation comes that meets its profile."""
+    return max(1.5, 0.1 * swing_kPa)
+
+
+def driving_kPa(law: Opening, supply_kPa_abs: float, downstream_kPa_abs: float) -> float:
+    """What the conductance of a valve is multiplied with for its flow, inwards and at ambient temperature."""
+    if downstream_kPa_abs >= supply_kPa_abs:
+        return 0.0
+    if law.ohmic:
+        return supply_kPa_abs - downstream_kPa_abs
+    return supply_kPa_abs * choked_share(law, supply_kPa_abs, downstream_kPa_abs)
+
+
+@dataclass(frozen=True, slots=True)
+class Inflation:
+    """One rise of the setpoint, and all that went on until the next one began. Gauge kPa."""
+
+    low_kPa: float
+    top_kPa: float
+    given_s: float
+    """From the start of the rise until the setpoint leaves the top again."""
+    valve_kPa_s: float
+    """∫ driving pressure · effective opening until it was there."""
+    partly: float
+    """The share of that for which the valve was not wide open."""
+    supply_kPa_abs: float
+    reached: bool
+    setpoints_kPa: tuple[float, ...]
+    """At even steps over the time given."""
+    spent: Spent
+
+    @property
+    def swing_kPa(self) -> float:
+        return self.top_kPa - self.low_kPa
+
+    def as_hard_as(self, other: Inflation) -> bool:
+        """As far at least, and in no more time, but for a twentieth."""
+        return self.swing_kPa > 0.95 * other.swing_kPa and self.given_s < 1.05 * other.given_s
+
+
+class Flying:
+    """Follows telemetry. After `take`, what has become complete is in `block`, `reading_kPa`, `inflation`."""
+
+    def __init__(self, belief: Belief) -> None:
+        self._evp_law = belief.evp_law.numbers()
+        self._dead_opening = belief.dead_opening
+        self.block: Spent | None = None
+        self.unseen_s = 0.0
+        """Of the block."""
+        self.reading_kPa: float | None = None
+        """The mean over the block, if the bottle may be read."""
+        self.readings = 0
+        self.inflation: Inflation | None = None
+        self._t: float | None = None
+        self._setpoint = 0.0
+        self._calm_s = 0.0
+        self._cv = self._cv_low = self._cv_top = 0.0
+        self._cv_rising = False
+        self._zero = 0.0
+        self._rested_s = 0.0
+        self._low = self._from = self._top = 0.0
+        self._low_at = 0.0
+        self._rising = self._regulating = False
+        self._began_at: float | None = None
+        self._valve_kPa_s = self._partly_kPa_s = 0.0
+        self._begin_block()
+        self._begin_inflation()
+
+    def take(self, t: float, telemetry: Telemetry, supply_kPa: float, reservoir_kPa: float | None) -> None:
+        """One telemetry message.
+
+        Args:
+            t: when it came, s.
+            supply_kPa: the reservoir's gauge pressure, filtered.
+            reservoir_kPa: as this message has it; None if it is not to be believed.
+        """
+        self.block = self.reading_kPa = self.inflation = None
+        if self._t is None:
+            self._t = t
+            self._cv = self._cv_low = telemetry.cv_kPa
+        dt = max(0.0, t - self._t)
+        self._t = t
+        seen_s = dt
+        if dt > LONGEST_GAP_S:
+            self._unseen_s += dt
+            seen_s = 0.0
+        rise, flat = self._follow_cv(dt, telemetry)
+        self._judge_calm(seen_s, telemetry)
+        self._follow_setpoint(t, seen_s, telemetry, supply_kPa)
+        venturi_s, held = telemetry.dvp_opening * seen_s, max(0.0, self._cv) * dt
+        for sums in (self._block, self._cycle):
+            sums[0] += dt
+            sums[1] += rise
+            sums[2] += flat
+            sums[3] += venturi_s
+            sums[4] += held
+        if reservoir_kPa is not None:
+            self._sum_kPa += reservoir_kPa
+            self._count += 1
+        if self._block[0] >= BLOCK_S - 1e-6:
+            self._end_block()
+
+    def _end_block(self) -> None:
+        self.block = Spent(*self._block)
+        self.unseen_s = self._unseen_s
+        if self._all_calm and self._count:
+            self.reading_kPa = self._sum_kPa / self._count
+            self.readings = self._count
+        self._begin_block()
+
+    def _begin_block(self) -> None:
+        self._block = [0.0] * 5
+        self._unseen_s = 0.0
+        self._sum_kPa = 0.0
+        self._count = 0
+        self._all_calm = True
+
+    def _judge_calm(self, dt: float, telemetry: Telemetry) -> None:
+        """Calm: no air is under way that has been counted already, or will be."""
+        setpoint = telemetry.setpoint_kPa
+        busy = (
+            telemetry.dvp_opening > 0.0
+            or telemetry.evp_opening > WORKING_OPENING
+            or setpoint > max(0.0, self._cv + NEAR_KPA)
+            or setpoint > self._setpoint + 1e-3
+        )
+        self._setpoint = setpoint
+        self._calm_s = 0.0 if busy else self._calm_s + dt
+        if self._calm_s < CALM_S:
+            self._all_calm = False
+
+    def _follow_cv(self, dt: float, telemetry: Telemetry) -> tuple[float, float]:
+        """By how much the control volume rose, and whether that began from flat."""
+        cv = self._cv = self._cv + (telemetry.cv_kPa - self._cv) * dt / (CV_FILTER_S + dt)
+        if telemetry.setpoint_kPa <= 0.0 and telemetry.solenoid and telemetry.dvp_opening == 0.0:
+            self._rested_s += dt
+            if self._rested_s > RESTED_S:
+                self._zero += (cv - self._zero) * min(1.0, dt / RESTED_S)
+        else:
+            self._rested_s = 0.0
+        if self._cv_rising:
+            rise = max(0.0, cv - self._cv_top)
+            self._cv_top += rise
+            if cv < self._cv_top - CV_TURN_KPA:
+                self._cv_rising = False
+                self._cv_low = cv
+            return rise, 0.0
+        self._cv_low = min(self._cv_low, cv)
+        if cv <= self._cv_low + CV_TURN_KPA:
+            return 0.0, 0.0
+        self._cv_rising = True
+        self._cv_top = cv
+        return cv - self._cv_low, 1.0 if self._cv_low < max(0.0, self._zero) + FLAT_KPA else 0.0
+
+    def _follow_setpoint(self, t: float, dt: float, telemetry: Telemetry, supply_kPa: float) -> None:
+        setpoint = telemetry.setpoint_kPa
+        regulating = telemetry.mode is Mode.REGULATE
+        if regulating and not self._regulating and not self._rising:
+            # It begins with what is measured: up to there nobody asked for a rise.
+            self._low, self._low_at = setpoint, t
+        self._regulating = regulating
+        if not self._rising:
+            if setpoint <= self._low + 1e-3:
+                self._low, self._low_at = min(self._low, setpoint), t
+            if setpoint > self._low + SETPOINT_TURN_KPA:
+                self._end_inflation()
+                self._rising = True
+                self._began_at, self._from, self._top = self._low_at, self._low, setpoint
+                self._supply_kPa_abs = supply_kPa + AMBIENT_KPA
+            return
+        self._top = max(self._top, setpoint)
+        if len(self._trace) < LONGEST_TRACE:
+            self._trace.append(setpoint)
+        near_kPa = tolerance_kPa(self._top - self._from)
+        if setpoint < self._top - near_kPa:
+            self._rising = False
+            self._given_s = max(SHORTEST_S, t - (self._began_at or 0.0))
+            self._low, self._low_at = setpoint, t
+            return
+        opening = telemetry.evp_opening
+        effective = max(0.0, (opening - self._dead_opening) / (1.0 - self._dead_opening))
+        amount = effective * dt
+        if amount > 0.0:
+            amount *= driving_kPa(self._evp_law, supply_kPa + AMBIENT_KPA, AMBIENT_KPA + self._cv)
+        self._valve_kPa_s += amount
+        if opening < WIDE_OPEN:
+            self._partly_kPa_s += amount
+        self._reached = self._cv >= self._top - near_kPa
+        if not self._reached:
+            self._needed = (self._valve_kPa_s, self._partly_kPa_s)
+
+    def _end_inflation(self) -> None:
+        if self._began_at is not None:
+            valve, partly = self._needed
+            self.inflation = Inflation(
+                low_kPa=self._from,
+                top_kPa=self._top,
+                given_s=self._given_s,
+                valve_kPa_s=valve,
+                partly=partly / valve if valve > 0.0 else 1.0,
+                supply_kPa_abs=self._supply_kPa_abs,
+                reached=self._reached,
+                setpoints_kPa=_thinned(self._trace),
+                spent=Spent(*self._cycle),
+            )
+        self._begin_inflation()
+
+    def _begin_inflation(self) -> None:
+        self._cycle = [0.0] * 5
+        self._given_s = 0.0
+        self._supply_kPa_abs = AMBIENT_KPA
+        self._trace: list[float] = []
+        self._reached = False
+        self._valve_kPa_s = self._partly_kPa_s = 0.0
+        self._needed = (0.0, 0.0)
+
+
+def _thinned(values: Sequence[float]) -> tuple[float, ...]:
+    step = len(values) / TRACE
+    return tuple(values[int((i + 0.5) * step)] for i in range(TRACE)) if values else ()

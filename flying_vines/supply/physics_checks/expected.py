@@ -1,0 +1,100 @@
+"""What a rig does at least, and at most: the believed numbers, and how far a healthy rig may be from them.
+
+Nothing here is a best guess. A check that takes the bound on the lenient side is silent on every rig within
+the bounds, and what they are wide for is told at each of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flying_vines.config.config import Checks
+from flying_vines.physics.paper import ALPHA_KPA
+from flying_vines.physics.plant.flow import Opening
+from flying_vines.supply import Belief
+from flying_vines.supply.belief import AMBIENT_KPA, conductance_SL_per_s_kPa
+from flying_vines.supply.flying import driving_kPa
+
+LEAST_FLOW, MOST_FLOW = 0.7, 1.4
+"""Of what the valve's rating says."""
+LEAST_DEAD, MOST_DEAD = 0.15, 0.5
+"""Up to where a proportional valve stays shut, its play included."""
+SUPPLY_ERROR_KPA = 25.0
+"""Of the bottle's sensor: its whole error band."""
+SOFTNESS = 4.0
+"""How much more air a soft vine takes for a rise than a rigid one of its size."""
+LEAST_RISE = 0.65
+"""How much less a warm one takes: gas that is compressed quickly has not cooled yet."""
+ADIABATIC = 1.4
+"""How much more a bottle falls at once than it has fallen when it is warm again."""
+SLOWEST_OUTLET_KPA_S_PER_SL = 120.0
+"""From the vine to the outside through solenoid and Venturi; a small solenoid has 70."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Of one rig."""
+
+    vine_least_L: float
+    vine_most_L: float
+    bottle_L: float
+    full_kPa: float
+    evp_law: Opening
+    """As rated."""
+    dvp_SL_per_s_kPa: float
+    zero_kPa: float
+    """What a sound sensor may read of a vented vine."""
+
+    def least_inflow_SL_per_s(self, opening: float, bottle_kPa: float, cv_kPa: float) -> float:
+        """What goes into the vine for sure."""
+        effective = max(0.0, (opening - MOST_DEAD) / (1.0 - MOST_DEAD))
+        if effective == 0.0:
+            return 0.0
+        supply_kPa = AMBIENT_KPA + bottle_kPa - SUPPLY_ERROR_KPA
+        through = driving_kPa(self.evp_law, supply_kPa, AMBIENT_KPA + max(0.0, cv_kPa))
+        return LEAST_FLOW * effective * self.evp_law.conductance_SL_per_s_kPa * through
+
+    def most_outflow_SL_per_s(self, evp: float, dvp: float, bottle_kPa: float) -> float:
+        """What the bottle loses at most for what the valves are told."""
+        supply_kPa = AMBIENT_KPA + bottle_kPa + SUPPLY_ERROR_KPA
+        inflation = self.evp_law.conductance_SL_per_s_kPa * _most_effective(evp)
+        return MOST_FLOW * supply_kPa * (inflation + self.dvp_SL_per_s_kPa * _most_effective(dvp))
+
+    def open_evp_SL_per_s(self, bottle_kPa: float) -> float:
+        """Through the inflation valve, wide open, as rated."""
+        return self.evp_law.conductance_SL_per_s_kPa * (AMBIENT_KPA + bottle_kPa)
+
+    def bottle_fall_kPa(self, air_SL: float) -> float:
+        """For air that has left it, once it is warm again."""
+        return air_SL * ALPHA_KPA / self.bottle_L
+
+    def most_air_SL(self, rise_kPa: float) -> float:
+        """That any vine takes for a rise, once it is full."""
+        return SOFTNESS * self.vine_most_L * rise_kPa / ALPHA_KPA
+
+    def least_air_SL(self, rise_kPa: float) -> float:
+        """That a vine takes for a rise."""
+        return LEAST_RISE * self.vine_least_L * rise_kPa / ALPHA_KPA
+
+    @property
+    def slowest_vent_s(self) -> float:
+        """In which a vine falls to 1/e, at the slowest."""
+        return SOFTNESS * self.vine_most_L * SLOWEST_OUTLET_KPA_S_PER_SL / ALPHA_KPA
+
+
+def _most_effective(opening: float) -> float:
+    return max(0.0, (opening - LEAST_DEAD) / (1.0 - LEAST_DEAD))
+
+
+def expected(belief: Belief, checks: Checks) -> Expected:
+    """What is expected of a rig that is believed to be so."""
+    p = belief.pneumatics
+    return Expected(
+        vine_least_L=p.cv_volume_L / checks.volume_factor,
+        vine_most_L=p.cv_volume_L * checks.volume_factor,
+        bottle_L=p.reservoir_volume_L,
+        full_kPa=p.full_kPa,
+        evp_law=belief.evp_law.numbers(),
+        dvp_SL_per_s_kPa=conductance_SL_per_s_kPa(p.dvp_flow_resistance_kPa_s_per_SL, p.full_kPa),
+        zero_kPa=checks.zero_kPa,
+    )

@@ -1,0 +1,135 @@
+"""Does the bottle lose what the valves take, no more and no less?"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from flying_vines.supply.physics_checks.expected import ADIABATIC, Expected
+from flying_vines.supply.physics_checks.moment import Moment
+
+BLOCK_S = 0.2
+"""What a reading of the bottle is averaged over."""
+LOOKS_BACK_BLOCKS = (5, 20)
+"""One second for what is quick, four for what is not: noise counts less over the longer time."""
+SURE_KPA = 2.0
+"""Beyond the noise of two blocks, of which none is above the mean difference of two readings."""
+NOISE_S = 1.0
+SHARE_OF_EVP = 1.0 / 3.0
+"""Of the wide open inflation valve's flow: what gets lost beside what is told is not just a leak."""
+HOT = 1.06
+"""Of the full bottle's pressure; a sound sensor's error band ends below it."""
+HIGH_S = 1.0
+STUCK_KPA = 1.5
+"""How far the bottle should have fallen while its reading has not changed at all …"""
+BLIND_KPA = 15.0
+"""… and while it has fallen by less than a fifth of that."""
+TURN_KPA = 2.0
+"""A noisy reading that falls by less has not turned."""
+VINE_FILTER_S = 0.1
+FORGETS_S = 120.0
+"""Warming by the sun may hide a fall that is slower."""
+
+
+class Loss:
+    """Air that leaves the bottle though no valve is told to let it."""
+
+    def __init__(self, rig: Expected) -> None:
+        self._rig = rig
+        self._blocks: deque[tuple[float, float]] = deque(maxlen=LOOKS_BACK_BLOCKS[-1] + 1)
+        """Mean reading, and the most that was taken in all up to its middle."""
+        self._told_SL = 0.0
+        self._sum_kPa_s = self._block_s = 0.0
+        self._begun_SL = 0.0
+        self._reading_kPa: float | None = None
+        self._noise_kPa = 0.0
+        self._said: str | None = None
+
+    def look(self, now: Moment) -> str | None:
+        """What is wrong, while it is."""
+        self._told_SL += now.most_outflow_SL
+        if self._reading_kPa is not None:
+            differs_kPa = abs(now.bottle_read_kPa - self._reading_kPa)
+            self._noise_kPa += (differs_kPa - self._noise_kPa) * min(1.0, now.dt_s / NOISE_S)
+        self._reading_kPa = now.bottle_read_kPa
+        self._sum_kPa_s += now.bottle_read_kPa * now.dt_s
+        self._block_s += now.dt_s
+        if self._block_s >= BLOCK_S - 1e-6:
+            told_SL = 0.5 * (self._begun_SL + self._told_SL)
+            self._blocks.append((self._sum_kPa_s / self._block_s, told_SL))
+            self._sum_kPa_s = self._block_s = 0.0
+            self._begun_SL = self._told_SL
+            self._said = self._judge()
+        return self._said
+
+    def _judge(self) -> str | None:
+        kPa, told_SL = self._blocks[-1]
+        open_kPa_per_s = self._rig.bottle_fall_kPa(self._rig.open_evp_SL_per_s(kPa))
+        for blocks in LOOKS_BACK_BLOCKS:
+            if len(self._blocks) <= blocks:
+                continue
+            before_kPa, before_SL = self._blocks[-1 - blocks]
+            seconds = blocks * BLOCK_S
+            told_kPa = ADIABATIC * self._rig.bottle_fall_kPa(told_SL - before_SL)
+            lost_kPa = before_kPa - kPa - told_kPa
+            if lost_kPa > SURE_KPA + self._noise_kPa + SHARE_OF_EVP * open_kPa_per_s * seconds:
+                return f"bottle loses {lost_kPa / seconds:.0f} kPa/s unasked"
+        return None
+
+
+class BottleSensor:
+    """A reading that stays while the vine's rises must have cost air."""
+
+    def __init__(self, rig: Expected) -> None:
+        self._rig = rig
+        self._cv_kPa = self._top_kPa = 0.0
+        self._reading_kPa: float | None = None
+        self._unchanged_kPa = 0.0
+        """How far the bottle should have fallen since its reading last changed."""
+        self._begin(0.0)
+
+    def _begin(self, bottle_kPa: float) -> None:
+        self._since_s = 0.0
+        self._expected_kPa = 0.0
+        self._first_kPa = self._smooth_kPa = bottle_kPa
+
+    def look(self, now: Moment) -> str | None:
+        """What is wrong, while it is."""
+        bottle_kPa = now.bottle_read_kPa
+        if self._reading_kPa is None:
+            self._begin(bottle_kPa)
+            self._cv_kPa = self._top_kPa = now.cv_kPa
+        self._since_s += now.dt_s
+        self._smooth_kPa += (bottle_kPa - self._smooth_kPa) * min(1.0, now.dt_s / BLOCK_S)
+        expected_kPa = self._rig.bottle_fall_kPa(self._rig.least_air_SL(self._rise_kPa(now)))
+        self._expected_kPa += expected_kPa
+        self._unchanged_kPa = self._unchanged_kPa + expected_kPa if bottle_kPa == self._reading_kPa else 0.0
+        self._reading_kPa = bottle_kPa
+        if self._unchanged_kPa > STUCK_KPA:
+            return f"bottle sensor stuck at {bottle_kPa:.0f} kPa"
+        if self._expected_kPa > BLIND_KPA and self._first_kPa - self._smooth_kPa < 0.2 * self._expected_kPa:
+            return "bottle keeps its air as vine fills: sensor or kink"
+        if self._expected_kPa > BLIND_KPA or self._since_s > FORGETS_S:
+            self._begin(self._smooth_kPa)
+        return None
+
+    def _rise_kPa(self, now: Moment) -> float:
+        """Of the vine, since the moment before."""
+        self._cv_kPa += (now.cv_kPa - self._cv_kPa) * min(1.0, now.dt_s / VINE_FILTER_S)
+        rise_kPa = max(0.0, self._cv_kPa - self._top_kPa)
+        self._top_kPa = self._cv_kPa if rise_kPa else min(self._top_kPa, self._cv_kPa + TURN_KPA)
+        return rise_kPa
+
+
+class Hot:
+    """More pressure than a full bottle has: the sun, or whoever filled it."""
+
+    def __init__(self, rig: Expected) -> None:
+        self._most_kPa = HOT * rig.full_kPa
+        self._high_s = 0.0
+
+    def look(self, now: Moment) -> str | None:
+        """What is wrong, while it is."""
+        self._high_s = self._high_s + now.dt_s if now.bottle_read_kPa > self._most_kPa else 0.0
+        if self._high_s < HIGH_S:
+            return None
+        return f"bottle at {now.bottle_read_kPa:.0f} kPa: hot or overfilled"

@@ -1,0 +1,57 @@
+"""Does the vine lose its pressure while its outlet is told to be open?
+
+It must lose a quarter of what it has above ambient in the time that the largest, softest vine takes for it
+behind the narrowest outlet, twice over; and again, until it is down. A vine that does not is behind an outlet
+that stays shut, or an inflation valve that stays open: then the bottle falls meanwhile, which shows unless
+the Venturi takes its air as well.
+"""
+
+from __future__ import annotations
+
+from flying_vines.supply.physics_checks.expected import Expected
+from flying_vines.supply.physics_checks.moment import VALVE_LAG_S, Moment
+
+DOWN_KPA = 3.0
+"""Above the largest zero that a sound sensor has; nearer to ambient its zero is what is looked at."""
+SHARE_LEFT = 0.75
+OUTLET_LAG_S = 0.15
+"""Of solenoid, tube and sensor."""
+LENIENCE = 2.0
+LN_4_3 = 0.288
+
+
+class Venting:
+    """How long ago the vine last lost a quarter."""
+
+    def __init__(self, rig: Expected) -> None:
+        self._rig = rig
+        self._due_s = OUTLET_LAG_S + LENIENCE * LN_4_3 * rig.slowest_vent_s
+        self._above_kPa: float | None = None
+        self._waited_s = 0.0
+        self._venturi = False
+        self._bottle_kPa = 0.0
+
+    def look(self, now: Moment) -> str | None:
+        """What is wrong, while it is."""
+        above_kPa = now.cv_kPa - self._rig.zero_kPa
+        if now.venting_s == 0.0 or above_kPa < DOWN_KPA:
+            self._above_kPa = None
+            return None
+        if self._above_kPa is None or above_kPa < SHARE_LEFT * self._above_kPa:
+            self._above_kPa = above_kPa
+            self._waited_s = 0.0
+            self._venturi = False
+            self._bottle_kPa = now.bottle_read_kPa
+        self._waited_s += now.dt_s
+        # What the inflation valve was told before still counts for a while.
+        self._venturi = self._venturi or (now.most_outflow_SL > 0.0 and now.venting_s > 2.0 * VALVE_LAG_S)
+        return self._sentence(now) if self._waited_s > self._due_s else None
+
+    def _sentence(self, now: Moment) -> str:
+        if self._venturi:
+            return "not venting: outlet, line, valve or sensor"
+        open_valve_SL = self._waited_s * self._rig.open_evp_SL_per_s(now.bottle_read_kPa)
+        fall_kPa = self._rig.bottle_fall_kPa(open_valve_SL)
+        if self._bottle_kPa - now.bottle_read_kPa > fall_kPa / 3.0:
+            return "not venting, valve stuck open: close the bottle"
+        return "not venting: outlet, line or sensor"

@@ -1,0 +1,106 @@
+"""The socket of a service's page, opened again and again. No logic of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable
+
+from aiohttp import (
+    ClientConnectorError,
+    ClientError,
+    ClientSession,
+    ClientTimeout,
+    WSMsgType,
+    WSServerHandshakeError,
+)
+from yarl import URL
+
+from flying_vines.terminal.story import LATE_S
+
+OPENS_WITHIN_S = 3.0
+FIRST_PATIENCE_S, LONGEST_PATIENCE_S = 0.25, 4.0
+LONGEST_MESSAGE = 1024 * 1024
+
+
+class NotAdmittedError(Exception):
+    """The page does not want us, and trying again does not help; the text is a sentence."""
+
+
+def socket_of(page: str) -> URL:
+    """Of the page at an address, as the service's terminal prints it. `ValueError` says what is wrong."""
+    url = URL(page if "://" in page else f"http://{page}")
+    if url.scheme not in ("http", "https") or not url.host:
+        raise ValueError("give http://HOST:PORT")
+    return url.with_path("/live").with_query(url.query)
+
+
+class Line:
+    """To a page's socket; `take` gets each message, `problem` is a sentence while there is no link."""
+
+    def __init__(self, url: URL, token: str, take: Callable[[str], None]) -> None:
+        self.problem = "connecting"
+        self._url = url
+        self._headers = {"Authorization": f"Bearer {token}"} if token else {}
+        self._take = take
+        self._outbox: asyncio.Queue[str] = asyncio.Queue(maxsize=1)
+
+    def send(self, text: str) -> None:
+        """Only while there is a link, and never late."""
+        if not self.problem and not self._outbox.full():
+            self._outbox.put_nowait(text)
+
+    async def run(self) -> None:
+        """Until cancelled. Raises `NotAdmittedError`."""
+        patience_s = FIRST_PATIENCE_S
+        async with ClientSession(
+            headers=self._headers, timeout=ClientTimeout(connect=OPENS_WITHIN_S)
+        ) as session:
+            while True:
+                try:
+                    await self._talk(session)
+                    self.problem = "the page has closed the link"
+                except WSServerHandshakeError as refused:
+                    self.problem = _why(refused.status)
+                except TimeoutError:
+                    self.problem = "the page says nothing"
+                except ClientConnectorError as error:
+                    self.problem = f"{error.host}:{error.port}: {os.strerror(error.errno or 0)}"
+                except (ClientError, OSError) as error:
+                    self.problem = str(error) or type(error).__name__
+                else:
+                    patience_s = FIRST_PATIENCE_S
+                await asyncio.sleep(patience_s)
+                patience_s = min(2.0 * patience_s, LONGEST_PATIENCE_S)
+
+    async def _talk(self, session: ClientSession) -> None:
+        async with asyncio.timeout(OPENS_WITHIN_S):
+            viewing = await session.ws_connect(self._url, max_msg_size=LONGEST_MESSAGE)
+        async with viewing:
+            self.problem = ""
+            while not self._outbox.empty():
+                self._outbox.get_nowait()
+            sending = asyncio.create_task(self._send_all(viewing.send_str))
+            try:
+                while True:
+                    message = await viewing.receive(LATE_S)
+                    if message.type is not WSMsgType.TEXT:
+                        return
+                    self._take(message.data)
+            finally:
+                sending.cancel()
+
+    async def _send_all(self, send: Callable[[str], object]) -> None:
+        while True:
+            await send(await self._outbox.get())  # type: ignore[misc]
+
+
+def _why(status: int) -> str:
+    """Raises `NotAdmittedError` where it is for good."""
+    if status == 401:
+        raise NotAdmittedError("it needs its token: --token-file FILE, as [page] token_file of its profile")
+    if status in (403, 404, 421):
+        raise NotAdmittedError("that is not a page of Flying Vines, or not by this name: give its address")
+    if status == 503:
+        return "too many viewers are there already"
+    return f"HTTP status {status}"

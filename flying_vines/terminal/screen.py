@@ -1,0 +1,207 @@
+"""The service on a terminal: a live view for those who watch, one line an event for those who log."""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import sys
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import IO, cast
+
+from rich.console import Console, Group
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from flying_vines.core.events import Action, Decision, InternalError, Snapshot
+from flying_vines.record.background_writer import Aside
+from flying_vines.vehicle.notice import Notice, Severity
+
+VERDICT_STYLE = {"accepted": "green", "limited": "yellow", "refused": "red"}
+SEVERITY_STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTICE: "cyan"}
+BAR_WIDTH = 24
+MOST_BEHIND = 64 * 1024
+"""Characters for a terminal that takes none: some seconds of screens. What comes after them is not shown."""
+LAST_WORDS_S = 0.5
+
+
+def describe(what: dict[str, object]) -> str:
+    """A trigger's source, for people."""
+    if "channel" in what:
+        return f"ch{what['channel']} position {what['position']}"
+    if "loss" in what:
+        return str(what["loss"]).replace("_", " ")
+    if "event" in what:
+        return str(what["event"])
+    parts = []
+    if "seq" in what:
+        parts.append(f"#{'?' if what['seq'] is None else what['seq']}")
+    if "command" in what:
+        parts.append(str(what["command"]))
+    params = what.get("params")
+    if isinstance(params, list):
+        parts.append("(" + ", ".join(f"{p:g}" for p in params) + ")")
+    return " ".join(parts)
+
+
+def decision_table(decisions: Sequence[Decision]) -> Table:
+    """What was asked and what came of it, a row each."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("t, s", "trigger", "what", "intent", "safety", "setpoint, kPa", "why"):
+        table.add_column(name, justify="right" if "," in name else "left")
+    for d in decisions:
+        style = VERDICT_STYLE[d.safety]
+        table.add_row(
+            f"{d.t:.2f}",
+            d.trigger.replace("_", " "),
+            describe(d.what),
+            d.intent or "–",
+            Text(d.safety, style=style),
+            f"{d.setpoint_kPa:.1f}",
+            d.reason,
+        )
+    return table
+
+
+def event_line(action: Action, began: float) -> Text | None:
+    """One line for a decision or a notice; None for what nobody reads."""
+    if isinstance(action, Decision):
+        line = Text(f"{action.t - began:7.2f}  ")
+        line.append(f"{action.trigger.replace('_', ' ')} ", style="bold")
+        line.append(f"{describe(action.what)} → {action.intent or '?'}: ".lstrip())
+        line.append(action.safety, style=VERDICT_STYLE[action.safety])
+        if action.reason:
+            line.append(f" ({action.reason})")
+        return line
+    if isinstance(action, Notice) and not action.of_decision and action.severity is not Severity.DEBUG:
+        return Text(
+            f"{action.t - began:7.2f}  {action.text}", style=SEVERITY_STYLE.get(action.severity, "dim")
+        )
+    if isinstance(action, InternalError):
+        return Text(f"{action.t - began:7.2f}  {action.part}: {action.trace.rstrip()}", style="red")
+    return None
+
+
+class LiveView:
+    """What a person watches: feed it actions, render it with a snapshot."""
+
+    def __init__(self, began: float, max_kPa: float, full_kPa: float, lines: int = 12) -> None:
+        self._began = began
+        self._max_kPa = max_kPa
+        self._full_kPa = full_kPa
+        self._events: deque[Text] = deque(maxlen=lines)
+
+    def take(self, action: Action) -> None:
+        # A traceback is for the log, and for who prints line by line.
+        line = None if isinstance(action, InternalError) else event_line(action, self._began)
+        if line is not None:
+            self._events.append(line)
+
+    def say(self, text: Text) -> None:
+        self._events.append(text)
+
+    def render(
+        self, s: Snapshot, title: str = "Flying Vines", problems: Mapping[str, str] | None = None
+    ) -> Panel:
+        """The whole screen. `problems` are those of the links themselves, a sentence each."""
+        grid = Table.grid(padding=(0, 2))
+        grid.add_column(style="dim", no_wrap=True)
+        grid.add_column(no_wrap=True)
+        grid.add_column(no_wrap=True)
+        altitude = "" if math.isnan(s.altitude_m) else f"{s.altitude_m:.1f} m"
+        armed = Text("armed", style="bold yellow") if s.armed else Text("disarmed", style="dim")
+        grid.add_row("vehicle", f"{s.vehicle}  {s.mode}  {altitude}", armed)
+        rc_style = "green" if s.rc == "good" else "red"
+        position = "–" if s.switch_position is None else str(s.switch_position)
+        grid.add_row("RC", Text(s.rc, style=rc_style), f"switch {position}")
+        firmware_style = "green" if s.firmware == "ready" else "red"
+        valves = "valves not known"
+        if s.solenoid is not None:
+            solenoid = "open" if s.solenoid else "shut"
+            valves = f"EVP {s.evp_opening:4.0%}  DVP {s.dvp_opening:4.0%}  solenoid {solenoid}"
+        grid.add_row(
+            "phloSAR", Text(s.firmware, style=firmware_style).append(_health(s), style="dim"), valves
+        )
+        grid.add_row("", "", "")
+        grid.add_row("command", bar(s.command_kPa, self._max_kPa, "yellow"), f"{number(s.command_kPa)} kPa")
+        cv = f"{number(s.cv_kPa)} kPa   bend {number(s.bend_deg, 0)}°"
+        grid.add_row("vine", bar(s.cv_kPa, self._max_kPa, "blue"), cv)
+        reservoir = f"{number(s.reservoir_kPa, 0)} kPa   {_cycles(s)}"
+        grid.add_row("reservoir", bar(s.reservoir_kPa, self._full_kPa, "cyan"), reservoir)
+        state = Text(s.doing, style="bold")
+        if s.safe_state:
+            state = Text("SAFE: " + "; ".join(s.safe_state.values()), style="bold red")
+        grid.add_row("doing", state, "")
+        trouble = [Text(f"{link} link: {why}", style="red") for link, why in (problems or {}).items() if why]
+        return Panel(
+            Group(grid, *trouble, Text(""), *self._events), title=f"{title}   {s.t - self._began:6.1f} s"
+        )
+
+
+def _health(s: Snapshot) -> str:
+    if s.round_trip_s is None:
+        return ""
+    return f"  {1000 * s.round_trip_s:.1f} ms, {s.telemetry_gaps} gaps"
+
+
+def _cycles(s: Snapshot) -> str:
+    c = s.cycles
+    return f"{c.expected:.0f} cycles left ({c.low:.0f}…{c.high:.0f})" if c else "cycles left not known"
+
+
+def number(value: float, digits: int = 1) -> str:
+    """For people, who know "–" for what is not known."""
+    return "–" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def bar(value: float, full: float, style: str) -> Text:
+    """How much of `full` it is."""
+    share = 0.0 if math.isnan(value) else min(max(value / full, 0.0), 1.0)
+    filled = round(share * BAR_WIDTH)
+    return Text("█" * filled, style=style).append("░" * (BAR_WIDTH - filled), style="dim")
+
+
+class PatientOutput(io.TextIOBase):
+    """Standard output that holds nobody up: a terminal stands still when its network does, or at Ctrl-S."""
+
+    def __init__(self) -> None:
+        # A live view puts itself in the place of `sys.stdout`.
+        self._stdout = sys.stdout
+        self._aside: Aside[str] = Aside(self._print, MOST_BEHIND)
+
+    def console(self) -> Console:
+        return Console(file=cast(IO[str], self))
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return self._stdout.encoding
+
+    def isatty(self) -> bool:
+        return self._stdout.isatty()
+
+    def write(self, text: str) -> int:
+        self._aside.write(text, len(text))
+        return len(text)
+
+    def close(self) -> None:
+        """Let the last words out, where there is somebody to read them."""
+        self._aside.close(LAST_WORDS_S)
+
+    def _print(self, texts: list[str]) -> None:
+        """Past the stream itself, whose lock the interpreter waits for at its end."""
+        data = "".join(texts).encode(self.encoding, "replace")
+        while data:
+            data = data[os.write(self._stdout.fileno(), data) :]
+
+
+def plain_printer(console: Console, began: float) -> Callable[[Action], None]:
+    """Prints an event a line, for terminals that are no screen."""
+
+    def show(action: Action) -> None:
+        line = event_line(action, began)
+        if line is not None:
+            console.print(line, soft_wrap=True)
+
+    return show

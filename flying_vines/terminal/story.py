@@ -1,0 +1,132 @@
+"""What the page's messages say, as the service's own terminal has it: snapshots, decisions and notices."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any, NamedTuple
+
+import msgspec
+
+from flying_vines.core.events import Decision, Snapshot
+from flying_vines.vehicle.notice import Notice
+
+VENT_AGAIN_S = 0.5
+LATE_S = 2.0
+"""Something comes every second: after so long the link is cut."""
+
+_ACTIONS: dict[str, type[Decision] | type[Notice]] = {"decision": Decision, "notice": Notice}
+_NUMBERS = [field.name for field in fields(Snapshot) if field.type == "float"]
+
+
+class Vine(NamedTuple):
+    """What a bar is full at, gauge kPa."""
+
+    max_kPa: float
+    full_kPa: float
+
+
+class StrangeMessageError(Exception):
+    """What came is nothing that a page of this version says."""
+
+
+class Story:
+    """Of one service, over all losses of the link. Times of the service are its own clock's."""
+
+    def __init__(self) -> None:
+        self.vine: Vine | None = None
+        self.began = 0.0
+        """The service's time of the first that is known of it."""
+        self.snapshot: Snapshot | None = None
+        self._shown_at = -math.inf
+        self._latest_t = -math.inf
+
+    def take(self, t: float, text: str) -> list[Decision | Notice]:
+        """What is new to whoever has followed the story; `t` is now, by our clock.
+
+        Raises `StrangeMessageError`.
+        """
+        try:
+            message = msgspec.json.decode(text)
+            return self._take(t, message)
+        except (msgspec.DecodeError, LookupError, TypeError, ValueError) as error:
+            raise StrangeMessageError(f"not understood: {error}") from None
+
+    def _take(self, t: float, message: Any) -> list[Decision | Notice]:
+        match message["kind"]:
+            case "hello":
+                return self._welcome(message)
+            case "snapshot":
+                self.snapshot = _snapshot(message["snapshot"])
+                self._shown_at = t
+            case "happened":
+                return self._note(_actions([message]))
+        return []
+
+    def _welcome(self, hello: dict[str, Any]) -> list[Decision | Notice]:
+        """A hello tells of the past: only what came while nobody listened is new."""
+        past = _actions(hello["happened"])
+        if self.vine is None or hello["t"] < self._latest_t:
+            # The first, or of a machine that was started anew.
+            self.began = min([hello["t"], *(action.t for action in past)])
+            self._latest_t = -math.inf
+        self.vine = Vine(hello["vine"]["max_kPa"], hello["vine"]["full_kPa"])
+        return self._note([action for action in past if action.t > self._latest_t])
+
+    def _note(self, news: list[Decision | Notice]) -> list[Decision | Notice]:
+        self._latest_t = max([self._latest_t, *(action.t for action in news)])
+        return news
+
+    def snapshot_age_s(self, t: float) -> float:
+        return t - self._shown_at
+
+
+class Vent:
+    """Wanted until it is confirmed or refused, over any loss of the link."""
+
+    def __init__(self) -> None:
+        self.wanted_at: float | None = None
+        self._seen_at: float | None = None
+        self._asked_at = -math.inf
+        self._number = 0
+
+    def press(self, t: float, seen: Snapshot | None) -> None:
+        """`seen`: what is shown now; no fault that came later is cleared."""
+        self.wanted_at = t
+        self._seen_at = seen.t if seen else None
+        self._asked_at = -math.inf
+
+    def due(self, t: float) -> str | None:
+        """What to send at time `t`."""
+        if self.wanted_at is None or t - self._asked_at < VENT_AGAIN_S:
+            return None
+        self._asked_at = t
+        self._number += 1
+        wish = {"id": self._number, "command": "vent", "seen_at": self._seen_at}
+        return msgspec.json.encode(wish).decode()
+
+    def take(self, t: float, text: str) -> str | None:
+        """What a message of the page says about it, as a sentence, if anything."""
+        message = msgspec.json.decode(text)
+        if self.wanted_at is None or message.get("kind") != "answer" or message["safety"] == "unanswered":
+            return None
+        after_s = t - self.wanted_at
+        self.wanted_at = None
+        if message["safety"] == "refused":
+            return f"VENT refused: {message['reason']}"
+        return f"VENT confirmed after {after_s:.2f} s"
+
+
+def _actions(happened: Sequence[dict[str, Any]]) -> list[Decision | Notice]:
+    return [
+        msgspec.convert(each["fields"], _ACTIONS[each["what"]])
+        for each in happened
+        if each["what"] in _ACTIONS
+    ]
+
+
+def _snapshot(shown: dict[str, Any]) -> Snapshot:
+    """What is not a number is null there."""
+    known = {name: math.nan if shown.get(name) is None else shown[name] for name in _NUMBERS}
+    return msgspec.convert({**shown, **known}, Snapshot)

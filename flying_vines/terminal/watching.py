@@ -1,0 +1,142 @@
+"""A service on a screen, as lines, or as objects; and a key that vents."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import ExitStack
+
+from rich.console import Console, RenderableType
+from rich.live import Live
+from rich.panel import Panel
+from rich.text import Text
+from yarl import URL
+
+from flying_vines.terminal import keys
+from flying_vines.terminal.line import Line
+from flying_vines.terminal.screen import LiveView, event_line
+from flying_vines.terminal.story import LATE_S, Story, StrangeMessageError, Vent
+
+LOOK_S = 0.1
+SURE_S = 3.0
+"""Between the first press of the key and the second."""
+KEYS = "v v vents · q ends"
+
+
+class Watching:
+    """Of the service whose page's socket is at `url`."""
+
+    def __init__(self, url: URL, token: str, plain: bool, as_json: bool) -> None:
+        self._page = url.origin()
+        self._console = Console()
+        self._live = self._console.is_terminal and not plain and not as_json
+        self._as_json = as_json
+        self._story = Story()
+        self._view: LiveView | None = None
+        self._vent = Vent()
+        self._pressed_at: float | None = None
+        self._line = Line(url, token, self._take)
+        self._told = "connecting"
+        self._over = False
+
+    async def run(self, seconds: float | None) -> bool:
+        """Whether the service was heard. Raises `NotAdmittedError`."""
+        ends_at = None if seconds is None else self._now + seconds
+        following = asyncio.create_task(self._line.run())
+        with ExitStack() as stack:
+            screen = None
+            if self._live:
+                stack.enter_context(keys.pressed(self._press))
+                screen = stack.enter_context(Live(console=self._console, refresh_per_second=10, screen=True))
+            while not self._over and (ends_at is None or self._now < ends_at):
+                await asyncio.wait([following], timeout=LOOK_S)
+                if following.done():
+                    break
+                if asked := self._vent.due(self._now):
+                    self._line.send(asked)
+                self._tell_of_link()
+                if screen:
+                    screen.update(self._rendered())
+        following.cancel()
+        await asyncio.wait([following])
+        if not following.cancelled():
+            following.result()
+        return self._story.vine is not None
+
+    # What comes.
+
+    def _take(self, text: str) -> None:
+        if self._as_json:
+            print(text, flush=True)
+        try:
+            news = self._story.take(self._now, text)
+            vented = self._vent.take(self._now, text)
+        except StrangeMessageError as error:
+            self._say(Text(str(error), style="red"))
+            return
+        if self._view is None and self._story.vine:
+            self._view = LiveView(self._story.began, self._story.vine.max_kPa, self._story.vine.full_kPa)
+        for action in news:
+            if line := event_line(action, self._story.began):
+                self._say(line)
+        if vented:
+            self._say(Text(vented, style="bold green" if "confirmed" in vented else "bold red"))
+
+    def _tell_of_link(self) -> None:
+        problem = self._problem
+        if problem != self._told:
+            self._told = problem
+            self._say(Text(f"link: {problem or 'open'}", style="bold red" if problem else "green"))
+
+    @property
+    def _problem(self) -> str:
+        if self._line.problem:
+            return self._line.problem
+        silent = self._story.snapshot is not None and self._story.snapshot_age_s(self._now) > LATE_S
+        return "the service is silent" if silent else ""
+
+    # What is shown.
+
+    def _say(self, line: Text) -> None:
+        if self._live:
+            if self._view:
+                self._view.say(line)
+        elif not self._as_json:
+            self._console.print(line, soft_wrap=True)
+
+    def _rendered(self) -> RenderableType:
+        if self._view is None or self._story.snapshot is None:
+            return Panel(
+                Text(f"{self._page}: {self._problem or 'no news of the service yet'}"), title="Flying Vines"
+            )
+        panel = self._view.render(self._story.snapshot, f"Flying Vines   {self._page}")
+        panel.subtitle = self._hint
+        if problem := self._problem:
+            age_s = self._story.snapshot_age_s(self._now)
+            panel.title = f"{problem}: all this is {age_s:.0f} s old"
+            panel.border_style, panel.style = "bold red not dim", "dim"
+        return panel
+
+    @property
+    def _hint(self) -> Text:
+        if self._vent.wanted_at is not None:
+            return Text(
+                f"VENT not confirmed, trying for {self._now - self._vent.wanted_at:.0f} s", style="bold red"
+            )
+        if self._pressed_at is not None and self._now - self._pressed_at < SURE_S:
+            return Text("press v again to vent", style="bold yellow not dim")
+        return Text(KEYS, style="dim")
+
+    # What is pressed.
+
+    def _press(self, key: str) -> None:
+        if key == "q":
+            self._over = True
+        elif key == "v" and self._pressed_at is not None and self._now - self._pressed_at < SURE_S:
+            self._pressed_at = None
+            self._vent.press(self._now, self._story.snapshot)
+        else:
+            self._pressed_at = self._now if key == "v" else None
+
+    @property
+    def _now(self) -> float:
+        return asyncio.get_running_loop().time()

@@ -1,0 +1,102 @@
+"""The parameters that were set in the field, as a file that survives the service and that people can read.
+
+Only what differs from the profile is in it, so that a key which nobody touched still follows the profile. A
+file that cannot be understood is never overwritten: what it held would be lost without a word.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from flying_vines.config import on_disk
+from flying_vines.config.config import Config
+from flying_vines.config.toml_text import one_line, place, read_text
+from flying_vines.vehicle.component.settings import BY_NAME, SETTINGS, Refused, changed, value_of
+
+HEADING = """\
+# Vine parameters set from a ground station: they go before the profile.
+# Take a line out and start the service again: its parameter is the profile's once more.
+"""
+
+_GONE = {"VINE_AP_ACTION": "a lost autopilot always vents, as the altitude is lost with it"}
+"""Parameters of earlier versions."""
+
+
+class ParameterFileError(Exception):
+    """The file cannot be used; the text is one line that says which file and line, and what to do."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(one_line(text))
+
+
+def read(path: Path, profile: Config) -> dict[str, float]:
+    """The values of a file, all allowed by the profile; none where there is no file yet.
+
+    Raises:
+        ParameterFileError: where the file is damaged, or holds what the profile does not allow.
+    """
+    if not path.exists():
+        return {}
+    text = read_text(path, ParameterFileError)
+    values = _parsed(text, path)
+    config = profile
+    for name, value in values.items():
+        try:
+            config = changed(profile, config, name, value)
+        except Refused as refusal:
+            where = place(text, str(path), (name,))
+            raise ParameterFileError(f"{where}: {refusal}: correct the line or take it out") from None
+    return values
+
+
+def write(path: Path, values: Mapping[str, float], profile: Config) -> None:
+    """Put these values, and only these, in the file: all of it or nothing, whatever happens meanwhile.
+
+    Raises:
+        ParameterFileError: where what stands there now is no parameter file, or nothing can be written.
+    """
+    try:
+        if path.exists():
+            _parsed(read_text(path, ParameterFileError), path)
+        on_disk.put(path, _text(values, profile))
+    except OSError as error:
+        raise ParameterFileError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def _text(values: Mapping[str, float], profile: Config) -> str:
+    rows = [HEADING]
+    for setting in SETTINGS:
+        if setting.name in values:
+            rows.append(f"\n# {setting.doc} (profile: {value_of(setting, profile):g})\n")
+            rows.append(f"{setting.name} = {values[setting.name]!r}\n")
+    return "".join(rows)
+
+
+def _parsed(text: str, path: Path) -> dict[str, float]:
+    """The numbers by name, of parameters that we have."""
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        at = re.search(r"\(at line (\d+)", str(error))
+        line = int(at[1]) if at else len(text.splitlines())
+        raise ParameterFileError(f"{path}:{line}: not TOML: {str(error).split(' (at')[0]}") from None
+    except RecursionError:
+        raise ParameterFileError(f"{path}: not TOML: nested too deeply") from None
+    return {name: _number(name, value, place(text, str(path), (name,))) for name, value in raw.items()}
+
+
+def _number(name: str, value: Any, where: str) -> float:
+    if name in _GONE:
+        raise ParameterFileError(f"{where}: {name}: take the line out: {_GONE[name]}")
+    if name not in BY_NAME:
+        near = difflib.get_close_matches(name, BY_NAME, n=1)
+        meant = f"; did you mean {near[0]}?" if near else ": take the line out"
+        raise ParameterFileError(f"{where}: {name}: there is no such parameter{meant}")
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ParameterFileError(f"{where}: {name}: it must be a number")
+    return float(value)

@@ -1,0 +1,1 @@
+"""MAVLink bytes, frames, messages, signing and links."""

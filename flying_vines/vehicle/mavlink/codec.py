@@ -1,0 +1,147 @@
+"""Bytes to MAVLink messages and back, without input or output."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.mavlink.frames import Frame, Frames
+from flying_vines.vehicle.mavlink.payloads import Message, message_of
+from flying_vines.vehicle.mavlink.signing import Signing
+
+__all__ = ["Codec", "Message"]
+
+REMEMBERED_FRAMES = 32
+"""Frames kept per sender to recognise copies: far fewer than the 256 after which the sequence repeats."""
+
+REMEMBERED_SENT = 128
+"""Frames of our own kept to recognise their echoes: some seconds of all that we send."""
+
+MOST_SENDERS = 64
+"""More components than any vehicle has: what noise and strangers make up cannot fill the memory."""
+
+_WITH_KEY = mavlink.MAVLINK_MSG_ID_SETUP_SIGNING
+"""It comes out without its secret key: ours comes from a file, and no log is to show another's."""
+
+
+class Codec:
+    """Decodes a byte stream, and encodes messages as one component of one system.
+
+    Frames that arrive twice (the same sequence number and checksum from the same sender, as routers and
+    retries make them) come out once, frames of our own that a router sends back do not come out at all. With
+    `signing` only frames signed with its key are believed, and ours are signed. Nothing that arrives raises.
+    """
+
+    def __init__(self, system_id: int, component_id: int, signing: Signing | None = None) -> None:
+        self.lost_frames = 0
+        self.repeated_frames = 0
+        self.echoes = 0
+        self._frames = Frames()
+        self._senders: dict[tuple[int, int], _Sender] = {}
+        self._component_id = component_id
+        self._signing = signing
+        self._sent: deque[tuple[int, int, int, int]] = deque(maxlen=REMEMBERED_SENT)
+        self._out = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
+        if signing is not None:
+            self._out.signing.secret_key = signing.key
+            self._out.signing.sign_outgoing = True
+
+    @property
+    def bad_frames(self) -> int:
+        """Frames whose checksum does not fit, and stretches of bytes that are no frames."""
+        return self._frames.bad_frames
+
+    def decode(self, data: bytes) -> list[Message]:
+        """The messages that `data` completes, in order; known types with a good checksum only."""
+        return self._admitted(self._frames.take(data))
+
+    def decode_stranger(self, data: bytes) -> tuple[list[Message], bool]:
+        """The messages in one datagram of somebody new, and whether they prove that he is an autopilot.
+
+        Half a frame is dropped: what others send must not wait for its end. Only a signature proves anything.
+        """
+        messages = self._admitted(Frames().take(data))
+        proven = self._signing is not None and any(
+            message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1 for message in messages
+        )
+        return messages, proven
+
+    def _admitted(self, frames: list[Frame]) -> list[Message]:
+        messages = []
+        for frame in frames:
+            if frame.component == self._component_id and self._is_echo(frame):
+                self.echoes += 1
+                continue
+            sender = self._senders.get((frame.system, frame.component))
+            if sender is not None and sender.is_copy(frame):
+                self.repeated_frames += 1
+                continue
+            if self._signing is not None and not self._signing.admits(frame):
+                continue
+            if sender is None:
+                if not frame.known:
+                    continue
+                sender = self._meet(frame)
+            if lost := sender.take(frame):
+                self.lost_frames = max(0, self.lost_frames + lost)
+            if frame.known:
+                messages.append(_without_key(frame) if frame.message_id == _WITH_KEY else message_of(frame))
+        return messages
+
+    def encode(self, message: Message, system_id: int) -> bytes:
+        """One MAVLink 2 frame from our component of the system `system_id`."""
+        self._out.srcSystem = system_id
+        if self._signing is not None:
+            self._out.signing.link_id = self._signing.link_id
+            self._out.signing.timestamp = self._signing.next_timestamp()
+        raw: bytes = message.pack(self._out)
+        self._sent.append((system_id, self._out.seq, message.get_msgId(), message.get_crc()))
+        self._out.seq = (self._out.seq + 1) % 256
+        return raw
+
+    def _is_echo(self, frame: Frame) -> bool:
+        return (frame.system, frame.sequence, frame.message_id, frame.checksum) in self._sent
+
+    def _meet(self, frame: Frame) -> _Sender:
+        if len(self._senders) >= MOST_SENDERS:
+            # Whoever has said much stays, however many strangers say one thing each.
+            del self._senders[min(self._senders, key=lambda sender: self._senders[sender].frames)]
+        sender = _Sender(frame.sequence)
+        self._senders[frame.system, frame.component] = sender
+        return sender
+
+
+def _without_key(frame: Frame) -> Message:
+    target = message_of(frame)
+    sender = mavlink.MAVLink(None, frame.system, frame.component)
+    sender.seq = frame.sequence
+    blank = mavlink.MAVLink_setup_signing_message(target.target_system, target.target_component, [0] * 32, 0)
+    return message_of(Frames().take(blank.pack(sender))[0])
+
+
+class _Sender:
+    """The latest frames of one component of one system."""
+
+    __slots__ = ("_recent", "_sequence", "frames")
+
+    def __init__(self, sequence: int) -> None:
+        self.frames = 0
+        self._sequence = (sequence - 1) & 0xFF
+        self._recent: deque[tuple[int, int, int]] = deque(maxlen=REMEMBERED_FRAMES)
+
+    def is_copy(self, frame: Frame) -> bool:
+        # Of a sender that is forwarded in part the sequence comes round soon; no copy is ahead of its frame.
+        behind = (self._sequence - frame.sequence) & 0xFF
+        return behind < 128 and (frame.sequence, frame.message_id, frame.checksum) in self._recent
+
+    def take(self, frame: Frame) -> int:
+        """How many more frames than before must be thought lost; -1 where one was only late."""
+        self.frames += 1
+        if frame.known:
+            self._recent.append((frame.sequence, frame.message_id, frame.checksum))
+        ahead = (frame.sequence - self._sequence) & 0xFF
+        if ahead >= 256 - REMEMBERED_FRAMES:
+            return -1
+        self._sequence = frame.sequence
+        return max(0, ahead - 1)

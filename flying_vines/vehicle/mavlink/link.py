@@ -1,0 +1,272 @@
+"""Transports for MAVLink: UDP, TCP and serial, each opened again by itself whenever it is lost.
+
+All have the shape of `firmware_link.serial_port.SerialPort`: `run()` until cancelled, `write()` that never
+blocks, `on_bytes` called from the event loop, `on_state(up, why)` when the link comes or goes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+from collections.abc import Callable
+from typing import Protocol
+
+from firmware_link.find import UsbBoard
+from flying_vines.config.address import DEFAULT_BAUD, Address, NetworkAddress, SerialAddress
+from flying_vines.vehicle.mavlink.frames import from_autopilot
+
+RETRY_S = 1.0
+MOST_PEERS = 4
+PEER_FORGOTTEN_S = 30.0
+PEER_REPLACED_S = 3.0
+"""A silent peer gives way to a new one after this time: a router that restarts has another port."""
+MOST_OF_STRANGERS = 2048
+"""Bytes in one datagram of somebody new. A frame has 280 at most, an Ethernet packet 1500."""
+MAX_QUEUED_BYTES = 64 * 1024
+
+OnBytes = Callable[[bytes], None]
+OnStranger = Callable[[bytes, Callable[[], None]], None]
+"""One datagram of somebody who is not answered yet, and what to call, before any answer, if he is to be."""
+OnState = Callable[[bool, str], None]
+
+
+class Link(Protocol):
+    """Bytes to and from somewhere."""
+
+    @property
+    def dropped_bytes(self) -> int:
+        """Which were to be sent, and were not."""
+
+    async def run(self) -> None:
+        """Keep the link open until cancelled."""
+
+    def write(self, data: bytes) -> bool:
+        """Send, or drop and say False."""
+
+
+def open_link(
+    address: Address, on_bytes: OnBytes, on_state: OnState, on_stranger: OnStranger | None = None
+) -> Link:
+    """The transport for an address; nothing happens before `run`.
+
+    Without `on_stranger` a `udpin` link answers whoever sends to it.
+    """
+    if isinstance(address, (SerialAddress, UsbBoard)):
+        from firmware_link.serial_port import SerialPort
+
+        if isinstance(address, UsbBoard):
+            return SerialPort(address, DEFAULT_BAUD, on_bytes, on_state)
+        return SerialPort(address.path, address.baud, on_bytes, on_state)
+    if address.kind == "tcp":
+        return TcpLink(address, on_bytes, on_state)
+    return UdpLink(address, on_bytes, on_state, on_stranger)
+
+
+def unread_from(link: Link) -> str:
+    """The latest IP address whose datagrams were not read, because the link names another as its peer."""
+    return link.unread_from if isinstance(link, UdpLink) else ""
+
+
+class _NetworkLink:
+    """What the network's links share: where they go, and telling each change once."""
+
+    def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
+        self._address = address
+        self._on_bytes = on_bytes
+        self._on_state = on_state
+        self._why_down = ""
+        self.dropped_bytes = 0
+
+    def _up(self) -> None:
+        self._why_down = ""
+        self._on_state(True, "")
+
+    def _down(self, reason: str) -> None:
+        why = f"{self._address.kind}:{self._address.host}:{self._address.port}: {reason}"
+        if why != self._why_down:
+            self._why_down = why
+            self._on_state(False, why)
+
+    def write(self, data: bytes) -> bool:
+        """Send, or drop and say False."""
+        sent = self._send(data)
+        if not sent:
+            self.dropped_bytes += len(data)
+        return sent
+
+    def _send(self, data: bytes) -> bool:
+        raise NotImplementedError
+
+
+Source = tuple[str, int]
+"""IP address and port of who sent a datagram; IPv6 has more behind them."""
+
+
+class Peers:
+    """Who is answered. Nobody who speaks loses his place to others, however many they are."""
+
+    def __init__(self) -> None:
+        self._heard_at: dict[Source, float] = {}
+
+    def __len__(self) -> int:
+        return len(self._heard_at)
+
+    def heard(self, source: Source, t: float) -> bool:
+        """Note that `source` has spoken; whether it is answered."""
+        if source not in self._heard_at:
+            return False
+        self._heard_at[source] = t
+        return True
+
+    def enter(self, source: Source, t: float) -> bool:
+        """Answer `source` from now on, if there is room."""
+        if source not in self._heard_at and len(self._heard_at) >= MOST_PEERS:
+            most_silent = min(self._heard_at, key=lambda peer: self._heard_at[peer])
+            if t - self._heard_at[most_silent] <= PEER_REPLACED_S:
+                return False
+            del self._heard_at[most_silent]
+        self._heard_at[source] = t
+        return True
+
+    def present(self, t: float) -> list[Source]:
+        """Whom to send to."""
+        for peer, heard_at in list(self._heard_at.items()):
+            if t - heard_at > PEER_FORGOTTEN_S:
+                del self._heard_at[peer]
+        return list(self._heard_at)
+
+
+class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
+    """UDP: `udpout` sends to one address, `udpin` listens and answers its `Peers`.
+
+    A peer is somebody who has sent a frame of an autopilot: from this computer or from the address that the
+    link names; on a link that is open to a network, with a signature.
+    """
+
+    def __init__(
+        self,
+        address: NetworkAddress,
+        on_bytes: OnBytes,
+        on_state: OnState,
+        on_stranger: OnStranger | None = None,
+    ) -> None:
+        super().__init__(address, on_bytes, on_state)
+        self.unread_from = ""
+        self._on_stranger = on_stranger
+        self._transport: asyncio.DatagramTransport | None = None
+        self._full = False
+        self._peers = Peers()
+
+    async def run(self) -> None:
+        loop = asyncio.get_running_loop()
+        here = (self._address.host, self._address.port)
+        listening = self._address.kind == "udpin"
+        while True:
+            try:
+                transport, _ = await loop.create_datagram_endpoint(
+                    lambda: self,
+                    local_addr=here if listening else None,
+                    remote_addr=None if listening else here,
+                )
+            except (OSError, UnicodeError) as error:
+                self._down(_reason(error))
+                await asyncio.sleep(RETRY_S)
+                continue
+            self._transport, self._full = transport, False
+            self._up()
+            try:
+                await loop.create_future()
+            finally:
+                self._transport = None
+                transport.close()
+
+    def _send(self, data: bytes) -> bool:
+        if self._transport is None or self._full:
+            return False
+        if self._address.kind == "udpout":
+            self._transport.sendto(data)
+            return True
+        peers = self._peers.present(asyncio.get_running_loop().time())
+        for peer in peers:
+            self._transport.sendto(data, peer)
+        return bool(peers)
+
+    def datagram_received(self, data: bytes, addr: Source) -> None:
+        now = asyncio.get_running_loop().time()
+        if self._peers.heard(addr, now):
+            self._on_bytes(data)
+        elif not self._address.reads(addr[0]):
+            self.unread_from = addr[0]
+        elif self._address.kind == "udpout" or self._on_stranger is None:
+            self._peers.enter(addr, now)
+            self._on_bytes(data)
+        elif len(data) > MOST_OF_STRANGERS:
+            return
+        elif not self._address.is_open and from_autopilot(data) and self._peers.enter(addr, now):
+            self._on_bytes(data)
+        else:
+            self._on_stranger(data, lambda: self._enter(addr))
+
+    def _enter(self, source: Source) -> None:
+        self._peers.enter(source, asyncio.get_running_loop().time())
+
+    def pause_writing(self) -> None:
+        """64 KiB wait for a driver that takes none, and asyncio itself would keep any amount."""
+        self._full = True
+
+    def resume_writing(self) -> None:
+        self._full = False
+
+    def error_received(self, exc: Exception) -> None:
+        """Nobody listens on the other side yet: what is sent next may arrive."""
+
+
+class TcpLink(_NetworkLink, asyncio.Protocol):
+    """A TCP client."""
+
+    def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
+        super().__init__(address, on_bytes, on_state)
+        self._transport: asyncio.Transport | None = None
+        self._lost: asyncio.Future[None] | None = None
+
+    async def run(self) -> None:
+        loop = asyncio.get_running_loop()
+        host, port = self._address.host, self._address.port
+        while True:
+            self._lost = loop.create_future()
+            try:
+                transport, _ = await loop.create_connection(lambda: self, host, port)
+            except (OSError, UnicodeError) as error:
+                self._down(_reason(error))
+                await asyncio.sleep(RETRY_S)
+                continue
+            self._transport = transport
+            self._up()
+            try:
+                await self._lost
+            finally:
+                self._transport = None
+                transport.abort()
+            self._down("the connection was closed")
+            await asyncio.sleep(RETRY_S)
+
+    def _send(self, data: bytes) -> bool:
+        if self._transport is None or self._transport.get_write_buffer_size() > MAX_QUEUED_BYTES:
+            return False
+        self._transport.write(data)
+        return True
+
+    def data_received(self, data: bytes) -> None:
+        self._on_bytes(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._lost is not None and not self._lost.done():
+            self._lost.set_result(None)
+
+
+def _reason(error: OSError | UnicodeError) -> str:
+    """What the operating system calls it; host names that no name server would take are a `UnicodeError`."""
+    if isinstance(error, OSError) and error.errno and not isinstance(error, socket.gaierror):
+        return os.strerror(error.errno)
+    return getattr(error, "strerror", None) or str(error)

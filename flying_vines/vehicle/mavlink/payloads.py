@@ -1,0 +1,69 @@
+"""A frame's payload as a message object of the dialect: what pymavlink's own decoding gives, but cheaper.
+
+pymavlink works out for each frame what is known of its type beforehand: which fields are arrays, which are
+text, in which order they are handed over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import accumulate
+from operator import itemgetter
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.mavlink.frames import Frame
+
+Message = Any
+"""A message object of the pymavlink dialect; pymavlink carries no types."""
+
+
+class _Layout:
+    """How the payloads of one type of message become that type's fields."""
+
+    def __init__(self, kind: Any) -> None:
+        self.build: Callable[..., Message] = kind
+        self.unpack: Callable[[bytes], tuple[Any, ...]] = kind.unpacker.unpack
+        self.size: int = kind.unpacker.size
+        plain = "s" not in kind.unpacker.format and set(kind.lengths) == {1} and len(kind.orders) > 1
+        self.arrange = itemgetter(*kind.orders) if plain else _arrange_arrays_and_texts(kind)
+
+
+def _arrange_arrays_and_texts(kind: Any) -> Callable[[tuple[Any, ...]], list[Any]]:
+    begins = list(accumulate(kind.lengths, initial=0))
+    places = [(begins[wire], kind.lengths[wire]) for wire in kind.orders]
+
+    def arrange(values: tuple[Any, ...]) -> list[Any]:
+        fields: list[Any] = []
+        for begin, length in places:
+            value = values[begin]
+            if isinstance(value, bytes):
+                fields.append(value.rstrip(b"\0"))
+            else:
+                fields.append(value if length == 1 else list(values[begin : begin + length]))
+        return fields
+
+    return arrange
+
+
+_LAYOUTS = {number: _Layout(kind) for number, kind in mavlink.mavlink_map.items()}
+
+
+def message_of(frame: Frame) -> Message:
+    """The message in a frame that the dialect knows."""
+    layout = _LAYOUTS[frame.message_id]
+    # Version 2 cuts trailing zeros off, and newer dialects may have appended fields.
+    payload = frame.payload.ljust(layout.size, b"\0")[: layout.size]
+    message = layout.build(*layout.arrange(layout.unpack(payload)))
+    message._header = mavlink.MAVLink_header(
+        frame.message_id,
+        frame.flags,
+        frame.other_flags,
+        len(frame.payload),
+        frame.sequence,
+        frame.system,
+        frame.component,
+    )
+    message._crc, message._payload, message._msgbuf = frame.checksum, frame.payload, frame.raw
+    return message

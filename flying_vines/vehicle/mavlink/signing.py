@@ -1,0 +1,228 @@
+"""MAVLink 2 message signing: which frames are believed, and the clock that ours are signed with.
+
+Sans-IO: the edge tells the time, and keeps `Memory` over restarts (`signing_key.TimestampFile`). The key
+comes from a file of this machine and from nowhere else: SETUP_SIGNING is never acted on.
+
+What is sent can be recorded and sent again, so the timestamps of each stream (link, system, component) must
+rise, over our restarts as well. What MAVLink leaves open: of a stream that was never heard, frames up to
+a minute old are believed, each once.
+
+MAVLink's clock only rises: one frame dated 2040 by somebody who has the key would lock out all who have the
+right time. So ours stays near the clock of this computer. A frame that is too far ahead of it is refused; a
+kept timestamp that is too far ahead is dropped; and a jump of that clock itself, if too far, is not followed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.mavlink.frames import SIGNATURE_SIZE, Frame
+
+KEY_SIZE = 32
+UNITS_PER_S = 100_000
+"""A timestamp counts tens of microseconds."""
+
+UNIX_TIME_OF_ZERO_S = 1_420_070_400
+"""Timestamps count from 1 January 2015."""
+
+NEW_STREAM_MAY_LAG = 60 * UNITS_PER_S
+MOST_STREAMS = 64
+"""More components than any vehicle has; only who has the key can make an entry."""
+
+DAY = 24 * 3600 * UNITS_PER_S
+MAY_BE_AHEAD = DAY
+"""Of this computer's clock, once it was synchronised: wrong time zones are within it, wrong years are not."""
+
+MAY_BE_AHEAD_UNSYNCHRONISED = 731 * DAY
+"""Of a clock that went on from when this computer was last used, and that nobody has set since."""
+
+CLOCK_SET_UNIX_S = 1_735_689_600
+"""The beginning of 2025: a clock that is before it was never set."""
+
+_CLOCK_SET = (CLOCK_SET_UNIX_S - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S
+_LARGEST = 2**47
+"""In the year 2059; the frame has room for twice as much."""
+
+_MOST_TOLD = 8
+
+_DIGEST_SIZE = 6
+_STAMP_SIZE = SIGNATURE_SIZE - _DIGEST_SIZE
+"""One byte of link, six of timestamp."""
+
+_RADIO = mavlink.MAV_COMP_ID_TELEMETRY_RADIO
+_RADIO_MESSAGES = {mavlink.MAVLINK_MSG_ID_RADIO_STATUS, mavlink.MAVLINK_MSG_ID_RADIO}
+"""What a telemetry radio says of itself: it has no key, and nothing that it says moves anything."""
+
+
+@dataclass(slots=True)
+class Refused:
+    """Frames that were not believed, by reason."""
+
+    unsigned: int = 0
+    forged: int = 0
+    replayed: int = 0
+    """Their timestamp was used before, or is of a new stream and too old."""
+
+    ahead: int = 0
+    """Their timestamp is too far ahead of this computer's clock."""
+
+    @property
+    def total(self) -> int:
+        return self.unsigned + self.forged + self.replayed + self.ahead
+
+    def __str__(self) -> str:
+        told = f"{self.unsigned} unsigned, {self.forged} forged, {self.replayed} replayed"
+        return f"{told}, {self.ahead} dated ahead" if self.ahead else told
+
+
+Stream = tuple[int, int, int]
+"""Link id, system and component."""
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What must survive a restart, so that no timestamp is used or believed twice."""
+
+    timestamp: int = 0
+    link_id: int | None = None
+    """Ours; None where nothing was kept."""
+    streams: tuple[tuple[Stream, int], ...] = ()
+    """The last timestamp believed of each."""
+
+
+class Signing:
+    """Signs and checks with one key on one link.
+
+    `timestamp` is the last one used. On one link id it never falls; where it must (it was far ahead of the
+    time), the link id changes, because to all others that is a new stream.
+    """
+
+    def __init__(self, key: bytes, link_id: int = 0, memory: Memory = Memory()) -> None:
+        if len(key) != KEY_SIZE:
+            raise ValueError(f"a signing key has {KEY_SIZE} bytes, not {len(key)}")
+        self.key = key
+        self.link_id = link_id if memory.link_id is None else memory.link_id
+        self.timestamp = memory.timestamp
+        self.refused = Refused()
+        self.news: list[str] = []
+        """What happened to a clock, to be told to people; whoever tells it empties the list."""
+        self._streams: dict[Stream, int] = dict(memory.streams)
+        self._host: int | None = None
+        """This computer's clock, as far as it is believed."""
+        self._followed: tuple[int, float | None] | None = None
+        """When it was last as expected: its reading, and the monotonic time then."""
+        self._synchronised = False
+        self._told_jump = False
+        self._told_ahead: set[tuple[int, int]] = set()
+
+    @property
+    def memory(self) -> Memory:
+        return Memory(self.timestamp, self.link_id, tuple(self._streams.items()))
+
+    def advance(self, unix_time_s: float, at_s: float | None = None, synchronised: bool = False) -> None:
+        """Tell the time; a clock that was set back or never set holds nothing up.
+
+        Args:
+            unix_time_s: this computer's clock.
+            at_s: a clock that never jumps: without it no jump is seen.
+            synchronised: whether the kernel says that a time source keeps the clock.
+        """
+        reading = min(_LARGEST, int((unix_time_s - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S))
+        self._host = self._follow(reading, at_s, synchronised)
+        if self.timestamp > self._latest:
+            by = (self.timestamp - self._host) / DAY
+            self.news.append(f"signing clock was {by:.0f} days ahead: set right")
+            self.timestamp = max(0, self._host)
+            self.link_id = (self.link_id + 1) % 256
+            self._streams = {known: at for known, at in self._streams.items() if at <= self._latest}
+        self.timestamp = max(self.timestamp, self._host)
+
+    def _follow(self, reading: int, at_s: float | None, synchronised: bool) -> int:
+        """The clock's reading, or where it would be without a jump that is not to be believed."""
+        first = synchronised and not self._synchronised
+        if self._followed is not None and at_s is not None and not first:
+            followed, then_s = self._followed
+            expected = followed + (0 if then_s is None else int((at_s - then_s) * UNITS_PER_S))
+            jump = reading - expected
+            if expected >= _CLOCK_SET and abs(jump) > self._may_be_ahead:
+                if not self._told_jump:
+                    self._told_jump = True
+                    self.news.append(f"own clock jumped {jump / DAY:+.0f} days: not followed")
+                return min(_LARGEST, expected)
+        self._followed = (reading, at_s)
+        self._told_jump = False
+        self._synchronised |= synchronised
+        return reading
+
+    @property
+    def _may_be_ahead(self) -> int:
+        return MAY_BE_AHEAD if self._synchronised else MAY_BE_AHEAD_UNSYNCHRONISED
+
+    @property
+    def _latest(self) -> int:
+        """The largest timestamp that is believed."""
+        if self._host is None or self._host < _CLOCK_SET:
+            return _LARGEST
+        return min(_LARGEST, self._host + self._may_be_ahead)
+
+    @property
+    def _oldest(self) -> int:
+        """The smallest timestamp that a new stream may begin with."""
+        if self._synchronised and self._host is not None:
+            return self._host - NEW_STREAM_MAY_LAG
+        return self.timestamp - NEW_STREAM_MAY_LAG
+
+    def next_timestamp(self) -> int:
+        """The timestamp of the frame that is sent now: no two frames share one."""
+        self.timestamp += 1
+        return self.timestamp
+
+    def admits(self, frame: Frame) -> bool:
+        """Whether a frame is to be believed; a `True` uses its timestamp up."""
+        if not frame.signed:
+            if frame.message_id in _RADIO_MESSAGES and frame.component == _RADIO:
+                return True
+            self.refused.unsigned += 1
+            return False
+        signed, signature = frame.raw[:-_DIGEST_SIZE], frame.raw[-_DIGEST_SIZE:]
+        expected = hashlib.sha256(self.key + signed).digest()[:_DIGEST_SIZE]
+        if not hmac.compare_digest(expected, signature):
+            self.refused.forged += 1
+            return False
+        link_id, timestamp = signed[-_STAMP_SIZE], int.from_bytes(signed[1 - _STAMP_SIZE :], "little")
+        if timestamp > self._latest:
+            self.refused.ahead += 1
+            self._tell_ahead(frame, timestamp)
+            return False
+        if not self._is_new((link_id, frame.system, frame.component), timestamp):
+            self.refused.replayed += 1
+            return False
+        self.timestamp = max(self.timestamp, timestamp)
+        return True
+
+    def _tell_ahead(self, frame: Frame, timestamp: int) -> None:
+        sender = (frame.system, frame.component)
+        if self._host is not None and sender not in self._told_ahead and len(self._told_ahead) < _MOST_TOLD:
+            self._told_ahead.add(sender)
+            by = (timestamp - self._host) / DAY
+            self.news.append(f"{sender[0]}/{sender[1]} signs {by:.0f} days ahead of our clock")
+
+    def _is_new(self, stream: Stream, timestamp: int) -> bool:
+        last = self._streams.get(stream)
+        if last is None or last > self._latest:
+            oldest = self._oldest
+            if timestamp < oldest:
+                return False
+            if stream not in self._streams and len(self._streams) >= MOST_STREAMS:
+                # Of those forgotten here every copy is as good as refused: too old for a new stream.
+                self._streams = {known: at for known, at in self._streams.items() if at >= oldest}
+            if stream not in self._streams and len(self._streams) >= MOST_STREAMS:
+                return False
+        elif timestamp <= last:
+            return False
+        self._streams[stream] = timestamp
+        return True

@@ -1,0 +1,112 @@
+"""The signing key's file, and the file that keeps the signing timestamps over restarts."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import stat
+import threading
+from pathlib import Path
+
+from flying_vines.config import on_disk
+from flying_vines.vehicle.mavlink.signing import KEY_SIZE, UNITS_PER_S, Memory
+
+SHORTEST_PASSPHRASE = 8
+_PASSPHRASE = b"passphrase:"
+_HEX = re.compile(rb"[0-9a-fA-F]+")
+_FORMS = '64 hexadecimal digits, 32 raw bytes, or a line "passphrase: ..."'
+
+SAVE_AFTER = 30 * UNITS_PER_S
+AHEAD_AFTER_RESTART = 60 * UNITS_PER_S
+"""More than passes between two savings, so that no timestamp is used twice; ArduPilot does the same."""
+_FILE = re.compile(r"\d{15}(?: \d{3})?\n(?:\d{3} \d{3} \d{3} \d{15}\n)*")
+"""Ours: timestamp and link id; then each stream's link id, system, component and last timestamp. Earlier
+versions kept the first number alone. Each has all its digits, so that a file that was cut off is none."""
+_LARGEST = 2**48 - 1 - AHEAD_AFTER_RESTART
+
+
+class SigningKeyError(Exception):
+    """The key's or the timestamp's file cannot be used; the text says which, why and what to do."""
+
+
+def read_key(path: Path) -> bytes:
+    """The key in a file that nobody else may read: hexadecimal, raw, or a passphrase.
+
+    A passphrase becomes a key as in Mission Planner and MAVProxy, by SHA-256; QGroundControl has its own way.
+    """
+    content = _read_private(path)
+    text = content.strip()
+    if text.startswith(_PASSPHRASE):
+        passphrase = text.removeprefix(_PASSPHRASE).strip()
+        if len(passphrase) < SHORTEST_PASSPHRASE:
+            raise SigningKeyError(f"{path}: the passphrase has less than {SHORTEST_PASSPHRASE} characters")
+        return hashlib.sha256(passphrase).digest()
+    if _HEX.fullmatch(text) and len(text) == 2 * KEY_SIZE:
+        key = bytes.fromhex(text.decode("ascii"))
+    elif len(content) == KEY_SIZE and not (content.isascii() and text.decode("ascii").isprintable()):
+        key = content
+    else:
+        raise SigningKeyError(f"{path}: no signing key in it: write {_FORMS}")
+    if not any(key):
+        raise SigningKeyError(f"{path}: a key of zeros is no key: write {_FORMS}")
+    return key
+
+
+def _read_private(path: Path) -> bytes:
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise SigningKeyError(f"{path}: not a file; the signing key is to be in one: {_FORMS}")
+        if status.st_mode & 0o077:
+            raise SigningKeyError(f"{path}: others may read or change the signing key: chmod 600 {path}")
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise SigningKeyError(f"{path}: no such file; put the signing key in it: {_FORMS}") from None
+    except OSError as error:
+        raise SigningKeyError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+class TimestampFile:
+    """Keeps the signing timestamps over restarts and power cuts, also where the clock starts in the past."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._saved: int | None = None
+        self._writing = threading.Lock()
+
+    def load(self) -> tuple[Memory, str]:
+        """What to go on from, and a sentence where the file does not tell it."""
+        try:
+            text = self._path.read_text(encoding="ascii")
+        except FileNotFoundError:
+            return Memory(), ""
+        except (OSError, UnicodeDecodeError) as error:
+            return Memory(), self._clock_alone(getattr(error, "strerror", None) or "damaged")
+        if not _FILE.fullmatch(text):
+            return Memory(), self._clock_alone("damaged")
+        (timestamp, *link_id), *lines = (tuple(map(int, line.split())) for line in text.splitlines())
+        streams = tuple(((link, system, component), at) for link, system, component, at in lines)
+        if max(timestamp, *(at for _, at in streams), 0) > _LARGEST:
+            return Memory(), self._clock_alone("damaged")
+        return Memory(timestamp + AHEAD_AFTER_RESTART, link_id[0] if link_id else None, streams), ""
+
+    def _clock_alone(self, why: str) -> str:
+        return f"{self._path}: {why}; the signing timestamp goes on from the clock alone"
+
+    def due(self, timestamp: int) -> bool:
+        """Whether to save: at once in a run, then every 30 s and where the clock jumped."""
+        return self._saved is None or not 0 <= timestamp - self._saved < SAVE_AFTER
+
+    def save(self, memory: Memory) -> None:
+        """Write it so that a power cut leaves the old file or the new one. Blocks while the disk does."""
+        self._saved = memory.timestamp
+        lines = [f"{memory.timestamp:015d} {memory.link_id or 0:03d}\n"]
+        for (link_id, system, component), timestamp in memory.streams:
+            lines.append(f"{link_id:03d} {system:03d} {component:03d} {timestamp:015d}\n")
+        try:
+            with self._writing:
+                on_disk.put(self._path, "".join(lines))
+        except OSError as error:
+            raise SigningKeyError(
+                f"{self._path}: the signing timestamp cannot be written: {error.strerror}"
+            ) from None

@@ -1,0 +1,108 @@
+"""Recorded MAVLink streams (.tlog): each frame behind its time, 8 bytes of microseconds, big-endian."""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Self
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.vehicle.mavlink.codec import Message
+
+_TIME = struct.Struct(">Q")
+_V1, _V2 = 0xFE, 0xFD
+_HEADER_SIZE = {_V1: 6, _V2: 10}
+_CHECKSUM_SIZE = 2
+_SIGNATURE_SIZE = 13
+_EARLIEST_US = 946_684_800_000_000  # the year 2000: before it no MAVLink was recorded
+_LATEST_US = 4_102_444_800_000_000
+
+
+class TlogError(Exception):
+    """The file is not a recording; the text says what is wrong."""
+
+
+class TlogWriter:
+    """Writes frames, which wait in memory until `sync`; a context, which closes the file."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("wb")
+        self._waiting: list[bytes] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._file.close()
+
+    def write(self, time_us: int, frame: bytes) -> None:
+        """At this unix time."""
+        self._waiting.append(_TIME.pack(time_us) + frame)
+
+    def sync(self) -> None:
+        """Onto the disk, for good."""
+        self._file.write(b"".join(self._waiting))
+        self._waiting.clear()
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+
+class TlogReader:
+    """Reads the frames of a .tlog in order, over damaged places.
+
+    `skipped_bytes` counts what was not part of a frame, a truncated end included.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._data = path.read_bytes()
+        except FileNotFoundError:
+            raise TlogError(f"{path}: no such file") from None
+        except OSError as error:
+            raise TlogError(f"{path}: cannot be read: {error.strerror}") from None
+        self._path = path
+        self.skipped_bytes = 0
+
+    def frames(self) -> Iterator[tuple[float, bytes]]:
+        """(unix time in s, raw frame); raises `TlogError` when there is none at all."""
+        data, at, found = self._data, 0, False
+        while at < len(data):
+            size = self._record_size(at)
+            if size is None:
+                self.skipped_bytes += 1
+                at += 1
+                continue
+            (time_us,) = _TIME.unpack_from(data, at)
+            found = True
+            yield time_us / 1e6, data[at + _TIME.size : at + size]
+            at += size
+        if not found:
+            raise TlogError(f"{self._path}: no MAVLink frame in it: is it a .tlog?")
+
+    def _record_size(self, at: int) -> int | None:
+        """The size of the record that starts here, or None when none does."""
+        data, frame = self._data, at + _TIME.size
+        if frame + 3 > len(data) or data[frame] not in _HEADER_SIZE:
+            return None
+        if not _EARLIEST_US < _TIME.unpack_from(data, at)[0] < _LATEST_US:
+            return None
+        size = _HEADER_SIZE[data[frame]] + data[frame + 1] + _CHECKSUM_SIZE
+        if data[frame] == _V2 and data[frame + 2] & mavlink.MAVLINK_IFLAG_SIGNED:
+            size += _SIGNATURE_SIZE
+        end = frame + size
+        if end > len(data):
+            return None
+        follows = end + _TIME.size
+        if follows < len(data) and data[follows] not in _HEADER_SIZE:
+            return None if not self._checks(data[frame:end]) else _TIME.size + size
+        return _TIME.size + size
+
+    @staticmethod
+    def _checks(frame: bytes) -> bool:
+        parser = mavlink.MAVLink(None)
+        parser.robust_parsing = True
+        message: Message = parser.parse_char(frame)
+        return message is not None and message.get_msgId() >= 0

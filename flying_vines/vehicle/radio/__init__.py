@@ -1,0 +1,1 @@
+"""RC: whether it can be trusted, and what the pilot's switch asks for."""

@@ -1,0 +1,302 @@
+"""The pilot's switch: which of its moves are the pilot's, and what they ask for.
+
+A move that straightens the vine counts at once. One that bends it must be the pilot's for sure.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from flying_vines.config.config import Config
+from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.notice import Notice, Severity
+from flying_vines.vehicle.radio.radio_parameters import RadioParameters
+from flying_vines.vehicle.radio.rc import RadioLink
+from flying_vines.vehicle.radio.switch import Move, MovedUnseen, Switch
+from flying_vines.vehicle.triggers import Rules, Trigger
+
+CONFIRMED_WITHIN_S = 4.0
+"""A move that is still not confirmed this long after it could have been is refused."""
+HEALTH_REPORTS_APART_S = 2.0
+"""PX4 reports health at most this often (min_reporting_interval): a loss of RC may be reported late."""
+OVERRIDE_SLACK_S = 0.7
+"""Uncertainty of the time at which an override ends."""
+RELEASED_US = 65534
+IGNORED_US = (0, 65535)
+
+
+@dataclass(frozen=True, slots=True)
+class Straightened:
+    """The pilot straightened the vine, and RC was good: clears the faults that were latched at `seen_at`."""
+
+    seen_at: float
+
+
+PilotOutput = Trigger | Notice | Straightened
+
+
+@dataclass(slots=True)
+class _Waiting:
+    """A move that waits until RC has been good for long enough after it."""
+
+    move: Move
+    before: int
+    seen_at: float
+    since_s: float | None
+    """Since when the switch has read this position, by the autopilot's clock; None while it reads another."""
+
+
+class Pilot:
+    """What the pilot's switch asks for. Sans-IO; all times are seconds of one clock.
+
+    On PX4 the RC status tells of a loss more than a second late, and of a short one never, while the switch's
+    channel may read anything. So a bend waits until the status was still good when it would have told of a
+    loss at the time of the move.
+    """
+
+    def __init__(self, config: Config, rules: Rules) -> None:
+        self._rules = rules
+        self._config = config
+        self.radio = RadioLink(config.switch, config.losses.rc_s)
+        self.switch = _switch(config)
+        self.parameters = RadioParameters()
+        self._waiting: _Waiting | None = None
+        self._stood: set[int] = set()
+        """Where the switch has stood since its last confirmed move. Coming back there is no move."""
+        self._hides_loss = ""
+        self._by_station = False
+        self._override_ends_at = -math.inf
+        self._position_overruled: int | None = None
+        self._left_it_at = math.inf
+
+    @property
+    def channel(self) -> int:
+        return self._config.switch.channel
+
+    def configure(self, config: Config) -> None:
+        """A parameter of ours has changed."""
+        self.radio.configure(config.switch, config.losses.rc_s)
+        if config.switch != self._config.switch:
+            self.switch = _switch(config)
+            self._waiting = None
+        self._config = config
+
+    def forget(self) -> None:
+        """What was heard of the radio no longer holds: the switch waits for a fresh move."""
+        self.radio.forget()
+        self._lose()
+
+    def restarted(self) -> None:
+        """The autopilot booted again."""
+        self.forget()
+        self.parameters.forget()
+
+    def overtaken(self) -> None:
+        """A move that waits no longer counts, because something else happened after it."""
+        if self._waiting is not None:
+            self._stood.add(self._waiting.move.position)
+        self._waiting = None
+
+    def others_asked(self, straightened: bool) -> None:
+        """Somebody else than the pilot moved the vine.
+
+        An override that ends looks as if the switch came back to where it stood. After somebody else has
+        straightened the vine, that alone does not bend it again.
+        """
+        self.overtaken()
+        position = self.switch.position
+        if not straightened:
+            self._position_overruled = None
+        elif position is not None and self._rules.bends(position):
+            self._position_overruled, self._left_it_at = position, math.inf
+
+    def handle(self, t: float, message: Message, autopilot: str, vented: bool = False) -> list[PilotOutput]:
+        """Take in a message of our autopilot, which is an "ardupilot", a "px4" or something else.
+
+        `vented` says that the vine is straight and that nothing moves it.
+        """
+        self.radio.autopilot = autopilot
+        kind = message.get_type()
+        if kind == "PARAM_VALUE":
+            return self._tell_parameters(t) if self.parameters.handle(autopilot, message) else []
+        self.radio.handle(t, message)
+        if kind == "RC_CHANNELS":
+            return self._sample(t, vented)
+        return [*self._tell_source(t), *self._confirm(t)] if kind == "SYS_STATUS" else []
+
+    def override(self, t: float, message: Message) -> None:
+        """A ground station's RC_CHANNELS_OVERRIDE, where the autopilot passes it on to us."""
+        pulse_us = getattr(message, f"chan{self.channel}_raw")
+        released = pulse_us == RELEASED_US or (pulse_us == 0 and self.channel <= 8)
+        if released:
+            self._override_ends_at = t
+        elif pulse_us not in IGNORED_US:
+            self._override_ends_at = t + self.parameters.override_lasts_s
+
+    def tick(self, t: float) -> list[PilotOutput]:
+        """Let time pass."""
+        if self.radio.problem(t) is not None:
+            self._lose()
+        waiting = self._waiting
+        if waiting is None or t - waiting.seen_at < self._confirmed_after_s + CONFIRMED_WITHIN_S:
+            return []
+        self._waiting = None
+        if not self._waits_to_bend(waiting):
+            return []
+        return [self._refused(t, waiting.move, "the autopilot does not confirm RC, move it again")]
+
+    def requests(self, t: float, system_id: int, autopilot: str) -> list[Message]:
+        """What to ask the autopilot next."""
+        return self.parameters.requests(t, system_id, autopilot)
+
+    @property
+    def hides_loss(self) -> str:
+        """What hides a lost transmitter: a parameter or the receiver; empty where nothing is known to."""
+        if self._config.switch.receiver_failsafe == "hidden":
+            return "switch.receiver_failsafe"
+        if self.radio.autopilot == "px4" and not self.radio.by_receiver:
+            return ""
+        return self.parameters.hides_loss
+
+    def _lose(self) -> None:
+        self.switch.lose()
+        self._waiting = None
+        self._position_overruled = None
+
+    def _tell_parameters(self, t: float) -> list[PilotOutput]:
+        hides, before = self.hides_loss, self._hides_loss
+        self._hides_loss = hides
+        if hides == before:
+            return []
+        if hides:
+            return [Notice(t, Severity.WARNING, f"Vine: {hides} hides RC loss: switch cannot bend")]
+        return [Notice(t, Severity.NOTICE, "Vine: RC loss shows again: the switch can bend")]
+
+    def _tell_source(self, t: float) -> list[PilotOutput]:
+        by_station, before = self.radio.by_station, self._by_station
+        self._by_station = by_station
+        if not by_station or before:
+            return []
+        return [Notice(t, Severity.NOTICE, "Vine: RC comes from a ground station")]
+
+    def _sample(self, t: float, vented: bool) -> list[PilotOutput]:
+        radio = self.radio
+        interrupted = radio.take_interruption()
+        if interrupted or radio.problem(t) is not None:
+            self._lose()
+        if radio.problem(t) is not None:
+            return []
+        if self._waiting is not None:
+            self._keep_waiting(self._waiting)
+        seen = self.switch.sample(t, radio.switch_us, radio.jumped)
+        if isinstance(seen, Move):
+            return self._moved(t, seen, vented)
+        if seen is not None:
+            self._stood = {seen.position}
+        return [self._move_again(t, "moved while RC was lost")] if isinstance(seen, MovedUnseen) else []
+
+    def _keep_waiting(self, waiting: _Waiting) -> None:
+        if self.switch.reads(self.radio.switch_us) != waiting.move.position:
+            waiting.since_s = None
+        elif waiting.since_s is None:
+            waiting.since_s = self.radio.stamp_s
+
+    def _moved(self, t: float, move: Move, vented: bool) -> list[PilotOutput]:
+        waiting, self._waiting = self._waiting, None
+        unconfirmed = waiting if waiting is not None and self._waits_to_bend(waiting) else None
+        origin = unconfirmed.before if unconfirmed else move.before
+        bends = self._rules.bends(move.position)
+        if unconfirmed and move.position == origin and (bends or vented):
+            hold_s = self.parameters.px4_shows_loss_within_s
+            return [Notice(t, Severity.INFO, f"Vine: hold switch ch{self.channel} {hold_s:.1f} s to bend")]
+        if move.before == self._position_overruled:
+            self._left_it_at = t
+        must_wait = self._must_wait(move.position)
+        if bends and (why := self._not_the_pilots(t, move)):
+            self._position_overruled = None
+            return [self._move_again(t, why)]
+        if bends and (hides := self.hides_loss):
+            return [self._refused(t, move, f"{hides} hides a lost transmitter")]
+        if must_wait:
+            self._waiting = _Waiting(move, origin, t, self.radio.stamp_s)
+        if bends:
+            self._position_overruled = None
+            return [] if must_wait else self._for_sure(t, move)
+        if not must_wait:
+            self._stood = {move.position}
+        return self._asks(t, move, by_person=not (must_wait or move.jumped))
+
+    def _for_sure(self, t: float, move: Move) -> list[PilotOutput]:
+        """Act on a bending move that is confirmed, or that needs no confirmation."""
+        was_there = move.position in self._stood
+        self._stood = {move.position}
+        if was_there:
+            return [self._move_again(t, "is back where it was")]
+        return self._asks(t, move, by_person=True)
+
+    def _not_the_pilots(self, t: float, move: Move) -> str:
+        """What else than the pilot may have made this move; empty if nothing."""
+        if move.jumped:
+            return "moved with other channels"
+        lasts_s = self.parameters.override_lasts_s
+        if self.radio.autopilot != "ardupilot" or lasts_s == 0.0:
+            return ""
+        if abs(t - self._override_ends_at) < OVERRIDE_SLACK_S:
+            return "moved as an override ended"
+        away_s = t - self._left_it_at
+        if move.position == self._position_overruled and away_s > lasts_s - OVERRIDE_SLACK_S:
+            return "is back where it was"
+        return ""
+
+    def _waits_to_bend(self, waiting: _Waiting) -> bool:
+        return self._rules.bends(waiting.move.position)
+
+    def _must_wait(self, position: int) -> bool:
+        if self.radio.autopilot != "px4" or not self.radio.by_receiver:
+            return False
+        failsafe = self._config.switch.receiver_failsafe
+        if isinstance(failsafe, int):
+            return self.switch.reads(failsafe) == position
+        return failsafe == "unknown"
+
+    @property
+    def _confirmed_after_s(self) -> float:
+        """From the time that a move was debounced."""
+        return self.parameters.px4_shows_loss_within_s - self._config.switch.debounce_s
+
+    def _confirm(self, t: float) -> list[PilotOutput]:
+        waiting = self._waiting
+        if waiting is None or waiting.since_s is None or not self.radio.status_good:
+            return []
+        wait_s = self._confirmed_after_s
+        if self.radio.health_changed_since(waiting.since_s - HEALTH_REPORTS_APART_S):
+            wait_s += HEALTH_REPORTS_APART_S
+        if self.radio.stamp_s - waiting.since_s < wait_s:
+            return []
+        self._waiting = None
+        if self._waits_to_bend(waiting):
+            return self._for_sure(t, waiting.move)
+        was_there = waiting.move.position in self._stood
+        self._stood = {waiting.move.position}
+        return [] if was_there else [Straightened(waiting.seen_at)]
+
+    def _asks(self, t: float, move: Move, *, by_person: bool) -> list[PilotOutput]:
+        intent = self._rules.for_position(move.position)
+        if intent is None:
+            return []
+        return [Trigger(t, "switch", self._what(move), intent, by_person=by_person)]
+
+    def _refused(self, t: float, move: Move, why: str) -> Trigger:
+        return Trigger(t, "switch", self._what(move), None, why, by_person=True)
+
+    def _what(self, move: Move) -> dict[str, object]:
+        return {"channel": self.channel, "position": move.position, "from": move.before}
+
+    def _move_again(self, t: float, what: str) -> Notice:
+        return Notice(t, Severity.NOTICE, f"Vine: switch ch{self.channel} {what}, move it again")
+
+
+def _switch(config: Config) -> Switch:
+    switch = config.switch
+    return Switch(len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us)

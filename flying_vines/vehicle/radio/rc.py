@@ -1,0 +1,192 @@
+"""Whether the radio link to the pilot can be believed.
+
+An autopilot whose RC is lost goes on sending RC_CHANNELS, with the last values or with those that the
+receiver makes up. So several signs are weighed, and one that says "lost" is enough.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.config.config import Switch
+from flying_vines.vehicle.mavlink.codec import Message
+
+RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+LOWEST_US, HIGHEST_US = 800, 2200
+CHANNELS = 18
+HEALTH = ("present", "enabled", "health")
+TEXT_OUTLIVED_BY_HEALTH_S = 1.5
+"""Good health that is reported this long after a "Radio Failsafe" means that its "Cleared" was lost."""
+
+JUMP_US = 150
+JUMPED_WITH_IT = 2
+"""A stick does not move this far within one period of RC_CHANNELS; a receiver's preset does."""
+
+OVERRIDE_RSSI = 100
+"""What PX4 gives as rssi for a ground station's RC_CHANNELS_OVERRIDE."""
+NO_SIGNAL, NO_RSSI = 0, 255
+RSSI_WARNS_FOR_S = 3.0
+"""A missing rssi counts as a loss for this long. By then PX4's RC status is up to date."""
+
+
+class RadioLink:
+    """Weighs RC_CHANNELS, SYS_STATUS and status texts; `switch_us` is the switch's latest pulse width.
+
+    `autopilot` is "ardupilot", "px4" or something else, as far as it is known.
+
+    PX4's RC status (present, enabled, health) is (1, 1, 1) while a receiver is good, (0, 1, 0) after a loss.
+    It is (0, 1, 0) all the time where RC comes from a ground station: then it says nothing, and RC_CHANNELS
+    stops with the ground station.
+    """
+
+    def __init__(self, switch: Switch, silent_after_s: float) -> None:
+        self.configure(switch, silent_after_s)
+        self.autopilot = "unknown"
+        self.switch_us = 0
+        self.stamp_s = 0.0
+        """When the autopilot sent the latest RC_CHANNELS, by its own clock."""
+        self.jumped = False
+        """Whether several other channels jumped in the latest RC_CHANNELS, too."""
+        self.forget()
+
+    def configure(self, switch: Switch, silent_after_s: float) -> None:
+        """Look at this switch's channel from the next message on."""
+        self._channel_number = switch.channel
+        self._throttle_channel = switch.throttle_channel
+        self._throttle_failsafe_us = switch.throttle_failsafe_us
+        self._silent_after_s = silent_after_s
+
+    def forget(self) -> None:
+        """The autopilot rebooted or vanished: nothing that was heard holds any more."""
+        self._heard_at: float | None = None
+        self._interrupted = False
+        self._channels_us: tuple[int, ...] = ()
+        self._chancount = 0
+        self._rssi = NO_RSSI
+        self._rssi_known = False
+        self._rssi_lost_at: float | None = None
+        self._status: bool | None = None
+        self._unhealthy = False
+        self._status_told_good = False
+        self._health: tuple[int, ...] | None = None
+        self._health_stamp_s = -math.inf
+        self._failsafe_text_at: float | None = None
+
+    @property
+    def by_receiver(self) -> bool:
+        """Whether the autopilot's RC status has shown a good receiver since it booted."""
+        return self._status_told_good
+
+    @property
+    def by_station(self) -> bool:
+        """Whether RC comes from a ground station, which the RC status of PX4 does not watch."""
+        no_receiver = self.autopilot == "px4" and not self._status_told_good
+        return no_receiver and self._heard_at is not None and self._rssi == OVERRIDE_RSSI
+
+    @property
+    def status_good(self) -> bool:
+        """Whether the latest SYS_STATUS says that RC is present, enabled and healthy."""
+        return self._status is True
+
+    def handle(self, t: float, message: Message) -> None:
+        """Take in a message of our autopilot."""
+        kind = message.get_type()
+        if kind == "RC_CHANNELS":
+            self._take_channels(t, message)
+        elif kind == "SYS_STATUS":
+            self._take_status(t, message)
+            self._take_health(message)
+        elif kind == "STATUSTEXT" and message.text.startswith("Radio Failsafe"):
+            self._failsafe_text_at = None if "Cleared" in message.text else t
+
+    def health_changed_since(self, stamp_s: float) -> bool:
+        """Whether SYS_STATUS has changed since then for any sensor, by the autopilot's clock."""
+        return self._health_stamp_s >= stamp_s
+
+    def take_interruption(self) -> bool:
+        """Whether RC was lost for a moment since the last call, even if it is good again."""
+        interrupted, self._interrupted = self._interrupted, False
+        return interrupted
+
+    def problem(self, t: float) -> str | None:
+        """Why the switch cannot be believed at time `t`; None when it can."""
+        if self._heard_at is None:
+            return "no RC_CHANNELS yet"
+        if t - self._heard_at > self._silent_after_s:
+            return f"no RC_CHANNELS for {self._silent_after_s:g} s"
+        if self._failsafe_text_at is not None:
+            return "radio failsafe"
+        if self._unhealthy:
+            return "the autopilot reports RC lost"
+        if self._receiver_hears_nothing(t):
+            return "the receiver hears no transmitter"
+        if self.autopilot == "px4" and not self._status_told_good and not self.by_station:
+            return "no RC status yet" if self._status is None else "the autopilot reports no receiver"
+        if self._chancount == 0:
+            return "the receiver has no channels"
+        if not LOWEST_US <= self.switch_us <= HIGHEST_US:
+            return f"channel {self._channel_number} is not there ({self.switch_us})"
+        throttle_us = self._channels_us[self._throttle_channel - 1] if self._throttle_channel else 0
+        if 0 < throttle_us < self._throttle_failsafe_us:
+            return f"throttle at {throttle_us}: receiver in failsafe"
+        return None
+
+    def _take_channels(self, t: float, message: Message) -> None:
+        # Nobody may have looked while our process stood still: the gap itself is the loss.
+        if self._heard_at is not None and t - self._heard_at > self._silent_after_s:
+            self._interrupted = True
+        channels_us = tuple(getattr(message, f"chan{number}_raw") for number in range(1, CHANNELS + 1))
+        self.jumped = self._jumped_with_switch(channels_us)
+        self._heard_at, self._channels_us = t, channels_us
+        self._chancount = message.chancount
+        self.switch_us = channels_us[self._channel_number - 1]
+        self.stamp_s = message.time_boot_ms / 1000.0
+        if self.autopilot == "px4":
+            self._take_rssi(t, message.rssi)
+
+    def _jumped_with_switch(self, channels_us: tuple[int, ...]) -> bool:
+        others = (
+            abs(now_us - before_us) >= JUMP_US
+            for number, (now_us, before_us) in enumerate(zip(channels_us, self._channels_us, strict=False), 1)
+            if number != self._channel_number and min(now_us, before_us) >= LOWEST_US
+        )
+        return sum(others) >= JUMPED_WITH_IT
+
+    def _take_rssi(self, t: float, rssi: int) -> None:
+        """A receiver that knows its signal's strength tells of a loss sooner than the RC status, or alone."""
+        if rssi not in (NO_SIGNAL, NO_RSSI):
+            self._rssi_known = self._status_told_good
+            self._rssi_lost_at = None
+        elif self._rssi_known and rssi != self._rssi:
+            self._rssi_lost_at = t
+            self._interrupted = True
+        self._rssi = rssi
+
+    def _receiver_hears_nothing(self, t: float) -> bool:
+        if self._rssi_lost_at is None:
+            return False
+        return self._rssi == NO_SIGNAL or t - self._rssi_lost_at < RSSI_WARNS_FOR_S
+
+    def _take_health(self, message: Message) -> None:
+        health = tuple(getattr(message, f"onboard_control_sensors_{part}") for part in HEALTH)
+        if self._health not in (None, health):
+            self._health_stamp_s = self.stamp_s
+        self._health = health
+
+    def _take_status(self, t: float, message: Message) -> None:
+        present = bool(message.onboard_control_sensors_present & RC_BIT)
+        enabled = bool(message.onboard_control_sensors_enabled & RC_BIT)
+        health = bool(message.onboard_control_sensors_health & RC_BIT)
+        self._status = good = present and enabled and health
+        self._unhealthy = not good and ((present and enabled) or self._status_told_good)
+        if not good:
+            return
+        if not self._status_told_good:
+            self._status_told_good = True
+            # What came before was from no receiver, or from one in failsafe.
+            self._interrupted |= self.autopilot == "px4"
+        said_at = self._failsafe_text_at
+        if said_at is not None and t - said_at > TEXT_OUTLIVED_BY_HEALTH_S:
+            self._failsafe_text_at = None

@@ -1,0 +1,262 @@
+"""`flying-vines calibrate` as a person types it: what it prints, what it leaves behind, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from command_line import run
+from patience import PATIENCE_S
+from ports import free_port
+from real_time import real_time
+from service_bench import between
+
+from flying_vines.calibration.findings import from_json
+from flying_vines.config import config as configuration
+from flying_vines.record.reader import FlightLog
+from flying_vines.record.restore import start_of
+from flying_vines.record.topics import DECISION, TELEMETRY
+from flying_vines.simulation.replay import replay_flight
+
+pytestmark = real_time
+
+COMMAND = (sys.executable, "-m", "flying_vines")
+
+
+@pytest.fixture(scope="module")
+def fake(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
+    """One of two stages on a simulated rig, with the folder in which it ran."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    profile = folder / "vine.toml"
+    profile.write_text(configuration.default_text().replace("cv_volume_L = 0.1 ", "cv_volume_L = 0.3 "))
+    (folder / "rig.toml").write_text("[cv]\nvolume_L = 0.4\n")
+    stages = ("--only", "levels", "--no-diagnosis")
+    arguments = ("calibrate", "--config", profile, "--fake", "rig.toml", *stages)
+    ended = subprocess.run((*COMMAND, *arguments), cwd=folder, capture_output=True, text=True, check=False)
+    return ended, folder
+
+
+def test_it_walks_through_and_says_what_it_found(
+    fake: tuple[subprocess.CompletedProcess[str], Path],
+) -> None:
+    ended, _ = fake
+    assert (ended.returncode, ended.stderr) == (0, "")
+    for said in ("It takes", "1/2  Zero", "2/2  Vine's volume", "Done", "95 % interval", "calibrated.toml"):
+        assert said in ended.stdout
+
+
+def test_the_profile_that_it_writes_is_what_run_reads(
+    fake: tuple[subprocess.CompletedProcess[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, folder = fake
+    (written,) = folder.glob("flights/*/calibration/calibrated.toml")
+    status, out, err = run(capsys, "config", "check", written)
+    assert (status, err) == (0, "")
+    assert "good" in out
+    findings = from_json(json.loads((written.parent / "findings.json").read_text()))
+    found = findings.get("cv_volume_L")
+    assert found is not None
+    assert found.value is not None
+    numbers = configuration.load(written).pneumatics
+    assert numbers.cv_volume_L == pytest.approx(found.value, rel=0.02)
+    assert "was 0.3, measured" in written.read_text()
+    assert configuration.load(folder / "vine.toml").pneumatics.cv_volume_L == 0.3
+    assert (written.parent / "believed.toml").read_text() == (folder / "vine.toml").read_text()
+
+
+def test_what_it_leaves_is_a_flight(
+    fake: tuple[subprocess.CompletedProcess[str], Path],
+) -> None:
+    _, folder = fake
+    (flight,) = (folder / "flights").iterdir()
+    log = FlightLog(flight)
+    asked = [entry.fields["trigger"] for entry in log.entries((DECISION,))]
+    assert set(asked) == {"calibration"}
+    assert start_of(log).profile == (flight / "profile.toml").read_text()
+    *_, last = log.entries((TELEMETRY,))
+    assert last.fields["cv_kPa"] < 1.0
+    assert last.fields["solenoid"]
+
+
+def test_it_can_be_seen(fake: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    _, folder = fake
+    (page,) = folder.glob("flights/*/calibration/calibration.html")
+    pictures = {path.stem for path in page.parent.glob("*.png")}
+    assert pictures
+    assert pictures == {path.stem for path in page.parent.glob("*.svg")}
+    assert page.read_text().count("<figure>") == len(pictures)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ((), "--config FILE"),
+        (("--config", "nowhere.toml"), "no such file"),
+        (("--fake", "nowhere.toml"), "nowhere.toml"),
+        (("--fake", "--only", "level"), "did you mean 'levels'"),
+        (("--fake", "--vessel-L", "0.5"), "--vessel-L"),
+        (("--fake", "--set-firmware"), "--set-firmware"),
+        (("--fake", "--in-place"), "--config FILE"),
+        (("--fake", "--angles", "nowhere.csv"), "nowhere.csv"),
+        (("--fake", "--only", "vessel"), "vessel"),
+        (("--fake", "--only", "zero", "--out", "/proc/nowhere"), "/proc/nowhere"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    arguments: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, _, err = run(capsys, "calibrate", *arguments)
+    assert status == 2
+    assert err.count("\n") == 1
+    assert err.startswith("flying-vines: ")
+    assert says in err
+
+
+def test_a_volume_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    status, _, err = run(capsys, "calibrate", "--fake", "--bottle-volume-L", "-2")
+    assert status == 2
+    assert "litres" in err
+
+
+def test_where_nobody_is_at_the_terminal_nothing_moves(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: False, raising=False)
+    profile = tmp_path / "vine.toml"
+    profile.write_text(configuration.default_text())
+    status, _, err = run(capsys, "calibrate", "--config", profile)
+    assert status == 2
+    assert "--yes" in err
+
+
+def without(tmp_path: Path, *packages: str) -> subprocess.CompletedProcess[str]:
+    """The shortest calibration where these are not installed."""
+    program = (
+        f"import sys; sys.modules.update(dict.fromkeys({packages})); from flying_vines.cli.main import main;"
+        "main(['calibrate', '--fake', '--only', 'zero'])"
+    )
+    return subprocess.run(
+        (sys.executable, "-c", program), cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+
+
+def test_without_the_extra_but_numpy_it_measures_and_tells_what_is_left(tmp_path: Path) -> None:
+    ended = without(tmp_path, "scipy", "matplotlib", "numba", "threadpoolctl")
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "No pictures: " in ended.stdout
+    assert "is missing; pip install 'flying-vines[analysis]' brings it" in ended.stdout
+    assert "Then: flying-vines diagnose --from-log flights/" in ended.stdout
+    assert len(list(tmp_path.glob("flights/*/calibration/findings.json"))) == 1
+
+
+def test_without_numpy_it_is_one_line(tmp_path: Path) -> None:
+    ended = without(tmp_path, "numpy", "numba")
+    assert ended.returncode == 2
+    assert ended.stderr == "flying-vines: numpy is missing; pip install 'flying-vines[analysis]' brings it\n"
+
+
+# On a terminal, in real time.
+
+
+class Terminal:
+    """A command on a terminal of its own, whose person types."""
+
+    def __init__(self, *arguments: object, cwd: Path) -> None:
+        self.seen = ""
+        self._pid, self._screen = pty.fork()
+        if self._pid == 0:
+            os.chdir(cwd)
+            os.execv(COMMAND[0], [str(argument) for argument in (*COMMAND, *arguments)])
+
+    def shows(self, text: str) -> None:
+        """Wait until it does."""
+        until = time.monotonic() + PATIENCE_S
+        while text not in self.seen:
+            assert time.monotonic() < until, self.seen
+            if not self._read(0.1):
+                break
+        assert text in self.seen, self.seen
+
+    def types(self, text: str) -> None:
+        os.write(self._screen, text.encode())
+
+    def ends(self) -> int:
+        """With which status."""
+        until = time.monotonic() + PATIENCE_S
+        while self._read(0.1):
+            assert time.monotonic() < until, self.seen
+        os.close(self._screen)
+        return os.waitstatus_to_exitcode(os.waitpid(self._pid, 0)[1])
+
+    def _read(self, timeout_s: float) -> bool:
+        """Whether there may be more."""
+        try:
+            if select.select([self._screen], [], [], timeout_s)[0]:
+                self.seen += os.read(self._screen, 65536).decode(errors="replace")
+        except OSError:
+            return False
+        return True
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Path]:
+    """A folder with a profile of a fake phloSAR that lives in a process of its own."""
+    port = tmp_path / "port"
+    arguments = (*COMMAND, "fake", "phlosar", "--link", port)
+    with subprocess.Popen(arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as phlosar:
+        assert phlosar.stdout is not None
+        phlosar.stdout.readline()
+        profile = tmp_path / "vine.toml"
+        profile.write_text(between(free_port(), str(port)))
+        yield tmp_path
+        phlosar.send_signal(signal.SIGTERM)
+
+
+def test_ctrl_c_ends_it_vented_and_sets_the_telemetry_back(
+    bench: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    terminal = Terminal("calibrate", "--config", "vine.toml", "--only", "levels", cwd=bench)
+    terminal.shows("Enter begins")
+    terminal.types("\n")
+    terminal.shows("Vine's volume")
+    _wait_for_pressure(bench, 5.0)
+    terminal.types("\x03")
+    assert terminal.ends() == 130
+    assert "Stopped, and vented: Vine's volume: interrupted" in terminal.seen
+    status, out, _ = run(capsys, "link", f"serial:{bench / 'port'}", "--settings", "--json")
+    assert status == 0
+    settings = {entry["name"]: entry["value"] for entry in map(json.loads, out.splitlines())}
+    assert settings["telemetry_Hz"] == 100.0
+    (flight,) = (bench / "flights").iterdir()
+    assert replay_flight(FlightLog(flight)).differences == []
+    *_, last = FlightLog(flight).entries((TELEMETRY,))
+    assert last.fields["cv_kPa"] < 1.5
+    assert last.fields["setpoint_kPa"] == 0.0
+    assert (flight / "calibration" / "findings.json").is_file()
+
+
+def _wait_for_pressure(bench: Path, kPa: float) -> None:
+    """Until the flight's log, which is on the disk within a second, has seen it."""
+    until = time.monotonic() + PATIENCE_S
+    while time.monotonic() < until:
+        for flight in (bench / "flights").glob("*"):
+            if any(entry.fields["cv_kPa"] > kPa for entry in FlightLog(flight).entries((TELEMETRY,))):
+                return
+    pytest.fail("the vine never bent")
+
+
+def test_ctrl_c_before_it_begins_moves_nothing(bench: Path) -> None:
+    terminal = Terminal("calibrate", "--config", "vine.toml", cwd=bench)
+    terminal.shows("Enter begins")
+    terminal.types("\x03")
+    assert terminal.ends() == 130
+    assert not (bench / "flights").exists()

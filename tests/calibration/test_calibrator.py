@@ -1,0 +1,232 @@
+"""The machine: what it asks for, when it ends, and that whatever happens the vine is vented."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from calibration_worlds import CoreWorld, PaperWorld
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flying_vines.calibration.calibrator import Began, Calibrator, Found, Question, Work
+from flying_vines.calibration.plan import STAGES, Wish, plan
+from flying_vines.config import config
+from flying_vines.core.events import Decision
+from flying_vines.physics.plant.effects import Effects
+from flying_vines.simulation.phlosar.firmware import FirmwareSettings
+from flying_vines.simulation.phlosar.mishaps import Hole, HoseOff, Mishap, Shorted
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.vine.intent import SetPressure, StartBench, StartProfile, Vent
+
+CONFIG = config.default()
+BLIND = Wish(eye=False)
+
+
+def phlosar(**given: object) -> SimulatedPhlosar:
+    return SimulatedPhlosar(effects=Effects(), **given)  # type: ignore[arg-type]
+
+
+def stages_of(world: PaperWorld | CoreWorld) -> list[str]:
+    return [out.stage.name for out in world.said if isinstance(out, Began)]
+
+
+def test_goes_through_all_stages_in_order_and_ends_vented() -> None:
+    world = PaperWorld(plan(CONFIG, Wish(bottle_empty=True, vessel_L=0.5)))
+    world.run()
+    assert world.ended is not None and world.ended.outcome == "done"
+    assert stages_of(world) == list(STAGES)
+    assert world.asked[-1] == Vent() and not world.bent
+    assert world.calibrator.progress.share == 1.0
+
+
+def test_every_movement_is_followed_by_a_vent_before_anything_is_evaluated() -> None:
+    world = PaperWorld(plan(CONFIG, BLIND))
+    world.run()
+    bent = False
+    for out in world.said:
+        if isinstance(out, Work | Question):
+            assert not bent
+        intent = getattr(out, "intent", None)
+        bent = isinstance(intent, StartProfile) if intent else bent
+
+
+def test_only_the_stages_that_are_wanted_and_the_zero_that_all_of_them_need() -> None:
+    world = PaperWorld(plan(CONFIG, replace(BLIND, only=("vine_leak",))))
+    world.run()
+    assert stages_of(world) == ["zero", "vine_leak"]
+
+
+def test_repeats_a_movement_that_did_not_say_enough_but_not_forever() -> None:
+    world = PaperWorld(plan(CONFIG, replace(BLIND, only=("levels",))))
+    world.run()
+    stage = world.calibrator.plan.stages[-1]
+    moves = [intent for intent in world.asked if isinstance(intent, StartProfile)]
+    assert len(moves) == len(stage.movements) + stage.most_again * len(stage.again)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    after=st.integers(0, 700),
+    how=st.sampled_from(["ctrl-c", "serial", "fault", "failsafe", "page", "refused"]),
+)
+def test_whatever_happens_the_last_that_is_asked_for_is_to_vent(after: int, how: str) -> None:
+    world = PaperWorld(plan(CONFIG, Wish()), person=lambda question: "10")
+    world.run(after / 2.0)
+    calibrator = world.calibrator
+    if how == "ctrl-c":
+        world.carry_out(calibrator.stop(world.now, "interrupted"))
+    elif how == "serial":
+        world.snapshot = replace(world.snapshot, firmware="disconnected")
+    elif how == "fault":
+        world.snapshot = replace(world.snapshot, safe_state={"overpressure": "vine at 40.0 kPa, limit 25"})
+    elif how == "failsafe":
+        world.carry_out(
+            calibrator.take(Decision(world.now, "failsafe", {}, "vent", "accepted", "bottle low", 0.0))
+        )
+    elif how == "page":
+        world.carry_out(calibrator.take(Decision(world.now, "page", {}, "vent", "accepted", "", 0.0)))
+    else:
+        world.refuses = {StartProfile: "no", SetPressure: "no", StartBench: "no"}
+    world.run()
+    assert world.ended is not None
+    assert world.ended.outcome in ("done", "stopped", "refused") and world.ended.sentence
+    assert world.asked[-1] == Vent() and not world.bent
+    # And nothing comes after.
+    assert calibrator.tick(world.now + 1.0, world.snapshot) == calibrator.stop(world.now, "again") == []
+
+
+def test_a_bottle_that_holds_too_little_is_refused_before_anything_moves() -> None:
+    world = PaperWorld(plan(CONFIG, BLIND), reservoir_kPa=70.0)
+    world.run()
+    assert world.ended is not None and world.ended.outcome == "refused"
+    assert "the bottle holds 70 kPa, and this needs" in world.ended.sentence
+    assert not any(isinstance(intent, StartProfile) for intent in world.asked)
+
+
+def test_a_board_that_never_answers_is_given_up() -> None:
+    world = PaperWorld(plan(CONFIG, BLIND))
+    world.snapshot = replace(world.snapshot, firmware="does not answer")
+    world.run(60.0)
+    assert world.ended is not None and world.ended.sentence == "phloSAR does not answer"
+    assert world.now < 20.0
+
+
+def test_an_armed_vehicle_is_not_calibrated() -> None:
+    world = PaperWorld(plan(CONFIG, BLIND))
+    world.snapshot = replace(world.snapshot, armed=True)
+    world.run(60.0)
+    assert world.ended is not None and "armed" in world.ended.sentence
+
+
+def test_nobody_to_swap_the_hose_ends_it() -> None:
+    world = PaperWorld(plan(CONFIG, replace(BLIND, vessel_L=0.5)), person=lambda question: None)
+    world.run()
+    assert world.ended is not None and world.ended.sentence == "Bottle's volume: nobody answered"
+
+
+def test_nobody_to_say_an_angle_vents_the_vine_and_keeps_the_rest() -> None:
+    world = PaperWorld(plan(CONFIG, Wish(only=("angle",))), person=lambda question: None)
+    world.run()
+    assert world.ended is not None and world.ended.outcome == "done"
+    assert world.calibrator.findings.pairs == ()
+    assert not world.bent
+
+
+def test_a_person_who_never_answers_is_not_waited_for_with_a_bent_vine() -> None:
+    class Silent(PaperWorld):
+        def carry_out(self, outs):  # type: ignore[no-untyped-def]
+            super().carry_out(out for out in outs if not isinstance(out, Question))
+
+    world = Silent(plan(CONFIG, Wish(only=("angle",))))
+    world.run()
+    assert world.ended is not None and not world.bent
+    assert world.now < 120.0
+
+
+def test_angles_are_kept_and_what_is_no_angle_is_asked_for_again() -> None:
+    answers = iter(["0", "abc", "10°", "", "12,5"])
+    world = PaperWorld(plan(CONFIG, Wish(only=("angle",))), person=lambda question: next(answers, None))
+    world.run()
+    assert [deg for _, deg in world.calibrator.findings.pairs] == [0.0, 10.0, 12.5]
+    assert "'abc' is no angle in degrees" in world.sentences()
+
+
+def test_what_cannot_be_evaluated_is_said_and_the_rest_goes_on() -> None:
+    class Broken(PaperWorld):
+        def work(self, work: Work) -> object:
+            return ZeroDivisionError("nothing there")
+
+    world = Broken(plan(CONFIG, replace(BLIND, only=("bottle_leak",))))
+    world.run()
+    assert world.ended is not None and world.ended.outcome == "done"
+    assert any("could not be evaluated: nothing there" in text for text in world.sentences())
+
+
+def test_answers_and_results_that_were_not_asked_for_change_nothing() -> None:
+    calibrator = Calibrator(plan(CONFIG, BLIND))
+    calibrator.begin(0.0)
+    assert calibrator.answer(1.0, Question(7, "enter", "?"), "") == []
+    assert calibrator.worked(1.0, Work(calibrator.plan.stages[0], lambda: None), None) == []  # type: ignore[arg-type,return-value]
+
+
+# With the core, its safety and its checks.
+
+
+@pytest.fixture(scope="module")
+def measured() -> CoreWorld:
+    world = CoreWorld(plan(CONFIG, replace(BLIND, only=("levels",))), phlosar())
+    world.run(400.0, until=lambda: sum(isinstance(out, Found) for out in world.said) >= 2)
+    return world
+
+
+def test_the_core_carries_out_what_it_asks_for(measured: CoreWorld) -> None:
+    volume = measured.calibrator.findings.get("cv_volume_L")
+    assert volume is not None and volume.value is not None and volume.low is not None
+    assert volume.value == pytest.approx(0.1, rel=0.35)
+    assert {chart.name for chart in measured.calibrator.charts} >= {"zero", "bottle", "levels"}
+
+
+def test_interrupted_while_the_vine_is_bent_it_is_vented() -> None:
+    world = CoreWorld(plan(CONFIG, replace(BLIND, only=("vine_leak",))), phlosar())
+    world.run(60.0, until=lambda: world.phlosar.cv_kPa > 20.0)
+    assert world.phlosar.cv_kPa > 20.0
+    world.carry_out(world.calibrator.stop(world.now, "interrupted"))
+    world.settle()
+    assert world.vented
+    assert world.ended is not None and world.ended.outcome == "stopped"
+    assert world.ended.sentence == "Vine's leak: interrupted"
+
+
+@pytest.mark.parametrize(
+    ("stage", "mishap", "says"),
+    [
+        ("zero", Mishap("cv_sensor", Shorted(), begins_s=4.0), "pressure sensor"),
+        ("bottle_leak", Mishap("bottle", Hole(4.0), begins_s=15.0), "bottle loses"),
+        ("levels", Mishap("cv_sensor", Shorted(), begins_s=12.0), "pressure sensor"),
+        ("levels", Mishap("hose", HoseOff(), begins_s=5.0), "not filling"),
+        ("vine_leak", Mishap("actuator", Hole(4.0), begins_s=15.0), "not filling"),
+        ("valve", Mishap("reservoir_sensor", Shorted(), begins_s=13.0), "bottle pressure sensor"),
+    ],
+    ids=lambda value: value.place if isinstance(value, Mishap) else None,
+)
+def test_a_fault_ends_it_vented_with_its_sentence(stage: str, mishap: Mishap, says: str) -> None:
+    rig = phlosar()
+    rig.suffer([mishap])
+    world = CoreWorld(plan(CONFIG, replace(BLIND, only=(stage,))), rig)
+    world.run(60.0)
+    assert world.ended is not None and world.ended.outcome in ("stopped", "refused")
+    assert says in world.ended.sentence
+    assert world.asked[-1] == Vent()
+    world.settle()
+    assert world.phlosar.drive.evp == 0.0 and world.phlosar.drive.solenoid
+
+
+def test_a_zero_that_is_far_off_is_measured_and_then_nothing_is_moved() -> None:
+    rig = phlosar(firmware=FirmwareSettings(cv_zero_kPa=6.0))
+    world = CoreWorld(plan(CONFIG, replace(BLIND, only=("levels",))), rig)
+    world.run(60.0)
+    assert world.ended is not None and world.ended.outcome == "refused"
+    assert "set cv_zero_kPa" in world.ended.sentence
+    (proposal,) = world.calibrator.findings.proposals
+    assert proposal.setting == "cv_zero_kPa" and proposal.value == pytest.approx(-6.0, abs=0.1)

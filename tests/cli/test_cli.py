@@ -1,0 +1,110 @@
+"""The commands as a person types them: what they print, and their exit status."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import status as run
+
+RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
+
+
+def complaint(capsys: pytest.CaptureFixture[str]) -> str:
+    """What stands on standard error: one line, and nothing on standard output."""
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+    return err
+
+
+def test_init_writes_a_profile_that_check_likes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    profile = tmp_path / "vine.toml"
+    assert run("config", "init", profile) == 0
+    assert run("config", "check", profile) == 0
+    out = capsys.readouterr().out
+    assert "good" in out
+    assert out.endswith("Vehicle link unsigned: every program on this computer can command the vine.\n")
+    assert run("config", "init", profile) == 2
+    assert "already" in complaint(capsys)
+    profile.write_text("")
+    assert run("config", "init", profile, "--force") == 0
+    assert profile.read_text().startswith("# A Flying Vines profile")
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.4.2", "::"])
+def test_a_link_that_anybody_can_reach_is_refused(
+    host: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    profile = tmp_path / "vine.toml"
+    run("config", "init", profile)
+    profile.write_text(profile.read_text().replace("udpin:127.0.0.1", f"udpin:{host}"))
+    capsys.readouterr()
+    for command in (("config", "check", profile), ("run", "--config", profile, "--out", tmp_path)):
+        assert run(*command) == 2
+        assert complaint(capsys) == (
+            f"flying-vines: {profile}:6: vehicle.link: anybody on the network could command the vine: "
+            f"name who sends (udpin:{host}:14540?peer=ADDRESS), listen on 127.0.0.1, "
+            "or set vehicle.signing_key\n"
+        )
+
+
+def test_check_names_file_line_and_key(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    profile = tmp_path / "vine.toml"
+    run("config", "init", profile)
+    capsys.readouterr()
+    text = profile.read_text().replace("debounce_s = 0.15", "debounce = 0.15")
+    profile.write_text(text)
+    line = 1 + text[: text.index("debounce = 0.15")].count("\n")
+    assert run("config", "check", profile) == 2
+    assert complaint(capsys) == (
+        f"flying-vines: {profile}:{line}: switch.debounce: unknown key; did you mean 'debounce_s'?\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("run", "--config", "nowhere.toml"), "no such file"),
+        (("config", "check", "nowhere.toml"), "config init"),
+        (("config", "check", "/"), "cannot be read"),
+        (("config", "init", "/nowhere/at/all.toml"), "cannot be written"),
+        (("replay", "nowhere.tlog"), "no such file"),
+        (("replay", RECORDINGS / "README.md"), "is it a .tlog?"),
+        (("replay", RECORDINGS / "reboot.tlog", "--pace", "-1"), "--pace"),
+        (("replay", RECORDINGS / "reboot.tlog", "--mission", RECORDINGS / "README.md"), "line 1"),
+        (("replay", RECORDINGS / "reboot.tlog", "--mission", "nowhere.waypoints"), "No such file"),
+        (("fake", "phlosar", "--rig", "nowhere.toml"), "nowhere.toml"),
+        (("fake", "autopilot", "--to", "nowhere"), "nowhere"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    arguments: tuple[object, ...], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(*arguments) == 2
+    assert says in complaint(capsys)
+
+
+def test_replay_prints_json_and_a_table(capsys: pytest.CaptureFixture[str]) -> None:
+    recording = RECORDINGS / "px4_vine_mission.tlog"
+    assert run("replay", recording, "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [entry["what"]["seq"] for entry in found] == [2, 4, 6, 8]
+    assert run("replay", recording) == 0
+    table = capsys.readouterr().out
+    assert "bend-half" in table
+    assert "accepted" in table
+
+
+def test_a_truncated_recording_is_replayed_as_far_as_it_goes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = (RECORDINGS / "px4_vine_mission.tlog").read_bytes()
+    cut = tmp_path / "cut.tlog"
+    cut.write_bytes(whole[: len(whole) // 2 - 3])
+    assert run("replay", cut, "--json") == 0
+    out, err = capsys.readouterr()
+    assert 1 <= len(json.loads(out)) < 4
+    assert "no MAVLink frame" in err

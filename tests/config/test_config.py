@@ -1,0 +1,455 @@
+"""The configuration: every mistake gives one line that says where it is and what is wrong."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flying_vines.config import config
+from flying_vines.config.config import CARRIERS, Config, ConfigError
+from flying_vines.vine.profile import flatten
+
+PROFILES = """
+[profiles.straight]
+segments = [{ kind = "step", to_kPa = 0 }]
+[profiles.bend-half]
+segments = [{ kind = "step", to_deg = 30 }]
+[profiles.bend-full]
+segments = [{ kind = "step", to_deg = 60 }]
+"""
+ONE_LINE = re.compile(r"my\.toml:(\d+): (?:([^:\n]+): )?[^\n]+")
+
+
+def mistake(text: str, profiles: str = PROFILES) -> tuple[int, str, str]:
+    """Line, key and the whole of the error that a text gives."""
+    with pytest.raises(ConfigError) as caught:
+        config.parse(text + "\n" + profiles, "my.toml")
+    said = str(caught.value)
+    found = ONE_LINE.fullmatch(said)
+    assert found, said
+    return int(found[1]), found[2] or "", said
+
+
+def test_the_least_profile_is_enough() -> None:
+    assert config.parse(PROFILES, "my.toml").vehicle == config.Vehicle()
+
+
+def test_the_built_in_profile_says_what_the_defaults_are() -> None:
+    built_in = config.default()
+    for table in Config.__struct_fields__:
+        if table in ("items", "profiles"):
+            continue
+        struct = type(getattr(built_in, table))
+        assert getattr(built_in, table) == struct(), table
+
+
+def test_the_built_in_profile_shows_every_key() -> None:
+    raw = tomllib.loads(config.default_text())
+    built_in = config.default()
+    for table in Config.__struct_fields__:
+        value = getattr(built_in, table)
+        if isinstance(value, msgspec.Struct):
+            assert list(raw[table]) and set(raw[table]) == set(value.__struct_fields__), table
+
+
+def test_every_profile_that_is_built_in_can_be_flown() -> None:
+    built_in = config.default()
+    for name in built_in.profiles:
+        assert list(flatten(built_in.profiles, name))
+
+
+def test_a_profile_is_read_from_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(config.default_text(), encoding="utf-8")
+    assert config.load(path) == config.default()
+    path.write_text(config.default_text(), encoding="utf-8-sig")  # as some Windows editors do
+    assert config.load(path) == config.default()
+
+
+def test_files_that_cannot_be_read_give_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"nowhere\.toml: no such file; .*config init"):
+        config.load(tmp_path / "nowhere.toml")
+    with pytest.raises(ConfigError, match="cannot be read: Is a directory"):
+        config.load(tmp_path)
+    binary = tmp_path / "flight.tlog"
+    binary.write_bytes(b"\x00\x06\xfe\xfd\xff\x00\xff")
+    with pytest.raises(ConfigError, match="cannot be read: it is not a UTF-8 text file"):
+        config.load(binary)
+    broken = tmp_path / "broken.toml"
+    broken.write_text("\n\n[vehicle\n")
+    with pytest.raises(ConfigError, match=rf"^{re.escape(str(broken))}:3: not TOML: "):
+        config.load(broken)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("[vehicle\n", 1),
+        ("[vehicle]\nlink = \n", 2),
+        ("[vehicle]\n\nlink = udp\n", 3),
+        ("[limits]\nmax_kPa = 1\nmax_kPa = 2\n", 3),
+        ("[limits]\n[limits]\n", 2),
+        ("just words\n", 1),
+    ],
+)
+def test_what_is_not_toml(text: str, line: int) -> None:
+    found_line, _, said = mistake(text)
+    assert found_line == line
+    assert ": not TOML: " in said
+
+
+def test_a_text_that_ends_too_soon_and_one_that_nests_too_deep() -> None:
+    with pytest.raises(ConfigError, match=r"^my\.toml:1: not TOML: "):
+        config.parse('a = "', "my.toml")
+    with pytest.raises(ConfigError, match="nested too deeply"):
+        config.parse("a = " + "[" * 20_000, "my.toml")
+
+
+TABLES = [name for name in Config.__struct_fields__ if name not in ("items", "profiles")]
+STEP = "segments = [{ kind = 'step', to_kPa = 0 }]"
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_a_misspelt_key_in_any_table_is_named_with_the_right_one(table: str) -> None:
+    for key in getattr(config.default(), table).__struct_fields__:
+        line, dotted, said = mistake(f"# my rig\n[{table}]\n{key}x = 1")
+        assert (line, dotted) == (3, f"{table}.{key}x")
+        assert said.endswith(f"unknown key; did you mean '{key}'?")
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "meant"),
+    [
+        ("[limts]\nmax_kPa = 1", "limts", "limits"),
+        ("[[itmes]]\ncommand = 'winch'", "itmes", "items"),
+        ("[[items]]\ncommand = 'winch'\nprofil = 'straight'", "items[0].profil", "profile"),
+        (
+            f"[profiles.x]\nrepeet = 1\n{STEP}",
+            "profiles.x.repeet",
+            "repeat",
+        ),
+        (
+            "[profiles.x]\nsegments = [{ kind = 'step', to_kpa = 0 }]",
+            "profiles.x.segments[0].to_kpa",
+            "to_kPa",
+        ),
+    ],
+)
+def test_misspelt_keys_elsewhere(text: str, key: str, meant: str) -> None:
+    line, dotted, said = mistake(text)
+    assert dotted == key
+    assert f"did you mean '{meant}'?" in said
+    assert line in (1, 2, 3)
+
+
+def test_a_key_like_no_other_is_named_without_a_guess() -> None:
+    assert mistake("[limits]\nzzz = 1") == (2, "limits.zzz", "my.toml:2: limits.zzz: unknown key")
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "key", "reason"),
+    [
+        ("[vehicle]\nlink = 5", 2, "vehicle.link", "expected str, got int"),
+        ("[vehicle]\nsystem_id = 1.5", 2, "vehicle.system_id", "expected int, got float"),
+        ("[vehicle]\nsystem_id = true", 2, "vehicle.system_id", "expected int, got bool"),
+        ("[vehicle]\nsystem_id = -1", 2, "vehicle.system_id", "expected int >= 0"),
+        ("[vehicle]\nsystem_id = 256", 2, "vehicle.system_id", "expected int <= 255"),
+        ("[vehicle]\nsystem_id = 99999999999999999999", 2, "vehicle.system_id", "expected int <= 255"),
+        ("[vehicle]\ncomponent_id = 1", 2, "vehicle.component_id", "expected int >= 2"),
+        ("[vehicle]\nrc_rate_Hz = 3.9", 2, "vehicle.rc_rate_Hz", "expected float >= 4.0"),
+        ("[limits]\nmax_kPa = '5'", 2, "limits.max_kPa", "expected float, got str"),
+        ("[limits]\nmax_kPa = 2020-01-01", 2, "limits.max_kPa", "expected float, got date"),
+        ("[limits]\nmax_kPa = 0", 2, "limits.max_kPa", "expected float > 0.0"),
+        ("[limits]\nmax_kPa = 201", 2, "limits.max_kPa", "expected float <= 200.0"),
+        ("[limits]\n\n# so\nmax_bent_s = -1", 4, "limits.max_bent_s", "expected float > 0.0"),
+        ("limits = 5", 1, "limits", "expected the table"),
+        ("items = 5", 1, "items", "expected array"),
+        ("[switch]\nchannel = 19", 2, "switch.channel", "expected int <= 18"),
+        ("[switch]\npositions = 'straight'", 2, "switch.positions", "expected array, got str"),
+        ("[switch]\npositions = ['straight', 5]", 2, "switch.positions[1]", "expected str, got int"),
+        ("[losses]\non_rc_loss = 'land'", 2, "losses.on_rc_loss", "'land': give one of vent, hold"),
+        ("[losses]\non_autopilot_loss = 'hold'", 2, "losses.on_autopilot_loss", "take this line out"),
+        ("[losses]\nrc_s = 20", 2, "losses.rc_s", "expected float <= 10.0"),
+        ("[interlocks]\nbench_mode = 1", 2, "interlocks.bench_mode", "expected bool, got int"),
+        ("[[items]]\nprofile = 'straight'", 1, "items[0]", "'command' is missing"),
+        ("[[items]]\ncommand = 'gripper'\nbend = 'param9'", 3, "items[0].bend", "give one of param1, param2"),
+        (
+            "[[items]]\ncommand = 'gripper'\nmatch = { param9 = 1 }\nprofile = 'straight'",
+            3, "items[0].match", "'param9': give one of param1",
+        ),
+        (
+            "[[items]]\ncommand = 'gripper'\nmatch = { param1 = 'x' }\nprofile = 'straight'",
+            3, "items[0].match", "expected float, got str",
+        ),
+        ("[[items]]\ncommand = 4.5\nprofile = 'straight'", 2, "items[0].command", "expected int | str"),
+        ("[[items]]\ncommand = []\nprofile = 'straight'", 1, "items[0]", "needs a command"),
+        ("[[items]]\ncommand = ['winch', 'x']\nbend = 'param1'", 1, "items[0]", "unknown command 'x'"),
+        ("[[items]]\ncommand = 'griper'\nprofile = 'straight'", 1, "items[0]", "unknown command 'griper'"),
+        ("[[items]]\ncommand = 'gripper'", 1, "items[0]", "needs either profile or bend"),
+        ("[[items]]\ncommand = 5\nprofile = 'x'\nbend = 'param1'", 1, "items[0]", "either profile or bend"),
+        ("[vine]\ncurve = [[0, 0], [1]]", 2, "vine.curve[1]", "expected array of length 2"),
+        ("[vine]\ncurve = [[0, 0]]", 1, "vine", "at least two pairs"),
+        ("[vine]\ncurve = [[0, 0], [0, 5]]", 1, "vine", "must rise"),
+        ("[profiles.x]\nsegments = []", 1, "profiles.x", "at least one segment"),
+        (f"[profiles.x]\nrepeat = 0\n{STEP}", 1, "profiles.x", "repeat must"),
+        ("[profiles.x]\nsegments = [{ to_kPa = 0 }]", 2, "profiles.x.segments[0]", "'kind' is missing"),
+        (
+            "[profiles.x]\nsegments = [\n  { kind = 'step', to_kPa = 0 },\n  { kind = 'stop' },\n]",
+            2, "profiles.x.segments[1].kind", "'stop': give one of step, ramp, hold, sine, profile",
+        ),
+        ("[profiles.x]\nsegments = [{ kind = 'step' }]", 2, "profiles.x.segments[0]", "give either to_"),
+        (
+            "[profiles.x]\nsegments = [{ kind = 'hold', for_s = 0 }]",
+            2, "profiles.x.segments[0]", "for_s must be above 0",
+        ),
+        ("[profiles]\nx = 5", 2, "profiles.x", "expected the table"),
+    ],
+)  # fmt: skip
+def test_wrong_types_and_values(text: str, line: int, key: str, reason: str) -> None:
+    found_line, dotted, said = mistake(text)
+    assert (found_line, dotted) == (line, key), said
+    assert reason in said.replace("expected object", "expected the table")
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize(
+    ("text", "line", "key"),
+    [
+        ("[limits]\nmax_kPa = {}", 2, "limits.max_kPa"),
+        ("[limits]\nmax_bent_s = {}", 2, "limits.max_bent_s"),
+        ("[interlocks]\nreserve_kPa = {}", 2, "interlocks.reserve_kPa"),
+        ("[telemetry]\nrate_Hz = {}", 2, "telemetry.rate_Hz"),
+        ("[[items]]\ncommand = 'winch'\nprofile = 'straight'\nscale = {}", 4, "items[0].scale"),
+        ("[vine]\ncurve = [[0, 0], [5, {}]]", 1, "vine"),
+        ("[profiles.x]\nsegments = [{{ kind = 'step', to_kPa = {} }}]", 2, "profiles.x.segments[0].to_kPa"),
+        ("[profiles.x]\nsegments = [{{ kind = 'hold', for_s = {} }}]", 2, "profiles.x.segments[0]"),
+        ("[profiles.x]\nrate_kPa_per_s = {}\nsegments = [{{ kind = 'step', to_kPa = 0 }}]", 1, "profiles.x"),
+    ],
+)
+def test_numbers_that_are_none(text: str, line: int, key: str, number: str) -> None:
+    found_line, dotted, said = mistake(text.format(number))
+    assert (found_line, dotted) == (line, key), said
+
+
+def test_every_number_of_every_table_must_be_one() -> None:
+    built_in = config.default()
+    for table in TABLES:
+        for key, value in msgspec.structs.asdict(getattr(built_in, table)).items():
+            if isinstance(value, float):
+                for number in ("nan", "inf"):
+                    assert mistake(f"[{table}]\n{key} = {number}")[:2] == (2, f"{table}.{key}")
+
+
+@pytest.mark.parametrize("count", [1, 4, 5, 7])
+def test_a_switch_has_two_three_or_six_positions(count: int) -> None:
+    line, dotted, said = mistake(f"[switch]\npositions = {['straight'] * count}")
+    assert (line, dotted) == (1, "switch")
+    assert f"2, 3 or 6 positions, not {count}" in said
+    for good in (2, 3, 6):
+        config.parse(f"[switch]\npositions = {['straight'] * good}\n{PROFILES}", "my.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "key", "reason"),
+    [
+        ("[vehicle]\nlink = 'tcp:host'", 2, "vehicle.link", "'tcp:host' is no link: give serial:"),
+        (
+            "[vehicle]\nlink = 'udpin:0.0.0.0:14540'",
+            2, "vehicle.link", "anybody on the network could command the vine: name who sends "
+            "(udpin:0.0.0.0:14540?peer=ADDRESS), listen on 127.0.0.1, or set vehicle.signing_key",
+        ),
+        ("[vehicle]\nlink = 'udpin:192.168.4.2:14540'", 2, "vehicle.link", "anybody on the network could"),
+        ("[vehicle]\nlink = 'udpin:0.0.0.0:14540?peer=192.168.4.1'\n", 0, "", ""),
+        ("[vehicle]\nlink = 'udpin:0.0.0.0:14540'\nsigning_key = 'key'\n", 0, "", ""),
+        ("[firmware]\nlink = 'udpin:0.0.0.0:3000'", 2, "firmware.link", "anybody on the network could"),
+        ("[firmware]\nlink = '/dev/ttyACM0'", 2, "firmware.link", "is no link: give serial:"),
+        (
+            "[switch]\npositions = ['straight', 'bend-ful']",
+            2, "switch.positions[1]", "there is no profile 'bend-ful'; did you mean 'bend-full'?",
+        ),
+        (
+            "[[items]]\ncommand = 'winch'\nprofile = 'strait'",
+            3, "items[0].profile", "there is no profile 'strait'; did you mean 'straight'?",
+        ),
+        ("[limits]\nmax_kPa = 30\n", 1, "limits", "overpressure_kPa must be above max_kPa"),
+        ("[limits]\nmax_kPa = 15\n", 0, "", ""),
+        (
+            "[vine]\ncurve = [[0, 0], [24, 60]]",
+            2, "vine.curve", "the curve goes to 24 kPa, above limits.max_kPa = 20.7",
+        ),
+        ("[pneumatics]\ncycle_swing_kPa = 21", 2, "pneumatics.cycle_swing_kPa", "is above limits.max_kPa"),
+        ("[profiles.x]\nsegments = [{ kind = 'step', to_deg = 61 }]", 1, "profiles.x", "outside the bend"),
+        ("[profiles.x]\nsegments = [{ kind = 'step', to_kPa = 21 }]", 1, "profiles.x", "outside 0…20.7 kPa"),
+        ("[profiles.x]\nsegments = [{ kind = 'step', to_kPa = -1 }]", 1, "profiles.x", "outside 0…20.7 kPa"),
+        (
+            "[profiles.x]\nsegments = [{ kind = 'profile', name = 'y' }]",
+            1, "profiles.x", "there is no profile 'y'",
+        ),
+        (
+            "[profiles.x]\nsegments = [{ kind = 'profile', name = 'x' }]",
+            1, "profiles.x", "profile 'x' contains itself",
+        ),
+        (
+            "[profiles.x]\nrepeat = 1000\nsegments = [{ kind = 'profile', name = 'straight', repeat = 11 }]",
+            1, "profiles.x", "unrolls to more than 10000 segments",
+        ),
+        (
+            "[profiles.x]\nsegments = [{ kind = 'sine', frequency_Hz = 1, from_kPa = 0, to_kPa = 20 }]",
+            1, "profiles.x", "the sine needs 63 kPa/s, the rate limit is 60 kPa/s",
+        ),
+        (
+            "[profiles.x]\nrate_kPa_per_s = 5\n"
+            "segments = [{ kind = 'sine', frequency_Hz = 0.5, from_deg = 0, to_deg = 60 }]",
+            1, "profiles.x", "the rate limit is 5 kPa/s",
+        ),
+    ],
+)  # fmt: skip
+def test_keys_that_do_not_fit_each_other(text: str, line: int, key: str, reason: str) -> None:
+    if not reason:
+        text = text + "[vine]\ncurve = [[0, 0], [14, 60]]\n[pneumatics]\ncycle_swing_kPa = 12"
+        config.parse(text + PROFILES, "my.toml")
+        return
+    found_line, dotted, said = mistake(text)
+    assert (found_line, dotted) == (line, key), said
+    assert reason in said
+
+
+def test_a_sine_just_within_the_limit_is_allowed() -> None:
+    sine = "[profiles.x]\nsegments = [{ kind = 'sine', frequency_Hz = 0.95, from_kPa = 0, to_kPa = 20 }]"
+    config.parse(sine + PROFILES, "my.toml")
+
+
+def test_a_recorded_profile_may_have_been_open() -> None:
+    text = "[vehicle]\nlink = 'udpin:0.0.0.0:14540'\n" + PROFILES
+    assert config.parse(text, "an old log", recorded=True).vehicle.link == "udpin:0.0.0.0:14540"
+
+
+def test_the_second_of_two_items_is_the_one_at_fault() -> None:
+    text = (
+        "[[items]]\ncommand = 'winch'\nprofile = 'straight'\n\n[[items]]\ncommand = 'winch'\nprofile = 'no'"
+    )
+    assert mistake(text)[:2] == (7, "items[1].profile")
+
+
+def test_names_in_quotes_and_lines_behind_odd_characters_are_found() -> None:
+    text = "# a\u2028b\u0085c\n[profiles.\"x y\"]\nsegments = [{ kind = 'step', to_deg = 99 }]"
+    assert mistake(text)[0] == 2
+    assert mistake("limits.max_kPa = -1")[:2] == (1, "limits.max_kPa")
+    assert mistake("vehicle = { link = 'x' }")[0] == 1
+
+
+def test_positions_may_be_empty_and_commands_may_be_numbers() -> None:
+    text = "[switch]\npositions = ['', 'straight']\n[[items]]\ncommand = 31010\nbend = 'param1'\n"
+    parsed = config.parse(text + PROFILES, "my.toml")
+    assert parsed.switch.positions == ("", "straight")
+    assert parsed.items[0].command_ids == (31010,)
+    for name, number in CARRIERS.items():
+        item = config.parse(f"[[items]]\ncommand = '{name}'\nbend = 'param1'\n{PROFILES}", "my.toml").items[0]
+        assert item.command_ids == (number,)
+
+
+def test_one_rule_may_serve_several_commands() -> None:
+    text = "[[items]]\ncommand = ['script_message', 'user_1', 42]\nbend = 'param7'\n"
+    assert config.parse(text + PROFILES, "my.toml").items[0].command_ids == (217, 31010, 42)
+
+
+# Anything at all.
+
+SEGMENT_KEYS = [
+    "kind", "to_kPa", "to_deg", "over_s", "for_s", "frequency_Hz", "cycles", "from_kPa", "name", "repeat",
+]  # fmt: skip
+KEYS = sorted(
+    {*Config.__struct_fields__, *SEGMENT_KEYS, "segments", "x y", "", "é"}
+    | {key for table in TABLES for key in getattr(config.default(), table).__struct_fields__}
+)
+scalars = st.one_of(
+    st.booleans(),
+    st.integers(-(2**70), 2**70),
+    st.floats(),
+    st.text(max_size=8),
+    st.sampled_from(["step", "sine", "hold", "vent", "straight", "winch", "tcp:a:1"]),
+    st.dates(),
+)
+values = st.recursive(
+    scalars,
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=4), st.dictionaries(st.sampled_from(KEYS), inner, max_size=4)
+    ),
+    max_leaves=12,
+)
+
+
+def toml(value: object) -> str:
+    match value:
+        case bool():
+            return str(value).lower()
+        case int():
+            return str(value)
+        case float():
+            return str(value)
+        case str():
+            return '"' + "".join(f"\\U{ord(sign):08X}" for sign in value) + '"'
+        case list():
+            return "[" + ", ".join(toml(part) for part in value) + "]"
+        case dict():
+            return "{" + ", ".join(f"{toml(key)} = {toml(part)}" for key, part in value.items()) + "}"
+        case _:
+            return str(value)
+
+
+def parses_or_is_refused(text: str) -> None:
+    try:
+        config.parse(text, "my.toml")
+    except ConfigError as error:
+        said = str(error)
+        assert said.startswith("my.toml:")
+        assert len(said.splitlines()) == 1
+
+
+@given(st.dictionaries(st.one_of(st.sampled_from(KEYS), st.text(max_size=5)), values, max_size=6))
+@settings(max_examples=300, deadline=None)
+def test_any_toml_parses_or_is_refused_in_one_line(tables: dict[str, Any]) -> None:
+    parses_or_is_refused("\n".join(f"{toml(key)} = {toml(value)}" for key, value in tables.items()))
+
+
+@given(table=st.sampled_from(TABLES), data=st.data())
+@settings(max_examples=300, deadline=None)
+def test_any_value_of_any_key_parses_or_is_refused(table: str, data: st.DataObject) -> None:
+    fields = getattr(config.default(), table).__struct_fields__
+    keys = data.draw(st.dictionaries(st.sampled_from(fields), st.one_of(scalars, values), max_size=3))
+    lines = [f"{key} = {toml(value)}" for key, value in keys.items()]
+    parses_or_is_refused("\n".join([f"[{table}]", *lines, PROFILES]))
+
+
+@given(st.lists(st.dictionaries(st.sampled_from(SEGMENT_KEYS), scalars, max_size=5), max_size=4))
+@settings(max_examples=200, deadline=None)
+def test_any_segments_parse_or_are_refused(parts: list[dict[str, Any]]) -> None:
+    parses_or_is_refused(f"{PROFILES}\n[profiles.x]\nsegments = {toml(parts)}")
+
+
+@given(st.text(max_size=200))
+@settings(max_examples=200, deadline=None)
+def test_any_text_parses_or_is_refused(text: str) -> None:
+    parses_or_is_refused(text)
+
+
+@given(at=st.integers(0, 20_000), length=st.integers(0, 40), put=st.text(max_size=10))
+@settings(max_examples=200, deadline=None)
+def test_any_slip_in_the_built_in_profile_parses_or_is_refused(at: int, length: int, put: str) -> None:
+    whole = config.default_text()
+    at %= len(whole)
+    parses_or_is_refused(whole[:at] + put + whole[at + length :])
+
+
+def test_a_profile_of_an_earlier_version_that_vents_where_the_autopilot_is_lost_still_holds() -> None:
+    text = config.default_text()
+    old = text.replace("[losses]\n", "[losses]\non_autopilot_loss = 'vent'\n")
+    assert old != text
+    assert config.parse(old, "test") == config.default()

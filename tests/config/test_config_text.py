@@ -1,0 +1,29 @@
+"""A configuration written down and read again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import msgspec
+import pytest
+
+from flying_vines.calibration.plan import Wish, plan
+from flying_vines.config import config as configuration
+from flying_vines.config.config import Config
+from flying_vines.config.config_text import profile_text
+
+DEFAULT = configuration.default()
+ODD = msgspec.structs.replace(
+    DEFAULT,
+    profiles={**DEFAULT.profiles, 'a "b" \\ c': DEFAULT.profiles["wave"]},
+    mqtt=msgspec.structs.replace(DEFAULT.mqtt, commands=("vent", "bend")),
+)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [DEFAULT, ODD, plan(DEFAULT, Wish()).config, plan(DEFAULT, replace(Wish(), telemetry_Hz=100)).config],
+    ids=["default", "odd", "of a calibration", "of a slow one"],
+)
+def test_it_is_the_same_again(config: Config) -> None:
+    assert configuration.parse(profile_text(config), "the text") == config

@@ -1,0 +1,100 @@
+"""Flights in simulated time, as the tests of the core begin them, and what came of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from firmware_link.protocol import Setpoint
+from flying_vines.config import config
+from flying_vines.config.config import Config
+from flying_vines.core.events import (
+    Action,
+    Decision,
+    ToFirmware,
+    ToVehicle,
+    VehicleMessage,
+)
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.notice import Notice
+
+LOW, MIDDLE, HIGH = 1000, 1500, 2000
+
+
+def configured(**tables: object) -> Config:
+    return msgspec.structs.replace(config.default(), **tables)
+
+
+def airborne(
+    conf: Config | None = None, autopilot: Autopilot | None = None, phlosar: SimulatedPhlosar | None = None
+) -> SimulatedFlight:
+    """In the air at 10 m, RC good, switch low, nothing bent; 8 s have passed."""
+    conf = conf or config.default()
+    autopilot = autopilot or Autopilot("ardupilot", rc_failsafe_mode=None)
+    flight = SimulatedFlight(conf, autopilot, phlosar)
+    autopilot.set_rc(9, LOW)
+    flight.run(2.0)
+    autopilot.takeoff(10.0)
+    flight.run(8.0)
+    return flight
+
+
+def run_for(flight: SimulatedFlight, seconds: float) -> list[Action]:
+    return flight.run(flight.world.now + seconds)
+
+
+def decisions(actions: Sequence[Action]) -> list[Decision]:
+    return [a for a in actions if isinstance(a, Decision)]
+
+
+def notices(actions: Sequence[Action]) -> list[str]:
+    return [a.text for a in actions if isinstance(a, Notice)]
+
+
+def setpoints(actions: Sequence[Action]) -> list[Setpoint]:
+    return [a.message for a in actions if isinstance(a, ToFirmware) and isinstance(a.message, Setpoint)]
+
+
+def answers(actions: Sequence[Action]) -> list[tuple[int, int]]:
+    return [
+        (a.message.command, a.message.result)
+        for a in actions
+        if isinstance(a, ToVehicle) and a.message.get_type() == "COMMAND_ACK"
+    ]
+
+
+def ground_command(
+    flight: SimulatedFlight,
+    command: int,
+    *params: float,
+    target: tuple[int, int] = (1, 191),
+    confirmation: int = 0,
+) -> list[Action]:
+    numbers = [*params, *[0.0] * (7 - len(params))]
+    message = mavlink.MAVLink_command_long_message(*target, command, confirmation, *numbers)
+    ground = Codec(255, 190)
+    flight_codec = Codec(1, 191)
+    ground._out.seq = int(flight.world.now * 1000) % 256
+    (received,) = flight_codec.decode(ground.encode(message, 255))
+    return flight.feed(VehicleMessage(flight.world.now, received))
+
+
+def bent(phlosar: SimulatedPhlosar | None = None, conf: Config | None = None) -> SimulatedFlight:
+    flight = airborne(conf, phlosar=phlosar)
+    flight.autopilot.set_rc(9, HIGH)
+    (decision,) = decisions(run_for(flight, 2.0))
+    assert decision.safety == "accepted"
+    assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
+    return flight
+
+
+def assert_vented(flight: SimulatedFlight) -> None:
+    assert flight.phlosar.drive.evp == 0.0
+    assert flight.phlosar.drive.solenoid
+    assert flight.phlosar.cv_kPa < 1.0

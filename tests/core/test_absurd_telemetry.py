@@ -1,0 +1,137 @@
+"""Frames with a good CRC that say what no sensor can, and everything that one can."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import random
+from collections.abc import Iterator
+
+import pytest
+
+from firmware_link import protocol
+from firmware_link.host import PLAUSIBLE_KPA
+from firmware_link.protocol import Fault, Mode, Telemetry
+from flying_vines.config import config
+from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.supply import ReservoirEstimate, nominal
+from flying_vines.supply.physics_checks import PhysicsChecks
+
+from .flights import HIGH, LOW, MIDDLE, airborne, assert_vented, bent, decisions, notices, run_for
+
+ABSURD = [1e30, 1e20, 1e12, 1e9, 5e3, -1e3, -1e9, -1e30, math.nan, math.inf, -math.inf]
+SAID = {
+    "cv_kPa": "Vine: vine sensor reads ",
+    "reservoir_kPa": "Vine: bottle sensor reads ",
+    "setpoint_kPa": "Vine: phloSAR holds ",
+}
+
+
+class Spoiled:
+    """The wire from the board; it puts `values` into the next `frames` of telemetry."""
+
+    def __init__(self, flight: SimulatedFlight, frames: int, values: dict[str, float]) -> None:
+        self.frames = frames
+        self.values = values
+        self._decoder, self._encoder = protocol.Codec(), protocol.Codec()
+        flight.world.from_phlosar = self.spoil
+
+    def spoil(self, data: bytes) -> bytes:
+        return b"".join(map(self._encoder.encode, map(self._spoiled, self._decoder.decode(data))))
+
+    def _spoiled(self, message: protocol.Message) -> protocol.Message:
+        if not isinstance(message, Telemetry) or not self.frames:
+            return message
+        self.frames -= 1
+        return dataclasses.replace(message, **self.values)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("bends", [False, True])
+@pytest.mark.parametrize("field", PLAUSIBLE_KPA)
+@pytest.mark.parametrize("value", ABSURD)
+def test_one_absurd_frame_changes_nothing(bends: bool, field: str, value: float) -> None:
+    flight = bent() if bends else airborne()
+    Spoiled(flight, 1, {field: value})
+    actions = run_for(flight, 2.0)
+    assert decisions(actions) == [] and notices(actions) == []
+    now = flight.core.snapshot(flight.world.now)
+    assert now.safe_state == {} and now.cycles is not None and math.isfinite(now.cycles.expected)
+    assert (flight.phlosar.cv_kPa > 15.0) is bends
+
+
+@pytest.mark.parametrize("field", PLAUSIBLE_KPA)
+@pytest.mark.parametrize("value", [1e30, -1e30, math.nan])
+def test_a_sensor_that_says_what_none_can_is_a_fault_that_a_person_clears(field: str, value: float) -> None:
+    flight = bent()
+    Spoiled(flight, 10, {field: value})
+    actions = run_for(flight, 1.0)
+    (lost,) = decisions(actions)
+    assert lost.what == {"loss": "sensor"} and lost.t - 10.0 < 0.05
+    assert [text for text in notices(actions) if text.startswith(SAID[field])] == notices(actions)
+    assert_vented(flight)
+    flight.autopilot.set_rc(9, MIDDLE)
+    assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["refused"]
+    flight.autopilot.set_rc(9, LOW)
+    assert "Vine: cleared sensor" in notices(run_for(flight, 1.0))
+    flight.autopilot.set_rc(9, HIGH)
+    assert [d.safety for d in decisions(run_for(flight, 2.0))] == ["accepted"]
+    assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"device_time_ms": 0xFFFFFFFF},
+        {"device_time_ms": 0},
+        {"faults": 0xFFFF},
+        {"number": 0xFFFF},
+        {"mode": Mode.FAULT},
+        {"evp_opening": 1.0, "dvp_opening": 1.0, "solenoid": False},
+        {"setpoint_kPa": 474.0, "cv_kPa": -54.0, "reservoir_kPa": 2262.0},
+    ],
+)
+@pytest.mark.parametrize("frames", [1, 50])
+def test_whatever_else_a_frame_says_the_flight_goes_on_or_the_vine_is_vented(
+    frames: int, values: dict[str, float]
+) -> None:
+    flight = bent()
+    Spoiled(flight, frames, values)
+    run_for(flight, 3.0)
+    assert flight.core.internal_error is False
+    if flight.core.snapshot(flight.world.now).doing == "vented":
+        assert_vented(flight)
+
+
+def test_readings_within_reach_of_a_sensor_never_spoil_an_estimate() -> None:
+    believed = nominal(config.default().pneumatics)
+    for seed in range(8):
+        reservoir = ReservoirEstimate(believed)
+        checks = PhysicsChecks(believed, config.default().checks)
+        for t, telemetry in hostile(random.Random(seed)):
+            reservoir.update(t, telemetry)
+            checks.take(telemetry)
+            assert math.isfinite(reservoir.spending_kPa(20.0))
+            if (left := reservoir.cycles_left()) is not None:
+                assert 0.0 <= left.low <= left.expected <= left.high < math.inf
+            if reservoir.bottle is not None:
+                assert all(reservoir.bottle.covariance[i][i] >= 0.0 for i in range(9))
+
+
+def hostile(chance: random.Random) -> Iterator[tuple[float, Telemetry]]:
+    """Anything that a sensor can say, in leaps."""
+    t, holds = 0.0, chance.choice([1, 3, 20, 100, 400])
+    (cv_low, cv_high), (low, high) = PLAUSIBLE_KPA["cv_kPa"], PLAUSIBLE_KPA["reservoir_kPa"]
+    values: dict[str, float] = {}
+    for i in range(800):
+        if i % holds == 0:
+            values = {
+                "setpoint_kPa": chance.choice([0.0, chance.uniform(0.0, 60.0)]),
+                "cv_kPa": chance.choice([chance.uniform(cv_low, cv_high), cv_low, cv_high, 0.0, 20.0]),
+                "reservoir_kPa": chance.choice([chance.uniform(low, high), low, high, -101.325, 690.0]),
+                "evp_opening": chance.choice([0.0, 1.0, chance.random()]),
+                "dvp_opening": chance.choice([0.0, 0.0, 1.0]),
+                "solenoid": chance.random() < 0.5,
+            }
+        t += chance.choice([0.01] * 20 + [0.0, 0.1, 0.3, 3.0, 11.0, 100.0])
+        mode = chance.choice(list(Mode))
+        yield t, Telemetry(int(t * 1e3), mode, Fault.NONE, 0, **values)  # type: ignore[arg-type]

@@ -1,0 +1,549 @@
+"""The whole decision machine, flown in simulated time between a fake autopilot and a simulated phloSAR."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from firmware_link.protocol import Fault, Setpoint, Vent
+from flying_vines.config import config
+from flying_vines.core.events import (
+    Action,
+    Decision,
+    FirmwareMessage,
+    LinkChanged,
+    Stop,
+    ToFirmware,
+    ToVehicle,
+    VehicleMessage,
+)
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.phlosar.mishaps import Hole, StuckAt
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mission.item import MissionItem
+
+from .flights import (
+    HIGH,
+    LOW,
+    MIDDLE,
+    airborne,
+    answers,
+    assert_vented,
+    bent,
+    configured,
+    decisions,
+    ground_command,
+    notices,
+    run_for,
+    setpoints,
+)
+
+
+@pytest.mark.parametrize("likely", [False, True])
+def test_the_switch_bends_and_straightens(likely: bool) -> None:
+    flight = bent(SimulatedPhlosar() if likely else None)
+    flight.autopilot.set_rc(9, LOW)
+    (decision,) = decisions(run_for(flight, 2.0))
+    assert (decision.trigger, decision.intent) == ("switch", "straight")
+    assert_vented(flight)
+
+
+def test_the_first_setpoint_leaves_with_the_trigger_and_already_moves() -> None:
+    flight = airborne()
+    flight.autopilot.set_rc(9, HIGH)
+    actions = run_for(flight, 1.0)
+    at = next(i for i, a in enumerate(actions) if isinstance(a, Decision))
+    sent = [a.message for a in actions[:at] if isinstance(a, ToFirmware) and isinstance(a.message, Setpoint)]
+    assert len(sent) == 1
+    assert sent[0].target_kPa > 0.5
+
+
+def test_setpoints_never_jump_beyond_the_rate_limit() -> None:
+    flight = airborne()
+    actions: list[Action] = []
+    for pulse in (HIGH, LOW, MIDDLE, HIGH, MIDDLE, LOW, HIGH):
+        flight.autopilot.set_rc(9, pulse)
+        actions += run_for(flight, 0.33)
+    sent = setpoints(actions)
+    assert len(sent) > 50
+    # One tick of 20 ms at 60 kPa/s, and one more where a trigger falls between two ticks.
+    assert max(abs(b.target_kPa - a.target_kPa) for a, b in itertools.pairwise(sent)) <= 2 * 0.02 * 60 + 0.01
+    assert all(0.0 <= s.target_kPa <= 20.7 and s.rate_kPa_per_s <= 60.0 for s in sent)
+
+
+def test_a_switch_left_up_does_not_fire_at_the_start() -> None:
+    autopilot = Autopilot("ardupilot")
+    autopilot.set_rc(9, HIGH)
+    flight = SimulatedFlight(config.default(), autopilot)
+    flight.run(2.0)
+    autopilot.takeoff(10.0)
+    assert decisions(flight.run(10.0)) == []
+    assert_vented(flight)
+
+
+@pytest.mark.parametrize("how", ["frozen", "jump"])
+def test_rc_loss_vents_and_nothing_resumes(how: str) -> None:
+    flight = bent()
+    flight.autopilot.lose_rc(how)  # type: ignore[arg-type]
+    lost = decisions(run_for(flight, 2.5))
+    assert [(d.trigger, d.what) for d in lost] == [("failsafe", {"loss": "rc"})]
+    assert_vented(flight)
+    flight.autopilot.return_rc()
+    back = run_for(flight, 4.0)
+    assert decisions(back) == []
+    assert any("RC is back" in text for text in notices(back))
+    assert_vented(flight)
+    flight.autopilot.set_rc(9, MIDDLE)
+    assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["accepted"]
+
+
+def test_a_move_while_rc_is_lost_is_told() -> None:
+    flight = airborne()
+    flight.autopilot.lose_rc("frozen")
+    run_for(flight, 2.0)
+    flight.autopilot.set_rc(9, HIGH)
+    flight.autopilot.return_rc()
+    actions = run_for(flight, 3.0)
+    assert decisions(actions) == []
+    assert any("move it again" in text for text in notices(actions))
+
+
+def test_a_silent_autopilot_vents() -> None:
+    flight = bent()
+    flight.autopilot.mute(6.0)
+    lost = decisions(run_for(flight, 4.5))
+    assert {d.what["loss"] for d in lost} <= {"rc", "autopilot", "altitude"}
+    assert lost[0].t - 10.0 < 1.3
+    assert_vented(flight)
+    assert decisions(run_for(flight, 5.0)) == []
+    assert_vented(flight)
+
+
+def test_an_autopilot_reboot_asks_for_the_streams_again() -> None:
+    flight = airborne()
+    flight.autopilot.disarm()
+    run_for(flight, 1.0)
+    flight.autopilot.reboot()
+    actions = run_for(flight, 12.0)
+    asked = {
+        int(a.message.param1)
+        for a in actions
+        if isinstance(a, ToVehicle) and a.message.get_type() == "COMMAND_LONG" and a.message.command == 511
+    }
+    assert asked == {65, 1, 33, 42, 2, 29}
+    assert flight.core.snapshot(flight.world.now).rc == "good"
+
+
+def test_serial_loss_vents_by_the_dead_man_and_stays_so_until_a_person_acts() -> None:
+    flight = bent()
+    gone = flight.feed(LinkChanged(flight.world.now, "firmware", False, "was unplugged"))
+    assert [d.what for d in decisions(gone)] == [{"loss": "serial"}]
+    start = flight.phlosar.now_s
+    flight.phlosar.advance(start + 0.6)
+    assert_vented(flight)
+    assert flight.phlosar.firmware.faults & Fault.DEAD_MAN
+    flight.world.now = flight.phlosar.now_s
+    flight.feed(LinkChanged(flight.world.now, "firmware", True))
+    run_for(flight, 2.0)
+    assert_vented(flight)
+    flight.autopilot.set_rc(9, MIDDLE)
+    (refused,) = decisions(run_for(flight, 1.0))
+    assert refused.safety == "refused"
+    assert "dead-man" in refused.reason
+    flight.autopilot.set_rc(9, LOW)
+    run_for(flight, 1.0)
+    assert not flight.phlosar.firmware.faults
+    flight.autopilot.set_rc(9, MIDDLE)
+    assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["accepted"]
+
+
+def test_a_firmware_reset_latches() -> None:
+    flight = bent()
+    flight.phlosar.reset_firmware()
+    (found,) = [d for d in decisions(run_for(flight, 2.0)) if d.trigger == "failsafe"][:1]
+    assert found.what == {"loss": "firmware_reset"}
+    assert_vented(flight)
+    flight.autopilot.set_rc(9, MIDDLE)
+    assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["refused"]
+    acknowledged = ground_command(flight, mavlink.MAV_CMD_USER_5, 1.0)
+    assert answers(acknowledged) == [(mavlink.MAV_CMD_USER_5, mavlink.MAV_RESULT_ACCEPTED)]
+    flight.autopilot.set_rc(9, HIGH)
+    assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["accepted"]
+
+
+def test_an_empty_bottle_vents_refuses_and_tells() -> None:
+    flight = bent(conf=configured(checks=config.Checks(bottle_loss="warn")))
+    flight.phlosar.mishaps.bottle = Hole(bore_mm=4.0)
+    actions = run_for(flight, 4.0)
+    assert any("kPa/s unasked" in text for text in notices(actions))
+    assert [d.what for d in decisions(actions)] == [{"loss": "reservoir"}]
+    assert any("bottle low" in text and "cycles left" in text for text in notices(actions))
+    assert_vented(flight)
+    flight.autopilot.set_rc(9, MIDDLE)
+    (refused,) = decisions(run_for(flight, 1.0))
+    assert "bottle at" in refused.reason
+
+
+def test_a_valve_that_stays_shut_vents_latches_and_is_cleared_by_a_person() -> None:
+    flight = airborne()
+    flight.phlosar.mishaps.evp = StuckAt(0.0)
+    flight.autopilot.set_rc(9, HIGH)
+    actions = run_for(flight, 3.0)
+    assert [d.what.get("loss") for d in decisions(actions)] == [None, "filling"]
+    assert "Vine: not filling, bottle keeps its air: valve, vented" in notices(actions)
+    assert_vented(flight)
+    flight.phlosar.mishaps.evp = None
+    assert decisions(run_for(flight, 3.0)) == []
+    assert_vented(flight)
+    flight.autopilot.set_rc(9, MIDDLE)
+    (refused,) = decisions(run_for(flight, 1.0))
+    assert "not filling" in refused.reason
+    flight.autopilot.set_rc(9, LOW)
+    assert "Vine: cleared filling" in notices(run_for(flight, 1.0))
+    flight.autopilot.set_rc(9, HIGH)
+    assert [d.safety for d in decisions(run_for(flight, 2.0))] == ["accepted"]
+    assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
+
+
+def test_a_vine_that_does_not_vent_cannot_be_cleared() -> None:
+    flight = bent()
+    flight.phlosar.mishaps.solenoid = StuckAt(0.0)
+    flight.autopilot.set_rc(9, LOW)
+    told = notices(run_for(flight, 3.0))
+    assert "Vine: not venting: outlet, line, valve or sensor, outlet told open" in told
+    ground_command(flight, mavlink.MAV_CMD_USER_5, 1.0)
+    assert "venting" in flight.core.snapshot(flight.world.now).safe_state
+    flight.phlosar.mishaps.solenoid = None
+    run_for(flight, 2.0)
+    ground_command(flight, mavlink.MAV_CMD_USER_5, 1.0)
+    assert flight.core.snapshot(flight.world.now).safe_state == {}
+    assert_vented(flight)
+
+
+def test_a_hot_bottle_is_told_and_counted_and_the_vine_goes_on() -> None:
+    flight = bent()
+    flight.phlosar.fill(745.0)
+    actions = run_for(flight, 2.0)
+    assert decisions(actions) == []
+    assert ["hot or overfilled" in text for text in notices(actions)] == [True]
+    assert flight.core.snapshot(flight.world.now).findings == {"bottle_hot": 1}
+    assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
+
+
+def test_a_check_that_trips_on_an_odd_rig_can_be_set_to_warn() -> None:
+    flight = airborne(configured(checks=config.Checks(filling="warn")))
+    flight.phlosar.mishaps.evp = StuckAt(0.0)
+    flight.autopilot.set_rc(9, HIGH)
+    actions = run_for(flight, 3.0)
+    assert [d.what.get("loss") for d in decisions(actions)] == [None]
+    assert any("not filling" in text for text in notices(actions))
+
+
+def test_one_reading_above_the_limit_is_a_glitch_and_two_are_not() -> None:
+    flight = bent()
+    telemetry = flight.core._firmware.telemetry
+    assert telemetry is not None
+
+    def read(cv_kPa: float, ms: int) -> list[Action]:
+        later = dataclasses.replace(
+            telemetry, cv_kPa=cv_kPa, device_time_ms=telemetry.device_time_ms + ms, number=telemetry.number
+        )
+        return flight.feed(FirmwareMessage(flight.world.now + ms / 1000.0, later))
+
+    assert decisions([*read(60.0, 1), *read(20.0, 2), *read(60.0, 3)]) == []
+    (decision,) = decisions(read(60.0, 4))
+    assert decision.what == {"loss": "overpressure"}
+
+
+def test_landing_and_disarming_straighten_the_vine() -> None:
+    flight = bent()
+    flight.autopilot.land()
+    found = decisions(run_for(flight, 12.0))
+    assert [d.what for d in found] == [{"loss": "altitude"}]
+    assert_vented(flight)
+
+
+def test_not_armed_is_refused_and_bench_mode_is_not() -> None:
+    for bench in (False, True):
+        conf = configured(interlocks=config.Interlocks(bench_mode=bench))
+        autopilot = Autopilot("ardupilot")
+        autopilot.set_rc(9, LOW)
+        flight = SimulatedFlight(conf, autopilot)
+        flight.run(3.0)
+        autopilot.set_rc(9, HIGH)
+        (decision,) = decisions(flight.run(5.0))
+        assert decision.safety == ("accepted" if bench else "refused")
+        assert bool(setpoints(flight.run(6.0))) == bench
+
+
+def test_bent_too_long() -> None:
+    conf = configured(limits=config.Limits(max_bent_s=5.0))
+    flight = airborne(conf)
+    flight.autopilot.set_rc(9, HIGH)
+    found = decisions(run_for(flight, 7.0))
+    assert [d.what.get("loss") for d in found] == [None, "duration"]
+    assert_vented(flight)
+
+
+VINE_MISSION = [
+    MissionItem(0, 16, (0, 0, 0, 0, -35.363262, 149.165237, 584.0)),
+    MissionItem(1, 22, (0, 0, 0, 0, 0, 0, 10.0), frame=3),
+    MissionItem(2, 16, (0, 0, 0, 0, -35.36321, 149.165237, 10.0), frame=3),
+    MissionItem(3, 217, (1, 40, 0, 0, 0, 0, 0)),
+    MissionItem(4, 16, (2, 0, 0, 0, -35.36315, 149.165237, 10.0), frame=3),
+    MissionItem(5, 217, (0, 0, 0, 0, 0, 0, 0)),
+    MissionItem(6, 16, (0, 0, 0, 0, -35.36300, 149.165237, 10.0), frame=3),
+]
+PX4_MISSION = [
+    MissionItem(0, 22, (0, 0, 0, math.nan, 47.3977431, 8.5455944, 12.0), frame=3),
+    MissionItem(1, 16, (0, 0, 0, math.nan, 47.3977800, 8.5455944, 12.0), frame=3),
+    MissionItem(2, 187, (0.5, 0, 0, 0, 0, 0, 0), frame=2),
+    MissionItem(3, 16, (2, 0, 0, math.nan, 47.3978200, 8.5455944, 12.0), frame=3),
+    MissionItem(4, 211, (1, 1, 0, 0, 0, 0, 0), frame=2),
+    MissionItem(5, 16, (0, 0, 0, math.nan, 47.3979, 8.5455944, 12.0), frame=3),
+]
+
+
+def test_ardupilot_mission_items_fire_once_with_their_numbers() -> None:
+    autopilot = Autopilot("ardupilot", mission=VINE_MISSION)
+    flight = SimulatedFlight(config.default(), autopilot)
+    flight.run(4.0)
+    autopilot.start_mission()
+    found = decisions(flight.run(40.0))
+    assert [(d.what["seq"], d.intent, d.safety) for d in found] == [
+        (3, "bend 40°", "accepted"),
+        (5, "straight", "accepted"),
+    ]
+    assert [item.seq for _, item in autopilot.payload_log] == [3, 5]
+
+
+def test_a_mission_changed_in_flight_fires_the_new_numbers() -> None:
+    autopilot = Autopilot("ardupilot", mission=VINE_MISSION)
+    flight = SimulatedFlight(config.default(), autopilot)
+    flight.run(4.0)
+    autopilot.start_mission()
+    flight.run(9.0)
+    changed = [
+        *VINE_MISSION[:3],
+        MissionItem(3, 217, (1, 15, 0, 0, 0, 0, 0)),
+        *VINE_MISSION[4:],
+        VINE_MISSION[6],
+    ]
+    changed[-1] = MissionItem(7, 16, VINE_MISSION[6].params, frame=3)
+    autopilot.set_mission(changed)
+    found = decisions(flight.run(40.0))
+    assert [d.intent for d in found if d.what["seq"] == 3] == ["bend 15°"]
+
+
+def test_px4_mission_items_are_acknowledged_and_fire_once() -> None:
+    autopilot = Autopilot("px4", mission=PX4_MISSION)
+    flight = SimulatedFlight(config.default(), autopilot)
+    flight.run(4.0)
+    autopilot.start_mission()
+    actions = flight.run(40.0)
+    assert [(d.what["seq"], d.intent, d.safety) for d in decisions(actions)] == [
+        (2, "bend 30°", "accepted"),
+        (4, "straight", "accepted"),
+    ]
+    assert answers(actions) == [(187, 0), (211, 0)]
+
+
+def test_commands_are_answered_and_repeats_do_not_act_again() -> None:
+    flight = airborne()
+    first = ground_command(flight, mavlink.MAV_CMD_USER_2, 30.0)
+    assert answers(first) == [(mavlink.MAV_CMD_USER_2, mavlink.MAV_RESULT_ACCEPTED)]
+    assert [d.trigger for d in decisions(first)] == ["command"]
+    run_for(flight, 3.0)
+    again = ground_command(flight, mavlink.MAV_CMD_USER_2, 30.0, confirmation=1)
+    assert answers(again) == answers(first)
+    assert decisions(again) == []
+
+
+@pytest.mark.parametrize(
+    ("command", "params", "verdict", "result"),
+    [
+        (mavlink.MAV_CMD_USER_1, (1.0, 20.0), "accepted", mavlink.MAV_RESULT_ACCEPTED),
+        (mavlink.MAV_CMD_USER_1, (9.0,), "refused", mavlink.MAV_RESULT_DENIED),
+        (mavlink.MAV_CMD_USER_2, (61.0,), "refused", mavlink.MAV_RESULT_DENIED),
+        (mavlink.MAV_CMD_USER_2, (-25.0,), "refused", mavlink.MAV_RESULT_DENIED),
+        (mavlink.MAV_CMD_USER_2, (math.nan,), "refused", mavlink.MAV_RESULT_DENIED),
+        (mavlink.MAV_CMD_USER_3, (10.0,), "accepted", mavlink.MAV_RESULT_ACCEPTED),
+        (mavlink.MAV_CMD_USER_3, (100.0,), "limited", mavlink.MAV_RESULT_ACCEPTED),
+        (mavlink.MAV_CMD_USER_3, (math.inf,), "refused", mavlink.MAV_RESULT_DENIED),
+        (mavlink.MAV_CMD_USER_4, (0.0,), "accepted", mavlink.MAV_RESULT_ACCEPTED),
+        (mavlink.MAV_CMD_USER_4, (1.0,), "refused", mavlink.MAV_RESULT_DENIED),
+        (mavlink.MAV_CMD_USER_4, (7.0,), "refused", mavlink.MAV_RESULT_DENIED),
+    ],
+)
+def test_each_command(command: int, params: tuple[float, ...], verdict: str, result: int) -> None:
+    flight = airborne()
+    actions = ground_command(flight, command, *params)
+    assert [d.safety for d in decisions(actions)] == [verdict]
+    assert answers(actions) == [(command, result)]
+    run_for(flight, 1.0)
+    assert flight.phlosar.cv_kPa < 22.0
+
+
+def test_commands_for_others_and_unknown_ones_move_nothing() -> None:
+    flight = airborne()
+    assert ground_command(flight, mavlink.MAV_CMD_USER_2, 30.0, target=(1, 1)) == []
+    assert ground_command(flight, mavlink.MAV_CMD_USER_2, 30.0, target=(2, 191)) == []
+    assert ground_command(flight, mavlink.MAV_CMD_USER_2, 30.0, target=(0, 0)) == []
+    unknown = ground_command(flight, mavlink.MAV_CMD_DO_SET_SERVO, 9.0, 1500.0)
+    assert answers(unknown) == [(mavlink.MAV_CMD_DO_SET_SERVO, mavlink.MAV_RESULT_UNSUPPORTED)]
+    assert decisions(unknown) == []
+
+
+def test_hold_freezes_and_vent_vents() -> None:
+    flight = airborne()
+    flight.autopilot.set_rc(9, HIGH)
+    run_for(flight, 0.4)
+    ground_command(flight, mavlink.MAV_CMD_USER_4, 1.0)
+    run_for(flight, 0.5)
+    here = flight.phlosar.cv_kPa
+    assert 2.0 < here < 19.0
+    run_for(flight, 1.0)
+    assert flight.phlosar.cv_kPa == pytest.approx(here, abs=0.6)
+    ground_command(flight, mavlink.MAV_CMD_USER_4, 0.0)
+    run_for(flight, 1.0)
+    assert_vented(flight)
+
+
+def test_a_vine_that_is_being_straightened_is_not_held_bent_when_rc_is_lost() -> None:
+    flight = bent(conf=configured(losses=config.Losses(on_rc_loss="hold")))
+    flight.autopilot.set_rc(9, LOW)
+    run_for(flight, 0.22)
+    assert flight.phlosar.cv_kPa > 5.0
+    flight.feed(LinkChanged(flight.world.now, "vehicle", False, "closed"))
+    run_for(flight, 0.7)
+    assert_vented(flight)
+
+
+def test_stop_vents_and_nothing_moves_after_it() -> None:
+    flight = bent()
+    flight.feed(Stop(flight.world.now))
+    run_for(flight, 1.0)
+    assert_vented(flight)
+    (refused,) = decisions(ground_command(flight, mavlink.MAV_CMD_USER_2, 30.0))
+    assert refused.safety == "refused"
+    run_for(flight, 1.0)
+    assert_vented(flight)
+
+
+def test_the_ground_station_sees_five_values_twice_a_second_each() -> None:
+    flight = airborne()
+    actions = run_for(flight, 10.0)
+    sent = [
+        a.message for a in actions if isinstance(a, ToVehicle) and a.message.get_type() == "NAMED_VALUE_FLOAT"
+    ]
+    names = [m.name for m in sent]
+    for name in ("RES_KPA", "CYC_LEFT", "CV_KPA", "CMD_KPA", "BEND_DEG"):
+        assert 19 <= names.count(name) <= 21
+    assert {a.system_id for a in actions if isinstance(a, ToVehicle)} == {1}
+    boot_ms = sent[-1].time_boot_ms
+    # The fake autopilot has been up for 30 s when the flight begins.
+    assert boot_ms == pytest.approx(1000 * (flight.world.now + 30.0), abs=300)
+
+
+def test_stale_telemetry_is_not_reported_as_the_present() -> None:
+    flight = airborne()
+    flight.feed(LinkChanged(flight.world.now, "firmware", False, "was unplugged"))
+    run_for(flight, 0.5)
+    actions = run_for(flight, 3.0)
+    assert not [
+        a for a in actions if isinstance(a, ToVehicle) and a.message.get_type() == "NAMED_VALUE_FLOAT"
+    ]
+    assert math.isnan(flight.core.snapshot(flight.world.now).cv_kPa)
+
+
+def test_a_missing_stream_is_named() -> None:
+    conf = config.default()
+    flight = SimulatedFlight(conf)
+    codec = Codec(1, 1)
+    beat = mavlink.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3)
+    texts: list[str] = []
+    for second in range(12):
+        texts += notices(list(flight.world.advance(float(second))))
+        for message in Codec(1, 191).decode(codec.encode(beat, 1)):
+            texts += notices(flight.feed(VehicleMessage(float(second), message)))
+    assert any("does not send" in text and "GLOBAL_POSITION_INT" in text for text in texts)
+
+
+STIMULI = st.lists(
+    st.tuples(
+        st.sampled_from(
+            [
+                "low",
+                "middle",
+                "high",
+                "lose",
+                "jump",
+                "back",
+                "mute",
+                "reboot",
+                "land",
+                "fly",
+                "unplug",
+                "plug",
+                "reset",
+            ]
+        ),
+        st.floats(0.05, 2.5),
+    ),
+    min_size=1,
+    max_size=14,
+)
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(STIMULI)
+def test_whatever_happens_the_vine_stays_below_its_limit_and_vents_when_refused(
+    stimuli: list[tuple[str, float]],
+) -> None:
+    flight = airborne()
+    pilot = flight.autopilot
+    plugged = True
+    for what, wait_s in stimuli:
+        match what:
+            case "low" | "middle" | "high":
+                pilot.set_rc(9, {"low": LOW, "middle": MIDDLE, "high": HIGH}[what])
+            case "lose" | "jump":
+                pilot.lose_rc("frozen" if what == "lose" else "jump")
+            case "back":
+                pilot.return_rc()
+            case "mute":
+                pilot.mute(1.0)
+            case "reboot":
+                pilot.reboot()
+            case "land":
+                pilot.land()
+            case "fly":
+                pilot.takeoff(10.0)
+            case "unplug" | "plug":
+                plugged = what == "plug"
+                flight.feed(LinkChanged(flight.world.now, "firmware", plugged, what))
+            case "reset":
+                flight.phlosar.reset_firmware()
+        seen = run_for(flight, wait_s)
+        assert flight.phlosar.cv_kPa < 25.0
+        for sent in setpoints(seen):
+            assert 0.0 <= sent.target_kPa <= 20.7
+    snapshot = flight.core.snapshot(flight.world.now)
+    if snapshot.safe_state:
+        run_for(flight, 0.5)
+        if flight.core.snapshot(flight.world.now).safe_state:
+            assert flight.phlosar.drive.evp == 0.0
+    vents = [
+        a
+        for a in run_for(flight, 0.1)
+        if isinstance(a, ToFirmware) and isinstance(a.message, Vent | Setpoint)
+    ]
+    assert vents or not plugged or flight.core.snapshot(flight.world.now).firmware != "ready"

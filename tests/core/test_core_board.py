@@ -1,0 +1,268 @@
+"""A board that repeats itself, does not do what it is told, or restarts again and again."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Sequence
+
+import pytest
+
+from firmware_link import protocol
+from firmware_link.protocol import Mode, Setpoint, Telemetry, Vent
+from flying_vines.config import config
+from flying_vines.core.events import Action, Decision, ToFirmware, ToVehicle
+from flying_vines.gateway.gateway import Gateway
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.terminal.screen import event_line
+from flying_vines.vehicle.notice import Notice, Severity
+
+LOW, HIGH = 1000, 2000
+Change = Callable[[Telemetry], Telemetry]
+
+
+def airborne() -> SimulatedFlight:
+    """At 10 m, RC good, switch low; 8 s have passed."""
+    autopilot = Autopilot("ardupilot", rc_failsafe_mode=None)
+    flight = SimulatedFlight(config.default(), autopilot)
+    autopilot.set_rc(9, LOW)
+    flight.run(2.0)
+    autopilot.takeoff(10.0)
+    flight.run(8.0)
+    return flight
+
+
+def bent() -> SimulatedFlight:
+    flight = airborne()
+    flight.autopilot.set_rc(9, HIGH)
+    run_for(flight, 2.0)
+    assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
+    return flight
+
+
+def run_for(flight: SimulatedFlight, seconds: float) -> list[Action]:
+    return flight.run(flight.world.now + seconds)
+
+
+def notices(actions: Sequence[Action]) -> list[Notice]:
+    return [a for a in actions if isinstance(a, Notice)]
+
+
+def told(actions: Sequence[Action]) -> list[str]:
+    """What is not for the log alone."""
+    return [notice.text for notice in notices(actions) if notice.severity is not Severity.DEBUG]
+
+
+def decisions(actions: Sequence[Action]) -> list[Decision]:
+    return [a for a in actions if isinstance(a, Decision)]
+
+
+def sent(actions: Sequence[Action], kind: type[Setpoint] | type[Vent]) -> int:
+    return sum(isinstance(a, ToFirmware) and isinstance(a.message, kind) for a in actions)
+
+
+def says(flight: SimulatedFlight, change: Change) -> None:
+    """From now on the board's telemetry says something else."""
+    heard, said = protocol.Codec(), protocol.Codec()
+
+    def changed(message: protocol.Message) -> protocol.Message:
+        return change(message) if isinstance(message, Telemetry) else message
+
+    flight.world.from_phlosar = lambda data: b"".join(
+        said.encode(changed(message)) for message in heard.decode(data)
+    )
+
+
+# What is no news.
+
+
+def repeating() -> Change:
+    first: list[Telemetry] = []
+
+    def change(telemetry: Telemetry) -> Telemetry:
+        first.append(telemetry)
+        return first[0]
+
+    return change
+
+
+def with_clock(clock_ms: Callable[[int, int], int]) -> Change:
+    """Pressures and counter go on; the clock is what is made of its first time and the count."""
+    times = []
+
+    def change(telemetry: Telemetry) -> Telemetry:
+        times.append(telemetry.device_time_ms)
+        return dataclasses.replace(telemetry, device_time_ms=clock_ms(times[0], len(times)) & 0xFFFFFFFF)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        repeating(),
+        with_clock(lambda first, count: first),
+        with_clock(lambda first, count: first + count % 2),
+        with_clock(lambda first, count: first + count),
+        with_clock(lambda first, count: first + count * 900),
+        with_clock(lambda first, count: first + count * 3_600_000),
+    ],
+    ids=["repeated", "frozen clock", "to and fro", "a tenth of the pace", "90 times the pace", "leaping"],
+)
+def test_telemetry_whose_clock_does_not_go_on_is_lost(change: Change) -> None:
+    flight = bent()
+    says(flight, change)
+    lost = run_for(flight, 0.55)
+    assert "Vine: phloSAR telemetry stale, told to vent" in told(lost)
+    assert flight.phlosar.cv_kPa < 20.0
+    flight.autopilot.set_rc(9, LOW)
+    run_for(flight, 1.0)
+    flight.autopilot.set_rc(9, HIGH)
+    (refused,) = [d for d in decisions(run_for(flight, 2.0)) if d.trigger == "switch"]
+    assert (refused.safety, refused.reason) == ("refused", "phloSAR telemetry stale")
+
+
+def test_a_counter_that_stands_while_the_clock_goes_on_is_no_loss() -> None:
+    """The clock says that the frame is new: the counter only counts what was lost."""
+    flight = bent()
+    heard = protocol.Codec()
+    flight.world.from_phlosar = lambda data: b"".join(protocol.encode(m, 7) for m in heard.decode(data))
+    assert told(run_for(flight, 3.0)) == []
+    assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
+
+
+def test_every_frame_twice_and_neighbours_swapped_is_no_loss() -> None:
+    flight = bent()
+    heard, said = protocol.Codec(), protocol.Codec()
+    waiting: list[protocol.Message] = []
+
+    def swapped(data: bytes) -> bytes:
+        out: list[protocol.Message] = []
+        for message in heard.decode(data):
+            waiting.append(message)
+            if len(waiting) == 2:
+                out += [waiting[1], waiting[0], waiting[1]]
+                waiting.clear()
+        return b"".join(said.encode(message) for message in out)
+
+    flight.world.from_phlosar = swapped
+    assert told(run_for(flight, 3.0)) == []
+    assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
+
+
+# A board that does not do what it is told.
+
+
+def regulating(telemetry: Telemetry) -> Telemetry:
+    return dataclasses.replace(telemetry, mode=Mode.REGULATE, setpoint_kPa=20.7)
+
+
+def test_a_board_that_regulates_on_after_a_vent_is_told_and_is_a_fault() -> None:
+    flight = bent()
+    says(flight, regulating)
+    flight.autopilot.set_rc(9, LOW)
+    actions = run_for(flight, 0.5)
+    began = next(a.t for a in decisions(actions) if a.intent == "straight")
+    # The motion down ends first: until then the board is told to regulate.
+    actions += run_for(flight, 3.0)
+    ended = max(
+        i for i, a in enumerate(actions) if isinstance(a, ToFirmware) and isinstance(a.message, Setpoint)
+    )
+    (fault,) = [a for a in notices(actions) if "regulating" in a.text]
+    assert fault.text == "Vine: phloSAR goes on regulating, told to vent"
+    assert fault.t - began < 1.5
+    assert sent(actions[ended + 1 :], Vent) > 50, "it is told again and again"
+    flight.autopilot.set_rc(9, HIGH)
+    (refused,) = decisions(run_for(flight, 1.0))
+    assert (refused.safety, refused.reason) == ("refused", "phloSAR goes on regulating")
+    flight.world.from_phlosar = lambda data: data
+    run_for(flight, 1.0)
+    assert "regulates" in flight.core.snapshot(flight.world.now).safe_state, "a person clears it"
+    flight.autopilot.set_rc(9, LOW)
+    assert "Vine: cleared regulates" in told(run_for(flight, 1.0))
+
+
+def test_it_is_found_within_0p35_s_of_a_vent() -> None:
+    flight = bent()
+    says(flight, regulating)
+    flight.autopilot.lose_rc("jump")
+    actions = run_for(flight, 2.0)
+    vented_at = next(d.t for d in decisions(actions) if d.what.get("loss") == "rc")
+    fault_at = next(d.t for d in decisions(actions) if d.what.get("loss") == "regulates")
+    assert 0.29 < fault_at - vented_at < 0.36
+
+
+def test_a_vent_that_is_heard_late_is_no_fault() -> None:
+    flight = bent()
+    flight.autopilot.lose_rc("jump")
+    lost_until = flight.world.now + 0.35
+    perfect = flight.world.to_phlosar
+    flight.world.to_phlosar = lambda data: b"" if flight.world.now < lost_until else perfect(data)
+    assert not any("regulating" in text for text in told(run_for(flight, 2.0)))
+
+
+# A board that restarts again and again.
+
+
+def rebooting(flight: SimulatedFlight, every_s: float, for_s: float) -> list[Action]:
+    actions: list[Action] = []
+    for _ in range(round(for_s / every_s)):
+        flight.phlosar.reset_firmware()
+        actions += run_for(flight, every_s)
+    return actions
+
+
+@pytest.mark.parametrize("every_s", [0.1, 2.5])
+def test_a_loop_of_restarts_is_told_at_once_and_then_counted(every_s: float) -> None:
+    flight = bent()
+    actions = rebooting(flight, every_s, 30.0)
+    actions += run_for(flight, 11.0)
+    texts = told(actions)
+    assert texts[0] == "Vine: phloSAR restarted: its clock went back to 0 ms, vented"
+    assert len(texts) <= 8
+    count = round(30.0 / every_s)
+    assert [text for text in texts if "times" in text][-1] == (
+        f"Vine: phloSAR restarted {count} times in {30.0 - every_s:.0f} s"
+    )
+    logged = [n for n in notices(actions) if "restarted" in n.text and n.severity is Severity.DEBUG]
+    assert len(logged) >= count - 1, "the log has each"
+    assert all(event_line(notice, 0.0) is None for notice in logged)
+    gateway = Gateway(config.default(), ask=lambda *_: pytest.fail("nobody asks"), say=pytest.fail)
+    for notice in logged:
+        gateway.action(notice)
+    assert not gateway._unsent
+    assert len(decisions(actions)) <= 3
+    radioed = [a.message for a in actions if isinstance(a, ToVehicle)]
+    assert sum(message.get_type() == "STATUSTEXT" for message in radioed) <= 10
+
+
+def test_while_it_loops_no_person_clears_it_and_nothing_bends() -> None:
+    flight = airborne()
+    positions = itertools.cycle((HIGH, LOW))
+    actions: list[Action] = []
+    for _ in range(8):
+        flight.autopilot.set_rc(9, next(positions))
+        actions += rebooting(flight, 0.8, 1.6)
+    bends = [d for d in decisions(actions) if d.intent and d.intent.startswith("bend")]
+    assert {d.safety for d in bends} == {"refused"}
+    assert any("phloSAR restarted" in d.reason and "times in" in d.reason for d in bends)
+    assert sent(actions, Setpoint) == 0
+    flight.autopilot.set_rc(9, LOW)
+    run_for(flight, 11.0)
+    flight.autopilot.set_rc(9, HIGH)
+    (still,) = decisions(run_for(flight, 1.0))
+    assert still.safety == "refused", "latched until a person clears it"
+    flight.autopilot.set_rc(9, LOW)
+    assert "Vine: cleared firmware_reset" in told(run_for(flight, 1.0))
+    flight.autopilot.set_rc(9, HIGH)
+    (bends_again,) = decisions(run_for(flight, 1.0))
+    assert bends_again.safety == "accepted"
+
+
+def test_one_restart_is_cleared_as_ever() -> None:
+    flight = bent()
+    flight.phlosar.reset_firmware()
+    run_for(flight, 0.5)
+    flight.autopilot.set_rc(9, LOW)
+    assert "Vine: cleared firmware_reset" in told(run_for(flight, 1.0))

@@ -1,0 +1,151 @@
+"""Valid MAVLink messages of every type with nonsense in them, random bytes, and hostile firmware messages."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+from babble import (
+    AUTOPILOT,
+    COMMANDS,
+    FLOOD,
+    KINDS,
+    STATION,
+    Babble,
+    largest_tables,
+    serving_vehicle_1,
+)
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from firmware_link import protocol
+from flying_vines.config import config
+from flying_vines.core.core import Core
+from flying_vines.core.events import (
+    Action,
+    Event,
+    FirmwareMessage,
+    LinkChanged,
+    Tick,
+    ToFirmware,
+    ToVehicle,
+    VehicleMessage,
+)
+from flying_vines.simulation.simulated_world import SimulatedWorld
+from flying_vines.vehicle.mavlink.codec import Codec
+
+MESSAGES = 16_000
+ODD_FLOATS = [float("nan"), float("inf"), float("-inf"), 3e38, -1.0, 0.0, 1.0]
+MOST_SENT_HZ = 2 / 0.02
+"""Two frames every 20 ms: what the smallest of the autopilots' forward buffers takes."""
+LARGEST_TABLE = 5001
+"""The mission's book holds that many items at most; nothing else comes near."""
+
+
+def setpoints(actions: list[Action]) -> list[protocol.Setpoint]:
+    messages = [action.message for action in actions if isinstance(action, ToFirmware)]
+    return [message for message in messages if isinstance(message, protocol.Setpoint)]
+
+
+def sent(actions: list[Action], out: Codec) -> int:
+    """How many frames go to the vehicle; each can be encoded."""
+    frames = [out.encode(a.message, a.system_id) for a in actions if isinstance(a, ToVehicle)]
+    assert all(frames)
+    return len(frames)
+
+
+def test_while_the_phlosar_is_not_ready_no_message_moves_anything() -> None:
+    babble, core = Babble(20), Core(serving_vehicle_1())
+    codec, out = Codec(0, 191), Codec(0, 191)
+    core.handle(LinkChanged(0.0, "firmware", True))
+    decoded = 0
+    for i in range(MESSAGES):
+        t = i * 0.004
+        data = babble.frame() if i % 20 else babble.noise() + babble.frame() + babble.alive()
+        events: list[Event] = [VehicleMessage(t, message) for message in codec.decode(data)]
+        decoded += len(events)
+        for event in [*events, Tick(t)]:
+            actions = core.handle(event)
+            sent(actions, out)
+            assert setpoints(actions) == []
+    assert decoded > 0.8 * MESSAGES
+    assert core.snapshot(MESSAGES * 0.004).doing == "vented"
+    assert largest_tables(core)[0][0] <= LARGEST_TABLE
+    assert largest_tables(codec)[0][0] <= LARGEST_TABLE
+
+
+def test_while_the_vehicle_is_disarmed_no_message_moves_anything() -> None:
+    babble, world, codec = Babble(21, disarmed=True), SimulatedWorld(serving_vehicle_1()), Codec(0, 191)
+    ready = False
+    for i in range(MESSAGES // 2):
+        t = i * 0.002
+        actions = list(world.advance(t))
+        for message in codec.decode(babble.frame() + (b"" if i % 250 else babble.alive())):
+            actions.extend(world.feed(VehicleMessage(t, message)))
+        assert [setpoint for setpoint in setpoints(actions) if setpoint.target_kPa != 0.0] == []
+        ready = ready or world.core.snapshot(t).firmware == "ready"
+    assert ready
+    assert world.core.snapshot(1.0).vehicle.endswith(" 1")
+
+
+def test_whatever_moves_stays_within_the_limits() -> None:
+    babble, world, codec = Babble(22), SimulatedWorld(serving_vehicle_1()), Codec(0, 191)
+    autopilot = Codec(1, 1)
+    limits = config.default().limits
+    moved = 0
+    for i in range(MESSAGES // 2):
+        t = i * 0.002
+        actions = list(world.advance(t))
+        kinds = COMMANDS if i % 4 == 1 else KINDS
+        data = babble.frame(kinds, AUTOPILOT if i % 100 == 0 else STATION)
+        if i % 100 == 50:  # between all the nonsense an autopilot that flies
+            data += autopilot.encode(mavlink.MAVLink_heartbeat_message(2, 3, 217, 4, 4, 3), 1)
+            place = mavlink.MAVLink_global_position_int_message(round(t * 1000), 0, 0, 0, 10_000, 0, 0, 0, 0)
+            data += autopilot.encode(place, 1)
+        for message in codec.decode(data):
+            actions.extend(world.feed(VehicleMessage(t, message)))
+        for setpoint in setpoints(actions):
+            moved += setpoint.target_kPa > 0.0
+            assert 0.0 <= setpoint.target_kPa <= limits.max_kPa + 1e-6
+            assert 0.0 < setpoint.rate_kPa_per_s <= limits.max_rate_kPa_per_s + 1e-6
+    assert moved > 100
+
+
+@pytest.mark.parametrize("sender", [AUTOPILOT, (255, 190), None])
+def test_a_flood_makes_no_flood_of_answers_and_no_heap_of_them(sender: tuple[int, int] | None) -> None:
+    babble, core, codec, out = Babble(23), Core(serving_vehicle_1()), Codec(0, 191), Codec(0, 191)
+    answers, heard, seconds = 0, 0, 4.0
+    heartbeat = [kind for kind in KINDS if kind.id == 0]
+    for i in range(round(seconds * 2000)):
+        t = i / 2000
+        frame = babble.frame(heartbeat, AUTOPILOT) if i % 2000 == 0 else babble.frame(FLOOD, sender)
+        events: list[Event] = [VehicleMessage(t, message) for message in codec.decode(frame)]
+        heard += len(events)
+        for event in events if i % 40 else [*events, Tick(t)]:
+            answers += sent(core.handle(event), out)
+    assert heard > 0.9 * seconds * 2000
+    assert answers <= MOST_SENT_HZ * seconds
+    assert largest_tables(core)[0][0] <= LARGEST_TABLE
+
+
+def test_telemetry_that_makes_no_sense_moves_nothing() -> None:
+    dice = random.Random(3)
+    core = Core(serving_vehicle_1())
+    core.handle(LinkChanged(0.0, "firmware", True))
+
+    def odd() -> float:
+        return dice.choice([*ODD_FLOATS, dice.uniform(-1e3, 1e3)])
+
+    for i in range(5_000):
+        t = i * 0.01
+        nonce = dice.choice((1, dice.getrandbits(32)))
+        welcome = protocol.Welcome(1, nonce, dice.randrange(3), "x", 1, odd(), odd(), odd(), odd(), 300, 100)
+        telemetry = protocol.Telemetry(
+            dice.getrandbits(32), protocol.Mode.VENT, protocol.Fault(dice.getrandbits(16)), 0,
+            odd(), odd(), odd(), 0.0, 0.0, False,
+        )  # fmt: skip
+        for message in (welcome, telemetry):
+            assert setpoints(core.handle(FirmwareMessage(t, message))) == []
+        core.handle(Tick(t))
+    assert core.snapshot(50.0).doing == "vented"
+    assert math.isfinite(core.snapshot(50.0).command_kPa)

@@ -1,0 +1,147 @@
+"""Nothing bends late, nor with the numbers of a mission that has been replaced."""
+
+from __future__ import annotations
+
+import pytest
+from mission_storm import SCRIPT, WP
+
+from flying_vines.config import config
+from flying_vines.core.events import Action, Decision
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.notice import Notice
+from flying_vines.vehicle.triggers import Trigger
+from flying_vines.vine.intent import (
+    ArmPneumatics,
+    BendTo,
+    ClearFaults,
+    DisarmPneumatics,
+    Hold,
+    Intent,
+    SetPressure,
+    StartProfile,
+    Vent,
+)
+
+TAKEOFF, DELAY, LAND = 22, 93, 21
+
+
+def mission(angle_deg: float) -> list[MissionItem]:
+    rows = [
+        (WP, (0.0, 0.0)),
+        (TAKEOFF, (0.0, 0.0)),
+        (DELAY, (8.0, 0.0)),
+        (SCRIPT, (1.0, angle_deg)),
+        (DELAY, (8.0, 0.0)),
+        (SCRIPT, (1.0, angle_deg / 2)),
+        (DELAY, (8.0, 0.0)),
+        (LAND, (0.0, 0.0)),
+    ]
+    return [
+        MissionItem(seq, command, (*params, 0.0, 0.0, 0.0, 0.0, 10.0 if command == TAKEOFF else 0.0), 3)
+        for seq, (command, params) in enumerate(rows)
+    ]
+
+
+def flying(until_item_s: float = 0.0) -> SimulatedFlight:
+    """On the way to item 3, so many seconds before it runs."""
+    autopilot = Autopilot("ardupilot", mission=mission(40.0))
+    flight = SimulatedFlight(config.default(), autopilot)
+    flight.run(3.0)
+    autopilot.start_mission()
+    while autopilot.height_m < 9.9:
+        flight.run(flight.world.now + 0.1)
+    flight.run(flight.world.now + 8.0 - until_item_s)
+    assert autopilot.payload_log == []
+    return flight
+
+
+def items(actions: list[Action]) -> list[Decision]:
+    return [a for a in actions if isinstance(a, Decision) and a.trigger == "mission_item"]
+
+
+def told(actions: list[Action]) -> list[str]:
+    return [a.text for a in actions if isinstance(a, Notice)]
+
+
+def test_an_item_is_carried_out_at_once_with_its_numbers() -> None:
+    flight = flying(2.0)
+    (decision,) = items(flight.run(flight.world.now + 4.0))
+    (ran_at, _) = flight.autopilot.payload_log[0]
+    assert (decision.what["seq"], decision.intent, decision.safety) == (3, "bend 40°", "accepted")
+    assert decision.t - ran_at < 0.03
+
+
+def test_a_mission_replaced_a_moment_ago_gives_its_own_numbers() -> None:
+    flight = flying(2.0)
+    flight.run(flight.world.now + 1.5)
+    flight.autopilot.set_mission(mission(11.0))
+    actions = flight.run(flight.world.now + 12.0)
+    assert [(d.what["seq"], d.intent, d.safety) for d in items(actions)] == [
+        (3, "bend 11°", "accepted"),
+        (5, "bend 5.5°", "accepted"),
+    ]
+    assert len([text for text in told(actions) if "mission read anew" in text]) == 1
+
+
+@pytest.mark.parametrize("kind", ["text lost", "answers lost"])
+def test_an_item_that_is_not_confirmed_is_refused_and_told(kind: str) -> None:
+    flight = flying(2.0)
+    lost = b"Mission: 3" if kind == "text lost" else b"\x49\x00\x00"  # MISSION_ITEM_INT
+    flight.from_autopilot = lambda frame: b"" if lost in frame else frame
+    actions = flight.run(flight.world.now + 5.0)
+    (decision,) = items(actions)
+    if kind == "text lost":
+        assert (decision.intent, decision.safety) == ("bend 40°", "accepted")
+        assert decision.t - flight.autopilot.payload_log[0][0] < 1.0
+    else:
+        assert (decision.safety, decision.reason) == ("refused", "numbers not confirmed")
+        assert "Vine: refused item 3: numbers not confirmed" in told(actions)
+
+
+@pytest.mark.parametrize("stall_s", [3.0, 6.0])
+def test_a_process_that_stood_still_bends_nothing_when_it_wakes(stall_s: float) -> None:
+    flight = flying(1.0)
+    actions = flight.stall(flight.world.now + stall_s)
+    assert len(flight.autopilot.payload_log) == 1
+    actions += flight.run(flight.world.now + 2.0)
+    (decision,) = items(actions)
+    assert (decision.what["seq"], decision.safety) == (3, "refused")
+    assert "s late" in decision.reason
+    assert flight.phlosar.cv_kPa < 1.0
+
+
+LATE: list[tuple[Intent, str]] = [
+    (BendTo(30.0), "refused"),
+    (SetPressure(5.0), "refused"),
+    (Hold(), "refused"),
+    (ClearFaults(), "refused"),
+    (ArmPneumatics(), "refused"),
+    (StartProfile("straight"), "accepted"),
+    (Vent(), "accepted"),
+    (DisarmPneumatics(), "accepted"),
+]
+
+
+def decide(flight: SimulatedFlight, intent: Intent, age_s: float, kind: str = "command") -> Decision:
+    t = flight.world.now
+    return flight.core._decide(t, Trigger(t, kind, {}, intent, by_person=True, age_s=age_s))
+
+
+@pytest.mark.parametrize(("intent", "verdict"), LATE)
+def test_what_comes_late_only_lets_air_out(intent: Intent, verdict: str) -> None:
+    decision = decide(flying(2.0), intent, 1.1)
+    assert decision.safety == verdict
+    assert decision.reason == ("came 1.1 s late" if verdict == "refused" else "")
+
+
+def test_what_was_asked_for_before_something_newer_is_not_carried_out() -> None:
+    flight = flying(4.0)
+    assert decide(flight, BendTo(10.0), 0.0).safety == "accepted"
+    flight.run(flight.world.now + 0.2)
+    assert decide(flight, BendTo(30.0), 0.5).reason == "something newer was asked"
+    assert decide(flight, StartProfile("straight"), 0.5).reason == "something newer was asked"
+    assert decide(flight, StartProfile("straight"), 5.0).reason == "came 5.0 s late"
+    assert decide(flight, Vent(), 5.0).safety == "accepted"
+    assert decide(flight, BendTo(20.0), 0.1).safety == "accepted"

@@ -1,0 +1,247 @@
+"""What bounds a bend when RC comes and goes, and who may bend at all by a command."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.config import config
+from flying_vines.core.events import Action, VehicleMessage
+from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.vehicle.mavlink.codec import Codec, Message
+
+from .flights import HIGH, LOW, airborne, answers, assert_vented, bent, configured, notices, run_for
+
+ACCEPTED, DENIED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED
+USER_2, USER_4, USER_5 = mavlink.MAV_CMD_USER_2, mavlink.MAV_CMD_USER_4, mavlink.MAV_CMD_USER_5
+VENT, HOLD, DISARM, ARM = 0.0, 1.0, 2.0, 3.0
+STATION, GIMBAL, CAMERA = (255, 190), (1, 154), (2, 100)
+
+
+def holding(hold_s: float, bent_s: float) -> config.Config:
+    losses = config.Losses(on_rc_loss="hold", hold_at_most_s=hold_s)
+    # A calibration of the profile must fit in.
+    return configured(
+        losses=losses,
+        limits=config.Limits(max_bent_s=bent_s),
+        calibration=config.Calibration(steps=1, hold_s=0.5),
+    )
+
+
+def say(
+    flight: SimulatedFlight, message: Message, sender: tuple[int, int], sequence: int = 0
+) -> list[Action]:
+    codec = Codec(*sender)
+    codec._out.seq = sequence or int(flight.world.now * 1000) % 256
+    (received,) = Codec(1, 191).decode(codec.encode(message, sender[0]))
+    return flight.feed(VehicleMessage(flight.world.now, received))
+
+
+def order(
+    flight: SimulatedFlight,
+    command: int,
+    *params: float,
+    sender: tuple[int, int] = STATION,
+    confirmation: int = 0,
+    sequence: int = 0,
+) -> list[Action]:
+    numbers = [*params, *[0.0] * (7 - len(params))]
+    message = mavlink.MAVLink_command_long_message(1, 191, command, confirmation, *numbers)
+    # What it is told waits its turn.
+    return say(flight, message, sender, sequence) + run_for(flight, 0.1)
+
+
+def beat(flight: SimulatedFlight, sender: tuple[int, int], kind: int) -> None:
+    say(flight, mavlink.MAVLink_heartbeat_message(kind, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3), sender)
+
+
+def is_bent(flight: SimulatedFlight) -> bool:
+    return flight.core.snapshot(flight.world.now).command_kPa > 1.0
+
+
+def bent_for(flight: SimulatedFlight, history: Sequence[tuple[bool, float]]) -> tuple[float, float]:
+    """How long it stays bent while RC goes (False) and returns (True), and how much of that RC was lost."""
+    began, held_s = flight.world.now, 0.0
+    for good, lasts_s in history:
+        flight.autopilot.return_rc() if good else flight.autopilot.lose_rc("frozen")
+        until = flight.world.now + lasts_s
+        while flight.world.now < until:
+            run_for(flight, 0.05)
+            if not is_bent(flight):
+                return flight.world.now - began, held_s
+            held_s += 0.05 if "rc" in flight.core.snapshot(flight.world.now).safe_state else 0.0
+    return flight.world.now - began, held_s
+
+
+def test_losses_that_are_held_do_not_stretch_how_long_the_vine_stays_bent() -> None:
+    flight = bent(conf=holding(60.0, 20.0))
+    lasted_s, _ = bent_for(flight, [(False, 4.0), (True, 4.0)] * 5)
+    # It was bent within the last two seconds.
+    assert 18.0 < lasted_s < 18.5
+    run_for(flight, 0.5)
+    assert_vented(flight)
+
+
+def test_losses_that_come_and_go_are_held_no_longer_than_one() -> None:
+    flight = bent(conf=holding(5.0, 110.0))
+    _, held_s = bent_for(flight, [(False, 4.0), (True, 4.0)] * 5)
+    assert 4.8 < held_s < 5.1
+    run_for(flight, 0.5)
+    assert_vented(flight)
+
+
+def test_a_fresh_move_is_held_anew() -> None:
+    flight = bent(conf=holding(5.0, 110.0))
+    for _ in range(3):
+        _, held_s = bent_for(flight, [(False, 5.0), (True, 3.0)])
+        assert is_bent(flight) and held_s > 3.0
+        flight.autopilot.set_rc(9, LOW)
+        run_for(flight, 1.0)
+        flight.autopilot.set_rc(9, HIGH)
+        run_for(flight, 1.0)
+
+
+def test_a_hold_command_is_a_fresh_wish() -> None:
+    flight = bent(conf=holding(5.0, 10.0))
+    run_for(flight, 6.0)
+    assert answers(order(flight, USER_4, HOLD)) == [(USER_4, ACCEPTED)]
+    run_for(flight, 9.8)
+    assert is_bent(flight)
+    run_for(flight, 0.5)
+    assert not is_bent(flight)
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.lists(st.tuples(st.booleans(), st.floats(0.1, 6.0)), min_size=1, max_size=8))
+def test_no_losses_and_returns_stretch_a_bend(history: list[tuple[bool, float]]) -> None:
+    flight = bent(conf=holding(4.0, 15.0))
+    lasted_s, held_s = bent_for(flight, [*history, (False, 15.0)])
+    assert held_s <= 4.0 + 0.1
+    # The switch had to be steady, before the two seconds in which it was bent were over.
+    assert lasted_s <= 15.0 - 1.5 + 0.1
+    assert not is_bent(flight)
+
+
+# A vent is carried out each time.
+
+
+@pytest.mark.parametrize("what", [VENT, DISARM])
+def test_a_vent_that_is_taken_for_a_repeat_vents(what: float) -> None:
+    flight = airborne()
+    order(flight, USER_4, what)
+    order(flight, USER_4, ARM)
+    run_for(flight, 0.2)
+    order(flight, USER_2, 45.0)
+    run_for(flight, 1.0)
+    assert flight.phlosar.cv_kPa > 10.0
+    assert answers(order(flight, USER_4, what, confirmation=1)) == [(USER_4, ACCEPTED)]
+    run_for(flight, 1.0)
+    assert_vented(flight)
+
+
+def test_a_straightening_that_is_taken_for_a_copy_straightens() -> None:
+    flight = airborne()
+    order(flight, mavlink.MAV_CMD_USER_1, 0.0, sequence=7)
+    order(flight, USER_2, 45.0)
+    run_for(flight, 1.0)
+    order(flight, mavlink.MAV_CMD_USER_1, 0.0, sequence=7)
+    run_for(flight, 1.0)
+    assert_vented(flight)
+
+
+def test_a_bend_that_is_a_repeat_is_not_done_again() -> None:
+    flight = airborne()
+    order(flight, USER_2, 45.0)
+    order(flight, USER_4, VENT)
+    assert answers(order(flight, USER_2, 45.0, confirmation=1)) == [(USER_2, ACCEPTED)]
+    run_for(flight, 1.0)
+    assert_vented(flight)
+
+
+def test_a_vent_that_is_a_repeat_clears_no_fault() -> None:
+    flight = bent()
+    order(flight, USER_4, VENT)
+    flight.phlosar.reset_firmware()
+    run_for(flight, 1.0)
+    order(flight, USER_4, VENT, confirmation=1)
+    assert "firmware_reset" in flight.core.snapshot(flight.world.now).safe_state
+    order(flight, USER_4, VENT)
+    assert "firmware_reset" not in flight.core.snapshot(flight.world.now).safe_state
+
+
+# Who may bend, and who may only vent.
+
+
+def test_a_gimbal_may_vent_and_nothing_else() -> None:
+    flight = bent()
+    beat(flight, GIMBAL, mavlink.MAV_TYPE_GIMBAL)
+    for command, param in ((USER_2, 30.0), (USER_4, HOLD), (USER_4, ARM), (USER_5, 1.0), (USER_5, 2.0)):
+        actions = order(flight, command, param, sender=GIMBAL)
+        assert answers(actions) == [(command, DENIED)]
+        assert any(text.endswith("1/154 is no ground station") for text in notices(actions))
+    run_for(flight, 0.5)
+    assert is_bent(flight)
+    assert answers(order(flight, USER_4, VENT, sender=GIMBAL)) == [(USER_4, ACCEPTED)]
+    run_for(flight, 0.7)
+    assert_vented(flight)
+
+
+def test_a_strangers_vent_clears_no_fault() -> None:
+    flight = bent()
+    flight.phlosar.reset_firmware()
+    run_for(flight, 1.0)
+    order(flight, USER_4, VENT, sender=GIMBAL)
+    assert "firmware_reset" in flight.core.snapshot(flight.world.now).safe_state
+
+
+STATIONS = [(255, 190), (255, 0), (255, 230), (254, 190), (245, 190)]
+"""QGroundControl and Mission Planner, pymavlink, MAVProxy, a second one, mavsdk."""
+STRANGERS = [(0, 190), (0, 0), (1, 190), (1, 195), (1, 0), (2, 1), (7, 190), (239, 190), (255, 1), (255, 154)]
+
+
+@pytest.mark.parametrize("sender", STATIONS)
+def test_a_station_that_was_never_heard_may_bend(sender: tuple[int, int]) -> None:
+    assert answers(order(airborne(), USER_2, 30.0, sender=sender)) == [(USER_2, ACCEPTED)]
+
+
+@pytest.mark.parametrize("sender", STRANGERS)
+def test_a_stranger_may_not(sender: tuple[int, int]) -> None:
+    flight = airborne()
+    assert answers(order(flight, USER_2, 30.0, sender=sender)) == [(USER_2, DENIED)]
+    run_for(flight, 0.5)
+    assert_vented(flight)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        mavlink.MAV_TYPE_GIMBAL,
+        mavlink.MAV_TYPE_QUADROTOR,
+        mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+        mavlink.MAV_TYPE_CAMERA,
+        mavlink.MAV_TYPE_GENERIC,
+    ],
+)
+def test_a_heartbeat_counts_more_than_ids(kind: int) -> None:
+    flight = airborne()
+    beat(flight, STATION, kind)
+    assert answers(order(flight, USER_2, 30.0)) == [(USER_2, DENIED)]
+    beat(flight, (7, 25), mavlink.MAV_TYPE_GCS)
+    assert answers(order(flight, USER_2, 30.0, sender=(7, 25))) == [(USER_2, ACCEPTED)]
+
+
+@pytest.mark.parametrize("sender", [(0, 190), (1, 190)])
+def test_no_heartbeat_makes_a_station_of_nobody_or_of_our_own_vehicle(sender: tuple[int, int]) -> None:
+    flight = airborne()
+    beat(flight, sender, mavlink.MAV_TYPE_GCS)
+    assert answers(order(flight, USER_2, 30.0, sender=sender)) == [(USER_2, DENIED)]
+
+
+def test_a_script_on_the_autopilot_may_bend_and_not_arm() -> None:
+    flight = airborne()
+    assert answers(order(flight, USER_2, 30.0, sender=(1, 1))) == [(USER_2, ACCEPTED)]
+    assert answers(order(flight, USER_4, ARM, sender=(1, 1))) == [(USER_4, DENIED)]

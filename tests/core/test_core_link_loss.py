@@ -1,0 +1,155 @@
+"""The link to the autopilot dies, or carries only part: who is alive, and what the pilot reads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+import pytest
+
+from flying_vines.config import config
+from flying_vines.config.config import Config
+from flying_vines.core.events import Action, Decision, LinkChanged
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.vehicle.notice import Notice
+from flying_vines.vehicle.state import HEARTBEAT_FRESH_S
+
+LOW, HIGH = 1000, 2000
+HEARTBEAT, RC_CHANNELS = 0, 65
+
+
+def bent(profile: Config | None = None, rc: bool = True) -> SimulatedFlight:
+    """At 10 m; the switch has bent the vine, or a person where this flight has no RC."""
+    autopilot = Autopilot("ardupilot", rc_failsafe_mode=None)
+    flight = SimulatedFlight(profile or config.default(), autopilot)
+    autopilot.set_rc(9, LOW)
+    flight.run(2.0)
+    autopilot.takeoff(10.0)
+    flight.run(8.0)
+    if rc:
+        autopilot.set_rc(9, HIGH)
+        flight.run(10.0)
+        assert flight.phlosar.cv_kPa > 15.0
+    return flight
+
+
+def holding(**losses: object) -> Config:
+    profile = config.default()
+    return msgspec.structs.replace(profile, losses=msgspec.structs.replace(profile.losses, **losses))
+
+
+def lives(flight: SimulatedFlight, for_s: float) -> list[Action]:
+    return flight.run(flight.world.now + for_s)
+
+
+def told(actions: Sequence[Action]) -> list[str]:
+    return [action.text for action in actions if isinstance(action, Notice)]
+
+
+def lost(actions: Sequence[Action]) -> list[str]:
+    return [str(action.what.get("loss")) for action in actions if isinstance(action, Decision)]
+
+
+def without(flight: SimulatedFlight, *message_ids: int) -> None:
+    """These no longer come; all others do."""
+    flight.from_autopilot = lambda frame: (
+        b"" if int.from_bytes(frame[7:10], "little") in message_ids else frame
+    )
+
+
+@pytest.mark.parametrize("for_s", [1.8, 4.0, 20.0])
+def test_a_silent_link_is_told_once_and_once_when_it_is_back(for_s: float) -> None:
+    flight = bent()
+    flight.autopilot.mute(for_s)
+    actions = lives(flight, for_s)
+    assert told(actions) == ["Vine: vehicle link silent, vented"]
+    assert lost(actions)[0] == "rc"
+    assert ("autopilot" in lost(actions)) == (for_s > 3.5), "it stays in the log"
+    assert flight.phlosar.cv_kPa < 1.0
+    assert told(lives(flight, 10.0)) == ["Vine: vehicle link is back, waiting for a fresh move"]
+
+
+def test_a_link_is_back_with_the_first_heartbeat() -> None:
+    """Frames prove the autopilot alive; after a long silence nobody knows yet whether it is armed."""
+    flight = bent()
+    flight.autopilot.mute(8.0)
+    lives(flight, 7.9)
+    without(flight, HEARTBEAT)
+    assert told(lives(flight, 3.0)) == []
+    without(flight)
+    assert told(lives(flight, 2.0)) == ["Vine: vehicle link is back, waiting for a fresh move"]
+
+
+def test_a_silent_link_is_told_again_when_the_vine_does_something_else() -> None:
+    flight = bent(holding(on_rc_loss="hold", hold_at_most_s=1.5))
+    flight.autopilot.mute(20.0)
+    texts = told(lives(flight, 20.0))
+    assert texts == ["Vine: vehicle link silent, holding", "Vine: vehicle link silent, vented"]
+
+
+def test_a_closed_link_is_told_as_such() -> None:
+    flight = bent()
+    flight.feed(LinkChanged(flight.world.now, "vehicle", False, "was unplugged"))
+    flight.from_autopilot = lambda frame: b""
+    assert told(lives(flight, 10.0)) == ["Vine: vehicle link closed, vented"]
+    flight.feed(LinkChanged(flight.world.now, "vehicle", True, ""))
+    assert told(lives(flight, 2.0)) == []
+    flight.from_autopilot = lambda frame: frame
+    assert told(lives(flight, 10.0)) == ["Vine: vehicle link is back, waiting for a fresh move"]
+
+
+def test_a_link_that_is_back_without_rc_says_so() -> None:
+    flight = bent()
+    flight.autopilot.mute(5.0)
+    lives(flight, 4.9)
+    without(flight, RC_CHANNELS)
+    assert told(lives(flight, 4.0)) == ["Vine: vehicle link is back, RC lost: no RC_CHANNELS yet"]
+    without(flight)
+    assert told(lives(flight, 2.0)) == ["Vine: RC is back, waiting for a fresh move"]
+
+
+def test_rc_that_stops_while_the_autopilot_speaks_is_no_dead_link() -> None:
+    flight = bent()
+    without(flight, RC_CHANNELS)
+    assert told(lives(flight, 4.0)) == ["Vine: RC lost: no RC_CHANNELS for 1 s, vented"]
+
+
+def test_a_switch_that_moved_while_the_link_was_dead_bends_nothing() -> None:
+    flight = bent()
+    flight.autopilot.mute(5.0)
+    lives(flight, 2.0)
+    flight.autopilot.set_rc(9, LOW)
+    lives(flight, 2.0)
+    flight.autopilot.set_rc(9, HIGH)
+    lives(flight, 6.0)
+    assert flight.phlosar.cv_kPa < 1.0
+
+
+def test_any_frame_of_the_autopilot_proves_it_alive() -> None:
+    """Heartbeats lost for four seconds are no lost autopilot while everything else comes."""
+    flight = bent()
+    without(flight, HEARTBEAT)
+    actions = lives(flight, 3.9)
+    without(flight)
+    assert told(actions) + told(lives(flight, 3.0)) == []
+    assert flight.phlosar.cv_kPa > 15.0
+
+
+def test_without_heartbeats_nobody_knows_whether_it_is_armed_and_the_vine_vents() -> None:
+    flight = bent()
+    began_s = flight.world.now
+    without(flight, HEARTBEAT)
+    actions = lives(flight, HEARTBEAT_FRESH_S + 1.5)
+    assert told(actions) == ["Vine: no HEARTBEAT, armed or not is unknown, vented"]
+    (decision,) = (action for action in actions if isinstance(action, Decision))
+    assert HEARTBEAT_FRESH_S - 1.1 < decision.t - began_s < HEARTBEAT_FRESH_S + 0.2
+    flight.autopilot.set_rc(9, LOW)
+    lives(flight, 1.0)
+    flight.autopilot.set_rc(9, HIGH)
+    refused = [text for text in told(lives(flight, 1.0)) if "refused" in text]
+    assert len(refused) == 1
+    assert refused[0].endswith(": no HEARTBEAT, armed or not is unknown")
+    assert flight.phlosar.cv_kPa < 1.0
+    without(flight)
+    assert told(lives(flight, 2.0)) == ["Vine: autopilot is back"]

@@ -1,0 +1,107 @@
+"""Bench mode: a person tries the vine on the ground, and what ends that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from flying_vines.config import config
+from flying_vines.core import core
+from flying_vines.core.events import Action, Asked, Decision
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.vehicle.notice import Notice
+from flying_vines.vine.intent import BendTo, Intent, SetPressure, StartBench, StopBench
+
+LOW, HIGH = 1000, 2000
+
+
+def on_the_ground() -> SimulatedFlight:
+    """Autopilot, RC and phloSAR are there, the switch is low."""
+    autopilot = Autopilot("ardupilot")
+    autopilot.set_rc(9, LOW)
+    flight = SimulatedFlight(config.default(), autopilot)
+    flight.run(4.0)
+    return flight
+
+
+def ask(flight: SimulatedFlight, intent: Intent) -> Decision:
+    (decision,) = (a for a in flight.feed(Asked(flight.world.now, "page", intent)) if isinstance(a, Decision))
+    return decision
+
+
+def run_for(flight: SimulatedFlight, seconds: float) -> list[Action]:
+    return flight.run(flight.world.now + seconds)
+
+
+def bent_on_the_bench() -> SimulatedFlight:
+    flight = on_the_ground()
+    assert ask(flight, StartBench()).safety == "accepted"
+    assert ask(flight, BendTo(30.0)).safety == "accepted"
+    run_for(flight, 1.5)
+    assert flight.phlosar.cv_kPa > 8.0
+    return flight
+
+
+def notices(actions: Sequence[Action]) -> list[str]:
+    return [a.text for a in actions if isinstance(a, Notice)]
+
+
+def vented(flight: SimulatedFlight) -> bool:
+    return flight.phlosar.cv_kPa < 1.0 and flight.core.snapshot(flight.world.now).doing == "vented"
+
+
+def test_on_the_ground_nothing_bends_without_it() -> None:
+    flight = on_the_ground()
+    refused = ask(flight, SetPressure(5.0))
+    assert (refused.safety, refused.reason) == ("refused", "the page bends in bench mode only")
+
+
+def test_an_armed_vehicle_is_on_no_bench() -> None:
+    flight = on_the_ground()
+    flight.autopilot.takeoff(5.0)
+    run_for(flight, 1.0)
+    refused = ask(flight, StartBench())
+    assert (refused.safety, refused.reason) == ("refused", "the vehicle is armed")
+
+
+def test_arming_ends_it_and_vents() -> None:
+    flight = bent_on_the_bench()
+    flight.autopilot.takeoff(5.0)
+    told = notices(run_for(flight, 2.0))
+    assert "Vine: bench mode over, the vehicle is armed: vented" in told
+    assert vented(flight)
+
+
+def test_it_ends_when_it_is_left() -> None:
+    flight = bent_on_the_bench()
+    assert ask(flight, StopBench()).safety == "accepted"
+    run_for(flight, 1.0)
+    assert vented(flight)
+    assert ask(flight, BendTo(30.0)).safety == "refused"
+
+
+def test_it_ends_when_nobody_asks_any_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(core, "BENCH_S", 4.0)
+    flight = on_the_ground()
+    ask(flight, StartBench())
+    run_for(flight, 3.0)
+    assert ask(flight, BendTo(30.0)).safety == "accepted"
+    assert not any("bench mode over" in text for text in notices(run_for(flight, 3.5)))
+    assert flight.core.snapshot(flight.world.now).bench
+    told = notices(run_for(flight, 1.5))
+    assert "Vine: bench mode over, nobody asked for anything: vented" in told
+    assert vented(flight)
+
+
+@pytest.mark.parametrize("how", ["frozen", "jump"])
+def test_rc_that_goes_off_vents_and_is_not_said_to_be_back(how: str) -> None:
+    flight = bent_on_the_bench()
+    flight.autopilot.lose_rc(how)  # type: ignore[arg-type]
+    told = notices(run_for(flight, 3.0))
+    assert any("RC lost" in text for text in told)
+    assert "Vine: going on without RC, waiting for a fresh move" in told
+    assert not any("RC is back" in text for text in told)
+    assert vented(flight)
+    assert ask(flight, BendTo(30.0)).safety == "accepted", "who has no RC on the bench may bend by the page"

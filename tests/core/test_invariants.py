@@ -1,0 +1,490 @@
+"""What must never happen, held by a referee: in flights that hypothesis thinks up, and in ones that cheat.
+
+The referee is only worth something if it sees what it should: below, services and firmware that do each of
+the forbidden things are caught by it, in flights in which the real ones are not.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import random
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import note, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from needed import needs_compiler
+
+from firmware_link import host, protocol
+from firmware_link.protocol import Fault, Hello, Setpoint, Vent
+from flying_vines.config.config import Config
+from flying_vines.core.core import Core
+from flying_vines.core.events import Action, Decision, Event, Tick
+from flying_vines.core.safety import Entered, Left, Ruling
+from flying_vines.simulation.autopilot import Kind, RcSource
+from flying_vines.simulation.autopilot.receiver import LOSSES
+from flying_vines.simulation.phlosar.firmware import Drive, Firmware, FirmwareSettings
+from flying_vines.simulation.phlosar.mishaps import DRAWN, PLACES, Filled, StuckAt
+from flying_vines.vehicle.triggers import Trigger
+from flying_vines.vine.intent import BendTo, StartProfile
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+
+from faults_flight import PULSES_US, SWITCH, RefereedFlight, Setup
+from faults_script import draw, fly
+
+# Cheats, and the flights that show them up.
+
+
+class RcBackAndOn(Core):
+    """Takes up again what it did before RC was lost."""
+
+    def _enter(self, t: float, change: Entered) -> None:
+        if self._motion is not None:
+            self._before = self._motion
+        super()._enter(t, change)
+
+    def _leave(self, t: float, change: Left) -> None:
+        super()._leave(t, change)
+        self._motion = self._before
+
+
+class NothingWasSaid(Core):
+    """Moves on its own."""
+
+    def handle(self, event: Event) -> list[Action]:
+        actions = super().handle(event)
+        if isinstance(event, Tick) and event.t == pytest.approx(9.0):
+            self._decide(event.t, Trigger(event.t, "none", {}, StartProfile("bend-full")))
+        return actions
+
+
+class BlindToSafety(Core):
+    """Goes on whatever safety says."""
+
+    def _enter(self, t: float, change: Entered) -> None:
+        pass
+
+
+class SwitchRemembers(Core):
+    """Believes a switch that was moved while nobody saw it."""
+
+    def __init__(self, profile: Config) -> None:
+        super().__init__(profile)
+        self._vehicle.switch.lose = lambda: None  # type: ignore[method-assign]
+
+
+class ResetAndOn(Core):
+    """A board that restarted is given back what it did."""
+
+    def _on_firmware(self, t: float, message: protocol.Message) -> None:
+        before = self._motion
+        super()._on_firmware(t, message)
+        if before is not None and "firmware_reset" in self._safety.reasons:
+            self._again = before
+        if self._firmware.state is host.SessionState.READY and hasattr(self, "_again"):
+            self._safety._latched.clear()
+            self._motion = self._again
+
+
+class HoldsByGoingOn(Core):
+    """On RC loss it does not hold the vine where it is, but finishes what it does."""
+
+    def _freeze(self, t: float) -> None:
+        pass
+
+
+class TooFar(Core):
+    """Knows no limits."""
+
+    def __init__(self, profile: Config) -> None:
+        limits = msgspec.structs.replace(profile.limits, max_kPa=24.0)
+        vine = msgspec.structs.replace(profile.vine, curve=((0.0, 0.0), (24.0, 60.0)))
+        super().__init__(msgspec.structs.replace(profile, limits=limits, vine=vine))
+
+
+class NeedsNobody(Core):
+    """Clears what has latched as soon as it can."""
+
+    def _on_tick(self, t: float) -> None:
+        self._clear_faults(t)
+        super()._on_tick(t)
+
+
+class NeverStraight(Core):
+    """Does not hear of it."""
+
+    def _decide(self, t: float, trigger: Trigger) -> Decision:
+        if trigger.intent == StartProfile("straight"):
+            return self._record(t, trigger, Ruling("accepted"))
+        return super()._decide(t, trigger)
+
+
+class DeafToTheSwitch(Core):
+    """Says that it bends the vine."""
+
+    def _decide(self, t: float, trigger: Trigger) -> Decision:
+        if trigger.what.get("position"):
+            return self._record(t, trigger, Ruling("accepted"))
+        return super()._decide(t, trigger)
+
+
+class OtherNumbers(Core):
+    """Bends the vine by half of what was asked for."""
+
+    def _decide(self, t: float, trigger: Trigger) -> Decision:
+        if isinstance(trigger.intent, BendTo):
+            trigger = dataclasses.replace(trigger, intent=BendTo(trigger.intent.angle_deg / 2))
+        return super()._decide(t, trigger)
+
+
+class LateDeadMan(Firmware):
+    """Its dead-man waits for 400 ms, whatever the time-to-live."""
+
+    def _on_setpoint(self, setpoint: Setpoint) -> None:
+        super()._on_setpoint(setpoint)
+        assert self._now_us is not None
+        self._deadline_us = self._now_us + 400_000
+
+
+class NoLimit(Firmware):
+    """Over-pressure, wherever it is, is nothing to it."""
+
+    def _latch(self, fault: Fault) -> None:
+        if fault is Fault.DEAD_MAN:
+            super()._latch(fault)
+
+
+class StuckInRegulation(Firmware):
+    """Does not hear that it is to vent."""
+
+    def _handle(self, message: protocol.Message) -> None:
+        if not isinstance(message, Vent):
+            super()._handle(message)
+
+
+class ForgetsItsDeadMan(Firmware):
+    """Vents when its dead-man runs out, but does not latch it; so the next setpoint goes on."""
+
+    def _latch(self, fault: Fault) -> None:
+        self._regulation = None
+
+
+class OpensAtPowerUp(Firmware):
+    """Puffs once when it is greeted."""
+
+    _greetings = 0
+
+    def _on_hello(self, hello: Hello) -> None:
+        super()._on_hello(hello)
+        self._greetings += 1
+
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+        drive = super().step(now_us, cv_kPa, reservoir_kPa)
+        if self._greetings:
+            self._greetings = 0
+            return Drive(1.0, 0.0, False)
+        return drive
+
+
+def airborne(flight: RefereedFlight) -> None:
+    flight.run(1.5)
+    flight.take_off()
+    flight.run(4.0)
+
+
+def bent(flight: RefereedFlight) -> None:
+    airborne(flight)
+    flight.move_switch(2)
+    flight.run(1.0)
+
+
+def lose_rc_for_a_while(flight: RefereedFlight) -> None:
+    bent(flight)
+    flight.lose_rc("jump")
+    flight.run(1.5)
+    flight.return_rc()
+    flight.run(1.5)
+
+
+def lose_rc_while_bending(flight: RefereedFlight) -> None:
+    airborne(flight)
+    flight.press(3)
+    flight.run(0.2)
+    flight.lose_rc("jump")
+    flight.run(3.0)
+    flight.return_rc()
+    flight.run(1.0)
+
+
+def do_nothing(flight: RefereedFlight) -> None:
+    airborne(flight)
+    flight.run(4.5)
+
+
+def bend_by_a_number(flight: RefereedFlight) -> None:
+    airborne(flight)
+    flight.bend_to(40.0)
+    flight.run(2.0)
+
+
+def disarm(flight: RefereedFlight) -> None:
+    bent(flight)
+    flight.disarm()
+    flight.run(2.0)
+
+
+def move_unseen(flight: RefereedFlight) -> None:
+    airborne(flight)
+    flight.lose_rc("jump")
+    flight.run(1.5)
+    flight.move_switch(2)
+    flight.run(0.5)
+    flight.return_rc()
+    flight.run(2.0)
+
+
+def reset_board(flight: RefereedFlight) -> None:
+    bent(flight)
+    flight.phlosar.reset_firmware()
+    flight.run(1.5)
+
+
+def cut(flight: RefereedFlight) -> None:
+    bent(flight)
+    flight.cut_commands()
+    flight.run(1.0)
+    flight.mend_line()
+    flight.run(1.0)
+
+
+def cut_and_ask_again(flight: RefereedFlight) -> None:
+    cut(flight)
+    flight.press(4)
+    flight.run(0.5)
+
+
+def stay_bent(flight: RefereedFlight) -> None:
+    bent(flight)
+    flight.run(3.0)
+
+
+def cut_while_bending(flight: RefereedFlight) -> None:
+    """The switch asks for more while nothing is heard at the board."""
+    airborne(flight)
+    flight.move_switch(1)
+    flight.run(1.0)
+    flight.cut_commands()
+    flight.run(0.27)
+    flight.mend_line()
+    flight.run(1.0)
+
+
+def overfill(flight: RefereedFlight) -> None:
+    bent(flight)
+    flight.befall("bottle", Filled(800.0))
+    flight.run(0.5)
+
+
+def straighten(flight: RefereedFlight) -> None:
+    """In the middle of a wave, which goes on bending it."""
+    airborne(flight)
+    flight.press(3)
+    flight.run(0.5)
+    flight.press(0)
+    flight.run(3.0)
+
+
+@dataclass(frozen=True)
+class Cheat:
+    flown: Callable[[RefereedFlight], None]
+    rules: set[str]
+    """Any of these is called."""
+    core: Callable[[Config], Core] = Core
+    board: type[Firmware] = Firmware
+    setup: Setup = field(default_factory=Setup)
+
+
+CHEATS = [
+    Cheat(lose_rc_for_a_while, {"trigger"}, core=RcBackAndOn),
+    Cheat(do_nothing, {"trigger"}, core=NothingWasSaid),
+    Cheat(disarm, {"safe state"}, core=BlindToSafety),
+    Cheat(lose_rc_for_a_while, {"safe state"}, core=BlindToSafety),
+    Cheat(move_unseen, {"trigger"}, core=SwitchRemembers),
+    Cheat(reset_board, {"resumed"}, core=ResetAndOn),
+    Cheat(cut_and_ask_again, {"resumed"}, core=NeedsNobody),
+    Cheat(straighten, {"safe state"}, core=NeverStraight),
+    Cheat(stay_bent, {"missed"}, core=DeafToTheSwitch),
+    Cheat(bend_by_a_number, {"numbers"}, core=OtherNumbers),
+    Cheat(stay_bent, {"trigger"}, core=BlindToSafety, setup=Setup(max_bent_s=2.0)),
+    Cheat(lose_rc_while_bending, {"resumed"}, HoldsByGoingOn, setup=Setup(holds=True)),
+    Cheat(bent, {"limits"}, core=TooFar),
+    Cheat(cut, {"dead-man"}, board=LateDeadMan),
+    Cheat(overfill, {"firmware's limits"}, board=NoLimit),
+    Cheat(lose_rc_for_a_while, {"trigger"}, board=StuckInRegulation),
+    Cheat(cut_while_bending, {"resumed"}, board=ForgetsItsDeadMan),
+    Cheat(do_nothing, {"trigger"}, board=OpensAtPowerUp),
+]
+
+
+@pytest.mark.parametrize("cheat", CHEATS, ids=lambda c: f"{c.core.__name__}-{c.board.__name__}")
+def test_the_referee_sees_who_cheats(cheat: Cheat) -> None:
+    cheating = RefereedFlight(cheat.setup, cheat.core, cheat.board())
+    cheat.flown(cheating)
+    assert cheat.rules & {foul.rule for foul in cheating.fouls}, cheating.timeline
+
+
+@pytest.mark.parametrize(
+    "cheat", {cheat.flown: cheat for cheat in CHEATS}.values(), ids=lambda c: c.flown.__name__
+)
+def test_who_does_not_cheat_has_no_foul(cheat: Cheat) -> None:
+    flight = RefereedFlight(cheat.setup, board=Firmware())
+    cheat.flown(flight)
+    assert flight.fouls == []
+
+
+def test_a_limit_that_is_too_high_is_seen_at_the_vine() -> None:
+    """The true pressure is over the firmware's limit, and to mend what is whole has excused nothing."""
+    flight = RefereedFlight(Setup(), board=Firmware(FirmwareSettings(cv_limit_kPa=60.0)))
+    bent(flight)
+    flight.heal("bottle")
+    flight.phlosar.mishaps.evp = StuckAt(1.0)
+    flight.phlosar.mishaps.solenoid = StuckAt(0.0)
+    flight.run(0.5)
+    assert "over the limit" in {foul.rule for foul in flight.fouls}
+
+
+# Flights that hypothesis thinks up.
+
+
+class AnyFlight(RuleBasedStateMachine):
+    """Everybody does what they like, and everything breaks; after each of it the referee is asked."""
+
+    @initialize(receiver=st.sampled_from(sorted(LOSSES)), holds=st.booleans())
+    def take_off(self, receiver: RcSource, holds: bool) -> None:
+        autopilot: Kind = "ardupilot" if receiver == "pulses" else "px4"
+        self.flight = RefereedFlight(Setup(autopilot, receiver=receiver, holds=holds))
+        self.rc_lost = self.unplugged = self.link_closed = self.overridden = False
+        airborne(self.flight)
+
+    @rule(seconds=st.floats(0.05, 2.0))
+    def wait(self, seconds: float) -> None:
+        self.flight.run(seconds)
+
+    @rule(position=st.integers(0, 2))
+    def move_the_switch(self, position: int) -> None:
+        self.flight.move_switch(position)
+        self.flight.run(0.3)
+
+    @rule(code=st.integers(0, 5), angle_deg=st.floats(0.0, 60.0))
+    def press_a_button(self, code: int, angle_deg: float) -> None:
+        self.flight.press(code, angle_deg)
+        self.flight.run(0.2)
+
+    @rule(verb=st.sampled_from(["vent", "hold", "clear_faults", "calibrate", "take_off", "land", "disarm"]))
+    def ask(self, verb: str) -> None:
+        getattr(self.flight, verb)()
+        self.flight.run(0.2)
+
+    @precondition(lambda self: self.flight.setup.receiver != "joystick")
+    @rule(jumps=st.booleans(), preset_us=st.none() | st.sampled_from(PULSES_US))
+    def rc_is_lost_or_returns(self, jumps: bool, preset_us: int | None) -> None:
+        if self.rc_lost:
+            self.flight.return_rc()
+        else:
+            how = LOSSES[self.flight.autopilot.receiver.source][-1 if jumps else 0]
+            # On ArduPilot a preset that leaves the throttle alone is seen by nobody.
+            unseen = self.flight.setup.autopilot == "ardupilot" or preset_us is None
+            self.flight.lose_rc(how, None if unseen else {SWITCH: preset_us or 0})
+        self.rc_lost = not self.rc_lost
+
+    @precondition(lambda self: self.flight.setup.autopilot == "ardupilot")
+    @rule(position=st.integers(0, 2))
+    def a_ground_station_overrides_rc_or_ceases_to(self, position: int) -> None:
+        if self.overridden:
+            self.flight.stop_override()
+        else:
+            self.flight.override(position)
+        self.overridden = not self.overridden
+
+    @rule(seconds=st.floats(0.1, 4.0), both_ways=st.booleans())
+    def the_vehicle_link_stalls(self, seconds: float, both_ways: bool) -> None:
+        self.flight.stall_vehicle_link(seconds, both_ways)
+
+    @rule()
+    def the_vehicle_link_closes_or_opens(self) -> None:
+        if self.link_closed:
+            self.flight.open_vehicle_link()
+        else:
+            self.flight.close_vehicle_link()
+        self.link_closed = not self.link_closed
+
+    @rule(seconds=st.floats(0.1, 4.0))
+    def the_autopilot_is_silent(self, seconds: float) -> None:
+        self.flight.mute(seconds)
+
+    @rule()
+    def the_serial_line_is_unplugged_or_plugged_in(self) -> None:
+        if self.unplugged:
+            self.flight.plug_in()
+        else:
+            self.flight.unplug()
+        self.unplugged = not self.unplugged
+
+    @rule(share=st.sampled_from([0.0, 0.2, 0.6]))
+    def the_serial_line_is_noisy(self, share: float) -> None:
+        self.flight.spoil_line(share)
+
+    @rule()
+    def the_companion_dies_or_starts(self) -> None:
+        if self.flight.companion_lives:
+            self.flight.kill_companion()
+        else:
+            self.flight.start_companion()
+
+    @precondition(lambda self: self.flight.companion_lives)
+    @rule(seconds=st.floats(0.1, 2.0))
+    def the_companion_stalls(self, seconds: float) -> None:
+        self.flight.stall_companion(seconds)
+
+    @rule(which=st.integers(0, len(DRAWN) - 1), seed=st.integers(0, 1000))
+    def something_breaks(self, which: int, seed: int) -> None:
+        place, make = DRAWN[which]
+        self.flight.befall(place, make(random.Random(seed)))
+        self.flight.run(0.2)
+
+    @rule(place=st.sampled_from(sorted(PLACES)))
+    def it_is_mended(self, place: str) -> None:
+        self.flight.heal(place)
+
+    @invariant()
+    def nobody_fouls(self) -> None:
+        if self.flight.fouls:
+            for t, text in self.flight.timeline:
+                note(f"{t:7.3f} {text}")
+        assert self.flight.fouls == []
+
+
+@needs_compiler
+class TestAnyFlight(AnyFlight.TestCase):  # type: ignore[misc, valid-type]
+    settings = settings(max_examples=10, stateful_step_count=40, derandomize=True)
+
+
+@needs_compiler
+@pytest.mark.parametrize("seed", [1, 2, 3, 5641])
+def test_flights_of_the_campaign(seed: int) -> None:
+    """A few of those that benchmarks/faults.py flies by the thousand."""
+    outcome = fly(draw(seed))
+    assert outcome.fouls == (), outcome.timeline
+
+
+@needs_compiler
+def test_a_flight_is_the_same_each_time() -> None:
+    assert draw(11) == draw(11)
+    assert draw(11) != draw(12)
+    assert fly(draw(11)) == fly(draw(11))

@@ -1,0 +1,319 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_link.protocol import Fault
+from flying_vines.config import config
+from flying_vines.config.config import Config
+from flying_vines.core.safety import Conditions, Demand, Entered, Left, Safety
+
+FLYING = Conditions(
+    armed=True,
+    altitude_m=10.0,
+    autopilot_age_s=0.2,
+    firmware_ready=True,
+    firmware_was_ready=True,
+    telemetry_age_s=0.01,
+    cv_kPa=0.0,
+    reservoir_kPa=600.0,
+)
+BENT = dataclasses.replace(FLYING, moving=True, moving_s=5.0, cv_kPa=20.0)
+BEND = Demand(releases=False, peak_kPa=20.0, wanted_kPa=20.0, spending_kPa=5.0, floor_kPa=120.0)
+RELEASE = Demand(releases=True)
+
+
+def safety(**tables: object) -> Safety:
+    base: Config = config.default()
+    return Safety(msgspec.structs.replace(base, **tables))
+
+
+def but(conditions: Conditions, **changes: object) -> Conditions:
+    return dataclasses.replace(conditions, **changes)  # type: ignore[arg-type]
+
+
+def test_a_good_flight_bends() -> None:
+    machine = safety()
+    assert machine.watch(0.0, FLYING) == []
+    assert machine.judge(BEND, FLYING).verdict == "accepted"
+
+
+LOSSES: dict[str, dict[str, object]] = {
+    "rc": {"rc_problem": "no RC_CHANNELS for 1 s"},
+    "autopilot": {"autopilot_age_s": 3.1},
+    "serial": {"firmware_ready": False},
+    "telemetry": {"telemetry_age_s": 0.31},
+    "firmware_fault": {"faults": Fault.DEAD_MAN},
+}
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_each_loss_vents_once_refuses_and_ends(name: str) -> None:
+    machine = safety()
+    lost = but(BENT, **LOSSES[name])
+    (entered,) = machine.watch(1.0, lost)
+    assert isinstance(entered, Entered)
+    assert (entered.name, entered.response) == (name, "vent")
+    assert entered.reason
+    assert machine.watch(2.0, lost) == []
+    ruling = machine.judge(BEND, lost)
+    assert ruling.verdict == "refused"
+    assert entered.reason in ruling.reason
+    assert machine.judge(RELEASE, lost).verdict == "accepted"
+    assert machine.watch(3.0, FLYING) == [Left(name)]
+    assert machine.judge(BEND, FLYING).verdict == "accepted"
+
+
+def test_telemetry_of_unknown_age_is_stale() -> None:
+    machine = safety()
+    assert machine.judge(BEND, but(FLYING, telemetry_age_s=math.inf)).verdict == "refused"
+    assert machine.judge(BEND, but(FLYING, telemetry_age_s=math.nan)).verdict == "refused"
+
+
+LIMITS: dict[str, dict[str, object]] = {
+    "reservoir": {"reservoir_kPa": 39.0},
+    "disarmed": {"armed": False},
+    "altitude": {"altitude_m": 1.4},
+    "duration": {"moving_s": 121.0},
+}
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_each_limit_vents_a_bent_vine_once(name: str) -> None:
+    machine = safety()
+    (entered,) = machine.watch(1.0, but(BENT, **LIMITS[name]))
+    assert isinstance(entered, Entered)
+    assert (entered.name, entered.response) == (name, "vent")
+    vented = but(FLYING, **LIMITS[name])
+    assert machine.watch(1.1, vented) == []
+    assert machine.reasons == {}
+
+
+def test_a_lost_altitude_vents_a_bent_vine() -> None:
+    (entered,) = safety().watch(1.0, but(BENT, altitude_m=None))
+    assert isinstance(entered, Entered)
+    assert entered.name == "altitude"
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"armed": False}, "not armed"),
+        ({"altitude_m": None}, "altitude not known"),
+        ({"altitude_m": 1.9}, "below 2 m"),
+        ({"autopilot_age_s": None}, "no autopilot"),
+        ({"firmware_ready": False, "firmware_was_ready": False}, "not connected"),
+        ({"reservoir_kPa": 64.0}, "bottle at 64 kPa, needs 65"),
+        ({"reservoir_kPa": math.nan}, "bottle at nan"),
+    ],
+)
+def test_interlocks_refuse_with_a_reason(change: dict[str, object], reason: str) -> None:
+    machine = safety()
+    now = but(FLYING, **change)
+    machine.watch(0.0, now)
+    ruling = machine.judge(BEND, now)
+    assert ruling.verdict == "refused"
+    assert reason in ruling.reason
+
+
+def test_bench_mode_needs_no_flight() -> None:
+    machine = safety(interlocks=config.Interlocks(bench_mode=True))
+    bench = but(FLYING, armed=False, altitude_m=None, autopilot_age_s=None)
+    machine.watch(0.0, bench)
+    assert machine.judge(BEND, bench).verdict == "accepted"
+    assert machine.watch(0.1, but(bench, moving=True)) == []
+
+
+def test_a_weak_bottle_bends_slower() -> None:
+    ruling = safety().judge(BEND, but(FLYING, reservoir_kPa=80.0))
+    assert ruling.verdict == "limited"
+    assert ruling.rate_scale == pytest.approx((80.0 - 20.0) / 120.0)
+
+
+def test_overpressure_latches_until_a_person_clears_it_and_it_is_gone() -> None:
+    machine = safety()
+    high = but(BENT, cv_kPa=25.5)
+    (entered,) = machine.watch(0.0, high)
+    assert isinstance(entered, Entered)
+    assert entered.name == "overpressure"
+    assert machine.clear(high) == []
+    assert machine.watch(1.0, FLYING) == []
+    assert machine.judge(BEND, FLYING).verdict == "refused"
+    assert machine.clear(FLYING) == ["overpressure"]
+    assert machine.judge(BEND, FLYING).verdict == "accepted"
+
+
+def test_a_physics_check_latches_until_a_person_clears_it_and_it_is_over() -> None:
+    machine = safety()
+    wrong = but(BENT, physics={"venting": "not venting: outlet, line or sensor"})
+    (entered,) = machine.watch(0.0, wrong)
+    assert entered == Entered("venting", "not venting: outlet, line or sensor", "vent")
+    assert machine.watch(0.1, wrong) == []
+    assert machine.clear(wrong) == []
+    assert machine.watch(1.0, FLYING) == []
+    ruling = machine.judge(BEND, FLYING)
+    assert (ruling.verdict, ruling.reason) == ("refused", "not venting: outlet, line or sensor")
+    assert machine.judge(RELEASE, FLYING).verdict == "accepted"
+    assert machine.clear(FLYING) == ["venting"]
+    assert machine.judge(BEND, FLYING).verdict == "accepted"
+
+
+def test_hold_ends_in_venting() -> None:
+    losses = config.Losses(on_rc_loss="hold", hold_at_most_s=30.0)
+    machine = safety(losses=losses)
+    lost = but(BENT, rc_problem="silent")
+    (entered,) = machine.watch(0.0, lost)
+    assert isinstance(entered, Entered)
+    assert entered.response == "hold"
+    machine.watch(20.0, lost)
+    machine.triggered()  # to let some of the air out: that is no reason to hold the rest for longer
+    assert machine.watch(29.9, lost) == []
+    (entered,) = machine.watch(30.1, lost)
+    assert isinstance(entered, Entered)
+    assert entered.response == "vent"
+    assert machine.watch(40.0, lost) == []
+
+
+def test_losses_that_come_and_go_are_not_held_longer_than_one() -> None:
+    machine = safety(losses=config.Losses(on_rc_loss="hold", hold_at_most_s=5.0))
+    lost = but(BENT, rc_problem="silent")
+    for second in range(0, 8, 2):
+        (entered,) = machine.watch(float(second), lost)
+        assert isinstance(entered, Entered) and entered.response == "hold"
+        (left,) = machine.watch(second + 1.0, BENT)
+        assert left == Left("rc")
+    # Four of the five seconds are used up.
+    machine.watch(8.0, lost)
+    assert machine.watch(8.98, lost) == []
+    (entered,) = machine.watch(9.0, lost)
+    assert isinstance(entered, Entered) and entered.response == "vent"
+    machine.watch(9.1, BENT)
+    (entered,) = machine.watch(9.2, lost)
+    assert isinstance(entered, Entered) and entered.response == "vent", "nobody has asked for it again"
+    machine.watch(9.3, BENT)
+    machine.triggered()
+    (entered,) = machine.watch(9.4, lost)
+    assert isinstance(entered, Entered) and entered.response == "hold"
+
+
+def test_a_lost_autopilot_is_never_held() -> None:
+    """Altitude and armed are lost with it."""
+    machine = safety(losses=config.Losses(on_rc_loss="hold"))
+    (entered,) = machine.watch(0.0, but(BENT, autopilot_age_s=3.1))
+    assert isinstance(entered, Entered) and entered.response == "vent"
+
+
+def test_faults_that_came_after_what_was_seen_stay() -> None:
+    machine = safety()
+    machine.watch(1.0, but(FLYING, cv_kPa=25.5))
+    machine.watch(1.1, FLYING)
+    machine.watch(2.0, but(FLYING, physics={"venting": "not venting"}))
+    machine.watch(2.1, FLYING)
+    assert machine.clear(FLYING, seen_at=0.9) == []
+    assert machine.clear(FLYING, seen_at=1.9) == ["overpressure"]
+    assert machine.clear(FLYING, seen_at=2.0) == ["venting"]
+
+
+def test_a_fault_that_comes_again_was_not_seen() -> None:
+    machine = safety()
+    for t in (1.0, 3.0):
+        machine.watch(t, but(FLYING, cv_kPa=25.5))
+        machine.watch(t + 0.1, FLYING)
+    assert machine.clear(FLYING, seen_at=2.0) == []
+    assert machine.clear(FLYING, seen_at=3.0) == ["overpressure"]
+
+
+def test_the_firmwares_faults_are_seen_from_the_last_new_one_on() -> None:
+    machine = safety()
+    machine.watch(1.0, but(FLYING, faults=Fault.DEAD_MAN))
+    machine.watch(2.0, but(FLYING, faults=Fault.DEAD_MAN | Fault.SUPPLY))
+    machine.watch(3.0, but(FLYING, faults=Fault.SUPPLY))
+    assert not machine.firmware_faults_seen(1.9)
+    assert machine.firmware_faults_seen(2.0)
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(["rc", "no rc", "trigger"]), st.floats(0.02, 8.0)), min_size=1, max_size=40
+    )
+)
+def test_no_losses_stretch_what_may_be_held_or_bent(history: list[tuple[str, float]]) -> None:
+    """A vine as the core moves it: a loss holds or vents, a trigger bends where nothing is lost."""
+    held_at_most_s, bent_at_most_s, tick_s = 3.0, 12.0, 0.02
+    machine = safety(
+        losses=config.Losses(on_rc_loss="hold", hold_at_most_s=held_at_most_s),
+        limits=config.Limits(max_bent_s=bent_at_most_s),
+    )
+    tick, lost, bent, held_s = 0, False, False, 0.0
+    triggered_at = 0.0
+    for what, lasts_s in history:
+        lost = what == "no rc" or (lost and what == "trigger")
+        if what == "trigger" and not lost:
+            bent, held_s, triggered_at = True, 0.0, tick * tick_s
+            machine.triggered()
+        for _ in range(max(1, int(lasts_s / tick_s))):
+            t = tick * tick_s
+            now = but(
+                BENT if bent else FLYING,
+                rc_problem="silent" if lost else None,
+                moving_s=t - triggered_at if bent else 0.0,
+            )
+            for change in machine.watch(t, now):
+                bent = bent and not (isinstance(change, Entered) and change.response == "vent")
+            tick += 1
+            if bent:
+                held_s += tick_s if lost else 0.0
+                assert held_s <= held_at_most_s + 0.1
+                assert tick * tick_s - triggered_at <= bent_at_most_s + 0.1
+
+
+CONDITIONS = st.builds(
+    Conditions,
+    armed=st.booleans(),
+    altitude_m=st.none() | st.floats(-5, 50),
+    rc_problem=st.none() | st.just("silent"),
+    autopilot_age_s=st.none() | st.floats(0, 10),
+    firmware_ready=st.booleans(),
+    firmware_was_ready=st.booleans(),
+    telemetry_age_s=st.floats(0, 1) | st.just(math.inf),
+    faults=st.sampled_from([Fault.NONE, Fault.CV_SENSOR, Fault.DEAD_MAN | Fault.CV_OVERPRESSURE]),
+    cv_kPa=st.floats(-5, 40) | st.just(math.nan),
+    reservoir_kPa=st.floats(-5, 800) | st.just(math.nan),
+    moving=st.booleans(),
+    moving_s=st.floats(0, 200),
+    physics=st.sampled_from([{}, {}, {"filling": "not filling"}]),
+)
+
+
+@given(st.lists(CONDITIONS, min_size=1, max_size=30), st.data())
+def test_never_a_bend_while_anything_is_wrong(history: list[Conditions], data: st.DataObject) -> None:
+    machine = safety()
+    latched = False
+    for i, now in enumerate(history):
+        machine.watch(float(i), now)
+        present = now.cv_kPa > 25.0 or bool(now.physics)
+        latched = latched or present
+        if data.draw(st.booleans()):
+            machine.clear(now)
+            latched = latched and present
+        accepted = machine.judge(BEND, now).verdict != "refused"
+        fit = (
+            now.armed
+            and now.altitude_m is not None
+            and now.altitude_m >= 2.0
+            and now.rc_problem is None
+            and now.autopilot_age_s is not None
+            and now.autopilot_age_s <= 3.0
+            and now.firmware_ready
+            and now.telemetry_age_s <= 0.3
+            and not now.faults
+            and not latched
+            and now.reservoir_kPa >= 65.0
+        )
+        assert accepted == fit
+        assert machine.judge(RELEASE, now).verdict == "accepted"

@@ -1,0 +1,60 @@
+"""The catalogue: what every cause must be."""
+
+from __future__ import annotations
+
+import inspect
+
+import pytest
+
+from flying_vines.identification.cause import Cause
+from flying_vines.identification.causes import catalogue
+from flying_vines.physics.plant.causes import CAUSES
+
+TABLE = {
+    "reservoir_leak": "flow_resistance_kPa_s_per_SL",
+    "cv_leak": "flow_resistance_kPa_s_per_SL",
+    "compressible_flow": "critical_pressure_ratio",
+    "reservoir_cooling": "time_constant_s",
+    "cv_heating": "time_constant_s",
+    "cv_compliance": "per_kPa",
+    "dead_volume": "volume_L",
+    "reservoir_volume": "scale",
+    "evp_restriction": "scale",
+    "evp_dead_zone": "opening",
+    "evp_hysteresis": "width",
+    "evp_lag": "time_constant_s",
+    "line_delay": "delay_s",
+    "solenoid_slow_close": "delay_s",
+    "venturi_stall": "supply_pressure_kPa",
+    "cv_sensor_lag": "time_constant_s",
+    "cv_sensor_offset": "offset_kPa",
+    "cv_sensor_gain": "gain",
+    "reservoir_sensor_offset": "offset_kPa",
+    "reservoir_sensor_gain": "gain",
+    "ambient_drop": "rate_kPa_per_s",
+}
+"""Of the rig-data format."""
+
+
+def test_the_catalogue_has_the_formats_names() -> None:
+    assert {cause.name: cause.parameters[0].name for cause in catalogue()} == TABLE
+
+
+def test_the_plant_takes_every_cause_by_the_same_names() -> None:
+    for cause in catalogue():
+        assert list(inspect.signature(CAUSES[cause.name]).parameters)[1:] == [
+            p.name for p in cause.parameters
+        ]
+
+
+@pytest.mark.parametrize("cause", catalogue(), ids=lambda cause: cause.name)
+def test_a_cause_says_what_it_is(cause: Cause) -> None:
+    hooks = (cause.numbers, cause.commands, cause.ambient, cause.flows, cause.readings)
+    assert sum(hook is not None for hook in hooks) == 1
+    assert cause.what.endswith(".") and cause.experiment.endswith(".")
+    for parameter in cause.parameters:
+        assert parameter.source
+        assert parameter.low < parameter.high
+        for seed in parameter.seeds:
+            assert parameter.low <= seed <= parameter.high
+            assert parameter.outer(parameter.inner(seed)) == pytest.approx(seed)

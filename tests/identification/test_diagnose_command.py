@@ -1,0 +1,94 @@
+"""The command: a verdict for people and machines, one line for what cannot be read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import command_line
+import pytest
+from hidden_truth import draw, write
+
+from flying_vines.identification.case import read_case
+from flying_vines.identification.causes import catalogue
+from flying_vines.identification.diagnose import diagnose
+from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.true_rig import load_true_rig
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One short run of a rig with one cause."""
+    folder = tmp_path_factory.mktemp("short") / "case"
+    write(folder, draw("short", 1))
+    return folder
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    return command_line.run(capsys, "diagnose", *arguments)
+
+
+def test_json_is_one_object_of_the_format(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, str(case), "--json")
+    assert status == 0
+    verdict = json.loads(out)
+    assert verdict["cause"] == draw("short", 1).hidden[0].name
+    assert 0.0 <= verdict["confidence"] <= 1.0
+    (estimate,) = verdict["parameters"].values()
+    assert estimate["low"] <= estimate["estimate"] <= estimate["high"]
+    assert set(verdict["held_out"]) == {"nrmse_before", "nrmse_after", "noise_floor", "gain"}
+    low, high = verdict["held_out"]["gain"]
+    assert 0.0 < low < high < 1.0
+    best = verdict["ranking"][0]
+    assert (best["cause"], best["score"], best["on_bound"]) == (verdict["cause"], 0.0, [])
+    assert best["unseen_nrmse"] == verdict["held_out"]["nrmse_after"]
+    ((rough,),) = (parameters.values() for parameters in best["parameters"].values())
+    assert rough["estimate"] == estimate["estimate"]
+    assert rough["high"] - rough["low"] == pytest.approx(estimate["high"] - estimate["low"], rel=0.2)
+    assert verdict["also"] == [] and isinstance(verdict["next_experiment"], str)
+
+
+def test_words_tell_the_cause_and_what_it_is_worth(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, str(case))
+    assert status == 0
+    assert draw("short", 1).hidden[0].name in out
+    assert "Unseen data" in out and "noise alone" in out
+
+
+def test_the_extended_rig_can_be_simulated(
+    case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, _ = run(capsys, str(case), "--json", "--write-rig", str(tmp_path / "extended.toml"))
+    assert status == 0
+    verdict = json.loads(out)
+    rig = load_true_rig(tmp_path / "extended.toml")
+    (value,) = rig.causes[verdict["cause"]].values()
+    (estimate,) = verdict["parameters"].values()
+    assert value == pytest.approx(estimate["estimate"])
+    assert rig.setup.plant.effects != Effects() or rig.setup.plant.rig != rig.believed
+
+
+def test_what_cannot_be_read_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "rig.toml").write_text("[cv]\nvolume_L = 0.1\n")
+    status, out, err = run(capsys, str(tmp_path))
+    assert (status, out) == (2, "")
+    assert err.count("\n") == 1 and str(tmp_path) in err
+
+
+def test_a_rig_file_with_a_mistake_is_one_line(
+    case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = tmp_path / "other.toml"
+    rig.write_text("[reservoir]\nvolume_L = -2\n")
+    status, out, err = run(capsys, str(case), "--rig", str(rig))
+    assert (status, out) == (2, "")
+    assert err.count("\n") == 1 and "other.toml" in err and "volume_L" in err
+
+
+def test_whoever_considers_one_cause_or_none_gets_a_verdict(case: Path) -> None:
+    read = read_case(case)
+    (hidden,) = draw("short", 1).hidden
+    by_name = {cause.name: cause for cause in catalogue()}
+    assert diagnose(read, [by_name[hidden.name]]).cause == hidden.name
+    for considered in ([], [by_name["reservoir_leak"]]):
+        assert diagnose(read, considered).cause == "unexplained"

@@ -1,0 +1,263 @@
+"""Plans: they keep what they promise, on runs that are then simulated and diagnosed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import partial
+from math import sqrt
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import run as run_command
+
+from flying_vines.config import config as configuration
+from flying_vines.identification.cause import Cause, Parameter
+from flying_vines.identification.causes import catalogue
+from flying_vines.identification.model import Array
+from flying_vines.identification.plan import Pair, Plan, PlanError, plan, recommend
+from flying_vines.identification.plan.apart import SETTLED, apart
+from flying_vines.identification.plan.check import Check
+from flying_vines.identification.plan.choose import gram_of
+from flying_vines.identification.plan.library import Candidate, library
+from flying_vines.identification.plan.rehearsal import rehearsed
+from flying_vines.identification.plan.strengths import strengths, typical
+from flying_vines.identification.plan.traces import Layout, Part, layout_of, parts_of
+from flying_vines.identification.plan.write import profiles_text, scenario_text
+from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.rig import ControlVolume, Rig, Sensors, Venturi
+from flying_vines.simulation.scenario import load_scenario, parse_scenario, simulate, simulate_scenario
+from flying_vines.simulation.scenario.kinds import Bends, Kind, Profile, Steps
+
+HALF = Rig(cv=ControlVolume(0.5), venturi=Venturi(rated_supply_kPa=900.0))
+"""Below the Venturi's rated supply all is homogeneous in pressure: a gain g of one sensor is 1/g of the
+other's."""
+GAINS = Pair("cv_sensor_gain", "reservoir_sensor_gain")
+
+
+@pytest.fixture(scope="module")
+def made() -> Plan:
+    return plan(HALF, minutes=0.5)
+
+
+@pytest.fixture(scope="module")
+def short() -> Plan:
+    """Of the vine, for which commands alone are not enough."""
+    return plan(Rig(), minutes=0.5, air_SL=11.0)
+
+
+@pytest.fixture(scope="module")
+def layout() -> Layout:
+    return layout_of(HALF, catalogue())
+
+
+def parts(layout: Layout, kinds: list[Kind]) -> list[Part]:
+    found = []
+    for number, kind in enumerate(kinds):
+        found += parts_of(layout, Candidate(f"{number}", "", partial(_same, kind), (1,), False))
+    return found
+
+
+def _same(kind: Kind, count: int) -> Kind:
+    return kind
+
+
+def worst(matrix: Array, but: Pair | None = None) -> float:
+    """Δχ² of the pair that is told apart worst; `but` does not count."""
+    names = [cause.name for cause in catalogue()]
+    counts = ~np.eye(*matrix.shape, dtype=np.bool_)
+    for pair in (but, but[::-1]) if but else ():
+        counts[names.index(pair[0]), names.index(pair[1])] = False
+    return float(matrix[counts].min())
+
+
+def test_a_plan_beats_what_one_would_record_without_it(made: Plan, layout: Layout) -> None:
+    """In the worst pair that can be told apart, at the same length, and at the same highest pressure."""
+    seconds = made.best.seconds / 3
+    bends: Kind = Bends(cycles=int(seconds / 2.5), bend_kPa=20.7)
+    stairs: Kind = Steps(pressures_kPa=tuple([7.0, 14.0, 20.7, 14.0, 7.0, 0.0] * 2), hold_s=seconds / 12)
+    hold: Kind = Steps(pressures_kPa=(20.7,), hold_s=seconds)
+    naive = parts(layout, [bends, stairs, hold])
+    assert sum(part.seconds for part in naive) == pytest.approx(made.best.seconds, abs=2.5)
+    planned = parts(layout, [run.kind for run in made.best.runs])
+    least = worst(apart(layout, gram_of(layout, planned)), but=GAINS)
+    assert least > 4.0 * worst(apart(layout, gram_of(layout, naive)), but=GAINS)
+    assert least > SETTLED
+
+
+def test_it_settles_what_the_example_scenario_leaves_open(short: Plan) -> None:
+    """In a sixth of its three minutes, with a third of its pressure."""
+    layout = layout_of(short.rig, catalogue())
+    example = parts(layout, list(load_scenario("case").runs))
+    assert worst(apart(layout, gram_of(layout, example))) < 1.0
+    assert not short.best.open and worst(short.matrix) > 4.0 * SETTLED
+    assert GAINS in short.by_commands.open
+
+
+def test_a_plan_keeps_its_budgets(short: Plan) -> None:
+    """As the simulated rig does it: time, and air with what is let down between the runs."""
+    runs = simulate_scenario(short.rig, short.best.scenario, seed=4)
+    assert {run.commanded for run in short.best.runs} == {True, False}
+    assert sum(len(run.time_s) for run in runs) * 0.02 == pytest.approx(short.best.seconds, abs=0.2)
+    assert short.best.seconds <= 60.0 * short.minutes
+    left_kPa = runs[0].true_reservoir_kPa[0]
+    used_kPa = 0.0
+    for run in runs:
+        start_kPa, end_kPa = run.true_reservoir_kPa[[0, -1]]
+        used_kPa += max(0.0, left_kPa - start_kPa) + start_kPa - end_kPa
+        left_kPa = end_kPa
+    air_SL = used_kPa * short.rig.reservoir.volume_L / ALPHA_KPA
+    assert air_SL <= short.air_SL
+    assert air_SL == pytest.approx(short.best.air_SL, rel=0.02)
+
+
+def test_what_no_run_can_tell_is_reported(made: Plan) -> None:
+    assert made.never == made.best.open == (GAINS,)
+    row, column = made.names.index(GAINS.first), made.names.index(GAINS.second)
+    assert made.matrix[row, column] < 0.1 < SETTLED < made.matrix[row, -1]
+    assert not recommend(HALF, GAINS).sigmas > 1.0
+    assert recommend(HALF, GAINS).in_words().startswith("No run")
+    usual = recommend(replace(HALF, venturi=Venturi()), GAINS)
+    assert usual.sigmas > sqrt(SETTLED) and usual.run.name in usual.in_words()
+
+
+def test_floors_hold_against_full_fits(made: Plan, layout: Layout) -> None:
+    """And where causes are hard to tell apart, they are near."""
+    runs = [part for run in made.best.runs[:2] for part in parts(layout, [run.kind])]
+    floors, check = apart(layout, gram_of(layout, runs)), Check(layout, runs)
+    others = np.argwhere(~np.eye(*floors.shape, dtype=np.bool_))
+    others = others[np.argsort(floors[tuple(others.T)])]
+    fits = np.array([check.apart(*pair) for pair in others[:150:6]])
+    there = floors[tuple(others[:150:6].T)]
+    assert (there < 1.15 * fits + 1.0).all()
+    assert np.median((there + 1.0) / (fits + 1.0)) > 0.5
+
+
+def test_rehearsed_is_what_the_simulator_records() -> None:
+    """Without noise to the last bit: the same regulator, or openings that no guard ends early."""
+    quiet = replace(HALF, sensors=Sensors(0.0, 0.0))
+    for candidate in library(quiet):
+        if candidate.name in ("bends_low", "random_full", "pulses", "vent_venturi_half"):
+            kind = candidate.make(candidate.counts[0])
+            ours, theirs = rehearsed(quiet, kind), simulate(quiet, kind)
+            for name in ("time_s", "evp_opening", "dvp_opening", "solenoid"):
+                assert np.array_equal(getattr(ours, name), getattr(theirs, name)), (candidate.name, name)
+
+
+def test_parts_begin_alike() -> None:
+    for candidate in library(HALF):
+        short, whole = (
+            rehearsed(HALF, candidate.make(n)) for n in (candidate.counts[0], candidate.counts[-1])
+        )
+        n = len(short.time_s) - 1
+        assert n < len(whole.time_s)
+        for name in ("evp_opening", "dvp_opening", "solenoid"):
+            assert np.array_equal(getattr(short, name)[:n], getattr(whole, name)[:n]), candidate.name
+
+
+def test_the_run_that_settles_a_doubt(layout: Layout) -> None:
+    found = recommend(HALF, ("evp_lag", "line_delay"))
+    assert found.run.commanded and found.run.seconds <= 60.0
+    assert found.sigmas**2 > SETTLED
+    assert {*found.worst} == {"evp_lag", "line_delay"}
+    assert found.run.name in found.in_words()
+    rest: Kind = Steps(pressures_kPa=(0.0,), hold_s=found.run.seconds)
+    names = [cause.name for cause in layout.causes]
+    idle = apart(layout, gram_of(layout, parts(layout, [rest])))
+    assert idle[names.index("evp_lag"), names.index("line_delay")] < 0.01 * found.sigmas**2
+    assert recommend(HALF, ("cv_leak", "none")).sigmas > sqrt(SETTLED)
+    with pytest.raises(PlanError, match="no_such"):
+        recommend(HALF, ("evp_lag", "no_such"))
+
+
+def test_every_cause_has_a_typical_strength() -> None:
+    for cause in catalogue():
+        usual, row = typical(cause, HALF), strengths(cause, HALF)
+        parameter = cause.parameters[0]
+        assert parameter.low <= usual <= parameter.high
+        assert usual in row and usual != parameter.neutral
+
+
+def test_a_new_cause_is_planned_for_without_more_ado() -> None:
+    parameter = Parameter("share", low=-0.5, high=0.5, seeds=(0.0,), neutral=0.0, source="a test")
+    new = Cause(
+        "new", "x", (parameter,), "x", readings=lambda r, x: r._replace(cv_kPa=r.cv_kPa * (1.0 + x[0]))
+    )
+    laid = layout_of(HALF, [new])
+    (part,) = parts(laid, [Steps(pressures_kPa=(20.0, 0.0), hold_s=3.0)])
+    assert apart(laid, part.gram)[0, -1] > 0.0
+
+
+def test_the_scenario_and_the_profiles_are_readable(made: Plan) -> None:
+    assert parse_scenario(scenario_text(made.best), "plan").runs == made.best.scenario.runs
+    text = configuration.default_text() + profiles_text(made.by_commands)
+    read = configuration.parse(text, "plan")
+    for number, run in enumerate(made.by_commands.runs, start=101):
+        name = f"plan-{number}-{run.name.replace('_', '-')}"
+        assert isinstance(run.kind, Profile)
+        assert read.profiles[name].segments[: len(run.kind.segments)] == run.kind.segments
+        assert read.profiles[name].rate_kPa_per_s == run.kind.rate_kPa_per_s
+        assert [item.profile for item in read.items if item.match == {"param1": number}] == [name]
+
+
+def test_planned_simulated_and_diagnosed(
+    made: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """To the right name for what is hidden in the rig."""
+    truth, scenario, case = tmp_path / "truth.toml", tmp_path / "scenario.toml", str(tmp_path / "case")
+    truth.write_text(
+        "[cv]\nvolume_L = 0.5\n[venturi]\nrated_supply_kPa = 900\n[causes.evp_lag]\ntime_constant_s = 0.02\n"
+    )
+    scenario.write_text(scenario_text(made.best))
+    assert (
+        run_command(capsys, "simulate", "--rig", str(truth), "--scenario", str(scenario), "--out", case)[0]
+        == 0
+    )
+    status, text, _ = run_command(capsys, "diagnose", case, "--json")
+    assert status == 0
+    verdict = json.loads(text)
+    assert verdict["cause"] == "evp_lag" and verdict["indistinguishable"] == []
+    estimate = verdict["parameters"]["time_constant_s"]
+    assert estimate["low"] < 0.02 < estimate["high"]
+
+
+def test_the_command_on_a_rig_without_control_volume(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It can do nothing but discharge, and the service nothing at all."""
+    rig, out = tmp_path / "rig.toml", tmp_path / "plan"
+    rig.write_text("[reservoir]\nvolume_L = 2\n")
+    status, text, _ = run_command(
+        capsys, "diagnose", "--plan", str(rig), "--minutes", "0.7", "--out", str(out), "--json"
+    )
+    assert status == 0
+    found = json.loads(text)
+    assert {planned["name"].split("_")[0] for planned in found["best"]["runs"]} == {"discharge"}
+    assert found["best"]["seconds"] <= 42.0 and not found["by_commands"]["runs"]
+    assert ["cv_leak", "none"] in found["never"] and ["reservoir_leak", "none"] not in found["best"]["open"]
+    assert len(found["matrix"]) == len(found["there"]) == len(found["fitted"]) - 1 == len(catalogue())
+    names = {Path(file).name for file in found["files"] + found["figures"] if Path(file).stat().st_size}
+    assert names == {"scenario.toml", "plan-matrix.png"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--plan", "{rig}", "--minutes", "nan"], "minutes"),
+        (["--plan", "{rig}", "--air-SL", "-1"], "air_SL"),
+        (["--plan", "{rig}", "--most-kPa", "500"], "most_kPa"),
+        (["--plan", "{rig}.nowhere"], "nowhere"),
+        (["--plan"], "CASE"),
+        (["--plan", "{rig}", "--rig", "{rig}"], "--rig"),
+        (["{rig}", "--minutes", "2"], "--minutes"),
+    ],
+)
+def test_what_cannot_be_planned_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], named: str
+) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text("[cv]\nvolume_L = 0.1\n")
+    status, out, err = run_command(capsys, "diagnose", *(argument.format(rig=rig) for argument in arguments))
+    assert (status, out) == (2, "")
+    assert err.count("\n") == 1 and named in err

@@ -1,0 +1,342 @@
+"""The report: one page that needs nothing else, says what the verdict says, and trusts no name in a case."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import subprocess
+import sys
+from contextlib import redirect_stdout
+from dataclasses import replace
+from html.parser import HTMLParser
+from io import StringIO
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from hidden_truth import draw, write
+
+from flying_vines.cli.main import main
+from flying_vines.identification.case import Case, read_case
+from flying_vines.identification.causes import catalogue
+from flying_vines.identification.diagnose import diagnose
+from flying_vines.identification.report import figures
+from flying_vines.identification.report.figures import shown_runs
+from flying_vines.identification.report.left import draw_residuals
+from flying_vines.identification.report.page import page
+from flying_vines.identification.report.profiles import curve
+from flying_vines.identification.report.runs import draw_run
+from flying_vines.identification.report.words import label_and_unit, numbers, share
+from flying_vines.identification.report.write import svg
+from flying_vines.identification.show import in_words
+from flying_vines.identification.verdict import NONE, UNEXPLAINED, Estimate, Verdict
+
+HOSTILE = """<script>alert("1")</script><img src=http://example.org/x> & '$x_{'"""
+VOID = {"meta", "img", "br"}
+SVG = b"<svg xmlns='http://www.w3.org/2000/svg'/>"
+
+
+class Diagnosed(NamedTuple):
+    case: Case
+    verdict: Verdict
+
+
+def diagnosed(case: Case, *names: str) -> Diagnosed:
+    return Diagnosed(case, diagnose(case, [cause for cause in catalogue() if cause.name in names]))
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
+    """One short run of a rig whose control volume is larger than believed."""
+    folder = tmp_path_factory.mktemp("short") / "workshop"
+    write(folder, draw("short", 1))
+    return diagnosed(read_case(folder), "dead_volume", "cv_compliance", "evp_lag")
+
+
+@pytest.fixture(scope="module")
+def nothing(found: Diagnosed) -> Diagnosed:
+    """As if the baseline had explained all."""
+    evidence = found.verdict.evidence
+    runs = tuple(replace(run, baseline_kPa=run.extended_kPa) for run in evidence.runs)
+    errors = replace(found.verdict.held_out, nrmse_before=found.verdict.held_out.nrmse_after, gain=(0.0, 0.0))
+    seen = replace(evidence, runs=runs, before=evidence.after, profiles=())
+    verdict = replace(
+        found.verdict,
+        cause=NONE,
+        parameters={},
+        numbers={"reservoir.volume_L": 0.99 * found.case.rig.reservoir.volume_L},
+        held_out=errors,
+        evidence=seen,
+    )
+    return Diagnosed(found.case, verdict)
+
+
+@pytest.fixture(scope="module")
+def unexplained(found: Diagnosed) -> Diagnosed:
+    """As if more than noise were left."""
+    return Diagnosed(
+        found.case,
+        replace(
+            found.verdict,
+            cause=UNEXPLAINED,
+            parameters={},
+            remainder="reservoir: time since the solenoid closed",
+            next_experiment="Repeat it with one valve at a time.",
+        ),
+    )
+
+
+class Page(HTMLParser):
+    """What a browser would see: its text, what it would load, whether all that is opened is closed."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[str] = []
+        self.links: list[str] = []
+        self.pictures: dict[str, str] = {}
+        self.words: list[str] = []
+        self.feed(html)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        if tag not in VOID:
+            self.open.append(tag)
+        self.links += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "action")]
+        assert not any(name.startswith("on") for name, _ in attrs)
+        if tag == "img":
+            self.pictures[dict(attrs)["alt"] or ""] = dict(attrs)["src"] or ""
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+        self.words.append(" ")
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] != "style":
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join("".join(self.words).split())
+
+
+def read(path: Path) -> Page:
+    return Page(path.read_text(encoding="utf-8"))
+
+
+def page_of(diagnosed: Diagnosed, *pictures: str) -> Page:
+    """With these pictures, or every one that there is to be, made but not drawn."""
+    names = pictures or figures(diagnosed.verdict)
+    return Page(page(diagnosed.verdict, diagnosed.case, dict.fromkeys(names, SVG)))
+
+
+@pytest.fixture(scope="module")
+def written(found: Diagnosed, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """What the command has written: the page of which it tells, and what lies beside it."""
+    folder = tmp_path_factory.mktemp("out") / "new" / "report"
+    folder.mkdir(parents=True)
+    (folder / "report.html").write_text("an older report, " * 1_000_000)
+    out = StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), pytest.raises(SystemExit) as exit_:
+        patch.setattr("flying_vines.identification.diagnose.diagnose", lambda case, progress: found.verdict)
+        main(["diagnose", str(found.case.path), "--out", str(folder)])
+    assert exit_.value.code == 0
+    (line,) = (line for line in out.getvalue().splitlines() if line.startswith("Report"))
+    page = Path(line.removeprefix("Report").strip())
+    return [page, *(path for path in sorted(folder.iterdir()) if path != page)]
+
+
+def test_a_report_is_one_page_that_asks_nothing_of_a_network(written: list[Path]) -> None:
+    html = written[0].read_text(encoding="utf-8")
+    seen = Page(html)
+    assert written[0].name == "report.html" and len(html) < 3e6
+    assert "script" not in seen.tags and "link" not in seen.tags
+    assert len(seen.links) > 5 and all(link.startswith("data:image/svg+xml;base64,") for link in seen.links)
+    assert not re.search(r"url\(|@import", html)
+    assert "default-src 'none'" in html
+    assert all(seen.pictures)
+    for source in seen.pictures.values():
+        picture = ElementTree.fromstring(base64.b64decode(source.partition(",")[2]))
+        hrefs = [
+            value for part in picture.iter() for name, value in part.attrib.items() if name.endswith("href")
+        ]
+        assert all(value.startswith(("#", "data:image/png;base64,")) for value in hrefs)
+
+
+def test_a_report_says_what_the_verdict_says(found: Diagnosed, written: list[Path]) -> None:
+    verdict, text = found.verdict, read(written[0]).text
+    assert verdict.cause == draw("short", 1).hidden[0].name
+    assert in_words(verdict) in text and "workshop" in text
+    for name, estimate in verdict.parameters.items():
+        value, low, high = numbers(estimate)
+        assert value in text and f"{low} … {high}" in text and label_and_unit(name)[0] in text
+    errors = verdict.held_out
+    assert all(share(e) in text for e in (errors.nrmse_before, errors.nrmse_after, errors.noise_floor))
+    assert all(" + ".join(tried.causes) in text for tried in verdict.ranking)
+    assert all(run.run in text for run in verdict.evidence.runs)
+
+
+def test_beside_the_page_are_the_verdict_and_the_pictures(found: Diagnosed, written: list[Path]) -> None:
+    by_name = {path.name: path for path in written}
+    assert set(written) == set(written[0].parent.iterdir())
+    assert json.loads(by_name["verdict.json"].read_text()) == json.loads(json.dumps(found.verdict.as_json()))
+    pictures = {name.removesuffix(".svg") for name in by_name if name.endswith(".svg")}
+    assert pictures == set(figures(found.verdict)) > {"run-1", "residuals", "profiles", "likeness"}
+    assert len(pictures) == len(read(written[0]).pictures)
+
+
+def test_the_same_verdict_makes_the_same_bytes(found: Diagnosed, written: list[Path]) -> None:
+    pictures = {path.stem: path.read_bytes() for path in written if path.suffix == ".svg"}
+    assert page(found.verdict, found.case, pictures) == written[0].read_text(encoding="utf-8")
+    again = figures(found.verdict)
+    for name in ("run-1", "ranking"):
+        assert svg(again[name]) == pictures[name]
+
+
+def test_no_name_of_a_case_becomes_part_of_the_page(found: Diagnosed) -> None:
+    evidence = found.verdict.evidence
+    hostile = replace(
+        found.verdict,
+        remarks=(HOSTILE,),
+        remainder=HOSTILE,
+        next_experiment=HOSTILE,
+        evidence=replace(evidence, runs=tuple(replace(run, run=HOSTILE) for run in evidence.runs)),
+    )
+    case = replace(found.case, path=Path(HOSTILE.replace("/", "")))
+    seen = page_of(Diagnosed(case, hostile), "unseen", "run-1", "residuals")
+    assert "script" not in seen.tags
+    assert all(link.startswith("data:image/svg+xml;base64,") for link in seen.links)
+    assert seen.text.count('<script>alert("1")</script>') >= 4
+
+
+def test_a_baseline_that_explains_all_has_no_profiles_and_no_extended_model(nothing: Diagnosed) -> None:
+    seen = page_of(nothing)
+    assert in_words(nothing.verdict) in seen.text
+    assert "Profiles of χ²" not in seen.pictures and "How well the data fix it" not in seen.text
+    assert "extended" not in seen.text
+    assert "as noise alone does" in seen.text
+    assert "(−1.00 %)" in seen.text and "as believed" in seen.text
+
+
+def test_what_is_left_unexplained_stands_in_front(unexplained: Diagnosed) -> None:
+    verdict = unexplained.verdict
+    text = page_of(unexplained, "unseen", "run-1").text
+    front = text[: text.index("Measured, and simulated")]
+    assert in_words(verdict) in front
+    assert verdict.remainder in front and verdict.next_experiment in front
+    assert "no measurement" in front
+    _, low, high = numbers(next(iter(verdict.ranking[0].named[0].parameters.values())))
+    assert f"{low} … {high}" not in front
+
+
+def test_a_discharge_has_one_channel(tmp_path: Path) -> None:
+    time_s = np.arange(0.0, 12.0, 0.1)
+    leaking_kPa = 600.0 * np.exp(-time_s / 25.0) + np.random.default_rng(1).normal(0.0, 1.0, len(time_s))
+    rows = "\n".join(f"{t:.2f},{p:.2f}" for t, p in zip(time_s, leaking_kPa, strict=True))
+    (tmp_path / "rig.toml").write_text("[sensors]\nreservoir_noise_std_kPa = 1.0\n")
+    (tmp_path / "bottle.csv").write_text(f"time_s,reservoir_pressure_kPa\n{rows}\n")
+    seen = diagnosed(read_case(tmp_path), "evp_restriction", "reservoir_leak", "cv_leak")
+    report = page_of(seen)
+    assert {"evp_restriction", "reservoir_leak"} & {seen.verdict.cause, *seen.verdict.indistinguishable}
+    assert "0 + 120" in report.text and "reservoir volume, L" in report.text
+    assert "Run 1: pressures and openings over time" in report.pictures
+
+
+@pytest.mark.parametrize("row", [0, 1])
+def test_a_channel_that_was_not_read_is_not_drawn(found: Diagnosed, row: int) -> None:
+    runs = []
+    for run in found.verdict.evidence.runs:
+        measured_kPa = run.measured_kPa.copy()
+        measured_kPa[row] = np.nan
+        runs.append(replace(run, measured_kPa=measured_kPa))
+    verdict = replace(found.verdict, evidence=replace(found.verdict.evidence, runs=tuple(runs)))
+    drawn = draw_residuals(verdict), draw_run(verdict.evidence.runs[0], verdict.evidence.noise_kPa, "")
+    titles = [axis.get_title() + axis.get_title(loc="left") for figure in drawn for axis in figure.axes]
+    channel, other = ("control volume", "reservoir")[:: -1 if row else 1]
+    assert any(title.startswith(other) for title in titles)
+    assert not any(title.startswith(channel) for title in titles)
+    assert "Measured less simulated" in page_of(Diagnosed(found.case, verdict), "residuals").text
+
+
+def test_of_many_runs_those_are_drawn_in_which_the_models_part_most(found: Diagnosed) -> None:
+    evidence = found.verdict.evidence
+    (run,) = evidence.runs
+    apart = [2.0, 0.0, 5.0, 1.0, 0.0, 3.0, 4.0, 0.5, 0.1]
+    runs = tuple(replace(run, extended_kPa=run.baseline_kPa + kPa) for kPa in apart)
+    verdict = replace(found.verdict, evidence=replace(evidence, runs=runs))
+    assert shown_runs(verdict) == [0, 2, 3, 5, 6, 7]
+    names = [f"run-{index + 1}" for index in shown_runs(verdict)]
+    assert "Of 9 runs these are the 6" in page_of(Diagnosed(found.case, verdict), *names).text
+
+
+def test_a_run_of_few_samples_can_be_drawn(found: Diagnosed) -> None:
+    evidence = found.verdict.evidence
+    (run,) = evidence.runs
+    few = slice(None, None, len(run.time_s) // 8)
+    sparse = replace(
+        run,
+        time_s=run.time_s[few],
+        measured_kPa=run.measured_kPa[:, few],
+        baseline_kPa=run.baseline_kPa[:, few],
+        extended_kPa=run.extended_kPa[:, few],
+        openings=run.openings[:, few],
+    )
+    names = " + ".join(["reservoir_sensor_offset", "solenoid_slow_close", "compressible_flow"])
+    figure = draw_run(sparse, evidence.noise_kPa, names)
+    assert svg(figure)
+    (legend,) = figure.legends
+    assert legend.get_window_extent().x1 < figure.bbox.x1
+
+
+def test_a_profile_goes_through_what_was_computed(found: Diagnosed) -> None:
+    (profile,) = found.verdict.evidence.profiles
+    value, above = curve(profile)
+    assert np.interp(profile.value, value, above) == pytest.approx(profile.above, abs=0.05)
+    assert above.min() == pytest.approx(0.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("estimate", "said"),
+    [
+        (Estimate(5.6238, 5.604, 5.643), ("5.624", "5.604", "5.643")),
+        (Estimate(-0.0028, -0.0111, 0.0056), ("−0.0028", "−0.0111", "0.0056")),
+        (Estimate(1230.4, 1200.0, 1290.0), ("1,230", "1,200", "1,290")),
+        (Estimate(0.5, 0.5, 0.5), ("0.5", "0.5", "0.5")),
+        (Estimate(9.327e6, 1.148e6, 7.58e7), ("9.33 × 10⁶", "1.15 × 10⁶", "7.58 × 10⁷")),
+    ],
+)
+def test_numbers_have_the_digits_that_the_interval_leaves_them(
+    estimate: Estimate, said: tuple[str, str, str]
+) -> None:
+    assert numbers(estimate) == said
+
+
+def test_every_parameter_of_the_catalogue_has_a_label_without_its_unit() -> None:
+    for cause in catalogue():
+        for parameter in cause.parameters:
+            label, unit = label_and_unit(parameter.name)
+            assert label and "_" not in label and "kPa" not in label
+            assert bool(unit) == parameter.name.endswith(("_kPa", "_s", "_L", "_SL"))
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(
+    found: Diagnosed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    for folder in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(SystemExit) as exit_:
+            main(["diagnose", str(found.case.path), "--out", str(folder)])
+        out, err = capsys.readouterr()
+        assert (exit_.value.code, out) == (2, "")
+        assert err.count("\n") == 1 and str(folder) in err
+
+
+def test_a_verdict_needs_no_matplotlib() -> None:
+    code = "import sys, flying_vines.identification.diagnose; print('matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

@@ -1,0 +1,85 @@
+"""What is left after a fit: noise is told from structure, and structure by what it depends on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flying_vines.identification.case import Case, Run
+from flying_vines.identification.fit import Fit, Problem
+from flying_vines.identification.model import Array
+from flying_vines.identification.residuals import patterns
+from flying_vines.identification.search import STRUCTURE
+from flying_vines.identification.simulate import Simulation, numbers_of
+from flying_vines.physics.rig import ControlVolume, Rig
+
+NOISE_KPA = (0.15, 1.2)
+
+
+def fitted(seed: int) -> tuple[Problem, Fit]:
+    """A clean rig, whose room warms up in the first half of the run and cools again."""
+    random = np.random.default_rng(seed)
+    time_s = np.arange(0.0, 30.0, 0.02)
+    phase = (time_s // 1.5) % 4
+    evp = np.where(
+        phase == 0, random.choice((0.2, 0.5, 1.0), len(time_s) // 75)[(time_s // 1.5).astype(int)], 0.0
+    )
+    shut, solenoid = np.zeros(len(time_s)), (phase >= 2).astype(float)
+    ambient_C = 20.0 + 5.0 * np.sin(np.pi * time_s / 30.0)
+    rig = Rig(cv=ControlVolume(0.25))
+    run = Run("run", time_s, None, evp, shut, solenoid, shut, shut, None, ambient_C, False)
+    clean = Simulation(Case(Path("memory"), rig, (run,), ())).readings(
+        0, numbers_of(rig), [], np.array([(640.0, 0.0)])
+    )
+    run = replace(
+        run,
+        cv_kPa=clean.cv_kPa + random.normal(0.0, NOISE_KPA[0], len(time_s)),
+        reservoir_kPa=clean.reservoir_kPa + random.normal(0.0, NOISE_KPA[1], len(time_s)),
+    )
+    problem = Problem(Case(Path("memory"), rig, (run,), ()), NOISE_KPA)
+    return problem, problem.fit(problem.start())
+
+
+def with_left(fit: Fit, row: int, left: Array) -> Fit:
+    residual = fit.residuals[0].copy()
+    residual[row] += left
+    return replace(fit, residuals=(residual,))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_noise_is_noise(seed: int) -> None:
+    strongest = patterns(*fitted(seed))[0]
+    assert strongest.surprise < STRUCTURE
+    assert np.sum(strongest.count) > 100
+
+
+def test_what_depends_on_the_temperature_is_seen_to() -> None:
+    problem, fit = fitted(0)
+    (run,) = problem.case.runs
+    assert run.ambient_C is not None
+    found = patterns(problem, with_left(fit, 1, 0.4 * (run.ambient_C - 22.5)))
+    assert (found[0].channel, found[0].feature, found[0].unit) == ("reservoir", "temperature around", "°C")
+    assert np.corrcoef(found[0].centre, found[0].mean)[0, 1] > 0.9
+    assert found[0].surprise > STRUCTURE
+
+
+def test_what_depends_on_the_opening_is_seen_to() -> None:
+    problem, fit = fitted(1)
+    (run,) = problem.case.runs
+    before = np.concatenate((run.evp_opening[:1], run.evp_opening[:-1]))
+    found = patterns(problem, with_left(fit, 0, np.where(before == 0.5, 0.7, 0.0)))
+    # The opening makes the rate, so either may come first.
+    strongest = [(pattern.channel, pattern.feature) for pattern in found[:3]]
+    assert ("control volume", "opening of the inflation valve") in strongest
+    assert found[2].surprise > STRUCTURE
+
+
+def test_without_a_thermometer_there_is_no_such_pattern() -> None:
+    problem, fit = fitted(2)
+    (run,) = problem.case.runs
+    case = replace(problem.case, runs=(replace(run, ambient_C=None),))
+    features = {pattern.feature for pattern in patterns(Problem(case, NOISE_KPA), fit)}
+    assert "temperature around" not in features and "opening of the inflation valve" in features

@@ -1,0 +1,195 @@
+"""The extended simulation, with each cause in it, against the truth that shares no code with it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hidden_truth.effects import EFFECTS, Hidden, with_effects
+from hidden_truth.recording import replay
+from hidden_truth.rig import Rig as TrueRig
+
+from flying_vines.identification.case import Case, Run
+from flying_vines.identification.cause import Cause
+from flying_vines.identification.causes import catalogue
+from flying_vines.identification.simulate import Simulation, numbers_of
+from flying_vines.physics.baseline import Inputs, State, step
+from flying_vines.physics.rig import ControlVolume, Rig
+
+RIG = Rig(cv=ControlVolume(0.25))
+START_KPA = (640.0, 0.0)
+STARTS = np.array([START_KPA])
+LENGTH_S = 12.0
+
+
+def random_run(seed: int) -> Run:
+    """Openings at random, with the Venturi, down to a reservoir in which it stalls."""
+    random = np.random.default_rng(seed)
+    time_s = np.arange(0.0, LENGTH_S, 0.02)
+    evp, dvp, solenoid = np.zeros((3, len(time_s)))
+    at = 0
+    while at < len(time_s):
+        length = int(random.integers(3, 60))
+        what = random.choice(("in", "hold", "out", "suck"))
+        evp[at : at + length] = random.uniform(0.1, 1.0) if what == "in" else 0.0
+        solenoid[at : at + length] = what in ("out", "suck")
+        dvp[at : at + length] = random.uniform(0.5, 1.0) if what == "suck" else 0.0
+        at += length
+    nothing = np.full(len(time_s), np.nan)
+    return Run("random", time_s, None, evp, dvp, solenoid, nothing, nothing, None, None, False)
+
+
+def case_of(run: Run, rig: Rig = RIG) -> Case:
+    return Case(Path("memory"), rig, (run,), ())
+
+
+def strength(name: str) -> float:
+    """Between the weakest and the strongest of the clear ones."""
+    effect = EFFECTS[name]
+    if name == "venturi_stall":
+        # These runs are short: their reservoirs stay full.
+        return 610.0
+    return effect.value(math.sqrt(effect.low * effect.high), TrueRig(cv_L=0.25))
+
+
+@pytest.mark.parametrize("cause", catalogue(), ids=lambda cause: cause.name)
+@pytest.mark.parametrize("seed", (1, 2))
+def test_a_cause_is_what_the_truth_says_it_is(cause: Cause, seed: int) -> None:
+    run = random_run(seed)
+    value = strength(cause.name)
+    physics = with_effects(TrueRig(cv_L=0.25), [Hidden(cause.name, value)])
+    truth = replay(
+        physics, np.column_stack((run.evp_opening, run.dvp_opening, run.solenoid)), run.time_s, START_KPA
+    )
+    ours = Simulation(case_of(run)).readings(0, numbers_of(RIG), [(cause, (value,))], STARTS)
+    plain = Simulation(case_of(run)).readings(0, numbers_of(RIG), [], STARTS)
+    # A fiftieth of the sensors' noise at most.
+    assert ours.cv_kPa == pytest.approx(truth[:, 0], abs=0.003)
+    assert ours.reservoir_kPa == pytest.approx(truth[:, 1], abs=0.003)
+    moved = max(
+        float(np.abs(ours.cv_kPa - plain.cv_kPa).max()) / 0.15,
+        float(np.abs(ours.reservoir_kPa - plain.reservoir_kPa).max()) / 1.2,
+    )
+    assert moved > 1.0, "the cause does nothing in this run"
+
+
+@pytest.mark.parametrize("lag_s", [0.0005, 0.0023, 0.008])
+def test_a_valve_much_quicker_than_the_samples_is_simulated_as_well(lag_s: float) -> None:
+    """Or it would be mistaken for a delay, which at such samples looks nearly the same."""
+    (cause,) = (cause for cause in catalogue() if cause.name == "evp_lag")
+    run = random_run(6)
+    # Solenoid and valve in turns, at each sample: air that comes early has more time to leave again.
+    run.evp_opening[::2], run.solenoid[::2] = 1.0, 0.0
+    run.evp_opening[1::2], run.solenoid[1::2] = 0.0, 1.0
+    inputs = np.column_stack((run.evp_opening, run.dvp_opening, run.solenoid))
+    truth = replay(
+        with_effects(TrueRig(cv_L=0.25), [Hidden("evp_lag", lag_s)]), inputs, run.time_s, START_KPA
+    )
+    ours = Simulation(case_of(run)).readings(0, numbers_of(RIG), [(cause, (lag_s,))], STARTS)
+    assert ours.cv_kPa == pytest.approx(truth[:, 0], abs=0.003)
+
+
+def without(run: Run, rows: list[int]) -> Run:
+    """The same run, of which these rows are lost."""
+    left = replace(run)
+    for name, values in vars(run).items():
+        if isinstance(values, np.ndarray):
+            object.__setattr__(left, name, np.delete(values, rows))
+    return left
+
+
+def test_after_a_row_that_was_lost_while_the_valves_were_busy_a_run_begins_again() -> None:
+    run = random_run(7)
+    moved = np.flatnonzero((np.diff(run.evp_opening) != 0.0) | (np.diff(run.solenoid) != 0.0)) + 1
+    assert len(moved) >= 5
+    away = np.abs(np.arange(len(run.time_s))[:, None] - moved).min(axis=1)
+    at, beside = int(moved[1]), int(moved[4]) + 2
+    still = int(np.argmax(away[20:-20])) + 20
+    assert away[still] > 5
+    lost = without(run, [at, beside, still])
+    (prepared,) = Simulation(case_of(lost)).runs
+    begins = [0, *(int(np.searchsorted(lost.time_s, run.time_s[row])) for row in sorted((at, beside)))]
+    assert prepared.start.tolist() == begins
+    # A regulator may have opened a valve for that row alone.
+    regulated = replace(lost, command_kPa=np.full(len(lost.time_s), 20.0))
+    (prepared,) = Simulation(case_of(regulated)).runs
+    assert len(prepared.start) == 4
+
+
+def test_where_samples_never_come_on_time_no_row_is_missing() -> None:
+    run = random_run(8)
+    random = np.random.default_rng(0)
+    uneven = without(run, sorted(random.choice(np.arange(1, len(run.time_s)), 150, replace=False).tolist()))
+    (prepared,) = Simulation(case_of(uneven)).runs
+    assert prepared.start.tolist() == [0]
+
+
+def test_a_sensor_that_lags_goes_on_lagging_where_a_run_begins_again() -> None:
+    (cause,) = (cause for cause in catalogue() if cause.name == "cv_sensor_lag")
+    run = random_run(7)
+    whole = Simulation(case_of(run)).readings(0, numbers_of(RIG), [(cause, (0.2,))], STARTS)
+    pressures = Simulation(case_of(run)).readings(0, numbers_of(RIG), [], STARTS)
+    moving = int(np.argmax(np.abs(whole.cv_kPa - pressures.cv_kPa)))
+    simulation = Simulation(case_of(run))
+    simulation.runs = (simulation.runs[0]._replace(start=np.array([0, moving])),)
+    # Begun again where it is anyway.
+    starts = np.array([START_KPA, (pressures.reservoir_kPa[moving], pressures.cv_kPa[moving])])
+    again = simulation.readings(0, numbers_of(RIG), [(cause, (0.2,))], starts)
+    # Steps are shorter where a sensor lags.
+    assert again.cv_kPa == pytest.approx(whole.cv_kPa, abs=1e-3)
+
+
+@pytest.mark.parametrize("cause", catalogue(), ids=lambda cause: cause.name)
+def test_a_neutral_cause_does_nothing(cause: Cause) -> None:
+    neutral = cause.parameters[0].neutral
+    if neutral is None:
+        assert cause.name == "compressible_flow"
+        return
+    simulation = Simulation(case_of(random_run(1)))
+    plain = simulation.readings(0, numbers_of(RIG), [], STARTS)
+    ours = simulation.readings(0, numbers_of(RIG), [(cause, (neutral,))], STARTS)
+    assert ours.cv_kPa == pytest.approx(plain.cv_kPa, abs=1e-9)
+    assert ours.reservoir_kPa == pytest.approx(plain.reservoir_kPa, abs=1e-9)
+
+
+def test_without_causes_it_is_the_baseline() -> None:
+    run = random_run(3)
+    readings = Simulation(case_of(run)).readings(0, numbers_of(RIG), [], STARTS)
+    state = State(*START_KPA)
+    for i, inputs in enumerate(zip(run.evp_opening, run.dvp_opening, run.solenoid, strict=True)):
+        assert readings.cv_kPa[i] == pytest.approx(state.cv_kPa, abs=1e-4)
+        assert readings.reservoir_kPa[i] == pytest.approx(state.reservoir_kPa, abs=1e-4)
+        for _ in range(20):
+            state = step(RIG, state, Inputs(inputs[0], inputs[1], bool(inputs[2])), 0.001)
+
+
+def test_all_causes_together_are_what_the_truth_says_they_are() -> None:
+    """In the order in which one part's effects act on each other."""
+    names = [cause.name for cause in catalogue() if cause.name not in ("compressible_flow", "venturi_stall")]
+    run = random_run(4)
+    hidden = [Hidden(name, strength(name)) for name in names]
+    physics = with_effects(TrueRig(cv_L=0.25), hidden)
+    truth = replay(
+        physics, np.column_stack((run.evp_opening, run.dvp_opening, run.solenoid)), run.time_s, START_KPA
+    )
+    by_name = {cause.name: cause for cause in catalogue()}
+    causes = [(by_name[one.name], (one.value,)) for one in hidden]
+    ours = Simulation(case_of(run)).readings(0, numbers_of(RIG), causes, STARTS)
+    assert ours.cv_kPa == pytest.approx(truth[:, 0], abs=0.003)
+    assert ours.reservoir_kPa == pytest.approx(truth[:, 1], abs=0.003)
+
+
+def test_a_discharge_to_atmosphere_is_an_exponential() -> None:
+    rig = Rig(cv=None)
+    time_s = np.arange(0.0, 30.0, 0.5)
+    shut = np.zeros(len(time_s))
+    run = Run("discharge", time_s, None, shut + 1.0, shut, shut, shut, shut, None, None, True)
+    readings = Simulation(case_of(run, rig)).readings(0, numbers_of(rig), [], np.array([[690.0, 0.0]]))
+    tau_s = rig.evp.flow_resistance_kPa_s_per_SL * rig.reservoir.volume_L / 101.325
+    assert readings.reservoir_kPa == pytest.approx(690.0 * np.exp(-time_s / tau_s), rel=1e-6)
+    # Behind the valve is the air around, whatever a fit makes of a pressure that nobody recorded.
+    other = Simulation(case_of(run, rig)).readings(0, numbers_of(rig), [], np.array([[690.0, -30.0]]))
+    assert other.reservoir_kPa == pytest.approx(readings.reservoir_kPa)

@@ -1,0 +1,221 @@
+"""What survives the service, through the real service: parameters, disarmed pneumatics, the signing clock."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+from patience import until
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from real_time import real_time
+from service_bench import Bench, on_bench
+
+from flying_vines.config import config
+from flying_vines.core.events import Action, Decision
+from flying_vines.core.watcher import EachAction
+from flying_vines.service.persistent_state import Kept
+from flying_vines.service.service import Service
+from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S, Signing
+from flying_vines.vehicle.mavlink.signing_key import TimestampFile
+from flying_vines.vehicle.notice import Notice
+
+pytestmark = real_time
+
+KEY = bytes(range(32))
+STOP, DISARM, ARM = 31013, 2, 3
+
+
+@pytest.fixture
+async def bench() -> AsyncIterator[Bench]:
+    async with on_bench(Autopilot("ardupilot")) as bench:
+        yield bench
+
+
+class Served:
+    """A service on the bench, with files of its own, and what it said."""
+
+    def __init__(self, bench: Bench, folder: Path, key: str = "") -> None:
+        self.profile = folder / "vine.toml"
+        self.profile.write_text(bench.profile.replace('signing_key = ""', f'signing_key = "{key}"'))
+        self.config = config.load(self.profile)
+        self.kept = Kept.of(self.profile, self.config)
+        self.seen: list[Action] = []
+        signing, _ = self.kept.read_signing(self.config)
+        parameters = self.kept.read_parameters(self.config)
+        self.service = Service(
+            self.config,
+            (EachAction(self.seen.append),),
+            parameters=parameters,
+            disarmed=self.kept.disarmed,
+            signing=signing,
+            kept=self.kept,
+        )
+
+    @property
+    def texts(self) -> list[str]:
+        return [action.text for action in self.seen if isinstance(action, Notice)]
+
+
+@asynccontextmanager
+async def serving(bench: Bench, folder: Path, key: str = "") -> AsyncIterator[Served]:
+    served = Served(bench, folder, key)
+    task = asyncio.create_task(served.service.run())
+    yield served
+    served.service.stop()
+    await task
+
+
+def set_rate(bench: Bench, kPa_per_s: float) -> None:
+    real32 = mavlink.MAV_PARAM_TYPE_REAL32
+    bench.ground.send(mavlink.MAVLink_param_set_message(1, 191, b"VINE_MAX_RATE", kPa_per_s, real32))
+
+
+async def test_a_parameter_that_was_set_is_there_again_after_a_restart(bench: Bench, tmp_path: Path) -> None:
+    async with serving(bench, tmp_path) as served:
+        await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
+        for rate in (50.0, 40.0, 30.0):
+            set_rate(bench, rate)
+        await until(served.kept.parameters.exists, "the file is written")
+        await until(
+            lambda: "VINE_MAX_RATE = 30.0" in served.kept.parameters.read_text(), "the last one counts"
+        )
+    assert Served(bench, tmp_path).service.core.config.limits.max_rate_kPa_per_s == 30.0
+
+
+async def test_what_cannot_be_kept_is_said_and_in_force_all_the_same(bench: Bench, tmp_path: Path) -> None:
+    async with serving(bench, tmp_path) as served:
+        served.kept.parameters.mkdir()
+        await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
+        set_rate(bench, 30.0)
+        await until(lambda: any("parameters not kept" in text for text in served.texts), "it is said")
+        assert served.service.core.config.limits.max_rate_kPa_per_s == 30.0
+        await until(lambda: any("parameters not kept" in text for text in bench.ground.texts), "to the pilot")
+
+
+def command(bench: Bench, number: int, param1: float) -> None:
+    bench.ground.send(mavlink.MAVLink_command_long_message(1, 191, number, 0, param1, 0, 0, 0, 0, 0, 0))
+
+
+def doing(served: Served) -> str:
+    return served.service.core.snapshot(served.service.now).doing
+
+
+async def test_disarmed_pneumatics_stay_so_over_restarts_until_a_person_arms_them(
+    bench: Bench, tmp_path: Path
+) -> None:
+    async with serving(bench, tmp_path) as served:
+        await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
+        command(bench, STOP, DISARM)
+        await until(lambda: served.kept.disarmed, "it is kept")
+    for _ in range(2):
+        async with serving(bench, tmp_path) as served:
+            await until(lambda: any("disarmed before" in text for text in served.texts), "it is said")
+            await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+            bench.autopilot.set_rc(9, 2000)
+            await until(
+                lambda: any("the pneumatics are disarmed" in text for text in served.texts), "refused"
+            )
+            assert bench.vented() and doing(served) == "pneumatics disarmed"
+            bench.autopilot.set_rc(9, 1000)
+    async with serving(bench, tmp_path) as served:
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        command(bench, STOP, ARM)
+        await until(lambda: not served.kept.disarmed, "it is forgotten")
+        assert doing(served) == "vented"
+    async with serving(bench, tmp_path) as served:
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        assert doing(served) == "vented" and not any("disarmed" in text for text in served.texts)
+
+
+async def test_that_they_are_disarmed_cannot_be_kept_is_said_and_they_are(
+    bench: Bench, tmp_path: Path
+) -> None:
+    async with serving(bench, tmp_path) as served:
+        (tmp_path / "vine.disarmed").mkdir()
+        await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
+        command(bench, STOP, DISARM)
+        await until(lambda: any("disarming not kept" in text for text in served.texts), "it is said")
+        assert doing(served) == "pneumatics disarmed"
+
+
+def test_disarmed_is_a_file_that_says_what_it_is_for_and_that_may_be_taken_away(tmp_path: Path) -> None:
+    profile = tmp_path / "vine.toml"
+    profile.write_text(config.default_text().replace('folder = ""', 'folder = "state/of"'))
+    kept = Kept.of(profile, config.load(profile))
+    assert not kept.disarmed
+    kept.keep_disarmed(False)  # it is not there, and neither is its folder
+    kept.keep_disarmed(True)
+    (file,) = (tmp_path / "state" / "of").iterdir()
+    assert kept.disarmed and "disarmed" in file.read_text()
+    file.write_bytes(b"")  # by whatever means it came there, nothing bends
+    assert kept.disarmed
+    kept.keep_disarmed(False)
+    assert not kept.disarmed and list(file.parent.iterdir()) == []
+
+
+def private_key(folder: Path, key: bytes) -> str:
+    path = folder / "key"
+    path.write_text(key.hex())
+    path.chmod(0o600)
+    return path.name
+
+
+async def test_a_signed_vehicle_bends_the_vine_and_the_clock_is_kept(tmp_path: Path) -> None:
+    autopilot = Autopilot("ardupilot", signing_key=KEY, unix_s=time.time())
+    async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        bench.autopilot.set_rc(9, 2000)
+        await until(bench.bent, "the vine bends")
+        await until(served.kept.signing_timestamp.exists, "the clock is kept")
+        again, problem = served.kept.read_signing(served.config)
+        assert problem == ""
+        assert isinstance(again, Signing) and again.timestamp > int(
+            served.kept.signing_timestamp.read_text().split()[0]
+        )
+
+
+@pytest.mark.parametrize("theirs", [None, bytes(32 * [7])], ids=["unsigned", "another key"])
+async def test_whoever_lacks_the_key_is_not_believed_and_that_is_said(
+    tmp_path: Path, theirs: bytes | None
+) -> None:
+    autopilot = Autopilot("ardupilot", signing_key=theirs, unix_s=time.time())
+    async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
+        await until(lambda: any("refused messages" in text for text in served.texts), "it is said")
+        assert served.service.core.snapshot(0.0).vehicle == "none heard"
+        assert bench.vented()
+
+
+async def test_a_kept_timestamp_of_2040_is_set_right_and_told(tmp_path: Path) -> None:
+    autopilot = Autopilot("ardupilot", signing_key=KEY, unix_s=time.time())
+    (tmp_path / "vine.signing-timestamp").write_text("078890880000000 191\n255 001 001 078890880000000\n")
+    async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        await until(lambda: any("set right" in text for text in served.texts), "it is said")
+    memory, _ = TimestampFile(served.kept.signing_timestamp).load()
+    assert memory.link_id == 192
+    assert memory.timestamp < (time.time() + 120 - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S
+
+
+async def test_what_was_recorded_before_a_stop_is_refused_after_it(tmp_path: Path) -> None:
+    pilot, key = Signing(KEY), private_key(tmp_path, KEY)
+    pilot.advance(time.time())
+    station = Codec(255, 190, pilot)
+    bend = mavlink.MAVLink_command_long_message(1, 191, mavlink.MAV_CMD_USER_2, 0, 60, 0, 0, 0, 0, 0, 0)
+    recorded = station.encode(bend, 255)
+    async with on_bench(Autopilot("ardupilot", signing_key=KEY, unix_s=time.time())) as bench:
+        for expected in (1, 0):
+            async with serving(bench, tmp_path, key) as served:
+                await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+                # As whoever recorded it sends it: to the same port, the second time after the restart.
+                served.service._vehicle_bytes(recorded)
+                await until(bench.bent if expected else bench.vented, "what is due")
+                asked = [a for a in served.seen if isinstance(a, Decision) and a.trigger == "command"]
+                assert len(asked) == expected, (asked, served.texts)
+            await until(bench.vented, "vented by the stop")
+        assert served.service._signing is not None and served.service._signing.refused.replayed == 1

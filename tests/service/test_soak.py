@@ -1,0 +1,88 @@
+"""One flight of each kind of the soak, and its judge; benchmarks/soak.py flies for a day."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from needed import needs_compiler
+
+from flying_vines.vehicle.mission.storage import Kind
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+
+from soak import Outcome, Sample, simulated
+from soak_day import BUTTONS, Tally, bend
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("kind", "seed", "by"),
+    [("ardupilot", 10, "mission item"), ("px4", 36, "command"), ("ardupilot", 2, "switch")],
+)
+def test_every_trigger_of_a_flight_is_a_motion(
+    kind: Kind, seed: int, by: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    outcome = simulated(kind, seed, 1.0, 1.0)
+    tally = outcome.world.tally
+    assert tally.fouls == []
+    assert set(tally.triggers) == {by}
+    assert tally.flights == 1
+    assert tally.triggers.total() == tally.motions == outcome.decisions["accepted"] >= 3
+    assert outcome.good
+    assert len(capsys.readouterr().out.splitlines()) == 1
+
+
+def judged(motion_of_the_plant: dict[float, float], until_s: float = 12.0, angle_deg: float = 30.0) -> Tally:
+    """A bend at 1 s, by a plant with these pressures from these times on."""
+    tally = Tally()
+    cv_kPa = 0.0
+    for tenth in range(round(until_s * 10)):
+        t = tenth / 10
+        if tenth == 10:
+            tally.trigger(t, "switch", bend(angle_deg))
+        cv_kPa = motion_of_the_plant.get(t, cv_kPa)
+        tally.look(t, cv_kPa)
+    return tally
+
+
+def test_a_motion_that_comes_counts() -> None:
+    tally = judged({1.4: 11.4})
+    assert (tally.motions, tally.fouls) == (1, [])
+
+
+@pytest.mark.parametrize(
+    ("plant", "motions", "foul"),
+    [
+        ({}, 0, "at 3.5 s: 0.0 kPa since bend 30° at 1.0 s"),
+        ({1.4: 11.4, 1.9: 20.7}, 0, "at 3.5 s: 20.7 kPa since bend 30° at 1.0 s"),
+        ({1.4: 11.4, 8.0: 0.0}, 1, "at 8.0 s: 0.0 kPa since bend 30° at 1.0 s"),
+        ({0.5: 6.0, 1.4: 11.4}, 1, "at 0.5 s: 6.0 kPa since the start at 0.0 s"),
+        ({4.0: 11.4}, 0, "at 3.5 s: 0.0 kPa since bend 30° at 1.0 s"),
+    ],
+)
+def test_a_motion_missed_or_unasked_is_a_foul(plant: dict[float, float], motions: int, foul: str) -> None:
+    tally = judged(plant)
+    assert tally.motions == motions
+    assert tally.fouls[0] == foul
+
+
+def test_a_wave_has_to_wave() -> None:
+    tally = Tally()
+    tally.trigger(0.0, "command", BUTTONS[3])
+    for tenth in range(100):
+        tally.look(tenth / 10, 0.0)
+    assert tally.motions == 0
+    assert len(tally.fouls) == 1
+
+
+def test_memory_that_grows_is_not_flat() -> None:
+    def flat(*ends: tuple[float, int | None]) -> bool:
+        outcome = Outcome.__new__(Outcome)
+        outcome.samples = [Sample(hour, 0.0, rss_MB, blocks) for hour, (rss_MB, blocks) in enumerate(ends)]
+        return outcome.flat
+
+    assert flat((40.0, 100_000), (47.0, 120_000), (41.0, 100_500))
+    assert not flat((40.0, 100_000), (40.0, 106_000))
+    assert not flat((40.0, None), (46.0, None))

@@ -1,0 +1,570 @@
+"""What goes wrong with the hardware, goes wrong as it says: and no air is made or lost by it."""
+
+from __future__ import annotations
+
+from random import Random
+from statistics import pstdev
+
+import pytest
+from still_board import StillBoard
+
+from firmware_link.protocol import PROTOCOL_VERSION, Codec, Fault, Hello, Mode, Setpoint, Telemetry, Vent
+from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.flow import Ohm, flow_SL_per_s
+from flying_vines.physics.plant.gas import choked_time_constant_s, isothermal_choked_discharge_kPa_abs
+from flying_vines.physics.plant.shape import Pouch
+from flying_vines.physics.plant.true_rig import TrueRig
+from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.rig import ControlVolume, Rig, Sensors
+from flying_vines.simulation.phlosar import mishaps
+from flying_vines.simulation.phlosar.mishaps import (
+    DRAWN,
+    PLACES,
+    Drifting,
+    Filled,
+    Gain,
+    Glitching,
+    Hanging,
+    Heated,
+    Hole,
+    HoseOff,
+    Kind,
+    Kinked,
+    Mishap,
+    Mishaps,
+    Momentary,
+    Noisy,
+    Open,
+    Reset,
+    SensorMishap,
+    Shorted,
+    Stuck,
+    StuckAt,
+    Unpowered,
+    WatchdogReset,
+    draw_mishap,
+)
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.simulation.phlosar.regulator import SAFE, Drive
+
+SHUT, INFLATING = Drive(0.0, 0.0, False), Drive(1.0, 0.0, False)
+AMBIENT_KPA = 101.325
+QUIET = Rig(sensors=Sensors(0.0, 0.0))
+WARM = Effects(reservoir_wall=Wall(conductance_W_per_K=1.0), cv_wall=Wall(0.5), cv_shape=Pouch())
+"""Without tubing, but with all that makes it hard to cut off a piece."""
+
+likely_and_ideal = pytest.mark.parametrize("effects", [None, Effects()], ids=["likely", "ideal"])
+of_either_sensor = pytest.mark.parametrize(
+    ("place", "column", "span_kPa"), [("cv_sensor", 1, 206.84), ("reservoir_sensor", 2, 1500.0)]
+)
+
+
+def rigged(
+    drive: Drive, effects: Effects | None = None, *, cv_kPa: float = 0.0, rig: Rig = QUIET
+) -> tuple[SimulatedPhlosar, StillBoard]:
+    """A phloSAR whose valves are told always the same, and what tells them."""
+    board = StillBoard(drive)
+    return SimulatedPhlosar(rig, board, effects=effects, cv_kPa=cv_kPa), board
+
+
+def air_SL(phlosar: SimulatedPhlosar) -> float:
+    state = phlosar.state
+    return state.reservoir_air_SL + state.cv_air_SL + state.line_air_SL + state.vented_SL
+
+
+# Sensors.
+
+
+def read_with(
+    place: str, column: int, kind: SensorMishap, *, seed: int = 1, rig: Rig = QUIET
+) -> tuple[list[float], list[float]]:
+    """What a sensor reads in the half second after a mishap began, and what it would have read."""
+    found = []
+    for suffered in (kind, None):
+        board = StillBoard(INFLATING)
+        phlosar = SimulatedPhlosar(rig, board, effects=Effects(), seed=seed)
+        phlosar.advance(0.1)
+        phlosar.befall(place, suffered)
+        phlosar.advance(0.6)
+        found.append([step[column] for step in board.steps])
+    broken, well = found
+    assert broken[:101] == well[:101]
+    assert well[100] != well[-1]
+    return broken[101:], well[101:]
+
+
+@of_either_sensor
+def test_a_stuck_sensor_reads_what_it_read_last(place: str, column: int, span_kPa: float) -> None:
+    broken, well = read_with(place, column, Stuck(), rig=Rig())
+    assert len(set(broken)) == 1
+    assert abs(broken[0] - well[0]) < 4.0
+    assert broken[0] not in well
+
+
+@of_either_sensor
+def test_a_drifting_one_goes_astray(place: str, column: int, span_kPa: float) -> None:
+    broken, well = read_with(place, column, Drifting(-4.0))
+    for ms, (astray_kPa, kPa) in enumerate(zip(broken, well, strict=True), start=1):
+        assert astray_kPa == pytest.approx(kPa - 0.004 * ms)
+
+
+@of_either_sensor
+@pytest.mark.parametrize(("kind", "share"), [(Open(), -0.125), (Shorted(), 1.125), (Drifting(1e9), 1.125)])
+def test_a_wire_carries_no_more_than_its_supply(
+    place: str, column: int, span_kPa: float, kind: SensorMishap, share: float
+) -> None:
+    broken, _ = read_with(place, column, kind)
+    assert set(broken) == {share * span_kPa}
+
+
+@of_either_sensor
+def test_noise_comes_beside_what_there_is(place: str, column: int, span_kPa: float) -> None:
+    broken, well = read_with(place, column, Noisy(3.0), rig=Rig())
+    assert pstdev(a - b for a, b in zip(broken, well, strict=True)) == pytest.approx(3.0, rel=0.15)
+    other, well_other = read_with(place, 3 - column, Noisy(3.0), rig=Rig())
+    assert other == well_other
+    assert broken == read_with(place, column, Noisy(3.0), rig=Rig())[0]
+    assert broken != read_with(place, column, Noisy(3.0), rig=Rig(), seed=2)[0]
+
+
+@of_either_sensor
+def test_a_gain_may_be_wrong_or_none(place: str, column: int, span_kPa: float) -> None:
+    broken, well = read_with(place, column, Gain(0.8))
+    assert broken == pytest.approx([0.8 * kPa for kPa in well])
+    assert set(read_with(place, column, Gain(0.0))[0]) == {0.0}
+
+
+@of_either_sensor
+def test_a_glitch_is_one_reading(place: str, column: int, span_kPa: float) -> None:
+    broken, well = read_with(place, column, Glitching(77.0, every_ms=200.0))
+    wrong = [ms for ms, (a, b) in enumerate(zip(broken, well, strict=True)) if a != b]
+    assert wrong == [0, 200, 400]
+    assert [broken[ms] for ms in wrong] == [77.0] * 3
+
+
+def test_both_may_be_wrong_at_once_and_well_again() -> None:
+    phlosar, board = rigged(INFLATING, Effects())
+    phlosar.mishaps.cv_sensor, phlosar.mishaps.reservoir_sensor = Open(), Gain(0.0)
+    phlosar.advance(0.1)
+    assert board.steps[-1][1:] == (-0.125 * 206.84, 0.0)
+    phlosar.mishaps = Mishaps()
+    phlosar.advance(0.2)
+    assert board.steps[-1][1:] == (phlosar.cv_kPa, phlosar.reservoir_kPa)
+
+
+@pytest.mark.parametrize("kind", [Open(), Shorted()])
+@pytest.mark.parametrize(
+    ("place", "fault"),
+    [("cv_sensor", Fault.CV_SENSOR), ("reservoir_sensor", Fault.RESERVOIR_SENSOR)],
+)
+def test_the_firmware_finds_a_broken_wire(place: str, fault: Fault, kind: Kind) -> None:
+    phlosar = SimulatedPhlosar()
+    phlosar.advance(0.1)
+    assert phlosar.firmware.faults is Fault.NONE
+    phlosar.befall(place, kind)
+    phlosar.advance(0.12)
+    assert phlosar.firmware.faults == fault
+
+
+# Valves.
+
+
+@likely_and_ideal
+def test_an_inflation_valve_stuck_open_lets_air_in_whatever_it_is_told(effects: Effects | None) -> None:
+    phlosar, _ = rigged(SHUT, effects)
+    phlosar.mishaps.evp = StuckAt(1.0)
+    phlosar.advance(1.0)
+    assert phlosar.cv_kPa > 100.0
+    phlosar.mishaps.evp = None
+    phlosar.advance(1.1)
+    held_kPa = phlosar.cv_kPa
+    phlosar.advance(1.2)
+    assert phlosar.cv_kPa == pytest.approx(held_kPa, rel=0.05)
+
+
+@likely_and_ideal
+def test_one_stuck_shut_lets_none_in(effects: Effects | None) -> None:
+    phlosar, _ = rigged(INFLATING, effects)
+    phlosar.mishaps.evp = StuckAt(0.0)
+    phlosar.advance(0.5)
+    assert phlosar.cv_kPa == pytest.approx(0.0, abs=1e-6)
+    phlosar.mishaps.evp = None
+    phlosar.advance(1.0)
+    assert phlosar.cv_kPa > 20.0
+
+
+@pytest.mark.parametrize("told", [SHUT, INFLATING])
+def test_one_stuck_in_between_is_open_that_far_with_no_dead_zone(told: Drive) -> None:
+    phlosar, _ = rigged(told)
+    phlosar.mishaps.evp = phlosar.mishaps.dvp = StuckAt(0.1)
+    phlosar.advance(0.3)
+    assert phlosar.state.evp_opening == pytest.approx(0.1)
+    assert phlosar.state.dvp_opening == pytest.approx(0.1)
+
+
+@likely_and_ideal
+def test_a_supply_valve_stuck_open_spends_air_and_pulls(effects: Effects | None) -> None:
+    phlosar, _ = rigged(SAFE, effects)
+    phlosar.mishaps.dvp = StuckAt(1.0)
+    phlosar.advance(1.0)
+    assert phlosar.cv_kPa < -20.0
+    assert phlosar.reservoir_kPa < 660.0
+
+
+@likely_and_ideal
+def test_a_supply_valve_stuck_shut_does_not_pull(effects: Effects | None) -> None:
+    phlosar, _ = rigged(Drive(0.0, 1.0, True), effects)
+    phlosar.mishaps.dvp = StuckAt(0.0)
+    phlosar.advance(1.0)
+    assert phlosar.cv_kPa == pytest.approx(0.0, abs=0.1)
+    assert phlosar.reservoir_kPa > 689.0
+
+
+@likely_and_ideal
+@pytest.mark.parametrize(("told", "opening", "vented"), [(SAFE, 0.0, False), (SHUT, 1.0, True)])
+def test_a_solenoid_may_stick_either_way(
+    effects: Effects | None, told: Drive, opening: float, vented: bool
+) -> None:
+    phlosar, _ = rigged(told, effects, cv_kPa=20.0)
+    phlosar.mishaps.solenoid = StuckAt(opening)
+    phlosar.advance(0.5)
+    assert (phlosar.cv_kPa < 1.0) is vented
+    assert (phlosar.cv_kPa > 17.0) is not vented
+    phlosar.mishaps.solenoid = None
+    phlosar.advance(1.0)
+    assert vented or phlosar.cv_kPa < 1.0
+
+
+# What holds air.
+
+
+@pytest.mark.parametrize("effects", [None, Effects(), WARM], ids=["likely", "ideal", "warm"])
+@pytest.mark.parametrize("index", range(len(DRAWN)))
+def test_no_air_is_made_or_lost(index: int, effects: Effects | None) -> None:
+    place, make = DRAWN[index]
+    phlosar, board = rigged(INFLATING, effects)
+    all_SL = air_SL(phlosar)
+    phlosar.suffer([Mishap(place, make(Random(index)), 0.06, 0.18)])
+    for told in (INFLATING, SHUT, SAFE, Drive(0.0, 1.0, True), INFLATING):
+        board.drive = told
+        phlosar.advance(phlosar.now_s + 0.05)
+        assert air_SL(phlosar) == pytest.approx(all_SL, rel=1e-12)
+        assert phlosar.reservoir_kPa > -0.01
+        assert -AMBIENT_KPA < phlosar.cv_kPa <= 690.0
+
+
+@likely_and_ideal
+@pytest.mark.parametrize("kind", [HoseOff(), Hole(6.0)])
+def test_a_hose_that_comes_off_or_a_burst_empties_the_vine_and_it_is_not_fed(
+    effects: Effects | None, kind: HoseOff | Hole
+) -> None:
+    phlosar, board = rigged(SHUT, effects, cv_kPa=20.0)
+    phlosar.advance(0.1)
+    assert phlosar.cv_kPa > 19.0
+    phlosar.befall("hose" if isinstance(kind, HoseOff) else "actuator", kind)
+    phlosar.advance(0.2)
+    assert phlosar.cv_kPa < 0.5
+    board.drive = INFLATING
+    before_SL = phlosar.state.vented_SL
+    phlosar.advance(1.0)
+    # What the open valve passes leaves again, and the sensor at the valves sees next to nothing of it.
+    assert board.steps[-1][1] < 5.0
+    assert phlosar.cv_kPa < 3.0
+    assert phlosar.state.vented_SL - before_SL > 0.1
+
+
+def test_a_hose_that_is_off_does_not_fill_the_pouch() -> None:
+    phlosar, _ = rigged(INFLATING)
+    phlosar.mishaps.hose = HoseOff()
+    phlosar.advance(2.0)
+    burst, _ = rigged(INFLATING)
+    burst.mishaps.actuator = Hole(6.0)
+    burst.advance(2.0)
+    assert phlosar.state.cv_air_SL < burst.state.cv_air_SL
+
+
+@pytest.mark.parametrize("own", [None, Ohm(20_000.0)])
+def test_a_slow_leak_comes_beside_the_rigs_own(own: Ohm | None) -> None:
+    phlosar, _ = rigged(SHUT, Effects(cv_leak=own), cv_kPa=20.0)
+    phlosar.mishaps.actuator = Hole(0.1)
+    phlosar.advance(0.1)
+    leaks = (Hole(0.1).opening, *([own.numbers()] if own else []))
+    out_SL_per_s = sum(flow_SL_per_s(leak, 20.0 + AMBIENT_KPA, AMBIENT_KPA, 1.0, 1.0) for leak in leaks)
+    assert 20.0 - phlosar.cv_kPa == pytest.approx(0.1 * out_SL_per_s * AMBIENT_KPA / 0.1, rel=0.01)
+    assert phlosar.state.vented_SL == pytest.approx(0.1 * out_SL_per_s, rel=0.01)
+
+
+def test_a_hole_in_the_bottle_empties_it_as_the_textbook_says() -> None:
+    phlosar, _ = rigged(SHUT, Effects())
+    phlosar.mishaps.bottle = Hole(2.0)
+    phlosar.advance(1.0)
+    tau_s = choked_time_constant_s(2.0, Hole(2.0).opening.conductance_SL_per_s_kPa)
+    left_kPa_abs = isothermal_choked_discharge_kPa_abs(690.0 + AMBIENT_KPA, 1.0, tau_s)
+    assert phlosar.reservoir_kPa + AMBIENT_KPA == pytest.approx(left_kPa_abs, rel=1e-3)
+    phlosar.mishaps.bottle = None
+    kept_kPa = phlosar.reservoir_kPa
+    phlosar.advance(2.0)
+    assert phlosar.reservoir_kPa == kept_kPa
+
+
+def test_a_hole_has_the_flow_of_its_size() -> None:
+    # 4 mm with 0.65 of it counting: 1.65 dm³/(s·bar), by p A √(γ/(R T)) (2/(γ+1))^3 over 1.185 kg/m³.
+    dm3_per_s_bar = Hole(4.0).opening.conductance_SL_per_s_kPa * 101.325
+    assert dm3_per_s_bar == pytest.approx(1.63, abs=0.03)
+
+
+@likely_and_ideal
+def test_a_kinked_hose_feeds_nothing_and_the_sensor_sees_the_valves_side(effects: Effects | None) -> None:
+    phlosar, board = rigged(SHUT, effects, cv_kPa=10.0)
+    phlosar.mishaps.hose = Kinked()
+    phlosar.advance(0.02)
+    before_kPa = phlosar.cv_kPa
+    assert before_kPa == pytest.approx(10.0, rel=0.02)
+    board.drive = INFLATING
+    phlosar.advance(0.12)
+    assert phlosar.cv_kPa == pytest.approx(before_kPa, rel=0.01)
+    assert board.steps[-1][1] > 100.0
+    board.drive = SAFE
+    phlosar.advance(0.4)
+    assert board.steps[-1][1] < 0.5
+    assert phlosar.cv_kPa == pytest.approx(before_kPa, rel=0.02)
+    phlosar.mishaps.hose = None
+    phlosar.advance(1.0)
+    assert phlosar.cv_kPa < 1.0
+
+
+@likely_and_ideal
+def test_half_a_kink_slows_it(effects: Effects | None) -> None:
+    reached_SL = []
+    for kind in (None, Kinked(2000.0), Kinked(10_000.0)):
+        phlosar, _ = rigged(INFLATING, effects, rig=Rig(sensors=Sensors(0.0, 0.0)))
+        phlosar.mishaps.hose = kind
+        phlosar.advance(0.8)
+        reached_SL.append(phlosar.state.cv_air_SL)
+    assert reached_SL == sorted(reached_SL, reverse=True)
+    assert reached_SL[2] < 0.8 * reached_SL[0]
+
+
+@likely_and_ideal
+def test_the_firmware_is_content_with_what_is_before_a_kink(effects: Effects | None) -> None:
+    phlosar = SimulatedPhlosar(effects=effects)
+    phlosar.mishaps.hose = Kinked()
+    sent = hold(phlosar, greeted(phlosar), 0.4)
+    told = [message.cv_kPa for message in Codec().decode(sent) if isinstance(message, Telemetry)]
+    assert 17.0 < max(told) < 23.0
+    assert phlosar.firmware.mode is Mode.REGULATE
+    assert phlosar.cv_kPa < 0.1
+
+
+@likely_and_ideal
+def test_a_bottle_may_be_filled_and_emptied(effects: Effects | None) -> None:
+    phlosar, _ = rigged(SHUT, effects)
+    phlosar.befall("bottle", Filled(800.0))
+    assert phlosar.reservoir_kPa == pytest.approx(800.0)
+    phlosar.befall("bottle", Filled(0.0))
+    phlosar.advance(0.1)
+    assert phlosar.reservoir_kPa == pytest.approx(0.0, abs=0.1)
+    assert phlosar.mishaps == Mishaps()
+
+
+@pytest.mark.parametrize("effects", [None, Effects(), WARM], ids=["likely", "ideal", "warm"])
+def test_a_bottle_in_the_sun_has_more_pressure(effects: Effects | None) -> None:
+    phlosar, _ = rigged(SHUT, effects)
+    phlosar.befall("bottle", Heated(30.0))
+    warm_kPa_abs = (690.0 + AMBIENT_KPA) * (1.0 + 30.0 / 293.15)
+    assert phlosar.reservoir_kPa + AMBIENT_KPA == pytest.approx(warm_kPa_abs)
+    phlosar.advance(5.0)
+    # The likely bottle's wall is as warm as its air; WARM's is at ambient, the ideal one has none.
+    left = (phlosar.reservoir_kPa + AMBIENT_KPA - 791.325) / (warm_kPa_abs - 791.325)
+    assert left == pytest.approx({None: 0.96, Effects(): 1.0, WARM: 0.69}[effects], abs=0.03)
+
+
+# The board.
+
+
+def greeted(phlosar: SimulatedPhlosar, target_kPa: float = 20.0) -> Codec:
+    host = Codec()
+    phlosar.receive(host.encode(Hello(PROTOCOL_VERSION, 1)))
+    hold(phlosar, host, 0.8, target_kPa)
+    return host
+
+
+def hold(phlosar: SimulatedPhlosar, host: Codec, seconds: float, target_kPa: float = 20.0) -> bytes:
+    sent = b""
+    for _ in range(round(seconds * 50)):
+        phlosar.receive(host.encode(Setpoint(target_kPa, 60.0, 250, 1)))
+        sent += phlosar.advance(phlosar.now_s + 0.02)
+    return sent
+
+
+def test_a_board_without_power_hears_and_says_nothing_and_its_valves_shut() -> None:
+    phlosar = SimulatedPhlosar(effects=Effects())
+    host = greeted(phlosar)
+    phlosar.mishaps.board = Unpowered()
+    before_kPa = phlosar.cv_kPa
+    assert hold(phlosar, host, 1.0) == b""
+    assert phlosar.drive == SHUT
+    # Its outlet needs power to open: what is in the vine stays there.
+    assert phlosar.cv_kPa == pytest.approx(before_kPa, abs=0.01) == pytest.approx(20.0, abs=0.5)
+    phlosar.mishaps.board = None
+    sent = phlosar.advance(phlosar.now_s + 0.5)
+    first = next(message for message in Codec().decode(sent) if isinstance(message, Telemetry))
+    assert first.device_time_ms < 10
+    assert phlosar.firmware.mode is Mode.VENT
+    assert phlosar.firmware.number == 0
+    assert phlosar.cv_kPa < 1.0
+
+
+def test_a_hanging_board_keeps_its_valves_until_the_watchdog_resets_it() -> None:
+    board = StillBoard(INFLATING)
+    phlosar = SimulatedPhlosar(QUIET, board, effects=Effects())
+    phlosar.advance(0.1)
+    phlosar.mishaps.board = Hanging()
+    board.drive = SAFE
+    phlosar.receive(b"vent!")
+    phlosar.advance(0.355)
+    assert board.heard == b""
+    assert board.resets == []
+    assert len(board.steps) == 101
+    assert phlosar.drive == INFLATING
+    phlosar.advance(0.356)
+    assert board.resets == [True]
+    assert phlosar.drive == SAFE
+    assert phlosar.mishaps.board is None
+    phlosar.receive(b"vent!")
+    assert board.heard == b"vent!"
+
+
+def test_the_firmware_tells_of_the_watchdog() -> None:
+    phlosar = SimulatedPhlosar(effects=Effects())
+    host = greeted(phlosar)
+    phlosar.mishaps.board = Hanging()
+    hold(phlosar, host, 0.3)
+    assert phlosar.firmware.faults == Fault.WATCHDOG_RESET
+    hold(phlosar, host, 0.7)
+    assert phlosar.cv_kPa < 1.0
+
+
+def test_a_board_that_hangs_for_a_moment_goes_on() -> None:
+    phlosar, board = rigged(SHUT, Effects())
+    phlosar.suffer([Mishap("board", Hanging(), 0.1, 0.2)])
+    phlosar.advance(1.0)
+    assert board.resets == []
+    assert len(board.steps) == 1001 - 100
+
+
+@pytest.mark.parametrize(("kind", "watchdog"), [(Reset(), False), (WatchdogReset(), True)])
+def test_a_reset_is_over_at_once(kind: Kind, watchdog: bool) -> None:
+    phlosar, board = rigged(SHUT, Effects())
+    phlosar.suffer([Mishap("board", kind, 0.1)])
+    phlosar.advance(1.0)
+    assert board.resets == [watchdog]
+    assert phlosar.mishaps == Mishaps()
+
+
+# With their times.
+
+
+def test_they_happen_at_their_times_however_a_flight_is_cut() -> None:
+    random = Random(5)
+    planned = [draw_mishap(random, 1.0) for _ in range(6)]
+
+    def flown(pieces: int) -> tuple[bytes, float, float]:
+        phlosar = SimulatedPhlosar(effects=Effects())
+        phlosar.receive(Codec().encode(Hello(PROTOCOL_VERSION, 1)))
+        phlosar.suffer(planned)
+        sent = b"".join(phlosar.advance(at / pieces) for at in range(1, pieces + 1))
+        return sent, phlosar.cv_kPa, phlosar.reservoir_kPa
+
+    assert flown(1) == flown(37) == flown(1000)
+
+
+def test_one_begins_and_ends_to_the_millisecond() -> None:
+    phlosar, board = rigged(SHUT, Effects())
+    phlosar.suffer([Mishap("cv_sensor", Shorted(), 0.2, 0.3), Mishap("cv_sensor", Open(), 0.05, 0.06)])
+    phlosar.advance(1.0)
+    wrong = [(now_us // 1000, kPa > 0.0) for now_us, kPa, _ in board.steps if kPa != 0.0]
+    assert wrong == [*((ms, False) for ms in range(51, 61)), *((ms, True) for ms in range(201, 301))]
+
+
+def test_what_was_never_wrong_is_the_same_to_the_last_bit() -> None:
+    def flown(mishap: Kind | None) -> tuple[bytes, float]:
+        phlosar = SimulatedPhlosar()
+        host = greeted(phlosar)
+        phlosar.befall("evp", mishap)
+        phlosar.befall("evp", None)
+        return hold(phlosar, host, 0.2), phlosar.cv_kPa
+
+    assert flown(StuckAt(1.0)) == flown(None)
+
+
+def test_draws_repeat_themselves_and_print_as_what_makes_them() -> None:
+    def draws(seed: int) -> list[Mishap]:
+        random = Random(seed)
+        return [draw_mishap(random, 30.0) for _ in range(400)]
+
+    drawn = draws(1)
+    assert drawn == draws(1) != draws(2)
+    assert [eval(repr(mishap), vars(mishaps)) for mishap in drawn] == drawn
+    assert all(0.0 <= mishap.begins_s <= 30.0 for mishap in drawn)
+    assert all(m.ends_s is None for m in drawn if isinstance(m.kind, Momentary))
+    assert 100 < sum(mishap.ends_s is not None for mishap in drawn) < 250
+    everything = {(place, kind) for place, kinds in PLACES.items() for kind in kinds.values()}
+    assert {(mishap.place, type(mishap.kind)) for mishap in drawn} == everything
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_flight_survives_several_at_once(seed: int) -> None:
+    random = Random(seed)
+    phlosar = SimulatedPhlosar(
+        Rig(cv=ControlVolume(random.choice([0.1, 0.5, 1.0]))), effects=Effects(), seed=seed
+    )
+    all_SL = air_SL(phlosar)
+    phlosar.suffer([draw_mishap(random, 3.0) for _ in range(5)])
+    host = Codec()
+    for step in range(150):
+        if step % 40 == 0:
+            phlosar.receive(host.encode(Hello(PROTOCOL_VERSION, step)))
+        phlosar.receive(
+            host.encode(Vent(step + 1) if step % 60 > 40 else Setpoint(20.0, 60.0, 250, step + 1))
+        )
+        phlosar.advance(0.02 * (step + 1))
+        assert air_SL(phlosar) == pytest.approx(all_SL, rel=1e-12)
+        assert -AMBIENT_KPA < phlosar.cv_kPa < 900.0
+
+
+def test_a_rig_without_a_vine_has_nothing_to_burst() -> None:
+    phlosar = SimulatedPhlosar(TrueRig(Rig(cv=None)), StillBoard(SHUT))
+    all_SL = air_SL(phlosar)
+    phlosar.mishaps.hose, phlosar.mishaps.actuator = Kinked(), Hole(5.0)
+    phlosar.advance(0.1)
+    assert phlosar.cv_kPa == 0.0
+    assert air_SL(phlosar) == pytest.approx(all_SL, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("place", "kind", "sentence"),
+    [
+        ("wing", Stuck(), "wing is no place"),
+        ("evp", Stuck(), r"evp cannot suffer Stuck\(\)"),
+        ("bottle", HoseOff(), r"bottle cannot suffer HoseOff\(\)"),
+    ],
+)
+def test_what_cannot_happen_there_is_refused(place: str, kind: Kind, sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        Mishap(place, kind, 0.0)
+
+
+def test_impossible_numbers_are_refused() -> None:
+    for make in (
+        lambda: StuckAt(1.1),
+        lambda: Hole(0.0),
+        lambda: Kinked(-1.0),
+        lambda: Noisy(-1.0),
+        lambda: Glitching(0.0, 0.5),
+        lambda: Filled(-1.0),
+        lambda: Heated(-200.0),
+        lambda: Mishap("evp", StuckAt(1.0), 2.0, 1.0),
+    ):
+        with pytest.raises(ValueError, match=r"^[a-z]"):
+            make()

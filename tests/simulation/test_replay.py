@@ -1,0 +1,265 @@
+"""Recordings of a real ArduCopter and a real PX4, against the timelines of what was done to them."""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from flying_vines.config import config
+from flying_vines.core.events import Action, Decision, ToFirmware, ToVehicle
+from flying_vines.simulation.replay import as_json, replay
+from flying_vines.vehicle.mavlink.tlog import TlogReader
+from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.notice import Notice
+from missions.waypoints import read_waypoints
+
+RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
+SETTLING_S = 0.45
+"""RC_CHANNELS comes at 10 Hz in the recordings: up to 0.1 s of delay, debounce, and a sample to spare."""
+
+
+@functools.cache
+def replayed(name: str) -> list[Action]:
+    return fresh_replay(name)
+
+
+def fresh_replay(name: str, mission: Sequence[MissionItem] = ()) -> list[Action]:
+    reader = TlogReader(RECORDINGS / f"{name}.tlog")
+    actions = list(replay(reader.frames(), config.default(), mission))
+    assert reader.skipped_bytes == 0
+    return actions
+
+
+def decisions(actions: list[Action], trigger: str | None = None) -> list[Decision]:
+    return [a for a in actions if isinstance(a, Decision) and trigger in (None, a.trigger)]
+
+
+def assert_moves(found: list[Decision], wanted: list[tuple[float, int]], offset_s: float) -> None:
+    """Each stimulus gives one decision, at its time and in its order, and there is no other."""
+    assert [d.what["position"] for d in found] == [position for _, position in wanted]
+    for decision, (at_s, _) in zip(found, wanted, strict=True):
+        assert 0.0 < decision.t - (at_s + offset_s) < SETTLING_S
+
+
+def test_every_move_of_the_switch_once_and_no_failsafe_as_a_move() -> None:
+    actions = replayed("rc_switch")
+    first_frame_after_start_s = 0.09
+    wanted = [
+        (10.016, 1), (14.016, 2), (18.017, 1), (21.017, 0), (24.017, 2), (28.017, 0), (31.018, 2),
+        (34.018, 0), (34.518, 2), (35.018, 0), (35.518, 1), (36.019, 2),
+        (55.036, 1), (58.036, 2), (70.048, 0),
+    ]  # fmt: skip
+    found = decisions(actions, "switch")
+    assert_moves(found, wanted, first_frame_after_start_s)
+    assert all(d.safety == "accepted" for d in found)
+    losses = decisions(actions, "failsafe")
+    assert [d.what for d in losses] == [{"loss": "rc"}, {"loss": "rc"}]
+    assert [round(d.t) for d in losses] == [40, 62]
+    assert {d.setpoint_kPa for d in losses} == {0.0}
+    assert len(decisions(actions)) == len(wanted) + len(losses)
+
+
+def test_a_move_while_rc_is_lost_is_told_and_not_made() -> None:
+    told = [a.t for a in replayed("rc_switch") if isinstance(a, Notice) and "move it again" in a.text]
+    assert len(told) == 1
+    assert 49.0 < told[0] < 52.0
+
+
+CONFIRMED_S = (1.6, 1.85)
+"""On PX4, from the move to the bend: what RC status must still say then, and a period of RC and of status."""
+
+
+def bends(actions: list[Action]) -> list[tuple[float, str | None]]:
+    return [(d.t, d.intent) for d in decisions(actions, "switch") if d.intent and d.intent != "straight"]
+
+
+def vents(actions: list[Action]) -> list[float]:
+    return [d.t for d in decisions(actions, "failsafe") if d.what == {"loss": "rc"}]
+
+
+@pytest.mark.parametrize(
+    ("name", "bent_s", "losses_s"),
+    [
+        ("px4_sbus_failsafe", [29.36, 76.89], [32.25, 50.40, 69.21, 79.8, 97.9, 116.8]),
+        ("px4_crsf_loss", [28.58, 63.08], [31.5, 49.6, 66.1, 84.2]),
+    ],
+)
+def test_on_px4_only_what_the_pilot_holds_bends_and_every_loss_vents(
+    name: str, bent_s: list[float], losses_s: list[float]
+) -> None:
+    actions = replayed(name)
+    for (t, intent), moved_s in zip(bends(actions), bent_s, strict=True):
+        assert CONFIRMED_S[0] < t - moved_s < CONFIRMED_S[1]
+        assert intent == "bend-full"
+    for t, lost_s in zip(vents(actions), losses_s, strict=True):
+        assert 0.0 < t - lost_s < 1.5
+    told = [a.text for a in actions if isinstance(a, Notice)]
+    assert sum("move it again" in text for text in told) >= len(losses_s) - 1
+
+
+def test_a_receiver_that_holds_its_channels_costs_the_pilot_nothing() -> None:
+    base = config.default()
+    holds = msgspec.structs.replace(
+        base, switch=msgspec.structs.replace(base.switch, receiver_failsafe="hold")
+    )
+    frames = TlogReader(RECORDINGS / "px4_crsf_loss.tlog").frames()
+    moved_s = [26.45, 28.58, 47.53, 56.88, 61.01, 63.08, 82.12, 91.41]
+    for (t, _), at_s in zip(bends(list(replay(frames, holds))), moved_s, strict=True):
+        assert 0.0 < t - at_s < 0.25
+
+
+def test_where_ardupilot_hides_a_loss_nothing_bends() -> None:
+    actions = replayed("ardupilot_hidden_rc_loss")
+    assert bends(actions) == []
+    refused = [d for d in decisions(actions, "switch") if d.safety == "refused"]
+    assert [round(d.t, 1) for d in refused] == [48.4, 74.9]
+    assert {d.reason for d in refused} == {"FS_THR_ENABLE 0 hides a lost transmitter"}
+
+
+def test_an_override_that_ends_uncovers_the_switch_and_bends_nothing() -> None:
+    actions = replayed("ardupilot_override_and_late_texts")
+    assert [round(t, 1) for t, _ in bends(actions)] == [49.1]
+    told = [a.t for a in actions if isinstance(a, Notice) and "is back where it was" in a.text]
+    assert [round(t, 1) for t in told] == [59.5]
+
+
+def test_reboots_on_the_ground_bend_nothing() -> None:
+    actions = replayed("reboot")
+    found = decisions(actions, "switch")
+    assert_moves(found, [(12.047, 2), (45.097, 0)], 0.0)
+    assert (found[0].safety, found[0].reason) == ("refused", "not armed")
+    assert found[1].intent == "straight"
+    reboots = [d.t for d in decisions(actions, "link")]
+    assert len(reboots) == 2
+    assert 20.0 < reboots[0] < 24.0
+    assert 50.0 < reboots[1] < 54.0
+    assert all(d.setpoint_kPa == 0.0 for d in decisions(actions))
+
+
+EXECUTED = re.compile(r" PAYLOAD \S+ item (\d+) \S+\((\d+)\).* at (\d+\.\d+)")
+
+
+@pytest.mark.parametrize("name", ["ardupilot_vine_mission", "px4_vine_mission"])
+def test_every_item_once_at_its_execution(name: str) -> None:
+    timeline = (RECORDINGS / f"{name}.timeline.txt").read_text()
+    truth = [
+        (float(m[3]), int(m[1]), int(m[2])) for line in timeline.splitlines() if (m := EXECUTED.search(line))
+    ]
+    assert len(truth) == 4
+    actions = replayed(name)
+    found = decisions(actions, "mission_item")
+    assert [(d.what["seq"], d.what["command"]) for d in found] == [
+        (seq, command) for _, seq, command in truth
+    ]
+    for decision, (at_s, _, _) in zip(found, truth, strict=True):
+        assert abs(decision.t - at_s) < 0.005
+        assert decision.safety == "accepted"
+    assert decisions(actions) == found
+
+
+def test_the_angle_of_a_script_message_is_the_items() -> None:
+    found = decisions(replayed("ardupilot_vine_mission"), "mission_item")
+    assert [d.intent for d in found] == ["bend 40°", "bend-full", "reach", "straight"]
+    assert found[0].setpoint_kPa == pytest.approx(2.0 + 18.7 * 40 / 60, abs=0.01)
+
+
+def test_px4_switch_on_the_ground_and_copies_of_commands() -> None:
+    actions = replayed("px4_mission")
+    moves = decisions(actions, "switch")
+    assert_moves(moves, [(3.001, 1), (6.001, 2)], 0.0)
+    assert {d.reason for d in moves} == {"not armed"}
+    items = decisions(actions, "mission_item")
+    assert [(d.what["command"], round(d.t, 1)) for d in items] == [(187, 40.0), (42600, 47.5), (211, 77.7)]
+    assert {d.safety for d in items} == {"accepted"}
+
+
+def test_items_whose_numbers_are_unknown_are_seen_and_refused() -> None:
+    found = decisions(replayed("mission_do_items"), "mission_item")
+    assert [d.what["seq"] for d in found] == [2, 6, 7, 37, 40, 42, 44]
+    assert {d.safety for d in found} == {"refused"}
+    assert {d.reason for d in found} == {"numbers not confirmed"}
+
+
+def test_a_mission_from_a_file_gives_the_numbers() -> None:
+    given = {2: (217, (1, 25.0)), 6: (211, (1, 0)), 37: (217, (0, 0)), 40: (217, (9, 0))}
+    mission = [MissionItem(seq, *_item(given.get(seq, (16, (0, 0))))) for seq in range(47)]
+    found = {d.what["seq"]: d for d in decisions(fresh_replay("mission_do_items", mission), "mission_item")}
+    assert found[2].intent == "bend 25°"
+    assert found[2].safety == "accepted"
+    assert found[6].intent == "bend-full"
+    assert found[40].safety == "refused"
+    assert "no rule for script_message (9" in found[40].reason
+
+
+def _item(
+    given: tuple[int, tuple[float, float]],
+) -> tuple[int, tuple[float, float, float, float, float, float, float]]:
+    command, (one, two) = given
+    return command, (one, two, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_the_same_recording_gives_the_same_actions() -> None:
+    def essence(actions: list[Action]) -> list[str]:
+        return [str(a.message) if isinstance(a, ToVehicle | ToFirmware) else str(a) for a in actions]
+
+    assert essence(fresh_replay("px4_vine_mission")) == essence(replayed("px4_vine_mission"))
+
+
+def test_pace_waits_for_the_recorded_time() -> None:
+    frames = [(1000.0 + 0.5 * i, b"") for i in range(5)]
+    waited: list[float] = []
+    list(replay(frames, config.default(), pace=1e3, sleep=waited.append))
+    assert len(waited) <= 4
+    slept: list[float] = []
+    list(replay(frames, config.default(), pace=0.5, sleep=slept.append))
+    assert slept[-1] == pytest.approx(4.0, abs=1.0)
+
+
+def test_time_that_runs_backwards_does_not_stop_the_replay() -> None:
+    frames = list(TlogReader(RECORDINGS / "rc_switch.tlog").frames())[:400]
+    shuffled = [*frames[:200], (frames[0][0] - 50.0, frames[200][1]), *frames[201:]]
+    assert list(replay(shuffled, config.default()))
+
+
+def test_json_carries_what_is_promised() -> None:
+    found = [as_json(d) for d in decisions(replayed("rc_switch"))]
+    first: dict[str, Any] = found[0]
+    assert set(first) == {"t", "trigger", "what", "intent", "safety", "reason", "setpoint_kPa"}
+    assert first["trigger"] == "switch"
+    assert first["what"] == {"channel": 9, "position": 1, "from": 0}
+
+
+def test_the_recorded_plan_file_agrees_with_the_download() -> None:
+    mission = read_waypoints(RECORDINGS / "ardupilot_vine_mission.waypoints")
+    assert [i.seq for i in mission if i.command in (217, 211)] == [3, 5, 7, 9]
+
+
+def test_what_a_stalled_link_and_a_halted_process_heard_late_bends_nothing() -> None:
+    """Item 2 was carried out 7.5 s late at 79.1, and 4.5 s late at 96.1."""
+    actions = replayed("ardupilot_override_and_late_texts")
+    found = [d for d in decisions(actions, "mission_item") if d.t < 100.0]
+    assert [(d.what["seq"], d.intent, d.safety) for d in found] == [
+        (2, "bend 40°", "refused"),
+        (4, "straight", "accepted"),
+        (2, "bend 40°", "refused"),
+    ]
+    assert [d.what["late_s"] for d in found] == pytest.approx([7.5, 3.5, 4.9], abs=0.2)
+    assert [d.reason for d in found if d.safety == "refused"] == ["came 7.5 s late", "came 5.0 s late"]
+    told = [a.text for a in actions if isinstance(a, Notice) and "s late" in a.text]
+    assert told == [
+        "Vine: refused item 2, bend 40°: came 7.5 s late",
+        "Vine: refused item 2, bend 40°: came 5.0 s late",
+    ]
+
+
+def test_the_mission_behind_it_is_flown_in_time_with_its_own_numbers() -> None:
+    actions = replayed("ardupilot_override_and_late_texts")
+    found = [d for d in decisions(actions, "mission_item") if d.t > 100.0]
+    assert [d.intent for d in found][2:6] == ["bend 13°", "bend 16°", "bend 19°", "bend 22°"]
+    assert all(d.safety == "accepted" and "late_s" not in d.what for d in found)

@@ -1,0 +1,177 @@
+"""Scenario files: what is read, and what is said about the ones that cannot be."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from flying_vines.physics.plant.true_rig import true_rig_from
+from flying_vines.simulation.scenario import ScenarioError, load_scenario, parse_scenario
+from flying_vines.simulation.scenario.kinds import (
+    Bends,
+    Chirp,
+    Discharge,
+    Openings,
+    Prbs,
+    Profile,
+    Sine,
+    Steps,
+)
+from flying_vines.simulation.scenario.scenario import examples
+
+EVERY_KIND = """
+[[runs]]
+kind = "steps"
+pressures_kPa = [10, 5]
+hold_s = [1, 2.5]
+[[runs]]
+kind = "sine"
+high_kPa = 10
+frequency_Hz = 1
+duration_s = 2
+[[runs]]
+kind = "chirp"
+high_kPa = 10
+from_Hz = 1
+to_Hz = 2
+duration_s = 2
+[[runs]]
+kind = "prbs"
+levels_kPa = [1, 2]
+duration_s = 2
+[[runs]]
+kind = "discharge"
+duration_s = 2
+[[runs]]
+kind = "bends"
+cycles = 2
+[[runs]]
+kind = "openings"
+valves = [{ for_s = 1, evp = 0.5 }, { for_s = 2, solenoid = true }]
+[[runs]]
+kind = "profile"
+segments = [{ kind = "ramp", to_kPa = 10, over_s = 2 }, { kind = "step", to_kPa = 4 }]
+rate_kPa_per_s = 6
+settle_s = 1
+"""
+
+
+def test_every_kind_is_read_with_its_length() -> None:
+    runs = parse_scenario(EVERY_KIND, "all").runs
+    assert [type(run) for run in runs] == [Steps, Sine, Chirp, Prbs, Discharge, Bends, Openings, Profile]
+    assert [run.length_s for run in runs] == pytest.approx([3.5, 2, 2, 2, 2, 5, 3, 4])
+    assert [run.label for run in runs] == (
+        ["steps", "sine", "chirp", "prbs", "discharge", "bends", "openings", "profile"]
+    )
+    assert all(run.reservoir_kPa == 690.0 and run.sample_rate_Hz == 50 for run in runs)
+
+
+def test_examples_are_there_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert examples() == ("case", "discharge")
+    assert [run.label for run in load_scenario("case").runs] == ["steps", "prbs", "bends", "hold"]
+    assert [run.length_s for run in load_scenario("case").runs] == [45.0] * 4
+    assert isinstance(load_scenario("discharge").runs[0], Discharge)
+
+
+def test_a_file_goes_before_an_example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("case").write_text('name = "mine"\n[[runs]]\nkind = "bends"\ncycles = 1\n')
+    assert load_scenario("case").name == "mine"
+
+
+RUN = "[[runs]]\n"
+BENDS = RUN + 'kind = "bends"\ncycles = 1\n'
+SINE = RUN + 'kind = "sine"\nduration_s = 1\nfrequency_Hz = 1\nhigh_kPa = 10\n'
+PRBS = RUN + 'kind = "prbs"\nduration_s = 1\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "runs: is missing"),
+        ("runs = []", "runs: expected array of length >= 1"),
+        ("runs = [", "not TOML: "),
+        ("runs = 3", "runs: expected array, got int"),
+        (BENDS + "[other]\n", "other: unknown key"),
+        ("nam = 'x'\n" + BENDS, "nam: unknown key; did you mean 'name'?"),
+        (RUN + "cycles = 1", "runs[0].kind: is missing"),
+        (RUN + 'kind = "bend"', "runs[0].kind: invalid value 'bend'; give one of steps, sine, chirp, "),
+        (RUN + 'kind = "bends"', "runs[0].cycles: is missing"),
+        (BENDS + "holds_s = 1", "runs[0].holds_s: unknown key; did you mean 'hold_s'?"),
+        (BENDS + BENDS + 'hold_s = "a"', "runs[1].hold_s: expected float, got str"),
+        (BENDS + "bend_kPa = nan", "runs[0].bend_kPa: is not a finite number"),
+        (BENDS + "bend_kPa = 151", "runs[0].bend_kPa: expected float <= 150.0"),
+        (BENDS + "reservoir_kPa = 0", "runs[0].reservoir_kPa: expected float > 0.0"),
+        (BENDS + "sample_rate_Hz = 60", "runs[0].sample_rate_Hz: 60 does not divide the firmware's 1000 Hz"),
+        (BENDS + 'name = "../x"', "runs[0].name: "),
+        (BENDS + 'name = "x\\n"', "runs[0].name: "),
+        (BENDS.replace("1", "1000") + "hold_s = 3600", "runs[0]: a run of "),
+        (SINE + "low_kPa = 10", "runs[0].high_kPa: must be above low_kPa"),
+        (SINE.replace("Hz = 1", "Hz = 26"), "runs[0].sample_rate_Hz: 50 samples a second cannot show 26 Hz"),
+        (PRBS, "runs[0]: give either levels_kPa or levels_opening"),
+        (PRBS + "levels_kPa = [1, 1]", "runs[0].levels_kPa: give at least two levels"),
+        (PRBS + "levels_opening = [0, 2]", "runs[0].levels_opening[1]: expected float <= 1.0"),
+        (PRBS + "levels_kPa = [0, 2]\nmin_hold_s = 2", "runs[0].max_hold_s: must not be below min_hold_s"),
+        (PRBS + "levels_kPa = [0, 2]\nmin_hold_s = 0.01", "runs[0].min_hold_s: is shorter than a sample"),
+        (
+            RUN + 'kind = "steps"\npressures_kPa = [1, 2]\nhold_s = [1]',
+            "runs[0].hold_s: 1 times for 2 pressures; give as many, or one",
+        ),
+        (
+            RUN + 'kind = "openings"\nvalves = [{ for_s = 1, env = 1 }]',
+            "runs[0].valves[0].env: unknown key; did you mean 'evp'?",
+        ),
+        (
+            RUN
+            + 'kind = "profile"\nrepeat = 1000\nsegments = ['
+            + '{ kind = "hold", for_s = 1 },' * 11
+            + "]",
+            "runs[0].repeat: unrolls the profile to more than 10000 segments",
+        ),
+        (
+            RUN + 'kind = "profile"\nsegments = [{ kind = "step", to_deg = 3 }]',
+            "runs[0].segments[0].to_deg: there is no vine here that bends; give kPa",
+        ),
+        (
+            RUN
+            + 'kind = "profile"\nsegments = [{ kind = "hold", for_s = 1 }, { kind = "step", to_kPa = -3 }]',
+            "runs[0].segments[1].to_kPa: -3 is outside 0…150 kPa",
+        ),
+        (
+            RUN + 'kind = "profile"\nsegments = [{ kind = "profile", name = "x" }]',
+            "runs[0].segments[0].kind: invalid value 'profile'; give one of step, ramp, hold, sine",
+        ),
+    ],
+)
+def test_what_is_wrong_is_one_line_with_file_and_key(text: str, says: str) -> None:
+    with pytest.raises(ScenarioError) as raised:
+        parse_scenario(text, "mine.toml")
+    sentence = str(raised.value)
+    assert sentence.startswith(f"mine.toml: {says}")
+    assert sentence.isprintable()
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(
+        ScenarioError, match=r"nowhere\.toml: no such file, nor an example; those are case, d"
+    ):
+        load_scenario(tmp_path / "nowhere.toml")
+    with pytest.raises(ScenarioError, match="cannot be read: Is a directory"):
+        load_scenario(tmp_path)
+    (tmp_path / "latin").write_bytes(b"name = '\xe4'")
+    with pytest.raises(ScenarioError, match="not a UTF-8 text file"):
+        load_scenario(tmp_path / "latin")
+
+
+def test_the_guide_s_files_can_be_run() -> None:
+    guide = (Path(__file__).parents[2] / "docs" / "simulate.md").read_text(encoding="utf-8")
+    rig, scenario = (part.split("```")[0] for part in guide.split("```toml\n")[1:])
+    true = true_rig_from(tomllib.loads(rig))
+    assert list(true.causes) == ["cv_leak", "cv_sensor_offset"]
+    assert true.likely
+    assert [run.label for run in parse_scenario(scenario, "guide").runs] == (
+        ["sine", "chirp", "prbs_pressure", "profile"]
+    )

@@ -1,0 +1,119 @@
+"""What the page's messages become on a terminal: pure, message by message."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import msgspec
+import pytest
+from page_bench import snapshot
+
+from flying_vines.core.events import Decision
+from flying_vines.gateway.messages import Happened, Seen, raw
+from flying_vines.terminal.story import VENT_AGAIN_S, Story, StrangeMessageError, Vent
+from flying_vines.vehicle.notice import Notice, Severity
+
+VINE = {
+    "profiles": ["wave"],
+    "curve": [[0, 0], [20, 60]],
+    "max_kPa": 20.7,
+    "full_kPa": 690.0,
+    "bench_mode": False,
+}
+
+
+def happened(action: Decision | Notice) -> dict[str, Any]:
+    message: dict[str, Any] = json.loads(
+        msgspec.json.encode(Happened(type(action).__name__.lower(), raw(action)))
+    )
+    return message
+
+
+def hello(t: float, *actions: Decision | Notice) -> str:
+    events = [happened(action) for action in actions]
+    return json.dumps({"kind": "hello", "t": t, "vine": VINE, "happened": events})
+
+
+def notice(t: float, text: str = "Vine: ready") -> Notice:
+    return Notice(t, Severity.INFO, text)
+
+
+def decision(t: float) -> Decision:
+    return Decision(t, "switch", {"channel": 9, "position": 2}, "bend-full", "accepted", "", 20.7)
+
+
+def test_a_snapshot_is_what_the_service_had() -> None:
+    story = Story()
+    story.take(0.0, hello(10.0))
+    sent = snapshot(10.1, cv_kPa=math.nan, safe_state={"rc": "RC lost"}, findings={"leak": 2})
+    story.take(0.1, msgspec.json.encode(Seen(raw(sent))).decode())
+    assert story.snapshot is not None
+    assert math.isnan(story.snapshot.cv_kPa)
+    assert msgspec.to_builtins(story.snapshot) | {"cv_kPa": 0} == msgspec.to_builtins(sent) | {"cv_kPa": 0}
+    assert story.snapshot_age_s(2.1) == pytest.approx(2.0)
+
+
+def test_the_past_is_told_once() -> None:
+    story = Story()
+    first, second, third = notice(5.0), decision(6.0), notice(8.0, "Vine: RC lost")
+    assert story.take(0.0, hello(7.0, first, second)) == [first, second]
+    assert story.began == 5.0
+    assert story.take(0.1, json.dumps(happened(third))) == [third]
+    fourth = notice(8.0, "Vine: of the same moment")
+    assert story.take(0.1, json.dumps(happened(fourth))) == [fourth]
+    missed = notice(9.0, "Vine: while the link was cut")
+    assert story.take(0.2, hello(10.0, first, second, third, fourth, missed)) == [missed]
+    assert story.began == 5.0
+
+
+def test_a_machine_that_was_started_anew_begins_a_new_story() -> None:
+    story = Story()
+    story.take(0.0, hello(1000.0, notice(999.0)))
+    again = notice(3.0)
+    assert story.take(60.0, hello(4.0, again)) == [again]
+    assert story.began == 3.0
+
+
+def test_what_else_may_come_is_passed_over() -> None:
+    story = Story()
+    assert story.take(0.0, '{"kind": "beat"}') == []
+    assert story.take(0.0, '{"kind": "missed", "count": 3}') == []
+    calibrated = {"kind": "happened", "what": "calibrated", "fields": {"t": 1.0, "levels_kPa": []}}
+    assert story.take(0.0, json.dumps(calibrated)) == []
+
+
+@pytest.mark.parametrize(
+    "text", ["", "nonsense", "[]", "{}", '{"kind": "hello"}', '{"kind": "snapshot", "snapshot": {"t": "x"}}']
+)
+def test_what_is_not_understood_says_so(text: str) -> None:
+    with pytest.raises(StrangeMessageError):
+        Story().take(0.0, text)
+
+
+def test_a_vent_is_asked_for_until_it_is_confirmed() -> None:
+    vent = Vent()
+    assert vent.due(0.0) is None
+    vent.press(1.0, None)
+    first = vent.due(1.0)
+    assert first is not None
+    assert json.loads(first)["command"] == "vent"
+    assert vent.due(1.0 + 0.9 * VENT_AGAIN_S) is None
+    second = vent.due(1.0 + VENT_AGAIN_S)
+    assert second not in (None, first)
+    for said in ({"kind": "answer", "id": 1, "safety": "unanswered", "reason": ""}, {"kind": "beat"}):
+        assert vent.take(2.0, json.dumps(said)) is None
+    accepted = '{"kind": "answer", "id": 2, "safety": "accepted", "reason": ""}'
+    assert vent.take(2.5, accepted) == "VENT confirmed after 1.50 s"
+    assert vent.due(9.0) is None
+    assert vent.take(9.0, accepted) is None
+
+
+def test_a_vent_that_is_refused_is_not_asked_for_again() -> None:
+    vent = Vent()
+    vent.press(1.0, snapshot(7.25))
+    assert json.loads(vent.due(1.0) or "")["seen_at"] == 7.25
+    said = '{"kind": "answer", "id": 1, "safety": "refused", "reason": "you may only watch"}'
+    assert vent.take(1.1, said) == "VENT refused: you may only watch"
+    assert vent.due(9.0) is None

@@ -1,0 +1,56 @@
+"""Messages that nobody here acts on are passed over early: which those are must not go stale."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from flying_vines.config import config
+from flying_vines.core.core import Core
+from flying_vines.core.events import Event, Tick, ToVehicle, VehicleMessage
+from flying_vines.vehicle.component.parameters import Parameters
+from flying_vines.vehicle.component.requests import Requests
+from flying_vines.vehicle.mavlink import handled_messages as heard
+from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.tlog import TlogReader
+
+NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
+ROOM = Path(heard.__file__).parent
+RECORDINGS = sorted((Path(__file__).parents[1] / "data" / "recordings").glob("*.tlog"))
+
+
+def test_whatever_is_looked_for_by_name_is_heard() -> None:
+    looked_for = {
+        node.value
+        for source in ROOM.rglob("*.py")
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and node.value in NAMES.values()
+    }
+    assert {"RC_CHANNELS", "STATUSTEXT", "COMMAND_LONG"} < looked_for
+    assert looked_for <= heard.ALL
+
+
+def test_whatever_is_asked_of_us_is_heard() -> None:
+    assert {NAMES[number] for number in (*Requests.MESSAGES, *Parameters.MESSAGES)} <= heard.ALL
+
+
+@pytest.mark.parametrize("path", RECORDINGS, ids=lambda path: path.stem)
+def test_nothing_comes_of_the_others(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def flown() -> list[str]:
+        codec, core, ticked, done = Codec(0, 191), Core(config.default()), 0.0, []
+        for t, frame in TlogReader(path).frames():
+            events: list[Event] = [VehicleMessage(t, message) for message in codec.decode(frame)]
+            if t - ticked > 0.02:
+                ticked = t
+                events.append(Tick(t))
+            actions = [action for event in events for action in core.handle(event)]
+            done += [str(a.message) if isinstance(a, ToVehicle) else str(a) for a in actions]
+        return done
+
+    quick = flown()
+    monkeypatch.setattr(heard, "ALL", set(NAMES.values()))
+    assert quick == flown()
+    assert len(quick) > 100
