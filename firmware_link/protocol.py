@@ -62,6 +62,13 @@ class Fault(IntFlag):
     SUPPLY = 1 << 7
 
 
+def fault_names(faults: Fault) -> str:
+    """Those that this host knows by name, the others by number."""
+    names = [fault.name or "" for fault in Fault if fault in faults and fault]
+    unknown = int(faults) & ~sum(Fault)
+    return ", ".join([*names, f"0x{unknown:04X}"] if unknown else names)
+
+
 class RefusalReason(IntEnum):
     """Why the firmware did not do what it was told."""
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 from flying_vines.config.config import Config
 from flying_vines.config.toml_text import Key, dotted, place
 from flying_vines.core.motion_planner import Mover
-from flying_vines.simulation.autopilot import Home
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, Kind
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
 from missions.carriers import NAMES, carrier, suggestion

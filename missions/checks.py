@@ -14,9 +14,9 @@ from functools import cached_property
 from typing import Literal
 
 from flying_vines.config.config import Config
-from flying_vines.simulation.autopilot.runner import FOR_EVER, JUMP
 from flying_vines.vehicle.mission.execution import same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.jumps import FOR_EVER, JUMP
 from flying_vines.vehicle.mission.storage import (
     CAPACITY,
     INVALID_PARAM1,

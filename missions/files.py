@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from flying_vines.simulation.autopilot import Home
 from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import Kind
 from missions.mission import MissionError
 from missions.plan_file import PlanError, read_plan

@@ -19,7 +19,7 @@ from flying_vines.config.toml_text import (
     place,
     read_text,
 )
-from flying_vines.simulation.autopilot import ARDUPILOT_HOME, PX4_HOME, Home
+from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME, PX4_HOME, Home
 from flying_vines.vehicle.mission.storage import Kind
 
 Height = Annotated[float, Meta(gt=0, le=1000)]

@@ -18,9 +18,8 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.config.toml_text import one_line, read_text
-from flying_vines.simulation.autopilot import Home
-from flying_vines.simulation.autopilot.flight import CRUISE_M_S
 from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.reference_vehicle import CRUISE_M_S, Home
 from flying_vines.vehicle.mission.storage import Kind
 
 _FIRMWARE = {"ardupilot": 3, "px4": 12}

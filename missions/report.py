@@ -10,15 +10,15 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.simulation.autopilot import Home
-from flying_vines.simulation.mission_flight import Trial
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import Kind
 from missions.budget import Bend, Budget, Range
 from missions.build import DELAY, SPEED, WAYPOINT
 from missions.carriers import NAMES, described
 from missions.checks import Finding, name_of
 from missions.timeline import Step, Timeline
+from missions.trial import Trial
 
 WIDE = 100
 """Columns of a terminal that leave room between those of the table."""

@@ -11,10 +11,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from flying_vines.simulation.autopilot import Home
-from flying_vines.simulation.autopilot.flight import CRUISE_M_S, FLARE_HEIGHT_M, TOUCHDOWN_M_S, VERTICAL_M_S
-from flying_vines.simulation.autopilot.runner import FOR_EVER, JUMP, Jumps
 from flying_vines.vehicle.mission.item import NAV_SCRIPT_TIME, MissionItem, has_place
+from flying_vines.vehicle.mission.jumps import FOR_EVER, JUMP, Jumps
+from flying_vines.vehicle.mission.reference_vehicle import (
+    CRUISE_M_S,
+    FLARE_HEIGHT_M,
+    TOUCHDOWN_M_S,
+    VERTICAL_M_S,
+    Home,
+)
 from flying_vines.vehicle.mission.storage import Kind, is_nav_item
 from missions.build import DELAY, GLOBAL_FRAME, LAND, RETURN, SPEED, TAKEOFF, WAYPOINT
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
-from flying_vines.simulation.autopilot import ARDUPILOT_HOME, PX4_HOME, Home
 from flying_vines.supply import nominal
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME, PX4_HOME, Home
 from flying_vines.vehicle.mission.storage import Kind
 from missions.build import build
 from missions.files import home_of

@@ -20,9 +20,9 @@ from flying_vines.calibration.conductor import Conducted
 from flying_vines.calibration.procedure import Walk
 from flying_vines.calibration.profile import Change, calibrated, changes, is_sure, with_numbers
 from flying_vines.calibration.rig_file import KEYS, rig_text
-from flying_vines.cli.bad_input import lacks
 from flying_vines.config import on_disk
 from flying_vines.config.config import Config, ConfigError, Pneumatics
+from flying_vines.config.extras import lacks
 
 FOLDER = "calibration"
 NUMBERS = tuple(f"pneumatics.{name}" for name in KEYS)

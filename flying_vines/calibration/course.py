@@ -21,10 +21,10 @@ from flying_vines.calibration.plan import Plan, Wish, plan
 from flying_vines.calibration.procedure import Walk
 from flying_vines.calibration.profile import proposed
 from flying_vines.calibration.telemetry_rate import EVERY_STEP_HZ, RATE, every_step
-from flying_vines.cli.link import talk_about_settings
 from flying_vines.config.address import parse_address
 from flying_vines.config.config import Config, Pneumatics
 from flying_vines.physics.plant.true_rig import load_true_rig
+from flying_vines.service.link_settings import talk_about_settings
 from flying_vines.simulation.phlosar.board import best_board
 from flying_vines.simulation.phlosar.firmware import FirmwareSettings
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar

@@ -8,8 +8,8 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 from firmware_link.protocol import Setting
-from flying_vines.cli.link import SettingsError, talk_about_settings
 from flying_vines.config.address import Address, SerialAddress
+from flying_vines.service.link_settings import SettingsError, talk_about_settings
 
 RATE = "telemetry_Hz"
 EVERY_STEP_HZ = 1000.0

@@ -12,8 +12,3 @@ def bad_input(sentence: str) -> int:
     sys.stdout.flush()
     print(f"flying-vines: {sentence}", file=sys.stderr)
     return BAD_INPUT
-
-
-def lacks(error: ImportError) -> str:
-    """Which package of the extra is not installed, and what brings it."""
-    return f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it"

@@ -8,8 +8,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from flying_vines.cli.bad_input import bad_input, lacks
+from flying_vines.cli.bad_input import bad_input
+from flying_vines.cli.common import FLIGHTS
 from flying_vines.config import config as configuration
+from flying_vines.config.extras import lacks
 
 NOT_DONE = 1
 INTERRUPTED = 130
@@ -17,8 +19,8 @@ LIKELY = Path()
 """What stands for a likely vine, where a rig file may."""
 
 
-def add(commands: Any, logs: Path) -> None:
-    """Add `calibrate` to the parsers of the command line; `logs` is where `run` puts its logs by default."""
+def add(commands: Any) -> None:
+    """Add `calibrate` to the parsers of the command line."""
     parser = commands.add_parser("calibrate", help="measure a rig's volumes, valves, leaks and bend curve")
     parser.add_argument("--config", type=Path, metavar="FILE", help="the profile of the rig")
     parser.add_argument(
@@ -29,7 +31,9 @@ def add(commands: Any, logs: Path) -> None:
         metavar="RIG.toml",
         help="a simulated rig instead, in simulated time (default: a likely vine)",
     )
-    parser.add_argument("--out", type=Path, default=logs, metavar="DIR", help=f"where the log goes ({logs})")
+    parser.add_argument(
+        "--out", type=Path, default=FLIGHTS, metavar="DIR", help=f"where the log goes ({FLIGHTS})"
+    )
     parser.add_argument("--only", type=_names, default=(), metavar="STAGE,…", help="these stages alone")
     parser.add_argument("--yes", action="store_true", help="ask nothing: no angles are typed, either")
     parser.add_argument(
@@ -64,8 +68,8 @@ def run(arguments: argparse.Namespace) -> int:
     """0 where all was measured, 1 where it ended before; `ConfigError` where the profile cannot be read."""
     try:
         from flying_vines.calibration.course import CalibrateError
-        from flying_vines.cli.link import SettingsError, SettingsInterruptedError
         from flying_vines.physics.rig import RigError
+        from flying_vines.service.link_settings import SettingsError, SettingsInterruptedError
         from flying_vines.vehicle.component.parameter_file import ParameterFileError
         from flying_vines.vehicle.mavlink.signing_key import SigningKeyError
 

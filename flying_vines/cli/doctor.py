@@ -9,21 +9,23 @@ from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import Any
 
+from flying_vines.cli.common import FLIGHTS
+
 MAY_NOT_FLY = 1
 SECONDS = 6.0
 SHORTEST_S = 5.0
 """A silent board is told after three; and one stream after another is asked for, some once a second."""
 
 
-def add(commands: Any, logs: Path) -> None:
-    """Add `doctor` to the parsers of the command line; `logs` is where `run` puts its logs by default."""
+def add(commands: Any) -> None:
+    """Add `doctor` to the parsers of the command line."""
     doctor = commands.add_parser("doctor", help="may one fly? what is wrong, and what to do about it")
     doctor.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
     doctor.add_argument(
         "--seconds", type=_seconds, default=SECONDS, metavar="N", help=f"how long to listen ({SECONDS:g})"
     )
     doctor.add_argument(
-        "--out", type=Path, default=logs, metavar="DIR", help=f"where the flight logs go ({logs})"
+        "--out", type=Path, default=FLIGHTS, metavar="DIR", help=f"where the flight logs go ({FLIGHTS})"
     )
     doctor.add_argument(
         "--radio",

@@ -2,34 +2,73 @@
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import json
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.live import Live
 
-from firmware_link.host import SessionState
-from firmware_link.protocol import Setting
-from firmware_link.settings import SettingsTalk
-from flying_vines.config.address import Address
-from flying_vines.terminal.link_view import LinkView, as_json, line, settings_table, statistics_line
-from flying_vines.terminal.link_watch import Heard, LinkWatch
+from flying_vines.cli.common import fail
+from flying_vines.cli.link_view import LinkView, as_json, line, settings_table, statistics_line
+from flying_vines.config import config as configuration
+from flying_vines.config.address import FORMS, Address, parse_address
+from flying_vines.service.link_settings import SettingsError, talk_about_settings
+from flying_vines.service.link_watch import Heard, LinkWatch
 
-ANSWERS_WITHIN_S = 5.0
-"""A board that starts up, two greetings and the sentence that says who is silent. One that goes away half-way
-has as long to come back."""
 _REFRESH_PER_S = 8
 
 
-class SettingsError(Exception):
-    """The settings cannot be read or changed; the text is a sentence."""
+def add(commands: Any) -> None:
+    """Add `link` to the parsers of the command line."""
+    link = commands.add_parser("link", help="what goes over the phloSAR's line, and its settings")
+    link.add_argument("address", nargs="?", metavar="ADDRESS", help=f"(default: the profile's) {FORMS}")
+    link.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
+    link.add_argument("--seconds", type=float, metavar="N", help="then end; with status 1 if nobody answered")
+    link.add_argument("--json", action="store_true", help="one object a line")
+    link.add_argument("--raw", action="store_true", help="the bytes as well")
+    link.add_argument("--settings", action="store_true", help="what is set in the firmware")
+    link.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="changes",
+        metavar="NAME=VALUE",
+        help="keep it in the firmware; may be given again",
+    )
+    link.set_defaults(run=_link)
 
 
-class SettingsInterruptedError(SettingsError):
-    """Nobody wants it any more."""
+def _link(arguments: argparse.Namespace) -> int:
+    title: str | None = arguments.address
+    if title is None:
+        config = configuration.load(arguments.config) if arguments.config else configuration.default()
+        title = config.firmware.link
+    if arguments.seconds is not None and not arguments.seconds > 0.0:
+        fail("--seconds must be above 0")
+    try:
+        address = parse_address(title)
+        changes = dict(map(_change, arguments.changes))
+        if arguments.settings or changes:
+            asyncio.run(settings(address, changes, arguments.json))
+            return 0
+    except (ValueError, SettingsError) as error:
+        fail(str(error))
+    answered = asyncio.run(monitor(address, title, arguments.seconds, arguments.json, arguments.raw))
+    return 0 if answered else 1
+
+
+def _change(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        return name, float(value)
+    except ValueError:
+        raise ValueError(f"--set {text}: give NAME=VALUE, with a number") from None
 
 
 async def monitor(address: Address, title: str, seconds: float | None, objects: bool, raw: bool) -> bool:
@@ -73,29 +112,6 @@ async def settings(address: Address, changes: Mapping[str, float], objects: bool
             print(json.dumps(named))
     else:
         Console().print(settings_table(known))
-
-
-async def talk_about_settings(
-    address: Address, changes: Mapping[str, float], stopped: asyncio.Event
-) -> Sequence[Setting]:
-    """Change what is to be changed: all that is set then. SettingsError, also once `stopped`."""
-    talk = SettingsTalk(changes)
-    watch = LinkWatch(address, talk)
-    there_s = 0.0
-
-    def over() -> bool:
-        nonlocal there_s
-        if watch.monitor.session.state is SessionState.READY:
-            there_s = watch.t
-        gone = watch.t - there_s >= ANSWERS_WITHIN_S
-        return talk.done or bool(talk.problem) or gone or stopped.is_set()
-
-    await watch.run(lambda heard: None, over)
-    if not talk.done:
-        if stopped.is_set() and not talk.problem:
-            raise SettingsInterruptedError("interrupted")
-        raise SettingsError(talk.problem or watch.port.text)
-    return talk.settings
 
 
 def _stopped() -> asyncio.Event:

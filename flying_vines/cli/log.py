@@ -9,7 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flying_vines.cli.bad_input import bad_input, lacks
+from flying_vines.cli.bad_input import bad_input
+from flying_vines.config.extras import lacks
 
 if TYPE_CHECKING:
     from flying_vines.record.reader import FlightLog

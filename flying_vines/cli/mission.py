@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from flying_vines.config.config import Config
-    from flying_vines.simulation.autopilot import Home
     from flying_vines.vehicle.mission.item import MissionItem
+    from flying_vines.vehicle.mission.reference_vehicle import Home
     from flying_vines.vehicle.mission.storage import Kind
     from missions.report import Report
 
@@ -143,7 +143,7 @@ def _console() -> Console:
 
 
 def _home(text: str) -> Home:
-    from flying_vines.simulation.autopilot import Home
+    from flying_vines.vehicle.mission.reference_vehicle import Home
 
     try:
         latitude, longitude, altitude_m = map(float, text.split(","))
@@ -228,7 +228,13 @@ def _report(arguments: argparse.Namespace, flies: bool = False) -> Report:
     reservoir_kPa = arguments.reservoir_kPa
     if reservoir_kPa is None:
         reservoir_kPa = config.pneumatics.full_kPa
-    return review(name, items, kind, home, config, belief, reservoir_kPa, rig, flies)
+    report = review(name, items, kind, home, config, belief, reservoir_kPa)
+    if not flies:
+        return report
+    from flying_vines.physics.plant.true_rig import load_true_rig
+    from flying_vines.simulation.mission_flight import with_flight
+
+    return with_flight(report, config, reservoir_kPa, load_true_rig(rig) if rig else None)
 
 
 def _items(arguments: argparse.Namespace, config: Config) -> tuple[str, list[MissionItem], Kind, Home]:

@@ -15,8 +15,8 @@ from firmware_link.monitor import Seen
 from firmware_link.protocol import Fault, Setting, Telemetry, Welcome
 from firmware_link.settings import SettingsTalk
 from flying_vines.config.address import Address
+from flying_vines.service.link_watch import Heard, LinkWatch
 from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate
-from flying_vines.terminal.link_watch import Heard, LinkWatch
 
 REST_S = 1.0
 """The greeting vents; how the vine reads at rest is averaged over the last of this."""

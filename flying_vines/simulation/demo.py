@@ -17,9 +17,9 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.cli.bad_input import lacks
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
+from flying_vines.config.extras import lacks
 from flying_vines.core.events import Action, Decision, Snapshot
 from flying_vines.core.watcher import EachAction
 from flying_vines.gateway.gateway import Gateway

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from time import perf_counter
 
 import msgspec
@@ -11,39 +11,21 @@ import msgspec
 from flying_vines.config.config import Config
 from flying_vines.core.events import Decision
 from flying_vines.physics.plant.true_rig import TrueRig
-from flying_vines.simulation.autopilot import Autopilot, Home, Kind
+from flying_vines.simulation.autopilot import Autopilot, Kind
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.supply import nominal_rig
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.triggers import Rules
+from missions.report import Report
+from missions.trial import Trial
 
 GROUND_S = 8.0
 """Before take-off: the service finds the autopilot and reads the mission."""
 LATE_S = 60.0
 """After the planned end the flight is given up."""
 TURN_S = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class Trial:
-    """What came of it. Gauge kPa."""
-
-    ran: tuple[MissionItem, ...]
-    """The vine items that the autopilot ran, in order."""
-    decisions: tuple[Decision, ...]
-    """What the service decided about them."""
-    begins_kPa: float
-    ends_kPa: float
-    length_s: float
-    landed: bool
-    took_s: float
-    """Of this machine's time."""
-
-    @property
-    def speed(self) -> float:
-        """How many times real time."""
-        return (self.length_s + GROUND_S) / max(1e-9, self.took_s)
 
 
 def fly(
@@ -85,5 +67,14 @@ def fly(
         ends_kPa=flight.phlosar.reservoir_kPa,
         length_s=length_s,
         landed=landed,
+        flown_s=t,
         took_s=perf_counter() - began,
     )
+
+
+def with_flight(report: Report, config: Config, reservoir_kPa: float, rig: TrueRig | None = None) -> Report:
+    """The report and what a simulated flight of its mission shows; unchanged if the mission has errors."""
+    if any(finding.severity == "error" for finding in report.findings):
+        return report
+    trial = fly(report.items, config, report.kind, report.home, reservoir_kPa, report.timeline.length_s, rig)
+    return replace(report, trial=trial)

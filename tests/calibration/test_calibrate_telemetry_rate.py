@@ -11,10 +11,10 @@ from real_time import real_time
 
 from firmware_link.protocol import Setting
 from flying_vines.calibration.telemetry_rate import carries_every_step, every_step
-from flying_vines.cli import link as link_command
-from flying_vines.cli.link import SettingsError
 from flying_vines.config.address import SerialAddress, parse_address
 from flying_vines.physics.plant.effects import Effects
+from flying_vines.service import link_settings
+from flying_vines.service.link_settings import SettingsError
 from flying_vines.simulation.phlosar.firmware import FirmwareSettings
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
@@ -34,7 +34,7 @@ async def board() -> AsyncIterator[SerialAddress]:
 
 
 async def rate_Hz(address: SerialAddress) -> float:
-    return of(await link_command.talk_about_settings(address, {}, asyncio.Event()))
+    return of(await link_settings.talk_about_settings(address, {}, asyncio.Event()))
 
 
 def of(settings: object) -> float:
@@ -76,7 +76,7 @@ async def test_it_is_set_back_when_it_is_cancelled() -> None:
 
 
 async def test_a_board_that_goes_away_is_told_of_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link_command, "ANSWERS_WITHIN_S", 0.5)
+    monkeypatch.setattr(link_settings, "ANSWERS_WITHIN_S", 0.5)
     told: list[str] = []
     with PtyPhlosar(SimulatedPhlosar(effects=Effects())) as port:
         living = asyncio.create_task(port.run())
@@ -88,7 +88,7 @@ async def test_a_board_that_goes_away_is_told_of_with_what_to_do(monkeypatch: py
 
 
 async def test_where_nobody_answers_nothing_begins(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link_command, "ANSWERS_WITHIN_S", 0.5)
+    monkeypatch.setattr(link_settings, "ANSWERS_WITHIN_S", 0.5)
     with PtyPhlosar(SimulatedPhlosar(effects=Effects())) as port, pytest.raises(SettingsError):
         async with every_step(SerialAddress(port.path), asyncio.Event(), lambda said: None):
             pytest.fail("there is nobody")

@@ -32,15 +32,17 @@ from firmware_link.protocol import (
     Telemetry,
     Units,
     Welcome,
+    fault_names,
 )
 from firmware_link.statistics import Traffic
 from flying_vines.cli import link as link_command
+from flying_vines.cli.link_view import LinkView, as_json, line, verdict
 from flying_vines.config.address import SerialAddress
 from flying_vines.config.config import default_text
 from flying_vines.physics.plant.effects import Effects
+from flying_vines.service import link_settings
+from flying_vines.service.link_watch import LinkWatch, Told
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
-from flying_vines.terminal.link_view import LinkView, as_json, fault_names, line, verdict
-from flying_vines.terminal.link_watch import LinkWatch, Told
 
 pytestmark = real_time
 
@@ -111,7 +113,7 @@ def test_settings_are_shown_and_changed(board: str, capsys: pytest.CaptureFixtur
 async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settings(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(link_command, "ANSWERS_WITHIN_S", 0.5)
+    monkeypatch.setattr(link_settings, "ANSWERS_WITHIN_S", 0.5)
     loop, codec = asyncio.get_running_loop(), Codec()
     board, port = os.openpty()
     tty.setraw(port)
@@ -134,7 +136,7 @@ async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settin
                 break
 
     loop.add_reader(board, hear)
-    with pytest.raises(link_command.SettingsError, match="is not there"):
+    with pytest.raises(link_settings.SettingsError, match="is not there"):
         async with asyncio.timeout(PATIENCE_S):
             await link_command.settings(address, {}, objects=True)
 

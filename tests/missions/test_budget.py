@@ -12,9 +12,9 @@ from flying_vines.config import config as configuration
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import Rig
-from flying_vines.simulation.autopilot import Home
-from flying_vines.simulation.mission_flight import fly
+from flying_vines.simulation.mission_flight import fly, with_flight
 from flying_vines.supply import nominal
+from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import Kind
 from missions.budget import budget
 from missions.report import as_json
@@ -92,7 +92,8 @@ def test_a_vine_with_hysteresis_is_let_down_further() -> None:
 def test_the_service_flies_what_the_budget_says(kind: Kind) -> None:
     given = built(SHORT, kind)
     belief = nominal(CONFIG.pneumatics)
-    report = review("short", given, kind, HOMES[kind], CONFIG, belief, 690.0, flies=True)
+    report = review("short", given, kind, HOMES[kind], CONFIG, belief, 690.0)
+    report = with_flight(report, CONFIG, 690.0)
     assert report.trial is not None and report.trial.landed
     assert report.differences == []
     assert [item.seq for item in report.trial.ran] == [bend.step.item.seq for bend in report.budget.bends]
@@ -120,5 +121,6 @@ def test_a_low_bottle_is_judged_as_the_service_judges_it(reservoir_kPa: float, v
 def test_a_mission_with_errors_is_not_flown() -> None:
     given = built(SHORT.replace("= 5\n", "= 1\n"), "px4")
     home: Home = HOMES["px4"]
-    report = review("low", given, "px4", home, CONFIG, nominal(CONFIG.pneumatics), 690.0, flies=True)
+    report = review("low", given, "px4", home, CONFIG, nominal(CONFIG.pneumatics), 690.0)
+    report = with_flight(report, CONFIG, 690.0)
     assert said(report) and report.trial is None

@@ -9,7 +9,8 @@ import pytest
 from autopilot_world import LAND, TAKEOFF, WAYPOINT, World, changes, item, parameter_bytes, plan, upload
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.simulation.autopilot import PX4_HOME, Autopilot, Kind
+from flying_vines.simulation.autopilot import Autopilot, Kind
+from flying_vines.vehicle.mission.reference_vehicle import PX4_HOME
 
 KEY = bytes(range(32))
 

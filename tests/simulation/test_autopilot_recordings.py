@@ -29,8 +29,9 @@ from autopilot_world import (
 )
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.simulation.autopilot import PX4_HOME, Autopilot, Kind
+from flying_vines.simulation.autopilot import Autopilot, Kind
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.reference_vehicle import PX4_HOME
 from missions.waypoints import read_waypoints
 
 GPS_HZ = {24: 1}

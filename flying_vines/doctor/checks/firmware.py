@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-from firmware_link.protocol import Setting, Welcome
+from firmware_link.protocol import Setting, Welcome, fault_names
 from flying_vines.config.config import Config
 from flying_vines.core.safety import FAULT_SENTENCES
 from flying_vines.doctor.finding import Finding, Line
 from flying_vines.doctor.firmware_probe import FirmwareFacts
-from flying_vines.terminal.link_view import fault_names
 
 LEAST_RATE_SHARE = 0.8
 """Of the telemetry that the firmware says it sends."""

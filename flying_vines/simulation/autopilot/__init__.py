@@ -10,9 +10,8 @@
 It behaves as the real ones were recorded to, traps included: see the recordings that its tests replay.
 """
 
-from flying_vines.simulation.autopilot.autopilot import ARDUPILOT_HOME, PX4_HOME, Autopilot
-from flying_vines.simulation.autopilot.flight import Home
+from flying_vines.simulation.autopilot.autopilot import Autopilot
 from flying_vines.simulation.autopilot.receiver import RcLoss, RcSource
 from flying_vines.vehicle.mission.storage import Kind, MissionRefused
 
-__all__ = ["ARDUPILOT_HOME", "PX4_HOME", "Autopilot", "Home", "Kind", "MissionRefused", "RcLoss", "RcSource"]
+__all__ = ["Autopilot", "Kind", "MissionRefused", "RcLoss", "RcSource"]

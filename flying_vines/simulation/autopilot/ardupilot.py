@@ -9,14 +9,13 @@ from flying_vines.simulation.autopilot.legs import DELAY, LAND, RETURN_HOME, Leg
 from flying_vines.simulation.autopilot.runner import (
     ACTIVE,
     COMPLETE,
-    JUMP,
     NO_MISSION,
     NOT_STARTED,
     Host,
-    Jumps,
     MissionStatus,
 )
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
+from flying_vines.vehicle.mission.jumps import JUMP, Jumps
 
 _DO_SPACING_S = 0.006
 _YAW_S = 2.0

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.simulation.autopilot import commands, files, legs, sensors, telemetry
 from flying_vines.simulation.autopilot.agenda import Agenda, Entry
 from flying_vines.simulation.autopilot.ardupilot import ArduPilotMission
-from flying_vines.simulation.autopilot.flight import Flight, Home
+from flying_vines.simulation.autopilot.flight import Flight
 from flying_vines.simulation.autopilot.forwarding import Forwarder
 from flying_vines.simulation.autopilot.mission_protocol import MissionStorage
 from flying_vines.simulation.autopilot.modes import Mode, mission_mode, mode_named, mode_numbered
@@ -26,10 +26,8 @@ from flying_vines.simulation.autopilot.runner import Runner
 from flying_vines.simulation.autopilot.snapshot import Snapshot
 from flying_vines.simulation.autopilot.streams import Streams
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME, PX4_HOME, Home
 from flying_vines.vehicle.mission.storage import Kind
-
-ARDUPILOT_HOME = Home(-35.363262, 149.165237, 584.09)
-PX4_HOME = Home(47.3977431, 8.5455944, 489.443)
 
 _TICK_S = 0.02
 _UPTIME_S = 30.0

@@ -12,8 +12,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot.agenda import Agenda, Entry
-from flying_vines.simulation.autopilot.flight import Home
 from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import (
     ACCEPTED,
     CANCELLED,

@@ -10,15 +10,14 @@ from flying_vines.simulation.autopilot.legs import LAND, RETURN_HOME, Leg
 from flying_vines.simulation.autopilot.runner import (
     ACTIVE,
     COMPLETE,
-    JUMP,
     NO_MISSION,
     NOT_STARTED,
     PAUSED,
     Host,
-    Jumps,
     MissionStatus,
 )
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.jumps import JUMP, Jumps
 from flying_vines.vehicle.mission.storage import is_nav_item
 
 TOTAL_BEFORE_FIRST_UPLOAD = 65535

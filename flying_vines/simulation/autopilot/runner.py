@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,9 +10,6 @@ from flying_vines.simulation.autopilot.flight import Flight
 from flying_vines.vehicle.mission.item import MissionItem
 
 NO_MISSION, NOT_STARTED, ACTIVE, PAUSED, COMPLETE = 1, 2, 3, 4, 5
-
-JUMP = 177
-FOR_EVER = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,19 +65,3 @@ class Runner(Protocol):
 
     def set_current(self, seq: int) -> None: ...
     def status(self, in_mission_mode: bool) -> MissionStatus: ...
-
-
-class Jumps:
-    """Counts how often each DO_JUMP was taken."""
-
-    def __init__(self) -> None:
-        self._taken: dict[int, int] = {}
-
-    def take(self, item: MissionItem) -> int:
-        """The seq to go on with: the jump's target, or the item after it once it is used up."""
-        target, times = item.params[0], item.params[1]
-        taken = self._taken.get(item.seq, 0)
-        if not (math.isfinite(target) and target >= 0) or (times != FOR_EVER and not taken < times):
-            return item.seq + 1
-        self._taken[item.seq] = taken + 1
-        return int(target)

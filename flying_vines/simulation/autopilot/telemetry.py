@@ -8,10 +8,11 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot import sensors
-from flying_vines.simulation.autopilot.flight import CRUISE_M_S, Flight
+from flying_vines.simulation.autopilot.flight import Flight
 from flying_vines.simulation.autopilot.modes import ARMED_FLAG
 from flying_vines.simulation.autopilot.runner import MissionStatus
 from flying_vines.simulation.autopilot.snapshot import Snapshot
+from flying_vines.vehicle.mission.reference_vehicle import CRUISE_M_S
 from flying_vines.vehicle.mission.storage import Kind
 
 HEARTBEAT, SYS_STATUS, SYSTEM_TIME, ATTITUDE, GLOBAL_POSITION_INT = 0, 1, 2, 30, 33

@@ -17,9 +17,9 @@ from rich.text import Text
 
 from firmware_link.host import SessionState
 from firmware_link.monitor import Seen
-from firmware_link.protocol import Fault, Message, Mode, Ping, Pong, Setting, Telemetry, Welcome
+from firmware_link.protocol import Fault, Message, Mode, Ping, Pong, Setting, Telemetry, Welcome, fault_names
 from firmware_link.statistics import LinkStatistics
-from flying_vines.terminal.link_watch import Heard, LinkWatch, Told
+from flying_vines.service.link_watch import Heard, LinkWatch, Told
 from flying_vines.terminal.screen import bar, number
 
 STALE_S = 0.3
@@ -38,13 +38,6 @@ def describe(message: Message) -> str:
             f"bottle {message.reservoir_kPa:.1f} kPa, {opening}, solenoid {solenoid}"
         )
     return ", ".join(f"{name} {_plain(value)}" for name, value in asdict(message).items())
-
-
-def fault_names(faults: Fault) -> str:
-    """Those that this host knows by name, the others by number."""
-    names = [fault.name or "" for fault in Fault if fault in faults and fault]
-    unknown = int(faults) & ~sum(Fault)
-    return ", ".join([*names, f"0x{unknown:04X}"] if unknown else names)
 
 
 def _plain(value: object) -> str:

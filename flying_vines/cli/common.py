@@ -1,0 +1,113 @@
+"""What several commands share."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from flying_vines.cli.bad_input import bad_input
+from flying_vines.config import config as configuration
+from flying_vines.config.address import believed, parse_address
+from flying_vines.config.config import Config
+from flying_vines.config.extras import lacks
+from flying_vines.vehicle.mission.item import MissionItem
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from flying_vines.supply.known_rig import Calibration
+
+FLIGHTS = Path("flights")
+
+
+def fail(sentence: str) -> NoReturn:
+    sys.exit(bad_input(sentence))
+
+
+@contextmanager
+def needs_analysis() -> Iterator[None]:
+    """What follows needs the extra: one line says so where it is not installed."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        fail(lacks(error))
+    except ImportError as error:
+        fail(str(error))
+
+
+@contextmanager
+def file_errors(where: Path | None, *kinds: type[Exception]) -> Iterator[None]:
+    """What follows reads and writes files, `where` if the system does not say which: one line for what goes
+    wrong, and for errors of these kinds, whose text is one."""
+    try:
+        yield
+    except kinds as error:
+        fail(str(error))
+    except OSError as error:
+        fail(f"{error.filename or where}: {error.strerror}")
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
+    """A bar on the terminal while something long works, which tells it what it does and how far it is."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}")
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("reading", total=1.0)
+        yield lambda step, share: bar.update(task, description=step, completed=share)
+
+
+def show_found(
+    as_json: bool,
+    found: Callable[[], dict[str, Any]],
+    show: Callable[[Console], None],
+    figures: Sequence[Path],
+) -> int:
+    """What was found, as one object or on the terminal, and the figures that were drawn of it."""
+    if as_json:
+        print(json.dumps({**found(), "figures": [str(path) for path in figures]}, allow_nan=False))
+        return 0
+    from rich.console import Console
+
+    console = Console()
+    show(console)
+    for path in figures:
+        console.print(f"Figure   {path}", highlight=False, soft_wrap=True)
+    return 0
+
+
+def known_rig(config: Config, profile: Path | None, rig: Path | None = None) -> Calibration | None:
+    """What the rig file says that is given, or that the profile names; paths in it start from where it is."""
+    rig = rig or configuration.rig_named(config, profile)
+    if rig is None:
+        return None
+    from flying_vines.physics.rig import RigError
+    from flying_vines.supply.known_rig import load_calibration
+
+    with file_errors(rig, RigError):
+        return load_calibration(rig, config.pneumatics)
+
+
+def who_commands(config: Config) -> str:
+    """Who can command the vine over the vehicle link, in one line."""
+    return believed(parse_address(config.vehicle.link), bool(config.vehicle.signing_key))
+
+
+def read_mission(path: Path | None) -> Sequence[MissionItem]:
+    if path is None:
+        return ()
+    from missions.waypoints import WaypointsError, read_waypoints
+
+    try:
+        return read_waypoints(path)
+    except WaypointsError as error:
+        fail(str(error))
+    except OSError as error:
+        fail(f"{path}: {error.strerror}")

@@ -1,0 +1,59 @@
+"""`flying-vines config`: a profile, written or checked."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flying_vines.cli.common import (
+    fail,
+    known_rig,
+    who_commands,
+)
+from flying_vines.config import config as configuration
+
+if TYPE_CHECKING:
+    pass
+
+
+def add(commands: Any) -> None:
+    """Add `config` to the parsers of the command line."""
+    config = commands.add_parser("config", help="write or check a profile")
+    actions = config.add_subparsers(required=True, metavar="ACTION")
+    init = actions.add_parser("init", help="write a commented profile")
+    profile = Path("flying-vines.toml")
+    init.add_argument(
+        "file", type=Path, nargs="?", default=profile, metavar="FILE", help=f"where to ({profile})"
+    )
+    init.add_argument("--force", action="store_true", help="over a file that is there")
+    init.set_defaults(run=_config_init)
+    check = actions.add_parser("check", help="say exactly what is wrong with a profile")
+    check.add_argument("file", type=Path, metavar="FILE", help="the profile")
+    check.set_defaults(run=_config_check)
+
+
+def _config_init(arguments: argparse.Namespace) -> int:
+    path: Path = arguments.file
+    try:
+        with path.open("w" if arguments.force else "x", encoding="utf-8") as file:
+            file.write(configuration.default_text())
+    except FileExistsError:
+        fail(f"{path} is there already; --force writes over it")
+    except OSError as error:
+        fail(f"{path}: cannot be written: {error.strerror}")
+    print(f"Wrote {path}. Check it with: flying-vines config check {path}")
+    return 0
+
+
+def _config_check(arguments: argparse.Namespace) -> int:
+    config = configuration.load(arguments.file)
+    known = known_rig(config, arguments.file)
+    print(
+        f"{arguments.file}: good. Switch on channel {config.switch.channel}, {len(config.profiles)} "
+        f"profiles, {len(config.items)} item rules, up to {config.limits.max_kPa:g} kPa."
+    )
+    print(f"Vehicle link {who_commands(config)}.")
+    if known:
+        print(f"{known.path}: good. {known.said[0].upper()}{known.said[1:]}.")
+    return 0

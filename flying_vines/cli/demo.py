@@ -1,0 +1,52 @@
+"""`flying-vines demo`: a scripted flight on embedded fakes."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flying_vines.cli.common import (
+    FLIGHTS,
+    file_errors,
+)
+
+if TYPE_CHECKING:
+    pass
+
+
+def add(commands: Any) -> None:
+    """Add `demo` to the parsers of the command line."""
+    demo = commands.add_parser("demo", help="fly a scripted flight on embedded fakes")
+    demo.add_argument(
+        "--out", type=Path, default=FLIGHTS, metavar="DIR", help="where the flight's folder goes (flights)"
+    )
+    demo.add_argument("--plain", action="store_true", help="one line an event instead of the live view")
+    demo.add_argument("--rig", type=Path, metavar="RIG.toml", help="what is there (default: a likely vine)")
+    demo.add_argument("--page", action="store_true", help="serve the page, too, for a browser to look on")
+    demo.set_defaults(run=_demo)
+
+
+def _demo(arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from flying_vines.physics.plant.true_rig import load_true_rig
+    from flying_vines.physics.rig import RigError
+    from flying_vines.simulation.demo import fly, summary
+
+    console = Console()
+    live = console.is_terminal and not arguments.plain
+    with file_errors(arguments.out, RigError):
+        rig = load_true_rig(arguments.rig) if arguments.rig else None
+        flight = asyncio.run(fly(arguments.out, console, live, rig, arguments.page))
+    console.print(summary(flight))
+    for surprise in flight.unasked:
+        console.print(f"Not asked for: {surprise}", style="bold red")
+    seen = ", ".join(f"{name} {value:.1f}" for name, value in sorted(flight.values.items()))
+    console.print(f"\nThe ground station's last values: {seen}", highlight=False)
+    console.print(f"Log      {flight.folder}", highlight=False, soft_wrap=True)
+    if flight.picture:
+        console.print(f"Picture  {flight.picture}", highlight=False, soft_wrap=True)
+    console.print("Everything went as it should." if flight.passed else "The flight FAILED.", style="bold")
+    return 0 if flight.passed else 1

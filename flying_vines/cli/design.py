@@ -1,0 +1,66 @@
+"""`flying-vines design`: which phloSAR a robot needs."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flying_vines.cli.common import (
+    file_errors,
+    needs_analysis,
+    show_found,
+)
+
+if TYPE_CHECKING:
+    pass
+
+
+def add(commands: Any) -> None:
+    """Add `design` to the parsers of the command line."""
+    design = commands.add_parser("design", help="which phloSAR a robot needs: the paper's design guide")
+    design.add_argument("--robot", type=Path, metavar="FILE", help="its profile (default: the paper's vine)")
+    design.add_argument(
+        "--parts",
+        type=Path,
+        metavar="DIR",
+        nargs="+",
+        action="extend",
+        default=[],
+        help="parts beside the catalogue's",
+    )
+    design.add_argument("--out", type=Path, metavar="DIR", help="draw the figures there")
+    design.add_argument("--json", action="store_true", help="one object instead of tables")
+    design.set_defaults(run=_design)
+
+
+def _design(arguments: argparse.Namespace) -> int:
+    folder: Path | None = arguments.out
+    with needs_analysis():
+        from flying_vines.studies.design import catalogue, evaluate
+        from flying_vines.studies.design import robot as profile
+        from flying_vines.studies.design.compass import compass
+        from flying_vines.studies.design.search import Performance, evaluate_all, front
+        from flying_vines.studies.design.show import as_json, show
+
+        if folder:
+            from flying_vines.studies.design.figures import draw
+    robot = profile.load(arguments.robot) if arguments.robot else profile.demonstration()
+    parts = catalogue(*arguments.parts)
+    evaluation = evaluate(robot, parts.choose(robot.parts, str(arguments.robot or "vine.toml")))
+    tried = evaluate_all(robot, parts)
+    performances: tuple[Performance, ...] = ("cycles", "inflation", "deflation")
+    fronts = {by: front(tried, by) for by in performances}
+    compared = compass(evaluation, evaluate(robot, parts.choose()))
+    figures: Sequence[Path] = ()
+    with file_errors(folder):
+        if folder:
+            folder.mkdir(parents=True, exist_ok=True)
+            figures = draw(evaluation, tried, compared, folder)
+    return show_found(
+        arguments.json,
+        lambda: as_json(evaluation, fronts, compared),
+        lambda console: show(evaluation, fronts, compared, tried, console),
+        figures,
+    )

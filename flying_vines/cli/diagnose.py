@@ -1,0 +1,150 @@
+"""`flying-vines diagnose`: what the simulation gets wrong about a recorded rig."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flying_vines.cli.bad_input import BAD_INPUT
+from flying_vines.cli.common import (
+    fail,
+    file_errors,
+    needs_analysis,
+    progress_bar,
+    show_found,
+)
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+_OF_A_PLAN = ("minutes", "air_SL", "most_kPa")
+
+
+def add(commands: Any) -> None:
+    """Add `diagnose` to the parsers of the command line."""
+    diagnose = commands.add_parser("diagnose", help="what the simulation gets wrong about a recorded rig")
+    diagnose.add_argument(
+        "case",
+        type=Path,
+        nargs="*",
+        metavar="CASE",
+        help="a folder with rig.toml and runs, a run, or a flight",
+    )
+    diagnose.add_argument("--from-log", type=Path, metavar="LOG", help="a flight log, or a flight's folder")
+    diagnose.add_argument(
+        "--rig", type=Path, metavar="RIG.toml", help="what is believed (default: what the case says)"
+    )
+    diagnose.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that diagnoses the cases")
+    diagnose.add_argument("--write-rig", type=Path, metavar="FILE", help="the rig with the cause in it")
+    diagnose.add_argument("--plan", action="store_true", help="CASE is a rig.toml: which runs to record")
+    diagnose.add_argument("--minutes", type=float, metavar="M", help="of recording, for a plan (3)")
+    diagnose.add_argument(
+        "--air-SL",
+        type=float,
+        metavar="N",
+        dest="air_SL",
+        help="standard litres, for a plan (a filling of the bottle)",
+    )
+    diagnose.add_argument(
+        "--most-kPa", type=float, metavar="P", dest="most_kPa", help="gauge, to which a plan inflates (20.7)"
+    )
+    diagnose.add_argument("--out", type=Path, metavar="DIR", help="write a report there, or a plan's files")
+    diagnose.add_argument("--json", action="store_true", help="one object instead of words")
+    diagnose.set_defaults(run=_diagnose)
+
+
+def _diagnose(arguments: argparse.Namespace) -> int:
+    if arguments.plan:
+        return _plan(arguments)
+    for option in _OF_A_PLAN:
+        if getattr(arguments, option) is not None:
+            fail(f"--{option.replace('_', '-')} belongs to --plan")
+    if len(arguments.case) + (arguments.from_log is not None) != 1 or arguments.scheduler:
+        return _diagnose_all(arguments)
+    with needs_analysis():
+        from flying_vines.identification.case import CaseError
+        from flying_vines.identification.diagnose import diagnose
+        from flying_vines.identification.extended import extended_rig
+        from flying_vines.identification.from_log import read_flight
+        from flying_vines.identification.many import read_any
+        from flying_vines.identification.show import show
+        from flying_vines.physics.plant.true_rig import true_rig_text
+        from flying_vines.physics.rig import RigError
+
+        if arguments.out:
+            from flying_vines.identification.report import write_report
+    from rich.console import Console
+
+    with file_errors(arguments.write_rig, CaseError, RigError):
+        if arguments.from_log:
+            case = read_flight(arguments.from_log, arguments.rig)
+        else:
+            case = read_any(arguments.case[0], arguments.rig)
+        if arguments.out:
+            # Not only after all the work is it said that there can be no report.
+            arguments.out.mkdir(parents=True, exist_ok=True)
+        with needs_analysis(), progress_bar() as progress:
+            verdict = diagnose(case, progress=progress)
+        if arguments.write_rig:
+            arguments.write_rig.write_text(true_rig_text(extended_rig(case.rig, verdict)), encoding="utf-8")
+        files = write_report(verdict, case, arguments.out) if arguments.out else []
+    if arguments.json:
+        print(json.dumps(verdict.as_json(), allow_nan=False))
+        return 0
+    console = Console()
+    show(verdict, console)
+    if files:
+        console.print(f"Report   {files[0]}", highlight=False, soft_wrap=True)
+    return 0
+
+
+def _plan(arguments: argparse.Namespace) -> int:
+    for option in ("from_log", "rig", "scheduler", "write_rig"):
+        if getattr(arguments, option) is not None:
+            fail(f"--{option.replace('_', '-')} does not go with --plan")
+    if len(arguments.case) != 1:
+        fail("--plan needs one CASE, the rig.toml of the believed rig")
+    with needs_analysis():
+        from flying_vines.identification.plan import PlanError, plan
+        from flying_vines.identification.plan.picture import figures
+        from flying_vines.identification.plan.show import show
+        from flying_vines.identification.plan.write import write_plan
+        from flying_vines.physics.rig import RigError, load_rig
+        from flying_vines.plots.style import save
+
+    folder: Path | None = arguments.out
+    limits = {name: getattr(arguments, name) for name in _OF_A_PLAN}
+    with file_errors(folder, PlanError, RigError):
+        rig = load_rig(arguments.case[0])
+        with needs_analysis(), progress_bar() as progress:
+            found = plan(rig, **{k: v for k, v in limits.items() if v is not None}, progress=progress)
+        files = write_plan(found, folder) if folder else []
+        drawn = save(figures(found), folder, "plan") if folder else []
+
+    def shown(console: Console) -> None:
+        show(found, console)
+        for path in files:
+            console.print(f"Written  {path}", highlight=False, soft_wrap=True)
+
+    written = {"files": [str(path) for path in files]}
+    return show_found(arguments.json, lambda: {**found.as_json(), **written}, shown, drawn)
+
+
+def _diagnose_all(arguments: argparse.Namespace) -> int:
+    for option in ("from_log", "write_rig", "out"):
+        if getattr(arguments, option) is not None:
+            fail(f"--{option.replace('_', '-')} is for one case, on this machine")
+    if not arguments.case:
+        fail("diagnose needs a CASE, or a flight log: --from-log LOG")
+    with needs_analysis():
+        from flying_vines.identification.many import ClusterError, diagnose_all
+        from flying_vines.identification.show_many import show_all
+    from rich.console import Console
+
+    outcomes = diagnose_all(arguments.case, scheduler=arguments.scheduler, rig=arguments.rig)
+    with file_errors(arguments.case[0], ClusterError):
+        every = show_all(outcomes, len(arguments.case), arguments.json, Console())
+    return 0 if every else BAD_INPUT

@@ -1,0 +1,133 @@
+"""`flying-vines fake`: one end of the link, alone."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from time import time
+from typing import TYPE_CHECKING, Any
+
+from flying_vines.cli.common import (
+    fail,
+    read_mission,
+)
+
+if TYPE_CHECKING:
+    pass
+
+
+def add(commands: Any) -> None:
+    """Add `fake` to the parsers of the command line."""
+    fake = commands.add_parser("fake", help="one end of the link, alone")
+    fakes = fake.add_subparsers(required=True, metavar="WHAT")
+    autopilot = fakes.add_parser("autopilot", help="a fake autopilot on UDP")
+    autopilot.add_argument(
+        "--kind", choices=("ardupilot", "px4"), default="ardupilot", help="whose habits it has (ardupilot)"
+    )
+    companion = "127.0.0.1:14540"
+    autopilot.add_argument(
+        "--to", default=companion, metavar="HOST:PORT", help=f"the companion ({companion})"
+    )
+    autopilot.add_argument("--gcs", metavar="HOST:PORT", help="a ground station as well")
+    autopilot.add_argument("--mission", type=Path, metavar="FILE.waypoints", help="what it holds")
+    autopilot.add_argument("--fly", action="store_true", help="take off at once, or fly the mission")
+    autopilot.add_argument(
+        "--listen",
+        action="append",
+        default=[],
+        metavar="tcpin:HOST:PORT",
+        help="clients may connect there; may be given again",
+    )
+    autopilot.set_defaults(run=_fake_autopilot)
+    phlosar = fakes.add_parser("phlosar", help="a fake phloSAR on a pseudo-terminal; prints its path")
+    phlosar.add_argument("--link", type=Path, metavar="PATH", help="a stable name for the port")
+    phlosar.add_argument(
+        "--reservoir-kPa",
+        type=float,
+        default=690.0,
+        dest="reservoir_kPa",
+        metavar="P",
+        help="in the bottle, gauge (690)",
+    )
+    phlosar.add_argument(
+        "--rig", type=Path, metavar="RIG.toml", help="what is there (default: a likely vine)"
+    )
+    phlosar.add_argument(
+        "--telemetry-Hz",
+        type=int,
+        default=100,
+        dest="telemetry_Hz",
+        metavar="N",
+        help="1000 for a diagnosis (100)",
+    )
+    phlosar.set_defaults(run=_fake_phlosar)
+
+
+def _fake_autopilot(arguments: argparse.Namespace) -> int:
+    from flying_vines.simulation.autopilot import Autopilot
+    from flying_vines.simulation.autopilot_server import AutopilotServer
+    from flying_vines.simulation.console import HELP, obey, type_to
+
+    mission = read_mission(arguments.mission)
+    script: list[tuple[float, Callable[[Autopilot], None]]] = []
+    if arguments.fly:
+        fly = Autopilot.start_mission if mission else lambda autopilot: autopilot.takeoff(10.0)
+        script.append((3.0, fly))
+    try:
+        autopilot = Autopilot(arguments.kind, mission=mission, unix_s=time())
+        gcs = f"udpout:{arguments.gcs}" if arguments.gcs else None
+        server = AutopilotServer(autopilot, f"udpout:{arguments.to}", gcs, script, listen=arguments.listen)
+    except ValueError as error:
+        fail(str(error))
+
+    async def serve() -> None:
+        print(f"A fake {arguments.kind} sends to {arguments.to}. Type to fly it; Ctrl-C ends it.", flush=True)
+        print(HELP, flush=True)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(server.run())
+            tasks.create_task(type_to(lambda line: obey(autopilot, line)))
+
+    taken: BaseException | None = None
+    try:
+        asyncio.run(serve())
+    except* OSError as group:
+        taken = group.exceptions[0]
+    if taken is not None:
+        fail(f"{' '.join(arguments.listen)}: {getattr(taken, 'strerror', None) or taken}")
+    return 0
+
+
+def _fake_phlosar(arguments: argparse.Namespace) -> int:
+    from flying_vines.physics.plant.true_rig import load_true_rig
+    from flying_vines.physics.rig import RigError
+    from flying_vines.simulation.console import MISHAPS, suffer, type_to
+    from flying_vines.simulation.phlosar.board import best_board, why_emulated
+    from flying_vines.simulation.phlosar.firmware import FirmwareSettings
+    from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
+
+    if not 10 <= arguments.telemetry_Hz <= 1000:
+        fail("--telemetry-Hz is from 10 to 1000")
+    if why := why_emulated():
+        print(f"The firmware is emulated: {why}.", file=sys.stderr, flush=True)
+    try:
+        rig = load_true_rig(arguments.rig) if arguments.rig else None
+        board = best_board(FirmwareSettings(telemetry_Hz=arguments.telemetry_Hz))
+        phlosar = SimulatedPhlosar(rig, board, reservoir_kPa=arguments.reservoir_kPa)
+        with PtyPhlosar(phlosar, arguments.link) as port:
+
+            async def live() -> None:
+                print(port.path, flush=True)
+                if sys.stdin.isatty():
+                    print("Type to break it, as `hose off` or `evp stuck 1`; Ctrl-C ends it.")
+                    print(MISHAPS, flush=True)
+                await asyncio.gather(port.run(), type_to(lambda line: suffer(phlosar, line)))
+
+            asyncio.run(live())
+    except RigError as error:
+        fail(str(error))
+    except OSError as error:
+        fail(f"{arguments.link}: {error.strerror or error}")
+    return 0

@@ -1,0 +1,70 @@
+"""`flying-vines paper`: the paper's every number beside ours."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flying_vines.cli.common import (
+    file_errors,
+    needs_analysis,
+    show_found,
+)
+
+if TYPE_CHECKING:
+    pass
+
+
+def add(commands: Any) -> None:
+    """Add `paper` to the parsers of the command line."""
+    paper = commands.add_parser("paper", help="reproduce the phloSAR paper: its every number beside ours")
+    paper.add_argument("--out", type=Path, metavar="DIR", help="draw the figures there")
+    paper.add_argument("--diagnose", action="store_true", help="why its measurements depart from its model")
+    paper.add_argument("--json", action="store_true", help="one object instead of a table")
+    paper.set_defaults(run=_paper)
+
+
+def _paper(arguments: argparse.Namespace) -> int:
+    folder: Path | None = arguments.out
+    if arguments.diagnose:
+        return _paper_diagnosis(folder, arguments.json)
+    with needs_analysis():
+        from flying_vines.studies.paper import as_json, compare
+
+        if folder:
+            from flying_vines.studies.paper.figures import draw
+    from flying_vines.studies.paper.show import show
+
+    with needs_analysis(), file_errors(folder):
+        if folder:
+            folder.mkdir(parents=True, exist_ok=True)
+        comparison = compare()
+        figures = draw(comparison.curves, folder) if folder else []
+    return show_found(
+        arguments.json,
+        lambda: as_json(comparison),
+        lambda console: show(comparison.rows, comparison.findings, console),
+        figures,
+    )
+
+
+def _paper_diagnosis(folder: Path | None, json_wanted: bool) -> int:
+    from rich.console import Console
+
+    with needs_analysis():
+        from flying_vines.studies.paper.diagnosis import diagnose_paper
+        from flying_vines.studies.paper.diagnosis.show import show
+        from flying_vines.studies.paper.diagnosis.verdict import as_json
+
+        if folder:
+            from flying_vines.studies.paper.diagnosis.figures import draw
+    with needs_analysis(), file_errors(folder):
+        if folder:
+            folder.mkdir(parents=True, exist_ok=True)
+        with Console(stderr=True).status("reading") as status:
+            diagnosis = diagnose_paper(status.update)
+        figures = draw(diagnosis, folder) if folder else []
+    return show_found(
+        json_wanted, lambda: as_json(diagnosis), lambda console: show(diagnosis, console), figures
+    )

@@ -1,0 +1,98 @@
+"""`flying-vines replay`: what the service would have done about a recording."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flying_vines.cli import log as log_command
+from flying_vines.cli.common import (
+    fail,
+    file_errors,
+    known_rig,
+    read_mission,
+)
+from flying_vines.config import config as configuration
+
+if TYPE_CHECKING:
+    from flying_vines.core.events import Action
+
+
+def add(commands: Any) -> None:
+    """Add `replay` to the parsers of the command line."""
+    replay = commands.add_parser("replay", help="what the service would have done about a recording")
+    replay.add_argument("recording", type=Path, metavar="FILE", help="a .tlog, or a flight's folder or .mcap")
+    replay.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
+    replay.add_argument("--mission", type=Path, metavar="FILE.waypoints", help="where the stream has none")
+    replay.add_argument("--parameters", type=Path, metavar="FILE.toml", help="those a pilot had set")
+    replay.add_argument(
+        "--pace", type=float, default=0.0, metavar="N", help="1: as recorded; 0: as fast as it goes"
+    )
+    replay.add_argument("--json", action="store_true", help="an array of objects instead of a table")
+    replay.set_defaults(run=_replay)
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    from flying_vines.core.events import Decision
+    from flying_vines.simulation.replay import as_json, replay
+    from flying_vines.vehicle.component.parameter_file import ParameterFileError
+    from flying_vines.vehicle.component.parameter_file import read as read_parameters
+    from flying_vines.vehicle.mavlink.tlog import TlogError, TlogReader
+
+    recording: Path = arguments.recording
+    if recording.is_dir() or recording.suffix == ".mcap":
+        if arguments.mission or arguments.parameters or arguments.pace:
+            fail("--mission, --parameters and --pace are for a .tlog: a flight's log holds all of its own")
+        return log_command.replay_again(recording, arguments.config, arguments.json)
+    config = configuration.load(arguments.config) if arguments.config else configuration.default()
+    known = known_rig(config, arguments.config)
+    mission = read_mission(arguments.mission)
+    if not arguments.pace >= 0.0:
+        fail("--pace must not be below 0")
+    parameters: dict[str, float] = {}
+    if arguments.parameters:
+        with file_errors(arguments.parameters, ParameterFileError):
+            parameters = read_parameters(arguments.parameters, config)
+    try:
+        reader = TlogReader(recording)
+        belief = known.belief if known else None
+        actions = replay(
+            reader.frames(), config, mission, arguments.pace, belief=belief, parameters=parameters
+        )
+        show = _shower(live=arguments.pace > 0.0 and not arguments.json)
+        decisions: list[Decision] = []
+        for action in actions:
+            show(action)
+            if isinstance(action, Decision):
+                decisions.append(action)
+    except TlogError as error:
+        fail(str(error))
+    if arguments.json:
+        print(json.dumps([as_json(decision) for decision in decisions], indent=1))
+    else:
+        from rich.console import Console
+
+        from flying_vines.terminal.screen import decision_table
+
+        Console().print(decision_table(decisions))
+    if reader.skipped_bytes:
+        print(
+            f"flying-vines: {recording}: {reader.skipped_bytes} bytes of it are no MAVLink frame",
+            file=sys.stderr,
+        )
+    return 0
+
+
+def _shower(live: bool) -> Callable[[Action], None]:
+    """Prints what happens as it happens, for those who replay at the recorded pace."""
+    if not live:
+        return lambda action: None
+    from rich.console import Console
+
+    from flying_vines.terminal.screen import plain_printer
+
+    return plain_printer(Console(), 0.0)

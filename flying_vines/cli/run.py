@@ -1,0 +1,90 @@
+"""`flying-vines run`: the service, with its screen, recorder and gateway."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flying_vines.cli.common import FLIGHTS, fail, file_errors, known_rig, who_commands
+from flying_vines.config import config as configuration
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from flying_vines.config.config import Config
+    from flying_vines.service.persistent_state import Kept
+
+
+def add(commands: Any) -> None:
+    """Add `run` to the parsers of the command line."""
+    run = commands.add_parser("run", help="serve a vehicle and a phloSAR")
+    run.add_argument("--config", type=Path, required=True, metavar="FILE", help="the profile")
+    run.add_argument("--rig", type=Path, metavar="RIG.toml", help="what is known (default: the profile's)")
+    run.add_argument(
+        "--out", type=Path, default=FLIGHTS, metavar="DIR", help="where the flight log goes (flights)"
+    )
+    run.add_argument("--plain", action="store_true", help="one line an event instead of the live view")
+    run.set_defaults(run=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from flying_vines.gateway.page_token import PageTokenError
+    from flying_vines.record.recorder import Began, Recorder
+    from flying_vines.service.persistent_state import Kept
+    from flying_vines.service.runner import Remembered, serve
+    from flying_vines.terminal.screen import PatientOutput
+    from flying_vines.vehicle.component.parameter_file import ParameterFileError
+    from flying_vines.vehicle.mavlink.signing_key import SigningKeyError
+
+    text = configuration.text_of(arguments.config)
+    config = configuration.parse(text, str(arguments.config))
+    known = known_rig(config, arguments.config, arguments.rig)
+    kept = Kept.of(arguments.config, config)
+    with file_errors(arguments.config, ParameterFileError, SigningKeyError, PageTokenError):
+        signing, clock_problem = kept.read_signing(config)
+        remembered = Remembered(
+            kept, kept.read_parameters(config), kept.disarmed, signing, kept.read_page_token(config)
+        )
+    try:
+        numbers = known.belief.pneumatics if known else config.pneumatics
+        rig = known.path.read_text(encoding="utf-8") if known else ""
+        began = Began(text, numbers, rig, remembered.parameters, remembered.disarmed)
+        log = Recorder(arguments.out, began, config.log.least_free_MB)
+    except OSError as error:
+        fail(f"{arguments.out}: no flight log can be written there: {error.strerror}")
+    output = PatientOutput()
+    console = output.console()
+    links = f"Vehicle {config.vehicle.link}, phloSAR {config.firmware.link}"
+    console.print(f"{links}, log {log.folder}", soft_wrap=True)
+    said = [f"Vehicle link {who_commands(config)}"]
+    if known:
+        said.append(f"Rig {known.path}: {known.said}")
+    said += [f"Parameter {parameter} = {value:g}" for parameter, value in remembered.parameters.items()]
+    if clock_problem:
+        said.append(clock_problem)
+    page = _page_said(config, kept, remembered.page_token, console) if config.page.port else ""
+    if page:
+        said.append(page)
+    for line in said:
+        console.print(line, highlight=False, soft_wrap=True)
+    belief = known.belief if known else None
+    asyncio.run(serve(config, belief, remembered, log, console, live=not arguments.plain, page=page))
+    if log.failed:
+        console.print(log.failed)
+    console.print("Vented. Stopped.")
+    output.close()
+    return 0
+
+
+def _page_said(config: Config, kept: Kept, page_token: str, console: Console) -> str:
+    """Where the page is. Its token is for those at the terminal, not for a log that others read."""
+    from flying_vines.gateway.page_token import address, watching
+
+    if page_token and not console.is_terminal:
+        return f"Page {address(config.page)}, token in {kept.page_token}"
+    if page_token:
+        only_watches = f"; to watch only: token {watching(page_token)}"
+        return f"Page {address(config.page, page_token)}{only_watches}"
+    return f"Page {address(config.page)}"

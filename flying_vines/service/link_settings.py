@@ -1,0 +1,47 @@
+"""The settings of the firmware, read and changed over a real port."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+
+from firmware_link.host import SessionState
+from firmware_link.protocol import Setting
+from firmware_link.settings import SettingsTalk
+from flying_vines.config.address import Address
+from flying_vines.service.link_watch import LinkWatch
+
+ANSWERS_WITHIN_S = 5.0
+"""A board that starts up, two greetings and the sentence that says who is silent. One that goes away half-way
+has as long to come back."""
+
+
+class SettingsError(Exception):
+    """The settings cannot be read or changed; the text is a sentence."""
+
+
+class SettingsInterruptedError(SettingsError):
+    """Nobody wants it any more."""
+
+
+async def talk_about_settings(
+    address: Address, changes: Mapping[str, float], stopped: asyncio.Event
+) -> Sequence[Setting]:
+    """Change what is to be changed: all that is set then. SettingsError, also once `stopped`."""
+    talk = SettingsTalk(changes)
+    watch = LinkWatch(address, talk)
+    there_s = 0.0
+
+    def over() -> bool:
+        nonlocal there_s
+        if watch.monitor.session.state is SessionState.READY:
+            there_s = watch.t
+        gone = watch.t - there_s >= ANSWERS_WITHIN_S
+        return talk.done or bool(talk.problem) or gone or stopped.is_set()
+
+    await watch.run(lambda heard: None, over)
+    if not talk.done:
+        if stopped.is_set() and not talk.problem:
+            raise SettingsInterruptedError("interrupted")
+        raise SettingsError(talk.problem or watch.port.text)
+    return talk.settings

@@ -1,0 +1,109 @@
+"""The service with all that looks on while it serves: recorder, screen, gateway and systemd."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import signal
+from dataclasses import dataclass
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from flying_vines.config.config import Config
+from flying_vines.core.watcher import EachAction
+from flying_vines.gateway.gateway import Gateway
+from flying_vines.record.recorder import Recorder
+from flying_vines.service.persistent_state import Kept
+from flying_vines.service.service import Service
+from flying_vines.service.systemd import service_manager
+from flying_vines.supply import Belief
+from flying_vines.terminal.screen import LiveView, plain_printer
+from flying_vines.vehicle.mavlink.signing import Signing
+from flying_vines.vehicle.notice import Severity
+
+SNAPSHOT_S = 0.05
+
+
+@dataclass(frozen=True)
+class Remembered:
+    """What outlives the service, as it was read at the start."""
+
+    kept: Kept
+    parameters: dict[str, float]
+    disarmed: bool
+    signing: Signing | None
+    page_token: str
+
+
+async def serve(
+    config: Config,
+    belief: Belief | None,
+    remembered: Remembered,
+    log: Recorder,
+    console: Console,
+    live: bool,
+    page: str,
+) -> None:
+    """Serve until a signal says stop, or the service ends. `page` is the sentence that says where it is."""
+    loop = asyncio.get_running_loop()
+    view = LiveView(loop.time(), config.limits.max_kPa, config.pneumatics.full_kPa)
+    live = live and console.is_terminal
+    shown = EachAction(view.take if live else plain_printer(console, loop.time()))
+    gateway = Gateway(
+        config,
+        ask=lambda *asked: service.ask(*asked),
+        say=lambda text: service.say(Severity.WARNING, text),
+        page_token=remembered.page_token,
+    )
+    watchers = (log, shown, gateway, *service_manager())
+    service = Service(
+        config,
+        watchers,
+        belief,
+        remembered.parameters,
+        remembered.disarmed,
+        remembered.signing,
+        remembered.kept,
+    )
+    # What was imported lives as long as we do; the collector need not walk it in flight.
+    gc.collect()
+    gc.freeze()
+    for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(name, service.stop)
+    if page:
+        view.say(Text(page))
+    serving = asyncio.create_task(service.run())
+    tending = asyncio.create_task(gateway.run()) if Gateway.wanted(config) else None
+    screen = Live(console=console, refresh_per_second=5, screen=True) if live else None
+    problems: dict[str, str] = {}
+    log_told = ""
+    if screen:
+        screen.start()
+    try:
+        while not serving.done():
+            snapshot = service.core.snapshot(service.now)
+            if log_told != log.told:
+                log_told = log.told
+                service.say(Severity.WARNING, log_told)
+            if screen:
+                try:
+                    screen.update(view.render(snapshot, problems=service.link_problems))
+                except Exception as error:
+                    service.failed("screen", error)
+                    screen.stop()
+                    screen = None
+            elif problems != service.link_problems:
+                problems = dict(service.link_problems)
+                for link, why in problems.items():
+                    console.print(f"{link} link: {why or 'open'}", soft_wrap=True)
+            await asyncio.wait([serving], timeout=SNAPSHOT_S)
+        await serving
+    finally:
+        if screen:
+            screen.stop()
+        if tending:
+            tending.cancel()
+            await asyncio.wait([tending])
+        log.close()

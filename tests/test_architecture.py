@@ -1,0 +1,103 @@
+"""An import goes from a room to a lower one, and no modules import each other in a circle."""
+
+from __future__ import annotations
+
+import ast
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+LEVELS = (
+    ("physics", "vine", "firmware_link"),
+    ("config", "plots"),
+    ("vehicle", "supply"),
+    ("core",),
+    ("record", "gateway", "missions"),
+    ("terminal",),
+    ("service", "install"),
+    ("simulation",),
+    ("identification",),
+    ("calibration", "doctor", "studies"),
+    ("cli",),
+)
+"""The rooms, the lowest first. A room may import those of lower levels."""
+LEVEL = {room: level for level, rooms in enumerate(LEVELS) for room in rooms}
+
+
+def modules_of(path: Path, root: Path) -> str:
+    parts = path.relative_to(root).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def room_of(module: str) -> str:
+    package, _, rest = module.partition(".")
+    return rest.partition(".")[0] if package == "flying_vines" else package
+
+
+def imported(source: str, names: set[str]) -> set[str]:
+    """Modules among `names` that the source imports, anywhere in it."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.module is not None
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                found.add(inner if inner in names else node.module)
+    return found & names
+
+
+def read(root: Path) -> dict[str, set[str]]:
+    folders = ("flying_vines", "firmware_link", "missions")
+    paths = {modules_of(path, root): path for folder in folders for path in (root / folder).rglob("*.py")}
+    return {
+        name: imported(path.read_text(encoding="utf-8"), set(paths) - {"flying_vines"})
+        for name, path in paths.items()
+        if name not in ("flying_vines", "flying_vines.__main__")
+    }
+
+
+@cache
+def graph() -> dict[str, set[str]]:
+    return read(ROOT)
+
+
+def upward(imports: dict[str, set[str]]) -> list[str]:
+    return [
+        f"{module} imports {other}"
+        for module, others in imports.items()
+        for other in sorted(others)
+        if room_of(module) != room_of(other) and LEVEL[room_of(module)] <= LEVEL[room_of(other)]
+    ]
+
+
+def test_each_room_has_a_level() -> None:
+    assert {room_of(module) for module in graph()} == set(LEVEL)
+
+
+def test_imports_between_rooms_go_downward() -> None:
+    assert upward(graph()) == []
+
+
+def test_an_upward_import_is_found() -> None:
+    assert upward({"flying_vines.physics.rig": {"flying_vines.cli.main"}}) == [
+        "flying_vines.physics.rig imports flying_vines.cli.main"
+    ]
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    try:
+        tuple(TopologicalSorter(graph()).static_order())
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+@pytest.mark.parametrize(
+    "source", ["import pkg.a", "from pkg import a", "def f():\n    from pkg.a import x", "import pkg.a as b"]
+)
+def test_every_form_of_import_is_read(source: str) -> None:
+    assert imported(source, {"pkg", "pkg.a"}) == {"pkg.a"}
