@@ -23,7 +23,8 @@ OTHERS = ("benchmarks", "docs", "tests", "LICENSE", "MANIFEST.in", "Makefile", "
 WITHOUT = """
 import sys
 sys.modules.update(dict.fromkeys({hidden}))
-import flying_vines.cli, flying_vines.demo, flying_vines.link_command, flying_vines.replay
+import flying_vines.cli.main, flying_vines.cli.link, flying_vines.service.runner
+import flying_vines.simulation.demo, flying_vines.simulation.replay
 import flying_vines.gateway.page.server
 """
 """No module of these names can be imported."""
