@@ -237,10 +237,13 @@ def test_the_firmwares_faults_are_seen_from_the_last_new_one_on() -> None:
     assert machine.firmware_faults_seen(2.0)
 
 
-def test_a_fault_of_the_firmware_that_has_no_name_is_told_by_its_number() -> None:
-    (entered,) = safety().watch(0.0, but(BENT, faults=Fault(0x4000)))
+@pytest.mark.parametrize(
+    ("faults", "told"), [(Fault.DEAD_MAN, "dead-man timer ran out"), (Fault(0x4000), "0x4000")]
+)
+def test_a_fault_of_the_firmware_is_told_by_its_name_or_number(faults: Fault, told: str) -> None:
+    (entered,) = safety().watch(0.0, but(BENT, faults=faults))
     assert isinstance(entered, Entered)
-    assert entered.reason == "firmware fault: 0x4000"
+    assert entered.reason == f"firmware fault: {told}"
 
 
 @pytest.mark.parametrize("altitude_m", [None, -3.0])

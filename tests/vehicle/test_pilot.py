@@ -697,3 +697,24 @@ def test_a_bend_that_waits_gives_way_to_another_position() -> None:
     radio.move(2)
     radio.run(3.0)
     assert [name for _, name, _ in radio.asked] == ["bend-full"]
+
+
+@pytest.mark.parametrize("steps", range(8))
+def test_the_status_that_tells_of_a_loss_confirms_no_bend(steps: int) -> None:
+    radio = Radio()
+    radio.move(2)
+    radio.run(steps * PERIOD_S)
+    radio.lose()
+    lost_s = radio.now_s
+    radio.run(4.0)
+    assert all(t < lost_s + BITS_AFTER_S for t in radio.bends)
+
+
+def test_before_the_switch_is_believed_others_may_ask() -> None:
+    radio = Radio("ardupilot")
+    radio.pilot.forget()
+    radio.pilot.others_asked(straightened=True)
+    radio.run(3.0)
+    radio.move(2)
+    radio.run(1.0)
+    assert len(radio.bends) == 1
