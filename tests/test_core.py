@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from firmware_link.protocol import Fault, Setpoint, Vent
+from firmware_link.protocol import ClearFaults, Fault, Setpoint, Vent
 from flying_vines import config
 from flying_vines.config import Config
 from flying_vines.events import (
@@ -127,6 +127,35 @@ def test_the_first_setpoint_leaves_with_the_trigger_and_already_moves() -> None:
     sent = [a.message for a in actions[:at] if isinstance(a, ToFirmware) and isinstance(a.message, Setpoint)]
     assert len(sent) == 1
     assert sent[0].target_kPa > 0.5
+
+
+def test_a_weak_bottle_bends_the_vine_slower() -> None:
+    flight = airborne(phlosar=SimulatedPhlosar(reservoir_kPa=110.0))
+    flight.autopilot.set_rc(9, HIGH)
+    actions = run_for(flight, 2.0)
+    (decision,) = decisions(actions)
+    assert (decision.safety, decision.reason[:6]) == ("limited", "slower")
+    strong = airborne()
+    strong.autopilot.set_rc(9, HIGH)
+    (rate,) = {s.rate_kPa_per_s for s in setpoints(run_for(strong, 2.0))}
+    assert {s.rate_kPa_per_s < 0.95 * rate for s in setpoints(actions)} == {True}
+
+
+def test_a_bent_vine_is_straightened_by_its_profile_and_a_vented_one_stays_vented() -> None:
+    flight = bent()
+    ground_command(flight, mavlink.MAV_CMD_USER_1, 0.0)
+    assert len(setpoints(run_for(flight, 1.0))) > 3
+    assert decisions(ground_command(flight, mavlink.MAV_CMD_USER_2, 0.0))[0].safety == "accepted"
+    assert setpoints(run_for(flight, 1.0)) == []
+
+
+def test_where_there_is_no_fault_a_vent_clears_none() -> None:
+    cleared = [
+        a
+        for a in ground_command(airborne(), mavlink.MAV_CMD_USER_4, 0.0)
+        if isinstance(a, ToFirmware) and isinstance(a.message, ClearFaults)
+    ]
+    assert cleared == []
 
 
 def test_setpoints_never_jump_beyond_the_rate_limit() -> None:

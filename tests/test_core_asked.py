@@ -95,6 +95,11 @@ def test_nothing_but_letting_air_out_is_done_late(intent: Intent) -> None:
     assert_vented(flight)
 
 
+def test_of_two_reasons_the_age_is_told() -> None:
+    late = ask(on_the_bench(), "page", ClearFaults(), age_s=1.1, seen_s=None)
+    assert (late.safety, late.reason) == ("refused", "too late: asked 1.1 s ago")
+
+
 @pytest.mark.parametrize("age_s", [0.0, 0.95, -3.0, None])
 def test_what_is_young_is_done(age_s: float | None) -> None:
     assert ask(on_the_bench(), "page", BendTo(30.0), age_s=age_s).safety == "accepted"

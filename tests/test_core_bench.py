@@ -12,6 +12,7 @@ from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.intent import BendTo, Intent, SetPressure, StartBench, StopBench
 from flying_vines.notice import Notice
 from flying_vines.simulated_world import SimulatedFlight
+from flying_vines.vehicle.triggers import Trigger
 
 LOW, HIGH = 1000, 2000
 
@@ -104,3 +105,14 @@ def test_rc_that_goes_off_vents_and_is_not_said_to_be_back(how: str) -> None:
     assert not any("RC is back" in text for text in told)
     assert vented(flight)
     assert ask(flight, BendTo(30.0)).safety == "accepted", "who has no RC on the bench may bend by the page"
+
+
+def test_what_no_person_asks_for_does_not_prolong_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(core, "BENCH_S", 4.0)
+    flight = on_the_ground()
+    ask(flight, StartBench())
+    run_for(flight, 3.0)
+    t = flight.world.now
+    item = Trigger(t, "mission_item", {"seq": 3, "command": 31010}, BendTo(30.0))
+    assert flight.core._decide(t, item).safety == "accepted"
+    assert "Vine: bench mode over, nobody asked for anything: vented" in notices(run_for(flight, 1.5))

@@ -10,8 +10,8 @@ import pytest
 
 from firmware_link import protocol
 from firmware_link.protocol import Mode, Setpoint, Telemetry, Vent
-from flying_vines import config
-from flying_vines.events import Action, Decision, ToFirmware, ToVehicle
+from flying_vines import config, intent
+from flying_vines.events import Action, Asked, Decision, ToFirmware, ToVehicle
 from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.gateway.gateway import Gateway
 from flying_vines.notice import Notice, Severity
@@ -191,6 +191,30 @@ def test_it_is_found_within_0p35_s_of_a_vent() -> None:
     vented_at = next(d.t for d in decisions(actions) if d.what.get("loss") == "rc")
     fault_at = next(d.t for d in decisions(actions) if d.what.get("loss") == "regulates")
     assert 0.29 < fault_at - vented_at < 0.36
+
+
+def test_two_answers_that_are_late_one_after_the_other_are_no_fault() -> None:
+    """Each is late by less than is allowed; together they are later."""
+    flight = bent()
+    says(flight, lambda telemetry: dataclasses.replace(telemetry, mode=Mode.VENT))
+    actions = run_for(flight, 0.25)
+    actions += flight.feed(Asked(flight.world.now, "page", intent.Vent()))
+    says(flight, regulating)
+    actions += run_for(flight, 0.25)
+    flight.world.from_phlosar = lambda data: data
+    actions += run_for(flight, 1.0)
+    assert told(actions) == []
+
+
+@pytest.mark.parametrize(
+    ("bends", "notice"), [(False, []), (True, ["Vine: phloSAR does not hear us, vented"])]
+)
+def test_a_board_in_a_fault_that_it_does_not_name_vents_and_does_not_bend(
+    bends: bool, notice: list[str]
+) -> None:
+    flight = bent() if bends else airborne()
+    says(flight, lambda telemetry: dataclasses.replace(telemetry, mode=Mode.FAULT))
+    assert told(run_for(flight, 2.0)) == notice
 
 
 def test_a_vent_that_is_heard_late_is_no_fault() -> None:
