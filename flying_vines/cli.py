@@ -16,7 +16,7 @@ from time import monotonic, time
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from flying_vines import config as configuration
-from flying_vines.address import FORMS, believed, parse_address
+from flying_vines.address import FORMS, parse_address
 from flying_vines.bad_input import BAD_INPUT, bad_input, lacks
 from flying_vines.calibrate import command as calibrate_command
 from flying_vines.config import Config, ConfigError
@@ -421,7 +421,7 @@ async def _serve(config: Config, text: str, known: Calibration | None, arguments
         loop.add_signal_handler(name, service.stop)
     links = f"Vehicle {config.vehicle.link}, phloSAR {config.firmware.link}"
     console.print(f"{links}, log {log.folder}", soft_wrap=True)
-    console.print(f"Vehicle link {_believed(config)}", highlight=False, soft_wrap=True)
+    console.print(f"Vehicle link {config.vehicle.believed}", highlight=False, soft_wrap=True)
     if known:
         console.print(f"Rig {known.path}: {known.said}", highlight=False, soft_wrap=True)
     for parameter, value in parameters.items():
@@ -605,15 +605,10 @@ def _config_check(arguments: argparse.Namespace) -> int:
         f"{arguments.file}: good. Switch on channel {config.switch.channel}, {len(config.profiles)} "
         f"profiles, {len(config.items)} item rules, up to {config.limits.max_kPa:g} kPa."
     )
-    print(f"Vehicle link {_believed(config)}.")
+    print(f"Vehicle link {config.vehicle.believed}.")
     if known:
         print(f"{known.path}: good. {known.said[0].upper()}{known.said[1:]}.")
     return 0
-
-
-def _believed(config: Config) -> str:
-    """Who can command the vine over the vehicle link, in one line."""
-    return believed(parse_address(config.vehicle.link), bool(config.vehicle.signing_key))
 
 
 def _diagnose(arguments: argparse.Namespace) -> int:

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import msgspec
 from msgspec import Meta
 
-from flying_vines.address import NetworkAddress, parse_address, parse_broker
+from flying_vines.address import NetworkAddress, believed, parse_address, parse_broker
 from flying_vines.intent import Command
 from flying_vines.toml_text import Key, dotted, explained, located, not_finite, one_line, place, read_text
 from flying_vines.vine.curve import BendCurve
@@ -61,6 +61,11 @@ class Vehicle(_Table, frozen=True):
     component_id: Annotated[int, Meta(ge=2, le=255)] = 191  # 1 is the autopilot
     rc_rate_Hz: Annotated[float, Meta(ge=4, le=50)] = 20.0
     signing_key: str = ""
+
+    @property
+    def believed(self) -> str:
+        """Who can command the vine over the link, in one line."""
+        return believed(parse_address(self.link), bool(self.signing_key))
 
 
 class Firmware(_Table, frozen=True):

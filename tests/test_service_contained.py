@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import dataclasses
 import math
 from collections.abc import AsyncIterator, Callable
@@ -65,14 +64,7 @@ async def serving() -> AsyncIterator[Serving]:
         service = Service(config.parse(bench.profile, "test"), (EachAction(seen.append),))
         running = asyncio.create_task(service.run())
         await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
-        for pulse in (1000, 2000) * 5:
-            bench.autopilot.set_rc(9, pulse)
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(2.0):
-                    while not bench.bent():
-                        await asyncio.sleep(0.01)
-                    break
-        assert bench.bent()
+        await bench.bend()
         yield Serving(bench, service, seen, box)
         service.stop()
         await running
