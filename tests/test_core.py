@@ -30,6 +30,8 @@ from flying_vines.fakes.autopilot import Autopilot
 from flying_vines.fakes.mishaps import Hole, StuckAt
 from flying_vines.fakes.phlosar import SimulatedPhlosar
 from flying_vines.notice import Notice
+from flying_vines.reservoir import ReservoirEstimate
+from flying_vines.safety import INTERNAL_ERROR
 from flying_vines.simulated_world import SimulatedFlight
 from flying_vines.vehicle.codec import Codec
 from flying_vines.vehicle.mission.item import MissionItem
@@ -147,11 +149,31 @@ def test_a_bent_vine_is_straightened_by_its_profile_and_one_that_vents_goes_on_v
     targets_kPa = [setpoint.target_kPa for setpoint in setpoints(run_for(flight, 1.0))]
     assert len(targets_kPa) > 10
     assert targets_kPa[-2:] == [0.0, 0.0], "regulated until it is there"
+    assert setpoints(run_for(flight, 1.0)) == [], "and no longer"
     flight = bent()
     ground_command(flight, mavlink.MAV_CMD_USER_4, 0.0)
     actions = ground_command(flight, mavlink.MAV_CMD_USER_2, 0.0)
     assert [d.safety for d in decisions(actions)] == ["accepted"]
     assert setpoints([*actions, *run_for(flight, 1.0)]) == []
+
+
+def test_where_a_bend_s_cost_cannot_be_told_it_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    flight = airborne()
+    monkeypatch.setattr(ReservoirEstimate, "spending_kPa", lambda *_: 1 / 0)
+    actions = ground_command(flight, mavlink.MAV_CMD_USER_2, 30.0)
+    assert [(d.safety, d.reason) for d in decisions(actions)][-1:] == [("refused", INTERNAL_ERROR)]
+    run_for(flight, 0.5)
+    assert_vented(flight)
+
+
+def test_a_vehicle_that_is_armed_as_its_rc_is_lost_has_rc(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A flight without RC is one that was armed without it."""
+    flight = airborne()
+    vehicle, t = flight.core._vehicle, flight.world.now
+    monkeypatch.setattr(vehicle.state, "armed", False)
+    assert flight.core._conditions(t).rc_problem is None
+    monkeypatch.setattr(vehicle.state, "armed", True)
+    assert flight.core._conditions(t + 60.0).rc_problem is not None
 
 
 def test_where_there_is_no_fault_a_vent_clears_none() -> None:

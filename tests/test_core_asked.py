@@ -28,6 +28,7 @@ from flying_vines.intent import (
     Vent,
 )
 from flying_vines.simulated_world import SimulatedFlight
+from flying_vines.vehicle.triggers import Trigger
 
 TAKES_AIR: list[Intent] = [
     BendTo(30.0),
@@ -229,6 +230,14 @@ def test_a_firmwares_fault_that_was_not_seen_stays() -> None:
         flight.feed(Asked(flight.world.now, "broker", Vent(), flight.world.now, seen_at))
         run_for(flight, 0.5)
         assert faults(flight) == left
+
+
+def test_an_item_of_the_mission_clears_no_fault() -> None:
+    flight = with_latched_fault()
+    t = flight.world.now
+    decision = flight.core._decide(t, Trigger(t, "mission_item", {}, StartProfile("straight")))
+    assert decision.safety == "accepted"
+    assert faults(flight) == {"firmware_reset"}
 
 
 def test_the_pilots_switch_and_the_calibration_on_the_terminal_clear_what_there_is() -> None:

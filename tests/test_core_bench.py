@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import msgspec
 import pytest
 
 from flying_vines import config, core
@@ -17,11 +18,11 @@ from flying_vines.vehicle.triggers import Trigger
 LOW, HIGH = 1000, 2000
 
 
-def on_the_ground() -> SimulatedFlight:
+def on_the_ground(conf: config.Config | None = None) -> SimulatedFlight:
     """Autopilot, RC and phloSAR are there, the switch is low."""
     autopilot = Autopilot("ardupilot")
     autopilot.set_rc(9, LOW)
-    flight = SimulatedFlight(config.default(), autopilot)
+    flight = SimulatedFlight(conf or config.default(), autopilot)
     flight.run(4.0)
     return flight
 
@@ -116,3 +117,14 @@ def test_what_no_person_asks_for_does_not_prolong_it(monkeypatch: pytest.MonkeyP
     item = Trigger(t, "mission_item", {"seq": 3, "command": 31010}, BendTo(30.0))
     assert flight.core._decide(t, item).safety == "accepted"
     assert "Vine: bench mode over, nobody asked for anything: vented" in notices(run_for(flight, 1.5))
+
+
+def test_rc_that_goes_off_vents_where_the_profile_is_for_the_bench() -> None:
+    interlocks = config.Interlocks(bench_mode=True)
+    flight = on_the_ground(msgspec.structs.replace(config.default(), interlocks=interlocks))
+    assert ask(flight, BendTo(30.0)).safety == "accepted"
+    run_for(flight, 1.5)
+    assert flight.phlosar.cv_kPa > 8.0
+    flight.autopilot.lose_rc("jump")
+    assert any("RC lost" in text for text in notices(run_for(flight, 2.0)))
+    assert vented(flight)
