@@ -126,5 +126,7 @@ def test_rc_that_goes_off_vents_where_the_profile_is_for_the_bench() -> None:
     run_for(flight, 1.5)
     assert flight.phlosar.cv_kPa > 8.0
     flight.autopilot.lose_rc("jump")
-    assert any("RC lost" in text for text in notices(run_for(flight, 2.0)))
+    actions = run_for(flight, 2.0)
+    assert any("RC lost" in text for text in notices(actions))
+    assert {"loss": "rc"} in [a.what for a in actions if isinstance(a, Decision)]
     assert vented(flight)

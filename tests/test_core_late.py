@@ -116,6 +116,7 @@ LATE: list[tuple[Intent, str]] = [
     (BendTo(30.0), "refused"),
     (SetPressure(5.0), "refused"),
     (BendTo(500.0), "refused"),
+    (StartProfile("of another vine"), "refused"),
     (Hold(), "refused"),
     (ClearFaults(), "refused"),
     (ArmPneumatics(), "refused"),
