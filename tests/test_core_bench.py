@@ -130,3 +130,11 @@ def test_rc_that_goes_off_vents_where_the_profile_is_for_the_bench() -> None:
     assert any("RC lost" in text for text in notices(actions))
     assert {"loss": "rc"} in [a.what for a in actions if isinstance(a, Decision)]
     assert vented(flight)
+
+
+def test_on_the_ground_a_loss_decides_nothing_for_a_vented_vine() -> None:
+    flight = on_the_ground()
+    flight.phlosar.reset_firmware()
+    actions = run_for(flight, 1.0)
+    assert any("restarted" in text for text in notices(actions))
+    assert [a for a in actions if isinstance(a, Decision)] == []

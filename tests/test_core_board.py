@@ -290,3 +290,10 @@ def test_one_restart_is_cleared_as_ever() -> None:
     run_for(flight, 0.5)
     flight.autopilot.set_rc(9, LOW)
     assert "Vine: cleared firmware_reset" in told(run_for(flight, 1.0))
+
+
+def test_a_restart_says_nothing_of_the_switch() -> None:
+    flight = bent()
+    flight.phlosar.reset_firmware()
+    run_for(flight, 0.3)
+    assert flight.core.snapshot(flight.world.now).switch_position == 2
