@@ -251,33 +251,50 @@ def babble(seed: int, session: HostSession) -> Iterator[bytes]:
             at += size
 
 
+class Memory:
+    """What Python holds, looked at after each tenth of the bytes."""
+
+    def __init__(self, most_bytes: int) -> None:
+        self.looks: list[int] = []
+        self._every = most_bytes // MEMORY_LOOKS
+        # Python keeps every combination of fault bits that it has met: as many as there are, and no more.
+        for mask in range(1 << 16):
+            Fault(mask)
+        tracemalloc.start()
+
+    def fed(self, so_far_bytes: int) -> None:
+        if so_far_bytes >= self._every * (len(self.looks) + 1):
+            gc.collect()
+            self.looks.append(tracemalloc.get_traced_memory()[0])
+
+    def end(self, who: str, most_new_bytes: int) -> None:
+        """FuzzError when it has grown by more than that."""
+        tracemalloc.stop()
+        if self.looks[-1] - self.looks[0] > most_new_bytes:
+            raise FuzzError(f"{who} grew: {self.looks}")
+
+    def __str__(self) -> str:
+        return ", ".join(f"{size / 1e3:.1f}" for size in self.looks) + " kB"
+
+
 @dataclass
 class Heard:
     """What the host's end went through."""
 
+    memory: Memory
     fed_bytes: int = 0
     messages: int = 0
     ready: int = 0
     """Pieces after which the session was READY."""
-    memory_bytes: tuple[int, ...] = ()
-
-    @property
-    def grown_bytes(self) -> int:
-        return self.memory_bytes[-1] - self.memory_bytes[0]
 
 
 def listen(seed: int, most_bytes: int) -> Heard:
     """Feed a host's end. FuzzError when it cannot read a whole frame after any of it, or grows."""
-    codec, session, heard = Codec(), HostSession(), Heard()
+    codec, session, heard = Codec(), HostSession(), Heard(Memory(most_bytes))
     dice = random.Random(f"host {seed}")
     whole = encode(Pong(1, 2), 0)
     t = 0.0
     session.opened(t)
-    # Python keeps every combination of fault bits that it has met: as many as there are, and no more.
-    for mask in range(1 << 16):
-        Fault(mask)
-    tracemalloc.start()
-    look_at = most_bytes // MEMORY_LOOKS
     for pieces, data in enumerate(babble(seed, session), 1):
         t += 0.001
         heard.fed_bytes += len(data)
@@ -298,15 +315,10 @@ def listen(seed: int, most_bytes: int) -> Heard:
         heard.ready += session.state is SessionState.READY
         if pieces % 1000 == 0 and codec.decode(FRAME_END + whole)[-1:] != [Pong(1, 2)]:
             raise FuzzError(f"seed {seed}: after {heard.fed_bytes} bytes a whole frame was not read")
-        if heard.fed_bytes >= look_at:
-            look_at += most_bytes // MEMORY_LOOKS
-            gc.collect()
-            heard.memory_bytes += (tracemalloc.get_traced_memory()[0],)
+        heard.memory.fed(heard.fed_bytes)
         if heard.fed_bytes >= most_bytes:
             break
-    tracemalloc.stop()
-    if heard.grown_bytes > MOST_NEW_BYTES:
-        raise FuzzError(f"seed {seed}: the host grew by {heard.grown_bytes} bytes: {heard.memory_bytes}")
+    heard.memory.end(f"seed {seed}: the host", MOST_NEW_BYTES)
     return heard
 
 
@@ -314,12 +326,12 @@ def listen(seed: int, most_bytes: int) -> Heard:
 class Served:
     """What the service's core went through."""
 
+    memory: Memory
     from_phlosar_bytes: int = 0
     from_vehicle_bytes: int = 0
     messages: int = 0
     answers: int = 0
     ready: int = 0
-    memory_bytes: tuple[int, ...] = ()
 
 
 def serve(seed: int, most_bytes: int) -> Served:
@@ -330,12 +342,9 @@ def serve(seed: int, most_bytes: int) -> Served:
         MavlinkCodec(0, 191),
         Codec(),
     )
-    line, air, served = babble(seed, core._firmware), Babble(seed, disarmed=True), Served()
+    line, air = babble(seed, core._firmware), Babble(seed, disarmed=True)
+    served = Served(Memory(most_bytes))
     core.handle(LinkChanged(0.0, "firmware", True))
-    for mask in range(1 << 16):
-        Fault(mask)
-    tracemalloc.start()
-    look_at = most_bytes // MEMORY_LOOKS
     fed_bytes = step = 0
     while fed_bytes < most_bytes:
         step += 1
@@ -357,13 +366,8 @@ def serve(seed: int, most_bytes: int) -> Served:
                     if isinstance(action.message, Setpoint) and action.message.target_kPa != 0.0:
                         raise FuzzError(f"seed {seed}, step {step}: {action.message}")
         served.ready += core._firmware.state is SessionState.READY
-        if fed_bytes >= look_at:
-            look_at += most_bytes // MEMORY_LOOKS
-            gc.collect()
-            served.memory_bytes += (tracemalloc.get_traced_memory()[0],)
-    tracemalloc.stop()
-    if served.memory_bytes[-1] - served.memory_bytes[0] > MOST_NEW_TABLES_BYTES:
-        raise FuzzError(f"seed {seed}: the service grew: {served.memory_bytes}")
+        served.memory.fed(fed_bytes)
+    served.memory.end(f"seed {seed}: the service", MOST_NEW_TABLES_BYTES)
     return served
 
 
@@ -400,22 +404,20 @@ def _tell(fuzzed: Fuzzed, took_s: float) -> None:
 def _host(seed: int, most_bytes: int) -> None:
     began_s = perf_counter()
     heard = listen(seed, most_bytes)
-    kB = ", ".join(f"{size / 1e3:.1f}" for size in heard.memory_bytes)
     print(f"host, seed {seed}")
     print(f"  bytes into its decoder: {heard.fed_bytes}, in {perf_counter() - began_s:.0f} s")
     print(f"  messages: {heard.messages} · pieces after which the session was ready: {heard.ready}")
-    print(f"  memory after each tenth: {kB} kB")
+    print(f"  memory after each tenth: {heard.memory}")
 
 
 def _service(seed: int, most_bytes: int) -> None:
     began_s = perf_counter()
     served = serve(seed, most_bytes)
-    kB = ", ".join(f"{size / 1e3:.0f}" for size in served.memory_bytes)
     print(f"service, seed {seed}")
     print(f"  bytes: {served.from_phlosar_bytes} on the serial line, {served.from_vehicle_bytes} of MAVLink")
     print(f"  messages: {served.messages} in {perf_counter() - began_s:.0f} s; frames sent: {served.answers}")
     print(f"  steps with the phloSAR ready: {served.ready}")
-    print(f"  memory after each tenth: {kB} kB", flush=True)
+    print(f"  memory after each tenth: {served.memory}", flush=True)
 
 
 PARTS = {"blind": _blind, "guided": _guided, "host": _host, "service": _service}

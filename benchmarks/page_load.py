@@ -20,11 +20,11 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 from aiohttp import ClientSession, ClientWebSocketResponse
-from ports import free_port
 from process_cost import cpu_s, only_child, pss_MB
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
+from ports import free_port
 from service_bench import on_bench
 
 from flying_vines.simulation.autopilot import Autopilot

@@ -44,6 +44,17 @@ class Bench:
     def bent(self) -> bool:
         return self.phlosar.cv_kPa > 15.0
 
+    async def bend(self) -> None:
+        """By the switch; a move counts only once it is believed, a second after RC is."""
+        for pulse in (1000, 2000) * 5:
+            self.autopilot.set_rc(9, pulse)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(2.0):
+                    while not self.bent():
+                        await asyncio.sleep(0.01)
+                    return
+        raise AssertionError("the vine never bent")
+
 
 @contextlib.asynccontextmanager
 async def on_bench(autopilot: Autopilot) -> AsyncIterator[Bench]:

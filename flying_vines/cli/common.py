@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from flying_vines.cli.bad_input import bad_input
 from flying_vines.config import config as configuration
-from flying_vines.config.address import believed, parse_address
 from flying_vines.config.config import Config
 from flying_vines.config.extras import lacks
 from flying_vines.vehicle.mission.item import MissionItem
@@ -93,11 +92,6 @@ def known_rig(config: Config, profile: Path | None, rig: Path | None = None) -> 
 
     with file_errors(rig, RigError):
         return load_calibration(rig, config.pneumatics)
-
-
-def who_commands(config: Config) -> str:
-    """Who can command the vine over the vehicle link, in one line."""
-    return believed(parse_address(config.vehicle.link), bool(config.vehicle.signing_key))
 
 
 def read_mission(path: Path | None) -> Sequence[MissionItem]:

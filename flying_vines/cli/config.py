@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from flying_vines.cli.common import (
     fail,
     known_rig,
-    who_commands,
 )
 from flying_vines.config import config as configuration
 
@@ -53,7 +52,7 @@ def _config_check(arguments: argparse.Namespace) -> int:
         f"{arguments.file}: good. Switch on channel {config.switch.channel}, {len(config.profiles)} "
         f"profiles, {len(config.items)} item rules, up to {config.limits.max_kPa:g} kPa."
     )
-    print(f"Vehicle link {who_commands(config)}.")
+    print(f"Vehicle link {config.vehicle.believed}.")
     if known:
         print(f"{known.path}: good. {known.said[0].upper()}{known.said[1:]}.")
     return 0

@@ -7,7 +7,7 @@ import asyncio
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flying_vines.cli.common import FLIGHTS, fail, file_errors, known_rig, who_commands
+from flying_vines.cli.common import FLIGHTS, fail, file_errors, known_rig
 from flying_vines.config import config as configuration
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def _run(arguments: argparse.Namespace) -> int:
     console = output.console()
     links = f"Vehicle {config.vehicle.link}, phloSAR {config.firmware.link}"
     console.print(f"{links}, log {log.folder}", soft_wrap=True)
-    said = [f"Vehicle link {who_commands(config)}"]
+    said = [f"Vehicle link {config.vehicle.believed}"]
     if known:
         said.append(f"Rig {known.path}: {known.said}")
     said += [f"Parameter {parameter} = {value:g}" for parameter, value in remembered.parameters.items()]

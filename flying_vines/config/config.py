@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import msgspec
 from msgspec import Meta
 
-from flying_vines.config.address import NetworkAddress, parse_address, parse_broker
+from flying_vines.config.address import NetworkAddress, believed, parse_address, parse_broker
 from flying_vines.config.toml_text import (
     Key,
     dotted,
@@ -70,6 +70,11 @@ class Vehicle(_Table, frozen=True):
     component_id: Annotated[int, Meta(ge=2, le=255)] = 191  # 1 is the autopilot
     rc_rate_Hz: Annotated[float, Meta(ge=4, le=50)] = 20.0
     signing_key: str = ""
+
+    @property
+    def believed(self) -> str:
+        """Who can command the vine over the link, in one line."""
+        return believed(parse_address(self.link), bool(self.signing_key))
 
 
 class Firmware(_Table, frozen=True):

@@ -312,10 +312,9 @@ class Core:
             self._notice(failed.t, Severity.WARNING, f"{failed.part} failed, flight goes on")
 
     def _note_heed(self, t: float, telemetry: protocol.Telemetry) -> None:
-        """Whether the board's mode follows what it is told. In a fault that it names it vents by itself."""
+        """Whether the board's mode follows what it is told. In a fault it vents by itself."""
         mode, told = telemetry.mode, self._told_mode
-        vents = mode is protocol.Mode.FAULT and (told is protocol.Mode.VENT or telemetry.faults)
-        if mode is told or vents:
+        if mode is told or (mode is protocol.Mode.FAULT and told is protocol.Mode.VENT):
             self._unheeded = None
             return
         made_s = t - self._firmware.telemetry_age(t)

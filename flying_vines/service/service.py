@@ -79,7 +79,7 @@ class Service:
     ) -> None:
         self.core = Contained(
             Core(config, belief=belief, parameters=parameters, disarmed=disarmed),
-            lambda error: self._fail("display", error, needed=False),
+            lambda error: self.failed("display", error),
         )
         self._failed: set[str] = set()
         """Parts that were told to have failed."""
@@ -122,9 +122,12 @@ class Service:
         """Let people read this, here and on the ground station."""
         self._feed(Said(self.now, severity, text))
 
-    def failed(self, part: str, error: Exception) -> None:
-        """Something that is only for people has failed: told and logged."""
-        self._fail(part, error, needed=False)
+    def failed(self, part: str, error: BaseException, needed: bool = False) -> None:
+        """Something has failed, which the vine needs or which is only for people: told and logged, once."""
+        # What fails at every tick is one failure.
+        if part not in self._failed:
+            self._failed.add(part)
+            self._feed(Failed.by(self.now, part, error, needed))
 
     def ask(
         self, by: Asker, intent: Intent, made_at: float | None = None, seen_at: float | None = None
@@ -173,24 +176,18 @@ class Service:
             await asyncio.sleep(RESTART_S)
 
     @contextmanager
-    def _contained(self, part: str, needed: bool) -> Iterator[None]:
+    def _contained(self, part: str, needed: bool = False) -> Iterator[None]:
         """An unexpected error of a part of this edge is told to the core and goes no further."""
         try:
             yield
         except Exception as error:
-            self._fail(part, error, needed)
-
-    def _fail(self, part: str, error: BaseException, needed: bool) -> None:
-        # Once each: what fails at every tick is one failure.
-        if part not in self._failed:
-            self._failed.add(part)
-            self._feed(Failed.by(self.now, part, error, needed))
+            self.failed(part, error, needed)
 
     def _callback_failed(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """Of anything in the loop; without a link's the vine is not to be flown."""
         error = context.get("exception") or RuntimeError(context.get("message"))
         modules = {frame.f_globals.get("__name__") for frame, _ in traceback.walk_tb(error.__traceback__)}
-        self._fail("event loop", error, needed=not modules.isdisjoint(_LINKS))
+        self.failed("event loop", error, needed=not modules.isdisjoint(_LINKS))
 
     async def _keep_changes(self) -> None:
         """Write the latest; a slow disk delays nothing else."""
@@ -238,11 +235,11 @@ class Service:
     async def _tick(self) -> None:
         due = self.now
         while True:
-            with self._contained("signing clock", needed=False):
+            with self._contained("signing clock"):
                 if self._signing is not None:
                     self._signing.advance(time.time(), self.now, self._synchronised)
             self._feed(Tick(self.now))
-            with self._contained("watch over the links", needed=False):
+            with self._contained("watch over the links"):
                 self._tell_silence(self.now)
                 self._tell_unread()
             self.tell_watchers()
@@ -337,20 +334,20 @@ class Service:
             yield
         except Exception as error:
             self._watchers.remove(watcher)
-            asyncio.get_running_loop().call_soon(self._fail, type(watcher).__name__, error, False)
+            asyncio.get_running_loop().call_soon(self.failed, type(watcher).__name__, error)
 
     def _not_carried_out(self, action: Action, error: Exception) -> None:
         match action:
             case ToFirmware():
                 with self._contained("phloSAR vent", needed=True):
                     self._firmware.write(BARE_VENT)
-                self._fail("phloSAR messages", error, needed=True)
+                self.failed("phloSAR messages", error, needed=True)
             case ToVehicle(message) if message.get_type() not in ONLY_SHOWN:
-                self._fail("vehicle messages", error, needed=True)
+                self.failed("vehicle messages", error, needed=True)
             case ToVehicle():
-                self._fail("named values", error, needed=False)
+                self.failed("named values", error)
             case _:
-                self._fail("keeping files", error, needed=False)
+                self.failed("keeping files", error)
 
     def _carry_out(self, action: Action) -> None:
         match action:

@@ -86,10 +86,10 @@ class Commands:
             what["late_s"] = round(age_s, 1)
         intent, problem = found
         if not from_station and not from_autopilot and not problem:
-            lets_out = intent is not None and self._rules.only_lets_out(intent)
+            lets_out = self._rules.only_lets_out(intent)
             problem = "" if lets_out else f"{_sender(message)} is no ground station"
         # A repeat may come long after: what has come to light since, its sender may not have seen.
-        by_person = from_station and not from_autopilot and not repeat
+        by_person = from_station and not repeat
         trigger = Trigger(t, "command", what, intent, problem, by_person, message, age_s, seen_at=t - age_s)
         return [trigger]
 
@@ -105,7 +105,7 @@ class Commands:
         intent, _ = self._intent(command, params) or (None, "")
         if isinstance(intent, StopCalibration):
             return self._under_way is not None
-        return intent is not None and self._rules.only_lets_out(intent)
+        return self._rules.only_lets_out(intent)
 
     def acknowledge(self, trigger: Trigger, accepted: bool) -> list[Message]:
         """The COMMAND_ACK for the command behind a trigger, if there is one."""

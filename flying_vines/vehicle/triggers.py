@@ -77,7 +77,7 @@ class Trigger:
         return self.kind + " " + " ".join(f"{key}={value}" for key, value in self.what.items())
 
 
-def only_lets_out(config: Config, intent: Intent) -> bool:
+def only_lets_out(config: Config, intent: Intent | None) -> bool:
     """Whether it can only let air out, wherever the vine is: that is safe, whoever asks and how often."""
     curve = config.vine.bend_curve()
     match intent:
@@ -101,7 +101,7 @@ class Rules:
         self._positions = config.switch.positions
         self.commands = {command for item in config.items for command in item.command_ids}
 
-    def only_lets_out(self, intent: Intent) -> bool:
+    def only_lets_out(self, intent: Intent | None) -> bool:
         """Whether this intent can only let air out."""
         return only_lets_out(self._config, intent)
 

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from firmware_link.protocol import Fault, Setpoint, Vent
+from firmware_link.protocol import ClearFaults, Fault, Setpoint, Vent
 from flying_vines.config import config
 from flying_vines.core.events import (
     Action,
@@ -23,10 +23,12 @@ from flying_vines.core.events import (
     ToVehicle,
     VehicleMessage,
 )
+from flying_vines.core.safety import INTERNAL_ERROR
 from flying_vines.simulation.autopilot import Autopilot
 from flying_vines.simulation.phlosar.mishaps import Hole, StuckAt
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.supply import ReservoirEstimate
 from flying_vines.vehicle.mavlink.codec import Codec
 from flying_vines.vehicle.mission.item import MissionItem
 
@@ -64,6 +66,60 @@ def test_the_first_setpoint_leaves_with_the_trigger_and_already_moves() -> None:
     sent = [a.message for a in actions[:at] if isinstance(a, ToFirmware) and isinstance(a.message, Setpoint)]
     assert len(sent) == 1
     assert sent[0].target_kPa > 0.5
+
+
+def test_a_weak_bottle_bends_the_vine_slower() -> None:
+    flight = airborne(phlosar=SimulatedPhlosar(reservoir_kPa=110.0))
+    flight.autopilot.set_rc(9, HIGH)
+    actions = run_for(flight, 2.0)
+    (decision,) = decisions(actions)
+    assert (decision.safety, decision.reason[:6]) == ("limited", "slower")
+    strong = airborne()
+    strong.autopilot.set_rc(9, HIGH)
+    (rate,) = {s.rate_kPa_per_s for s in setpoints(run_for(strong, 2.0))}
+    assert {s.rate_kPa_per_s < 0.95 * rate for s in setpoints(actions)} == {True}
+
+
+def test_a_bent_vine_is_straightened_by_its_profile_and_one_that_vents_goes_on_venting() -> None:
+    flight = bent()
+    ground_command(flight, mavlink.MAV_CMD_USER_1, 0.0)
+    targets_kPa = [setpoint.target_kPa for setpoint in setpoints(run_for(flight, 1.0))]
+    assert len(targets_kPa) > 10
+    assert targets_kPa[-2:] == [0.0, 0.0], "regulated until it is there"
+    assert setpoints(run_for(flight, 1.0)) == [], "and no longer"
+    flight = bent()
+    ground_command(flight, mavlink.MAV_CMD_USER_4, 0.0)
+    actions = ground_command(flight, mavlink.MAV_CMD_USER_2, 0.0)
+    assert [d.safety for d in decisions(actions)] == ["accepted"]
+    assert setpoints([*actions, *run_for(flight, 1.0)]) == []
+
+
+def test_where_a_bend_s_cost_cannot_be_told_it_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    flight = airborne()
+    monkeypatch.setattr(ReservoirEstimate, "spending_kPa", lambda *_: 1 / 0)
+    actions = ground_command(flight, mavlink.MAV_CMD_USER_2, 30.0)
+    assert [(d.safety, d.reason) for d in decisions(actions)][-1:] == [("refused", INTERNAL_ERROR)]
+    run_for(flight, 0.5)
+    assert_vented(flight)
+
+
+def test_a_vehicle_that_is_armed_as_its_rc_is_lost_has_rc(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A flight without RC is one that was armed without it."""
+    flight = airborne()
+    vehicle, t = flight.core._vehicle, flight.world.now
+    monkeypatch.setattr(vehicle.state, "armed", False)
+    assert flight.core._conditions(t).rc_problem is None
+    monkeypatch.setattr(vehicle.state, "armed", True)
+    assert flight.core._conditions(t + 60.0).rc_problem is not None
+
+
+def test_where_there_is_no_fault_a_vent_clears_none() -> None:
+    cleared = [
+        a
+        for a in ground_command(airborne(), mavlink.MAV_CMD_USER_4, 0.0)
+        if isinstance(a, ToFirmware) and isinstance(a.message, ClearFaults)
+    ]
+    assert cleared == []
 
 
 def test_setpoints_never_jump_beyond_the_rate_limit() -> None:

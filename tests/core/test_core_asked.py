@@ -11,6 +11,7 @@ from flying_vines.config.config import Config
 from flying_vines.core.events import Asked, Decision
 from flying_vines.simulation.autopilot import Autopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import (
     ArmPneumatics,
     Asker,
@@ -94,6 +95,11 @@ def test_nothing_but_letting_air_out_is_done_late(intent: Intent) -> None:
     assert (late.safety, late.reason) == ("refused", "too late: asked 1.1 s ago")
     run_for(flight, 0.5)
     assert_vented(flight)
+
+
+def test_of_two_reasons_the_age_is_told() -> None:
+    late = ask(on_the_bench(), "page", ClearFaults(), age_s=1.1, seen_s=None)
+    assert (late.safety, late.reason) == ("refused", "too late: asked 1.1 s ago")
 
 
 @pytest.mark.parametrize("age_s", [0.0, 0.95, -3.0, None])
@@ -225,6 +231,14 @@ def test_a_firmwares_fault_that_was_not_seen_stays() -> None:
         flight.feed(Asked(flight.world.now, "broker", Vent(), flight.world.now, seen_at))
         run_for(flight, 0.5)
         assert faults(flight) == left
+
+
+def test_an_item_of_the_mission_clears_no_fault() -> None:
+    flight = with_latched_fault()
+    t = flight.world.now
+    decision = flight.core._decide(t, Trigger(t, "mission_item", {}, StartProfile("straight")))
+    assert decision.safety == "accepted"
+    assert faults(flight) == {"firmware_reset"}
 
 
 def test_the_pilots_switch_and_the_calibration_on_the_terminal_clear_what_there_is() -> None:

@@ -11,12 +11,13 @@ import pytest
 from firmware_link import protocol
 from firmware_link.protocol import Mode, Setpoint, Telemetry, Vent
 from flying_vines.config import config
-from flying_vines.core.events import Action, Decision, ToFirmware, ToVehicle
+from flying_vines.core.events import Action, Asked, Decision, ToFirmware, ToVehicle
 from flying_vines.gateway.gateway import Gateway
 from flying_vines.simulation.autopilot import Autopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.terminal.screen import event_line
 from flying_vines.vehicle.notice import Notice, Severity
+from flying_vines.vine import intent
 
 LOW, HIGH = 1000, 2000
 Change = Callable[[Telemetry], Telemetry]
@@ -193,6 +194,30 @@ def test_it_is_found_within_0p35_s_of_a_vent() -> None:
     assert 0.29 < fault_at - vented_at < 0.36
 
 
+def test_two_answers_that_are_late_one_after_the_other_are_no_fault() -> None:
+    """Each is late by less than is allowed; together they are later."""
+    flight = bent()
+    says(flight, lambda telemetry: dataclasses.replace(telemetry, mode=Mode.VENT))
+    actions = run_for(flight, 0.25)
+    actions += flight.feed(Asked(flight.world.now, "page", intent.Vent()))
+    says(flight, regulating)
+    actions += run_for(flight, 0.25)
+    flight.world.from_phlosar = lambda data: data
+    actions += run_for(flight, 1.0)
+    assert told(actions) == []
+
+
+@pytest.mark.parametrize(
+    ("bends", "notice"), [(False, []), (True, ["Vine: phloSAR does not hear us, vented"])]
+)
+def test_a_board_in_a_fault_that_it_does_not_name_vents_and_does_not_bend(
+    bends: bool, notice: list[str]
+) -> None:
+    flight = bent() if bends else airborne()
+    says(flight, lambda telemetry: dataclasses.replace(telemetry, mode=Mode.FAULT))
+    assert told(run_for(flight, 2.0)) == notice
+
+
 def test_a_vent_that_is_heard_late_is_no_fault() -> None:
     flight = bent()
     flight.autopilot.lose_rc("jump")
@@ -266,3 +291,10 @@ def test_one_restart_is_cleared_as_ever() -> None:
     run_for(flight, 0.5)
     flight.autopilot.set_rc(9, LOW)
     assert "Vine: cleared firmware_reset" in told(run_for(flight, 1.0))
+
+
+def test_a_restart_says_nothing_of_the_switch() -> None:
+    flight = bent()
+    flight.phlosar.reset_firmware()
+    run_for(flight, 0.3)
+    assert flight.core.snapshot(flight.world.now).switch_position == 2

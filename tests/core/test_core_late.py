@@ -115,6 +115,8 @@ def test_a_process_that_stood_still_bends_nothing_when_it_wakes(stall_s: float) 
 LATE: list[tuple[Intent, str]] = [
     (BendTo(30.0), "refused"),
     (SetPressure(5.0), "refused"),
+    (BendTo(500.0), "refused"),
+    (StartProfile("of another vine"), "refused"),
     (Hold(), "refused"),
     (ClearFaults(), "refused"),
     (ArmPneumatics(), "refused"),
@@ -145,3 +147,9 @@ def test_what_was_asked_for_before_something_newer_is_not_carried_out() -> None:
     assert decide(flight, StartProfile("straight"), 5.0).reason == "came 5.0 s late"
     assert decide(flight, Vent(), 5.0).safety == "accepted"
     assert decide(flight, BendTo(20.0), 0.1).safety == "accepted"
+
+
+def test_a_trigger_of_which_nothing_can_be_made_is_refused() -> None:
+    flight = flying(2.0)
+    t = flight.world.now
+    assert flight.core._decide(t, Trigger(t, "command", {}, None)).safety == "refused"

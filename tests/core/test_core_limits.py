@@ -245,3 +245,15 @@ def test_a_script_on_the_autopilot_may_bend_and_not_arm() -> None:
     flight = airborne()
     assert answers(order(flight, USER_2, 30.0, sender=(1, 1))) == [(USER_2, ACCEPTED)]
     assert answers(order(flight, USER_4, ARM, sender=(1, 1))) == [(USER_4, DENIED)]
+
+
+def test_while_a_lost_rc_holds_the_vine_nobody_holds_it_longer() -> None:
+    flight = bent(conf=holding(2.0, 60.0))
+    flight.autopilot.lose_rc("frozen")
+    run_for(flight, 2.0)
+    assert is_bent(flight)
+    actions = order(flight, USER_4, HOLD)
+    assert (USER_4, DENIED) in answers(actions)
+    assert any("RC lost" in text for text in notices(actions))
+    run_for(flight, 2.0)
+    assert not is_bent(flight)

@@ -153,3 +153,13 @@ def test_without_heartbeats_nobody_knows_whether_it_is_armed_and_the_vine_vents(
     assert flight.phlosar.cv_kPa < 1.0
     without(flight)
     assert told(lives(flight, 2.0)) == ["Vine: autopilot is back"]
+
+
+def test_nothing_that_was_heard_of_the_radio_outlives_a_silent_autopilot() -> None:
+    """It may be another one that comes back."""
+    flight = bent()
+    flight.autopilot.mute(6.0)
+    lives(flight, 2.5)
+    assert flight.core.snapshot(flight.world.now).rc == "no RC_CHANNELS for 1 s"
+    lives(flight, 2.0)
+    assert flight.core.snapshot(flight.world.now).rc == "no RC_CHANNELS yet"

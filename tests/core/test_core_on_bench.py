@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import msgspec
 import pytest
 
 from flying_vines.config import config
@@ -12,16 +13,17 @@ from flying_vines.core.events import Action, Asked, Decision
 from flying_vines.simulation.autopilot import Autopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.notice import Notice
+from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import BendTo, Intent, SetPressure, StartBench, StopBench
 
 LOW, HIGH = 1000, 2000
 
 
-def on_the_ground() -> SimulatedFlight:
+def on_the_ground(conf: config.Config | None = None) -> SimulatedFlight:
     """Autopilot, RC and phloSAR are there, the switch is low."""
     autopilot = Autopilot("ardupilot")
     autopilot.set_rc(9, LOW)
-    flight = SimulatedFlight(config.default(), autopilot)
+    flight = SimulatedFlight(conf or config.default(), autopilot)
     flight.run(4.0)
     return flight
 
@@ -105,3 +107,35 @@ def test_rc_that_goes_off_vents_and_is_not_said_to_be_back(how: str) -> None:
     assert not any("RC is back" in text for text in told)
     assert vented(flight)
     assert ask(flight, BendTo(30.0)).safety == "accepted", "who has no RC on the bench may bend by the page"
+
+
+def test_what_no_person_asks_for_does_not_prolong_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(core, "BENCH_S", 4.0)
+    flight = on_the_ground()
+    ask(flight, StartBench())
+    run_for(flight, 3.0)
+    t = flight.world.now
+    item = Trigger(t, "mission_item", {"seq": 3, "command": 31010}, BendTo(30.0))
+    assert flight.core._decide(t, item).safety == "accepted"
+    assert "Vine: bench mode over, nobody asked for anything: vented" in notices(run_for(flight, 1.5))
+
+
+def test_rc_that_goes_off_vents_where_the_profile_is_for_the_bench() -> None:
+    interlocks = config.Interlocks(bench_mode=True)
+    flight = on_the_ground(msgspec.structs.replace(config.default(), interlocks=interlocks))
+    assert ask(flight, BendTo(30.0)).safety == "accepted"
+    run_for(flight, 1.5)
+    assert flight.phlosar.cv_kPa > 8.0
+    flight.autopilot.lose_rc("jump")
+    actions = run_for(flight, 2.0)
+    assert any("RC lost" in text for text in notices(actions))
+    assert {"loss": "rc"} in [a.what for a in actions if isinstance(a, Decision)]
+    assert vented(flight)
+
+
+def test_on_the_ground_a_loss_decides_nothing_for_a_vented_vine() -> None:
+    flight = on_the_ground()
+    flight.phlosar.reset_firmware()
+    actions = run_for(flight, 1.0)
+    assert any("restarted" in text for text in notices(actions))
+    assert [a for a in actions if isinstance(a, Decision)] == []

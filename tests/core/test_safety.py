@@ -237,6 +237,37 @@ def test_the_firmwares_faults_are_seen_from_the_last_new_one_on() -> None:
     assert machine.firmware_faults_seen(2.0)
 
 
+@pytest.mark.parametrize(
+    ("faults", "told"), [(Fault.DEAD_MAN, "dead-man timer ran out"), (Fault(0x4000), "0x4000")]
+)
+def test_a_fault_of_the_firmware_is_told_by_its_name_or_number(faults: Fault, told: str) -> None:
+    (entered,) = safety().watch(0.0, but(BENT, faults=faults))
+    assert isinstance(entered, Entered)
+    assert entered.reason == f"firmware fault: {told}"
+
+
+@pytest.mark.parametrize("altitude_m", [None, -3.0])
+def test_where_a_bend_needs_no_altitude_none_ends_it(altitude_m: float | None) -> None:
+    machine = safety(interlocks=config.Interlocks(min_altitude_m=0.5))
+    assert machine.watch(0.0, but(BENT, altitude_m=altitude_m)) == []
+
+
+def test_a_board_that_is_gone_is_one_loss() -> None:
+    (entered,) = safety().watch(0.0, but(BENT, firmware_ready=False, telemetry_age_s=1.0))
+    assert isinstance(entered, Entered)
+    assert entered.name == "serial"
+
+
+def test_a_board_that_does_not_move_is_deaf_and_one_that_does_not_vent_latches() -> None:
+    for moving, name in ((True, "deaf"), (False, "regulates")):
+        machine = safety()
+        (entered,) = machine.watch(0.0, but(BENT, moving=moving, unheeded_s=0.31))
+        assert isinstance(entered, Entered)
+        assert entered.name == name
+        machine.watch(1.0, FLYING)
+        assert list(machine.reasons) == ([] if moving else ["regulates"])
+
+
 @given(
     st.lists(
         st.tuples(st.sampled_from(["rc", "no rc", "trigger"]), st.floats(0.02, 8.0)), min_size=1, max_size=40

@@ -222,6 +222,15 @@ def regulate_on(flight: Watched) -> None:
     flight.flight.world.from_phlosar = rewriting(regulating)
 
 
+def say_what_no_sensor_can(flight: Watched) -> None:
+    def absurd(message: protocol.Message) -> protocol.Message:
+        if isinstance(message, protocol.Telemetry):
+            return dataclasses.replace(message, cv_kPa=1e30)
+        return message
+
+    flight.flight.world.from_phlosar = rewriting(absurd)
+
+
 def restart_often(flight: Watched, seconds: float) -> None:
     """A supply that breaks down ten times a second."""
     for _ in range(round(seconds / 0.1)):
@@ -308,6 +317,7 @@ INJECTIONS: dict[str, Injection] = {
     "board_regulates_on": Injection(regulate_on, heal_serial, phase="held", live=straighten),
     "board_restarts_often": Injection(nothing, lambda f: f.run(8.0), lasts_s=5.0, live=restart_often),
     "board_clock_ahead": Injection(jump_board_clock(3_600_000)),
+    "telemetry_absurd": Injection(say_what_no_sensor_can, heal_serial),
     "companion_stutters": Injection(nothing, live=stall, lasts_s=0.2),
     "companion_stalled": Injection(nothing, live=stall, lasts_s=2.0),
     "board_hangs": hardware("board", Hanging()),

@@ -29,11 +29,14 @@ sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
 from faults_flight import ACTUATOR, SCRIPT_MESSAGE, RefereedFlight, Setup
 
+from .catalogue import ROWS
+
 pytestmark = needs_compiler
 
 RECEIVERS: list[RcSource] = ["sbus", "crsf"]
 BENT_KPA = 5.0
 SWITCH = 9
+LOOK_S = 0.01
 
 
 FLOWN: dict[str, Callable[[Config], Core]] = {"core": Core}
@@ -101,9 +104,18 @@ def test_a_switch_on_ardupilot_bends_within_half_a_second() -> None:
 
 @pytest.mark.parametrize("receiver", RECEIVERS)
 def test_px4_frozen_values_hold_no_bend(receiver: RcSource) -> None:
+    row = ROWS["px4_receiver_lost"]
+    assert row.allowed_ms is not None
     flight = bent(px4(receiver))
     flight.lose_rc("frozen")
-    flight.run(6.0)
+    began_s = unsafe_s = flight.now_s
+    while flight.now_s < began_s + 6.0:
+        flight.run(LOOK_S)
+        if flight.phlosar.drive.evp > 0.0 or not flight.phlosar.drive.solenoid:
+            unsafe_s = flight.now_s
+    to_safe_ms = round(1000 * (unsafe_s - began_s))
+    assert to_safe_ms <= row.allowed_ms
+    assert receiver != "sbus" or to_safe_ms == pytest.approx(row.measured_ms, abs=20)
     assert flight.phlosar.cv_kPa < 1.0
     flight.return_rc()
     flight.run(3.0)

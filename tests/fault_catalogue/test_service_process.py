@@ -154,8 +154,17 @@ async def test_a_flight_goes_on_whatever_happens_around_it(served: Served) -> No
     await served.vented()
     assert "vented" not in "".join(served.ground.texts)
     assert len(list(FlightLog(log).entries())) > 10
+
+    served.bend_full()
+    await served.bent()
+    began_s = served.phlosar.now_s
     served.process.send_signal(signal.SIGHUP)
     output = await served.output()
+    allowed_ms = ROWS["terminal_closed"].allowed_ms
+    assert allowed_ms is not None
+    assert 1000 * (box.unsafe_s + STEP_S - began_s) <= allowed_ms
+    await served.vented()
+    assert not served.phlosar.firmware.faults
     assert "Vented. Stopped." in output
     assert "Traceback" not in output
     assert "Exception ignored" not in output

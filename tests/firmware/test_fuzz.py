@@ -78,4 +78,4 @@ def test_the_host_withstands_what_comes() -> None:
     assert heard.fed_bytes >= 300_000
     assert heard.messages > 3000
     assert heard.ready > 100
-    assert len(heard.memory_bytes) == 10
+    assert len(heard.memory.looks) == 10

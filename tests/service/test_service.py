@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 import signal
 import sys
@@ -166,15 +165,8 @@ async def run(bench: Bench, tmp_path: Path) -> asyncio.subprocess.Process:
 async def start(bench: Bench, tmp_path: Path) -> asyncio.subprocess.Process:
     """The same, with the vine bent by the switch."""
     process = await run(bench, tmp_path)
-    # A move counts only once the switch is believed, a second after RC is; until then it is told apart.
-    for pulse in (1000, 2000) * 5:
-        bench.autopilot.set_rc(9, pulse)
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(2.0):
-                while not bench.bent():
-                    await asyncio.sleep(0.01)
-                return process
-    raise AssertionError("the vine never bent")
+    await bench.bend()
+    return process
 
 
 async def output_of(process: asyncio.subprocess.Process) -> str:

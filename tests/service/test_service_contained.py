@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import dataclasses
 import math
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import pytest
+from fault_catalogue.black_box import STEP_S, BlackBox
+from fault_catalogue.catalogue import ROWS
 from patience import until
 from real_time import real_time
 from service_bench import Bench, on_bench
@@ -35,6 +36,7 @@ class Serving:
     bench: Bench
     service: Service
     seen: list[Action]
+    box: BlackBox
 
     def texts(self) -> list[str]:
         return [action.text for action in self.seen if isinstance(action, Notice)]
@@ -57,19 +59,13 @@ class Serving:
 @pytest.fixture
 async def serving() -> AsyncIterator[Serving]:
     async with on_bench(Autopilot("ardupilot")) as bench:
+        box = BlackBox(bench.phlosar)
         seen: list[Action] = []
         service = Service(config.parse(bench.profile, "test"), (EachAction(seen.append),))
         running = asyncio.create_task(service.run())
         await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
-        for pulse in (1000, 2000) * 5:
-            bench.autopilot.set_rc(9, pulse)
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(2.0):
-                    while not bench.bent():
-                        await asyncio.sleep(0.01)
-                    break
-        assert bench.bent()
-        yield Serving(bench, service, seen)
+        await bench.bend()
+        yield Serving(bench, service, seen, box)
         service.stop()
         await running
 
@@ -99,8 +95,13 @@ BREAKS: dict[str, Callable[[Service, pytest.MonkeyPatch], None]] = {
 async def test_an_error_on_the_flying_way_is_a_commanded_shutdown(
     serving: Serving, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:
+    began_s = serving.bench.phlosar.now_s
     BREAKS[broken](serving.service, monkeypatch)
     await serving.shut_down()
+    allowed_ms = ROWS["internal_error"].allowed_ms
+    assert allowed_ms is not None and serving.box.unsafe_s is not None
+    to_safe_ms = 1000 * (serving.box.unsafe_s + STEP_S - began_s)
+    assert to_safe_ms <= allowed_ms
 
 
 async def test_a_link_that_ends_is_a_commanded_shutdown_and_begins_anew(serving: Serving) -> None:

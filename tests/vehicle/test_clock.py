@@ -179,6 +179,54 @@ def test_a_time_that_stands_still_is_no_reboot() -> None:
         assert not line.clock.stamp(10.0 + i * 0.1, int((UP_S + 10.0) * 1000), is_measured=True)
 
 
+def test_a_measurement_that_has_stopped_is_no_reboot_beside_a_time_that_goes_on() -> None:
+    line = Line()
+    for i in range(600):
+        line.stamp(i * 0.1)
+        assert not line.clock.stamp(i * 0.1, int(UP_S * 1000), is_measured=True)
+    assert line.age_s(line.item(59.95), 59.95) == 0.0
+
+
+def test_the_time_of_a_measurement_is_a_clock() -> None:
+    clock = AutopilotClock()
+    assert not clock.stamp(1.0, 30_000, is_measured=True)
+    assert clock.time_boot_ms(2.0) == 31_000
+
+
+def test_a_clock_that_begins_at_zero_again_after_49_days_is_no_reboot() -> None:
+    clock, wraps_ms = AutopilotClock(), 1 << 32
+    for i in range(200):
+        clock.frame(i * 0.1, i & 0xFF)
+        assert not clock.stamp(i * 0.1, (wraps_ms - 10_000 + i * 100) % wraps_ms)
+    assert clock.age_s(clock.mark(19.95), 19.95) == 0.0
+    assert clock.time_boot_ms(20.0) == pytest.approx(10_000, abs=100)
+
+
+def test_what_another_sends_after_a_silence_may_be_as_old_as_that() -> None:
+    """The autopilot's own frames, which tell how old, come behind it."""
+    line = Line()
+    line.stream(10.0)
+    mark = line.clock.mark(17.0)
+    assert line.clock.age_s(mark, 17.0) is None
+    line.stamp(10.2, 17.001)
+    assert line.age_s(mark, 17.02) == pytest.approx(6.82, abs=0.05)
+
+
+def test_between_two_heartbeats_nothing_of_another_waits() -> None:
+    line = Line()
+    line.stream(10.0)
+    assert line.age_s(line.clock.mark(11.15), 11.15) == 0.0
+
+
+def test_a_reboot_leaves_what_was_late_before_it_late() -> None:
+    line = Line()
+    line.stream(10.0)
+    mark = line.item(17.0)
+    line.stamp(10.2, 17.001)
+    line.clock.forget()
+    assert line.age_s(mark, 17.4) > LATE_S
+
+
 @given(seed=st.integers(0, 2**32), every_s=st.floats(0.02, 1.0), stall_s=st.floats(0.0, 12.0))
 @settings(max_examples=150, deadline=None)
 def test_never_a_young_item_and_always_an_old_one(seed: int, every_s: float, stall_s: float) -> None:

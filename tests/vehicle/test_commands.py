@@ -386,3 +386,68 @@ def test_what_is_remembered_stays_bounded() -> None:
     assert len(bench.triggers) == 5000
     assert all(b.t > a.t for a, b in pairwise(bench.triggers))
     assert len(bench.commands._repeats._commands) <= MOST_REMEMBERED
+
+
+def test_while_a_calibration_is_under_way_another_command_is_heard() -> None:
+    bench = Bench()
+    bench.take(10.0, command(USER_5, (2.0,)))
+    bench.take(11.0, command(USER_4, (0.0,)))
+    assert [trigger.intent for trigger in bench.triggers] == [StartCalibration(), Vent()]
+
+
+def test_a_vent_is_done_each_time_and_a_repeat_of_it_clears_nothing() -> None:
+    """It may come long after: what has come to light since, its sender may not have seen."""
+    bench = Bench()
+    for confirmation in range(2):
+        bench.take(10.0 + confirmation, command(USER_4, (0.0,), confirmation))
+    assert [trigger.intent for trigger in bench.triggers] == [Vent(), Vent()]
+    assert [trigger.by_person for trigger in bench.triggers] == [True, False]
+
+
+def test_copies_of_an_item_that_lets_air_out_count_once() -> None:
+    bench = Bench()
+    for confirmation in range(4):
+        bench.take(10.0 + 0.5 * confirmation, published(params=(0.0,), confirmation=confirmation))
+    assert [trigger.intent for trigger in bench.triggers] == [BendTo(0.0)]
+    assert bench.results() == [ACCEPTED] * 4
+
+
+def test_a_repeat_of_an_item_that_is_history_is_answered_and_not_carried_out() -> None:
+    bench = Bench()
+    assert bench.px4 is not None
+    bench.px4.forget(9.9)
+    bench.take(10.0, published(confirmation=1))
+    assert bench.triggers == []
+    assert bench.results() == [ACCEPTED]
+
+
+def test_to_stop_a_calibration_counts_again_while_one_is_under_way() -> None:
+    bench = Bench()
+    stop = [command(USER_5, (3.0,), confirmation) for confirmation in range(3)]
+    bench.take(10.0, command(USER_5, (2.0,)))
+    bench.take(11.0, stop[0])
+    bench.take(12.0, stop[1])
+    bench.commands.end(FAILED)
+    bench.take(13.0, stop[2])
+    assert [trigger.intent for trigger in bench.triggers] == [
+        StartCalibration(),
+        StopCalibration(),
+        StopCalibration(),
+    ]
+    assert bench.results()[-1] == ACCEPTED
+
+
+@pytest.mark.parametrize(
+    ("sender", "params", "problem"),
+    [
+        ((1, 195), (20.0,), "1/195 is no ground station"),
+        ((1, 195), (NAN,), "the angle is not a number"),
+        ((1, 195), (0.0,), ""),
+        (STATION, (20.0,), ""),
+        (AUTOPILOT, (20.0,), ""),
+    ],
+)
+def test_who_may_bend(sender: tuple[int, int], params: tuple[float, ...], problem: str) -> None:
+    bench = Bench()
+    bench.take(10.0, command(USER_2, params, sender=sender))
+    assert [trigger.problem for trigger in bench.triggers] == [problem]

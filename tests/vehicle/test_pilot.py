@@ -39,6 +39,8 @@ class Radio:
     rssi_when_lost: int = NO_RSSI
     by_station: bool = False
     debounce_s: float = 0.15
+    channel: int = 9
+    vented: bool = False
     outputs: list[tuple[float, PilotOutput]] = field(default_factory=list)
     steps: int = 0
     sensors: int = 0
@@ -50,10 +52,15 @@ class Radio:
     def __post_init__(self) -> None:
         base = config.default()
         switch = msgspec.structs.replace(
-            base.switch, receiver_failsafe=self.failsafe, debounce_s=self.debounce_s
+            base.switch,
+            channel=self.channel,
+            receiver_failsafe=self.failsafe,
+            debounce_s=self.debounce_s,
         )
         profile = msgspec.structs.replace(base, switch=switch)
+        self.profile = profile
         self.pilot = Pilot(profile, Rules(profile))
+        self.move(0)
         self.received = list(self.sticks)
         self.run(2.0)
         self.told_at_start = self.told
@@ -63,8 +70,14 @@ class Radio:
     def now_s(self) -> float:
         return self.steps * PERIOD_S
 
+    def override(self, pulse_us: int) -> None:
+        """A ground station says this of the switch's channel."""
+        channels_us = [65535] * 18
+        channels_us[self.channel - 1] = pulse_us
+        self.pilot.override(self.now_s, mavlink.MAVLink_rc_channels_override_message(1, 1, *channels_us))
+
     def move(self, position: int) -> None:
-        self.sticks[8] = PULSES_US[position]
+        self.sticks[self.channel - 1] = PULSES_US[position]
 
     def lose(self) -> None:
         self.lost_at = self.now_s
@@ -95,8 +108,18 @@ class Radio:
                 self.hear(mavlink.MAVLink_sys_status_message(*bits, 0, 12000, -1, -1, 0, 0, 0, 0, 0, 0))
             self.outputs.extend((self.now_s, output) for output in self.pilot.tick(self.now_s))
 
+    def run_without_status(self, seconds: float) -> None:
+        for _ in range(round(seconds / PERIOD_S)):
+            self.steps += 1
+            self.hear_channels()
+            self.outputs.extend((self.now_s, output) for output in self.pilot.tick(self.now_s))
+
+    def hear_channels(self) -> None:
+        stamp_ms = round(1000 * self.now_s) + 60_000
+        self.hear(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *self.sticks, NO_RSSI))
+
     def hear(self, message: object) -> None:
-        outputs = self.pilot.handle(self.now_s, message, self.autopilot)
+        outputs = self.pilot.handle(self.now_s, message, self.autopilot, self.vented)
         self.outputs.extend((self.now_s, output) for output in outputs)
 
     @property
@@ -373,8 +396,7 @@ def test_sooner_than_an_override_can_end_it_was_the_pilot() -> None:
 
 def test_an_override_that_we_hear_end_is_no_move_in_either_direction() -> None:
     radio = Radio("ardupilot")
-    channels_us = [65535] * 8 + [1000] + [0] * 9
-    radio.pilot.override(radio.now_s, mavlink.MAVLink_rc_channels_override_message(1, 1, *channels_us))
+    radio.override(1000)
     radio.run(3.0)
     radio.move(2)
     radio.run(1.0)
@@ -442,11 +464,7 @@ def test_without_a_status_a_bend_is_refused_and_said() -> None:
     radio = Radio()
     radio.move(2)
     radio.run(0.5)
-    for _ in range(200):
-        radio.steps += 1
-        stamp_ms = round(1000 * radio.now_s) + 60_000
-        radio.hear(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *radio.sticks, NO_RSSI))
-        radio.outputs.extend((radio.now_s, output) for output in radio.pilot.tick(radio.now_s))
+    radio.run_without_status(10.0)
     (refused,) = [output for _, output in radio.outputs if isinstance(output, Trigger)]
     assert refused.problem == "the autopilot does not confirm RC, move it again"
 
@@ -458,3 +476,245 @@ def test_a_gap_that_nobody_saw_is_a_loss() -> None:
     radio.run(3.0)
     assert radio.bends == []
     assert "moved while RC was lost" in radio.told[-1]
+
+
+@pytest.mark.parametrize(("channel", "pulse_us"), [(9, 65534), (8, 65534), (8, 0)])
+def test_a_switch_that_moves_as_its_override_is_released_was_not_moved(channel: int, pulse_us: int) -> None:
+    radio = Radio("ardupilot", channel=channel)
+    radio.override(pulse_us)
+    radio.move(2)
+    radio.run(1.0)
+    assert radio.bends == []
+    assert radio.told[-1] == f"Vine: switch ch{channel} moved as an override ended, move it again"
+
+
+@pytest.mark.parametrize(("channel", "pulse_us"), [(9, 0), (9, 65535), (8, 65535), (8, 1000)])
+def test_what_releases_no_override_leaves_the_pilots_moves_to_him(channel: int, pulse_us: int) -> None:
+    """0 releases the first eight channels alone, and an override that goes on ends later."""
+    radio = Radio("ardupilot", channel=channel)
+    radio.override(pulse_us)
+    radio.move(2)
+    radio.run(1.0)
+    assert len(radio.bends) == 1
+
+
+def test_after_somebody_else_has_bent_the_vine_the_switch_counts_as_before() -> None:
+    radio = Radio("ardupilot")
+    radio.move(2)
+    radio.run(1.0)
+    radio.pilot.others_asked(straightened=False)
+    radio.move(0)
+    radio.run(7.0)
+    radio.move(2)
+    radio.run(1.0)
+    assert len(radio.bends) == 2
+
+
+def test_a_second_straightening_does_not_hide_an_override_that_ends() -> None:
+    radio = Radio("ardupilot")
+    radio.move(2)
+    radio.run(1.0)
+    radio.pilot.others_asked(straightened=True)
+    radio.move(0)
+    radio.run(1.0)
+    radio.pilot.others_asked(straightened=True)
+    radio.run(6.0)
+    radio.move(2)
+    radio.run(1.0)
+    assert len(radio.bends) == 1
+
+
+def test_a_switch_that_is_set_up_anew_forgets_the_bend_that_waits() -> None:
+    radio = Radio()
+    radio.move(2)
+    radio.run(1.0)
+    switch = msgspec.structs.replace(radio.profile.switch, debounce_s=0.3)
+    radio.pilot.configure(msgspec.structs.replace(radio.profile, switch=switch))
+    radio.run(5.0)
+    assert radio.bends == []
+
+
+def test_another_parameter_leaves_the_bend_that_waits() -> None:
+    radio = Radio()
+    radio.move(2)
+    radio.run(1.0)
+    radio.pilot.configure(msgspec.structs.replace(radio.profile, limits=config.Limits(max_bent_s=5.0)))
+    radio.run(3.0)
+    assert len(radio.bends) == 1
+
+
+def test_a_preset_does_not_bring_back_a_bend_that_was_overtaken() -> None:
+    radio = Radio(preset={9: 1000})
+    radio.move(2)
+    radio.run(1.0)
+    radio.pilot.overtaken()
+    radio.lose()
+    radio.run(0.9)
+    radio.restore()
+    radio.run(5.0)
+    assert radio.bends == []
+
+
+def test_where_nothing_is_heard_the_switch_stands_nowhere_and_no_bend_waits() -> None:
+    radio = Radio()
+    radio.move(2)
+    radio.run(1.0)
+    for _ in range(200):
+        radio.steps += 1
+        radio.outputs.extend((radio.now_s, output) for output in radio.pilot.tick(radio.now_s))
+    assert radio.pilot.switch.position is None
+    assert radio.outputs == []
+
+
+def test_without_a_status_a_straightening_is_not_refused_afterwards() -> None:
+    radio = Radio()
+    radio.move(2)
+    radio.run(3.0)
+    radio.move(0)
+    radio.run_without_status(10.0)
+    assert [name for _, name, _ in radio.asked] == ["bend-full", "straight"]
+
+
+def test_on_ardupilot_the_status_says_nothing_of_what_its_parameters_hide() -> None:
+    radio = Radio("ardupilot", by_station=True)
+    radio.hear(param_value("FS_THR_ENABLE", 0.0))
+    radio.move(2)
+    radio.run(1.0)
+    assert radio.bends == []
+
+
+def test_a_receiver_that_px4_does_not_use_is_refused_and_a_ground_station_is_not() -> None:
+    for by_station, bends in ((False, 0), (True, 1)):
+        radio = Radio(by_station=by_station)
+        radio.hear(param_value("COM_RC_IN_MODE", 1.0))
+        radio.move(2)
+        radio.run(3.0)
+        assert len(radio.bends) == bends
+
+
+def test_what_hides_a_loss_is_told_once() -> None:
+    radio = Radio("ardupilot")
+    radio.hear(param_value("RC_OVERRIDE_TIME", 4.0))
+    assert radio.told == []
+    radio.hear(param_value("FS_THR_ENABLE", 0.0))
+    radio.hear(param_value("RC_OVERRIDE_TIME", 5.0))
+    assert len(radio.told) == 1
+
+
+def test_a_single_message_with_the_throttle_in_failsafe_is_a_loss() -> None:
+    """Nobody looks between it and the next. What the switch read in it counts for nothing."""
+    radio = Radio("ardupilot")
+    radio.move(2)
+    radio.sticks[2] = 900
+    radio.steps += 1
+    radio.hear_channels()
+    radio.sticks[2] = 1400
+    good_from_s = radio.now_s + PERIOD_S
+    while radio.pilot.switch.position is None or not radio.outputs:
+        radio.steps += 1
+        radio.hear_channels()
+        assert radio.now_s < good_from_s + 2.0
+    assert radio.now_s - good_from_s == pytest.approx(radio.profile.switch.settle_s, abs=PERIOD_S / 2)
+    assert radio.told == ["Vine: switch ch9 moved while RC was lost, move it again"]
+
+
+def test_after_a_loss_the_switch_may_go_where_it_stood_before() -> None:
+    radio = Radio("ardupilot")
+    radio.move(2)
+    radio.run(1.0)
+    radio.lose()
+    radio.run(2.0)
+    radio.move(0)
+    radio.restore()
+    radio.run(3.0)
+    radio.move(2)
+    radio.run(1.0)
+    assert len(radio.bends) == 2
+
+
+def test_a_glitch_only_delays_a_bend_that_waits() -> None:
+    radio = Radio()
+    radio.move(2)
+    radio.run(1.0)
+    radio.move(0)
+    radio.run(PERIOD_S)
+    radio.move(2)
+    glitched_s = radio.now_s
+    radio.run(4.0)
+    (bent_s,) = radio.bends
+    assert bent_s - glitched_s > 1.3
+
+
+def test_a_straightening_that_was_the_receivers_is_no_move_to_hold() -> None:
+    radio = Radio(preset={9: 1000})
+    radio.move(2)
+    radio.run(3.0)
+    radio.lose()
+    radio.run(0.9)
+    radio.restore()
+    radio.run(5.0)
+    assert radio.told == ["Vine: switch ch9 is back where it was, move it again"]
+
+
+HOLD_ON = "Vine: hold switch ch9 1.6 s to bend"
+
+
+def test_a_position_that_is_left_too_soon_asks_for_nothing_and_the_pilot_reads_why() -> None:
+    radio = Radio(vented=True)
+    radio.move(2)
+    radio.run(0.5)
+    radio.move(0)
+    radio.run(3.0)
+    assert radio.told == [HOLD_ON]
+    assert radio.asked == []
+
+
+def test_from_a_bend_to_another_and_back_too_soon_asks_for_nothing() -> None:
+    radio = Radio()
+    radio.move(1)
+    radio.run(3.0)
+    radio.move(2)
+    radio.run(0.5)
+    radio.move(1)
+    radio.run(3.0)
+    assert radio.told == [HOLD_ON]
+    assert [name for _, name, _ in radio.asked] == ["bend-half"]
+
+
+def test_while_another_bends_the_vine_a_position_that_is_left_too_soon_straightens_it() -> None:
+    radio = Radio()
+    radio.move(2)
+    radio.run(0.5)
+    radio.move(0)
+    radio.run(3.0)
+    assert [name for _, name, _ in radio.asked] == ["straight"]
+
+
+def test_a_bend_that_waits_gives_way_to_another_position() -> None:
+    radio = Radio()
+    radio.move(1)
+    radio.run(0.5)
+    radio.move(2)
+    radio.run(3.0)
+    assert [name for _, name, _ in radio.asked] == ["bend-full"]
+
+
+@pytest.mark.parametrize("steps", range(8))
+def test_the_status_that_tells_of_a_loss_confirms_no_bend(steps: int) -> None:
+    radio = Radio()
+    radio.move(2)
+    radio.run(steps * PERIOD_S)
+    radio.lose()
+    lost_s = radio.now_s
+    radio.run(4.0)
+    assert all(t < lost_s + BITS_AFTER_S for t in radio.bends)
+
+
+def test_before_the_switch_is_believed_others_may_ask() -> None:
+    radio = Radio("ardupilot")
+    radio.pilot.forget()
+    radio.pilot.others_asked(straightened=True)
+    radio.run(3.0)
+    radio.move(2)
+    radio.run(1.0)
+    assert len(radio.bends) == 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from flying_vines.config.address import NetworkAddress, believed, parse_address
+from flying_vines.config.address import NetworkAddress, parse_address
 from flying_vines.config.config import Config
 from flying_vines.doctor.finding import Finding, Line
 
@@ -97,6 +97,7 @@ def check(facts: ProfileFacts) -> list[Finding]:
 
 
 def _believed(config: Config) -> Finding:
-    address, signed = parse_address(config.vehicle.link), bool(config.vehicle.signing_key)
-    afar = isinstance(address, NetworkAddress) and not address.on_loopback and not signed
-    return (BELIEVED_FROM_AFAR if afar else BELIEVED)(who=believed(address, signed))
+    address = parse_address(config.vehicle.link)
+    unsigned = not config.vehicle.signing_key
+    afar = isinstance(address, NetworkAddress) and not address.on_loopback and unsigned
+    return (BELIEVED_FROM_AFAR if afar else BELIEVED)(who=config.vehicle.believed)

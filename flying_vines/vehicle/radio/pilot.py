@@ -207,7 +207,7 @@ class Pilot:
         unconfirmed = waiting if waiting is not None and self._waits_to_bend(waiting) else None
         origin = unconfirmed.before if unconfirmed else move.before
         bends = self._rules.bends(move.position)
-        if unconfirmed and move.position == origin and (bends or vented):
+        if move.position == origin and (bends or vented):
             hold_s = self.parameters.px4_shows_loss_within_s
             return [Notice(t, Severity.INFO, f"Vine: hold switch ch{self.channel} {hold_s:.1f} s to bend")]
         if move.before == self._position_overruled:
@@ -267,9 +267,10 @@ class Pilot:
 
     def _confirm(self, t: float) -> list[PilotOutput]:
         waiting = self._waiting
-        if waiting is None or waiting.since_s is None or not self.radio.status_good:
+        if waiting is None or waiting.since_s is None:
             return []
         wait_s = self._confirmed_after_s
+        # The report of a loss is such a change: what it would confirm waits, and the loss ends that.
         if self.radio.health_changed_since(waiting.since_s - HEALTH_REPORTS_APART_S):
             wait_s += HEALTH_REPORTS_APART_S
         if self.radio.stamp_s - waiting.since_s < wait_s:

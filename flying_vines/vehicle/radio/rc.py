@@ -85,11 +85,6 @@ class RadioLink:
         no_receiver = self.autopilot == "px4" and not self._status_told_good
         return no_receiver and self._heard_at is not None and self._rssi == OVERRIDE_RSSI
 
-    @property
-    def status_good(self) -> bool:
-        """Whether the latest SYS_STATUS says that RC is present, enabled and healthy."""
-        return self._status is True
-
     def handle(self, t: float, message: Message) -> None:
         """Take in a message of our autopilot."""
         kind = message.get_type()
