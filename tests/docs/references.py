@@ -277,9 +277,9 @@ SIGNS = {"good": "✓", "warning": "!", "bad": "✗", "skipped": "–"}
 
 
 def doctor_lines(name: str) -> list[str]:
-    """What one file of checks can say."""
+    """What one file of checks can say that asks for something to be done."""
     (check,) = (check for check in CHECKS if check.__name__.rpartition(".")[2] == name)
-    said = ((SIGNS[line.verdict], line.check, line.what, line.do) for line in lines_of(check))
+    said = ((SIGNS[line.verdict], line.check, line.what, line.do) for line in lines_of(check) if line.do)
     rows = (_row(*map(with_blanks, cells)) for cells in said)
     return ["| | looked at | says | do |", "| --- | --- | --- | --- |", *rows]
 

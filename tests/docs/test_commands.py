@@ -1,8 +1,8 @@
 """Every command of README.md and docs/ works.
 
 A page's commands of ours are run in its order, in one folder. Those of `PARSED_ONLY` and behind a `sudo` are
-only parsed: they take minutes or depend on the machine, and have tests of their own. Commands of other programs
-are not run; a test checks make's targets, the arguments of a benchmark, and the extras of pip.
+only parsed: they take minutes or depend on the machine, and have tests of their own. Other programs are
+not run; a test checks make's targets, the arguments of a benchmark, and the extras of pip.
 """
 
 from __future__ import annotations
