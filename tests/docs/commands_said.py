@@ -3,7 +3,6 @@
 - A fenced block of `sh`: each line. A fenced block without a language: each line behind a `$ `.
 - An indented block: each line that begins with a program. A span of code: that which begins with a program.
 - What follows ` # ` is a comment. `\\` at a line's end continues it.
-- A synopsis has brackets: it is taken with all that stands in them, of `a|b` the first, and without `...`.
 """
 
 from __future__ import annotations
@@ -17,10 +16,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 
-PROGRAMS = (
-    "flying-vines|make|python3?|pip|pipx|uv|sudo|apt|pio|teensy_loader_cli|mavproxy.py|mavlogdump.py|mosquitto_\\w+"
-    "|systemctl|journalctl|systemd-analyze|ssh|scp|rsync|curl|wget|git|jq|docker|chmod|mkdir|printf|dask|stty|dmesg"
-)
+PROGRAMS = "flying-vines|make|python3?|pip|sudo|printf|mkdir"
+"""Other programs are not run."""
 BEGINS = re.compile(rf"(?:\S*/)?(?:{PROGRAMS}) \S")
 FENCE = re.compile(r"\s*```(.*)")
 SPAN = re.compile(r"`([^`]+)`")
@@ -29,7 +26,7 @@ OURS = re.compile(r"(?<!\S)(?:\S*/)?flying-vines (.*)")
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """A command of a page: its text without comment, path of the environment and ends of a synopsis."""
+    """A command of a page: its text without comment and path of the environment."""
 
     page: Path
     line: int
@@ -64,20 +61,7 @@ def blocks_and_spans(page: Path) -> tuple[list[Said], list[Said]]:
 def _said(page: Path, line: int, given: str) -> Said:
     given = re.sub(r"\s+# .*$", "", given).strip()
     text = re.sub(r"(?<!\S)(?:\.venv|/opt/flying-vines)/bin/", "", given)
-    return Said(page, line, full(text), given)
-
-
-def full(synopsis: str) -> str:
-    """A synopsis with all that it allows. Other commands are as they were."""
-    if " [" not in synopsis:
-        return synopsis
-    text = re.sub(r"\[([^\]]*)\]", lambda part: re.sub(r"(\w)\|\S+", r"\1", part[1]), synopsis)
-    return text.replace(" ...", "").replace(" …", "")
-
-
-def bare(synopsis: str) -> str:
-    """A synopsis with nothing that may be left out."""
-    return re.sub(r" \[[^\]]*\]", "", synopsis).replace(" ...", "") if " [" in synopsis else synopsis
+    return Said(page, line, text, given)
 
 
 def _in_blocks(text: str) -> Iterator[tuple[int, str]]:

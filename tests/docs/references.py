@@ -1,7 +1,7 @@
-"""The tables of docs/commands.md and docs/configuration.md, made of the parser and of the configuration.
+"""Generates the tables of docs/ that the code contains: options, keys, parameters, faults, doctor lines.
 
-A page marks the place of a table with `<!-- options: mission check -->` … `<!-- end -->`; what stands between
-the two is made here, and all else is written by people. After a change of an option or a key:
+A page marks a table with `<!-- options: mission check -->` … `<!-- end -->`. This script writes what stands
+between the two. After a change of an option, a key, a fault or a doctor line:
 
     .venv/bin/python tests/docs/references.py
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import sys
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -18,19 +19,28 @@ from typing import get_args
 import msgspec
 from msgspec import inspect
 
+# Run as a script, this file's own folder is on the path, but not tests/.
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from doctor.known_lines import CHECKS, lines_of, with_blanks
+from fault_catalogue.catalogue import SECTIONS, Row
+
 from flying_vines.cli.main import _parser
-from flying_vines.config import config as configuration
+from flying_vines.config import config
 from flying_vines.config.config import CARRIERS, Config
 from flying_vines.config.toml_edit import value_text
 from flying_vines.config.toml_text import lines_of_keys
-from flying_vines.vehicle.component.settings import SETTINGS
+from flying_vines.doctor.checks.vehicle import GROUPS, USES
+from flying_vines.vehicle.component.settings import SETTINGS, bounds, value_of
 from flying_vines.vehicle.radio.switch import BOUNDARIES_US
+from flying_vines.vehicle.streams import Streams
 from flying_vines.vine.profile import Segment
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGES = (DOCS / "commands.md", DOCS / "configuration.md")
+NAMES = ("commands", "configuration", "mavlink", "faults", "doctor")
+PAGES = tuple(DOCS / f"{name}.md" for name in NAMES)
 
-BLOCK = re.compile(r"(?P<mark><!-- (?P<kind>\w+): (?P<name>[\w. -]+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
+BLOCK = re.compile(r"(?P<mark><!-- (?P<kind>\w+): (?P<name>[\w., -]+) -->\n).*?(?=<!-- end -->)", re.DOTALL)
 BEHIND = re.compile(r"""=\s*(?:"[^"]*"|[^"#\[]+|\[[^#]*\])\s*#\s*(.*)""")
 UNITS = {
     "_kPa_s_per_SL": "kPa·s/SL",
@@ -118,7 +128,7 @@ def _meant(action: argparse.Action) -> str:
 
 def tables() -> dict[str, type[msgspec.Struct]]:
     """The configuration's tables that have one value a key, by name."""
-    built_in = configuration.default()
+    built_in = config.default()
     values = {name: getattr(built_in, name) for name in Config.__struct_fields__}
     return {name: type(value) for name, value in values.items() if isinstance(value, msgspec.Struct)}
 
@@ -126,8 +136,8 @@ def tables() -> dict[str, type[msgspec.Struct]]:
 def keys(name: str) -> list[str]:
     """A table's keys, a row each."""
     rows = ["| key | may be | default | means |", "| --- | --- | --- | --- |"]
-    comments = comments_of(configuration.default_text())
-    raw = tomllib.loads(configuration.default_text())[name]
+    comments = comments_of(config.default_text())
+    raw = tomllib.loads(config.default_text())[name]
     settings = {(setting.table, setting.key): setting for setting in SETTINGS}
     for field in fields(tables()[name]):
         meant = comments[name, field.name]
@@ -220,6 +230,60 @@ def segments(name: str) -> list[str]:
     return rows
 
 
+# Parameters, faults and what the doctor says.
+
+
+def parameters(name: str) -> list[str]:
+    """The parameters that a pilot may change in the field."""
+    profile = config.default()
+    rows = ["| parameter | key of the profile | default | may be | |", "| --- | --- | --- | --- | --- |"]
+    for setting in SETTINGS:
+        least, most = bounds(setting, profile)
+        allowed = f"{least:g} … {most:g}"
+        if setting.guard != "none":
+            allowed = f"at {setting.guard} the profile's ({allowed})"
+        key = f"`{setting.table}.{setting.key}`"
+        rows.append(_row(f"`{setting.name}`", key, f"{value_of(setting, profile):g}", allowed, setting.doc))
+    return rows
+
+
+def streams(name: str) -> list[str]:
+    """The messages that the service asks for."""
+    rows = ["| message | a second | needed for | on ArduPilot |", "| --- | --- | --- | --- |"]
+    for message, wanted in Streams(config.default().vehicle.rc_rate_Hz).wanted(0.0).items():
+        need = f"**{USES[message]}**" if wanted.essential else USES[message]
+        rows.append(_row(message, f"{wanted.rate_Hz:g}", need, f"`SRn_{GROUPS[message]}`"))
+    return rows
+
+
+def faults(name: str) -> list[str]:
+    """The rows of a section of the fault catalogue."""
+    head = "| fault | seen by | safe within, ms | measured, ms | safe state | the pilot reads | cleared by |"
+    return [head, "| --- | --- | ---: | ---: | --- | --- | --- |", *map(_fault, SECTIONS[name])]
+
+
+def _fault(row: Row) -> str:
+    state = row.safe_state
+    if row.left_kPa:
+        state += f" ({row.left_kPa:g} kPa)"
+    if row.highest_kPa is not None:
+        state += f"; **up to {row.highest_kPa:g} kPa before**"
+    numbers = (str(ms) if ms is not None else "–" for ms in (row.allowed_ms, row.measured_ms))
+    told = f"“{row.told}”" if row.told else "–"
+    return _row(row.fault, row.seen_by, *numbers, state, told, row.cleared.value)
+
+
+SIGNS = {"good": "✓", "warning": "!", "bad": "✗", "skipped": "–"}
+
+
+def doctor_lines(name: str) -> list[str]:
+    """What one file of checks can say that asks for something to be done."""
+    (check,) = (check for check in CHECKS if check.__name__.rpartition(".")[2] == name)
+    said = ((SIGNS[line.verdict], line.check, line.what, line.do) for line in lines_of(check) if line.do)
+    rows = (_row(*map(with_blanks, cells)) for cells in said)
+    return ["| | looked at | says | do |", "| --- | --- | --- | --- |", *rows]
+
+
 def _row(*cells: str) -> str:
     return f"| {' | '.join(cell.replace('|', '&#124;') for cell in cells)} |"
 
@@ -230,6 +294,10 @@ TABLES: Mapping[str, Callable[[str], list[str]]] = {
     "borders": borders,
     "carriers": carriers,
     "segments": segments,
+    "parameters": parameters,
+    "streams": streams,
+    "faults": faults,
+    "doctor": doctor_lines,
 }
 """What makes the tables of each kind, out of a table's name."""
 

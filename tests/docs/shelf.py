@@ -9,8 +9,6 @@ from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
 
-from command_line import status
-from hidden_truth import draw, write
 from recorded_flight import PROFILE, one_bend
 
 from docs.commands_said import ROOT
@@ -76,19 +74,6 @@ def _refused(path: Path) -> None:
     path.write_text(text.replace("\t217\t", "\t31010\t", 1), encoding="utf-8")
 
 
-def _simulated(path: Path) -> None:
-    """The short run of the leaky rig."""
-    leaky, short = path.with_name("leaky.toml"), path.with_name("short.toml")
-    leaky.write_text(LEAKY, encoding="utf-8")
-    short.write_text(SHORT, encoding="utf-8")
-    assert status("simulate", "--rig", leaky, "--scenario", short, "--out", path) == 0
-
-
-def _case(path: Path) -> None:
-    """One run of twenty seconds of a rig with one cause."""
-    write(path, draw("short", 1))
-
-
 SHELF: tuple[tuple[str, Maker], ...] = (
     (r"(around|vine|bench|calibrated|PROFILE)\.toml", _text(config.default_text())),
     (r"flown\.toml", _text(PROFILE)),
@@ -102,13 +87,10 @@ SHELF: tuple[tuple[str, Maker], ...] = (
     ),
     (r"(PAIRS|pairs)\.csv", _text(PAIRS)),
     (r"my-vine\.toml", _copy(ROOT / "flying_vines/studies/bending/examples/pouch.toml")),
-    (r"parts", lambda path: path.mkdir()),
     (r"mav\.tlog", _beginning_of(ROOT / "tests/data/recordings/rc_switch.tlog")),
     (r"(\w+/)?(canopy|bridge|MISSION)[\w-]*\.(toml|plan|waypoints)", _example),
     (r"token|FILE", read_or_make),
     (r"flights", _flights),
     (r"flights/[\w-]+|FLIGHT|LOG", _flight),
-    (r"leaky", _simulated),
-    (r"CASE", _case),
 )
 """The first that fits; what is written in capitals on a page stands for a file of any name."""

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from doctor.known_lines import CHECKS
+from fault_catalogue.catalogue import SECTIONS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,7 +19,7 @@ from flying_vines.config import config
 from flying_vines.config.config import Config, ConfigError, Item
 from flying_vines.vine.profile import Profile
 
-COMMANDS, CONFIGURATION = (page.read_text(encoding="utf-8") for page in PAGES)
+COMMANDS, CONFIGURATION, _, FAULTS, DOCTOR = (page.read_text(encoding="utf-8") for page in PAGES)
 WRITTEN_BY_PEOPLE = {"items": Item, "profiles": Profile}
 ROW = re.compile(r"^\| `(\w+)` \| ([^|]*?) \|", re.MULTILINE)
 RANGE = re.compile(
@@ -53,6 +55,12 @@ def test_every_key_has_its_row() -> None:
         assert {key for key, _ in ROW.findall(under(CONFIGURATION, name))} >= set(table.__struct_fields__), (
             name
         )
+
+
+def test_every_fault_and_every_line_of_the_doctor_has_its_table() -> None:
+    assert marked(FAULTS, "faults") == list(SECTIONS)
+    assert all(f"\n## {title}\n" in FAULTS for title in SECTIONS)
+    assert marked(DOCTOR, "doctor") == [check.__name__.rpartition(".")[2] for check in CHECKS]
 
 
 def test_of_everything_something_is_said() -> None:

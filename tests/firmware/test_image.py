@@ -218,7 +218,7 @@ def test_the_wiring_guide_has_the_pins_that_are_compiled() -> None:
     )
     words = {
         "Cv": "vine's pressure",
-        "Reservoir": "bottle's pressure",
+        "Reservoir": "reservoir's pressure",
         "Supply": "the sensors' 5 V",
         "Evp": "(EVP)",
         "Dvp": "(DVP)",

@@ -35,11 +35,11 @@ def test_every_file_has_its_row(path: Path) -> None:
         ("StartLimitIntervalSec=0", "however often"),
         ("RestartPreventExitStatus=2", "(exit status 2)"),
         ("MemoryMax=384M", "at most 384 MB"),
-        ("TasksMax=64", "64\n  threads"),
+        ("TasksMax=64", "64 threads"),
         ("StateDirectory=flying-vines", "read-only but for `/var/lib/flying-vines`"),
-        ("SupplementaryGroups=dialout", "the\n  group dialout"),
+        ("SupplementaryGroups=dialout", "the group dialout"),
     ],
 )
 def test_the_unit_keeps_what_the_page_promises(setting: str, said: str) -> None:
     assert f"\n{setting}\n" in UNIT
-    assert said in PAGE
+    assert said in " ".join(PAGE.split())

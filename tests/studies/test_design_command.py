@@ -33,9 +33,9 @@ def test_the_page_shows_what_it_says(
     page = (Path(__file__).parents[2] / "docs" / "design.md").read_text(encoding="utf-8")
     (shown,) = (block for block in page.split("```") if block.startswith("\nvine of the demonstration"))
     lines = shown.strip().split("\n")
-    # The comparison with other supplies stands on the page as a picture.
+    # The page shows the first table; the choices of the catalogue follow it.
     assert lines == said[: len(lines)]
-    assert len(lines) > 50
+    assert len(lines) > 20
 
 
 def test_json_has_the_curves_and_the_fronts(capsys: pytest.CaptureFixture[str]) -> None:

@@ -225,7 +225,7 @@ def _dB(values: Sequence[float]) -> str:
 
 
 def as_json(diagnosis: PaperDiagnosis) -> dict[str, Any]:
-    """Plain lists, numbers and texts; the keys are described in docs/paper-diagnosis.md."""
+    """Plain lists, numbers and texts."""
     found, proposal, responses = diagnosis.discharges, diagnosis.proposal, diagnosis.responses
     best, sharing = proposal.best, proposal.sharing
     return {
