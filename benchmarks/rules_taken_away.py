@@ -33,7 +33,7 @@ LONGEST_S = 600.0
 CORE_TESTS = (
     "tests/core/test_safety.py",
     "tests/core/test_core_on_bench.py",
-    "tests/core/test_core_calibration.py",
+    "tests/core/test_core_arming.py",
     "tests/core/test_core_late.py",
     "tests/core/test_core_link_loss.py",
     "tests/core/test_core_asked.py",

@@ -19,7 +19,6 @@ from flying_vines.config.config import Config
 from flying_vines.core.events import (
     Action,
     Asked,
-    Calibrated,
     Decision,
     Event,
     Failed,
@@ -63,14 +62,11 @@ from flying_vines.vine.intent import (
     Intent,
     SetPressure,
     StartBench,
-    StartCalibration,
     StartProfile,
     StopBench,
-    StopCalibration,
     Vent,
 )
 from flying_vines.vine.motion import Motion
-from flying_vines.vine.staircase import Readings
 
 TICK_S = 0.02
 """How often `Tick` is due, and how far a setpoint looks ahead."""
@@ -84,7 +80,7 @@ BENCH_S = 300.0
 AT_ONCE_S = 0.05
 """Requests within this time of each other count as simultaneous."""
 
-VENTING = (Vent, DisarmPneumatics, StopCalibration, StopBench)
+VENTING = (Vent, DisarmPneumatics, StopBench)
 MOVING = (StartProfile, BendTo, SetPressure)
 _BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
 """Triggers that come from neither another person nor the mission."""
@@ -149,7 +145,6 @@ class Core:
         self._motion: Motion | None = None
         self._triggered_at = 0.0
         """When a person or the mission last asked for what the vine does now."""
-        self._calibration: tuple[Motion, Readings] | None = None
         self._pneumatics_armed = config.interlocks.armed_at_start and not disarmed
         self._bench_until = -math.inf
         self._asked_at = -math.inf
@@ -291,7 +286,6 @@ class Core:
             t, "bend", lambda: bent_kPa(telemetry.cv_kPa, self._bent_kPa), self._bent_kPa, needed=True
         )
         run(t, "bottle estimate", lambda: self._reservoir.update(t, telemetry), None, needed=True)
-        run(t, "calibration", lambda: self._read_level(t, telemetry), None, needed=True)
         run(t, "physics checks", lambda: self._check(t, telemetry), None, needed=True)
 
     def _check(self, t: float, telemetry: protocol.Telemetry) -> None:
@@ -397,8 +391,6 @@ class Core:
         else:
             self._note_trigger(t)
             self._motion = Motion(move.trajectory, t, move.rate_kPa_per_s, str(intent))
-            if isinstance(intent, StartCalibration):
-                self._calibration = self._motion, Readings(self.config.calibration.hold_s)
             self._drive(t)
         return self._record(t, trigger, ruling)
 
@@ -420,7 +412,7 @@ class Core:
     def _without_air(self, t: float, intent: Intent, trigger: Trigger) -> Ruling | None:
         """Carry out what takes no air, or say why not; None for what does take some."""
         match intent:
-            case ClearFaults() | ArmPneumatics() | StartBench() | StartCalibration() if not trigger.by_person:
+            case ClearFaults() | ArmPneumatics() | StartBench() if not trigger.by_person:
                 return Ruling("refused", "only a person may do that")
             case ClearFaults():
                 return self._clear_faults(t, trigger.seen_at)
@@ -447,13 +439,6 @@ class Core:
                 return Ruling("accepted")
             case StopBench():
                 self._leave_bench(t, "left")
-                return Ruling("accepted")
-            case StartCalibration() if self._motion is not None:
-                return Ruling("refused", "vent the vine first")
-            case StopCalibration() if self._calibration is None:
-                return Ruling("refused", "none is under way")
-            case StopCalibration():
-                self._stop_moving(t)
                 return Ruling("accepted")
         return None
 
@@ -542,30 +527,6 @@ class Core:
         self._motion = None
         self._to_firmware(self._firmware.command(t, fw.VENTING))
 
-    # Calibrating.
-
-    def _read_level(self, t: float, telemetry: protocol.Telemetry) -> None:
-        if self._calibration is not None:
-            motion, readings = self._calibration
-            readings.take(t, motion.setpoint_kPa(t), telemetry.cv_kPa, telemetry.reservoir_kPa)
-
-    def _follow_calibration(self, t: float) -> None:
-        """Tell how far it is; and what it found, or that something else took its place."""
-        if self._calibration is None:
-            return
-        motion, readings = self._calibration
-        if self._motion is motion and not motion.over(t):
-            self._send(*self._vehicle.progress(t, motion.share(t)))
-            return
-        self._calibration = None
-        if motion.over(t):
-            levels = tuple((level.asked_kPa, level.read_kPa) for level in readings.held)
-            self._actions.append(Calibrated(t, levels))
-            self._notice(t, Severity.NOTICE, f"calibrated: {readings.summary()}")
-        else:
-            self._notice(t, Severity.WARNING, "calibration ended early")
-        self._send(*self._vehicle.end_command(motion.over(t)))
-
     # On the bench.
 
     @property
@@ -595,7 +556,6 @@ class Core:
             self._notice(t, Severity.NOTICE, told)
         if told := self._restarts.due(t):
             self._notice(t, Severity.WARNING, told)
-        self._follow_calibration(t)
         self._warn_of_low_reservoir(t)
         self._report(t)
 

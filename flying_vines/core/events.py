@@ -139,14 +139,6 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True)
-class Calibrated:
-    """A calibration came to its end: each level that was held, asked and read (gauge kPa), in order."""
-
-    t: float
-    levels_kPa: tuple[tuple[float, float], ...]
-
-
-@dataclass(frozen=True, slots=True)
 class KeepParameters:
     """The parameters that differ from the profile have changed, and are to survive the service."""
 
@@ -171,17 +163,7 @@ class InternalError:
     trace: str
 
 
-Action = (
-    ToVehicle
-    | ToFirmware
-    | Decision
-    | Notice
-    | Measured
-    | Calibrated
-    | KeepParameters
-    | KeepDisarmed
-    | InternalError
-)
+Action = ToVehicle | ToFirmware | Decision | Notice | Measured | KeepParameters | KeepDisarmed | InternalError
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from flying_vines.config.config import Config, no_profile
 from flying_vines.core.safety import Demand
 from flying_vines.supply import Belief, ReservoirEstimate, floor_kPa
-from flying_vines.vine.intent import BendTo, Intent, SetPressure, StartCalibration, StartProfile
+from flying_vines.vine.intent import BendTo, Intent, SetPressure, StartProfile
 from flying_vines.vine.profile import Segment, Step, Trajectory, flatten, plan, top_kPa
-from flying_vines.vine.staircase import staircase
 
 MIN_RATE_KPA_PER_S = 1.0
 AT_REST_KPA = 0.5
@@ -91,7 +90,7 @@ class Mover:
             rate_scale: how much slower than it could be, 0…1.
         """
         limit_kPa = min(limit_kPa, self._config.limits.max_kPa)
-        segments = self._segments(intent, limit_kPa)
+        segments = self._segments(intent)
         rate_kPa_per_s = self._rate_kPa_per_s(intent)
         if rate_scale < 1.0:
             rate_kPa_per_s = max(MIN_RATE_KPA_PER_S, rate_kPa_per_s * rate_scale)
@@ -105,7 +104,7 @@ class Mover:
             bent_kPa=self.curve.bent_kPa(trajectory.final_kPa, furthest_kPa),
         )
 
-    def _segments(self, intent: Intent, limit_kPa: float) -> Sequence[Segment]:
+    def _segments(self, intent: Intent) -> Sequence[Segment]:
         match intent:
             case StartProfile(name):
                 return self._profiles[name]
@@ -113,9 +112,6 @@ class Mover:
                 return (Step(to_deg=angle_deg),)
             case SetPressure(target_kPa):
                 return (Step(to_kPa=target_kPa),)
-            case StartCalibration():
-                stairs = self._config.calibration
-                return tuple(staircase(limit_kPa, stairs.steps, stairs.hold_s))
         raise AssertionError(intent)
 
     def _rate_kPa_per_s(self, intent: Intent) -> float:

@@ -16,8 +16,6 @@ Command = Literal[
     "disarm",
     "start_bench",
     "stop_bench",
-    "start_calibration",
-    "stop_calibration",
 ]
 """What a person who does not ask over MAVLink calls an intent."""
 
@@ -114,22 +112,6 @@ class StopBench:
         return "leave bench mode"
 
 
-@dataclass(frozen=True, slots=True)
-class StartCalibration:
-    """Go through the vine's pressures and compare what is there with what was asked for."""
-
-    def __str__(self) -> str:
-        return "calibrate"
-
-
-@dataclass(frozen=True, slots=True)
-class StopCalibration:
-    """End a calibration before its time."""
-
-    def __str__(self) -> str:
-        return "stop the calibration"
-
-
 Intent = (
     StartProfile
     | BendTo
@@ -141,8 +123,6 @@ Intent = (
     | DisarmPneumatics
     | StartBench
     | StopBench
-    | StartCalibration
-    | StopCalibration
 )
 
 COMMAND_OF: dict[type[Intent], Command] = {
@@ -156,6 +136,4 @@ COMMAND_OF: dict[type[Intent], Command] = {
     DisarmPneumatics: "disarm",
     StartBench: "start_bench",
     StopBench: "stop_bench",
-    StartCalibration: "start_calibration",
-    StopCalibration: "stop_calibration",
 }

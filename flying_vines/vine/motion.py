@@ -23,14 +23,6 @@ class Motion:
     def over(self, t: float) -> bool:
         return t - self.started_at >= self.trajectory.duration_s
 
-    def share(self, t: float) -> float:
-        """How much of it, 0…1, has been done."""
-        return (
-            min(1.0, (t - self.started_at) / self.trajectory.duration_s)
-            if self.trajectory.duration_s
-            else 1.0
-        )
-
     @property
     def only_lets_out(self) -> bool:
         """Whether it goes to no pressure and nowhere else."""

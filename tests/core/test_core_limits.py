@@ -24,12 +24,7 @@ STATION, GIMBAL, CAMERA = (255, 190), (1, 154), (2, 100)
 
 def holding(hold_s: float, bent_s: float) -> config.Config:
     losses = config.Losses(on_rc_loss="hold", hold_at_most_s=hold_s)
-    # A calibration of the profile must fit in.
-    return configured(
-        losses=losses,
-        limits=config.Limits(max_bent_s=bent_s),
-        calibration=config.Calibration(steps=1, hold_s=0.5),
-    )
+    return configured(losses=losses, limits=config.Limits(max_bent_s=bent_s))
 
 
 def say(
