@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -36,7 +37,7 @@ from flying_vines.core.events import (
     ToVehicle,
     VehicleMessage,
 )
-from flying_vines.core.motion_planner import Move, Mover
+from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.parts import Parts
 from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import INTERNAL_ERROR, Conditions, Entered, Left, Ruling, Safety
@@ -129,7 +130,7 @@ class Core:
         self._bent_kPa = 0.0
         self._cv_kPa = deque((math.nan,), maxlen=2)
         """The last two readings: a single one that is too high may be a glitch."""
-        self._mover = Mover(config)
+        self._planner = MotionPlanner(config)
         self._rc_in_use = False
         self._firmware = fw.HostSession(repeat_s=TICK_S)
         self._firmware_was_ready = False
@@ -224,7 +225,7 @@ class Core:
 
     def _configure(self, change: Changed) -> None:
         self._safety.configure(change.config)
-        self._mover = Mover(change.config)
+        self._planner = MotionPlanner(change.config)
         self._vehicle.configure()
         self._actions.append(KeepParameters(change.t, dict(self._vehicle.component.parameters.values)))
 
@@ -281,7 +282,7 @@ class Core:
 
     def _estimate(self, t: float, telemetry: protocol.Telemetry) -> None:
         """What follows from telemetry, once safety has looked at it."""
-        run, bent_kPa = self._parts.run, self._mover.curve.bent_kPa
+        run, bent_kPa = self._parts.run, self._planner.curve.bent_kPa
         self._bent_kPa = run(
             t, "bend", lambda: bent_kPa(telemetry.cv_kPa, self._bent_kPa), self._bent_kPa, needed=True
         )
@@ -371,26 +372,28 @@ class Core:
         settled = self._without_air(t, intent, trigger)
         if settled is not None:
             return self._record(t, trigger, settled)
-        if problem := self._mover.problem(intent):
+        if problem := self._planner.problem(intent):
             return self._record(t, trigger, Ruling("refused", problem))
-        move = self._move(t, intent)
-        demand = self._parts.run(
-            t, "bottle estimate", lambda: move.demand(self._reservoir, self._belief), None, needed=True
+        motion = self._plan(t, intent)
+        rise_kPa, rate_kPa_per_s = motion.rise_kPa, motion.rate_kPa_per_s
+        air = self._parts.run(
+            *(t, "bottle estimate", lambda: self._reservoir.air_needed(rise_kPa, rate_kPa_per_s), None),
+            needed=True,
         )
-        if demand is None:
+        if air is None:
             return self._record(t, trigger, Ruling("refused", INTERNAL_ERROR))
-        if trigger.by_person and demand.releases:
+        if trigger.by_person and motion.only_lets_out:
             self._clear_faults(t, trigger.seen_at)
-        ruling = self._safety.judge(demand, now)
+        ruling = self._safety.judge(motion, air, now)
         if ruling.verdict == "refused":
             return self._record(t, trigger, ruling)
         if ruling.rate_scale < 1.0:
-            move = self._move(t, intent, ruling.rate_scale)
-        if demand.releases and self._motion is None:
+            motion = self._plan(t, intent, ruling.rate_scale)
+        if motion.only_lets_out and self._motion is None:
             self._stop_moving(t)
         else:
             self._note_trigger(t)
-            self._motion = Motion(move.trajectory, t, move.rate_kPa_per_s, str(intent))
+            self._motion = motion
             self._drive(t)
         return self._record(t, trigger, ruling)
 
@@ -400,8 +403,8 @@ class Core:
         overtaken = self._asked_at > t - trigger.age_s + AT_ONCE_S
         if isinstance(intent, VENTING) or not (late or overtaken):
             return ""
-        moves = isinstance(intent, MOVING) and not self._mover.problem(intent)
-        if moves and not overtaken and self._move(t, intent).releases:
+        moves = isinstance(intent, MOVING) and not self._planner.problem(intent)
+        if moves and not overtaken and self._plan(t, intent).only_lets_out:
             return ""
         return f"came {trigger.age_s:.1f} s late" if late else "something newer was asked"
 
@@ -442,10 +445,10 @@ class Core:
                 return Ruling("accepted")
         return None
 
-    def _move(self, t: float, intent: Intent, rate_scale: float = 1.0) -> Move:
+    def _plan(self, t: float, intent: Intent, rate_scale: float = 1.0) -> Motion:
         """From where the vine is wanted now."""
-        start_kPa = self._setpoint_kPa(t)
-        return self._mover.move(intent, start_kPa, self._bent_kPa, self._firmware_limit_kPa, rate_scale)
+        start_kPa, limit_kPa = self._setpoint_kPa(t), self._firmware_limit_kPa
+        return self._planner.plan(intent, start_kPa, self._bent_kPa, limit_kPa, rate_scale, started_at=t)
 
     def _hold(self, t: float) -> Ruling:
         if self._motion is None:
@@ -459,8 +462,7 @@ class Core:
 
     def _freeze(self, t: float) -> None:
         """Stay where the vine is. `limits.max_bent_s` runs on: a loss that holds is nobody's wish."""
-        move = self._move(t, SetPressure(self._setpoint_kPa(t)))
-        self._motion = Motion(move.trajectory, t, move.rate_kPa_per_s, "hold")
+        self._motion = replace(self._plan(t, SetPressure(self._setpoint_kPa(t))), name="hold")
         self._drive(t)
 
     def _clear_faults(self, t: float, seen_at: float = math.inf) -> Ruling:
@@ -483,7 +485,7 @@ class Core:
             intent=None if trigger.intent is None else str(trigger.intent),
             safety=ruling.verdict,
             reason=ruling.reason,
-            setpoint_kPa=round(motion.trajectory.aim_kPa, 3) if motion else 0.0,
+            setpoint_kPa=round(motion.aim_kPa, 3) if motion else 0.0,
         )
         self._actions.append(decision)
         if ruling.verdict != "refused" and trigger.kind not in _BY_PILOT_OR_SAFETY:
@@ -508,7 +510,8 @@ class Core:
 
     def _drive(self, t: float) -> None:
         """Tell the firmware what holds until the next tick."""
-        if self._motion is not None and self._motion.releases(t) and self._near_zero():
+        motion = self._motion
+        if motion is not None and motion.is_over(t) and motion.final_kPa <= 0.0 and self._near_zero():
             self._motion = None
         command: fw.Command = fw.VENTING
         if self._motion is not None:
@@ -703,7 +706,7 @@ class Core:
             "CYC_LEFT": cycles.expected if cycles else math.nan,
             "CV_KPA": telemetry.cv_kPa,
             "CMD_KPA": self._commanded_kPa(t),
-            "BEND_DEG": self._mover.curve.angle_deg(self._bent_kPa),
+            "BEND_DEG": self._planner.curve.angle_deg(self._bent_kPa),
         }
 
     def _commanded_kPa(self, t: float) -> float:
@@ -734,7 +737,7 @@ class Core:
             reservoir_kPa=telemetry.reservoir_kPa if telemetry else math.nan,
             cv_kPa=telemetry.cv_kPa if telemetry else math.nan,
             command_kPa=self._commanded_kPa(t),
-            bend_deg=self._mover.curve.angle_deg(self._bent_kPa) if telemetry else math.nan,
+            bend_deg=self._planner.curve.angle_deg(self._bent_kPa) if telemetry else math.nan,
             evp_opening=telemetry.evp_opening if telemetry else math.nan,
             dvp_opening=telemetry.dvp_opening if telemetry else math.nan,
             solenoid=telemetry.solenoid if telemetry else None,

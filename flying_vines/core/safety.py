@@ -14,6 +14,8 @@ from typing import Literal
 
 from firmware_link.protocol import Fault
 from flying_vines.config.config import Config
+from flying_vines.supply import AirNeeded
+from flying_vines.vine.motion import Motion
 
 HEEDED_WITHIN_S = 0.3
 """A board's mode follows what it is told. Eleven commands in a row may be lost."""
@@ -74,23 +76,8 @@ class Conditions:
 
 
 @dataclass(frozen=True, slots=True)
-class Demand:
-    """What an intent would take."""
-
-    releases: bool
-    """It only lets air out."""
-    peak_kPa: float = 0.0
-    wanted_kPa: float = 0.0
-    """What was asked for, before the curve and the limits clipped it."""
-    spending_kPa: float = 0.0
-    """What it is expected to take from the reservoir."""
-    floor_kPa: float = 0.0
-    """What the reservoir must hold for the wanted rate."""
-
-
-@dataclass(frozen=True, slots=True)
 class Ruling:
-    """What safety makes of an intent."""
+    """Safety's answer: whether a motion may be carried out, and at which share of its rate."""
 
     verdict: Literal["accepted", "limited", "refused"]
     reason: str = ""
@@ -114,7 +101,7 @@ class Left:
 
 
 class Safety:
-    """Feed it `watch` often, ask it `judge` for every intent."""
+    """Call `watch` often, and `judge` for every motion."""
 
     def __init__(self, config: Config) -> None:
         self.configure(config)
@@ -232,23 +219,23 @@ class Safety:
         """Whether all faults that the firmware tells now were there at `seen_at`."""
         return self._faults_at <= seen_at
 
-    def judge(self, demand: Demand, now: Conditions) -> Ruling:
-        """Whether an intent may be carried out. Letting air out always may."""
-        if demand.releases:
+    def judge(self, motion: Motion, air: AirNeeded, now: Conditions) -> Ruling:
+        """Whether a motion may be carried out. Letting air out always may."""
+        if motion.only_lets_out:
             return Ruling("accepted")
-        problem = self._problem(demand, now)
+        problem = self._problem(motion, air, now)
         if problem:
             return Ruling("refused", problem)
-        if demand.wanted_kPa > demand.peak_kPa + 1e-6:
-            return Ruling("limited", f"to {demand.peak_kPa:g} kPa")
-        left_kPa = now.reservoir_kPa - demand.peak_kPa
-        if left_kPa < demand.floor_kPa:
+        if motion.wanted_kPa > motion.top_kPa + 1e-6:
+            return Ruling("limited", f"to {motion.top_kPa:g} kPa")
+        left_kPa = now.reservoir_kPa - motion.top_kPa
+        if left_kPa < air.floor_kPa:
             return Ruling(
-                "limited", f"slower: bottle at {now.reservoir_kPa:.0f} kPa", left_kPa / demand.floor_kPa
+                "limited", f"slower: bottle at {now.reservoir_kPa:.0f} kPa", left_kPa / air.floor_kPa
             )
         return Ruling("accepted")
 
-    def _problem(self, demand: Demand, now: Conditions) -> str | None:
+    def _problem(self, motion: Motion, air: AirNeeded, now: Conditions) -> str | None:
         if self.reasons:
             return "; ".join(self.reasons.values())
         if not now.pneumatics_armed:
@@ -266,7 +253,7 @@ class Safety:
                 return "altitude not known"
             if now.altitude_m < self._interlocks.min_altitude_m:
                 return f"at {now.altitude_m:.1f} m, below {self._interlocks.min_altitude_m:g} m"
-        needed_kPa = demand.peak_kPa + self._interlocks.reserve_kPa + demand.spending_kPa
+        needed_kPa = motion.top_kPa + self._interlocks.reserve_kPa + air.spending_kPa
         if not now.reservoir_kPa >= needed_kPa:
             return f"bottle at {now.reservoir_kPa:.0f} kPa, needs {needed_kPa:.0f}"
         return None

@@ -6,7 +6,7 @@ pressure below which it can no longer be flown; `estimate` puts them together. `
 """
 
 from flying_vines.supply.belief import Belief, nominal, nominal_rig
-from flying_vines.supply.estimate import CyclesLeft, ReservoirEstimate
-from flying_vines.supply.formula import floor_kPa, n_cycles
+from flying_vines.supply.estimate import AirNeeded, CyclesLeft, ReservoirEstimate
+from flying_vines.supply.formula import n_cycles
 
-__all__ = ["Belief", "CyclesLeft", "ReservoirEstimate", "floor_kPa", "n_cycles", "nominal", "nominal_rig"]
+__all__ = ["AirNeeded", "Belief", "CyclesLeft", "ReservoirEstimate", "n_cycles", "nominal", "nominal_rig"]

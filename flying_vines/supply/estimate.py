@@ -22,6 +22,7 @@ from flying_vines.config.config import Pneumatics
 from flying_vines.physics.paper import STANDARD_TEMPERATURE_K
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
 from flying_vines.supply.flying import TRACE, Flying, Inflation
+from flying_vines.supply.formula import floor_kPa
 from flying_vines.supply.reservoir import (
     CV_LEAK,
     FLAT,
@@ -79,6 +80,15 @@ class CyclesLeft:
     """What one cycle takes from the reservoir now, expected."""
     floor_kPa: float
     """Below this gauge pressure of the reservoir the flying is no longer kept up, expected."""
+
+
+class AirNeeded(NamedTuple):
+    """What a motion needs of the reservoir, gauge kPa."""
+
+    spending_kPa: float
+    """What it is expected to take."""
+    floor_kPa: float
+    """What must be left above the vine's pressure for the wanted rate."""
 
 
 class _Mix:
@@ -181,8 +191,11 @@ class ReservoirEstimate:
     def _air_kPa(mean: Sequence[float], inflation: Inflation) -> float:
         return mean[RISE] * inflation.swing_kPa + mean[FLAT] * inflation.spent.flat
 
+    def air_needed(self, rise_kPa: float, rate_kPa_per_s: float) -> AirNeeded:
+        """What raising the CV by `rise_kPa` in all, so fast, takes and needs."""
+        return AirNeeded(self.spending_kPa(rise_kPa), floor_kPa(self._p, rate_kPa_per_s))
+
     def spending_kPa(self, rise_kPa: float) -> float:
-        """What raising the CV by `rise_kPa` in all will take from the reservoir, expected."""
         if self.bottle is None:
             return 2.0 * self._p.cv_volume_L * rise_kPa / self._p.reservoir_volume_L
         return _Forecast(self._belief, self._mix, self.bottle.possible_mean(), 0.0).cost_kPa() * (

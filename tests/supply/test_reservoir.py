@@ -13,7 +13,8 @@ from flying_vines.config.config import Pneumatics
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.plant.wall import Wall
-from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate, floor_kPa, n_cycles, nominal
+from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate, n_cycles, nominal
+from flying_vines.supply.formula import floor_kPa
 from flying_vines.supply.known_rig import believed
 
 DEMONSTRATION = Pneumatics()
