@@ -69,8 +69,9 @@ MODULES = (
         "flying_vines/core/core.py",
         CORE_TESTS,
         (
-            *("_asked", "_may_not_ask", "_decide", "_outdated", "_without_air", "_hold", "_clear_faults"),
-            *("_note_heed", "_on_firmware_link", "_conditions", "_enter", "_leave", "_drive"),
+            *("_trigger_of", "_request_problem", "_decide", "_outdated", "_without_air", "_hold"),
+            *("_clear_faults", "_note_mode", "_on_firmware_link", "_note_rc_use", "_conditions"),
+            *("_enter", "_leave", "_drive"),
         ),
     ),
     Module("flying_vines/vehicle/radio/pilot.py", RADIO_TESTS),

@@ -75,6 +75,8 @@ TICK_S = 0.02
 SPEAK_FIRST_S = 1.5
 """How long we listen for an autopilot before we say anything ourselves."""
 
+CYCLES_EVERY_S = 0.5
+
 BENCH_S = 300.0
 """So long after the last that was asked for, whoever tried the vine on the ground has gone."""
 
@@ -89,21 +91,21 @@ _BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
 PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
 """What the page may ask for in flight too, besides letting air out."""
 
-_SAYS = {
+_SENSOR_TEXTS = {
     "cv_kPa": "vine sensor reads",
     "reservoir_kPa": "bottle sensor reads",
     "setpoint_kPa": "phloSAR holds",
 }
 """Of telemetry's fields, for what no sensor can say."""
 
-_DONE = {
+_RESPONSE_TEXTS = {
     "serial": "its dead-man vents",
     "telemetry": "told to vent",
     "venting": "outlet told open",
     "regulates": "told to vent",
 }
 """Where nobody can know that the vine is vented, the pilot is told no more than was done about it."""
-_OF_THE_BOARD = ("serial", "telemetry", "firmware_fault", "refused_by_firmware")
+_BOARD_FAULTS = ("serial", "telemetry", "firmware_fault", "refused_by_firmware")
 """What a restart of the board brings with it."""
 
 
@@ -141,18 +143,19 @@ class Core:
         self._reservoir = ReservoirEstimate(self._belief)
         self._checks = PhysicsChecks(self._belief, config.checks)
         self._cycles: CyclesLeft | None = None
-        self._low_told = False
-        self._alone_since: float | None = None
+        self._cycles_at = -math.inf
+        self._low_warned = False
+        self._silent_since: float | None = None
         self._motion: Motion | None = None
         self._triggered_at = 0.0
         """When a person or the mission last asked for what the vine does now."""
         self._pneumatics_armed = config.interlocks.armed_at_start and not disarmed
         self._bench_until = -math.inf
-        self._asked_at = -math.inf
-        self._unheeded: tuple[protocol.Mode, float, float] | None = None
+        self._requested_at = -math.inf
+        self._mode_mismatch: tuple[protocol.Mode, float, float] | None = None
         """What the board is told and its mode is not, since when and until when, by its own clock."""
         self._restarts = Restarts()
-        self._restart_told = False
+        self._restart_noted = False
         """And the board has not been ready since."""
         self._stopped = False
         self._parts = Parts(self._on_failed)
@@ -174,7 +177,7 @@ class Core:
         self._actions = []
         match event:
             case VehicleMessage():  # most events are; a pattern that names its fields takes twice as long
-                self._take(event.t, self._vehicle.handle(event.t, event.message, self._vented))
+                self._handle_outputs(event.t, self._vehicle.handle(event.t, event.message, self._vented))
             case FirmwareMessage(t, message):
                 self._on_firmware(t, message)
             case LinkChanged(t, "vehicle", up):
@@ -184,7 +187,7 @@ class Core:
             case Tick(t):
                 self._on_tick(t)
             case Asked():
-                self._decide(event.t, self._asked(event))
+                self._decide(event.t, self._trigger_of(event))
             case Said(t, severity, text):
                 self._notice(t, severity, text)
             case Stop(t):
@@ -193,7 +196,7 @@ class Core:
             case Failed():
                 self._on_failed(event)
         if leaving := self._vehicle.component.leaving(event.t):
-            self._let_leave(leaving)
+            self._transmit(leaving)
         return self._actions
 
     @property
@@ -209,13 +212,13 @@ class Core:
 
     # The vehicle's side.
 
-    def _take(self, t: float, outputs: Sequence[Output]) -> None:
+    def _handle_outputs(self, t: float, outputs: Sequence[Output]) -> None:
         for output in outputs:
             if isinstance(output, Trigger):
                 decision = self._decide(t, output)
                 self._send(*self._vehicle.acknowledge(output, decision.safety != "refused"))
             elif isinstance(output, Notice):
-                self._tell(output)
+                self._publish(output)
             elif isinstance(output, Changed):
                 self._configure(output)
             elif isinstance(output, Straightened):
@@ -232,35 +235,35 @@ class Core:
     # The firmware's side.
 
     def _on_firmware_link(self, t: float, up: bool) -> None:
-        self._unheeded = None
-        self._restart_told = False
+        self._mode_mismatch = None
+        self._restart_noted = False
         if up:
             self._firmware.opened(t)
             self._firmware_problem = "does not answer"
         else:
             self._firmware.closed(t)
             self._firmware_problem = "disconnected"
-        self._look(t)
+        self._check_safety(t)
 
     def _on_firmware(self, t: float, message: protocol.Message) -> None:
         for event in self._firmware.receive(t, message):
             match event:
                 case fw.Ready(welcome):
                     self._firmware_was_ready = True
-                    self._restart_told = False
+                    self._restart_noted = False
                     self._firmware_limit_kPa = welcome.setpoint_limit_kPa
                     ready = f"phloSAR ready ({welcome.firmware_build})"
-                    news = self._restarts.news(ready)
+                    news = self._restarts.say_once(ready)
                     self._notice(t, Severity.INFO if news else Severity.DEBUG, ready)
                 case fw.TelemetryReceived(telemetry):
                     self._actions.append(Measured(t, telemetry))
                     self._cv_kPa.append(telemetry.cv_kPa)
-                    self._note_heed(t, telemetry)
+                    self._note_mode(t, telemetry)
                     if telemetry.faults or min(self._cv_kPa) > self.config.limits.overpressure_kPa:
-                        self._look(t)
+                        self._check_safety(t)
                     self._estimate(t, telemetry)
                 case fw.ImplausibleTelemetry():
-                    self._look(t)
+                    self._check_safety(t)
                 case fw.FirmwareReset(reason):
                     self._restarted(t, reason)
                 case fw.Incompatible(reason):
@@ -271,11 +274,11 @@ class Core:
                     self._enter(t, Entered("refused_by_firmware", f"phloSAR refused: {said}", "vent"))
 
     def _restarted(self, t: float, reason: str) -> None:
-        if self._restart_told:
+        if self._restart_noted:
             return  # the new boot id of a restart that its clock has told
-        self._restart_told = True
+        self._restart_noted = True
         self._firmware_problem = "restarted"
-        self._unheeded = None
+        self._mode_mismatch = None
         first = self._restarts.note(t)
         why = f"phloSAR restarted: {reason}" if first else self._restarts.looping(t)
         self._enter(t, self._safety.latch(t, "firmware_reset", why))
@@ -296,43 +299,43 @@ class Core:
             if finding.level == "warn":
                 self._notice(t, Severity.WARNING, finding.sentence)
         if any(finding.level == "fault" for finding in found):
-            self._look(t)
+            self._check_safety(t)
 
     def _on_failed(self, failed: Failed) -> None:
         self._actions.append(InternalError(failed.t, failed.part, failed.trace))
         if failed.needed:
             self.internal_error = True
-            self._look(failed.t)
+            self._check_safety(failed.t)
         else:
             self._notice(failed.t, Severity.WARNING, f"{failed.part} failed, flight goes on")
 
-    def _note_heed(self, t: float, telemetry: protocol.Telemetry) -> None:
+    def _note_mode(self, t: float, telemetry: protocol.Telemetry) -> None:
         """Whether the board's mode follows what it is told. In a fault that it names it vents by itself."""
-        mode, told = telemetry.mode, self._told_mode
+        mode, told = telemetry.mode, self._commanded_mode
         vents = mode is protocol.Mode.FAULT and (told is protocol.Mode.VENT or telemetry.faults)
         if mode is told or vents:
-            self._unheeded = None
+            self._mode_mismatch = None
             return
         made_s = t - self._firmware.telemetry_age(t)
-        began = self._unheeded[1] if self._unheeded and self._unheeded[0] is told else made_s
-        self._unheeded = told, began, made_s
+        began = self._mode_mismatch[1] if self._mode_mismatch and self._mode_mismatch[0] is told else made_s
+        self._mode_mismatch = told, began, made_s
 
     @property
-    def _told_mode(self) -> protocol.Mode:
+    def _commanded_mode(self) -> protocol.Mode:
         return protocol.Mode.VENT if self._motion is None else protocol.Mode.REGULATE
 
     @property
-    def _unheeded_s(self) -> float:
-        if self._unheeded is None or self._unheeded[0] is not self._told_mode:
+    def _mode_mismatch_s(self) -> float:
+        if self._mode_mismatch is None or self._mode_mismatch[0] is not self._commanded_mode:
             return 0.0
-        return self._unheeded[2] - self._unheeded[1]
+        return self._mode_mismatch[2] - self._mode_mismatch[1]
 
     # Deciding.
 
-    def _asked(self, asked: Asked) -> Trigger:
+    def _trigger_of(self, asked: Asked) -> Trigger:
         """Of one who does not ask over MAVLink: how late it may be, and what may be asked for in what way."""
         t, by, intent = asked.t, asked.by, asked.intent
-        problem = "" if only_lets_out(self.config, intent) else self._may_not_ask(asked)
+        problem = "" if only_lets_out(self.config, intent) else self._request_problem(asked)
         seen_at = asked.seen_at
         if by == "calibration":
             seen_at = t
@@ -343,7 +346,7 @@ class Core:
             problem = problem or "it does not say which state was seen"
         return Trigger(t, by, {}, intent, problem, by_person=not problem, seen_at=seen_at)
 
-    def _may_not_ask(self, asked: Asked) -> str:
+    def _request_problem(self, asked: Asked) -> str:
         age_s = 0.0 if asked.made_at is None else asked.t - asked.made_at
         if age_s > ACTS_WITHIN_S:
             return f"too late: asked {age_s:.1f} s ago"
@@ -359,7 +362,7 @@ class Core:
 
     def _decide(self, t: float, trigger: Trigger) -> Decision:
         """Let safety look at a trigger, carry its intent out or say why not."""
-        now = self._look(t)
+        now = self._check_safety(t)
         intent = trigger.intent
         if trigger.by_person and self._on_bench:
             self._bench_until = t + BENCH_S
@@ -400,7 +403,7 @@ class Core:
     def _outdated(self, t: float, trigger: Trigger, intent: Intent) -> str:
         """Why it is too late for what was asked. To let air out it is so only behind something newer."""
         late = trigger.age_s > LATE_S
-        overtaken = self._asked_at > t - trigger.age_s + AT_ONCE_S
+        overtaken = self._requested_at > t - trigger.age_s + AT_ONCE_S
         if isinstance(intent, VENTING) or not (late or overtaken):
             return ""
         moves = isinstance(intent, MOVING) and not self._planner.problem(intent)
@@ -477,7 +480,7 @@ class Core:
     def _record(self, t: float, trigger: Trigger, ruling: Ruling) -> Decision:
         motion = self._motion
         if ruling.verdict != "refused":
-            self._asked_at = max(self._asked_at, t - trigger.age_s)
+            self._requested_at = max(self._requested_at, t - trigger.age_s)
         decision = Decision(
             t=t,
             trigger=trigger.kind,
@@ -546,39 +549,38 @@ class Core:
     # Watching.
 
     def _on_tick(self, t: float) -> None:
-        self._take(t, self._vehicle.tick(t))
+        self._handle_outputs(t, self._vehicle.tick(t))
         if self._vehicle.state.armed:
             self._leave_bench(t, "the vehicle is armed")
         elif t > self._bench_until:
             self._leave_bench(t, "nobody asked for anything")
-        self._look(t)
+        self._check_safety(t)
         if not self._stopped:
             self._drive(t)
         self._to_firmware(self._firmware.tick(t))
         if told := self._link_loss.back(t, self._safety.reasons):
             self._notice(t, Severity.NOTICE, told)
-        if told := self._restarts.due(t):
+        if told := self._restarts.tick(t):
             self._notice(t, Severity.WARNING, told)
+        self._update_cycles_left(t)
         self._warn_of_low_reservoir(t)
         self._report(t)
 
+    def _note_rc_use(self, t: float) -> None:
+        """Whether this flight is flown with RC: then its loss counts."""
+        armed = self._vehicle.state.armed
+        if self._vehicle.rc.problem(t) is None:
+            self._rc_in_use |= armed or self._on_bench or self.config.interlocks.bench_mode
+        elif not armed and self._motion is None:
+            self._rc_in_use = False
+
     def _conditions(self, t: float) -> Conditions:
         telemetry = self._firmware.telemetry
-        rc_problem = self._vehicle.rc.problem(t)
-        if rc_problem is None:
-            self._rc_in_use = (
-                self._rc_in_use
-                or self._vehicle.state.armed
-                or self._on_bench
-                or self.config.interlocks.bench_mode
-            )
-        elif not self._vehicle.state.armed and self._motion is None:
-            self._rc_in_use = False
         return Conditions(
             pneumatics_armed=self._pneumatics_armed,
             armed=self._vehicle.state.armed,
             altitude_m=self._vehicle.state.altitude_m(t),
-            rc_problem=rc_problem if self._rc_in_use else None,
+            rc_problem=self._vehicle.rc.problem(t) if self._rc_in_use else None,
             autopilot_age_s=self._vehicle.state.silence_s(t),
             heartbeat_missing=self._vehicle.state.heartbeat_missing,
             firmware_ready=self._firmware.state is fw.SessionState.READY,
@@ -589,7 +591,7 @@ class Core:
             sensor_problem=self._sensor_problem,
             cv_kPa=min(self._cv_kPa),
             reservoir_kPa=self._reservoir.reservoir_kPa,
-            unheeded_s=self._unheeded_s,
+            mode_mismatch_s=self._mode_mismatch_s,
             restarting=self._restarts.looping(t),
             bench=self._on_bench,
             moving=self._motion is not None,
@@ -604,10 +606,13 @@ class Core:
             return None
         field, value_kPa = self._firmware.implausible
         # A log keeps no infinity, and is to say the same when it is asked again.
-        return f"{_SAYS[field]} " + (f"{value_kPa:g} kPa" if math.isfinite(value_kPa) else "no number")
+        return f"{_SENSOR_TEXTS[field]} " + (
+            f"{value_kPa:g} kPa" if math.isfinite(value_kPa) else "no number"
+        )
 
-    def _look(self, t: float) -> Conditions:
-        """Let safety look, and do what it says; how things stand after that."""
+    def _check_safety(self, t: float) -> Conditions:
+        """Let safety check the conditions, and do what it says. Returns the conditions after that."""
+        self._note_rc_use(t)
         now = self._conditions(t)
         changes = self._safety.watch(t, now)
         for change in changes:
@@ -615,16 +620,19 @@ class Core:
                 self._enter(t, change)
             else:
                 self._leave(t, change)
-        return self._conditions(t) if changes else now
+        if changes:
+            self._note_rc_use(t)
+            now = self._conditions(t)
+        return now
 
     def _enter(self, t: float, change: Entered) -> None:
         # A vine that is being straightened is not kept bent.
         straightened = self._motion is None or self._motion.only_lets_out
         hold = change.response == "hold" and not straightened
         moved = self._motion is not None
-        done = "holding" if hold else _DONE.get(change.name, "vented")
+        done = "holding" if hold else _RESPONSE_TEXTS.get(change.name, "vented")
         told = self._link_loss.entered(t, change.name, change.reason, done) or ""
-        quiet = not self._news(t, change.name, told)
+        quiet = not self._say_once(t, change.name, told)
         mattered = moved or (self._vehicle.state.armed and not quiet)
         self._vehicle.pilot.overtaken()
         if hold:
@@ -639,11 +647,11 @@ class Core:
         if told:
             self._notice(t, Severity.DEBUG if quiet else Severity.WARNING, told, mattered)
 
-    def _news(self, t: float, name: str, text: str) -> bool:
-        """Whether a text is more than what each of the board's restarts brings."""
+    def _say_once(self, t: float, name: str, text: str) -> bool:
+        """Note a text. Returns whether the pilot should read it: not with each of a series of restarts."""
         if name == "firmware_reset":
             return not self._restarts.looping(t)
-        return name not in _OF_THE_BOARD or self._restarts.news(text)
+        return name not in _BOARD_FAULTS or self._restarts.say_once(text)
 
     def _leave(self, t: float, change: Left) -> None:
         if not self._link_loss.left(change.name):
@@ -657,22 +665,29 @@ class Core:
             "firmware_fault": "firmware fault cleared",
         }
         text = over.get(change.name, change.name)
-        news = self._news(t, change.name, text)
+        news = self._say_once(t, change.name, text)
         self._notice(t, Severity.NOTICE if news else Severity.DEBUG, text)
 
+    def _update_cycles_left(self, t: float) -> None:
+        """At every flown cycle, and every half second."""
+        reservoir, cycles = self._reservoir, self._cycles
+        flown = cycles is None or cycles.measured_cycles != reservoir.measured_cycles
+        if flown or abs(reservoir.read_at - self._cycles_at) >= CYCLES_EVERY_S:
+            self._cycles_at = reservoir.read_at
+            self._cycles = self._parts.run(t, "cycles left", reservoir.cycles_left, None)
+
     def _warn_of_low_reservoir(self, t: float) -> None:
-        # Only here is it made anew: that somebody looks must change nothing.
-        cycles = self._cycles = self._parts.run(t, "cycles left", self._reservoir.cycles_left, None)
+        cycles = self._cycles
         if cycles is None:
             return
         threshold = self.config.telemetry.low_reservoir_cycles
-        if cycles.expected < threshold and not self._low_told:
-            self._low_told = True
+        if cycles.expected < threshold and not self._low_warned:
+            self._low_warned = True
             pressure = self._reservoir.reservoir_kPa
             left = f"{cycles.expected:.0f} cycles left ({cycles.low:.0f}-{cycles.high:.0f})"
             self._notice(t, Severity.WARNING, f"bottle low, {pressure:.0f} kPa, {left}")
         elif cycles.expected > 1.5 * threshold + 1:
-            self._low_told = False
+            self._low_warned = False
 
     def _report(self, t: float) -> None:
         status = mavlink.MAV_STATE_ACTIVE if self._motion else mavlink.MAV_STATE_STANDBY
@@ -681,15 +696,14 @@ class Core:
         values: Mapping[str, float] = {}
         if self._vehicle.state.found:
             values = self._parts.run(t, "named values", lambda: self._named_values(t), values)
-        elif not self._may_speak_first(t):
-            return
+        else:
+            if self._silent_since is None:
+                self._silent_since = t
+            # Some peers send nothing before they have received something: a port that waits for its client.
+            if t - self._silent_since < SPEAK_FIRST_S:
+                return
         boot_ms = self._vehicle.state.time_boot_ms(t)
-        self._let_leave(self._vehicle.component.due(t, boot_ms, values, status))
-
-    def _may_speak_first(self, t: float) -> bool:
-        """Some peers send nothing before they have heard something (a port that waits for its client)."""
-        self._alone_since = t if self._alone_since is None else self._alone_since
-        return t - self._alone_since >= SPEAK_FIRST_S
+        self._transmit(self._vehicle.component.due(t, boot_ms, values, status))
 
     def _fresh_telemetry(self, t: float) -> protocol.Telemetry | None:
         """The latest telemetry, unless it is too old to be shown as the present."""
@@ -760,7 +774,7 @@ class Core:
         for message in messages:
             self._vehicle.component.send(message)
 
-    def _let_leave(self, messages: Sequence[Message]) -> None:
+    def _transmit(self, messages: Sequence[Message]) -> None:
         system_id = self._vehicle.state.system_id or self.config.vehicle.system_id or 1
         self._actions.extend(ToVehicle(message, system_id) for message in messages)
 
@@ -768,9 +782,9 @@ class Core:
         self._actions.extend(ToFirmware(message) for message in messages)
 
     def _notice(self, t: float, severity: Severity, text: str, of_decision: bool = False) -> None:
-        self._tell(Notice(t, severity, f"Vine: {text}", of_decision))
+        self._publish(Notice(t, severity, f"Vine: {text}", of_decision))
 
-    def _tell(self, notice: Notice) -> None:
+    def _publish(self, notice: Notice) -> None:
         self._actions.append(notice)
         if notice.severity is not Severity.DEBUG:
             self._vehicle.component.say(notice.t, notice.severity, notice.text)

@@ -17,7 +17,7 @@ from flying_vines.config.config import Config
 from flying_vines.supply import AirNeeded
 from flying_vines.vine.motion import Motion
 
-HEEDED_WITHIN_S = 0.3
+MODE_FOLLOWS_WITHIN_S = 0.3
 """A board's mode follows what it is told. Eleven commands in a row may be lost."""
 LANDING_MARGIN_M = 0.5
 """The altitude interlock lets go of a bent vine this much lower than it lets one bend."""
@@ -59,7 +59,7 @@ class Conditions:
     """What telemetry says that no sensor can."""
     cv_kPa: float = math.nan
     reservoir_kPa: float = math.nan
-    unheeded_s: float = 0.0
+    mode_mismatch_s: float = 0.0
     """For how long the board's mode has not been what it is told: to move the vine, or to vent."""
     restarting: str = ""
     """How often the board restarted lately, in words; empty where that is over, or was once."""
@@ -270,8 +270,8 @@ class Safety:
 
     def _regulates(self, now: Conditions) -> str | None:
         """Told to vent. There is no more to do than to say so again and again: no setpoint lives on."""
-        unheeded = not now.moving and now.unheeded_s > HEEDED_WITHIN_S
-        return "phloSAR goes on regulating" if unheeded else None
+        mismatch = not now.moving and now.mode_mismatch_s > MODE_FOLLOWS_WITHIN_S
+        return "phloSAR goes on regulating" if mismatch else None
 
     def _rc(self, now: Conditions) -> str | None:
         return f"RC lost: {now.rc_problem}" if now.rc_problem else None
@@ -304,7 +304,7 @@ class Safety:
 
     def _deaf(self, now: Conditions) -> str | None:
         """Where the wire to the board is broken at rest, no dead-man runs out, and its telemetry goes on."""
-        return "phloSAR does not hear us" if now.unheeded_s > HEEDED_WITHIN_S else None
+        return "phloSAR does not hear us" if now.mode_mismatch_s > MODE_FOLLOWS_WITHIN_S else None
 
     def _disarmed(self, now: Conditions) -> str | None:
         return "disarmed" if not now.armed and not self._on_bench(now) else None

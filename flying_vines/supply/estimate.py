@@ -63,7 +63,6 @@ MEMORY_CYCLES = 15.0
 PRIOR_CYCLES = 0.05
 """For how many flown ones the profile's own cycle counts."""
 KEPT_INFLATIONS = 10
-REFRESH_S = 0.5
 Z90 = 1.645
 
 
@@ -135,16 +134,15 @@ class ReservoirEstimate:
         self._belief = belief
         self._p = belief.pneumatics
         self._filtered_kPa: float | None = None
-        self._t = 0.0
+        self.read_at = 0.0
         self._flying = Flying(belief)
         self.bottle: Bottle | None = None
         self._demand = Demand(belief)
         self._mix = _Mix(belief)
         self._inflations: list[Inflation] = []
         self._warmed_up = belief.packed_kPa == 0.0
-        self._measured_cycles = 0.0
-        self._left: CyclesLeft | None = None
-        self._left_at = -math.inf
+        self.measured_cycles = 0.0
+        """Cycles flown so far that the cost was measured on."""
 
     @property
     def reservoir_kPa(self) -> float:
@@ -158,9 +156,9 @@ class ReservoirEstimate:
             reservoir_kPa = self._belief.reservoir_kPa(telemetry.reservoir_kPa)
             if self._filtered_kPa is None:
                 self._filtered_kPa = reservoir_kPa
-            weight = 1.0 - math.exp(-max(0.0, t - self._t) / FILTER_S)
+            weight = 1.0 - math.exp(-max(0.0, t - self.read_at) / FILTER_S)
             self._filtered_kPa += weight * (reservoir_kPa - self._filtered_kPa)
-            self._t = t
+            self.read_at = t
         if self._filtered_kPa is None or not math.isfinite(telemetry.cv_kPa):
             return
         flying = self._flying
@@ -181,11 +179,10 @@ class ReservoirEstimate:
             # A pouch that has lain flat since it was packed: no other cycle is like the first.
             self._warmed_up = True
             return
-        self._measured_cycles += inflation.swing_kPa / self._p.cycle_swing_kPa
+        self.measured_cycles += inflation.swing_kPa / self._p.cycle_swing_kPa
         self._mix.add(inflation, bottle.absolute_kPa)
         self._demand.learn(inflation, self._air_kPa(bottle.possible_mean(), inflation))
         self._inflations = [*self._inflations[1 - KEPT_INFLATIONS :], inflation]
-        self._left_at = -math.inf
 
     @staticmethod
     def _air_kPa(mean: Sequence[float], inflation: Inflation) -> float:
@@ -203,11 +200,8 @@ class ReservoirEstimate:
         )
 
     def cycles_left(self) -> CyclesLeft | None:
-        """None before the first reading. Made anew every half second, and with every cycle."""
-        if self.bottle is not None and abs(self._t - self._left_at) >= REFRESH_S:
-            self._left = self._predict(self.bottle)
-            self._left_at = self._t
-        return self._left
+        """None before the first reading."""
+        return None if self.bottle is None else self._predict(self.bottle)
 
     def _predict(self, bottle: Bottle) -> CyclesLeft:
         mean = bottle.possible_mean()
@@ -219,7 +213,7 @@ class ReservoirEstimate:
             expected=expected,
             low=expected / spread,
             high=min(expected * spread, max(expected, mean[X] / _least_cost_kPa(self._p))),
-            measured_cycles=self._measured_cycles,
+            measured_cycles=self.measured_cycles,
             cost_kPa=forecast.cost_kPa(),
             floor_kPa=floor.kPa,
         )

@@ -139,8 +139,8 @@ def test_whatever_raises_in_the_core_the_vine_is_vented_and_the_pilot_reads_it_o
         # Where the vent, the text, the heartbeat and the looking are made.
         ((HostSession, "command"), 0.5),
         ((HostSession, "tick"), 0.5),
-        ((Core, "_tell"), 0.5),
-        ((Core, "_look"), 0.5),
+        ((Core, "_publish"), 0.5),
+        ((Core, "_check_safety"), 0.5),
         ((Core, "handle"), 0.5),
         ((Component, "due"), 0.5),
         ((Safety, "watch"), 0.5),

@@ -100,7 +100,7 @@ class BottleSensor:
             self._cv_kPa = self._top_kPa = now.cv_kPa
         self._since_s += now.dt_s
         self._smooth_kPa += (bottle_kPa - self._smooth_kPa) * min(1.0, now.dt_s / BLOCK_S)
-        expected_kPa = self._rig.bottle_fall_kPa(self._rig.least_air_SL(self._rise_kPa(now)))
+        expected_kPa = self._rig.bottle_fall_kPa(self._rig.least_air_SL(self._follow_vine(now)))
         self._expected_kPa += expected_kPa
         self._unchanged_kPa = self._unchanged_kPa + expected_kPa if bottle_kPa == self._reading_kPa else 0.0
         self._reading_kPa = bottle_kPa
@@ -112,8 +112,8 @@ class BottleSensor:
             self._begin(self._smooth_kPa)
         return None
 
-    def _rise_kPa(self, now: Moment) -> float:
-        """Of the vine, since the moment before."""
+    def _follow_vine(self, now: Moment) -> float:
+        """Take in the vine's pressure; by how much it rose."""
         self._cv_kPa += (now.cv_kPa - self._cv_kPa) * min(1.0, now.dt_s / VINE_FILTER_S)
         rise_kPa = max(0.0, self._cv_kPa - self._top_kPa)
         self._top_kPa = self._cv_kPa if rise_kPa else min(self._top_kPa, self._cv_kPa + TURN_KPA)
