@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link.host import HostSession
 from firmware_link.protocol import Vent
-from flying_vines.core.contained import TOLD, Contained
+from flying_vines.core.contained import SHUTDOWN_TEXT, Contained
 from flying_vines.core.core import Core
 from flying_vines.core.events import (
     Action,
@@ -116,8 +116,8 @@ def fly(method: Method, after_s: float, seldom: int = 1) -> Broken:
         assert not broken.core.internal_error, method
         return broken
     assert broken.core.internal_error, method
-    assert broken.texts().count(TOLD) == 1, method
-    assert [a.text for a in broken.actions if isinstance(a, Notice)].count(TOLD) == 1, method
+    assert broken.texts().count(SHUTDOWN_TEXT) == 1, method
+    assert [a.text for a in broken.actions if isinstance(a, Notice)].count(SHUTDOWN_TEXT) == 1, method
     assert [a for a in broken.actions if isinstance(a, InternalError) and "BrokenError" in a.trace], method
     return broken
 

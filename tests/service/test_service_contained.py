@@ -16,7 +16,7 @@ from service_bench import Bench, on_bench
 
 from firmware_link import protocol
 from flying_vines.config import config
-from flying_vines.core.contained import TOLD
+from flying_vines.core.contained import SHUTDOWN_TEXT
 from flying_vines.core.events import Action, Decision, InternalError
 from flying_vines.core.watcher import EachAction
 from flying_vines.service.service import BARE_VENT, Service
@@ -42,7 +42,7 @@ class Serving:
     async def shut_down(self) -> None:
         """The vine is vented by a command, the ground station reads why, once, and nothing bends."""
         await until(self.bench.vented, "vented")
-        await until(lambda: self.bench.ground.texts.count(TOLD) == 1, "the ground station reads it")
+        await until(lambda: self.bench.ground.texts.count(SHUTDOWN_TEXT) == 1, "the ground station reads it")
         self.bench.ground.values.clear()
         for pulse in (1000, 2000):
             self.bench.autopilot.set_rc(9, pulse)
@@ -50,7 +50,7 @@ class Serving:
         answer = self.service.ask("page", BendTo(20.0))
         assert (answer.safety, self.bench.vented()) == ("refused", True)
         assert not self.bench.phlosar.firmware.faults  # the dead-man had nothing to do
-        assert self.bench.ground.texts.count(TOLD) == 1
+        assert self.bench.ground.texts.count(SHUTDOWN_TEXT) == 1
         assert [a for a in self.seen if isinstance(a, InternalError) and "unexpected" in a.trace]
 
 
@@ -151,7 +151,7 @@ async def test_absurd_telemetry_vents_and_the_service_lives(serving: Serving) ->
                 serving.service._firmware_bytes(protocol.encode(absurd, 0))
     await until(serving.bench.vented, "vented")
     await until(lambda: any("sensor reads" in text for text in serving.bench.ground.texts), "told")
-    assert TOLD not in serving.texts()
+    assert SHUTDOWN_TEXT not in serving.texts()
     assert [a for a in serving.seen if isinstance(a, Decision) and a.what == {"loss": "sensor"}]
 
 
