@@ -8,7 +8,6 @@ feed the same machine, so the same events always give the same decisions.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -41,7 +40,7 @@ from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.parts import Parts
 from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import INTERNAL_ERROR, Conditions, Entered, Left, Ruling, Safety
-from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate, nominal
+from flying_vines.supply import Belief, CyclesLeft, Features, ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.physics_checks import PhysicsChecks
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.parameters import Changed
@@ -130,8 +129,6 @@ class Core:
         self._link_loss = LinkLoss(self._vehicle)
         config = self.config
         self._bent_kPa = 0.0
-        self._cv_kPa = deque((math.nan,), maxlen=2)
-        """The last two readings: a single one that is too high may be a glitch."""
         self._planner = MotionPlanner(config)
         self._rc_in_use = False
         self._firmware = fw.HostSession(repeat_s=TICK_S)
@@ -140,6 +137,8 @@ class Core:
         self._firmware_problem = "not connected"
         self._safety = Safety(config)
         self._belief = belief or nominal(config.pneumatics)
+        self._reader = TelemetryReader(self._belief)
+        self._features: Features | None = None
         self._reservoir = ReservoirEstimate(self._belief)
         self._checks = PhysicsChecks(self._belief, config.checks)
         self._cycles: CyclesLeft | None = None
@@ -257,11 +256,11 @@ class Core:
                     self._notice(t, Severity.INFO if news else Severity.DEBUG, ready)
                 case fw.TelemetryReceived(telemetry):
                     self._actions.append(Measured(t, telemetry))
-                    self._cv_kPa.append(telemetry.cv_kPa)
+                    features = self._features = self._reader.read(t, telemetry)
                     self._note_mode(t, telemetry)
-                    if telemetry.faults or min(self._cv_kPa) > self.config.limits.overpressure_kPa:
+                    if telemetry.faults or features.cv_lower_kPa > self.config.limits.overpressure_kPa:
                         self._check_safety(t)
-                    self._estimate(t, telemetry)
+                    self._estimate(t, features)
                 case fw.ImplausibleTelemetry():
                     self._check_safety(t)
                 case fw.FirmwareReset(reason):
@@ -283,18 +282,16 @@ class Core:
         why = f"phloSAR restarted: {reason}" if first else self._restarts.looping(t)
         self._enter(t, self._safety.latch(t, "firmware_reset", why))
 
-    def _estimate(self, t: float, telemetry: protocol.Telemetry) -> None:
-        """What follows from telemetry, once safety has looked at it."""
-        run, bent_kPa = self._parts.run, self._planner.curve.bent_kPa
-        self._bent_kPa = run(
-            t, "bend", lambda: bent_kPa(telemetry.cv_kPa, self._bent_kPa), self._bent_kPa, needed=True
-        )
-        run(t, "bottle estimate", lambda: self._reservoir.update(t, telemetry), None, needed=True)
-        run(t, "physics checks", lambda: self._check(t, telemetry), None, needed=True)
+    def _estimate(self, t: float, features: Features) -> None:
+        """Update what is estimated, after safety has seen the telemetry."""
+        run, bent_kPa, cv_kPa = self._parts.run, self._planner.curve.bent_kPa, features.telemetry.cv_kPa
+        self._bent_kPa = run(t, "bend", lambda: bent_kPa(cv_kPa, self._bent_kPa), self._bent_kPa, needed=True)
+        run(t, "bottle estimate", lambda: self._reservoir.update(features), None, needed=True)
+        run(t, "physics checks", lambda: self._check(t, features), None, needed=True)
 
-    def _check(self, t: float, telemetry: protocol.Telemetry) -> None:
+    def _check(self, t: float, features: Features) -> None:
         """Whether the physics answers as predicted: what does not is a fault, or the pilot is told."""
-        found = self._checks.take(telemetry)
+        found = self._checks.take(features)
         for finding in found:
             if finding.level == "warn":
                 self._notice(t, Severity.WARNING, finding.sentence)
@@ -589,7 +586,7 @@ class Core:
             telemetry_age_s=self._firmware.telemetry_age(t),
             faults=telemetry.faults if telemetry else protocol.Fault.NONE,
             sensor_problem=self._sensor_problem,
-            cv_kPa=min(self._cv_kPa),
+            cv_kPa=self._features.cv_lower_kPa if self._features else math.nan,
             reservoir_kPa=self._reservoir.reservoir_kPa,
             mode_mismatch_s=self._mode_mismatch_s,
             restarting=self._restarts.looping(t),

@@ -17,10 +17,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from firmware_link.protocol import Fault, Telemetry
 from flying_vines.config.config import Pneumatics
 from flying_vines.physics.paper import STANDARD_TEMPERATURE_K
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
+from flying_vines.supply.features import Features
 from flying_vines.supply.flying import TRACE, Flying, Inflation
 from flying_vines.supply.formula import floor_kPa
 from flying_vines.supply.reservoir import (
@@ -38,7 +38,6 @@ from flying_vines.supply.reservoir import (
 )
 from flying_vines.supply.supply import Demand, least_supply_kPa
 
-FILTER_S = 0.3
 READING_SD_KPA = 1.3
 """Of one reading: sensor noise and a converter of 10 bits."""
 REGULATOR_SD = 0.07
@@ -133,7 +132,8 @@ class ReservoirEstimate:
     def __init__(self, belief: Belief) -> None:
         self._belief = belief
         self._p = belief.pneumatics
-        self._filtered_kPa: float | None = None
+        self.reservoir_kPa = math.nan
+        """What the smoothed reading means; NaN before the first."""
         self.read_at = 0.0
         self._flying = Flying(belief)
         self.bottle: Bottle | None = None
@@ -144,25 +144,16 @@ class ReservoirEstimate:
         self.measured_cycles = 0.0
         """Cycles flown so far that the cost was measured on."""
 
-    @property
-    def reservoir_kPa(self) -> float:
-        """What the filtered reading means; NaN before the first."""
-        return math.nan if self._filtered_kPa is None else self._filtered_kPa
-
-    def update(self, t: float, telemetry: Telemetry) -> None:
+    def update(self, features: Features) -> None:
         """Take in one telemetry message."""
-        reservoir_kPa: float | None = None
-        if math.isfinite(telemetry.reservoir_kPa) and not telemetry.faults & Fault.RESERVOIR_SENSOR:
-            reservoir_kPa = self._belief.reservoir_kPa(telemetry.reservoir_kPa)
-            if self._filtered_kPa is None:
-                self._filtered_kPa = reservoir_kPa
-            weight = 1.0 - math.exp(-max(0.0, t - self.read_at) / FILTER_S)
-            self._filtered_kPa += weight * (reservoir_kPa - self._filtered_kPa)
-            self.read_at = t
-        if self._filtered_kPa is None or not math.isfinite(telemetry.cv_kPa):
+        if features.reservoir_kPa is not None:
+            self.read_at = features.t
+        if features.reservoir_smooth_kPa is not None:
+            self.reservoir_kPa = features.reservoir_smooth_kPa
+        if not features.complete:
             return
         flying = self._flying
-        flying.take(t, telemetry, self._filtered_kPa, reservoir_kPa)
+        flying.take(features, self.reservoir_kPa)
         if flying.reading_kPa is not None and self.bottle is None:
             self.bottle = Bottle(self._belief, flying.reading_kPa)
         if self.bottle is None:

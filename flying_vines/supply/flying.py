@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from firmware_link.protocol import Mode, Telemetry
+from firmware_link.protocol import Telemetry
 from flying_vines.physics.plant.flow import Opening, choked_share
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
+from flying_vines.supply.features import Features
 from flying_vines.supply.reservoir import Spent
 
 BLOCK_S = 0.1
@@ -15,7 +16,6 @@ BLOCK_S = 0.1
 SETPOINT_TURN_KPA = 1.0
 CV_TURN_KPA = 1.5
 """A control volume that turns by less has not turned: its reading is noisy."""
-CV_FILTER_S = 0.02
 RESTED_S = 0.5
 """A control volume that has been vented for so long has come down: what it reads is its zero."""
 FLAT_KPA = 0.8
@@ -88,7 +88,7 @@ class Flying:
         """The mean over the block, if the bottle may be read."""
         self.readings = 0
         self.inflation: Inflation | None = None
-        self._t: float | None = None
+        self._begun = False
         self._setpoint = 0.0
         self._calm_s = 0.0
         self._cv = self._cv_low = self._cv_top = 0.0
@@ -103,27 +103,20 @@ class Flying:
         self._begin_block()
         self._begin_inflation()
 
-    def take(self, t: float, telemetry: Telemetry, supply_kPa: float, reservoir_kPa: float | None) -> None:
-        """One telemetry message.
-
-        Args:
-            t: when it came, s.
-            supply_kPa: the reservoir's gauge pressure, filtered.
-            reservoir_kPa: as this message has it; None if it is not to be believed.
-        """
+    def take(self, features: Features, supply_kPa: float) -> None:
+        """One telemetry message, with the reservoir's smoothed gauge pressure."""
         self.block = self.reading_kPa = self.inflation = None
-        if self._t is None:
-            self._t = t
-            self._cv = self._cv_low = telemetry.cv_kPa
-        dt = max(0.0, t - self._t)
-        self._t = t
+        telemetry, dt, self._cv = features.telemetry, features.dt_s, features.cv_smooth_kPa
+        if not self._begun:
+            self._begun = True
+            self._cv_low = telemetry.cv_kPa
         seen_s = dt
         if dt > LONGEST_GAP_S:
             self._unseen_s += dt
             seen_s = 0.0
         rise, flat = self._follow_cv(dt, telemetry)
         self._judge_calm(seen_s, telemetry)
-        self._follow_setpoint(t, seen_s, telemetry, supply_kPa)
+        self._follow_setpoint(features, seen_s, supply_kPa)
         venturi_s, held = telemetry.dvp_opening * seen_s, max(0.0, self._cv) * dt
         for sums in (self._block, self._cycle):
             sums[0] += dt
@@ -131,8 +124,8 @@ class Flying:
             sums[2] += flat
             sums[3] += venturi_s
             sums[4] += held
-        if reservoir_kPa is not None:
-            self._sum_kPa += reservoir_kPa
+        if features.reservoir_kPa is not None:
+            self._sum_kPa += features.reservoir_kPa
             self._count += 1
         if self._block[0] >= BLOCK_S - 1e-6:
             self._end_block()
@@ -168,7 +161,7 @@ class Flying:
 
     def _follow_cv(self, dt: float, telemetry: Telemetry) -> tuple[float, float]:
         """By how much the control volume rose, and whether that began from flat."""
-        cv = self._cv = self._cv + (telemetry.cv_kPa - self._cv) * dt / (CV_FILTER_S + dt)
+        cv = self._cv
         if telemetry.setpoint_kPa <= 0.0 and telemetry.solenoid and telemetry.dvp_opening == 0.0:
             self._rested_s += dt
             if self._rested_s > RESTED_S:
@@ -189,9 +182,9 @@ class Flying:
         self._cv_top = cv
         return cv - self._cv_low, 1.0 if self._cv_low < max(0.0, self._zero) + FLAT_KPA else 0.0
 
-    def _follow_setpoint(self, t: float, dt: float, telemetry: Telemetry, supply_kPa: float) -> None:
+    def _follow_setpoint(self, features: Features, dt: float, supply_kPa: float) -> None:
+        t, telemetry, regulating = features.t, features.telemetry, features.regulating
         setpoint = telemetry.setpoint_kPa
-        regulating = telemetry.mode is Mode.REGULATE
         if regulating and not self._regulating and not self._rising:
             # It begins with what is measured: up to there nobody asked for a rise.
             self._low, self._low_at = setpoint, t

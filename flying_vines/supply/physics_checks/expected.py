@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from flying_vines.config.config import Checks
 from flying_vines.physics.paper import ALPHA_KPA
 from flying_vines.physics.plant.flow import Opening
-from flying_vines.supply import Belief
+from flying_vines.supply import Belief, Features
 from flying_vines.supply.belief import AMBIENT_KPA, conductance_SL_per_s_kPa
 from flying_vines.supply.flying import driving_kPa
 
@@ -45,20 +45,21 @@ class Expected:
     zero_kPa: float
     """What a sound sensor may read of a vented vine."""
 
-    def least_inflow_SL_per_s(self, opening: float, bottle_kPa: float, cv_kPa: float) -> float:
-        """What goes into the vine for sure."""
-        effective = max(0.0, (opening - MOST_DEAD) / (1.0 - MOST_DEAD))
+    def least_inflow_SL(self, now: Features) -> float:
+        """What has gone into the vine for sure since the message before."""
+        effective = max(0.0, (now.least_evp - MOST_DEAD) / (1.0 - MOST_DEAD))
         if effective == 0.0:
             return 0.0
-        supply_kPa = AMBIENT_KPA + bottle_kPa - SUPPLY_ERROR_KPA
-        through = driving_kPa(self.evp_law, supply_kPa, AMBIENT_KPA + max(0.0, cv_kPa))
-        return LEAST_FLOW * effective * self.evp_law.conductance_SL_per_s_kPa * through
+        supply_kPa = AMBIENT_KPA + now.telemetry.reservoir_kPa - SUPPLY_ERROR_KPA
+        through = driving_kPa(self.evp_law, supply_kPa, AMBIENT_KPA + max(0.0, now.cv_median_kPa))
+        return now.device_dt_s * (LEAST_FLOW * effective * self.evp_law.conductance_SL_per_s_kPa * through)
 
-    def most_outflow_SL_per_s(self, evp: float, dvp: float, bottle_kPa: float) -> float:
-        """What the bottle loses at most for what the valves are told."""
-        supply_kPa = AMBIENT_KPA + bottle_kPa + SUPPLY_ERROR_KPA
-        inflation = self.evp_law.conductance_SL_per_s_kPa * _most_effective(evp)
-        return MOST_FLOW * supply_kPa * (inflation + self.dvp_SL_per_s_kPa * _most_effective(dvp))
+    def most_outflow_SL(self, now: Features) -> float:
+        """What the valves may have taken out of the bottle since the message before."""
+        supply_kPa = AMBIENT_KPA + now.telemetry.reservoir_kPa + SUPPLY_ERROR_KPA
+        inflation = self.evp_law.conductance_SL_per_s_kPa * _most_effective(now.most_evp)
+        venturi = self.dvp_SL_per_s_kPa * _most_effective(now.most_dvp)
+        return now.device_dt_s * (MOST_FLOW * supply_kPa * (inflation + venturi))
 
     def open_evp_SL_per_s(self, bottle_kPa: float) -> float:
         """Through the inflation valve, wide open, as rated."""

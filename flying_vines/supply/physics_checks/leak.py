@@ -7,8 +7,8 @@ The bottle tells: how much faster it falls while the vine is held than it did wh
 from __future__ import annotations
 
 from flying_vines.physics.paper import ALPHA_KPA
+from flying_vines.supply.features import Features
 from flying_vines.supply.physics_checks.expected import Expected
-from flying_vines.supply.physics_checks.moment import Moment
 
 SETTLED_S = 2.0
 SETTLED_S_PER_L = 2.0
@@ -61,10 +61,10 @@ class VineLeak:
         self._hold = _Slope(settled_s)
         self._said: str | None = None
 
-    def look(self, now: Moment) -> str | None:
+    def look(self, now: Features) -> str | None:
         """What is wrong, until a hold without it."""
-        self._rest.take(now.resting_s, now.dt_s, now.bottle_read_kPa)
-        complete = self._hold.take(now.holding_s, now.dt_s, now.bottle_read_kPa)
+        self._rest.take(now.resting_s, now.device_dt_s, now.telemetry.reservoir_kPa)
+        complete = self._hold.take(now.holding_s, now.device_dt_s, now.telemetry.reservoir_kPa)
         held, rested = self._hold.falls_kPa_per_s, self._rest.falls_kPa_per_s
         if complete and held is not None and rested is not None:
             leak_SL_per_s = (held - rested) * self._rig.bottle_L / ALPHA_KPA

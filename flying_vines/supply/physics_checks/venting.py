@@ -8,8 +8,8 @@ the Venturi takes its air as well.
 
 from __future__ import annotations
 
+from flying_vines.supply.features import VALVE_LAG_S, Features
 from flying_vines.supply.physics_checks.expected import Expected
-from flying_vines.supply.physics_checks.moment import VALVE_LAG_S, Moment
 
 DOWN_KPA = 3.0
 """Above the largest zero that a sound sensor has; nearer to ambient its zero is what is looked at."""
@@ -31,9 +31,9 @@ class Venting:
         self._venturi = False
         self._bottle_kPa = 0.0
 
-    def look(self, now: Moment) -> str | None:
+    def look(self, now: Features) -> str | None:
         """What is wrong, while it is."""
-        above_kPa = now.cv_kPa - self._rig.zero_kPa
+        above_kPa = now.cv_median_kPa - self._rig.zero_kPa
         if now.venting_s == 0.0 or above_kPa < DOWN_KPA:
             self._above_kPa = None
             return None
@@ -41,17 +41,18 @@ class Venting:
             self._above_kPa = above_kPa
             self._waited_s = 0.0
             self._venturi = False
-            self._bottle_kPa = now.bottle_read_kPa
-        self._waited_s += now.dt_s
+            self._bottle_kPa = now.telemetry.reservoir_kPa
+        self._waited_s += now.device_dt_s
         # What the inflation valve was told before still counts for a while.
-        self._venturi = self._venturi or (now.most_outflow_SL > 0.0 and now.venting_s > 2.0 * VALVE_LAG_S)
+        if now.venting_s > 2.0 * VALVE_LAG_S and self._rig.most_outflow_SL(now) > 0.0:
+            self._venturi = True
         return self._sentence(now) if self._waited_s > self._due_s else None
 
-    def _sentence(self, now: Moment) -> str:
+    def _sentence(self, now: Features) -> str:
         if self._venturi:
             return "not venting: outlet, line, valve or sensor"
-        open_valve_SL = self._waited_s * self._rig.open_evp_SL_per_s(now.bottle_read_kPa)
+        open_valve_SL = self._waited_s * self._rig.open_evp_SL_per_s(now.telemetry.reservoir_kPa)
         fall_kPa = self._rig.bottle_fall_kPa(open_valve_SL)
-        if self._bottle_kPa - now.bottle_read_kPa > fall_kPa / 3.0:
+        if self._bottle_kPa - now.telemetry.reservoir_kPa > fall_kPa / 3.0:
             return "not venting, valve stuck open: close the bottle"
         return "not venting: outlet, line or sensor"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 
+from flying_vines.supply.features import Features
 from flying_vines.supply.physics_checks.expected import Expected
-from flying_vines.supply.physics_checks.moment import Moment
 
 RESTED_S = 2.0
 """After the vine had all the time that it needs to come down."""
@@ -40,14 +40,14 @@ class Zero:
         self._sum_kPa_s = self._block_s = 0.0
         self._said: str | None = None
 
-    def look(self, now: Moment) -> str | None:
+    def look(self, now: Features) -> str | None:
         """What is wrong, while it is."""
         if now.resting_s < REFILLED_S:
             self._sum_kPa_s = self._block_s = 0.0
             self._said = None
             return None
-        self._sum_kPa_s += now.cv_kPa * now.dt_s
-        self._block_s += now.dt_s
+        self._sum_kPa_s += now.cv_median_kPa * now.device_dt_s
+        self._block_s += now.device_dt_s
         if self._block_s >= BLOCK_S:
             zero_kPa = self._sum_kPa_s / self._block_s
             self._sum_kPa_s = self._block_s = 0.0
@@ -72,20 +72,21 @@ class SuddenFall:
         self._setpoint_kPa = 0.0
         self._fell_kPa: float | None = None
 
-    def look(self, now: Moment) -> str | None:
+    def look(self, now: Features) -> str | None:
         """What is wrong; held until the vine is vented."""
-        self._t += now.dt_s
+        self._t += now.device_dt_s
         if now.resting_s > 0.0:
             self._fell_kPa = None
-        may_vent = now.setpoint_kPa < self._setpoint_kPa or now.cv_kPa > now.setpoint_kPa + TOLERATED_KPA
-        self._setpoint_kPa = now.setpoint_kPa
+        setpoint_kPa = now.telemetry.setpoint_kPa
+        may_vent = setpoint_kPa < self._setpoint_kPa or now.cv_median_kPa > setpoint_kPa + TOLERATED_KPA
+        self._setpoint_kPa = setpoint_kPa
         if now.sealed_s < SEALED_S or may_vent:
             self._lately.clear()
         else:
-            self._lately.append((self._t, now.cv_kPa))
+            self._lately.append((self._t, now.cv_median_kPa))
             while self._lately[0][0] < self._t - AT_ONCE_S:
                 self._lately.popleft()
-            fell_kPa = self._lately[0][1] - now.cv_kPa
+            fell_kPa = self._lately[0][1] - now.cv_median_kPa
             if fell_kPa > FELL_KPA:
                 self._fell_kPa = fell_kPa
         if self._fell_kPa is None:
@@ -101,17 +102,17 @@ class Unsteady:
         self._vine_kPa = self._bottle_kPa = 0.0
         self._seen_s = 0.0
 
-    def look(self, now: Moment) -> str | None:
+    def look(self, now: Features) -> str | None:
         """What is wrong, while it is."""
-        if max(now.resting_s, now.sealed_s) < SEALED_S or now.dt_s > NEIGHBOURS_S:
+        if max(now.resting_s, now.sealed_s) < SEALED_S or now.device_dt_s > NEIGHBOURS_S:
             self._before = None
             return self._sentence()
         if self._before is not None:
             vine_kPa, bottle_kPa = self._before
-            share = min(1.0, now.dt_s / UNSTEADY_S)
-            self._vine_kPa += share * (abs(now.cv_read_kPa - vine_kPa) - self._vine_kPa)
-            self._bottle_kPa += share * (abs(now.bottle_read_kPa - bottle_kPa) - self._bottle_kPa)
-        self._before = now.cv_read_kPa, now.bottle_read_kPa
+            share = min(1.0, now.device_dt_s / UNSTEADY_S)
+            self._vine_kPa += share * (abs(now.telemetry.cv_kPa - vine_kPa) - self._vine_kPa)
+            self._bottle_kPa += share * (abs(now.telemetry.reservoir_kPa - bottle_kPa) - self._bottle_kPa)
+        self._before = now.telemetry.cv_kPa, now.telemetry.reservoir_kPa
         return self._sentence()
 
     def _sentence(self) -> str | None:
