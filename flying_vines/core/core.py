@@ -1,4 +1,4 @@
-"""The one machine that decides: time-stamped events in, actions out. No clock, no port, no await.
+"""The machine that decides: time-stamped events in, actions out. No clock, no port, no await.
 
 One bend, from end to end: a MAVLink message -> vehicle state -> trigger -> intent -> safety -> motion ->
 setpoint -> firmware; and back: telemetry -> reservoir estimate -> named values. `run`, `replay` and `demo`
@@ -72,12 +72,13 @@ TICK_S = 0.02
 """How often `Tick` is due, and how far a setpoint looks ahead."""
 
 SPEAK_FIRST_S = 1.5
-"""How long we listen for an autopilot before we say anything ourselves."""
+"""How long we listen for an autopilot before we send anything."""
 
 CYCLES_EVERY_S = 0.5
+"""How often the cycles left are predicted anew."""
 
 BENCH_S = 300.0
-"""So long after the last that was asked for, whoever tried the vine on the ground has gone."""
+"""Bench mode ends so long after the last request."""
 
 AT_ONCE_S = 0.05
 """Requests within this time of each other count as simultaneous."""
@@ -88,14 +89,14 @@ _BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
 """Triggers that come from neither another person nor the mission."""
 
 PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
-"""What the page may ask for in flight too, besides letting air out."""
+"""The page may request these in flight too, besides letting air out."""
 
 _SENSOR_TEXTS = {
     "cv_kPa": "vine sensor reads",
     "reservoir_kPa": "bottle sensor reads",
     "setpoint_kPa": "phloSAR holds",
 }
-"""Of telemetry's fields, for what no sensor can say."""
+"""By field of telemetry, for a value that no sensor can have."""
 
 _RESPONSE_TEXTS = {
     "serial": "its dead-man vents",
@@ -103,18 +104,19 @@ _RESPONSE_TEXTS = {
     "venting": "outlet told open",
     "regulates": "told to vent",
 }
-"""Where nobody can know that the vine is vented, the pilot is told no more than was done about it."""
+"""What was done, where it is not known that the vine is vented."""
+
 _BOARD_FAULTS = ("serial", "telemetry", "firmware_fault", "refused_by_firmware")
-"""What a restart of the board brings with it."""
+"""A restart of the board causes these too."""
 
 
 class Core:
     """One vine on one vehicle. `handle` takes every event, in time order, and returns what to do, in order.
 
-    `mission` is the vehicle's mission where it is known beforehand; otherwise it is read from the autopilot.
-    `belief` is what is known of the rig, where that is more than the configuration's numbers. `parameters`
-    are those that a pilot has set and that were kept. `disarmed` pneumatics were so when the last core ended:
-    they stay so, whatever the profile says, until a person arms them.
+    `mission` is the vehicle's mission if it is known beforehand; otherwise it is read from the autopilot.
+    `belief` is what is known of the rig, if that is more than the configuration's numbers. `parameters` are
+    the stored ones that a pilot has set. `disarmed`: the pneumatics were disarmed when the last core ended.
+    They stay disarmed until a person arms them.
     """
 
     def __init__(
@@ -147,19 +149,19 @@ class Core:
         self._silent_since: float | None = None
         self._motion: Motion | None = None
         self._triggered_at = 0.0
-        """When a person or the mission last asked for what the vine does now."""
+        """When a person or the mission last requested the present motion."""
         self._pneumatics_armed = config.interlocks.armed_at_start and not disarmed
         self._bench_until = -math.inf
         self._requested_at = -math.inf
         self._mode_mismatch: tuple[protocol.Mode, float, float] | None = None
-        """What the board is told and its mode is not, since when and until when, by its own clock."""
+        """The commanded mode that the board is not in, since when and until when, by the board's clock."""
         self._restarts = Restarts()
         self._restart_noted = False
-        """And the board has not been ready since."""
+        """The restart is handled, and the board has not been ready since."""
         self._stopped = False
         self._parts = Parts(self._on_failed)
         self.internal_error = False
-        """Something that the vine needs has failed: it stays vented until a person restarts the service."""
+        """A part that the vine needs has failed: it stays vented until a person restarts the service."""
         self._actions: list[Action] = []
 
     @property
@@ -172,7 +174,7 @@ class Core:
         return min(self.config.limits.max_kPa, self._firmware_limit_kPa)
 
     def handle(self, event: Event) -> list[Action]:
-        """What is to be done about `event`."""
+        """The actions that follow from `event`."""
         self._actions = []
         match event:
             case VehicleMessage():  # most events are; a pattern that names its fields takes twice as long
@@ -200,11 +202,11 @@ class Core:
 
     @property
     def decided(self) -> list[Action]:
-        """The answer to the latest event, as far as it came."""
+        """The actions of the latest event, as far as it was handled."""
         return self._actions
 
     def report(self, t: float) -> list[Action]:
-        """Heartbeat, texts and named values that are due, and nothing else of a tick."""
+        """The part of a tick that sends what is due: heartbeat, texts and named values."""
         self._actions = []
         self._report(t)
         return self._actions
@@ -274,7 +276,7 @@ class Core:
 
     def _restarted(self, t: float, reason: str) -> None:
         if self._restart_noted:
-            return  # the new boot id of a restart that its clock has told
+            return  # the new boot id of a restart that its clock has already shown
         self._restart_noted = True
         self._firmware_problem = "restarted"
         self._mode_mismatch = None
@@ -290,7 +292,7 @@ class Core:
         run(t, "physics checks", lambda: self._check(t, features), None, needed=True)
 
     def _check(self, t: float, features: Features) -> None:
-        """Whether the physics answers as predicted: what does not is a fault, or the pilot is told."""
+        """Compare the physics with the prediction: a deviation is a fault or a warning."""
         found = self._checks.take(features)
         for finding in found:
             if finding.level == "warn":
@@ -307,15 +309,17 @@ class Core:
             self._notice(failed.t, Severity.WARNING, f"{failed.part} failed, flight goes on")
 
     def _note_mode(self, t: float, telemetry: protocol.Telemetry) -> None:
-        """Whether the board's mode follows what it is told. In a fault that it names it vents by itself."""
-        mode, told = telemetry.mode, self._commanded_mode
-        vents = mode is protocol.Mode.FAULT and (told is protocol.Mode.VENT or telemetry.faults)
-        if mode is told or vents:
+        """Compare the board's mode with the command. In a fault that it reports, it vents by itself."""
+        mode, commanded = telemetry.mode, self._commanded_mode
+        vents = mode is protocol.Mode.FAULT and (commanded is protocol.Mode.VENT or telemetry.faults)
+        if mode is commanded or vents:
             self._mode_mismatch = None
             return
         made_s = t - self._firmware.telemetry_age(t)
-        began = self._mode_mismatch[1] if self._mode_mismatch and self._mode_mismatch[0] is told else made_s
-        self._mode_mismatch = told, began, made_s
+        began = (
+            self._mode_mismatch[1] if self._mode_mismatch and self._mode_mismatch[0] is commanded else made_s
+        )
+        self._mode_mismatch = commanded, began, made_s
 
     @property
     def _commanded_mode(self) -> protocol.Mode:
@@ -330,14 +334,14 @@ class Core:
     # Deciding.
 
     def _trigger_of(self, asked: Asked) -> Trigger:
-        """Of one who does not ask over MAVLink: how late it may be, and what may be asked for in what way."""
+        """The trigger of a request that did not come over MAVLink, with the reason if it is refused."""
         t, by, intent = asked.t, asked.by, asked.intent
         problem = "" if only_lets_out(self.config, intent) else self._request_problem(asked)
         seen_at = asked.seen_at
         if by == "calibration":
             seen_at = t
         elif seen_at is None or seen_at > t:
-            # Of the time before the computer was started: it has seen nothing of this run.
+            # From before the computer was started: the person has seen nothing of this run.
             seen_at = -math.inf
         if isinstance(intent, ClearFaults) and seen_at == -math.inf:
             problem = problem or "it does not say which state was seen"
@@ -358,7 +362,7 @@ class Core:
         return ""
 
     def _decide(self, t: float, trigger: Trigger) -> Decision:
-        """Let safety look at a trigger, carry its intent out or say why not."""
+        """Let safety judge a trigger. Carry out its intent, or say why not."""
         now = self._check_safety(t)
         intent = trigger.intent
         if trigger.by_person and self._on_bench:
@@ -398,7 +402,7 @@ class Core:
         return self._record(t, trigger, ruling)
 
     def _outdated(self, t: float, trigger: Trigger, intent: Intent) -> str:
-        """Why it is too late for what was asked. To let air out it is so only behind something newer."""
+        """Why a request is too late. One that lets air out is too late only after a newer request."""
         late = trigger.age_s > LATE_S
         overtaken = self._requested_at > t - trigger.age_s + AT_ONCE_S
         if isinstance(intent, VENTING) or not (late or overtaken):
@@ -413,7 +417,7 @@ class Core:
         self._safety.triggered()
 
     def _without_air(self, t: float, intent: Intent, trigger: Trigger) -> Ruling | None:
-        """Carry out what takes no air, or say why not; None for what does take some."""
+        """Carry out an intent that takes no air, or say why not; None for one that takes air."""
         match intent:
             case ClearFaults() | ArmPneumatics() | StartBench() if not trigger.by_person:
                 return Ruling("refused", "only a person may do that")
@@ -446,7 +450,7 @@ class Core:
         return None
 
     def _plan(self, t: float, intent: Intent, rate_scale: float = 1.0) -> Motion:
-        """From where the vine is wanted now."""
+        """The motion from the present setpoint."""
         start_kPa, limit_kPa = self._setpoint_kPa(t), self._firmware_limit_kPa
         return self._planner.plan(intent, start_kPa, self._bent_kPa, limit_kPa, rate_scale, started_at=t)
 
@@ -455,13 +459,13 @@ class Core:
             return Ruling("refused", "the vine is vented")
         if self._safety.reasons:
             return Ruling("refused", "; ".join(self._safety.reasons.values()))
-        # Whoever holds wants the vine as it is from now on.
+        # A hold is a request of its own: the time limit starts again.
         self._note_trigger(t)
         self._freeze(t)
         return Ruling("accepted")
 
     def _freeze(self, t: float) -> None:
-        """Stay where the vine is. `limits.max_bent_s` runs on: a loss that holds is nobody's wish."""
+        """Stay at the present setpoint. `limits.max_bent_s` runs on: a loss that holds is no request."""
         self._motion = replace(self._plan(t, SetPressure(self._setpoint_kPa(t))), name="hold")
         self._drive(t)
 
@@ -502,14 +506,14 @@ class Core:
     # Moving.
 
     def _setpoint_kPa(self, t: float) -> float:
-        """Where the vine is wanted, or where it is while nothing wants it anywhere."""
+        """The present setpoint; the measured pressure if there is none."""
         if self._motion is not None:
             return self._motion.setpoint_kPa(t)
         telemetry = self._firmware.telemetry
         return min(max(0.0, telemetry.cv_kPa), self._max_kPa) if telemetry else 0.0
 
     def _drive(self, t: float) -> None:
-        """Tell the firmware what holds until the next tick."""
+        """Send the firmware the command that holds until the next tick."""
         motion = self._motion
         if motion is not None and motion.is_over(t) and motion.final_kPa <= 0.0 and self._near_zero():
             self._motion = None
@@ -537,7 +541,7 @@ class Core:
         return self._bench_until > -math.inf
 
     def _leave_bench(self, t: float, why: str) -> None:
-        """What bends there by nobody's right but the bench's is straightened."""
+        """Vent what only bench mode allowed to bend."""
         if self._on_bench:
             self._bench_until = -math.inf
             self._stop_moving(t)
@@ -564,7 +568,7 @@ class Core:
         self._report(t)
 
     def _note_rc_use(self, t: float) -> None:
-        """Whether this flight is flown with RC: then its loss counts."""
+        """Note whether RC is in use: only then its loss counts."""
         armed = self._vehicle.state.armed
         if self._vehicle.rc.problem(t) is None:
             self._rc_in_use |= armed or self._on_bench or self.config.interlocks.bench_mode
@@ -602,7 +606,7 @@ class Core:
         if self._firmware.implausible is None:
             return None
         field, value_kPa = self._firmware.implausible
-        # A log keeps no infinity, and is to say the same when it is asked again.
+        # A log cannot hold infinity, and the flight replayed must give the same text.
         return f"{_SENSOR_TEXTS[field]} " + (
             f"{value_kPa:g} kPa" if math.isfinite(value_kPa) else "no number"
         )
@@ -623,7 +627,7 @@ class Core:
         return now
 
     def _enter(self, t: float, change: Entered) -> None:
-        # A vine that is being straightened is not kept bent.
+        # A vine that is being straightened is not held.
         straightened = self._motion is None or self._motion.only_lets_out
         hold = change.response == "hold" and not straightened
         moved = self._motion is not None
@@ -703,7 +707,7 @@ class Core:
         self._transmit(self._vehicle.component.due(t, boot_ms, values, status))
 
     def _fresh_telemetry(self, t: float) -> protocol.Telemetry | None:
-        """The latest telemetry, unless it is too old to be shown as the present."""
+        """The latest telemetry, unless it is too old to be shown."""
         fresh = self._firmware.telemetry_age(t) <= self.config.losses.telemetry_s
         return self._firmware.telemetry if fresh else None
 
@@ -724,7 +728,7 @@ class Core:
         return self._motion.setpoint_kPa(t) if self._motion else 0.0
 
     def snapshot(self, t: float) -> Snapshot:
-        """What a display shows at time `t`."""
+        """The state at time `t`, for displays and logs."""
         telemetry = self._fresh_telemetry(t)
         vehicle = (
             f"{self._vehicle.state.kind} {self._vehicle.state.system_id}"

@@ -1,4 +1,4 @@
-"""How much air is left and how many cycles it buys, learned from use.
+"""How much air is left and for how many cycles it lasts, learned from use.
 
 A cycle takes A + B x kPa of the bottle at pressure x: air for the inflation whatever the pressure; leak over
 the time that a cycle takes at the present rhythm, and Venturi, as x goes. From here down to where the bottle
@@ -48,7 +48,7 @@ UNFLOWN_SD = 0.1
 COUNT_SD = 0.4
 """In cycles: it ends within one."""
 FEWEST = 1e-3
-"""So that there is always a logarithm."""
+"""Keeps the logarithm finite."""
 FLAT_KEPT = 0.5
 """Below the pressure at which the Venturi is left off nothing makes a pouch flat again. But what an inflation
 from flat takes more than its rise may as well be a compliance: all or nothing, nobody knows."""
@@ -58,16 +58,16 @@ VENTURI_TREND = 0.3
 VENTURI_TREND_SD = 0.35
 """How the Venturi's time grows as its supply falls: 0 not at all, 1 so that it always takes the same air."""
 MEMORY_CYCLES = 15.0
-"""Over which what is flown is averaged."""
+"""Averaging length for what is flown."""
 PRIOR_CYCLES = 0.05
-"""For how many flown ones the profile's own cycle counts."""
+"""The profile's own cycle counts for so many flown ones."""
 KEPT_INFLATIONS = 10
 Z90 = 1.645
 
 
 @dataclass(frozen=True, slots=True)
 class CyclesLeft:
-    """A prediction with its 90 % interval, and what it rests on."""
+    """A prediction with its 90 % interval, and its basis."""
 
     expected: float
     low: float
@@ -75,9 +75,9 @@ class CyclesLeft:
     measured_cycles: float
     """Cycles flown so far that the cost was measured on."""
     cost_kPa: float
-    """What one cycle takes from the reservoir now, expected."""
+    """What one cycle is expected to take from the reservoir now."""
     floor_kPa: float
-    """Below this gauge pressure of the reservoir the flying is no longer kept up, expected."""
+    """The gauge pressure of the reservoir below which it is expected that cycles are no longer completed."""
 
 
 class AirNeeded(NamedTuple):
@@ -90,7 +90,7 @@ class AirNeeded(NamedTuple):
 
 
 class _Mix:
-    """What is flown, per cycle: sums that slowly forget."""
+    """What is flown, per cycle: sums in which older cycles count less."""
 
     def __init__(self, belief: Belief) -> None:
         p = belief.pneumatics
@@ -112,7 +112,7 @@ class _Mix:
 
     @property
     def believed_share(self) -> float:
-        """Of what is only believed, and not flown."""
+        """The share that is believed, not flown."""
         return self._believed_cycles / self.cycles
 
     def per_cycle(self) -> Spent:
@@ -127,7 +127,7 @@ class _Mix:
 
 
 class ReservoirEstimate:
-    """Watches telemetry and learns what a cycle costs, what leaks, and where it ends."""
+    """Learns from telemetry what a cycle costs, what leaks, and where the cycles end."""
 
     def __init__(self, belief: Belief) -> None:
         self._belief = belief

@@ -1,4 +1,4 @@
-"""What telemetry says of the flying: what cost air, when the bottle may be read, each inflation."""
+"""From telemetry to what was flown: what cost air, when the reservoir may be read, each inflation."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ BLOCK_S = 0.1
 """What a reading of the bottle is averaged over."""
 SETPOINT_TURN_KPA = 1.0
 CV_TURN_KPA = 1.5
-"""A control volume that turns by less has not turned: its reading is noisy."""
+"""A smaller change is noise, not a turn."""
 RESTED_S = 0.5
-"""A control volume that has been vented for so long has come down: what it reads is its zero."""
+"""A control volume that has been vented for so long is at ambient: its reading is the sensor's zero."""
 FLAT_KPA = 0.8
 """So near to its zero a pouch may be flat."""
 NEAR_KPA = 1.0
@@ -26,12 +26,12 @@ CALM_S = 0.1
 SHORTEST_S = 0.01
 """Of an inflation; a clock that steps back would make it none."""
 LONGEST_GAP_S = 0.5
-"""Longer without telemetry, and nobody knows what the valves did."""
+"""After a longer gap in telemetry it is not known what the valves did."""
 WIDE_OPEN = 0.95
 TRACE = 24
 """Setpoints that are kept of an inflation."""
 LONGEST_TRACE = 20_000
-"""Some minutes; a longer one is a hold."""
+"""Some minutes; a longer rise is a hold."""
 
 
 def tolerance_kPa(swing_kPa: float) -> float:
@@ -50,7 +50,7 @@ def driving_kPa(law: Opening, supply_kPa_abs: float, downstream_kPa_abs: float) 
 
 @dataclass(frozen=True, slots=True)
 class Inflation:
-    """One rise of the setpoint, and all that went on until the next one began. Gauge kPa."""
+    """One rise of the setpoint, and everything until the next one began. Gauge kPa."""
 
     low_kPa: float
     top_kPa: float
@@ -71,7 +71,7 @@ class Inflation:
         return self.top_kPa - self.low_kPa
 
     def as_hard_as(self, other: Inflation) -> bool:
-        """As far at least, and in no more time, but for a twentieth."""
+        """At least as far, and in no more time, within a twentieth."""
         return self.swing_kPa > 0.95 * other.swing_kPa and self.given_s < 1.05 * other.given_s
 
 
@@ -146,7 +146,7 @@ class Flying:
         self._all_calm = True
 
     def _judge_calm(self, dt: float, telemetry: Telemetry) -> None:
-        """Calm: no air is under way that has been counted already, or will be."""
+        """Calm: no air is on its way that is already counted, or will be."""
         setpoint = telemetry.setpoint_kPa
         busy = (
             telemetry.dvp_opening > 0.0
@@ -160,7 +160,7 @@ class Flying:
             self._all_calm = False
 
     def _follow_cv(self, dt: float, telemetry: Telemetry) -> tuple[float, float]:
-        """By how much the control volume rose, and whether that began from flat."""
+        """By how much the control volume rose, and 1 if that began from flat."""
         cv = self._cv
         if telemetry.setpoint_kPa <= 0.0 and telemetry.solenoid and telemetry.dvp_opening == 0.0:
             self._rested_s += dt
@@ -186,7 +186,7 @@ class Flying:
         t, telemetry, regulating = features.t, features.telemetry, features.regulating
         setpoint = telemetry.setpoint_kPa
         if regulating and not self._regulating and not self._rising:
-            # It begins with what is measured: up to there nobody asked for a rise.
+            # Regulation begins at the measured pressure: up to there no rise was requested.
             self._low, self._low_at = setpoint, t
         self._regulating = regulating
         if not self._rising:

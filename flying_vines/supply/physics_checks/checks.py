@@ -17,15 +17,15 @@ from flying_vines.supply.physics_checks.venting import Venting
 from flying_vines.supply.physics_checks.vine_sensor import SuddenFall, Unsteady, Zero
 
 BRIDGING = ("filling",)
-"""What counts only air that has gone in for sure goes on over a gap. Where a fifth of telemetry of 10 Hz is
-lost, everything else is watched anew twice a second."""
+"""These checks count only air that has gone in for sure, so they continue over a gap. If a fifth of 10 Hz
+telemetry is lost, all others start again twice a second."""
 
 Level = Literal["fault", "warn"]
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something is physically wrong, from now on."""
+    """Something is physically wrong from now on."""
 
     name: str
     """As in `[checks]`."""
@@ -64,7 +64,7 @@ class PhysicsChecks:
         self.restart()
 
     def restart(self) -> None:
-        """Watch anew: nobody knows what happened meanwhile."""
+        """Start again: what happened meanwhile is not known."""
         self._checks = {name: made_of(self._rig) for name, made_of in CHECKS.items()}
         self.present = {}
 
@@ -92,5 +92,5 @@ class PhysicsChecks:
 
     @property
     def faults(self) -> dict[str, str]:
-        """Of what is wrong just now, what the vine must not move with: name and sentence."""
+        """The present findings with which the vine must not move: name and sentence."""
         return {name: found.sentence for name, found in self.present.items() if found.level == "fault"}

@@ -1,7 +1,7 @@
-"""What a rig does at least, and at most: the believed numbers, and how far a healthy rig may be from them.
+"""What a rig does at least and at most: the believed numbers, and how far a healthy rig may be from them.
 
-Nothing here is a best guess. A check that takes the bound on the lenient side is silent on every rig within
-the bounds, and what they are wide for is told at each of them.
+These are bounds, not best guesses. A check that uses the lenient bound stays silent on every rig within the
+bounds. The reason for its width stands beside each bound.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from flying_vines.supply.flying import driving_kPa
 LEAST_FLOW, MOST_FLOW = 0.7, 1.4
 """Of what the valve's rating says."""
 LEAST_DEAD, MOST_DEAD = 0.15, 0.5
-"""Up to where a proportional valve stays shut, its play included."""
+"""Opening up to which a proportional valve stays shut, its play included."""
 SUPPLY_ERROR_KPA = 25.0
 """Of the bottle's sensor: its whole error band."""
 SOFTNESS = 4.0
 """How much more air a soft vine takes for a rise than a rigid one of its size."""
 LEAST_RISE = 0.65
-"""How much less a warm one takes: gas that is compressed quickly has not cooled yet."""
+"""How much less a warm vine takes: gas that was compressed quickly has not cooled yet."""
 ADIABATIC = 1.4
-"""How much more a bottle falls at once than it has fallen when it is warm again."""
+"""How much further a bottle's pressure falls at once than after it has warmed again."""
 SLOWEST_OUTLET_KPA_S_PER_SL = 120.0
 """From the vine to the outside through solenoid and Venturi; a small solenoid has 70."""
 
@@ -43,7 +43,7 @@ class Expected:
     """As rated."""
     dvp_SL_per_s_kPa: float
     zero_kPa: float
-    """What a sound sensor may read of a vented vine."""
+    """What a sound sensor may read on a vented vine."""
 
     def least_inflow_SL(self, now: Features) -> float:
         """What has gone into the vine for sure since the message before."""
@@ -70,16 +70,16 @@ class Expected:
         return air_SL * ALPHA_KPA / self.bottle_L
 
     def most_air_SL(self, rise_kPa: float) -> float:
-        """That any vine takes for a rise, once it is full."""
+        """The most that a full vine takes for a rise."""
         return SOFTNESS * self.vine_most_L * rise_kPa / ALPHA_KPA
 
     def least_air_SL(self, rise_kPa: float) -> float:
-        """That a vine takes for a rise."""
+        """The least that a vine takes for a rise."""
         return LEAST_RISE * self.vine_least_L * rise_kPa / ALPHA_KPA
 
     @property
     def slowest_vent_s(self) -> float:
-        """In which a vine falls to 1/e, at the slowest."""
+        """The longest time in which a vine falls to 1/e."""
         return SOFTNESS * self.vine_most_L * SLOWEST_OUTLET_KPA_S_PER_SL / ALPHA_KPA
 
 
@@ -88,7 +88,7 @@ def _most_effective(opening: float) -> float:
 
 
 def expected(belief: Belief, checks: Checks) -> Expected:
-    """What is expected of a rig that is believed to be so."""
+    """The bounds for a believed rig."""
     p = belief.pneumatics
     return Expected(
         vine_least_L=p.cv_volume_L / checks.volume_factor,

@@ -1,8 +1,7 @@
-"""Is the vine filling while it is told to?
+"""Does the vine fill while the inflation valve is commanded open?
 
-As with a heater that must gain a few degrees in some time: while the inflation valve is told to be open and
-the vine is behind its setpoint, the reading must gain `GAIN_KPA` before more air has gone in than any vine
-takes for it. Air is what is counted and not time, so a weak bottle or a valve that is just open has longer.
+While the vine is below its setpoint, the reading must gain `GAIN_KPA` before more air has gone in than any
+vine takes for that. Air is counted, not time: a weak bottle or a valve that is just open has longer.
 """
 
 from __future__ import annotations
@@ -12,30 +11,30 @@ from flying_vines.supply.physics_checks.expected import Expected
 
 GAIN_KPA = 2.0
 BEHIND_KPA = 1.5
-"""Nearer to its setpoint nobody asks the vine to rise."""
+"""Nearer to its setpoint the vine need not rise."""
 LINE_KPA = 4.0
 """What the flow in the tube adds to the reading at its near end."""
 LET_OUT = 0.1
 TELLING_KPA = 4.0
 """How far the bottle should have fallen, for its reading to tell where the air went."""
 OUTLET_LAG_S = 0.15
-"""For so long after it is told to shut an outlet may still have let the air out."""
+"""An outlet may let air out for so long after the command to shut."""
 STUCK_S = 0.2
 """A sensor whose every reading is the same for so long, while air goes in …"""
 STILL_S = 0.4
-"""… or while the inflation valve is told open, and perhaps nothing flows: only noise can then tell."""
+"""… or while the valve is commanded open and perhaps nothing flows: then only noise can show it."""
 STUCK_READINGS = 10
 """Two or three readings of a sound sensor are often the same, and at 10 Hz that is 0.2 s."""
 
 
 class Filling:
-    """Air that went in since the reading last rose."""
+    """Counts the air that went in since the reading last rose."""
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig
         self._flat_kPa = rig.zero_kPa + LINE_KPA
         self._full = False
-        """The vine has had pressure, and has not been let out since: it is no flat pouch."""
+        """The vine had pressure and was not vented since: it is no flat pouch."""
         self._begin(0.0, 0.0)
 
     def _begin(self, cv_kPa: float, bottle_kPa: float) -> None:
@@ -71,9 +70,12 @@ class Filling:
 
 
 class StuckVineSensor:
-    """A reading that does not change in its last digit while air goes in: even a pouch that unfolds at no
-    pressure moves it by the flow in the tube, and every converter has some noise. Near its setpoint the
-    regulator opens the valve by little, and by more and more while nothing seems to come of it."""
+    """Finds a reading that does not change in its last digit while air goes in.
+
+    Even a pouch that unfolds at no pressure changes the reading, by the flow in the tube, and every
+    converter has some noise. Near its setpoint the regulator opens the valve a little, and further while
+    nothing changes.
+    """
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig

@@ -15,7 +15,7 @@ SURE_KPA = 2.0
 """Beyond the noise of two blocks, of which none is above the mean difference of two readings."""
 NOISE_S = 1.0
 SHARE_OF_EVP = 1.0 / 3.0
-"""Of the wide open inflation valve's flow: what gets lost beside what is told is not just a leak."""
+"""Of the wide open inflation valve's flow: a greater loss is more than a leak."""
 HOT = 1.06
 """Of the full bottle's pressure; a sound sensor's error band ends below it."""
 HIGH_S = 1.0
@@ -24,14 +24,14 @@ STUCK_KPA = 1.5
 BLIND_KPA = 15.0
 """… and while it has fallen by less than a fifth of that."""
 TURN_KPA = 2.0
-"""A noisy reading that falls by less has not turned."""
+"""A smaller fall is noise, not a turn."""
 VINE_FILTER_S = 0.1
 FORGETS_S = 120.0
 """Warming by the sun may hide a fall that is slower."""
 
 
 class Loss:
-    """Air that leaves the bottle though no valve is told to let it."""
+    """Finds air that leaves the bottle though no valve is commanded open."""
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig
@@ -77,7 +77,7 @@ class Loss:
 
 
 class BottleSensor:
-    """A reading that stays while the vine's rises must have cost air."""
+    """Finds a reading that stays while the vine's rises must have cost air."""
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig
@@ -121,7 +121,7 @@ class BottleSensor:
 
 
 class Hot:
-    """More pressure than a full bottle has: the sun, or whoever filled it."""
+    """Finds more pressure than a full bottle has: it is hot, or overfilled."""
 
     def __init__(self, rig: Expected) -> None:
         self._most_kPa = HOT * rig.full_kPa

@@ -1,9 +1,8 @@
-"""Does the vine lose its pressure while its outlet is told to be open?
+"""Does the vine lose its pressure while its outlet is commanded open?
 
-It must lose a quarter of what it has above ambient in the time that the largest, softest vine takes for it
-behind the narrowest outlet, twice over; and again, until it is down. A vine that does not is behind an outlet
-that stays shut, or an inflation valve that stays open: then the bottle falls meanwhile, which shows unless
-the Venturi takes its air as well.
+It must lose a quarter of its gauge pressure within twice the time that the largest, softest vine takes behind
+the narrowest outlet, and again until it is down. If it does not, the outlet stays shut or the inflation valve
+stays open. An open valve lets the bottle's pressure fall; this does not show while the Venturi takes air too.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ LN_4_3 = 0.288
 
 
 class Venting:
-    """How long ago the vine last lost a quarter."""
+    """Times how long ago the vine last lost a quarter."""
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig
@@ -43,7 +42,7 @@ class Venting:
             self._venturi = False
             self._bottle_kPa = now.telemetry.reservoir_kPa
         self._waited_s += now.device_dt_s
-        # What the inflation valve was told before still counts for a while.
+        # An earlier command to the inflation valve still counts for a while.
         if now.venting_s > 2.0 * VALVE_LAG_S and self._rig.most_outflow_SL(now) > 0.0:
             self._venturi = True
         return self._sentence(now) if self._waited_s > self._due_s else None

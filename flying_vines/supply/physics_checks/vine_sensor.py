@@ -1,4 +1,4 @@
-"""Is what the vine's sensor reads possible at all?"""
+"""Are the readings of the vine's sensor possible?"""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ RESTED_S = 2.0
 REFILLED_S = 0.7
 """Until ambient air is where the Venturi has sucked."""
 BLOCK_S = 0.5
-"""What readings are averaged over."""
+"""Readings are averaged over this time."""
 SEALED_S = 0.15
 FELL_KPA = 5.0
 TOLERATED_KPA = 0.3
@@ -28,9 +28,9 @@ BOTTLE_UNSTEADY_KPA = 9.0
 
 
 class Zero:
-    """What a vine reads that has been vented for long is the sensor's zero.
+    """Checks the sensor's zero: the reading of a vine that has been vented for long.
 
-    One that reads too little is the danger, for it gets more pressure than anybody asked for; and it shows
+    A sensor that reads too little is dangerous, because the vine gets more pressure than requested. It shows
     soon, because nothing sucks on a vented vine.
     """
 
@@ -59,8 +59,9 @@ class Zero:
 
 
 class SuddenFall:
-    """A vine behind shut valves that loses its pressure from one reading to the next: burst, or off its
-    hose, or a sensor that jumps, which would have it filled beyond its limit.
+    """Finds a vine behind shut valves that loses its pressure from one reading to the next.
+
+    It burst, its hose came off, or its sensor jumps, which would fill the vine beyond its limit.
 
     Above its setpoint, or on the way down, the regulator may have let air out too briefly for telemetry to
     show, and a small vine falls far meanwhile.
@@ -95,7 +96,7 @@ class SuddenFall:
 
 
 class Unsteady:
-    """Readings that differ from each other by more than noise while nothing moves: a loose contact."""
+    """Finds readings that differ by more than noise while nothing moves: a loose contact."""
 
     def __init__(self) -> None:
         self._before: tuple[float, float] | None = None
