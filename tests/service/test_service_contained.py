@@ -131,10 +131,10 @@ async def test_a_task_that_fails_behind_the_flight_is_told_and_begins_anew(
     service = serving.service
     monkeypatch.setattr("flying_vines.service.RESTART_S", 0.1)
     written = asyncio.Event()
-    service._keep("whatever", raising)
+    service._store("whatever", raising)
     await until(lambda: "Vine: keeping files failed, flight goes on" in serving.texts(), "told")
     await asyncio.sleep(0.2)
-    service._keep("whatever", written.set)
+    service._store("whatever", written.set)
     await until(written.is_set, "kept by the task that began anew")
     assert serving.bench.bent()
 
