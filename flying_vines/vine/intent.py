@@ -1,4 +1,4 @@
-"""What the pilot or the mission wants, before safety has looked."""
+"""What the pilot or the mission requests, before safety judges it."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Command = Literal[
     "start_bench",
     "stop_bench",
 ]
-"""What a person who does not ask over MAVLink calls an intent."""
+"""The name of an intent in requests that do not come over MAVLink."""
 
 Asker = Literal["page", "broker", "calibration"]
-"""By what way a person asks who does not ask over MAVLink."""
+"""Where a request that does not come over MAVLink comes from."""
 
 ACTS_WITHIN_S = 1.0
-"""A request of page or broker that is older only lets air out: that is never late."""
+"""An older request of page or broker may only let air out, which is never too late."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class SetPressure:
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """Stay where the vine is."""
+    """Stay at the present pressure."""
 
     def __str__(self) -> str:
         return "hold"
@@ -74,7 +74,7 @@ class Vent:
 
 @dataclass(frozen=True, slots=True)
 class ClearFaults:
-    """A person says that latched faults have been seen to."""
+    """A person clears latched faults."""
 
     def __str__(self) -> str:
         return "clear faults"
@@ -82,7 +82,7 @@ class ClearFaults:
 
 @dataclass(frozen=True, slots=True)
 class ArmPneumatics:
-    """A person says that the vine may bend."""
+    """A person allows the vine to bend."""
 
     def __str__(self) -> str:
         return "arm the pneumatics"
@@ -90,7 +90,7 @@ class ArmPneumatics:
 
 @dataclass(frozen=True, slots=True)
 class DisarmPneumatics:
-    """Let the air out, and bend for nobody until a person arms."""
+    """Let the air out, and do not bend until a person arms."""
 
     def __str__(self) -> str:
         return "disarm the pneumatics"
@@ -98,7 +98,7 @@ class DisarmPneumatics:
 
 @dataclass(frozen=True, slots=True)
 class StartBench:
-    """Let the vine be tried on the ground, without an armed vehicle."""
+    """Allow the vine to bend on the ground, without an armed vehicle."""
 
     def __str__(self) -> str:
         return "bench mode"
@@ -106,7 +106,7 @@ class StartBench:
 
 @dataclass(frozen=True, slots=True)
 class StopBench:
-    """No longer on the bench."""
+    """End bench mode and vent."""
 
     def __str__(self) -> str:
         return "leave bench mode"

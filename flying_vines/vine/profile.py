@@ -11,7 +11,7 @@ from flying_vines.vine.curve import BendCurve
 DEEPEST_NESTING = 8
 MOST_PIECES = 10_000
 LARGEST = 1e6
-"""Of every duration and count: beyond it the arithmetic over time would lose its precision."""
+"""Of every duration and count; above it the arithmetic over time loses precision."""
 
 
 class _Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
