@@ -15,7 +15,7 @@ from flying_vines.calibration.calibrator import BY, LATE_S, Ask, Calibrator, Out
 from flying_vines.calibration.plan import Plan
 from flying_vines.core.core import TICK_S
 from flying_vines.core.events import Decision, Measured, Snapshot
-from flying_vines.core.motion_planner import Mover
+from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.physics.plant.causes import Setup
 from flying_vines.physics.plant.plant import State, at_rest
 from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
@@ -36,7 +36,7 @@ class CompiledWorld:
         self._rig = rig
         self._seed = seed
         self._step_ms = step_ms
-        self._mover = Mover(plan.config)
+        self._planner = MotionPlanner(plan.config)
         self._state: State = at_rest(rig.plant, fill_kPa)
         self._reservoir_true_kPa = fill_kPa
         self._motion: Motion | None = None
@@ -53,7 +53,7 @@ class CompiledWorld:
         self._carry_out(self.calibrator.begin(self.now))
         while self.calibrator.ended is None:
             motion = self._motion
-            left_s = motion.trajectory.duration_s - (self.now - motion.started_at) if motion else 0.0
+            left_s = motion.duration_s - (self.now - motion.started_at) if motion else 0.0
             self._live(max(1.0, left_s + LATE_S + 2.0 * LOOKS_S))
         return self.calibrator
 
@@ -99,8 +99,7 @@ class CompiledWorld:
         self.asked.append(intent)
         if isinstance(intent, StartProfile | SetPressure):
             start_kPa = self._motion.setpoint_kPa(self.now) if self._motion else 0.0
-            move = self._mover.move(intent, start_kPa, 0.0)
-            self._motion = Motion(move.trajectory, self.now, move.rate_kPa_per_s, str(intent))
+            self._motion = self._planner.plan(intent, start_kPa, 0.0, started_at=self.now)
         else:
             self._motion = None
         decision = Decision(self.now, BY, {}, str(intent), "accepted", "", 0.0)

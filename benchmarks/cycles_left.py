@@ -31,7 +31,7 @@ from cycles_left_rigs import draw
 from rich.console import Console
 from rich.table import Table
 
-from flying_vines.supply import ReservoirEstimate, n_cycles, nominal
+from flying_vines.supply import ReservoirEstimate, TelemetryReader, n_cycles, nominal
 
 T = TypeVar("T")
 MOMENTS = ("after 5 cycles", "after 15 cycles", "half way")
@@ -59,11 +59,11 @@ def judge(seed: int) -> Outcome | None:
     flight = fly(case)
     if flight is None or flight.total_cycles < FEWEST_CYCLES:
         return None
-    estimate = ReservoirEstimate(nominal(case.believed))
+    reader, estimate = TelemetryReader(nominal(case.believed)), ReservoirEstimate(nominal(case.believed))
     guesses: list[Guess] = []
     moments = [began(flight, cycles) for cycles in (5.0, 15.0, 0.5 * flight.total_cycles)]
     for t, telemetry in told(flight.telemetry):
-        estimate.update(t, telemetry)
+        estimate.update(reader.read(t, telemetry))
         # More than one when half way comes early.
         for index in moments[len(guesses) :]:
             if t < flight.begins_s[index]:

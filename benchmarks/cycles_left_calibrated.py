@@ -29,7 +29,7 @@ from flying_vines.physics.plant.true_rig import TrueRig, load_true_rig, true_rig
 from flying_vines.physics.rig import ControlVolume, Dvp, Evp, Reservoir, Rig, Solenoid
 from flying_vines.simulation.phlosar.regulator import RegulatorSettings
 from flying_vines.simulation.scenario import parse_scenario, simulate_scenario, write_case
-from flying_vines.supply import ReservoirEstimate, n_cycles
+from flying_vines.supply import ReservoirEstimate, TelemetryReader, n_cycles
 from flying_vines.supply.known_rig import TOP_SHARE, believed
 
 Causes = Mapping[str, Mapping[str, float]]
@@ -189,12 +189,13 @@ def judge(seed: int) -> Outcome | None:
         return None
     extended, named = diagnosed(rigged)
     beliefs = [believed(rigged.flight.believed, rig) for rig in (TrueRig(rigged.believed), extended)]
+    readers = [TelemetryReader(belief) for belief in beliefs]
     estimates = [ReservoirEstimate(belief) for belief in beliefs]
     guesses: tuple[list[Guess], list[Guess]] = ([], [])
     moments = [began(flight, cycles) for cycles in MOMENTS.values()]
     for t, telemetry in told(flight.telemetry):
-        for estimate in estimates:
-            estimate.update(t, telemetry)
+        for reader, estimate in zip(readers, estimates, strict=True):
+            estimate.update(reader.read(t, telemetry))
         if t < flight.begins_s[moments[len(guesses[0])]]:
             continue
         truth = flight.total_cycles - float(flight.cycles[moments[len(guesses[0])]])

@@ -47,7 +47,6 @@ SCRIPT_MESSAGE, ACTUATOR = 217, 187
 ALTITUDE = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 COMMAND = mavlink.MAVLINK_MSG_ID_COMMAND_LONG
 STEP_S = 0.01
-LONGEST_CALIBRATION_S = 60.0
 WRITTEN_EVERY_S = 0.5
 RESTING_KPA = 0.5
 DEBOUNCED_S = 0.5
@@ -454,12 +453,6 @@ class RefereedFlight:
         self._command(mavlink.MAV_CMD_USER_5, 1)
         if self._station_is_heard:
             self.referee.person_clears(self.now_s + self._stalled_s + COMMANDED_S)
-
-    def calibrate(self) -> None:
-        self._disturb()
-        self._command(mavlink.MAV_CMD_USER_5, 2)
-        self._asked_by_station("calibration", bends=True)
-        self.referee.any_target(self.now_s + LONGEST_CALIBRATION_S)
 
     def _command(self, command: int, *params: float) -> None:
         seven = (*params, *(0.0,) * (7 - len(params)))

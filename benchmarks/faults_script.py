@@ -253,7 +253,6 @@ _RARELY = {
     "vent": 5,
     "clear_faults": 5,
     "hold": 3,
-    "calibrate": 2,
     "disarm_pneumatics": 1,
     "arm_pneumatics": 2,
     "take_off": 2,
@@ -264,7 +263,7 @@ _RARELY = {
 
 
 def _bends(act: Act) -> bool:
-    return act.verb in ("move_switch", "press", "bend_to", "calibrate") and act.args[:1] != (0,)
+    return act.verb in ("move_switch", "press", "bend_to") and act.args[:1] != (0,)
 
 
 def _when(random: Random, bends_s: list[float], lasts_s: float) -> float:

@@ -26,7 +26,7 @@ from physics_checks_rigs import drawn, telemetry_of
 from rich.console import Console
 
 from flying_vines.config.config import Checks
-from flying_vines.supply import nominal
+from flying_vines.supply import TelemetryReader, nominal
 from flying_vines.supply.physics_checks import CHECKS, PhysicsChecks
 
 T = TypeVar("T")
@@ -49,12 +49,14 @@ class Healthy:
 def judge(seed: int) -> Healthy:
     """One healthy rig."""
     case = drawn(seed)
-    checks = PhysicsChecks(nominal(case.believed), CHECKS_CONFIG)
+    belief = nominal(case.believed)
+    reader, checks = TelemetryReader(belief), PhysicsChecks(belief, CHECKS_CONFIG)
     found: list[str] = []
     at_ms = 0
     for telemetry in telemetry_of(case, HEALTHY_S):
         at_ms = telemetry.device_time_ms
-        found += [f"{f.name} after {at_ms / 1000:.2f} s: {f.sentence}" for f in checks.take(telemetry)]
+        begun = checks.take(reader.read(at_ms / 1000.0, telemetry))
+        found += [f"{f.name} after {at_ms / 1000:.2f} s: {f.sentence}" for f in begun]
     return Healthy(seed, at_ms / 1000.0, tuple(found))
 
 

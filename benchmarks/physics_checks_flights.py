@@ -30,7 +30,7 @@ from flying_vines.simulation.phlosar.mishaps import (
     StuckAt,
 )
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.supply import nominal
+from flying_vines.supply import Features, TelemetryReader, nominal
 from flying_vines.supply.physics_checks import PhysicsChecks
 
 LIMITS = Limits()
@@ -101,6 +101,7 @@ def fly(name: str, seed: int) -> Noticed:
     begins_s = RESTS_S + dice.uniform(0.0, 8.0)
     fill_kPa = max(200.0, case.fill_kPa)
     phlosar = SimulatedPhlosar(true_rig(case), reservoir_kPa=fill_kPa, seed=seed)
+    reader = TelemetryReader(nominal(case.believed))
     checks = PhysicsChecks(nominal(case.believed), Checks())
     codec = protocol.Codec()
     phlosar.receive(codec.encode(Hello(PROTOCOL_VERSION, 1)))
@@ -110,7 +111,6 @@ def fly(name: str, seed: int) -> Noticed:
     peak_kPa, by, noticed_s = 0.0, "", 0.0
     tick = 0
     began = False
-    cv_before_kPa = 0.0
     while phlosar.now_s < (noticed_s + 1.0 if by else begins_s + watched_s):
         tick += 1
         now_s = tick * HOST_TICK_S
@@ -119,10 +119,7 @@ def fly(name: str, seed: int) -> Noticed:
             phlosar.befall(*MISHAPS[name])
         for message in codec.decode(phlosar.advance(now_s)):
             if isinstance(message, Telemetry):
-                # As the service does: one reading that is too high may be a glitch.
-                lower_kPa = min(cv_before_kPa, message.cv_kPa)
-                cv_before_kPa = message.cv_kPa
-                first = by or _first(message, lower_kPa, checks, began)
+                first = by or _first(reader.read(now_s, message), checks, began)
                 if first and not by:
                     by, noticed_s = first, now_s
         if began:
@@ -141,13 +138,13 @@ def fly(name: str, seed: int) -> Noticed:
     return Noticed(by, max(0.0, noticed_s - begins_s), peak_kPa)
 
 
-def _first(telemetry: Telemetry, cv_kPa: float, checks: PhysicsChecks, began: bool) -> str:
+def _first(features: Features, checks: PhysicsChecks, began: bool) -> str:
     """What notices something wrong now."""
-    found = checks.take(telemetry)
+    found, telemetry = checks.take(features), features.telemetry
     if telemetry.faults:
         return f"firmware: {telemetry.faults.name}"
     if found:
         return found[0].name
-    if cv_kPa > LIMITS.overpressure_kPa:
+    if features.cv_lower_kPa > LIMITS.overpressure_kPa:
         return "service: over-pressure"
     return "service: bottle low" if began and telemetry.reservoir_kPa < RESERVE_KPA else ""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from flying_vines.config.config import Config
-from flying_vines.core.motion_planner import Move, Mover
+from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.safety import Conditions, Ruling, Safety
 from flying_vines.physics.paper import STANDARD_TEMPERATURE_K
 from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate
@@ -21,6 +21,7 @@ from flying_vines.supply.flying import BLOCK_S, FLAT_KPA
 from flying_vines.supply.reservoir import GAS, Bottle, Spent, X
 from flying_vines.vehicle.triggers import Rules
 from flying_vines.vine.intent import Intent
+from flying_vines.vine.motion import Motion
 from missions.timeline import ENDS, Step, Timeline
 
 WATCHED_S = 60.0
@@ -47,7 +48,7 @@ class Bend:
     """What safety makes of it with the bottle as expected; refused too where no intent can be made of it."""
     doubt: str
     """Why it would be refused with the bottle at the low end of its interval; empty if it would not."""
-    move: Move | None
+    motion: Motion | None
     ends_s: float
     """When the vine has come to rest, or the next one begins, or the landing vents it."""
     bent_s: float
@@ -120,11 +121,10 @@ class _Walk:
         self._belief = belief
         self._rules = Rules(config)
         self._safety = Safety(config)
-        self._mover = Mover(config)
+        self._planner = MotionPlanner(config)
         self._air = _Air(belief, reservoir_kPa)
         self._t_s = 0.0
-        self._move: Move | None = None
-        self._began_s = 0.0
+        self._motion: Motion | None = None
         self._bent_kPa = 0.0
         self._low_at_s: float | None = None
 
@@ -145,7 +145,7 @@ class _Walk:
                 bends[held] = replace(bends[held], low_at_s=self._low_at_s)
                 self._low_at_s = None
                 self._vent()
-        bent = self._move is not None and self._move.stays_bent
+        bent = self._motion is not None and self._motion.stays_bent
         self._vent()
         self._pass(self._plan.length_s)
         return Budget(
@@ -164,24 +164,24 @@ class _Walk:
     def _bend(self, step: Step, until_s: float) -> Bend:
         intent, problem = self._rules.for_command(step.item.command, step.item.params)
         if intent is not None and not problem:
-            problem = self._mover.problem(intent)
+            problem = self._planner.problem(intent)
         before = self._air.range_kPa()
         if intent is None or problem:
             refused = Ruling("refused", problem)
             cycles = self._air.estimate().cycles_left()
             return Bend(step, intent, refused, "", None, step.t_s, 0.0, before, before, 0.0, cycles)
-        move = self._planned(intent)
-        ruling = self._judge(move, step.height_m, before.expected)
+        motion = self._planned(intent)
+        ruling = self._judge(motion, step.height_m, before.expected)
         doubt = ""
         if ruling.verdict != "refused":
-            worst = self._judge(move, step.height_m, before.low)
+            worst = self._judge(motion, step.height_m, before.low)
             doubt = worst.reason if worst.verdict == "refused" else ""
             if ruling.rate_scale < 1.0:
-                move = self._planned(intent, ruling.rate_scale)
-            self._move, self._began_s, self._bent_kPa = move, step.t_s, move.bent_kPa
-        length_s = move.trajectory.duration_s if ruling.verdict != "refused" else 0.0
+                motion = self._planned(intent, ruling.rate_scale)
+            self._motion, self._bent_kPa = replace(motion, started_at=step.t_s), motion.bent_kPa
+        length_s = motion.duration_s if ruling.verdict != "refused" else 0.0
         ends_s = min(step.t_s + length_s, max(until_s, step.t_s))
-        bent_s = max(0.0, until_s - step.t_s) if move.stays_bent else ends_s - step.t_s
+        bent_s = max(0.0, until_s - step.t_s) if motion.stays_bent else ends_s - step.t_s
         self._pass(ends_s)
         after = self._air.range_kPa()
         return Bend(
@@ -189,7 +189,7 @@ class _Walk:
             intent,
             ruling,
             doubt,
-            move,
+            motion,
             ends_s,
             bent_s if ruling.verdict != "refused" else 0.0,
             before,
@@ -198,12 +198,12 @@ class _Walk:
             self._air.estimate().cycles_left(),
         )
 
-    def _planned(self, intent: Intent, rate_scale: float = 1.0) -> Move:
+    def _planned(self, intent: Intent, rate_scale: float = 1.0) -> Motion:
         start_kPa = self._pressure_kPa()
-        return self._mover.move(intent, start_kPa, self._bent_kPa, rate_scale=rate_scale)
+        return self._planner.plan(intent, start_kPa, self._bent_kPa, rate_scale=rate_scale)
 
-    def _judge(self, move: Move, height_m: float, reservoir_kPa: float) -> Ruling:
-        demand = move.demand(self._air.estimate(), self._belief)
+    def _judge(self, motion: Motion, height_m: float, reservoir_kPa: float) -> Ruling:
+        air = self._air.estimate().air_needed(motion.rise_kPa, motion.rate_kPa_per_s)
         now = Conditions(
             armed=True,
             altitude_m=height_m,
@@ -212,19 +212,17 @@ class _Walk:
             telemetry_age_s=0.0,
             reservoir_kPa=reservoir_kPa,
         )
-        return self._safety.judge(demand, now)
+        return self._safety.judge(motion, air, now)
 
     def _pressure_kPa(self, t_s: float | None = None) -> float:
         """Of the vine, as its setpoint is."""
-        if self._move is None:
-            return 0.0
-        return self._move.trajectory.pressure_kPa((self._t_s if t_s is None else t_s) - self._began_s)
+        return 0.0 if self._motion is None else self._motion.setpoint_kPa(self._t_s if t_s is None else t_s)
 
     def _vent(self) -> None:
         pressure = self._pressure_kPa()
         if pressure > 0.0:
             self._air.spend(Spent(0.0, 0.0, 0.0, self._venturi_s(pressure), 0.0))
-        self._move = None
+        self._motion = None
         self._bent_kPa = 0.0
 
     def _venturi_s(self, fall_kPa: float) -> float:
@@ -242,7 +240,7 @@ class _Walk:
     def _spent(self, to_s: float) -> Iterator[Spent]:
         """What goes on until then, in pieces: short ones while the vine moves, as the estimate takes them."""
         while self._t_s < to_s - 1e-9:
-            moves = self._move is not None and self._t_s < self._began_s + self._move.trajectory.duration_s
+            moves = self._motion is not None and self._t_s < self._motion.started_at + self._motion.duration_s
             time_s = min(to_s - self._t_s, BLOCK_S if moves else STILL_S)
             was = self._pressure_kPa()
             self._t_s += time_s

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from flying_vines.config.config import Config
 from flying_vines.config.toml_text import Key, dotted, place
-from flying_vines.core.motion_planner import Mover
+from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, Kind
@@ -77,7 +77,7 @@ class _Builder:
         self._kind: Kind = kind
         self._source = source
         self._text = text
-        self._mover = Mover(config)
+        self._planner = MotionPlanner(config)
         self._pressure_kPa = self._bent_kPa = 0.0
 
     def add(
@@ -97,15 +97,15 @@ class _Builder:
             if item is None:
                 continue
             self.items.append(replace(item, seq=len(self.items)))
-            move = self._mover.move(intent, self._pressure_kPa, self._bent_kPa)
-            self._pressure_kPa, self._bent_kPa = move.trajectory.final_kPa, move.bent_kPa
-            rest_s = (math.ceil(move.trajectory.duration_s / REST_S) + 1) * REST_S
+            motion = self._planner.plan(intent, self._pressure_kPa, self._bent_kPa)
+            self._pressure_kPa, self._bent_kPa = motion.final_kPa, motion.bent_kPa
+            rest_s = (math.ceil(motion.duration_s / REST_S) + 1) * REST_S
             hold_s = rest_s if action.hold_s is None else action.hold_s
             if hold_s > 0.0:
                 self.add(DELAY, (hold_s, -1, -1, -1, 0, 0, 0), MISSION_FRAME)
 
     def _carrier(self, intent: Intent, key: Key) -> MissionItem | None:
-        problem = self._mover.problem(intent)
+        problem = self._planner.problem(intent)
         if problem:
             self._complain(key, f"{problem}; {BEND_LESS}" if isinstance(intent, BendTo) else problem)
             return None

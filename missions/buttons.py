@@ -22,9 +22,7 @@ from flying_vines.vine.intent import (
     DisarmPneumatics,
     Hold,
     Intent,
-    StartCalibration,
     StartProfile,
-    StopCalibration,
     Vent,
 )
 
@@ -40,8 +38,6 @@ _WORDS: dict[Intent, tuple[str, str]] = {
     ClearFaults(): ("Vine clear faults", "Forget faults whose cause is gone"),
     DisarmPneumatics(): ("Vine disarm pneumatics", "Let the air out and bend for nobody"),
     ArmPneumatics(): ("Vine arm pneumatics", "Allow the vine to bend"),
-    StartCalibration(): ("Vine start calibration", "Go through the pressures, step by step"),
-    StopCalibration(): ("Vine stop calibration", "End the calibration and let the air out"),
 }
 
 

@@ -281,7 +281,7 @@ def _ruled(case: Case) -> Iterator[Finding]:
 
 
 def _advice(case: Case, bend: Bend) -> str:
-    if bend.move is None:
+    if bend.motion is None:
         return f"; {BEND_LESS}" if isinstance(bend.intent, BendTo) else ""
     if bend.step.height_m < case.config.interlocks.min_altitude_m:
         return "; fly higher there (interlocks.min_altitude_m)"
@@ -290,10 +290,10 @@ def _advice(case: Case, bend: Bend) -> str:
 
 def _overtaken(case: Case) -> Iterator[Finding]:
     for bend, after in itertools.pairwise(case.budget.bends):
-        if bend.move is None or bend.ruling.verdict == "refused":
+        if bend.motion is None or bend.ruling.verdict == "refused":
             continue
         gap_s = after.step.t_s - bend.step.t_s
-        takes_s = bend.move.trajectory.duration_s
+        takes_s = bend.motion.duration_s
         item, then = bend.step.item, f"item {after.step.item.seq}"
         if gap_s < TOGETHER_S and gap_s < takes_s:
             yield case.error(

@@ -161,10 +161,10 @@ def _cells(row: _Row) -> Iterator[str | Text]:
     yield f"{row.step.height_m:.0f}"
     if bend is None:
         return
-    if bend.ruling.verdict == "refused" or bend.move is None:
+    if bend.ruling.verdict == "refused" or bend.motion is None:
         yield from ("", "", Text("refused", style="red"))
         return
-    yield f"{bend.move.peak_kPa:.1f}"
+    yield f"{bend.motion.top_kPa:.1f}"
     yield f"{bend.air_kPa:.1f}"
     yield f"{bend.before.expected:.0f} → {bend.after.expected:.0f}"
     yield f"{bend.after.low:.0f}…{bend.after.high:.0f}"
@@ -228,7 +228,7 @@ def _row_as_json(row: _Row) -> dict[str, Any]:
             "intent": str(bend.intent) if bend.intent else None,
             "safety": bend.ruling.verdict,
             "reason": bend.ruling.reason or bend.doubt,
-            "peak_kPa": round(bend.move.peak_kPa, 3) if bend.move else None,
+            "peak_kPa": round(bend.motion.top_kPa, 3) if bend.motion else None,
             "air_kPa": round(bend.air_kPa, 3),
             "before_kPa": _range(bend.before),
             "after_kPa": _range(bend.after),

@@ -342,7 +342,6 @@ class Referee:
         latched = [name for name, at_s in self._latched.items() if at_s > self._cleared_s]
         if latched:
             self._call(t, "resumed", f"it moved, and no person has cleared: {', '.join(sorted(latched))}")
-        # A calibration begins with nothing, and moves later.
         fresh = [trigger for trigger in self._triggers if trigger.until_s >= self._asked_s]
         if not fresh:
             self._call(t, "trigger", "it moved out of rest without a fresh trigger")

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 from flying_vines.calibration.derived import derived
 from flying_vines.config.config import Config
 from flying_vines.supply import nominal
-from flying_vines.vine.profile import HoldFor, Profile, Ramp, Segment, Step, Trajectory, flatten
-from flying_vines.vine.profile import plan as trajectory
+from flying_vines.vine.motion import Motion
+from flying_vines.vine.motion import plan as motion
+from flying_vines.vine.profile import HoldFor, Profile, Ramp, Segment, Step, flatten
 
 if TYPE_CHECKING:
     from flying_vines.identification.bend_curve import Pairs
@@ -164,7 +165,7 @@ def plan(config: Config, wish: Wish) -> Plan:
         profiles[_valve_profile(rate)] = _profile(ramp)
     if wish.vessel_L is not None:
         profiles["calibrate-vessel"] = _profile(_staircase(top_kPa, _hold_s(wish.vessel_L)))
-    moves = {name: _trajectory(config, profiles, name) for name in profiles}
+    moves = {name: _motion(config, profiles, name) for name in profiles}
     longest_s = max(*(move.duration_s for move in moves.values()), ANSWER_S)
     stages = tuple(_stages(config, wish, moves, hold_s))
     changed = derived(config, profiles, longest_s, wish.vessel_L or 0.0)
@@ -213,13 +214,13 @@ def _staircase(top_kPa: float, hold_s: float) -> Iterator[Segment]:
         yield from _to(top_kPa * level / LEVELS, STEP_S, hold_s)
 
 
-def _trajectory(config: Config, profiles: dict[str, Profile], name: str) -> Trajectory:
+def _motion(config: Config, profiles: dict[str, Profile], name: str) -> Motion:
     rate = config.limits.max_rate_kPa_per_s
     segments = tuple(flatten(profiles, name))
-    return trajectory(segments, config.vine.bend_curve(), 0.0, rate, config.limits.max_kPa)
+    return motion(segments, config.vine.bend_curve(), 0.0, rate, config.limits.max_kPa)
 
 
-def _stages(config: Config, wish: Wish, moves: dict[str, Trajectory], hold_s: float) -> Iterator[Stage]:
+def _stages(config: Config, wish: Wish, moves: dict[str, Motion], hold_s: float) -> Iterator[Stage]:
     belief = nominal(config.pneumatics)
 
     def wanted(name: str) -> bool:

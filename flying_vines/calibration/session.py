@@ -65,7 +65,7 @@ async def calibrate(
 
     async def keep(kept: Kept, disarmed: bool) -> None:
         try:
-            await asyncio.to_thread(kept.keep_disarmed, disarmed)
+            await asyncio.to_thread(kept.store_disarmed, disarmed)
         except KeptError as error:
             service.say(Severity.WARNING, f"disarming not kept: {error}")
 

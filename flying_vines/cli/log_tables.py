@@ -14,7 +14,6 @@ from rich.table import Table
 from rich.text import Text
 
 from flying_vines.core.events import (
-    Calibrated,
     Decision,
     InternalError,
     KeepDisarmed,
@@ -32,9 +31,9 @@ from flying_vines.vehicle.notice import Notice
 
 MOST_DIFFERENCES = 10
 _DECISION, _NOTICE, _LINK = topic_of(Decision), topic_of(Notice), topic_of(LinkChanged)
-_CALIBRATION, _PARAMETERS, _DISARMED = topic_of(Calibrated), topic_of(KeepParameters), topic_of(KeepDisarmed)
+_PARAMETERS, _DISARMED = topic_of(KeepParameters), topic_of(KeepDisarmed)
 _ERROR = topic_of(InternalError)
-TOLD = (_DECISION, _NOTICE, _LINK, _CALIBRATION, _PARAMETERS, _DISARMED, _ERROR)
+TOLD = (_DECISION, _NOTICE, _LINK, _PARAMETERS, _DISARMED, _ERROR)
 
 
 def summary_table(summaries: Sequence[Summary]) -> Table:
@@ -121,10 +120,6 @@ def _lines(entry: Entry, began: float) -> Iterator[Text]:
     elif entry.topic == _LINK:
         state = "open" if said["up"] else f"down: {said['why']}"
         yield Text(f"{at}{said['link']} link {state}", style="dim")
-    elif entry.topic == _CALIBRATION:
-        levels = zip(said["asked_kPa"], said["read_kPa"], strict=True)
-        pairs = ", ".join(f"{asked:.1f} → {read:.1f}" for asked, read in levels)
-        yield Text(f"{at}calibration, kPa: {pairs}")
     elif entry.topic == _ERROR:
         yield Text(f"{at}{said['part']}: {said['trace'].rstrip()}", style="red")
     elif entry.topic == _PARAMETERS:

@@ -208,13 +208,6 @@ class Telemetry(_Table, frozen=True):
     low_reservoir_cycles: Annotated[float, Meta(ge=0)] = 10.0
 
 
-class Calibration(_Table, frozen=True):
-    """The staircase of pressures that a calibration goes up and down."""
-
-    steps: Annotated[int, Meta(ge=1, le=50)] = 6
-    hold_s: Annotated[float, Meta(ge=0.5, le=60)] = 3.0
-
-
 class Page(_Table, frozen=True):
     """The page that `run` serves."""
 
@@ -275,7 +268,6 @@ class Config(_Table, frozen=True):
     pneumatics: Pneumatics = Pneumatics()
     checks: Checks = Checks()
     telemetry: Telemetry = Telemetry()
-    calibration: Calibration = Calibration()
     page: Page = Page()
     mqtt: Mqtt = Mqtt()
     log: Log = Log()
@@ -338,7 +330,8 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
 
 
 def _leave_out_what_is_gone(raw: dict[str, Any], text: str, source: str) -> None:
-    """A profile of an earlier version holds where it asks for what is done anyway."""
+    """Settings of earlier versions are ignored if they ask for what is done anyway or is gone."""
+    raw.pop("calibration", None)
     losses = raw.get("losses")
     wanted = losses.pop("on_autopilot_loss", "vent") if isinstance(losses, dict) else "vent"
     if wanted != "vent":
@@ -400,12 +393,6 @@ def _contradictions(config: Config) -> list[tuple[Key, str]]:
     if curve.max_kPa > config.limits.max_kPa:
         reason = f"the curve goes to {curve.max_kPa:g} kPa, above limits.max_kPa = {config.limits.max_kPa:g}"
         found.append((("vine", "curve"), reason))
-    stairs = config.calibration
-    calibrates_s = (2 * stairs.steps + 1) * stairs.hold_s
-    calibrates_s += 2 * config.limits.max_kPa / config.limits.max_rate_kPa_per_s
-    if calibrates_s > config.limits.max_bent_s:
-        reason = f"takes {calibrates_s:.0f} s, longer than limits.max_bent_s = {config.limits.max_bent_s:g}"
-        found.append((("calibration",), reason))
     if config.pneumatics.cycle_swing_kPa > config.limits.max_kPa:
         found.append((("pneumatics", "cycle_swing_kPa"), "is above limits.max_kPa"))
     return found
@@ -515,7 +502,6 @@ _TABLES = {
     "pneumatics": Pneumatics,
     "checks": Checks,
     "telemetry": Telemetry,
-    "calibration": Calibration,
     "page": Page,
     "mqtt": Mqtt,
     "log": Log,

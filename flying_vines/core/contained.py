@@ -1,8 +1,7 @@
-"""The core, whose every unexpected error is a commanded shutdown and not the end of the process.
+"""A core for which every unexpected error is a commanded shutdown, not the end of the process.
 
-After one the vine is vented, bends are refused, and heartbeat and values go on as far as they can, until a
-person restarts the service. Pure, as the core is: what is done here needs nothing that the core must still
-be able to do.
+After an error the vine is vented and bends are refused, until a person restarts the service. Heartbeat and
+values go on as far as they can. Pure like the core, and nothing here needs a core that still works.
 """
 
 from __future__ import annotations
@@ -35,13 +34,13 @@ from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vine.intent import Vent as VentIntent
 
-TOLD = f"Vine: {INTERNAL_ERROR}, vented"
-"""What the pilot reads of it, once."""
-TOLD_WITHIN_S = 0.5
-"""What the core has not told by then is told past it."""
+SHUTDOWN_TEXT = f"Vine: {INTERNAL_ERROR}, vented"
+"""The pilot reads it once."""
+SENT_WITHIN_S = 0.5
+"""If the core has not sent the text by then, it is sent without the core."""
 HEARTBEAT_WITHIN_S = 1.2
 MOST_LOGGED = 20
-"""Errors, each from another place."""
+"""Errors, each from another place in the code."""
 
 
 class Contained:
@@ -55,14 +54,15 @@ class Contained:
         self._display_failed = display_failed
         self._down_at: float | None = None
         """When the shutdown began."""
-        self._noticed = self._told = False
-        """On the screen here, and by a text to the pilot."""
-        self._tell_at = math.inf
+        self._noticed = self._sent = False
+        """Whether the text is on the screen here, and on its way to the pilot."""
+        self._send_at = math.inf
         self._heartbeat_at = -math.inf
         self._number = 0
         """Of the latest command to the firmware."""
         self._system_id = core.config.vehicle.system_id or 1
         self._seen: set[str] = set()
+        """Where errors came from: each place is logged once."""
 
     @property
     def config(self) -> Config:
@@ -75,14 +75,14 @@ class Contained:
         for action in actions:
             self._note(event.t, action)
         if self._core.internal_error and self._down_at is None:
-            self._down_at, self._tell_at = event.t, event.t + TOLD_WITHIN_S
-            # Where the core said it itself, one of the two is dropped.
-            actions.append(Notice(event.t, Severity.WARNING, TOLD))
+            self._down_at, self._send_at = event.t, event.t + SENT_WITHIN_S
+            # If the core said so itself, one of the two is dropped.
+            actions.append(Notice(event.t, Severity.WARNING, SHUTDOWN_TEXT))
             return self._while_down(event, actions, at_once=True)
         return actions if self._down_at is None else self._while_down(event, actions)
 
     def snapshot(self, t: float) -> Snapshot:
-        """What a display shows; next to nothing where the core cannot say."""
+        """What a display shows; almost nothing if the core fails."""
         try:
             return self._core.snapshot(t)
         except Exception as error:
@@ -93,7 +93,7 @@ class Contained:
         try:
             return self._core.handle(event)
         except Exception as error:
-            # What was decided before the error holds, but for what moves the vine.
+            # Decisions before the error hold, but nothing may move the vine.
             actions = self._decided()
             actions.extend(self._shut_down(event.t, error))
             if isinstance(event, Tick):
@@ -101,7 +101,11 @@ class Contained:
             return actions
 
     def _shut_down(self, t: float, error: Exception) -> list[Action]:
-        if not self._is_new(error) and self._core.internal_error:
+        place = repr((type(error), traceback.extract_tb(error.__traceback__)[-1]))
+        is_new = place not in self._seen and len(self._seen) < MOST_LOGGED
+        if is_new:
+            self._seen.add(place)
+        elif self._core.internal_error:
             return []
         failed = Failed.by(t, "core", error, needed=True)
         try:
@@ -120,14 +124,6 @@ class Contained:
         except Exception:
             return []
 
-    def _is_new(self, error: Exception) -> bool:
-        """Whether an error comes from a place that none came from before: each is logged once."""
-        place = repr((type(error), traceback.extract_tb(error.__traceback__)[-1]))
-        if place in self._seen or len(self._seen) >= MOST_LOGGED:
-            return False
-        self._seen.add(place)
-        return True
-
     def _note(self, t: float, action: Action) -> None:
         match action:
             case ToVehicle(message, system_id):
@@ -138,58 +134,59 @@ class Contained:
                 self._number = number
 
     def _while_down(self, event: Event, actions: list[Action], at_once: bool = False) -> list[Action]:
-        """The actions without any that bends the vine or tells again, and with those that are missing."""
+        """The actions without setpoints and repeated texts, and with what the core has not sent."""
         t = event.t
         if isinstance(event, LinkChanged) and event.link == "vehicle" and event.up:
-            # What was told while it was down nobody has read.
-            self._told, self._tell_at = False, t + TOLD_WITHIN_S
-        kept = [action for action in actions if not self._must_not(action)]
+            # Nobody has read what was sent while the link was down.
+            self._sent, self._send_at = False, t + SENT_WITHIN_S
+        allowed: list[Action] = []
+        for action in actions:
+            match action:
+                case ToFirmware(Setpoint()):
+                    continue
+                case Notice(text=text) if text == SHUTDOWN_TEXT:
+                    if self._noticed:
+                        continue
+                    self._noticed = True
+                case ToVehicle(message) if _is_shutdown_text(message):
+                    if self._sent:
+                        continue
+                    self._sent = True
+            allowed.append(action)
         if at_once or isinstance(event, Tick):
-            if self._number and not any(_vents(action) for action in kept):
-                kept.insert(0, ToFirmware(Vent(self._number % 0xFFFF + 1)))
-            kept.extend(ToVehicle(message, self._system_id) for message in self._missing(t))
+            if self._number and not any(_vents(action) for action in allowed):
+                allowed.insert(0, ToFirmware(Vent(self._number % 0xFFFF + 1)))
+            allowed.extend(ToVehicle(message, self._system_id) for message in self._send_missing(t))
         if isinstance(event, Asked):
-            kept.extend(_answer(event, kept))
-        return kept
+            allowed.extend(_answer(event, allowed))
+        return allowed
 
-    def _must_not(self, action: Action) -> bool:
-        match action:
-            case ToFirmware(Setpoint()):
-                return True
-            case Notice(text=text) if text == TOLD:
-                before, self._noticed = self._noticed, True
-                return before
-            case ToVehicle(message) if _tells(message):
-                before, self._told = self._told, True
-                return before
-        return False
-
-    def _missing(self, t: float) -> Iterator[Message]:
-        """Text and heartbeat, where the core has not sent them."""
+    def _send_missing(self, t: float) -> Iterator[Message]:
+        """The heartbeat and the text, if the core has not sent them."""
         if t - self._heartbeat_at > HEARTBEAT_WITHIN_S:
             self._heartbeat_at = t
             yield mavlink.MAVLink_heartbeat_message(
                 *(mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID),
                 *(0, 0, mavlink.MAV_STATE_CRITICAL, 3),
             )
-        if not self._told and t >= self._tell_at:
-            self._told = True
-            yield mavlink.MAVLink_statustext_message(Severity.WARNING, TOLD.encode("ascii"), 0, 0)
+        if not self._sent and t >= self._send_at:
+            self._sent = True
+            yield mavlink.MAVLink_statustext_message(Severity.WARNING, SHUTDOWN_TEXT.encode("ascii"), 0, 0)
 
 
 def _vents(action: Action) -> bool:
     return isinstance(action, ToFirmware) and isinstance(action.message, Vent)
 
 
-def _tells(message: Message) -> bool:
+def _is_shutdown_text(message: Message) -> bool:
     if message.get_msgId() != mavlink.MAVLINK_MSG_ID_STATUSTEXT:
         return False
     text = message.text if isinstance(message.text, bytes) else message.text.encode("ascii", "replace")
-    return text.rstrip(b"\0") == TOLD.encode("ascii")
+    return text.rstrip(b"\0") == SHUTDOWN_TEXT.encode("ascii")
 
 
 def _answer(asked: Asked, actions: Sequence[Action]) -> Iterator[Decision]:
-    """Whoever asks is answered, whatever has failed."""
+    """A request is answered, whatever has failed."""
     if any(isinstance(action, Decision) and action.trigger == asked.by for action in actions):
         return
     vents = isinstance(asked.intent, VentIntent)

@@ -1,4 +1,4 @@
-"""The one machine that decides: time-stamped events in, actions out. No clock, no port, no await.
+"""The machine that decides: time-stamped events in, actions out. No clock, no port, no await.
 
 One bend, from end to end: a MAVLink message -> vehicle state -> trigger -> intent -> safety -> motion ->
 setpoint -> firmware; and back: telemetry -> reservoir estimate -> named values. `run`, `replay` and `demo`
@@ -8,8 +8,8 @@ feed the same machine, so the same events always give the same decisions.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -19,7 +19,6 @@ from flying_vines.config.config import Config
 from flying_vines.core.events import (
     Action,
     Asked,
-    Calibrated,
     Decision,
     Event,
     Failed,
@@ -37,11 +36,11 @@ from flying_vines.core.events import (
     ToVehicle,
     VehicleMessage,
 )
-from flying_vines.core.motion_planner import Move, Mover
+from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.parts import Parts
 from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import INTERNAL_ERROR, Conditions, Entered, Left, Ruling, Safety
-from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate, nominal
+from flying_vines.supply import Belief, CyclesLeft, Features, ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.physics_checks import PhysicsChecks
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.parameters import Changed
@@ -63,60 +62,61 @@ from flying_vines.vine.intent import (
     Intent,
     SetPressure,
     StartBench,
-    StartCalibration,
     StartProfile,
     StopBench,
-    StopCalibration,
     Vent,
 )
 from flying_vines.vine.motion import Motion
-from flying_vines.vine.staircase import Readings
 
 TICK_S = 0.02
 """How often `Tick` is due, and how far a setpoint looks ahead."""
 
 SPEAK_FIRST_S = 1.5
-"""How long we listen for an autopilot before we say anything ourselves."""
+"""How long we listen for an autopilot before we send anything."""
+
+CYCLES_EVERY_S = 0.5
+"""How often the cycles left are predicted anew."""
 
 BENCH_S = 300.0
-"""So long after the last that was asked for, whoever tried the vine on the ground has gone."""
+"""Bench mode ends so long after the last request."""
 
 AT_ONCE_S = 0.05
 """Requests within this time of each other count as simultaneous."""
 
-VENTING = (Vent, DisarmPneumatics, StopCalibration, StopBench)
+VENTING = (Vent, DisarmPneumatics, StopBench)
 MOVING = (StartProfile, BendTo, SetPressure)
 _BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
 """Triggers that come from neither another person nor the mission."""
 
 PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
-"""What the page may ask for in flight too, besides letting air out."""
+"""The page may request these in flight too, besides letting air out."""
 
-_SAYS = {
+_SENSOR_TEXTS = {
     "cv_kPa": "vine sensor reads",
     "reservoir_kPa": "bottle sensor reads",
     "setpoint_kPa": "phloSAR holds",
 }
-"""Of telemetry's fields, for what no sensor can say."""
+"""By field of telemetry, for a value that no sensor can have."""
 
-_DONE = {
+_RESPONSE_TEXTS = {
     "serial": "its dead-man vents",
     "telemetry": "told to vent",
     "venting": "outlet told open",
     "regulates": "told to vent",
 }
-"""Where nobody can know that the vine is vented, the pilot is told no more than was done about it."""
-_OF_THE_BOARD = ("serial", "telemetry", "firmware_fault", "refused_by_firmware")
-"""What a restart of the board brings with it."""
+"""What was done, where it is not known that the vine is vented."""
+
+_BOARD_FAULTS = ("serial", "telemetry", "firmware_fault", "refused_by_firmware")
+"""A restart of the board causes these too."""
 
 
 class Core:
     """One vine on one vehicle. `handle` takes every event, in time order, and returns what to do, in order.
 
-    `mission` is the vehicle's mission where it is known beforehand; otherwise it is read from the autopilot.
-    `belief` is what is known of the rig, where that is more than the configuration's numbers. `parameters`
-    are those that a pilot has set and that were kept. `disarmed` pneumatics were so when the last core ended:
-    they stay so, whatever the profile says, until a person arms them.
+    `mission` is the vehicle's mission if it is known beforehand; otherwise it is read from the autopilot.
+    `belief` is what is known of the rig, if that is more than the configuration's numbers. `parameters` are
+    the stored ones that a pilot has set. `disarmed`: the pneumatics were disarmed when the last core ended.
+    They stay disarmed until a person arms them.
     """
 
     def __init__(
@@ -131,9 +131,7 @@ class Core:
         self._link_loss = LinkLoss(self._vehicle)
         config = self.config
         self._bent_kPa = 0.0
-        self._cv_kPa = deque((math.nan,), maxlen=2)
-        """The last two readings: a single one that is too high may be a glitch."""
-        self._mover = Mover(config)
+        self._planner = MotionPlanner(config)
         self._rc_in_use = False
         self._firmware = fw.HostSession(repeat_s=TICK_S)
         self._firmware_was_ready = False
@@ -141,27 +139,29 @@ class Core:
         self._firmware_problem = "not connected"
         self._safety = Safety(config)
         self._belief = belief or nominal(config.pneumatics)
+        self._reader = TelemetryReader(self._belief)
+        self._features: Features | None = None
         self._reservoir = ReservoirEstimate(self._belief)
         self._checks = PhysicsChecks(self._belief, config.checks)
         self._cycles: CyclesLeft | None = None
-        self._low_told = False
-        self._alone_since: float | None = None
+        self._cycles_at = -math.inf
+        self._low_warned = False
+        self._silent_since: float | None = None
         self._motion: Motion | None = None
         self._triggered_at = 0.0
-        """When a person or the mission last asked for what the vine does now."""
-        self._calibration: tuple[Motion, Readings] | None = None
+        """When a person or the mission last requested the present motion."""
         self._pneumatics_armed = config.interlocks.armed_at_start and not disarmed
         self._bench_until = -math.inf
-        self._asked_at = -math.inf
-        self._unheeded: tuple[protocol.Mode, float, float] | None = None
-        """What the board is told and its mode is not, since when and until when, by its own clock."""
+        self._requested_at = -math.inf
+        self._mode_mismatch: tuple[protocol.Mode, float, float] | None = None
+        """The commanded mode that the board is not in, since when and until when, by the board's clock."""
         self._restarts = Restarts()
-        self._restart_told = False
-        """And the board has not been ready since."""
+        self._restart_noted = False
+        """The restart is handled, and the board has not been ready since."""
         self._stopped = False
         self._parts = Parts(self._on_failed)
         self.internal_error = False
-        """Something that the vine needs has failed: it stays vented until a person restarts the service."""
+        """A part that the vine needs has failed: it stays vented until a person restarts the service."""
         self._actions: list[Action] = []
 
     @property
@@ -174,11 +174,11 @@ class Core:
         return min(self.config.limits.max_kPa, self._firmware_limit_kPa)
 
     def handle(self, event: Event) -> list[Action]:
-        """What is to be done about `event`."""
+        """The actions that follow from `event`."""
         self._actions = []
         match event:
             case VehicleMessage():  # most events are; a pattern that names its fields takes twice as long
-                self._take(event.t, self._vehicle.handle(event.t, event.message, self._vented))
+                self._handle_outputs(event.t, self._vehicle.handle(event.t, event.message, self._vented))
             case FirmwareMessage(t, message):
                 self._on_firmware(t, message)
             case LinkChanged(t, "vehicle", up):
@@ -188,7 +188,7 @@ class Core:
             case Tick(t):
                 self._on_tick(t)
             case Asked():
-                self._decide(event.t, self._asked(event))
+                self._decide(event.t, self._trigger_of(event))
             case Said(t, severity, text):
                 self._notice(t, severity, text)
             case Stop(t):
@@ -197,29 +197,29 @@ class Core:
             case Failed():
                 self._on_failed(event)
         if leaving := self._vehicle.component.leaving(event.t):
-            self._let_leave(leaving)
+            self._transmit(leaving)
         return self._actions
 
     @property
     def decided(self) -> list[Action]:
-        """The answer to the latest event, as far as it came."""
+        """The actions of the latest event, as far as it was handled."""
         return self._actions
 
     def report(self, t: float) -> list[Action]:
-        """Heartbeat, texts and named values that are due, and nothing else of a tick."""
+        """The part of a tick that sends what is due: heartbeat, texts and named values."""
         self._actions = []
         self._report(t)
         return self._actions
 
     # The vehicle's side.
 
-    def _take(self, t: float, outputs: Sequence[Output]) -> None:
+    def _handle_outputs(self, t: float, outputs: Sequence[Output]) -> None:
         for output in outputs:
             if isinstance(output, Trigger):
                 decision = self._decide(t, output)
                 self._send(*self._vehicle.acknowledge(output, decision.safety != "refused"))
             elif isinstance(output, Notice):
-                self._tell(output)
+                self._publish(output)
             elif isinstance(output, Changed):
                 self._configure(output)
             elif isinstance(output, Straightened):
@@ -229,42 +229,42 @@ class Core:
 
     def _configure(self, change: Changed) -> None:
         self._safety.configure(change.config)
-        self._mover = Mover(change.config)
+        self._planner = MotionPlanner(change.config)
         self._vehicle.configure()
         self._actions.append(KeepParameters(change.t, dict(self._vehicle.component.parameters.values)))
 
     # The firmware's side.
 
     def _on_firmware_link(self, t: float, up: bool) -> None:
-        self._unheeded = None
-        self._restart_told = False
+        self._mode_mismatch = None
+        self._restart_noted = False
         if up:
             self._firmware.opened(t)
             self._firmware_problem = "does not answer"
         else:
             self._firmware.closed(t)
             self._firmware_problem = "disconnected"
-        self._look(t)
+        self._check_safety(t)
 
     def _on_firmware(self, t: float, message: protocol.Message) -> None:
         for event in self._firmware.receive(t, message):
             match event:
                 case fw.Ready(welcome):
                     self._firmware_was_ready = True
-                    self._restart_told = False
+                    self._restart_noted = False
                     self._firmware_limit_kPa = welcome.setpoint_limit_kPa
                     ready = f"phloSAR ready ({welcome.firmware_build})"
-                    news = self._restarts.news(ready)
+                    news = self._restarts.say_once(ready)
                     self._notice(t, Severity.INFO if news else Severity.DEBUG, ready)
                 case fw.TelemetryReceived(telemetry):
                     self._actions.append(Measured(t, telemetry))
-                    self._cv_kPa.append(telemetry.cv_kPa)
-                    self._note_heed(t, telemetry)
-                    if telemetry.faults or min(self._cv_kPa) > self.config.limits.overpressure_kPa:
-                        self._look(t)
-                    self._estimate(t, telemetry)
+                    features = self._features = self._reader.read(t, telemetry)
+                    self._note_mode(t, telemetry)
+                    if telemetry.faults or features.cv_lower_kPa > self.config.limits.overpressure_kPa:
+                        self._check_safety(t)
+                    self._estimate(t, features)
                 case fw.ImplausibleTelemetry():
-                    self._look(t)
+                    self._check_safety(t)
                 case fw.FirmwareReset(reason):
                     self._restarted(t, reason)
                 case fw.Incompatible(reason):
@@ -275,79 +275,78 @@ class Core:
                     self._enter(t, Entered("refused_by_firmware", f"phloSAR refused: {said}", "vent"))
 
     def _restarted(self, t: float, reason: str) -> None:
-        if self._restart_told:
-            return  # the new boot id of a restart that its clock has told
-        self._restart_told = True
+        if self._restart_noted:
+            return  # the new boot id of a restart that its clock has already shown
+        self._restart_noted = True
         self._firmware_problem = "restarted"
-        self._unheeded = None
+        self._mode_mismatch = None
         first = self._restarts.note(t)
         why = f"phloSAR restarted: {reason}" if first else self._restarts.looping(t)
         self._enter(t, self._safety.latch(t, "firmware_reset", why))
 
-    def _estimate(self, t: float, telemetry: protocol.Telemetry) -> None:
-        """What follows from telemetry, once safety has looked at it."""
-        run, bent_kPa = self._parts.run, self._mover.curve.bent_kPa
-        self._bent_kPa = run(
-            t, "bend", lambda: bent_kPa(telemetry.cv_kPa, self._bent_kPa), self._bent_kPa, needed=True
-        )
-        run(t, "bottle estimate", lambda: self._reservoir.update(t, telemetry), None, needed=True)
-        run(t, "calibration", lambda: self._read_level(t, telemetry), None, needed=True)
-        run(t, "physics checks", lambda: self._check(t, telemetry), None, needed=True)
+    def _estimate(self, t: float, features: Features) -> None:
+        """Update what is estimated, after safety has seen the telemetry."""
+        run, bent_kPa, cv_kPa = self._parts.run, self._planner.curve.bent_kPa, features.telemetry.cv_kPa
+        self._bent_kPa = run(t, "bend", lambda: bent_kPa(cv_kPa, self._bent_kPa), self._bent_kPa, needed=True)
+        run(t, "bottle estimate", lambda: self._reservoir.update(features), None, needed=True)
+        run(t, "physics checks", lambda: self._check(t, features), None, needed=True)
 
-    def _check(self, t: float, telemetry: protocol.Telemetry) -> None:
-        """Whether the physics answers as predicted: what does not is a fault, or the pilot is told."""
-        found = self._checks.take(telemetry)
+    def _check(self, t: float, features: Features) -> None:
+        """Compare the physics with the prediction: a deviation is a fault or a warning."""
+        found = self._checks.take(features)
         for finding in found:
             if finding.level == "warn":
                 self._notice(t, Severity.WARNING, finding.sentence)
         if any(finding.level == "fault" for finding in found):
-            self._look(t)
+            self._check_safety(t)
 
     def _on_failed(self, failed: Failed) -> None:
         self._actions.append(InternalError(failed.t, failed.part, failed.trace))
         if failed.needed:
             self.internal_error = True
-            self._look(failed.t)
+            self._check_safety(failed.t)
         else:
             self._notice(failed.t, Severity.WARNING, f"{failed.part} failed, flight goes on")
 
-    def _note_heed(self, t: float, telemetry: protocol.Telemetry) -> None:
-        """Whether the board's mode follows what it is told. In a fault it vents by itself."""
-        mode, told = telemetry.mode, self._told_mode
-        if mode is told or (mode is protocol.Mode.FAULT and told is protocol.Mode.VENT):
-            self._unheeded = None
+    def _note_mode(self, t: float, telemetry: protocol.Telemetry) -> None:
+        """Compare the board's mode with the command. In a fault it vents by itself."""
+        mode, commanded = telemetry.mode, self._commanded_mode
+        if mode is commanded or (mode is protocol.Mode.FAULT and commanded is protocol.Mode.VENT):
+            self._mode_mismatch = None
             return
         made_s = t - self._firmware.telemetry_age(t)
-        began = self._unheeded[1] if self._unheeded and self._unheeded[0] is told else made_s
-        self._unheeded = told, began, made_s
+        began = (
+            self._mode_mismatch[1] if self._mode_mismatch and self._mode_mismatch[0] is commanded else made_s
+        )
+        self._mode_mismatch = commanded, began, made_s
 
     @property
-    def _told_mode(self) -> protocol.Mode:
+    def _commanded_mode(self) -> protocol.Mode:
         return protocol.Mode.VENT if self._motion is None else protocol.Mode.REGULATE
 
     @property
-    def _unheeded_s(self) -> float:
-        if self._unheeded is None or self._unheeded[0] is not self._told_mode:
+    def _mode_mismatch_s(self) -> float:
+        if self._mode_mismatch is None or self._mode_mismatch[0] is not self._commanded_mode:
             return 0.0
-        return self._unheeded[2] - self._unheeded[1]
+        return self._mode_mismatch[2] - self._mode_mismatch[1]
 
     # Deciding.
 
-    def _asked(self, asked: Asked) -> Trigger:
-        """Of one who does not ask over MAVLink: how late it may be, and what may be asked for in what way."""
+    def _trigger_of(self, asked: Asked) -> Trigger:
+        """The trigger of a request that did not come over MAVLink, with the reason if it is refused."""
         t, by, intent = asked.t, asked.by, asked.intent
-        problem = "" if only_lets_out(self.config, intent) else self._may_not_ask(asked)
+        problem = "" if only_lets_out(self.config, intent) else self._request_problem(asked)
         seen_at = asked.seen_at
         if by == "calibration":
             seen_at = t
         elif seen_at is None or seen_at > t:
-            # Of the time before the computer was started: it has seen nothing of this run.
+            # From before the computer was started: the person has seen nothing of this run.
             seen_at = -math.inf
         if isinstance(intent, ClearFaults) and seen_at == -math.inf:
             problem = problem or "it does not say which state was seen"
         return Trigger(t, by, {}, intent, problem, by_person=not problem, seen_at=seen_at)
 
-    def _may_not_ask(self, asked: Asked) -> str:
+    def _request_problem(self, asked: Asked) -> str:
         age_s = 0.0 if asked.made_at is None else asked.t - asked.made_at
         if age_s > ACTS_WITHIN_S:
             return f"too late: asked {age_s:.1f} s ago"
@@ -362,8 +361,8 @@ class Core:
         return ""
 
     def _decide(self, t: float, trigger: Trigger) -> Decision:
-        """Let safety look at a trigger, carry its intent out or say why not."""
-        now = self._look(t)
+        """Let safety judge a trigger. Carry out its intent, or say why not."""
+        now = self._check_safety(t)
         intent = trigger.intent
         if trigger.by_person and self._on_bench:
             self._bench_until = t + BENCH_S
@@ -376,39 +375,39 @@ class Core:
         settled = self._without_air(t, intent, trigger)
         if settled is not None:
             return self._record(t, trigger, settled)
-        if problem := self._mover.problem(intent):
+        if problem := self._planner.problem(intent):
             return self._record(t, trigger, Ruling("refused", problem))
-        move = self._move(t, intent)
-        demand = self._parts.run(
-            t, "bottle estimate", lambda: move.demand(self._reservoir, self._belief), None, needed=True
+        motion = self._plan(t, intent)
+        rise_kPa, rate_kPa_per_s = motion.rise_kPa, motion.rate_kPa_per_s
+        air = self._parts.run(
+            *(t, "bottle estimate", lambda: self._reservoir.air_needed(rise_kPa, rate_kPa_per_s), None),
+            needed=True,
         )
-        if demand is None:
+        if air is None:
             return self._record(t, trigger, Ruling("refused", INTERNAL_ERROR))
-        if trigger.by_person and demand.releases:
+        if trigger.by_person and motion.only_lets_out:
             self._clear_faults(t, trigger.seen_at)
-        ruling = self._safety.judge(demand, now)
+        ruling = self._safety.judge(motion, air, now)
         if ruling.verdict == "refused":
             return self._record(t, trigger, ruling)
         if ruling.rate_scale < 1.0:
-            move = self._move(t, intent, ruling.rate_scale)
-        if demand.releases and self._motion is None:
+            motion = self._plan(t, intent, ruling.rate_scale)
+        if motion.only_lets_out and self._motion is None:
             self._stop_moving(t)
         else:
             self._note_trigger(t)
-            self._motion = Motion(move.trajectory, t, move.rate_kPa_per_s, str(intent))
-            if isinstance(intent, StartCalibration):
-                self._calibration = self._motion, Readings(self.config.calibration.hold_s)
+            self._motion = motion
             self._drive(t)
         return self._record(t, trigger, ruling)
 
     def _outdated(self, t: float, trigger: Trigger, intent: Intent) -> str:
-        """Why it is too late for what was asked. To let air out it is so only behind something newer."""
+        """Why a request is too late. One that lets air out is too late only after a newer request."""
         late = trigger.age_s > LATE_S
-        overtaken = self._asked_at > t - trigger.age_s + AT_ONCE_S
+        overtaken = self._requested_at > t - trigger.age_s + AT_ONCE_S
         if isinstance(intent, VENTING) or not (late or overtaken):
             return ""
-        moves = isinstance(intent, MOVING) and not self._mover.problem(intent)
-        if moves and not overtaken and self._move(t, intent).releases:
+        moves = isinstance(intent, MOVING) and not self._planner.problem(intent)
+        if moves and not overtaken and self._plan(t, intent).only_lets_out:
             return ""
         return f"came {trigger.age_s:.1f} s late" if late else "something newer was asked"
 
@@ -417,9 +416,9 @@ class Core:
         self._safety.triggered()
 
     def _without_air(self, t: float, intent: Intent, trigger: Trigger) -> Ruling | None:
-        """Carry out what takes no air, or say why not; None for what does take some."""
+        """Carry out an intent that takes no air, or say why not; None for one that takes air."""
         match intent:
-            case ClearFaults() | ArmPneumatics() | StartBench() | StartCalibration() if not trigger.by_person:
+            case ClearFaults() | ArmPneumatics() | StartBench() if not trigger.by_person:
                 return Ruling("refused", "only a person may do that")
             case ClearFaults():
                 return self._clear_faults(t, trigger.seen_at)
@@ -447,34 +446,26 @@ class Core:
             case StopBench():
                 self._leave_bench(t, "left")
                 return Ruling("accepted")
-            case StartCalibration() if self._motion is not None:
-                return Ruling("refused", "vent the vine first")
-            case StopCalibration() if self._calibration is None:
-                return Ruling("refused", "none is under way")
-            case StopCalibration():
-                self._stop_moving(t)
-                return Ruling("accepted")
         return None
 
-    def _move(self, t: float, intent: Intent, rate_scale: float = 1.0) -> Move:
-        """From where the vine is wanted now."""
-        start_kPa = self._setpoint_kPa(t)
-        return self._mover.move(intent, start_kPa, self._bent_kPa, self._firmware_limit_kPa, rate_scale)
+    def _plan(self, t: float, intent: Intent, rate_scale: float = 1.0) -> Motion:
+        """The motion from the present setpoint."""
+        start_kPa, limit_kPa = self._setpoint_kPa(t), self._firmware_limit_kPa
+        return self._planner.plan(intent, start_kPa, self._bent_kPa, limit_kPa, rate_scale, started_at=t)
 
     def _hold(self, t: float) -> Ruling:
         if self._motion is None:
             return Ruling("refused", "the vine is vented")
         if self._safety.reasons:
             return Ruling("refused", "; ".join(self._safety.reasons.values()))
-        # Whoever holds wants the vine as it is from now on.
+        # A hold is a request of its own: the time limit starts again.
         self._note_trigger(t)
         self._freeze(t)
         return Ruling("accepted")
 
     def _freeze(self, t: float) -> None:
-        """Stay where the vine is. `limits.max_bent_s` runs on: a loss that holds is nobody's wish."""
-        move = self._move(t, SetPressure(self._setpoint_kPa(t)))
-        self._motion = Motion(move.trajectory, t, move.rate_kPa_per_s, "hold")
+        """Stay at the present setpoint. `limits.max_bent_s` runs on: a loss that holds is no request."""
+        self._motion = replace(self._plan(t, SetPressure(self._setpoint_kPa(t))), name="hold")
         self._drive(t)
 
     def _clear_faults(self, t: float, seen_at: float = math.inf) -> Ruling:
@@ -489,7 +480,7 @@ class Core:
     def _record(self, t: float, trigger: Trigger, ruling: Ruling) -> Decision:
         motion = self._motion
         if ruling.verdict != "refused":
-            self._asked_at = max(self._asked_at, t - trigger.age_s)
+            self._requested_at = max(self._requested_at, t - trigger.age_s)
         decision = Decision(
             t=t,
             trigger=trigger.kind,
@@ -497,7 +488,7 @@ class Core:
             intent=None if trigger.intent is None else str(trigger.intent),
             safety=ruling.verdict,
             reason=ruling.reason,
-            setpoint_kPa=round(motion.trajectory.aim_kPa, 3) if motion else 0.0,
+            setpoint_kPa=round(motion.aim_kPa, 3) if motion else 0.0,
         )
         self._actions.append(decision)
         if ruling.verdict != "refused" and trigger.kind not in _BY_PILOT_OR_SAFETY:
@@ -514,15 +505,16 @@ class Core:
     # Moving.
 
     def _setpoint_kPa(self, t: float) -> float:
-        """Where the vine is wanted, or where it is while nothing wants it anywhere."""
+        """The present setpoint; the measured pressure if there is none."""
         if self._motion is not None:
             return self._motion.setpoint_kPa(t)
         telemetry = self._firmware.telemetry
         return min(max(0.0, telemetry.cv_kPa), self._max_kPa) if telemetry else 0.0
 
     def _drive(self, t: float) -> None:
-        """Tell the firmware what holds until the next tick."""
-        if self._motion is not None and self._motion.releases(t) and self._near_zero():
+        """Send the firmware the command that holds until the next tick."""
+        motion = self._motion
+        if motion is not None and motion.is_over(t) and motion.final_kPa <= 0.0 and self._near_zero():
             self._motion = None
         command: fw.Command = fw.VENTING
         if self._motion is not None:
@@ -541,30 +533,6 @@ class Core:
         self._motion = None
         self._to_firmware(self._firmware.command(t, fw.VENTING))
 
-    # Calibrating.
-
-    def _read_level(self, t: float, telemetry: protocol.Telemetry) -> None:
-        if self._calibration is not None:
-            motion, readings = self._calibration
-            readings.take(t, motion.setpoint_kPa(t), telemetry.cv_kPa, telemetry.reservoir_kPa)
-
-    def _follow_calibration(self, t: float) -> None:
-        """Tell how far it is; and what it found, or that something else took its place."""
-        if self._calibration is None:
-            return
-        motion, readings = self._calibration
-        if self._motion is motion and not motion.over(t):
-            self._send(*self._vehicle.progress(t, motion.share(t)))
-            return
-        self._calibration = None
-        if motion.over(t):
-            levels = tuple((level.asked_kPa, level.read_kPa) for level in readings.held)
-            self._actions.append(Calibrated(t, levels))
-            self._notice(t, Severity.NOTICE, f"calibrated: {readings.summary()}")
-        else:
-            self._notice(t, Severity.WARNING, "calibration ended early")
-        self._send(*self._vehicle.end_command(motion.over(t)))
-
     # On the bench.
 
     @property
@@ -572,7 +540,7 @@ class Core:
         return self._bench_until > -math.inf
 
     def _leave_bench(self, t: float, why: str) -> None:
-        """What bends there by nobody's right but the bench's is straightened."""
+        """Vent what only bench mode allowed to bend."""
         if self._on_bench:
             self._bench_until = -math.inf
             self._stop_moving(t)
@@ -581,40 +549,38 @@ class Core:
     # Watching.
 
     def _on_tick(self, t: float) -> None:
-        self._take(t, self._vehicle.tick(t))
+        self._handle_outputs(t, self._vehicle.tick(t))
         if self._vehicle.state.armed:
             self._leave_bench(t, "the vehicle is armed")
         elif t > self._bench_until:
             self._leave_bench(t, "nobody asked for anything")
-        self._look(t)
+        self._check_safety(t)
         if not self._stopped:
             self._drive(t)
         self._to_firmware(self._firmware.tick(t))
         if told := self._link_loss.back(t, self._safety.reasons):
             self._notice(t, Severity.NOTICE, told)
-        if told := self._restarts.due(t):
+        if told := self._restarts.tick(t):
             self._notice(t, Severity.WARNING, told)
-        self._follow_calibration(t)
+        self._update_cycles_left(t)
         self._warn_of_low_reservoir(t)
         self._report(t)
 
+    def _note_rc_use(self, t: float) -> None:
+        """Note whether RC is in use: only then its loss counts."""
+        armed = self._vehicle.state.armed
+        if self._vehicle.rc.problem(t) is None:
+            self._rc_in_use |= armed or self._on_bench or self.config.interlocks.bench_mode
+        elif not armed and self._motion is None:
+            self._rc_in_use = False
+
     def _conditions(self, t: float) -> Conditions:
         telemetry = self._firmware.telemetry
-        rc_problem = self._vehicle.rc.problem(t)
-        if rc_problem is None:
-            self._rc_in_use = (
-                self._rc_in_use
-                or self._vehicle.state.armed
-                or self._on_bench
-                or self.config.interlocks.bench_mode
-            )
-        elif not self._vehicle.state.armed and self._motion is None:
-            self._rc_in_use = False
         return Conditions(
             pneumatics_armed=self._pneumatics_armed,
             armed=self._vehicle.state.armed,
             altitude_m=self._vehicle.state.altitude_m(t),
-            rc_problem=rc_problem if self._rc_in_use else None,
+            rc_problem=self._vehicle.rc.problem(t) if self._rc_in_use else None,
             autopilot_age_s=self._vehicle.state.silence_s(t),
             heartbeat_missing=self._vehicle.state.heartbeat_missing,
             firmware_ready=self._firmware.state is fw.SessionState.READY,
@@ -623,9 +589,9 @@ class Core:
             telemetry_age_s=self._firmware.telemetry_age(t),
             faults=telemetry.faults if telemetry else protocol.Fault.NONE,
             sensor_problem=self._sensor_problem,
-            cv_kPa=min(self._cv_kPa),
+            cv_kPa=self._features.cv_lower_kPa if self._features else math.nan,
             reservoir_kPa=self._reservoir.reservoir_kPa,
-            unheeded_s=self._unheeded_s,
+            mode_mismatch_s=self._mode_mismatch_s,
             restarting=self._restarts.looping(t),
             bench=self._on_bench,
             moving=self._motion is not None,
@@ -639,11 +605,14 @@ class Core:
         if self._firmware.implausible is None:
             return None
         field, value_kPa = self._firmware.implausible
-        # A log keeps no infinity, and is to say the same when it is asked again.
-        return f"{_SAYS[field]} " + (f"{value_kPa:g} kPa" if math.isfinite(value_kPa) else "no number")
+        # A log cannot hold infinity, and the flight replayed must give the same text.
+        return f"{_SENSOR_TEXTS[field]} " + (
+            f"{value_kPa:g} kPa" if math.isfinite(value_kPa) else "no number"
+        )
 
-    def _look(self, t: float) -> Conditions:
-        """Let safety look, and do what it says; how things stand after that."""
+    def _check_safety(self, t: float) -> Conditions:
+        """Let safety check the conditions, and do what it says. Returns the conditions after that."""
+        self._note_rc_use(t)
         now = self._conditions(t)
         changes = self._safety.watch(t, now)
         for change in changes:
@@ -651,16 +620,19 @@ class Core:
                 self._enter(t, change)
             else:
                 self._leave(t, change)
-        return self._conditions(t) if changes else now
+        if changes:
+            self._note_rc_use(t)
+            now = self._conditions(t)
+        return now
 
     def _enter(self, t: float, change: Entered) -> None:
-        # A vine that is being straightened is not kept bent.
+        # A vine that is being straightened is not held.
         straightened = self._motion is None or self._motion.only_lets_out
         hold = change.response == "hold" and not straightened
         moved = self._motion is not None
-        done = "holding" if hold else _DONE.get(change.name, "vented")
+        done = "holding" if hold else _RESPONSE_TEXTS.get(change.name, "vented")
         told = self._link_loss.entered(t, change.name, change.reason, done) or ""
-        quiet = not self._news(t, change.name, told)
+        quiet = not self._say_once(t, change.name, told)
         mattered = moved or (self._vehicle.state.armed and not quiet)
         self._vehicle.pilot.overtaken()
         if hold:
@@ -675,11 +647,11 @@ class Core:
         if told:
             self._notice(t, Severity.DEBUG if quiet else Severity.WARNING, told, mattered)
 
-    def _news(self, t: float, name: str, text: str) -> bool:
-        """Whether a text is more than what each of the board's restarts brings."""
+    def _say_once(self, t: float, name: str, text: str) -> bool:
+        """Note a text. Returns whether the pilot should read it: not with each of a series of restarts."""
         if name == "firmware_reset":
             return not self._restarts.looping(t)
-        return name not in _OF_THE_BOARD or self._restarts.news(text)
+        return name not in _BOARD_FAULTS or self._restarts.say_once(text)
 
     def _leave(self, t: float, change: Left) -> None:
         if not self._link_loss.left(change.name):
@@ -693,22 +665,29 @@ class Core:
             "firmware_fault": "firmware fault cleared",
         }
         text = over.get(change.name, change.name)
-        news = self._news(t, change.name, text)
+        news = self._say_once(t, change.name, text)
         self._notice(t, Severity.NOTICE if news else Severity.DEBUG, text)
 
+    def _update_cycles_left(self, t: float) -> None:
+        """At every flown cycle, and every half second."""
+        reservoir, cycles = self._reservoir, self._cycles
+        flown = cycles is None or cycles.measured_cycles != reservoir.measured_cycles
+        if flown or abs(reservoir.read_at - self._cycles_at) >= CYCLES_EVERY_S:
+            self._cycles_at = reservoir.read_at
+            self._cycles = self._parts.run(t, "cycles left", reservoir.cycles_left, None)
+
     def _warn_of_low_reservoir(self, t: float) -> None:
-        # Only here is it made anew: that somebody looks must change nothing.
-        cycles = self._cycles = self._parts.run(t, "cycles left", self._reservoir.cycles_left, None)
+        cycles = self._cycles
         if cycles is None:
             return
         threshold = self.config.telemetry.low_reservoir_cycles
-        if cycles.expected < threshold and not self._low_told:
-            self._low_told = True
+        if cycles.expected < threshold and not self._low_warned:
+            self._low_warned = True
             pressure = self._reservoir.reservoir_kPa
             left = f"{cycles.expected:.0f} cycles left ({cycles.low:.0f}-{cycles.high:.0f})"
             self._notice(t, Severity.WARNING, f"bottle low, {pressure:.0f} kPa, {left}")
         elif cycles.expected > 1.5 * threshold + 1:
-            self._low_told = False
+            self._low_warned = False
 
     def _report(self, t: float) -> None:
         status = mavlink.MAV_STATE_ACTIVE if self._motion else mavlink.MAV_STATE_STANDBY
@@ -717,18 +696,17 @@ class Core:
         values: Mapping[str, float] = {}
         if self._vehicle.state.found:
             values = self._parts.run(t, "named values", lambda: self._named_values(t), values)
-        elif not self._may_speak_first(t):
-            return
+        else:
+            if self._silent_since is None:
+                self._silent_since = t
+            # Some peers send nothing before they have received something: a port that waits for its client.
+            if t - self._silent_since < SPEAK_FIRST_S:
+                return
         boot_ms = self._vehicle.state.time_boot_ms(t)
-        self._let_leave(self._vehicle.component.due(t, boot_ms, values, status))
-
-    def _may_speak_first(self, t: float) -> bool:
-        """Some peers send nothing before they have heard something (a port that waits for its client)."""
-        self._alone_since = t if self._alone_since is None else self._alone_since
-        return t - self._alone_since >= SPEAK_FIRST_S
+        self._transmit(self._vehicle.component.due(t, boot_ms, values, status))
 
     def _fresh_telemetry(self, t: float) -> protocol.Telemetry | None:
-        """The latest telemetry, unless it is too old to be shown as the present."""
+        """The latest telemetry, unless it is too old to be shown."""
         fresh = self._firmware.telemetry_age(t) <= self.config.losses.telemetry_s
         return self._firmware.telemetry if fresh else None
 
@@ -742,14 +720,14 @@ class Core:
             "CYC_LEFT": cycles.expected if cycles else math.nan,
             "CV_KPA": telemetry.cv_kPa,
             "CMD_KPA": self._commanded_kPa(t),
-            "BEND_DEG": self._mover.curve.angle_deg(self._bent_kPa),
+            "BEND_DEG": self._planner.curve.angle_deg(self._bent_kPa),
         }
 
     def _commanded_kPa(self, t: float) -> float:
         return self._motion.setpoint_kPa(t) if self._motion else 0.0
 
     def snapshot(self, t: float) -> Snapshot:
-        """What a display shows at time `t`."""
+        """The state at time `t`, for displays and logs."""
         telemetry = self._fresh_telemetry(t)
         vehicle = (
             f"{self._vehicle.state.kind} {self._vehicle.state.system_id}"
@@ -773,7 +751,7 @@ class Core:
             reservoir_kPa=telemetry.reservoir_kPa if telemetry else math.nan,
             cv_kPa=telemetry.cv_kPa if telemetry else math.nan,
             command_kPa=self._commanded_kPa(t),
-            bend_deg=self._mover.curve.angle_deg(self._bent_kPa) if telemetry else math.nan,
+            bend_deg=self._planner.curve.angle_deg(self._bent_kPa) if telemetry else math.nan,
             evp_opening=telemetry.evp_opening if telemetry else math.nan,
             dvp_opening=telemetry.dvp_opening if telemetry else math.nan,
             solenoid=telemetry.solenoid if telemetry else None,
@@ -796,7 +774,7 @@ class Core:
         for message in messages:
             self._vehicle.component.send(message)
 
-    def _let_leave(self, messages: Sequence[Message]) -> None:
+    def _transmit(self, messages: Sequence[Message]) -> None:
         system_id = self._vehicle.state.system_id or self.config.vehicle.system_id or 1
         self._actions.extend(ToVehicle(message, system_id) for message in messages)
 
@@ -804,9 +782,9 @@ class Core:
         self._actions.extend(ToFirmware(message) for message in messages)
 
     def _notice(self, t: float, severity: Severity, text: str, of_decision: bool = False) -> None:
-        self._tell(Notice(t, severity, f"Vine: {text}", of_decision))
+        self._publish(Notice(t, severity, f"Vine: {text}", of_decision))
 
-    def _tell(self, notice: Notice) -> None:
+    def _publish(self, notice: Notice) -> None:
         self._actions.append(notice)
         if notice.severity is not Severity.DEBUG:
             self._vehicle.component.say(notice.t, notice.severity, notice.text)

@@ -1,4 +1,4 @@
-"""What goes into the core and what comes out of it: events, actions, and a snapshot for displays and logs."""
+"""The core's inputs and outputs: events, actions, and a snapshot for displays and logs."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vine.intent import Asker, Intent
 
 MOST_OF_A_TRACE = 8000
-"""Characters; an endless recursion has a long one."""
+"""Characters; the traceback of an endless recursion is long."""
 
-# Events: what happens.
+# Events.
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """Something outside the core that people should read: a file that cannot be written, forged messages."""
+    """A text for people from outside the core: a file cannot be written, messages are forged."""
 
     t: float
     severity: Severity
@@ -63,27 +63,27 @@ class Said:
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """A person wants something of the vine."""
+    """A person requests something that did not come over MAVLink."""
 
     t: float
     by: Asker
     intent: Intent
     made_at: float | None = None
-    """When it was asked for, by the clock of `t`; None: now."""
+    """When it was requested, by the clock of `t`; None: now."""
     seen_at: float | None = None
-    """The `t` of the snapshot that the person looked at: page and broker clear no fault that came later."""
+    """The `t` of the snapshot that the person saw: page and broker clear no fault that came later."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """The service is to end: vent."""
+    """The service ends: vent."""
 
     t: float
 
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """A part of the service raised an error that nobody expects."""
+    """A part of the service raised an unexpected error."""
 
     t: float
     part: str
@@ -102,7 +102,7 @@ class Failed:
 Event = VehicleMessage | FirmwareMessage | LinkChanged | Tick | Said | Asked | Stop | Failed
 
 
-# Actions: what is to be done.
+# Actions.
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ class ToFirmware:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """A trigger and what came of it."""
+    """A trigger and the answer to it."""
 
     t: float
     trigger: str
@@ -127,28 +127,20 @@ class Decision:
     safety: Literal["accepted", "limited", "refused"]
     reason: str
     setpoint_kPa: float
-    """What the vine is going to (gauge): when refused, where the motion under way goes, or 0."""
+    """Where the motion goes first (gauge); if refused, that of the motion under way, or 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What the firmware said of itself and the pressures, for the log."""
+    """The firmware's telemetry, for the log."""
 
     t: float
     telemetry: protocol.Telemetry
 
 
 @dataclass(frozen=True, slots=True)
-class Calibrated:
-    """A calibration came to its end: each level that was held, asked and read (gauge kPa), in order."""
-
-    t: float
-    levels_kPa: tuple[tuple[float, float], ...]
-
-
-@dataclass(frozen=True, slots=True)
 class KeepParameters:
-    """The parameters that differ from the profile have changed, and are to survive the service."""
+    """The parameters that differ from the profile have changed: store them."""
 
     t: float
     values: dict[str, float]
@@ -156,7 +148,7 @@ class KeepParameters:
 
 @dataclass(frozen=True, slots=True)
 class KeepDisarmed:
-    """The pneumatics were disarmed, or armed again, and that is to survive the service."""
+    """The pneumatics were disarmed, or armed again: store that."""
 
     t: float
     disarmed: bool
@@ -164,24 +156,14 @@ class KeepDisarmed:
 
 @dataclass(frozen=True, slots=True)
 class InternalError:
-    """A part failed by this traceback, for the log."""
+    """A part failed with this traceback, for the log."""
 
     t: float
     part: str
     trace: str
 
 
-Action = (
-    ToVehicle
-    | ToFirmware
-    | Decision
-    | Notice
-    | Measured
-    | Calibrated
-    | KeepParameters
-    | KeepDisarmed
-    | InternalError
-)
+Action = ToVehicle | ToFirmware | Decision | Notice | Measured | KeepParameters | KeepDisarmed | InternalError
 
 
 @dataclass(frozen=True, slots=True)

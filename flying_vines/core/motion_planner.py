@@ -1,60 +1,20 @@
-"""How the vine moves to do what is wanted: planned alike in flight and before it.
-
-The core moves the vine by it, and a mission's budget and builder look ahead by it.
-"""
+"""From an intent to a motion: for the core in flight, and for a mission's budget and builder before it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from flying_vines.config.config import Config, no_profile
-from flying_vines.core.safety import Demand
-from flying_vines.supply import Belief, ReservoirEstimate, floor_kPa
-from flying_vines.vine.intent import BendTo, Intent, SetPressure, StartCalibration, StartProfile
-from flying_vines.vine.profile import Segment, Step, Trajectory, flatten, plan, top_kPa
-from flying_vines.vine.staircase import staircase
+from flying_vines.vine.intent import BendTo, Intent, SetPressure, StartProfile
+from flying_vines.vine.motion import Motion, plan
+from flying_vines.vine.profile import Segment, Step, flatten
 
 MIN_RATE_KPA_PER_S = 1.0
-AT_REST_KPA = 0.5
-"""Gauge; less is a vine that is straight."""
 
 
-@dataclass(frozen=True, slots=True)
-class Move:
-    """A movement of the vine. Gauge kPa."""
-
-    trajectory: Trajectory
-    peak_kPa: float
-    wanted_kPa: float
-    """The peak that was asked for, before the limits clipped it."""
-    rate_kPa_per_s: float
-    bent_kPa: float
-    """How far it has bent the vine in the end, as `BendCurve.bent_kPa` names bends."""
-
-    @property
-    def releases(self) -> bool:
-        """Whether it only lets air out."""
-        return self.trajectory.rise_kPa <= 0.0 and self.trajectory.final_kPa <= 0.0
-
-    @property
-    def stays_bent(self) -> bool:
-        return self.trajectory.final_kPa > AT_REST_KPA
-
-    def demand(self, reservoir: ReservoirEstimate, belief: Belief) -> Demand:
-        """What safety has to know of it, with the bottle as estimated."""
-        return Demand(
-            releases=self.releases,
-            peak_kPa=self.peak_kPa,
-            wanted_kPa=self.wanted_kPa,
-            spending_kPa=reservoir.spending_kPa(self.trajectory.rise_kPa),
-            floor_kPa=floor_kPa(belief.pneumatics, self.rate_kPa_per_s),
-        )
-
-
-class Mover:
-    """Plans movements within one configuration."""
+class MotionPlanner:
+    """Plans motions within one configuration."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
@@ -62,7 +22,7 @@ class Mover:
         self.curve = config.vine.bend_curve()
 
     def problem(self, intent: Intent) -> str:
-        """Why the vine cannot do it at all, or nothing."""
+        """Why the vine cannot do it at all, or an empty text."""
         match intent:
             case StartProfile(name) if name not in self._profiles:
                 return no_profile(self._config, name)
@@ -73,39 +33,40 @@ class Mover:
                 return f"{target_kPa:g} kPa is below ambient"
         return ""
 
-    def move(
+    def plan(
         self,
         intent: Intent,
         start_kPa: float,
         bent_kPa: float,
         limit_kPa: float = math.inf,
         rate_scale: float = 1.0,
-    ) -> Move:
-        """The movement that carries out what `problem` does not name.
+        started_at: float = 0.0,
+    ) -> Motion:
+        """The motion that carries out an intent for which `problem` is empty.
 
         Args:
             intent: one that takes air.
             start_kPa: from where, gauge.
             bent_kPa: how far the vine is bent, as `BendCurve.bent_kPa` names bends.
-            limit_kPa: of the firmware, where that is below the configuration's.
-            rate_scale: how much slower than it could be, 0…1.
+            limit_kPa: the firmware's, where it is below the configuration's.
+            rate_scale: share of the highest rate, 0…1.
+            started_at: when it starts.
         """
-        limit_kPa = min(limit_kPa, self._config.limits.max_kPa)
-        segments = self._segments(intent, limit_kPa)
         rate_kPa_per_s = self._rate_kPa_per_s(intent)
         if rate_scale < 1.0:
             rate_kPa_per_s = max(MIN_RATE_KPA_PER_S, rate_kPa_per_s * rate_scale)
-        trajectory = plan(segments, self.curve, start_kPa, rate_kPa_per_s, limit_kPa, bent_kPa)
-        furthest_kPa = self.curve.bent_kPa(trajectory.peak_kPa, bent_kPa)
-        return Move(
-            trajectory,
-            peak_kPa=top_kPa(segments, self.curve, limit_kPa),
-            wanted_kPa=top_kPa(segments, self.curve, math.inf),
-            rate_kPa_per_s=rate_kPa_per_s,
-            bent_kPa=self.curve.bent_kPa(trajectory.final_kPa, furthest_kPa),
+        return plan(
+            self._segments(intent),
+            self.curve,
+            start_kPa,
+            rate_kPa_per_s,
+            min(limit_kPa, self._config.limits.max_kPa),
+            bent_kPa,
+            name=str(intent),
+            started_at=started_at,
         )
 
-    def _segments(self, intent: Intent, limit_kPa: float) -> Sequence[Segment]:
+    def _segments(self, intent: Intent) -> Sequence[Segment]:
         match intent:
             case StartProfile(name):
                 return self._profiles[name]
@@ -113,9 +74,6 @@ class Mover:
                 return (Step(to_deg=angle_deg),)
             case SetPressure(target_kPa):
                 return (Step(to_kPa=target_kPa),)
-            case StartCalibration():
-                stairs = self._config.calibration
-                return tuple(staircase(limit_kPa, stairs.steps, stairs.hold_s))
         raise AssertionError(intent)
 
     def _rate_kPa_per_s(self, intent: Intent) -> float:

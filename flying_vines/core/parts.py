@@ -1,6 +1,6 @@
 """Parts of the core that no setpoint waits for: estimates, checks, values for displays.
 
-One that raises is switched off for good, and what called it goes on without it.
+A part that raises is switched off for good, and its caller goes on without it.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ _T = TypeVar("_T")
 
 
 class Parts:
-    """Runs parts by name. `failed` is told of each that raises, once."""
+    """Runs parts by name. `failed` is called once for each part that raises."""
 
     def __init__(self, failed: Callable[[Failed], None]) -> None:
         self._failed = failed
         self._off: set[str] = set()
 
     def run(self, t: float, name: str, part: Callable[[], _T], otherwise: _T, needed: bool = False) -> _T:
-        """What `part` returns, or `otherwise` when it is off.
+        """What `part` returns, or `otherwise` if it is off.
 
-        Without one that is `needed` the vine must not bend; any other is for people only.
+        `needed`: without this part the vine must not bend. Other parts only serve displays.
         """
         if name in self._off:
             return otherwise

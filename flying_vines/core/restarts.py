@@ -1,16 +1,16 @@
-"""A board that restarts again and again: the pilot is told the first time at once, then how often."""
+"""A board that restarts again and again: the pilot reads of the first restart at once, then how often."""
 
 from __future__ import annotations
 
 import math
 
 OVER_S = 10.0
-"""So long after its last restart a board is believed to stay up."""
+"""A series of restarts is over when none came for so long."""
 TELLS_EVERY_S = 10.0
 
 
 class Restarts:
-    """Of one series: restarts of which none comes later than `OVER_S` after the one before it."""
+    """One series: each restart comes within `OVER_S` of the one before."""
 
     def __init__(self) -> None:
         self._end()
@@ -21,7 +21,7 @@ class Restarts:
         self._said: set[str] = set()
 
     def note(self, t: float) -> bool:
-        """The board restarted. Whether that is told at once: it is the first of a series."""
+        """Note a restart of the board. Returns whether to tell it at once: it is the first of a series."""
         if self._count and t - self._last_at >= OVER_S:
             self._end()
         self._count += 1
@@ -32,8 +32,8 @@ class Restarts:
         self._told_count = 1
         return True
 
-    def news(self, text: str) -> bool:
-        """Whether a text on the board is to be told: each is once in a series."""
+    def say_once(self, text: str) -> bool:
+        """Note a text about the board. Returns whether to tell it: each is told once in a series."""
         if not self._count:
             return True
         new = text not in self._said
@@ -41,14 +41,14 @@ class Restarts:
         return new
 
     def looping(self, t: float) -> str:
-        """How often and in how long, for people; empty where it is one restart or none, or over."""
+        """How often in how long; empty after fewer than two restarts, or when the series is over."""
         if self._count < 2 or t - self._last_at >= OVER_S:
             return ""
         lasts_s = max(1, round(self._last_at - self._first_at))
         return f"phloSAR restarted {self._count} times in {lasts_s} s"
 
-    def due(self, t: float) -> str:
-        """What is to be told at a tick, if anything."""
+    def tick(self, t: float) -> str:
+        """Let time pass. Returns what to tell now, if anything."""
         told = ""
         if self._count > self._told_count and t - self._told_at >= TELLS_EVERY_S:
             told = self.looping(t)

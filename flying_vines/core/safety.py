@@ -1,8 +1,8 @@
-"""What may move, how far, and what happens when something is lost: one pure state machine.
+"""Which motions are allowed, and what happens after a loss or fault: one pure state machine.
 
-Losses last until they end, latched faults until a person clears them, limits act once. While any of them
-holds, the vine vents (or, where the configuration says so, holds for a while) and nothing bends. When they
-are over the vine stays as it is: only a fresh trigger moves it.
+A loss lasts until it ends, a latched fault until a person clears it, and a limit acts once. During a loss or
+fault the vine vents and nothing bends; if the configuration says so, the vine is held for a while first.
+After it the vine stays as it is: only a new trigger moves it.
 """
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ from typing import Literal
 
 from firmware_link.protocol import Fault
 from flying_vines.config.config import Config
+from flying_vines.supply import AirNeeded
+from flying_vines.vine.motion import Motion
 
-HEEDED_WITHIN_S = 0.3
-"""A board's mode follows what it is told. Eleven commands in a row may be lost."""
+MODE_FOLLOWS_WITHIN_S = 0.3
+"""The board's mode follows its commands within this time, even if eleven in a row are lost."""
 LANDING_MARGIN_M = 0.5
-"""The altitude interlock lets go of a bent vine this much lower than it lets one bend."""
+"""A bent vine is vented this much below the altitude from which it may bend."""
 
 INTERNAL_ERROR = "internal error: restart the service"
 
@@ -36,61 +38,46 @@ FAULT_SENTENCES = {
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """All that safety looks at, at one moment. Pressures are gauge kPa, NaN when unknown."""
+    """The inputs of safety at one moment. Pressures are gauge kPa, NaN when unknown."""
 
     pneumatics_armed: bool = True
-    """Whether a person lets the vine bend at all; `armed` is the vehicle."""
+    """Whether a person allows the vine to bend; `armed` is the vehicle."""
     armed: bool = False
     altitude_m: float | None = None
     rc_problem: str | None = None
-    """Why RC cannot be believed; None when it can, or when this flight does without RC."""
+    """Why RC cannot be trusted; None if it can, or if RC is not in use."""
     autopilot_age_s: float | None = None
-    """Since any frame of it; None when none was ever heard."""
+    """Since its last frame; None if it never sent one."""
     heartbeat_missing: bool = False
-    """Other frames of the autopilot come, but none says whether it is armed."""
+    """The autopilot sends other messages, but no HEARTBEAT: armed or not is unknown."""
     firmware_ready: bool = False
     firmware_was_ready: bool = False
     firmware_problem: str = "not connected"
     telemetry_age_s: float = math.inf
     faults: Fault = Fault.NONE
     sensor_problem: str | None = None
-    """What telemetry says that no sensor can."""
+    """The telemetry value that no sensor can have, as a sentence."""
     cv_kPa: float = math.nan
     reservoir_kPa: float = math.nan
-    unheeded_s: float = 0.0
-    """For how long the board's mode has not been what it is told: to move the vine, or to vent."""
+    mode_mismatch_s: float = 0.0
+    """For how long the board's mode has not been the commanded one."""
     restarting: str = ""
-    """How often the board restarted lately, in words; empty where that is over, or was once."""
+    """How often the board restarted lately, in words; empty after fewer than two restarts."""
     bench: bool = False
-    """Whether a person tries the vine on the ground."""
+    """Whether bench mode is on: the vine may bend on the ground."""
     moving: bool = False
     """Whether the vine is held or moved under pressure."""
     moving_s: float = 0.0
-    """Since a person or the mission last asked for what it does; a loss asks for nothing."""
+    """Since a person or the mission requested the present motion; a loss requests nothing."""
     physics: Mapping[str, str] = field(default_factory=dict)
-    """Where the physics does not answer as predicted: the checks that are faults, with a sentence each."""
+    """The physics checks that found a fault, by name, with a sentence each."""
     internal_error: bool = False
-    """Something of ours that the vine needs has failed."""
-
-
-@dataclass(frozen=True, slots=True)
-class Demand:
-    """What an intent would take."""
-
-    releases: bool
-    """It only lets air out."""
-    peak_kPa: float = 0.0
-    wanted_kPa: float = 0.0
-    """What was asked for, before the curve and the limits clipped it."""
-    spending_kPa: float = 0.0
-    """What it is expected to take from the reservoir."""
-    floor_kPa: float = 0.0
-    """What the reservoir must hold for the wanted rate."""
+    """A part of the service that the vine needs has failed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ruling:
-    """What safety makes of an intent."""
+    """Safety's answer: whether a motion may be carried out, and at which share of its rate."""
 
     verdict: Literal["accepted", "limited", "refused"]
     reason: str = ""
@@ -99,7 +86,7 @@ class Ruling:
 
 @dataclass(frozen=True, slots=True)
 class Entered:
-    """A loss, fault or limit began; `response` is what the vine does."""
+    """A loss, fault or limit began, and the vine's response."""
 
     name: str
     reason: str
@@ -108,32 +95,32 @@ class Entered:
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """It is over. Nothing moves until a fresh trigger."""
+    """It is over. Nothing moves until a new trigger."""
 
     name: str
 
 
 class Safety:
-    """Feed it `watch` often, ask it `judge` for every intent."""
+    """Call `watch` often, and `judge` for every motion."""
 
     def __init__(self, config: Config) -> None:
         self.configure(config)
         self._present: dict[str, str] = {}
         self._latched: dict[str, str] = {}
         self._latched_at: dict[str, float] = {}
-        """When the cause of each appeared last."""
+        """When the cause of each last appeared."""
         self._causes: set[str] = set()
         self._faults = Fault.NONE
         self._faults_at = -math.inf
-        """When the firmware told a new fault last."""
+        """When the firmware last reported a new fault."""
         self._held_s = 0.0
-        """For how long the vine was held in losses since the last trigger, however many they were."""
+        """For how long the vine was held since the last trigger, in all losses together."""
         self._held_at: float | None = None
-        """Up to when that is counted, while it is held."""
+        """The time up to which that is counted; None while the vine is not held."""
         self._tripped: set[str] = set()
 
     def configure(self, config: Config) -> None:
-        """Look by other limits from now on; what holds or is latched stays so."""
+        """Use other limits from now on. Present losses and latched faults remain."""
         self._limits = config.limits
         self._interlocks = config.interlocks
         self._losses = config.losses
@@ -144,9 +131,9 @@ class Safety:
         return {**self._present, **self._latched}
 
     def triggered(self) -> None:
-        """A person or the mission asked, and it is carried out: the next loss is held anew.
+        """A request was carried out: the next loss may be held for the whole time again.
 
-        Not the loss that holds now, in which only air can be asked out.
+        This does not apply to a loss that holds the vine now.
         """
         if self._held_at is None:
             self._held_s = 0.0
@@ -193,13 +180,13 @@ class Safety:
         return changes
 
     def _response(self, name: str) -> Literal["vent", "hold"]:
-        """Only a lost RC is held: without autopilot or board nobody knows where the vine is, and how high."""
+        """Only a lost RC is held: without autopilot or board, altitude or pressure are unknown."""
         if name == "rc" and self._held_s < self._losses.hold_at_most_s:
             return self._losses.on_rc_loss
         return "vent"
 
     def _latching(self, now: Conditions) -> dict[str, str]:
-        """The causes of latched faults that are there now."""
+        """The causes of latched faults that are present now."""
         causes = {
             "internal_error": INTERNAL_ERROR if now.internal_error else None,
             "sensor": now.sensor_problem,
@@ -216,9 +203,9 @@ class Safety:
         return Entered(name, reason, "vent")
 
     def clear(self, now: Conditions, seen_at: float = math.inf) -> list[str]:
-        """A person clears latched faults. Returns what was cleared.
+        """A person clears latched faults. Returns those that were cleared.
 
-        Those stay whose cause is still there, and those that came after `seen_at`: they were not seen.
+        A fault stays if its cause is still present, or if it came after `seen_at`, unseen by the person.
         """
         present = self._latching(now)
         cleared = [
@@ -229,26 +216,26 @@ class Safety:
         return cleared
 
     def firmware_faults_seen(self, seen_at: float) -> bool:
-        """Whether all faults that the firmware tells now were there at `seen_at`."""
+        """Whether all faults that the firmware reports now were present at `seen_at`."""
         return self._faults_at <= seen_at
 
-    def judge(self, demand: Demand, now: Conditions) -> Ruling:
-        """Whether an intent may be carried out. Letting air out always may."""
-        if demand.releases:
+    def judge(self, motion: Motion, air: AirNeeded, now: Conditions) -> Ruling:
+        """Whether a motion may be carried out. Letting air out always may."""
+        if motion.only_lets_out:
             return Ruling("accepted")
-        problem = self._problem(demand, now)
+        problem = self._problem(motion, air, now)
         if problem:
             return Ruling("refused", problem)
-        if demand.wanted_kPa > demand.peak_kPa + 1e-6:
-            return Ruling("limited", f"to {demand.peak_kPa:g} kPa")
-        left_kPa = now.reservoir_kPa - demand.peak_kPa
-        if left_kPa < demand.floor_kPa:
+        if motion.wanted_kPa > motion.top_kPa + 1e-6:
+            return Ruling("limited", f"to {motion.top_kPa:g} kPa")
+        left_kPa = now.reservoir_kPa - motion.top_kPa
+        if left_kPa < air.floor_kPa:
             return Ruling(
-                "limited", f"slower: bottle at {now.reservoir_kPa:.0f} kPa", left_kPa / demand.floor_kPa
+                "limited", f"slower: bottle at {now.reservoir_kPa:.0f} kPa", left_kPa / air.floor_kPa
             )
         return Ruling("accepted")
 
-    def _problem(self, demand: Demand, now: Conditions) -> str | None:
+    def _problem(self, motion: Motion, air: AirNeeded, now: Conditions) -> str | None:
         if self.reasons:
             return "; ".join(self.reasons.values())
         if not now.pneumatics_armed:
@@ -266,7 +253,7 @@ class Safety:
                 return "altitude not known"
             if now.altitude_m < self._interlocks.min_altitude_m:
                 return f"at {now.altitude_m:.1f} m, below {self._interlocks.min_altitude_m:g} m"
-        needed_kPa = demand.peak_kPa + self._interlocks.reserve_kPa + demand.spending_kPa
+        needed_kPa = motion.top_kPa + self._interlocks.reserve_kPa + air.spending_kPa
         if not now.reservoir_kPa >= needed_kPa:
             return f"bottle at {now.reservoir_kPa:.0f} kPa, needs {needed_kPa:.0f}"
         return None
@@ -282,9 +269,9 @@ class Safety:
         return None
 
     def _regulates(self, now: Conditions) -> str | None:
-        """Told to vent. There is no more to do than to say so again and again: no setpoint lives on."""
-        unheeded = not now.moving and now.unheeded_s > HEEDED_WITHIN_S
-        return "phloSAR goes on regulating" if unheeded else None
+        """The board regulates after the command to vent. The command is repeated; no setpoint is renewed."""
+        mismatch = not now.moving and now.mode_mismatch_s > MODE_FOLLOWS_WITHIN_S
+        return "phloSAR goes on regulating" if mismatch else None
 
     def _rc(self, now: Conditions) -> str | None:
         return f"RC lost: {now.rc_problem}" if now.rc_problem else None
@@ -316,8 +303,8 @@ class Safety:
         return None
 
     def _deaf(self, now: Conditions) -> str | None:
-        """Where the wire to the board is broken at rest, no dead-man runs out, and its telemetry goes on."""
-        return "phloSAR does not hear us" if now.unheeded_s > HEEDED_WITHIN_S else None
+        """If the wire to the board breaks while it rests, no dead-man runs out, and telemetry goes on."""
+        return "phloSAR does not hear us" if now.mode_mismatch_s > MODE_FOLLOWS_WITHIN_S else None
 
     def _disarmed(self, now: Conditions) -> str | None:
         return "disarmed" if not now.armed and not self._on_bench(now) else None

@@ -1,4 +1,4 @@
-"""Whoever looks on while the service serves: a recorder, a display, the gateway to a page and a broker."""
+"""Observers of the core: a recorder, a display, the gateway to a page and a broker."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from flying_vines.core.events import Action, Event, Snapshot
 
 
 class Watcher:
-    """Called in the loop that flies, some milliseconds after what it sees: returns soon, and never raises.
+    """Called in the service's loop, some milliseconds later. It must return soon and never raise.
 
-    The order is that of the core: each event, then what came of it. Override what is to be seen.
+    The order is the core's: each event, then its actions. Override the methods that you need.
     """
 
     def event(self, event: Event) -> None:
-        """Something happened."""
+        """An event was handled."""
 
     def action(self, action: Action) -> None:
-        """The core's answer to the latest event, or a part of it. Messages are packed by now."""
+        """One action of the latest event. Its message is packed."""
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """How things stand, some ten times a second."""
+        """The state, about ten times a second."""
 
 
 class EachAction(Watcher):
-    """Hands on what the core does, and nothing else."""
+    """Passes on the actions only."""
 
     def __init__(self, take: Callable[[Action], None]) -> None:
         self._take = take

@@ -16,7 +16,7 @@ from firmware_link.protocol import Fault, Setting, Telemetry, Welcome
 from firmware_link.settings import SettingsTalk
 from flying_vines.config.address import Address
 from flying_vines.service.link_watch import Heard, LinkWatch
-from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate
+from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate, TelemetryReader
 
 REST_S = 1.0
 """The greeting vents; how the vine reads at rest is averaged over the last of this."""
@@ -52,6 +52,7 @@ class FirmwareProbe:
     def __init__(self, address: Address, belief: Belief) -> None:
         self._talk = SettingsTalk()
         self._watch = LinkWatch(address, self._talk)
+        self._reader = TelemetryReader(belief)
         self._reservoir = ReservoirEstimate(belief)
         self._heard: list[tuple[float, Telemetry]] = []
         self._boots: set[int] = set()
@@ -67,7 +68,7 @@ class FirmwareProbe:
                 self._boots.add(seen.message.boot_id)
             elif isinstance(seen.message, Telemetry) and self._watch.answered:
                 self._heard.append((seen.t, seen.message))
-                self._reservoir.update(seen.t, seen.message)
+                self._reservoir.update(self._reader.read(seen.t, seen.message))
 
     @property
     def facts(self) -> FirmwareFacts:

@@ -17,7 +17,7 @@ from importlib import metadata
 import msgspec
 
 from flying_vines.config.config import Config
-from flying_vines.core.events import Action, Calibrated, Decision, Snapshot
+from flying_vines.core.events import Action, Decision, Snapshot
 from flying_vines.core.watcher import Watcher
 from flying_vines.gateway.keep_alive import keep_alive
 from flying_vines.gateway.messages import (
@@ -80,7 +80,7 @@ class Gateway(Watcher):
     def action(self, action: Action) -> None:
         if isinstance(action, Notice) and action.severity is Severity.DEBUG:
             return
-        if isinstance(action, Decision | Notice | Calibrated):
+        if isinstance(action, Decision | Notice):
             self._unsent.append(packet(Happened(type(action).__name__.lower(), raw(action))))
 
     def snapshot(self, snapshot: Snapshot) -> None:

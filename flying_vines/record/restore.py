@@ -56,7 +56,10 @@ def event_of(entry: Entry) -> Event:
     if entry.topic == MAVLINK_IN:
         return VehicleMessage(said["t"], message_in(binascii.a2b_base64(said["frame"])))
     if entry.topic == topic_of(Asked):
-        intent: Intent = restored(_INTENTS[said["intent"]["kind"]], said["intent"])
+        kind = _INTENTS.get(said["intent"]["kind"])
+        if kind is None:
+            raise LogError(f"the log holds a request of an earlier version, {said['intent']['kind']}")
+        intent: Intent = restored(kind, said["intent"])
         return Asked(said["t"], said["by"], intent, said.get("made_at"), said.get("seen_at"))
     happened: Any = restored(_KINDS[entry.topic], said)
     if isinstance(happened, Tick | LinkChanged | Said | Stop | Failed):

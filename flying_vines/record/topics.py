@@ -19,7 +19,6 @@ from firmware_link import protocol
 from flying_vines.core.events import (
     Action,
     Asked,
-    Calibrated,
     Decision,
     Event,
     Failed,
@@ -127,18 +126,12 @@ _EVENTS: dict[type, str] = {
 _ANSWERS: dict[type, str] = {
     Decision: "decision",
     Notice: "notice",
-    Calibrated: "calibration",
     KeepParameters: "parameters",
     KeepDisarmed: "disarmed",
 }
 _STATES: dict[type, str] = {Start: "start", Snapshot: "snapshot", InternalError: "internal_error"}
 """Neither goes into the core nor is compared when it is asked again: a traceback names lines of a program."""
 MAVLINK_IN, MAVLINK_OUT = "mavlink/in", "mavlink/out"
-
-
-def _calibration_schema() -> Schema:
-    levels: Schema = {"type": "array", "items": {"type": "number"}}
-    return obj({"t": of_type(float), "asked_kPa": levels, "read_kPa": levels}, Calibrated.__doc__ or "")
 
 
 def _asked_schema() -> Schema:
@@ -149,16 +142,13 @@ def _asked_schema() -> Schema:
 
 
 def _topics() -> tuple[Topic, ...]:
-    shaped = {Calibrated: _calibration_schema, Asked: _asked_schema}
     plain = {**_STATES, **_EVENTS, **_ANSWERS}
     return (
         _mavlink_topic(MAVLINK_IN),
         _mavlink_topic(MAVLINK_OUT),
         *(_topic(name, kind, with_t=True) for kind, name in _SERIAL.items()),
         *(
-            Topic(name, f"flying_vines.{kind.__name__}", shaped[kind]())
-            if kind in shaped
-            else _topic(name, kind)
+            Topic(name, "flying_vines.Asked", _asked_schema()) if kind is Asked else _topic(name, kind)
             for kind, name in plain.items()
         ),
     )
@@ -221,7 +211,7 @@ def encoded(entry: Entry) -> bytes:
     number, t, what = entry
     if number in (_IN, _OUT):
         return _mavlink(t, bytes(what))
-    if isinstance(what, Calibrated | Asked):
+    if isinstance(what, Asked):
         return _without_nulls(_encode(_shaped(what)))
     data = _encode(what)
     if not hasattr(what, "t"):
@@ -230,11 +220,8 @@ def encoded(entry: Entry) -> bytes:
     return _without_nulls(data)
 
 
-def _shaped(what: Calibrated | Asked) -> dict[str, Any]:
-    """Where plain encoding would lose what a field is called."""
-    if isinstance(what, Calibrated):
-        asked, read = zip(*what.levels_kPa, strict=True) if what.levels_kPa else ((), ())
-        return {"t": what.t, "asked_kPa": asked, "read_kPa": read}
+def _shaped(what: Asked) -> dict[str, Any]:
+    """Plain encoding would lose which intent it is."""
     plain: dict[str, Any] = msgspec.to_builtins(what)
     plain["intent"] = {"kind": type(what.intent).__name__, **plain["intent"]}
     return plain

@@ -12,8 +12,8 @@ from flying_vines.config.address import Address
 from flying_vines.service.link_watch import LinkWatch
 
 ANSWERS_WITHIN_S = 5.0
-"""A board that starts up, two greetings and the sentence that says who is silent. One that goes away half-way
-has as long to come back."""
+"""Time for a board to start, two greetings and the text about a silent port. A board that disappears has the
+same time to come back."""
 
 
 class SettingsError(Exception):
@@ -21,13 +21,13 @@ class SettingsError(Exception):
 
 
 class SettingsInterruptedError(SettingsError):
-    """Nobody wants it any more."""
+    """The person has stopped it."""
 
 
 async def talk_about_settings(
     address: Address, changes: Mapping[str, float], stopped: asyncio.Event
 ) -> Sequence[Setting]:
-    """Change what is to be changed: all that is set then. SettingsError, also once `stopped`."""
+    """Make the changes and return all settings. Raises SettingsError, also if `stopped`."""
     talk = SettingsTalk(changes)
     watch = LinkWatch(address, talk)
     there_s = 0.0

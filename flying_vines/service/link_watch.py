@@ -1,4 +1,4 @@
-"""What goes over the phloSAR's line, watched: the monitor on a real port. No logic of its own."""
+"""The monitor of the phloSAR's line on a real port. No logic of its own."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TICK_S = 0.01
 
 
 class Told(NamedTuple):
-    """Something about the line that is no frame."""
+    """A text about the line."""
 
     t: float
     text: str
@@ -28,7 +28,7 @@ Heard = Seen | Told
 
 
 class LinkWatch:
-    """Greets whoever is at `address` and remembers what is said until `run` hands it over.
+    """Greets the board at `address` and collects what it sends until `run` passes it on.
 
     Times are those of the event loop's clock since the watch began.
     """
@@ -38,11 +38,11 @@ class LinkWatch:
         self.answered = False
         """Whether a firmware of our version has been there."""
         self.port = Told(0.0, "opening", False)
-        """How it is with the port now, and with whoever is on it."""
+        """The state of the port, and of the board on it."""
         self._opened = self.port
         self.clean_since: LinkStatistics | None = None
-        """The counts when the firmware last answered: what was spoilt before is nobody's fault."""
-        self._heard: list[Heard] = []
+        """The counts when the firmware last answered: earlier bad frames do not count."""
+        self._received: list[Heard] = []
         self._began = asyncio.get_running_loop().time()
         self._link = open_link(address, self._bytes, self._state)
 
@@ -55,33 +55,33 @@ class LinkWatch:
         return self.monitor.statistics(self.t, self._link.dropped_bytes)
 
     async def run(self, show: Callable[[Sequence[Heard]], None], over: Callable[[], bool]) -> None:
-        """Until `over`; `show` gets what was heard, in order, at every tick."""
+        """Run until `over`; `show` gets what was received, in order, at every tick."""
         opening = asyncio.create_task(self._link.run())
         try:
             while not over() and not opening.done():
                 data, sent = self.monitor.tick(self.t)
                 if data:
                     self._link.write(data)
-                self._heard += sent
+                self._received += sent
                 news = self.monitor.answer.news(self.t)
                 if news:
-                    self._tell_port(news, False)
-                show(self._take_heard())
+                    self._report_port(news, False)
+                show(self._take_received())
                 await asyncio.sleep(TICK_S)
         finally:
             opening.cancel()
             await asyncio.wait([opening])
-        show(self._take_heard())
+        show(self._take_received())
         if not opening.cancelled():
             opening.result()
 
-    def _take_heard(self) -> list[Heard]:
-        heard, self._heard = self._heard, []
+    def _take_received(self) -> list[Heard]:
+        heard, self._received = self._received, []
         return heard
 
     def _bytes(self, data: bytes) -> None:
         seen, events = self.monitor.receive(self.t, data)
-        self._heard += seen
+        self._received += seen
         for event in events:
             self._take(event)
 
@@ -90,7 +90,7 @@ class LinkWatch:
             self.monitor.opened(self.t)
         else:
             self.monitor.closed(self.t)
-        self._tell_port(why or "the port is open", up)
+        self._report_port(why or "the port is open", up)
         self._opened = self.port
 
     def _take(self, event: HostEvent) -> None:
@@ -99,15 +99,15 @@ class LinkWatch:
                 self.answered = True
                 self.port = self._opened
                 self.clean_since = self.statistics
-                self._tell(f"the firmware {welcome.firmware_build!r} answers", True)
+                self._report(f"the firmware {welcome.firmware_build!r} answers", True)
             case FirmwareReset(reason):
-                self._tell(f"the firmware restarted: {reason}", False)
+                self._report(f"the firmware restarted: {reason}", False)
             case Incompatible(reason):
-                self._tell_port(reason, False)
+                self._report_port(reason, False)
 
-    def _tell_port(self, text: str, good: bool) -> None:
+    def _report_port(self, text: str, good: bool) -> None:
         self.port = Told(self.t, text, good)
-        self._heard.append(self.port)
+        self._received.append(self.port)
 
-    def _tell(self, text: str, good: bool) -> None:
-        self._heard.append(Told(self.t, text, good))
+    def _report(self, text: str, good: bool) -> None:
+        self._received.append(Told(self.t, text, good))

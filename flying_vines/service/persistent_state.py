@@ -1,4 +1,4 @@
-"""What survives the service: a pilot's parameters, disarmed pneumatics, the signing clock, the page's token.
+"""The persistent state: a pilot's parameters, disarmed pneumatics, the signing clock, the page's token.
 
 Each is a file of one folder, named after the profile, so that several rigs can share it.
 """
@@ -22,7 +22,7 @@ Arm them from a ground station (command USER_4, 3), or take the file away and st
 
 
 class KeptError(Exception):
-    """Something does not survive the service; the text is one line that says which file, and why."""
+    """A state cannot be stored; the text is one line that says which file, and why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Kept:
     profile: Path
     parameters: Path
     disarming: Path
-    """There while the pneumatics are disarmed, whatever is in it: half a file holds the vine as well."""
+    """Exists while the pneumatics are disarmed. Its content does not matter: half a file is enough."""
     signing_timestamp: Path
     page_token: Path
 
@@ -56,10 +56,10 @@ class Kept:
 
     @property
     def disarmed(self) -> bool:
-        """Whether the pneumatics were disarmed and not armed again; `OSError` where nobody can tell."""
+        """Whether the pneumatics were disarmed and not armed again; `OSError` if that cannot be read."""
         return self.disarming.exists()
 
-    def keep_disarmed(self, disarmed: bool) -> None:
+    def store_disarmed(self, disarmed: bool) -> None:
         """Raises `KeptError`."""
         try:
             if disarmed:
@@ -71,11 +71,11 @@ class Kept:
             raise KeptError(f"{self.disarming}: cannot be {change}: {error.strerror}") from None
 
     def read_page_token(self, config: Config) -> str:
-        """Made where there is none; empty where the page needs none. Raises `PageTokenError`, one line."""
+        """Made if there is none; empty if the page needs none. Raises `PageTokenError`, one line."""
         return page_token.read_or_make(self.page_token) if config.page.needs_token else ""
 
     def read_signing(self, config: Config) -> tuple[Signing | None, str]:
-        """The signing that the profile asks for, if any, and a sentence where its clock was not kept.
+        """The signing that the profile asks for, if any, and a sentence if its clock was not stored.
 
         Raises `SigningKeyError`, one line.
         """

@@ -1,4 +1,4 @@
-"""The service with all that looks on while it serves: recorder, screen, gateway and systemd."""
+"""The service with its watchers: recorder, screen, gateway and systemd."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SNAPSHOT_S = 0.05
 
 @dataclass(frozen=True)
 class Remembered:
-    """What outlives the service, as it was read at the start."""
+    """The persistent state, as it was read at the start."""
 
     kept: Kept
     parameters: dict[str, float]
@@ -78,15 +78,15 @@ async def serve(
     tending = asyncio.create_task(gateway.run()) if Gateway.wanted(config) else None
     screen = Live(console=console, refresh_per_second=5, screen=True) if live else None
     problems: dict[str, str] = {}
-    log_told = ""
+    log_reported = ""
     if screen:
         screen.start()
     try:
         while not serving.done():
             snapshot = service.core.snapshot(service.now)
-            if log_told != log.told:
-                log_told = log.told
-                service.say(Severity.WARNING, log_told)
+            if log_reported != log.told:
+                log_reported = log.told
+                service.say(Severity.WARNING, log_reported)
             if screen:
                 try:
                     screen.update(view.render(snapshot, problems=service.link_problems))

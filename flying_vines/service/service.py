@@ -46,25 +46,25 @@ from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampF
 from flying_vines.vehicle.notice import Severity
 from flying_vines.vine.intent import Asker, Intent
 
-LAST_WORDS_S = 0.3
-"""After a stop: the last status text and the vent must get out."""
-REFUSALS_TOLD_S = 60.0
+FLUSH_S = 0.3
+"""After a stop: time to send the last status text and the vent."""
+REFUSALS_EVERY_S = 60.0
 SNAPSHOT_S = 0.1
 RESTART_S = 1.0
-"""After which a task that has failed begins anew."""
+"""Wait before a failed task is started again."""
 BARE_VENT = FRAME_END + protocol.encode(protocol.Vent(1), 0)
-"""Where a message cannot be made for the firmware this goes: a vent is accepted under every number."""
+"""Sent if no message can be made for the firmware: a vent is accepted under every number."""
 ONLY_SHOWN = ("NAMED_VALUE_FLOAT", "FUEL_STATUS")
-"""What we send for displays alone."""
+"""Messages that only serve displays."""
 _LINKS = ("flying_vines.vehicle.mavlink.link", "firmware_link.serial_port")
 """Modules whose callbacks the vine needs."""
 
 
 class Service:
-    """A core between two real links. The `watchers` see all that happens, once it was carried out.
+    """A core between two real links. The `watchers` see every event and action after it was carried out.
 
-    `parameters`, `disarmed` and `signing` are what was kept of the last service; `kept` says where it is kept
-    for the next one, and without it it ends with this one.
+    `parameters`, `disarmed` and `signing` are the persistent state of the last service. `kept` holds the
+    files for the next one; without it nothing is stored.
     """
 
     def __init__(
@@ -82,22 +82,22 @@ class Service:
             lambda error: self.failed("display", error),
         )
         self._failed: set[str] = set()
-        """Parts that were told to have failed."""
+        """Parts whose failure is reported."""
         self.link_problems: dict[str, str] = {}
         self._profile = config
         self._disarmed_before = disarmed
-        self._kept = kept
-        self._to_keep: dict[str, Callable[[], None]] = {}
-        """How to write what has changed, by what it is."""
-        self._something_to_keep = asyncio.Event()
+        self._persistent = kept
+        self._unwritten: dict[str, Callable[[], None]] = {}
+        """For each state that has changed, how to write it."""
+        self._changed = asyncio.Event()
         self._signing = signing
         self._synchronised = bool(synchronised())
         self._watchers = list(watchers)
-        self._untold: list[tuple[Event, list[Action]]] = []
+        self._unpublished: list[tuple[Event, list[Action]]] = []
         self._mavlink = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)
         self._serial = protocol.Codec()
         self._answer = Answer()
-        self._unread_told = False
+        self._unread_reported = False
         self._stopping = asyncio.Event()
         self._vehicle = open_link(
             parse_address(config.vehicle.link),
@@ -119,12 +119,12 @@ class Service:
         self._stopping.set()
 
     def say(self, severity: Severity, text: str) -> None:
-        """Let people read this, here and on the ground station."""
+        """Show a text here and on the ground station."""
         self._feed(Said(self.now, severity, text))
 
     def failed(self, part: str, error: BaseException, needed: bool = False) -> None:
-        """Something has failed, which the vine needs or which is only for people: told and logged, once."""
-        # What fails at every tick is one failure.
+        """Report and log, once, the failure of a part: `needed` by the vine, or only for displays."""
+        # Each part once: it may fail at every tick.
         if part not in self._failed:
             self._failed.add(part)
             self._feed(Failed.by(self.now, part, error, needed))
@@ -132,7 +132,7 @@ class Service:
     def ask(
         self, by: Asker, intent: Intent, made_at: float | None = None, seen_at: float | None = None
     ) -> Decision:
-        """What a person wants who does not ask over MAVLink, and what comes of it.
+        """Handle a person's request that did not come over MAVLink.
 
         `made_at` and `seen_at` are those of `Asked`.
         """
@@ -155,21 +155,21 @@ class Service:
                         ("phloSAR link", self._firmware.run, True),
                         ("tick", self._tick, True),
                         ("display", self._show, False),
-                        ("keeping files", self._keep_changes, False),
-                        ("keeping the signing clock", self._keep_signing, False),
+                        ("keeping files", self._write_changes, False),
+                        ("keeping the signing clock", self._store_signing_clock, False),
                     )
                 ]
                 await self._stopping.wait()
                 self._feed(Stop(self.now))
-                await asyncio.sleep(LAST_WORDS_S)
+                await asyncio.sleep(FLUSH_S)
                 for edge in edges:
                     edge.cancel()
         finally:
             loop.set_exception_handler(handled_before)
-            self.tell_watchers()
+            self.notify_watchers()
 
     async def _restarted(self, part: str, run: Callable[[], Awaitable[None]], needed: bool) -> None:
-        """Run a task until it is done; one that fails is told and begins anew."""
+        """Run a task until it is done. If it fails, report that and start it again."""
         while True:
             with self._contained(part, needed):
                 return await run()
@@ -177,40 +177,40 @@ class Service:
 
     @contextmanager
     def _contained(self, part: str, needed: bool = False) -> Iterator[None]:
-        """An unexpected error of a part of this edge is told to the core and goes no further."""
+        """Report an unexpected error of a part to the core, and go on."""
         try:
             yield
         except Exception as error:
             self.failed(part, error, needed)
 
     def _callback_failed(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """Of anything in the loop; without a link's the vine is not to be flown."""
+        """A callback of the loop failed. If it belongs to a link, the vine must not bend."""
         error = context.get("exception") or RuntimeError(context.get("message"))
         modules = {frame.f_globals.get("__name__") for frame, _ in traceback.walk_tb(error.__traceback__)}
         self.failed("event loop", error, needed=not modules.isdisjoint(_LINKS))
 
-    async def _keep_changes(self) -> None:
-        """Write the latest; a slow disk delays nothing else."""
+    async def _write_changes(self) -> None:
+        """Write the latest state; a slow disk delays nothing else."""
         while True:
-            await self._something_to_keep.wait()
-            self._something_to_keep.clear()
-            while self._to_keep:
-                what, write = self._to_keep.popitem()
+            await self._changed.wait()
+            self._changed.clear()
+            while self._unwritten:
+                what, write = self._unwritten.popitem()
                 try:
                     await asyncio.to_thread(write)
                 except (parameter_file.ParameterFileError, KeptError) as error:
                     self.say(Severity.WARNING, f"{what} not kept: {error}")
 
-    def _keep(self, what: str, write: Callable[[], None]) -> None:
-        self._to_keep[what] = write
-        self._something_to_keep.set()
+    def _store(self, what: str, write: Callable[[], None]) -> None:
+        self._unwritten[what] = write
+        self._changed.set()
 
-    async def _keep_signing(self) -> None:
-        """Keep the clock that we sign with, and tell who is not believed."""
+    async def _store_signing_clock(self) -> None:
+        """Store the signing clock, and report refused messages."""
         if self._signing is None:
             return
-        file = TimestampFile(self._kept.signing_timestamp) if self._kept else None
-        told, told_at = self._signing.refused.total, -REFUSALS_TOLD_S
+        file = TimestampFile(self._persistent.signing_timestamp) if self._persistent else None
+        told, told_at = self._signing.refused.total, -REFUSALS_EVERY_S
         try:
             while True:
                 self._synchronised = bool(synchronised())
@@ -222,12 +222,12 @@ class Service:
                 while self._signing.news:
                     self.say(Severity.WARNING, self._signing.news.pop(0))
                 refused = self._signing.refused
-                if refused.total > told and self.now - told_at >= REFUSALS_TOLD_S:
+                if refused.total > told and self.now - told_at >= REFUSALS_EVERY_S:
                     self.say(Severity.WARNING, f"refused messages: {refused}")
                     told, told_at = refused.total, self.now
                 await asyncio.sleep(1.0)
         finally:
-            # Exactly, so that nothing recorded in this run is believed in the next one.
+            # The exact time, so that no message recorded in this run is accepted in the next one.
             if file is not None:
                 with suppress(SigningKeyError):
                     file.save(self._signing.memory)
@@ -240,18 +240,18 @@ class Service:
                     self._signing.advance(time.time(), self.now, self._synchronised)
             self._feed(Tick(self.now))
             with self._contained("watch over the links"):
-                self._tell_silence(self.now)
-                self._tell_unread()
-            self.tell_watchers()
+                self._report_silence(self.now)
+                self._report_unread()
+            self.notify_watchers()
             due = max(due + TICK_S, self.now - TICK_S)
             await asyncio.sleep(max(0.0, due - self.now))
 
     async def _show(self) -> None:
         while self._watchers:
-            self.tell_watchers()
+            self.notify_watchers()
             snapshot = self.core.snapshot(self.now)
             for watcher in tuple(self._watchers):
-                with self._unharmed_by(watcher):
+                with self._contained_watcher(watcher):
                     watcher.snapshot(snapshot)
             await asyncio.sleep(SNAPSHOT_S)
 
@@ -291,15 +291,15 @@ class Service:
             self._answer.closed()
         self._feed(LinkChanged(self.now, "firmware", up, why))
 
-    def _tell_unread(self) -> None:
-        """Once: a stranger could fill the log, and the one who is told of may be the autopilot itself."""
+    def _report_unread(self) -> None:
+        """Report it once: a stranger could fill the log, and the sender may be the autopilot itself."""
         sender = unread_from(self._vehicle)
-        if sender and not self._unread_told:
-            self._unread_told = True
+        if sender and not self._unread_reported:
+            self._unread_reported = True
             self.say(Severity.WARNING, f"not read: {sender} is not vehicle.link's peer")
 
-    def _tell_silence(self, t: float) -> None:
-        """Somebody else's port, or a board that does not run: that a port is open is not enough."""
+    def _report_silence(self, t: float) -> None:
+        """An open port is not enough: it may be another device's, or the board may not run."""
         problem = self._answer.news(t)
         if problem is None:
             return
@@ -314,22 +314,22 @@ class Service:
                 self._carry_out(action)
             except Exception as error:
                 self._not_carried_out(action, error)
-        self._untold.append((event, actions))
+        self._unpublished.append((event, actions))
         return actions
 
-    def tell_watchers(self) -> None:
-        """Of all that happened since. At each tick: no setpoint is to wait for what they make of it."""
-        untold, self._untold = self._untold, []
+    def notify_watchers(self) -> None:
+        """Pass on what happened since the last tick, so that no setpoint waits for a watcher."""
+        untold, self._unpublished = self._unpublished, []
         for watcher in tuple(self._watchers):
-            with self._unharmed_by(watcher):
+            with self._contained_watcher(watcher):
                 for event, actions in untold:
                     watcher.event(event)
                     for action in actions:
                         watcher.action(action)
 
     @contextmanager
-    def _unharmed_by(self, watcher: Watcher) -> Iterator[None]:
-        """One that fails sees no more; what flies goes on."""
+    def _contained_watcher(self, watcher: Watcher) -> Iterator[None]:
+        """A watcher that fails is removed; the service goes on."""
         try:
             yield
         except Exception as error:
@@ -352,12 +352,12 @@ class Service:
     def _carry_out(self, action: Action) -> None:
         match action:
             case ToFirmware(message):
-                # Half a frame before ours, of anyone, must not cost us a greeting.
+                # Half a frame on the line must not spoil ours.
                 self._firmware.write(FRAME_END + self._serial.encode(message))
             case ToVehicle(message, system_id):
                 self._vehicle.write(self._mavlink.encode(message, system_id))
-            case KeepParameters(_, values) if self._kept is not None:
-                file = self._kept.parameters
-                self._keep("parameters", partial(parameter_file.write, file, values, self._profile))
-            case KeepDisarmed(_, disarmed) if self._kept is not None:
-                self._keep("disarming", partial(self._kept.keep_disarmed, disarmed))
+            case KeepParameters(_, values) if self._persistent is not None:
+                file = self._persistent.parameters
+                self._store("parameters", partial(parameter_file.write, file, values, self._profile))
+            case KeepDisarmed(_, disarmed) if self._persistent is not None:
+                self._store("disarming", partial(self._persistent.store_disarmed, disarmed))

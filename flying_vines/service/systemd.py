@@ -1,7 +1,7 @@
-"""What systemd is told of the service: that it is up, that its loop turns, what it does, that it ends.
+"""Notifications to systemd: the service is ready, its loop runs, its status, it stops.
 
-The loop that flies says so itself at its own ticks, so one that hangs is missed by systemd's watchdog, which
-starts the service again. Where nobody listens nothing is sent.
+The service's loop sends them at its own ticks. If it hangs, systemd's watchdog starts the service again.
+Without a listener nothing is sent.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from flying_vines.core.events import Event, Snapshot, Stop, Tick
 from flying_vines.core.watcher import Watcher
 
 PER_WATCHDOG = 4
-"""So often within the watchdog's time: being late once or twice is not being dead."""
+"""Messages within the watchdog's time, so that one or two may be late."""
 STATUS_S = 1.0
 
 
 def service_manager(environment: MutableMapping[str, str] = os.environ) -> tuple[Watcher, ...]:
-    """Whoever started us and wants to be told, if anyone. What we start is not to tell in our place."""
+    """The service manager that started us, if it wants notifications. Our children do not get its address."""
     address = environment.pop("NOTIFY_SOCKET", "")
     watchdog_us = float(environment.pop("WATCHDOG_USEC", "inf"))
     if environment.pop("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
@@ -29,10 +29,10 @@ def service_manager(environment: MutableMapping[str, str] = os.environ) -> tuple
 
 
 class ServiceManager(Watcher):
-    """Tells by datagrams that wait for nobody; what the other side did not take is told at the next tick."""
+    """Sends datagrams without waiting; one that was not accepted is sent again at the next tick."""
 
     def __init__(self, address: str, watchdog_s: float) -> None:
-        # A name that is no file begins with a zero byte, which the environment writes as @.
+        # An abstract socket's name begins with a zero byte, which the environment writes as @.
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self._every_s = watchdog_s / PER_WATCHDOG
         self._ready = False
@@ -43,18 +43,18 @@ class ServiceManager(Watcher):
     def event(self, event: Event) -> None:
         match event:
             case Tick(t) if t - self._alive_at >= self._every_s or not self._ready:
-                if self._tell("WATCHDOG=1" if self._ready else "READY=1"):
+                if self._send("WATCHDOG=1" if self._ready else "READY=1"):
                     self._ready, self._alive_at = True, t
             case Stop():
-                self._tell("STOPPING=1")
+                self._send("STOPPING=1")
 
     def snapshot(self, snapshot: Snapshot) -> None:
         status = status_line(snapshot)
         news = status != self._status and snapshot.t - self._status_at >= STATUS_S
-        if news and self._tell(f"STATUS={status}"):
+        if news and self._send(f"STATUS={status}"):
             self._status, self._status_at = status, snapshot.t
 
-    def _tell(self, what: str) -> bool:
+    def _send(self, what: str) -> bool:
         try:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as ours:
                 ours.sendto(what.encode(), self._address)
@@ -74,5 +74,5 @@ def status_line(snapshot: Snapshot) -> str:
         said.append(f"bottle {snapshot.reservoir_kPa:.0f} kPa")
     if snapshot.safe_state:
         said.append(f"SAFE: {', '.join(snapshot.safe_state.values())}")
-    # Some of it a board or a vehicle said, who are not to add lines of their own.
+    # Texts of a board or vehicle must not add lines.
     return " ".join("; ".join([*said, snapshot.doing]).split())

@@ -1,7 +1,7 @@
-"""What is believed of a rig before it flies: where the estimate starts, and how sure it is of that.
+"""What is believed of a rig before it flies: where the estimate starts, and how certain that is.
 
-`nominal` knows nothing but the numbers of `[pneumatics]`, so that the rest may be as on any rig. What a
-diagnosed rig file says beyond them is read by `calibration`.
+`nominal` knows only the numbers of `[pneumatics]`; all else may be as on any rig. `known_rig` reads what a
+diagnosed rig file says beyond them.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ AMBIENT_KPA = 101.325
 CRITICAL_RATIO = 0.3
 """b of a valve with fittings."""
 LEAST_RISE = 0.65
-"""Of what a rigid control volume of the believed size takes, the least that any takes."""
+"""The least that any control volume takes, as a share of what a rigid one of the believed size takes."""
 PACKED_SHARE = 1.2
-"""Of what a pouch takes that is filled from nothing, by how much the first inflation may be another."""
+"""How far the first inflation may differ, as a share of what a flat pouch takes."""
 VENTURI_SHARE = 0.7
 VENTURI_SHARE_SD = 0.2
-"""Of its supply valve's flow: the nozzle is in the way as well."""
+"""Of its supply valve's flow, because the nozzle restricts it too."""
 
 
 def nominal_rig(numbers: Pneumatics) -> Rig:
@@ -46,7 +46,7 @@ class Prior(NamedTuple):
 
 @dataclass(frozen=True)
 class Belief:
-    """Of one rig. What air costs is in kPa of its bottle, gauge pressures are true ones."""
+    """Of one rig. Air is counted in kPa of its reservoir; gauge pressures are true ones."""
 
     pneumatics: Pneumatics
     """The numbers that the formulas take, the rig file's where there is one."""
@@ -71,11 +71,11 @@ class Belief:
     rating_sd: float
     """Of ln of what the valve passes for what the bottle holds."""
     dead_opening: float
-    """Up to where the inflation valve stays shut."""
+    """Opening up to which the inflation valve stays shut."""
     partly_open_sd: float
     """Of the flow through a valve that is just open, relative to it."""
     response_s: float
-    """What regulator, valve and sensor take to act."""
+    """Response time of regulator, valve and sensor together."""
     cycle_rise_kPa: float
     """By how much the reading rises in a cycle of `[pneumatics]`."""
     cycle_venturi_s: float
@@ -83,10 +83,10 @@ class Belief:
     reservoir_gain: float
     reservoir_offset_kPa: float
     zero_sd_kPa: float
-    """Of the zero of the reservoir's sensor, and of the ambient pressure that we do not know."""
+    """Of the zero of the reservoir's sensor, and of the ambient pressure, which is not measured."""
 
     def reservoir_kPa(self, reading_kPa: float) -> float:
-        """What the sensor's reading means."""
+        """The true pressure for a reading of the sensor."""
         return reading_kPa / self.reservoir_gain - self.reservoir_offset_kPa
 
 
@@ -107,12 +107,12 @@ def bottle_wall(volume_L: float) -> Wall:
 
 
 def nominal(p: Pneumatics) -> Belief:
-    """Of a rig of which nobody knows more than these numbers."""
+    """Of a rig of which only these numbers are known."""
     rigid = p.cv_volume_L / p.reservoir_volume_L
     pouch_kPa = rigid * AMBIENT_KPA
     dvp = conductance_SL_per_s_kPa(p.dvp_flow_resistance_kPa_s_per_SL, p.full_kPa)
     venturi = ALPHA_KPA / p.reservoir_volume_L * dvp
-    # As the paper's formula has it, the Venturi takes what a rigid control volume takes.
+    # By the paper's formula the Venturi takes as much as a rigid control volume.
     rigid_SL = p.cv_volume_L * p.cycle_swing_kPa / AMBIENT_KPA
     return Belief(
         pneumatics=p,

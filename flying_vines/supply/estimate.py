@@ -1,4 +1,4 @@
-"""How much air is left and how many cycles it buys, learned from use.
+"""How much air is left and for how many cycles it lasts, learned from use.
 
 A cycle takes A + B x kPa of the bottle at pressure x: air for the inflation whatever the pressure; leak over
 the time that a cycle takes at the present rhythm, and Venturi, as x goes. From here down to where the bottle
@@ -17,11 +17,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from firmware_link.protocol import Fault, Telemetry
 from flying_vines.config.config import Pneumatics
 from flying_vines.physics.paper import STANDARD_TEMPERATURE_K
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
+from flying_vines.supply.features import Features
 from flying_vines.supply.flying import TRACE, Flying, Inflation
+from flying_vines.supply.formula import floor_kPa
 from flying_vines.supply.reservoir import (
     CV_LEAK,
     FLAT,
@@ -37,7 +38,6 @@ from flying_vines.supply.reservoir import (
 )
 from flying_vines.supply.supply import Demand, least_supply_kPa
 
-FILTER_S = 0.3
 READING_SD_KPA = 1.3
 """Of one reading: sensor noise and a converter of 10 bits."""
 REGULATOR_SD = 0.07
@@ -48,7 +48,7 @@ UNFLOWN_SD = 0.1
 COUNT_SD = 0.4
 """In cycles: it ends within one."""
 FEWEST = 1e-3
-"""So that there is always a logarithm."""
+"""Keeps the logarithm finite."""
 FLAT_KEPT = 0.5
 """Below the pressure at which the Venturi is left off nothing makes a pouch flat again. But what an inflation
 from flat takes more than its rise may as well be a compliance: all or nothing, nobody knows."""
@@ -58,17 +58,16 @@ VENTURI_TREND = 0.3
 VENTURI_TREND_SD = 0.35
 """How the Venturi's time grows as its supply falls: 0 not at all, 1 so that it always takes the same air."""
 MEMORY_CYCLES = 15.0
-"""Over which what is flown is averaged."""
+"""Averaging length for what is flown."""
 PRIOR_CYCLES = 0.05
-"""For how many flown ones the profile's own cycle counts."""
+"""The profile's own cycle counts for so many flown ones."""
 KEPT_INFLATIONS = 10
-REFRESH_S = 0.5
 Z90 = 1.645
 
 
 @dataclass(frozen=True, slots=True)
 class CyclesLeft:
-    """A prediction with its 90 % interval, and what it rests on."""
+    """A prediction with its 90 % interval, and its basis."""
 
     expected: float
     low: float
@@ -76,13 +75,22 @@ class CyclesLeft:
     measured_cycles: float
     """Cycles flown so far that the cost was measured on."""
     cost_kPa: float
-    """What one cycle takes from the reservoir now, expected."""
+    """What one cycle is expected to take from the reservoir now."""
     floor_kPa: float
-    """Below this gauge pressure of the reservoir the flying is no longer kept up, expected."""
+    """The gauge pressure of the reservoir below which it is expected that cycles are no longer completed."""
+
+
+class AirNeeded(NamedTuple):
+    """What a motion needs of the reservoir, gauge kPa."""
+
+    spending_kPa: float
+    """What it is expected to take."""
+    floor_kPa: float
+    """What must be left above the vine's pressure for the wanted rate."""
 
 
 class _Mix:
-    """What is flown, per cycle: sums that slowly forget."""
+    """What is flown, per cycle: sums in which older cycles count less."""
 
     def __init__(self, belief: Belief) -> None:
         p = belief.pneumatics
@@ -104,7 +112,7 @@ class _Mix:
 
     @property
     def believed_share(self) -> float:
-        """Of what is only believed, and not flown."""
+        """The share that is believed, not flown."""
         return self._believed_cycles / self.cycles
 
     def per_cycle(self) -> Spent:
@@ -119,42 +127,33 @@ class _Mix:
 
 
 class ReservoirEstimate:
-    """Watches telemetry and learns what a cycle costs, what leaks, and where it ends."""
+    """Learns from telemetry what a cycle costs, what leaks, and where the cycles end."""
 
     def __init__(self, belief: Belief) -> None:
         self._belief = belief
         self._p = belief.pneumatics
-        self._filtered_kPa: float | None = None
-        self._t = 0.0
+        self.reservoir_kPa = math.nan
+        """What the smoothed reading means; NaN before the first."""
+        self.read_at = 0.0
         self._flying = Flying(belief)
         self.bottle: Bottle | None = None
         self._demand = Demand(belief)
         self._mix = _Mix(belief)
         self._inflations: list[Inflation] = []
         self._warmed_up = belief.packed_kPa == 0.0
-        self._measured_cycles = 0.0
-        self._left: CyclesLeft | None = None
-        self._left_at = -math.inf
+        self.measured_cycles = 0.0
+        """Cycles flown so far that the cost was measured on."""
 
-    @property
-    def reservoir_kPa(self) -> float:
-        """What the filtered reading means; NaN before the first."""
-        return math.nan if self._filtered_kPa is None else self._filtered_kPa
-
-    def update(self, t: float, telemetry: Telemetry) -> None:
+    def update(self, features: Features) -> None:
         """Take in one telemetry message."""
-        reservoir_kPa: float | None = None
-        if math.isfinite(telemetry.reservoir_kPa) and not telemetry.faults & Fault.RESERVOIR_SENSOR:
-            reservoir_kPa = self._belief.reservoir_kPa(telemetry.reservoir_kPa)
-            if self._filtered_kPa is None:
-                self._filtered_kPa = reservoir_kPa
-            weight = 1.0 - math.exp(-max(0.0, t - self._t) / FILTER_S)
-            self._filtered_kPa += weight * (reservoir_kPa - self._filtered_kPa)
-            self._t = t
-        if self._filtered_kPa is None or not math.isfinite(telemetry.cv_kPa):
+        if features.reservoir_kPa is not None:
+            self.read_at = features.t
+        if features.reservoir_smooth_kPa is not None:
+            self.reservoir_kPa = features.reservoir_smooth_kPa
+        if not features.complete:
             return
         flying = self._flying
-        flying.take(t, telemetry, self._filtered_kPa, reservoir_kPa)
+        flying.take(features, self.reservoir_kPa)
         if flying.reading_kPa is not None and self.bottle is None:
             self.bottle = Bottle(self._belief, flying.reading_kPa)
         if self.bottle is None:
@@ -171,18 +170,20 @@ class ReservoirEstimate:
             # A pouch that has lain flat since it was packed: no other cycle is like the first.
             self._warmed_up = True
             return
-        self._measured_cycles += inflation.swing_kPa / self._p.cycle_swing_kPa
+        self.measured_cycles += inflation.swing_kPa / self._p.cycle_swing_kPa
         self._mix.add(inflation, bottle.absolute_kPa)
         self._demand.learn(inflation, self._air_kPa(bottle.possible_mean(), inflation))
         self._inflations = [*self._inflations[1 - KEPT_INFLATIONS :], inflation]
-        self._left_at = -math.inf
 
     @staticmethod
     def _air_kPa(mean: Sequence[float], inflation: Inflation) -> float:
         return mean[RISE] * inflation.swing_kPa + mean[FLAT] * inflation.spent.flat
 
+    def air_needed(self, rise_kPa: float, rate_kPa_per_s: float) -> AirNeeded:
+        """What raising the CV by `rise_kPa` in all, so fast, takes and needs."""
+        return AirNeeded(self.spending_kPa(rise_kPa), floor_kPa(self._p, rate_kPa_per_s))
+
     def spending_kPa(self, rise_kPa: float) -> float:
-        """What raising the CV by `rise_kPa` in all will take from the reservoir, expected."""
         if self.bottle is None:
             return 2.0 * self._p.cv_volume_L * rise_kPa / self._p.reservoir_volume_L
         return _Forecast(self._belief, self._mix, self.bottle.possible_mean(), 0.0).cost_kPa() * (
@@ -190,11 +191,8 @@ class ReservoirEstimate:
         )
 
     def cycles_left(self) -> CyclesLeft | None:
-        """None before the first reading. Made anew every half second, and with every cycle."""
-        if self.bottle is not None and abs(self._t - self._left_at) >= REFRESH_S:
-            self._left = self._predict(self.bottle)
-            self._left_at = self._t
-        return self._left
+        """None before the first reading."""
+        return None if self.bottle is None else self._predict(self.bottle)
 
     def _predict(self, bottle: Bottle) -> CyclesLeft:
         mean = bottle.possible_mean()
@@ -206,7 +204,7 @@ class ReservoirEstimate:
             expected=expected,
             low=expected / spread,
             high=min(expected * spread, max(expected, mean[X] / _least_cost_kPa(self._p))),
-            measured_cycles=self._measured_cycles,
+            measured_cycles=self.measured_cycles,
             cost_kPa=forecast.cost_kPa(),
             floor_kPa=floor.kPa,
         )

@@ -1,23 +1,23 @@
-"""What telemetry says of the flying: what cost air, when the bottle may be read, each inflation."""
+"""From telemetry to what was flown: what cost air, when the reservoir may be read, each inflation."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from firmware_link.protocol import Mode, Telemetry
+from firmware_link.protocol import Telemetry
 from flying_vines.physics.plant.flow import Opening, choked_share
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
+from flying_vines.supply.features import Features
 from flying_vines.supply.reservoir import Spent
 
 BLOCK_S = 0.1
 """What a reading of the bottle is averaged over."""
 SETPOINT_TURN_KPA = 1.0
 CV_TURN_KPA = 1.5
-"""A control volume that turns by less has not turned: its reading is noisy."""
-CV_FILTER_S = 0.02
+"""A smaller change is noise, not a turn."""
 RESTED_S = 0.5
-"""A control volume that has been vented for so long has come down: what it reads is its zero."""
+"""A control volume that has been vented for so long is at ambient: its reading is the sensor's zero."""
 FLAT_KPA = 0.8
 """So near to its zero a pouch may be flat."""
 NEAR_KPA = 1.0
@@ -26,12 +26,12 @@ CALM_S = 0.1
 SHORTEST_S = 0.01
 """Of an inflation; a clock that steps back would make it none."""
 LONGEST_GAP_S = 0.5
-"""Longer without telemetry, and nobody knows what the valves did."""
+"""After a longer gap in telemetry it is not known what the valves did."""
 WIDE_OPEN = 0.95
 TRACE = 24
 """Setpoints that are kept of an inflation."""
 LONGEST_TRACE = 20_000
-"""Some minutes; a longer one is a hold."""
+"""Some minutes; a longer rise is a hold."""
 
 
 def tolerance_kPa(swing_kPa: float) -> float:
@@ -50,7 +50,7 @@ def driving_kPa(law: Opening, supply_kPa_abs: float, downstream_kPa_abs: float) 
 
 @dataclass(frozen=True, slots=True)
 class Inflation:
-    """One rise of the setpoint, and all that went on until the next one began. Gauge kPa."""
+    """One rise of the setpoint, and everything until the next one began. Gauge kPa."""
 
     low_kPa: float
     top_kPa: float
@@ -71,7 +71,7 @@ class Inflation:
         return self.top_kPa - self.low_kPa
 
     def as_hard_as(self, other: Inflation) -> bool:
-        """As far at least, and in no more time, but for a twentieth."""
+        """At least as far, and in no more time, within a twentieth."""
         return self.swing_kPa > 0.95 * other.swing_kPa and self.given_s < 1.05 * other.given_s
 
 
@@ -88,7 +88,7 @@ class Flying:
         """The mean over the block, if the bottle may be read."""
         self.readings = 0
         self.inflation: Inflation | None = None
-        self._t: float | None = None
+        self._begun = False
         self._setpoint = 0.0
         self._calm_s = 0.0
         self._cv = self._cv_low = self._cv_top = 0.0
@@ -103,27 +103,20 @@ class Flying:
         self._begin_block()
         self._begin_inflation()
 
-    def take(self, t: float, telemetry: Telemetry, supply_kPa: float, reservoir_kPa: float | None) -> None:
-        """One telemetry message.
-
-        Args:
-            t: when it came, s.
-            supply_kPa: the reservoir's gauge pressure, filtered.
-            reservoir_kPa: as this message has it; None if it is not to be believed.
-        """
+    def take(self, features: Features, supply_kPa: float) -> None:
+        """One telemetry message, with the reservoir's smoothed gauge pressure."""
         self.block = self.reading_kPa = self.inflation = None
-        if self._t is None:
-            self._t = t
-            self._cv = self._cv_low = telemetry.cv_kPa
-        dt = max(0.0, t - self._t)
-        self._t = t
+        telemetry, dt, self._cv = features.telemetry, features.dt_s, features.cv_smooth_kPa
+        if not self._begun:
+            self._begun = True
+            self._cv_low = telemetry.cv_kPa
         seen_s = dt
         if dt > LONGEST_GAP_S:
             self._unseen_s += dt
             seen_s = 0.0
         rise, flat = self._follow_cv(dt, telemetry)
         self._judge_calm(seen_s, telemetry)
-        self._follow_setpoint(t, seen_s, telemetry, supply_kPa)
+        self._follow_setpoint(features, seen_s, supply_kPa)
         venturi_s, held = telemetry.dvp_opening * seen_s, max(0.0, self._cv) * dt
         for sums in (self._block, self._cycle):
             sums[0] += dt
@@ -131,8 +124,8 @@ class Flying:
             sums[2] += flat
             sums[3] += venturi_s
             sums[4] += held
-        if reservoir_kPa is not None:
-            self._sum_kPa += reservoir_kPa
+        if features.reservoir_kPa is not None:
+            self._sum_kPa += features.reservoir_kPa
             self._count += 1
         if self._block[0] >= BLOCK_S - 1e-6:
             self._end_block()
@@ -153,7 +146,7 @@ class Flying:
         self._all_calm = True
 
     def _judge_calm(self, dt: float, telemetry: Telemetry) -> None:
-        """Calm: no air is under way that has been counted already, or will be."""
+        """Calm: no air is on its way that is already counted, or will be."""
         setpoint = telemetry.setpoint_kPa
         busy = (
             telemetry.dvp_opening > 0.0
@@ -167,8 +160,8 @@ class Flying:
             self._all_calm = False
 
     def _follow_cv(self, dt: float, telemetry: Telemetry) -> tuple[float, float]:
-        """By how much the control volume rose, and whether that began from flat."""
-        cv = self._cv = self._cv + (telemetry.cv_kPa - self._cv) * dt / (CV_FILTER_S + dt)
+        """By how much the control volume rose, and 1 if that began from flat."""
+        cv = self._cv
         if telemetry.setpoint_kPa <= 0.0 and telemetry.solenoid and telemetry.dvp_opening == 0.0:
             self._rested_s += dt
             if self._rested_s > RESTED_S:
@@ -189,11 +182,11 @@ class Flying:
         self._cv_top = cv
         return cv - self._cv_low, 1.0 if self._cv_low < max(0.0, self._zero) + FLAT_KPA else 0.0
 
-    def _follow_setpoint(self, t: float, dt: float, telemetry: Telemetry, supply_kPa: float) -> None:
+    def _follow_setpoint(self, features: Features, dt: float, supply_kPa: float) -> None:
+        t, telemetry, regulating = features.t, features.telemetry, features.regulating
         setpoint = telemetry.setpoint_kPa
-        regulating = telemetry.mode is Mode.REGULATE
         if regulating and not self._regulating and not self._rising:
-            # It begins with what is measured: up to there nobody asked for a rise.
+            # Regulation begins at the measured pressure: up to there no rise was requested.
             self._low, self._low_at = setpoint, t
         self._regulating = regulating
         if not self._rising:

@@ -1,4 +1,4 @@
-"""What the bottle holds and what takes from it: an extended Kalman filter over a small physical model.
+"""What the reservoir holds and loses: an extended Kalman filter over a small physical model.
 
 The gauge reads P = x − p_abs g / T: `x` is what it would read with the gas at ambient temperature, `g` by
 how much the gas is colder. What flows out lowers x and raises g; the wall (colder by `w`) gives the gas its
@@ -31,38 +31,38 @@ X, GAS, WALL, RISE, FLAT, VENTURI, LEAK, CV_LEAK, WARMTH = range(9)
 SIZE = 9
 
 LEAST_W_PER_K = 0.1
-"""No bottle is insulated better."""
+"""No reservoir is insulated better."""
 MOST_WARMTH = 0.8
-"""Either way, in ln h: what no bottle is beyond."""
+"""Bound of |ln h| for any reservoir."""
 
 ODD_SHARE = 0.05
-"""By how much one cycle is not like the next, of what it takes."""
+"""How far one cycle differs from the next, as a share of what it takes."""
 DRIFT_SHARE = 0.01
-"""By how much what a cycle takes changes from one to the next."""
+"""Drift from one cycle to the next, as a share of what a cycle takes."""
 LEAK_DRIFT_PER_S = 2e-5
 """In a second."""
 FRESH_SD_K = 1.5
-"""How far from ambient temperature the gas of a bottle may be that nothing is known of."""
+"""How far the gas of an unknown reservoir may be from ambient temperature."""
 REFILLED_SD_K = 8.0
 GAP_KPA_PER_S = 2.0
-"""What may have been spent while nothing was heard."""
+"""What may have been spent during a gap in telemetry."""
 FORGOTTEN_S = 10.0
-"""After so long without a word the temperatures are unknown again."""
+"""After a gap of this length the temperatures are unknown again."""
 
 JUMP_KPA = 6.0
 JUMP_SDS = 6.0
 JUMP_READINGS = 8
-"""A reading so far off is not believed, unless so many in a row say the same: then someone has filled the
-bottle, or it has lost air in another way than ever before."""
+"""A reading so far off is not believed, unless so many in a row agree: then someone has filled the reservoir,
+or it has lost air in a new way."""
 JUMP_S = 1.0
 
 
 class Spent(NamedTuple):
-    """What went on for a while that costs air."""
+    """What cost air during some time."""
 
     time_s: float
     rise_kPa: float
-    """By how much the control volume rose, all rises together."""
+    """The sum of all rises of the control volume."""
     flat: float
     """How many inflations began with it flat."""
     venturi_s: float
@@ -72,7 +72,7 @@ class Spent(NamedTuple):
 
 
 def colder_K(belief: Belief, heat_W: float, supply_kPa_abs: float, warmth: float) -> float:
-    """By how much the gas is colder while it takes so much warmth all the time."""
+    """How much colder the gas is while it takes this much heat constantly."""
     pet = belief.wall
     gas_J_per_K = supply_kPa_abs * belief.pneumatics.reservoir_volume_L / PER_AIR_K
     inner_W_per_K = warmth * pet.conductance_W_per_K + gas_J_per_K / pet.time_constant_s
@@ -111,7 +111,7 @@ class Bottle:
         return max(1.0, self.mean[X] + AMBIENT_KPA)
 
     def spend(self, spent: Spent, unseen_s: float = 0.0) -> None:
-        """Let time go on by `spent`, of which nothing was heard for `unseen_s`."""
+        """Advance by `spent`, of which `unseen_s` was a gap in telemetry."""
         if spent.time_s > FORGOTTEN_S:
             self._restart(self.mean[X], GAP_KPA_PER_S * unseen_s + 10.0, FRESH_SD_K)
             return
@@ -150,7 +150,7 @@ class Bottle:
         p[X][X] += (GAP_KPA_PER_S * unseen_s) ** 2
 
     def _spread(self, *rows: Sequence[float]) -> None:
-        """F P Fᵀ, where F is the unit matrix but for its first rows."""
+        """F P Fᵀ, where F is the unit matrix except for its first rows."""
         p = self.covariance
         products = []
         for row in rows:
@@ -163,7 +163,7 @@ class Bottle:
                 p[i][k] = p[k][i] = product[k]
 
     def _doubt(self, spent: Spent, per: Sequence[float], cooling: float) -> None:
-        """No cycle is like the next, and the model is not the bottle."""
+        """Add process noise: cycles differ, and the model is not exact."""
         m, p = self.mean, self.covariance
         odd = (ODD_SHARE * sum(abs(m[RISE + i]) * per[i] for i in range(3))) ** 2
         if spent.rise_kPa and not self._inflated_before:
@@ -184,7 +184,7 @@ class Bottle:
             p[VENTURI][VENTURI] += (DRIFT_SHARE * m[VENTURI]) ** 2 * spent.venturi_s
 
     def read(self, reading_kPa: float, sd_kPa: float) -> None:
-        """Take in a reading of the pressure."""
+        """Update with a reading of the pressure."""
         m, p = self.mean, self.covariance
         share = self.absolute_kPa / STANDARD_TEMPERATURE_K
         seen = [line[X] - share * line[GAS] for line in p]
@@ -206,7 +206,7 @@ class Bottle:
         m[WARMTH] = min(MOST_WARMTH, max(-MOST_WARMTH, m[WARMTH]))
 
     def _restart(self, reading_kPa: float, sd_kPa: float, gas_sd_K: float) -> None:
-        """Another filling, at a temperature of its own; what cycles take is as it was."""
+        """Start with a new filling at an unknown temperature; what cycles take is kept."""
         m, p = self.mean, self.covariance
         m[X], m[GAS], m[WALL] = reading_kPa, 0.0, 0.0
         for i, sd in ((X, sd_kPa), (GAS, gas_sd_K), (WALL, 0.5)):
@@ -216,7 +216,7 @@ class Bottle:
         self._odd_ones = 0
 
     def possible_mean(self) -> list[float]:
-        """The mean, moved along what goes together until nothing gives air back and a rise takes its air."""
+        """The mean, moved along the correlations until no rate is negative and a rise takes its least air."""
         m, p = list(self.mean), self.covariance
         least = {RISE: self._belief.least_rise}
         for _ in range(3):

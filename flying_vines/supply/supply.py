@@ -1,4 +1,4 @@
-"""The least supply with which an inflation is still done in the time that its profile gives it.
+"""The lowest supply pressure with which an inflation is still done in its profile's time.
 
 A valve that is wide open and chokes passes C p, p the absolute supply; one that does not, C p φ (ISO 6358).
 What an inflation needs is therefore a product of pressure and time, D = ∫ p φ u dt, the same at every supply;
@@ -17,9 +17,9 @@ from flying_vines.supply.flying import Inflation, driving_kPa, tolerance_kPa
 
 WIDE_OPEN_SD = 0.05
 SLUGGISH_S = 0.04
-"""Of the time that the valve was told to be open, when it and the sensor were not there yet."""
+"""Of the time of the open command, during which valve and sensor had not responded yet."""
 WIDE_OPEN_ERROR_KPA = 2.0
-"""How far behind its setpoint the control volume is when regulator and valve do all that they can."""
+"""How far the control volume is below its setpoint when the valve is fully open."""
 MOST_KPA = 2000.0
 
 
@@ -33,7 +33,7 @@ class Demand:
         self._partly_open_sd = belief.partly_open_sd
 
     def learn(self, inflation: Inflation, air_kPa: float) -> None:
-        """From an inflation that took so much of the bottle."""
+        """Learn from an inflation that took `air_kPa` of the reservoir."""
         if inflation.valve_kPa_s <= 0.0 or air_kPa <= 0.0:
             return
         error = math.log(inflation.valve_kPa_s / air_kPa) - self.ln
@@ -43,14 +43,14 @@ class Demand:
         variance = (WIDE_OPEN_SD + self._partly_open_sd * inflation.partly + sluggish) ** 2
         gain = self.variance / (self.variance + variance)
         self.ln += gain * error
-        # The dead zone is off by the same amount every time: no number of cycles averages that out.
+        # The dead zone's error is the same every time: it does not average out.
         self.variance = max((1.0 - gain) * self.variance, min(self.variance, 0.3 * variance))
 
 
 def least_supply_kPa(belief: Belief, inflation: Inflation, air_kPa: float, demand_kPa_s: float) -> float:
     """Gauge, at the start of an inflation like this one, which takes `air_kPa` and needs `demand_kPa_s`.
 
-    Never more than what it was done with.
+    At most the pressure with which this one was done.
     """
     low = AMBIENT_KPA + inflation.low_kPa
     high = max(low, inflation.supply_kPa_abs) if inflation.reached else MOST_KPA
@@ -65,9 +65,9 @@ def least_supply_kPa(belief: Belief, inflation: Inflation, air_kPa: float, deman
 
 
 def _filled(belief: Belief, inflation: Inflation, demand_kPa_s: float, supply_kPa_abs: float) -> bool:
-    """Whether the control volume gets near the top while the setpoint does not fall.
+    """Whether the control volume gets near the top before the setpoint falls.
 
-    The regulator opens as it falls behind, and adds no air on the way down.
+    The regulator opens in proportion to the error, and adds no air on the way down.
     """
     law = belief.evp_law.numbers()
     swing, setpoints = inflation.swing_kPa, inflation.setpoints_kPa

@@ -1,4 +1,4 @@
-"""Single keys of a terminal, while something else fills its screen."""
+"""Single keys of a terminal, while a screen is shown on it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def pressed(take: Callable[[str], None]) -> Iterator[None]:
-    """`take` gets each key that is pressed; nothing where standard input is no terminal."""
+    """`take` gets each key that is pressed; none if standard input is no terminal."""
     if not sys.stdin.isatty():
         yield
         return

@@ -1,4 +1,4 @@
-"""The socket of a service's page, opened again and again. No logic of its own."""
+"""The socket of a service's page, reopened after each loss. No logic of its own."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from yarl import URL
 from flying_vines.terminal.story import LATE_S
 
 OPENS_WITHIN_S = 3.0
-FIRST_PATIENCE_S, LONGEST_PATIENCE_S = 0.25, 4.0
+FIRST_BACKOFF_S, LONGEST_BACKOFF_S = 0.25, 4.0
 LONGEST_MESSAGE = 1024 * 1024
 
 
 class NotAdmittedError(Exception):
-    """The page does not want us, and trying again does not help; the text is a sentence."""
+    """The page refuses us for good; the text is a sentence."""
 
 
 def socket_of(page: str) -> URL:
-    """Of the page at an address, as the service's terminal prints it. `ValueError` says what is wrong."""
+    """The socket of a page's address, as the service prints it. `ValueError` says what is wrong."""
     url = URL(page if "://" in page else f"http://{page}")
     if url.scheme not in ("http", "https") or not url.host:
         raise ValueError("give http://HOST:PORT")
@@ -36,23 +36,23 @@ def socket_of(page: str) -> URL:
 
 
 class Line:
-    """To a page's socket; `take` gets each message, `problem` is a sentence while there is no link."""
+    """A link to a page's socket. `take` gets each message; `problem` is a sentence while there is no link."""
 
     def __init__(self, url: URL, token: str, take: Callable[[str], None]) -> None:
         self.problem = "connecting"
         self._url = url
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._take = take
-        self._outbox: asyncio.Queue[str] = asyncio.Queue(maxsize=1)
+        self._to_send: asyncio.Queue[str] = asyncio.Queue(maxsize=1)
 
     def send(self, text: str) -> None:
-        """Only while there is a link, and never late."""
-        if not self.problem and not self._outbox.full():
-            self._outbox.put_nowait(text)
+        """Send while there is a link; otherwise drop it, since it would come late."""
+        if not self.problem and not self._to_send.full():
+            self._to_send.put_nowait(text)
 
     async def run(self) -> None:
-        """Until cancelled. Raises `NotAdmittedError`."""
-        patience_s = FIRST_PATIENCE_S
+        """Run until cancelled. Raises `NotAdmittedError`."""
+        backoff_s = FIRST_BACKOFF_S
         async with ClientSession(
             headers=self._headers, timeout=ClientTimeout(connect=OPENS_WITHIN_S)
         ) as session:
@@ -69,17 +69,17 @@ class Line:
                 except (ClientError, OSError) as error:
                     self.problem = str(error) or type(error).__name__
                 else:
-                    patience_s = FIRST_PATIENCE_S
-                await asyncio.sleep(patience_s)
-                patience_s = min(2.0 * patience_s, LONGEST_PATIENCE_S)
+                    backoff_s = FIRST_BACKOFF_S
+                await asyncio.sleep(backoff_s)
+                backoff_s = min(2.0 * backoff_s, LONGEST_BACKOFF_S)
 
     async def _talk(self, session: ClientSession) -> None:
         async with asyncio.timeout(OPENS_WITHIN_S):
             viewing = await session.ws_connect(self._url, max_msg_size=LONGEST_MESSAGE)
         async with viewing:
             self.problem = ""
-            while not self._outbox.empty():
-                self._outbox.get_nowait()
+            while not self._to_send.empty():
+                self._to_send.get_nowait()
             sending = asyncio.create_task(self._send_all(viewing.send_str))
             try:
                 while True:
@@ -92,11 +92,11 @@ class Line:
 
     async def _send_all(self, send: Callable[[str], object]) -> None:
         while True:
-            await send(await self._outbox.get())  # type: ignore[misc]
+            await send(await self._to_send.get())  # type: ignore[misc]
 
 
 def _why(status: int) -> str:
-    """Raises `NotAdmittedError` where it is for good."""
+    """Raises `NotAdmittedError` if the page refuses us for good."""
     if status == 401:
         raise NotAdmittedError("it needs its token: --token-file FILE, as [page] token_file of its profile")
     if status in (403, 404, 421):

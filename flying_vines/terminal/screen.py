@@ -1,4 +1,4 @@
-"""The service on a terminal: a live view for those who watch, one line an event for those who log."""
+"""The service on a terminal: a live view to watch, or one line for each event to log."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ VERDICT_STYLE = {"accepted": "green", "limited": "yellow", "refused": "red"}
 SEVERITY_STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTICE: "cyan"}
 BAR_WIDTH = 24
 MOST_BEHIND = 64 * 1024
-"""Characters for a terminal that takes none: some seconds of screens. What comes after them is not shown."""
+"""Characters queued for a terminal that accepts none: some seconds of screens. Later ones are dropped."""
 LAST_WORDS_S = 0.5
 
 
@@ -47,7 +47,7 @@ def describe(what: dict[str, object]) -> str:
 
 
 def decision_table(decisions: Sequence[Decision]) -> Table:
-    """What was asked and what came of it, a row each."""
+    """One row for each decision."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("t, s", "trigger", "what", "intent", "safety", "setpoint, kPa", "why"):
         table.add_column(name, justify="right" if "," in name else "left")
@@ -66,7 +66,7 @@ def decision_table(decisions: Sequence[Decision]) -> Table:
 
 
 def event_line(action: Action, began: float) -> Text | None:
-    """One line for a decision or a notice; None for what nobody reads."""
+    """One line for a decision or a notice; None for one that is not shown."""
     if isinstance(action, Decision):
         line = Text(f"{action.t - began:7.2f}  ")
         line.append(f"{action.trigger.replace('_', ' ')} ", style="bold")
@@ -85,7 +85,7 @@ def event_line(action: Action, began: float) -> Text | None:
 
 
 class LiveView:
-    """What a person watches: feed it actions, render it with a snapshot."""
+    """The live view: give it actions, and render it with a snapshot."""
 
     def __init__(self, began: float, max_kPa: float, full_kPa: float, lines: int = 12) -> None:
         self._began = began
@@ -94,7 +94,7 @@ class LiveView:
         self._events: deque[Text] = deque(maxlen=lines)
 
     def take(self, action: Action) -> None:
-        # A traceback is for the log, and for who prints line by line.
+        # Tracebacks are only for the log and the line-by-line print.
         line = None if isinstance(action, InternalError) else event_line(action, self._began)
         if line is not None:
             self._events.append(line)
@@ -152,22 +152,22 @@ def _cycles(s: Snapshot) -> str:
 
 
 def number(value: float, digits: int = 1) -> str:
-    """For people, who know "–" for what is not known."""
+    """For people: "–" if it is not known."""
     return "–" if math.isnan(value) else f"{value:.{digits}f}"
 
 
 def bar(value: float, full: float, style: str) -> Text:
-    """How much of `full` it is."""
+    """A bar that shows the share of `full`."""
     share = 0.0 if math.isnan(value) else min(max(value / full, 0.0), 1.0)
     filled = round(share * BAR_WIDTH)
     return Text("█" * filled, style=style).append("░" * (BAR_WIDTH - filled), style="dim")
 
 
 class PatientOutput(io.TextIOBase):
-    """Standard output that holds nobody up: a terminal stands still when its network does, or at Ctrl-S."""
+    """Standard output that never blocks: a terminal may stand still, by its network or by Ctrl-S."""
 
     def __init__(self) -> None:
-        # A live view puts itself in the place of `sys.stdout`.
+        # A live view replaces `sys.stdout`.
         self._stdout = sys.stdout
         self._aside: Aside[str] = Aside(self._print, MOST_BEHIND)
 
@@ -186,18 +186,18 @@ class PatientOutput(io.TextIOBase):
         return len(text)
 
     def close(self) -> None:
-        """Let the last words out, where there is somebody to read them."""
+        """Write what is queued, if the terminal accepts it."""
         self._aside.close(LAST_WORDS_S)
 
     def _print(self, texts: list[str]) -> None:
-        """Past the stream itself, whose lock the interpreter waits for at its end."""
+        """Bypass the stream: the interpreter waits for its lock at exit."""
         data = "".join(texts).encode(self.encoding, "replace")
         while data:
             data = data[os.write(self._stdout.fileno(), data) :]
 
 
 def plain_printer(console: Console, began: float) -> Callable[[Action], None]:
-    """Prints an event a line, for terminals that are no screen."""
+    """Prints one line for each event, for terminals without a screen."""
 
     def show(action: Action) -> None:
         line = event_line(action, began)

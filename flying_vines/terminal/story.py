@@ -1,4 +1,4 @@
-"""What the page's messages say, as the service's own terminal has it: snapshots, decisions and notices."""
+"""From the page's messages to what the service's own terminal shows: snapshots, decisions and notices."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from flying_vines.vehicle.notice import Notice
 
 VENT_AGAIN_S = 0.5
 LATE_S = 2.0
-"""Something comes every second: after so long the link is cut."""
+"""Messages come every second; after so long without one the link is cut."""
 
 _ACTIONS: dict[str, type[Decision] | type[Notice]] = {"decision": Decision, "notice": Notice}
 _NUMBERS = [field.name for field in fields(Snapshot) if field.type == "float"]
 
 
 class Vine(NamedTuple):
-    """What a bar is full at, gauge kPa."""
+    """The pressures at which the bars are full, gauge kPa."""
 
     max_kPa: float
     full_kPa: float
 
 
 class StrangeMessageError(Exception):
-    """What came is nothing that a page of this version says."""
+    """The message is not one of a page of this version."""
 
 
 class Story:
-    """Of one service, over all losses of the link. Times of the service are its own clock's."""
+    """The events of one service, over all losses of the link. Times are those of the service's clock."""
 
     def __init__(self) -> None:
         self.vine: Vine | None = None
         self.began = 0.0
-        """The service's time of the first that is known of it."""
+        """The service's time of the first known event."""
         self.snapshot: Snapshot | None = None
         self._shown_at = -math.inf
         self._latest_t = -math.inf
@@ -65,10 +65,10 @@ class Story:
         return []
 
     def _welcome(self, hello: dict[str, Any]) -> list[Decision | Notice]:
-        """A hello tells of the past: only what came while nobody listened is new."""
+        """A hello repeats the past: only events from the time without a link are new."""
         past = _actions(hello["happened"])
         if self.vine is None or hello["t"] < self._latest_t:
-            # The first, or of a machine that was started anew.
+            # The first hello, or one of a service that was restarted.
             self.began = min([hello["t"], *(action.t for action in past)])
             self._latest_t = -math.inf
         self.vine = Vine(hello["vine"]["max_kPa"], hello["vine"]["full_kPa"])
@@ -83,31 +83,31 @@ class Story:
 
 
 class Vent:
-    """Wanted until it is confirmed or refused, over any loss of the link."""
+    """A request to vent. It is repeated until it is confirmed or refused, over any loss of the link."""
 
     def __init__(self) -> None:
         self.wanted_at: float | None = None
         self._seen_at: float | None = None
-        self._asked_at = -math.inf
+        self._sent_at = -math.inf
         self._number = 0
 
     def press(self, t: float, seen: Snapshot | None) -> None:
-        """`seen`: what is shown now; no fault that came later is cleared."""
+        """`seen`: the snapshot shown now; no later fault is cleared."""
         self.wanted_at = t
         self._seen_at = seen.t if seen else None
-        self._asked_at = -math.inf
+        self._sent_at = -math.inf
 
-    def due(self, t: float) -> str | None:
-        """What to send at time `t`."""
-        if self.wanted_at is None or t - self._asked_at < VENT_AGAIN_S:
+    def pop_message(self, t: float) -> str | None:
+        """The message to send at time `t`, if any; it then counts as sent."""
+        if self.wanted_at is None or t - self._sent_at < VENT_AGAIN_S:
             return None
-        self._asked_at = t
+        self._sent_at = t
         self._number += 1
-        wish = {"id": self._number, "command": "vent", "seen_at": self._seen_at}
-        return msgspec.json.encode(wish).decode()
+        request = {"id": self._number, "command": "vent", "seen_at": self._seen_at}
+        return msgspec.json.encode(request).decode()
 
     def take(self, t: float, text: str) -> str | None:
-        """What a message of the page says about it, as a sentence, if anything."""
+        """The page's answer to it as a sentence, if the message is one."""
         message = msgspec.json.decode(text)
         if self.wanted_at is None or message.get("kind") != "answer" or message["safety"] == "unanswered":
             return None
@@ -127,6 +127,6 @@ def _actions(happened: Sequence[dict[str, Any]]) -> list[Decision | Notice]:
 
 
 def _snapshot(shown: dict[str, Any]) -> Snapshot:
-    """What is not a number is null there."""
+    """NaN is null there."""
     known = {name: math.nan if shown.get(name) is None else shown[name] for name in _NUMBERS}
     return msgspec.convert({**shown, **known}, Snapshot)

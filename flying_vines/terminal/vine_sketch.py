@@ -17,7 +17,7 @@ _DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 
 
 def sketch(angle_deg: float, unicode: bool = True) -> list[str]:
-    """Lines of one width: a drone, and the vine under it; the drone alone where the bend is not known."""
+    """Lines of one width: a drone with the vine under it; the drone alone if the bend is not known."""
     dots = {(x, 3) for x in range(4, 24)} | {(x, 4) for x in range(11, 17)}
     dots |= {(x, 0) for x in (*range(1, 9), *range(19, 27))} | {
         (x, y) for x in (4, 5, 22, 23) for y in (1, 2)

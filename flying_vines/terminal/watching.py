@@ -1,4 +1,4 @@
-"""A service on a screen, as lines, or as objects; and a key that vents."""
+"""A service shown on a screen, as lines or as JSON; and a key that vents."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from flying_vines.terminal.story import LATE_S, Story, StrangeMessageError, Vent
 
 LOOK_S = 0.1
 SURE_S = 3.0
-"""Between the first press of the key and the second."""
+"""Longest time between the first press of the key and the second."""
 KEYS = "v v vents · q ends"
 
 
 class Watching:
-    """Of the service whose page's socket is at `url`."""
+    """Shows the service whose page's socket is at `url`."""
 
     def __init__(self, url: URL, token: str, plain: bool, as_json: bool) -> None:
         self._page = url.origin()
@@ -39,7 +39,7 @@ class Watching:
         self._over = False
 
     async def run(self, seconds: float | None) -> bool:
-        """Whether the service was heard. Raises `NotAdmittedError`."""
+        """Returns whether the service answered. Raises `NotAdmittedError`."""
         ends_at = None if seconds is None else self._now + seconds
         following = asyncio.create_task(self._line.run())
         with ExitStack() as stack:
@@ -51,7 +51,7 @@ class Watching:
                 await asyncio.wait([following], timeout=LOOK_S)
                 if following.done():
                     break
-                if asked := self._vent.due(self._now):
+                if asked := self._vent.pop_message(self._now):
                     self._line.send(asked)
                 self._tell_of_link()
                 if screen:
@@ -62,7 +62,7 @@ class Watching:
             following.result()
         return self._story.vine is not None
 
-    # What comes.
+    # Receiving.
 
     def _take(self, text: str) -> None:
         if self._as_json:
@@ -94,7 +94,7 @@ class Watching:
         silent = self._story.snapshot is not None and self._story.snapshot_age_s(self._now) > LATE_S
         return "the service is silent" if silent else ""
 
-    # What is shown.
+    # Showing.
 
     def _say(self, line: Text) -> None:
         if self._live:
@@ -126,7 +126,7 @@ class Watching:
             return Text("press v again to vent", style="bold yellow not dim")
         return Text(KEYS, style="dim")
 
-    # What is pressed.
+    # Keys.
 
     def _press(self, key: str) -> None:
         if key == "q":

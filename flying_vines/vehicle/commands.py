@@ -14,9 +14,7 @@ from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.px4 import Px4Watch
 from flying_vines.vehicle.repeats import PX4_REPEAT_S, STATION_REPEAT_S, Repeats
 from flying_vines.vehicle.triggers import Rules, Trigger, direct_intent
-from flying_vines.vine.intent import Intent, StartCalibration, StopCalibration
-
-PROGRESS_S = 1.0
+from flying_vines.vine.intent import Intent
 
 _Key = tuple[object, ...]
 
@@ -28,9 +26,6 @@ class Commands:
         self._rules = rules
         self._component_id = component_id
         self._repeats = Repeats()
-        self._under_way: Message | None = None
-        self._percent = 0
-        self._progress_at = -math.inf
 
     def _for_us(self, message: Message, system_id: int) -> bool:
         """Whether it is for us, and nobody else."""
@@ -59,8 +54,6 @@ class Commands:
         is_item = from_autopilot and message.command in self._rules.commands
         if not to_us and not (to_all and is_item):
             return []
-        if self._under_way is not None and _key(message) == _key(self._under_way):
-            return [acknowledgement(message, mavlink.MAV_RESULT_IN_PROGRESS, self._percent)]
         confirmation = getattr(message, "confirmation", 0)
         repeat_s = PX4_REPEAT_S if from_autopilot else STATION_REPEAT_S
         repeat = self._repeats.is_repeat(t, _key(message), confirmation, message.get_seq(), repeat_s)
@@ -103,8 +96,6 @@ class Commands:
     def _does_no_harm_again(self, command: int, params: tuple[float, ...]) -> bool:
         """What lets air out is done each time: whether it is a repeat or a new wish can be mistaken."""
         intent, _ = self._intent(command, params) or (None, "")
-        if isinstance(intent, StopCalibration):
-            return self._under_way is not None
         return self._rules.only_lets_out(intent)
 
     def acknowledge(self, trigger: Trigger, accepted: bool) -> list[Message]:
@@ -112,26 +103,8 @@ class Commands:
         if trigger.command is None:
             return []
         result = mavlink.MAV_RESULT_ACCEPTED if accepted else mavlink.MAV_RESULT_DENIED
-        if accepted and isinstance(trigger.intent, StartCalibration):
-            self._under_way, self._percent, self._progress_at = trigger.command, 0, trigger.t
-            result = mavlink.MAV_RESULT_IN_PROGRESS
         self._repeats.answer(_key(trigger.command), result)
         return [acknowledgement(trigger.command, result)]
-
-    def progress(self, t: float, share: float) -> list[Message]:
-        """What the sender of a long command is told now and then: how much of it, 0…1, is done."""
-        if self._under_way is None or t - self._progress_at < PROGRESS_S:
-            return []
-        self._progress_at, self._percent = t, int(100 * share)
-        return [acknowledgement(self._under_way, mavlink.MAV_RESULT_IN_PROGRESS, self._percent)]
-
-    def end(self, result: int) -> list[Message]:
-        """The last answer to the sender of a long command: how it ended (MAV_RESULT)."""
-        running, self._under_way = self._under_way, None
-        if running is None:
-            return []
-        self._repeats.answer(_key(running), result)
-        return [acknowledgement(running, result)]
 
 
 def _params(message: Message) -> tuple[float, ...]:

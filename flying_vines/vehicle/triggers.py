@@ -20,10 +20,8 @@ from flying_vines.vine.intent import (
     Hold,
     Intent,
     SetPressure,
-    StartCalibration,
     StartProfile,
     StopBench,
-    StopCalibration,
     Vent,
 )
 from flying_vines.vine.profile import flatten, top_kPa
@@ -44,8 +42,6 @@ CHOICES: dict[int, tuple[tuple[str, Intent | None], ...]] = {
     mavlink.MAV_CMD_USER_5: (
         ("nothing", None),
         ("clear faults", ClearFaults()),
-        ("start a calibration", StartCalibration()),
-        ("stop it", StopCalibration()),
     ),
 }
 """What param1 = 0, 1, 2, 3 of a command asks for. No autopilot carries these out itself: until ArduPilot has
@@ -81,7 +77,7 @@ def only_lets_out(config: Config, intent: Intent | None) -> bool:
     """Whether it can only let air out, wherever the vine is: that is safe, whoever asks and how often."""
     curve = config.vine.bend_curve()
     match intent:
-        case Vent() | DisarmPneumatics() | StopBench() | StopCalibration():
+        case Vent() | DisarmPneumatics() | StopBench():
             return True
         case StartProfile(name) if name in config.profiles:
             return top_kPa(tuple(flatten(config.profiles, name)), curve, math.inf) <= 0.0

@@ -6,8 +6,6 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
-
 from flying_vines.config.config import CARRIERS, Config
 from flying_vines.vehicle.clock import Mark
 from flying_vines.vehicle.commands import Commands
@@ -170,14 +168,6 @@ class Vehicle:
     def acknowledge(self, trigger: Trigger, accepted: bool) -> list[Message]:
         """What is owed to the sender of the command behind a trigger."""
         return self._commands.acknowledge(trigger, accepted)
-
-    def progress(self, t: float, share: float) -> list[Message]:
-        """What the sender of a command that takes long is told while it is under way."""
-        return self._commands.progress(t, share)
-
-    def end_command(self, done: bool) -> list[Message]:
-        """What the sender of a command that took long is told in the end."""
-        return self._commands.end(mavlink.MAV_RESULT_ACCEPTED if done else mavlink.MAV_RESULT_FAILED)
 
     def _rebooted(self, t: float) -> list[Output]:
         self.component.greet()

@@ -1,4 +1,4 @@
-"""Bend angle against actuator pressure, as calibrated, and what of a bend stays when the pressure falls.
+"""Bend angle against actuator pressure, as calibrated, with hysteresis.
 
 Film and fabric rub: on the way down a bend outlasts the pressure that made it. The model is a play
 (backlash), the simplest of the Prandtl-Ishlinskii kind: a bend is named by the pressure that gives it on

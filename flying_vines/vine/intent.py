@@ -1,4 +1,4 @@
-"""What the pilot or the mission wants, before safety has looked."""
+"""What the pilot or the mission requests, before safety judges it."""
 
 from __future__ import annotations
 
@@ -16,16 +16,14 @@ Command = Literal[
     "disarm",
     "start_bench",
     "stop_bench",
-    "start_calibration",
-    "stop_calibration",
 ]
-"""What a person who does not ask over MAVLink calls an intent."""
+"""The name of an intent in requests that do not come over MAVLink."""
 
 Asker = Literal["page", "broker", "calibration"]
-"""By what way a person asks who does not ask over MAVLink."""
+"""Where a request that does not come over MAVLink comes from."""
 
 ACTS_WITHIN_S = 1.0
-"""A request of page or broker that is older only lets air out: that is never late."""
+"""An older request of page or broker may only let air out, which is never too late."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +58,7 @@ class SetPressure:
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """Stay where the vine is."""
+    """Stay at the present pressure."""
 
     def __str__(self) -> str:
         return "hold"
@@ -76,7 +74,7 @@ class Vent:
 
 @dataclass(frozen=True, slots=True)
 class ClearFaults:
-    """A person says that latched faults have been seen to."""
+    """A person clears latched faults."""
 
     def __str__(self) -> str:
         return "clear faults"
@@ -84,7 +82,7 @@ class ClearFaults:
 
 @dataclass(frozen=True, slots=True)
 class ArmPneumatics:
-    """A person says that the vine may bend."""
+    """A person allows the vine to bend."""
 
     def __str__(self) -> str:
         return "arm the pneumatics"
@@ -92,7 +90,7 @@ class ArmPneumatics:
 
 @dataclass(frozen=True, slots=True)
 class DisarmPneumatics:
-    """Let the air out, and bend for nobody until a person arms."""
+    """Let the air out, and do not bend until a person arms."""
 
     def __str__(self) -> str:
         return "disarm the pneumatics"
@@ -100,7 +98,7 @@ class DisarmPneumatics:
 
 @dataclass(frozen=True, slots=True)
 class StartBench:
-    """Let the vine be tried on the ground, without an armed vehicle."""
+    """Allow the vine to bend on the ground, without an armed vehicle."""
 
     def __str__(self) -> str:
         return "bench mode"
@@ -108,26 +106,10 @@ class StartBench:
 
 @dataclass(frozen=True, slots=True)
 class StopBench:
-    """No longer on the bench."""
+    """End bench mode and vent."""
 
     def __str__(self) -> str:
         return "leave bench mode"
-
-
-@dataclass(frozen=True, slots=True)
-class StartCalibration:
-    """Go through the vine's pressures and compare what is there with what was asked for."""
-
-    def __str__(self) -> str:
-        return "calibrate"
-
-
-@dataclass(frozen=True, slots=True)
-class StopCalibration:
-    """End a calibration before its time."""
-
-    def __str__(self) -> str:
-        return "stop the calibration"
 
 
 Intent = (
@@ -141,8 +123,6 @@ Intent = (
     | DisarmPneumatics
     | StartBench
     | StopBench
-    | StartCalibration
-    | StopCalibration
 )
 
 COMMAND_OF: dict[type[Intent], Command] = {
@@ -156,6 +136,4 @@ COMMAND_OF: dict[type[Intent], Command] = {
     DisarmPneumatics: "disarm",
     StartBench: "start_bench",
     StopBench: "stop_bench",
-    StartCalibration: "start_calibration",
-    StopCalibration: "stop_calibration",
 }

@@ -1,41 +1,165 @@
-"""The vine's motion: which trajectory runs, since when, and what it wants now."""
+"""A motion of the vine: planned from segments, judged by safety, followed until the next one."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from flying_vines.vine.profile import Trajectory
+from flying_vines.vine.curve import BendCurve
+from flying_vines.vine.profile import HoldFor, Ramp, Segment, Sine, Step, ends_kPa, top_kPa
+
+AT_REST_KPA = 0.5
+"""Gauge; a vine with less is straight."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A trajectory under way."""
+    """A pressure over time, continuous and never steeper than its rate limit. Gauge kPa.
 
-    trajectory: Trajectory
-    started_at: float
-    rate_kPa_per_s: float
+    The core follows it from `started_at`; what plans ahead leaves that at 0.
+    """
+
     name: str
+    started_at: float
+    pieces: tuple[tuple[float, float, Callable[[float], float]], ...]
+    """Begin and end, in seconds after the start, and the pressure over the seconds after the begin."""
+    start_kPa: float
+    aim_kPa: float
+    """The first segment's value; for a sine its far end."""
+    final_kPa: float
+    """Held after `duration_s`."""
+    peak_kPa: float
+    """The highest pressure on the way, the start included."""
+    top_kPa: float
+    """The highest pressure that the segments ask for, within the pressure limit."""
+    wanted_kPa: float
+    """The same without the limit."""
+    rise_kPa: float
+    """The sum of all rises: what the air is needed for."""
+    duration_s: float
+    rate_kPa_per_s: float
+    bent_kPa: float
+    """How far the vine is bent at the end, as `BendCurve.bent_kPa` names bends."""
 
     def setpoint_kPa(self, t: float) -> float:
-        """The gauge pressure wanted at time `t`."""
-        return self.trajectory.pressure_kPa(t - self.started_at)
+        """The pressure wanted at time `t`."""
+        since_s = t - self.started_at
+        if since_s <= 0.0:
+            return self.start_kPa
+        for begin, end, value in self.pieces:
+            if since_s < end:
+                return value(since_s - begin)
+        return self.final_kPa
 
-    def over(self, t: float) -> bool:
-        return t - self.started_at >= self.trajectory.duration_s
-
-    def share(self, t: float) -> float:
-        """How much of it, 0…1, has been done."""
-        return (
-            min(1.0, (t - self.started_at) / self.trajectory.duration_s)
-            if self.trajectory.duration_s
-            else 1.0
-        )
+    def is_over(self, t: float) -> bool:
+        return t - self.started_at >= self.duration_s
 
     @property
     def only_lets_out(self) -> bool:
-        """Whether it goes to no pressure and nowhere else."""
-        return self.trajectory.rise_kPa <= 0.0 and self.trajectory.final_kPa <= 0.0
+        return self.rise_kPa <= 0.0 and self.final_kPa <= 0.0
 
-    def releases(self, t: float) -> bool:
-        """Whether it has come to its end, and that end is no pressure."""
-        return self.over(t) and self.trajectory.final_kPa <= 0.0
+    @property
+    def stays_bent(self) -> bool:
+        return self.final_kPa > AT_REST_KPA
+
+
+def plan(
+    segments: Sequence[Segment],
+    curve: BendCurve,
+    start_kPa: float,
+    rate_kPa_per_s: float,
+    max_kPa: float,
+    bent_kPa: float | None = None,
+    *,
+    name: str = "",
+    started_at: float = 0.0,
+) -> Motion:
+    """The motion through `segments` from `start_kPa` (gauge), within the rate and pressure limits.
+
+    A swing that is too fast for the rate limit is slowed down; a value above `max_kPa` is clipped to it.
+    Where the vine has a hysteresis, an angle is gone to by the pressure of its side, from `bent_kPa` (as
+    `BendCurve.bent_kPa` names bends; by default as the start's pressure bends it on the way up).
+    """
+    bent = start_kPa if bent_kPa is None else bent_kPa
+
+    def wanted(deg: float | None, kPa: float | None) -> float:
+        nonlocal bent
+        pressure = kPa or 0.0
+        if deg is not None:
+            pressure = curve.toward_kPa(curve.pressure_kPa(deg), bent)
+        pressure = min(max(pressure, 0.0), max_kPa)
+        bent = curve.bent_kPa(pressure, bent)
+        return pressure
+
+    pieces: list[tuple[float, float, Callable[[float], float]]] = []
+    t, at, peak, rise = 0.0, start_kPa, start_kPa, 0.0
+    aims: list[float] = []
+
+    def move(to: float, least_s: float) -> None:
+        nonlocal t, at, peak, rise
+        takes = max(abs(to - at) / rate_kPa_per_s, least_s)
+        if takes > 0.0:
+            pieces.append((t, t + takes, _line(at, to, takes)))
+            t += takes
+        rise += max(0.0, to - at)
+        at, peak = to, max(peak, to)
+
+    for segment in segments:
+        if isinstance(segment, Step):
+            aims.append(wanted(segment.to_deg, segment.to_kPa))
+            move(aims[-1], 0.0)
+        elif isinstance(segment, Ramp):
+            aims.append(wanted(segment.to_deg, segment.to_kPa))
+            move(aims[-1], segment.over_s)
+        elif isinstance(segment, HoldFor):
+            move(at, segment.for_s)
+        elif isinstance(segment, Sine):
+            low, high = (min(max(end, 0.0), max_kPa) for end in ends_kPa(segment, curve))
+            aims.append(high)
+            move(low, 0.0)
+            fastest_Hz = rate_kPa_per_s / (math.pi * abs(high - low)) if high != low else math.inf
+            frequency_Hz = min(segment.frequency_Hz, fastest_Hz)
+            takes = segment.cycles / frequency_Hz
+            swing = _swing(low, high, frequency_Hz)
+            pieces.append((t, t + takes, swing))
+            t += takes
+            rise += _risen(low, high, segment.cycles)
+            at, peak = swing(takes), max(peak, low, high)
+            halves = math.floor(2.0 * segment.cycles)
+            for turn in range(max(0, halves - 1), halves + 1):
+                bent = curve.bent_kPa(high if turn % 2 else low, bent)
+            bent = curve.bent_kPa(at, bent)
+    furthest_kPa = curve.bent_kPa(peak, start_kPa if bent_kPa is None else bent_kPa)
+    return Motion(
+        name=name,
+        started_at=started_at,
+        pieces=tuple(pieces),
+        start_kPa=start_kPa,
+        aim_kPa=aims[0] if aims else at,
+        final_kPa=at,
+        peak_kPa=peak,
+        top_kPa=top_kPa(segments, curve, max_kPa),
+        wanted_kPa=top_kPa(segments, curve, math.inf),
+        rise_kPa=rise,
+        duration_s=t,
+        rate_kPa_per_s=rate_kPa_per_s,
+        bent_kPa=curve.bent_kPa(at, furthest_kPa),
+    )
+
+
+def _line(start: float, end: float, takes: float) -> Callable[[float], float]:
+    return lambda t: start + (end - start) * t / takes
+
+
+def _swing(low: float, high: float, frequency_Hz: float) -> Callable[[float], float]:
+    return lambda t: low + (high - low) * 0.5 * (1.0 - math.cos(2.0 * math.pi * frequency_Hz * t))
+
+
+def _risen(low: float, high: float, cycles: float) -> float:
+    """The sum of all rises of a swing; one that starts at its upper end falls first."""
+    whole, part = divmod(cycles, 1.0)
+    gone = 0.5 * (1.0 - math.cos(2.0 * math.pi * part))
+    up_first = gone if part <= 0.5 else 1.0
+    down_first = 0.0 if part <= 0.5 else 1.0 - gone
+    return abs(high - low) * (whole + (up_first if high > low else down_first))

@@ -1,10 +1,8 @@
-"""Pressure profiles over time: what a named bend does, as a function of time and of where it starts."""
+"""Pressure profiles as the configuration holds them: segments, repeats, profiles inside profiles."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 
 import msgspec
 
@@ -13,7 +11,7 @@ from flying_vines.vine.curve import BendCurve
 DEEPEST_NESTING = 8
 MOST_PIECES = 10_000
 LARGEST = 1e6
-"""Of every duration and count: beyond it the arithmetic over time would lose its precision."""
+"""Of every duration and count; above it the arithmetic over time loses precision."""
 
 
 class _Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
@@ -140,33 +138,6 @@ def flatten(profiles: Mapping[str, Profile], name: str, _inside: tuple[str, ...]
                 yield piece
 
 
-@dataclass(frozen=True, slots=True)
-class Trajectory:
-    """A profile made definite: where it starts, how it moves, how long it takes.
-
-    `pressure_kPa(t)` is the gauge pressure wanted `t` seconds after the start, continuous and never steeper
-    than the rate limit; after `duration_s` it stays at `final_kPa`.
-    """
-
-    pieces: tuple[tuple[float, float, Callable[[float], float]], ...]
-    start_kPa: float
-    aim_kPa: float
-    """Where it goes first: the first segment's value, of a swing the far end."""
-    final_kPa: float
-    peak_kPa: float
-    rise_kPa: float
-    """The sum of all rises: what the air is needed for."""
-    duration_s: float
-
-    def pressure_kPa(self, t: float) -> float:
-        if t <= 0.0:
-            return self.start_kPa
-        for begin, end, value in self.pieces:
-            if t < end:
-                return value(t - begin)
-        return self.final_kPa
-
-
 def ends_kPa(sine: Sine, curve: BendCurve) -> tuple[float, float]:
     """The gauge pressures between which a swing goes, its first end first.
 
@@ -192,87 +163,3 @@ def top_kPa(segments: Sequence[Segment], curve: BendCurve, max_kPa: float) -> fl
             if deg is not None or kPa is not None:
                 highest = max(highest, curve.pressure_kPa(deg) if deg is not None else kPa or 0.0)
     return min(highest, max_kPa)
-
-
-def plan(
-    segments: Sequence[Segment],
-    curve: BendCurve,
-    start_kPa: float,
-    rate_kPa_per_s: float,
-    max_kPa: float,
-    bent_kPa: float | None = None,
-) -> Trajectory:
-    """Make segments definite, from `start_kPa` (gauge), within the rate and pressure limits.
-
-    A swing that is too fast for the rate limit is slowed down; a value above `max_kPa` is clipped to it.
-    Where the vine has a hysteresis, an angle is gone to by the pressure of its side, from `bent_kPa` (as
-    `BendCurve.bent_kPa` names bends; by default as the start's pressure bends it on the way up).
-    """
-    bent = start_kPa if bent_kPa is None else bent_kPa
-
-    def wanted(deg: float | None, kPa: float | None) -> float:
-        nonlocal bent
-        pressure = kPa or 0.0
-        if deg is not None:
-            pressure = curve.toward_kPa(curve.pressure_kPa(deg), bent)
-        pressure = min(max(pressure, 0.0), max_kPa)
-        bent = curve.bent_kPa(pressure, bent)
-        return pressure
-
-    pieces: list[tuple[float, float, Callable[[float], float]]] = []
-    t, at, peak, rise = 0.0, start_kPa, start_kPa, 0.0
-    aims: list[float] = []
-
-    def move(to: float, least_s: float) -> None:
-        nonlocal t, at, peak, rise
-        takes = max(abs(to - at) / rate_kPa_per_s, least_s)
-        if takes > 0.0:
-            pieces.append((t, t + takes, _line(at, to, takes)))
-            t += takes
-        rise += max(0.0, to - at)
-        at, peak = to, max(peak, to)
-
-    for segment in segments:
-        if isinstance(segment, Step):
-            aims.append(wanted(segment.to_deg, segment.to_kPa))
-            move(aims[-1], 0.0)
-        elif isinstance(segment, Ramp):
-            aims.append(wanted(segment.to_deg, segment.to_kPa))
-            move(aims[-1], segment.over_s)
-        elif isinstance(segment, HoldFor):
-            move(at, segment.for_s)
-        elif isinstance(segment, Sine):
-            low, high = (min(max(end, 0.0), max_kPa) for end in ends_kPa(segment, curve))
-            aims.append(high)
-            move(low, 0.0)
-            fastest_Hz = rate_kPa_per_s / (math.pi * abs(high - low)) if high != low else math.inf
-            frequency_Hz = min(segment.frequency_Hz, fastest_Hz)
-            takes = segment.cycles / frequency_Hz
-            swing = _swing(low, high, frequency_Hz)
-            pieces.append((t, t + takes, swing))
-            t += takes
-            rise += _risen(low, high, segment.cycles)
-            at, peak = swing(takes), max(peak, low, high)
-            halves = math.floor(2.0 * segment.cycles)
-            for turn in range(max(0, halves - 1), halves + 1):
-                bent = curve.bent_kPa(high if turn % 2 else low, bent)
-            bent = curve.bent_kPa(at, bent)
-    aim = aims[0] if aims else at
-    return Trajectory(tuple(pieces), start_kPa, aim, at, peak, rise, t)
-
-
-def _line(start: float, end: float, takes: float) -> Callable[[float], float]:
-    return lambda t: start + (end - start) * t / takes
-
-
-def _swing(low: float, high: float, frequency_Hz: float) -> Callable[[float], float]:
-    return lambda t: low + (high - low) * 0.5 * (1.0 - math.cos(2.0 * math.pi * frequency_Hz * t))
-
-
-def _risen(low: float, high: float, cycles: float) -> float:
-    """The sum of all rises of a swing; one that starts at its upper end falls first."""
-    whole, part = divmod(cycles, 1.0)
-    gone = 0.5 * (1.0 - math.cos(2.0 * math.pi * part))
-    up_first = gone if part <= 0.5 else 1.0
-    down_first = 0.0 if part <= 0.5 else 1.0 - gone
-    return abs(high - low) * (whole + (up_first if high > low else down_first))

@@ -453,3 +453,8 @@ def test_a_profile_of_an_earlier_version_that_vents_where_the_autopilot_is_lost_
     old = text.replace("[losses]\n", "[losses]\non_autopilot_loss = 'vent'\n")
     assert old != text
     assert config.parse(old, "test") == config.default()
+
+
+def test_the_staircase_of_an_earlier_version_is_ignored() -> None:
+    old = config.default_text() + "\n[calibration]\nsteps = 6\nhold_s = 3\n"
+    assert config.parse(old, "test") == config.default()

@@ -14,7 +14,7 @@ from firmware_link.host import PLAUSIBLE_KPA
 from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines.config import config
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.supply import ReservoirEstimate, nominal
+from flying_vines.supply import ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.physics_checks import PhysicsChecks
 
 from .flights import HIGH, LOW, MIDDLE, airborne, assert_vented, bent, decisions, notices, run_for
@@ -105,11 +105,12 @@ def test_whatever_else_a_frame_says_the_flight_goes_on_or_the_vine_is_vented(
 def test_readings_within_reach_of_a_sensor_never_spoil_an_estimate() -> None:
     believed = nominal(config.default().pneumatics)
     for seed in range(8):
-        reservoir = ReservoirEstimate(believed)
+        reader, reservoir = TelemetryReader(believed), ReservoirEstimate(believed)
         checks = PhysicsChecks(believed, config.default().checks)
         for t, telemetry in hostile(random.Random(seed)):
-            reservoir.update(t, telemetry)
-            checks.take(telemetry)
+            features = reader.read(t, telemetry)
+            reservoir.update(features)
+            checks.take(features)
             assert math.isfinite(reservoir.spending_kPa(20.0))
             if (left := reservoir.cycles_left()) is not None:
                 assert 0.0 <= left.low <= left.expected <= left.high < math.inf

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link.host import HostSession
 from firmware_link.protocol import Vent
-from flying_vines.core.contained import TOLD, Contained
+from flying_vines.core.contained import SHUTDOWN_TEXT, Contained
 from flying_vines.core.core import Core
 from flying_vines.core.events import (
     Action,
@@ -116,8 +116,8 @@ def fly(method: Method, after_s: float, seldom: int = 1) -> Broken:
         assert not broken.core.internal_error, method
         return broken
     assert broken.core.internal_error, method
-    assert broken.texts().count(TOLD) == 1, method
-    assert [a.text for a in broken.actions if isinstance(a, Notice)].count(TOLD) == 1, method
+    assert broken.texts().count(SHUTDOWN_TEXT) == 1, method
+    assert [a.text for a in broken.actions if isinstance(a, Notice)].count(SHUTDOWN_TEXT) == 1, method
     assert [a for a in broken.actions if isinstance(a, InternalError) and "BrokenError" in a.trace], method
     return broken
 
@@ -139,8 +139,8 @@ def test_whatever_raises_in_the_core_the_vine_is_vented_and_the_pilot_reads_it_o
         # Where the vent, the text, the heartbeat and the looking are made.
         ((HostSession, "command"), 0.5),
         ((HostSession, "tick"), 0.5),
-        ((Core, "_tell"), 0.5),
-        ((Core, "_look"), 0.5),
+        ((Core, "_publish"), 0.5),
+        ((Core, "_check_safety"), 0.5),
         ((Core, "handle"), 0.5),
         ((Component, "due"), 0.5),
         ((Safety, "watch"), 0.5),

@@ -58,6 +58,23 @@ def test_the_switch_bends_and_straightens(likely: bool) -> None:
     assert_vented(flight)
 
 
+def test_a_query_changes_nothing() -> None:
+    def flown(with_queries: bool) -> list[str]:
+        flight = airborne()
+        core, actions = flight.core, []
+        for pulse_us in (HIGH, LOW):
+            flight.autopilot.set_rc(9, pulse_us)
+            for _ in range(50):
+                actions += run_for(flight, 0.03)
+                if with_queries:
+                    core.snapshot(flight.world.now)
+                    core._conditions(flight.world.now)
+                    core._reservoir.cycles_left()
+        return [str(a.message) if isinstance(a, ToVehicle) else str(a) for a in actions]
+
+    assert flown(with_queries=True) == flown(with_queries=False)
+
+
 def test_the_first_setpoint_leaves_with_the_trigger_and_already_moves() -> None:
     flight = airborne()
     flight.autopilot.set_rc(9, HIGH)

@@ -22,10 +22,8 @@ from flying_vines.vine.intent import (
     Intent,
     SetPressure,
     StartBench,
-    StartCalibration,
     StartProfile,
     StopBench,
-    StopCalibration,
     Vent,
 )
 
@@ -36,7 +34,6 @@ TAKES_AIR: list[Intent] = [
     SetPressure(9.0),
     StartProfile("bend-half"),
     Hold(),
-    StartCalibration(),
 ]
 LETS_OUT: list[Intent] = [Vent(), DisarmPneumatics(), StartProfile("straight"), BendTo(0.0), SetPressure(0.0)]
 
@@ -175,10 +172,10 @@ def test_the_broker_may_do_what_the_profile_lists() -> None:
     flight = airborne(open_to("vent", "bend"))
     assert ask(flight, "broker", BendTo(30.0)).safety == "accepted"
     assert ask(flight, "broker", SetPressure(9.0)).reason == "mqtt.commands does not list pressure"
-    unlisted: tuple[Intent, ...] = (ArmPneumatics(), ClearFaults(), StartBench(), StartCalibration(), Hold())
+    unlisted: tuple[Intent, ...] = (ArmPneumatics(), ClearFaults(), StartBench(), Hold())
     for intent in unlisted:
         assert ask(flight, "broker", intent).reason.startswith("mqtt.commands does not list ")
-    lets_out: tuple[Intent, ...] = (StopCalibration(), StopBench(), Vent())
+    lets_out: tuple[Intent, ...] = (StopBench(), Vent())
     for out in lets_out:
         assert "mqtt.commands" not in ask(flight, "broker", out).reason
 

@@ -386,7 +386,7 @@ class AnyFlight(RuleBasedStateMachine):
         self.flight.press(code, angle_deg)
         self.flight.run(0.2)
 
-    @rule(verb=st.sampled_from(["vent", "hold", "clear_faults", "calibrate", "take_off", "land", "disarm"]))
+    @rule(verb=st.sampled_from(["vent", "hold", "clear_faults", "take_off", "land", "disarm"]))
     def ask(self, verb: str) -> None:
         getattr(self.flight, verb)()
         self.flight.run(0.2)

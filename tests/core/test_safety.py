@@ -11,7 +11,10 @@ from hypothesis import strategies as st
 from firmware_link.protocol import Fault
 from flying_vines.config import config
 from flying_vines.config.config import Config
-from flying_vines.core.safety import Conditions, Demand, Entered, Left, Safety
+from flying_vines.core.safety import Conditions, Entered, Left, Safety
+from flying_vines.supply import AirNeeded
+from flying_vines.vine.motion import plan
+from flying_vines.vine.profile import Step
 
 FLYING = Conditions(
     armed=True,
@@ -24,8 +27,10 @@ FLYING = Conditions(
     reservoir_kPa=600.0,
 )
 BENT = dataclasses.replace(FLYING, moving=True, moving_s=5.0, cv_kPa=20.0)
-BEND = Demand(releases=False, peak_kPa=20.0, wanted_kPa=20.0, spending_kPa=5.0, floor_kPa=120.0)
-RELEASE = Demand(releases=True)
+CURVE = config.default().vine.bend_curve()
+BEND = plan([Step(to_kPa=20.0)], CURVE, 0.0, 60.0, 20.7)
+RELEASE = plan([Step(to_kPa=0.0)], CURVE, 20.0, 60.0, 20.7)
+AIR = AirNeeded(spending_kPa=5.0, floor_kPa=120.0)
 
 
 def safety(**tables: object) -> Safety:
@@ -40,7 +45,7 @@ def but(conditions: Conditions, **changes: object) -> Conditions:
 def test_a_good_flight_bends() -> None:
     machine = safety()
     assert machine.watch(0.0, FLYING) == []
-    assert machine.judge(BEND, FLYING).verdict == "accepted"
+    assert machine.judge(BEND, AIR, FLYING).verdict == "accepted"
 
 
 LOSSES: dict[str, dict[str, object]] = {
@@ -61,18 +66,18 @@ def test_each_loss_vents_once_refuses_and_ends(name: str) -> None:
     assert (entered.name, entered.response) == (name, "vent")
     assert entered.reason
     assert machine.watch(2.0, lost) == []
-    ruling = machine.judge(BEND, lost)
+    ruling = machine.judge(BEND, AIR, lost)
     assert ruling.verdict == "refused"
     assert entered.reason in ruling.reason
-    assert machine.judge(RELEASE, lost).verdict == "accepted"
+    assert machine.judge(RELEASE, AIR, lost).verdict == "accepted"
     assert machine.watch(3.0, FLYING) == [Left(name)]
-    assert machine.judge(BEND, FLYING).verdict == "accepted"
+    assert machine.judge(BEND, AIR, FLYING).verdict == "accepted"
 
 
 def test_telemetry_of_unknown_age_is_stale() -> None:
     machine = safety()
-    assert machine.judge(BEND, but(FLYING, telemetry_age_s=math.inf)).verdict == "refused"
-    assert machine.judge(BEND, but(FLYING, telemetry_age_s=math.nan)).verdict == "refused"
+    assert machine.judge(BEND, AIR, but(FLYING, telemetry_age_s=math.inf)).verdict == "refused"
+    assert machine.judge(BEND, AIR, but(FLYING, telemetry_age_s=math.nan)).verdict == "refused"
 
 
 LIMITS: dict[str, dict[str, object]] = {
@@ -116,7 +121,7 @@ def test_interlocks_refuse_with_a_reason(change: dict[str, object], reason: str)
     machine = safety()
     now = but(FLYING, **change)
     machine.watch(0.0, now)
-    ruling = machine.judge(BEND, now)
+    ruling = machine.judge(BEND, AIR, now)
     assert ruling.verdict == "refused"
     assert reason in ruling.reason
 
@@ -125,12 +130,12 @@ def test_bench_mode_needs_no_flight() -> None:
     machine = safety(interlocks=config.Interlocks(bench_mode=True))
     bench = but(FLYING, armed=False, altitude_m=None, autopilot_age_s=None)
     machine.watch(0.0, bench)
-    assert machine.judge(BEND, bench).verdict == "accepted"
+    assert machine.judge(BEND, AIR, bench).verdict == "accepted"
     assert machine.watch(0.1, but(bench, moving=True)) == []
 
 
 def test_a_weak_bottle_bends_slower() -> None:
-    ruling = safety().judge(BEND, but(FLYING, reservoir_kPa=80.0))
+    ruling = safety().judge(BEND, AIR, but(FLYING, reservoir_kPa=80.0))
     assert ruling.verdict == "limited"
     assert ruling.rate_scale == pytest.approx((80.0 - 20.0) / 120.0)
 
@@ -143,9 +148,9 @@ def test_overpressure_latches_until_a_person_clears_it_and_it_is_gone() -> None:
     assert entered.name == "overpressure"
     assert machine.clear(high) == []
     assert machine.watch(1.0, FLYING) == []
-    assert machine.judge(BEND, FLYING).verdict == "refused"
+    assert machine.judge(BEND, AIR, FLYING).verdict == "refused"
     assert machine.clear(FLYING) == ["overpressure"]
-    assert machine.judge(BEND, FLYING).verdict == "accepted"
+    assert machine.judge(BEND, AIR, FLYING).verdict == "accepted"
 
 
 def test_a_physics_check_latches_until_a_person_clears_it_and_it_is_over() -> None:
@@ -156,11 +161,11 @@ def test_a_physics_check_latches_until_a_person_clears_it_and_it_is_over() -> No
     assert machine.watch(0.1, wrong) == []
     assert machine.clear(wrong) == []
     assert machine.watch(1.0, FLYING) == []
-    ruling = machine.judge(BEND, FLYING)
+    ruling = machine.judge(BEND, AIR, FLYING)
     assert (ruling.verdict, ruling.reason) == ("refused", "not venting: outlet, line or sensor")
-    assert machine.judge(RELEASE, FLYING).verdict == "accepted"
+    assert machine.judge(RELEASE, AIR, FLYING).verdict == "accepted"
     assert machine.clear(FLYING) == ["venting"]
-    assert machine.judge(BEND, FLYING).verdict == "accepted"
+    assert machine.judge(BEND, AIR, FLYING).verdict == "accepted"
 
 
 def test_hold_ends_in_venting() -> None:
@@ -332,7 +337,7 @@ def test_never_a_bend_while_anything_is_wrong(history: list[Conditions], data: s
         if data.draw(st.booleans()):
             machine.clear(now)
             latched = latched and present
-        accepted = machine.judge(BEND, now).verdict != "refused"
+        accepted = machine.judge(BEND, AIR, now).verdict != "refused"
         fit = (
             now.armed
             and now.altitude_m is not None
@@ -347,4 +352,4 @@ def test_never_a_bend_while_anything_is_wrong(history: list[Conditions], data: s
             and now.reservoir_kPa >= 65.0
         )
         assert accepted == fit
-        assert machine.judge(RELEASE, now).verdict == "accepted"
+        assert machine.judge(RELEASE, AIR, now).verdict == "accepted"

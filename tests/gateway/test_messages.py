@@ -11,7 +11,7 @@ from flying_vines.gateway import messages
 from flying_vines.gateway.messages import Answered, Ask, FromGateway, Happened, Seen, ToGateway, Trouble
 from flying_vines.vine.intent import BendTo, Command, SetPressure, StartProfile, Vent
 
-from .told import calibrated, decision, happened, notice, profile, seen
+from .told import decision, happened, notice, profile, seen
 
 plain = [word for word in messages.COMMANDS if word not in ("bend", "pressure", "profile")]
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -35,7 +35,7 @@ def test_what_the_service_answers_is_read_as_it_was_said(message: Answered) -> N
 
 
 @pytest.mark.parametrize(
-    "message", [seen(1.0), profile(), *(happened(thing(2.0)) for thing in (decision, notice, calibrated))]
+    "message", [seen(1.0), profile(), *(happened(thing(2.0)) for thing in (decision, notice))]
 )
 def test_what_the_service_tells_is_read_as_it_was_said(message: ToGateway) -> None:
     again = messages.read_to_gateway(messages.packet(message))

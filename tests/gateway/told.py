@@ -8,7 +8,7 @@ import msgspec
 
 from flying_vines.config import config
 from flying_vines.config.config import Config
-from flying_vines.core.events import Calibrated, Decision, Snapshot
+from flying_vines.core.events import Decision, Snapshot
 from flying_vines.gateway.messages import Happened, Profile, Seen, raw
 from flying_vines.supply import CyclesLeft
 from flying_vines.vehicle.notice import Notice, Severity
@@ -66,10 +66,6 @@ def notice(t: float, text: str = "Vine: phloSAR is back") -> Notice:
     return Notice(t, Severity.NOTICE, text)
 
 
-def calibrated(t: float) -> Calibrated:
-    return Calibrated(t, ((0.0, float("nan")), (10.0, 9.9)))
-
-
-def happened(thing: Decision | Notice | Calibrated) -> Happened:
+def happened(thing: Decision | Notice) -> Happened:
     """As `Gateway.action` makes it."""
     return Happened(type(thing).__name__.lower(), raw(thing))

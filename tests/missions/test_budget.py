@@ -50,8 +50,8 @@ def test_a_slower_vehicle_takes_longer() -> None:
 
 def test_a_bend_has_the_pressure_of_the_curve_and_takes_air() -> None:
     bend = reviewed(built(REACH, "px4"), "px4").budget.bends[0]
-    assert bend.move is not None
-    assert bend.move.peak_kPa == pytest.approx(CONFIG.vine.bend_curve().pressure_kPa(45.0))
+    assert bend.motion is not None
+    assert bend.motion.top_kPa == pytest.approx(CONFIG.vine.bend_curve().pressure_kPa(45.0))
     assert bend.ends_s - bend.step.t_s == pytest.approx(5.0)
     # 0.1 L to 16 kPa out of 2 L: 0.8 kPa if the vine were rigid, and several times that for a real one.
     assert 0.8 < bend.air_kPa < 10.0
@@ -83,7 +83,7 @@ def test_a_vine_with_hysteresis_is_let_down_further() -> None:
     given = built(HEAD + waypoint("{ bend_deg = 50 }, { bend_deg = 30 }"), "px4", config)
     plan = timeline(given, "px4", HOMES["px4"])
     bends = budget(plan, config, nominal(config.pneumatics), 690.0).bends
-    final = [bend.move.trajectory.final_kPa for bend in bends if bend.move]
+    final = [bend.motion.final_kPa for bend in bends if bend.motion]
     up = vine.bend_curve().pressure_kPa(30.0)
     assert final[1] == pytest.approx(up - 3.0)
 

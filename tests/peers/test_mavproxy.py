@@ -136,18 +136,6 @@ async def test_disarmed_pneumatics_bend_for_nobody_until_they_are_armed(flight: 
     await ground.sees("Got COMMAND_ACK: USER_4: ACCEPTED")
 
 
-async def test_a_calibration_tells_that_it_goes_on_and_how_it_ended(flight: Flight) -> None:
-    ground = flight.ground
-    ground.type("vehicle 1:191")
-    ground.type("long 31014 2")
-    await ground.sees("(?s)USER_5: IN_PROGRESS.*USER_5: IN_PROGRESS")
-    ground.type("long 31014 3")
-    await ground.sees("Got COMMAND_ACK: USER_5: ACCEPTED")
-    await ground.sees("Got COMMAND_ACK: USER_5: FAILED")
-    await ground.sees("AP: Vine: calibration ended early")
-    await until(lambda: flight.phlosar.cv_kPa < 1, "it is vented")
-
-
 async def test_what_is_for_the_autopilot_is_not_for_us(flight: Flight) -> None:
     """MAVProxy addresses the autopilot unless told otherwise."""
     flight.ground.type("vehicle 1:1")

@@ -10,7 +10,6 @@ import msgspec
 import pytest
 from recorded_flight import BEGAN, CONFIG, HIGH, LOW, fly, new_flight, one_bend
 
-from firmware_link.protocol import Telemetry
 from flying_vines.cli.main import main
 from flying_vines.config import config
 from flying_vines.core.contained import Contained
@@ -25,7 +24,7 @@ from flying_vines.record.recorder import Recorder
 from flying_vines.record.topics import NUMBERS, TOPICS, topic_of
 from flying_vines.simulation.replay import replay_flight
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.supply import ReservoirEstimate
+from flying_vines.supply import Features, ReservoirEstimate
 from flying_vines.supply.known_rig import load_calibration
 from flying_vines.vine.intent import BendTo
 
@@ -96,10 +95,10 @@ def test_a_shutdown_is_in_the_log_and_comes_out_the_same(
 ) -> None:
     update = ReservoirEstimate.update
 
-    def failing(estimate: ReservoirEstimate, t: float, telemetry: Telemetry) -> None:
-        if t > 4.0:
+    def failing(estimate: ReservoirEstimate, features: Features) -> None:
+        if features.t > 4.0:
             raise RuntimeError("unexpected")
-        update(estimate, t, telemetry)
+        update(estimate, features)
 
     monkeypatch.setattr(ReservoirEstimate, "update", failing)
     flight, recorder = new_flight(), Recorder(tmp_path, BEGAN, t=0.0)

@@ -28,7 +28,6 @@ from firmware_link.protocol import Fault, Mode, Telemetry, Welcome
 from flying_vines.core.core import Core
 from flying_vines.core.events import (
     Asked,
-    Calibrated,
     Decision,
     Event,
     FirmwareMessage,
@@ -43,7 +42,7 @@ from flying_vines.core.events import (
 )
 from flying_vines.record import folders as folders_module
 from flying_vines.record import recorder as recorder_module
-from flying_vines.record.reader import Entry, FlightLog
+from flying_vines.record.reader import Entry, FlightLog, LogError
 from flying_vines.record.recorder import Recorder
 from flying_vines.record.restore import event_of, start_of
 from flying_vines.record.schema import Schema
@@ -155,21 +154,25 @@ def test_events_come_back_as_they_were(tmp_path: Path) -> None:
     assert tuple(event_of(e) for e in FlightLog(recorder.folder).entries() if e.topic != "start") == EVENTS
 
 
+def test_a_request_of_an_earlier_version_is_refused_in_one_line() -> None:
+    asked = Entry("asked", 0, encoded(entry_of_event(Asked(1.0, "page", Vent()))).replace(b"Vent", b"Gone"))
+    with pytest.raises(LogError, match="a request of an earlier version, Gone"):
+        event_of(asked)
+
+
 def test_answers_are_written(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path, BEGAN, t=0.0)
     recorder.action(DECISION)
     recorder.action(Notice(1.7, Severity.WARNING, "Vine: refused bend-full: not armed"))
-    recorder.action(Calibrated(2.0, ((0.0, 0.1), (20.0, 19.8))))
     recorder.action(KeepParameters(2.1, {"VINE_RATE_HZ": 3.0}))
     recorder.action(KeepDisarmed(2.2, True))
     recorder.snapshot(dataclasses.replace(SNAPSHOT, t=2.3))
     recorder.close()
-    _, decision, notice, calibration, parameters, disarmed, snapshot = (
+    _, decision, notice, parameters, disarmed, snapshot = (
         entry.fields for entry in FlightLog(recorder.folder).entries()
     )
     assert decision["what"] == {"channel": 9, "position": 2}
     assert notice["severity"] == 4
-    assert (calibration["asked_kPa"], calibration["read_kPa"]) == ([0.0, 20.0], [0.1, 19.8])
     assert parameters["values"] == {"VINE_RATE_HZ": 3.0}
     assert disarmed["disarmed"] is True
     assert math.isnan(SNAPSHOT.bend_deg) and "bend_deg" not in snapshot

@@ -149,13 +149,13 @@ def test_disarmed_is_a_file_that_says_what_it_is_for_and_that_may_be_taken_away(
     profile.write_text(config.default_text().replace('folder = ""', 'folder = "state/of"'))
     kept = Kept.of(profile, config.load(profile))
     assert not kept.disarmed
-    kept.keep_disarmed(False)  # it is not there, and neither is its folder
-    kept.keep_disarmed(True)
+    kept.store_disarmed(False)  # it is not there, and neither is its folder
+    kept.store_disarmed(True)
     (file,) = (tmp_path / "state" / "of").iterdir()
     assert kept.disarmed and "disarmed" in file.read_text()
     file.write_bytes(b"")  # by whatever means it came there, nothing bends
     assert kept.disarmed
-    kept.keep_disarmed(False)
+    kept.store_disarmed(False)
     assert not kept.disarmed and list(file.parent.iterdir()) == []
 
 

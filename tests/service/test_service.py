@@ -66,7 +66,7 @@ async def test_what_moves_the_vine_is_sent_before_anybody_is_told(
     monkeypatch.setattr(SerialPort, "write", lambda port, data: done.append("written"))
     service.say(Severity.INFO, "whatever")
     assert done == ["written", "written"]
-    service.tell_watchers()
+    service.notify_watchers()
     assert done[2:] == ["Notice", "ToFirmware", "Notice", "ToFirmware"]
 
 
@@ -120,9 +120,9 @@ async def test_a_watcher_that_fails_sees_no_more_and_the_others_do(bench: Bench)
 
     for text in ("one", "two"):
         service.say(Severity.INFO, text)
-        service.tell_watchers()
+        service.notify_watchers()
         await asyncio.sleep(0)
-    service.tell_watchers()
+    service.notify_watchers()
     assert clumsy.seen == 1
     assert texts() == ["Vine: one", "Vine: Clumsy failed, flight goes on", "Vine: two"]
 

@@ -17,7 +17,7 @@ from service_bench import Bench, on_bench
 
 from firmware_link import protocol
 from flying_vines.config import config
-from flying_vines.core.contained import TOLD
+from flying_vines.core.contained import SHUTDOWN_TEXT
 from flying_vines.core.events import Action, Decision, InternalError
 from flying_vines.core.watcher import EachAction
 from flying_vines.service.service import BARE_VENT, Service
@@ -44,7 +44,7 @@ class Serving:
     async def shut_down(self) -> None:
         """The vine is vented by a command, the ground station reads why, once, and nothing bends."""
         await until(self.bench.vented, "vented")
-        await until(lambda: self.bench.ground.texts.count(TOLD) == 1, "the ground station reads it")
+        await until(lambda: self.bench.ground.texts.count(SHUTDOWN_TEXT) == 1, "the ground station reads it")
         self.bench.ground.values.clear()
         for pulse in (1000, 2000):
             self.bench.autopilot.set_rc(9, pulse)
@@ -52,7 +52,7 @@ class Serving:
         answer = self.service.ask("page", BendTo(20.0))
         assert (answer.safety, self.bench.vented()) == ("refused", True)
         assert not self.bench.phlosar.firmware.faults  # the dead-man had nothing to do
-        assert self.bench.ground.texts.count(TOLD) == 1
+        assert self.bench.ground.texts.count(SHUTDOWN_TEXT) == 1
         assert [a for a in self.seen if isinstance(a, InternalError) and "unexpected" in a.trace]
 
 
@@ -132,10 +132,10 @@ async def test_a_task_that_fails_behind_the_flight_is_told_and_begins_anew(
     service = serving.service
     monkeypatch.setattr("flying_vines.service.RESTART_S", 0.1)
     written = asyncio.Event()
-    service._keep("whatever", raising)
+    service._store("whatever", raising)
     await until(lambda: "Vine: keeping files failed, flight goes on" in serving.texts(), "told")
     await asyncio.sleep(0.2)
-    service._keep("whatever", written.set)
+    service._store("whatever", written.set)
     await until(written.is_set, "kept by the task that began anew")
     assert serving.bench.bent()
 
@@ -152,7 +152,7 @@ async def test_absurd_telemetry_vents_and_the_service_lives(serving: Serving) ->
                 serving.service._firmware_bytes(protocol.encode(absurd, 0))
     await until(serving.bench.vented, "vented")
     await until(lambda: any("sensor reads" in text for text in serving.bench.ground.texts), "told")
-    assert TOLD not in serving.texts()
+    assert SHUTDOWN_TEXT not in serving.texts()
     assert [a for a in serving.seen if isinstance(a, Decision) and a.what == {"loss": "sensor"}]
 
 

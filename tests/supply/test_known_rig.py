@@ -30,7 +30,7 @@ from flying_vines.physics.rig import ControlVolume, Reservoir, Rig, RigError
 from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
 from flying_vines.simulation.scenario import parse_scenario, simulate_scenario, write_case
 from flying_vines.simulation.simulated_world import SimulatedWorld
-from flying_vines.supply import Belief, ReservoirEstimate, nominal
+from flying_vines.supply import Belief, ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.known_rig import believed, load_calibration
 
 P = Pneumatics()
@@ -169,6 +169,7 @@ def told(there: TrueRig, seconds: float) -> Iterator[tuple[float, Telemetry]]:
 
 def errors(there: TrueRig, beliefs: tuple[Belief, ...]) -> list[tuple[float, ...]]:
     """Of ln of the cycles left, belief by belief, before the first cycle and after five."""
+    readers = [TelemetryReader(belief) for belief in beliefs]
     estimates = [ReservoirEstimate(belief) for belief in beliefs]
     said: dict[int, list[float]] = {}
     best_kPa, missed, cycle = 0.0, 0, -1
@@ -183,8 +184,8 @@ def errors(there: TrueRig, beliefs: tuple[Belief, ...]) -> list[tuple[float, ...
                 found = [estimate.cycles_left() for estimate in estimates]
                 said[cycle] = [left.expected for left in found if left]
         best_kPa = max(best_kPa, telemetry.cv_kPa)
-        for estimate in estimates if cycle < 5 else ():
-            estimate.update(t, telemetry)
+        for reader, estimate in zip(readers, estimates, strict=True) if cycle < 5 else ():
+            estimate.update(reader.read(t, telemetry))
     assert missed == 3, "the bottle lasted too long for this test"
     total = cycle - missed
     assert total > 25

@@ -29,7 +29,7 @@ from flying_vines.simulation.phlosar.mishaps import (
     StuckAt,
 )
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.supply import nominal
+from flying_vines.supply import Belief, TelemetryReader, nominal
 from flying_vines.supply.physics_checks import CHECKS, Finding, PhysicsChecks
 
 HOST_TICK_S = 0.02
@@ -39,15 +39,26 @@ RATE_KPA_PER_S = 60.0
 Found = list[tuple[float, Finding]]
 
 
-def checks_of(cv_volume_L: float = 0.1, checks: Checks | None = None) -> PhysicsChecks:
-    return PhysicsChecks(nominal(Pneumatics(cv_volume_L=cv_volume_L)), checks or Checks())
+class Watch(PhysicsChecks):
+    """The checks and the reader before them, as in the core."""
+
+    def __init__(self, belief: Belief, checks: Checks) -> None:
+        super().__init__(belief, checks)
+        self._reader = TelemetryReader(belief)
+
+    def watch(self, telemetry: Telemetry) -> list[Finding]:
+        return self.take(self._reader.read(telemetry.device_time_ms / 1000.0, telemetry))
+
+
+def checks_of(cv_volume_L: float = 0.1, checks: Checks | None = None) -> Watch:
+    return Watch(nominal(Pneumatics(cv_volume_L=cv_volume_L)), checks or Checks())
 
 
 class Flying:
     """A simulated phloSAR under setpoints, watched by the checks."""
 
     def __init__(
-        self, phlosar: SimulatedPhlosar, checks: PhysicsChecks, lost: Callable[[], bool] = lambda: False
+        self, phlosar: SimulatedPhlosar, checks: Watch, lost: Callable[[], bool] = lambda: False
     ) -> None:
         self.phlosar = phlosar
         self._lost = lost
@@ -70,7 +81,7 @@ class Flying:
             now_s = self._tick * HOST_TICK_S
             for message in self._codec.decode(self.phlosar.advance(now_s)):
                 if isinstance(message, Telemetry) and not self._lost():
-                    self.found += [(now_s, finding) for finding in self.checks.take(message)]
+                    self.found += [(now_s, finding) for finding in self.checks.watch(message)]
         return self.found[before:]
 
 
@@ -167,7 +178,7 @@ def test_readings_that_are_the_same_by_chance_are_no_stuck_sensor() -> None:
     told = [
         dataclasses.replace(opening, cv_kPa=18.0 + 0.1 * (i // 4), device_time_ms=100 * i) for i in range(8)
     ]
-    assert [finding.name for message in told for finding in checks.take(message)] == []
+    assert [finding.name for message in told for finding in checks.watch(message)] == []
 
 
 def test_a_bottle_sensor_that_is_stuck_is_found_within_eight_bends() -> None:
@@ -221,12 +232,12 @@ HELD = dataclasses.replace(VENTED, mode=Mode.REGULATE, setpoint_kPa=20.0, cv_kPa
 
 
 def stream(
-    checks: PhysicsChecks, told: Callable[[float], Telemetry], seconds: float, from_ms: int = 0
+    checks: Watch, told: Callable[[float], Telemetry], seconds: float, from_ms: int = 0
 ) -> Iterator[tuple[float, Finding]]:
     """What is found in telemetry of 100 Hz; `told` by seconds."""
     for ms in range(0, round(1000 * seconds), 10):
         message = dataclasses.replace(told(ms / 1000.0), device_time_ms=(from_ms + ms) & 0xFFFFFFFF)
-        for finding in checks.take(message):
+        for finding in checks.watch(message):
             yield ms / 1000.0, finding
 
 
@@ -324,7 +335,7 @@ def test_any_telemetry_is_taken(told: list[tuple[Telemetry, int]]) -> None:
     at_ms = 0
     for message, later_ms in told:
         at_ms += later_ms
-        begun = checks.take(dataclasses.replace(message, device_time_ms=at_ms))
+        begun = checks.watch(dataclasses.replace(message, device_time_ms=at_ms))
         assert all(checks.present[finding.name] == finding for finding in begun)
         assert all(finding.sentence.isprintable() for finding in begun)
 

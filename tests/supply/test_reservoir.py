@@ -13,7 +13,8 @@ from flying_vines.config.config import Pneumatics
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.plant.wall import Wall
-from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate, floor_kPa, n_cycles, nominal
+from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate, TelemetryReader, n_cycles, nominal
+from flying_vines.supply.formula import floor_kPa
 from flying_vines.supply.known_rig import believed
 
 DEMONSTRATION = Pneumatics()
@@ -57,6 +58,7 @@ class Bench:
     def __init__(
         self, cost_kPa: float = 6.1, leak_per_s: float = 0.0, start_kPa: float = 690.0, seed: int = 1
     ) -> None:
+        self.reader = TelemetryReader(nominal(DEMONSTRATION))
         self.estimate = ReservoirEstimate(nominal(DEMONSTRATION))
         self.t = 0.0
         self.reservoir_kPa = start_kPa
@@ -106,21 +108,19 @@ class Bench:
         if reservoir_kPa is None:
             reservoir_kPa = self._random.gauss(self.reservoir_kPa - self.cold_kPa, 1.2)
         cv_kPa = self._random.gauss(setpoint_kPa, 0.15)
-        self.estimate.update(
-            self.t,
-            Telemetry(
-                round(self.t * 1000),
-                Mode.REGULATE,
-                faults,
-                1,
-                setpoint_kPa,
-                cv_kPa,
-                reservoir_kPa,
-                evp,
-                dvp,
-                solenoid,
-            ),
+        telemetry = Telemetry(
+            round(self.t * 1000),
+            Mode.REGULATE,
+            faults,
+            1,
+            setpoint_kPa,
+            cv_kPa,
+            reservoir_kPa,
+            evp,
+            dvp,
+            solenoid,
         )
+        self.estimate.update(self.reader.read(self.t, telemetry))
 
     def rest(self, seconds: float) -> None:
         self.see(seconds, 0.0, 0.0)
@@ -291,16 +291,16 @@ def test_nothing_is_known_before_the_first_reading() -> None:
 
 
 def test_a_sensor_whose_zero_is_low_does_not_hide_the_bottle() -> None:
-    estimate = ReservoirEstimate(nominal(DEMONSTRATION))
+    reader, estimate = TelemetryReader(nominal(DEMONSTRATION)), ReservoirEstimate(nominal(DEMONSTRATION))
     for i in range(100):
         message = Telemetry(0, Mode.VENT, Fault.NONE, 0, 0.0, -2.5, 600.0, 0.0, 0.0, True)
-        estimate.update(0.01 * i, message)
+        estimate.update(reader.read(0.01 * i, message))
     assert estimate.bottle is not None
     assert estimate.bottle.absolute_kPa == pytest.approx(701.325, abs=1.0)
 
 
 def test_a_regulation_that_begins_where_the_sensor_has_its_zero_begins_no_inflation() -> None:
-    estimate = ReservoirEstimate(nominal(DEMONSTRATION))
+    reader, estimate = TelemetryReader(nominal(DEMONSTRATION)), ReservoirEstimate(nominal(DEMONSTRATION))
     down = [3.0 - 0.2 * i for i in range(10)]
     up = [1.2 + 0.4 * i for i in range(49)]
     t, reservoir_kPa = 0.0, 690.0
@@ -311,9 +311,8 @@ def test_a_regulation_that_begins_where_the_sensor_has_its_zero_begins_no_inflat
             t += 0.01
             reservoir_kPa -= 0.02
             cv, evp = max(3.0, setpoint), 0.5 if mode is Mode.REGULATE else 0.0
-            estimate.update(
-                t, Telemetry(0, mode, Fault.NONE, 0, setpoint, cv, reservoir_kPa, evp, 0.0, evp == 0.0)
-            )
+            told_now = Telemetry(0, mode, Fault.NONE, 0, setpoint, cv, reservoir_kPa, evp, 0.0, evp == 0.0)
+            estimate.update(reader.read(t, told_now))
     left = estimate.cycles_left()
     assert left is not None
     # Six were begun, the last has not ended, the first does not count.
@@ -351,14 +350,14 @@ def test_what_a_rise_takes_scales_with_it() -> None:
 def test_whatever_comes_the_numbers_stay_numbers(
     belief: Belief, told: list[tuple[float, float, float, float, float, float, bool, int]]
 ) -> None:
-    estimate = ReservoirEstimate(belief)
+    reader, estimate = TelemetryReader(belief), ReservoirEstimate(belief)
     t = 0.0
     for wait_s, setpoint, cv, reservoir, evp, dvp, solenoid, times in told:
         t += wait_s
         for _ in range(times):
             t += 0.01
             message = Telemetry(0, Mode.REGULATE, Fault.NONE, 0, setpoint, cv, reservoir, evp, dvp, solenoid)
-            estimate.update(t, message)
+            estimate.update(reader.read(t, message))
         left = estimate.cycles_left()
         if left is not None:
             assert 0.0 <= left.low <= left.expected <= left.high

@@ -24,9 +24,7 @@ from flying_vines.vine.intent import (
     DisarmPneumatics,
     Hold,
     SetPressure,
-    StartCalibration,
     StartProfile,
-    StopCalibration,
     Vent,
 )
 
@@ -254,7 +252,6 @@ def test_what_we_cannot_do_is_unsupported(number: int) -> None:
         (USER_4, (2.0,), DisarmPneumatics()),
         (USER_4, (3.0,), ArmPneumatics()),
         (USER_5, (1.0,), ClearFaults()),
-        (USER_5, (3.0,), StopCalibration()),
         (GRIPPER, (1.0, 0.0), StartProfile("bend-full")),
         (ACTUATOR, (-0.5,), BendTo(-30.0)),
     ],
@@ -283,6 +280,7 @@ def test_a_persons_commands(number: int, params: tuple[float, ...], intent: obje
         (USER_4, (1.5,), "param1 must be"),
         (USER_5, (NAN,), "param1 must be"),
         (USER_5, (0.0,), "param1 must be"),
+        (USER_5, (2.0,), "param1 must be one of 1 (clear faults)"),
         (ACTUATOR, (NAN,), "not a number"),
         (GRIPPER, (1.0, NAN), "no rule"),
     ],
@@ -297,35 +295,6 @@ def test_numbers_that_make_no_sense_are_denied_with_a_reason(
     assert trigger.intent is None
     assert problem in trigger.problem
     assert bench.results() == [DENIED, DENIED]
-
-
-def test_a_calibration_is_answered_until_it_ends() -> None:
-    bench = Bench()
-    start = command(USER_5, (2.0,))
-    bench.take(10.0, start)
-    assert [trigger.intent for trigger in bench.triggers] == [StartCalibration()]
-    told = [bench.commands.progress(10.0 + 0.02 * tick, tick / 1000) for tick in range(1000)]
-    percents = [answer.progress for answers in told for answer in answers]
-    assert percents == sorted(percents) and len(percents) == 19
-    assert {answer.result for answers in told for answer in answers} == {IN_PROGRESS}
-    bench.take(29.0, command(USER_5, (2.0,), confirmation=3))
-    bench.take(29.5, start)
-    assert len(bench.triggers) == 1
-    assert [(answer.result, answer.progress) for answer in bench.answers] == [
-        (IN_PROGRESS, 0),
-        (IN_PROGRESS, percents[-1]),
-        (IN_PROGRESS, percents[-1]),
-    ]
-    (last,) = bench.commands.end(FAILED)
-    assert (last.command, last.result, last.target_system) == (USER_5, FAILED, STATION[0])
-    assert bench.commands.progress(40.0, 1.0) == bench.commands.end(ACCEPTED) == []
-
-
-def test_a_calibration_that_was_refused_is_not_under_way() -> None:
-    bench = Bench(accepts=False)
-    bench.take(10.0, command(USER_5, (2.0,)))
-    assert bench.results() == [DENIED]
-    assert bench.commands.progress(20.0, 0.5) == []
 
 
 def test_only_what_comes_from_a_ground_station_is_a_persons() -> None:
@@ -388,13 +357,6 @@ def test_what_is_remembered_stays_bounded() -> None:
     assert len(bench.commands._repeats._commands) <= MOST_REMEMBERED
 
 
-def test_while_a_calibration_is_under_way_another_command_is_heard() -> None:
-    bench = Bench()
-    bench.take(10.0, command(USER_5, (2.0,)))
-    bench.take(11.0, command(USER_4, (0.0,)))
-    assert [trigger.intent for trigger in bench.triggers] == [StartCalibration(), Vent()]
-
-
 def test_a_vent_is_done_each_time_and_a_repeat_of_it_clears_nothing() -> None:
     """It may come long after: what has come to light since, its sender may not have seen."""
     bench = Bench()
@@ -419,22 +381,6 @@ def test_a_repeat_of_an_item_that_is_history_is_answered_and_not_carried_out() -
     bench.take(10.0, published(confirmation=1))
     assert bench.triggers == []
     assert bench.results() == [ACCEPTED]
-
-
-def test_to_stop_a_calibration_counts_again_while_one_is_under_way() -> None:
-    bench = Bench()
-    stop = [command(USER_5, (3.0,), confirmation) for confirmation in range(3)]
-    bench.take(10.0, command(USER_5, (2.0,)))
-    bench.take(11.0, stop[0])
-    bench.take(12.0, stop[1])
-    bench.commands.end(FAILED)
-    bench.take(13.0, stop[2])
-    assert [trigger.intent for trigger in bench.triggers] == [
-        StartCalibration(),
-        StopCalibration(),
-        StopCalibration(),
-    ]
-    assert bench.results()[-1] == ACCEPTED
 
 
 @pytest.mark.parametrize(

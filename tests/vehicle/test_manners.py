@@ -97,7 +97,7 @@ SPEAKING = [
     "vehicle/triggers.py",
     "vehicle/radio/rc.py",
 ]
-SPEAKING += ["vehicle/commands.py", "vehicle/component/*.py", "vine/staircase.py", "vine/intent.py"]
+SPEAKING += ["vehicle/commands.py", "vehicle/component/*.py", "vine/intent.py"]
 
 
 def sentences() -> list[str]:

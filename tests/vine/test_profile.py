@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flying_vines.vine.curve import BendCurve
-from flying_vines.vine.motion import Motion
+from flying_vines.vine.motion import Motion, plan
 from flying_vines.vine.profile import (
     DEEPEST_NESTING,
     LARGEST,
@@ -23,9 +23,7 @@ from flying_vines.vine.profile import (
     Sine,
     Step,
     Sub,
-    Trajectory,
     flatten,
-    plan,
 )
 
 CURVE = BendCurve([(0, 0), (2, 0), (20.7, 60)])
@@ -52,13 +50,13 @@ segments = st.lists(st.one_of(steps, ramps, st.builds(HoldFor, for_s=durations),
 rates = st.floats(1, 200)
 
 
-def sampled(trajectory: Trajectory, count: int = 4000) -> list[tuple[float, float]]:
-    span_s = trajectory.duration_s + 0.2
+def sampled(motion: Motion, count: int = 4000) -> list[tuple[float, float]]:
+    span_s = motion.duration_s + 0.2
     times_s = {-0.1 + span_s * i / count for i in range(count + 1)}
-    for begin_s, end_s, _ in trajectory.pieces:
+    for begin_s, end_s, _ in motion.pieces:
         for edge_s in (begin_s, end_s):
             times_s |= {edge_s - 1e-6, edge_s, edge_s + 1e-6}
-    return [(t, trajectory.pressure_kPa(t)) for t in sorted(times_s)]
+    return [(t, motion.setpoint_kPa(t)) for t in sorted(times_s)]
 
 
 @given(segments, st.floats(0, 20), rates)
@@ -66,13 +64,13 @@ def sampled(trajectory: Trajectory, count: int = 4000) -> list[tuple[float, floa
 def test_continuous_and_never_steeper_than_the_limit(
     parts: list[Segment], start_kPa: float, rate_kPa_per_s: float
 ) -> None:
-    trajectory = plan(parts, CURVE, start_kPa, rate_kPa_per_s, MAX_KPA)
-    points = sampled(trajectory)
+    motion = plan(parts, CURVE, start_kPa, rate_kPa_per_s, MAX_KPA)
+    points = sampled(motion)
     for (t0, a), (t1, b) in pairwise(points):
         assert abs(b - a) <= rate_kPa_per_s * (t1 - t0) * (1 + 1e-6) + 1e-9
     assert points[0][1] == start_kPa
-    assert points[-1][1] == trajectory.final_kPa
-    assert trajectory.pressure_kPa(trajectory.duration_s) == pytest.approx(trajectory.final_kPa)
+    assert points[-1][1] == motion.final_kPa
+    assert motion.setpoint_kPa(motion.duration_s) == pytest.approx(motion.final_kPa)
 
 
 @given(segments, st.floats(0, 20), rates)
@@ -80,16 +78,16 @@ def test_continuous_and_never_steeper_than_the_limit(
 def test_peak_and_rise_are_those_of_the_pressure(
     parts: list[Segment], start_kPa: float, rate_kPa_per_s: float
 ) -> None:
-    trajectory = plan(parts, CURVE, start_kPa, rate_kPa_per_s, MAX_KPA)
-    values = [value for _, value in sampled(trajectory, 6000)]
+    motion = plan(parts, CURVE, start_kPa, rate_kPa_per_s, MAX_KPA)
+    values = [value for _, value in sampled(motion, 6000)]
     risen = sum(max(0.0, b - a) for a, b in pairwise(values))
     # Between samples a turning point may be missed, by little.
-    assert trajectory.rise_kPa == pytest.approx(risen, abs=0.02 * (1 + trajectory.rise_kPa))
-    assert trajectory.peak_kPa >= max(values) - 1e-9
-    assert max(trajectory.peak_kPa, *values) <= MAX_KPA + 1e-9
+    assert motion.rise_kPa == pytest.approx(risen, abs=0.02 * (1 + motion.rise_kPa))
+    assert motion.peak_kPa >= max(values) - 1e-9
+    assert max(motion.peak_kPa, *values) <= MAX_KPA + 1e-9
     assert min(values) >= 0.0
     if all(not isinstance(part, Sine) or part.cycles >= 0.5 for part in parts):
-        assert trajectory.peak_kPa == pytest.approx(max(values), abs=0.02)
+        assert motion.peak_kPa == pytest.approx(max(values), abs=0.02)
 
 
 @given(segments, st.floats(0, 20), rates)
@@ -97,17 +95,17 @@ def test_peak_and_rise_are_those_of_the_pressure(
 def test_pieces_follow_each_other_without_gaps(
     parts: list[Segment], start_kPa: float, rate_kPa_per_s: float
 ) -> None:
-    trajectory = plan(parts, CURVE, start_kPa, rate_kPa_per_s, MAX_KPA)
-    edges_s = [0.0, *(end_s for _, end_s, _ in trajectory.pieces)]
-    assert [begin_s for begin_s, _, _ in trajectory.pieces] == edges_s[:-1]
-    assert trajectory.duration_s == edges_s[-1]
+    motion = plan(parts, CURVE, start_kPa, rate_kPa_per_s, MAX_KPA)
+    edges_s = [0.0, *(end_s for _, end_s, _ in motion.pieces)]
+    assert [begin_s for begin_s, _, _ in motion.pieces] == edges_s[:-1]
+    assert motion.duration_s == edges_s[-1]
 
 
 def test_a_step_takes_what_the_rate_limit_asks() -> None:
-    trajectory = plan([Step(to_deg=60)], CURVE, 0.0, 10.0, MAX_KPA)
-    assert trajectory.duration_s == pytest.approx(2.07)
-    assert trajectory.final_kPa == trajectory.aim_kPa == trajectory.peak_kPa == 20.7
-    assert trajectory.pressure_kPa(1.0) == pytest.approx(10.0)
+    motion = plan([Step(to_deg=60)], CURVE, 0.0, 10.0, MAX_KPA)
+    assert motion.duration_s == pytest.approx(2.07)
+    assert motion.final_kPa == motion.aim_kPa == motion.peak_kPa == 20.7
+    assert motion.setpoint_kPa(1.0) == pytest.approx(10.0)
 
 
 def test_a_ramp_takes_its_time_or_longer() -> None:
@@ -116,31 +114,31 @@ def test_a_ramp_takes_its_time_or_longer() -> None:
 
 
 def test_a_hold_stays_where_it_is() -> None:
-    trajectory = plan([Step(to_kPa=6), HoldFor(for_s=3)], CURVE, 0.0, 6.0, MAX_KPA)
-    assert trajectory.duration_s == 4.0
-    assert {trajectory.pressure_kPa(t) for t in (1.0, 2.0, 3.9, 4.0, 99.0)} == {6.0}
+    motion = plan([Step(to_kPa=6), HoldFor(for_s=3)], CURVE, 0.0, 6.0, MAX_KPA)
+    assert motion.duration_s == 4.0
+    assert {motion.setpoint_kPa(t) for t in (1.0, 2.0, 3.9, 4.0, 99.0)} == {6.0}
     assert plan([HoldFor(for_s=3)], CURVE, 4.0, 6.0, MAX_KPA).final_kPa == 4.0
 
 
 def test_a_sine_swings_as_told_while_the_rate_allows() -> None:
     sine = Sine(frequency_Hz=0.5, cycles=3, from_kPa=2, to_kPa=12)
-    trajectory = plan([sine], CURVE, 2.0, 60.0, MAX_KPA)
-    assert trajectory.duration_s == pytest.approx(6.0)
+    motion = plan([sine], CURVE, 2.0, 60.0, MAX_KPA)
+    assert motion.duration_s == pytest.approx(6.0)
     for cycle in range(3):
-        assert trajectory.pressure_kPa(2 * cycle) == pytest.approx(2.0)
-        assert trajectory.pressure_kPa(2 * cycle + 0.5) == pytest.approx(7.0)
-        assert trajectory.pressure_kPa(2 * cycle + 1) == pytest.approx(12.0)
-    assert trajectory.rise_kPa == pytest.approx(30.0)
-    assert trajectory.aim_kPa == 12.0
-    assert trajectory.final_kPa == pytest.approx(2.0)
+        assert motion.setpoint_kPa(2 * cycle) == pytest.approx(2.0)
+        assert motion.setpoint_kPa(2 * cycle + 0.5) == pytest.approx(7.0)
+        assert motion.setpoint_kPa(2 * cycle + 1) == pytest.approx(12.0)
+    assert motion.rise_kPa == pytest.approx(30.0)
+    assert motion.aim_kPa == 12.0
+    assert motion.final_kPa == pytest.approx(2.0)
 
 
 def test_a_sine_that_is_too_fast_is_slowed_to_the_limit_exactly() -> None:
     sine = Sine(frequency_Hz=5, cycles=2, from_kPa=0, to_kPa=10)
-    trajectory = plan([sine], CURVE, 0.0, 20.0, MAX_KPA)
-    assert trajectory.duration_s == pytest.approx(2 * math.pi * 10 / 20)
+    motion = plan([sine], CURVE, 0.0, 20.0, MAX_KPA)
+    assert motion.duration_s == pytest.approx(2 * math.pi * 10 / 20)
     steepest = max(
-        (b - a) / (t1 - t0) for (t0, a), (t1, b) in pairwise(sampled(trajectory, 20_000)) if t1 - t0 > 1e-5
+        (b - a) / (t1 - t0) for (t0, a), (t1, b) in pairwise(sampled(motion, 20_000)) if t1 - t0 > 1e-5
     )
     assert steepest == pytest.approx(20.0, rel=1e-4)
 
@@ -165,38 +163,39 @@ def test_a_swing_needs_air_only_where_it_rises(
 
 
 def test_values_beyond_the_limits_are_clipped_to_them() -> None:
-    trajectory = plan([Step(to_kPa=99), Step(to_kPa=-5), Step(to_deg=300)], CURVE, 0.0, 60.0, 15.0)
-    assert trajectory.peak_kPa == 15.0
-    assert min(value for _, value in sampled(trajectory)) == 0.0
+    motion = plan([Step(to_kPa=99), Step(to_kPa=-5), Step(to_deg=300)], CURVE, 0.0, 60.0, 15.0)
+    assert motion.peak_kPa == 15.0
+    assert min(value for _, value in sampled(motion)) == 0.0
 
 
 def test_nothing_to_do_stays() -> None:
-    trajectory = plan([], CURVE, 7.0, 60.0, MAX_KPA)
-    assert (trajectory.duration_s, trajectory.final_kPa, trajectory.rise_kPa) == (0.0, 7.0, 0.0)
-    assert trajectory.pressure_kPa(5.0) == 7.0
+    motion = plan([], CURVE, 7.0, 60.0, MAX_KPA)
+    assert (motion.duration_s, motion.final_kPa, motion.rise_kPa) == (0.0, 7.0, 0.0)
+    assert motion.setpoint_kPa(5.0) == 7.0
 
 
-def test_a_motion_is_its_trajectory_from_its_start() -> None:
-    up = Motion(plan([Step(to_kPa=10)], CURVE, 0.0, 10.0, MAX_KPA), 100.0, 10.0, "up")
+def test_a_motion_begins_at_its_start() -> None:
+    up = plan([Step(to_kPa=10)], CURVE, 0.0, 10.0, MAX_KPA, started_at=100.0)
     assert [up.setpoint_kPa(t) for t in (99.0, 100.5, 101.0, 500.0)] == pytest.approx([0, 5, 10, 10])
-    assert (up.over(100.99), up.over(101.0), up.releases(200.0)) == (False, True, False)
-    down = Motion(plan([Step(to_kPa=0)], CURVE, 10.0, 10.0, MAX_KPA), 100.0, 10.0, "down")
-    assert (down.releases(100.9), down.releases(101.0)) == (False, True)
+    assert (up.is_over(100.99), up.is_over(101.0)) == (False, True)
+    assert (up.only_lets_out, up.stays_bent) == (False, True)
+    down = plan([Step(to_kPa=0)], CURVE, 10.0, 10.0, MAX_KPA)
+    assert (down.only_lets_out, down.stays_bent) == (True, False)
 
 
 @pytest.mark.parametrize("cycles", [1, 3, 7, 100, 1000])
-def test_a_wave_that_ends_at_no_pressure_releases(cycles: int) -> None:
+def test_a_wave_that_ends_at_no_pressure_lets_all_air_out(cycles: int) -> None:
     wave = plan([Sine(frequency_Hz=0.55, cycles=cycles, from_kPa=0, to_kPa=13)], CURVE, 0.0, 60.0, MAX_KPA)
-    assert Motion(wave, 0.0, 60.0, "wave").releases(wave.duration_s + 0.01)
+    assert wave.final_kPa <= 0.0
 
 
 # Hysteresis.
 
 
-def bent_along(curve: BendCurve, trajectory: Trajectory, bent_kPa: float) -> tuple[float, list[float]]:
+def bent_along(curve: BendCurve, motion: Motion, bent_kPa: float) -> tuple[float, list[float]]:
     """Where a vine that rubs ends up, and all the angles that it passes."""
     angles_deg = []
-    for _, pressure_kPa in sampled(trajectory):
+    for _, pressure_kPa in sampled(motion):
         bent_kPa = curve.bent_kPa(pressure_kPa, bent_kPa)
         angles_deg.append(curve.angle_deg(bent_kPa))
     return bent_kPa, angles_deg
@@ -211,15 +210,15 @@ def test_an_angle_is_reached_from_wherever_the_vine_is(to_deg: float, before_kPa
     bent_kPa = 0.0
     for pressure_kPa in before_kPa:
         bent_kPa = RUBS.bent_kPa(pressure_kPa, bent_kPa)
-    trajectory = plan([Step(to_deg=to_deg)], RUBS, before_kPa[-1], 60.0, MAX_KPA, bent_kPa)
-    assert bent_along(RUBS, trajectory, bent_kPa)[1][-1] == pytest.approx(to_deg, abs=1e-6)
+    motion = plan([Step(to_deg=to_deg)], RUBS, before_kPa[-1], 60.0, MAX_KPA, bent_kPa)
+    assert bent_along(RUBS, motion, bent_kPa)[1][-1] == pytest.approx(to_deg, abs=1e-6)
 
 
 def test_up_and_down_again_each_angle_has_a_pressure_for_each_way() -> None:
     there_and_back: list[Segment] = [Ramp(to_deg=30, over_s=1), Step(to_deg=60), Ramp(to_deg=30, over_s=1)]
-    trajectory = plan(there_and_back, RUBS, 0.0, 60.0, MAX_KPA)
-    assert trajectory.pressure_kPa(1.0) == pytest.approx(RUBS.pressure_kPa(30))
-    assert trajectory.final_kPa == pytest.approx(RUBS.pressure_kPa(30) - 3.0)
+    motion = plan(there_and_back, RUBS, 0.0, 60.0, MAX_KPA)
+    assert motion.setpoint_kPa(1.0) == pytest.approx(RUBS.pressure_kPa(30))
+    assert motion.final_kPa == pytest.approx(RUBS.pressure_kPa(30) - 3.0)
 
 
 @pytest.mark.parametrize(("from_deg", "to_deg"), [(10.0, 50.0), (50.0, 10.0)])
@@ -227,8 +226,8 @@ def test_up_and_down_again_each_angle_has_a_pressure_for_each_way() -> None:
 def test_a_swing_meets_both_of_its_angles(from_deg: float, to_deg: float, before_deg: float) -> None:
     sine = Sine(frequency_Hz=0.5, cycles=2, from_deg=from_deg, to_deg=to_deg)
     start_kPa = RUBS.pressure_kPa(before_deg)
-    trajectory = plan([sine], RUBS, start_kPa, 200.0, MAX_KPA)
-    _, angles_deg = bent_along(RUBS, trajectory, start_kPa)
+    motion = plan([sine], RUBS, start_kPa, 200.0, MAX_KPA)
+    _, angles_deg = bent_along(RUBS, motion, start_kPa)
     swinging = angles_deg[len(angles_deg) // 3 :]
     assert (min(swinging), max(swinging)) == pytest.approx((10.0, 50.0), abs=0.01)
 
@@ -240,8 +239,8 @@ def test_with_hysteresis_no_limit_is_passed_and_the_bend_is_known(
 ) -> None:
     curve = BendCurve([(0, 0), (5, 0), (20.7, 60)], width_kPa)
     bent_kPa = start_kPa + min(further_kPa, width_kPa)
-    trajectory = plan(parts, curve, start_kPa, rate_kPa_per_s, MAX_KPA, bent_kPa)
-    points = sampled(trajectory)
+    motion = plan(parts, curve, start_kPa, rate_kPa_per_s, MAX_KPA, bent_kPa)
+    points = sampled(motion)
     for (t0, a), (t1, b) in pairwise(points):
         assert abs(b - a) <= rate_kPa_per_s * (t1 - t0) * (1 + 1e-6) + 1e-9
     assert min(kPa for _, kPa in points) >= 0.0
@@ -249,7 +248,7 @@ def test_with_hysteresis_no_limit_is_passed_and_the_bend_is_known(
     asked = [part.to_deg for part in parts if isinstance(part, Step | Ramp) and part.to_deg is not None]
     last = next((part for part in reversed(parts) if not isinstance(part, HoldFor)), None)
     if isinstance(last, Step | Ramp) and last.to_deg is not None:
-        ended_deg = bent_along(curve, trajectory, bent_kPa)[1][-1]
+        ended_deg = bent_along(curve, motion, bent_kPa)[1][-1]
         assert ended_deg == pytest.approx(min(max(asked[-1], 0.0), 60.0), abs=0.01)
 
 

@@ -6,7 +6,8 @@ import pytest
 
 from flying_vines.config import config
 from flying_vines.config.config import ConfigError
-from flying_vines.vine.profile import Sine, ends_kPa, plan
+from flying_vines.vine.motion import plan
+from flying_vines.vine.profile import Sine, ends_kPa
 
 PROFILES = """
 [profiles.straight]
@@ -54,5 +55,5 @@ def test_a_swing_between_one_angle_moves_nothing() -> None:
     curve = parsed("hysteresis_kPa = 3").vine.bend_curve()
     still = Sine(frequency_Hz=1.0, from_deg=30, to_deg=30)
     assert ends_kPa(still, curve) == (12.0, 12.0)
-    trajectory = plan([still], curve, 12.0, 60.0, 20.0)
-    assert {trajectory.pressure_kPa(t / 10) for t in range(15)} == {12.0}
+    motion = plan([still], curve, 12.0, 60.0, 20.0)
+    assert {motion.setpoint_kPa(t / 10) for t in range(15)} == {12.0}

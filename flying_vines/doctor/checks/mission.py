@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from flying_vines.config.config import Config
-from flying_vines.core.motion_planner import Mover
+from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.doctor.finding import Finding, Line
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.triggers import Rules
@@ -36,14 +36,14 @@ def check(mission: Mapping[int, MissionItem] | None, heard: bool, config: Config
         return [NOT_READ()]
     if not mission:
         return [NONE()]
-    rules, mover = Rules(config), Mover(config)
+    rules, planner = Rules(config), MotionPlanner(config)
     found, understood = [], []
     for seq, item in sorted(mission.items()):
         if item.command not in rules.commands:
             continue
         intent, problem = rules.for_command(item.command, item.params)
         if intent is not None:
-            problem = mover.problem(intent)
+            problem = planner.problem(intent)
         if problem:
             found.append(NOT_UNDERSTOOD(seq=seq, why=problem))
         else:

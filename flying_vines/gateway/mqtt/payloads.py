@@ -128,19 +128,13 @@ class NoticeEvent(_Event, frozen=True, kw_only=True, tag="notice"):
     of_decision: bool
 
 
-class CalibratedEvent(_Event, frozen=True, kw_only=True, tag="calibrated"):
-    """Each level that was held: asked for, and read."""
-
-    levels_kPa: tuple[tuple[float | None, float | None], ...]
-
-
 class LostEvent(_Event, frozen=True, kw_only=True, tag="lost"):
     """So many events before the next were not kept while the broker was away; the last one's number."""
 
     count: int
 
 
-Event = DecisionEvent | NoticeEvent | CalibratedEvent | LostEvent
+Event = DecisionEvent | NoticeEvent | LostEvent
 
 
 class Ask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

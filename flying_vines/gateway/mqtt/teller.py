@@ -26,7 +26,7 @@ SILENT_S = 3.0
 """Snapshots come ten times a second: without one for so long, nobody knows how things stand."""
 RESERVOIR_S = 2.0
 
-_KINDS = {"decision", "notice", "calibrated"}
+_KINDS = {"decision", "notice"}
 SEVERITIES: dict[int, Severity] = {3: "error", 4: "warning", 5: "notice", 6: "info"}
 
 

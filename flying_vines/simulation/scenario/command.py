@@ -48,7 +48,7 @@ def command_of(run: Kind, pattern: random.Random) -> Command | None:
             drawn = list(_draw(run, levels, pattern))
             return _held([level for level, _ in drawn], [hold_s for _, hold_s in drawn])
         case Profile():
-            return run.trajectory().pressure_kPa
+            return run.motion().setpoint_kPa
     return None
 
 

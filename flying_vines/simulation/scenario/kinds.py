@@ -8,7 +8,8 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.vine.curve import BendCurve
-from flying_vines.vine.profile import MOST_PIECES, HoldFor, Ramp, Step, Trajectory, plan
+from flying_vines.vine.motion import Motion, plan
+from flying_vines.vine.profile import MOST_PIECES, HoldFor, Ramp, Step
 from flying_vines.vine.profile import Sine as Swing
 
 LONGEST_S = 3600.0
@@ -226,9 +227,9 @@ class Profile(Common, tag="profile", frozen=True, kw_only=True):
 
     @property
     def length_s(self) -> float:
-        return self.trajectory().duration_s + self.settle_s
+        return self.motion().duration_s + self.settle_s
 
-    def trajectory(self) -> Trajectory:
+    def motion(self) -> Motion:
         """The profile from rest, made definite."""
         return plan(self.segments * self.repeat, _NO_CURVE, 0.0, self.rate_kPa_per_s, MOST_KPA)
 

@@ -1,7 +1,7 @@
-"""What a rig does at least, and at most: the believed numbers, and how far a healthy rig may be from them.
+"""What a rig does at least and at most: the believed numbers, and how far a healthy rig may be from them.
 
-Nothing here is a best guess. A check that takes the bound on the lenient side is silent on every rig within
-the bounds, and what they are wide for is told at each of them.
+These are bounds, not best guesses. A check that uses the lenient bound stays silent on every rig within the
+bounds. The reason for its width stands beside each bound.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ from dataclasses import dataclass
 from flying_vines.config.config import Checks
 from flying_vines.physics.paper import ALPHA_KPA
 from flying_vines.physics.plant.flow import Opening
-from flying_vines.supply import Belief
+from flying_vines.supply import Belief, Features
 from flying_vines.supply.belief import AMBIENT_KPA, conductance_SL_per_s_kPa
 from flying_vines.supply.flying import driving_kPa
 
 LEAST_FLOW, MOST_FLOW = 0.7, 1.4
 """Of what the valve's rating says."""
 LEAST_DEAD, MOST_DEAD = 0.15, 0.5
-"""Up to where a proportional valve stays shut, its play included."""
+"""Opening up to which a proportional valve stays shut, its play included."""
 SUPPLY_ERROR_KPA = 25.0
 """Of the bottle's sensor: its whole error band."""
 SOFTNESS = 4.0
 """How much more air a soft vine takes for a rise than a rigid one of its size."""
 LEAST_RISE = 0.65
-"""How much less a warm one takes: gas that is compressed quickly has not cooled yet."""
+"""How much less a warm vine takes: gas that was compressed quickly has not cooled yet."""
 ADIABATIC = 1.4
-"""How much more a bottle falls at once than it has fallen when it is warm again."""
+"""How much further a bottle's pressure falls at once than after it has warmed again."""
 SLOWEST_OUTLET_KPA_S_PER_SL = 120.0
 """From the vine to the outside through solenoid and Venturi; a small solenoid has 70."""
 
@@ -43,22 +43,23 @@ class Expected:
     """As rated."""
     dvp_SL_per_s_kPa: float
     zero_kPa: float
-    """What a sound sensor may read of a vented vine."""
+    """What a sound sensor may read on a vented vine."""
 
-    def least_inflow_SL_per_s(self, opening: float, bottle_kPa: float, cv_kPa: float) -> float:
-        """What goes into the vine for sure."""
-        effective = max(0.0, (opening - MOST_DEAD) / (1.0 - MOST_DEAD))
+    def least_inflow_SL(self, now: Features) -> float:
+        """What has gone into the vine for sure since the message before."""
+        effective = max(0.0, (now.least_evp - MOST_DEAD) / (1.0 - MOST_DEAD))
         if effective == 0.0:
             return 0.0
-        supply_kPa = AMBIENT_KPA + bottle_kPa - SUPPLY_ERROR_KPA
-        through = driving_kPa(self.evp_law, supply_kPa, AMBIENT_KPA + max(0.0, cv_kPa))
-        return LEAST_FLOW * effective * self.evp_law.conductance_SL_per_s_kPa * through
+        supply_kPa = AMBIENT_KPA + now.telemetry.reservoir_kPa - SUPPLY_ERROR_KPA
+        through = driving_kPa(self.evp_law, supply_kPa, AMBIENT_KPA + max(0.0, now.cv_median_kPa))
+        return now.device_dt_s * (LEAST_FLOW * effective * self.evp_law.conductance_SL_per_s_kPa * through)
 
-    def most_outflow_SL_per_s(self, evp: float, dvp: float, bottle_kPa: float) -> float:
-        """What the bottle loses at most for what the valves are told."""
-        supply_kPa = AMBIENT_KPA + bottle_kPa + SUPPLY_ERROR_KPA
-        inflation = self.evp_law.conductance_SL_per_s_kPa * _most_effective(evp)
-        return MOST_FLOW * supply_kPa * (inflation + self.dvp_SL_per_s_kPa * _most_effective(dvp))
+    def most_outflow_SL(self, now: Features) -> float:
+        """What the valves may have taken out of the bottle since the message before."""
+        supply_kPa = AMBIENT_KPA + now.telemetry.reservoir_kPa + SUPPLY_ERROR_KPA
+        inflation = self.evp_law.conductance_SL_per_s_kPa * _most_effective(now.most_evp)
+        venturi = self.dvp_SL_per_s_kPa * _most_effective(now.most_dvp)
+        return now.device_dt_s * (MOST_FLOW * supply_kPa * (inflation + venturi))
 
     def open_evp_SL_per_s(self, bottle_kPa: float) -> float:
         """Through the inflation valve, wide open, as rated."""
@@ -69,16 +70,16 @@ class Expected:
         return air_SL * ALPHA_KPA / self.bottle_L
 
     def most_air_SL(self, rise_kPa: float) -> float:
-        """That any vine takes for a rise, once it is full."""
+        """The most that a full vine takes for a rise."""
         return SOFTNESS * self.vine_most_L * rise_kPa / ALPHA_KPA
 
     def least_air_SL(self, rise_kPa: float) -> float:
-        """That a vine takes for a rise."""
+        """The least that a vine takes for a rise."""
         return LEAST_RISE * self.vine_least_L * rise_kPa / ALPHA_KPA
 
     @property
     def slowest_vent_s(self) -> float:
-        """In which a vine falls to 1/e, at the slowest."""
+        """The longest time in which a vine falls to 1/e."""
         return SOFTNESS * self.vine_most_L * SLOWEST_OUTLET_KPA_S_PER_SL / ALPHA_KPA
 
 
@@ -87,7 +88,7 @@ def _most_effective(opening: float) -> float:
 
 
 def expected(belief: Belief, checks: Checks) -> Expected:
-    """What is expected of a rig that is believed to be so."""
+    """The bounds for a believed rig."""
     p = belief.pneumatics
     return Expected(
         vine_least_L=p.cv_volume_L / checks.volume_factor,

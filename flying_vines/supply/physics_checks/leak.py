@@ -1,14 +1,14 @@
 """Does it cost air to hold the vine?
 
-How often the inflation valve puffs says little: most of what a puff is told goes into the valve's dead zone.
-The bottle tells: how much faster it falls while the vine is held than it did while the vine was vented.
+How often the inflation valve opens says little, since most of a short opening is within its dead zone. The
+bottle shows it: its pressure falls faster while the vine is held than while the vine was vented.
 """
 
 from __future__ import annotations
 
 from flying_vines.physics.paper import ALPHA_KPA
+from flying_vines.supply.features import Features
 from flying_vines.supply.physics_checks.expected import Expected
-from flying_vines.supply.physics_checks.moment import Moment
 
 SETTLED_S = 2.0
 SETTLED_S_PER_L = 2.0
@@ -19,7 +19,7 @@ MOST_SL_PER_S = 0.015
 
 
 class _Slope:
-    """How fast the bottle falls while something lasts: lines through `WATCHED_S`, one after the other."""
+    """How fast the bottle's pressure falls during a state: a line through each `WATCHED_S`."""
 
     def __init__(self, settled_s: float) -> None:
         self._settled_s = settled_s
@@ -32,7 +32,7 @@ class _Slope:
         self._t = self._kPa = self._tt = self._t_kPa = 0.0
 
     def take(self, lasting_s: float, dt_s: float, kPa: float) -> bool:
-        """Whether a new one is known."""
+        """Take in a reading. Returns whether a new slope is known."""
         if lasting_s < self._settled_s:
             self._begin()
             return False
@@ -52,7 +52,7 @@ class _Slope:
 
 
 class VineLeak:
-    """What the bottle loses to a vine that is held, beside what it loses anyway."""
+    """Finds what the bottle loses to a held vine, in addition to what it loses anyway."""
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig
@@ -61,10 +61,10 @@ class VineLeak:
         self._hold = _Slope(settled_s)
         self._said: str | None = None
 
-    def look(self, now: Moment) -> str | None:
+    def look(self, now: Features) -> str | None:
         """What is wrong, until a hold without it."""
-        self._rest.take(now.resting_s, now.dt_s, now.bottle_read_kPa)
-        complete = self._hold.take(now.holding_s, now.dt_s, now.bottle_read_kPa)
+        self._rest.take(now.resting_s, now.device_dt_s, now.telemetry.reservoir_kPa)
+        complete = self._hold.take(now.holding_s, now.device_dt_s, now.telemetry.reservoir_kPa)
         held, rested = self._hold.falls_kPa_per_s, self._rest.falls_kPa_per_s
         if complete and held is not None and rested is not None:
             leak_SL_per_s = (held - rested) * self._rig.bottle_L / ALPHA_KPA

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 
+from flying_vines.supply.features import Features
 from flying_vines.supply.physics_checks.expected import ADIABATIC, Expected
-from flying_vines.supply.physics_checks.moment import Moment
 
 BLOCK_S = 0.2
 """What a reading of the bottle is averaged over."""
@@ -15,7 +15,7 @@ SURE_KPA = 2.0
 """Beyond the noise of two blocks, of which none is above the mean difference of two readings."""
 NOISE_S = 1.0
 SHARE_OF_EVP = 1.0 / 3.0
-"""Of the wide open inflation valve's flow: what gets lost beside what is told is not just a leak."""
+"""Of the wide open inflation valve's flow: a greater loss is more than a leak."""
 HOT = 1.06
 """Of the full bottle's pressure; a sound sensor's error band ends below it."""
 HIGH_S = 1.0
@@ -24,14 +24,14 @@ STUCK_KPA = 1.5
 BLIND_KPA = 15.0
 """… and while it has fallen by less than a fifth of that."""
 TURN_KPA = 2.0
-"""A noisy reading that falls by less has not turned."""
+"""A smaller fall is noise, not a turn."""
 VINE_FILTER_S = 0.1
 FORGETS_S = 120.0
 """Warming by the sun may hide a fall that is slower."""
 
 
 class Loss:
-    """Air that leaves the bottle though no valve is told to let it."""
+    """Finds air that leaves the bottle though no valve is commanded open."""
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig
@@ -44,15 +44,15 @@ class Loss:
         self._noise_kPa = 0.0
         self._said: str | None = None
 
-    def look(self, now: Moment) -> str | None:
+    def look(self, now: Features) -> str | None:
         """What is wrong, while it is."""
-        self._told_SL += now.most_outflow_SL
+        self._told_SL += self._rig.most_outflow_SL(now)
         if self._reading_kPa is not None:
-            differs_kPa = abs(now.bottle_read_kPa - self._reading_kPa)
-            self._noise_kPa += (differs_kPa - self._noise_kPa) * min(1.0, now.dt_s / NOISE_S)
-        self._reading_kPa = now.bottle_read_kPa
-        self._sum_kPa_s += now.bottle_read_kPa * now.dt_s
-        self._block_s += now.dt_s
+            differs_kPa = abs(now.telemetry.reservoir_kPa - self._reading_kPa)
+            self._noise_kPa += (differs_kPa - self._noise_kPa) * min(1.0, now.device_dt_s / NOISE_S)
+        self._reading_kPa = now.telemetry.reservoir_kPa
+        self._sum_kPa_s += now.telemetry.reservoir_kPa * now.device_dt_s
+        self._block_s += now.device_dt_s
         if self._block_s >= BLOCK_S - 1e-6:
             told_SL = 0.5 * (self._begun_SL + self._told_SL)
             self._blocks.append((self._sum_kPa_s / self._block_s, told_SL))
@@ -77,7 +77,7 @@ class Loss:
 
 
 class BottleSensor:
-    """A reading that stays while the vine's rises must have cost air."""
+    """Finds a reading that stays while the vine's rises must have cost air."""
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig
@@ -92,15 +92,15 @@ class BottleSensor:
         self._expected_kPa = 0.0
         self._first_kPa = self._smooth_kPa = bottle_kPa
 
-    def look(self, now: Moment) -> str | None:
+    def look(self, now: Features) -> str | None:
         """What is wrong, while it is."""
-        bottle_kPa = now.bottle_read_kPa
+        bottle_kPa = now.telemetry.reservoir_kPa
         if self._reading_kPa is None:
             self._begin(bottle_kPa)
-            self._cv_kPa = self._top_kPa = now.cv_kPa
-        self._since_s += now.dt_s
-        self._smooth_kPa += (bottle_kPa - self._smooth_kPa) * min(1.0, now.dt_s / BLOCK_S)
-        expected_kPa = self._rig.bottle_fall_kPa(self._rig.least_air_SL(self._rise_kPa(now)))
+            self._cv_kPa = self._top_kPa = now.cv_median_kPa
+        self._since_s += now.device_dt_s
+        self._smooth_kPa += (bottle_kPa - self._smooth_kPa) * min(1.0, now.device_dt_s / BLOCK_S)
+        expected_kPa = self._rig.bottle_fall_kPa(self._rig.least_air_SL(self._follow_vine(now)))
         self._expected_kPa += expected_kPa
         self._unchanged_kPa = self._unchanged_kPa + expected_kPa if bottle_kPa == self._reading_kPa else 0.0
         self._reading_kPa = bottle_kPa
@@ -112,24 +112,24 @@ class BottleSensor:
             self._begin(self._smooth_kPa)
         return None
 
-    def _rise_kPa(self, now: Moment) -> float:
-        """Of the vine, since the moment before."""
-        self._cv_kPa += (now.cv_kPa - self._cv_kPa) * min(1.0, now.dt_s / VINE_FILTER_S)
+    def _follow_vine(self, now: Features) -> float:
+        """Take in the vine's pressure; by how much it rose."""
+        self._cv_kPa += (now.cv_median_kPa - self._cv_kPa) * min(1.0, now.device_dt_s / VINE_FILTER_S)
         rise_kPa = max(0.0, self._cv_kPa - self._top_kPa)
         self._top_kPa = self._cv_kPa if rise_kPa else min(self._top_kPa, self._cv_kPa + TURN_KPA)
         return rise_kPa
 
 
 class Hot:
-    """More pressure than a full bottle has: the sun, or whoever filled it."""
+    """Finds more pressure than a full bottle has: it is hot, or overfilled."""
 
     def __init__(self, rig: Expected) -> None:
         self._most_kPa = HOT * rig.full_kPa
         self._high_s = 0.0
 
-    def look(self, now: Moment) -> str | None:
+    def look(self, now: Features) -> str | None:
         """What is wrong, while it is."""
-        self._high_s = self._high_s + now.dt_s if now.bottle_read_kPa > self._most_kPa else 0.0
+        self._high_s = self._high_s + now.device_dt_s if now.telemetry.reservoir_kPa > self._most_kPa else 0.0
         if self._high_s < HIGH_S:
             return None
-        return f"bottle at {now.bottle_read_kPa:.0f} kPa: hot or overfilled"
+        return f"bottle at {now.telemetry.reservoir_kPa:.0f} kPa: hot or overfilled"

@@ -1,15 +1,14 @@
-"""Does the vine lose its pressure while its outlet is told to be open?
+"""Does the vine lose its pressure while its outlet is commanded open?
 
-It must lose a quarter of what it has above ambient in the time that the largest, softest vine takes for it
-behind the narrowest outlet, twice over; and again, until it is down. A vine that does not is behind an outlet
-that stays shut, or an inflation valve that stays open: then the bottle falls meanwhile, which shows unless
-the Venturi takes its air as well.
+It must lose a quarter of its gauge pressure within twice the time that the largest, softest vine takes behind
+the narrowest outlet, and again until it is down. If it does not, the outlet stays shut or the inflation valve
+stays open. An open valve lets the bottle's pressure fall; this does not show while the Venturi takes air too.
 """
 
 from __future__ import annotations
 
+from flying_vines.supply.features import VALVE_LAG_S, Features
 from flying_vines.supply.physics_checks.expected import Expected
-from flying_vines.supply.physics_checks.moment import VALVE_LAG_S, Moment
 
 DOWN_KPA = 3.0
 """Above the largest zero that a sound sensor has; nearer to ambient its zero is what is looked at."""
@@ -21,7 +20,7 @@ LN_4_3 = 0.288
 
 
 class Venting:
-    """How long ago the vine last lost a quarter."""
+    """Times how long ago the vine last lost a quarter."""
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig
@@ -31,9 +30,9 @@ class Venting:
         self._venturi = False
         self._bottle_kPa = 0.0
 
-    def look(self, now: Moment) -> str | None:
+    def look(self, now: Features) -> str | None:
         """What is wrong, while it is."""
-        above_kPa = now.cv_kPa - self._rig.zero_kPa
+        above_kPa = now.cv_median_kPa - self._rig.zero_kPa
         if now.venting_s == 0.0 or above_kPa < DOWN_KPA:
             self._above_kPa = None
             return None
@@ -41,17 +40,18 @@ class Venting:
             self._above_kPa = above_kPa
             self._waited_s = 0.0
             self._venturi = False
-            self._bottle_kPa = now.bottle_read_kPa
-        self._waited_s += now.dt_s
-        # What the inflation valve was told before still counts for a while.
-        self._venturi = self._venturi or (now.most_outflow_SL > 0.0 and now.venting_s > 2.0 * VALVE_LAG_S)
+            self._bottle_kPa = now.telemetry.reservoir_kPa
+        self._waited_s += now.device_dt_s
+        # An earlier command to the inflation valve still counts for a while.
+        if now.venting_s > 2.0 * VALVE_LAG_S and self._rig.most_outflow_SL(now) > 0.0:
+            self._venturi = True
         return self._sentence(now) if self._waited_s > self._due_s else None
 
-    def _sentence(self, now: Moment) -> str:
+    def _sentence(self, now: Features) -> str:
         if self._venturi:
             return "not venting: outlet, line, valve or sensor"
-        open_valve_SL = self._waited_s * self._rig.open_evp_SL_per_s(now.bottle_read_kPa)
+        open_valve_SL = self._waited_s * self._rig.open_evp_SL_per_s(now.telemetry.reservoir_kPa)
         fall_kPa = self._rig.bottle_fall_kPa(open_valve_SL)
-        if self._bottle_kPa - now.bottle_read_kPa > fall_kPa / 3.0:
+        if self._bottle_kPa - now.telemetry.reservoir_kPa > fall_kPa / 3.0:
             return "not venting, valve stuck open: close the bottle"
         return "not venting: outlet, line or sensor"

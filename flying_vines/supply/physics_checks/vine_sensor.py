@@ -1,18 +1,18 @@
-"""Is what the vine's sensor reads possible at all?"""
+"""Are the readings of the vine's sensor possible?"""
 
 from __future__ import annotations
 
 from collections import deque
 
+from flying_vines.supply.features import Features
 from flying_vines.supply.physics_checks.expected import Expected
-from flying_vines.supply.physics_checks.moment import Moment
 
 RESTED_S = 2.0
 """After the vine had all the time that it needs to come down."""
 REFILLED_S = 0.7
 """Until ambient air is where the Venturi has sucked."""
 BLOCK_S = 0.5
-"""What readings are averaged over."""
+"""Readings are averaged over this time."""
 SEALED_S = 0.15
 FELL_KPA = 5.0
 TOLERATED_KPA = 0.3
@@ -28,9 +28,9 @@ BOTTLE_UNSTEADY_KPA = 9.0
 
 
 class Zero:
-    """What a vine reads that has been vented for long is the sensor's zero.
+    """Checks the sensor's zero: the reading of a vine that has been vented for long.
 
-    One that reads too little is the danger, for it gets more pressure than anybody asked for; and it shows
+    A sensor that reads too little is dangerous, because the vine gets more pressure than requested. It shows
     soon, because nothing sucks on a vented vine.
     """
 
@@ -40,14 +40,14 @@ class Zero:
         self._sum_kPa_s = self._block_s = 0.0
         self._said: str | None = None
 
-    def look(self, now: Moment) -> str | None:
+    def look(self, now: Features) -> str | None:
         """What is wrong, while it is."""
         if now.resting_s < REFILLED_S:
             self._sum_kPa_s = self._block_s = 0.0
             self._said = None
             return None
-        self._sum_kPa_s += now.cv_kPa * now.dt_s
-        self._block_s += now.dt_s
+        self._sum_kPa_s += now.cv_median_kPa * now.device_dt_s
+        self._block_s += now.device_dt_s
         if self._block_s >= BLOCK_S:
             zero_kPa = self._sum_kPa_s / self._block_s
             self._sum_kPa_s = self._block_s = 0.0
@@ -59,8 +59,9 @@ class Zero:
 
 
 class SuddenFall:
-    """A vine behind shut valves that loses its pressure from one reading to the next: burst, or off its
-    hose, or a sensor that jumps, which would have it filled beyond its limit.
+    """Finds a vine behind shut valves that loses its pressure from one reading to the next.
+
+    It burst, its hose came off, or its sensor jumps, which would fill the vine beyond its limit.
 
     Above its setpoint, or on the way down, the regulator may have let air out too briefly for telemetry to
     show, and a small vine falls far meanwhile.
@@ -72,20 +73,21 @@ class SuddenFall:
         self._setpoint_kPa = 0.0
         self._fell_kPa: float | None = None
 
-    def look(self, now: Moment) -> str | None:
+    def look(self, now: Features) -> str | None:
         """What is wrong; held until the vine is vented."""
-        self._t += now.dt_s
+        self._t += now.device_dt_s
         if now.resting_s > 0.0:
             self._fell_kPa = None
-        may_vent = now.setpoint_kPa < self._setpoint_kPa or now.cv_kPa > now.setpoint_kPa + TOLERATED_KPA
-        self._setpoint_kPa = now.setpoint_kPa
+        setpoint_kPa = now.telemetry.setpoint_kPa
+        may_vent = setpoint_kPa < self._setpoint_kPa or now.cv_median_kPa > setpoint_kPa + TOLERATED_KPA
+        self._setpoint_kPa = setpoint_kPa
         if now.sealed_s < SEALED_S or may_vent:
             self._lately.clear()
         else:
-            self._lately.append((self._t, now.cv_kPa))
+            self._lately.append((self._t, now.cv_median_kPa))
             while self._lately[0][0] < self._t - AT_ONCE_S:
                 self._lately.popleft()
-            fell_kPa = self._lately[0][1] - now.cv_kPa
+            fell_kPa = self._lately[0][1] - now.cv_median_kPa
             if fell_kPa > FELL_KPA:
                 self._fell_kPa = fell_kPa
         if self._fell_kPa is None:
@@ -94,24 +96,24 @@ class SuddenFall:
 
 
 class Unsteady:
-    """Readings that differ from each other by more than noise while nothing moves: a loose contact."""
+    """Finds readings that differ by more than noise while nothing moves: a loose contact."""
 
     def __init__(self) -> None:
         self._before: tuple[float, float] | None = None
         self._vine_kPa = self._bottle_kPa = 0.0
         self._seen_s = 0.0
 
-    def look(self, now: Moment) -> str | None:
+    def look(self, now: Features) -> str | None:
         """What is wrong, while it is."""
-        if max(now.resting_s, now.sealed_s) < SEALED_S or now.dt_s > NEIGHBOURS_S:
+        if max(now.resting_s, now.sealed_s) < SEALED_S or now.device_dt_s > NEIGHBOURS_S:
             self._before = None
             return self._sentence()
         if self._before is not None:
             vine_kPa, bottle_kPa = self._before
-            share = min(1.0, now.dt_s / UNSTEADY_S)
-            self._vine_kPa += share * (abs(now.cv_read_kPa - vine_kPa) - self._vine_kPa)
-            self._bottle_kPa += share * (abs(now.bottle_read_kPa - bottle_kPa) - self._bottle_kPa)
-        self._before = now.cv_read_kPa, now.bottle_read_kPa
+            share = min(1.0, now.device_dt_s / UNSTEADY_S)
+            self._vine_kPa += share * (abs(now.telemetry.cv_kPa - vine_kPa) - self._vine_kPa)
+            self._bottle_kPa += share * (abs(now.telemetry.reservoir_kPa - bottle_kPa) - self._bottle_kPa)
+        self._before = now.telemetry.cv_kPa, now.telemetry.reservoir_kPa
         return self._sentence()
 
     def _sentence(self) -> str | None:

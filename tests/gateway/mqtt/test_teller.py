@@ -9,7 +9,7 @@ import msgspec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flying_vines.core.events import Action, Asked, Calibrated, Decision
+from flying_vines.core.events import Action, Asked, Decision
 from flying_vines.gateway.messages import Happened, Seen, raw
 from flying_vines.gateway.mqtt.home_assistant import discovery
 from flying_vines.gateway.mqtt.payloads import PAYLOADS, Event, LostEvent, NoticeEvent
@@ -17,9 +17,9 @@ from flying_vines.gateway.mqtt.teller import RESERVOIR_S, SILENT_S, Events, Now,
 from flying_vines.gateway.mqtt.topics import Topics
 from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.vehicle.notice import Notice
-from flying_vines.vine.intent import BendTo, Intent, StartBench, StartCalibration, StartProfile, Vent
+from flying_vines.vine.intent import BendTo, Intent, StartBench, StartProfile, Vent
 
-from ..told import calibrated, configured, decision, happened, notice, profile, seen
+from ..told import configured, decision, happened, notice, profile, seen
 
 UNIX_S = 1_700_000_000.0
 TOPICS = Topics("flying-vines", "heron")
@@ -98,19 +98,18 @@ def test_the_reservoir_is_told_less_often() -> None:
 
 def test_every_kind_of_event_is_told_with_its_time_and_number() -> None:
     vehicle = teller()
-    for thing in (decision(1.0, "limited", "to 60 kPa/s"), notice(2.0), calibrated(3.0)):
+    for thing in (decision(1.0, "limited", "to 60 kPa/s"), notice(2.0)):
         vehicle.take(3.0, happened(thing))
     told = []
     while pending := vehicle.events.first(now(4.0)):
         assert (pending.publication.topic, pending.publication.qos) == (TOPICS.event, 1)
         told.append(read(pending.publication))
         vehicle.events.told(pending)
-    assert [event["event"] for event in told] == ["decision", "notice", "calibrated"]
-    assert [event["unix_s"] - UNIX_S for event in told] == [1.0, 2.0, 3.0]
-    assert [event["number"] for event in told] == [1, 2, 3]
+    assert [event["event"] for event in told] == ["decision", "notice"]
+    assert [event["unix_s"] - UNIX_S for event in told] == [1.0, 2.0]
+    assert [event["number"] for event in told] == [1, 2]
     assert told[0]["reason"] == "to 60 kPa/s"
     assert told[1]["severity"] == "notice"
-    assert told[2]["levels_kPa"] == [[0.0, None], [10.0, 9.9]]
 
 
 def test_an_event_has_the_time_of_the_clock_as_it_was_set_since() -> None:
@@ -202,15 +201,13 @@ def test_whatever_a_core_makes_can_be_told() -> None:
         StartBench(),
         StartProfile("wave"),
         BendTo(500.0),
-        StartCalibration(),
         Vent(),
-        StartCalibration(),
     )
     made = []
 
     def watch(actions: Iterable[Action]) -> None:
         for action in actions:
-            if isinstance(action, Decision | Notice | Calibrated):
+            if isinstance(action, Decision | Notice):
                 made.append(type(action).__name__.lower())
                 vehicle.take(world.now, happened(action))
 
@@ -218,7 +215,7 @@ def test_whatever_a_core_makes_can_be_told() -> None:
         watch(world.advance(float(second)))
         watch(world.feed(Asked(float(second), "calibration", intent)))
     watch(world.advance(60.0))
-    assert set(made) == {"decision", "notice", "calibrated"}
+    assert set(made) == {"decision", "notice"}
     told: list[str] = [event.__struct_config__.tag for event in tell_all(vehicle.events)]  # type: ignore[misc]
     assert told == made
     vehicle.take(60.0, Seen(raw(world.core.snapshot(60.0))))

@@ -1,0 +1,188 @@
+"""Telemetry, read once: what the estimate, the physics checks and safety share."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Literal, NamedTuple
+
+from firmware_link.protocol import Fault, Mode, Telemetry
+from flying_vines.supply.belief import Belief
+
+RESERVOIR_FILTER_S = 0.3
+CV_FILTER_S = 0.02
+VALVE_LAG_S = 0.06
+"""Delay and lag of a valve, and of the sensor behind its tube."""
+JUST_S = 0.001
+"""Least duration of a state that has just been seen."""
+LONGEST_GAP_S = 0.11
+"""By the board's clock. After a longer gap nobody knows what the valves did. At 10 Hz telemetry comes each
+0.1 s, give or take a step of the board's loop."""
+LONGEST_BRIDGED_S = 0.5
+"""After a longer gap nothing at all is known."""
+REPEATS = Fault.CV_SENSOR | Fault.RESERVOIR_SENSOR
+"""With one of these faults the firmware repeats the last reading that it believed."""
+_CLOCK_MS = 1 << 32
+
+Continuity = Literal["none", "broken", "gap", "follows"]
+
+
+class Features(NamedTuple):
+    """One telemetry message, and what follows from it and those before. Gauge kPa.
+
+    Times of the board's clock are for the checks: messages come in bursts, readings do not.
+    """
+
+    t: float
+    """When the message came."""
+    telemetry: Telemetry
+    reservoir_kPa: float | None
+    """What the sensor's reading means; None if it is not to be believed."""
+    reservoir_smooth_kPa: float | None
+    """The same, smoothed; None before the first."""
+    cv_lower_kPa: float
+    """The lower one of the last two readings: one that is too high may be a glitch. NaN after the first."""
+    cv_smooth_kPa: float
+    """Smoothed by little; valid where `complete`."""
+    complete: bool
+    """Both pressures are known."""
+    dt_s: float
+    """Since the complete message before, by the host's clock."""
+    continuity: Continuity
+    """By the board's clock. "none": the first message, or one of the same moment; "broken": nothing is known
+    of the time before; "gap": the valves are not known since the message before."""
+    device_dt_s: float
+    """Since the message before, by the board's clock."""
+    cv_median_kPa: float
+    """The middle one of three readings, which leaves a single glitch out."""
+    least_evp: float
+    most_evp: float
+    most_dvp: float
+    """Commanded openings within `VALVE_LAG_S`."""
+    regulating: bool
+    venting_s: float
+    """How long, as far as telemetry shows: outlet commanded open and inflation valve shut."""
+    sealed_s: float
+    """How long every valve was commanded shut."""
+    outlet_shut_s: float
+    """How long the outlet was commanded shut."""
+    resting_s: float
+    """How long the vine was vented, with no setpoint and the Venturi off."""
+    holding_s: float
+    """How long it was regulated at a setpoint that does not move."""
+
+
+class _States:
+    """How long each state of the valves has lasted, by the board's clock."""
+
+    def __init__(self) -> None:
+        self.cv_kPa: deque[float] = deque(maxlen=3)
+        self.openings: deque[tuple[float, float, float]] = deque()
+        """When, EVP, DVP: of the last `VALVE_LAG_S`."""
+        self.t = 0.0
+        self.setpoint_kPa = 0.0
+        self.venting_s = self.sealed_s = self.outlet_shut_s = self.resting_s = self.holding_s = 0.0
+
+    def update(self, dt_s: float, telemetry: Telemetry, gap: bool) -> None:
+        """After a gap nobody knows what lasted. An outlet that is shut again is an exception: either the vine
+        still has its air, or its pressure shows that it has not."""
+        evp, dvp = telemetry.evp_opening, telemetry.dvp_opening
+        self.cv_kPa.append(telemetry.cv_kPa)
+        self.t += dt_s
+        # The command before is in force until this message, whenever it was sent.
+        earliest_s = min(self.t - VALVE_LAG_S, self.openings[-1][0] if self.openings else self.t)
+        self.openings.append((self.t, evp, dvp))
+        while self.openings[0][0] < earliest_s:
+            self.openings.popleft()
+
+        def lasting(seconds: float, so: bool, bridged: bool = False) -> float:
+            if not so:
+                return 0.0
+            return JUST_S if gap and not (bridged and seconds > 0.0) else seconds + dt_s
+
+        solenoid, shut = telemetry.solenoid, evp == dvp == 0.0
+        setpoint = telemetry.mode is Mode.REGULATE and telemetry.setpoint_kPa > 0.0
+        steady = setpoint and telemetry.setpoint_kPa == self.setpoint_kPa
+        self.venting_s = lasting(self.venting_s, solenoid and evp == 0.0)
+        self.sealed_s = lasting(self.sealed_s, not solenoid and shut)
+        self.outlet_shut_s = lasting(self.outlet_shut_s, not solenoid, bridged=True)
+        self.resting_s = lasting(self.resting_s, solenoid and shut and not setpoint)
+        self.holding_s = lasting(self.holding_s, steady and dvp == 0.0)
+        self.setpoint_kPa = telemetry.setpoint_kPa
+
+
+class TelemetryReader:
+    """Makes features of telemetry, message by message."""
+
+    def __init__(self, belief: Belief) -> None:
+        self._belief = belief
+        self._reservoir_smooth_kPa: float | None = None
+        self._reservoir_at = 0.0
+        self._cv_kPa = math.nan
+        self._cv_smooth_kPa = math.nan
+        self._complete_at: float | None = None
+        self._device_time_ms: int | None = None
+        self._states = _States()
+
+    def read(self, t: float, telemetry: Telemetry) -> Features:
+        """The features of a message that came at time `t`."""
+        reservoir_kPa = self._read_reservoir(t, telemetry)
+        lower_kPa, self._cv_kPa = min(self._cv_kPa, telemetry.cv_kPa), telemetry.cv_kPa
+        complete = self._reservoir_smooth_kPa is not None and math.isfinite(telemetry.cv_kPa)
+        dt_s = 0.0
+        if complete:
+            dt_s = 0.0 if self._complete_at is None else max(0.0, t - self._complete_at)
+            smooth_kPa = telemetry.cv_kPa if self._complete_at is None else self._cv_smooth_kPa
+            self._cv_smooth_kPa = smooth_kPa + (telemetry.cv_kPa - smooth_kPa) * dt_s / (CV_FILTER_S + dt_s)
+            self._complete_at = t
+        continuity, device_dt_s = self._read_clock(telemetry)
+        states = self._states
+        evps, dvps = [0.0], [0.0]
+        if continuity in ("gap", "follows"):
+            states.update(device_dt_s, telemetry, continuity == "gap")
+            evps, dvps = [evp for _, evp, _ in states.openings], [dvp for _, _, dvp in states.openings]
+        return Features(
+            t=t,
+            telemetry=telemetry,
+            reservoir_kPa=reservoir_kPa,
+            reservoir_smooth_kPa=self._reservoir_smooth_kPa,
+            cv_lower_kPa=lower_kPa,
+            cv_smooth_kPa=self._cv_smooth_kPa,
+            complete=complete,
+            dt_s=dt_s,
+            continuity=continuity,
+            device_dt_s=device_dt_s,
+            cv_median_kPa=sorted(states.cv_kPa)[len(states.cv_kPa) // 2] if states.cv_kPa else math.nan,
+            least_evp=min(evps) if states.t >= VALVE_LAG_S else 0.0,
+            most_evp=max(evps),
+            most_dvp=max(dvps),
+            regulating=telemetry.mode is Mode.REGULATE,
+            venting_s=states.venting_s,
+            sealed_s=states.sealed_s,
+            outlet_shut_s=states.outlet_shut_s,
+            resting_s=states.resting_s,
+            holding_s=states.holding_s,
+        )
+
+    def _read_reservoir(self, t: float, telemetry: Telemetry) -> float | None:
+        if not math.isfinite(telemetry.reservoir_kPa) or telemetry.faults & Fault.RESERVOIR_SENSOR:
+            return None
+        reservoir_kPa = self._belief.reservoir_kPa(telemetry.reservoir_kPa)
+        if self._reservoir_smooth_kPa is None:
+            self._reservoir_smooth_kPa = reservoir_kPa
+        weight = 1.0 - math.exp(-max(0.0, t - self._reservoir_at) / RESERVOIR_FILTER_S)
+        self._reservoir_smooth_kPa += weight * (reservoir_kPa - self._reservoir_smooth_kPa)
+        self._reservoir_at = t
+        return reservoir_kPa
+
+    def _read_clock(self, telemetry: Telemetry) -> tuple[Continuity, float]:
+        before_ms, self._device_time_ms = self._device_time_ms, telemetry.device_time_ms
+        if before_ms is None:
+            return "none", 0.0
+        dt_s = (telemetry.device_time_ms - before_ms) % _CLOCK_MS / 1000.0
+        if dt_s > LONGEST_BRIDGED_S or telemetry.faults & REPEATS:
+            self._states = _States()
+            return "broken", dt_s
+        if dt_s == 0.0:
+            return "none", 0.0
+        return "gap" if dt_s > LONGEST_GAP_S else "follows", dt_s
