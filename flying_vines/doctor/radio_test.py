@@ -15,6 +15,7 @@ from typing import Literal
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config.config import Config, ReceiverFailsafe
+from flying_vines.vehicle.autopilots import of_heartbeat
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.radio.radio_parameters import RadioParameters
 from flying_vines.vehicle.radio.rc import (
@@ -28,7 +29,6 @@ from flying_vines.vehicle.radio.rc import (
     RadioLink,
 )
 from flying_vines.vehicle.radio.switch import BOUNDARIES_US
-from flying_vines.vehicle.state import KINDS
 
 Step = Literal["ready", "off", "lost", "on", "done"]
 """Get ready; press Enter and switch off; note what shows; switch on again."""
@@ -219,7 +219,7 @@ class RadioTest:
             if "Cleared" not in message.text:
                 self._sign(t, "text", f"“{message.text}”")
         elif kind == "PARAM_VALUE":
-            self._parameters.handle(self._autopilot, message)
+            self._parameters.handle(self._radio.autopilot, message)
         self.advance(t)
 
     def press(self, t: float) -> None:
@@ -230,7 +230,7 @@ class RadioTest:
 
     def requests(self, t: float, system_id: int) -> list[Message]:
         """The autopilot's parameters are asked for."""
-        return self._parameters.requests(t, system_id, self._autopilot)
+        return self._parameters.requests(t, system_id, self._radio.autopilot)
 
     def advance(self, t: float) -> None:
         """Time passes."""
@@ -260,9 +260,13 @@ class RadioTest:
             self.target,
             tuple(self._losses),
             dict(self._parameters.values),
-            self._parameters.hides_loss,
-            self._parameters.px4_shows_loss_within_s,
+            self._hides_loss,
+            self._radio.autopilot.rc_loss_shows_within_s(self._parameters.values),
         )
+
+    @property
+    def _hides_loss(self) -> str:
+        return self._radio.autopilot.hides_rc_loss(self._parameters.values)
 
     @property
     def signs(self) -> tuple[Sign, ...]:
@@ -304,7 +308,7 @@ class RadioTest:
             return
         rests = self._position == self.target and t - self._position_at >= REST_S
         if rests and waited_s >= REST_S:
-            if self._parameters.hides_loss:
+            if self._hides_loss:
                 self._end()
                 return
             self._rest_us, self._jump_at = self._channels_us, None
@@ -408,7 +412,8 @@ class RadioTest:
         return abs(self.switch_us - pulse_us) <= SAME_US
 
     def _heartbeat(self, t: float, message: Message) -> None:
-        self._autopilot = self._radio.autopilot = KINDS.get(message.autopilot, "other")
+        self._radio.autopilot = of_heartbeat(message.autopilot)
+        self._autopilot = self._radio.autopilot.kind
         if message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED and self.step != "done":
             self._end("armed")
         if self._mode is not None and message.custom_mode != self._mode:
@@ -428,7 +433,7 @@ class RadioTest:
             self._sign(t, "no RC_CHANNELS", "the receiver has no channels", once=True)
         if self._throttle_low():
             self._sign(t, "throttle", "throttle below its range", once=True)
-        if self._autopilot == "px4":
+        if self._radio.autopilot.needs_rc_status:
             if message.rssi not in (NO_SIGNAL, NO_RSSI):
                 self._rssi_lost = False
             elif self._rssi not in (NO_SIGNAL, NO_RSSI):

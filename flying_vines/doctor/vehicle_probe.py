@@ -193,10 +193,10 @@ class VehicleProbe:
                 rate.last_at, rate.count = t, rate.count + 1
         self._streams.handle(t, message)
         self._book.handle(t, message)
-        self._radio.autopilot = self._state.kind
+        self._radio.autopilot = self._state.autopilot
         self._radio.handle(t, message)
         if kind == "PARAM_VALUE":
-            self._parameters.handle(self._state.kind, message)
+            self._parameters.handle(self._state.autopilot, message)
         if kind == "RC_CHANNELS":
             self._sample_switch(t)
         elif kind == "AUTOPILOT_VERSION":
@@ -232,7 +232,7 @@ class VehicleProbe:
             *self._streams.requests(t, system_id),
             *self._book.requests(t, system_id),
             *self._book.acknowledgement(system_id),
-            *self._parameters.requests(t, system_id, self._state.kind),
+            *self._parameters.requests(t, system_id, self._state.autopilot),
             *self._ask_version(t, system_id),
         ):
             self._outbox.put(message)
@@ -257,15 +257,15 @@ class VehicleProbe:
 
     def radio(self, t: float) -> Radio:
         """The switch, as it is now."""
-        px4_receiver = self._state.kind == "px4" and self._radio.by_receiver
-        watched = self._state.kind == "ardupilot" or px4_receiver
+        autopilot = self._state.autopilot
+        watched = self._radio.by_receiver or not autopilot.needs_rc_status
         return Radio(
             self._radio.problem(t),
             self._radio.switch_us,
             self._switch.position,
             frozenset(self._seen),
-            self._parameters.hides_loss if watched else "",
-            px4_receiver and self._config.switch.receiver_failsafe == "unknown",
+            autopilot.hides_rc_loss(self._parameters.values) if watched else "",
+            autopilot.needs_rc_status and watched and self._config.switch.receiver_failsafe == "unknown",
         )
 
     def facts(self, t: float) -> VehicleFacts:

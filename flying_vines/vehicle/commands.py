@@ -7,11 +7,10 @@ from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.answer import acknowledgement
 from flying_vines.vehicle.mavlink.codec import Message
-from flying_vines.vehicle.mission.execution import Execution
-from flying_vines.vehicle.mission.px4 import Px4Watch
 from flying_vines.vehicle.repeats import PX4_REPEAT_S, STATION_REPEAT_S, Repeats
 from flying_vines.vehicle.triggers import Rules, Trigger, direct_intent
 from flying_vines.vine.intent import Intent, StartCalibration, StopCalibration
@@ -42,7 +41,7 @@ class Commands:
         message: Message,
         system_id: int,
         from_autopilot: bool,
-        px4: Px4Watch | None,
+        watch: MissionWatch,
         from_station: bool,
         age_s: float = 0.0,
     ) -> list[Trigger | Message]:
@@ -50,14 +49,12 @@ class Commands:
 
         Only a ground station and the autopilot itself may bend; what lets air out is done for whoever asks.
 
-        A mission item that the autopilot publishes is addressed to no component (PX4) or to us (a script).
-        `px4` is None where the autopilot tells its items in another way: then what it says to no component
-        (ArduPilot's camera commands) would be heard twice.
+        A mission item that the autopilot sends is addressed to no component (PX4) or to us (a script).
         """
         to_us = self._for_us(message, system_id)
-        to_all = px4 and message.target_system in (0, system_id) and message.target_component == 0
+        to_all = message.target_system in (0, system_id) and message.target_component == 0
         is_item = from_autopilot and message.command in self._rules.commands
-        if not to_us and not (to_all and is_item):
+        if not to_us and not (to_all and is_item and watch.publishes_items):
             return []
         if self._under_way is not None and _key(message) == _key(self._under_way):
             return [acknowledgement(message, mavlink.MAV_RESULT_IN_PROGRESS, self._percent)]
@@ -68,14 +65,11 @@ class Commands:
         if repeat and (is_item or not self._does_no_harm_again(message.command, params)):
             result = self._repeats.answered(_key(message))
             return [acknowledgement(message, mavlink.MAV_RESULT_ACCEPTED if result is None else result)]
-        if is_item and px4:
-            execution = px4.execution(t, message.command, params, confirmation)
+        if is_item:
+            execution = watch.command(t, message.command, params, confirmation)
             if execution is None:
                 return [acknowledgement(message, mavlink.MAV_RESULT_ACCEPTED)]
             execution = replace(execution, age_s=execution.age_s + age_s)
-            return [self._rules.item_trigger(t, execution, message)]
-        if is_item:
-            execution = Execution(message.command, None, None, params, age_s)
             return [self._rules.item_trigger(t, execution, message)]
         found = self._intent(message.command, params)
         if found is None:

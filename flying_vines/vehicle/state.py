@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.vehicle.autopilots import OTHER, of_heartbeat
 from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.mavlink import handled_messages as heard
 from flying_vines.vehicle.mavlink.codec import Message
@@ -30,15 +31,6 @@ NO_VEHICLE = {
     mavlink.MAV_TYPE_ADSB,
 }
 """What sends heartbeats of its own, some even as an autopilot, and carries no vine."""
-
-KINDS = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot", mavlink.MAV_AUTOPILOT_PX4: "px4"}
-
-COPTER_MODES = {
-    0: "STABILIZE", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 9: "LAND",
-    16: "POSHOLD", 17: "BRAKE", 21: "SMART_RTL", 27: "AUTO RTL",
-}  # fmt: skip
-PX4_MAIN_MODES = {1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED"}
-PX4_AUTO_MODES = {1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6: "LAND"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +72,15 @@ class VehicleState:
         self._ambient_kPa = 0.0
         self._ambient_at: float | None = None
         self.system_id = 0
-        self.kind = "unknown"
+        self.autopilot = OTHER
         self.armed = False
         self.mode = ""
         self.heartbeat_at: float | None = None
         self.heard_at: float | None = None
+
+    @property
+    def kind(self) -> str:
+        return self.autopilot.kind
 
     @property
     def found(self) -> bool:
@@ -146,8 +142,8 @@ class VehicleState:
         if kind == "HEARTBEAT":
             self.heartbeat_at = t
             self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-            self.kind = KINDS.get(message.autopilot, "other")
-            self.mode = _mode_name(self.kind, message.custom_mode)
+            self.autopilot = of_heartbeat(message.autopilot)
+            self.mode = self.autopilot.mode_name(message.custom_mode)
         elif kind == "GLOBAL_POSITION_INT":
             self._altitude_m = message.relative_alt / 1000.0
             self._altitude_at = t
@@ -186,11 +182,3 @@ def _is_autopilot(message: Message) -> bool:
         and message.type not in NO_VEHICLE
         and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
     )
-
-
-def _mode_name(kind: str, custom_mode: int) -> str:
-    if kind == "px4":
-        main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
-        name = PX4_MAIN_MODES.get(main, f"MODE {main}")
-        return f"{name}.{PX4_AUTO_MODES.get(sub, sub)}" if main == 4 else name
-    return COPTER_MODES.get(custom_mode, f"MODE {custom_mode}")

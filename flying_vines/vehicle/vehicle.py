@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.config.config import CARRIERS, Config
+from flying_vines.config.config import Config
 from flying_vines.vehicle.clock import Mark
 from flying_vines.vehicle.commands import Commands
 from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.parameters import Changed
 from flying_vines.vehicle.mavlink import handled_messages as heard
 from flying_vines.vehicle.mavlink.codec import Message
-from flying_vines.vehicle.mission.ardupilot import ArduPilotWatch
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.px4 import Px4Watch
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.radio.pilot import Pilot, Straightened
 from flying_vines.vehicle.radio.rc import RadioLink
@@ -58,10 +55,14 @@ class Vehicle:
         self._missing: list[str] = []
         self.link_closed = False
         self._book = MissionBook(mission)
-        self._ardupilot = ArduPilotWatch(self._book, self._rules.commands, self.state.clock)
-        self._px4 = Px4Watch(self._book, self._rules.commands, self.state.clock)
+        self._take_autopilot(0.0)
         self._held: deque[tuple[Mark, Message]] = deque(maxlen=MOST_HELD)
         self._commands = Commands(self._rules, config.vehicle.component_id)
+
+    def _take_autopilot(self, t: float) -> None:
+        self._autopilot = self.state.autopilot
+        self._watch = self._autopilot.mission_watch(self._book, self._rules.commands, self.state.clock)
+        self._watch.forget(t)
 
     @property
     def config(self) -> Config:
@@ -87,52 +88,60 @@ class Vehicle:
         be changed.
         """
         kind = message.get_type()
-        from_autopilot = self.state.is_ours(message)
+        state = self.state
+        from_autopilot = state.is_ours(message)
         if from_autopilot:
-            self.state.clock.frame(t, message.get_seq())
-        if from_autopilot and kind not in heard.STATE:
-            self.state.heard(t)
+            state.clock.frame(t, message.get_seq())
+            state.heard(t)
         if kind not in heard.ALL:
-            return [*self._watch(t, message)] if from_autopilot else []
+            return self._items(t) if from_autopilot and not self._watch.idle else []
+        out: list[Output] = []
+        if kind == "HEARTBEAT" or (from_autopilot and kind in heard.STATE):
+            out.extend(self._vehicle_events(t, message))
+        answers = None
+        if kind == "HEARTBEAT" or kind in heard.QUESTIONS:
+            answers = self.component.handle(t, message, state, vented)
+            out.extend(answers or ())
+            from_autopilot = state.is_ours(message)  # it may have been the first
+        if kind in heard.COMMANDS and answers is None and state.found:
+            self._held.append((state.clock.mark(t), message))
+        if self._held and (kind in heard.CLOCK or kind in heard.COMMANDS):
+            out.extend(self._command_triggers(t))
+        if from_autopilot:
+            self._streams.handle(t, message)
+            if kind in heard.RADIO:
+                out.extend(self.pilot.handle(t, message, self._autopilot, vented))
+        elif kind == "RC_CHANNELS_OVERRIDE":
+            self.pilot.override(t, message)
+        if out and any(isinstance(output, Trigger) and output.by_person for output in out):
+            self._watch.forget(t)
+        if from_autopilot and kind in heard.MISSION:
+            self._book.handle(t, message)
+            self._watch.handle(t, message)
+            out.extend(self._book.acknowledgement(state.system_id))
+        if from_autopilot and not self._watch.idle:
+            out.extend(self._items(t))
+        if self._book.tell_anew():
+            out.append(Notice(t, Severity.NOTICE, "Vine: mission read anew"))
+        return out
+
+    def _vehicle_events(self, t: float, message: Message) -> list[Output]:
         out: list[Output] = []
         before = (self.state.armed, self.state.mode)
-        for event in self.state.handle(t, message) if kind in heard.STATE else ():
+        for event in self.state.handle(t, message):
             match event:
                 case Found(system_id):
-                    self._px4.forget(t)
                     out.append(Notice(t, Severity.INFO, f"Vine: serving vehicle {system_id}"))
                 case Ambiguous((one, other)):
                     text = f"Vine: autopilots {one} and {other}: set vehicle.system_id"
                     out.append(Notice(t, Severity.ERROR, text))
                 case Rebooted():
                     out.extend(self._rebooted(t))
-        answers = None
-        if kind in heard.QUESTIONS or kind == "HEARTBEAT":
-            answers = self.component.handle(t, message, self.state, vented)
-            out.extend(answers or ())
-            from_autopilot = self.state.is_ours(message)  # it may have been the first
-        if answers is None and kind in ("COMMAND_LONG", "COMMAND_INT") and self.state.found:
-            self._held.append((self.state.clock.mark(t), message))
-        if kind in heard.CLOCK or kind in ("COMMAND_LONG", "COMMAND_INT"):
-            out.extend(self._command_triggers(t))
-        if from_autopilot:
-            self._streams.handle(t, message)
-            if kind in heard.RADIO:
-                out.extend(self.pilot.handle(t, message, self.state.kind, vented))
-            if (self.state.armed, self.state.mode) != before and self.state.armed:
-                self._book.refresh(t)
-                self.pilot.parameters.refresh()
-            if kind in heard.MISSION:
-                self._book.handle(t, message)
-                self._px4.handle(t, message)
-                out.extend(self._book.acknowledgement(self.state.system_id))
-            out.extend(self._watch(t, message))
-            if self._book.tell_anew():
-                out.append(Notice(t, Severity.NOTICE, "Vine: mission read anew"))
-        elif kind == "RC_CHANNELS_OVERRIDE":
-            self.pilot.override(t, message)
-        if any(isinstance(output, Trigger) and output.by_person for output in out):
-            self._px4.forget(t)
+        if self.state.autopilot is not self._autopilot:
+            self._take_autopilot(t)
+        if self.state.armed and (self.state.armed, self.state.mode) != before:
+            self._book.refresh(t)
+            self.pilot.parameters.refresh()
         return out
 
     def tick(self, t: float) -> list[Output]:
@@ -142,12 +151,11 @@ class Vehicle:
         if not self.state.found:
             return out
         out.extend(self._command_triggers(t))
-        due = self._px4.due(t) if self.state.kind == "px4" else self._ardupilot.due(t)
-        out.extend(self._item_triggers(t, due))
-        out.extend(self._asks(t))
+        out.extend(self._items(t))
         out.extend(self._streams.requests(t, self.state.system_id))
-        out.extend(self._book.requests(t, self.state.system_id, self.state.kind == "ardupilot"))
-        out.extend(self.pilot.requests(t, self.state.system_id, self.state.kind))
+        in_any_order = self._autopilot.gives_items_in_any_order
+        out.extend(self._book.requests(t, self.state.system_id, in_any_order))
+        out.extend(self.pilot.requests(t, self.state.system_id, self._autopilot))
         missing = self._streams.missing(t)
         if missing and missing != self._missing:
             text = f"Vine: the autopilot does not send {', '.join(missing)}"
@@ -183,7 +191,7 @@ class Vehicle:
         self.component.greet()
         self._streams.forget()
         self.pilot.restarted()
-        self._ardupilot = ArduPilotWatch(self._book, self._rules.commands, self.state.clock)
+        self._watch.restarted()
         self._book.doubt(t)
         return [
             Notice(t, Severity.WARNING, "Vine: autopilot rebooted, vented"),
@@ -193,7 +201,6 @@ class Vehicle:
     def _command_triggers(self, t: float) -> list[Output]:
         """Of the commands that came, those of which it is clear how old they are."""
         out: list[Output] = []
-        px4 = None if self.state.kind == "ardupilot" else self._px4
         while self._held:
             mark, message = self._held[0]
             age_s = self.state.clock.age_s(mark, t)
@@ -203,32 +210,16 @@ class Vehicle:
             theirs = self.state.is_ours(message)
             from_station = self.component.is_station(message, self.state)
             system_id = self.state.system_id
-            found = self._commands.handle(t, message, system_id, theirs, px4, from_station, age_s)
-            out.extend(answer for output in found for answer in self._once(t, output))
+            watch = self._watch
+            out.extend(self._commands.handle(t, message, system_id, theirs, watch, from_station, age_s))
         return out
 
-    def _asks(self, t: float) -> list[Message]:
-        """What the autopilot is asked for because it has just run it."""
-        return [self._book.ask(seq, self.state.system_id) for seq in self._ardupilot.asks(t)]
-
-    def _once(self, t: float, output: Trigger | Message) -> list[Output]:
-        """Of an item that a script on ArduPilot hands over and that is told by text as well, only one."""
-        if not isinstance(output, Trigger) or output.command is None or self.state.kind != "ardupilot":
-            return [output]
-        if output.kind != "mission_item" or output.command.command != CARRIERS["user_1"]:
-            return [output]
-        command = output.command
-        params = (command.param1, command.param2, command.param3, command.param4)
-        execution = self._ardupilot.handed_over(t, params)
-        if execution is None:
-            return list(self._commands.acknowledge(output, True))
-        execution = replace(execution, age_s=output.age_s)
-        return [self._rules.item_trigger(t, execution, command)]
-
-    def _watch(self, t: float, message: Message) -> list[Output]:
-        if self.state.kind == "px4":
-            return []
-        return [*self._item_triggers(t, self._ardupilot.handle(t, message)), *self._asks(t)]
+    def _items(self, t: float) -> list[Output]:
+        """The triggers of mission items that ran, and requests for items whose numbers are not certain."""
+        watch = self._watch
+        out = self._item_triggers(t, watch.due(t))
+        out.extend(self._book.ask(seq, self.state.system_id) for seq in watch.asks(t))
+        return out
 
     def _item_triggers(self, t: float, executions: Sequence[Execution]) -> list[Output]:
         out: list[Output] = []

@@ -9,8 +9,9 @@ import pytest
 
 from doctor.known_lines import CHECKS, lines_of, with_blanks
 from flying_vines.config import config
-from flying_vines.doctor.checks.vehicle import GROUPS, USES
+from flying_vines.doctor.checks.vehicle import USES
 from flying_vines.doctor.finding import Line
+from flying_vines.vehicle.autopilots.ardupilot import STREAM_GROUPS
 from flying_vines.vehicle.streams import Streams
 
 PAGE = (Path(__file__).parents[2] / "docs" / "doctor.md").read_text(encoding="utf-8")
@@ -32,7 +33,7 @@ def stream_table() -> str:
     rows = ["| message | a second | needed for | on ArduPilot |", "| --- | --- | --- | --- |"]
     for name, wanted in Streams(config.default().vehicle.rc_rate_Hz).wanted(0.0).items():
         need = f"{'**' if wanted.essential else ''}{USES[name]}{'**' if wanted.essential else ''}"
-        rows.append(f"| {name} | {wanted.rate_Hz:g} | {need} | `SRn_{GROUPS[name]}` |")
+        rows.append(f"| {name} | {wanted.rate_Hz:g} | {need} | `SRn_{STREAM_GROUPS[name]}` |")
     return "\n".join(rows)
 
 

@@ -18,7 +18,7 @@ from flying_vines.vehicle.mavlink.codec import Codec
 from flying_vines.vehicle.mavlink.tlog import TlogReader
 
 NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
-ROOM = Path(heard.__file__).parent
+ROOM = Path(heard.__file__).parents[1]
 RECORDINGS = sorted((Path(__file__).parents[1] / "data" / "recordings").glob("*.tlog"))
 
 

@@ -12,6 +12,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot.agenda import Agenda, Entry
+from flying_vines.vehicle.autopilots import store
+from flying_vines.vehicle.autopilots.ardupilot import whole_centimetres
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import (
@@ -23,8 +25,6 @@ from flying_vines.vehicle.mission.storage import (
     NO_SPACE,
     Kind,
     MissionRefused,
-    store,
-    whole_centimetres,
 )
 
 _ASK_AGAIN_S = 1.0

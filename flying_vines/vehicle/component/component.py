@@ -65,7 +65,7 @@ class Component:
             if vehicle.is_ours(message):
                 self._heartbeat.autopilot_spoke(t)
             else:
-                self._stations.heard(t, message, vehicle.kind == "ardupilot")
+                self._stations.heard(t, message, vehicle.autopilot.hides_our_parameters)
             return None
         if number in Requests.MESSAGES:
             return self._requests.handle(t, message, vehicle.system_id)

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 
 from flying_vines.config.config import Config
+from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.radio.radio_parameters import RadioParameters
@@ -111,8 +112,10 @@ class Pilot:
         elif position is not None and self._rules.bends(position):
             self._position_overruled, self._left_it_at = position, math.inf
 
-    def handle(self, t: float, message: Message, autopilot: str, vented: bool = False) -> list[PilotOutput]:
-        """Take in a message of our autopilot, which is an "ardupilot", a "px4" or something else.
+    def handle(
+        self, t: float, message: Message, autopilot: Autopilot, vented: bool = False
+    ) -> list[PilotOutput]:
+        """Take in a message of our autopilot.
 
         `vented` says that the vine is straight and that nothing moves it.
         """
@@ -132,7 +135,7 @@ class Pilot:
         if released:
             self._override_ends_at = t
         elif pulse_us not in IGNORED_US:
-            self._override_ends_at = t + self.parameters.override_lasts_s
+            self._override_ends_at = t + self._override_lasts_s
 
     def tick(self, t: float) -> list[PilotOutput]:
         """Let time pass."""
@@ -146,7 +149,7 @@ class Pilot:
             return []
         return [self._refused(t, waiting.move, "the autopilot does not confirm RC, move it again")]
 
-    def requests(self, t: float, system_id: int, autopilot: str) -> list[Message]:
+    def requests(self, t: float, system_id: int, autopilot: Autopilot) -> list[Message]:
         """What to ask the autopilot next."""
         return self.parameters.requests(t, system_id, autopilot)
 
@@ -155,9 +158,17 @@ class Pilot:
         """What hides a lost transmitter: a parameter or the receiver; empty where nothing is known to."""
         if self._config.switch.receiver_failsafe == "hidden":
             return "switch.receiver_failsafe"
-        if self.radio.autopilot == "px4" and not self.radio.by_receiver:
+        if self.radio.autopilot.needs_rc_status and not self.radio.by_receiver:
             return ""
-        return self.parameters.hides_loss
+        return self.radio.autopilot.hides_rc_loss(self.parameters.values)
+
+    @property
+    def _override_lasts_s(self) -> float:
+        return self.radio.autopilot.override_lasts_s(self.parameters.values)
+
+    @property
+    def _loss_shows_within_s(self) -> float:
+        return self.radio.autopilot.rc_loss_shows_within_s(self.parameters.values)
 
     def _lose(self) -> None:
         self.switch.lose()
@@ -182,10 +193,10 @@ class Pilot:
 
     def _sample(self, t: float, vented: bool) -> list[PilotOutput]:
         radio = self.radio
-        interrupted = radio.take_interruption()
-        if interrupted or radio.problem(t) is not None:
+        interrupted, problem = radio.take_interruption(), radio.problem(t)
+        if interrupted or problem is not None:
             self._lose()
-        if radio.problem(t) is not None:
+        if problem is not None:
             return []
         if self._waiting is not None:
             self._keep_waiting(self._waiting)
@@ -208,7 +219,7 @@ class Pilot:
         origin = unconfirmed.before if unconfirmed else move.before
         bends = self._rules.bends(move.position)
         if unconfirmed and move.position == origin and (bends or vented):
-            hold_s = self.parameters.px4_shows_loss_within_s
+            hold_s = self._loss_shows_within_s
             return [Notice(t, Severity.INFO, f"Vine: hold switch ch{self.channel} {hold_s:.1f} s to bend")]
         if move.before == self._position_overruled:
             self._left_it_at = t
@@ -239,8 +250,8 @@ class Pilot:
         """What else than the pilot may have made this move; empty if nothing."""
         if move.jumped:
             return "moved with other channels"
-        lasts_s = self.parameters.override_lasts_s
-        if self.radio.autopilot != "ardupilot" or lasts_s == 0.0:
+        lasts_s = self._override_lasts_s
+        if lasts_s == 0.0:
             return ""
         if abs(t - self._override_ends_at) < OVERRIDE_SLACK_S:
             return "moved as an override ended"
@@ -253,7 +264,7 @@ class Pilot:
         return self._rules.bends(waiting.move.position)
 
     def _must_wait(self, position: int) -> bool:
-        if self.radio.autopilot != "px4" or not self.radio.by_receiver:
+        if self._loss_shows_within_s == 0.0 or not self.radio.by_receiver:
             return False
         failsafe = self._config.switch.receiver_failsafe
         if isinstance(failsafe, int):
@@ -263,7 +274,7 @@ class Pilot:
     @property
     def _confirmed_after_s(self) -> float:
         """From the time that a move was debounced."""
-        return self.parameters.px4_shows_loss_within_s - self._config.switch.debounce_s
+        return self._loss_shows_within_s - self._config.switch.debounce_s
 
     def _confirm(self, t: float) -> list[PilotOutput]:
         waiting = self._waiting

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import NamedTuple
 
+from flying_vines.config.config import CARRIERS
+from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import AutopilotClock, Mark
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mission.book import MOST_ITEMS, MissionBook, item_of
@@ -92,7 +94,7 @@ class _Suspect(NamedTuple):
     """Only certain if the mission is at this waypoint for long enough; None: certain anyway."""
 
 
-class ArduPilotWatch:
+class ArduPilotWatch(MissionWatch):
     """Sees ArduPilot run the mission items whose command is one of `commands`.
 
     Each text is one execution. An item whose text never came counts as run when the waypoint before it was
@@ -104,12 +106,17 @@ class ArduPilotWatch:
     runs is asked for again (`asks`), and only an answer that comes after it counts.
     """
 
+    publishes_items = False
+
     def __init__(
         self, book: MissionBook, commands: Container[int], clock: AutopilotClock | None = None
     ) -> None:
         self._book = book
         self._commands = commands
         self._clock = clock or AutopilotClock()
+        self.restarted()
+
+    def restarted(self) -> None:
         self._waiting: deque[_Waiting] = deque(maxlen=MOST_WAITING)
         self._frames: dict[int, tuple[float, int]] = {}
         self._told: dict[int, float] = {}
@@ -122,7 +129,14 @@ class ArduPilotWatch:
         self._run_by_text = _Numbers()
         self._handed = _Numbers()
 
-    def handed_over(self, t: float, params: tuple[float, ...]) -> Execution | None:
+    def command(
+        self, t: float, command: int, params: tuple[float, ...], confirmation: int
+    ) -> Execution | None:
+        if command != CARRIERS["user_1"]:
+            return super().command(t, command, params, confirmation)
+        return self._handed_over(t, params[:4])
+
+    def _handed_over(self, t: float, params: tuple[float, ...]) -> Execution | None:
         """A script message's numbers, from a script on the autopilot; None when that item has run already."""
         for waiting in self._waiting:
             if waiting.command == SCRIPT_MESSAGE:
@@ -136,8 +150,7 @@ class ArduPilotWatch:
         self._note(t, seq)
         return Execution(SCRIPT_MESSAGE, seq, item, params)
 
-    def handle(self, t: float, message: Message) -> list[Execution]:
-        """Take in a message of the autopilot, which the book and the clock have seen."""
+    def handle(self, t: float, message: Message) -> None:
         kind = message.get_type()
         if kind == "STATUSTEXT":
             if match := ITEM_TEXT.match(message.text):
@@ -153,10 +166,8 @@ class ArduPilotWatch:
             self._current = message.seq
         elif kind in ("MISSION_ITEM_INT", "MISSION_ITEM") and message.mission_type == 0:
             self._answer(item_of(message))
-        return self.due(t)
 
     def asks(self, t: float) -> list[int]:
-        """The numbers of the items that the autopilot shall be asked for now."""
         asks = []
         for waiting in islice(self._waiting, MOST_ASKED):
             if waiting.item is None and not self._book.is_given and t - waiting.asked_at >= ASK_AGAIN_S:
@@ -241,8 +252,11 @@ class ArduPilotWatch:
             seq += 1
         return None
 
+    @property
+    def idle(self) -> bool:
+        return not (self._waiting or self._suspects)
+
     def due(self, t: float) -> list[Execution]:
-        """The executions that are certain by now."""
         self._make_up(t)
         executions = []
         while self._waiting:

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Container
 from dataclasses import dataclass, replace
 
+from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import AutopilotClock, Mark
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mission.book import MissionBook
@@ -57,7 +58,7 @@ class _Reached:
     """How much later than the item the mark may be."""
 
 
-class Px4Watch:
+class Px4Watch(MissionWatch):
     """Sees PX4 run mission items: those it publishes as COMMAND_LONG, with the numbers that it executes.
 
     One whose command was lost shows as MISSION_ITEM_REACHED, and has the numbers of the book, if that is
@@ -83,13 +84,11 @@ class Px4Watch:
         self._has_moved = False
 
     def forget(self, t: float) -> None:
-        """What ran before now is history, and is not carried out when only a repeat of it is heard: we had
-        not begun to listen, or a person has asked for something since."""
+        """Of an item that ran before now a repeat is not carried out."""
         self._forgotten_at = t
         self._waiting = None
 
     def handle(self, t: float, message: Message) -> None:
-        """Take in a message of the autopilot, which the book and the clock have seen."""
         kind = message.get_type()
         if self._begun_at is None:
             self._begun_at = self._stood_at = t
@@ -137,7 +136,7 @@ class Px4Watch:
             for other in self._book.alike(ran.execution.command, ran.execution.params or ())
         )
 
-    def execution(
+    def command(
         self, t: float, command: int, params: tuple[float, ...], confirmation: int
     ) -> Execution | None:
         """A command of the autopilot's, with the mission item that it comes from where that is known.
@@ -162,6 +161,10 @@ class Px4Watch:
             self._waiting = None
         self._past.append(_Ran(t, execution, was_reached))
         return execution
+
+    @property
+    def idle(self) -> bool:
+        return self._waiting is None
 
     def due(self, t: float) -> list[Execution]:
         """An item whose command was lost, once that is certain."""
