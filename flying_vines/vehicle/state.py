@@ -11,6 +11,7 @@ from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.mavlink import handled_messages as heard
 from flying_vines.vehicle.mavlink.codec import Message
 
+_AUTOPILOT: int = mavlink.MAV_COMP_ID_AUTOPILOT1
 ALTITUDE_FRESH_S = 2.0
 HEARTBEAT_FRESH_S = 5.0
 """HEARTBEAT alone says whether it is armed, once a second. Five in a row are not lost by chance,
@@ -119,10 +120,9 @@ class VehicleState:
 
     def is_ours(self, message: Message) -> bool:
         """Whether a message comes from the autopilot that we serve."""
-        return (
-            self.system_id != 0
-            and message.get_srcSystem() == self.system_id
-            and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
+        header = message.get_header()
+        return bool(
+            header.srcComponent == _AUTOPILOT and header.srcSystem == self.system_id and self.system_id
         )
 
     def handle(self, t: float, message: Message) -> list[VehicleEvent]:

@@ -21,7 +21,7 @@ from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.radio.pilot import Pilot, Straightened
 from flying_vines.vehicle.radio.rc import RadioLink
 from flying_vines.vehicle.radio.switch import Switch
-from flying_vines.vehicle.state import Ambiguous, Found, Rebooted, VehicleState
+from flying_vines.vehicle.state import Ambiguous, Found, VehicleState
 from flying_vines.vehicle.streams import Streams
 from flying_vines.vehicle.triggers import Rules, Trigger
 from flying_vines.vine.intent import Vent
@@ -96,8 +96,10 @@ class Vehicle:
         if kind not in heard.ALL:
             return self._items(t) if from_autopilot and not self._watch.idle else []
         out: list[Output] = []
-        if kind == "HEARTBEAT" or (from_autopilot and kind in heard.STATE):
-            out.extend(self._vehicle_events(t, message))
+        if kind == "HEARTBEAT":
+            out.extend(self._on_heartbeat(t, message))
+        elif from_autopilot and kind in heard.STATE and state.handle(t, message):
+            out.extend(self._rebooted(t))
         answers = None
         if kind == "HEARTBEAT" or kind in heard.QUESTIONS:
             answers = self.component.handle(t, message, state, vented)
@@ -116,16 +118,20 @@ class Vehicle:
         if out and any(isinstance(output, Trigger) and output.by_person for output in out):
             self._watch.forget(t)
         if from_autopilot and kind in heard.MISSION:
-            self._book.handle(t, message)
-            self._watch.handle(t, message)
-            out.extend(self._book.acknowledgement(state.system_id))
-        if from_autopilot and not self._watch.idle:
+            out.extend(self._on_mission(t, message))
+        elif from_autopilot and not self._watch.idle:
             out.extend(self._items(t))
+        return out
+
+    def _on_mission(self, t: float, message: Message) -> list[Output]:
+        self._book.handle(t, message)
+        self._watch.handle(t, message)
+        out = [*self._book.acknowledgement(self.state.system_id), *self._items(t)]
         if self._book.tell_anew():
             out.append(Notice(t, Severity.NOTICE, "Vine: mission read anew"))
         return out
 
-    def _vehicle_events(self, t: float, message: Message) -> list[Output]:
+    def _on_heartbeat(self, t: float, message: Message) -> list[Output]:
         out: list[Output] = []
         before = (self.state.armed, self.state.mode)
         for event in self.state.handle(t, message):
@@ -135,8 +141,6 @@ class Vehicle:
                 case Ambiguous((one, other)):
                     text = f"Vine: autopilots {one} and {other}: set vehicle.system_id"
                     out.append(Notice(t, Severity.ERROR, text))
-                case Rebooted():
-                    out.extend(self._rebooted(t))
         if self.state.autopilot is not self._autopilot:
             self._take_autopilot(t)
         if self.state.armed and (self.state.armed, self.state.mode) != before:
