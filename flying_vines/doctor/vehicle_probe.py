@@ -16,7 +16,7 @@ from flying_vines.config.config import Config
 from flying_vines.core.core import SPEAK_FIRST_S
 from flying_vines.vehicle.component.clash import Clash
 from flying_vines.vehicle.component.telemetry import Heartbeat
-from flying_vines.vehicle.component.transmit_queue import Outbox
+from flying_vines.vehicle.component.transmit_queue import TransmitQueue
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mavlink.signing import Refused
 from flying_vines.vehicle.mission.book import MissionBook
@@ -145,7 +145,7 @@ class VehicleProbe:
         self._switch = Switch(len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us)
         self._book = MissionBook()
         self._heartbeat = Heartbeat()
-        self._outbox = Outbox()
+        self._queue = TransmitQueue()
         self._clash = Clash(config.vehicle.component_id)
         self._clashed = False
         self._rivals: tuple[int, int] | None = None
@@ -235,8 +235,8 @@ class VehicleProbe:
             *self._parameters.requests(t, system_id, self._state.autopilot),
             *self._ask_version(t, system_id),
         ):
-            self._outbox.put(message)
-        return self._outbox.due(t)
+            self._queue.put(message)
+        return self._queue.due(t)
 
     def _ask_version(self, t: float, system_id: int) -> list[Message]:
         asked_at = self._version_asked_at

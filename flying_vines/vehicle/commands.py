@@ -1,4 +1,4 @@
-"""Commands that reach us: which are for us, which are copies, what they ask, what the sender is told."""
+"""Commands: which are for us, which are repeats, what they ask for, and the acknowledgements."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _Key = tuple[object, ...]
 
 
 class Commands:
-    """Turns COMMAND_LONG and COMMAND_INT into triggers, each once, and owes each copy an answer."""
+    """Turns COMMAND_LONG and COMMAND_INT into triggers, each once, and answers every repeat."""
 
     def __init__(self, rules: Rules, component_id: int) -> None:
         self._rules = rules
@@ -45,9 +45,9 @@ class Commands:
         from_station: bool,
         age_s: float = 0.0,
     ) -> list[Trigger | Message]:
-        """A trigger, or the answer where there is nothing to decide. `age_s`: how long ago it was sent.
+        """A trigger, or the answer if there is nothing to decide. `age_s`: how long ago it was sent.
 
-        Only a ground station and the autopilot itself may bend; what lets air out is done for whoever asks.
+        Only a ground station and the autopilot may bend the vine. Everybody may let air out.
 
         A mission item that the autopilot sends is addressed to no component (PX4) or to us (a script).
         """
@@ -82,20 +82,20 @@ class Commands:
         if not from_station and not from_autopilot and not problem:
             lets_out = intent is not None and self._rules.only_lets_out(intent)
             problem = "" if lets_out else f"{_sender(message)} is no ground station"
-        # A repeat may come long after: what has come to light since, its sender may not have seen.
+        # A repeat may come late. Its sender may not know of faults since the first command.
         by_person = from_station and not from_autopilot and not repeat
         trigger = Trigger(t, "command", what, intent, problem, by_person, message, age_s, seen_at=t - age_s)
         return [trigger]
 
     def _intent(self, command: int, params: tuple[float, ...]) -> tuple[Intent | None, str] | None:
-        """None for what is no command of ours."""
+        """None: this is not a command of ours."""
         found = direct_intent(command, params)
         if found is None and command in self._rules.commands:
             found = self._rules.for_command(command, params)
         return found
 
     def _does_no_harm_again(self, command: int, params: tuple[float, ...]) -> bool:
-        """What lets air out is done each time: whether it is a repeat or a new wish can be mistaken."""
+        """Commands that let air out are always carried out: one may be a new request, not a repeat."""
         intent, _ = self._intent(command, params) or (None, "")
         if isinstance(intent, StopCalibration):
             return self._under_way is not None
@@ -113,14 +113,14 @@ class Commands:
         return [acknowledgement(trigger.command, result)]
 
     def progress(self, t: float, share: float) -> list[Message]:
-        """What the sender of a long command is told now and then: how much of it, 0…1, is done."""
+        """The progress (0…1) of a long command, once a second, for its sender."""
         if self._under_way is None or t - self._progress_at < PROGRESS_S:
             return []
         self._progress_at, self._percent = t, int(100 * share)
         return [acknowledgement(self._under_way, mavlink.MAV_RESULT_IN_PROGRESS, self._percent)]
 
     def end(self, result: int) -> list[Message]:
-        """The last answer to the sender of a long command: how it ended (MAV_RESULT)."""
+        """The final answer to a long command (MAV_RESULT)."""
         running, self._under_way = self._under_way, None
         if running is None:
             return []

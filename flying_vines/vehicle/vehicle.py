@@ -1,4 +1,4 @@
-"""One vehicle as the vine sees it: messages in; triggers, notices and our own messages out."""
+"""One vehicle: messages in; triggers, notices and our own messages out."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from flying_vines.vehicle.clock import Mark
 from flying_vines.vehicle.commands import Commands
 from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.parameters import Changed
-from flying_vines.vehicle.mavlink import handled_messages as heard
+from flying_vines.vehicle.mavlink import handled_messages as handled
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution
@@ -27,17 +27,17 @@ from flying_vines.vehicle.triggers import Rules, Trigger
 from flying_vines.vine.intent import Vent
 
 Output = Trigger | Notice | Straightened | Changed | Message
-"""What follows from a message or from time: something to decide, to tell, to take over, or to send."""
+"""What the core gets: requests to decide on, notices, changed parameters and messages to send."""
 
 
 MOST_HELD = 50
-"""Commands that wait until it is clear how old they are: for a third of a second at most."""
+"""Maximum number of commands that wait until their age is known, at most for 0.3 s."""
 
 
 class Vehicle:
-    """Everything on the MAVLink side of one vehicle. Sans-IO; all times are seconds of one clock.
+    """The MAVLink side of one vehicle. Sans-IO; all times are seconds of one clock.
 
-    `mission` is the vehicle's where it is known beforehand, `parameters` are those that were kept.
+    `mission` is the vehicle's mission if it is known beforehand; `parameters` are the saved ones.
     """
 
     def __init__(
@@ -82,10 +82,9 @@ class Vehicle:
         self.pilot.configure(self.config)
 
     def handle(self, t: float, message: Message, vented: bool = True) -> list[Output]:
-        """Take in a message of anyone on the link.
+        """Take in a message of any sender on the link.
 
-        `vented` says that the vine is straight and that nothing moves it: then parameters that steer it may
-        be changed.
+        `vented`: the vine is straight and nothing moves it, so parameters that affect it may be changed.
         """
         kind = message.get_type()
         state = self.state
@@ -93,31 +92,31 @@ class Vehicle:
         if from_autopilot:
             state.clock.frame(t, message.get_seq())
             state.heard(t)
-        if kind not in heard.ALL:
+        if kind not in handled.ALL:
             return self._items(t) if from_autopilot and not self._watch.idle else []
         out: list[Output] = []
         if kind == "HEARTBEAT":
             out.extend(self._on_heartbeat(t, message))
-        elif from_autopilot and kind in heard.STATE and state.handle(t, message):
+        elif from_autopilot and kind in handled.STATE and state.handle(t, message):
             out.extend(self._rebooted(t))
         answers = None
-        if kind == "HEARTBEAT" or kind in heard.QUESTIONS:
+        if kind == "HEARTBEAT" or kind in handled.QUESTIONS:
             answers = self.component.handle(t, message, state, vented)
             out.extend(answers or ())
             from_autopilot = state.is_ours(message)  # it may have been the first
-        if kind in heard.COMMANDS and answers is None and state.found:
+        if kind in handled.COMMANDS and answers is None and state.found:
             self._held.append((state.clock.mark(t), message))
-        if self._held and (kind in heard.CLOCK or kind in heard.COMMANDS):
+        if self._held and (kind in handled.CLOCK or kind in handled.COMMANDS):
             out.extend(self._command_triggers(t))
         if from_autopilot:
             self._streams.handle(t, message)
-            if kind in heard.RADIO:
+            if kind in handled.RADIO:
                 out.extend(self.pilot.handle(t, message, self._autopilot, vented))
         elif kind == "RC_CHANNELS_OVERRIDE":
             self.pilot.override(t, message)
         if out and any(isinstance(output, Trigger) and output.by_person for output in out):
             self._watch.forget(t)
-        if from_autopilot and kind in heard.MISSION:
+        if from_autopilot and kind in handled.MISSION:
             out.extend(self._on_mission(t, message))
         elif from_autopilot and not self._watch.idle:
             out.extend(self._items(t))
@@ -149,7 +148,7 @@ class Vehicle:
         return out
 
     def tick(self, t: float) -> list[Output]:
-        """Let time pass: waiting triggers, and what we ask of the autopilot."""
+        """Let time pass: triggers that are due now, and requests to the autopilot."""
         out: list[Output] = []
         out.extend(self.pilot.tick(t))
         if not self.state.found:
@@ -176,19 +175,19 @@ class Vehicle:
             self.forget_radio()
 
     def forget_radio(self) -> None:
-        """What was heard of the radio no longer holds: the switch waits for a fresh move."""
+        """Forget the state of the radio: the switch waits for a fresh move."""
         self.pilot.forget()
 
     def acknowledge(self, trigger: Trigger, accepted: bool) -> list[Message]:
-        """What is owed to the sender of the command behind a trigger."""
+        """The acknowledgement of the command behind a trigger."""
         return self._commands.acknowledge(trigger, accepted)
 
     def progress(self, t: float, share: float) -> list[Message]:
-        """What the sender of a command that takes long is told while it is under way."""
+        """The progress of a long command, for its sender."""
         return self._commands.progress(t, share)
 
     def end_command(self, done: bool) -> list[Message]:
-        """What the sender of a command that took long is told in the end."""
+        """The final acknowledgement of a long command."""
         return self._commands.end(mavlink.MAV_RESULT_ACCEPTED if done else mavlink.MAV_RESULT_FAILED)
 
     def _rebooted(self, t: float) -> list[Output]:
@@ -203,7 +202,7 @@ class Vehicle:
         ]
 
     def _command_triggers(self, t: float) -> list[Output]:
-        """Of the commands that came, those of which it is clear how old they are."""
+        """The outputs of the waiting commands whose age is known."""
         out: list[Output] = []
         while self._held:
             mark, message = self._held[0]

@@ -1,6 +1,6 @@
-"""The pilot's switch: which of its moves are the pilot's, and what they ask for.
+"""The pilot's switch: which of its moves are made by the pilot, and what they ask for.
 
-A move that straightens the vine counts at once. One that bends it must be the pilot's for sure.
+A move that straightens the vine counts at once. A move that bends it counts only if the pilot made it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from flying_vines.vehicle.radio.switch import Move, MovedUnseen, Switch
 from flying_vines.vehicle.triggers import Rules, Trigger
 
 CONFIRMED_WITHIN_S = 4.0
-"""A move that is still not confirmed this long after it could have been is refused."""
+"""A move that is not confirmed within this time after the earliest possible confirmation is refused."""
 HEALTH_REPORTS_APART_S = 2.0
 """PX4 reports health at most this often (min_reporting_interval): a loss of RC may be reported late."""
 OVERRIDE_SLACK_S = 0.7
@@ -29,7 +29,7 @@ IGNORED_US = (0, 65535)
 
 @dataclass(frozen=True, slots=True)
 class Straightened:
-    """The pilot straightened the vine, and RC was good: clears the faults that were latched at `seen_at`."""
+    """The pilot straightened the vine while RC was good: clears the faults that had latched by `seen_at`."""
 
     seen_at: float
 
@@ -49,11 +49,11 @@ class _Waiting:
 
 
 class Pilot:
-    """What the pilot's switch asks for. Sans-IO; all times are seconds of one clock.
+    """Turns moves of the pilot's switch into requests. Sans-IO; all times are seconds of one clock.
 
-    On PX4 the RC status tells of a loss more than a second late, and of a short one never, while the switch's
-    channel may read anything. So a bend waits until the status was still good when it would have told of a
-    loss at the time of the move.
+    PX4's RC status reports a loss more than a second late, and a short loss never; meanwhile the switch's
+    channel may have any value. So a bend waits until the status would have reported a loss at the time of the
+    move, and is carried out if the status is still good.
     """
 
     def __init__(self, config: Config, rules: Rules) -> None:
@@ -64,7 +64,7 @@ class Pilot:
         self.parameters = RadioParameters()
         self._waiting: _Waiting | None = None
         self._stood: set[int] = set()
-        """Where the switch has stood since its last confirmed move. Coming back there is no move."""
+        """The positions since the last confirmed move. A return to one of them is not a move."""
         self._hides_loss = ""
         self._by_station = False
         self._override_ends_at = -math.inf
@@ -84,7 +84,7 @@ class Pilot:
         self._config = config
 
     def forget(self) -> None:
-        """What was heard of the radio no longer holds: the switch waits for a fresh move."""
+        """Forget the state of the radio: the switch waits for a fresh move."""
         self.radio.forget()
         self._lose()
 
@@ -94,16 +94,16 @@ class Pilot:
         self.parameters.forget()
 
     def overtaken(self) -> None:
-        """A move that waits no longer counts, because something else happened after it."""
+        """Drop a waiting move, because something else has happened after it."""
         if self._waiting is not None:
             self._stood.add(self._waiting.move.position)
         self._waiting = None
 
     def others_asked(self, straightened: bool) -> None:
-        """Somebody else than the pilot moved the vine.
+        """Somebody other than the pilot moved the vine.
 
-        An override that ends looks as if the switch came back to where it stood. After somebody else has
-        straightened the vine, that alone does not bend it again.
+        The end of an RC override looks like a return of the switch to its position. After somebody else has
+        straightened the vine, that alone must not bend it again.
         """
         self.overtaken()
         position = self.switch.position
@@ -117,7 +117,7 @@ class Pilot:
     ) -> list[PilotOutput]:
         """Take in a message of our autopilot.
 
-        `vented` says that the vine is straight and that nothing moves it.
+        `vented`: the vine is straight and nothing moves it.
         """
         self.radio.autopilot = autopilot
         kind = message.get_type()
@@ -129,7 +129,7 @@ class Pilot:
         return [*self._tell_source(t), *self._confirm(t)] if kind == "SYS_STATUS" else []
 
     def override(self, t: float, message: Message) -> None:
-        """A ground station's RC_CHANNELS_OVERRIDE, where the autopilot passes it on to us."""
+        """A ground station's RC_CHANNELS_OVERRIDE, if the autopilot forwards it to us."""
         pulse_us = getattr(message, f"chan{self.channel}_raw")
         released = pulse_us == RELEASED_US or (pulse_us == 0 and self.channel <= 8)
         if released:
@@ -155,7 +155,7 @@ class Pilot:
 
     @property
     def hides_loss(self) -> str:
-        """What hides a lost transmitter: a parameter or the receiver; empty where nothing is known to."""
+        """The parameter or receiver that hides a lost transmitter; empty if none is known."""
         if self._config.switch.receiver_failsafe == "hidden":
             return "switch.receiver_failsafe"
         if self.radio.autopilot.needs_rc_status and not self.radio.by_receiver:
@@ -239,7 +239,7 @@ class Pilot:
         return self._asks(t, move, by_person=not (must_wait or move.jumped))
 
     def _for_sure(self, t: float, move: Move) -> list[PilotOutput]:
-        """Act on a bending move that is confirmed, or that needs no confirmation."""
+        """Act on a bending move that is confirmed or needs no confirmation."""
         was_there = move.position in self._stood
         self._stood = {move.position}
         if was_there:
@@ -247,7 +247,7 @@ class Pilot:
         return self._asks(t, move, by_person=True)
 
     def _not_the_pilots(self, t: float, move: Move) -> str:
-        """What else than the pilot may have made this move; empty if nothing."""
+        """What other than the pilot may have made this move; empty if nothing."""
         if move.jumped:
             return "moved with other channels"
         lasts_s = self._override_lasts_s
@@ -273,7 +273,7 @@ class Pilot:
 
     @property
     def _confirmed_after_s(self) -> float:
-        """From the time that a move was debounced."""
+        """Measured from the time at which the move was debounced."""
         return self._loss_shows_within_s - self._config.switch.debounce_s
 
     def _confirm(self, t: float) -> list[PilotOutput]:

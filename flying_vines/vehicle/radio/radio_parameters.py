@@ -1,4 +1,4 @@
-"""The autopilot's parameters that say whether a lost transmitter shows: read from it, and read again."""
+"""Reads the parameters of the autopilot that say whether a lost transmitter shows."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from flying_vines.vehicle.mavlink.codec import Message
 ASK_SPACING_S = 0.2
 ASK_AGAIN_S = 2.0
 MOST_ATTEMPTS = 5
-"""An autopilot that has no such parameter does not answer."""
+"""An autopilot without the parameter does not answer."""
 
 
 class RadioParameters:
-    """Asks for the autopilot's `rc_parameters`; what follows from their values, the autopilot says."""
+    """The values of the autopilot's `rc_parameters`; `Autopilot.hides_rc_loss` interprets them."""
 
     def __init__(self) -> None:
         self.values: dict[str, float] = {}
@@ -25,7 +25,7 @@ class RadioParameters:
         self._round_at = -math.inf
 
     def forget(self) -> None:
-        """The autopilot is another one, or has booted again."""
+        """Forget the values: the autopilot has booted again."""
         self.values = {}
         self.refresh()
 

@@ -1,7 +1,7 @@
-"""Whether the radio link to the pilot can be believed.
+"""Whether the radio link to the pilot is good.
 
-An autopilot whose RC is lost goes on sending RC_CHANNELS, with the last values or with those that the
-receiver makes up. So several signs are weighed, and one that says "lost" is enough.
+After a loss of RC an autopilot goes on sending RC_CHANNELS, with the last values or the receiver's preset. So
+several signs are checked, and one that says "lost" is enough.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ LOWEST_US, HIGHEST_US = 800, 2200
 CHANNELS = 18
 _PULSES_US = attrgetter(*(f"chan{number}_raw" for number in range(1, CHANNELS + 1)))
 TEXT_OUTLIVED_BY_HEALTH_S = 1.5
-"""Good health that is reported this long after a "Radio Failsafe" means that its "Cleared" was lost."""
+"""If good health is reported this long after "Radio Failsafe", the text "Cleared" was lost."""
 
 JUMP_US = 150
 JUMPED_WITH_IT = 2
-"""A stick does not move this far within one period of RC_CHANNELS; a receiver's preset does."""
+"""A receiver's preset moves a channel this far within one period of RC_CHANNELS; a stick does not."""
 
 OVERRIDE_RSSI = 100
 """What PX4 gives as rssi for a ground station's RC_CHANNELS_OVERRIDE."""
 NO_SIGNAL, NO_RSSI = 0, 255
 RSSI_WARNS_FOR_S = 3.0
-"""A missing rssi counts as a loss for this long. By then PX4's RC status is up to date."""
+"""A missing rssi counts as a loss for this long. After that, PX4's RC status is up to date."""
 
 
 class RadioLink:
-    """Weighs RC_CHANNELS, SYS_STATUS and status texts; `switch_us` is the switch's latest pulse width.
+    """Checks RC_CHANNELS, SYS_STATUS and status texts; `switch_us` is the switch's latest pulse width.
 
-    `autopilot` is the one that sends all this, as far as it is known.
+    `autopilot` is the sender of these messages, if it is known.
 
     PX4's RC status (present, enabled, health) is (1, 1, 1) while a receiver is good, (0, 1, 0) after a loss.
-    It is (0, 1, 0) all the time where RC comes from a ground station: then it says nothing, and RC_CHANNELS
-    stops with the ground station.
+    If RC comes from a ground station it is always (0, 1, 0) and says nothing; then RC_CHANNELS stops when the
+    ground station does.
     """
 
     def __init__(self, switch: Switch, silent_after_s: float) -> None:
@@ -54,14 +54,14 @@ class RadioLink:
         self.forget()
 
     def configure(self, switch: Switch, silent_after_s: float) -> None:
-        """Look at this switch's channel from the next message on."""
+        """Use this switch's channel from the next message on."""
         self._channel_number = switch.channel
         self._throttle_channel = switch.throttle_channel
         self._throttle_failsafe_us = switch.throttle_failsafe_us
         self._silent_after_s = silent_after_s
 
     def forget(self) -> None:
-        """The autopilot rebooted or vanished: nothing that was heard holds any more."""
+        """Forget everything: the autopilot rebooted or vanished."""
         self._heard_at: float | None = None
         self._interrupted = False
         self._channels_us: tuple[int, ...] = ()
@@ -78,12 +78,12 @@ class RadioLink:
 
     @property
     def by_receiver(self) -> bool:
-        """Whether the autopilot's RC status has shown a good receiver since it booted."""
+        """Whether the RC status has shown a good receiver since the autopilot booted."""
         return self._status_told_good
 
     @property
     def by_station(self) -> bool:
-        """Whether RC comes from a ground station, which the RC status of PX4 does not watch."""
+        """Whether RC comes from a ground station, which PX4's RC status does not cover."""
         no_receiver = self.autopilot.needs_rc_status and not self._status_told_good
         return no_receiver and self._heard_at is not None and self._rssi == OVERRIDE_RSSI
 
@@ -113,7 +113,7 @@ class RadioLink:
         return interrupted
 
     def problem(self, t: float) -> str | None:
-        """Why the switch cannot be believed at time `t`; None when it can."""
+        """Why the switch cannot be trusted at time `t`; None if it can."""
         if self._heard_at is None:
             return "no RC_CHANNELS yet"
         if t - self._heard_at > self._silent_after_s:
@@ -136,7 +136,7 @@ class RadioLink:
         return None
 
     def _take_channels(self, t: float, message: Message) -> None:
-        # Nobody may have looked while our process stood still: the gap itself is the loss.
+        # `problem` is not called while our process stands still: the gap itself counts as a loss.
         if self._heard_at is not None and t - self._heard_at > self._silent_after_s:
             self._interrupted = True
         channels_us: tuple[int, ...] = _PULSES_US(message)
@@ -158,7 +158,7 @@ class RadioLink:
         return jumped >= JUMPED_WITH_IT
 
     def _take_rssi(self, t: float, rssi: int) -> None:
-        """A receiver that knows its signal's strength tells of a loss sooner than the RC status, or alone."""
+        """A receiver with rssi shows a loss sooner than the RC status, or is the only one to show it."""
         if rssi not in (NO_SIGNAL, NO_RSSI):
             self._rssi_known = self._status_told_good
             self._rssi_lost_at = None
@@ -192,7 +192,7 @@ class RadioLink:
             return
         if not self._status_told_good:
             self._status_told_good = True
-            # What came before was from no receiver, or from one in failsafe.
+            # Earlier values came from no receiver, or from one in failsafe.
             self._interrupted |= self.autopilot.needs_rc_status
         said_at = self._failsafe_text_at
         if said_at is not None and t - said_at > TEXT_OUTLIVED_BY_HEALTH_S:
