@@ -1,7 +1,6 @@
-"""A frame's payload as a message object of the dialect: what pymavlink's own decoding gives, but cheaper.
+"""Frame payloads to message objects of the dialect: the same result as pymavlink's decoding, but faster.
 
-pymavlink works out for each frame what is known of its type beforehand: which fields are arrays, which are
-text, in which order they are handed over.
+Arrays, texts and the order of the fields are worked out once for each message type, not for each frame.
 """
 
 from __future__ import annotations
