@@ -349,14 +349,14 @@ def test_all_seven_numbers_count(param: int) -> None:
     )
     numbers = [12.0, *(6 * [0.0])]
     commands = Commands(Rules(rules), US)
-    (other,) = commands.handle(1.0, command(ACTUATOR, numbers), 1, False, MissionWatch(), True)
+    (other,) = commands.handle(1.0, command(ACTUATOR, numbers), 1, False, MissionWatch(MissionBook()), True)
     numbers[param] = 5.0
-    (trigger,) = commands.handle(2.0, command(ACTUATOR, numbers), 1, False, MissionWatch(), True)
+    (trigger,) = commands.handle(2.0, command(ACTUATOR, numbers), 1, False, MissionWatch(MissionBook()), True)
     assert isinstance(other, Trigger) and isinstance(trigger, Trigger)
     assert (other.intent, trigger.intent) == (None, BendTo(12.0))
     integers = (ACTUATOR, 0, 0, *numbers[:4], *(int(number) for number in numbers[4:6]), numbers[6])
     message = sent(mavlink.MAVLink_command_int_message(1, US, 0, *integers), (254, 190))
-    (whole,) = commands.handle(3.0, message, 1, False, MissionWatch(), True)
+    (whole,) = commands.handle(3.0, message, 1, False, MissionWatch(MissionBook()), True)
     assert isinstance(whole, Trigger) and whole.intent == BendTo(12.0)
 
 

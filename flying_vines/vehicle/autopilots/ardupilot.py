@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Mapping
 from typing import ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.autopilots.ardupilot_mission import ArduPilotWatch
-from flying_vines.vehicle.autopilots.autopilot import LOSS_SHOWN_WITHIN_S, Autopilot, MissionWatch
-from flying_vines.vehicle.clock import AutopilotClock
-from flying_vines.vehicle.mission.book import MissionBook
+from flying_vines.vehicle.autopilots.autopilot import LOSS_SHOWN_WITHIN_S, Autopilot
 from flying_vines.vehicle.mission.item import NAV_SCRIPT_TIME, MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME
 from flying_vines.vehicle.mission.storage import (
@@ -49,6 +47,7 @@ class ArduPilot(Autopilot):
     mav_autopilot = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
     simulator_home = ARDUPILOT_HOME
     rc_parameters = ("FS_THR_ENABLE", "RC_FS_TIMEOUT", "RC_OPTIONS", "RC_OVERRIDE_TIME")
+    mission_watch = ArduPilotWatch
     begins_with_home = True
     carriers = ("script_message", "winch", "gripper")
     gives_items_in_any_order = True
@@ -86,11 +85,6 @@ class ArduPilot(Autopilot):
             f"set SRn_{group} = {rate_Hz}, n counting the MAVLink ports from USB = 0 "
             f"(from 4.7 on MAVn_{group}, from USB = 1), and a baud rate that carries all streams"
         )
-
-    def mission_watch(
-        self, book: MissionBook, commands: Container[int], clock: AutopilotClock
-    ) -> MissionWatch:
-        return ArduPilotWatch(book, commands, clock)
 
     def store(self, item: MissionItem) -> MissionItem:
         if item.command not in _DO and item.command not in _NAV:

@@ -109,11 +109,9 @@ class ArduPilotWatch(MissionWatch):
     publishes_items = False
 
     def __init__(
-        self, book: MissionBook, commands: Container[int], clock: AutopilotClock | None = None
+        self, book: MissionBook, commands: Container[int] = (), clock: AutopilotClock | None = None
     ) -> None:
-        self._book = book
-        self._commands = commands
-        self._clock = clock or AutopilotClock()
+        super().__init__(book, commands, clock)
         self.restarted()
 
     def restarted(self) -> None:

@@ -29,6 +29,14 @@ class MissionWatch:
     """Items are sent as commands to no component in particular. Where they are told in another way, a command
     to no component (ArduPilot's to a camera) is not for us."""
 
+    def __init__(
+        self, book: MissionBook, commands: Container[int] = (), clock: AutopilotClock | None = None
+    ) -> None:
+        """`commands` are those of items for the vine."""
+        self._book = book
+        self._commands = commands
+        self._clock = clock or AutopilotClock()
+
     def handle(self, t: float, message: Message) -> None:
         """Take in a message of the autopilot, which the book and the clock have seen."""
 
@@ -74,6 +82,8 @@ class Autopilot:
     """RC counts only after SYS_STATUS has shown a good receiver, or when rssi says that it comes from a
     ground station. RC_CHANNELS alone may be what a receiver made up."""
 
+    mission_watch: type[MissionWatch] = MissionWatch
+    """Detects which mission items ran."""
     begins_with_home = False
     """Item 0 of a mission is the home position."""
     carriers: tuple[str, ...] = ()
@@ -114,12 +124,6 @@ class Autopilot:
     def how_to_set_stream(self, message: str, rate_Hz: int) -> str:
         """What to set on it where a message does not come although it is asked for."""
         return f"have it send {message} {rate_Hz} times a second"
-
-    def mission_watch(
-        self, book: MissionBook, commands: Container[int], clock: AutopilotClock
-    ) -> MissionWatch:
-        """How it tells that an item ran whose command is one of `commands`."""
-        return MissionWatch()
 
     def store(self, item: MissionItem) -> MissionItem:
         """The item as the autopilot would give it back; MissionRefused if it would not take it."""

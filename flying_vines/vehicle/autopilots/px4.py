@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Container, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.autopilots.autopilot import Autopilot, MissionWatch
+from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.autopilots.px4_mission import Px4Watch
-from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.mavlink.codec import Message
-from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import PX4_HOME
 from flying_vines.vehicle.mission.storage import (
@@ -50,6 +48,7 @@ class Px4(Autopilot):
     simulator_home = PX4_HOME
     rc_parameters = ("COM_RC_LOSS_T", "COM_RC_IN_MODE")
     needs_rc_status = True
+    mission_watch = Px4Watch
     carriers = ("actuator", "winch", "gripper")
     carrier_match = ", param7 = 1"
     own_rates_Hz: ClassVar = {"MISSION_CURRENT": 1.0}
@@ -80,11 +79,6 @@ class Px4(Autopilot):
             f"put into etc/extras.txt on its card: mavlink stream -d DEVICE -s {message} -r {rate_Hz}; "
             "and set a baud rate that carries all streams"
         )
-
-    def mission_watch(
-        self, book: MissionBook, commands: Container[int], clock: AutopilotClock
-    ) -> MissionWatch:
-        return Px4Watch(book, commands, clock)
 
     def store(self, item: MissionItem) -> MissionItem:
         if item.frame == MISSION_FRAME:

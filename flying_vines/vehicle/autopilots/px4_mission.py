@@ -68,9 +68,7 @@ class Px4Watch(MissionWatch):
     def __init__(
         self, book: MissionBook, commands: Container[int] = (), clock: AutopilotClock | None = None
     ) -> None:
-        self._book = book
-        self._commands = commands
-        self._clock = clock or AutopilotClock()
+        super().__init__(book, commands, clock)
         self._current = 0
         self._past: deque[_Ran] = deque(maxlen=MOST_PAST)
         self._forgotten_at = -math.inf
