@@ -47,6 +47,7 @@ CORE_TESTS = (
 )
 RADIO_TESTS = (
     "tests/vehicle/test_rc.py",
+    "tests/vehicle/test_autopilots.py",
     "tests/vehicle/test_radio_parameters.py",
     "tests/vehicle/test_vehicle.py",
     "tests/vehicle/test_switch.py",
@@ -77,7 +78,8 @@ MODULES = (
         ),
     ),
     Module("flying_vines/vehicle/radio/pilot.py", RADIO_TESTS),
-    Module("flying_vines/vehicle/radio/radio_parameters.py", RADIO_TESTS, ("hides_loss",)),
+    Module("flying_vines/vehicle/autopilots/ardupilot.py", RADIO_TESTS, ("hides_rc_loss",)),
+    Module("flying_vines/vehicle/autopilots/px4.py", RADIO_TESTS, ("hides_rc_loss",)),
     Module(
         "flying_vines/vehicle/commands.py",
         ("tests/vehicle/test_commands.py", "tests/vehicle/test_vehicle.py", *CORE_TESTS),

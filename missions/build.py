@@ -8,11 +8,12 @@ from dataclasses import replace
 from flying_vines.config.config import Config
 from flying_vines.config.toml_text import Key, dotted, place
 from flying_vines.core.motion_planner import MotionPlanner
+from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, Kind
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
-from missions.carriers import NAMES, carrier, suggestion
+from missions.carriers import carrier, suggestion
 from missions.mission import Action, Mission, MissionError, Waypoint
 
 WAYPOINT, RETURN, LAND, TAKEOFF, DELAY, SPEED = 16, 20, 21, 22, 93, 178
@@ -34,9 +35,10 @@ def build(
     MissionError, of one line for each, names every action that the vine or this autopilot cannot do.
     """
     builder = _Builder(config, kind, source, text)
-    yaw = 0.0 if kind == "ardupilot" else math.nan  # not a number: as the vehicle likes; ArduPilot refuses it
+    with_home = AUTOPILOTS[kind].begins_with_home
+    yaw = 0.0 if with_home else math.nan  # not a number: as the vehicle likes; ArduPilot refuses it
     latitude, longitude = home.latitude_deg, home.longitude_deg
-    if kind == "ardupilot":
+    if with_home:
         builder.add(WAYPOINT, (0, 0, 0, 0, latitude, longitude, home.altitude_amsl_m), GLOBAL_FRAME)
     height = mission.takeoff.altitude_m
     builder.add(TAKEOFF, (0, 0, 0, yaw, latitude, longitude, height), ABOVE_HOME_FRAME)
@@ -113,7 +115,7 @@ class _Builder:
         if item is None:
             wanted = f"profile '{intent.name}'" if isinstance(intent, StartProfile) else str(intent)
             add = suggestion(intent, self._config, self._kind)
-            name = NAMES[self._kind]
+            name = AUTOPILOTS[self._kind].title
             self._complain(key, f"no item that {name} takes means {wanted}; add to the configuration: {add}")
         return item
 

@@ -12,23 +12,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from flying_vines.config.config import CARRIERS, Config, Item
+from flying_vines.vehicle.autopilots import AUTOPILOTS, store
 from flying_vines.vehicle.mission.item import MissionItem, has_place, is_nav
-from flying_vines.vehicle.mission.storage import MISSION_FRAME, Kind, MissionRefused, Params, store
+from flying_vines.vehicle.mission.storage import MISSION_FRAME, Kind, MissionRefused, Params
 from flying_vines.vehicle.triggers import NAME_OF_COMMAND, Rules
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
 
 ANGLE_KEPT_DEG = 0.01
 """What becomes of an angle on its way through 32-bit floats and a scale."""
-
-PREFERRED = {
-    "ardupilot": ("script_message", "winch", "gripper"),
-    "px4": ("actuator", "winch", "gripper"),
-}
-"""In this order, and before all others: what moves nothing but the vine, where possible."""
-
-NAMES = {"ardupilot": "ArduPilot", "px4": "PX4"}
-
-_SPEAKS_FIRST = {"ardupilot": ("script_message", ""), "px4": ("actuator", ", param7 = 1")}
 
 
 def carrier(intent: Intent, config: Config, kind: Kind) -> MissionItem | None:
@@ -60,11 +51,12 @@ def over_the_wire(item: MissionItem) -> MissionItem:
 
 def suggestion(intent: Intent, config: Config, kind: Kind) -> str:
     """The `[[items]]` entry that would carry `intent`, on one line."""
-    name, more = _SPEAKS_FIRST[kind]
+    autopilot = AUTOPILOTS[kind]
+    name = autopilot.carriers[0]
     used = {rule.match.get("param1") for rule in config.items if CARRIERS[name] in rule.command_ids}
     number = next(n for n in range(1000) if n not in used)
     does = f'profile = "{intent.name}"' if isinstance(intent, StartProfile) else 'bend = "param2"'
-    return f'[[items]] command = "{name}" match = {{ param1 = {number}{more} }} {does}'
+    return f'[[items]] command = "{name}" match = {{ param1 = {number}{autopilot.carrier_match} }} {does}'
 
 
 def described(item: MissionItem) -> str:
@@ -79,7 +71,7 @@ def described(item: MissionItem) -> str:
 def _by_preference(config: Config, kind: Kind) -> Iterator[tuple[int, Item]]:
     """Commands with a rule each; of an actuator first those that move no output of the autopilot's."""
     pairs = [(command, rule) for rule in config.items for command in rule.command_ids if not is_nav(command)]
-    ranks = {CARRIERS[name]: rank for rank, name in enumerate(PREFERRED[kind])}
+    ranks = {CARRIERS[name]: rank for rank, name in enumerate(AUTOPILOTS[kind].carriers)}
 
     def rank(pair: tuple[int, Item]) -> tuple[int, bool]:
         command, rule = pair

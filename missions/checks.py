@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Literal
 
 from flying_vines.config.config import Config
+from flying_vines.vehicle.autopilots import AUTOPILOTS, store
 from flying_vines.vehicle.mission.execution import same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.jumps import FOR_EVER, JUMP
@@ -24,8 +25,6 @@ from flying_vines.vehicle.mission.storage import (
     UNSUPPORTED_FRAME,
     Kind,
     MissionRefused,
-    is_nav_item,
-    store,
 )
 from flying_vines.vehicle.triggers import Rules
 from flying_vines.vine.intent import BendTo
@@ -41,7 +40,7 @@ from missions.build import (
     TAKEOFF,
     WAYPOINT,
 )
-from missions.carriers import NAMES, carrier, described, over_the_wire, suggestion
+from missions.carriers import carrier, described, over_the_wire, suggestion
 from missions.files import on_earth
 from missions.timeline import ENDS, LONGEST_S, MOST_STEPS, Timeline
 
@@ -92,7 +91,7 @@ class Case:
     @property
     def name(self) -> str:
         """The autopilot's."""
-        return NAMES[self.kind]
+        return AUTOPILOTS[self.kind].title
 
     def is_vine(self, item: MissionItem) -> bool:
         return item.command in self.rules.commands
@@ -196,7 +195,7 @@ def _capacity(case: Case) -> Iterator[Finding]:
 
 
 def _burst(case: Case) -> Iterator[Finding]:
-    for flown, group in itertools.groupby(case.items, lambda item: is_nav_item("px4", item)):
+    for flown, group in itertools.groupby(case.items, AUTOPILOTS["px4"].waits_for):
         burst = [] if flown or case.kind != "px4" else list(group)
         for item in filter(case.is_vine, burst[:-BURST]):
             row = f"one of {len(burst)} items in a row that are not flown"

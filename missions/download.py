@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from missions.carriers import NAMES
+from flying_vines.vehicle.autopilots import AUTOPILOTS
 from missions.link import vehicle
 from missions.mission import MissionError
 from missions.plan_file import write_plan
@@ -25,7 +25,7 @@ async def download(path: Path, link: str, console: Console) -> int:
     async with vehicle(link) as peer:
         items = await peer.download()
     if not items:
-        raise MissionError(f"{NAMES[peer.kind]} holds no mission")
+        raise MissionError(f"{AUTOPILOTS[peer.kind].title} holds no mission")
     try:
         if path.suffix == ".plan":
             write_plan(path, items, peer.kind)
@@ -33,5 +33,5 @@ async def download(path: Path, link: str, console: Console) -> int:
             write_waypoints(path, items)
     except OSError as error:
         raise MissionError(f"{path}: cannot be written: {error.strerror}") from None
-    console.print(f"Written  {path}: {len(items)} items of {NAMES[peer.kind]}", soft_wrap=True)
+    console.print(f"Written  {path}: {len(items)} items of {AUTOPILOTS[peer.kind].title}", soft_wrap=True)
     return 0

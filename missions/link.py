@@ -14,6 +14,7 @@ from typing import Any
 
 from firmware_link.find import BoardNotFoundError, UsbBoard
 from flying_vines.config.address import DEFAULT_BAUD, SerialAddress, parse_address
+from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.storage import Kind
 
@@ -119,7 +120,8 @@ async def vehicle(link: str, within_s: float = FOUND_WITHIN_S) -> AsyncIterator[
             found.close()
 
 
-_KINDS: dict[str, Kind] = {"ARDUPILOT": "ardupilot", "PX4": "px4"}
+_KINDS = {kind.upper(): kind for kind in AUTOPILOTS}
+"""What mavsdk calls them."""
 
 
 async def _kind(system: Any) -> Kind | None:

@@ -19,7 +19,8 @@ from flying_vines.config.toml_text import (
     place,
     read_text,
 )
-from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME, PX4_HOME, Home
+from flying_vines.vehicle.autopilots import AUTOPILOTS
+from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import Kind
 
 Height = Annotated[float, Meta(gt=0, le=1000)]
@@ -27,7 +28,6 @@ Latitude = Annotated[float, Meta(ge=-90, le=90)]
 Longitude = Annotated[float, Meta(ge=-180, le=180)]
 At = tuple[Latitude, Longitude]
 
-SIMULATORS = {"ardupilot": ARDUPILOT_HOME, "px4": PX4_HOME}
 """Where each autopilot's own simulator starts unless it is told otherwise."""
 
 
@@ -136,11 +136,11 @@ def planned_home(mission: Mission, kind: Kind, source: str) -> Home:
             'home = "simulator" for where the autopilot\'s own simulator starts'
         )
     if mission.home == "simulator":
-        return SIMULATORS[kind]
+        return AUTOPILOTS[kind].simulator_home
     return Home(*mission.home.at, mission.home.altitude_m)
 
 
-_CHOICES = {"end": ("land", "return"), "autopilot": ("ardupilot", "px4"), "home": ("simulator",)}
+_CHOICES = {"end": ("land", "return"), "autopilot": tuple(AUTOPILOTS), "home": ("simulator",)}
 _TABLES: dict[str, type[_Table]] = {
     "home": PlannedHome,
     "takeoff": Takeoff,

@@ -18,12 +18,12 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.config.toml_text import one_line, read_text
+from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.reference_vehicle import CRUISE_M_S, Home
 from flying_vines.vehicle.mission.storage import Kind
 
-_FIRMWARE = {"ardupilot": 3, "px4": 12}
-_KINDS: dict[int, Kind] = {3: "ardupilot", 12: "px4"}
+_KINDS = {autopilot.mav_autopilot: kind for kind, autopilot in AUTOPILOTS.items()}
 _MULTIROTOR = 2
 _CRUISE_SPEED_M_S = 15
 """Of a fixed wing: every plan has one."""
@@ -91,12 +91,13 @@ def read_plan(path: Path, kind: Kind | None = None) -> Plan:
     home = Home(latitude, longitude, altitude_m or 0.0)
     named = _KINDS.get(mission.firmwareType)
     simple = list(_simple_items(path, mission.items))
-    first = int((kind or named) == "ardupilot")
+    autopilot = kind or named
+    first = int(autopilot is not None and AUTOPILOTS[autopilot].begins_with_home)
     numbers = {item.doJumpId: first + index for index, item in enumerate(simple) if item.doJumpId is not None}
     items = [_home_item(home)] if first else []
     for item in simple:
         items.append(_item(path, item, len(items), numbers))
-    return Plan(tuple(items), kind or named, home)
+    return Plan(tuple(items), autopilot, home)
 
 
 def write_plan(path: Path, items: Sequence[MissionItem], kind: Kind, home: Home | None = None) -> None:
@@ -112,7 +113,7 @@ def write_plan(path: Path, items: Sequence[MissionItem], kind: Kind, home: Home 
 def plan_text(items: Sequence[MissionItem], kind: Kind, home: Home | None = None) -> str:
     """What `write_plan` writes."""
     flown = list(items)
-    if kind == "ardupilot" and flown:
+    if AUTOPILOTS[kind].begins_with_home and flown:
         first = flown.pop(0)
         home = home or Home(*first.params[4:])
     home = home or _first_place(flown)
@@ -123,7 +124,7 @@ def plan_text(items: Sequence[MissionItem], kind: Kind, home: Home | None = None
         "groundStation": "QGroundControl",
         "mission": {
             "cruiseSpeed": _CRUISE_SPEED_M_S,
-            "firmwareType": _FIRMWARE[kind],
+            "firmwareType": AUTOPILOTS[kind].mav_autopilot,
             "globalPlanAltitudeMode": _ABOVE_HOME,
             "hoverSpeed": _number(CRUISE_M_S),
             "items": [_json(item, number, kind) for number, item in enumerate(flown, start=1)],
@@ -143,7 +144,7 @@ def plan_text(items: Sequence[MissionItem], kind: Kind, home: Home | None = None
 
 def _json(item: MissionItem, number: int, kind: Kind) -> dict[str, object]:
     params = list(item.params)
-    if item.command == _JUMP and kind == "px4":
+    if item.command == _JUMP and not AUTOPILOTS[kind].begins_with_home:
         params[0] += 1.0  # seq counts from 0 there, doJumpId from 1
     entry: dict[str, object] = {
         "autoContinue": item.autocontinue,

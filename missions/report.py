@@ -10,12 +10,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import Kind
 from missions.budget import Bend, Budget, Range
 from missions.build import DELAY, SPEED, WAYPOINT
-from missions.carriers import NAMES, described
+from missions.carriers import described
 from missions.checks import Finding, name_of
 from missions.timeline import Step, Timeline
 from missions.trial import Trial
@@ -69,7 +70,7 @@ class _Row(NamedTuple):
 
 def show(report: Report, console: Console) -> None:
     """Print the mission, its budget, what came of a trial, and warnings."""
-    what = f"{NAMES[report.kind]}, {len(report.items)} items, {report.timeline.length_s:.0f} s"
+    what = f"{AUTOPILOTS[report.kind].title}, {len(report.items)} items, {report.timeline.length_s:.0f} s"
     home = f"home {report.home.latitude_deg:.7f}, {report.home.longitude_deg:.7f}"
     name = report.name or "Mission"
     console.print(Text(name, style="bold").append(f": {what}, {home}", style="not bold"))

@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import NAV_SCRIPT_TIME, MissionItem, has_place
 from flying_vines.vehicle.mission.jumps import FOR_EVER, JUMP, Jumps
 from flying_vines.vehicle.mission.reference_vehicle import (
@@ -20,7 +21,7 @@ from flying_vines.vehicle.mission.reference_vehicle import (
     VERTICAL_M_S,
     Home,
 )
-from flying_vines.vehicle.mission.storage import Kind, is_nav_item
+from flying_vines.vehicle.mission.storage import Kind
 from missions.build import DELAY, GLOBAL_FRAME, LAND, RETURN, SPEED, TAKEOFF, WAYPOINT
 
 MOST_STEPS = 1000
@@ -79,6 +80,7 @@ class _Flight:
     def __init__(self, items: Sequence[MissionItem], kind: Kind, home: Home) -> None:
         self._items = items
         self._kind: Kind = kind
+        self._autopilot = AUTOPILOTS[kind]
         self._home = home
         self._steps: list[Step] = []
         self._t_s = self._north_m = self._east_m = self._height_m = 0.0
@@ -87,7 +89,7 @@ class _Flight:
         self._turns = 0
 
     def fly(self) -> Timeline:
-        seq = first = 1 if self._kind == "ardupilot" else 0
+        seq = first = int(self._autopilot.begins_with_home)
         jumps = Jumps()
         trailing = 0
         ended = False
@@ -98,7 +100,7 @@ class _Flight:
                 seq = seq + 1 if item.params[1] == FOR_EVER else jumps.take(item)
                 self._turns += 1
                 continue
-            if is_nav_item(self._kind, item):
+            if self._autopilot.waits_for(item):
                 self._fly(item)
                 trailing = 0
                 ended = item.command in (*ENDS, _LOITER_UNLIMITED)

@@ -10,9 +10,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from flying_vines.vehicle.autopilots import AUTOPILOTS, store
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import Kind, MissionRefused, store
-from missions.carriers import NAMES, described, over_the_wire
+from flying_vines.vehicle.mission.storage import Kind, MissionRefused
+from missions.carriers import described, over_the_wire
 from missions.checks import name_of
 from missions.files import load_items
 from missions.link import LinkError, UploadRefused, Vehicle, vehicle
@@ -47,10 +48,10 @@ async def upload(path: Path, link: str, console: Console) -> int:
     """
     found = load_items(path, None if path.suffix == ".plan" else "ardupilot")
     async with vehicle(link) as peer:
-        name = NAMES[peer.kind]
+        name = AUTOPILOTS[peer.kind].title
         if path.suffix == ".plan" and found.kind != peer.kind:
             raise MissionError(
-                f"{path}: is for {NAMES[found.kind]}, the vehicle is {name}: build it for {name}"
+                f"{path}: is for {AUTOPILOTS[found.kind].title}, the vehicle is {name}: build it for {name}"
             )
         refuse_wrong_home(path, found.items, peer.kind)
         console.print(f"Uploading {len(found.items)} items to {name}, system {peer.system_id}")
@@ -83,7 +84,7 @@ def refuse_wrong_home(path: Path, items: Sequence[MissionItem], kind: Kind) -> N
         what = "begins with a home, which PX4 would fly to"
     else:
         return
-    raise MissionError(f"{path}: {what}: build it for {NAMES[kind]}")
+    raise MissionError(f"{path}: {what}: build it for {AUTOPILOTS[kind].title}")
 
 
 async def _send(peer: Vehicle, items: Sequence[MissionItem], console: Console | None) -> None:
@@ -116,7 +117,7 @@ async def _left_behind(peer: Vehicle, sent: Sequence[MissionItem], refused_seq: 
 
 
 def _is_kept(kind: Kind, sent: MissionItem, held: MissionItem) -> bool:
-    if kind == "ardupilot" and sent.seq == _HOME:
+    if AUTOPILOTS[kind].begins_with_home and sent.seq == _HOME:
         return True
     try:
         return _same(kind, store(kind, over_the_wire(sent)), held)
@@ -131,13 +132,14 @@ def compare(kind: Kind, sent: Sequence[MissionItem], held: Sequence[MissionItem]
     if len(held) != len(sent):
         unexpected.append(f"The vehicle holds {len(held)} items, {len(sent)} were sent.")
     for before, after in zip(sent, held, strict=False):
-        if kind == "ardupilot" and before.seq == _HOME:
+        if AUTOPILOTS[kind].begins_with_home and before.seq == _HOME:
             continue
         try:
             expected = store(kind, over_the_wire(before))
         except MissionRefused:
+            name = AUTOPILOTS[kind].title
             unexpected.append(
-                f"item {before.seq} ({name_of(before)}): taken, which {NAMES[kind]} was not known to do."
+                f"item {before.seq} ({name_of(before)}): taken, which {name} was not known to do."
             )
             continue
         if not _same(kind, expected, after):

@@ -13,8 +13,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem
-from missions.carriers import NAMES
 from missions.checks import name_of
 from missions.link import Heard, LinkError, vehicle
 
@@ -173,14 +173,13 @@ async def watch(link: str, console: Console, live: bool) -> int:
     async with vehicle(link) as peer:
         ears = peer.listen(*_NAMES)
         items = await peer.download()
+        name = AUTOPILOTS[peer.kind].title
         if not items:
-            raise LinkError(f"{NAMES[peer.kind]} holds no mission to watch")
+            raise LinkError(f"{name} holds no mission to watch")
         view = MissionView(items, heard_at=time.monotonic())
         began = time.monotonic()
         lines: list[Line] = []
-        console.print(
-            f"Watching {NAMES[peer.kind]}, system {peer.system_id}: {len(items)} items. Ctrl-C ends it."
-        )
+        console.print(f"Watching {name}, system {peer.system_id}: {len(items)} items. Ctrl-C ends it.")
         await peer.command(SET_MESSAGE_INTERVAL, MISSION_CURRENT, MISSION_CURRENT_INTERVAL_US)
         with Live(console=console, auto_refresh=False, transient=True) if live else nullcontext() as screen:
             while not view.ended:

@@ -1,4 +1,4 @@
-"""The examination in its order: first what can be known without opening a link, then both links at once."""
+"""All checks in order: first those that open no link, then both links at once."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ from flying_vines.doctor.vehicle_watch import TICK_S, VehicleWatch
 from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile
 
 MOVING_S = 20.0
-"""How long one has for moving the switch through all its positions."""
+"""Time for the user to move the switch through all its positions."""
 
 Tell = Callable[[Sequence[Finding]], None]
 Ask = Callable[[Radio], None]
-"""Asks somebody to move the switch, and shows it as it is: called again and again."""
+"""Asks the user to move the switch and shows its state; called repeatedly."""
 
 
 async def examine(
@@ -143,7 +143,7 @@ def _service(running: Sequence[Process], holders: Sequence[Process]) -> Finding:
 
 
 async def _moved(watch: VehicleWatch, positions: int, ask: Ask) -> Radio:
-    """The switch, once it was seen in all its positions or somebody had time enough."""
+    """The switch, after all its positions were seen or the time is over."""
     ends_s = watch.t + MOVING_S
     while True:
         seen = watch.probe.radio(watch.t)
@@ -154,7 +154,7 @@ async def _moved(watch: VehicleWatch, positions: int, ask: Ask) -> Radio:
 
 
 def keep_signing(examined: Profile) -> None:
-    """The timestamps that were used must not be used again by the service."""
+    """Save the signing timestamps, so that the service does not use them again."""
     if examined.signing is not None and examined.signing_timestamp is not None:
         try:
             TimestampFile(examined.signing_timestamp).save(examined.signing.memory)

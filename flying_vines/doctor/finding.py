@@ -1,4 +1,4 @@
-"""What a check finds, and the lines that it can say. No line is made anywhere else, so that all are known."""
+"""Findings, and the lines that a check can print. All lines are made here, so that the page lists all."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 Verdict = Literal["good", "warning", "bad", "skipped"]
-"""Only "bad" keeps one on the ground; what was skipped has no part in that, or follows from something bad."""
+"""Only "bad" means: do not fly."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of the doctor's: what was looked at, how it is, and what to do where it is not well."""
+    """One line of the doctor: what was checked, the result, and what to do."""
 
     check: str
     verdict: Verdict
@@ -22,7 +22,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """What a check can say, with `{names}` for what it has found."""
+    """A line that a check can print, with `{names}` for its values."""
 
     check: str
     verdict: Verdict

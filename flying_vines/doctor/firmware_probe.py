@@ -27,15 +27,15 @@ class FirmwareFacts:
     """What was heard on the phloSAR's line. Pressures are gauge."""
 
     port: str = ""
-    """How it is with the port, or with whoever is on it: a sentence."""
+    """The problem with the port or with its device: a sentence."""
     welcome: Welcome | None = None
-    """None where no firmware of our version answered."""
+    """None if no firmware of our version answered."""
     settings: tuple[Setting, ...] = ()
     settings_problem: str = ""
     telemetry_Hz: float = 0.0
     gaps: int = 0
     bad_frames: int = 0
-    """Spoilt, lost or unknown ones, since the firmware answered."""
+    """Damaged, lost or unknown frames since the firmware answered."""
     good_frames: int = 0
     round_trip_s: float | None = None
     restarts: int = 0
@@ -47,7 +47,7 @@ class FirmwareFacts:
 
 
 class FirmwareProbe:
-    """Listens and asks at `address` while `run` runs."""
+    """Listens and sends requests at `address` while `run` runs."""
 
     def __init__(self, address: Address, belief: Belief) -> None:
         self._talk = SettingsTalk()

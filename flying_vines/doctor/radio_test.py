@@ -15,6 +15,7 @@ from typing import Literal
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config.config import Config, ReceiverFailsafe
+from flying_vines.vehicle.autopilots import of_heartbeat
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.radio.radio_parameters import RadioParameters
 from flying_vines.vehicle.radio.rc import (
@@ -28,7 +29,6 @@ from flying_vines.vehicle.radio.rc import (
     RadioLink,
 )
 from flying_vines.vehicle.radio.switch import BOUNDARIES_US
-from flying_vines.vehicle.state import KINDS
 
 Step = Literal["ready", "off", "lost", "on", "done"]
 """Get ready; press Enter and switch off; note what shows; switch on again."""
@@ -45,16 +45,16 @@ BACK_WITHIN_S = 45.0
 """A transmitter that starts with a switch out of place waits until its warning is confirmed."""
 REST_S = 1.0
 QUIET_S = 1.5
-"""After the last new sign: then a loss has shown all that it shows."""
+"""No new sign for this long: all signs of the loss have been seen."""
 EARLY_S = 1.6
-"""A jump this long before a sign of loss belongs to it, where Enter was pressed late or not at all."""
+"""A jump up to this long before a sign of loss belongs to the loss: Enter was pressed late or not at all."""
 STATUS_WITHIN_S = 3.0
-"""By then an autopilot that has a receiver has said so."""
+"""An autopilot with a receiver reports it within this time."""
 SAME_US = 30
-"""A channel that is held jitters less."""
+"""A held channel jitters less."""
 LOSSES = 2
 TELLING: frozenset[SignKind] = frozenset({"rssi", "RC status", "text", "no RC_CHANNELS", "throttle"})
-"""The signs by which the service knows that RC is lost."""
+"""The signs by which the service detects a loss of RC."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,51 +63,51 @@ class Sign:
 
     kind: SignKind
     after_s: float
-    """Since Enter, or since the first sign where nobody pressed it."""
+    """Time since Enter, or since the first sign if nobody pressed it."""
     said: str
 
     @property
     def telling(self) -> bool:
-        """Whether the service knows by it that RC is lost."""
+        """Whether the service detects the loss by it."""
         return self.kind in TELLING
 
 
 @dataclass(frozen=True, slots=True)
 class Return:
-    """What showed when the transmitter was on again."""
+    """The state after the transmitter was switched on again."""
 
     switch_us: int
     good_after_s: float | None
-    """From the switch's new position to the autopilot's word that RC is good; None if it did not move."""
+    """From the switch's move to the report that RC is good; None if it did not move."""
 
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """One time without the transmitter."""
+    """One loss of the transmitter."""
 
     pressed: bool
     """Whether the latencies count from Enter."""
     before_us: int
-    """Of the switch's channel."""
+    """Pulse width of the switch's channel."""
     lost_us: int
     signs: tuple[Sign, ...]
     jumped: tuple[int, ...]
-    """Other channels that jumped, and did not come back at once."""
+    """Other channels that jumped and stayed there."""
     back: Return | None = None
 
     @property
     def seen(self) -> bool:
-        """Whether it showed at all, be it as a jump alone."""
+        """Whether there was any sign, or a jump."""
         return any(sign.kind != "mode" for sign in self.signs)
 
     @property
     def shown_after_s(self) -> float | None:
-        """By when the service knows of it; None if never."""
+        """When the service detects it; None if never."""
         return min((sign.after_s for sign in self.signs if sign.telling), default=None)
 
     @property
     def told_after_jump_s(self) -> float | None:
-        """How long the receiver's preset passed for the pilot's hand; None if it never jumped or showed."""
+        """Time from the receiver's preset to the detection of the loss; None without either of them."""
         jump = next((sign.after_s for sign in self.signs if sign.kind == "channels"), None)
         shown = self.shown_after_s
         return None if jump is None or shown is None else max(0.0, shown - jump)
@@ -118,7 +118,7 @@ class Loss:
 
 
 def position_of(pulse_us: int, positions: int) -> int:
-    """Of a switch with so many, counted from 0."""
+    """The position (from 0) of a switch with this number of positions."""
     return sum(pulse_us >= boundary for boundary in BOUNDARIES_US[positions])
 
 
@@ -156,7 +156,7 @@ class RadioLearned:
 
 @dataclass(slots=True)
 class _Under:
-    """A loss that goes on."""
+    """A loss that is going on."""
 
     pressed: bool
     off_at: float
@@ -169,7 +169,7 @@ class _Under:
 
 
 class RadioTest:
-    """Feed it `take` for the autopilot's messages, `press` at each Enter, and `advance` often."""
+    """Call `take` for the autopilot's messages, `press` at each Enter, and `advance` often."""
 
     def __init__(self, config: Config) -> None:
         self._switch = config.switch
@@ -181,7 +181,7 @@ class RadioTest:
         self.came_back_early = False
         """RC was good again before all signs were seen: that loss does not count."""
         self.target = 0
-        """The position that the switch is to be in, counted from 0."""
+        """The position in which the switch should be, counted from 0."""
         self._began_at: float | None = None
         self._step_at = 0.0
         self._problem: Problem = ""
@@ -219,7 +219,7 @@ class RadioTest:
             if "Cleared" not in message.text:
                 self._sign(t, "text", f"“{message.text}”")
         elif kind == "PARAM_VALUE":
-            self._parameters.handle(self._autopilot, message)
+            self._parameters.handle(self._radio.autopilot, message)
         self.advance(t)
 
     def press(self, t: float) -> None:
@@ -229,8 +229,8 @@ class RadioTest:
             self._begin_loss(t if self._jump_at is None else self._jump_at, pressed=not jumped)
 
     def requests(self, t: float, system_id: int) -> list[Message]:
-        """The autopilot's parameters are asked for."""
-        return self._parameters.requests(t, system_id, self._autopilot)
+        """Requests for the autopilot's parameters."""
+        return self._parameters.requests(t, system_id, self._radio.autopilot)
 
     def advance(self, t: float) -> None:
         """Time passes."""
@@ -260,18 +260,22 @@ class RadioTest:
             self.target,
             tuple(self._losses),
             dict(self._parameters.values),
-            self._parameters.hides_loss,
-            self._parameters.px4_shows_loss_within_s,
+            self._hides_loss,
+            self._radio.autopilot.rc_loss_shows_within_s(self._parameters.values),
         )
 
     @property
+    def _hides_loss(self) -> str:
+        return self._radio.autopilot.hides_rc_loss(self._parameters.values)
+
+    @property
     def signs(self) -> tuple[Sign, ...]:
-        """Of the loss that goes on, as they came."""
+        """The signs of the present loss, in order."""
         return tuple(self._under.signs) if self._under else ()
 
     @property
     def position(self) -> int | None:
-        """Of the switch, as it reads now; counted from 0."""
+        """The switch's present position, counted from 0."""
         return self._position
 
     @property
@@ -279,7 +283,7 @@ class RadioTest:
         return self._channels_us[self._switch.channel - 1] if self._channels_us else 0
 
     def trouble(self, t: float) -> str:
-        """Why RC cannot be called good now; empty if it can."""
+        """Why RC is not good now; empty if it is good."""
         if not self._autopilot:
             return "no autopilot yet"
         if (problem := self._radio.problem(t)) is not None:
@@ -304,7 +308,7 @@ class RadioTest:
             return
         rests = self._position == self.target and t - self._position_at >= REST_S
         if rests and waited_s >= REST_S:
-            if self._parameters.hides_loss:
+            if self._hides_loss:
                 self._end()
                 return
             self._rest_us, self._jump_at = self._channels_us, None
@@ -313,7 +317,7 @@ class RadioTest:
             self._end("position", f"{self.switch_us} µs")
 
     def _advance_off(self, t: float) -> None:
-        """Waits for Enter, as long as it takes; a loss that shows without it counts, too."""
+        """Wait for Enter. A loss without Enter counts as well."""
         if self.trouble(t):
             self._begin_loss(t if self._jump_at is None else self._jump_at, pressed=False)
         elif self._jump_at is not None and t - self._jump_at > EARLY_S:
@@ -349,7 +353,7 @@ class RadioTest:
             self._end()
 
     def _next_target(self) -> int:
-        """Another position than those in which the switch was lost and in which the receiver put it."""
+        """A position other than those before and during the first loss."""
         first, count = self._losses[0], len(self._switch.positions)
         taken = {position_of(us, count) for us in (first.before_us, first.lost_us)}
         free = [position for position in range(count) if position not in taken]
@@ -408,7 +412,8 @@ class RadioTest:
         return abs(self.switch_us - pulse_us) <= SAME_US
 
     def _heartbeat(self, t: float, message: Message) -> None:
-        self._autopilot = self._radio.autopilot = KINDS.get(message.autopilot, "other")
+        self._radio.autopilot = of_heartbeat(message.autopilot)
+        self._autopilot = self._radio.autopilot.kind
         if message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED and self.step != "done":
             self._end("armed")
         if self._mode is not None and message.custom_mode != self._mode:
@@ -428,7 +433,7 @@ class RadioTest:
             self._sign(t, "no RC_CHANNELS", "the receiver has no channels", once=True)
         if self._throttle_low():
             self._sign(t, "throttle", "throttle below its range", once=True)
-        if self._autopilot == "px4":
+        if self._radio.autopilot.needs_rc_status:
             if message.rssi not in (NO_SIGNAL, NO_RSSI):
                 self._rssi_lost = False
             elif self._rssi not in (NO_SIGNAL, NO_RSSI):

@@ -1,4 +1,4 @@
-"""Findings for people: a line each, and what to do where it is not well; readable without colours, too."""
+"""Findings for people: one line each, and what to do; readable without colours as well."""
 
 from __future__ import annotations
 

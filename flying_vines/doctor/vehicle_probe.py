@@ -1,4 +1,4 @@
-"""A companion that asks and listens, and does nothing else: what comes from the vehicle, and how often.
+"""A companion that only requests and listens: which messages arrive from the vehicle, and how often.
 
 Sans-IO; all times are seconds of one clock. It asks for the streams and the mission by the very machines that
 the service asks by, so what comes to the one comes to the other. It answers nothing and obeys nothing.
@@ -16,7 +16,7 @@ from flying_vines.config.config import Config
 from flying_vines.core.core import SPEAK_FIRST_S
 from flying_vines.vehicle.component.clash import Clash
 from flying_vines.vehicle.component.telemetry import Heartbeat
-from flying_vines.vehicle.component.transmit_queue import Outbox
+from flying_vines.vehicle.component.transmit_queue import TransmitQueue
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mavlink.signing import Refused
 from flying_vines.vehicle.mission.book import MissionBook
@@ -28,25 +28,25 @@ from flying_vines.vehicle.state import Ambiguous, VehicleState
 from flying_vines.vehicle.streams import Streams, Wanted
 
 SETTLE_S = 1.5
-"""From the first heartbeat on: the streams are asked for, and take up their rate."""
+"""Time from the first heartbeat until the requested streams have their rate."""
 ENOUGH = 4
-"""Of one message, to tell its rate from."""
+"""Minimum number of messages for a rate."""
 VERSION_AGAIN_S = 1.0
 _SIGNED = 1
-"""Of a MAVLink 2 frame's incompatibility flags."""
+"""An incompatibility flag of a MAVLink 2 frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """One message that the service needs, as it comes."""
+    """A message that the service needs."""
 
     name: str
     wanted_Hz: float
     rate_Hz: float
-    """0 where it does not come."""
+    """0 if it does not arrive."""
     essential: bool
     refused: bool
-    """The autopilot says that it does not have it."""
+    """The autopilot refused it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,68 +54,68 @@ class Radio:
     """The switch's channel."""
 
     problem: str | None
-    """Why it cannot be believed; None where it can."""
+    """Why it cannot be trusted; None if it can."""
     pulse_us: int = 0
     position: int | None = None
     """Counted from 0 at the lowest pulse width; None before it has settled."""
     seen: frozenset[int] = frozenset()
-    """All positions in which it has rested."""
+    """All positions in which it came to rest."""
     hides_loss: str = ""
     """Which parameter lets the autopilot hide a lost transmitter."""
     bends_late: bool = False
-    """On PX4, nothing is known of what its receiver does in a loss."""
+    """PX4, and the receiver's behaviour in a loss is not known: bends wait."""
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleFacts:
-    """What was heard on the vehicle's link."""
+    """What arrived on the vehicle's link."""
 
     down: str = ""
     """Why the link is down, if it is."""
     bytes: int = 0
     unread_from: str = ""
-    """An IP address that sends and is not read: the link names another as its peer."""
+    """A sender's IP address that is ignored because the link names another peer."""
     messages: int = 0
-    """Good ones, of anyone, that were believed."""
+    """Accepted messages of any sender."""
     refused: Refused = field(default_factory=Refused)
-    """What was not believed because of its signature."""
+    """Messages refused because of their signature."""
     others: tuple[tuple[int, int], ...] = ()
-    """System and component of whoever else speaks there."""
+    """System and component of the other senders."""
     rivals: tuple[int, int] | None = None
-    """Two autopilots, of which none was chosen."""
+    """Two autopilots, of which neither was chosen."""
     system_id: int = 0
-    """Of the autopilot that would be served; 0 where none was found."""
+    """The autopilot that the service would serve; 0 if none was found."""
     kind: str = "unknown"
     version: str = ""
     armed: bool = False
     mode: str = ""
     longest_silence_s: float = 0.0
-    """Between two messages of the autopilot, or since the last."""
+    """Between two messages of the autopilot, or since the last one."""
     heartbeat_Hz: float = 0.0
     heartbeat_missing: bool = False
-    """Other messages of the autopilot come, but for long no heartbeat."""
+    """Other messages of the autopilot arrive, but no heartbeat."""
     streams: tuple[Stream, ...] = ()
     clash: bool = False
-    """Another one speaks from our own address."""
+    """Another program uses our system and component id."""
     signs: bool = False
-    """Whether the autopilot signs what it sends."""
+    """Whether the autopilot signs its messages."""
     answers: bool = False
-    """Whether the autopilot has answered what we asked: it hears us."""
+    """Whether the autopilot has answered a request of ours."""
     radio: Radio = Radio("no RC_CHANNELS yet")
     mission: Mapping[int, MissionItem] | None = None
-    """None where it was not read."""
+    """None if it was not read."""
     ahead_s: float | None = None
-    """This computer's clock before the autopilot's; None where the autopilot does not know the time."""
+    """This computer's clock minus the autopilot's; None if the autopilot does not know the time."""
 
     @property
     def found(self) -> bool:
-        """Whether there is an autopilot that would be served."""
+        """Whether there is an autopilot to serve."""
         return self.system_id != 0
 
 
 @dataclass(slots=True)
 class _Rate:
-    """How often something came since the streams settled."""
+    """The rate of a message since the streams settled."""
 
     settled_at: float
     first_at: float
@@ -123,17 +123,17 @@ class _Rate:
     count: int = 1
 
     def per_s(self, t: float, wanted_Hz: float) -> float:
-        """0 where it no longer comes."""
+        """0 if it no longer arrives."""
         if t - self.last_at > max(2.0, 3.0 / wanted_Hz):
             return 0.0
         if self.count < ENOUGH:
-            # So few say little: as often as may be, for one may have come just before, and one be due.
+            # Too few for a rate: take the highest possible one.
             return min(wanted_Hz, (self.count + 1) / max(1e-6, t - self.settled_at))
         return (self.count - 1) / max(1e-6, self.last_at - self.first_at)
 
 
 class VehicleProbe:
-    """Feed it `take` for every message, and send what `due` returns; `facts` at any time."""
+    """Call `take` for every message, and send what `due` returns. `facts` may be called at any time."""
 
     def __init__(self, config: Config) -> None:
         switch = config.switch
@@ -145,7 +145,7 @@ class VehicleProbe:
         self._switch = Switch(len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us)
         self._book = MissionBook()
         self._heartbeat = Heartbeat()
-        self._outbox = Outbox()
+        self._queue = TransmitQueue()
         self._clash = Clash(config.vehicle.component_id)
         self._clashed = False
         self._rivals: tuple[int, int] | None = None
@@ -162,7 +162,7 @@ class VehicleProbe:
         self._ahead_s: float | None = None
 
     def take(self, t: float, unix_s: float, message: Message) -> None:
-        """A message of anyone; `unix_s` is what this computer's clock says."""
+        """Take in a message of any sender; `unix_s` is the time of this computer's clock."""
         self._messages += 1
         sender = message.get_srcSystem(), message.get_srcComponent()
         self._senders[sender] += 1
@@ -193,10 +193,10 @@ class VehicleProbe:
                 rate.last_at, rate.count = t, rate.count + 1
         self._streams.handle(t, message)
         self._book.handle(t, message)
-        self._radio.autopilot = self._state.kind
+        self._radio.autopilot = self._state.autopilot
         self._radio.handle(t, message)
         if kind == "PARAM_VALUE":
-            self._parameters.handle(self._state.kind, message)
+            self._parameters.handle(self._state.autopilot, message)
         if kind == "RC_CHANNELS":
             self._sample_switch(t)
         elif kind == "AUTOPILOT_VERSION":
@@ -220,7 +220,7 @@ class VehicleProbe:
             self._seen.add(seen.position)
 
     def due(self, t: float) -> list[Message]:
-        """What is to be sent at `t`: that we are there, and what we ask for."""
+        """The messages to send at `t`: our heartbeat and our requests."""
         self._began_at = t if self._began_at is None else self._began_at
         if not self._state.found:
             # Some peers send nothing before they have heard something.
@@ -232,11 +232,11 @@ class VehicleProbe:
             *self._streams.requests(t, system_id),
             *self._book.requests(t, system_id),
             *self._book.acknowledgement(system_id),
-            *self._parameters.requests(t, system_id, self._state.kind),
+            *self._parameters.requests(t, system_id, self._state.autopilot),
             *self._ask_version(t, system_id),
         ):
-            self._outbox.put(message)
-        return self._outbox.due(t)
+            self._queue.put(message)
+        return self._queue.due(t)
 
     def _ask_version(self, t: float, system_id: int) -> list[Message]:
         asked_at = self._version_asked_at
@@ -252,24 +252,24 @@ class VehicleProbe:
 
     @property
     def system_id(self) -> int:
-        """From which we speak: the vehicle's, or what it probably is."""
+        """Our system id: the vehicle's, or a guess until it is known."""
         return self._state.system_id or self._config.vehicle.system_id or 1
 
     def radio(self, t: float) -> Radio:
-        """The switch, as it is now."""
-        px4_receiver = self._state.kind == "px4" and self._radio.by_receiver
-        watched = self._state.kind == "ardupilot" or px4_receiver
+        """The present state of the switch."""
+        autopilot = self._state.autopilot
+        watched = self._radio.by_receiver or not autopilot.needs_rc_status
         return Radio(
             self._radio.problem(t),
             self._radio.switch_us,
             self._switch.position,
             frozenset(self._seen),
-            self._parameters.hides_loss if watched else "",
-            px4_receiver and self._config.switch.receiver_failsafe == "unknown",
+            autopilot.hides_rc_loss(self._parameters.values) if watched else "",
+            autopilot.needs_rc_status and watched and self._config.switch.receiver_failsafe == "unknown",
         )
 
     def facts(self, t: float) -> VehicleFacts:
-        """All that was heard until `t`."""
+        """All facts until `t`."""
         state = self._state
         ours = state.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1
         heartbeat = self._rates.get("HEARTBEAT")

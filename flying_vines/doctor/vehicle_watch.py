@@ -19,7 +19,7 @@ TICK_S = 0.02
 
 
 class VehicleWatch:
-    """Listens and asks at `address` while `run` runs. Times are those of the event loop's clock."""
+    """Listens and sends requests at `address` while `run` runs. Times are the event loop's."""
 
     def __init__(
         self,

@@ -37,7 +37,7 @@ from flying_vines.core.events import (
     VehicleMessage,
 )
 from flying_vines.record.schema import Schema, merged, obj, of_dataclass, of_mavlink, of_type
-from flying_vines.vehicle.mavlink import handled_messages as heard
+from flying_vines.vehicle.mavlink import handled_messages as handled
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mavlink.frames import Frame, Frames
 from flying_vines.vehicle.mavlink.payloads import message_of
@@ -48,7 +48,7 @@ _ANOTHER = bytes((mavlink.PROTOCOL_MARKER_V2,))
 _encode = msgspec.json.Encoder().encode
 _decode = msgspec.json.Decoder().decode
 
-DECODED = heard.ALL | {"NAMED_VALUE_FLOAT"}
+DECODED = handled.ALL | {"NAMED_VALUE_FLOAT"}
 """MAVLink messages whose fields are in the log beside their frames."""
 
 

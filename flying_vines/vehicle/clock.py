@@ -1,7 +1,7 @@
-"""The autopilot's clock, and how old a message was when it arrived.
+"""The autopilot's clock, and the age of a message at its arrival.
 
-A link that stalls delivers everything at once, and so does the operating system when our process stood
-still. A text or a command has no time stamp: the `time_boot_ms` of the messages around it tells its age.
+After a stall of the link or of our process, all delayed messages arrive at once. A text or a command has no
+time stamp: its age follows from the `time_boot_ms` of the messages around it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from flying_vines.vine.intent import ACTS_WITHIN_S
 
 LATE_S = ACTS_WITHIN_S
-"""A request over the link that is older than this may only let air out, as one of the page."""
+"""A request over the link that is older than this may only let air out. The page has the same limit."""
 
 WAIT_FOR_STAMP_S = 0.3
 """How long a message that may be late waits for the next time stamp."""
@@ -31,7 +31,7 @@ LONGEST_STEP_S = 1.0
 LONGEST_DELAY_S = 20.0
 YOUNG_DELAY_S = 2.0
 YOUNG_S = 60.0
-"""A clock that lags is a link's delay, which can be long; but one that lags and is young started anew."""
+"""A clock that lags can be a long delay of the link. If the uptime is short as well, it is a reboot."""
 OVERTAKEN_S = 1.0
 CONTINUOUS_S = 2.0
 """After a stall the clock goes on where it was, after a reboot it does not."""
@@ -40,17 +40,17 @@ MOST_MARKS = 64
 
 @dataclass(slots=True)
 class Mark:
-    """The arrival of a message, and what is known of how late it came."""
+    """The arrival of a message, and what is known about its delay."""
 
     t: float
     suspected_s: float = 0.0
-    """The delay of the last stamp before it, and how long the autopilot was silent since."""
+    """The delay of the last stamp before it, plus the autopilot's silence since then."""
     continuous: bool = True
-    """No frame was lost between that stamp and the message."""
+    """No frame was lost between the last stamp and the message."""
     first_stamps: bool = False
-    """The clock was not known for long enough: what came first may have been delayed itself."""
+    """The clock has been known for too short a time: the first stamps may be delayed themselves."""
     boot_s: float = math.inf
-    """The autopilot's time at the first stamp after it: it was not sent later."""
+    """The autopilot's time at the first stamp after the message, which was not sent later."""
 
 
 class AutopilotClock:
@@ -101,7 +101,7 @@ class AutopilotClock:
         if known is None:
             known, self._known_since = offset_s, t
         else:
-            # The least delay ever seen, as far as the two clocks keep the same pace.
+            # The minimum delay so far; the two clocks may drift apart.
             known += FASTEST_DRIFT * min(t - self._stamped_at, LONGEST_STEP_S)
         if abs(offset_s - known - CLOCK_PERIOD_S) < LONGEST_DELAY_S:
             known += CLOCK_PERIOD_S
@@ -124,7 +124,7 @@ class AutopilotClock:
         return rebooted
 
     def mark(self, t: float) -> Mark:
-        """A message arrives that must not act late."""
+        """Mark the arrival of a message that must not act late."""
         if t - self._known_since < BACKLOG_S:
             mark = Mark(t, first_stamps=True)
             self._open.append(mark)

@@ -1,4 +1,4 @@
-"""Commands that reach us: which are for us, which are copies, what they ask, what the sender is told."""
+"""Commands: which are for us, which are repeats, what they ask for, and the acknowledgements."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from dataclasses import replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.answer import acknowledgement
 from flying_vines.vehicle.mavlink.codec import Message
-from flying_vines.vehicle.mission.execution import Execution
-from flying_vines.vehicle.mission.px4 import Px4Watch
 from flying_vines.vehicle.repeats import PX4_REPEAT_S, STATION_REPEAT_S, Repeats
 from flying_vines.vehicle.triggers import Rules, Trigger, direct_intent
 from flying_vines.vine.intent import Intent
@@ -20,7 +19,7 @@ _Key = tuple[object, ...]
 
 
 class Commands:
-    """Turns COMMAND_LONG and COMMAND_INT into triggers, each once, and owes each copy an answer."""
+    """Turns COMMAND_LONG and COMMAND_INT into triggers, each once, and answers every repeat."""
 
     def __init__(self, rules: Rules, component_id: int) -> None:
         self._rules = rules
@@ -37,22 +36,20 @@ class Commands:
         message: Message,
         system_id: int,
         from_autopilot: bool,
-        px4: Px4Watch | None,
+        watch: MissionWatch,
         from_station: bool,
         age_s: float = 0.0,
     ) -> list[Trigger | Message]:
-        """A trigger, or the answer where there is nothing to decide. `age_s`: how long ago it was sent.
+        """A trigger, or the answer if there is nothing to decide. `age_s`: how long ago it was sent.
 
-        Only a ground station and the autopilot itself may bend; what lets air out is done for whoever asks.
+        Only a ground station and the autopilot may bend the vine. Everybody may let air out.
 
-        A mission item that the autopilot publishes is addressed to no component (PX4) or to us (a script).
-        `px4` is None where the autopilot tells its items in another way: then what it says to no component
-        (ArduPilot's camera commands) would be heard twice.
+        A mission item that the autopilot sends is addressed to no component (PX4) or to us (a script).
         """
         to_us = self._for_us(message, system_id)
-        to_all = px4 and message.target_system in (0, system_id) and message.target_component == 0
+        to_all = message.target_system in (0, system_id) and message.target_component == 0
         is_item = from_autopilot and message.command in self._rules.commands
-        if not to_us and not (to_all and is_item):
+        if not to_us and not (to_all and is_item and watch.publishes_items):
             return []
         confirmation = getattr(message, "confirmation", 0)
         repeat_s = PX4_REPEAT_S if from_autopilot else STATION_REPEAT_S
@@ -61,14 +58,11 @@ class Commands:
         if repeat and (is_item or not self._does_no_harm_again(message.command, params)):
             result = self._repeats.answered(_key(message))
             return [acknowledgement(message, mavlink.MAV_RESULT_ACCEPTED if result is None else result)]
-        if is_item and px4:
-            execution = px4.execution(t, message.command, params, confirmation)
+        if is_item:
+            execution = watch.command(t, message.command, params, confirmation)
             if execution is None:
                 return [acknowledgement(message, mavlink.MAV_RESULT_ACCEPTED)]
             execution = replace(execution, age_s=execution.age_s + age_s)
-            return [self._rules.item_trigger(t, execution, message)]
-        if is_item:
-            execution = Execution(message.command, None, None, params, age_s)
             return [self._rules.item_trigger(t, execution, message)]
         found = self._intent(message.command, params)
         if found is None:
@@ -81,20 +75,20 @@ class Commands:
         if not from_station and not from_autopilot and not problem:
             lets_out = self._rules.only_lets_out(intent)
             problem = "" if lets_out else f"{_sender(message)} is no ground station"
-        # A repeat may come long after: what has come to light since, its sender may not have seen.
+        # A repeat may come late. Its sender may not know of faults since the first command.
         by_person = from_station and not repeat
         trigger = Trigger(t, "command", what, intent, problem, by_person, message, age_s, seen_at=t - age_s)
         return [trigger]
 
     def _intent(self, command: int, params: tuple[float, ...]) -> tuple[Intent | None, str] | None:
-        """None for what is no command of ours."""
+        """None: this is not a command of ours."""
         found = direct_intent(command, params)
         if found is None and command in self._rules.commands:
             found = self._rules.for_command(command, params)
         return found
 
     def _does_no_harm_again(self, command: int, params: tuple[float, ...]) -> bool:
-        """What lets air out is done each time: whether it is a repeat or a new wish can be mistaken."""
+        """Commands that let air out are always carried out: one may be a new request, not a repeat."""
         intent, _ = self._intent(command, params) or (None, "")
         return self._rules.only_lets_out(intent)
 

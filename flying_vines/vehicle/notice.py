@@ -1,4 +1,4 @@
-"""Something that a person should read, on the screen here and on the ground station."""
+"""A text for people, shown on the screen here and on the ground station."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Severity(IntEnum):
     NOTICE = 5
     INFO = 6
     DEBUG = 7
-    """For the log alone: nobody is told what comes by the hundred."""
+    """Only for the log: these can be very many."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,4 +25,4 @@ class Notice:
     severity: Severity
     text: str
     of_decision: bool = False
-    """It says again what a decision of the same moment says, for those who do not see decisions."""
+    """It repeats a decision of the same moment, for displays that do not show decisions."""

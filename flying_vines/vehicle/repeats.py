@@ -1,4 +1,4 @@
-"""Which commands are new, and which are repeats of one that was never acknowledged, or copies of a frame."""
+"""Which commands are new, and which are repeats of an unacknowledged command or copies of a frame."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ class _Command:
 
 
 class Repeats:
-    """Remembers the latest commands by what they say and who says it, and how they were answered.
+    """Remembers the latest commands by sender and content, and their answers.
 
-    `confirmation` counts the repeats of one command. So a repeat that comes too late for the command that is
-    remembered belongs to another one, which says the same and whose earlier frames were lost.
+    `confirmation` counts the repeats of one command. So a repeat that comes too late for the remembered
+    command belongs to another one with the same content, whose earlier frames were lost.
     """
 
     def __init__(self) -> None:
         self._commands: dict[Hashable, _Command] = {}
 
     def is_repeat(self, t: float, key: Hashable, confirmation: int, sequence: int, repeat_s: float) -> bool:
-        """Whether a command was there before; `repeat_s` is the most that lies between two of its repeats."""
+        """Whether a command is a repeat; `repeat_s` is the maximum time between two of its repeats."""
         known = self._commands.pop(key, None) or _Command()
         repeat = _belongs(known, t, confirmation, sequence, repeat_s)
         if not repeat:
@@ -52,12 +52,12 @@ class Repeats:
         return repeat
 
     def answer(self, key: Hashable, result: int) -> None:
-        """What the command was answered with, which is what its repeats are answered with."""
+        """Remember the answer to a command, which its repeats get, too."""
         if key in self._commands:
             self._commands[key].result = result
 
     def answered(self, key: Hashable) -> int | None:
-        """The MAV_RESULT that the command got; None before it got one."""
+        """The MAV_RESULT that the command got; None if it has not got one."""
         return self._commands[key].result if key in self._commands else None
 
 

@@ -1,4 +1,4 @@
-"""What the autopilot says of the vehicle: who it is, armed or not, how high, which clock."""
+"""The state of the vehicle as the autopilot reports it: identity, arming, mode, altitude, clock."""
 
 from __future__ import annotations
 
@@ -6,20 +6,22 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.vehicle.autopilots import OTHER, of_heartbeat
 from flying_vines.vehicle.clock import AutopilotClock
-from flying_vines.vehicle.mavlink import handled_messages as heard
+from flying_vines.vehicle.mavlink import handled_messages as handled
 from flying_vines.vehicle.mavlink.codec import Message
 
+_AUTOPILOT: int = mavlink.MAV_COMP_ID_AUTOPILOT1
 ALTITUDE_FRESH_S = 2.0
 HEARTBEAT_FRESH_S = 5.0
-"""HEARTBEAT alone says whether it is armed, once a second. Five in a row are not lost by chance,
-and for no longer may a vehicle that has disarmed be taken for an armed one."""
+"""Only HEARTBEAT says whether the vehicle is armed, once a second. Five in a row are not lost by chance, and
+a disarmed vehicle must not count as armed for longer than this."""
 
 CHOOSING_S = 2.0
-"""How long after the first autopilot's heartbeat a second one still makes the choice ambiguous."""
+"""A second autopilot within this time after the first makes the choice ambiguous."""
 
 LONGEST_BOOT_MS = 15_000
-"""An autopilot that was up for longer than this and says it is ready has booted again."""
+"""An autopilot that reports "ready" with a longer uptime than this has booted again."""
 
 NO_VEHICLE = {
     mavlink.MAV_TYPE_GCS,
@@ -29,26 +31,17 @@ NO_VEHICLE = {
     mavlink.MAV_TYPE_CAMERA,
     mavlink.MAV_TYPE_ADSB,
 }
-"""What sends heartbeats of its own, some even as an autopilot, and carries no vine."""
-
-KINDS = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot", mavlink.MAV_AUTOPILOT_PX4: "px4"}
-
-COPTER_MODES = {
-    0: "STABILIZE", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 9: "LAND",
-    16: "POSHOLD", 17: "BRAKE", 21: "SMART_RTL", 27: "AUTO RTL",
-}  # fmt: skip
-PX4_MAIN_MODES = {1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED"}
-PX4_AUTO_MODES = {1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6: "LAND"}
+"""Components with heartbeats of their own, some even as an autopilot, that carry no vine."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rebooted:
-    """The autopilot's clock started anew: streams and routes are gone."""
+    """The autopilot has booted again: its streams and routes are gone."""
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The autopilot that we serve was heard for the first time."""
+    """The first heartbeat of the autopilot that we serve."""
 
     system_id: int
 
@@ -64,10 +57,10 @@ VehicleEvent = Rebooted | Found | Ambiguous
 
 
 class VehicleState:
-    """The state of one vehicle, from the messages of its autopilot alone.
+    """The state of one vehicle, from the messages of its autopilot only.
 
-    `system_id` 0 takes the only autopilot that is heard: never a ground station, a gimbal, another companion
-    or a second vehicle.
+    With `system_id` 0 it is the only autopilot on the link: never a ground station, a gimbal, another
+    companion or a second vehicle.
     """
 
     def __init__(self, system_id: int = 0) -> None:
@@ -80,11 +73,15 @@ class VehicleState:
         self._ambient_kPa = 0.0
         self._ambient_at: float | None = None
         self.system_id = 0
-        self.kind = "unknown"
+        self.autopilot = OTHER
         self.armed = False
         self.mode = ""
         self.heartbeat_at: float | None = None
         self.heard_at: float | None = None
+
+    @property
+    def kind(self) -> str:
+        return self.autopilot.kind
 
     @property
     def found(self) -> bool:
@@ -92,27 +89,27 @@ class VehicleState:
 
     @property
     def heartbeat_missing(self) -> bool:
-        """Whether other frames of the autopilot come, but no HEARTBEAT: armed or not is unknown."""
+        """Whether frames of the autopilot arrive, but no HEARTBEAT: then arming is not known."""
         if self.heartbeat_at is None or self.heard_at is None:
             return False
         return self.heard_at - self.heartbeat_at > HEARTBEAT_FRESH_S
 
     def silence_s(self, t: float) -> float | None:
-        """Since any frame of the autopilot; None before the first."""
+        """Time since the last frame of the autopilot; None before the first one."""
         return None if self.heard_at is None else t - self.heard_at
 
     def heard(self, t: float) -> None:
-        """Any frame of the autopilot that we serve proves it alive."""
+        """Note a frame of the autopilot, of any type."""
         self.heard_at = t
 
     def altitude_m(self, t: float) -> float | None:
-        """Height above home, or None when the autopilot has not said it lately."""
+        """Height above home; None if the last report is too old."""
         if self._altitude_at is None or t - self._altitude_at > ALTITUDE_FRESH_S:
             return None
         return self._altitude_m
 
     def ambient_kPa(self, t: float) -> float | None:
-        """What the barometer reads (absolute), or None when the autopilot has not said it lately."""
+        """The barometer's pressure (absolute); None if the last report is too old."""
         if self._ambient_at is None or t - self._ambient_at > ALTITUDE_FRESH_S:
             return None
         return self._ambient_kPa
@@ -123,10 +120,9 @@ class VehicleState:
 
     def is_ours(self, message: Message) -> bool:
         """Whether a message comes from the autopilot that we serve."""
-        return (
-            self.system_id != 0
-            and message.get_srcSystem() == self.system_id
-            and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
+        header = message.get_header()
+        return bool(
+            header.srcComponent == _AUTOPILOT and header.srcSystem == self.system_id and self.system_id
         )
 
     def handle(self, t: float, message: Message) -> list[VehicleEvent]:
@@ -140,14 +136,14 @@ class VehicleState:
         if not self.is_ours(message):
             return events
         self.heard(t)
-        if kind in heard.CLOCK and self.clock.stamp(t, message.time_boot_ms, kind == "RC_CHANNELS"):
+        if kind in handled.CLOCK and self.clock.stamp(t, message.time_boot_ms, kind == "RC_CHANNELS"):
             self._altitude_at = None
             events.append(Rebooted())
         if kind == "HEARTBEAT":
             self.heartbeat_at = t
             self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-            self.kind = KINDS.get(message.autopilot, "other")
-            self.mode = _mode_name(self.kind, message.custom_mode)
+            self.autopilot = of_heartbeat(message.autopilot)
+            self.mode = self.autopilot.mode_name(message.custom_mode)
         elif kind == "GLOBAL_POSITION_INT":
             self._altitude_m = message.relative_alt / 1000.0
             self._altitude_at = t
@@ -155,7 +151,7 @@ class VehicleState:
             self._ambient_kPa = message.press_abs / 10.0
             self._ambient_at = t
         elif kind == "STATUSTEXT" and message.text.startswith("ArduPilot Ready"):
-            # No stream runs after a reboot, so this text may be long before any clock.
+            # No stream runs after a reboot, so this text may arrive long before a time stamp.
             if self.time_boot_ms(t) > LONGEST_BOOT_MS:
                 self._altitude_at = None
                 events.append(Rebooted())
@@ -186,11 +182,3 @@ def _is_autopilot(message: Message) -> bool:
         and message.type not in NO_VEHICLE
         and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
     )
-
-
-def _mode_name(kind: str, custom_mode: int) -> str:
-    if kind == "px4":
-        main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
-        name = PX4_MAIN_MODES.get(main, f"MODE {main}")
-        return f"{name}.{PX4_AUTO_MODES.get(sub, sub)}" if main == 4 else name
-    return COPTER_MODES.get(custom_mode, f"MODE {custom_mode}")

@@ -1,4 +1,4 @@
-"""The messages that we need from the autopilot: asked for, watched, asked for again."""
+"""The message streams that we need from the autopilot: requested, watched, requested again."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from flying_vines.vehicle.mavlink.codec import Message
 ASK_SPACING_S = 0.1
 ASK_AGAIN_S = 3.0
 REFUSED_S = 30.0
-"""What an autopilot says it does not have is not asked for soon again: ArduPilot tells the pilot."""
+"""A refused stream is not requested again for this long: ArduPilot shows each refusal to the pilot."""
 ANSWER_WITHIN_S = 0.5
-"""The answer does not say what it answers, so nothing else is asked meanwhile."""
+"""An answer does not name the stream, so only one request is open at a time."""
 MISSING_AFTER_S = 5.0
 SILENT_S = 2.5
-"""Without any message for this long the link is silent: then it is not that one stream is missing."""
+"""Without any message for this long the link is silent, and no single stream counts as missing."""
 
 
 _REFUSALS = {mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_UNSUPPORTED, mavlink.MAV_RESULT_FAILED}
@@ -41,13 +41,13 @@ class Wanted(NamedTuple):
     rate_Hz: float
     essential: bool
     refused: bool
-    """The autopilot has said lately that it does not have it."""
+    """The autopilot has refused it recently."""
 
 
 class Streams:
-    """Which message streams come, and the SET_MESSAGE_INTERVAL requests that make them come.
+    """Watches the streams, and requests them by SET_MESSAGE_INTERVAL.
 
-    Rates are per link and lost when the autopilot reboots, so a stream that stays silent is asked for again.
+    Rates belong to the link and are lost when the autopilot reboots. So a silent stream is requested again.
     """
 
     def __init__(self, rc_rate_Hz: float) -> None:
@@ -121,7 +121,7 @@ class Streams:
         if t - self._heard_at > SILENT_S:
             return []
         essential = {name: stream for name, stream in self._streams.items() if stream.essential}
-        # From the last of the requests on, so that several are told in one sentence.
+        # Counted from the last request, so that one sentence names all missing streams.
         asked = max(t if s.wanted_since is None else s.wanted_since for s in essential.values())
         since = max(asked, self._heard_since)
         return [

@@ -1,4 +1,4 @@
-"""From what the vehicle does to what the vine shall do: the configuration's tables, applied."""
+"""From triggers (switch, mission items, commands) to intents, by the tables of the profile."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from flying_vines.vine.intent import (
 from flying_vines.vine.profile import flatten, top_kPa
 
 FLOAT32 = 1e-6
-"""How far a number of the configuration may lie from itself as MAVLink carries it."""
+"""The relative error of a number of the profile after MAVLink's 32-bit floats."""
 
 NAME_OF_COMMAND = {number: name for name, number in CARRIERS.items()}
 
@@ -44,16 +44,16 @@ CHOICES: dict[int, tuple[tuple[str, Intent | None], ...]] = {
         ("clear faults", ClearFaults()),
     ),
 }
-"""What param1 = 0, 1, 2, 3 of a command asks for. No autopilot carries these out itself: until ArduPilot has
-heard of us it executes what is addressed to us."""
+"""What param1 = 0, 1, 2, 3 of a command asks for. No autopilot carries out these commands itself: ArduPilot
+executes commands to us until it has received our heartbeat."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trigger:
-    """Something asked for a bend: what it was, and what it wants.
+    """A request to move the vine: its source and its intent.
 
-    `problem` says why it is refused, where that is known already; `intent` is None when nothing can be made
-    of it at all.
+    `problem` says why it is refused, if that is known already. `intent` is None if the request has no meaning
+    for the vine.
     """
 
     t: float
@@ -65,16 +65,16 @@ class Trigger:
     command: Message | None = None
     """The command that waits for an acknowledgement."""
     age_s: float = 0.0
-    """How long ago it was asked for, at least."""
+    """The minimum age of the request."""
     seen_at: float = math.inf
-    """Of a person: latched faults that came later were not seen, and are not cleared."""
+    """What the person had seen: faults that latched later are not cleared."""
 
     def __str__(self) -> str:
         return self.kind + " " + " ".join(f"{key}={value}" for key, value in self.what.items())
 
 
 def only_lets_out(config: Config, intent: Intent | None) -> bool:
-    """Whether it can only let air out, wherever the vine is: that is safe, whoever asks and how often."""
+    """Whether an intent can only let air out, wherever the vine is. That is always safe."""
     curve = config.vine.bend_curve()
     match intent:
         case Vent() | DisarmPneumatics() | StopBench():
@@ -102,17 +102,17 @@ class Rules:
         return only_lets_out(self._config, intent)
 
     def for_position(self, position: int) -> Intent | None:
-        """What a switch position asks for; None where the configuration leaves it empty."""
+        """The intent of a switch position; None if the profile leaves it empty."""
         name = self._positions[position]
         return StartProfile(name) if name else None
 
     def bends(self, position: int) -> bool:
-        """Whether the profile of a switch position takes air; one that only lets it out does not."""
+        """Whether a switch position takes air, that is, does more than let air out."""
         intent = self.for_position(position)
         return intent is not None and not self.only_lets_out(intent)
 
     def for_command(self, command: int, params: Sequence[float] | None) -> tuple[Intent | None, str]:
-        """The intent of a mission item or command, or None and why there is none."""
+        """The intent of a mission item or command, or None and the reason."""
         name = NAME_OF_COMMAND.get(command, str(command))
         if params is None:
             return None, "numbers not confirmed"
@@ -140,7 +140,7 @@ class Rules:
 
 
 def direct_intent(command: int, params: Sequence[float]) -> tuple[Intent | None, str] | None:
-    """The fixed commands of this component; None where `command` is none of them."""
+    """The intent of one of the fixed commands of this component; None for any other command."""
     value = params[0]
     if command == BEND_TO:
         return (BendTo(value), "") if math.isfinite(value) else (None, "the angle is not a number")

@@ -30,7 +30,8 @@ from flying_vines.config import config
 from flying_vines.config.config import CARRIERS, Config
 from flying_vines.config.toml_edit import value_text
 from flying_vines.config.toml_text import lines_of_keys
-from flying_vines.doctor.checks.vehicle import GROUPS, USES
+from flying_vines.doctor.checks.vehicle import USES
+from flying_vines.vehicle.autopilots.ardupilot import STREAM_GROUPS
 from flying_vines.vehicle.component.settings import SETTINGS, bounds, value_of
 from flying_vines.vehicle.radio.switch import BOUNDARIES_US
 from flying_vines.vehicle.streams import Streams
@@ -252,7 +253,7 @@ def streams(name: str) -> list[str]:
     rows = ["| message | a second | needed for | on ArduPilot |", "| --- | --- | --- | --- |"]
     for message, wanted in Streams(config.default().vehicle.rc_rate_Hz).wanted(0.0).items():
         need = f"**{USES[message]}**" if wanted.essential else USES[message]
-        rows.append(_row(message, f"{wanted.rate_Hz:g}", need, f"`SRn_{GROUPS[message]}`"))
+        rows.append(_row(message, f"{wanted.rate_Hz:g}", need, f"`SRn_{STREAM_GROUPS[message]}`"))
     return rows
 
 

@@ -18,6 +18,8 @@ from needed import needs_compiler
 from flying_vines.config.config import Config
 from flying_vines.core.core import Core
 from flying_vines.simulation.autopilot import Kind, RcSource
+from flying_vines.vehicle.autopilots import OTHER
+from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
@@ -355,8 +357,10 @@ class BelievesAnyRc(Core):
         super().__init__(profile)
         handle = self._vehicle.pilot.handle
 
-        def believe(t: float, message: Message, autopilot: str, vented: bool = False) -> list[PilotOutput]:
-            return [] if message.get_type() == "SYS_STATUS" else handle(t, message, "other", vented)
+        def believe(
+            t: float, message: Message, autopilot: Autopilot, vented: bool = False
+        ) -> list[PilotOutput]:
+            return [] if message.get_type() == "SYS_STATUS" else handle(t, message, OTHER, vented)
 
         self._vehicle.pilot.handle = believe  # type: ignore[method-assign]
 
@@ -420,7 +424,13 @@ class HearsCommandsOnly(Core):
 
     def __init__(self, profile: Config) -> None:
         super().__init__(profile)
-        self._vehicle._px4.due = lambda t: []  # type: ignore[method-assign]
+        take = self._vehicle._take_autopilot
+
+        def take_deaf(t: float) -> None:
+            take(t)
+            self._vehicle._watch.due = lambda t: []  # type: ignore[method-assign]
+
+        self._vehicle._take_autopilot = take_deaf  # type: ignore[method-assign]
 
 
 class CountsFromEachLoss(Core):

@@ -27,7 +27,8 @@ from mission_building import (
 
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config, Item
-from flying_vines.vehicle.mission.storage import Kind, store
+from flying_vines.vehicle.autopilots import store
+from flying_vines.vehicle.mission.storage import Kind
 from flying_vines.vehicle.triggers import Rules
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
 from missions.carriers import carrier, described, over_the_wire

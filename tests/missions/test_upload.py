@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from flying_vines.vehicle.autopilots import store
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import Kind, Params, store
+from flying_vines.vehicle.mission.storage import Kind, Params
 from missions.carriers import over_the_wire
 from missions.files import load_items
 from missions.mission import MissionError

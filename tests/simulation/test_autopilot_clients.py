@@ -6,7 +6,7 @@ import struct
 from typing import Any
 
 import pytest
-from autopilot_world import LAND, TAKEOFF, WAYPOINT, World, changes, item, parameter_bytes, plan, upload
+from autopilot_world import LAND, TAKEOFF, World, changes, parameter_bytes, plan
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot import Autopilot, Kind
@@ -267,22 +267,6 @@ def test_a_signed_message_counts_once_and_with_the_right_key() -> None:
 
 
 # Missions
-
-
-def test_some_items_can_be_written_anew_on_ardupilot_alone() -> None:
-    old, new = plan(TAKEOFF, WAYPOINT, LAND), plan(TAKEOFF, (217, 1, 40), LAND)
-    world = World(Autopilot("ardupilot", mission=old), upload(new))
-    world.gcs.say(mavlink.MAVLink_mission_write_partial_list_message(1, 1, 2, 2))
-    world.on(1.0)
-    assert [stored.command for stored in world.autopilot.items] == [16, 22, 217, 21]
-    assert [m.type for m in world.gcs.of("MISSION_ACK")] == [0]
-    world.gcs.say(mavlink.MAVLink_mission_write_partial_list_message(1, 1, 2, 9))
-    world.on(1.0)
-    assert [m.type for m in world.gcs.of("MISSION_ACK")] == [0, 1]
-    world = World(Autopilot("px4", mission=[item(0, 22, 0, 0, 0, 0, 47, 8, 5)]), upload(new))
-    world.gcs.say(mavlink.MAVLink_mission_write_partial_list_message(1, 1, 0, 0))
-    world.on(1.0)
-    assert world.gcs.of("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK") == []
 
 
 def test_px4_ends_an_upload_that_was_given_up() -> None:

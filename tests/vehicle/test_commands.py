@@ -10,11 +10,14 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
+from flying_vines.vehicle.autopilots import AUTOPILOTS
+from flying_vines.vehicle.autopilots.autopilot import MissionWatch
+from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.commands import Commands
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.px4 import Px4Watch
+from flying_vines.vehicle.mission.storage import Kind
 from flying_vines.vehicle.repeats import LATE_S, MOST_REMEMBERED, PX4_REPEAT_S
 from flying_vines.vehicle.triggers import Rules, Trigger
 from flying_vines.vine.intent import (
@@ -68,9 +71,11 @@ def published(
 class Bench:
     """Commands, decided at once; keeps what was triggered and what was answered."""
 
-    def __init__(self, items: Sequence[MissionItem] = (), px4: bool = True, accepts: bool = True) -> None:
-        self.commands = Commands(Rules(config.default()), US)
-        self.px4 = Px4Watch(MissionBook(items)) if px4 else None
+    def __init__(self, items: Sequence[MissionItem] = (), kind: Kind = "px4", accepts: bool = True) -> None:
+        rules = Rules(config.default())
+        self.commands = Commands(rules, US)
+        book = MissionBook(items)
+        self.watch = AUTOPILOTS[kind].mission_watch(book, rules.commands, AutopilotClock())
         self.accepts = accepts
         self.triggers: list[Trigger] = []
         self.answers: list[Message] = []
@@ -78,7 +83,7 @@ class Bench:
     def take(self, t: float, message: Message) -> None:
         from_autopilot = (message.get_srcSystem(), message.get_srcComponent()) == AUTOPILOT
         from_station = message.get_srcSystem() > 1
-        for output in self.commands.handle(t, message, 1, from_autopilot, self.px4, from_station):
+        for output in self.commands.handle(t, message, 1, from_autopilot, self.watch, from_station):
             if isinstance(output, Trigger):
                 self.triggers.append(output)
                 self.answers += self.commands.acknowledge(output, self.accepts and output.intent is not None)
@@ -215,14 +220,14 @@ def test_an_item_that_somebody_else_sends_to_all_is_not_the_missions() -> None:
 
 
 def test_what_an_ardupilot_sends_to_all_was_told_by_its_texts() -> None:
-    bench = Bench(px4=False)
+    bench = Bench(kind="ardupilot")
     bench.take(10.0, published(GRIPPER, (1.0, 0.0), target=(0, 0)))
     assert bench.triggers == []
     assert bench.answers == []
 
 
 def test_a_script_on_an_ardupilot_sends_to_us() -> None:
-    bench = Bench(px4=False)
+    bench = Bench(kind="ardupilot")
     bench.take(10.0, command(USER_1, (1.0, 40.0), sender=AUTOPILOT))
     (trigger,) = bench.triggers
     assert (trigger.kind, trigger.intent, trigger.by_person) == ("mission_item", BendTo(40.0), False)
@@ -313,14 +318,14 @@ def test_all_seven_numbers_count(param: int) -> None:
     )
     numbers = [12.0, *(6 * [0.0])]
     commands = Commands(Rules(rules), US)
-    (other,) = commands.handle(1.0, command(ACTUATOR, numbers), 1, False, None, True)
+    (other,) = commands.handle(1.0, command(ACTUATOR, numbers), 1, False, MissionWatch(MissionBook()), True)
     numbers[param] = 5.0
-    (trigger,) = commands.handle(2.0, command(ACTUATOR, numbers), 1, False, None, True)
+    (trigger,) = commands.handle(2.0, command(ACTUATOR, numbers), 1, False, MissionWatch(MissionBook()), True)
     assert isinstance(other, Trigger) and isinstance(trigger, Trigger)
     assert (other.intent, trigger.intent) == (None, BendTo(12.0))
     integers = (ACTUATOR, 0, 0, *numbers[:4], *(int(number) for number in numbers[4:6]), numbers[6])
     message = sent(mavlink.MAVLink_command_int_message(1, US, 0, *integers), (254, 190))
-    (whole,) = commands.handle(3.0, message, 1, False, None, True)
+    (whole,) = commands.handle(3.0, message, 1, False, MissionWatch(MissionBook()), True)
     assert isinstance(whole, Trigger) and whole.intent == BendTo(12.0)
 
 
@@ -376,8 +381,7 @@ def test_copies_of_an_item_that_lets_air_out_count_once() -> None:
 
 def test_a_repeat_of_an_item_that_is_history_is_answered_and_not_carried_out() -> None:
     bench = Bench()
-    assert bench.px4 is not None
-    bench.px4.forget(9.9)
+    bench.watch.forget(9.9)
     bench.take(10.0, published(confirmation=1))
     assert bench.triggers == []
     assert bench.results() == [ACCEPTED]

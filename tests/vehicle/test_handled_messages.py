@@ -13,12 +13,12 @@ from flying_vines.core.core import Core
 from flying_vines.core.events import Event, Tick, ToVehicle, VehicleMessage
 from flying_vines.vehicle.component.parameters import Parameters
 from flying_vines.vehicle.component.requests import Requests
-from flying_vines.vehicle.mavlink import handled_messages as heard
+from flying_vines.vehicle.mavlink import handled_messages as handled
 from flying_vines.vehicle.mavlink.codec import Codec
 from flying_vines.vehicle.mavlink.tlog import TlogReader
 
 NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
-ROOM = Path(heard.__file__).parent
+ROOM = Path(handled.__file__).parents[1]
 RECORDINGS = sorted((Path(__file__).parents[1] / "data" / "recordings").glob("*.tlog"))
 
 
@@ -30,11 +30,11 @@ def test_whatever_is_looked_for_by_name_is_heard() -> None:
         if isinstance(node, ast.Constant) and node.value in NAMES.values()
     }
     assert {"RC_CHANNELS", "STATUSTEXT", "COMMAND_LONG"} < looked_for
-    assert looked_for <= heard.ALL
+    assert looked_for <= handled.ALL
 
 
 def test_whatever_is_asked_of_us_is_heard() -> None:
-    assert {NAMES[number] for number in (*Requests.MESSAGES, *Parameters.MESSAGES)} <= heard.ALL
+    assert {NAMES[number] for number in (*Requests.MESSAGES, *Parameters.MESSAGES)} <= handled.ALL
 
 
 @pytest.mark.parametrize("path", RECORDINGS, ids=lambda path: path.stem)
@@ -51,6 +51,6 @@ def test_nothing_comes_of_the_others(path: Path, monkeypatch: pytest.MonkeyPatch
         return done
 
     quick = flown()
-    monkeypatch.setattr(heard, "ALL", set(NAMES.values()))
+    monkeypatch.setattr(handled, "ALL", set(NAMES.values()))
     assert quick == flown()
     assert len(quick) > 100

@@ -12,13 +12,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.config.config import CARRIERS
+from flying_vines.vehicle.autopilots.ardupilot_mission import (
+    ASK_AGAIN_S,
+    GIVE_UP_S,
+    WAIT_FOR_TEXT_S,
+    ArduPilotWatch,
+)
+from flying_vines.vehicle.autopilots.px4_mission import Px4Watch
 from flying_vines.vehicle.clock import BACKLOG_S, LATE_S, AutopilotClock
 from flying_vines.vehicle.mavlink.codec import Codec, Message
-from flying_vines.vehicle.mission.ardupilot import ASK_AGAIN_S, GIVE_UP_S, WAIT_FOR_TEXT_S, ArduPilotWatch
 from flying_vines.vehicle.mission.book import MOST_ITEMS, MissionBook
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.px4 import Px4Watch
 
 WP, TAKEOFF, LAND, DELAY, SCRIPT, GRIPPER, WINCH = 16, 22, 21, 93, 217, 211, 42600
 CONDITION_DELAY, JUMP, SERVO, SPEED = 112, 177, 183, 178
@@ -91,7 +97,8 @@ class Air:
         arrived = mavlink.MAVLink(None).parse_char(frame)
         self.clock.frame(self.t, arrived.get_seq())
         self.book.handle(self.t, arrived)
-        self.found += self.watch.handle(self.t, arrived)
+        self.watch.handle(self.t, arrived)
+        self.found += self.watch.due(self.t)
 
     def _ask(self) -> None:
         for seq in self.watch.asks(self.t):
@@ -418,12 +425,16 @@ def test_the_end_of_a_waypoint_that_is_told_again_moves_nothing() -> None:
     assert air.payloads() == [3, 4]
 
 
+def handed_over(air: Air, params: tuple[float, ...]) -> Execution | None:
+    return air.watch.command(air.t, CARRIERS["user_1"], params, 0)
+
+
 def test_what_a_script_handed_over_is_not_made_up_for() -> None:
     air = Air(PLAN)
     air.current(2)
     air.reaches(2)
     air.runs(3, lost=True)
-    air.found.append(certain(air.watch.handed_over(air.t, PLAN[3].params)))
+    air.found.append(certain(handed_over(air, PLAN[3].params)))
     air.runs(4)
     air.current(5)
     air.wait(10.0)
@@ -434,8 +445,8 @@ def test_a_script_that_had_to_repeat_is_still_the_same_item() -> None:
     air = Air(PLAN)
     air.runs(3)
     air.wait(2.0)
-    assert air.watch.handed_over(air.t, PLAN[3].params) is None
-    air.found.append(certain(air.watch.handed_over(air.t, PLAN[3].params)))
+    assert handed_over(air, PLAN[3].params) is None
+    air.found.append(certain(handed_over(air, PLAN[3].params)))
     air.wait(2.0)
     air.runs(3)
     assert air.payloads() == [3, 3]
@@ -468,7 +479,7 @@ def test_a_flood_of_texts_is_not_kept() -> None:
     air.send(mavlink.MAVLink_mission_count_message(1, 191, len(PLAN), 0))
     for number in range(8_000):
         air.runs(number, "Scripting")
-        air.watch.handed_over(air.t, (float(number), 0.0, 0.0, 0.0))
+        handed_over(air, (float(number), 0.0, 0.0, 0.0))
         air.reaches(number)
     sizes = [len(kept) for kept in vars(air.watch).values() if hasattr(kept, "__len__")]
     assert max(sizes) <= MOST_ITEMS + 1
@@ -807,7 +818,8 @@ def watched(flight: Flight, messages: list[tuple[float, Message]]) -> list[tuple
             now += TICK_S
         if message is not None:
             clock.frame(t, message.get_seq())
-            found += [(t, execution) for execution in watch.handle(t, message)]
+            watch.handle(t, message)
+            found += [(t, execution) for execution in watch.due(t)]
     assert all(execution.item is not None for _, execution in found)
     return [(t, e.seq) for t, e in found if e.command in PAYLOAD and e.seq is not None]
 
@@ -857,7 +869,7 @@ def px4(*items: MissionItem, current: int = 0) -> Px4Watch:
 
 
 def ran(watch: Px4Watch, command: int, params: tuple[float, ...]) -> Execution:
-    return certain(watch.execution(0.0, command, params, 0))
+    return certain(watch.command(0.0, command, params, 0))
 
 
 def actuator(seq: int, value: float) -> MissionItem:
@@ -893,7 +905,7 @@ def test_a_command_that_the_book_does_not_have_keeps_its_own_numbers() -> None:
 @pytest.mark.parametrize(("confirmation", "late"), [(0, False), (1, False), (2, True), (3, True)])
 def test_how_old_the_first_copy_is_that_arrives(confirmation: int, late: bool) -> None:
     """PX4's repeats come half a second, or at first a second, apart."""
-    execution = px4(actuator(3, 0.5), current=3).execution(10.0, 187, actuator(3, 0.5).params, confirmation)
+    execution = px4(actuator(3, 0.5), current=3).command(10.0, 187, actuator(3, 0.5).params, confirmation)
     assert execution is not None
     assert (execution.age_s > LATE_S) == late
 
@@ -903,22 +915,22 @@ def test_a_repeat_of_an_item_that_ran_before_anybody_listened_or_asked_for_anoth
     watch.forget(10.0)
     params = actuator(3, 0.5).params
     # The third frame of a command is the first that is heard: it was sent a second ago.
-    assert watch.execution(10.3, 187, params, confirmation=2) is None
+    assert watch.command(10.3, 187, params, confirmation=2) is None
     # It began after that only if its first repeat came as soon as it can.
-    assert watch.execution(10.9, 187, params, confirmation=2) is None
-    assert watch.execution(12.2, 187, params, confirmation=2) is not None
+    assert watch.command(10.9, 187, params, confirmation=2) is None
+    assert watch.command(12.2, 187, params, confirmation=2) is not None
 
 
 def test_a_repeat_of_an_item_that_a_later_one_of_its_burst_overtook_is_history() -> None:
     nan = float("nan")
     items = actuator(2, 0.5), actuator(3, -0.1), MissionItem(4, WP, (0.0,) * 7), actuator(5, 0.9)
     watch = px4(*items)
-    assert certain(watch.execution(10.0, 187, (-0.1, nan, nan, nan), 0)).seq == 3
-    assert watch.execution(11.0, 187, (0.5, nan, nan, nan), 1) is None
-    assert certain(watch.execution(12.0, 187, (0.9, nan, nan, nan), 1)).seq == 5
-    assert certain(watch.execution(12.5, 187, (0.5, nan, nan, nan), 1)).seq == 2  # a waypoint lies between
-    assert watch.execution(12.8, 187, (0.9, nan, nan, nan), 1) is None  # it began before the last one
-    assert certain(watch.execution(12.9, 187, (0.9, nan, nan, nan), 0)).seq == 5
+    assert certain(watch.command(10.0, 187, (-0.1, nan, nan, nan), 0)).seq == 3
+    assert watch.command(11.0, 187, (0.5, nan, nan, nan), 1) is None
+    assert certain(watch.command(12.0, 187, (0.9, nan, nan, nan), 1)).seq == 5
+    assert certain(watch.command(12.5, 187, (0.5, nan, nan, nan), 1)).seq == 2  # a waypoint lies between
+    assert watch.command(12.8, 187, (0.9, nan, nan, nan), 1) is None  # it began before the last one
+    assert certain(watch.command(12.9, 187, (0.9, nan, nan, nan), 0)).seq == 5
 
 
 def test_the_model_flight_really_runs_what_it_should() -> None:
@@ -964,7 +976,7 @@ class Px4Air:
         self.send(mavlink.MAVLink_mission_item_reached_message(seq))
 
     def command(self, item: MissionItem, confirmation: int = 0) -> None:
-        execution = self.watch.execution(self.t, item.command, item.params, confirmation)
+        execution = self.watch.command(self.t, item.command, item.params, confirmation)
         if execution is not None:
             self.found.append(execution)
 

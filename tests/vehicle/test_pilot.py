@@ -13,6 +13,7 @@ from param_value import param_value
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
+from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vehicle.radio.pilot import Pilot, PilotOutput, Straightened
 from flying_vines.vehicle.radio.rc import NO_RSSI, OVERRIDE_RSSI, RC_BIT
@@ -119,7 +120,7 @@ class Radio:
         self.hear(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *self.sticks, NO_RSSI))
 
     def hear(self, message: object) -> None:
-        outputs = self.pilot.handle(self.now_s, message, self.autopilot, self.vented)
+        outputs = self.pilot.handle(self.now_s, message, AUTOPILOTS[self.autopilot], self.vented)
         self.outputs.extend((self.now_s, output) for output in outputs)
 
     @property

@@ -5,7 +5,8 @@ from __future__ import annotations
 from flying_vines.config.config import Config, ReceiverFailsafe
 from flying_vines.doctor.finding import Finding, Line, may_fly
 from flying_vines.doctor.radio_test import Loss, RadioLearned, failsafe_of, position_of
-from flying_vines.vehicle.radio.radio_parameters import NAMES, SHOWN_WITHIN_S
+from flying_vines.vehicle.autopilots import of_name
+from flying_vines.vehicle.autopilots.autopilot import LOSS_SHOWN_WITHIN_S, Autopilot
 from flying_vines.vehicle.triggers import Rules
 
 HUMAN_S = 1.0
@@ -106,17 +107,6 @@ UNCLEAR = Line(
     "look at the receiver's failsafe and repeat the test; until then each bend on PX4 waits",
 )
 
-REMEDIES = {
-    "FS_THR_ENABLE": "set FS_THR_ENABLE = 1",
-    "RC_FS_TIMEOUT": "set RC_FS_TIMEOUT = 1",
-    "RC_OPTIONS": "clear bits 0 and 2 of RC_OPTIONS: they ignore the receiver, or its failsafe flag",
-    "COM_RC_IN_MODE": "set COM_RC_IN_MODE = 0: the receiver is to be used",
-}
-UNSEEN_REMEDY = {
-    "ardupilot": "was it this transmitter? Then FS_THR_ENABLE = 1, and the receiver's failsafe to no pulses,"
-    " or to a throttle below FS_THR_VALUE",
-}
-UNSEEN_ELSEWHERE = "was it this transmitter? Then set the receiver's failsafe to no pulses"
 LOST = {
     "hold": "the vine holds (losses.on_rc_loss)",
     "vent": "the vine is vented (losses.on_rc_loss)",
@@ -129,8 +119,9 @@ def check(learned: RadioLearned, config: Config) -> list[Finding]:
     if problem is not None:
         return [problem]
     if learned.hidden_by:
-        do = REMEDIES[learned.hidden_by.split()[0]]
-        return [HIDDEN_BY(autopilot=_name(learned), why=learned.hidden_by, do=do)]
+        autopilot = _autopilot(learned)
+        do = autopilot.rc_remedies[learned.hidden_by.split()[0]]
+        return [HIDDEN_BY(autopilot=autopilot.title, why=learned.hidden_by, do=do)]
     found = [_loss(learned, config), *_parameters(learned)]
     if any(loss.seen for loss in learned.losses):
         found.append(_receiver(learned, config))
@@ -168,12 +159,12 @@ def _problem(learned: RadioLearned, config: Config) -> Finding | None:
 
 def _loss(learned: RadioLearned, config: Config) -> Finding:
     if any(loss.shown_after_s is None for loss in learned.losses):
-        return HIDDEN(do=UNSEEN_REMEDY.get(learned.autopilot, UNSEEN_ELSEWHERE))
+        return HIDDEN(do=_autopilot(learned).unseen_loss_remedy)
     timed = [loss for loss in learned.losses if loss.pressed] or list(learned.losses)
     slowest = max(timed, key=lambda loss: loss.shown_after_s or 0.0)
     sign, then = _first_sign(slowest), LOST[config.losses.on_rc_loss]
     seconds = f"{slowest.shown_after_s:.1f}"
-    if slowest.shown_after_s is not None and slowest.shown_after_s > SHOWN_WITHIN_S + HUMAN_S:
+    if slowest.shown_after_s is not None and slowest.shown_after_s > LOSS_SHOWN_WITHIN_S + HUMAN_S:
         return SLOW(seconds=seconds, sign=sign)
     return (
         SHOWS(seconds=seconds, sign=sign, then=then)
@@ -183,7 +174,7 @@ def _loss(learned: RadioLearned, config: Config) -> Finding:
 
 
 def _parameters(learned: RadioLearned) -> list[Finding]:
-    unsaid = [name for name in NAMES.get(learned.autopilot, ()) if name not in learned.parameters]
+    unsaid = [name for name in _autopilot(learned).rc_parameters if name not in learned.parameters]
     values = ", ".join(f"{name} {value:g}" for name, value in sorted(learned.parameters.items()))
     found = [PARAMETERS(values=values)] if values else []
     return [*found, NO_PARAMETERS(names=", ".join(unsaid))] if unsaid else found
@@ -212,12 +203,12 @@ def _receiver(learned: RadioLearned, config: Config) -> Finding:
     late_s = [loss.told_after_jump_s for loss in learned.losses if loss.told_after_jump_s is not None]
     after_s = max(late_s, default=0.0)
     unseen = any(loss.seen and loss.shown_after_s is None for loss in learned.losses)
-    if learned.autopilot == "px4" and not unseen and after_s <= learned.shows_within_s:
+    if _autopilot(learned).needs_rc_status and not unseen and after_s <= learned.shows_within_s:
         return BENDS_UNSEEN(seconds=f"{after_s:.1f}", wait=f"{learned.shows_within_s:g}", **told)
     if not unseen and after_s <= switch.debounce_s:
         return BENDS_TOLD(**told)
     return BENDS(when="nowhere" if unseen else f"only {after_s:.1f} s later", **told)
 
 
-def _name(learned: RadioLearned) -> str:
-    return {"ardupilot": "ArduPilot", "px4": "PX4"}.get(learned.autopilot, "the autopilot")
+def _autopilot(learned: RadioLearned) -> Autopilot:
+    return of_name(learned.autopilot)

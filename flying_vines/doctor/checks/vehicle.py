@@ -10,25 +10,14 @@ from flying_vines.config.config import Config
 from flying_vines.doctor.checks.service import Process, named, stop
 from flying_vines.doctor.finding import Finding, Line
 from flying_vines.doctor.vehicle_probe import Stream, VehicleFacts
+from flying_vines.vehicle.autopilots import OTHER, of_name
+from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.state import ALTITUDE_FRESH_S, HEARTBEAT_FRESH_S
 
 LEAST_RATE_SHARE = 0.7
 """Of a stream's rate; below it is slow."""
 SAMPLES_WITHIN_LOSS = 3.0
 """Of RC_CHANNELS within losses.rc_s: with fewer a single loss looks like a lost radio."""
-
-PX4_MISSION_CURRENT_HZ = 1.0
-"""PX4 sends it by itself; it has no such stream to set, and says so when it is asked."""
-
-GROUPS = {
-    "SYS_STATUS": "EXT_STAT",
-    "MISSION_CURRENT": "EXT_STAT",
-    "GLOBAL_POSITION_INT": "POSITION",
-    "RC_CHANNELS": "RC_CHAN",
-    "SYSTEM_TIME": "EXTRA3",
-    "SCALED_PRESSURE": "RAW_SENS",
-}
-"""Which of ArduPilot's stream rates carries a message."""
 
 USES = {
     "RC_CHANNELS": "the switch",
@@ -184,22 +173,22 @@ def check(
     if not facts.found:
         system = config.vehicle.system_id
         return [NO_AUTOPILOT(messages=facts.messages, others=_named(facts.others), system=system)]
+    autopilot = of_name(facts.kind)
     return [
-        *_autopilot(facts),
+        *_autopilot(facts, autopilot),
         _heartbeat(facts, config),
-        *(_stream(stream, facts.kind, config) for stream in facts.streams),
+        *(_stream(stream, autopilot, config) for stream in facts.streams),
         _component(facts, config, running),
         _signing(facts, bool(config.vehicle.signing_key)),
     ]
 
 
-def _autopilot(facts: VehicleFacts) -> list[Finding]:
-    kind = {"ardupilot": "ArduPilot", "px4": "PX4"}.get(facts.kind)
+def _autopilot(facts: VehicleFacts, autopilot: Autopilot) -> list[Finding]:
     mode = facts.mode or "no mode"
-    if kind is None:
+    if autopilot is OTHER:
         return [OTHER_AUTOPILOT(system=facts.system_id)]
     version = facts.version or "of unknown version"
-    found = [AUTOPILOT(kind=kind, version=version, system=facts.system_id, mode=mode)]
+    found = [AUTOPILOT(kind=autopilot.title, version=version, system=facts.system_id, mode=mode)]
     return [*found, ARMED(mode=mode)] if facts.armed else found
 
 
@@ -211,10 +200,10 @@ def _heartbeat(facts: VehicleFacts, config: Config) -> Finding:
     return HEARTBEAT(rate=facts.heartbeat_Hz, silence=facts.longest_silence_s)
 
 
-def _stream(stream: Stream, kind: str, config: Config) -> Finding:
-    if kind == "px4" and stream.name == "MISSION_CURRENT":
-        stream = replace(stream, wanted_Hz=PX4_MISSION_CURRENT_HZ, refused=False)
-    use, where = USES[stream.name], where_to_set(stream, kind)
+def _stream(stream: Stream, autopilot: Autopilot, config: Config) -> Finding:
+    if stream.name in autopilot.own_rates_Hz:
+        stream = replace(stream, wanted_Hz=autopilot.own_rates_Hz[stream.name], refused=False)
+    use, where = USES[stream.name], autopilot.how_to_set_stream(stream.name, math.ceil(stream.wanted_Hz))
     needed = stream.essential or (stream.name == "RC_CHANNELS" and uses_switch(config))
     if stream.rate_Hz == 0.0:
         use += "; the autopilot refuses it" if stream.refused else ""
@@ -236,25 +225,6 @@ def least_rate_Hz(name: str, config: Config) -> float:
 
 def uses_switch(config: Config) -> bool:
     return any(config.switch.positions)
-
-
-def where_to_set(stream: Stream, kind: str) -> str:
-    """What to set on the autopilot where a message does not come by being asked for."""
-    rate = math.ceil(stream.wanted_Hz)
-    if kind == "ardupilot":
-        group = GROUPS[stream.name]
-        return (
-            f"set SRn_{group} = {rate}, n counting the MAVLink ports from USB = 0 "
-            f"(from 4.7 on MAVn_{group}, from USB = 1), and a baud rate that carries all streams"
-        )
-    if kind == "px4" and stream.name == "MISSION_CURRENT":
-        return "PX4 sends it by itself once it has a mission: set a baud rate that carries all streams"
-    if kind == "px4":
-        return (
-            f"put into etc/extras.txt on its card: mavlink stream -d DEVICE -s {stream.name} -r {rate}; "
-            "and set a baud rate that carries all streams"
-        )
-    return f"have it send {stream.name} {rate} times a second"
 
 
 def _component(facts: VehicleFacts, config: Config, running: Sequence[Process]) -> Finding:

@@ -12,6 +12,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot.agenda import Agenda, Entry
+from flying_vines.vehicle.autopilots import store
+from flying_vines.vehicle.autopilots.ardupilot import whole_centimetres
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import (
@@ -23,8 +25,6 @@ from flying_vines.vehicle.mission.storage import (
     NO_SPACE,
     Kind,
     MissionRefused,
-    store,
-    whole_centimetres,
 )
 
 _ASK_AGAIN_S = 1.0
@@ -128,8 +128,6 @@ class MissionStorage:
                 self._ack(link, *_reply(message), ACCEPTED)
             case "MISSION_ACK":
                 self._heed(link, message)
-            case "MISSION_WRITE_PARTIAL_LIST":
-                self._begin_partial(link, message)
 
     def _handle_other_type(self, link: str, message: Any) -> None:
         """Fences and rally points: none, and none can be stored."""
@@ -164,19 +162,6 @@ class MissionStorage:
             self._finish(self._upload)
         else:
             self._ask()
-
-    def _begin_partial(self, link: str, message: Any) -> None:
-        """Some items of the mission anew, which PX4 does not do."""
-        if self._kind == "px4":
-            return
-        first, last = message.start_index, message.end_index
-        if not 0 <= first <= last < len(self.items):
-            self._ack(link, *_reply(message), ERROR)
-            return
-        self._stop()
-        self._upload = _Upload(link, *_reply(message), last + 1, self._agenda.now_s + _GIVE_UP_S)
-        self._upload.next_seq = first
-        self._ask()
 
     def _heed(self, link: str, message: Any) -> None:
         """Whoever uploads may give up; ArduPilot does not listen and goes on asking."""

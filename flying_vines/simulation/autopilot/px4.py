@@ -16,9 +16,9 @@ from flying_vines.simulation.autopilot.runner import (
     Host,
     MissionStatus,
 )
+from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.jumps import JUMP, Jumps
-from flying_vines.vehicle.mission.storage import is_nav_item
 
 TOTAL_BEFORE_FIRST_UPLOAD = 65535
 
@@ -187,7 +187,7 @@ class Px4Mission:
                 self._grow_stale()
                 self._seq = self._jumps.take(item)
                 continue
-            if is_nav_item("px4", item):
+            if AUTOPILOTS["px4"].waits_for(item):
                 self._issue(burst)
                 self._start_leg(item)
                 return

@@ -1,4 +1,4 @@
-"""The one answer to a command: COMMAND_ACK, to whoever sent it."""
+"""COMMAND_ACK, the answer to the sender of a command."""
 
 from __future__ import annotations
 

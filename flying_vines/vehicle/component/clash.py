@@ -1,8 +1,8 @@
-"""Somebody else speaks as we do: the same system, the same component.
+"""Another program with our own system and component id.
 
-Ground stations and autopilots would take the two for one and send commands to either. Component 191 is the
-usual one of companion computers, so it happens. (Our own frames, should a router send them back, never get
-here: the codec drops them.)
+Ground stations and autopilots cannot tell the two apart, and send commands to either. Component 191 is usual
+for companion computers, so this happens. (Our own frames that a router sends back do not count: the codec
+drops them.)
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ AGAIN_S = 60.0
 
 
 class Clash:
-    """Told of each message that bears our own address; says when that is no accident."""
+    """Counts messages from our own address, and reports when they repeat."""
 
     def __init__(self, component_id: int) -> None:
         self._component_id = component_id

@@ -1,4 +1,4 @@
-"""We as a well-behaved component of the vehicle: what goes in, what comes out, wired."""
+"""Our MAVLink component on the vehicle: heartbeat, values, texts, parameters and answers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from flying_vines.vehicle.component.requests import Requests
 from flying_vines.vehicle.component.stations import Stations
 from flying_vines.vehicle.component.telemetry import FuelGauge, Heartbeat, NamedValues
 from flying_vines.vehicle.component.texts import Texts
-from flying_vines.vehicle.component.transmit_queue import Outbox
+from flying_vines.vehicle.component.transmit_queue import TransmitQueue
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.state import VehicleState
@@ -23,8 +23,8 @@ from flying_vines.vehicle.state import VehicleState
 class Component:
     """Sans-IO; all times are seconds of one clock.
 
-    `values` are the parameters that differ from the profile's own, as `parameters.values` had them when they
-    were saved. Everything that we send to the vehicle goes through `send`, and leaves by `due` and `leaving`.
+    `values` are the saved parameters that differ from the profile. Every message to the vehicle goes through
+    `send`, and leaves by `due` or `leaving`.
     """
 
     def __init__(self, profile: Config, values: Mapping[str, float] | None = None) -> None:
@@ -38,22 +38,22 @@ class Component:
         self._key_told = bool(profile.vehicle.signing_key)
         self._clash = Clash(self._component_id)
         self._stations = Stations()
-        self._outbox = Outbox()
+        self._queue = TransmitQueue()
 
     @property
     def dropped(self) -> int:
-        """Messages that never left because too many waited."""
-        return self._outbox.dropped
+        """Messages that were dropped because the queue was full."""
+        return self._queue.dropped
 
     def handle(
         self, t: float, message: Message, vehicle: VehicleState, may_change: bool
     ) -> list[Output] | None:
-        """What follows from a message of anyone; None where it may concern others here.
+        """Answer a message of any sender. None: the message is not ours to answer.
 
         Args:
             t: now.
             message: as it arrived.
-            vehicle: that we belong to, and that has seen the message already.
+            vehicle: our vehicle, which has handled the message already.
             may_change: whether the vine is vented, so that parameters which steer it may be changed.
         """
         if not vehicle.found:
@@ -65,7 +65,7 @@ class Component:
             if vehicle.is_ours(message):
                 self._heartbeat.autopilot_spoke(t)
             else:
-                self._stations.heard(t, message, vehicle.kind == "ardupilot")
+                self._stations.heard(t, message, vehicle.autopilot.hides_our_parameters)
             return None
         if number in Requests.MESSAGES:
             return self._requests.handle(t, message, vehicle.system_id)
@@ -81,28 +81,28 @@ class Component:
         return not own and self._stations.sent(message)
 
     def _without_key(self, t: float, message: Message, system_id: int) -> list[Output]:
-        """Once: whoever gives the vehicle a key should know that we do not take it."""
+        """Say once that we ignore a signing key that is sent to the vehicle."""
         if self._key_told or message.target_system not in (0, system_id):
             return []
         self._key_told = True
         return [Notice(t, Severity.NOTICE, "Vine: SETUP_SIGNING ignored: no key in profile")]
 
     def greet(self) -> None:
-        """The autopilot knows nothing of us: let it hear us at once."""
+        """Send a heartbeat at once: the autopilot does not know us yet."""
         self._heartbeat.now()
 
     def say(self, t: float, severity: int, text: str) -> None:
-        """Tell people, by a status text."""
+        """Send a status text."""
         self._texts.say(t, severity, text)
 
     def send(self, message: Message) -> None:
-        """Let a message leave when it is its turn."""
-        self._outbox.put(message)
+        """Queue a message."""
+        self._queue.put(message)
 
     def due(
         self, t: float, time_boot_ms: int, values: Mapping[str, float], system_status: int
     ) -> list[Message]:
-        """What leaves as time passes. `values` are the named values of now; NaN is not sent."""
+        """The messages that leave at time `t`. `values` are the present named values; NaN is not sent."""
         config = self.parameters.config
         self._values.usual_s = 1.0 / config.telemetry.rate_Hz
         if self._stations.due(t) and not self.parameters.showing:
@@ -117,9 +117,9 @@ class Component:
             reservoir_kPa = values.get("RES_KPA", math.nan)
             due.extend(self._fuel.due(t, reservoir_kPa, config.pneumatics.full_kPa))
         for message in due:
-            self._outbox.put(message)
-        return self._outbox.due(t)
+            self._queue.put(message)
+        return self._queue.due(t)
 
     def leaving(self, t: float) -> list[Message]:
-        """What may leave at once after something happened."""
-        return self._outbox.due(t)
+        """The queued messages that may leave now."""
+        return self._queue.due(t)

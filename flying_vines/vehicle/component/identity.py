@@ -1,4 +1,4 @@
-"""What we say of ourselves when asked: AUTOPILOT_VERSION and PROTOCOL_VERSION."""
+"""Our answers about ourselves: AUTOPILOT_VERSION and PROTOCOL_VERSION."""
 
 from __future__ import annotations
 

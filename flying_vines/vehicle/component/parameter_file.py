@@ -1,7 +1,7 @@
-"""The parameters that were set in the field, as a file that survives the service and that people can read.
+"""The file of the parameters that were set in the field.
 
-Only what differs from the profile is in it, so that a key which nobody touched still follows the profile. A
-file that cannot be understood is never overwritten: what it held would be lost without a word.
+It holds only values that differ from the profile, so that all others still follow the profile. A file that
+cannot be read is never overwritten, so that nothing in it is lost.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def read(path: Path, profile: Config) -> dict[str, float]:
     """The values of a file, all allowed by the profile; none where there is no file yet.
 
     Raises:
-        ParameterFileError: where the file is damaged, or holds what the profile does not allow.
+        ParameterFileError: the file is damaged, or has a value that the profile does not allow.
     """
     if not path.exists():
         return {}

@@ -1,8 +1,7 @@
 """The settings of `settings.py` as a MAVLink parameter set: listed, read and set by any ground station.
 
-All are 32-bit floats, which ground stations of both autopilots write alike. Whatever is asked, the answer is
-the value that is really in force. A parameter that we do not have (QGroundControl's `_HASH_CHECK`) is not
-answered.
+All are 32-bit floats, which ground stations write in the same way for both autopilots. The answer is always
+the value in force. A parameter that we do not have (QGroundControl's `_HASH_CHECK`) is not answered.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ _BY_NAME = -1
 
 @dataclass(frozen=True, slots=True)
 class Changed:
-    """A parameter has another value from now on: the configuration in force is `config`."""
+    """A parameter has a new value; the configuration in force is now `config`."""
 
     t: float
     name: str
@@ -47,8 +46,8 @@ Output = Message | Notice | Changed
 class Parameters:
     """The parameter set over a profile.
 
-    `config` is the profile with the values in force; `values` are those that differ from the profile's own,
-    and are what a file should keep.
+    `config` is the profile with the values in force. `values` are those that differ from the profile, for
+    the file that saves them.
     """
 
     MESSAGES = frozenset(

@@ -1,6 +1,6 @@
-"""What others ask of any component: who are you, send me that, how often, are you there.
+"""Requests that any component has to answer: identity, messages, message rates, pings.
 
-Answers go to whoever asked. A command that is none of these is left to others to answer.
+Answers go to the sender of the request. All other commands are answered elsewhere.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ ACCEPTED, DENIED, UNSUPPORTED = (
     mavlink.MAV_RESULT_DENIED,
     mavlink.MAV_RESULT_UNSUPPORTED,
 )
-"""DENIED: known, but not with these numbers. UNSUPPORTED: never, with any."""
+"""DENIED: known, but not with these numbers. UNSUPPORTED: not with any numbers."""
 
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 NAMED_VALUE = mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT
 INTERVAL = mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL
 AUTOPILOT_VERSION = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
 NOT_SENT_US, OFF_US, USUAL_US = 0, -1, 0
-"""Of MESSAGE_INTERVAL: we do not have it, nobody wants it; of a request: as usual."""
+"""In MESSAGE_INTERVAL: we do not have this message; it is off. In a request: the usual rate."""
 
 REMEMBERED_PINGS = 16
 

@@ -1,8 +1,8 @@
-"""The settings that a pilot may change in the field: one row each, and what a value of it may be.
+"""The settings that a pilot may change in the field: one row each, with the limits of its value.
 
-The profile is the engineer's word. Where a setting keeps people or hardware safe, the profile's own value is
-the most or the least that the field may set: a pilot may make the vine weaker or more careful, never stronger
-or bolder. A profile that then asks for more than the limits give is clipped, which safety says, or slowed.
+If a setting keeps people or hardware safe, the profile's value is its maximum or minimum: a pilot may make
+the vine weaker or slower, never stronger or faster. A pressure profile that then exceeds the limits is
+clipped, which safety reports, or slowed.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ class Setting:
     key: str
     doc: str
     guard: Guard = "none"
-    """Whether the profile's own value is the most or the least that may be set."""
+    """Whether the profile's value is the maximum or the minimum that may be set."""
     least: float = -math.inf
     most: float = math.inf
-    """Where these are narrower than the configuration's own."""
+    """Limits that are narrower than the configuration's."""
     choices: tuple[str | bool, ...] = ()
-    """What the numbers 0, 1 … stand for, where they are not the value itself."""
+    """The meaning of the numbers 0, 1 …, if they are not the value itself."""
     in_flight: bool = False
-    """It moves nothing and stops nothing: it may be changed while the vine is bent."""
+    """It does not affect motion, so it may be changed while the vine is bent."""
 
 
 VENT_OR_HOLD = ("vent", "hold")

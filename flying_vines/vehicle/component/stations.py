@@ -1,11 +1,11 @@
-"""Which senders are ground stations, and which of them has yet to be shown our parameters.
+"""Which senders are ground stations, and which of them have not received our parameters yet.
 
-A ground station says so in its HEARTBEAT. Scripts send none, and not every autopilot forwards it to a
-companion: a sender whose heartbeat was never heard is known by its ids. Anybody can claim ids and types; only
-signing proves who sends.
+A ground station is recognised by the type in its HEARTBEAT. Scripts send no HEARTBEAT, and some autopilots do
+not forward it to a companion. A sender without a HEARTBEAT is recognised by its ids. Ids and types can be
+forged; only signing proves the sender.
 
-QGroundControl reads an ArduPilot's parameters as a file and then asks no other component for its own; but it
-takes them when they come unasked. So each station is shown them once, when it has had time to read the
+QGroundControl reads an ArduPilot's parameters as a file, and then asks no other component for parameters. But
+it accepts parameters that arrive unasked. So each station gets them once, after it has had time to read the
 autopilot's.
 """
 
@@ -37,7 +37,7 @@ class Stations:
         self._show_at: dict[int, float] = {}
 
     def heard(self, t: float, heartbeat: Message, show: bool) -> None:
-        """A heartbeat of anyone but the autopilot; `show`: a station is to be shown our parameters."""
+        """Take in a heartbeat that is not the autopilot's. `show`: send our parameters to a new station."""
         sender = _sender(heartbeat)
         self._type_of.pop(sender, None)
         self._type_of[sender] = heartbeat.type
@@ -58,7 +58,7 @@ class Stations:
         return sender[0] in STATION_SYSTEMS and sender[1] in STATION_COMPONENTS
 
     def due(self, t: float) -> bool:
-        """Whether a station waits for our parameters; once for each."""
+        """Whether a station needs our parameters now. True once for each station."""
         waiting = [system_id for system_id, show_at in self._show_at.items() if t >= show_at]
         for system_id in waiting:
             del self._show_at[system_id]

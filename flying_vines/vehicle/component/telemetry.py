@@ -1,4 +1,4 @@
-"""What we send again and again: the heartbeat, the vine's values by name, the bottle as a fuel tank."""
+"""Messages at a fixed rate: heartbeat, named values, and the reservoir as a fuel tank."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ SLOWEST_S, FASTEST_S = 10.0, 0.1
 ONCE_SPACING_S = 0.1
 FUEL_S = 10.0
 LATE_S = 0.1
-"""A value that is later than this (a stall) is not made up for: no burst."""
+"""A value that is later than this is skipped, so that a stall is not followed by a burst."""
 _TICK_GRAIN_S = 0.001
 
 
 class Heartbeat:
-    """That we are there, what we are, and how we are: once a second.
+    """HEARTBEAT once a second.
 
-    And at once when the autopilot speaks for the first time or after a silence. An ArduPilot carries out
-    commands to us by itself as long as it has not heard us, and forgets that it has when it reboots.
+    It is also sent at once when the autopilot appears, or is back after a silence. Until an ArduPilot has
+    received our heartbeat, it carries out commands to us by itself; a reboot makes it forget us.
     """
 
     def __init__(self) -> None:
@@ -55,9 +55,9 @@ class Heartbeat:
 
 
 class NamedValues:
-    """Each value at the same rate, spread evenly over time; a value that is not known is not sent.
+    """Each value at the same rate, spread evenly over time. A value that is not known is not sent.
 
-    Nobody here reads NAMED_VALUE_FLOAT: PX4 sends ours back to us as its own, cut and late.
+    We ignore incoming NAMED_VALUE_FLOAT: PX4 sends our own back to us under its id, shortened and late.
     """
 
     def __init__(self, usual_s: float) -> None:
@@ -66,23 +66,23 @@ class NamedValues:
         self._wanted_at = -math.inf
         self._last_at = -math.inf
         self._due_at: dict[str, float] = {}
-        """When the last of each was due: from there, not from the tick that sent it, the next is counted."""
+        """When the last one of each was due: the next one is timed from here, not from the tick."""
 
     @property
     def period_s(self) -> float:
-        """Between two of the same value; infinite where nobody wants them."""
+        """Between two messages of the same value; infinite if a ground station switched them off."""
         return self.usual_s if self._asked_s is None else self._asked_s
 
     def ask(self, period_s: float | None) -> None:
-        """A ground station wants them this often from now on; None: as usual."""
+        """Set the period that a ground station asks for; None restores the usual period."""
         self._asked_s = period_s
 
     def once(self, t: float) -> None:
-        """A ground station wants each of them now."""
+        """Send each value once, now."""
         self._wanted_at = t
 
     def due(self, t: float, time_boot_ms: int, values: Mapping[str, float]) -> list[Message]:
-        """At most one: the value that is most overdue, so that they spread over time by themselves."""
+        """At most one message, of the value that is most overdue: this spreads them over time."""
         sent = {name: self._due_at.get(name, -math.inf) for name in values if math.isfinite(values[name])}
         name = min(sent, key=lambda name: sent[name], default=None)
         if name is None:
@@ -103,13 +103,13 @@ class NamedValues:
 
 
 class FuelGauge:
-    """The bottle as FUEL_STATUS, for those who want it; slowly, as MAVLink suggests."""
+    """The reservoir as FUEL_STATUS, at the low rate that MAVLink suggests."""
 
     def __init__(self) -> None:
         self._sent_at = -math.inf
 
     def due(self, t: float, reservoir_kPa: float, full_kPa: float) -> list[Message]:
-        """Gauge pressures; nothing is sent while the bottle's is not known."""
+        """Gauge pressures. Nothing is sent while the reservoir's pressure is not known."""
         if t - self._sent_at < FUEL_S - _TICK_GRAIN_S or not math.isfinite(reservoir_kPa):
             return []
         self._sent_at = t

@@ -1,8 +1,8 @@
-"""Status texts: what we tell people, worded and cut so that no program on the way takes it for its own.
+"""Status texts, changed and cut so that no other program acts on them.
 
-Ground stations and autopilots read each other's texts: some words mean a version, a failed check or a step of
-the mission to them. A profile or a firmware build may be called anything, so every text is made harmless
-before it leaves, and stays readable.
+Ground stations and autopilots parse each other's texts: some words mean a version, a failed check or a step
+of the mission to them. The name of a profile or of a firmware build may contain such a word. So every text is
+made harmless before it leaves, and stays readable.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.vehicle.mavlink.codec import Message
 
 OURS = "Vine:"
-"""Every text begins with this, so none begins with what another program looks for."""
+"""The prefix of every text. Other programs look for other prefixes."""
 CHUNK_LENGTH = 50
 LONGEST_TEXT = 4 * CHUNK_LENGTH - 1
-"""Longer ones are cut: the end of a text must not come long after what it tells."""
+"""Longer texts are cut, so that a text does not take long to arrive."""
 SPACING_S = 0.1
 MOST_WAITING = 30
-"""Texts, that is some seconds of them; of more nobody reads the oldest."""
+"""Texts: some seconds of them. Older ones are dropped."""
 SAME_AGAIN_S = 5.0
-"""The same text within this time is not news, and ground stations speak texts aloud."""
+"""The same text is not sent again within this time: ground stations speak texts aloud."""
 
 _WRITTEN_OUT = str.maketrans(
     {

@@ -1,4 +1,4 @@
-"""TIMESYNC answers: to the asker alone, and no more of them than a radio can carry.
+"""TIMESYNC answers: only to the sender of the request, and at a limited rate.
 
 PX4 forwards a TIMESYNC without target fields to every link, and asks ten times a second.
 """
@@ -14,7 +14,7 @@ from flying_vines.vehicle.mavlink.codec import Message
 RATE_HZ = 1.0
 BURST = 4
 MAX_ASKERS = 16
-"""More links than any autopilot has; when all are taken, the one that asked longest ago is forgotten."""
+"""More links than any autopilot has. When all are taken, the oldest is forgotten."""
 
 _TARGET = struct.Struct("<qqBB")
 _TARGET_AT = 16

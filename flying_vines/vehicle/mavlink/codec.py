@@ -13,24 +13,24 @@ from flying_vines.vehicle.mavlink.signing import Signing
 __all__ = ["Codec", "Message"]
 
 REMEMBERED_FRAMES = 32
-"""Frames kept per sender to recognise copies: far fewer than the 256 after which the sequence repeats."""
+"""Frames remembered per sender to recognise copies: far fewer than 256, where the sequence repeats."""
 
 REMEMBERED_SENT = 128
-"""Frames of our own kept to recognise their echoes: some seconds of all that we send."""
+"""Our own frames remembered to recognise their echoes: some seconds of all that we send."""
 
 MOST_SENDERS = 64
-"""More components than any vehicle has: what noise and strangers make up cannot fill the memory."""
+"""More components than any vehicle has. A limit, so that invented senders cannot fill the memory."""
 
 _WITH_KEY = mavlink.MAVLINK_MSG_ID_SETUP_SIGNING
-"""It comes out without its secret key: ours comes from a file, and no log is to show another's."""
+"""Its secret key is removed at decoding: our key comes from a file, and no log may show another one."""
 
 
 class Codec:
     """Decodes a byte stream, and encodes messages as one component of one system.
 
-    Frames that arrive twice (the same sequence number and checksum from the same sender, as routers and
-    retries make them) come out once, frames of our own that a router sends back do not come out at all. With
-    `signing` only frames signed with its key are believed, and ours are signed. Nothing that arrives raises.
+    A frame that arrives twice (the same sequence number and checksum from the same sender, due to routers and
+    retries) is decoded once. Our own frames that a router sends back are dropped. With `signing`, only frames
+    signed with its key are accepted, and ours are signed. No input raises.
     """
 
     def __init__(self, system_id: int, component_id: int, signing: Signing | None = None) -> None:
@@ -49,7 +49,7 @@ class Codec:
 
     @property
     def bad_frames(self) -> int:
-        """Frames whose checksum does not fit, and stretches of bytes that are no frames."""
+        """Frames with a wrong checksum, and stretches of bytes that are not frames."""
         return self._frames.bad_frames
 
     def decode(self, data: bytes) -> list[Message]:
@@ -57,9 +57,9 @@ class Codec:
         return self._admitted(self._frames.take(data))
 
     def decode_stranger(self, data: bytes) -> tuple[list[Message], bool]:
-        """The messages in one datagram of somebody new, and whether they prove that he is an autopilot.
+        """The messages in one datagram of a new sender, and whether they prove that it is an autopilot.
 
-        Half a frame is dropped: what others send must not wait for its end. Only a signature proves anything.
+        Half a frame is dropped: other senders' frames must not wait for its end. Only a signature is a proof.
         """
         messages = self._admitted(Frames().take(data))
         proven = self._signing is not None and any(
@@ -105,7 +105,7 @@ class Codec:
 
     def _meet(self, frame: Frame) -> _Sender:
         if len(self._senders) >= MOST_SENDERS:
-            # Whoever has said much stays, however many strangers say one thing each.
+            # The sender with the fewest frames goes, so that many strangers cannot replace a busy one.
             del self._senders[min(self._senders, key=lambda sender: self._senders[sender].frames)]
         sender = _Sender(frame.sequence)
         self._senders[frame.system, frame.component] = sender
@@ -131,12 +131,12 @@ class _Sender:
         self._recent: deque[tuple[int, int, int]] = deque(maxlen=REMEMBERED_FRAMES)
 
     def is_copy(self, frame: Frame) -> bool:
-        # Of a sender that is forwarded in part the sequence comes round soon; no copy is ahead of its frame.
+        # The sequence of a partly forwarded sender repeats soon. A copy is never ahead of its frame.
         behind = (self._sequence - frame.sequence) & 0xFF
         return behind < 128 and (frame.sequence, frame.message_id, frame.checksum) in self._recent
 
     def take(self, frame: Frame) -> int:
-        """How many more frames than before must be thought lost; -1 where one was only late."""
+        """The number of newly lost frames; -1 if a frame counted as lost was only late."""
         self.frames += 1
         if frame.known:
             self._recent.append((frame.sequence, frame.message_id, frame.checksum))

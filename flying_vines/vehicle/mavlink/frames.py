@@ -1,12 +1,12 @@
 """MAVLink frames in a stream of bytes: where each begins and ends, and whether its checksum fits.
 
-Message types, checksums and packing are pymavlink's. Its parser is not used because it takes up a stream's
-signing timestamp before it has checked the signature (one forged frame locks the real sender out), loses
-good frames next to a hurt one, and leaves less time than a small board has.
+Message types, checksums and packing are pymavlink's. Its parser is not used, for three reasons: it accepts a
+stream's signing timestamp before it has checked the signature, so that one forged frame locks the real sender
+out; it loses good frames next to a damaged one; and it is too slow for a small board.
 
-What looks like a frame of a known message and is none (noise, a frame that lost bytes on a serial line) costs
-only itself: the search goes on at its second byte, so good frames within the length that it claims are found.
-A message that the dialect lacks cannot be checked; it counts as one when a frame begins where it ends.
+After a false or damaged frame of a known message the search goes on at its second byte. So good frames within
+the length that it claims are found. The checksum of a message that the dialect lacks cannot be checked: it
+counts as a frame if another frame begins where it ends.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ _CRC_EXTRA = {number: bytes((kind.crc_extra,)) for number, kind in mavlink.mavli
 _checksum: Callable[[bytes], int] = getattr(mavlink, "mcrf4xx", None) or (
     lambda data: int(mavlink.x25crc(data).crc)
 )
-"""The compiled function where it is installed: pymavlink's class around it costs twice as much again."""
+"""The compiled function if it is installed: pymavlink's class around it is three times slower."""
 
 
 class Frame(NamedTuple):
-    """One frame; of one that the dialect does not know (`known` false) nothing could be checked."""
+    """One frame. If the dialect does not know it (`known` is false), its checksum was not checked."""
 
     raw: bytes
     payload: bytes
@@ -52,7 +52,7 @@ class Frame(NamedTuple):
     sequence: int
     checksum: int
     flags: int
-    """Those that must be understood (incompatibility flags); 0 in version 1 of the protocol."""
+    """Incompatibility flags; 0 in version 1 of the protocol."""
     other_flags: int
 
     @property
@@ -65,7 +65,7 @@ class Frames:
 
     def __init__(self) -> None:
         self.bad_frames = 0
-        """Frames whose checksum does not fit, and stretches of other bytes."""
+        """Frames with a wrong checksum, and stretches of other bytes."""
         self._rest = b""
         self._bad_until = -1
 
@@ -85,7 +85,7 @@ class Frames:
             if frame.known:
                 good = _fits(frame)
             elif stop == end:
-                break  # what follows tells; without waiting for it another cut would be read in another way
+                break  # the next byte decides; the result must not depend on how the stream is cut
             else:
                 good = data[stop] in _MARKERS
             if good:
@@ -99,7 +99,7 @@ class Frames:
         return frames
 
     def _count_bad(self, at: int, stop: int) -> None:
-        """Once, however many false headers are found within it."""
+        """Count a bad stretch once, even with several false headers in it."""
         if at >= self._bad_until:
             self.bad_frames += 1
             self._bad_until = stop
@@ -120,7 +120,7 @@ def from_autopilot(data: bytes) -> bool:
 
 
 def _frame_at(data: bytes, at: int) -> Frame | None:
-    """What the header at `at` makes of the bytes behind it; None before all of them have come."""
+    """The frame whose header is at `at`; None until all of its bytes have arrived."""
     end = len(data)
     must = may = 0
     if data[at] == _MARKER_2:

@@ -1,4 +1,4 @@
-"""FUEL_STATUS: how full the bottle is, as MAVLink says it of any fuel tank.
+"""FUEL_STATUS: how full the reservoir is, in MAVLink's message for fuel tanks.
 
 pymavlink's dialects lack this message, so its class is written here; nothing reads it back.
 """
@@ -57,7 +57,7 @@ class FuelStatus(mavlink.MAVLink_message):  # type: ignore[misc]
 def fuel_status(
     reservoir_kPa: float, full_kPa: float, flow_ml_per_s: float = math.nan, temperature_K: float = math.nan
 ) -> Message:
-    """The bottle as a tank of gas: pressures are gauge, as in our named values; NaN is what is not known.
+    """The reservoir as a tank of gas. Pressures are gauge, as in our named values; NaN: not known.
 
     The flow is positive while air is taken.
     """

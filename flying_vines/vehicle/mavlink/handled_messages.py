@@ -16,6 +16,7 @@ QUESTIONS = frozenset({
     "COMMAND_INT", "COMMAND_LONG", "PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET", "PING",
     "SETUP_SIGNING", "TIMESYNC",
 })  # fmt: skip
+COMMANDS = frozenset({"COMMAND_INT", "COMMAND_LONG"})
 ANSWERS = frozenset({"COMMAND_ACK"})
 OVERRIDES = frozenset({"RC_CHANNELS_OVERRIDE"})
 """From ground stations."""

@@ -1,4 +1,4 @@
-"""Transports for MAVLink: UDP, TCP and serial, each opened again by itself whenever it is lost.
+"""Transports for MAVLink: UDP, TCP and serial. Each reopens by itself when it is lost.
 
 All have the shape of `firmware_link.serial_port.SerialPort`: `run()` until cancelled, `write()` that never
 blocks, `on_bytes` called from the event loop, `on_state(up, why)` when the link comes or goes.
@@ -20,14 +20,14 @@ RETRY_S = 1.0
 MOST_PEERS = 4
 PEER_FORGOTTEN_S = 30.0
 PEER_REPLACED_S = 3.0
-"""A silent peer gives way to a new one after this time: a router that restarts has another port."""
+"""A new peer may replace one that was silent for this long: a restarted router has another port."""
 MOST_OF_STRANGERS = 2048
-"""Bytes in one datagram of somebody new. A frame has 280 at most, an Ethernet packet 1500."""
+"""Maximum bytes in the first datagram of a new sender. A frame has up to 280, an Ethernet packet 1500."""
 MAX_QUEUED_BYTES = 64 * 1024
 
 OnBytes = Callable[[bytes], None]
 OnStranger = Callable[[bytes, Callable[[], None]], None]
-"""One datagram of somebody who is not answered yet, and what to call, before any answer, if he is to be."""
+"""A datagram of a new sender, and the function to call to make it a peer."""
 OnState = Callable[[bool, str], None]
 
 
@@ -36,7 +36,7 @@ class Link(Protocol):
 
     @property
     def dropped_bytes(self) -> int:
-        """Which were to be sent, and were not."""
+        """Bytes that could not be sent."""
 
     async def run(self) -> None:
         """Keep the link open until cancelled."""
@@ -48,9 +48,9 @@ class Link(Protocol):
 def open_link(
     address: Address, on_bytes: OnBytes, on_state: OnState, on_stranger: OnStranger | None = None
 ) -> Link:
-    """The transport for an address; nothing happens before `run`.
+    """The transport for an address; it opens in `run`.
 
-    Without `on_stranger` a `udpin` link answers whoever sends to it.
+    Without `on_stranger`, a `udpin` link answers every sender.
     """
     if isinstance(address, (SerialAddress, UsbBoard)):
         from firmware_link.serial_port import SerialPort
@@ -64,12 +64,12 @@ def open_link(
 
 
 def unread_from(link: Link) -> str:
-    """The latest IP address whose datagrams were not read, because the link names another as its peer."""
+    """The latest IP address whose datagrams were ignored because the link names another peer."""
     return link.unread_from if isinstance(link, UdpLink) else ""
 
 
 class _NetworkLink:
-    """What the network's links share: where they go, and telling each change once."""
+    """Common to the network links: the address, and reporting each change once."""
 
     def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
         self._address = address
@@ -104,7 +104,7 @@ Source = tuple[str, int]
 
 
 class Peers:
-    """Who is answered. Nobody who speaks loses his place to others, however many they are."""
+    """The peers that get our messages. A peer that sends keeps its place, however many others come."""
 
     def __init__(self) -> None:
         self._heard_at: dict[Source, float] = {}
@@ -113,14 +113,14 @@ class Peers:
         return len(self._heard_at)
 
     def heard(self, source: Source, t: float) -> bool:
-        """Note that `source` has spoken; whether it is answered."""
+        """Note a datagram of `source`; whether it is a peer."""
         if source not in self._heard_at:
             return False
         self._heard_at[source] = t
         return True
 
     def enter(self, source: Source, t: float) -> bool:
-        """Answer `source` from now on, if there is room."""
+        """Make `source` a peer, if there is room."""
         if source not in self._heard_at and len(self._heard_at) >= MOST_PEERS:
             most_silent = min(self._heard_at, key=lambda peer: self._heard_at[peer])
             if t - self._heard_at[most_silent] <= PEER_REPLACED_S:
@@ -130,7 +130,7 @@ class Peers:
         return True
 
     def present(self, t: float) -> list[Source]:
-        """Whom to send to."""
+        """The present peers."""
         for peer, heard_at in list(self._heard_at.items()):
             if t - heard_at > PEER_FORGOTTEN_S:
                 del self._heard_at[peer]
@@ -140,8 +140,8 @@ class Peers:
 class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
     """UDP: `udpout` sends to one address, `udpin` listens and answers its `Peers`.
 
-    A peer is somebody who has sent a frame of an autopilot: from this computer or from the address that the
-    link names; on a link that is open to a network, with a signature.
+    A sender becomes a peer by a frame of an autopilot, sent from this computer or from the address that the
+    link names. On a link that is open to a network the frame must be signed.
     """
 
     def __init__(
@@ -212,14 +212,14 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
         self._peers.enter(source, asyncio.get_running_loop().time())
 
     def pause_writing(self) -> None:
-        """64 KiB wait for a driver that takes none, and asyncio itself would keep any amount."""
+        """64 KiB are queued. Stop here: asyncio itself would queue any amount."""
         self._full = True
 
     def resume_writing(self) -> None:
         self._full = False
 
     def error_received(self, exc: Exception) -> None:
-        """Nobody listens on the other side yet: what is sent next may arrive."""
+        """Ignored: nobody listens on the other side yet, but somebody may later."""
 
 
 class TcpLink(_NetworkLink, asyncio.Protocol):
@@ -266,7 +266,7 @@ class TcpLink(_NetworkLink, asyncio.Protocol):
 
 
 def _reason(error: OSError | UnicodeError) -> str:
-    """What the operating system calls it; host names that no name server would take are a `UnicodeError`."""
+    """The operating system's name for it. An invalid host name raises a `UnicodeError`."""
     if isinstance(error, OSError) and error.errno and not isinstance(error, socket.gaierror):
         return os.strerror(error.errno)
     return getattr(error, "strerror", None) or str(error)

@@ -1,15 +1,15 @@
-"""MAVLink 2 message signing: which frames are believed, and the clock that ours are signed with.
+"""MAVLink 2 message signing: which frames are accepted, and the timestamps of our own.
 
-Sans-IO: the edge tells the time, and keeps `Memory` over restarts (`signing_key.TimestampFile`). The key
-comes from a file of this machine and from nowhere else: SETUP_SIGNING is never acted on.
+Sans-IO: the service passes the time, and saves `Memory` over restarts (`signing_key.TimestampFile`). The key
+comes only from a file on this computer: SETUP_SIGNING is ignored.
 
-What is sent can be recorded and sent again, so the timestamps of each stream (link, system, component) must
-rise, over our restarts as well. What MAVLink leaves open: of a stream that was never heard, frames up to
-a minute old are believed, each once.
+Recorded frames can be replayed, so the timestamps of each stream (link, system, component) must rise, over
+our restarts as well. MAVLink does not define the start of a new stream: here, frames up to a minute old are
+accepted, each once.
 
-MAVLink's clock only rises: one frame dated 2040 by somebody who has the key would lock out all who have the
-right time. So ours stays near the clock of this computer. A frame that is too far ahead of it is refused; a
-kept timestamp that is too far ahead is dropped; and a jump of that clock itself, if too far, is not followed.
+MAVLink's clock never goes back: one frame dated 2040, from a sender with the key, would lock out all senders
+with the right time. So our signing clock stays near this computer's clock. A frame too far ahead of it is
+refused, a saved timestamp too far ahead is dropped, and a large jump of that clock is not followed.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ UNIX_TIME_OF_ZERO_S = 1_420_070_400
 
 NEW_STREAM_MAY_LAG = 60 * UNITS_PER_S
 MOST_STREAMS = 64
-"""More components than any vehicle has; only who has the key can make an entry."""
+"""More components than any vehicle has; only a sender with the key can make an entry."""
 
 DAY = 24 * 3600 * UNITS_PER_S
 MAY_BE_AHEAD = DAY
-"""Of this computer's clock, once it was synchronised: wrong time zones are within it, wrong years are not."""
+"""Ahead of a synchronised clock: enough for a wrong time zone, not for a wrong year."""
 
 MAY_BE_AHEAD_UNSYNCHRONISED = 731 * DAY
-"""Of a clock that went on from when this computer was last used, and that nobody has set since."""
+"""Ahead of a clock that was not set since this computer was last used."""
 
 CLOCK_SET_UNIX_S = 1_735_689_600
-"""The beginning of 2025: a clock that is before it was never set."""
+"""The beginning of 2025: an earlier clock was never set."""
 
 _CLOCK_SET = (CLOCK_SET_UNIX_S - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S
 _LARGEST = 2**47
@@ -55,12 +55,12 @@ _STAMP_SIZE = SIGNATURE_SIZE - _DIGEST_SIZE
 
 _RADIO = mavlink.MAV_COMP_ID_TELEMETRY_RADIO
 _RADIO_MESSAGES = {mavlink.MAVLINK_MSG_ID_RADIO_STATUS, mavlink.MAVLINK_MSG_ID_RADIO}
-"""What a telemetry radio says of itself: it has no key, and nothing that it says moves anything."""
+"""A telemetry radio's messages about itself: it has no key, and they have no effect here."""
 
 
 @dataclass(slots=True)
 class Refused:
-    """Frames that were not believed, by reason."""
+    """Refused frames, by reason."""
 
     unsigned: int = 0
     forged: int = 0
@@ -85,20 +85,20 @@ Stream = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """What must survive a restart, so that no timestamp is used or believed twice."""
+    """State that must survive a restart, so that no timestamp is used or accepted twice."""
 
     timestamp: int = 0
     link_id: int | None = None
     """Ours; None where nothing was kept."""
     streams: tuple[tuple[Stream, int], ...] = ()
-    """The last timestamp believed of each."""
+    """The last accepted timestamp of each stream."""
 
 
 class Signing:
     """Signs and checks with one key on one link.
 
-    `timestamp` is the last one used. On one link id it never falls; where it must (it was far ahead of the
-    time), the link id changes, because to all others that is a new stream.
+    `timestamp` is the last one used. It never falls on one link id. If it was far ahead of the time and must
+    fall, the link id changes, which makes a new stream.
     """
 
     def __init__(self, key: bytes, link_id: int = 0, memory: Memory = Memory()) -> None:
@@ -109,12 +109,12 @@ class Signing:
         self.timestamp = memory.timestamp
         self.refused = Refused()
         self.news: list[str] = []
-        """What happened to a clock, to be told to people; whoever tells it empties the list."""
+        """Texts about clocks. The reader empties the list."""
         self._streams: dict[Stream, int] = dict(memory.streams)
         self._host: int | None = None
-        """This computer's clock, as far as it is believed."""
+        """This computer's clock, without jumps that are not followed."""
         self._followed: tuple[int, float | None] | None = None
-        """When it was last as expected: its reading, and the monotonic time then."""
+        """The last reading that was as expected, and the monotonic time then."""
         self._synchronised = False
         self._told_jump = False
         self._told_ahead: set[tuple[int, int]] = set()
@@ -124,12 +124,12 @@ class Signing:
         return Memory(self.timestamp, self.link_id, tuple(self._streams.items()))
 
     def advance(self, unix_time_s: float, at_s: float | None = None, synchronised: bool = False) -> None:
-        """Tell the time; a clock that was set back or never set holds nothing up.
+        """Set the time. A clock that was set back, or never set, blocks nothing.
 
         Args:
             unix_time_s: this computer's clock.
-            at_s: a clock that never jumps: without it no jump is seen.
-            synchronised: whether the kernel says that a time source keeps the clock.
+            at_s: a monotonic clock: without it no jump is detected.
+            synchronised: whether the kernel reports the clock as synchronised.
         """
         reading = min(_LARGEST, int((unix_time_s - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S))
         self._host = self._follow(reading, at_s, synchronised)
@@ -142,7 +142,7 @@ class Signing:
         self.timestamp = max(self.timestamp, self._host)
 
     def _follow(self, reading: int, at_s: float | None, synchronised: bool) -> int:
-        """The clock's reading, or where it would be without a jump that is not to be believed."""
+        """The clock's reading, or its expected value if it jumped too far."""
         first = synchronised and not self._synchronised
         if self._followed is not None and at_s is not None and not first:
             followed, then_s = self._followed
@@ -164,7 +164,7 @@ class Signing:
 
     @property
     def _latest(self) -> int:
-        """The largest timestamp that is believed."""
+        """The largest timestamp that is accepted."""
         if self._host is None or self._host < _CLOCK_SET:
             return _LARGEST
         return min(_LARGEST, self._host + self._may_be_ahead)
@@ -177,12 +177,12 @@ class Signing:
         return self.timestamp - NEW_STREAM_MAY_LAG
 
     def next_timestamp(self) -> int:
-        """The timestamp of the frame that is sent now: no two frames share one."""
+        """The timestamp of the next frame: each frame has its own."""
         self.timestamp += 1
         return self.timestamp
 
     def admits(self, frame: Frame) -> bool:
-        """Whether a frame is to be believed; a `True` uses its timestamp up."""
+        """Whether a frame is accepted; then its timestamp cannot be used again."""
         if not frame.signed:
             if frame.message_id in _RADIO_MESSAGES and frame.component == _RADIO:
                 return True
@@ -218,7 +218,7 @@ class Signing:
             if timestamp < oldest:
                 return False
             if stream not in self._streams and len(self._streams) >= MOST_STREAMS:
-                # Of those forgotten here every copy is as good as refused: too old for a new stream.
+                # Copies of the streams forgotten here are refused: they are too old for a new stream.
                 self._streams = {known: at for known, at in self._streams.items() if at >= oldest}
             if stream not in self._streams and len(self._streams) >= MOST_STREAMS:
                 return False

@@ -18,15 +18,15 @@ _FORMS = '64 hexadecimal digits, 32 raw bytes, or a line "passphrase: ..."'
 
 SAVE_AFTER = 30 * UNITS_PER_S
 AHEAD_AFTER_RESTART = 60 * UNITS_PER_S
-"""More than passes between two savings, so that no timestamp is used twice; ArduPilot does the same."""
+"""Longer than between two savings, so that no timestamp is used twice; ArduPilot does the same."""
 _FILE = re.compile(r"\d{15}(?: \d{3})?\n(?:\d{3} \d{3} \d{3} \d{15}\n)*")
 """Ours: timestamp and link id; then each stream's link id, system, component and last timestamp. Earlier
-versions kept the first number alone. Each has all its digits, so that a file that was cut off is none."""
+versions saved only the first number. All numbers have a fixed length, so that a cut file is detected."""
 _LARGEST = 2**48 - 1 - AHEAD_AFTER_RESTART
 
 
 class SigningKeyError(Exception):
-    """The key's or the timestamp's file cannot be used; the text says which, why and what to do."""
+    """The key's or the timestamp's file cannot be used; the text says which one, why and what to do."""
 
 
 def read_key(path: Path) -> bytes:
@@ -75,7 +75,7 @@ class TimestampFile:
         self._writing = threading.Lock()
 
     def load(self) -> tuple[Memory, str]:
-        """What to go on from, and a sentence where the file does not tell it."""
+        """The saved memory, and a sentence if the file cannot be used."""
         try:
             text = self._path.read_text(encoding="ascii")
         except FileNotFoundError:
@@ -94,11 +94,11 @@ class TimestampFile:
         return f"{self._path}: {why}; the signing timestamp goes on from the clock alone"
 
     def due(self, timestamp: int) -> bool:
-        """Whether to save: at once in a run, then every 30 s and where the clock jumped."""
+        """Whether to save: at the start, then every 30 s and after a jump of the clock."""
         return self._saved is None or not 0 <= timestamp - self._saved < SAVE_AFTER
 
     def save(self, memory: Memory) -> None:
-        """Write it so that a power cut leaves the old file or the new one. Blocks while the disk does."""
+        """Write the file; a power cut leaves the old or the new one. Blocks on a slow disk."""
         self._saved = memory.timestamp
         lines = [f"{memory.timestamp:015d} {memory.link_id or 0:03d}\n"]
         for (link_id, system, component), timestamp in memory.streams:

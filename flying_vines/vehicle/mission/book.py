@@ -1,4 +1,4 @@
-"""The mission's dictionary: which items the autopilot holds, read from it and kept true."""
+"""The mission items that the autopilot holds, read from it and kept up to date."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ RETRY_S = 0.8
 MOST_ATTEMPTS = 6
 TRY_AGAIN_S = 20.0
 QUIET_BEFORE_READING_S = 0.5
-"""While an upload goes on its totals change: reading waits until they rest."""
+"""The total changes during an upload: reading waits until it is stable."""
 SAME_CHANGE_S = 5.0
-"""A total that is reported this soon after a reading, and fits it, is not news."""
+"""A total that is reported this soon after a reading, and agrees with it, is not a change."""
 MOST_ITEMS = 5000
 
 
 class ItemRequest(mavlink.MAVLink_mission_request_int_message):  # type: ignore[misc]
-    """MISSION_REQUEST_INT for an item that has run, and waits for the answer."""
+    """MISSION_REQUEST_INT for an item that has run and needs its numbers."""
 
 
 class MissionBook:
-    """Reads the mission (MAVLink mission protocol, download side) and knows when it must be read anew.
+    """Reads the mission (MAVLink mission protocol, download side) and detects when it must be read again.
 
-    A download that somebody else asked for is read as well: so a recording of a companion's link fills the
-    book without anybody answering our requests.
+    A download that somebody else requested is read as well. So a recording of a companion's link fills the
+    book although nobody answers our requests.
 
-    ArduPilot may have no identity of a mission: one that is replaced by another of the same length shows in
-    nothing that it sends. So an item that runs there is asked for again, and `is_running` says where the
-    book's own numbers will do.
+    ArduPilot may have no mission id: if a mission is replaced by another of the same length, none of its
+    messages shows that. So an item that runs there is requested again, and `is_running` says when the book's
+    own numbers are enough.
     """
 
     def __init__(self, items: Sequence[MissionItem] = ()) -> None:
@@ -57,7 +57,7 @@ class MissionBook:
 
     @property
     def arriving(self) -> bool:
-        """Whether the autopilot is sending its mission just now."""
+        """Whether the autopilot is sending its mission now."""
         return self._expected is not None
 
     @property
@@ -66,16 +66,16 @@ class MissionBook:
 
     @property
     def is_given(self) -> bool:
-        """Whether it was known beforehand and none was read since."""
+        """Whether the mission was known beforehand, and none has been read since."""
         return self._given
 
     @property
     def is_running(self) -> bool:
-        """Whether the book is known to be of the mission that the autopilot has."""
+        """Whether the book certainly holds the autopilot's present mission."""
         return self._given or (self.fresh and self._read_id != 0 and self._read_id == self._mission_id)
 
     def alike(self, command: int, params: Sequence[float]) -> list[MissionItem]:
-        """The items of this kind with these first four numbers."""
+        """The items with this command and these first four numbers."""
         return [
             item
             for item in self._items.values()
@@ -83,21 +83,21 @@ class MissionBook:
         ]
 
     def only(self, command: int, params: Sequence[float]) -> MissionItem | None:
-        """The one item with these numbers; None where there is none or more than one."""
+        """The only item with these numbers; None if there is no such item, or more than one."""
         alike = self.alike(command, params)
         return alike[0] if len(alike) == 1 else None
 
     def tell_anew(self) -> bool:
-        """Whether another mission was read than the one before, and nobody was told yet."""
+        """Whether a different mission was read and nobody was told yet."""
         anew, self._is_anew = self._is_anew, False
         return anew
 
     def told_anew(self) -> None:
-        """The pilot knows that this mission is another one: its reading is no news."""
+        """The pilot has been told that this mission is a different one."""
         self._told_anew = True
 
     def doubt(self, t: float) -> None:
-        """Something says that the mission is another one now: do not trust the book, read it again."""
+        """The mission has probably changed: do not trust the book, read it again."""
         if not self._given:
             self.fresh = False
         self._arriving, self._expected = {}, None  # what has arrived is of the mission before
@@ -106,7 +106,7 @@ class MissionBook:
         self._gave_up_at = None
 
     def refresh(self, t: float) -> None:
-        """Read the mission again, and trust the book meanwhile: not every change is announced."""
+        """Read the mission again, but trust the book meanwhile: not every change is announced."""
         self._changed_at = t
         self._attempts = 0
         self._gave_up_at = None
@@ -158,7 +158,7 @@ class MissionBook:
         self._owes_ack = self._asking
 
     def _acts_differ(self) -> bool:
-        """Whether what is arriving has other actions; home, which is an item, changes in every flight."""
+        """Whether the arriving mission has other actions. Item 0 may be home, which changes every flight."""
         before, now = (
             {seq: (item.command, *item.params) for seq, item in items.items() if not is_nav(item.command)}
             for items in (self._items, self._arriving)
@@ -181,10 +181,10 @@ class MissionBook:
         self.doubt(t)
 
     def requests(self, t: float, system_id: int, in_any_order: bool = False) -> list[Message]:
-        """What to ask the autopilot next; at most one message a call.
+        """The next request to the autopilot; at most one message a call.
 
-        `in_any_order` says that it gives any item at any time, as ArduPilot does; PX4 ends the transfer where
-        an item is neither the next nor the last one again, and tells the pilot.
+        `in_any_order`: it gives any item at any time, as ArduPilot does. PX4 ends the transfer if an item is
+        neither the next one nor the last one again, and tells the pilot.
         """
         if self._gave_up_at is not None and t - self._gave_up_at < TRY_AGAIN_S:
             return []
@@ -207,7 +207,7 @@ class MissionBook:
         return [mavlink.MAVLink_mission_request_int_message(system_id, 1, first, 0)]
 
     def ask(self, seq: int, system_id: int) -> Message:
-        """Ask for one item, which ArduPilot gives at any time."""
+        """The request for one item, which ArduPilot gives at any time."""
         self._asking = True
         return ItemRequest(system_id, 1, seq, 0)
 

@@ -1,4 +1,4 @@
-"""That a mission item ran."""
+"""The execution of a mission item."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Execution:
     item: MissionItem | None
     params: tuple[float, ...] | None
     age_s: float = 0.0
-    """How long ago it ran, at least."""
+    """The minimum time since it ran."""
     anew: bool = False
-    """The autopilot gave other numbers than the mission that we had read."""
+    """The autopilot gave other numbers than those in the book."""
 
 
 def same_numbers(a: Sequence[float], b: Sequence[float]) -> bool:

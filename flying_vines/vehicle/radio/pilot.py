@@ -1,6 +1,6 @@
-"""The pilot's switch: which of its moves are the pilot's, and what they ask for.
+"""The pilot's switch: which of its moves are made by the pilot, and what they ask for.
 
-A move that straightens the vine counts at once. One that bends it must be the pilot's for sure.
+A move that straightens the vine counts at once. A move that bends it counts only if the pilot made it.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 
 from flying_vines.config.config import Config
+from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.radio.radio_parameters import RadioParameters
@@ -17,7 +18,7 @@ from flying_vines.vehicle.radio.switch import Move, MovedUnseen, Switch
 from flying_vines.vehicle.triggers import Rules, Trigger
 
 CONFIRMED_WITHIN_S = 4.0
-"""A move that is still not confirmed this long after it could have been is refused."""
+"""A move that is not confirmed within this time after the earliest possible confirmation is refused."""
 HEALTH_REPORTS_APART_S = 2.0
 """PX4 reports health at most this often (min_reporting_interval): a loss of RC may be reported late."""
 OVERRIDE_SLACK_S = 0.7
@@ -28,7 +29,7 @@ IGNORED_US = (0, 65535)
 
 @dataclass(frozen=True, slots=True)
 class Straightened:
-    """The pilot straightened the vine, and RC was good: clears the faults that were latched at `seen_at`."""
+    """The pilot straightened the vine while RC was good: clears the faults that had latched by `seen_at`."""
 
     seen_at: float
 
@@ -48,11 +49,11 @@ class _Waiting:
 
 
 class Pilot:
-    """What the pilot's switch asks for. Sans-IO; all times are seconds of one clock.
+    """Turns moves of the pilot's switch into requests. Sans-IO; all times are seconds of one clock.
 
-    On PX4 the RC status tells of a loss more than a second late, and of a short one never, while the switch's
-    channel may read anything. So a bend waits until the status was still good when it would have told of a
-    loss at the time of the move.
+    PX4's RC status reports a loss more than a second late, and a short loss never; meanwhile the switch's
+    channel may have any value. So a bend waits until the status would have reported a loss at the time of the
+    move, and is carried out if the status is still good.
     """
 
     def __init__(self, config: Config, rules: Rules) -> None:
@@ -63,7 +64,7 @@ class Pilot:
         self.parameters = RadioParameters()
         self._waiting: _Waiting | None = None
         self._stood: set[int] = set()
-        """Where the switch has stood since its last confirmed move. Coming back there is no move."""
+        """The positions since the last confirmed move. A return to one of them is not a move."""
         self._hides_loss = ""
         self._by_station = False
         self._override_ends_at = -math.inf
@@ -83,7 +84,7 @@ class Pilot:
         self._config = config
 
     def forget(self) -> None:
-        """What was heard of the radio no longer holds: the switch waits for a fresh move."""
+        """Forget the state of the radio: the switch waits for a fresh move."""
         self.radio.forget()
         self._lose()
 
@@ -93,16 +94,16 @@ class Pilot:
         self.parameters.forget()
 
     def overtaken(self) -> None:
-        """A move that waits no longer counts, because something else happened after it."""
+        """Drop a waiting move, because something else has happened after it."""
         if self._waiting is not None:
             self._stood.add(self._waiting.move.position)
         self._waiting = None
 
     def others_asked(self, straightened: bool) -> None:
-        """Somebody else than the pilot moved the vine.
+        """Somebody other than the pilot moved the vine.
 
-        An override that ends looks as if the switch came back to where it stood. After somebody else has
-        straightened the vine, that alone does not bend it again.
+        The end of an RC override looks like a return of the switch to its position. After somebody else has
+        straightened the vine, that alone must not bend it again.
         """
         self.overtaken()
         position = self.switch.position
@@ -111,10 +112,12 @@ class Pilot:
         elif position is not None and self._rules.bends(position):
             self._position_overruled, self._left_it_at = position, math.inf
 
-    def handle(self, t: float, message: Message, autopilot: str, vented: bool = False) -> list[PilotOutput]:
-        """Take in a message of our autopilot, which is an "ardupilot", a "px4" or something else.
+    def handle(
+        self, t: float, message: Message, autopilot: Autopilot, vented: bool = False
+    ) -> list[PilotOutput]:
+        """Take in a message of our autopilot.
 
-        `vented` says that the vine is straight and that nothing moves it.
+        `vented`: the vine is straight and nothing moves it.
         """
         self.radio.autopilot = autopilot
         kind = message.get_type()
@@ -126,13 +129,13 @@ class Pilot:
         return [*self._tell_source(t), *self._confirm(t)] if kind == "SYS_STATUS" else []
 
     def override(self, t: float, message: Message) -> None:
-        """A ground station's RC_CHANNELS_OVERRIDE, where the autopilot passes it on to us."""
+        """A ground station's RC_CHANNELS_OVERRIDE, if the autopilot forwards it to us."""
         pulse_us = getattr(message, f"chan{self.channel}_raw")
         released = pulse_us == RELEASED_US or (pulse_us == 0 and self.channel <= 8)
         if released:
             self._override_ends_at = t
         elif pulse_us not in IGNORED_US:
-            self._override_ends_at = t + self.parameters.override_lasts_s
+            self._override_ends_at = t + self._override_lasts_s
 
     def tick(self, t: float) -> list[PilotOutput]:
         """Let time pass."""
@@ -146,18 +149,26 @@ class Pilot:
             return []
         return [self._refused(t, waiting.move, "the autopilot does not confirm RC, move it again")]
 
-    def requests(self, t: float, system_id: int, autopilot: str) -> list[Message]:
+    def requests(self, t: float, system_id: int, autopilot: Autopilot) -> list[Message]:
         """What to ask the autopilot next."""
         return self.parameters.requests(t, system_id, autopilot)
 
     @property
     def hides_loss(self) -> str:
-        """What hides a lost transmitter: a parameter or the receiver; empty where nothing is known to."""
+        """The parameter or receiver that hides a lost transmitter; empty if none is known."""
         if self._config.switch.receiver_failsafe == "hidden":
             return "switch.receiver_failsafe"
-        if self.radio.autopilot == "px4" and not self.radio.by_receiver:
+        if self.radio.autopilot.needs_rc_status and not self.radio.by_receiver:
             return ""
-        return self.parameters.hides_loss
+        return self.radio.autopilot.hides_rc_loss(self.parameters.values)
+
+    @property
+    def _override_lasts_s(self) -> float:
+        return self.radio.autopilot.override_lasts_s(self.parameters.values)
+
+    @property
+    def _loss_shows_within_s(self) -> float:
+        return self.radio.autopilot.rc_loss_shows_within_s(self.parameters.values)
 
     def _lose(self) -> None:
         self.switch.lose()
@@ -182,10 +193,10 @@ class Pilot:
 
     def _sample(self, t: float, vented: bool) -> list[PilotOutput]:
         radio = self.radio
-        interrupted = radio.take_interruption()
-        if interrupted or radio.problem(t) is not None:
+        interrupted, problem = radio.take_interruption(), radio.problem(t)
+        if interrupted or problem is not None:
             self._lose()
-        if radio.problem(t) is not None:
+        if problem is not None:
             return []
         if self._waiting is not None:
             self._keep_waiting(self._waiting)
@@ -208,7 +219,7 @@ class Pilot:
         origin = unconfirmed.before if unconfirmed else move.before
         bends = self._rules.bends(move.position)
         if move.position == origin and (bends or vented):
-            hold_s = self.parameters.px4_shows_loss_within_s
+            hold_s = self._loss_shows_within_s
             return [Notice(t, Severity.INFO, f"Vine: hold switch ch{self.channel} {hold_s:.1f} s to bend")]
         if move.before == self._position_overruled:
             self._left_it_at = t
@@ -228,7 +239,7 @@ class Pilot:
         return self._asks(t, move, by_person=not (must_wait or move.jumped))
 
     def _for_sure(self, t: float, move: Move) -> list[PilotOutput]:
-        """Act on a bending move that is confirmed, or that needs no confirmation."""
+        """Act on a bending move that is confirmed or needs no confirmation."""
         was_there = move.position in self._stood
         self._stood = {move.position}
         if was_there:
@@ -236,11 +247,11 @@ class Pilot:
         return self._asks(t, move, by_person=True)
 
     def _not_the_pilots(self, t: float, move: Move) -> str:
-        """What else than the pilot may have made this move; empty if nothing."""
+        """What other than the pilot may have made this move; empty if nothing."""
         if move.jumped:
             return "moved with other channels"
-        lasts_s = self.parameters.override_lasts_s
-        if self.radio.autopilot != "ardupilot" or lasts_s == 0.0:
+        lasts_s = self._override_lasts_s
+        if lasts_s == 0.0:
             return ""
         if abs(t - self._override_ends_at) < OVERRIDE_SLACK_S:
             return "moved as an override ended"
@@ -253,7 +264,7 @@ class Pilot:
         return self._rules.bends(waiting.move.position)
 
     def _must_wait(self, position: int) -> bool:
-        if self.radio.autopilot != "px4" or not self.radio.by_receiver:
+        if self._loss_shows_within_s == 0.0 or not self.radio.by_receiver:
             return False
         failsafe = self._config.switch.receiver_failsafe
         if isinstance(failsafe, int):
@@ -262,8 +273,8 @@ class Pilot:
 
     @property
     def _confirmed_after_s(self) -> float:
-        """From the time that a move was debounced."""
-        return self.parameters.px4_shows_loss_within_s - self._config.switch.debounce_s
+        """Measured from the time at which the move was debounced."""
+        return self._loss_shows_within_s - self._config.switch.debounce_s
 
     def _confirm(self, t: float) -> list[PilotOutput]:
         waiting = self._waiting

@@ -1,49 +1,51 @@
-"""Whether the radio link to the pilot can be believed.
+"""Whether the radio link to the pilot is good.
 
-An autopilot whose RC is lost goes on sending RC_CHANNELS, with the last values or with those that the
-receiver makes up. So several signs are weighed, and one that says "lost" is enough.
+After a loss of RC an autopilot goes on sending RC_CHANNELS, with the last values or the receiver's preset. So
+several signs are checked, and one that says "lost" is enough.
 """
 
 from __future__ import annotations
 
 import math
+from operator import attrgetter
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config.config import Switch
+from flying_vines.vehicle.autopilots import OTHER
 from flying_vines.vehicle.mavlink.codec import Message
 
 RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 LOWEST_US, HIGHEST_US = 800, 2200
 CHANNELS = 18
-HEALTH = ("present", "enabled", "health")
+_PULSES_US = attrgetter(*(f"chan{number}_raw" for number in range(1, CHANNELS + 1)))
 TEXT_OUTLIVED_BY_HEALTH_S = 1.5
-"""Good health that is reported this long after a "Radio Failsafe" means that its "Cleared" was lost."""
+"""If good health is reported this long after "Radio Failsafe", the text "Cleared" was lost."""
 
 JUMP_US = 150
 JUMPED_WITH_IT = 2
-"""A stick does not move this far within one period of RC_CHANNELS; a receiver's preset does."""
+"""A receiver's preset moves a channel this far within one period of RC_CHANNELS; a stick does not."""
 
 OVERRIDE_RSSI = 100
 """What PX4 gives as rssi for a ground station's RC_CHANNELS_OVERRIDE."""
 NO_SIGNAL, NO_RSSI = 0, 255
 RSSI_WARNS_FOR_S = 3.0
-"""A missing rssi counts as a loss for this long. By then PX4's RC status is up to date."""
+"""A missing rssi counts as a loss for this long. After that, PX4's RC status is up to date."""
 
 
 class RadioLink:
-    """Weighs RC_CHANNELS, SYS_STATUS and status texts; `switch_us` is the switch's latest pulse width.
+    """Checks RC_CHANNELS, SYS_STATUS and status texts; `switch_us` is the switch's latest pulse width.
 
-    `autopilot` is "ardupilot", "px4" or something else, as far as it is known.
+    `autopilot` is the sender of these messages, if it is known.
 
     PX4's RC status (present, enabled, health) is (1, 1, 1) while a receiver is good, (0, 1, 0) after a loss.
-    It is (0, 1, 0) all the time where RC comes from a ground station: then it says nothing, and RC_CHANNELS
-    stops with the ground station.
+    If RC comes from a ground station it is always (0, 1, 0) and says nothing; then RC_CHANNELS stops when the
+    ground station does.
     """
 
     def __init__(self, switch: Switch, silent_after_s: float) -> None:
         self.configure(switch, silent_after_s)
-        self.autopilot = "unknown"
+        self.autopilot = OTHER
         self.switch_us = 0
         self.stamp_s = 0.0
         """When the autopilot sent the latest RC_CHANNELS, by its own clock."""
@@ -52,14 +54,14 @@ class RadioLink:
         self.forget()
 
     def configure(self, switch: Switch, silent_after_s: float) -> None:
-        """Look at this switch's channel from the next message on."""
+        """Use this switch's channel from the next message on."""
         self._channel_number = switch.channel
         self._throttle_channel = switch.throttle_channel
         self._throttle_failsafe_us = switch.throttle_failsafe_us
         self._silent_after_s = silent_after_s
 
     def forget(self) -> None:
-        """The autopilot rebooted or vanished: nothing that was heard holds any more."""
+        """Forget everything: the autopilot rebooted or vanished."""
         self._heard_at: float | None = None
         self._interrupted = False
         self._channels_us: tuple[int, ...] = ()
@@ -76,13 +78,13 @@ class RadioLink:
 
     @property
     def by_receiver(self) -> bool:
-        """Whether the autopilot's RC status has shown a good receiver since it booted."""
+        """Whether the RC status has shown a good receiver since the autopilot booted."""
         return self._status_told_good
 
     @property
     def by_station(self) -> bool:
-        """Whether RC comes from a ground station, which the RC status of PX4 does not watch."""
-        no_receiver = self.autopilot == "px4" and not self._status_told_good
+        """Whether RC comes from a ground station, which PX4's RC status does not cover."""
+        no_receiver = self.autopilot.needs_rc_status and not self._status_told_good
         return no_receiver and self._heard_at is not None and self._rssi == OVERRIDE_RSSI
 
     def handle(self, t: float, message: Message) -> None:
@@ -106,7 +108,7 @@ class RadioLink:
         return interrupted
 
     def problem(self, t: float) -> str | None:
-        """Why the switch cannot be believed at time `t`; None when it can."""
+        """Why the switch cannot be trusted at time `t`; None if it can."""
         if self._heard_at is None:
             return "no RC_CHANNELS yet"
         if t - self._heard_at > self._silent_after_s:
@@ -117,7 +119,7 @@ class RadioLink:
             return "the autopilot reports RC lost"
         if self._receiver_hears_nothing(t):
             return "the receiver hears no transmitter"
-        if self.autopilot == "px4" and not self._status_told_good and not self.by_station:
+        if self.autopilot.needs_rc_status and not (self._status_told_good or self.by_station):
             return "no RC status yet" if self._status is None else "the autopilot reports no receiver"
         if self._chancount == 0:
             return "the receiver has no channels"
@@ -129,28 +131,29 @@ class RadioLink:
         return None
 
     def _take_channels(self, t: float, message: Message) -> None:
-        # Nobody may have looked while our process stood still: the gap itself is the loss.
+        # `problem` is not called while our process stands still: the gap itself counts as a loss.
         if self._heard_at is not None and t - self._heard_at > self._silent_after_s:
             self._interrupted = True
-        channels_us = tuple(getattr(message, f"chan{number}_raw") for number in range(1, CHANNELS + 1))
+        channels_us: tuple[int, ...] = _PULSES_US(message)
         self.jumped = self._jumped_with_switch(channels_us)
         self._heard_at, self._channels_us = t, channels_us
         self._chancount = message.chancount
         self.switch_us = channels_us[self._channel_number - 1]
         self.stamp_s = message.time_boot_ms / 1000.0
-        if self.autopilot == "px4":
+        if self.autopilot.needs_rc_status:
             self._take_rssi(t, message.rssi)
 
     def _jumped_with_switch(self, channels_us: tuple[int, ...]) -> bool:
-        others = (
-            abs(now_us - before_us) >= JUMP_US
-            for number, (now_us, before_us) in enumerate(zip(channels_us, self._channels_us, strict=False), 1)
-            if number != self._channel_number and min(now_us, before_us) >= LOWEST_US
-        )
-        return sum(others) >= JUMPED_WITH_IT
+        if channels_us == self._channels_us:
+            return False
+        jumped = 0
+        for number, (now_us, before_us) in enumerate(zip(channels_us, self._channels_us, strict=False), 1):
+            if abs(now_us - before_us) >= JUMP_US and number != self._channel_number:
+                jumped += min(now_us, before_us) >= LOWEST_US
+        return jumped >= JUMPED_WITH_IT
 
     def _take_rssi(self, t: float, rssi: int) -> None:
-        """A receiver that knows its signal's strength tells of a loss sooner than the RC status, or alone."""
+        """A receiver with rssi shows a loss sooner than the RC status, or is the only one to show it."""
         if rssi not in (NO_SIGNAL, NO_RSSI):
             self._rssi_known = self._status_told_good
             self._rssi_lost_at = None
@@ -165,7 +168,11 @@ class RadioLink:
         return self._rssi == NO_SIGNAL or t - self._rssi_lost_at < RSSI_WARNS_FOR_S
 
     def _take_health(self, message: Message) -> None:
-        health = tuple(getattr(message, f"onboard_control_sensors_{part}") for part in HEALTH)
+        health = (
+            message.onboard_control_sensors_present,
+            message.onboard_control_sensors_enabled,
+            message.onboard_control_sensors_health,
+        )
         if self._health not in (None, health):
             self._health_stamp_s = self.stamp_s
         self._health = health
@@ -180,8 +187,8 @@ class RadioLink:
             return
         if not self._status_told_good:
             self._status_told_good = True
-            # What came before was from no receiver, or from one in failsafe.
-            self._interrupted |= self.autopilot == "px4"
+            # Earlier values came from no receiver, or from one in failsafe.
+            self._interrupted |= self.autopilot.needs_rc_status
         said_at = self._failsafe_text_at
         if said_at is not None and t - said_at > TEXT_OUTLIVED_BY_HEALTH_S:
             self._failsafe_text_at = None

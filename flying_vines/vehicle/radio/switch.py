@@ -1,4 +1,4 @@
-"""A switch on an RC channel that acts only on a move that was seen."""
+"""A switch on an RC channel. Only a move that was observed counts."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ BOUNDARIES_US = {
     3: (1300.0, 1700.0),
     6: (1230.5, 1360.5, 1490.5, 1620.5, 1749.5),
 }
-"""Between positions; for six as ArduPilot's flight mode channel has them."""
+"""Boundaries between positions; for six positions they are those of ArduPilot's flight mode channel."""
 
 SAMPLING_SLACK_S = 0.01
-"""Samples jitter: a debounce of three sample times must not wait for a fourth."""
+"""Samples jitter: a debounce time of three sample periods must not wait for a fourth sample."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,12 +22,12 @@ class Move:
     position: int
     before: int
     jumped: bool = False
-    """Several other channels jumped with it, as they do when a receiver takes its preset."""
+    """Several other channels jumped with it, as in a receiver's preset."""
 
 
 @dataclass(frozen=True, slots=True)
 class MovedUnseen:
-    """The switch is believed again and stands elsewhere than before: nobody saw the move, so nothing acts."""
+    """After a loss the switch stands in another position. The move was not observed, so it does not count."""
 
     position: int
     before: int
@@ -35,16 +35,16 @@ class MovedUnseen:
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """The switch is believed from now on, and its next move counts."""
+    """The switch is trusted from now on: its next move counts."""
 
     position: int
 
 
 class Switch:
-    """Debounce, hysteresis, and silence after every loss until a fresh move.
+    """Debounce, hysteresis, and no action after a loss until a fresh move.
 
-    `sample` takes the pulse width while the radio link is good, `lose` says that it is not. After start and
-    after each loss the pulse width must stay in one position for `settle_s`; only then do moves count.
+    Call `sample` with the pulse width while the radio link is good, and `lose` when it is not. After the
+    start and after each loss the pulse width must stay in one position for `settle_s` before moves count.
     """
 
     def __init__(self, positions: int, debounce_s: float, settle_s: float, hysteresis_us: float) -> None:
@@ -65,7 +65,7 @@ class Switch:
         self._candidate = None
 
     def sample(self, t: float, pulse_us: float, jumped: bool = False) -> Move | MovedUnseen | Ready | None:
-        """What the pulse width at `t` shows; `jumped` says that several other channels jumped with it."""
+        """Take in the pulse width at `t`; `jumped`: several other channels jumped with it."""
         seen = self.reads(pulse_us)
         if seen != self._candidate:
             self._candidate, self._candidate_since, self._candidate_jumped = seen, t, jumped
@@ -85,9 +85,10 @@ class Switch:
         return Ready(seen)
 
     def reads(self, pulse_us: float) -> int:
-        """The position of a pulse width, not debounced. The one it is in reaches a hysteresis further.
+        """The position of a pulse width, not debounced. The present position is wider by the hysteresis.
 
-        The settled position comes first: a glitch must not pull a switch across that rests near a boundary.
+        The settled position is checked first, so that a glitch does not move a switch that rests near a
+        boundary.
         """
         for here in (self.position, self._candidate):
             if here is None:

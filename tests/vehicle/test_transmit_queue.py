@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.component.answer import acknowledgement
 from flying_vines.vehicle.component.identity import autopilot_version
-from flying_vines.vehicle.component.transmit_queue import MOST_WAITING, Outbox
+from flying_vines.vehicle.component.transmit_queue import MOST_WAITING, TransmitQueue
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mavlink.fuel_status import fuel_status
 
@@ -46,11 +46,11 @@ MAKERS: tuple[Maker, ...] = (answer, text, request, parameter, value)
 
 
 def test_what_matters_leaves_first_and_the_rest_one_at_a_time() -> None:
-    outbox = Outbox()
+    queue = TransmitQueue()
     put = [value(), fuel_status(500.0, 690.0), parameter(), request(), text(), answer(), HEARTBEAT]
     for message in put:
-        outbox.put(message)
-    left = [[message.get_type() for message in outbox.due(i * TICK_S)] for i in range(7)]
+        queue.put(message)
+    left = [[message.get_type() for message in queue.due(i * TICK_S)] for i in range(7)]
     assert left == [
         ["HEARTBEAT", "COMMAND_ACK"],
         ["STATUSTEXT"],
@@ -63,60 +63,60 @@ def test_what_matters_leaves_first_and_the_rest_one_at_a_time() -> None:
 
 
 def test_there_is_always_room_for_an_answer_beside_the_rest() -> None:
-    outbox = Outbox()
+    queue = TransmitQueue()
     for number in range(10):
-        outbox.put(value(number))
+        queue.put(value(number))
     for i in range(10):
-        assert [message.get_type() for message in outbox.due(i * TICK_S)] == ["NAMED_VALUE_FLOAT"]
-        outbox.put(answer(i))
-        assert [message.get_type() for message in outbox.due(i * TICK_S + 0.001)] == ["COMMAND_ACK"]
+        assert [message.get_type() for message in queue.due(i * TICK_S)] == ["NAMED_VALUE_FLOAT"]
+        queue.put(answer(i))
+        assert [message.get_type() for message in queue.due(i * TICK_S + 0.001)] == ["COMMAND_ACK"]
 
 
 def test_whatever_is_asked_for_is_an_answer() -> None:
-    outbox = Outbox()
-    outbox.put(text())
-    outbox.put(mavlink.MAVLink_timesync_message(1, 2))
-    outbox.put(autopilot_version())
-    assert [message.get_type() for message in outbox.due(0.0)] == ["TIMESYNC", "AUTOPILOT_VERSION"]
+    queue = TransmitQueue()
+    queue.put(text())
+    queue.put(mavlink.MAVLink_timesync_message(1, 2))
+    queue.put(autopilot_version())
+    assert [message.get_type() for message in queue.due(0.0)] == ["TIMESYNC", "AUTOPILOT_VERSION"]
 
 
 def test_an_answer_leaves_at_once_where_nothing_else_just_did() -> None:
-    outbox = Outbox()
-    outbox.put(answer())
-    assert len(outbox.due(5.0)) == 1
+    queue = TransmitQueue()
+    queue.put(answer())
+    assert len(queue.due(5.0)) == 1
 
 
 def test_of_too_many_the_oldest_of_the_least_is_dropped() -> None:
-    outbox = Outbox()
+    queue = TransmitQueue()
     for number in range(MOST_WAITING):
-        outbox.put(value(number))
-    outbox.put(answer())
-    outbox.put(HEARTBEAT)
-    assert outbox.dropped == 2
-    left = [message for i in range(2 * MOST_WAITING) for message in outbox.due(i * TICK_S)]
+        queue.put(value(number))
+    queue.put(answer())
+    queue.put(HEARTBEAT)
+    assert queue.dropped == 2
+    left = [message for i in range(2 * MOST_WAITING) for message in queue.due(i * TICK_S)]
     assert [message.get_type() for message in left[:2]] == ["HEARTBEAT", "COMMAND_ACK"]
     assert [message.time_boot_ms for message in left[2:]] == list(range(2, MOST_WAITING))
 
 
 def test_a_flood_of_commands_drops_answers_but_no_heartbeat() -> None:
-    outbox = Outbox()
+    queue = TransmitQueue()
     beats = []
     for i in range(500):
         for number in range(20):
-            outbox.put(answer(number))
+            queue.put(answer(number))
         if i % 50 == 0:
-            outbox.put(HEARTBEAT)
-        beats += [i for message in outbox.due(i * TICK_S) if message.get_type() == "HEARTBEAT"]
+            queue.put(HEARTBEAT)
+        beats += [i for message in queue.due(i * TICK_S) if message.get_type() == "HEARTBEAT"]
     assert beats == list(range(0, 500, 50))
-    assert outbox.dropped > 0
+    assert queue.dropped > 0
 
 
 class Line:
-    """An outbox that is asked as the core asks it: at each tick, which is never quite on time, and after each
+    """An queue that is asked as the core asks it: at each tick, which is never quite on time, and after each
     event."""
 
     def __init__(self) -> None:
-        self.outbox = Outbox()
+        self.queue = TransmitQueue()
         self.t = 0.0
         self.put: list[Message] = []
         self.left: list[tuple[float, Message]] = []
@@ -131,11 +131,11 @@ class Line:
     def take(self, *messages: Message) -> None:
         for message in messages:
             self.put.append(message)
-            self.outbox.put(message)
+            self.queue.put(message)
         self.ask(self.t)
 
     def ask(self, t: float) -> None:
-        self.left += [(t, message) for message in self.outbox.due(t)]
+        self.left += [(t, message) for message in self.queue.due(t)]
 
     def left_at(self, message: Message) -> float:
         return next(t for t, other in self.left if other is message)
@@ -159,7 +159,7 @@ def test_never_a_burst_nothing_lost_and_each_rank_in_order(loads: list[tuple[flo
     line.wait(3.0)
     times_s = [t for t, _ in line.left]
     assert all(third - first >= TICK_S - 1e-5 for first, third in zip(times_s, times_s[2:], strict=False))
-    assert len(line.left) == len(line.put) - line.outbox.dropped
+    assert len(line.left) == len(line.put) - line.queue.dropped
     came = [message for _, message in line.left]
     for kind in {message.get_type() for message in came}:
         those = [id(message) for message in came if message.get_type() == kind]

@@ -1,4 +1,4 @@
-"""Seeing PX4 run mission items: it publishes them as COMMAND_LONG, and tells that they were reached."""
+"""Which mission items PX4 runs: it sends them as COMMAND_LONG, and reports that they were reached."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Container
 from dataclasses import dataclass, replace
 
+from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import AutopilotClock, Mark
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mission.book import MissionBook
@@ -15,29 +16,29 @@ from flying_vines.vehicle.mission.item import MissionItem, is_nav
 from flying_vines.vehicle.repeats import LATE_S, PX4_REPEAT_S
 
 SHORTEST_REPEAT_S = 0.5
-"""The first repeat comes half a second or, at times, a second after its item, and may be late itself."""
+"""The first repeat comes 0.5 s, at times 1 s, after its item, and may be delayed as well."""
 FIRST_REPEAT_LATER_S = 0.25
 """The first repeat comes 0.5 or 1 s after the item: half the difference. A third copy is over 1 s old."""
 BEFORE_A_REPEAT_S = 0.4
-"""Half a second at least lies between an item and its first repeat, less what a link takes: what ran since
-then ran later."""
+"""At least half a second, less a link's delay, lies between an item and its first repeat: an item that ran
+since then ran later."""
 SAME_BURST_S = 3.0
 """The last repeat of an item comes two seconds after it, the items behind it within milliseconds."""
 
 WAIT_FOR_COMMAND_S = 0.3
 """MISSION_ITEM_REACHED was seen up to 20 ms after its command, and once before it."""
 LAST_REPEAT_S = 2.5
-"""So long a command may still come, which has numbers of its own."""
+"""A command, which has its own numbers, may arrive within this time."""
 REACHED_WITHIN_S = 3.0
 """It is repeated each second."""
 GRIPPER, WINCH = 211, 42600
 TIMEOUT_S = 60.0
-"""For a gripper and a winch PX4 waits for MIS_COMMAND_TOUT before it tells that they were reached."""
+"""For a gripper and a winch PX4 waits for MIS_COMMAND_TOUT before it reports them as reached."""
 REPEATED_WITHIN_S = 2.5
-"""What is told as reached this shortly after it was is the same again, overtaken by another."""
+"""A second report within this time is a repeat of the first, overtaken by another item's."""
 MOST_PAST = 8
 HISTORY_S = 2.0
-"""What is told this soon after we began to listen may be a repeat."""
+"""A report within this time after our first message may be a repeat."""
 
 
 @dataclass(slots=True)
@@ -49,27 +50,25 @@ class _Ran:
 
 @dataclass(slots=True)
 class _Reached:
-    """A vine item that was reached, and whose command has not come."""
+    """A vine item that was reached, but whose command has not arrived."""
 
     item: MissionItem
     mark: Mark
     late_s: float
-    """How much later than the item the mark may be."""
+    """The maximum delay of the mark after the item."""
 
 
-class Px4Watch:
-    """Sees PX4 run mission items: those it publishes as COMMAND_LONG, with the numbers that it executes.
+class Px4Watch(MissionWatch):
+    """Detects the executions of mission items, which PX4 sends as COMMAND_LONG with their numbers.
 
-    One whose command was lost shows as MISSION_ITEM_REACHED, and has the numbers of the book, if that is
-    known to be of the mission that runs. Of several items at one place only the last is told as reached.
+    If the command was lost, MISSION_ITEM_REACHED shows the execution; its numbers come from the book, if that
+    certainly holds the running mission. Of several items at one waypoint only the last is reported so.
     """
 
     def __init__(
         self, book: MissionBook, commands: Container[int] = (), clock: AutopilotClock | None = None
     ) -> None:
-        self._book = book
-        self._commands = commands
-        self._clock = clock or AutopilotClock()
+        super().__init__(book, commands, clock)
         self._current = 0
         self._past: deque[_Ran] = deque(maxlen=MOST_PAST)
         self._forgotten_at = -math.inf
@@ -83,20 +82,18 @@ class Px4Watch:
         self._has_moved = False
 
     def forget(self, t: float) -> None:
-        """What ran before now is history, and is not carried out when only a repeat of it is heard: we had
-        not begun to listen, or a person has asked for something since."""
+        """A repeat of an item that ran before now is not carried out."""
         self._forgotten_at = t
         self._waiting = None
 
     def handle(self, t: float, message: Message) -> None:
-        """Take in a message of the autopilot, which the book and the clock have seen."""
         kind = message.get_type()
         if self._begun_at is None:
             self._begun_at = self._stood_at = t
         if kind == "MISSION_CURRENT":
             self._has_moved = self._has_moved or message.seq != self._current
             if not self._has_moved:
-                self._stood_at = t  # so nothing ran before now that we do not know of
+                self._stood_at = t  # no unknown item ran before now
             self._current = message.seq
         elif kind == "MISSION_ITEM_REACHED":
             self._reach(t, message.seq)
@@ -119,7 +116,7 @@ class Px4Watch:
             self._waiting = _Reached(item, self._clock.mark(t), late_s)
 
     def _has_run(self, t: float, item: MissionItem) -> bool:
-        """Whether its command has come; each command is one item's."""
+        """Whether its command has arrived; each command belongs to one item."""
         within_s = TIMEOUT_S if item.command in (GRIPPER, WINCH) else REACHED_WITHIN_S
         for ran in reversed(self._past):
             fits = ran.execution.seq in (None, item.seq) and _same(ran.execution, _of(item))
@@ -129,7 +126,7 @@ class Px4Watch:
         return False
 
     def _ran_later(self, t: float, item: MissionItem) -> bool:
-        """Whether an item behind it has run already, at the same place."""
+        """Whether an item after it has run already, at the same waypoint."""
         return any(
             other.seq > item.seq and not self._flies_between(item.seq, other.seq)
             for ran in self._past
@@ -137,13 +134,13 @@ class Px4Watch:
             for other in self._book.alike(ran.execution.command, ran.execution.params or ())
         )
 
-    def execution(
+    def command(
         self, t: float, command: int, params: tuple[float, ...], confirmation: int
     ) -> Execution | None:
-        """A command of the autopilot's, with the mission item that it comes from where that is known.
+        """The execution behind a command of the autopilot, with its mission item if that is known.
 
-        None for a repeat whose first frames were lost, of an item that is history: a later one has run
-        already, or see `forget`. And for a command that comes after its item was made up for.
+        None for a repeat without its first frames if a later item has run already, or `forget` was called.
+        None as well for a command whose item was inferred already.
         """
         item = self._book.only(command, params) if self._book.is_running else None
         age_s = confirmation * SHORTEST_REPEAT_S + (FIRST_REPEAT_LATER_S if confirmation else 0.0)
@@ -163,8 +160,12 @@ class Px4Watch:
         self._past.append(_Ran(t, execution, was_reached))
         return execution
 
+    @property
+    def idle(self) -> bool:
+        return self._waiting is None
+
     def due(self, t: float) -> list[Execution]:
-        """An item whose command was lost, once that is certain."""
+        """An item whose command was certainly lost."""
         waiting = self._waiting
         wait_s = WAIT_FOR_COMMAND_S if self._book.is_running else LAST_REPEAT_S
         if waiting is None or t - waiting.mark.t < wait_s:
@@ -195,7 +196,7 @@ class Px4Watch:
         return ran_seq > seq and not self._flies_between(seq, ran_seq)
 
     def _nearest(self, execution: Execution) -> int | None:
-        """Of the items that it may be the one nearest to where the mission is, and of two the one ahead."""
+        """The matching item nearest to the current one; of two equally near, the later one."""
         if execution.seq is not None:
             return execution.seq
         seqs = [item.seq for item in self._book.alike(execution.command, execution.params or ())]
@@ -211,6 +212,6 @@ def _of(item: MissionItem) -> Execution:
 
 
 def _same(a: Execution, b: Execution) -> bool:
-    # Between them stand a place's whole numbers in an item, and any numbers in a command.
+    # x and y are left out: an item's are a scaled place, a command's can be any numbers.
     one, other = ((*params[:4], *params[6:]) for params in (a.params or (), b.params or ()))
     return a.command == b.command and len(one) == len(other) and same_numbers(one, other)

@@ -1,4 +1,4 @@
-"""Seeing ArduPilot run mission items: by its status texts, and by mission progress where those were lost."""
+"""Which mission items ArduPilot runs: from its status texts, or from mission progress if a text was lost."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import NamedTuple
 
+from flying_vines.config.config import CARRIERS
+from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import AutopilotClock, Mark
 from flying_vines.vehicle.mavlink.codec import Message
 from flying_vines.vehicle.mission.book import MOST_ITEMS, MissionBook, item_of
@@ -41,21 +43,21 @@ ASK_AGAIN_S = 0.2
 GIVE_UP_S = 0.8
 """An ArduPilot answers within 6 ms."""
 SAME_SCRIPT_ITEM_S = 3.0
-"""A script on the autopilot was seen to hand an item's numbers over 5 to 17 ms after the item's text, and
-ours repeats for two seconds what is not acknowledged."""
+"""A script on the autopilot sent an item's numbers 5 to 17 ms after the item's text. Our script repeats
+unacknowledged numbers for two seconds."""
 SCRIPT_MESSAGE = 217
 WAIT_FOR_TEXT_S = 0.5
 TEXT_LATE_S = 1.0
-"""A text that comes this soon after its item was made up for belongs to that item."""
+"""A text that arrives within this time after its item was inferred belongs to that item."""
 LATEST_S = 0.5
-"""How much later than another a frame may arrive that was sent at the same time."""
+"""The maximum difference in delay between two frames sent at the same time."""
 COPIES_WITHIN_S = 2.0
-"""A frame with the sequence number and text of one that came this short a time ago is that one again."""
+"""A frame with the same sequence number and text within this time is a copy."""
 REACHED_AGAIN_S = 3.0
 PROGRESS_AFTER_REACHED_S = 3.0
-"""MISSION_CURRENT comes at 1 Hz or faster: a later change is somebody's jump, not the waypoint's end."""
+"""MISSION_CURRENT arrives at 1 Hz or faster: a later change is a commanded jump, not the waypoint's end."""
 CONDITIONAL = {112, 113, 114, 115, 177, 601}
-"""CONDITION_* and jumps: the items behind them may not run although the mission moves on."""
+"""CONDITION_* and jumps: the items after them may not run although the mission moves on."""
 JUMP = 177
 FLYING = {0, 3}
 """MISSION_CURRENT.mission_state of a mission that runs; older releases leave it at 0."""
@@ -65,51 +67,54 @@ MOST_ASKED = 8
 
 @dataclass(slots=True)
 class _Waiting:
-    """An item that ran, and waits for its numbers."""
+    """An item that ran and whose numbers are not certain yet."""
 
     seq: int
     name: str | None
-    """What its text called it; None where its text was lost."""
+    """Its name in the text; None if the text was lost."""
     command: int | None
     before: MissionItem | None
-    """What the mission had here, as far as we had read it."""
+    """The item in the book, if it was known."""
     mark: Mark
     late_s: float = 0.0
-    """How much later than the item the mark is."""
+    """The delay of the mark after the item."""
     item: MissionItem | None = None
     """The autopilot's answer."""
     asked_at: float = -math.inf
 
 
 class _Suspect(NamedTuple):
-    """An item that should have run at `since`, seen to be so at `t`; its text has not come."""
+    """An item that should have run at `since`, detected at `t`, without a text."""
 
     t: float
     since: float
     item: MissionItem
     before: int
     certain_while_at: int | None
-    """Only certain if the mission is at this waypoint for long enough; None: certain anyway."""
+    """Certain only if the mission is at this waypoint for long enough; None: certain anyway."""
 
 
-class ArduPilotWatch:
-    """Sees ArduPilot run the mission items whose command is one of `commands`.
+class ArduPilotWatch(MissionWatch):
+    """Detects the executions of mission items whose command is one of `commands`.
 
-    Each text is one execution. An item whose text never came counts as run when the waypoint before it was
-    reached, the mission moved on to the next one, frames were lost on the way, and nothing conditional stands
-    before it; not when a later item has run meanwhile, which is what counts then. A script message that a
-    script on the autopilot hands over as a command as well is one execution, whichever comes first.
+    Each text is one execution. An item without a text is inferred to have run if the waypoint before it was
+    reached, the mission moved on to the next waypoint, frames were lost meanwhile, and no conditional item
+    stands before it. It is not inferred if a later item has run since. If a script on the autopilot sends the
+    item as a command as well, text and command are one execution.
 
-    The mission may have been replaced by another of the same length, which nothing tells. So each item that
-    runs is asked for again (`asks`), and only an answer that comes after it counts.
+    No message shows that the mission was replaced by another of the same length. So each item that runs is
+    requested again (`asks`), and only an answer after the execution counts.
     """
 
+    publishes_items = False
+
     def __init__(
-        self, book: MissionBook, commands: Container[int], clock: AutopilotClock | None = None
+        self, book: MissionBook, commands: Container[int] = (), clock: AutopilotClock | None = None
     ) -> None:
-        self._book = book
-        self._commands = commands
-        self._clock = clock or AutopilotClock()
+        super().__init__(book, commands, clock)
+        self.restarted()
+
+    def restarted(self) -> None:
         self._waiting: deque[_Waiting] = deque(maxlen=MOST_WAITING)
         self._frames: dict[int, tuple[float, int]] = {}
         self._told: dict[int, float] = {}
@@ -122,8 +127,15 @@ class ArduPilotWatch:
         self._run_by_text = _Numbers()
         self._handed = _Numbers()
 
-    def handed_over(self, t: float, params: tuple[float, ...]) -> Execution | None:
-        """A script message's numbers, from a script on the autopilot; None when that item has run already."""
+    def command(
+        self, t: float, command: int, params: tuple[float, ...], confirmation: int
+    ) -> Execution | None:
+        if command != CARRIERS["user_1"]:
+            return super().command(t, command, params, confirmation)
+        return self._handed_over(t, params[:4])
+
+    def _handed_over(self, t: float, params: tuple[float, ...]) -> Execution | None:
+        """The execution behind numbers from a script on the autopilot; None if it was detected already."""
         for waiting in self._waiting:
             if waiting.command == SCRIPT_MESSAGE:
                 self._waiting.remove(waiting)
@@ -136,8 +148,7 @@ class ArduPilotWatch:
         self._note(t, seq)
         return Execution(SCRIPT_MESSAGE, seq, item, params)
 
-    def handle(self, t: float, message: Message) -> list[Execution]:
-        """Take in a message of the autopilot, which the book and the clock have seen."""
+    def handle(self, t: float, message: Message) -> None:
         kind = message.get_type()
         if kind == "STATUSTEXT":
             if match := ITEM_TEXT.match(message.text):
@@ -153,10 +164,8 @@ class ArduPilotWatch:
             self._current = message.seq
         elif kind in ("MISSION_ITEM_INT", "MISSION_ITEM") and message.mission_type == 0:
             self._answer(item_of(message))
-        return self.due(t)
 
     def asks(self, t: float) -> list[int]:
-        """The numbers of the items that the autopilot shall be asked for now."""
         asks = []
         for waiting in islice(self._waiting, MOST_ASKED):
             if waiting.item is None and not self._book.is_given and t - waiting.asked_at >= ASK_AGAIN_S:
@@ -168,7 +177,7 @@ class ArduPilotWatch:
         for waiting in self._waiting:
             if waiting.seq != item.seq or waiting.item is not None:
                 continue
-            # What was made up for ran a while ago: other numbers may be of a mission that came since.
+            # An inferred item ran some time ago: other numbers may belong to a newer mission.
             guess = waiting.before if waiting.name is None else None
             if _same(item, guess) if guess else _fits(waiting.name, item.command, confirmed=True):
                 waiting.item = item
@@ -206,17 +215,17 @@ class ArduPilotWatch:
             self._suspects.append(_Suspect(t, t, item, seq - 1, None))
 
     def _suspect_between(self, t: float, before: int | None, now: int) -> None:
-        """Of what stands behind the waypoint `before`, which was left for `now`, the texts may be missing."""
+        """The mission went on from waypoint `before` to `now`: texts of items between them may be lost."""
         reached_at = self._reached.get(before or 0, -math.inf)
         if before is None or not self._book.fresh or t - reached_at > PROGRESS_AFTER_REACHED_S:
             return
         for item in self._certain(before, now):
-            # The first item behind a waypoint starts with the waypoint's end, the others milliseconds later.
+            # The first item after a waypoint starts at the waypoint's end, the others milliseconds later.
             first = item.seq == before + 1
             self._suspects.append(_Suspect(t, reached_at, item, before, None if first else now))
 
     def _certain(self, before: int, now: int) -> list[MissionItem]:
-        """What runs for certain when waypoint `before` ends; nothing if that does not lead to `now`."""
+        """The items that certainly run when waypoint `before` ends; none if that does not lead to `now`."""
         items = self._book.items
         certain: list[MissionItem] = []
         conditional = False
@@ -241,8 +250,11 @@ class ArduPilotWatch:
             seq += 1
         return None
 
+    @property
+    def idle(self) -> bool:
+        return not (self._waiting or self._suspects)
+
     def due(self, t: float) -> list[Execution]:
-        """The executions that are certain by now."""
         self._make_up(t)
         executions = []
         while self._waiting:
@@ -271,7 +283,7 @@ class ArduPilotWatch:
         return executions
 
     def _make_up(self, t: float) -> None:
-        """Let the items whose texts were lost wait for their numbers."""
+        """Infer executions whose texts were lost; they wait for their numbers."""
         while self._suspects and t - self._suspects[0].t >= WAIT_FOR_TEXT_S:
             suspect = self._suspects.popleft()
             if self._has_run_untold(t, suspect):
@@ -298,7 +310,7 @@ class ArduPilotWatch:
 
 
 class _Numbers:
-    """The numbers of script messages seen just now, each to be taken once."""
+    """The numbers of recent script messages; each can be taken once."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=MOST_WAITING)
@@ -307,7 +319,7 @@ class _Numbers:
         self._seen.append((t, params[:4]))
 
     def take(self, t: float, params: tuple[float, ...] | None) -> bool:
-        """Whether these numbers (None: any) were seen just now; if so, they are used up."""
+        """Whether these numbers (None: any) came recently; if so, remove them."""
         while self._seen and t - self._seen[0][0] > SAME_SCRIPT_ITEM_S:
             self._seen.popleft()
         for entry in self._seen:
@@ -318,7 +330,7 @@ class _Numbers:
 
 
 def _fits(name: str | None, command: int, confirmed: bool = False) -> bool:
-    """Whether an item is the one named; other releases may have other names, if the autopilot confirms it."""
+    """Whether the name fits the command. Other releases may have other names, if `confirmed`."""
     expected = COMMAND_OF_NAME.get(name or "")
     if expected is not None:
         return expected == command
