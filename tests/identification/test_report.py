@@ -24,10 +24,9 @@ from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.causes import catalogue
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.report import figures
-from flying_vines.identification.report.figures import shown_runs
-from flying_vines.identification.report.left import draw_residuals
+from flying_vines.identification.report.figures import curve, shown_runs
 from flying_vines.identification.report.page import page
-from flying_vines.identification.report.profiles import curve
+from flying_vines.identification.report.residual_figures import draw_residuals
 from flying_vines.identification.report.runs import draw_run
 from flying_vines.identification.report.words import label_and_unit, numbers, share
 from flying_vines.identification.report.write import svg
