@@ -46,8 +46,8 @@ LOOK_AT_DISK_S = 1.0
 TRY_AGAIN_S = 2.0
 MORE_ROOM_MB = 10.0
 """Than `least_free_MB`, before an ended log goes on: the disk is not full again at once."""
-MOST_INDEX_BYTES = 16 * 1024 * 1024
-"""Of memory for the summary, after some ten hours: then another folder begins, flight or not."""
+MAX_CHUNKS = 36_000
+"""Of a log: five hours, 50 MB of memory for its summary. Then another folder begins, in flight too."""
 _MAVLINK = (NUMBERS[MAVLINK_IN], NUMBERS[MAVLINK_OUT])
 
 
@@ -136,7 +136,7 @@ class Folders:
         if t - self._synced_at >= SYNC_S:
             self._synced_at = t
             self._files.sync()
-            if self._files.index_bytes > MOST_INDEX_BYTES:
+            if self._files.chunks > MAX_CHUNKS:
                 self._next_folder()
         if t - self._looked_at >= LOOK_AT_DISK_S:
             self._looked_at = t
@@ -238,8 +238,8 @@ class Files:
         self._opened.close()
 
     @property
-    def index_bytes(self) -> int:
-        return self._mcap.index_bytes
+    def chunks(self) -> int:
+        return self._mcap.chunks
 
     def add(self, entry: Entry) -> None:
         number, self.latest, what = entry
