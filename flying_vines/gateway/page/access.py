@@ -12,7 +12,6 @@ import re
 import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
-from http.cookies import CookieError, SimpleCookie
 from urllib.parse import urlsplit
 
 from flying_vines.gateway import page_token
@@ -52,7 +51,9 @@ class Door:
         name = socket.gethostname().lower()
         self._names = {"localhost"} if self._local else {"localhost", name, f"{name}.local"}
 
-    def look(self, headers: Mapping[str, str], given: str = "") -> Admitted | Turned:
+    def look(
+        self, headers: Mapping[str, str], given: str = "", cookies: Mapping[str, str] | None = None
+    ) -> Admitted | Turned:
         """`headers` are a request's, by names of any case; `given` is the token in its address."""
         host = headers.get("Host", "")
         if not self._ours(host):
@@ -66,7 +67,7 @@ class Door:
             return Turned(403, "another site's page may not ask for this")
         if self._local:
             return Admitted(may_ask=True)
-        for token in (given, self._bearer(headers), self._remembered(headers)):
+        for token in (given, self._bearer(headers), (cookies or {}).get(self.cookie, "")):
             if not 0 < len(token) <= LONGEST_TOKEN:
                 continue
             if page_token.same(token, self._token):
@@ -94,10 +95,3 @@ class Door:
     def _bearer(self, headers: Mapping[str, str]) -> str:
         kind, _, token = headers.get("Authorization", "").partition(" ")
         return token if kind.lower() == "bearer" else ""
-
-    def _remembered(self, headers: Mapping[str, str]) -> str:
-        try:
-            morsel = SimpleCookie(headers.get("Cookie", "")).get(self.cookie)
-        except CookieError:
-            return ""
-        return morsel.value if morsel else ""

@@ -21,7 +21,6 @@ from flying_vines.gateway.page.history import History
 from flying_vines.gateway.page.request import LONGEST_WISH
 from flying_vines.gateway.page.viewer import Viewer
 
-SWEEP_S = 1.0
 KEEP_ALIVE_S = 5.0
 LAST_WORDS_S = 0.2
 HEARTBEAT_S = 10.0
@@ -113,9 +112,7 @@ class PageServer(Server):
     async def serve(self, listener: socket.socket) -> None:
         """Until cancelled; then everybody sees at once that nobody is here."""
         try:
-            async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._receive(listener))
-                tasks.create_task(self._sweep())
+            await self._receive(listener)
         finally:
             listener.close()
             for transport in self._connections.values():
@@ -123,6 +120,7 @@ class PageServer(Server):
             await self.shutdown(LAST_WORDS_S)
 
     async def _receive(self, listener: socket.socket) -> None:
+        # asyncio's own server takes all that wait in one turn of the loop: a flood would hold up a vent.
         loop = asyncio.get_running_loop()
         while True:
             try:
@@ -134,14 +132,12 @@ class PageServer(Server):
             except OSError:
                 await asyncio.sleep(NO_MORE_FILES_S)
 
-    # What aiohttp tells of connections.
-
     def connection_made(self, handler: RequestHandler, transport: asyncio.Transport) -> None:
         super().connection_made(handler, transport)
         transport.set_write_buffer_limits(high=SEND_BUFFER)
         peer = transport.get_extra_info("peername")
         address = str(peer[0]) if peer else "one that has gone"
-        self._close(self._held.came(transport, address, self._now))
+        self._close(self._held.came(transport, address))
 
     def connection_lost(self, handler: RequestHandler, exc: BaseException | None = None) -> None:
         transport = self._connections.get(handler)
@@ -153,23 +149,10 @@ class PageServer(Server):
         if transport is not None:
             transport.abort()
 
-    async def _sweep(self) -> None:
-        """Close connections that nobody uses."""
-        while True:
-            for transport in self._held.overdue(self._now):
-                self._close(transport)
-            await asyncio.sleep(SWEEP_S)
-
-    @property
-    def _now(self) -> float:
-        return asyncio.get_running_loop().time()
-
-    # Requests.
-
     async def _answer(self, request: BaseRequest) -> StreamResponse:
         if request.method not in (hdrs.METH_GET, hdrs.METH_HEAD):
             return _refusal(Turned(405, "there is nothing here to be changed"))
-        found = self._door.look(request.headers, request.query.get("token", ""))
+        found = self._door.look(request.headers, request.query.get("token", ""), request.cookies)
         if isinstance(found, Turned):
             return _refusal(found)
         if request.path == "/live":

@@ -13,7 +13,6 @@ from flying_vines.gateway.page.connections import (
     MAX_NEW,
     MAX_PILOTS,
     MAX_VIEWERS,
-    NEW_FOR_S,
     Connections,
 )
 from flying_vines.gateway.page.history import KEPT_S, History
@@ -23,8 +22,8 @@ from flying_vines.gateway.token_bucket import Patience
 
 def test_a_flood_from_one_address_pushes_out_its_own() -> None:
     held: Connections[str] = Connections()
-    assert held.came("pilot", "192.168.4.2", 0.0) is None
-    pushed = [held.came(f"flood {i}", "192.168.4.66", 1.0) for i in range(1000)]
+    assert held.came("pilot", "192.168.4.2") is None
+    pushed = [held.came(f"flood {i}", "192.168.4.66") for i in range(1000)]
     out = [who for who in pushed if who is not None]
     assert out == [f"flood {i}" for i in range(1000 - MAX_NEW + 1)]
 
@@ -32,9 +31,9 @@ def test_a_flood_from_one_address_pushes_out_its_own() -> None:
 def test_so_many_viewers_and_no_more() -> None:
     held: Connections[int] = Connections()
     for i in range(MAX_VIEWERS):
-        held.came(i, "10.0.0.1", 0.0)
+        held.came(i, "10.0.0.1")
         assert held.view(i)
-    held.came(100, "10.0.0.2", 0.0)
+    held.came(100, "10.0.0.2")
     assert not held.view(100)
     held.left(0)
     assert held.view(100)
@@ -42,43 +41,30 @@ def test_so_many_viewers_and_no_more() -> None:
 
 def test_viewers_are_not_pushed_out() -> None:
     held: Connections[int] = Connections()
-    held.came(-1, "10.0.0.1", 0.0)
+    held.came(-1, "10.0.0.1")
     assert held.view(-1)
-    assert -1 not in {held.came(i, "10.0.0.1", 0.0) for i in range(1000)}
+    assert -1 not in {held.came(i, "10.0.0.1") for i in range(1000)}
 
 
 def test_viewers_take_no_place_of_a_pilot() -> None:
     held: Connections[str] = Connections()
     for i in range(2 * MAX_VIEWERS):
-        held.came(f"viewer {i}", f"10.0.0.{i % 4}", 0.0)
+        held.came(f"viewer {i}", f"10.0.0.{i % 4}")
         held.view(f"viewer {i}")
-    held.came("pilot", "10.0.0.1", 0.0)
+    held.came("pilot", "10.0.0.1")
     assert held.command("pilot") is None
-    assert "pilot" not in {held.came(f"new {i}", "10.0.0.1", 0.0) for i in range(1000)}
+    assert "pilot" not in {held.came(f"new {i}", "10.0.0.1") for i in range(1000)}
 
 
 def test_of_too_many_pilots_the_oldest_goes() -> None:
     held: Connections[int] = Connections()
     for i in range(MAX_PILOTS):
-        held.came(i, "10.0.0.1", 0.0)
+        held.came(i, "10.0.0.1")
         assert held.command(i) is None
     held.left(1)
     for i, out in ((100, None), (101, 0), (102, 2)):
-        held.came(i, "10.0.0.1", 0.0)
+        held.came(i, "10.0.0.1")
         assert held.command(i) == out
-
-
-def test_new_ones_that_ask_for_nothing_are_overdue_once() -> None:
-    held: Connections[str] = Connections()
-    held.came("slow", "a", 0.0)
-    held.came("viewer", "a", 0.0)
-    held.came("pilot", "a", 0.0)
-    held.came("new", "a", NEW_FOR_S)
-    held.view("viewer")
-    held.command("pilot")
-    assert held.overdue(NEW_FOR_S) == []
-    assert held.overdue(NEW_FOR_S + 0.1) == ["slow"]
-    assert held.overdue(NEW_FOR_S + 0.2) == []
 
 
 def test_patience_is_for_thumbs_not_for_floods() -> None:
