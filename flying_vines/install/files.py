@@ -11,6 +11,7 @@ from string import Template
 
 from firmware_link.find import UsbBoard
 from flying_vines.config import config as configuration
+from flying_vines.config.toml_edit import value_text, with_value
 from flying_vines.install.program import InstallError
 
 USER = "flying-vines"
@@ -73,23 +74,13 @@ def users() -> File:
 
 def profile() -> File:
     """The built-in profile, with the board under the name that the rule gives it."""
-    text = _with(configuration.default_text(), "firmware", "link", PORT)
-    return File(PROFILE, _with(text, "state", "folder", str(STATE)), of_people=True)
+    text = with_value(configuration.default_text(), "firmware", "link", value_text(PORT))
+    return File(PROFILE, with_value(text, "state", "folder", value_text(str(STATE))), of_people=True)
 
 
 def _filled(path: Path, **values: str) -> File:
     template = resources.files("flying_vines.install").joinpath("templates", path.name)
     return File(path, HEAD + Template(template.read_text(encoding="utf-8")).substitute(values))
-
-
-def _with(text: str, table: str, key: str, value: str) -> str:
-    """The profile's text with another string for a key; the comment behind it stays where it was."""
-    line = re.compile(rf'(^\[{table}\][^\[]*?^{key} = )("[^"]*")( *)', re.MULTILINE)
-    new = f'"{value}"'
-    changed, count = line.subn(lambda m: f"{m[1]}{new.ljust(len(m[2] + m[3]) - 1)} ", text)
-    if count != 1:
-        raise ValueError(f"the built-in profile has no {table}.{key}")
-    return changed
 
 
 def _word(text: str) -> str:
