@@ -60,10 +60,10 @@ def _in_powers(value: float) -> str:
 def how_surprising(pattern: Pattern) -> str:
     """How often noise alone would do this."""
     if pattern.surprise < _CHANCE:
-        return "as noise alone does"
+        return "noise alone does this"
     if pattern.surprise < STRUCTURE:
-        return f"of noise alone once in {10.0**pattern.surprise:,.0f} times"
-    return "of noise alone practically never"
+        return f"noise does this once in {10.0**pattern.surprise:,.0f} times"
+    return "noise practically never does this"
 
 
 def signed(number: str) -> str:
