@@ -32,7 +32,7 @@ from flying_vines.gateway.messages import (
     raw,
     read_from_gateway,
 )
-from flying_vines.gateway.token_bucket import Patience
+from flying_vines.gateway.token_bucket import TokenBucket
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vine.intent import Asker, Intent, Vent
 
@@ -68,7 +68,7 @@ class Gateway(Watcher):
         self._unsent: deque[bytes] = deque(maxlen=MOST_BEHIND)
         self._spoke = False
         """Since the last look."""
-        self._patience = Patience(0.0, MOST_ASKED_PER_S, MOST_ASKED_PER_S)
+        self._bucket = TokenBucket(0.0, MOST_ASKED_PER_S, MOST_ASKED_PER_S)
         self._vents: dict[Asker, list[Ask]] = {}
         """Those that wait."""
         self._next_vents: asyncio.TimerHandle | None = None
@@ -177,7 +177,7 @@ class Gateway(Watcher):
             self._vents.setdefault(message.by, []).append(message)
             if self._next_vents is None:
                 self._vent()
-        elif self._patience.bears(self._now):
+        elif self._bucket.take(self._now):
             # In the order in which they were asked for.
             self._vent()
             decision = self._ask(message.by, message.intent, message.made_at, message.seen_at)

@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Aside(Generic[T]):
+class BackgroundWriter(Generic[T]):
     """Hands what is written to `put`, in order. The first `OSError` ends it: see `error`."""
 
     def __init__(self, put: Callable[[list[T]], None], most_behind: int) -> None:

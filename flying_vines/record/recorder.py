@@ -12,7 +12,7 @@ from pathlib import Path
 
 from flying_vines.core.events import Action, Event, Snapshot
 from flying_vines.core.watcher import Watcher
-from flying_vines.record.background_writer import Aside
+from flying_vines.record.background_writer import BackgroundWriter
 from flying_vines.record.folders import Began, Folders
 from flying_vines.record.topics import Entry, entry_of_action, entry_of_event, entry_of_state
 
@@ -36,7 +36,9 @@ class Recorder(Watcher):
         Raises `OSError` when nothing can be written there.
         """
         self._folders = Folders(parent, began, least_free_MB, time.monotonic() if t is None else t)
-        self._aside: Aside[list[Entry | None]] = Aside(self._folders.write, MOST_WAITING)
+        self._writer: BackgroundWriter[list[Entry | None]] = BackgroundWriter(
+            self._folders.write, MOST_WAITING
+        )
         self._waiting: list[Entry | None] = []
         self._due = 0.0
         self._t = 0.0
@@ -65,7 +67,7 @@ class Recorder(Watcher):
     @property
     def _over(self) -> str:
         """Why nothing more will be written."""
-        error = self._aside.error
+        error = self._writer.error
         return f"the flight log ends here: {error.strerror}" if error else self._ended
 
     def event(self, event: Event) -> None:
@@ -85,7 +87,7 @@ class Recorder(Watcher):
     def close(self) -> None:
         """Write the rest, for as long as that may take."""
         self._hand_over()
-        if not self._aside.close(LAST_WRITES_S):
+        if not self._writer.close(LAST_WRITES_S):
             self._ended = "the end of the flight log is lost: the disk hangs"
             return
         try:
@@ -101,7 +103,7 @@ class Recorder(Watcher):
 
     def _hand_over(self) -> None:
         waiting, self._waiting = self._waiting, []
-        if waiting and not self._over and not self._aside.write(waiting, len(waiting)):
+        if waiting and not self._over and not self._writer.write(waiting, len(waiting)):
             self._ended = "the flight log ends here: the disk does not keep up"
 
 

@@ -15,9 +15,9 @@ MAX_PILOTS = 16
 
 
 class Connections(Generic[K]):
-    """Connections, each by whatever the caller knows it by.
+    """Connections, each under the caller's own key.
 
-    What these methods return has lost its place: the caller closes it.
+    The caller closes the connection that a method returns: it has lost its place.
     """
 
     def __init__(self) -> None:
@@ -27,8 +27,8 @@ class Connections(Generic[K]):
         self._pilots: dict[K, None] = {}
         """The oldest first."""
 
-    def came(self, who: K, address: str) -> K | None:
-        """When there are too many new ones, the oldest of the address that has the most goes."""
+    def opened(self, who: K, address: str) -> K | None:
+        """With too many new connections, the address with most of them loses its oldest."""
         self._new[who] = address
         if len(self._new) <= MAX_NEW:
             return None
@@ -37,7 +37,7 @@ class Connections(Generic[K]):
         del self._new[oldest]
         return oldest
 
-    def view(self, who: K) -> bool:
+    def add_viewer(self, who: K) -> bool:
         """Whether there is room for one more viewer."""
         if len(self._viewers) >= MAX_VIEWERS:
             return False
@@ -45,8 +45,8 @@ class Connections(Generic[K]):
         self._viewers.add(who)
         return True
 
-    def command(self, who: K) -> K | None:
-        """There is always room for one more pilot: when there are too many, the oldest goes."""
+    def add_pilot(self, who: K) -> K | None:
+        """There is always room for one more pilot. With too many, the oldest loses its place."""
         self._new.pop(who, None)
         self._pilots[who] = None
         if len(self._pilots) <= MAX_PILOTS:
@@ -55,7 +55,7 @@ class Connections(Generic[K]):
         del self._pilots[oldest]
         return oldest
 
-    def left(self, who: K) -> None:
+    def closed(self, who: K) -> None:
         self._new.pop(who, None)
         self._viewers.discard(who)
         self._pilots.pop(who, None)
