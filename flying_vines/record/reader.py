@@ -37,15 +37,15 @@ class Entry(NamedTuple):
 class FlightLog:
     """A flight's log: `path` is its folder, or the file itself.
 
-    What `lost` and `cut_off` say holds once `entries` was gone through.
+    `lost` and `cut_off` are valid once `entries` has been read to the end.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path / MCAP if path.is_dir() else path
         self.lost = 0
-        """Messages that should be between those that are there."""
+        """Messages that are missing between those that were read."""
         self.cut_off = False
-        """The log was not brought to its end."""
+        """The log has no end, as after a power cut."""
         self._last_ns = 0
 
     @property
@@ -57,10 +57,10 @@ class FlightLog:
         """A sentence for people; empty for a whole log."""
         said = []
         if self.lost:
-            said.append(f"{self.lost} messages of it are damaged and left out")
+            said.append(f"{self.lost} damaged messages are left out")
         if self.cut_off:
             last = datetime.fromtimestamp(self._last_ns / 1e9).strftime("%H:%M:%S")
-            said.append(f"it was not brought to its end: it is read up to {last}")
+            said.append(f"it is incomplete and ends at {last}")
         return f"{self.path.name}: {'; '.join(said)}" if said else ""
 
     def entries(self, topics: Collection[str] | None = None) -> Iterator[Entry]:
@@ -98,5 +98,5 @@ class FlightLog:
                 elif isinstance(record, Channel):
                     names[record.id] = record.topic
         if not names:
-            raise LogError(f"{self.path}: is no flight log, or nothing of it can be read")
+            raise LogError(f"{self.path}: is not a flight log, or no part of it can be read")
         self.lost += max(0, count - expected)
