@@ -1,4 +1,4 @@
-"""A calibration as one page that opens offline: what was found, and the pictures that it rests on."""
+"""A calibration as one page that opens offline: the findings, and the figures of data and fits."""
 
 from __future__ import annotations
 

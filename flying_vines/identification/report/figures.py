@@ -39,7 +39,7 @@ from flying_vines.plots.style import GREY, PURPLE
 MOST_RUNS = 6
 MOST_RANKED = 16
 SEEN = 5.0
-"""Standard deviations; a shorter trace has no direction that counts."""
+"""Standard deviations. A weaker trace has no reliable direction."""
 ALIKE = 0.95
 _WRITTEN = 0.5
 _DARK = 0.7
@@ -48,7 +48,7 @@ _HIGHEST = 1.6 * ABOVE
 
 
 def figures(verdict: Verdict) -> dict[str, Figure]:
-    """All that can be drawn of a verdict, in the order in which it convinces.
+    """All figures of a verdict, in the order of the report.
 
     Args:
         verdict: of `diagnose`; all arrays are in `verdict.evidence`.
@@ -79,14 +79,14 @@ def figures(verdict: Verdict) -> dict[str, Figure]:
 
 
 def shown_runs(verdict: Verdict) -> list[int]:
-    """Indices of the runs that are drawn: where there are many, those in which the simulations part most."""
+    """Indices of the runs to draw; of many runs, those in which the simulations differ most."""
     evidence = verdict.evidence
     parts = [float(np.mean(parting(run, evidence.noise_kPa, models(verdict)) ** 2)) for run in evidence.runs]
     return sorted(sorted(range(len(parts)), key=lambda i: -parts[i])[:MOST_RUNS])
 
 
 def draw_unseen(verdict: Verdict) -> Figure:
-    """Root mean square error over the range of what was measured, before, after, and of noise alone."""
+    """Root mean square error relative to the measured range: before, after, and of noise alone."""
     errors = verdict.held_out
     bars = [("baseline", errors.nrmse_before, BEFORE)]
     if models(verdict):
@@ -111,26 +111,26 @@ def draw_unseen(verdict: Verdict) -> Figure:
 
 
 def _ranked(verdict: Verdict) -> list[Tried]:
-    """The best, and the baseline wherever it stands."""
+    """The best candidates, and the baseline at any rank."""
     fitted = [tried for tried in verdict.ranking if isfinite(tried.score)]
     return fitted[:MOST_RANKED] + [tried for tried in fitted[MOST_RANKED:] if not tried.causes]
 
 
 def _color(tried: Tried, verdict: Verdict) -> str:
-    """By its part in the verdict."""
+    """The colour of a candidate, by its role in the verdict."""
     if not tried.causes:
         return BEFORE
     named = {named.cause for named in verdict.named}
     if set(tried.causes) == named:
         return AFTER
-    # In place of one of them, whichever it is.
+    # Replaces exactly one of them.
     others = set(tried.causes) - named
     alike = len(others) == 1 and others <= set(verdict.indistinguishable)
     return PURPLE if alike and len(tried.causes) == len(named) else GREY
 
 
 def draw_ranking(verdict: Verdict) -> Figure:
-    """How much evidence each candidate lies behind the best: the logarithm of how much likelier that is."""
+    """How far the log evidence of each candidate is below the best."""
     rows = _ranked(verdict)
     figure = blank(0.75 + 0.2 * len(rows))
     axis = figure.subplots()
@@ -162,7 +162,7 @@ def draw_ranking(verdict: Verdict) -> Figure:
 
 
 def draw_profiles(verdict: Verdict) -> Figure:
-    """χ² above its least over each parameter, all else refitted, with the 95 % interval; of named causes."""
+    """χ² above its minimum over each parameter of the named causes, others refitted; with 95 % intervals."""
     profiles = verdict.evidence.profiles
     across = min(_MOST_ACROSS, max(2, len(profiles)))
     down = -(-len(profiles) // across)
@@ -196,7 +196,7 @@ def _profile(axis: Any, profile: Profile) -> None:
 
 
 def curve(profile: Profile) -> tuple[Array, Array]:
-    """Between the values that were looked at: straight lines in the root of χ², exact of a parabola."""
+    """Interpolates linearly in the square root of χ², which is exact for a parabola."""
     parameter = profile.parameter
     inner = np.array([parameter.inner(float(value)) for value in profile.value])
     best = parameter.inner(profile.estimate)
@@ -206,7 +206,7 @@ def curve(profile: Profile) -> tuple[Array, Array]:
 
 
 def draw_likeness(verdict: Verdict) -> Figure:
-    """Cosine between each two causes' traces, like beside like, and how plainly each shows; those that do."""
+    """Cosine similarity of the traces of each two visible causes, and how clearly each cause shows."""
     likeness = verdict.evidence.likeness
     order = by_likeness(likeness)
     count = len(order)
@@ -238,7 +238,7 @@ def draw_likeness(verdict: Verdict) -> Figure:
 
 
 def by_likeness(likeness: Likeness) -> NDArray[np.intp]:
-    """Of the causes that would be seen, an order in which those that look alike are neighbours."""
+    """The causes that would show, in an order in which similar ones are neighbours."""
     seen = np.flatnonzero(likeness.seen >= SEEN)
     if len(seen) < 3:
         return seen
@@ -251,7 +251,7 @@ def by_likeness(likeness: Likeness) -> NDArray[np.intp]:
 
 
 def alike_pairs(likeness: Likeness) -> list[tuple[str, str, float]]:
-    """Pairs that these data hardly tell apart, the most alike first."""
+    """Pairs that these data hardly distinguish, the most similar first."""
     seen = np.flatnonzero(likeness.seen >= SEEN)
     pairs = [
         (likeness.causes[i], likeness.causes[j], float(likeness.cosine[i, j]))

@@ -1,4 +1,4 @@
-"""What the template of the page asks for: from the answer down to what it rests on."""
+"""The content of the report's template."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each simulation leaves of the readings: is it noise, and if not, what does it depend on?"""
+"""Figures of the residuals: are they noise, and if not, what do they depend on?"""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ BAND = 2.0
 _LEAST_SPAN = 4.5
 _BINS = 45
 _NARROW = 15.0
-"""In wider panels the normal distribution would be a needle."""
+"""In wider panels the normal distribution would be too narrow to see."""
 _LAGS = 60
 _PER_CHANNEL = 3
 _OVER_TIME = "time in stretches"
-"""How features begin that the residuals themselves show, over time."""
+"""First words of features that the residuals over time already show."""
 _SINCE = "time since"
 _LINE = 26
-"""Characters of an axis' label."""
+"""Characters per line of an axis label."""
 
 
 def draw_residuals(verdict: Verdict) -> Figure:
-    """Residuals in units of noise over all runs, before and after, beside their histograms."""
+    """Residuals in units of noise over all runs, before and after, with their histograms."""
     panels = [
         (row, after)
         for row in channels(verdict)
@@ -92,7 +92,7 @@ def _panel(verdict: Verdict, row: int, after: bool, series: Any, histogram: Any)
 
 
 def draw_autocorrelation(verdict: Verdict) -> Figure:
-    """How alike residuals are that lie so many samples apart; of noise within the band, 95 times of 100."""
+    """Autocorrelation of the residuals. For noise alone, 95 of 100 points lie in the band."""
     read = channels(verdict)
     figure = blank(1.9)
     axes = figure.subplots(1, len(read), squeeze=False, sharey=True)[0]
@@ -122,7 +122,7 @@ def draw_autocorrelation(verdict: Verdict) -> Figure:
 
 
 def _autocorrelation(verdict: Verdict, row: int, after: bool) -> tuple[Array, int]:
-    """(lags,) from the first lag on, over pairs of readings of one run; and how many readings there are."""
+    """(lags,) from lag 1 on, over pairs of readings of one run; and the number of readings."""
     products, squares, readings = np.zeros(_LAGS), 0.0, 0
     pairs = np.zeros(_LAGS)
     for run in verdict.evidence.runs:
@@ -139,11 +139,11 @@ def _autocorrelation(verdict: Verdict, row: int, after: bool) -> tuple[Array, in
 
 
 def strongest(verdict: Verdict) -> list[Pattern]:
-    """The few things that a channel depends on most, channel by channel: of what there was to explain, or
-    where that has failed, of what is left."""
+    """The features on which each channel depends most: in the residuals of the baseline or, if the verdict is
+    unexplained, in those of the best fit."""
     evidence = verdict.evidence
     leading = evidence.after if verdict.cause == UNEXPLAINED else evidence.before
-    # Where all are certain, the strongest is where the means are largest.
+    # If all are certain, the one with the largest means is the strongest.
     ranked = sorted(leading, key=lambda p: (-min(p.surprise, 300.0), -float(p.count @ p.mean**2)))
     kinds: dict[tuple[str, str], Pattern] = {}
     for pattern in ranked:
@@ -157,17 +157,17 @@ def strongest(verdict: Verdict) -> list[Pattern]:
 
 
 def _kind(feature: str) -> str:
-    """Times since a valve opened, and since it closed, are of a kind: one of them is enough."""
+    """The times since a valve opened and since it closed are one kind, of which one is enough."""
     return feature.rsplit(maxsplit=1)[0] if feature.startswith(_SINCE) else feature
 
 
 def same(pattern: Pattern, others: tuple[Pattern, ...]) -> Pattern | None:
-    """The one of the same channel and feature."""
+    """The pattern of the same channel and feature."""
     return next((p for p in others if (p.channel, p.feature) == (pattern.channel, pattern.feature)), None)
 
 
 def draw_dependence(verdict: Verdict) -> Figure:
-    """Mean residual per group of samples, with twice its standard error, before and after."""
+    """Mean residual per group of samples with twice its standard error, before and after."""
     shown = strongest(verdict)
     across = _PER_CHANNEL
     down = -(-len(shown) // across)

@@ -1,4 +1,4 @@
-"""Fills the templates of pages: whatever comes from a case or a profile is escaped."""
+"""Fills the templates of pages. Everything that comes from a case or a profile is escaped."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ TEMPLATES = Path(__file__).with_name("templates")
 
 
 def filled(template: Path, pictures: Mapping[str, bytes], **content: Any) -> str:
-    """A page that holds all that it shows.
+    """A page that contains its pictures.
 
     Args:
-        template: beside it, and in `TEMPLATES`, lie those that it extends and includes.
-        pictures: SVG by name, which the template shows as `figure`.
-        content: what the template names.
+        template: may extend and include others from its folder and from `TEMPLATES`.
+        pictures: SVG by name, for the macro `figure`.
+        content: the other names of the template.
     """
     environment = Environment(
         autoescape=True,

@@ -132,10 +132,10 @@ def test_a_token_is_made_once_for_its_owner_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text, mode, said",
     [
-        ("short", 0o600, "no token"),
-        ("", 0o600, "no token"),
+        ("short", 0o600, "no valid page token"),
+        ("", 0o600, "no valid page token"),
         (TOKEN, 0o640, "chmod 600"),
-        ("ä" * 20, 0o600, "no token"),
+        ("ä" * 20, 0o600, "no valid page token"),
     ],
 )
 def test_a_file_that_is_no_token_says_so(tmp_path: Path, text: str, mode: int, said: str) -> None:
