@@ -26,18 +26,18 @@ from flying_vines.gateway.messages import (
 
 LONGEST_PACKET = 1024 * 1024
 NICE = 5
-"""Whoever looks on comes after what flies."""
+"""Lower priority than the service."""
 
 
 async def serve(service: socket.socket) -> None:
-    """Until the service closes its end, or says something that is not understood."""
+    """Until the service closes its end or sends an invalid message."""
     loop = asyncio.get_running_loop()
 
     def send(message: FromGateway) -> None:
         try:
             service.send(packet(message))
         except OSError:
-            # It does not read, or is gone: then it does not answer either, and that is what people are told.
+            # It does not read or has ended: then it does not answer either, and people are told that.
             return
 
     profile = read_to_gateway(await loop.sock_recv(service, LONGEST_PACKET))
@@ -52,7 +52,7 @@ async def serve(service: socket.socket) -> None:
     tasks = [asyncio.create_task(part) for part in parts]
     try:
         with contextlib.suppress(ConnectionResetError):
-            # It may have died with something unread.
+            # It may have died with unread messages.
             while told := await loop.sock_recv(service, LONGEST_PACKET):
                 feed.take(read_to_gateway(told))
     finally:
@@ -61,7 +61,7 @@ async def serve(service: socket.socket) -> None:
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-# Each is imported only where the profile asks for it, and where that fails the other serves all the same.
+# Each is imported only if the profile asks for it. If that fails, the other still serves.
 
 
 async def _page(feed: Feed) -> str:
@@ -79,7 +79,7 @@ async def _mqtt(feed: Feed) -> str:
 
 
 async def _beat(send: Callable[[FromGateway], None]) -> None:
-    # The imports hold the loop up, so the first comes after them: until then the service allows more time.
+    # The imports block the loop, so the first comes after them: until then the service allows more time.
     await asyncio.sleep(0.0)
     await asyncio.sleep(0.0)
     while True:
@@ -88,7 +88,7 @@ async def _beat(send: Callable[[FromGateway], None]) -> None:
 
 
 def main() -> None:
-    # Ctrl-C is for the service: it closes its end when it has vented.
+    # The service handles Ctrl-C: it vents, then closes its end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(NICE)
     with socket.socket(fileno=int(sys.argv[1])) as service:

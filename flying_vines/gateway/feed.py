@@ -1,4 +1,4 @@
-"""What page and broker know of the service, and how they ask it for something. No socket, no clock."""
+"""What page and MQTT client know of the service, and how they send it commands. No socket."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from flying_vines.gateway.messages import (
 from flying_vines.vine.intent import ACTS_WITHIN_S, Asker, Command
 
 REMEMBERED = 500
-"""Events that whoever comes later is told of."""
+"""Events kept for viewers that come later."""
 MOST_BEHIND = 200
-"""Of a reader; then the oldest events are lost to it."""
+"""Unread events of one reader. Beyond that it loses the oldest."""
 ANSWERED_WITHIN_S = ACTS_WITHIN_S + 0.2
-"""When nobody waits for an answer any more, the service no longer does what was asked for."""
+"""After this time the service no longer executes the command."""
 
 
 class NoAnswerError(Exception):
-    """The service does not answer: whether it did what it was asked for is not known."""
+    """The service does not answer. It is unknown whether it executed the command."""
 
 
 class Reader:
-    """One that follows the feed at its own speed: the latest snapshot, and every event unless far behind."""
+    """Follows the feed at its own speed: the latest snapshot, and every event unless it is far behind."""
 
     def __init__(self) -> None:
         self.missed = 0
-        """Events that were lost, as it was too slow."""
+        """Events lost because it was too slow."""
         self._events: deque[Happened] = deque()
         self._latest: Seen | None = None
         self._news = asyncio.Event()
 
     async def next(self) -> list[Happened | Seen]:
-        """What is new, at least one; the snapshot last."""
+        """The news, at least one; the snapshot last."""
         await self._news.wait()
         self._news.clear()
         news: list[Happened | Seen] = list(self._events)
@@ -64,7 +64,7 @@ class Reader:
 
 
 class Feed:
-    """Of one service. `send` puts a message on its way there."""
+    """The feed of one service. `send` sends it a message."""
 
     def __init__(self, profile: Profile, send: Callable[[FromGateway], None]) -> None:
         self.profile = profile
@@ -77,7 +77,7 @@ class Feed:
 
     @contextmanager
     def reader(self) -> Iterator[Reader]:
-        """Of what comes from now on; `latest` and `happened` hold what came before."""
+        """A reader of what comes from now on; `latest` and `happened` hold what came before."""
         reader = Reader()
         self._readers.add(reader)
         try:
@@ -114,11 +114,11 @@ class Feed:
             del self._waiting[ask.number]
 
     def trouble(self, text: str) -> None:
-        """Tell those on board, once each time that something goes wrong or is well again."""
+        """Tells the crew, once when something fails and once when it works again."""
         self._send(Trouble(text))
 
     def take(self, message: ToGateway) -> None:
-        """What the service tells."""
+        """A message from the service."""
         match message:
             case Seen():
                 self.latest = message

@@ -1,7 +1,7 @@
-"""The service's end of the gateway: tells what it sees, asks what people want, and never waits for either.
+"""The service's end of the gateway: sends state and events, receives commands, and never waits.
 
-Page and broker live in a process of their own, so that nothing that a network does can hold up the loop that
-flies. When that process dies or hangs, it is started again; the service goes on.
+Page and MQTT client run in their own process, so that the network cannot delay the control loop. If that
+process dies or hangs, it is restarted and the service goes on.
 """
 
 from __future__ import annotations
@@ -32,26 +32,26 @@ from flying_vines.gateway.messages import (
     raw,
     read_from_gateway,
 )
-from flying_vines.gateway.token_bucket import Patience
+from flying_vines.gateway.token_bucket import TokenBucket
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vine.intent import Asker, Intent, Vent
 
 COMMAND = (sys.executable, "-m", "flying_vines.gateway")
 LONGEST_PACKET = 64 * 1024
 MOST_BEHIND = 500
-"""Events that wait for a gateway that starts, or is slow."""
+"""Events that wait for a gateway that is starting or slow."""
 LOOK_S = 0.25
 HANGS_S = 2.0
-"""A gateway that is silent for so long is ended: it says `Alive` twice a second."""
+"""A gateway that is silent for this long is killed: it should send `Alive` twice a second."""
 STARTS_S = 20.0
-"""A worn card may take so long to load it."""
+"""Loading it from a worn card can take this long."""
 MOST_ASKED_PER_S = 20.0
 VENTED_EVERY_S = 0.05
-"""Of vents that come more often those in between wait, and the next is for all of them."""
+"""More frequent vents wait, and the next one answers all of them."""
 
 
 class Gateway(Watcher):
-    """One gateway process, kept alive by `run`. `ask` and `say` are the service's."""
+    """One gateway process, kept alive by `run`. `ask` and `say` call the service."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class Gateway(Watcher):
         self._unsent: deque[bytes] = deque(maxlen=MOST_BEHIND)
         self._spoke = False
         """Since the last look."""
-        self._patience = Patience(0.0, MOST_ASKED_PER_S, MOST_ASKED_PER_S)
+        self._bucket = TokenBucket(0.0, MOST_ASKED_PER_S, MOST_ASKED_PER_S)
         self._vents: dict[Asker, list[Ask]] = {}
         """Those that wait."""
         self._next_vents: asyncio.TimerHandle | None = None
@@ -84,7 +84,7 @@ class Gateway(Watcher):
             self._unsent.append(packet(Happened(type(action).__name__.lower(), raw(action))))
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """What happened since the last, then how things stand; that is not kept for one who does not read."""
+        """Sends the events since the last snapshot, then this one, which is dropped if it cannot be sent."""
         if self._socket is None:
             return
         while self._unsent:
@@ -94,11 +94,11 @@ class Gateway(Watcher):
         self._send(packet(Seen(raw(snapshot))))
 
     async def run(self) -> None:
-        """Until cancelled; then the gateway ends, too."""
+        """Runs until cancelled; then the gateway ends too."""
         await keep_alive("page and broker", self._serve_once, self._say)
 
     async def _serve_once(self) -> str:
-        """One process's life; why it ended."""
+        """Runs one process, and returns why it ended."""
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with ours:
             ours.setblocking(False)
@@ -129,9 +129,9 @@ class Gateway(Watcher):
                 await process.wait()
 
     async def _hangs(self, *ends: asyncio.Task[str]) -> bool:
-        """Wait until it is silent for too long, or ends by itself.
+        """Waits until it is silent for too long (True) or ends by itself.
 
-        Counts looks, not seconds: where this process stood still, the gateway is not to blame.
+        It counts polls instead of seconds, so that a pause of this process does not count.
         """
         allowed_s, silent_s = STARTS_S, 0.0
         while silent_s < allowed_s:
@@ -152,21 +152,21 @@ class Gateway(Watcher):
         return "it does not listen"
 
     async def _listen(self, ours: socket.socket) -> str:
-        """Until it closes its end, or says what is not understood: then that is returned."""
+        """Until the gateway closes its end or sends an invalid message, which is returned."""
         loop = asyncio.get_running_loop()
         try:
             while said := await loop.sock_recv(ours, LONGEST_PACKET):
-                self._heard(said)
-                # However much waits here, what flies comes first.
+                self._handle(said)
+                # The control loop has priority over whatever waits here.
                 await asyncio.sleep(0)
         except msgspec.DecodeError as error:
-            return f"it said what is not understood: {error}"
+            return f"it sent an invalid message: {error}"
         except OSError:
-            # It died with something unread.
+            # It died with unread messages.
             return ""
         return ""
 
-    def _heard(self, said: bytes) -> None:
+    def _handle(self, said: bytes) -> None:
         message = read_from_gateway(said)
         self._spoke = True
         if isinstance(message, Alive):
@@ -177,8 +177,8 @@ class Gateway(Watcher):
             self._vents.setdefault(message.by, []).append(message)
             if self._next_vents is None:
                 self._vent()
-        elif self._patience.bears(self._now):
-            # In the order in which they were asked for.
+        elif self._bucket.take(self._now):
+            # Earlier vents come first.
             self._vent()
             decision = self._ask(message.by, message.intent, message.made_at, message.seen_at)
             self._answer(message.number, decision)
@@ -186,7 +186,7 @@ class Gateway(Watcher):
             self._send(packet(Answered(message.number, "refused", "asked too often")))
 
     def _vent(self) -> None:
-        """One for all who wait for it; the next after `VENTED_EVERY_S`, or before something else is done."""
+        """One vent for all that wait. The next comes after `VENTED_EVERY_S`, or before another command."""
         if self._next_vents is not None:
             self._next_vents.cancel()
             self._next_vents = None
@@ -194,7 +194,7 @@ class Gateway(Watcher):
             return
         vents, self._vents = self._vents, {}
         for by, asked in vents.items():
-            # As if each were carried out: whoever has seen most clears most.
+            # As if each were executed: the latest snapshot seen decides which faults are cleared.
             seen = [ask.seen_at for ask in asked if ask.seen_at is not None]
             decision = self._ask(by, Vent(), None, max(seen, default=None))
             for ask in asked:
@@ -212,7 +212,7 @@ class Gateway(Watcher):
         except BlockingIOError:
             return False
         except OSError:
-            # It is gone: whoever listens to it notices.
+            # It has ended, which `_listen` notices.
             return False
         return True
 
@@ -222,7 +222,7 @@ class Gateway(Watcher):
 
 
 async def _last_line(stream: asyncio.StreamReader) -> str:
-    """Of what a process says before it ends."""
+    """The last line that a process writes."""
     last = ""
     while said := await stream.read(4096):
         lines = (last + said.decode(errors="replace")).split("\n")

@@ -1,4 +1,4 @@
-"""Run something for as long as we live, and start it again whenever it ends."""
+"""Runs something, and restarts it whenever it ends."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import asyncio
 from collections.abc import Callable, Coroutine
 
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.2, 1.5
-"""Before the next start. A pilot may need the page for a vent, so it is never long."""
+"""Before the next start. Short, as a pilot may need the page for a vent."""
 WELL_S = 5.0
-"""Whatever has run for so long is well again."""
+"""After this run time it counts as running again."""
 
 
 async def keep_alive(
@@ -16,7 +16,7 @@ async def keep_alive(
 ) -> None:
     """Until cancelled. `run` returns why it ended, or raises.
 
-    `tell` is called when it ends, and when it is well again; not for every try in between.
+    `tell` is called when it ends and when it runs again, not for the attempts in between.
     """
     wait_s, told = FIRST_WAIT_S, False
     while True:

@@ -1,7 +1,4 @@
-"""The word that opens the page from the network, and the file that it is kept in.
-
-From it follows a second one for those who may only watch.
-"""
+"""The token that opens the page from the network, its file, and the token for watching only."""
 
 from __future__ import annotations
 
@@ -19,18 +16,18 @@ from pathlib import Path
 from flying_vines.config.config import Page
 
 RANDOM_BYTES = 10
-"""As long as no guessing over a network comes through, as short as a thumb can type."""
+"""Long enough that nobody can guess it over a network, short enough to type on a phone."""
 SHORTEST, LONGEST = 12, 128
 _GROUP = 4
 _FORM = re.compile(rf"[a-z2-7]{{{SHORTEST},{LONGEST}}}")
 
 
 class PageTokenError(Exception):
-    """The token's file cannot be used; the text is one line that says which, why and what to do."""
+    """The file of the token cannot be used. The text is one line: which file, why, and what to do."""
 
 
 def read_or_make(path: Path) -> str:
-    """The token in a file that nobody else may read; a new one where there is no file.
+    """The token in a private file; a new one if there is no file.
 
     Raises `PageTokenError`.
     """
@@ -57,13 +54,13 @@ def read(path: Path) -> str:
         raise PageTokenError(f"{path}: the page's token cannot be read: {error.strerror}") from None
     if not _FORM.fullmatch(_plain(token)):
         raise PageTokenError(
-            f"{path}: no token for the page in it: take the file away, and the service makes a new one"
+            f"{path}: contains no valid page token: delete the file, and the service makes a new one"
         )
     return token.strip()
 
 
 def address(page: Page, token: str = "") -> str:
-    """What to type into a browser, here or on the network."""
+    """The URL for a browser, on this machine or in the network."""
     host = page.host
     if ip_address(host).is_unspecified:
         host = f"{socket.gethostname()}.local"
@@ -73,13 +70,13 @@ def address(page: Page, token: str = "") -> str:
 
 
 def watching(token: str) -> str:
-    """The token of those who may only watch: it tells nothing of the one that it follows from."""
+    """The token for watching only. The full token cannot be derived from it."""
     key = _plain(token).encode()
     return _written(hmac.digest(key, b"flying-vines: who may watch", hashlib.sha256)[:RANDOM_BYTES])
 
 
 def same(given: str, token: str) -> bool:
-    """Compared in a time that does not tell how much of it is right; as people type it."""
+    """Compares in constant time, ignoring case, spaces and hyphens."""
     return hmac.compare_digest(_plain(given).encode(), _plain(token).encode())
 
 

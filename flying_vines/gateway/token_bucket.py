@@ -1,17 +1,17 @@
-"""With those who come again and again. No clock."""
+"""A limit on a rate."""
 
 from __future__ import annotations
 
 
-class Patience:
-    """For so many at once, and so many a second; times are seconds of one clock."""
+class TokenBucket:
+    """Allows `at_once` at a time and `per_s` on average. Times are seconds of one clock."""
 
     def __init__(self, t: float, at_once: float, per_s: float) -> None:
         self._at_once, self._per_s = at_once, per_s
         self._left, self._at = at_once, t
 
-    def bears(self, t: float) -> bool:
-        """Whether one more is borne at time `t`."""
+    def take(self, t: float) -> bool:
+        """Whether one more is allowed at time `t`."""
         self._left = min(self._at_once, self._left + self._per_s * (t - self._at))
         self._at = t
         if self._left < 1.0:

@@ -1,4 +1,4 @@
-"""What installing and removing change below a root folder: first found, to be shown, and then made."""
+"""The changes of an installation or removal below a root folder: first found and shown, then made."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ class How(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What becomes of one file."""
+    """The change of one file."""
 
     path: Path
     how: How
     before: str = ""
     after: str = ""
     why: str = ""
-    """It is left as it is."""
+    """Why it stays as it is."""
 
     def lines(self) -> Iterator[str]:
-        """What is to be read before one agrees: the whole text, or where it differs."""
+        """What a person reads before agreeing: the new text, or the difference."""
         if self.how is How.NEW:
             yield from self.after.splitlines()
         elif self.how is How.CHANGED:
@@ -40,7 +40,7 @@ class Change:
             yield from difflib.unified_diff(now, then, "now", "then", n=2, lineterm="")
 
     def make(self) -> None:
-        """`OSError` where that fails."""
+        """Raises `OSError` if it fails."""
         if self.how is How.TAKEN_AWAY:
             on_disk.take_away(self.path)
         elif self.how is not How.AS_IT_IS:
@@ -48,17 +48,17 @@ class Change:
 
 
 def below(root: Path, path: Path) -> Path:
-    """Where a path of the machine is, if all of it lies under `root`."""
+    """A path of the machine, below `root`."""
     return root / path.relative_to("/")
 
 
 def installing(wanted: Iterable[File], root: Path) -> list[Change]:
-    """Of each file. `OSError` for one that cannot be read."""
+    """The change of each file. Raises `OSError` for one that cannot be read."""
     return [_installed(file, below(root, file.path)) for file in wanted]
 
 
 def removing(root: Path) -> list[Change]:
-    """Of those files that are there. What somebody else wrote or has changed stays. `OSError` as above."""
+    """The removal of each existing file. Files that a person wrote or changed stay. Raises `OSError`."""
     found = []
     for path in (below(root, path) for path in (files.UNIT, files.RULE, files.USERS)):
         if path.exists():
@@ -68,7 +68,7 @@ def removing(root: Path) -> list[Change]:
     path = below(root, profile.path)
     if path.exists():
         found.append(
-            _removed(path, "" if _read(path) == profile.text else "it is not what this version writes")
+            _removed(path, "" if _read(path) == profile.text else "it differs from what this version writes")
         )
     return found
 
@@ -86,10 +86,10 @@ def _installed(file: File, path: Path) -> Change:
     if not path.exists():
         return Change(path, How.NEW, after=file.text)
     if file.of_people:
-        return Change(path, How.AS_IT_IS, why="a profile is never written over")
+        return Change(path, How.AS_IT_IS, why="an existing profile stays")
     before = _read(path)
     if before == file.text:
-        return Change(path, How.AS_IT_IS, why="it is there already")
+        return Change(path, How.AS_IT_IS, why="it is already installed")
     return Change(path, How.CHANGED, before, file.text)
 
 
@@ -98,5 +98,5 @@ def _removed(path: Path, why_not: str) -> Change:
 
 
 def _read(path: Path) -> str:
-    # Whatever somebody has put there, it can be compared and shown.
+    # Any content can be compared and shown.
     return path.read_text(encoding="utf-8", errors="replace")

@@ -1,4 +1,4 @@
-"""Which files make a service of Flying Vines, and what is in them. Reads nothing but its own templates."""
+"""The files of the service and their contents. Reads only its own templates."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from string import Template
 
 from firmware_link.find import UsbBoard
 from flying_vines.config import config as configuration
+from flying_vines.config.toml_edit import value_text, with_value
 from flying_vines.install.program import InstallError
 
 USER = "flying-vines"
@@ -23,7 +24,7 @@ STATE = Path("/var/lib/flying-vines")
 FLIGHTS = STATE / "flights"
 
 HEAD = "# Written by `flying-vines install-service`; `flying-vines install-service --remove` takes it away.\n"
-"""How each of our files begins, and nobody else's."""
+"""The first line of each file that we write."""
 
 PORT = "serial:/dev/phlosar"
 TEENSY = UsbBoard(0x16C0, 0x0483)
@@ -34,7 +35,7 @@ _PLAIN_SERIAL_NUMBER = re.compile(r"[\w.-]+", re.ASCII)
 
 @dataclass(frozen=True, slots=True)
 class File:
-    """One that is to be there; of people's own files only that there is one."""
+    """A file to install. If it is `of_people`, an existing one stays as it is."""
 
     path: Path
     text: str
@@ -42,9 +43,9 @@ class File:
 
 
 def unit(command: Iterable[str], user: str, profile: Path, read: Iterable[Path], write: Path) -> File:
-    """The service: its command, what must be there for it to `read`, and the folder where it keeps things."""
+    """The systemd unit. The service must `read` these paths and `write` into this folder."""
     if not _USER_NAME.fullmatch(user):
-        raise InstallError(f"{user!r} is no name of a user")
+        raise InstallError(f"{user!r} is not a valid user name: use a-z, 0-9, _ and -")
     words = [*command, "run", "--config", str(profile), "--out", str(FLIGHTS)]
     at_home = any(path.is_relative_to(home) for path in (*read, profile, write) for home in _HOMES)
     return _filled(
@@ -57,7 +58,7 @@ def unit(command: Iterable[str], user: str, profile: Path, read: Iterable[Path],
 
 
 def rule(board: UsbBoard) -> File:
-    """What udev does with the board."""
+    """The udev rule for the board."""
     which = f'ATTRS{{idVendor}}=="{board.vendor_id:04x}", ATTRS{{idProduct}}=="{board.product_id:04x}"'
     if board.serial_number is not None:
         if not _PLAIN_SERIAL_NUMBER.fullmatch(board.serial_number):
@@ -67,14 +68,14 @@ def rule(board: UsbBoard) -> File:
 
 
 def users() -> File:
-    """The service's own user, who has no login and no home but the service's."""
+    """The user of the service, without a login."""
     return _filled(USERS, user=USER, state=str(STATE))
 
 
 def profile() -> File:
-    """The built-in profile, with the board under the name that the rule gives it."""
-    text = _with(configuration.default_text(), "firmware", "link", PORT)
-    return File(PROFILE, _with(text, "state", "folder", str(STATE)), of_people=True)
+    """The built-in profile, with the port that the udev rule names."""
+    text = with_value(configuration.default_text(), "firmware", "link", value_text(PORT))
+    return File(PROFILE, with_value(text, "state", "folder", value_text(str(STATE))), of_people=True)
 
 
 def _filled(path: Path, **values: str) -> File:
@@ -82,18 +83,8 @@ def _filled(path: Path, **values: str) -> File:
     return File(path, HEAD + Template(template.read_text(encoding="utf-8")).substitute(values))
 
 
-def _with(text: str, table: str, key: str, value: str) -> str:
-    """The profile's text with another string for a key; the comment behind it stays where it was."""
-    line = re.compile(rf'(^\[{table}\][^\[]*?^{key} = )("[^"]*")( *)', re.MULTILINE)
-    new = f'"{value}"'
-    changed, count = line.subn(lambda m: f"{m[1]}{new.ljust(len(m[2] + m[3]) - 1)} ", text)
-    if count != 1:
-        raise ValueError(f"the built-in profile has no {table}.{key}")
-    return changed
-
-
 def _word(text: str) -> str:
-    """One word of a line in a unit, which would be cut at blanks and filled in at % and $."""
+    """One word of a command line in a unit, quoted for systemd."""
     if not text.isprintable():
         raise InstallError(f"{text!r} cannot be written into a unit")
     text = text.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")

@@ -1,7 +1,4 @@
-"""Where the flying-vines that runs is installed, and whether the service's user may run it from there.
-
-pip, pipx and uv all make an environment with the command beside its Python, and a unit must name its place.
-"""
+"""Where the running flying-vines is installed, and whether the user of the service can run it from there."""
 
 from __future__ import annotations
 
@@ -19,19 +16,19 @@ GONE_AFTER_A_START = tuple(map(Path, ("/tmp", "/var/tmp", "/run", "/dev/shm")))
 
 
 class InstallError(Exception):
-    """It cannot be installed like this; the text is one line that says why, and what to do."""
+    """It cannot be installed. The text is one line that says why, and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """How it is called, and all that must be readable for it to run."""
+    """Its command, and the paths that must be readable for it to run."""
 
     command: tuple[str, ...]
     places: tuple[Path, ...]
 
     @classmethod
     def here(cls) -> Program:
-        """The one that runs. Where it has no command of its own, as part of its Python."""
+        """The running program; without a command of its own, `python -m flying_vines`."""
         schemes = (sysconfig.get_default_scheme(), sysconfig.get_preferred_scheme("user"))
         scripts = (Path(sysconfig.get_path("scripts", scheme)) / "flying-vines" for scheme in schemes)
         script = next((path for path in scripts if os.access(path, os.X_OK)), None)
@@ -43,7 +40,7 @@ class Program:
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """Who is to read files: by number; a user who is yet to be made is nobody in particular."""
+    """The user that reads files. One that does not exist yet has no number and no groups."""
 
     name: str
     uid: int = -1
@@ -63,27 +60,27 @@ class Reader:
 
 
 def check_reachable(places: Iterable[Path], reader: Reader) -> None:
-    """InstallError where a service that runs as `reader` could not read one of these, or not for long."""
+    """Raises `InstallError` if `reader` cannot read one of these places, now or after a restart."""
     for place in places:
-        # A link must be passed to, and so must what it leads to.
+        # The link and its target must both be readable.
         for path in dict.fromkeys((place.absolute(), place.resolve())):
             if any(path.is_relative_to(folder) for folder in GONE_AFTER_A_START):
-                raise InstallError(f"{path} is gone when the machine starts again: {_ELSEWHERE}")
+                raise InstallError(f"{path} is deleted when the machine restarts: {_ELSEWHERE}")
             if ".cache" in path.parts:
-                raise InstallError(f"{path} is in a cache, which may be emptied at any time: {_ELSEWHERE}")
+                raise InstallError(f"{path} is in a cache, which can be emptied at any time: {_ELSEWHERE}")
             closed = _closed(path, reader)
             if closed:
                 raise InstallError(
-                    f"{closed} is closed to {reader.name}, the user of the service: {_ELSEWHERE}, or let"
-                    " it run as somebody else with --user NAME"
+                    f"{reader.name}, the user of the service, cannot read {closed}: {_ELSEWHERE}, or let"
+                    " the service run as another user with --user NAME"
                 )
 
 
-_ELSEWHERE = "put it where everybody may read it, such as /opt/flying-vines"
+_ELSEWHERE = "install it where every user can read it, for example in /opt/flying-vines"
 
 
 def _closed(path: Path, reader: Reader) -> Path | None:
-    """The first on the way to `path` that does not let the reader in."""
+    """The first part of `path` that the reader cannot read."""
     try:
         for folder in reversed(path.parents):
             if not reader.may(folder, 1):

@@ -1,4 +1,4 @@
-"""What a flight was recorded with: versions, machine, firmware. For whoever reads the log, or mends a bug."""
+"""What a flight was recorded with: versions, machine, firmware. For the reader of the log."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _BOARD = Path("/proc/device-tree/model")
 
 @dataclass(frozen=True)
 class Firmware:
-    """As it introduced itself."""
+    """As the board reported it."""
 
     build: str
     protocol_version: int
     boot_id: int
-    """Another after every reset."""
+    """Changes at every reset."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +30,16 @@ class About:
     """The contents of about.json."""
 
     began: str
-    """Local time, with its distance from UTC."""
+    """Local time with its UTC offset."""
     continues: str
-    """The folder of the flight before, if the same service flew it."""
+    """The folder of the previous flight, if the same service recorded it."""
     flying_vines: str
     python: str
     packages: dict[str, str]
     kernel: str
     machine: str
     firmware: Firmware | None = None
-    """The last that answered."""
+    """Of the board that answered last."""
 
     @classmethod
     def of_this_machine(cls, began_s: float, continues: str) -> About:
@@ -61,7 +61,7 @@ class About:
 
 @cache
 def version_of(package: str) -> str:
-    """As it is installed."""
+    """The installed version."""
     try:
         return version(package)
     except PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""What a thread of its own puts where it belongs, so that whoever writes never waits.
+"""A thread that writes, so that the caller never waits.
 
 A worn card hangs for seconds; a terminal freezes when its network does. The vine's setpoints come from the
 same loop as what is written, and the firmware's dead-man waits for them a quarter of a second.
@@ -14,18 +14,18 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Aside(Generic[T]):
-    """Hands what is written to `put`, in order. The first `OSError` ends it: see `error`."""
+class BackgroundWriter(Generic[T]):
+    """Passes what is written to `put`, in order. The first `OSError` ends it: see `error`."""
 
     def __init__(self, put: Callable[[list[T]], None], most_behind: int) -> None:
-        """Of what is written while as much as `most_behind` waits, nothing is kept."""
+        """While an amount of `most_behind` waits, `write` accepts nothing more."""
         self.error: OSError | None = None
         self._put = put
         self._most_behind = most_behind
-        # Each counted by one thread alone.
+        # Each is changed by one thread only.
         self._taken = self._done = 0
         self._waiting: SimpleQueue[tuple[T, int] | None] = SimpleQueue()
-        # A daemon, for where `put` never returns the process must still be able to end.
+        # A daemon: the process must be able to end although `put` never returns.
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
@@ -38,7 +38,7 @@ class Aside(Generic[T]):
         return True
 
     def close(self, within_s: float) -> bool:
-        """Whether all that was written is done, or has failed, within that time."""
+        """Whether everything was written, or has failed, within that time."""
         self._waiting.put(None)
         self._thread.join(within_s)
         return not self._thread.is_alive()
@@ -46,7 +46,7 @@ class Aside(Generic[T]):
     def _work(self) -> None:
         last = False
         while not last:
-            # All that waits, at once: the slower `put` is, the less often it is asked.
+            # All that waits at once: a slow `put` is called less often.
             taken = [self._waiting.get()]
             while not self._waiting.empty():
                 taken.append(self._waiting.get())

@@ -1,4 +1,4 @@
-"""All of a flight in one file, for whoever is to find out what went wrong. Keys are never in it."""
+"""One flight in one file, to find out what went wrong. It never contains keys."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from flying_vines.record.folders import ABOUT, MCAP, PROFILE, RIG, TLOG
 from flying_vines.record.reader import FlightLog
 
 PARTS = (MCAP, TLOG, PROFILE, RIG, ABOUT)
-"""Nothing else that lies in the folder: who knows what somebody has put there."""
+"""Nothing else from the folder: a person may have put anything there."""
 
 
 def bundle(log: FlightLog, story: str, path: Path) -> list[str]:
-    """Write a zip file with what there is of the flight and of this machine: the names in it.
+    """Write a zip file about the flight and this machine, and return the names in it.
 
     `story` is the flight for people, as `log show` tells it.
     """
@@ -36,7 +36,7 @@ def bundle(log: FlightLog, story: str, path: Path) -> list[str]:
 
 
 def _this_machine(folder: Path) -> str:
-    """Where the bundle was made: it need not be where the flight was flown."""
+    """The machine that made the bundle. The flight may have been recorded on another."""
     disk = shutil.disk_usage(folder)
     told = {
         **msgspec.to_builtins(About.of_this_machine(time.time(), "")),

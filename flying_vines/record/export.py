@@ -1,4 +1,4 @@
-"""A flight's log as tables: a CSV file a topic, a line a message, units in the names of the columns."""
+"""A flight's log as CSV: one file per topic, one line per message, units in the column names."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class _Table:
 
 
 def export_csv(log: FlightLog, folder: Path) -> list[Path]:
-    """Write the tables into a folder that exists: where they are.
+    """Write the tables into an existing folder and return their paths.
 
-    MAVLink makes a table for each kind of message and way. Raises `LogError`.
+    MAVLink has one table per message type and direction. Raises `LogError`.
     """
     tables: dict[str, _Table] = {}
     paths = []
@@ -55,7 +55,7 @@ def export_csv(log: FlightLog, folder: Path) -> list[Path]:
 
 
 def _of_one_kind(schema: Schema, kind: str) -> Schema:
-    """A MAVLink topic's, without the fields of all other kinds."""
+    """A MAVLink topic's schema, without the fields of other message types."""
     kept = {
         name: of for name, of in schema["properties"].items() if of.get("type") != "object" or name == kind
     }
@@ -63,7 +63,7 @@ def _of_one_kind(schema: Schema, kind: str) -> Schema:
 
 
 def _columns(schema: Schema, within: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
-    """The way to each value, and what its column is called."""
+    """The path to each value, and the name of its column."""
     for name, of in schema["properties"].items():
         way = (*within, name)
         if of.get("properties"):

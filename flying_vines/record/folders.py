@@ -5,7 +5,7 @@
     profile.toml    the configuration as it was read; rig.toml, where a rig file was given
     about.json      versions, machine, firmware
 
-A file is put on the disk for good twice a second: what the power takes with it is less than a second.
+The files are synced to the disk twice a second, so a power cut costs less than a second.
 """
 
 from __future__ import annotations
@@ -45,30 +45,30 @@ SYNC_S = 0.5
 LOOK_AT_DISK_S = 1.0
 TRY_AGAIN_S = 2.0
 MORE_ROOM_MB = 10.0
-"""Than `least_free_MB`, before an ended log goes on: the disk is not full again at once."""
-MOST_INDEX_BYTES = 16 * 1024 * 1024
-"""Of memory for the summary, after some ten hours: then another folder begins, flight or not."""
+"""Free space above `least_free_MB` before an ended log continues: the disk must not fill again at once."""
+MAX_CHUNKS = 36_000
+"""Of a log: five hours, 50 MB of memory for its summary. Then another folder begins, in flight too."""
 _MAVLINK = (NUMBERS[MAVLINK_IN], NUMBERS[MAVLINK_OUT])
 
 
 @dataclass(frozen=True, slots=True)
 class Began:
-    """With what the service began its core; the first entry of every log."""
+    """The state with which the service started its core; the first entry of every log."""
 
     profile: str
     """The configuration's text."""
     pneumatics: Pneumatics
-    """As they are believed to be."""
+    """The believed values."""
     rig: str = ""
     """The rig file's text, if there is one."""
     parameters: dict[str, float] = field(default_factory=dict)
-    """Those of a pilot that were kept."""
+    """Parameters that a pilot has set and that were saved."""
     disarmed: bool = False
-    """The pneumatics were when the last service ended."""
+    """Whether the pneumatics were disarmed when the last service ended."""
 
 
 class LogEnded(OSError):
-    """The log ends for a reason of its own."""
+    """A reason to end the log that is not an error of the disk."""
 
     def __init__(self, why: str) -> None:
         super().__init__(0, why)
@@ -88,13 +88,13 @@ class Folders:
         self.problem = ""
         """Why nothing can be written now."""
         self.goes_on = ""
-        """The folder in which the log went on after the last problem."""
+        """The folder in which the log continued after the last problem."""
         self._try_again_at = 0.0
         self.folder = self._make_folder()
         self._files: Files | None = self._begin(t, "")
 
     def write(self, batches: Sequence[Sequence[Entry | None]]) -> None:
-        """None among the entries begins another folder. Raises `LogEnded` for what no disk can mend."""
+        """None among the entries begins another folder. Raises `LogEnded` if trying again cannot help."""
         for batch in batches:
             for entry in batch:
                 try:
@@ -114,7 +114,7 @@ class Folders:
         self.problem = error.strerror or str(error)
 
     def close(self, whole: bool) -> None:
-        """With the summary that belongs to a log that is `whole`."""
+        """Write the summary only if the log is `whole`."""
         files, self._files = self._files, None
         if files is None:
             return
@@ -136,7 +136,7 @@ class Folders:
         if t - self._synced_at >= SYNC_S:
             self._synced_at = t
             self._files.sync()
-            if self._files.index_bytes > MOST_INDEX_BYTES:
+            if self._files.chunks > MAX_CHUNKS:
                 self._next_folder()
         if t - self._looked_at >= LOOK_AT_DISK_S:
             self._looked_at = t
@@ -153,7 +153,7 @@ class Folders:
             )
 
     def _go_on(self, t: float) -> Files:
-        """In another folder, where that is possible again."""
+        """Continue in another folder. Raises `OSError` or `LogEnded` while that is not possible."""
         with contextlib.suppress(FileNotFoundError):
             self._look_at_room(self._parent, MORE_ROOM_MB)
         files = self._open_next(t)
@@ -202,7 +202,7 @@ class Folders:
 
 
 class Files:
-    """Those of one flight."""
+    """The files of one flight."""
 
     def __init__(self, folder: Path, zero_unix_ns: int, began: Began, t: float, continues: str) -> None:
         self.latest = t
@@ -214,7 +214,7 @@ class Files:
         try:
             self._begin(began, t, continues)
         except OSError:
-            # Otherwise its buffers fail again when they are collected, and say so on the terminal.
+            # Otherwise the garbage collector flushes its buffers, which fails again and prints a warning.
             with contextlib.suppress(OSError):
                 self._opened.close()
             raise
@@ -238,8 +238,8 @@ class Files:
         self._opened.close()
 
     @property
-    def index_bytes(self) -> int:
-        return self._mcap.index_bytes
+    def chunks(self) -> int:
+        return self._mcap.chunks
 
     def add(self, entry: Entry) -> None:
         number, self.latest, what = entry
@@ -249,21 +249,21 @@ class Files:
             self._tlog.write(time_ns // 1000, bytes(what))
 
     def sync(self) -> None:
-        """Onto the disk, for good."""
+        """Write everything to the disk."""
         self._mcap.flush()
         os.fsync(self._file.fileno())
         self._tlog.sync()
 
     @property
     def are_there(self) -> bool:
-        """Whether the folder still holds them: a file that was deleted can be written to as before."""
+        """Whether the folder still holds the files: one can write to a deleted file without an error."""
         try:
             return os.path.samestat((self._folder / MCAP).stat(), os.fstat(self._file.fileno()))
         except FileNotFoundError:
             return False
 
     def finish(self) -> None:
-        """With a summary."""
+        """Write the summary."""
         self._mcap.finish()
         os.fsync(self._file.fileno())
         self._tlog.sync()

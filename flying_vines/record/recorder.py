@@ -12,21 +12,21 @@ from pathlib import Path
 
 from flying_vines.core.events import Action, Event, Snapshot
 from flying_vines.core.watcher import Watcher
-from flying_vines.record.background_writer import Aside
+from flying_vines.record.background_writer import BackgroundWriter
 from flying_vines.record.folders import Began, Folders
 from flying_vines.record.topics import Entry, entry_of_action, entry_of_event, entry_of_state
 
 __all__ = ["Began", "Recorder"]
 
 HAND_OVER_S = 0.1
-"""How long things wait in the loop's list. The thread works in short bits, for both share one interpreter."""
+"""How long entries wait in the loop's list. Short, as the thread shares the interpreter with the loop."""
 MOST_WAITING = 150_000
-"""Things that wait for a disk that hangs: some six minutes of flight, 32 MB."""
+"""Entries that wait for a disk that hangs: about six minutes of flight, 32 MB."""
 LAST_WRITES_S = 5.0
 
 
 class Recorder(Watcher):
-    """Writes what happens, from the service's beginning to its end."""
+    """Records from the start of the service to its end."""
 
     def __init__(
         self, parent: Path, began: Began, least_free_MB: float = 0.0, t: float | None = None
@@ -36,16 +36,18 @@ class Recorder(Watcher):
         Raises `OSError` when nothing can be written there.
         """
         self._folders = Folders(parent, began, least_free_MB, time.monotonic() if t is None else t)
-        self._aside: Aside[list[Entry | None]] = Aside(self._folders.write, MOST_WAITING)
+        self._writer: BackgroundWriter[list[Entry | None]] = BackgroundWriter(
+            self._folders.write, MOST_WAITING
+        )
         self._waiting: list[Entry | None] = []
         self._due = 0.0
         self._t = 0.0
-        self._flown = _Flown()
+        self._armings = _Armings()
         self._ended = ""
 
     @property
     def folder(self) -> Path:
-        """Of the present flight."""
+        """The folder of the current flight."""
         return self._folders.folder
 
     @property
@@ -58,14 +60,14 @@ class Recorder(Watcher):
 
     @property
     def told(self) -> str:
-        """What people should read whenever it changes: that the log ends, or where it goes on."""
+        """To be shown whenever it changes: that the log ends, or where it continues."""
         goes_on = self._folders.goes_on
         return self.failed or (f"the flight log goes on in {goes_on}" if goes_on else "")
 
     @property
     def _over(self) -> str:
         """Why nothing more will be written."""
-        error = self._aside.error
+        error = self._writer.error
         return f"the flight log ends here: {error.strerror}" if error else self._ended
 
     def event(self, event: Event) -> None:
@@ -78,14 +80,14 @@ class Recorder(Watcher):
             self._take(entry)
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        if self._flown.another(snapshot.armed):
+        if self._armings.another(snapshot.armed):
             self._waiting.append(None)
         self._take(entry_of_state(snapshot))
 
     def close(self) -> None:
-        """Write the rest, for as long as that may take."""
+        """Write the rest, within `LAST_WRITES_S`."""
         self._hand_over()
-        if not self._aside.close(LAST_WRITES_S):
+        if not self._writer.close(LAST_WRITES_S):
             self._ended = "the end of the flight log is lost: the disk hangs"
             return
         try:
@@ -101,18 +103,18 @@ class Recorder(Watcher):
 
     def _hand_over(self) -> None:
         waiting, self._waiting = self._waiting, []
-        if waiting and not self._over and not self._aside.write(waiting, len(waiting)):
+        if waiting and not self._over and not self._writer.write(waiting, len(waiting)):
             self._ended = "the flight log ends here: the disk does not keep up"
 
 
-class _Flown:
-    """Whether the vehicle has flown: a second arming begins another flight."""
+class _Armings:
+    """Notices a second arming, which begins another flight."""
 
     def __init__(self) -> None:
         self._armed = self._before = False
 
     def another(self, armed: bool) -> bool:
-        """Whether a flight begins that is not the first."""
+        """Whether this snapshot begins a flight that is not the first."""
         began, ended = armed and not self._armed, self._armed and not armed
         self._armed = armed
         another = began and self._before

@@ -1,6 +1,6 @@
-"""The core's events out of a log: as they were, to the last bit of every number.
+"""The core's events from a log, equal to the last bit.
 
-But for what is no number: NaN and the infinities are left out of a log, and come back as NaN.
+A log leaves out NaN and infinities; they are restored as NaN.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ _INTENTS: dict[str, type] = {kind.__name__: kind for kind in get_args(Intent)}
 
 
 def start_of(log: FlightLog) -> Start:
-    """With what the service began; raises `LogError` where that part is damaged."""
+    """The state with which the service started. Raises `LogError` if that part is damaged."""
     for entry in log.entries((START,)):
         return restored(Start, entry.fields)
     raise LogError(f"{log.path}: its beginning is damaged")
 
 
 def event_of(entry: Entry) -> Event:
-    """Of an entry of one of the `EVENT_TOPICS`."""
+    """The event of an entry from one of the `EVENT_TOPICS`."""
     said = entry.fields
     if entry.topic == MAVLINK_IN:
         return VehicleMessage(said["t"], message_in(binascii.a2b_base64(said["frame"])))
@@ -68,7 +68,7 @@ def event_of(entry: Entry) -> Event:
 
 
 def restored(kind: type[T], said: Mapping[str, Any]) -> T:
-    """A dataclass out of its fields; those that are left out are unknown."""
+    """A dataclass from its fields; a missing field is unknown."""
     return kind(**{
         name: hint(said[name]) if name in said and _is_enum(hint) else said.get(name, unknown)
         for name, (hint, unknown) in _hints(kind).items()  # type: ignore[arg-type]  # as if a type had no hash
@@ -77,7 +77,7 @@ def restored(kind: type[T], said: Mapping[str, Any]) -> T:
 
 @cache
 def _hints(kind: type) -> dict[str, tuple[Any, float | None]]:
-    """Of each field: its type, and what stands for not knowing it."""
+    """The type of each field, and its value if unknown."""
     hints = get_type_hints(kind)
     names = [field.name for field in fields(kind)]
     return {name: (hints[name], math.nan if hints[name] is float else None) for name in names}

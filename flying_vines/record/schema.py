@@ -1,6 +1,7 @@
-"""JSON schemas of what is recorded, made from the dataclasses themselves so that the two cannot drift apart.
+"""JSON schemas of what is recorded, made from the dataclasses themselves.
 
-A field has one plain type, as Foxglove reads schemas; a value that is unknown is left out of its message.
+A field has one plain type, as Foxglove needs it, and an unknown value is left out of its message. The schemas
+of msgspec have references, and alternatives with null.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ _PLAIN: dict[type, str] = {bool: "boolean", int: "integer", float: "number", str
 
 
 def obj(properties: Mapping[str, Schema], description: str = "") -> Schema:
-    """A schema of an object with these properties; others may be there as well."""
+    """The schema of an object with these properties, and perhaps others."""
     schema: Schema = {"type": "object", "properties": dict(properties)}
     if description:
         schema["description"] = description
@@ -25,14 +26,14 @@ def obj(properties: Mapping[str, Schema], description: str = "") -> Schema:
 
 
 def of_dataclass(kind: type) -> Schema:
-    """Of a dataclass or a named tuple: its fields in order, and what its docstring says."""
+    """The schema of a dataclass or a named tuple: its fields in order, and its docstring's summary."""
     hints = get_type_hints(kind)
     names = [field.name for field in fields(kind)] if is_dataclass(kind) else list(kind.__annotations__)
     return obj({name: of_type(hints[name]) for name in names}, (getdoc(kind) or "").split("\n\n")[0])
 
 
 def of_type(hint: Any) -> Schema:
-    """Of a type hint."""
+    """The schema of a type hint."""
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         known = [argument for argument in arguments if argument is not type(None)]
@@ -51,7 +52,7 @@ def of_type(hint: Any) -> Schema:
 
 
 def merged(alternatives: Iterable[Schema]) -> Schema:
-    """Of one of several objects: whatever any of them has."""
+    """The schema of one of several objects, with the properties of all."""
     properties: dict[str, Schema] = {}
     for schema in alternatives:
         properties |= schema["properties"]
@@ -59,7 +60,7 @@ def merged(alternatives: Iterable[Schema]) -> Schema:
 
 
 def of_mavlink(kind: Any) -> Schema:
-    """Of a message of the pymavlink dialect."""
+    """The schema of a message of the pymavlink dialect."""
     lengths = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
     properties = {}
     for name, wire in zip(kind.fieldnames, kind.fieldtypes, strict=True):

@@ -1,4 +1,4 @@
-"""A flight in a few numbers, out of its log."""
+"""A flight in a few numbers, from its log."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ class Summary:
     length_s: float
     armed_s: float
     bends: int
-    """Times that somebody's trigger bent the vine."""
+    """How often a trigger bent the vine."""
     refused: int
     lowest_reservoir_kPa: float
     """Gauge; NaN where no phloSAR answered."""
     findings: dict[str, int]
     """How often each of the physics checks found something."""
     size_MB: float
-    """Of all in the folder."""
+    """Of all files in the folder."""
     lost: int
-    """Messages that are damaged."""
+    """Damaged messages."""
     damage: str
-    """A sentence; empty for a whole log. One that is being written is not brought to its end."""
+    """A sentence; empty for a complete log. A log that is still being written is incomplete."""
 
 
 def summarise(log: FlightLog) -> Summary:
@@ -80,13 +80,13 @@ def flights_in(parent: Path) -> list[Path]:
 
 
 def find_flight(said: str, parent: Path) -> FlightLog:
-    """By what a person calls it: "last", its folder's name, a folder or a file. Raises `LogError`."""
+    """`said` is "last", the name of its folder, a folder or a file. Raises `LogError`."""
     if said == "last":
         flights = flights_in(parent)
         if not flights:
-            raise LogError(f"{parent}: there is no flight in it")
+            raise LogError(f"{parent}: contains no flight")
         return FlightLog(max(flights, key=lambda folder: (folder / MCAP).stat().st_mtime))
     for path in (Path(said), parent / said):
         if path.is_file() or (path / MCAP).is_file():
             return FlightLog(path)
-    raise LogError(f"{said}: is no flight: give a flight's folder, its {MCAP}, or last")
+    raise LogError(f"{said}: is not a flight: give a flight's folder, its {MCAP}, or last")

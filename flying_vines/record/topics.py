@@ -1,8 +1,7 @@
-"""What a flight's log holds: its topics, and how each thing that happens becomes a message of one.
+"""The topics of a flight's log, and how events and actions become messages.
 
-Pressures are gauge kPa, times `t` seconds of the service's own clock, which nobody sets. What is unknown is
-left out. A MAVLink message is its whole frame and, where anything here acts on its kind, its fields under
-the kind's name.
+Pressures are gauge kPa, times `t` seconds of the service's monotonic clock. Unknown values are left out. A
+MAVLink message is its whole frame and, if anything here acts on its type, its fields under the type's name.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ _encode = msgspec.json.Encoder().encode
 _decode = msgspec.json.Decoder().decode
 
 DECODED = handled.ALL | {"NAMED_VALUE_FLOAT"}
-"""MAVLink messages whose fields are in the log beside their frames."""
+"""MAVLink messages whose fields are logged beside their frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +129,7 @@ _ANSWERS: dict[type, str] = {
     KeepDisarmed: "disarmed",
 }
 _STATES: dict[type, str] = {Start: "start", Snapshot: "snapshot", InternalError: "internal_error"}
-"""Neither goes into the core nor is compared when it is asked again: a traceback names lines of a program."""
+"""Not fed to the core, and not compared in a replay: a traceback names lines of a program."""
 MAVLINK_IN, MAVLINK_OUT = "mavlink/in", "mavlink/out"
 
 
@@ -178,12 +177,12 @@ _NUMBER_OF = {kind: NUMBERS[name] for kind, name in (_SERIAL | _EVENTS | _ANSWER
 
 
 def topic_of(kind: type) -> str:
-    """Where things of this kind are."""
+    """The topic of this type."""
     return TOPICS[_NUMBER_OF[kind] - 1].name
 
 
 def entry_of_event(event: Event) -> Entry:
-    """In the loop that flies: no more than to say where it belongs."""
+    """Runs in the loop that flies, so it only finds the topic."""
     if isinstance(event, VehicleMessage):
         return _IN, event.t, event.message.get_msgbuf()
     if isinstance(event, FirmwareMessage):
@@ -192,7 +191,7 @@ def entry_of_event(event: Event) -> Entry:
 
 
 def entry_of_action(t: float, action: Action) -> Entry | None:
-    """At time `t` of the event that it answers; None for what is an event's echo."""
+    """At time `t` of the event that caused it; None for what only repeats an event."""
     if isinstance(action, ToVehicle):
         return _OUT, t, action.message.get_msgbuf()
     if isinstance(action, ToFirmware):
@@ -221,7 +220,7 @@ def encoded(entry: Entry) -> bytes:
 
 
 def _shaped(what: Asked) -> dict[str, Any]:
-    """Plain encoding would lose which intent it is."""
+    """Names what plain encoding would not name."""
     plain: dict[str, Any] = msgspec.to_builtins(what)
     plain["intent"] = {"kind": type(what.intent).__name__, **plain["intent"]}
     return plain
@@ -257,12 +256,12 @@ def _mavlink(t: float, raw: bytes) -> bytes:
 
 
 def frame_of(raw: bytes) -> Frame:
-    """A frame that was believed when it came, or is ours."""
-    # Of a kind that the dialect lacks a frame counts as one when another begins behind it.
+    """A frame that was valid when it was received, or that we have sent."""
+    # A frame of a type that the dialect lacks is complete only when another frame follows.
     (frame,) = Frames().take(raw + _ANOTHER)
     return frame
 
 
 def message_in(raw: bytes) -> Message:
-    """The message in a frame that was heard."""
+    """The message in a received frame."""
     return message_of(frame_of(raw))

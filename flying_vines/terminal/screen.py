@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from flying_vines.core.events import Action, Decision, InternalError, Snapshot
-from flying_vines.record.background_writer import Aside
+from flying_vines.record.background_writer import BackgroundWriter
 from flying_vines.vehicle.notice import Notice, Severity
 
 VERDICT_STYLE = {"accepted": "green", "limited": "yellow", "refused": "red"}
@@ -169,7 +169,7 @@ class PatientOutput(io.TextIOBase):
     def __init__(self) -> None:
         # A live view replaces `sys.stdout`.
         self._stdout = sys.stdout
-        self._aside: Aside[str] = Aside(self._print, MOST_BEHIND)
+        self._aside: BackgroundWriter[str] = BackgroundWriter(self._print, MOST_BEHIND)
 
     def console(self) -> Console:
         return Console(file=cast(IO[str], self))

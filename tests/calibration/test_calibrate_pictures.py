@@ -50,7 +50,7 @@ def test_the_page_holds_every_quantity_and_asks_nobody(tmp_path: Path) -> None:
     conducted = Conducted(tmp_path, Ended("done", "calibrated"), findings, (CHART,), "")
     text = page("Calibration of today", conducted, pictures((CHART,), tmp_path))
     HTMLParser().feed(text)
-    assert "vine&#x27;s &lt;volume&gt;" in text
+    assert "vine&#39;s &lt;volume&gt;" in text
     assert "0.1043" in text
     assert "+4.3" in text
     assert "http" not in text.replace("http-equiv", "")

@@ -252,7 +252,7 @@ async def test_a_gateway_that_talks_nonsense_is_ended(played: Callable[[str], No
     played('hear()\nservice.send(b\'{"kind": "order"}\')\ntime.sleep(3600)\n')
     async with Service().living() as service:
         await until(lambda: len(service.said) == 1, "it is ended")
-    assert "it said what is not understood: Invalid value 'order'" in service.said[0]
+    assert "it sent an invalid message: Invalid value 'order'" in service.said[0]
     assert not service.asked
 
 

@@ -226,7 +226,7 @@ def test_a_log_may_be_cut_off_and_damaged(leaky: Path, tmp_path: Path) -> None:
     cut.write_bytes(data[: int(0.95 * len(data))])
     case = read_flight(cut)
     assert len(case.runs) == 2
-    assert any("was not brought to its end" in remark for remark in case.remarks)
+    assert any("is incomplete" in remark for remark in case.remarks)
 
     readings = iter(range(100_000))
 
@@ -252,7 +252,7 @@ def test_what_cannot_be_used_is_one_line_and_status_2(
     cases: dict[Path, str] = {
         tmp_path / "nothing.mcap": "No such file",
         tmp_path / "empty.mcap": "is empty",
-        tmp_path / "noise.mcap": "is no flight log",
+        tmp_path / "noise.mcap": "is not a flight log",
         _without(leaky, "phlosar/telemetry", tmp_path / "silent.mcap"): "holds no telemetry",
         _without(leaky, "start", tmp_path / "rigless.mcap"): "--rig RIG.toml",
         still: "no setpoint was held",

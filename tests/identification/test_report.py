@@ -24,10 +24,9 @@ from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.causes import catalogue
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.report import figures
-from flying_vines.identification.report.figures import shown_runs
-from flying_vines.identification.report.left import draw_residuals
+from flying_vines.identification.report.figures import curve, shown_runs
 from flying_vines.identification.report.page import page
-from flying_vines.identification.report.profiles import curve
+from flying_vines.identification.report.residual_figures import draw_residuals
 from flying_vines.identification.report.runs import draw_run
 from flying_vines.identification.report.words import label_and_unit, numbers, share
 from flying_vines.identification.report.write import svg
@@ -217,19 +216,19 @@ def test_no_name_of_a_case_becomes_part_of_the_page(found: Diagnosed) -> None:
 def test_a_baseline_that_explains_all_has_no_profiles_and_no_extended_model(nothing: Diagnosed) -> None:
     seen = page_of(nothing)
     assert in_words(nothing.verdict) in seen.text
-    assert "Profiles of χ²" not in seen.pictures and "How well the data fix it" not in seen.text
+    assert "Profiles of χ²" not in seen.pictures and "How well the data determine" not in seen.text
     assert "extended" not in seen.text
-    assert "as noise alone does" in seen.text
+    assert "noise alone does this" in seen.text
     assert "(−1.00 %)" in seen.text and "as believed" in seen.text
 
 
 def test_what_is_left_unexplained_stands_in_front(unexplained: Diagnosed) -> None:
     verdict = unexplained.verdict
     text = page_of(unexplained, "unseen", "run-1").text
-    front = text[: text.index("Measured, and simulated")]
+    front = text[: text.index("Measured and simulated")]
     assert in_words(verdict) in front
     assert verdict.remainder in front and verdict.next_experiment in front
-    assert "no measurement" in front
+    assert "not measurements" in front
     _, low, high = numbers(next(iter(verdict.ranking[0].named[0].parameters.values())))
     assert f"{low} … {high}" not in front
 
@@ -260,7 +259,7 @@ def test_a_channel_that_was_not_read_is_not_drawn(found: Diagnosed, row: int) ->
     channel, other = ("control volume", "reservoir")[:: -1 if row else 1]
     assert any(title.startswith(other) for title in titles)
     assert not any(title.startswith(channel) for title in titles)
-    assert "Measured less simulated" in page_of(Diagnosed(found.case, verdict), "residuals").text
+    assert "Measured minus simulated" in page_of(Diagnosed(found.case, verdict), "residuals").text
 
 
 def test_of_many_runs_those_are_drawn_in_which_the_models_part_most(found: Diagnosed) -> None:
@@ -271,7 +270,7 @@ def test_of_many_runs_those_are_drawn_in_which_the_models_part_most(found: Diagn
     verdict = replace(found.verdict, evidence=replace(evidence, runs=runs))
     assert shown_runs(verdict) == [0, 2, 3, 5, 6, 7]
     names = [f"run-{index + 1}" for index in shown_runs(verdict)]
-    assert "Of 9 runs these are the 6" in page_of(Diagnosed(found.case, verdict), *names).text
+    assert "Of 9 runs, these 6 are shown" in page_of(Diagnosed(found.case, verdict), *names).text
 
 
 def test_a_run_of_few_samples_can_be_drawn(found: Diagnosed) -> None:

@@ -194,7 +194,7 @@ def test_who_is_not_root_is_told_so(
     [
         (("--port-id", "16c0:0483"), "'16c0:0483' is no board"),
         (("--port-id", 'usb:16c0:0483:1",RUN="x'), "udev cannot match such a serial number"),
-        (("--user", "pi\nExecStartPre=/bin/sh"), "is no name of a user"),
+        (("--user", "pi\nExecStartPre=/bin/sh"), "is not a valid user name"),
         (("--config", "none.toml"), "none.toml: no such file"),
     ],
 )
@@ -295,9 +295,9 @@ class TestReachable:
         [
             (
                 "/tmp/venv/bin/flying-vines",
-                "/tmp/venv/bin/flying-vines is gone when the machine starts again",
+                "/tmp/venv/bin/flying-vines is deleted when the machine restarts",
             ),
-            ("/opt/x/.cache/uv/bin/flying-vines", "is in a cache, which may be emptied"),
+            ("/opt/x/.cache/uv/bin/flying-vines", "is in a cache, which can be emptied"),
             ("/usr/bin/no-such-program", "/usr/bin/no-such-program: No such file"),
         ],
     )
@@ -313,7 +313,9 @@ class TestReachable:
             command.write_text("", encoding="utf-8")
             home.chmod(0o700)
             check_reachable((command,), Reader("pi", home.stat().st_uid))
-            with pytest.raises(InstallError, match=f"{home} is closed to flying-vines, the user of the"):
+            with pytest.raises(
+                InstallError, match=f"flying-vines, the user of the service, cannot read {home}"
+            ):
                 check_reachable((command,), Reader("flying-vines"))
             home.chmod(0o755)
             check_reachable((command,), Reader("flying-vines"))
@@ -333,4 +335,4 @@ def test_the_machine_itself_is_changed_only_with_what_it_can_reach(
     lost = Program(("/tmp/venv/bin/flying-vines",), (Path("/tmp/venv/bin/flying-vines"),))
     monkeypatch.setattr(Program, "here", lambda: lost)
     status, _, said = run(capsys, "install-service", "--yes")
-    assert (status, "is gone when the machine starts again" in said) == (2, True)
+    assert (status, "is deleted when the machine restarts" in said) == (2, True)

@@ -57,7 +57,7 @@ def test_list_goes_on_over_what_cannot_be_read(flights: Path, run: Runner, tmp_p
     (tmp_path / "broken" / "flight.mcap").write_bytes(b"nonsense")
     out, err = run("list", tmp_path)
     assert len([line for line in out.splitlines() if line.strip()]) == 2
-    assert "broken" in err and "is no flight log" in err
+    assert "broken" in err and "is not a flight log" in err
 
 
 def test_show_tells_the_story(flights: Path, run: Runner) -> None:
@@ -123,15 +123,15 @@ def test_a_damaged_log_is_shown_and_said_to_be_damaged(flights: Path, run: Runne
     data = (folder / "flight.mcap").read_bytes()
     path.write_bytes(data[: int(0.8 * len(data))])
     out, err = run("show", path)
-    assert "bend-full: accepted" in out and "was not brought to its end" in err
+    assert "bend-full: accepted" in out and "is incomplete" in err
 
 
 def test_what_is_not_there_is_one_line_and_status_2(run: Runner, tmp_path: Path) -> None:
     for arguments, why in (
-        (("show", "nowhere"), "nowhere: is no flight"),
-        (("plot", "last", "--in", tmp_path), "there is no flight in it"),
+        (("show", "nowhere"), "nowhere: is not a flight"),
+        (("plot", "last", "--in", tmp_path), "contains no flight"),
         (("list", tmp_path / "nowhere"), "is no folder"),
-        (("export", tmp_path, "--csv"), "is no flight"),
+        (("export", tmp_path, "--csv"), "is not a flight"),
     ):
         out, err = run(*arguments, status=2)
         assert out == "" and err.count("\n") == 1 and why in err

@@ -250,7 +250,7 @@ def test_a_second_flight_has_a_folder_of_its_own(tmp_path: Path) -> None:
 
 
 def test_a_long_service_does_not_fill_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(folders_module, "MOST_INDEX_BYTES", 1000)
+    monkeypatch.setattr(folders_module, "MAX_CHUNKS", 5)
     recorder = Recorder(tmp_path, BEGAN, t=0.0)
     for i in range(1000):
         recorder.event(Tick(i * 0.02))

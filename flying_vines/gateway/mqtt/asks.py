@@ -12,7 +12,7 @@ import msgspec
 from flying_vines.gateway import messages
 from flying_vines.gateway.mqtt.payloads import Answer, Ask
 from flying_vines.gateway.mqtt.teller import Now
-from flying_vines.gateway.token_bucket import Patience
+from flying_vines.gateway.token_bucket import TokenBucket
 from flying_vines.vine.intent import Command
 
 LONGEST_ASK = 1024
@@ -40,20 +40,20 @@ class Asks:
         self._known: dict[str, float] = {}
         """When each was asked, by its id."""
         self._waiting: deque[Waiting] = deque()
-        self._patience = Patience(0.0, MOST_AT_ONCE, MOST_PER_S)
+        self._bucket = TokenBucket(0.0, MOST_AT_ONCE, MOST_PER_S)
         self.ignored = 0
 
     def hear(self, now: Now, payload: bytes, retained: bool) -> list[Answer]:
         """One message on the topic, and whoever is answered at once."""
         # Of a flood most is not even read.
         may_be_vent = self._may_be_vent(payload)
-        if not may_be_vent and not self._patience.bears(now.t):
+        if not may_be_vent and not self._bucket.take(now.t):
             self.ignored += 1
             return []
         ask, problem = self._read(now, payload, retained)
         if ask is not None and not problem and ask.command == "vent":
             return self._vent(now, ask)
-        if may_be_vent and not self._patience.bears(now.t):
+        if may_be_vent and not self._bucket.take(now.t):
             self.ignored += 1
             return []
         if ask is None or problem:

@@ -1,7 +1,8 @@
-"""A page for a phone or a laptop: how things stand, what happened, and a way to vent. No outside requests.
+"""A page for a phone or a laptop: the state, the events, and a button that vents.
 
-`door` says who may come in, `crowd` how many, `wish` what they may ask for and how often; none of them knows
-a socket. `viewer` talks with one browser, `server` holds the port. `static/` is what the browser loads.
+`access` says who may use the page, `connections` how many may, `request` what a browser may ask for; none of
+them knows a socket. `viewer` talks with one browser, `server` holds the port, and `static/` is what the
+browser loads.
 """
 
 from __future__ import annotations

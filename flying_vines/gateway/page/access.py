@@ -1,8 +1,7 @@
-"""Who may come in: told by the request alone. What a browser may be tricked into must not get through.
+"""Who may use the page, from the request alone.
 
-A page of somebody else's may send its visitors' browsers here: such requests have another `Origin`, and
-after a name was pointed at us (DNS rebinding), another `Host`. Both are refused, also where only this machine
-itself can connect.
+Another site's page can make its visitors' browsers send requests here. Such a request has another `Origin`
+or, after DNS rebinding, another `Host`. Both are refused, also where only this machine can connect.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ import re
 import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
-from http.cookies import CookieError, SimpleCookie
 from urllib.parse import urlsplit
 
 from flying_vines.gateway import page_token
@@ -24,22 +22,22 @@ _HOST = re.compile(r"[A-Za-z0-9.-]+(:\d{1,5})?|\[[0-9A-Fa-f:.]+\](:\d{1,5})?")
 
 @dataclass(frozen=True, slots=True)
 class Admitted:
-    """Somebody who may look, and perhaps ask. `token` is to be remembered by the browser, if it is new."""
+    """Somebody who may watch and perhaps send commands. The browser stores `token` in a cookie."""
 
     may_ask: bool
     token: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Turned:
-    """Away, with an HTTP status and a sentence."""
+class Refused:
+    """An HTTP status and a sentence."""
 
     status: int
     why: str
 
 
-class Door:
-    """Of a page that is served at `host`, an address; beyond this machine only with the `token`."""
+class Access:
+    """To a page that is served at the address `host`. Other machines need the `token`."""
 
     def __init__(self, host: str, port: int, token: str) -> None:
         self._local = ipaddress.ip_address(host).is_loopback
@@ -52,31 +50,33 @@ class Door:
         name = socket.gethostname().lower()
         self._names = {"localhost"} if self._local else {"localhost", name, f"{name}.local"}
 
-    def look(self, headers: Mapping[str, str], given: str = "") -> Admitted | Turned:
+    def check(
+        self, headers: Mapping[str, str], given: str = "", cookies: Mapping[str, str] | None = None
+    ) -> Admitted | Refused:
         """`headers` are a request's, by names of any case; `given` is the token in its address."""
         host = headers.get("Host", "")
         if not self._ours(host):
-            return Turned(421, "that is not a name of this page: open it by its address")
+            return Refused(421, "this is not the name of this page: open it by its address")
         origin = headers.get("Origin")
         if origin is not None and origin.lower().partition("://")[2] != host.lower():
-            return Turned(403, "another site's page may not ask for this")
+            return Refused(403, "requests from another site's page are refused")
         if headers.get("Sec-Fetch-Site") in ("cross-site", "same-site") and (
             headers.get("Sec-Fetch-Mode") != "navigate"
         ):
-            return Turned(403, "another site's page may not ask for this")
+            return Refused(403, "requests from another site's page are refused")
         if self._local:
             return Admitted(may_ask=True)
-        for token in (given, self._bearer(headers), self._remembered(headers)):
+        for token in (given, self._bearer(headers), (cookies or {}).get(self.cookie, "")):
             if not 0 < len(token) <= LONGEST_TOKEN:
                 continue
             if page_token.same(token, self._token):
                 return Admitted(may_ask=True, token=self._token)
             if page_token.same(token, self._watching):
                 return Admitted(may_ask=False, token=self._watching)
-        return Turned(401, "that token is not right" if given else "the page needs its token")
+        return Refused(401, "the token is wrong" if given else "the page needs a token")
 
     def _ours(self, host: str) -> bool:
-        """Names can be pointed at us by others; addresses cannot."""
+        """Others can point a name at this machine, but not an address."""
         if not _HOST.fullmatch(host):
             return False
         try:
@@ -94,10 +94,3 @@ class Door:
     def _bearer(self, headers: Mapping[str, str]) -> str:
         kind, _, token = headers.get("Authorization", "").partition(" ")
         return token if kind.lower() == "bearer" else ""
-
-    def _remembered(self, headers: Mapping[str, str]) -> str:
-        try:
-            morsel = SimpleCookie(headers.get("Cookie", "")).get(self.cookie)
-        except CookieError:
-            return ""
-        return morsel.value if morsel else ""

@@ -1,4 +1,4 @@
-"""The last two minutes of pressures, for whoever opens the page now."""
+"""The pressures of the last two minutes, for a page that is opened now."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from flying_vines.gateway.messages import Seen
 
 KEPT_S = 120.0
 EVERY_S = 0.19
-"""Every second one of ten a second."""
+"""Every second snapshot of ten per second."""
 
 
 class Sample(msgspec.Struct, frozen=True, array_like=True):
-    """Of a snapshot: gauge kPa, None where it is not known."""
+    """One snapshot: gauge kPa, None where unknown."""
 
     t: float
     cv_kPa: float | None
@@ -30,7 +30,7 @@ class _Pressures(msgspec.Struct, frozen=True):
 
 
 class History:
-    """Takes all snapshots, in order."""
+    """Takes all snapshots in order."""
 
     def __init__(self) -> None:
         self.samples: deque[Sample] = deque()

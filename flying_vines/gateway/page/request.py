@@ -1,4 +1,4 @@
-"""What a browser may say: one small object, and not too many of them."""
+"""What a browser may send: one small object, at a limited rate."""
 
 from __future__ import annotations
 
@@ -10,30 +10,29 @@ from msgspec import Meta
 from flying_vines.gateway.messages import Ask
 from flying_vines.vine.intent import Command
 
-LONGEST_WISH = 512
-"""In bytes."""
+MAX_REQUEST_BYTES = 512
 MOST_PER_S = 20.0
 MOST_AT_ONCE = 40.0
 
 
-class Wish(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Somebody presses a button. The answer bears its `id`."""
+class PageRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A pressed button. The answer has the same `id`."""
 
     id: Annotated[int, Meta(ge=0, le=2**53)]
     command: Command
     value: float | None = None
     name: Annotated[str, Meta(max_length=100)] | None = None
     made_at: float | None = None
-    """When it was pressed, by the clock of the snapshots."""
+    """When it was pressed, on the clock of the snapshots."""
     seen_at: float | None = None
-    """The `t` of the latest snapshot that was shown then."""
+    """The `t` of the latest snapshot shown at that time."""
 
 
-def read_wish(text: str) -> Wish:
-    """Raises `msgspec.DecodeError`, or `ValueError` where it is nothing that can be asked for."""
-    wish = _WISH.decode(text)
-    Ask(0, "page", wish.command, wish.value, wish.name)
-    return wish
+def read_request(text: str) -> PageRequest:
+    """Raises `msgspec.DecodeError`, or `ValueError` for a command that does not exist."""
+    request = _REQUEST.decode(text)
+    Ask(0, "page", request.command, request.value, request.name)
+    return request
 
 
-_WISH = msgspec.json.Decoder(Wish)
+_REQUEST = msgspec.json.Decoder(PageRequest)

@@ -15,21 +15,20 @@ from aiohttp.web import BaseRequest, RequestHandler, Response, Server, StreamRes
 
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.messages import Seen
-from flying_vines.gateway.page.access import Door, Turned
+from flying_vines.gateway.page.access import Access, Refused
 from flying_vines.gateway.page.connections import MAX_VIEWERS, Connections
 from flying_vines.gateway.page.history import History
-from flying_vines.gateway.page.request import LONGEST_WISH
+from flying_vines.gateway.page.request import MAX_REQUEST_BYTES
 from flying_vines.gateway.page.viewer import Viewer
 
-SWEEP_S = 1.0
 KEEP_ALIVE_S = 5.0
 LAST_WORDS_S = 0.2
 HEARTBEAT_S = 10.0
 MOST_WAITING = 1024
-"""Connections that nobody has looked at yet."""
+"""Connections that the system has not handed over yet."""
 NO_MORE_FILES_S = 1.0
 SEND_BUFFER = 32 * 1024
-"""Of the system and again of ours: what waits there for a slow viewer is old when it comes."""
+"""In bytes, once in the system and once here. What waits there for a slow viewer arrives late."""
 A_YEAR_S = 365 * 24 * 3600
 
 FILES = {
@@ -55,7 +54,7 @@ HEADERS = {
 async def serve(feed: Feed) -> None:
     """Until cancelled. Raises `OSError` where the port is not free."""
     page = feed.profile.config.page
-    door = Door(page.host, page.port, feed.profile.page_token)
+    access = Access(page.host, page.port, feed.profile.page_token)
     history = History()
     try:
         listener = _listener(page.host, page.port)
@@ -64,7 +63,7 @@ async def serve(feed: Feed) -> None:
         raise OSError(f"{page.host}:{page.port} cannot be opened: {why}") from None
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(_remember(feed, history))
-        tasks.create_task(PageServer(feed, door, history).serve(listener))
+        tasks.create_task(PageServer(feed, access, history).serve(listener))
 
 
 async def _remember(feed: Feed, history: History) -> None:
@@ -89,8 +88,8 @@ def _listener(host: str, port: int) -> socket.socket:
 class PageServer(Server):
     """All connections to the page."""
 
-    def __init__(self, feed: Feed, door: Door, history: History) -> None:
-        # What strangers send is not worth a line on a drone.
+    def __init__(self, feed: Feed, access: Access, history: History) -> None:
+        # aiohttp would log every malformed request, and strangers can send many.
         silent = logging.getLogger("flying_vines.page")
         silent.addHandler(logging.NullHandler())
         silent.propagate = False
@@ -102,20 +101,18 @@ class PageServer(Server):
             logger=silent,
         )
         self._feed = feed
-        self._door = door
+        self._access = access
         self._history = history
-        self._held: Connections[asyncio.Transport] = Connections()
+        self._limits: Connections[asyncio.Transport] = Connections()
         folder = resources.files("flying_vines.gateway.page").joinpath("static")
         self._files = {
             path: (folder.joinpath(name).read_bytes(), kind) for path, (name, kind) in FILES.items()
         }
 
     async def serve(self, listener: socket.socket) -> None:
-        """Until cancelled; then everybody sees at once that nobody is here."""
+        """Until cancelled; then all connections close at once."""
         try:
-            async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._receive(listener))
-                tasks.create_task(self._sweep())
+            await self._receive(listener)
         finally:
             listener.close()
             for transport in self._connections.values():
@@ -123,64 +120,50 @@ class PageServer(Server):
             await self.shutdown(LAST_WORDS_S)
 
     async def _receive(self, listener: socket.socket) -> None:
+        # asyncio's own server takes all that wait in one turn of the loop: a flood would hold up a vent.
         loop = asyncio.get_running_loop()
         while True:
             try:
                 connection, _ = await loop.sock_accept(listener)
                 await loop.connect_accepted_socket(self, connection)
             except ConnectionError:
-                # It has gone again.
+                # It closed before it was accepted.
                 continue
             except OSError:
                 await asyncio.sleep(NO_MORE_FILES_S)
-
-    # What aiohttp tells of connections.
 
     def connection_made(self, handler: RequestHandler, transport: asyncio.Transport) -> None:
         super().connection_made(handler, transport)
         transport.set_write_buffer_limits(high=SEND_BUFFER)
         peer = transport.get_extra_info("peername")
-        address = str(peer[0]) if peer else "one that has gone"
-        self._close(self._held.came(transport, address, self._now))
+        address = str(peer[0]) if peer else "unknown"
+        self._close(self._limits.opened(transport, address))
 
     def connection_lost(self, handler: RequestHandler, exc: BaseException | None = None) -> None:
         transport = self._connections.get(handler)
         if transport is not None:
-            self._held.left(transport)
+            self._limits.closed(transport)
         super().connection_lost(handler, exc)
 
     def _close(self, transport: asyncio.Transport | None) -> None:
         if transport is not None:
             transport.abort()
 
-    async def _sweep(self) -> None:
-        """Close connections that nobody uses."""
-        while True:
-            for transport in self._held.overdue(self._now):
-                self._close(transport)
-            await asyncio.sleep(SWEEP_S)
-
-    @property
-    def _now(self) -> float:
-        return asyncio.get_running_loop().time()
-
-    # Requests.
-
     async def _answer(self, request: BaseRequest) -> StreamResponse:
         if request.method not in (hdrs.METH_GET, hdrs.METH_HEAD):
-            return _refusal(Turned(405, "there is nothing here to be changed"))
-        found = self._door.look(request.headers, request.query.get("token", ""))
-        if isinstance(found, Turned):
+            return _refusal(Refused(405, "this page accepts GET and HEAD only"))
+        found = self._access.check(request.headers, request.query.get("token", ""), request.cookies)
+        if isinstance(found, Refused):
             return _refusal(found)
         if request.path == "/live":
             return await self._show(request, found.may_ask)
         if request.path not in self._files:
-            return _refusal(Turned(404, "there is no such page here"))
+            return _refusal(Refused(404, "there is no such page"))
         body, kind = self._files[request.path]
         response = Response(body=body, content_type=kind, charset="utf-8", headers=_headers(request.host))
         if found.token:
             response.set_cookie(
-                self._door.cookie, found.token, max_age=A_YEAR_S, httponly=True, samesite="Strict"
+                self._access.cookie, found.token, max_age=A_YEAR_S, httponly=True, samesite="Strict"
             )
         return response
 
@@ -189,16 +172,16 @@ class PageServer(Server):
             autoping=False,
             heartbeat=HEARTBEAT_S,
             compress=False,
-            max_msg_size=LONGEST_WISH,
+            max_msg_size=MAX_REQUEST_BYTES,
             writer_limit=SEND_BUFFER // 2,
         )
         transport = request.transport
         if transport is None or transport.is_closing() or not viewing.can_prepare(request).ok:
-            return _refusal(Turned(400, "this is for the page's own use"))
+            return _refusal(Refused(400, "this address is for the page itself"))
         if may_ask:
-            self._close(self._held.command(transport))
-        elif not self._held.view(transport):
-            return _refusal(Turned(503, f"{MAX_VIEWERS} viewers are there already"))
+            self._close(self._limits.add_pilot(transport))
+        elif not self._limits.add_viewer(transport):
+            return _refusal(Refused(503, f"the limit of {MAX_VIEWERS} viewers is reached"))
         await viewing.prepare(request)
         try:
             await Viewer(self._feed, self._history, viewing, may_ask).serve()
@@ -216,7 +199,7 @@ def _headers(host: str) -> dict[str, str]:
     return {**HEADERS, "Content-Security-Policy": policy}
 
 
-_TURNED_AWAY = """\
+_REFUSAL = """\
 <!doctype html>
 <html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>Flying Vines</title><h1>Flying Vines</h1><p>{why}.</p>{form}
@@ -224,15 +207,15 @@ _TURNED_AWAY = """\
 _FORM = """\
 <form><p><label>Token <input name="token" autocomplete="off" autocapitalize="none" autofocus></label>
 <button>Open</button></form>
-<p>It stands on the drone's terminal, and in the file that [page] token_file of its profile names."""
+<p>The drone's terminal shows the token. The file at [page] token_file of its profile holds it too."""
 
 
-def _refusal(turned: Turned) -> Response:
-    why = html.escape(turned.why[:1].upper() + turned.why[1:])
-    text = _TURNED_AWAY.format(why=why, form=_FORM if turned.status == 401 else "")
+def _refusal(refused: Refused) -> Response:
+    why = html.escape(refused.why[:1].upper() + refused.why[1:])
+    text = _REFUSAL.format(why=why, form=_FORM if refused.status == 401 else "")
     policy = "default-src 'none'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
     response = Response(
-        status=turned.status,
+        status=refused.status,
         text=text,
         content_type="text/html",
         headers={**HEADERS, "Content-Security-Policy": policy},

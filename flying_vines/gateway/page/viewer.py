@@ -1,4 +1,4 @@
-"""One browser, or one terminal: told what happens, and heard. It may be slow, or mean no good."""
+"""One browser or terminal: it gets all news, and its requests are read. It may be slow or hostile."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from flying_vines.config.config import Config
 from flying_vines.gateway.feed import Feed, NoAnswerError, Reader
 from flying_vines.gateway.messages import Happened, Seen
 from flying_vines.gateway.page.history import History, Sample
-from flying_vines.gateway.page.request import MOST_AT_ONCE, MOST_PER_S, Wish, read_wish
-from flying_vines.gateway.token_bucket import Patience
+from flying_vines.gateway.page.request import MOST_AT_ONCE, MOST_PER_S, PageRequest, read_request
+from flying_vines.gateway.token_bucket import TokenBucket
 
 BEAT_S = 1.0
-"""Something is said so often, if only that nothing is new: who hears nothing knows that the link is cut."""
+"""Period of a message that says at least that nothing is new. Without it the browser sees a cut link."""
 SLOW_S = 5.0
-"""Who does not take what is sent for so long is dropped."""
+"""A viewer that takes nothing for this long is dropped."""
 TOLD_AT_FIRST = 200
-"""Events of the past."""
+"""Past events."""
 
 
 class _Vine(msgspec.Struct, frozen=True):
-    """What the page must know of the profile."""
+    """What the page needs from the profile."""
 
     profiles: tuple[str, ...]
     curve: tuple[tuple[float, float], ...]
@@ -36,7 +36,7 @@ class _Vine(msgspec.Struct, frozen=True):
 
 class _Hello(msgspec.Struct, frozen=True, tag="hello", tag_field="kind"):
     t: float
-    """Now, by the clock of all the other times."""
+    """Now, on the clock of all other times."""
     version: str
     may_ask: bool
     vine: _Vine
@@ -45,7 +45,7 @@ class _Hello(msgspec.Struct, frozen=True, tag="hello", tag_field="kind"):
 
 
 class _Answer(msgspec.Struct, frozen=True, tag="answer", tag_field="kind"):
-    """To a wish."""
+    """To a request."""
 
     id: int
     safety: str
@@ -53,7 +53,7 @@ class _Answer(msgspec.Struct, frozen=True, tag="answer", tag_field="kind"):
 
 
 class _Missed(msgspec.Struct, frozen=True, tag="missed", tag_field="kind"):
-    """Events that were lost to a viewer who was too slow."""
+    """Events that a slow viewer has lost."""
 
     count: int
 
@@ -66,7 +66,7 @@ _Message = _Hello | _Answer | _Missed | _Beat | Happened | Seen
 
 
 class Viewer:
-    """At the other end of a socket that is open."""
+    """The other end of an open socket."""
 
     def __init__(self, feed: Feed, history: History, socket: WebSocketResponse, may_ask: bool) -> None:
         self._feed = feed
@@ -76,7 +76,7 @@ class Viewer:
         self._asking: set[asyncio.Task[None]] = set()
 
     async def serve(self) -> None:
-        """Until it leaves. Raises `TimeoutError` or `ConnectionError` where it does not take what is sent."""
+        """Until it closes. Raises `TimeoutError` or `ConnectionError` if it does not take what is sent."""
         with self._feed.reader() as reader:
             await self._send(self._hello())
             if self._feed.latest is not None:
@@ -120,9 +120,9 @@ class Viewer:
 
     async def _listen(self) -> None:
         loop = asyncio.get_running_loop()
-        patience = Patience(loop.time(), MOST_AT_ONCE, MOST_PER_S)
+        bucket = TokenBucket(loop.time(), MOST_AT_ONCE, MOST_PER_S)
         async for message in self._socket:
-            if not patience.bears(loop.time()):
+            if not bucket.take(loop.time()):
                 await self._close(WSCloseCode.TRY_AGAIN_LATER, "asked too often")
                 return
             if message.type is WSMsgType.PING:
@@ -133,26 +133,26 @@ class Viewer:
             if message.type is not WSMsgType.TEXT:
                 return
             try:
-                wish = read_wish(message.data)
+                request = read_request(message.data)
             except (msgspec.DecodeError, ValueError):
                 await self._close(WSCloseCode.INVALID_TEXT, "not understood")
                 return
-            # Whoever waits for an answer must still be able to vent.
-            task = asyncio.create_task(self._grant(wish))
+            # A viewer that waits for an answer can still vent.
+            task = asyncio.create_task(self._grant(request))
             self._asking.add(task)
             task.add_done_callback(self._asking.discard)
 
-    async def _grant(self, wish: Wish) -> None:
+    async def _grant(self, request: PageRequest) -> None:
         if not self._may_ask:
-            answer = _Answer(wish.id, "refused", "you may only watch")
+            answer = _Answer(request.id, "refused", "you may only watch")
         else:
             try:
                 found = await self._feed.ask(
-                    "page", wish.command, wish.value, wish.name, wish.made_at, wish.seen_at
+                    "page", request.command, request.value, request.name, request.made_at, request.seen_at
                 )
-                answer = _Answer(wish.id, found.safety, found.reason)
+                answer = _Answer(request.id, found.safety, found.reason)
             except NoAnswerError as error:
-                answer = _Answer(wish.id, "unanswered", str(error))
+                answer = _Answer(request.id, "unanswered", str(error))
         await self._send(answer)
 
     async def _send(self, message: _Message) -> None:

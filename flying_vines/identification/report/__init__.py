@@ -1,4 +1,4 @@
-"""A verdict as a page that convinces: pictures, tables and plain words, in one file that needs no network."""
+"""A verdict as one page that needs no network: figures, tables and text."""
 
 from flying_vines.identification.report.figures import figures
 from flying_vines.identification.report.write import write_report

@@ -1,4 +1,4 @@
-"""What all figures of a report have in common: width, type, colours, and what they compare."""
+"""What all figures of a report share: width, type, colours, and the data that they compare."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from flying_vines.plots.style import BLUE, ORANGE, plain
 WIDTH_IN = 6.4
 BEFORE, AFTER = ORANGE, BLUE
 MEASURED = "#b4bac3"
-"""Light and broad: a line that meets it lies in its middle."""
+"""Light, as the points are broad and lie below the lines."""
 INK = "#33383f"
 _LEGEND = 52
-"""Characters of a line."""
+"""Characters per line."""
 _TYPE: dict[Any, Any] = {
     "font.size": 8.5,
     "axes.titlesize": 8.5,
@@ -47,18 +47,18 @@ _TYPE: dict[Any, Any] = {
 
 @contextmanager
 def typeset() -> Iterator[None]:
-    """Within it figures are made, and saved, as a report has them."""
+    """The style in which the figures of a report are drawn and saved."""
     with matplotlib.rc_context(_TYPE):
         yield
 
 
 def blank(height_in: float) -> Figure:
-    """An empty figure, as wide as all; nothing keeps it but who has it."""
+    """An empty figure of the common width. It needs no closing."""
     return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
 
 
 def quiet(axis: Any, title: str = "") -> None:
-    """Plain, small ticks, and a title where there is one."""
+    """Plain, with small ticks and perhaps a title."""
     plain(axis)
     axis.tick_params(length=2.5, width=0.7)
     if title:
@@ -66,17 +66,17 @@ def quiet(axis: Any, title: str = "") -> None:
 
 
 def models(verdict: Verdict) -> str:
-    """What the extended model has in it; empty where it is the baseline."""
+    """The causes of the extended model; empty if it is the baseline."""
     return " + ".join(dict.fromkeys(profile.cause for profile in verdict.evidence.profiles))
 
 
 def extended(model: str) -> str:
-    """How a legend calls the extended model."""
+    """The extended model in a legend."""
     return fill(f"extended: {model}", _LEGEND, break_long_words=False)
 
 
 def channels(verdict: Verdict) -> list[int]:
-    """Rows of those that were read at all, in `CHANNELS`."""
+    """Rows in `CHANNELS` that have readings."""
     return [
         row
         for row in range(len(CHANNELS))
@@ -85,7 +85,7 @@ def channels(verdict: Verdict) -> list[int]:
 
 
 def residuals(run: Compared, row: int, noise_kPa: tuple[float, float]) -> tuple[Array, Array]:
-    """(n,) each: before and after, measured less simulated in units of noise; NaN where nothing was read."""
+    """(n,) each: before and after, measured minus simulated in units of noise; NaN without a reading."""
     before, after = (
         (run.measured_kPa[row] - simulated[row]) / noise_kPa[row]
         for simulated in (run.baseline_kPa, run.extended_kPa)
@@ -94,7 +94,7 @@ def residuals(run: Compared, row: int, noise_kPa: tuple[float, float]) -> tuple[
 
 
 def unbroken(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """A line, cut where the record has a gap."""
+    """A line that is interrupted at the gaps of the recording."""
     steps_s = np.diff(time_s)
     usual_s = np.median(steps_s) if len(steps_s) else 0.0
     gaps = np.flatnonzero(steps_s > GAP * usual_s) + 1

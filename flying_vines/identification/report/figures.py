@@ -1,25 +1,54 @@
-"""The pictures of a verdict, by name, for a report or a notebook."""
+"""The figures of a verdict, by name, for a report or a notebook."""
 
 from __future__ import annotations
 
+from math import isfinite
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.cluster.hierarchy import leaves_list, linkage
+from scipy.spatial.distance import squareform
 
-from flying_vines.identification.report.canvas import channels, models, typeset
-from flying_vines.identification.report.dependence import draw_dependence, strongest
-from flying_vines.identification.report.left import draw_autocorrelation, draw_residuals
-from flying_vines.identification.report.likeness import by_likeness, draw_likeness
-from flying_vines.identification.report.profiles import draw_profiles
-from flying_vines.identification.report.ranking import draw_ranking
+from flying_vines.identification.intervals import ABOVE, Profile
+from flying_vines.identification.likeness import Likeness
+from flying_vines.identification.model import Array
+from flying_vines.identification.report.canvas import (
+    AFTER,
+    BEFORE,
+    INK,
+    blank,
+    channels,
+    models,
+    quiet,
+    typeset,
+)
+from flying_vines.identification.report.residual_figures import (
+    draw_autocorrelation,
+    draw_dependence,
+    draw_residuals,
+    strongest,
+)
 from flying_vines.identification.report.runs import draw_run, parting
-from flying_vines.identification.report.unseen import draw_unseen
-from flying_vines.identification.verdict import Verdict
+from flying_vines.identification.report.words import label_and_unit, labelled, numbers, share
+from flying_vines.identification.search import CLAIM
+from flying_vines.identification.verdict import Estimate, Tried, Verdict
+from flying_vines.plots.style import GREY, PURPLE
 
 MOST_RUNS = 6
+MOST_RANKED = 16
+SEEN = 5.0
+"""Standard deviations. A weaker trace has no reliable direction."""
+ALIKE = 0.95
+_WRITTEN = 0.5
+_DARK = 0.7
+_MOST_ACROSS = 3
+_HIGHEST = 1.6 * ABOVE
 
 
 def figures(verdict: Verdict) -> dict[str, Figure]:
-    """All that can be drawn of a verdict, in the order in which it convinces.
+    """All figures of a verdict, in the order of the report.
 
     Args:
         verdict: of `diagnose`; all arrays are in `verdict.evidence`.
@@ -50,7 +79,184 @@ def figures(verdict: Verdict) -> dict[str, Figure]:
 
 
 def shown_runs(verdict: Verdict) -> list[int]:
-    """Indices of the runs that are drawn: where there are many, those in which the simulations part most."""
+    """Indices of the runs to draw; of many runs, those in which the simulations differ most."""
     evidence = verdict.evidence
     parts = [float(np.mean(parting(run, evidence.noise_kPa, models(verdict)) ** 2)) for run in evidence.runs]
     return sorted(sorted(range(len(parts)), key=lambda i: -parts[i])[:MOST_RUNS])
+
+
+def draw_unseen(verdict: Verdict) -> Figure:
+    """Root mean square error relative to the measured range: before, after, and of noise alone."""
+    errors = verdict.held_out
+    bars = [("baseline", errors.nrmse_before, BEFORE)]
+    if models(verdict):
+        bars.append(("extended", errors.nrmse_after, AFTER))
+    bars.append(("noise alone", errors.noise_floor, GREY))
+    figure = blank(0.5 + 0.28 * len(bars))
+    axis = figure.subplots()
+    most = max(value for _, value, _ in bars)
+    for y, (_, value, color) in enumerate(bars):
+        axis.barh(y, 100.0 * value, height=0.62, color=color)
+        axis.annotate(
+            share(value), (100.0 * value, y), (5, 0), textcoords="offset points", va="center", color=INK
+        )
+    axis.axvline(100.0 * errors.noise_floor, color=GREY, lw=0.8, ls=(0, (3, 3)))
+    axis.set_yticks(range(len(bars)), [label for label, _, _ in bars])
+    axis.set_ylim(len(bars) - 0.5, -0.5)
+    axis.set_xlim(0.0, 115.0 * most if most > 0.0 else 1.0)
+    axis.set_xlabel("error on unseen data, % of the measured range")
+    quiet(axis)
+    axis.grid(axis="y", visible=False)
+    return figure
+
+
+def _ranked(verdict: Verdict) -> list[Tried]:
+    """The best candidates, and the baseline at any rank."""
+    fitted = [tried for tried in verdict.ranking if isfinite(tried.score)]
+    return fitted[:MOST_RANKED] + [tried for tried in fitted[MOST_RANKED:] if not tried.causes]
+
+
+def _color(tried: Tried, verdict: Verdict) -> str:
+    """The colour of a candidate, by its role in the verdict."""
+    if not tried.causes:
+        return BEFORE
+    named = {named.cause for named in verdict.named}
+    if set(tried.causes) == named:
+        return AFTER
+    # Replaces exactly one of them.
+    others = set(tried.causes) - named
+    alike = len(others) == 1 and others <= set(verdict.indistinguishable)
+    return PURPLE if alike and len(tried.causes) == len(named) else GREY
+
+
+def draw_ranking(verdict: Verdict) -> Figure:
+    """How far the log evidence of each candidate is below the best."""
+    rows = _ranked(verdict)
+    figure = blank(0.75 + 0.2 * len(rows))
+    axis = figure.subplots()
+    behind = np.array([0.5 * tried.score for tried in rows])
+    for y, (tried, x) in enumerate(zip(rows, behind, strict=True)):
+        color = _color(tried, verdict)
+        axis.plot([0.0, x], [y, y], color=color, lw=1.4, alpha=0.45, solid_capstyle="butt")
+        axis.plot(x, y, "o", ms=5, color=color, mfc="white" if tried.on_bound else color, mew=1.2)
+        if tried.unseen_nrmse is not None:
+            axis.annotate(
+                f"unseen {100.0 * tried.unseen_nrmse:.3g} %",
+                (x, y),
+                (7, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=7.5,
+                color=INK,
+                annotation_clip=False,
+            )
+    axis.set_xscale("symlog", linthresh=10.0, linscale=0.8)
+    axis.set_xlim(-0.5, max(100.0, 12.0 * behind.max(initial=0.0)))
+    axis.axvspan(-0.5, 0.5 * CLAIM, color=INK, alpha=0.07, lw=0)
+    axis.set_yticks(range(len(rows)), [" + ".join(tried.causes) or "baseline" for tried in rows])
+    axis.set_ylim(len(rows) - 0.4, -0.6)
+    axis.set_xlabel("ln evidence behind the best")
+    quiet(axis)
+    axis.grid(axis="y", visible=False)
+    return figure
+
+
+def draw_profiles(verdict: Verdict) -> Figure:
+    """χ² above its minimum over each parameter of the named causes, others refitted; with 95 % intervals."""
+    profiles = verdict.evidence.profiles
+    across = min(_MOST_ACROSS, max(2, len(profiles)))
+    down = -(-len(profiles) // across)
+    figure = blank(2.1 * down)
+    axes = figure.subplots(down, across, squeeze=False)
+    for axis in axes.flat[len(profiles) :]:
+        axis.set_axis_off()
+    for profile, axis in zip(profiles, axes.flat, strict=False):
+        _profile(axis, profile)
+    for row in axes:
+        row[0].set_ylabel("χ² above its least")
+    return figure
+
+
+def _profile(axis: Any, profile: Profile) -> None:
+    axis.axvspan(profile.low, profile.high, color=AFTER, alpha=0.12, lw=0)
+    axis.axhline(ABOVE, color=INK, lw=0.8, ls=(0, (4, 3)))
+    axis.axvline(profile.estimate, color=AFTER, lw=0.8)
+    axis.plot(*curve(profile), color=AFTER, lw=1.3)
+    near = profile.above <= _HIGHEST
+    axis.plot(profile.value[near], profile.above[near], "o", ms=3.5, color=AFTER)
+    below, beyond = profile.estimate - profile.low, profile.high - profile.estimate
+    margin = 0.6 * max(below, beyond, 1e-12 * abs(profile.estimate))
+    axis.set_xlim(profile.low - margin, profile.high + margin)
+    axis.set_ylim(-0.3, _HIGHEST)
+    axis.locator_params(axis="x", nbins=4)
+    axis.ticklabel_format(useOffset=False)
+    estimate, low, high = numbers(Estimate(profile.estimate, profile.low, profile.high))
+    quiet(axis, f"{profile.cause}\n{estimate} ({low} … {high}) {label_and_unit(profile.parameter.name)[1]}")
+    axis.set_xlabel(labelled(profile.parameter.name))
+
+
+def curve(profile: Profile) -> tuple[Array, Array]:
+    """Interpolates linearly in the square root of χ², which is exact for a parabola."""
+    parameter = profile.parameter
+    inner = np.array([parameter.inner(float(value)) for value in profile.value])
+    best = parameter.inner(profile.estimate)
+    root = np.sign(inner - best) * np.sqrt(np.maximum(profile.above, 0.0))
+    fine = np.linspace(inner[0], inner[-1], 200)
+    return np.array([parameter.outer(float(x)) for x in fine]), np.interp(fine, inner, root) ** 2
+
+
+def draw_likeness(verdict: Verdict) -> Figure:
+    """Cosine similarity of the traces of each two visible causes, and how clearly each cause shows."""
+    likeness = verdict.evidence.likeness
+    order = by_likeness(likeness)
+    count = len(order)
+    names = [likeness.causes[i] for i in order]
+    figure = blank(1.6 + 0.2 * count)
+    matrix, bars = figure.subplots(1, 2, width_ratios=[5.0, 1.0])
+    matrix.imshow(likeness.cosine[np.ix_(order, order)], cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    for y, i in enumerate(order):
+        for x, j in enumerate(order):
+            if x != y and likeness.cosine[i, j] >= _WRITTEN:
+                color = "white" if likeness.cosine[i, j] > _DARK else "black"
+                percent = f"{100.0 * likeness.cosine[i, j]:.0f}"
+                matrix.text(x, y, percent, ha="center", va="center", fontsize=6, color=color)
+    matrix.set_xticks(range(count), names, rotation=90)
+    matrix.set_yticks(range(count), names)
+    found = {*(named.cause for named in verdict.named), *verdict.indistinguishable}
+    for label in (*matrix.get_xticklabels(), *matrix.get_yticklabels()):
+        if label.get_text() in found:
+            label.set(color=AFTER, fontweight="bold")
+    matrix.tick_params(length=0)
+    matrix.spines[:].set_visible(False)
+    matrix.set_title("alike, %", pad=4)
+    bars.barh(range(count), likeness.seen[order], color=GREY, height=0.7, log=True)
+    bars.set_xlim(left=1.0)
+    bars.set_ylim(matrix.get_ylim())
+    bars.set_yticks([])
+    quiet(bars, "shows, σ")
+    return figure
+
+
+def by_likeness(likeness: Likeness) -> NDArray[np.intp]:
+    """The causes that would show, in an order in which similar ones are neighbours."""
+    seen = np.flatnonzero(likeness.seen >= SEEN)
+    if len(seen) < 3:
+        return seen
+    distance = np.clip(1.0 - likeness.cosine[np.ix_(seen, seen)], 0.0, 1.0)
+    np.fill_diagonal(distance, 0.0)
+    order: NDArray[np.intp] = leaves_list(
+        linkage(squareform(distance, checks=False), "average", optimal_ordering=True)
+    )
+    return seen[order]
+
+
+def alike_pairs(likeness: Likeness) -> list[tuple[str, str, float]]:
+    """Pairs that these data hardly distinguish, the most similar first."""
+    seen = np.flatnonzero(likeness.seen >= SEEN)
+    pairs = [
+        (likeness.causes[i], likeness.causes[j], float(likeness.cosine[i, j]))
+        for place, i in enumerate(seen)
+        for j in seen[place + 1 :]
+        if likeness.cosine[i, j] >= ALIKE
+    ]
+    return sorted(pairs, key=lambda pair: -pair[2])

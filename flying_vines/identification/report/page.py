@@ -1,48 +1,39 @@
-"""The page: from the answer down to what it rests on."""
+"""The content of the report's template."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.metadata import version
+from platform import python_version
+from typing import Any
+
+import numpy as np
 
 from flying_vines.identification.case import Case
+from flying_vines.identification.evidence import Compared
 from flying_vines.identification.held_out import STRETCH_S
-from flying_vines.identification.report import captions
-from flying_vines.identification.report.answer import answer
-from flying_vines.identification.report.canvas import models
-from flying_vines.identification.report.markup import (
-    Html,
-    bullets,
-    document,
-    heading,
-    joined,
-    paragraph,
-    picture,
-)
-from flying_vines.identification.report.sheet import STYLE
-from flying_vines.identification.report.tables import (
-    dependence_table,
-    rig_table,
-    runs_table,
-    tried_table,
-    versions,
-)
+from flying_vines.identification.intervals import ABOVE
+from flying_vines.identification.report.canvas import channels, models, residuals
+from flying_vines.identification.report.figures import ALIKE, SEEN, alike_pairs
+from flying_vines.identification.report.residual_figures import same, strongest
+from flying_vines.identification.report.templates import TEMPLATES, filled
+from flying_vines.identification.report.words import how_surprising, labelled, signed
+from flying_vines.identification.residuals import CHANNELS, Pattern
 from flying_vines.identification.search import CLAIM, STRUCTURE
 from flying_vines.identification.show import in_words
+from flying_vines.identification.simulate import believed_keys
 from flying_vines.identification.verdict import NONE, UNEXPLAINED, Verdict
 
-DECIDES = (
-    "The baseline may move every believed number within its tolerance and start each run at pressures of "
-    "its own; what it then cannot do is held against it.",
-    "Every cause of the catalogue is simulated and fitted, all runs at once, with inputs as recorded; "
-    "where more than noise is left, two and three together.",
-    "A cause has to pay: χ² plus what its parameters and the moved numbers cost in evidence (Laplace) must "
-    f"fall by {CLAIM:g}.",
-    "What is left is looked at by time, time since each valve turned, opening, pressure and rate. If it is "
-    f"more than noise leaves once in {10.0**STRUCTURE:,.0f} times, the verdict is “unexplained”, whatever "
-    "fitted best.",
-    "Unseen data: each run is predicted from a fit to the others; where those do not fix a parameter, "
-    f"every other stretch of {STRETCH_S:g} s from the rest.",
-)
+_CONSTANTS = {
+    "ABOVE": ABOVE,
+    "ALIKE": ALIKE,
+    "CLAIM": CLAIM,
+    "NONE": NONE,
+    "STRETCH_S": STRETCH_S,
+    "STRUCTURE": STRUCTURE,
+    "UNEXPLAINED": UNEXPLAINED,
+}
+_LIBRARIES = ("flying-vines", "numpy", "scipy", "numba", "matplotlib")
 
 
 def page(verdict: Verdict, case: Case, pictures: Mapping[str, bytes]) -> str:
@@ -51,71 +42,88 @@ def page(verdict: Verdict, case: Case, pictures: Mapping[str, bytes]) -> str:
     Args:
         pictures: SVG by the names of `figures`.
     """
-    name = case.path.resolve().name
-
-    def shown(key: str, alt: str, caption: str) -> str:
-        return picture(pictures[key], alt, caption) if key in pictures else ""
-
-    body = (
-        answer(verdict, name),
-        shown("unseen", "Errors on unseen data", captions.unseen(verdict)),
-        heading("Measured, and simulated"),
-        _all_runs(verdict, pictures),
-        *(
-            shown(f"run-{n}", f"Run {n}: pressures and openings over time", captions.run(verdict, n))
-            for n in range(1, len(verdict.evidence.runs) + 1)
-        ),
-        heading("What is left: noise, or more?"),
-        shown("residuals", "Residuals over time, and their histograms", captions.left(verdict)),
-        shown("autocorrelation", "Autocorrelation of the residuals", captions.autocorrelation(verdict)),
-        heading(_dependence(verdict)),
-        shown("dependence", "Mean residuals of groups of samples", captions.dependence(verdict)),
-        dependence_table(verdict),
-        heading("What could explain it"),
-        shown("ranking", "Candidates by evidence", captions.ranking(verdict)),
-        heading("How well the data fix it") if "profiles" in pictures else "",
-        shown("profiles", "Profiles of χ²", captions.profiles(verdict)),
-        heading("What these data can tell apart"),
-        shown("likeness", "Likeness of the causes' traces", captions.likeness(verdict)),
-        bullets(captions.told_apart(verdict)),
-        heading("Everything that was tried"),
-        paragraph(
-            "Evidence: its natural logarithm, behind the best. Unseen: error on data that the fit never "
-            "saw, for the best few. Intervals here are from the curvature of χ²; for causes that no fit has "
-            "use for they mean little."
-        ),
-        tried_table(verdict),
-        heading("The rig and the runs"),
-        rig_table(verdict, case),
-        runs_table(verdict),
-        paragraph(
-            "Readings: of the control volume + of the reservoir. rms: of both, in standard deviations of "
-            "noise."
-        ),
-        heading("How it decides"),
-        bullets(DECIDES),
-        Html(
-            f"<footer>{versions()}. Pressures are gauge. This page holds all that it shows, and asks nothing "
-            "of a network.</footer>\n"
+    case_name, sentence = case.path.resolve().name, in_words(verdict)
+    evidence, model = verdict.evidence, models(verdict)
+    chosen = None if verdict.cause == UNEXPLAINED else {cause.cause for cause in verdict.named}
+    likeness = evidence.likeness
+    return filled(
+        TEMPLATES / "report.html",
+        pictures,
+        **_CONSTANTS,
+        verdict=verdict,
+        model=model,
+        title=f"{sentence} {case_name}",
+        case_name=case_name,
+        sentence=sentence,
+        drawn_runs=sum(name.startswith("run-") for name in pictures),
+        runs=[_run(run, verdict) for run in evidence.runs],
+        noise=" and ".join(f"{CHANNELS[row]} {evidence.noise_kPa[row]:.3g} kPa" for row in channels(verdict)),
+        chi2_per_reading=_chi2_per_reading(evidence.runs, verdict),
+        patterns=[(pattern, _sizes(pattern, verdict)) for pattern in strongest(verdict)],
+        ranking=[(tried, set(tried.causes) == chosen) for tried in verdict.ranking],
+        alike=alike_pairs(likeness),
+        unseen=[name for name, seen in zip(likeness.causes, likeness.seen, strict=True) if seen < SEEN],
+        rig=[*_numbers(verdict, case), *_noise(verdict, case)],
+        versions=", ".join(
+            [f"Python {python_version()}", *(f"{name} {version(name)}" for name in _LIBRARIES)]
         ),
     )
-    return document(f"{in_words(verdict)} {name}", STYLE, joined(part for part in body if part))
 
 
-def _dependence(verdict: Verdict) -> str:
-    if verdict.cause == NONE:
-        return "Does what is left depend on anything?"
-    return (
-        "What the rest depends on" if verdict.cause == UNEXPLAINED else "What the baseline's error depends on"
-    )
+def _chi2_per_reading(runs: Sequence[Compared], verdict: Verdict) -> list[float]:
+    """Of all readings of both channels: of the baseline and, where there is one, of the extended model."""
+    noise_kPa = verdict.evidence.noise_kPa
+    both = np.concatenate([residuals(run, row, noise_kPa) for run in runs for row in (0, 1)], axis=1)
+    return [float(np.nanmean(of_model**2)) for of_model in both[: 1 + bool(models(verdict))]]
 
 
-def _all_runs(verdict: Verdict, pictures: Mapping[str, bytes]) -> Html:
-    drawn = sum(name.startswith("run-") for name in pictures)
-    every = len(verdict.evidence.runs)
-    if drawn == every:
-        return Html("")
-    which = (
-        "in which the two models part most" if models(verdict) else "in which the baseline is furthest off"
-    )
-    return paragraph(f"Of {every} runs these are the {drawn} {which}.")
+def _run(run: Compared, verdict: Verdict) -> dict[str, Any]:
+    return {
+        "name": run.run,
+        "seconds": run.time_s[-1] - run.time_s[0],
+        "samples": len(run.time_s),
+        "readings": np.isfinite(run.measured_kPa).sum(axis=1),
+        "rms": [chi2**0.5 for chi2 in _chi2_per_reading([run], verdict)],
+    }
+
+
+def _sizes(pattern: Pattern, verdict: Verdict) -> list[tuple[str, str]]:
+    """How far residuals depend on it at most, and how often noise does that; for each model."""
+    sizes = []
+    for patterns in (verdict.evidence.before, verdict.evidence.after)[: 1 + bool(models(verdict))]:
+        found = same(pattern, patterns)
+        largest = 0.0 if found is None else float(found.mean[np.argmax(np.abs(found.mean))])
+        size = signed(f"{largest:+,.0f}" if abs(largest) >= 10.0 else f"{largest:+.2g}")
+        sizes.append(("", "") if found is None else (size, how_surprising(found)))
+    return sizes
+
+
+def _numbers(verdict: Verdict, case: Case) -> Iterator[dict[str, str]]:
+    """Of the believed rig, and as the fit moved them within their tolerances."""
+    for key in believed_keys(case.rig):
+        group, name = key.split(".")
+        believed = getattr(getattr(case.rig, group), name)
+        fitted = "as believed"
+        if key in verdict.numbers:
+            moved = signed(f"{100.0 * (verdict.numbers[key] / believed - 1.0):+.2f}")
+            fitted = f"{verdict.numbers[key]:,.5g} ({moved} %)"
+        yield {
+            "group": group,
+            "label": labelled(name),
+            "believed": f"{believed:,.5g}",
+            "tolerance": f"± {case.rig.tolerance(key):g} %",
+            "fitted": fitted,
+        }
+
+
+def _noise(verdict: Verdict, case: Case) -> Iterator[dict[str, str]]:
+    for group, used in zip(("cv", "reservoir"), verdict.evidence.noise_kPa, strict=True):
+        if group == "reservoir" or case.rig.cv is not None:
+            stated = getattr(case.rig.sensors, f"{group}_noise_std_kPa")
+            yield {
+                "group": group,
+                "label": "noise of its readings, kPa",
+                "believed": f"{stated:g}",
+                "tolerance": "",
+                "fitted": "as believed" if used == stated else f"{used:.3g} in the data",
+            }

@@ -1,4 +1,4 @@
-"""A run, measured and simulated without and with the causes: whole, and where the simulations part most."""
+"""Figure of one run, measured and simulated: whole, and where the simulations differ most."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from flying_vines.identification.residuals import CHANNELS
 from flying_vines.plots.style import BLUE, GREEN, GREY
 
 _ZOOM = 0.09
-"""Of a run."""
+"""Share of a run."""
 _SHORTEST_ZOOM_S = 1.5
 _FEWEST_ZOOMED = 25
 """Samples."""
@@ -32,7 +32,7 @@ _MARKED = "#f1f2f4"
 
 
 def parting(run: Compared, noise_kPa: tuple[float, float], model: str) -> Array:
-    """(n,) how far the simulations are apart in units of noise; without a model, how far the one is off."""
+    """(n,) difference of the simulations in units of noise; without a model, the error of the baseline."""
     other_kPa = run.extended_kPa if model else run.measured_kPa
     apart = (other_kPa - run.baseline_kPa) / np.array(noise_kPa)[:, None]
     parted: Array = np.linalg.norm(np.where(np.isfinite(run.measured_kPa), apart, 0.0), axis=0)
@@ -40,11 +40,11 @@ def parting(run: Compared, noise_kPa: tuple[float, float], model: str) -> Array:
 
 
 def draw_run(run: Compared, noise_kPa: tuple[float, float], model: str) -> Figure:
-    """Pressures over openings, on the left the whole run, on the right its most telling stretch.
+    """Pressures above openings: the whole run left, the stretch of the largest difference right.
 
     Args:
-        noise_kPa: of control volume's and reservoir's readings.
-        model: what the extended model is called; empty where it is the baseline.
+        noise_kPa: of the readings of control volume and reservoir.
+        model: the name of the extended model; empty if it is the baseline.
     """
     read = [row for row in range(len(CHANNELS)) if np.isfinite(run.measured_kPa[row]).any()]
     figure = blank(0.75 + 1.35 * len(read) + 0.75)
@@ -110,7 +110,7 @@ def _openings(axis: Any, run: Compared) -> None:
 
 
 def _zoom(run: Compared, noise_kPa: tuple[float, float], model: str) -> Bools:
-    """(n,) which samples lie in the stretch in which the simulations part most."""
+    """(n,) whether a sample lies in the stretch in which the simulations differ most."""
     time_s = run.time_s
     span_s = time_s[-1] - time_s[0]
     usual_s = float(np.median(np.diff(time_s)))

@@ -1,4 +1,4 @@
-"""Numbers as people read them: with their units, and no more digits than the data fix."""
+"""Numbers with units, and with the digits that the data determine."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _UNITS = {
     "_L": "L",
     "_s": "s",
 }
-"""By how a name ends, the longest first."""
+"""By the ending of a name, the longest first."""
 _HUGE = 1e6
 _RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 _CHANCE = 1.3
@@ -32,7 +32,7 @@ def label_and_unit(name: str) -> tuple[str, str]:
 
 
 def labelled(name: str) -> str:
-    """The label with its unit, as an axis has it."""
+    """The label with its unit, for an axis."""
     label, unit = label_and_unit(name)
     return f"{label}, {unit}" if unit else label
 
@@ -50,7 +50,7 @@ def numbers(estimate: Estimate) -> tuple[str, str, str]:
 
 
 def _in_powers(value: float) -> str:
-    """With a power of ten, if it is huge."""
+    """With a power of ten if it is large."""
     if abs(value) < _HUGE:
         return rounded(value)
     mantissa, exponent = f"{value:.2e}".split("e+")
@@ -58,12 +58,12 @@ def _in_powers(value: float) -> str:
 
 
 def how_surprising(pattern: Pattern) -> str:
-    """How often noise alone would do this."""
+    """How often noise alone does this."""
     if pattern.surprise < _CHANCE:
-        return "as noise alone does"
+        return "noise alone does this"
     if pattern.surprise < STRUCTURE:
-        return f"of noise alone once in {10.0**pattern.surprise:,.0f} times"
-    return "of noise alone practically never"
+        return f"noise does this once in {10.0**pattern.surprise:,.0f} times"
+    return "noise practically never does this"
 
 
 def signed(number: str) -> str:
@@ -72,10 +72,10 @@ def signed(number: str) -> str:
 
 
 def share(value: float) -> str:
-    """Percent with three digits that count."""
+    """Percent with three significant digits."""
     return f"{100.0 * value:.3g} %"
 
 
 def rounded(value: float) -> str:
-    """Three digits that count, and whole numbers from a hundred on."""
+    """Three significant digits, and whole numbers from 100."""
     return signed(f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.3g}")

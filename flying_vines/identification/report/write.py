@@ -16,25 +16,24 @@ from flying_vines.identification.verdict import Verdict
 
 REPORT, VERDICT = "report.html", "verdict.json"
 _DPI = 200
-"""Of the dots of a picture; its lines and letters are drawn at any size."""
+"""Of the points in a picture, which are pixels; lines and letters are vectors."""
 
 
 def write_report(verdict: Verdict, case: Case, folder: Path) -> list[Path]:
-    """Write a verdict into a folder, which is made if it is not there: a page, an object, and the pictures.
+    """Write a verdict into a folder, which is made if needed: the page, the verdict as JSON, and the figures.
 
     Args:
-        verdict: of `diagnose(case)`.
-        case: what it was made of.
-        folder: gets `report.html`, which holds all that it shows and opens offline; `verdict.json`, as
-            `diagnose --json` prints it; and each of `figures` as an SVG file. What has these names is
-            replaced.
+        verdict: the result of `diagnose(case)`.
+        case: the data of the verdict.
+        folder: gets `report.html`, which opens offline; `verdict.json`, as `diagnose --json` prints it; and
+            each of `figures` as an SVG file. Existing files of these names are replaced.
 
     Returns:
         the files, the page first. The same verdict makes the same bytes.
     """
     pictures = {name: svg(figure) for name, figure in figures(verdict).items()}
     content = {
-        # A file's name may hold bytes that are no text.
+        # The name of a file can contain bytes that are not text.
         REPORT: page(verdict, case, pictures).encode("utf-8", "replace"),
         VERDICT: json.dumps(verdict.as_json(), indent=2, allow_nan=False).encode() + b"\n",
         **{f"{name}.svg": svg for name, svg in pictures.items()},
@@ -46,7 +45,7 @@ def write_report(verdict: Verdict, case: Case, folder: Path) -> list[Path]:
 
 
 def svg(figure: Figure) -> bytes:
-    """A figure as a file, the same whenever it is made."""
+    """A figure as an SVG file, the same bytes each time."""
     with typeset(), BytesIO() as file:
         figure.savefig(file, format="svg", dpi=_DPI, metadata={"Date": None, "Creator": None})
         return file.getvalue()

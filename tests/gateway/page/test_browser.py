@@ -253,7 +253,7 @@ async def test_what_is_pressed_says_when_and_what_was_shown(browser: Browser, tm
         await page.wait_for_timeout(1200)
         os.kill(served.pid, signal.SIGCONT)
         await says(page, "#vent-said", "Vent confirmed")
-        vents = [wish for wish in sent if wish["command"] == "vent"]
+        vents = [request for request in sent if request["command"] == "vent"]
         assert len(vents) > 1
         assert len({vent["seen_at"] for vent in vents}) == 1
         assert all(vent["made_at"] - vent["seen_at"] > 0.9 for vent in vents[:2])
@@ -274,7 +274,7 @@ async def test_from_the_network_by_token_and_watching_only(browser: Browser, tmp
         token = page_token.read(tmp_path / "vine.page-token")
         refused = await (await browser.new_context()).new_page()
         await refused.goto(served.url)
-        assert "needs its token" in await refused.inner_text("body")
+        assert "needs a token" in await refused.inner_text("body")
         await refused.fill("input", token.upper().replace("-", " "))
         await refused.click("button")
         await refused.wait_for_selector(LIVE)

@@ -13,18 +13,17 @@ from flying_vines.gateway.page.connections import (
     MAX_NEW,
     MAX_PILOTS,
     MAX_VIEWERS,
-    NEW_FOR_S,
     Connections,
 )
 from flying_vines.gateway.page.history import KEPT_S, History
-from flying_vines.gateway.page.request import MOST_AT_ONCE, MOST_PER_S, Wish, read_wish
-from flying_vines.gateway.token_bucket import Patience
+from flying_vines.gateway.page.request import MOST_AT_ONCE, MOST_PER_S, PageRequest, read_request
+from flying_vines.gateway.token_bucket import TokenBucket
 
 
 def test_a_flood_from_one_address_pushes_out_its_own() -> None:
     held: Connections[str] = Connections()
-    assert held.came("pilot", "192.168.4.2", 0.0) is None
-    pushed = [held.came(f"flood {i}", "192.168.4.66", 1.0) for i in range(1000)]
+    assert held.opened("pilot", "192.168.4.2") is None
+    pushed = [held.opened(f"flood {i}", "192.168.4.66") for i in range(1000)]
     out = [who for who in pushed if who is not None]
     assert out == [f"flood {i}" for i in range(1000 - MAX_NEW + 1)]
 
@@ -32,62 +31,49 @@ def test_a_flood_from_one_address_pushes_out_its_own() -> None:
 def test_so_many_viewers_and_no_more() -> None:
     held: Connections[int] = Connections()
     for i in range(MAX_VIEWERS):
-        held.came(i, "10.0.0.1", 0.0)
-        assert held.view(i)
-    held.came(100, "10.0.0.2", 0.0)
-    assert not held.view(100)
-    held.left(0)
-    assert held.view(100)
+        held.opened(i, "10.0.0.1")
+        assert held.add_viewer(i)
+    held.opened(100, "10.0.0.2")
+    assert not held.add_viewer(100)
+    held.closed(0)
+    assert held.add_viewer(100)
 
 
 def test_viewers_are_not_pushed_out() -> None:
     held: Connections[int] = Connections()
-    held.came(-1, "10.0.0.1", 0.0)
-    assert held.view(-1)
-    assert -1 not in {held.came(i, "10.0.0.1", 0.0) for i in range(1000)}
+    held.opened(-1, "10.0.0.1")
+    assert held.add_viewer(-1)
+    assert -1 not in {held.opened(i, "10.0.0.1") for i in range(1000)}
 
 
 def test_viewers_take_no_place_of_a_pilot() -> None:
     held: Connections[str] = Connections()
     for i in range(2 * MAX_VIEWERS):
-        held.came(f"viewer {i}", f"10.0.0.{i % 4}", 0.0)
-        held.view(f"viewer {i}")
-    held.came("pilot", "10.0.0.1", 0.0)
-    assert held.command("pilot") is None
-    assert "pilot" not in {held.came(f"new {i}", "10.0.0.1", 0.0) for i in range(1000)}
+        held.opened(f"viewer {i}", f"10.0.0.{i % 4}")
+        held.add_viewer(f"viewer {i}")
+    held.opened("pilot", "10.0.0.1")
+    assert held.add_pilot("pilot") is None
+    assert "pilot" not in {held.opened(f"new {i}", "10.0.0.1") for i in range(1000)}
 
 
 def test_of_too_many_pilots_the_oldest_goes() -> None:
     held: Connections[int] = Connections()
     for i in range(MAX_PILOTS):
-        held.came(i, "10.0.0.1", 0.0)
-        assert held.command(i) is None
-    held.left(1)
+        held.opened(i, "10.0.0.1")
+        assert held.add_pilot(i) is None
+    held.closed(1)
     for i, out in ((100, None), (101, 0), (102, 2)):
-        held.came(i, "10.0.0.1", 0.0)
-        assert held.command(i) == out
-
-
-def test_new_ones_that_ask_for_nothing_are_overdue_once() -> None:
-    held: Connections[str] = Connections()
-    held.came("slow", "a", 0.0)
-    held.came("viewer", "a", 0.0)
-    held.came("pilot", "a", 0.0)
-    held.came("new", "a", NEW_FOR_S)
-    held.view("viewer")
-    held.command("pilot")
-    assert held.overdue(NEW_FOR_S) == []
-    assert held.overdue(NEW_FOR_S + 0.1) == ["slow"]
-    assert held.overdue(NEW_FOR_S + 0.2) == []
+        held.opened(i, "10.0.0.1")
+        assert held.add_pilot(i) == out
 
 
 def test_patience_is_for_thumbs_not_for_floods() -> None:
-    patience = Patience(0.0, MOST_AT_ONCE, MOST_PER_S)
-    assert all(patience.bears(0.1 * i) for i in range(1000))
-    patience = Patience(0.0, MOST_AT_ONCE, MOST_PER_S)
-    assert [patience.bears(0.0) for _ in range(int(MOST_AT_ONCE) + 1)] == [True] * int(MOST_AT_ONCE) + [False]
-    patience = Patience(0.0, MOST_AT_ONCE, MOST_PER_S)
-    borne = sum(patience.bears(0.001 * i) for i in range(1000))
+    bucket = TokenBucket(0.0, MOST_AT_ONCE, MOST_PER_S)
+    assert all(bucket.take(0.1 * i) for i in range(1000))
+    bucket = TokenBucket(0.0, MOST_AT_ONCE, MOST_PER_S)
+    assert [bucket.take(0.0) for _ in range(int(MOST_AT_ONCE) + 1)] == [True] * int(MOST_AT_ONCE) + [False]
+    bucket = TokenBucket(0.0, MOST_AT_ONCE, MOST_PER_S)
+    borne = sum(bucket.take(0.001 * i) for i in range(1000))
     assert borne <= MOST_AT_ONCE + MOST_PER_S
 
 
@@ -116,12 +102,16 @@ def test_patience_is_for_thumbs_not_for_floods() -> None:
 )
 def test_what_is_no_wish_is_refused(text: str) -> None:
     with pytest.raises((msgspec.DecodeError, ValueError)):
-        read_wish(text)
+        read_request(text)
 
 
 def test_a_wish_is_read() -> None:
-    assert read_wish('{"id": 7, "command": "bend", "value": 30, "name": null}') == Wish(7, "bend", 30.0)
-    assert read_wish('{"id": 8, "command": "profile", "name": "wave"}') == Wish(8, "profile", None, "wave")
+    assert read_request('{"id": 7, "command": "bend", "value": 30, "name": null}') == PageRequest(
+        7, "bend", 30.0
+    )
+    assert read_request('{"id": 8, "command": "profile", "name": "wave"}') == PageRequest(
+        8, "profile", None, "wave"
+    )
 
 
 def test_two_minutes_are_remembered_five_times_a_second() -> None:

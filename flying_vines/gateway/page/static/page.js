@@ -46,7 +46,7 @@ function welcome(hello) {
     showAngle();
   }
   $("profiles").replaceChildren(
-    ...vine.profiles.map((name) => button(name, () => wish(name, "profile", null, name))),
+    ...vine.profiles.map((name) => button(name, () => request(name, "profile", null, name))),
   );
   showControls();
   showVent();
@@ -161,7 +161,7 @@ function look() {
 const link = new Link(take, look);
 const vent = new Vent(link);
 
-async function wish(title, command, value = null, name = null) {
+async function request(title, command, value = null, name = null) {
   say("", `${title}: asking…`);
   const { safety, reason } = await link.ask(command, value, name);
   const words = safety === "unanswered" ? `${reason}: if it was not done by now, it will not be` : safety;
@@ -210,16 +210,16 @@ function surely(pressed, question, act) {
   };
 }
 
-surely($("clear"), () => "Sure?", () => wish("clear faults", "clear_faults"));
+surely($("clear"), () => "Sure?", () => request("clear faults", "clear_faults"));
 surely(
   $("armed"),
   () => (latest.pneumatics_armed ? "" : "Sure?"),
-  () => (latest.pneumatics_armed ? wish("disarm", "disarm") : wish("arm", "arm")),
+  () => (latest.pneumatics_armed ? request("disarm", "disarm") : request("arm", "arm")),
 );
 $("bench-mode").onclick = () =>
-  latest.bench ? wish("leave bench mode", "stop_bench") : wish("bench mode", "start_bench");
+  latest.bench ? request("leave bench mode", "stop_bench") : request("bench mode", "start_bench");
 $("angle").oninput = showAngle;
-$("bend-to").onclick = () => wish(`bend ${$("angle").value}°`, "bend", Number($("angle").value));
+$("bend-to").onclick = () => request(`bend ${$("angle").value}°`, "bend", Number($("angle").value));
 
 // Venting.
 

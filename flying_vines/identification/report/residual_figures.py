@@ -1,12 +1,13 @@
-"""What is left of the readings after each simulation: is it noise?"""
+"""Figures of the residuals: are they noise, and if not, what do they depend on?"""
 
 from __future__ import annotations
 
+from textwrap import fill
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from flying_vines.identification.model import Array
 from flying_vines.identification.report.canvas import (
@@ -20,20 +21,26 @@ from flying_vines.identification.report.canvas import (
     quiet,
     residuals,
 )
-from flying_vines.identification.residuals import CHANNELS
-from flying_vines.identification.verdict import Verdict
+from flying_vines.identification.residuals import CHANNELS, Pattern
+from flying_vines.identification.verdict import UNEXPLAINED, Verdict
 
 BAND = 2.0
 """Standard deviations."""
 _LEAST_SPAN = 4.5
 _BINS = 45
 _NARROW = 15.0
-"""In wider panels the normal distribution would be a needle."""
+"""In wider panels the normal distribution would be too narrow to see."""
 _LAGS = 60
+_PER_CHANNEL = 3
+_OVER_TIME = "time in stretches"
+"""First words of features that the residuals over time already show."""
+_SINCE = "time since"
+_LINE = 26
+"""Characters per line of an axis label."""
 
 
 def draw_residuals(verdict: Verdict) -> Figure:
-    """Residuals in units of noise over all runs, before and after, beside their histograms."""
+    """Residuals in units of noise over all runs, before and after, with their histograms."""
     panels = [
         (row, after)
         for row in channels(verdict)
@@ -85,7 +92,7 @@ def _panel(verdict: Verdict, row: int, after: bool, series: Any, histogram: Any)
 
 
 def draw_autocorrelation(verdict: Verdict) -> Figure:
-    """How alike residuals are that lie so many samples apart; of noise within the band, 95 times of 100."""
+    """Autocorrelation of the residuals. For noise alone, 95 of 100 points lie in the band."""
     read = channels(verdict)
     figure = blank(1.9)
     axes = figure.subplots(1, len(read), squeeze=False, sharey=True)[0]
@@ -115,7 +122,7 @@ def draw_autocorrelation(verdict: Verdict) -> Figure:
 
 
 def _autocorrelation(verdict: Verdict, row: int, after: bool) -> tuple[Array, int]:
-    """(lags,) from the first lag on, over pairs of readings of one run; and how many readings there are."""
+    """(lags,) from lag 1 on, over pairs of readings of one run; and the number of readings."""
     products, squares, readings = np.zeros(_LAGS), 0.0, 0
     pairs = np.zeros(_LAGS)
     for run in verdict.evidence.runs:
@@ -129,3 +136,78 @@ def _autocorrelation(verdict: Verdict, row: int, after: bool) -> tuple[Array, in
             pairs[lag - 1] += np.count_nonzero(there[:-lag] & there[lag:])
     kept = pairs > 0
     return products[kept] / pairs[kept] / (squares / readings), readings
+
+
+def strongest(verdict: Verdict) -> list[Pattern]:
+    """The features on which each channel depends most: in the residuals of the baseline or, if the verdict is
+    unexplained, in those of the best fit."""
+    evidence = verdict.evidence
+    leading = evidence.after if verdict.cause == UNEXPLAINED else evidence.before
+    # If all are certain, the one with the largest means is the strongest.
+    ranked = sorted(leading, key=lambda p: (-min(p.surprise, 300.0), -float(p.count @ p.mean**2)))
+    kinds: dict[tuple[str, str], Pattern] = {}
+    for pattern in ranked:
+        if not pattern.feature.startswith(_OVER_TIME):
+            kinds.setdefault((pattern.channel, _kind(pattern.feature)), pattern)
+    return [
+        pattern
+        for channel in CHANNELS
+        for pattern in [p for p in kinds.values() if p.channel == channel][:_PER_CHANNEL]
+    ]
+
+
+def _kind(feature: str) -> str:
+    """The times since a valve opened and since it closed are one kind, of which one is enough."""
+    return feature.rsplit(maxsplit=1)[0] if feature.startswith(_SINCE) else feature
+
+
+def same(pattern: Pattern, others: tuple[Pattern, ...]) -> Pattern | None:
+    """The pattern of the same channel and feature."""
+    return next((p for p in others if (p.channel, p.feature) == (pattern.channel, pattern.feature)), None)
+
+
+def draw_dependence(verdict: Verdict) -> Figure:
+    """Mean residual per group of samples with twice its standard error, before and after."""
+    shown = strongest(verdict)
+    across = _PER_CHANNEL
+    down = -(-len(shown) // across)
+    figure = blank(0.35 + 1.95 * down)
+    axes = figure.subplots(down, across, squeeze=False)
+    for axis in axes.flat[len(shown) :]:
+        axis.set_axis_off()
+    for pattern, axis in zip(shown, axes.flat, strict=False):
+        before, after = (same(pattern, p) for p in (verdict.evidence.before, verdict.evidence.after))
+        axis.axhline(0.0, color=INK, lw=0.6)
+        if before is not None:
+            _means(axis, before, BEFORE, "baseline")
+        if after is not None and models(verdict):
+            _means(axis, after, AFTER, extended(models(verdict)))
+        if pattern.feature.startswith(_SINCE):
+            axis.set_xscale("log")
+            axis.xaxis.set_major_formatter("{x:g}")
+            axis.xaxis.set_minor_formatter(NullFormatter())
+        unit = f", {pattern.unit}" if pattern.unit else ""
+        axis.set_xlabel(fill(pattern.feature + unit, _LINE))
+        quiet(axis, pattern.channel)
+    for row in axes:
+        row[0].set_ylabel("mean residual, σ")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=2)
+    return figure
+
+
+def _means(axis: Any, pattern: Pattern, color: str, label: str) -> None:
+    order = np.argsort(pattern.centre)
+    axis.errorbar(
+        pattern.centre[order],
+        pattern.mean[order],
+        2.0 / np.sqrt(pattern.count[order]),
+        color=color,
+        lw=0.9,
+        elinewidth=0.9,
+        marker="o",
+        ms=3.2,
+        mew=0,
+        capsize=0,
+        label=label,
+    )
