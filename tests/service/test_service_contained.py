@@ -130,7 +130,7 @@ async def test_a_task_that_fails_behind_the_flight_is_told_and_begins_anew(
     serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = serving.service
-    monkeypatch.setattr("flying_vines.service.RESTART_S", 0.1)
+    monkeypatch.setattr("flying_vines.service.service.RESTART_S", 0.1)
     written = asyncio.Event()
     service._store("whatever", raising)
     await until(lambda: "Vine: keeping files failed, flight goes on" in serving.texts(), "told")
