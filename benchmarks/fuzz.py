@@ -58,7 +58,7 @@ from flying_vines.core.events import (
     ToVehicle,
     VehicleMessage,
 )
-from flying_vines.simulation.phlosar.compiled_firmware import (
+from flying_vines.simulation.phlosar.core_library import (
     SOURCES,
     WHAT_TO_INSTALL,
     FirmwareBuildError,
