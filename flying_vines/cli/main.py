@@ -30,7 +30,7 @@ from flying_vines.cli import (
 )
 from flying_vines.cli.common import fail
 from flying_vines.config.config import ConfigError
-from flying_vines.simulation.phlosar.core_library import FirmwareBuildError
+from flying_vines.simulation.phlosar import FirmwareBuildError
 
 COMMANDS = (
     *(demo, run, replay, buttons, config, paper, simulate, diagnose, design, vine),

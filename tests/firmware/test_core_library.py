@@ -18,8 +18,8 @@ from firmware_link.protocol import (
     SetSetting,
     Telemetry,
 )
-from flying_vines.simulation.phlosar import core_library
-from flying_vines.simulation.phlosar.core_library import TARGETS, FirmwareBuildError
+from flying_vines.simulation.phlosar import FirmwareBuildError, core_library
+from flying_vines.simulation.phlosar.core_library import TARGETS
 from flying_vines.simulation.phlosar.firmware import Firmware, setting_rows
 from flying_vines.simulation.phlosar.regulator import SAFE, Regulator
 

@@ -20,6 +20,8 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
+from flying_vines.simulation.phlosar import FirmwareBuildError
+
 SOURCES = Path(__file__).parents[3] / "firmware_link" / "firmware"
 PREBUILT = SOURCES / "host" / "prebuilt"
 WHAT_TO_INSTALL = "a C++ compiler: sudo apt install g++"
@@ -34,10 +36,6 @@ _HERE, _U8, _U16, _U32, _SIZE = (
     ctypes.c_void_p, ctypes.c_uint8, ctypes.c_uint16, ctypes.c_uint32, ctypes.c_size_t,
 )  # fmt: skip
 _FLOAT, _DOUBLE, _FLAG, _TEXT = ctypes.c_float, ctypes.c_double, ctypes.c_bool, ctypes.c_char_p
-
-
-class FirmwareBuildError(Exception):
-    """The C++ sources could not be built here; says why in a sentence."""
 
 
 class Outputs(ctypes.Structure):
