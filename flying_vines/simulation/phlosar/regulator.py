@@ -12,8 +12,6 @@ from typing import NamedTuple
 
 from flying_vines.simulation.phlosar.core_library import load
 
-STEP_S = 0.001
-
 
 class Drive(NamedTuple):
     """What the valves are told: openings 0…1, solenoid open or not."""
