@@ -3,7 +3,7 @@
     .venv/bin/python benchmarks/cycles_left.py [--rigs N] [--calibrated N] [--first SEED] [--jobs N] [--each]
         [--check]
 
-Every rig is the high-fidelity plant under the emulated firmware's regulator; the estimate sees only its
+Every rig is the high-fidelity plant under the firmware's regulator; the estimate sees only its
 telemetry. After 5 cycles, after 15 and half way it says how many are left, and then so many are flown as the
 bottle gives: that is the truth, in cycles of the profile, of which smaller swings are a part. Beside it
 stands the paper's formula (Eq. 8) with the same believed numbers at the same pressure. What is drawn, and

@@ -27,7 +27,6 @@ from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.extended import extended_rig
 from flying_vines.physics.plant.true_rig import TrueRig, load_true_rig, true_rig_text
 from flying_vines.physics.rig import ControlVolume, Dvp, Evp, Reservoir, Rig, Solenoid
-from flying_vines.simulation.phlosar.regulator import RegulatorSettings
 from flying_vines.simulation.scenario import parse_scenario, simulate_scenario, write_case
 from flying_vines.supply import ReservoirEstimate, TelemetryReader, n_cycles
 from flying_vines.supply.known_rig import TOP_SHARE, believed
@@ -138,7 +137,7 @@ def draw(seed: int) -> Rigged:
             plant=setup.plant,
             cv_sensor=setup.cv_sensor,
             reservoir_sensor=setup.reservoir_sensor,
-            regulator=RegulatorSettings(),
+            tuning={},
             fill_kPa=dice.uniform(450.0, 690.0),
             waits_s=dice.uniform(2.0, 5.0),
             program=(bend,),

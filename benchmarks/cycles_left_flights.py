@@ -73,7 +73,7 @@ def _fly(case: Case, length_s: float) -> Flight | None:
         setpoints,
         length_s,
         at_rest(case.plant, case.fill_kPa),
-        settings=case.regulator,
+        tuning=case.tuning,
         cv_sensor=case.cv_sensor,
         reservoir_sensor=case.reservoir_sensor,
         seed=case.seed,

@@ -22,7 +22,7 @@ from flying_vines.physics.plant.shape import Compliant, Pouch, Shape
 from flying_vines.physics.plant.tubing import Tubing
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
-from flying_vines.simulation.phlosar.regulator import RegulatorSettings
+from flying_vines.simulation.phlosar.regulator import Tuning
 
 HOST_TICK_S = 0.02
 """How often a setpoint is sent, as the service does."""
@@ -76,7 +76,7 @@ class Case:
     plant: Plant
     cv_sensor: Sensor
     reservoir_sensor: Sensor
-    regulator: RegulatorSettings
+    tuning: Tuning
     fill_kPa: float
     """Gauge, true, at the start."""
     waits_s: float
@@ -112,7 +112,7 @@ def draw(seed: int) -> Case:
         plant=Plant(rig, _effects(dice, shape, reservoir_L, cv_L)),
         cv_sensor=_sensor(dice, HONEYWELL_30PSI, 1.0, 3.1, bits := dice.choice((10, 12))),
         reservoir_sensor=_sensor(dice, HONEYWELL_15BAR, 7.5, 22.5, bits),
-        regulator=_regulator(dice),
+        tuning=_tuning(dice),
         fill_kPa=dice.uniform(400.0, 690.0),
         waits_s=dice.uniform(3.0, 30.0),
         program=_program(dice, swing_kPa),
@@ -120,20 +120,19 @@ def draw(seed: int) -> Case:
     )
 
 
-def _regulator(dice: random.Random) -> RegulatorSettings:
+def _tuning(dice: random.Random) -> Tuning:
     """A third never uses its Venturi, a third hardly ever, a third whenever it can."""
     venturi = dice.choice(("never", "as it is", "always"))
-    settings = RegulatorSettings()
     if venturi == "never":
-        return settings._replace(venturi_least_supply_kPa=NEVER_KPA)
+        return {"venturi_least_supply_kPa": NEVER_KPA}
     if venturi == "always":
-        return settings._replace(
-            active_error_kPa=dice.uniform(0.8, 2.0),
-            passive_error_kPa=dice.uniform(0.3, 0.8),
-            passive_first_s=dice.uniform(0.0, 0.02),
-            arrival_s=dice.uniform(0.01, 0.05),
-        )
-    return settings
+        return {
+            "active_error_kPa": dice.uniform(0.8, 2.0),
+            "passive_error_kPa": dice.uniform(0.3, 0.8),
+            "passive_first_s": dice.uniform(0.0, 0.02),
+            "arrival_s": dice.uniform(0.01, 0.05),
+        }
+    return {}
 
 
 def _effects(dice: random.Random, shape: Shape | None, reservoir_L: float, cv_L: float) -> Effects:

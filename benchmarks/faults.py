@@ -23,7 +23,7 @@ from collections.abc import Iterable
 from faults_script import Outcome, Script, draw, fly
 from referee import Foul
 
-from flying_vines.simulation.phlosar.compiled_firmware import load
+from flying_vines.simulation.phlosar.core_library import load
 
 LAST_S = 8.0
 """Of a timeline, before a foul."""

@@ -28,7 +28,7 @@ from flying_vines.simulation.autopilot import Autopilot, RcLoss, RcSource
 from flying_vines.simulation.autopilot.forwarding import PX4_BUFFER
 from flying_vines.simulation.autopilot.rc_input import REPORTS_APART_S
 from flying_vines.simulation.phlosar.board import Board
-from flying_vines.simulation.phlosar.compiled_firmware import CompiledFirmware
+from flying_vines.simulation.phlosar.firmware import Firmware
 from flying_vines.simulation.phlosar.mishaps import Hanging, Kind, Kinked, StuckAt, Unpowered
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.phlosar.regulator import SAFE
@@ -204,7 +204,7 @@ class RefereedFlight:
         self.autopilot.add_link("gcs")
         self.autopilot.set_rc(SWITCH, PULSES_US[0])
         self.phlosar = SimulatedPhlosar(
-            firmware=board or CompiledFirmware(),
+            firmware=board or Firmware(),
             effects=None if setup.likely_rig else Effects(),
             seed=setup.seed,
         )

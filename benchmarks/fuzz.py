@@ -58,10 +58,10 @@ from flying_vines.core.events import (
     ToVehicle,
     VehicleMessage,
 )
-from flying_vines.simulation.phlosar.compiled_firmware import (
+from flying_vines.simulation.phlosar import FirmwareBuildError
+from flying_vines.simulation.phlosar.core_library import (
     SOURCES,
     WHAT_TO_INSTALL,
-    FirmwareBuildError,
     built,
     compiler,
     core_files,

@@ -66,7 +66,7 @@ def telemetry_of(case: Case, seconds: float) -> Iterator[Telemetry]:
         _setpoints(case, seconds),
         seconds,
         at_rest(case.plant, case.fill_kPa),
-        settings=case.regulator,
+        tuning=case.tuning,
         cv_sensor=case.cv_sensor,
         reservoir_sensor=case.reservoir_sensor,
         seed=case.seed,

@@ -44,7 +44,7 @@ from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI,
 from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.rig import ControlVolume, Evp, Reservoir, Rig
 from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
-from flying_vines.simulation.phlosar.regulator import SAFE, RegulatorSettings, begin, regulate
+from flying_vines.simulation.phlosar.regulator import SAFE, Regulator
 
 SECONDS = 60.0
 SETPOINTS = [Setpoint(0.1 + 6.0 * cycle, 20.7, 60.0) for cycle in range(10)]
@@ -143,10 +143,11 @@ def run(plant: Plant, seconds: float, seed: int = 1, record_every: int = 10) -> 
 
 def loop_over_simulator(plant: Plant, seconds: float, seed: int = 1) -> float:
     """The same closed loop as one writes it down; the last pressure."""
-    simulator, settings, rng = Simulator(plant), RegulatorSettings(), random.Random(seed)
+    simulator, rng = Simulator(plant), random.Random(seed)
     found = simulator.conditions
     seen_cv, seen_reservoir = rested(found.line_kPa), rested(found.reservoir_kPa)
-    orders, memory, aim = iter(SETPOINTS), None, (0.0, 0.0)
+    orders, aim = iter(SETPOINTS), (0.0, 0.0)
+    regulator: Regulator | None = None
     order = next(orders, None)
     for tick in range(round(seconds / TICK_S)):
         found = simulator.conditions
@@ -155,12 +156,12 @@ def loop_over_simulator(plant: Plant, seconds: float, seed: int = 1) -> float:
             RESERVOIR_SENSOR, seen_reservoir, found.reservoir_kPa, TICK_S, rng.gauss(0.0, 1.0)
         )
         while order is not None and order.from_s <= tick * TICK_S:
-            memory = memory or begin(cv_kPa)
+            regulator = regulator or Regulator(cv_kPa=cv_kPa)
             aim = order.target_kPa, order.rate_kPa_per_s
             order = next(orders, None)
         drive = SAFE
-        if memory is not None:
-            memory, drive = regulate(settings, memory, *aim, TICK_S, cv_kPa, reservoir_kPa)
+        if regulator is not None:
+            drive = regulator.step(*aim, cv_kPa, reservoir_kPa)
         simulator.advance(Inputs(*drive))
     return simulator.conditions.cv_kPa
 

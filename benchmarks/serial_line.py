@@ -2,7 +2,7 @@
 
     .venv/bin/python benchmarks/serial_line.py [--runs 30]
 
-The board is the emulated firmware on a pseudo-terminal, in this process; every figure is of the real
+The board is the firmware on a pseudo-terminal, in this process; every figure is of the real
 `FirmwareLink` and the wall clock. A pseudo-terminal holds kilobytes of what its reader does not fetch; of a
 real port the kernel says "full" at 256 bytes.
 """

@@ -49,7 +49,6 @@ from flying_vines.record.topics import DECISION
 from flying_vines.simulation.autopilot import Autopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.simulation.ground_station import COMPONENT_ID, SYSTEM_ID, GroundStation
-from flying_vines.simulation.phlosar.compiled_firmware import CompiledFirmware
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import Codec, Message
@@ -121,7 +120,7 @@ class Outcome:
 def simulated(kind: Kind, seed: int, until_s: float, sample_every_s: float = HOUR_S) -> Outcome:
     """Fly until then in simulated time, and land."""
     autopilot = Autopilot(kind, links=("companion", "gcs"))
-    phlosar = SimulatedPhlosar(firmware=CompiledFirmware(), effects=Effects())
+    phlosar = SimulatedPhlosar(effects=Effects())
     flight = SimulatedFlight(config.default(), autopilot, phlosar)
     ground = Codec(SYSTEM_ID, COMPONENT_ID)
 
@@ -154,7 +153,7 @@ async def real(kind: Kind, seed: int, until_s: float, folder: Path) -> Outcome:
     ground_port = await ground.listen()
     companion_port = free_port()
     autopilot = Autopilot(kind)
-    phlosar = SimulatedPhlosar(firmware=CompiledFirmware(), effects=Effects())
+    phlosar = SimulatedPhlosar(effects=Effects())
     server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
     began_s = monotonic()
     world = World(autopilot, phlosar, ground.send, lambda: monotonic() - began_s)

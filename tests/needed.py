@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from flying_vines.simulation.phlosar.compiled_firmware import WHAT_TO_INSTALL, compiler
+from flying_vines.simulation.phlosar.core_library import WHAT_TO_INSTALL, compiler
 
 ARM_TOOLS = "sudo apt install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm make"
 

@@ -10,7 +10,6 @@ from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Event, ToVehicle
 from flying_vines.record.recorder import Began, Recorder
 from flying_vines.simulation.autopilot import Autopilot
-from flying_vines.simulation.phlosar.firmware import FirmwareSettings
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import Codec
@@ -57,7 +56,7 @@ def fly(
 
 
 def new_flight(telemetry_Hz: int = 100) -> SimulatedFlight:
-    phlosar = SimulatedPhlosar(firmware=FirmwareSettings(telemetry_Hz=telemetry_Hz))
+    phlosar = SimulatedPhlosar(firmware={"telemetry_Hz": telemetry_Hz})
     return SimulatedFlight(CONFIG, Autopilot("ardupilot"), phlosar)
 
 

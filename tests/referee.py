@@ -8,12 +8,13 @@ thinks of it is never asked. What it calls, and why a few things are excused: do
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from firmware_link.protocol import Codec, Hello, Setpoint, Vent
 from flying_vines.simulation.phlosar.board import Between
-from flying_vines.simulation.phlosar.firmware import FirmwareSettings
+from flying_vines.simulation.phlosar.firmware import Firmware
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.phlosar.regulator import SAFE, Drive
 
@@ -64,7 +65,7 @@ class Rules:
     max_kPa: float
     max_rate_kPa_per_s: float
     max_bent_s: float
-    firmware: FirmwareSettings = field(default_factory=FirmwareSettings)
+    firmware: Mapping[str, float] = field(default_factory=lambda: Firmware().settings)
 
 
 class _Trigger(NamedTuple):
@@ -279,7 +280,7 @@ class Referee:
         self._stepped_s, self._drive = t, drive
         if passed_s > LONGEST_HANG_S and before.evp > 0.0:
             self._call(t, "dead-man", f"the valves stayed as they were for {1000 * passed_s:.0f} ms")
-        if cv_kPa > self._rules.firmware.cv_limit_kPa - OVER_BY_KPA:
+        if cv_kPa > self._rules.firmware["cv_limit_kPa"] - OVER_BY_KPA:
             self._high_s = t
         # Over the limit the Venturi may help to let it out; a wild reading or two do not end that.
         relief = drive == RELIEF and t < self._high_s + RELIEF_AFTER_S
@@ -296,7 +297,7 @@ class Referee:
         highest_kPa = max(true_kPa, line_kPa)
         if highest_kPa > self.highest_kPa:
             self.highest_kPa = highest_kPa
-        if highest_kPa > self._rules.firmware.cv_limit_kPa:
+        if highest_kPa > self._rules.firmware["cv_limit_kPa"]:
             self._judge_over(t, highest_kPa, drive)
         else:
             self._over_since_s = self._blind_since_s = None
@@ -307,10 +308,10 @@ class Referee:
         """The firmware ends what it does over readings that must not be."""
         board = self._rules.firmware
         if (
-            cv_kPa > board.cv_limit_kPa + OVER_BY_KPA
-            or reservoir_kPa > board.reservoir_limit_kPa + BOTTLE_OVER_BY_KPA
-            or cv_kPa < -SURELY_BEYOND * board.cv_span_kPa
-            or reservoir_kPa < -SURELY_BEYOND * board.reservoir_span_kPa
+            cv_kPa > board["cv_limit_kPa"] + OVER_BY_KPA
+            or reservoir_kPa > board["reservoir_limit_kPa"] + BOTTLE_OVER_BY_KPA
+            or cv_kPa < -SURELY_BEYOND * board["cv_span_kPa"]
+            or reservoir_kPa < -SURELY_BEYOND * board["reservoir_span_kPa"]
         ):
             self._refused_steps += 1
             if self._refused_steps >= SURELY_SEEN_STEPS:

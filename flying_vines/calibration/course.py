@@ -25,8 +25,6 @@ from flying_vines.config.address import parse_address
 from flying_vines.config.config import Config, Pneumatics
 from flying_vines.physics.plant.true_rig import load_true_rig
 from flying_vines.service.link_settings import talk_about_settings
-from flying_vines.simulation.phlosar.board import best_board
-from flying_vines.simulation.phlosar.firmware import FirmwareSettings
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 
 READY = (
@@ -95,7 +93,7 @@ def on_a_fake(profile: UserProfile, wish: Wish, out: Path, walk: Walk, rig: Path
     planned = _plan(believed, wish)
     phlosar = SimulatedPhlosar(
         load_true_rig(rig) if rig else None,
-        best_board(FirmwareSettings(telemetry_Hz=round(EVERY_STEP_HZ))),
+        {"telemetry_Hz": EVERY_STEP_HZ},
         reservoir_kPa=0.0 if wish.bottle_empty else believed.pneumatics.full_kPa,
     )
     walk.introduce(planned)

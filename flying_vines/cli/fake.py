@@ -104,18 +104,14 @@ def _fake_phlosar(arguments: argparse.Namespace) -> int:
     from flying_vines.physics.plant.true_rig import load_true_rig
     from flying_vines.physics.rig import RigError
     from flying_vines.simulation.console import MISHAPS, suffer, type_to
-    from flying_vines.simulation.phlosar.board import best_board, why_emulated
-    from flying_vines.simulation.phlosar.firmware import FirmwareSettings
     from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
     if not 10 <= arguments.telemetry_Hz <= 1000:
         fail("--telemetry-Hz is from 10 to 1000")
-    if why := why_emulated():
-        print(f"The firmware is emulated: {why}.", file=sys.stderr, flush=True)
     try:
         rig = load_true_rig(arguments.rig) if arguments.rig else None
-        board = best_board(FirmwareSettings(telemetry_Hz=arguments.telemetry_Hz))
-        phlosar = SimulatedPhlosar(rig, board, reservoir_kPa=arguments.reservoir_kPa)
+        settings = {"telemetry_Hz": arguments.telemetry_Hz}
+        phlosar = SimulatedPhlosar(rig, settings, reservoir_kPa=arguments.reservoir_kPa)
         with PtyPhlosar(phlosar, arguments.link) as port:
 
             async def live() -> None:

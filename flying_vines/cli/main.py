@@ -30,6 +30,7 @@ from flying_vines.cli import (
 )
 from flying_vines.cli.common import fail
 from flying_vines.config.config import ConfigError
+from flying_vines.simulation.phlosar import FirmwareBuildError
 
 COMMANDS = (
     *(demo, run, replay, buttons, config, paper, simulate, diagnose, design, vine),
@@ -43,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     arguments = _parser().parse_args(argv)
     try:
         status = arguments.run(arguments)
-    except (ConfigError, watch.WatchError) as error:
+    except (ConfigError, FirmwareBuildError, watch.WatchError) as error:
         fail(str(error))
     except KeyboardInterrupt:
         status = 130

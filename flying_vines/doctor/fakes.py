@@ -13,7 +13,6 @@ import msgspec
 from flying_vines.config.config import Config
 from flying_vines.simulation.autopilot import Autopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
-from flying_vines.simulation.phlosar.board import best_board
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 
@@ -22,7 +21,7 @@ async def healthy(config: Config) -> AsyncIterator[Config]:
     """The profile with links to the two."""
     autopilot = Autopilot("ardupilot", unix_s=time.time())
     autopilot.set_rc(config.switch.channel, 1000)
-    phlosar = SimulatedPhlosar(firmware=best_board(), reservoir_kPa=config.pneumatics.full_kPa)
+    phlosar = SimulatedPhlosar(reservoir_kPa=config.pneumatics.full_kPa)
     async with between(config, autopilot, phlosar) as linked:
         yield linked
 

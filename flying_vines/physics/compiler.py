@@ -7,6 +7,7 @@ kept on disk, under a name that changes with any of the sources.
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import dis
 import hashlib
@@ -55,6 +56,21 @@ def compiled(function: F, apart: tuple[Callable[..., Any], ...] = ()) -> F:
         finally:
             config.CACHE_DIR = before
     return cast(F, entry)
+
+
+def external(function: Any, signature: str) -> Any:
+    """A library's function for compiled ones to call, by numba's `signature`; None without numba."""
+    try:
+        from llvmlite.binding import add_symbol
+        from numba.core import sigutils
+        from numba.core.types import ExternalFunction
+    except ImportError:
+        return None
+    name = function.__name__
+    add_symbol(name, ctypes.cast(function, ctypes.c_void_p).value)
+    normalize: Any = sigutils.normalize_signature
+    arguments, result = normalize(signature)
+    return ExternalFunction(name, result(*arguments))
 
 
 def record(numbers: Any) -> np.void:

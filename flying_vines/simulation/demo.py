@@ -31,7 +31,6 @@ from flying_vines.service.service import Service
 from flying_vines.simulation.autopilot import Autopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.simulation.ground_station import GroundStation
-from flying_vines.simulation.phlosar.board import best_board
 from flying_vines.simulation.phlosar.mishaps import Hole
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.terminal import vine_sketch as sketch
@@ -295,7 +294,7 @@ async def fly(
     ground = GroundStation()
     ground_port = await ground.listen()
     companion_port = _free_udp_port()
-    phlosar = SimulatedPhlosar(rig, best_board(), reservoir_kPa=690.0)
+    phlosar = SimulatedPhlosar(rig, reservoir_kPa=690.0)
     autopilot = Autopilot("ardupilot", mission=demo_mission(), rc_failsafe_mode=None)
     autopilot.set_rc(SWITCH_CHANNEL, LOW)
     with PtyPhlosar(phlosar) as port:

@@ -15,7 +15,6 @@ from flying_vines.config.address import SerialAddress, parse_address
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.service import link_settings
 from flying_vines.service.link_settings import SettingsError
-from flying_vines.simulation.phlosar.firmware import FirmwareSettings
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 pytestmark = real_time
@@ -25,7 +24,7 @@ USUAL_HZ = 50
 
 @asynccontextmanager
 async def board() -> AsyncIterator[SerialAddress]:
-    firmware = FirmwareSettings(telemetry_Hz=USUAL_HZ)
+    firmware = {"telemetry_Hz": USUAL_HZ}
     with PtyPhlosar(SimulatedPhlosar(firmware=firmware, effects=Effects())) as port:
         living = asyncio.create_task(port.run())
         yield SerialAddress(port.path)

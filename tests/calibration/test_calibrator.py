@@ -14,7 +14,6 @@ from flying_vines.calibration.plan import STAGES, Wish, plan
 from flying_vines.config import config
 from flying_vines.core.events import Decision
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.simulation.phlosar.firmware import FirmwareSettings
 from flying_vines.simulation.phlosar.mishaps import Hole, HoseOff, Mishap, Shorted
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.vine.intent import SetPressure, StartBench, StartProfile, Vent
@@ -223,7 +222,7 @@ def test_a_fault_ends_it_vented_with_its_sentence(stage: str, mishap: Mishap, sa
 
 
 def test_a_zero_that_is_far_off_is_measured_and_then_nothing_is_moved() -> None:
-    rig = phlosar(firmware=FirmwareSettings(cv_zero_kPa=6.0))
+    rig = phlosar(firmware={"cv_zero_kPa": 6.0})
     world = CoreWorld(plan(CONFIG, replace(BLIND, only=("levels",))), rig)
     world.run(60.0)
     assert world.ended is not None and world.ended.outcome == "refused"

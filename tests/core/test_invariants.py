@@ -21,15 +21,16 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from needed import needs_compiler
 
 from firmware_link import host, protocol
-from firmware_link.protocol import Fault, Hello, Setpoint, Vent
+from firmware_link.protocol import Setpoint, Vent
 from flying_vines.config.config import Config
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Decision, Event, Tick
 from flying_vines.core.safety import Entered, Left, Ruling
 from flying_vines.simulation.autopilot import Kind, RcSource
 from flying_vines.simulation.autopilot.receiver import LOSSES
-from flying_vines.simulation.phlosar.firmware import Drive, Firmware, FirmwareSettings
+from flying_vines.simulation.phlosar.firmware import Firmware
 from flying_vines.simulation.phlosar.mishaps import DRAWN, PLACES, Filled, StuckAt
+from flying_vines.simulation.phlosar.regulator import Drive
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import BendTo, StartProfile
 
@@ -143,51 +144,83 @@ class OtherNumbers(Core):
         return super()._decide(t, trigger)
 
 
-class LateDeadMan(Firmware):
-    """Its dead-man waits for 400 ms, whatever the time-to-live."""
+class RemembersTheSetpoint(Firmware):
+    """Knows the last setpoint that no vent followed, and when it came."""
 
-    def _on_setpoint(self, setpoint: Setpoint) -> None:
-        super()._on_setpoint(setpoint)
-        assert self._now_us is not None
-        self._deadline_us = self._now_us + 400_000
+    def __init__(self) -> None:
+        super().__init__()
+        self._ears = protocol.Codec()
+        self._now_us = self._since_us = 0
+        self._last: Setpoint | None = None
+
+    def receive(self, data: bytes) -> None:
+        for message in self._ears.decode(data):
+            if isinstance(message, Setpoint | Vent):
+                self._last = message if isinstance(message, Setpoint) else None
+                self._since_us = self._now_us
+        super().receive(data)
+
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+        self._now_us = now_us
+        if self._last is not None:
+            self._remember(self._last, (now_us - self._since_us) // 1000)
+        return super().step(now_us, cv_kPa, reservoir_kPa)
+
+    def _remember(self, last: Setpoint, for_ms: int) -> None: ...
+
+
+class LateDeadMan(RemembersTheSetpoint):
+    """Its dead-man waits for 150 ms longer than the time-to-live."""
+
+    def _remember(self, last: Setpoint, for_ms: int) -> None:
+        if for_ms < 150:
+            Firmware.receive(self, protocol.encode(last, 0))
+
+
+class ForgetsItsDeadMan(RemembersTheSetpoint):
+    """Vents when its dead-man runs out, but does not latch it; so the next setpoint goes on."""
+
+    def _remember(self, last: Setpoint, for_ms: int) -> None:
+        if for_ms >= last.ttl_ms - 1:
+            Firmware.receive(self, protocol.encode(Vent(last.number), 0))
 
 
 class NoLimit(Firmware):
     """Over-pressure, wherever it is, is nothing to it."""
 
-    def _latch(self, fault: Fault) -> None:
-        if fault is Fault.DEAD_MAN:
-            super()._latch(fault)
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+        return super().step(now_us, min(cv_kPa, 25.0), min(reservoir_kPa, 700.0))
 
 
 class StuckInRegulation(Firmware):
     """Does not hear that it is to vent."""
 
-    def _handle(self, message: protocol.Message) -> None:
-        if not isinstance(message, Vent):
-            super()._handle(message)
+    def __init__(self) -> None:
+        super().__init__()
+        self._ears, self._mouth = protocol.Codec(), protocol.Codec()
 
-
-class ForgetsItsDeadMan(Firmware):
-    """Vents when its dead-man runs out, but does not latch it; so the next setpoint goes on."""
-
-    def _latch(self, fault: Fault) -> None:
-        self._regulation = None
+    def receive(self, data: bytes) -> None:
+        for message in self._ears.decode(data):
+            if not isinstance(message, Vent):
+                super().receive(self._mouth.encode(message))
 
 
 class OpensAtPowerUp(Firmware):
     """Puffs once when it is greeted."""
 
-    _greetings = 0
+    def __init__(self) -> None:
+        super().__init__()
+        self._ears = protocol.Codec()
+        self._greeted = False
 
-    def _on_hello(self, hello: Hello) -> None:
-        super()._on_hello(hello)
-        self._greetings += 1
+    def receive(self, data: bytes) -> None:
+        self._greeted = any(isinstance(message, protocol.Hello) for message in self._ears.decode(data))
+        super().receive(data)
 
     def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
         drive = super().step(now_us, cv_kPa, reservoir_kPa)
-        if self._greetings:
-            self._greetings = 0
+        if self._greeted:
+            self._greeted = False
             return Drive(1.0, 0.0, False)
         return drive
 
@@ -350,7 +383,7 @@ def test_who_does_not_cheat_has_no_foul(cheat: Cheat) -> None:
 
 def test_a_limit_that_is_too_high_is_seen_at_the_vine() -> None:
     """The true pressure is over the firmware's limit, and to mend what is whole has excused nothing."""
-    flight = RefereedFlight(Setup(), board=Firmware(FirmwareSettings(cv_limit_kPa=60.0)))
+    flight = RefereedFlight(Setup(), board=Firmware({"cv_limit_kPa": 60.0}))
     bent(flight)
     flight.heal("bottle")
     flight.phlosar.mishaps.evp = StuckAt(1.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from flying_vines.simulation.phlosar.firmware import FirmwareSettings
+from flying_vines.simulation.phlosar.firmware import setting_rows
 
 from .black_box import STEP_S, BlackBox
 from .catalogue import ROWS, UNPOWERED, Cleared, Row
@@ -14,7 +14,7 @@ from .watched import HALF_BENT_KPA, Watched
 MID_INFLATION_KPA, BENT_AT_LEAST_KPA = 8.0, 15.0
 
 DEAD_MAN_S = 0.3
-FIRMWARE_LIMIT_KPA = FirmwareSettings().cv_limit_kPa
+FIRMWARE_LIMIT_KPA = setting_rows()["cv_limit_kPa"].standard
 LONGEST_OVER_MS = 20
 SAME_MS, SAME_SHARE, SAME_KPA = 10, 0.05, 1.0
 """How far a measurement may lie from what the table says, before the table is no longer true."""

@@ -12,7 +12,6 @@ from flying_vines.config import config
 from flying_vines.core.events import Action, Decision, Event, ToVehicle, VehicleMessage
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.autopilot import Autopilot
-from flying_vines.simulation.phlosar.board import best_board
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import Codec
@@ -67,7 +66,7 @@ class Watched:
         self._companion = Codec(profile.vehicle.system_id, profile.vehicle.component_id)
         self.autopilot = Autopilot(kind, rc_present=rc, rc_failsafe_mode=None)
         self.autopilot.set_rc(SWITCH, LOW)
-        self.phlosar = SimulatedPhlosar(effects=Effects(), firmware=best_board(), reservoir_kPa=reservoir_kPa)
+        self.phlosar = SimulatedPhlosar(effects=Effects(), reservoir_kPa=reservoir_kPa)
         self.box = BlackBox(self.phlosar)
         self.flight = SimulatedFlight(profile, self.autopilot, self.phlosar)
         self.texts = Texts()

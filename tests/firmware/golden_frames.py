@@ -29,17 +29,18 @@ from firmware_link.protocol import (
     decode,
     encode,
 )
-from flying_vines.simulation.phlosar.firmware_settings import SETTING_ROWS, FirmwareSettings, value_of
+from flying_vines.simulation.phlosar.firmware import setting_rows
 
 from .golden_run import Done, PowerUp, Step, Told
 
 VECTORS: dict[str, Any] = json.loads(
     (Path(__file__).parents[1] / "firmware_link" / "golden_vectors.json").read_text()
 )
-IDS = {row.name: number for number, row in enumerate(SETTING_ROWS)}
+IDS = {name: row.number for name, row in setting_rows().items()}
 HELLO = Hello(PROTOCOL_VERSION, 1)
 _READINGS = (5958, 27_880, 59_578)
-_STANDARD = FirmwareSettings(build="golden")
+_BUILD = "golden"
+_STANDARD = {name: row.standard for name, row in setting_rows().items()}
 
 
 class Conversation(NamedTuple):
@@ -63,7 +64,7 @@ def of_host_frame(frame: bytes) -> Conversation:
         case Ping(host_time_us):
             answers = [Pong(host_time_us, 0)]
         case GetSetting(number):
-            answers = [_setting(number, value_of(_STANDARD, SETTING_ROWS[number].name))]
+            answers = [_setting(number, list(_STANDARD.values())[number])]
         case _:
             answers = []
     return Conversation(told, answers)
@@ -138,7 +139,7 @@ def _to_refusal(refusal: Refusal) -> list[Told]:
             return [*_booted(), *begun, _said(3, SetSetting(0, 20.0))]
 
 
-def _booted(boot_id: int = 5, build: str = _STANDARD.build, *, by_watchdog: bool = False) -> list[Told]:
+def _booted(boot_id: int = 5, build: str = _BUILD, *, by_watchdog: bool = False) -> list[Told]:
     return [PowerUp(boot_id, by_watchdog, build, b""), _said(0)]
 
 
@@ -157,18 +158,17 @@ def _welcome(nonce: int) -> Welcome:
         protocol_version=PROTOCOL_VERSION,
         nonce=nonce,
         boot_id=5,
-        firmware_build=_STANDARD.build,
+        firmware_build=_BUILD,
         units=Units.KPA_GAUGE,
-        cv_limit_kPa=_STANDARD.cv_limit_kPa,
-        setpoint_limit_kPa=_STANDARD.setpoint_most_kPa,
-        reservoir_limit_kPa=_STANDARD.reservoir_limit_kPa,
-        rate_limit_kPa_per_s=_STANDARD.rate_limit_kPa_per_s,
-        dead_man_ms=_STANDARD.dead_man_ms,
-        telemetry_Hz=_STANDARD.telemetry_Hz,
+        cv_limit_kPa=_STANDARD["cv_limit_kPa"],
+        setpoint_limit_kPa=_STANDARD["cv_limit_kPa"] - _STANDARD["setpoint_margin_kPa"],
+        reservoir_limit_kPa=_STANDARD["reservoir_limit_kPa"],
+        rate_limit_kPa_per_s=_STANDARD["rate_limit_kPa_per_s"],
+        dead_man_ms=int(_STANDARD["dead_man_ms"]),
+        telemetry_Hz=int(_STANDARD["telemetry_Hz"]),
     )
 
 
 def _setting(number: int, value: float) -> Setting:
-    row = SETTING_ROWS[number]
-    standard = value_of(_STANDARD, row.name)
-    return Setting(number, len(SETTING_ROWS), row.name, value, row.least, row.most, standard)
+    name, row = list(setting_rows().items())[number]
+    return Setting(number, len(IDS), name, value, row.least, row.most, row.standard)

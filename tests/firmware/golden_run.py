@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from firmware_link.protocol import Mode
-from flying_vines.simulation.phlosar.compiled_firmware import _Outputs, load
+from flying_vines.simulation.phlosar.core_library import Outputs, load
 
 GOLDEN_RUN = Path(__file__).with_name("golden_run.txt.xz")
 HEADER = """\
@@ -83,18 +83,22 @@ class Part(NamedTuple):
 class HostBoard:
     """The core as it is built for this machine, told counts."""
 
-    def __init__(self, power_up: PowerUp) -> None:
-        self._library = load("float")
+    def __init__(self, power_up: PowerUp, library: ctypes.CDLL | None = None) -> None:
+        self._library = library or load()
         self._build = power_up.build.encode("ascii")
-        self._outputs = _Outputs()
+        self._outputs = Outputs()
         self._image = ctypes.create_string_buffer(self._library.phlosar_image_size())
         self._buffer = ctypes.create_string_buffer(_MOST_SENT)
-        self._firmware = self._library.phlosar_create(
-            self._build, power_up.boot_id, power_up.by_watchdog, power_up.stored, len(power_up.stored)
+        self._memory = ctypes.create_string_buffer(self._library.phlosar_size())
+        self._firmware = ctypes.addressof(self._memory)
+        self._library.phlosar_start(
+            self._firmware,
+            self._build,
+            power_up.boot_id,
+            power_up.by_watchdog,
+            power_up.stored,
+            len(power_up.stored),
         )
-
-    def __del__(self) -> None:
-        self._library.phlosar_destroy(self._firmware)
 
     def step(self, step: Step) -> Done:
         library, firmware, outputs = self._library, self._firmware, self._outputs
@@ -116,12 +120,12 @@ class HostBoard:
         )
 
 
-def on_host(told: Iterable[Told]) -> Iterator[Done]:
-    """What the core does on this machine; the first of `told` is a power-up."""
+def on_host(told: Iterable[Told], library: ctypes.CDLL | None = None) -> Iterator[Done]:
+    """What the core does on this machine: this library, or the usual one. It begins with a power-up."""
     board: HostBoard | None = None
     for one in told:
         if isinstance(one, PowerUp):
-            board = HostBoard(one)
+            board = HostBoard(one, library)
         else:
             assert board is not None
             yield board.step(one)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from needed import host_compiler
 
-from flying_vines.simulation.phlosar.compiled_firmware import SOURCES
+from flying_vines.simulation.phlosar.core_library import SOURCES
 
 FIRMWARE = SOURCES
 STACK_TOOL = FIRMWARE / "stack.py"

@@ -27,7 +27,7 @@ from firmware_link.protocol import (
     Vent,
     encode,
 )
-from flying_vines.simulation.phlosar.firmware_settings import SETTING_ROWS
+from flying_vines.simulation.phlosar.firmware import setting_rows
 from flying_vines.simulation.phlosar.mishaps import Open, Shorted
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.phlosar.regulator import Drive
@@ -38,7 +38,7 @@ FULL_SCALE = 65535
 SUPPLY = 59578
 CV_SPAN_kPa, RESERVOIR_SPAN_kPa = 206.84, 1500.0
 FULL_DVP_DUTY = 62258
-IDS = {row.name: number for number, row in enumerate(SETTING_ROWS)}
+IDS = {name: row.number for name, row in setting_rows().items()}
 ALL_FAULTS = 0xFFFF
 REPEAT_MS = 20
 Wires = Callable[[int, int, int], tuple[int, int, int]]
@@ -206,9 +206,9 @@ def handshake() -> World:
 def settings() -> World:
     world = World("settings")
     world.greet()
-    for number in range(len(SETTING_ROWS) + 1):
+    for number in range(len(IDS) + 1):
         world.say(GetSetting(number))
-    for number, row in enumerate(SETTING_ROWS):
+    for number, row in enumerate(setting_rows().values()):
         beyond = math.nextafter(row.most, math.inf) + 1e-3
         world.say(SetSetting(number, row.most), SetSetting(number, beyond), SetSetting(number, row.least))
     for value in (math.nan, math.inf, -math.inf, -0.0, 1e-40):
@@ -525,9 +525,8 @@ def random_mess() -> World:
         if chance.random() < 0.03:
             messages.append(ClearFaults(ALL_FAULTS))
         if chance.random() < 0.01:
-            row = chance.randrange(len(SETTING_ROWS))
-            value = chance.uniform(SETTING_ROWS[row].least, SETTING_ROWS[row].most)
-            messages += [Vent(number), SetSetting(row, value)]
+            row = list(setting_rows().values())[chance.randrange(len(IDS))]
+            messages += [Vent(number), SetSetting(row.number, chance.uniform(row.least, row.most))]
         if chance.random() < 0.01:
             messages.append(chance.choice((Hello(PROTOCOL_VERSION, ms), Ping(ms), GetSetting(ms % 20))))
         frames = bytearray(b"".join(encode(message, ms) for message in messages))

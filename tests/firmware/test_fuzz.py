@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from needed import host_compiler, needs_compiler
 
-from flying_vines.simulation.phlosar.compiled_firmware import SOURCES
+from flying_vines.simulation.phlosar.core_library import SOURCES
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 

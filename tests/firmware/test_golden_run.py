@@ -7,7 +7,6 @@ import re
 from pathlib import Path
 
 import pytest
-from needed import needs_compiler
 
 from firmware_link.framing import FrameDecoder
 from firmware_link.protocol import (
@@ -53,13 +52,11 @@ def telemetry() -> list[Telemetry]:
     return [m for _, done in STEPS for m in messages_in(done.sent) if isinstance(m, Telemetry)]
 
 
-@needs_compiler
 @pytest.mark.parametrize("part", PARTS, ids=lambda part: part.name)
 def test_the_core_does_on_this_machine_what_it_did(part: Part) -> None:
     assert difference(part, on_host(part.told)) == ""
 
 
-@needs_compiler
 @pytest.mark.parametrize("vector", VECTORS["frames"], ids=lambda vector: vector["message"])
 def test_a_board_answers_the_hosts_golden_frames_and_sends_the_devices(vector: dict[str, str]) -> None:
     frame = bytes.fromhex(vector["frame_hex"])

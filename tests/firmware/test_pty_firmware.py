@@ -16,7 +16,7 @@ from real_time import real_time
 from firmware_link.host import HostEvent, Ready, Regulate, TelemetryReceived
 from firmware_link.link import FirmwareLink
 from firmware_link.protocol import Fault, GetSetting, Message, Mode, SetSetting, Setting, Telemetry
-from flying_vines.simulation.phlosar.compiled_firmware import SOURCES
+from flying_vines.simulation.phlosar.core_library import SOURCES
 
 pytestmark = real_time
 

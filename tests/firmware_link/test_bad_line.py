@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 
 import pytest
 from bad_line import CLEAN, Faults, Talk
@@ -17,10 +18,8 @@ from firmware_link.host import (
     SessionState,
     TelemetryReceived,
 )
-from firmware_link.protocol import PROTOCOL_VERSION, Fault, Mode
-from flying_vines.simulation.phlosar import firmware as firmware_module
-from flying_vines.simulation.phlosar.board import Board, why_emulated
-from flying_vines.simulation.phlosar.compiled_firmware import CompiledFirmware
+from firmware_link.protocol import PROTOCOL_VERSION, Codec, Fault, Mode, Welcome
+from flying_vines.simulation.phlosar.board import Between
 from flying_vines.simulation.phlosar.firmware import Firmware
 
 HELLO_MS = 500
@@ -47,21 +46,9 @@ seeds = st.integers(0, 2**32)
 derandomized = settings(derandomize=True, max_examples=150)
 
 
-emulated_and_real = pytest.mark.parametrize("real", [False, True], ids=["emulated", "C++"])
-
-
-def board(real: bool) -> Board:
-    """The emulated firmware, or the core that a lab flashes."""
-    if not real:
-        return Firmware()
-    if why := why_emulated():
-        pytest.skip(why)
-    return CompiledFirmware()
-
-
-def ready(seed: int = 1, real: bool = False) -> Talk:
+def ready(seed: int = 1) -> Talk:
     """On a line that is clean so far, with nothing latched."""
-    talk = Talk(CLEAN, seed, board(real))
+    talk = Talk(CLEAN, seed)
     talk.run_until_ready(100)
     talk.run(50)
     return talk
@@ -73,13 +60,12 @@ def over(talk: Talk) -> None:
     talk.run(40)
 
 
-@emulated_and_real
 @derandomized
 @given(lines, seeds, st.lists(st.floats(0.0, 25.0), min_size=1, max_size=6))
 def test_on_any_line_nothing_moves_that_nobody_commanded(
-    real: bool, faults: Faults, seed: int, targets: list[float]
+    faults: Faults, seed: int, targets: list[float]
 ) -> None:
-    talk = Talk(faults, seed, board(real))
+    talk = Talk(faults, seed)
     for target_kPa in targets:
         talk.run(200)
         talk.command(target_kPa)
@@ -90,11 +76,10 @@ def test_on_any_line_nothing_moves_that_nobody_commanded(
     assert talk.firmware.mode is not Mode.REGULATE
 
 
-@emulated_and_real
 @derandomized
 @given(lines, seeds)
-def test_when_the_line_is_good_again_so_is_the_link(real: bool, faults: Faults, seed: int) -> None:
-    talk = ready(seed, real)
+def test_when_the_line_is_good_again_so_is_the_link(faults: Faults, seed: int) -> None:
+    talk = ready(seed)
     talk.to_device.faults = talk.to_host.faults = faults
     talk.command(10.0)
     talk.run(300)
@@ -113,13 +98,12 @@ def test_when_the_line_is_good_again_so_is_the_link(real: bool, faults: Faults, 
 garbage = st.binary(min_size=1, max_size=400)
 
 
-@emulated_and_real
 @derandomized
 @given(garbage, garbage, seeds)
 def test_garbage_costs_one_frame_and_a_command_gets_through_with_its_repeat(
-    real: bool, to_device: bytes, to_host: bytes, seed: int
+    to_device: bytes, to_host: bytes, seed: int
 ) -> None:
-    talk = ready(seed, real)
+    talk = ready(seed)
     talk.to_device.send(talk.now_ms, to_device)
     talk.to_host.send(talk.now_ms, to_host)
     talk.run(WAY_MS)
@@ -158,9 +142,8 @@ def test_telemetry_that_was_overtaken_is_no_reset() -> None:
     assert talk.firmware.mode is Mode.REGULATE
 
 
-@emulated_and_real
-def test_a_setpoint_outlives_eleven_lost_repeats_and_no_more(real: bool) -> None:
-    talk = ready(real=real)
+def test_a_setpoint_outlives_eleven_lost_repeats_and_no_more() -> None:
+    talk = ready()
     talk.command(10.0)
     talk.run(100)
     talk.to_device.faults = Faults(lost=1.0)
@@ -180,10 +163,9 @@ def test_one_byte_at_a_time_is_as_good_as_all_at_once() -> None:
     assert slow.codec.bad_frames == 0
 
 
-@emulated_and_real
-def test_a_restart_on_a_bad_line_ends_in_vent_and_ready(real: bool) -> None:
+def test_a_restart_on_a_bad_line_ends_in_vent_and_ready() -> None:
     for seed in range(20):
-        talk = ready(seed, real)
+        talk = ready(seed)
         talk.run(random.Random(seed).randint(100, 400))
         talk.command(10.0)
         talk.run(50)
@@ -204,18 +186,30 @@ def _resets(talk: Talk) -> int:
     return sum(isinstance(event, FirmwareReset) for event in events)
 
 
-def test_a_peer_of_another_version_is_never_commanded_and_taken_once_it_is_flashed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    talk = Talk(Faults(lost=0.2, corrupted=0.2))
-    with monkeypatch.context() as older:
-        older.setattr(firmware_module, "PROTOCOL_VERSION", PROTOCOL_VERSION - 1)
-        talk.run(3000)
-        assert talk.session.state is SessionState.INCOMPATIBLE
-        talk.command(10.0)
-        talk.run(200)
-        assert talk.firmware.number == 0
-        assert [type(event) for _, event in talk.events] == [Incompatible]
-    talk.firmware.reset()
+class OlderFirmware(Between):
+    """Says that it speaks the version before."""
+
+    def __init__(self) -> None:
+        super().__init__(Firmware())
+        self._ears, self._mouth = Codec(), Codec()
+
+    def take_output(self) -> bytes:
+        said = b""
+        for message in self._ears.decode(super().take_output()):
+            if isinstance(message, Welcome):
+                message = replace(message, protocol_version=PROTOCOL_VERSION - 1)
+            said += self._mouth.encode(message)
+        return said
+
+
+def test_a_peer_of_another_version_is_never_commanded_and_taken_once_it_is_flashed() -> None:
+    talk = Talk(Faults(lost=0.2, corrupted=0.2), board=OlderFirmware())
+    talk.run(3000)
+    assert talk.session.state is SessionState.INCOMPATIBLE
+    talk.command(10.0)
+    talk.run(200)
+    assert talk.firmware.number == 0
+    assert [type(event) for _, event in talk.events] == [Incompatible]
+    talk.firmware = Firmware(boot_id=2)
     over(talk)
     talk.run_until_ready(HELLO_MS + WAY_MS + 10)

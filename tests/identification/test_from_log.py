@@ -29,7 +29,6 @@ from flying_vines.record.reader import Entry, FlightLog
 from flying_vines.record.recorder import Recorder
 from flying_vines.record.topics import NUMBERS, TOPICS
 from flying_vines.simulation.autopilot import Autopilot
-from flying_vines.simulation.phlosar.firmware import FirmwareSettings
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import Codec
@@ -42,7 +41,7 @@ REST = Telemetry(0, Mode.VENT, Fault.NONE, 1, 0.0, 0.0, 600.0, 0.0, 0.0, True)
 
 def flown(parent: Path, causes: dict[str, dict[str, float]], moves: Sequence[tuple[float, int]]) -> Path:
     """The log of moves of the switch (until when, where) on embedded fakes, with something in the rig."""
-    phlosar = SimulatedPhlosar(TrueRig(Rig(), causes), FirmwareSettings(telemetry_Hz=1000))
+    phlosar = SimulatedPhlosar(TrueRig(Rig(), causes), {"telemetry_Hz": 1000})
     recorder = Recorder(parent, BEGAN, t=0.0)
     fly(SimulatedFlight(CONFIG, Autopilot("ardupilot"), phlosar), recorder, moves)
     recorder.close()

@@ -64,13 +64,13 @@ def test_show_tells_the_story(flights: Path, run: Runner) -> None:
     (folder,) = flights.iterdir()
     out, _ = run("show", "last", "--in", flights)
     assert "switch ch9 position 2 → bend-full: accepted" in out
-    assert "phloSAR ready" in out and "firmware emulated" in out
+    assert "phloSAR ready" in out and "firmware 1.0 host" in out
     said = json.loads(run("show", folder.name, "--in", flights, "--json")[0])
     assert [entry["intent"] for entry in said["story"] if entry["topic"] == "decision"] == [
         "bend-full",
         "straight",
     ]
-    assert said["about"]["firmware"]["build"] == "emulated"
+    assert said["about"]["firmware"]["build"] == "1.0 host"
 
 
 def test_plot_draws_for_screens_and_papers(flights: Path, run: Runner, tmp_path: Path) -> None:

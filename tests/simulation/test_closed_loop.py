@@ -1,4 +1,4 @@
-"""The compiled closed loop is the emulated firmware on the Simulator, float by float."""
+"""The compiled closed loop is the regulator on the Simulator, float by float."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from firmware_link.protocol import PROTOCOL_VERSION, Codec, Fault, Hello, HostMessage, Vent
+from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello
 from firmware_link.protocol import Setpoint as SetpointMessage
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.ambient import Climb
@@ -16,9 +16,10 @@ from flying_vines.physics.plant.likely import likely_effects
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, read, rested
 from flying_vines.physics.plant.simulator import Simulator
+from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import ControlVolume, Rig
-from flying_vines.simulation.phlosar.firmware import Firmware, FirmwareSettings
-from flying_vines.simulation.phlosar.regulator import RegulatorSettings
+from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.simulation.phlosar.regulator import SAFE, Regulator
 
 np = pytest.importorskip("numpy")
 pytest.importorskip("numba")
@@ -42,47 +43,40 @@ PLANTS = {
         Rig(cv=ControlVolume(0.3)), dataclasses.replace(likely_effects(pouch=False), ambient=Climb(0.3))
     ),
 }
-SETTINGS = RegulatorSettings()._replace(on_off_error_kPa=1.5)
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_it_is_the_emulated_firmware_on_the_simulator(name: str) -> None:
+def test_it_is_the_regulator_on_the_simulator(name: str) -> None:
     plant, seed = PLANTS[name], 3
     start = at_rest(plant, 500.0, 3.0)
     run = closed_loop(
-        plant, SETPOINTS, 1.8, start, settings=SETTINGS, cv_sensor=CV_SENSOR,
+        plant, SETPOINTS, 1.8, start, cv_sensor=CV_SENSOR,
         reservoir_sensor=RESERVOIR_SENSOR, seed=seed, record_every=1,
     )  # fmt: skip
-    simulator, firmware, host = (
-        Simulator(plant, start),
-        Firmware(FirmwareSettings(regulator=SETTINGS)),
-        Codec(),
-    )
+    simulator = Simulator(plant, start)
+    regulator: Regulator | None = None
     noise = noise_of(seed, 1800)
     cv_seen = rested(simulator.conditions.line_kPa)
     reservoir_seen = rested(simulator.conditions.reservoir_kPa)
-
-    def send(message: HostMessage) -> None:
-        firmware.receive(host.encode(message))
-
     rows = []
+    cv_kPa = math.nan
     for tick in range(1800):
-        if tick == 1:
-            send(Hello(PROTOCOL_VERSION, 7))
-        due = [order for order in SETPOINTS if round(order.from_s * 1000) <= tick]
-        if tick > 1 and due and (tick % 20 == 0 or due[-1].from_s * 1000 == tick):
-            _, target_kPa, rate = due[-1]
-            send(Vent(tick) if math.isnan(target_kPa) else SetpointMessage(target_kPa, rate, 250, tick))
+        cv_before_kPa = cv_kPa
         true = simulator.conditions
         cv_seen, cv_kPa = read(CV_SENSOR, cv_seen, true.line_kPa, 0.001, noise[tick, 0])
         reservoir_seen, reservoir_kPa = read(
             RESERVOIR_SENSOR, reservoir_seen, true.reservoir_kPa, 0.001, noise[tick, 1]
         )
-        drive = firmware.step(tick * 1000, cv_kPa, reservoir_kPa)
+        due = [order for order in SETPOINTS if round(order.from_s * 1000) <= tick]
+        if not due or math.isnan(due[-1].target_kPa):
+            regulator = None
+        else:
+            regulator = regulator or Regulator(cv_kPa=cv_before_kPa)
+        drive = SAFE
+        if regulator is not None:
+            drive = regulator.step(due[-1].target_kPa, due[-1].rate_kPa_per_s, cv_kPa, reservoir_kPa)
         rows.append((cv_kPa, reservoir_kPa, *drive, *true, simulator.state.vented_SL))
         simulator.advance(Inputs(*drive))
-        firmware.take_output()
-    assert firmware.faults == Fault.NONE
     columns = [
         "cv_reading_kPa",
         "reservoir_reading_kPa",
@@ -93,11 +87,26 @@ def test_it_is_the_emulated_firmware_on_the_simulator(name: str) -> None:
         "vented_SL",
     ]
     found = np.column_stack([run.table[column] for column in columns])
-    worst = np.abs(found - np.array(rows, float)).max()
-    print(f"{name}: {worst:.1e}")
-    assert worst < 1e-9
+    assert np.abs(found - np.array(rows, float)).max() < 1e-9
     assert np.abs(np.array(run.state) - np.array(simulator.state)).max() < 1e-9
     assert run.table["cv_kPa"].max() > 8.0
+
+
+def test_it_holds_what_the_whole_firmware_holds() -> None:
+    """With frames, telemetry, a converter and single precision, on the same rig."""
+    run = closed_loop(PLANTS["baseline"], [Setpoint(0.1, 12.0, 60.0)], 1.5, record_every=1)
+    phlosar = SimulatedPhlosar(TrueRig(Rig()))
+    host, pressures = Codec(), []
+    phlosar.receive(host.encode(Hello(PROTOCOL_VERSION, 7)))
+    for tick in range(1500):
+        if tick >= 100:
+            phlosar.receive(host.encode(SetpointMessage(12.0, 60.0, 250, tick)))
+        pressures.append(phlosar.cv_kPa)
+        phlosar.advance((tick + 1) / 1000)
+    apart_kPa = np.abs(run.table["cv_kPa"] - np.array(pressures))
+    # A puff more or less.
+    assert apart_kPa.max() < 0.8
+    assert apart_kPa[-500:].max() < 0.3
 
 
 def test_the_table_tells_what_is_wanted_and_held() -> None:

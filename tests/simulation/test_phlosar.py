@@ -22,8 +22,8 @@ from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Rig, Sensors
-from flying_vines.simulation.phlosar.firmware import SAFE, Drive
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
+from flying_vines.simulation.phlosar.regulator import SAFE, Drive
 
 
 class Flight:
@@ -196,13 +196,14 @@ def test_the_converter_has_steps() -> None:
     codes = [(kPa + 206.84 / 8) / lsb_kPa for kPa in readings(SimulatedPhlosar(cv_kPa=5.0))]
     assert len(set(codes)) > 5
     for code in codes:
-        assert code == pytest.approx(round(code), abs=1e-3)
+        assert code == pytest.approx(round(code), abs=0.06)  # the board's own converter has 16 bits
 
 
 def test_sensors_may_be_wrong() -> None:
     rig = Rig(sensors=Sensors(0.0, 0.0))
     true = TrueRig(rig, causes={"cv_sensor_offset": {"offset_kPa": -0.75}})
-    assert set(readings(SimulatedPhlosar(true))) == {-0.75}
+    (read_kPa,) = set(readings(SimulatedPhlosar(true)))
+    assert read_kPa == pytest.approx(-0.75, abs=0.003)
 
 
 @pytest.mark.parametrize("command", [["fake", "phlosar"], ["demo"]])

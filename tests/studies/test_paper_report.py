@@ -16,13 +16,10 @@ import pytest
 from rich.console import Console
 
 import flying_vines.studies.paper
-from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello, Setpoint
 from flying_vines.cli.main import main
-from flying_vines.physics.baseline import Inputs, State, step
 from flying_vines.physics.rig import ControlVolume, Rig
-from flying_vines.simulation.phlosar.firmware import Firmware, FirmwareSettings
 from flying_vines.studies.paper import Comparison, Row, as_json, compare
-from flying_vines.studies.paper.bench import LIKELY, PAPERS_REGULATOR, Bench, Trace, follow_sine, gain, run
+from flying_vines.studies.paper.bench import LIKELY, Bench, Trace, follow_sine, gain, run
 from flying_vines.studies.paper.compare import last_crossing_Hz, window_s
 from flying_vines.studies.paper.figures import draw
 from flying_vines.studies.paper.show import show
@@ -154,24 +151,6 @@ def test_the_venturi_rests_in_the_demonstration() -> None:
     )
     assert trace.openings[1].max() == 0.0
     assert np.ptp(trace.cv_kPa) == pytest.approx(20.7, rel=0.05)
-
-
-def test_the_bench_is_the_emulated_firmware() -> None:
-    """The same step through the whole board, with its frames: the same pressures."""
-    bench = Bench().with_cv(0.5)
-    trace = run(bench, lambda _: 69.0, reservoir_kPa=689.0, duration_s=1.3)
-    settings = FirmwareSettings(cv_limit_kPa=150.0, rate_limit_kPa_per_s=1e6, regulator=PAPERS_REGULATOR)
-    board, host = Firmware(settings), Codec()
-    state, pressures = State(689.0, 0.0), []
-    board.step(0, 0.0, 689.0)
-    board.receive(host.encode(Hello(PROTOCOL_VERSION, 1)))
-    for i in range(1, len(trace.time_s) + 1):
-        board.receive(host.encode(Setpoint(69.0, 1e6, 250, i)))
-        pressures.append(state.cv_kPa)
-        drive = board.step(1000 * i, state.cv_kPa, state.reservoir_kPa)
-        board.take_output()
-        state = step(bench.rig, state, Inputs(*drive), 0.001)
-    assert pressures == pytest.approx(trace.cv_kPa.tolist(), abs=0.01)
 
 
 def test_a_slow_sine_is_followed_and_a_supply_does_not_fall() -> None:

@@ -15,7 +15,6 @@ from firmware_link.protocol import PROTOCOL_VERSION, Fault, Hello, Mode, Setpoin
 from flying_vines.config.config import Checks, Pneumatics
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.rig import ControlVolume, Rig
-from flying_vines.simulation.phlosar.firmware import FirmwareSettings
 from flying_vines.simulation.phlosar.mishaps import (
     Drifting,
     Filled,
@@ -135,7 +134,7 @@ def test_a_mishap_is_found_in_time(place: str, kind: Kind, when: str, name: str,
 def slowly_told(seed: int, loses: float, cv_volume_L: float = 0.1) -> Flying:
     """Telemetry of 10 Hz, of which this share is lost."""
     chance = random.Random(seed)
-    rig, settings = Rig(cv=ControlVolume(cv_volume_L)), FirmwareSettings(telemetry_Hz=10)
+    rig, settings = Rig(cv=ControlVolume(cv_volume_L)), {"telemetry_Hz": 10}
     return Flying(
         SimulatedPhlosar(rig, settings, seed=seed), checks_of(cv_volume_L), lambda: chance.random() < loses
     )

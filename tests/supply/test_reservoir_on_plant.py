@@ -22,7 +22,7 @@ from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI,
 from flying_vines.physics.plant.shape import Compliant, Pouch
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
-from flying_vines.simulation.phlosar.regulator import RegulatorSettings
+from flying_vines.simulation.phlosar.regulator import Tuning
 from flying_vines.supply import CyclesLeft, ReservoirEstimate, TelemetryReader, n_cycles, nominal
 
 BELIEVED = Pneumatics(reservoir_volume_L=1.0, cv_volume_L=0.25)
@@ -33,7 +33,7 @@ TOP_KPA = 20.7
 @dataclass(frozen=True)
 class Flown:
     plant: Plant
-    settings: RegulatorSettings
+    tuning: Tuning
     cycle_s: float = 3.0
     up_s: float = 0.6
     until_s: float = math.inf
@@ -52,13 +52,11 @@ def real(cv_L: float, effects: Effects) -> Plant:
 
 def rigs() -> Iterator[Flown]:
     likely = likely_effects(pouch=False)
-    passive = RegulatorSettings(venturi_least_supply_kPa=math.inf)
+    passive = {"venturi_least_supply_kPa": math.inf}
     leaking = replace(likely, reservoir_leak=Ohm(40_000.0), cv_leak=Ohm(15_000.0))
     yield Flown(real(0.3, leaking), passive)
     yield Flown(real(0.2, replace(likely, cv_shape=Compliant(0.01))), passive, cycle_s=5.0)
-    eager = RegulatorSettings(
-        active_error_kPa=1.0, passive_error_kPa=0.5, arrival_s=0.02, passive_first_s=0.0
-    )
+    eager = {"active_error_kPa": 1.0, "passive_error_kPa": 0.5, "arrival_s": 0.02, "passive_first_s": 0.0}
     yield Flown(real(0.25, replace(likely, cv_shape=Pouch(0.03))), eager, cycle_s=4.0)
 
 
@@ -73,7 +71,7 @@ def told(flown: Flown, seconds: float) -> Iterator[tuple[float, Telemetry]]:
         setpoints,
         seconds,
         at_rest(flown.plant, 600.0),
-        settings=flown.settings,
+        tuning=flown.tuning,
         cv_sensor=replace(HONEYWELL_30PSI, adc=Adc(10)),
         reservoir_sensor=replace(HONEYWELL_15BAR, adc=Adc(10), offset_kPa=6.0),
         seed=4,
@@ -130,7 +128,7 @@ def test_what_is_said_early_then_happens(flown: Flown) -> None:
 def test_on_a_real_bottle_too_a_pause_after_a_burst_changes_little() -> None:
     burst_s = WAIT_S + 10 * 1.9
     tight = replace(likely_effects(pouch=False), reservoir_leak=None)
-    flown = Flown(real(0.25, tight), RegulatorSettings(), 1.9, 0.4, burst_s)
+    flown = Flown(real(0.25, tight), {}, 1.9, 0.4, burst_s)
     reader, estimate = TelemetryReader(nominal(BELIEVED)), ReservoirEstimate(nominal(BELIEVED))
     lowest_kPa = math.inf
     after_burst: CyclesLeft | None = None

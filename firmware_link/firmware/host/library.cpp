@@ -1,6 +1,6 @@
-// The firmware's core as a library for a host: what flies, called from any language. See compiled_firmware.py.
-
-#include <new>
+// The firmware's core as a library for a host: what flies, called from any language.
+//
+// No heap: a caller gives the memory for a board. See flying_vines/simulation/phlosar/core_library.py.
 
 #include "../phlosar/src/core/firmware.h"
 
@@ -8,67 +8,58 @@ using phlosar::Boot;
 using phlosar::Drive;
 using phlosar::Firmware;
 using phlosar::Outputs;
-using phlosar::Real;
 
-extern "C" {
+#define EXPORTED extern "C" __attribute__((visibility("default")))
 
-uint32_t phlosar_real_size() { return sizeof(Real); }
+inline void* operator new(size_t, Firmware* where) noexcept { return where; }
 
-// `build` must outlive it. nullptr when there is no memory.
-Firmware* phlosar_create(const char* build, uint32_t boot_id, bool by_watchdog, const uint8_t* stored,
-                         size_t stored_size) {
-    Firmware* firmware = new (std::nothrow) Firmware(build);
-    if (firmware != nullptr) firmware->start(Boot{boot_id, by_watchdog, stored, stored_size});
-    return firmware;
+// Of the sources that this was built from.
+EXPORTED const char* phlosar_sources() { return PHLOSAR_SOURCES; }
+
+// Of a board in memory, aligned to 8 bytes.
+EXPORTED size_t phlosar_size() { return sizeof(Firmware); }
+
+// A board starts in memory of this size. `build` must outlive it.
+EXPORTED void phlosar_start(Firmware* firmware, const char* build, uint32_t boot_id, bool by_watchdog,
+                            const uint8_t* stored, size_t stored_size) {
+    new (firmware) Firmware(build);
+    firmware->start(Boot{boot_id, by_watchdog, stored, stored_size});
 }
 
-void phlosar_destroy(Firmware* firmware) { delete firmware; }
+EXPORTED bool phlosar_set(Firmware* firmware, uint8_t id, float value) { return firmware->set(id, value); }
 
-bool phlosar_set(Firmware* firmware, uint8_t id, double value) {
-    return firmware->set(id, static_cast<Real>(value));
+EXPORTED void phlosar_receive(Firmware* firmware, const uint8_t* data, size_t size) {
+    firmware->receive(data, size);
 }
 
-void phlosar_receive(Firmware* firmware, const uint8_t* data, size_t size) { firmware->receive(data, size); }
-
-// Counts in, duty cycles out. Returns how many bytes wait for the host.
-size_t phlosar_step(Firmware* firmware, uint32_t now_us, uint16_t cv, uint16_t reservoir, uint16_t supply,
-                    Outputs* outputs) {
+// Counts in, duty cycles out.
+EXPORTED void phlosar_step(Firmware* firmware, uint32_t now_us, uint16_t cv, uint16_t reservoir,
+                           uint16_t supply, Outputs* outputs) {
     *outputs = firmware->step(now_us, {cv, reservoir, supply});
-    return firmware->output_size();
 }
-
-struct Openings {
-    double evp;
-    double dvp;
-    bool solenoid;
-};
 
 // The same between sensors and valves.
-size_t phlosar_control(Firmware* firmware, uint32_t now_us, double cv_kPa, double reservoir_kPa,
-                       bool supply_good, Openings* openings) {
-    const Drive told =
-        firmware->control(now_us, {static_cast<Real>(cv_kPa), static_cast<Real>(reservoir_kPa), supply_good});
-    *openings = {static_cast<double>(told.evp), static_cast<double>(told.dvp), told.solenoid};
-    return firmware->output_size();
+EXPORTED void phlosar_control(Firmware* firmware, uint32_t now_us, float cv_kPa, float reservoir_kPa,
+                              bool supply_good, Drive* told) {
+    *told = firmware->control(now_us, {cv_kPa, reservoir_kPa, supply_good});
 }
 
-size_t phlosar_take_output(Firmware* firmware, uint8_t* into, size_t size) {
+EXPORTED size_t phlosar_take_output(Firmware* firmware, uint8_t* into, size_t size) {
     return firmware->take_output(into, size);
 }
 
-uint8_t phlosar_mode(const Firmware* firmware) { return static_cast<uint8_t>(firmware->mode()); }
+EXPORTED uint8_t phlosar_mode(const Firmware* firmware) { return static_cast<uint8_t>(firmware->mode()); }
 
-uint16_t phlosar_faults(const Firmware* firmware) { return firmware->faults(); }
+EXPORTED uint16_t phlosar_faults(const Firmware* firmware) { return firmware->faults(); }
 
-uint16_t phlosar_number(const Firmware* firmware) { return firmware->number(); }
+EXPORTED uint16_t phlosar_number(const Firmware* firmware) { return firmware->number(); }
 
-double phlosar_setting(const Firmware* firmware, uint8_t id) {
-    return static_cast<double>(firmware->settings().at(id));
-}
+EXPORTED float phlosar_setting(const Firmware* firmware, uint8_t id) { return firmware->settings().at(id); }
 
-size_t phlosar_image_size() { return phlosar::Settings::kImageSize; }
+// nullptr after the last one.
+EXPORTED const phlosar::SettingRow* phlosar_setting_row(uint8_t id) { return phlosar::setting_row(id); }
+
+EXPORTED size_t phlosar_image_size() { return phlosar::Settings::kImageSize; }
 
 // Settings to be kept over a reset, once; false while there are none.
-bool phlosar_unsaved(Firmware* firmware, uint8_t* image) { return firmware->unsaved(image); }
-
-}  // extern "C"
+EXPORTED bool phlosar_unsaved(Firmware* firmware, uint8_t* image) { return firmware->unsaved(image); }

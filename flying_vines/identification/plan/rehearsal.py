@@ -14,12 +14,13 @@ from flying_vines.identification.model import Array, Numbers, State, Told, step
 from flying_vines.identification.recording import Run
 from flying_vines.identification.simulate import numbers_of
 from flying_vines.physics.baseline import ALPHA_KPA
-from flying_vines.physics.compiler import compiled, record
+from flying_vines.physics.compiler import compiled
 from flying_vines.physics.rig import Rig
-from flying_vines.simulation.phlosar.regulator import RegulatorSettings, begin, regulate
+from flying_vines.simulation.phlosar.closed_loop import regulator_step
+from flying_vines.simulation.phlosar.regulator import Regulator
 from flying_vines.simulation.scenario.command import command_of, valves_of
 from flying_vines.simulation.scenario.kinds import FIRMWARE_HZ, Kind
-from flying_vines.simulation.scenario.regulation import firmware_for
+from flying_vines.simulation.scenario.regulation import FASTEST_KPA_PER_S, tuning_for
 from flying_vines.simulation.scenario.run import OPENING_DIGITS
 
 
@@ -42,12 +43,11 @@ def rehearsed(rig: Rig, kind: Kind) -> Run:
 def _regulated(rig: Rig, kind: Kind, time_s: Array) -> Array:
     command = command_of(kind, random.Random(0))
     assert command is not None and rig.cv is not None, "a run either regulates or moves the valves"
-    firmware = firmware_for(rig, rig.cv, kind.reservoir_kPa, kind.sample_rate_Hz)
+    regulator = Regulator(tuning_for(rig, rig.cv, kind.reservoir_kPa, kind.sample_rate_Hz))
     openings = np.empty((len(time_s), 3))
-    compiled(regulate_held, (step, regulate))(
+    compiled(regulate_held, (step,))(
         numbers_of(rig),
-        record(firmware.regulator),
-        firmware.rate_limit_kPa_per_s,
+        regulator.address,
         np.array([command(t) for t in time_s.tolist()]),
         kind.reservoir_kPa,
         FIRMWARE_HZ // kind.sample_rate_Hz,
@@ -58,8 +58,7 @@ def _regulated(rig: Rig, kind: Kind, time_s: Array) -> Array:
 
 def regulate_held(
     numbers: Numbers,
-    settings: RegulatorSettings,
-    rate_kPa_per_s: float,
+    regulator: int,
     wanted_kPa: Array,
     reservoir_kPa: float,
     ticks: int,
@@ -68,22 +67,17 @@ def regulate_held(
     """Fill `openings` (n, 3): from each sample on, for so many ticks, what the valves are told."""
     nothing = np.zeros(0)
     state = State(reservoir_kPa, 1.0, 0.0, 1.0)
-    memory = begin(0.0)
+    drive = np.empty(4)
     for sample in range(len(wanted_kPa)):
         evp = dvp = solenoid = 0.0
         for tick in range(ticks):
-            memory, drive = regulate(
-                settings,
-                memory,
-                wanted_kPa[sample],
-                rate_kPa_per_s,
-                1.0 / FIRMWARE_HZ,
-                state.cv_kPa,
-                state.reservoir_kPa,
+            target_kPa = wanted_kPa[sample]
+            regulator_step(
+                regulator, target_kPa, FASTEST_KPA_PER_S, state.cv_kPa, state.reservoir_kPa, drive.ctypes
             )
             if tick == 0:
-                evp, dvp = round(drive.evp, OPENING_DIGITS), round(drive.dvp, OPENING_DIGITS)
-                solenoid = 1.0 if drive.solenoid else 0.0
+                evp, dvp = round(drive[0], OPENING_DIGITS), round(drive[1], OPENING_DIGITS)
+                solenoid = drive[2]
                 openings[sample] = evp, dvp, solenoid
             told = Told(0.0, evp, dvp, solenoid, ALPHA_KPA, 0.0, evp)
             state = step(numbers, told, state, 1.0 / FIRMWARE_HZ, nothing)

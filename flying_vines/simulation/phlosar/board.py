@@ -1,14 +1,10 @@
-"""What runs the firmware: its real core where this machine can build it, else the model of it."""
+"""What a board does, and a board in the place of another."""
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Protocol
 
 from firmware_link.protocol import Fault, Mode
-from flying_vines.simulation.phlosar.compiled_firmware import CompiledFirmware, FirmwareBuildError, load
-from flying_vines.simulation.phlosar.firmware import Firmware
-from flying_vines.simulation.phlosar.firmware_settings import FirmwareSettings
 from flying_vines.simulation.phlosar.regulator import Drive
 
 
@@ -31,24 +27,6 @@ class Board(Protocol):
     def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive: ...
 
     def reset(self, *, watchdog: bool = False) -> None: ...
-
-
-def best_board(settings: FirmwareSettings | None = None) -> Board:
-    """One that has just started. ValueError for settings that the real firmware does not take."""
-    return Firmware(settings) if why_emulated() else CompiledFirmware(settings)
-
-
-@cache
-def why_emulated() -> str | None:
-    """A sentence, where the real firmware cannot run here."""
-    try:
-        load()
-    except FirmwareBuildError as error:
-        return str(error)
-    except OSError as error:
-        # A full disk, or a cache from which nothing may be executed.
-        return f"the firmware cannot be built and loaded here: {error}"
-    return None
 
 
 class Between:

@@ -1,7 +1,7 @@
 """The firmware's regulator and a plant in a closed loop, compiled: a minute in some thousandths of one.
 
 What `SimulatedPhlosar` does with bytes and in real time, as one call: sensors are read and the valves told
-anew at 1 kHz by the firmware's own `begin` and `regulate`. No protocol, no faults: whether a pressure was too
+anew at 1 kHz by the firmware's own regulator. No protocol, no faults: whether a pressure was too
 high is for the caller to see in the table. Needs numba: pip install 'flying-vines[analysis]'.
 """
 
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flying_vines.physics.compiler import compiled, record
+from flying_vines.physics.compiler import compiled, external, record
 from flying_vines.physics.plant.ambient import air_between
 from flying_vines.physics.plant.compiled import Run, empty_table, floats_of, named, noise_of, weather_of
 from flying_vines.physics.plant.gas import STANDARD_TEMPERATURE_K
@@ -23,7 +23,12 @@ from flying_vines.physics.plant.rates import Floats, conditions
 from flying_vines.physics.plant.sensors import Sensor, Transfer, rested
 from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.plant.tick import memory_at_rest, tick
-from flying_vines.simulation.phlosar.regulator import SAFE, RegulatorSettings, begin, regulate
+from flying_vines.simulation.phlosar.core_library import load
+from flying_vines.simulation.phlosar.regulator import SAFE, Regulator, Tuning
+
+regulator_begin = external(load().phlosar_regulator_begin, "void(intp, f8)")
+regulator_step = external(load().phlosar_regulator_step, "void(intp, f8, f8, f8, f8, voidptr)")
+"""For compiled loops. Both take a `Regulator.address`; a step fills evp, dvp, solenoid (0 or 1), setpoint."""
 
 
 class Setpoint(NamedTuple):
@@ -40,7 +45,7 @@ def closed_loop(
     seconds: float,
     state: State | None = None,
     *,
-    settings: RegulatorSettings | None = None,
+    tuning: Tuning | None = None,
     cv_sensor: Sensor | None = None,
     reservoir_sensor: Sensor | None = None,
     seed: int | None = None,
@@ -59,16 +64,17 @@ def closed_loop(
     if (np.diff(orders[:, 0]) <= 0.0).any():
         raise ValueError("setpoints come one after the other: their times must rise, by a tick at least")
     table = empty_table(n_ticks, record_every)
+    regulator = Regulator(tuning)
     final = compiled(run_regulated, APART)(
         record(numbers_of(plant, TICK_S)),
         record((cv_sensor or Sensor()).numbers),
         record((reservoir_sensor or Sensor()).numbers),
-        record(settings or RegulatorSettings()),
+        regulator.address,
         weather_of(plant, n_ticks, TICK_S),
         noise_of(seed, n_ticks),
         orders,
         floats_of(at_rest(plant) if state is None else state),
-        np.empty((n_ticks, 2)),
+        np.empty((n_ticks, 4)),
         record_every,
         table,
     )
@@ -79,7 +85,7 @@ def run_regulated(
     numbers: Numbers,
     cv_sensor: Transfer,
     reservoir_sensor: Transfer,
-    settings: RegulatorSettings,
+    regulator: int,
     weather: Table,
     noise: Table,
     orders: Table,
@@ -88,8 +94,8 @@ def run_regulated(
     every: int,
     table: Table,
 ) -> Floats:
-    """The state at the end; `told` (EVP, DVP: a row a tick) is for the valves' delays. Else as
-    `run_openings`."""
+    """The state at the end; `told` (EVP, DVP, solenoid, setpoint: a row a tick) is for the valves' delays.
+    Else as `run_openings`."""
     s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state
     now: Floats = (s0, s1, s2, s3, s4, s5, s6, s7, s8, s9)
     air = weather_at(weather, 0)
@@ -99,7 +105,6 @@ def run_regulated(
     evp_delay, dvp_delay = numbers.evp.delay_ticks, numbers.dvp.delay_ticks
     regulating = False
     target_kPa, rate_kPa_per_s = np.nan, 0.0
-    remembered = begin(0.0)
     cv_kPa = 0.0
     due = row = order = 0
     for index in range(len(told)):
@@ -113,27 +118,24 @@ def run_regulated(
             order += 1
             # As in the firmware: a regulation begins with what was read last.
             if not regulating:
-                remembered = begin(cv_kPa if index == 0 else cv_before_kPa)
+                regulator_begin(regulator, cv_kPa if index == 0 else cv_before_kPa)
             regulating = target_kPa == target_kPa
-        drive = SAFE
+        drive = told[index]
         if regulating:
-            remembered, drive = regulate(
-                settings, remembered, target_kPa, rate_kPa_per_s, numbers.tick_s, cv_kPa, reservoir_kPa
-            )
-        told[index, 0], told[index, 1] = drive.evp, drive.dvp
+            regulator_step(regulator, target_kPa, rate_kPa_per_s, cv_kPa, reservoir_kPa, drive.ctypes)
+        else:
+            drive[0], drive[1], drive[2], drive[3] = SAFE.evp, SAFE.dvp, 1.0, np.nan
+        solenoid = drive[2] > 0.0
         if index == due:
-            setpoint_kPa = remembered.setpoint_kPa if regulating else np.nan
             write(
-                table, row, index * numbers.tick_s, target_kPa, setpoint_kPa, cv_kPa, reservoir_kPa,
-                drive.evp, drive.dvp, drive.solenoid, found, now,
+                table, row, index * numbers.tick_s, target_kPa, drive[3], cv_kPa, reservoir_kPa,
+                drive[0], drive[1], solenoid, found, now,
             )  # fmt: skip
             due += every
             row += 1
         evp = told[index - evp_delay, 0] if index >= evp_delay else SAFE.evp
         dvp = told[index - dvp_delay, 1] if index >= dvp_delay else SAFE.dvp
         later = weather_at(weather, index + 1)
-        memory, now = tick(
-            numbers, air_between(air, later, numbers.tick_s), memory, now, evp, dvp, drive.solenoid
-        )
+        memory, now = tick(numbers, air_between(air, later, numbers.tick_s), memory, now, evp, dvp, solenoid)
         air = later
     return now

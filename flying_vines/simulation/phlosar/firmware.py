@@ -1,381 +1,164 @@
-"""The emulated firmware: a model of what the microcontroller runs, for machines without a C++ compiler.
+"""The firmware that a lab flashes: its C++ core, run on this machine.
 
-The rules are those of `docs/serial-protocol.md`; the original is `firmware_link/firmware/phlosar/src/core`,
-and tests hold the two together, step for step. No clock, no port: bytes, pressures and the time come in,
-bytes and valve openings go out.
+Only the board is not there: pressures become the counts of its converter, duty cycles the openings of its
+valves.
 """
 
 from __future__ import annotations
 
+import ctypes
 import math
+from collections.abc import Mapping
+from functools import cache
+from typing import NamedTuple
 
-from firmware_link.protocol import (
-    PROTOCOL_VERSION,
-    ClearFaults,
-    Codec,
-    DeviceMessage,
-    Fault,
-    GetSetting,
-    Hello,
-    Message,
-    Mode,
-    Ping,
-    Pong,
-    Refusal,
-    RefusalReason,
-    Setpoint,
-    SetSetting,
-    Setting,
-    Telemetry,
-    Units,
-    Vent,
-    Welcome,
-)
-from flying_vines.simulation.phlosar.firmware_settings import (
-    SETTING_ROWS,
-    CV_SENSOR_SPAN_kPa,
-    FirmwareSettings,
-    RESERVOIR_SENSOR_SPAN_kPa,
-    value_of,
-    with_value,
-    within_sensor,
-)
-from flying_vines.simulation.phlosar.regulator import (
-    SAFE,
-    Drive,
-    RegulatorMemory,
-    RegulatorSettings,
-    begin,
-    regulate,
-)
+from firmware_link.protocol import Fault, Mode
+from flying_vines.simulation.phlosar.core_library import Openings, Outputs, load
+from flying_vines.simulation.phlosar.regulator import Drive
 
-__all__ = ["SAFE", "Drive", "Firmware", "FirmwareSettings", "RegulatorSettings"]
+CV_SENSOR_SPAN_kPa = 206.84
+"""Of the sensor that is soldered in, whatever the firmware is told: 30 psi."""
+RESERVOIR_SENSOR_SPAN_kPa = 1500.0
+"""15 bar."""
+_BUILD = "1.0 host"
+_FULL_SCALE = 65535
+_SUPPLY_COUNTS = 59578
+"""5 V through the divider of 0.6 into the converter of 3.3 V."""
+_OUTPUT_BYTES = 1024
 
-STEP_S = 0.001
-"""From one control step to the next, by design: the regulator does not follow a jittering clock."""
-_MAX_OUTPUT_BYTES = 1024
-"""As the microcontroller's: what nobody fetches is lost, frame by frame, and the frames' numbers tell."""
-_BUILD = "emulated"
-_MOST_RELIEF = 1000
-"""Steps. A sensor that lies would else empty the bottle, and suck the vine flat."""
-_IN_A_ROW = 3
-"""Readings. A glitch does not end a flight, and 3 ms are soon enough."""
+Settings = Mapping[str, float]
 
 
-class _Lasting:
-    """A condition that counts once it was there so many readings in a row."""
+class SettingRow(NamedTuple):
+    """A setting that is kept over power cycles. No message gets it beyond `least` … `most`."""
 
-    def __init__(self) -> None:
-        self._count = 0
+    number: int
+    standard: float
+    least: float
+    most: float
 
-    def see(self, now: bool) -> None:
-        self._count = min(_IN_A_ROW, self._count + 1) if now else 0
 
-    @property
-    def there(self) -> bool:
-        return self._count == _IN_A_ROW
+@cache
+def setting_rows() -> dict[str, SettingRow]:
+    """The settings of the firmware by their names, in their order."""
+    library = load()
+    rows: dict[str, SettingRow] = {}
+    while row := library.phlosar_setting_row(len(rows)):
+        told = row.contents
+        rows[told.name.decode()] = SettingRow(len(rows), told.standard, told.least, told.most)
+    return rows
 
 
 class Firmware:
     """One board, from power-up on. Call `step` a thousand times a second; `now_us` never goes back.
 
     `step` takes what the sensors that are soldered in say: out of their range where a wire is broken.
+    `settings` has what differs from the standard. `directly` goes past converter and drivers: the firmware
+    reads the pressures themselves, and `step` returns the openings of its telemetry.
     Settings that the host changed outlive a reset. Bytes that arrive before the first step are lost, as on a
-    board that is still booting.
+    board that is still booting. ValueError for settings that the firmware does not have, or does not take.
     """
 
-    def __init__(self, settings: FirmwareSettings | None = None, boot_id: int = 1) -> None:
-        self.settings = settings or FirmwareSettings()
+    def __init__(
+        self,
+        settings: Settings | None = None,
+        boot_id: int = 1,
+        *,
+        build: str = _BUILD,
+        directly: bool = False,
+        stored: bytes = b"",
+    ) -> None:
         self.boot_id = boot_id & 0xFFFFFFFF
-        self._now_us: int | None = None
-        self._power_up(Fault.NONE)
+        self.supply_share = 1.0
+        """Of the sensors' 5 V; what the board measures of it."""
+        self._start = dict(settings or {})
+        self._library = load()
+        self._directly = directly
+        self._stored = stored
+        self._build = build.encode("ascii")
+        self._outputs = Outputs()
+        self._openings = Openings()
+        self._image = ctypes.create_string_buffer(self._library.phlosar_image_size())
+        self._buffer = ctypes.create_string_buffer(_OUTPUT_BYTES)
+        self._memory = ctypes.create_string_buffer(self._library.phlosar_size())
+        self._firmware = ctypes.addressof(self._memory)
+        self._power_up(False)
+
+    @property
+    def settings(self) -> dict[str, float]:
+        """As they are now: a host may have changed them."""
+        setting = self._library.phlosar_setting
+        return {name: setting(self._firmware, row.number) for name, row in setting_rows().items()}
 
     @property
     def mode(self) -> Mode:
-        if self._faults:
-            return Mode.FAULT
-        return Mode.VENT if self._regulation is None else Mode.REGULATE
+        return Mode(self._library.phlosar_mode(self._firmware))
 
     @property
     def faults(self) -> Fault:
         """The latched ones."""
-        return self._faults
+        return Fault(self._library.phlosar_faults(self._firmware))
 
     @property
     def number(self) -> int:
         """Of the last setpoint or vent accepted; 0 before the first."""
-        return self._number
+        return int(self._library.phlosar_number(self._firmware))
 
     def reset(self, *, watchdog: bool = False) -> None:
-        """A power cycle, or a watchdog's reset, which latches its fault: everything is forgotten."""
+        """A power cycle, or a watchdog's reset: everything but the kept settings is forgotten."""
         self.boot_id = (self.boot_id + 1) & 0xFFFFFFFF
-        self._power_up(Fault.WATCHDOG_RESET if watchdog else Fault.NONE)
+        if self._library.phlosar_unsaved(self._firmware, self._image):
+            self._stored = self._image.raw
+        self._power_up(watchdog)
 
     def receive(self, data: bytes) -> None:
         """Bytes from the host. Acted upon at once, as of the last step's time."""
-        if self._now_us is None:
-            return
-        for message in self._codec.decode(data):
-            self._handle(message)
+        self._library.phlosar_receive(self._firmware, data, len(data))
 
     def take_output(self) -> bytes:
         """What is to be sent to the host, once."""
-        output = bytes(self._output)
-        self._output.clear()
-        return output
+        count = self._library.phlosar_take_output(self._firmware, self._buffer, _OUTPUT_BYTES)
+        return ctypes.string_at(self._buffer, count)
 
     def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
-        """What the valves are told from now on, given what the sensors read."""
-        if self._now_us is None:
-            self._boot_us = self._telemetry_us = now_us
-        self._now_us = now_us
-        settings = self.settings
-        self._look(
-            cv_kPa * (settings.cv_span_kPa / CV_SENSOR_SPAN_kPa) + settings.cv_zero_kPa,
-            reservoir_kPa * (settings.reservoir_span_kPa / RESERVOIR_SENSOR_SPAN_kPa)
-            + settings.reservoir_zero_kPa,
+        """What the valves are told from now on, given what the sensors say."""
+        now_us &= 0xFFFFFFFF
+        if self._directly:
+            told = self._openings
+            self._library.phlosar_control(self._firmware, now_us, cv_kPa, reservoir_kPa, True, told)
+            return Drive(told.evp, told.dvp, told.solenoid)
+        supply = self.supply_share * _SUPPLY_COUNTS
+        outputs = self._outputs
+        self._library.phlosar_step(
+            self._firmware,
+            now_us,
+            _counts(cv_kPa, CV_SENSOR_SPAN_kPa, supply),
+            _counts(reservoir_kPa, RESERVOIR_SENSOR_SPAN_kPa, supply),
+            min(_FULL_SCALE, round(supply)),
+            outputs,
         )
-        if self._regulation is not None and now_us >= self._deadline_us:
-            self._latch(Fault.DEAD_MAN)
-        drive = self._regulate()
-        if now_us >= self._telemetry_us:
-            self._send_telemetry(now_us, drive)
-        return drive
+        return Drive(outputs.evp_duty / self._full_evp, outputs.dvp_duty / self._full_dvp, outputs.solenoid)
 
-    def _power_up(self, faults: Fault) -> None:
-        self._faults = faults
-        self._present = Fault.NONE
-        self._regulation: RegulatorMemory | None = None
-        self._aim = (0.0, 0.0)
-        self._deadline_us = 0
-        self._greeted = False
-        self._number = 0
-        self._newest: int | None = None
-        self._relief_steps = 0
-        self._cv_kPa = 0.0
-        self._reservoir_kPa = 0.0
-        self._lasting = {
-            fault: _Lasting()
-            for fault in (
-                Fault.CV_SENSOR,
-                Fault.RESERVOIR_SENSOR,
-                Fault.CV_OVERPRESSURE,
-                Fault.RESERVOIR_OVERPRESSURE,
-            )
-        }
-        self._codec = Codec()
-        self._output = bytearray()
-        self._now_us = None
-        self._boot_us = 0
-        self._telemetry_us = 0
-
-    def _look(self, cv_kPa: float, reservoir_kPa: float) -> None:
-        """Keep readings that can be believed, latch what is wrong with them."""
-        settings = self.settings
-        beyond = settings.sensor_beyond_span
-        cv_good = within_sensor(cv_kPa, settings.cv_span_kPa, settings.cv_zero_kPa, beyond)
-        reservoir_good = within_sensor(
-            reservoir_kPa, settings.reservoir_span_kPa, settings.reservoir_zero_kPa, beyond
+    def _power_up(self, watchdog: bool) -> None:
+        library, rows = self._library, setting_rows()
+        library.phlosar_start(
+            self._firmware, self._build, self.boot_id, watchdog, self._stored, len(self._stored)
         )
-        if cv_good:
-            self._cv_kPa = cv_kPa
-        if reservoir_good:
-            self._reservoir_kPa = reservoir_kPa
-        self._lasting[Fault.CV_SENSOR].see(not cv_good)
-        self._lasting[Fault.RESERVOIR_SENSOR].see(not reservoir_good)
-        # A reading that cannot be believed says nothing of a limit, not that it is kept.
-        if cv_good:
-            self._lasting[Fault.CV_OVERPRESSURE].see(cv_kPa > settings.cv_limit_kPa)
-        if reservoir_good:
-            self._lasting[Fault.RESERVOIR_OVERPRESSURE].see(reservoir_kPa > settings.reservoir_limit_kPa)
-        present = Fault.NONE
-        for fault, lasting in self._lasting.items():
-            if lasting.there:
-                present |= fault
-        self._present = present
-        if present:
-            self._latch(present)
-
-    def _regulate(self) -> Drive:
-        relief = self._relief()
-        if self._regulation is None:
-            return SAFE._replace(dvp=relief)
-        target_kPa, rate_kPa_per_s = self._aim
-        settings = self.settings
-        self._regulation, wanted = regulate(
-            settings.regulator,
-            self._regulation,
-            target_kPa,
-            rate_kPa_per_s,
-            STEP_S,
-            self._cv_kPa,
-            self._reservoir_kPa,
-        )
-        return Drive(
-            _lifted(wanted.evp, settings.evp_dead_band),
-            _lifted(wanted.dvp, settings.dvp_dead_band),
-            wanted.solenoid,
+        for name, value in self._start.items():
+            if name not in rows:
+                raise ValueError(f"the firmware has no setting {name}")
+            if not self._stored and not library.phlosar_set(self._firmware, rows[name].number, value):
+                raise ValueError(f"the firmware does not take {name} {value}")
+        # What the valves are wired for: a duty that the host sets later changes their currents.
+        self._full_evp, self._full_dvp = (
+            math.floor(self._start.get(name, rows[name].standard) * _FULL_SCALE + 0.5)
+            for name in ("evp_full_duty", "dvp_full_duty")
         )
 
-    def _relief(self) -> float:
-        """The Venturi over the limit: a valve that is stuck open may bring more than leaves by itself."""
-        lasting = self._lasting
-        if not lasting[Fault.CV_OVERPRESSURE].there or lasting[Fault.CV_SENSOR].there:
-            self._relief_steps = 0
-        elif (
-            self._relief_steps < _MOST_RELIEF
-            and self._reservoir_kPa >= self.settings.regulator.venturi_least_supply_kPa
-        ):
-            self._relief_steps += 1
-            return 1.0
-        return 0.0
 
-    def _latch(self, fault: Fault) -> None:
-        self._faults |= fault
-        self._regulation = None
-
-    def _handle(self, message: Message) -> None:
-        match message:
-            case Hello():
-                self._on_hello(message)
-            case Setpoint():
-                self._on_setpoint(message)
-            case Vent(number):
-                self._regulation = None
-                self._accept(number)
-            case ClearFaults(mask):
-                if self._greeted:
-                    self._faults &= ~(Fault(mask) & ~self._present)
-                else:
-                    self._send(Refusal(0, RefusalReason.NO_HANDSHAKE))
-            case Ping(host_time_us):
-                self._send(Pong(host_time_us, self._device_time_ms()))
-            case GetSetting(setting):
-                self._tell_setting(setting)
-            case SetSetting():
-                self._on_set_setting(message)
-
-    def _on_hello(self, hello: Hello) -> None:
-        settings = self.settings
-        self._regulation = None
-        self._newest = None
-        self._greeted = hello.protocol_version == PROTOCOL_VERSION
-        self._send(
-            Welcome(
-                protocol_version=PROTOCOL_VERSION,
-                nonce=hello.nonce,
-                boot_id=self.boot_id,
-                firmware_build=settings.build or _BUILD,
-                units=Units.KPA_GAUGE,
-                cv_limit_kPa=settings.cv_limit_kPa,
-                setpoint_limit_kPa=settings.setpoint_most_kPa,
-                reservoir_limit_kPa=settings.reservoir_limit_kPa,
-                rate_limit_kPa_per_s=settings.rate_limit_kPa_per_s,
-                dead_man_ms=settings.dead_man_ms,
-                telemetry_Hz=settings.telemetry_Hz,
-            )
-        )
-        if not self._greeted:
-            self._send(Refusal(0, RefusalReason.VERSION))
-
-    def _on_setpoint(self, setpoint: Setpoint) -> None:
-        reason = self._why_refused(setpoint)
-        if reason is not None:
-            self._send(Refusal(setpoint.number, reason))
-            return
-        assert self._now_us is not None
-        settings = self.settings
-        if self._regulation is None:
-            self._regulation = begin(self._cv_kPa)
-        # Where to go, and how fast at most.
-        self._aim = setpoint.target_kPa, min(setpoint.rate_kPa_per_s, settings.rate_limit_kPa_per_s)
-        self._deadline_us = self._now_us + 1000 * min(setpoint.ttl_ms, settings.dead_man_ms)
-        self._accept(setpoint.number)
-
-    def _accept(self, number: int) -> None:
-        self._number = number
-        if not self._overtaken(number):
-            self._newest = number
-
-    def _overtaken(self, number: int) -> bool:
-        """Whether a newer command came before it: a line may deliver in another order."""
-        return self._newest is not None and (number - self._newest) & 0xFFFF >= 0x8000
-
-    def _why_refused(self, setpoint: Setpoint) -> RefusalReason | None:
-        if not self._greeted:
-            return RefusalReason.NO_HANDSHAKE
-        if not (math.isfinite(setpoint.target_kPa) and math.isfinite(setpoint.rate_kPa_per_s)):
-            return RefusalReason.NOT_A_NUMBER
-        within = 0.0 <= setpoint.target_kPa <= self.settings.setpoint_most_kPa
-        if not within or setpoint.rate_kPa_per_s <= 0.0 or setpoint.ttl_ms == 0:
-            return RefusalReason.OUT_OF_RANGE
-        if self._faults:
-            return RefusalReason.FAULT_LATCHED
-        return RefusalReason.OVERTAKEN if self._overtaken(setpoint.number) else None
-
-    def _on_set_setting(self, message: SetSetting) -> None:
-        if not self._greeted:
-            self._send(Refusal(0, RefusalReason.NO_HANDSHAKE))
-        elif not math.isfinite(message.value):
-            self._send(Refusal(0, RefusalReason.NOT_A_NUMBER))
-        elif self._regulation is not None:
-            # A limit must not move under a vine that is bent.
-            self._send(Refusal(0, RefusalReason.REGULATING))
-        elif message.id >= len(SETTING_ROWS) or not (
-            changed := with_value(self.settings, SETTING_ROWS[message.id], message.value)
-        ):
-            self._send(Refusal(0, RefusalReason.OUT_OF_RANGE))
-        else:
-            self.settings = changed
-            self._tell_setting(message.id)
-
-    def _tell_setting(self, setting: int) -> None:
-        if setting >= len(SETTING_ROWS):
-            self._send(Refusal(0, RefusalReason.OUT_OF_RANGE))
-            return
-        row = SETTING_ROWS[setting]
-        self._send(
-            Setting(
-                id=setting,
-                count=len(SETTING_ROWS),
-                name=row.name,
-                value=value_of(self.settings, row.name),
-                least=row.least,
-                most=row.most,
-                standard=value_of(FirmwareSettings(), row.name),
-            )
-        )
-
-    def _send_telemetry(self, now_us: int, drive: Drive) -> None:
-        period_us = 1_000_000 // self.settings.telemetry_Hz
-        self._telemetry_us += period_us
-        if self._telemetry_us <= now_us:
-            self._telemetry_us = now_us + period_us
-        self._send(
-            Telemetry(
-                device_time_ms=self._device_time_ms(),
-                mode=self.mode,
-                faults=self._faults,
-                number=self._number,
-                setpoint_kPa=0.0 if self._regulation is None else self._regulation.setpoint_kPa,
-                cv_kPa=self._cv_kPa,
-                reservoir_kPa=self._reservoir_kPa,
-                evp_opening=drive.evp,
-                dvp_opening=drive.dvp,
-                solenoid=drive.solenoid,
-            )
-        )
-
-    def _device_time_ms(self) -> int:
-        assert self._now_us is not None
-        return ((self._now_us - self._boot_us) // 1000) & 0xFFFFFFFF
-
-    def _send(self, message: DeviceMessage) -> None:
-        frame = self._codec.encode(message)
-        if len(self._output) + len(frame) <= _MAX_OUTPUT_BYTES:
-            self._output += frame
-
-
-def _lifted(opening: float, dead_band: float) -> float:
-    """Over the currents at which the valve does not open yet."""
-    return dead_band + (1.0 - dead_band) * opening if opening > 0.0 else 0.0
+def _counts(kPa: float, span_kPa: float, supply: float) -> int:
+    """What the board's converter makes of a ratiometric sensor: 10 … 90 % of its supply over the span."""
+    if not math.isfinite(kPa):
+        return 0 if not kPa > 0.0 else _FULL_SCALE
+    counts = round((0.1 + 0.8 * kPa / span_kPa) * supply)
+    return min(_FULL_SCALE, max(0, counts))

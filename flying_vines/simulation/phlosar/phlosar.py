@@ -7,7 +7,7 @@ import contextlib
 import os
 import random
 import tty
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,7 @@ from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import Rig
 from flying_vines.simulation.phlosar.board import Board
-from flying_vines.simulation.phlosar.firmware import SAFE, Drive, Firmware, FirmwareSettings
+from flying_vines.simulation.phlosar.firmware import Firmware, Settings
 from flying_vines.simulation.phlosar.mishaps import (
     OPEN_SHARE,
     SHORTED_SHARE,
@@ -41,6 +41,7 @@ from flying_vines.simulation.phlosar.mishaps import (
     WatchdogReset,
     with_mishaps,
 )
+from flying_vines.simulation.phlosar.regulator import SAFE, Drive
 
 STEP_US = round(TICK_S * 1e6)
 _UNPOWERED = Drive(0.0, 0.0, False)
@@ -51,8 +52,8 @@ class SimulatedPhlosar:
 
     A rig is as it probably is: with all its effects, and sensors behind a converter of 12 bits. With
     `effects` it has these and perfect sensors but for the noise: `Effects()` is the paper's ideal one, and
-    quick. A `TrueRig` says everything itself. The firmware is the emulated one, with these settings, unless a
-    board is given.
+    quick. A `TrueRig` says everything itself. The firmware has these settings,
+    unless a board is given.
 
     What goes wrong with the hardware is said to `mishaps`, from the next `advance` on, or beforehand to
     `suffer`: `phlosar.mishaps.evp = StuckAt(1.0)`, and None for what is well again.
@@ -64,7 +65,7 @@ class SimulatedPhlosar:
     def __init__(
         self,
         rig: Rig | TrueRig | None = None,
-        firmware: FirmwareSettings | Board | None = None,
+        firmware: Settings | Board | None = None,
         *,
         effects: Effects | None = None,
         reservoir_kPa: float = 690.0,
@@ -73,7 +74,7 @@ class SimulatedPhlosar:
     ) -> None:
         setup = (rig if isinstance(rig, TrueRig) else _true(rig or Rig(), effects)).setup
         self.firmware: Board = (
-            Firmware(firmware) if firmware is None or isinstance(firmware, FirmwareSettings) else firmware
+            Firmware(firmware) if firmware is None or isinstance(firmware, Mapping) else firmware
         )
         self.drive: Drive = SAFE
         self.mishaps = Mishaps()

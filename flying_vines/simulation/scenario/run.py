@@ -1,9 +1,9 @@
-"""A run: the emulated firmware at 1 kHz, the plant, its sensors, and a recorder.
+"""A run: the firmware's regulator at 1 kHz, the plant, its sensors, and a recorder.
 
 The valves take a new word only when a sample is recorded, rounded as it is written. So a recorded opening
 is what the valve was told from its own sample until the next, all the time, and the openings of the file,
 replayed through the same plant, give the true pressures again. At `sample_rate_Hz = 1000` that is every
-step of the firmware; below, its regulator has the gains of `regulation`. A recorded reading is the very one
+step of the firmware; below, it is tuned by `regulation`. A recorded reading is the very one
 on which the firmware acted.
 """
 
@@ -16,7 +16,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello, Setpoint
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.causes import Setup
 from flying_vines.physics.plant.plant import Conditions, at_rest
@@ -24,19 +23,19 @@ from flying_vines.physics.plant.sensors import read, rested
 from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import ControlVolume, Rig
-from flying_vines.simulation.phlosar.firmware import Firmware
-from flying_vines.simulation.phlosar.regulator import Drive
+from flying_vines.simulation.phlosar.regulator import SAFE, Drive, Regulator
 from flying_vines.simulation.scenario.command import Command, ValveCommand, command_of, valves_of
 from flying_vines.simulation.scenario.kinds import FIRMWARE_HZ, Kind
-from flying_vines.simulation.scenario.regulation import firmware_for
+from flying_vines.simulation.scenario.regulation import FASTEST_KPA_PER_S, tuning_for
 from flying_vines.simulation.scenario.scenario import Scenario, ScenarioError
 
 Array = NDArray[np.float64]
 
 OPENING_DIGITS = 4
 """After the point: of what is told to a valve, and of what is written."""
-_STEP_US = 1_000_000 // FIRMWARE_HZ
-_TTL_MS = 300
+_LIMIT_KPA = 200.0
+_READINGS_OVER = 3
+"""In a row count, as in the firmware."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +57,7 @@ class Run:
     true_cv_kPa: Array
     true_reservoir_kPa: Array
     faults: str
-    """What the firmware latched, and vented for; empty if nothing."""
+    """What the run ended for, and vented from then on; empty if nothing."""
 
 
 def simulate(rig: Rig | TrueRig, run: Kind, seed: int = 1, *, index: int = 0) -> Run:
@@ -169,36 +168,30 @@ class _OpenLoop:
 
 
 class _ClosedLoop:
-    """The emulated firmware, and a host that sends it a setpoint with every sample."""
+    """The firmware's regulator, with a limit that is wide enough for every scenario."""
 
     def __init__(self, rig: Rig, cv: ControlVolume, run: Kind, command: Command) -> None:
-        self._settings = firmware_for(rig, cv, run.reservoir_kPa, run.sample_rate_Hz)
-        self._firmware = Firmware(self._settings)
+        self.faults = ""
+        self._regulator = Regulator(tuning_for(rig, cv, run.reservoir_kPa, run.sample_rate_Hz))
         self._command = command
-        self._codec = Codec()
-        self._number = 0
-        # A step before the run begins: the board has booted, and listens.
-        self._firmware.step(0, 0.0, run.reservoir_kPa)
-        self._firmware.receive(self._codec.encode(Hello(PROTOCOL_VERSION, 1)))
-
-    @property
-    def faults(self) -> str:
-        return ", ".join(
-            fault.name.lower().replace("_", " ") for fault in self._firmware.faults if fault.name
-        )
+        self._wanted_kPa = 0.0
+        self._readings_over = 0
 
     def sample(self, t_s: float, reading: _Reading) -> tuple[float, Drive]:
         wanted_kPa = self._command(t_s)
-        self._number = (self._number + 1) & 0xFFFF
-        setpoint = Setpoint(wanted_kPa, self._settings.rate_limit_kPa_per_s, _TTL_MS, self._number)
-        self._firmware.receive(self._codec.encode(setpoint))
-        return wanted_kPa, self._step(t_s, reading)
+        # A frame carries it in single precision.
+        self._wanted_kPa = float(np.float32(wanted_kPa))
+        return wanted_kPa, self._step(reading)
 
     def watch(self, t_s: float, reading: _Reading) -> None:
-        self._step(t_s, reading)
+        self._step(reading)
 
-    def _step(self, t_s: float, reading: _Reading) -> Drive:
-        now_us = _STEP_US + round(t_s * 1e6)
-        drive = self._firmware.step(now_us, reading.cv_kPa, reading.reservoir_kPa)
-        self._firmware.take_output()
-        return drive
+    def _step(self, reading: _Reading) -> Drive:
+        self._readings_over = self._readings_over + 1 if reading.cv_kPa > _LIMIT_KPA else 0
+        if self._readings_over >= _READINGS_OVER:
+            self.faults = "cv overpressure"
+        if self.faults:
+            return SAFE
+        return self._regulator.step(
+            self._wanted_kPa, FASTEST_KPA_PER_S, reading.cv_kPa, reading.reservoir_kPa
+        )

@@ -6,7 +6,7 @@
     as_json(comparison)     both, for other programs
     figures.draw(comparison.curves, folder)     the pictures (needs matplotlib)
 
-"Ours" is the paper's own equation, or a plant under the emulated firmware's regulator: the baseline, or the
+"Ours" is the paper's own equation, or a plant under the firmware's regulator: the baseline, or the
 high-fidelity one as a real rig probably is.
 """
 

@@ -1,4 +1,4 @@
-"""The paper's bench in a loop: the emulated firmware's regulator and a plant.
+"""The paper's bench in a loop: the firmware's regulator and a plant.
 
 No frames and no host: the command reaches the regulator at every step, as it did on the paper's bench, where
 the microcontroller itself made it. The firmware's limits are left out, for the vine's (30 kPa, 200 kPa/s)
@@ -22,7 +22,7 @@ from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.plant.true_rig import likely_sensors
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig, Sensors
 from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
-from flying_vines.simulation.phlosar.regulator import RegulatorSettings
+from flying_vines.simulation.phlosar.regulator import Tuning
 
 Array = NDArray[np.float64]
 
@@ -33,15 +33,15 @@ FIXED_SOURCE = Reservoir(volume_L=1e9)
 """The pressure of a supply that no flow moves (Sec. V-C)."""
 
 
-PAPERS_REGULATOR = RegulatorSettings(
-    on_off_error_kPa=1.0,
-    opening_s=TICK_S,
-    filling_lead_s=0.0,
-    venting_lead_s=0.0,
-    patience_kPa_s=0.0,
-    warming_s=0.0,
-    waiting_s=0.0,
-)
+PAPERS_TUNING: Tuning = {
+    "on_off_error_kPa": 1.0,
+    "opening_s": TICK_S,
+    "filling_lead_s": 0.0,
+    "venting_lead_s": 0.0,
+    "patience_kPa_s": 0.0,
+    "warming_s": 0.0,
+    "waiting_s": 0.0,
+}
 """As the paper has it: on-off beyond 1 kPa, at once and without a look ahead, and PID within."""
 
 
@@ -55,7 +55,7 @@ class Bench:
     """The control volume's, the reservoir's."""
     noise_seed: int | None = None
     """Of the sensors' noise; None: none."""
-    regulator: RegulatorSettings = PAPERS_REGULATOR
+    tuning: Tuning = field(default_factory=lambda: PAPERS_TUNING)
 
     def with_cv(self, volume_L: float) -> Bench:
         """The same bench with another control volume."""
@@ -131,7 +131,7 @@ def run(
         commands,
         duration_s,
         at_rest(plant, reservoir_kPa, cv_kPa),
-        settings=bench.regulator,
+        tuning=bench.tuning,
         cv_sensor=cv_sensor,
         reservoir_sensor=reservoir_sensor,
         seed=bench.noise_seed,

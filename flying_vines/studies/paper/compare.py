@@ -15,7 +15,6 @@ from flying_vines.physics.plant.flow import Iso6358
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.rig import Evp, Reservoir, Rig
-from flying_vines.simulation.phlosar.regulator import RegulatorSettings
 from flying_vines.studies.paper.bench import LIKELY, Bench, Trace, follow_sine, gain, run
 from flying_vines.studies.paper.data import Condition, Curve, condition, curve, stated
 
@@ -190,7 +189,7 @@ def curves(bench: Bench | None = None, likely: Bench = LIKELY) -> Curves:
     resistance = discharges[1].flow_resistance_kPa_s_per_SL
     fixed_kPa = stated()["tc5.fixed_supply"].value
     rated = replace(bench, rig=replace(bench.rig, evp=Evp(rated_resistance_kPa_s_per_SL())))
-    vines = replace(likely, noise_seed=None, regulator=RegulatorSettings())
+    vines = replace(likely, noise_seed=None, tuning={})
 
     # Noise at the top would pass for an overshoot.
     quiet = replace(likely, noise_seed=None)

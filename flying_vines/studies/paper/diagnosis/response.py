@@ -23,7 +23,7 @@ from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.plant.tubing import Tubing
 from flying_vines.physics.rig import ControlVolume, Rig, Solenoid
 from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
-from flying_vines.studies.paper.bench import FIXED_SOURCE, PAPERS_REGULATOR
+from flying_vines.studies.paper.bench import FIXED_SOURCE, PAPERS_TUNING
 from flying_vines.studies.paper.compare import BAND, decibel, rms
 from flying_vines.studies.paper.data import condition, curve, stated
 from flying_vines.studies.paper.diagnosis.evidence import Array, Linear, Noise, worth
@@ -281,7 +281,7 @@ def _gain(made: Setup, frequency_Hz: float, peak_to_peak_kPa: float, supply_kPa:
         [Setpoint(*row) for row in rows],
         ticks * TICK_S,
         at_rest(made.plant, supply_kPa),
-        settings=PAPERS_REGULATOR,
+        tuning=PAPERS_TUNING,
         cv_sensor=made.cv_sensor,
         reservoir_sensor=made.reservoir_sensor,
         record_every=every,

@@ -10,7 +10,7 @@ void Firmware::start(const Boot& boot) {
 }
 
 void Firmware::configure() {
-    regulator_.configure(settings_);
+    regulator_.configure(tuning(settings_));
     cv_sensor_ = sensor(settings_[SettingId::kCvSpan_kPa], settings_[SettingId::kCvZero_kPa]);
     reservoir_sensor_ =
         sensor(settings_[SettingId::kReservoirSpan_kPa], settings_[SettingId::kReservoirZero_kPa]);

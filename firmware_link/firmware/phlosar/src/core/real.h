@@ -5,8 +5,7 @@
 #include <string.h>
 
 #ifndef PHLOSAR_REAL
-// Single precision is what the chip can afford; a host also builds the core in double precision, which
-// is how it is held, step for step, to a model of it that counts so.
+// Single precision is what the chip can afford. Studies on a host run the regulator in double precision.
 #define PHLOSAR_REAL float
 #endif
 
@@ -14,7 +13,7 @@ namespace phlosar {
 
 using Real = PHLOSAR_REAL;
 
-// As in the model: of two equal numbers the first.
+// Of two equal numbers the first.
 constexpr Real smaller(Real a, Real b) { return b < a ? b : a; }
 constexpr Real larger(Real a, Real b) { return b > a ? b : a; }
 

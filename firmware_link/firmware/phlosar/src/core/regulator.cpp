@@ -9,42 +9,24 @@ constexpr Real kAmbient_kPa = Real(101.0);
 constexpr Real kFirstIntegral = Real(0.2);
 
 constexpr Real kPerStep_s = Real(1.0) / kStep_s;
-constexpr Real kFilter = kStep_s / (Real(0.003) + kStep_s);
-constexpr Real kSlopeFilter = kStep_s / (Real(0.008) + kStep_s);
-// Farther below the setpoint the inflation valve goes fully open in this time: what flows before the sensor
-// tells would otherwise be too much for a small vine.
-constexpr Real kOpening = kStep_s / Real(0.12);
-// Beyond the largest dead zone.
-constexpr Real kIntegralMost = Real(0.55);
-// With each puff, so that the next one begins with no flow.
-constexpr Real kIntegralForgets = Real(0.015);
-constexpr Real kPuffBegins_kPa = Real(0.15);
-constexpr Real kPuffEnds_kPa = Real(0.05);
-// A puff also ends when the pressure to come is this much above the setpoint.
-constexpr Real kPuffOvertakes_kPa = Real(0.25);
-// Above the setpoint. More is let out, the more the sooner, when excess times time comes to the second.
-constexpr Real kTolerated_kPa = Real(0.3);
-constexpr Real kPatience_kPa_s = Real(0.06);
-// After a vent gas warms, and rises by itself: what fell too far is not filled up before.
-constexpr Real kWarming_s = Real(0.15);
-// What is beyond a setpoint that moves is left alone if the setpoint will be there within this.
-constexpr Real kWaiting_s = Real(0.3);
-// Nearer than the first the Venturi is not started, nearer than the second it is stopped.
-constexpr Real kActiveError_kPa = Real(3.0);
-constexpr Real kPassiveError_kPa = Real(1.0);
-// How long air may leave by itself before its speed is judged.
-constexpr Real kPassiveFirst_s = Real(0.03);
-// Within this the pressure should arrive at a setpoint that stands still.
-constexpr Real kArrival_s = Real(0.3);
-
 }  // namespace
 
-void Regulator::configure(const Settings& settings) {
-    on_off_error_kPa_ = settings[SettingId::kOnOffError_kPa];
-    filling_lead_s_ = settings[SettingId::kFillingLead_s];
-    proportional_ = settings[SettingId::kProportional_per_kPa] * kRatedSupply_kPa_abs;
-    integral_per_kPa_s_ = settings[SettingId::kIntegral_per_kPa_s];
-    venting_lead_s_ = settings[SettingId::kVentingLead_s];
+Tuning tuning(const Settings& settings) {
+    Tuning tuned;
+    tuned.on_off_error_kPa = settings[SettingId::kOnOffError_kPa];
+    tuned.filling_lead_s = settings[SettingId::kFillingLead_s];
+    tuned.proportional_per_kPa = settings[SettingId::kProportional_per_kPa];
+    tuned.integral_per_kPa_s = settings[SettingId::kIntegral_per_kPa_s];
+    tuned.venting_lead_s = settings[SettingId::kVentingLead_s];
+    return tuned;
+}
+
+void Regulator::configure(const Tuning& tuning) {
+    tuning_ = tuning;
+    filter_ = kStep_s / (tuning.filter_s + kStep_s);
+    slope_filter_ = kStep_s / (tuning.slope_filter_s + kStep_s);
+    opening_ = kStep_s / tuning.opening_s;
+    proportional_ = tuning.proportional_per_kPa * kRatedSupply_kPa_abs;
 }
 
 void Regulator::begin(Real cv_kPa) {
@@ -62,20 +44,20 @@ Drive Regulator::step(Real target_kPa, Real most, Real cv_kPa, Real reservoir_kP
     const Real move = smaller(most, larger(-most, target_kPa - setpoint_kPa_));
     const Real setpoint_slope = move * kPerStep_s;
     setpoint_kPa_ += move;
-    const Real change = (cv_kPa - cv_kPa_) * kFilter;
+    const Real change = (cv_kPa - cv_kPa_) * filter_;
     cv_kPa_ += change;
-    slope_kPa_per_s_ += (change * kPerStep_s - slope_kPa_per_s_) * kSlopeFilter;
+    slope_kPa_per_s_ += (change * kPerStep_s - slope_kPa_per_s_) * slope_filter_;
     const Real error = setpoint_kPa_ - cv_kPa_;
     const Real closing = setpoint_slope - slope_kPa_per_s_;
 
     bool vent;
     Real excess_kPa_s = 0;
     if (venting_s_ > Real(0)) {
-        vent = error + closing * venting_lead_s_ < Real(0);
+        vent = error + closing * tuning_.venting_lead_s < Real(0);
     } else {
-        const Real excess = -error - kTolerated_kPa - larger(Real(0), setpoint_slope) * kWaiting_s;
+        const Real excess = -error - tuning_.tolerated_kPa - larger(Real(0), setpoint_slope) * tuning_.waiting_s;
         if (excess > Real(0)) excess_kPa_s = excess_kPa_s_ + excess * kStep_s;
-        vent = excess_kPa_s > kPatience_kPa_s;
+        vent = excess_kPa_s > tuning_.patience_kPa_s;
     }
     excess_kPa_s_ = excess_kPa_s;
 
@@ -86,9 +68,9 @@ Drive Regulator::step(Real target_kPa, Real most, Real cv_kPa, Real reservoir_kP
         with_venturi = venturi(error, setpoint_slope, slope_kPa_per_s_, reservoir_kPa);
         venting_s_ = larger(Real(0), venting_s_) + kStep_s;
     } else {
-        venting_s_ = venting_s_ > Real(0) ? -kWarming_s : smaller(Real(0), venting_s_ + kStep_s);
+        venting_s_ = venting_s_ > Real(0) ? -tuning_.warming_s : smaller(Real(0), venting_s_ + kStep_s);
         const bool warm = venting_s_ == Real(0) || move > Real(0);
-        const bool needed = move >= Real(0) || error > -setpoint_slope * kWaiting_s;
+        const bool needed = move >= Real(0) || error > -setpoint_slope * tuning_.waiting_s;
         if (warm && needed) evp = inflation(error, closing, reservoir_kPa);
     }
     evp_ = evp;
@@ -98,15 +80,15 @@ Drive Regulator::step(Real target_kPa, Real most, Real cv_kPa, Real reservoir_kP
 
 // The inflation valve; `closing` is how fast the setpoint runs away, kPa/s.
 Real Regulator::inflation(Real error, Real closing, Real reservoir_kPa) {
-    const Real ahead = error + closing * filling_lead_s_;
-    if (error > Real(0) && ahead > on_off_error_kPa_) {
-        return smaller(Real(1), larger(evp_, integral_) + kOpening);
+    const Real ahead = error + closing * tuning_.filling_lead_s;
+    if (error > Real(0) && ahead > tuning_.on_off_error_kPa) {
+        return smaller(Real(1), larger(evp_, integral_) + opening_);
     }
     const bool in_puff = evp_ > Real(0);
-    const bool wanted = in_puff ? error > -kPuffEnds_kPa : error > kPuffBegins_kPa;
-    if (wanted && ahead > -kPuffOvertakes_kPa) {
-        integral_ += integral_per_kPa_s_ * larger(Real(0), error) * kStep_s;
-        integral_ = smaller(kIntegralMost, integral_);
+    const bool wanted = in_puff ? error > -tuning_.puff_ends_kPa : error > tuning_.puff_begins_kPa;
+    if (wanted && ahead > -tuning_.puff_overtakes_kPa) {
+        integral_ += tuning_.integral_per_kPa_s * larger(Real(0), error) * kStep_s;
+        integral_ = smaller(tuning_.integral_most, integral_);
         if (!(ahead > Real(0))) return smaller(Real(1), integral_);
         const Real supply_kPa_abs = larger(Real(0), reservoir_kPa) + kAmbient_kPa;
         const Real gain = proportional_ / supply_kPa_abs;
@@ -114,7 +96,7 @@ Real Regulator::inflation(Real error, Real closing, Real reservoir_kPa) {
     }
     if (in_puff) {
         // More after a puff from near that runs far beyond; one from afar has to run.
-        const Real forgotten = kIntegralForgets * (Real(1) + larger(Real(0), -ahead - error));
+        const Real forgotten = tuning_.integral_forgets * (Real(1) + larger(Real(0), -ahead - error));
         integral_ = larger(Real(0), integral_ - forgotten);
     }
     return 0;
@@ -122,9 +104,9 @@ Real Regulator::inflation(Real error, Real closing, Real reservoir_kPa) {
 
 // Whether the Venturi helps to let air out.
 bool Regulator::venturi(Real error, Real setpoint_slope, Real slope, Real reservoir_kPa) const {
-    if (reservoir_kPa < kVenturiLeastSupply_kPa || error > -kPassiveError_kPa) return false;
-    if (venturi_ || error > -kActiveError_kPa || venting_s_ < kPassiveFirst_s) return venturi_;
-    return -slope * kArrival_s < larger(-setpoint_slope * kArrival_s, -error);
+    if (reservoir_kPa < tuning_.venturi_least_supply_kPa || error > -tuning_.passive_error_kPa) return false;
+    if (venturi_ || error > -tuning_.active_error_kPa || venting_s_ < tuning_.passive_first_s) return venturi_;
+    return -slope * tuning_.arrival_s < larger(-setpoint_slope * tuning_.arrival_s, -error);
 }
 
 }  // namespace phlosar

@@ -1,8 +1,7 @@
-"""The real core on this machine: how it is built, and what lies between its wires and pressures."""
+"""The core on this machine: how it is built, and what lies between its wires and pressures."""
 
 from __future__ import annotations
 
-import math
 import re
 from pathlib import Path
 
@@ -19,30 +18,31 @@ from firmware_link.protocol import (
     SetSetting,
     Telemetry,
 )
-from flying_vines.simulation.phlosar import compiled_firmware
-from flying_vines.simulation.phlosar.compiled_firmware import CompiledFirmware, FirmwareBuildError
-from flying_vines.simulation.phlosar.firmware_settings import SETTING_ROWS, FirmwareSettings, value_of
-from flying_vines.simulation.phlosar.regulator import SAFE, RegulatorSettings
+from flying_vines.simulation.phlosar import FirmwareBuildError, core_library
+from flying_vines.simulation.phlosar.core_library import TARGETS
+from flying_vines.simulation.phlosar.firmware import Firmware, setting_rows
+from flying_vines.simulation.phlosar.regulator import SAFE, Regulator
+
+from .golden_run import Part, difference, on_host, read
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-def telemetry(firmware: CompiledFirmware, codec: Codec) -> Telemetry:
+def telemetry(firmware: Firmware, codec: Codec) -> Telemetry:
     """The latest."""
     return [m for m in codec.decode(firmware.take_output()) if isinstance(m, Telemetry)][-1]
 
 
-def run(firmware: CompiledFirmware, from_ms: int, steps: int, cv_kPa: float, reservoir_kPa: float) -> None:
+def run(firmware: Firmware, from_ms: int, steps: int, cv_kPa: float, reservoir_kPa: float) -> None:
     for ms in range(from_ms, from_ms + steps):
         drive = firmware.step(1000 * ms, cv_kPa, reservoir_kPa)
         if firmware.mode is not Mode.REGULATE:
             assert drive == SAFE
 
 
-@needs_compiler
 def test_pressures_come_through_converter_and_divider() -> None:
     for cv_kPa, reservoir_kPa in ((0.0, 0.0), (20.7, 690.0), (-10.0, 55.0), (200.0, 1500.0)):
-        firmware, codec = CompiledFirmware(), Codec()
+        firmware, codec = Firmware(), Codec()
         firmware.step(0, cv_kPa, reservoir_kPa)
         told = telemetry(firmware, codec)
         # Half a count of 65535, and single precision.
@@ -50,9 +50,8 @@ def test_pressures_come_through_converter_and_divider() -> None:
         assert told.reservoir_kPa == pytest.approx(reservoir_kPa, abs=1500 / 0.8 / 59578 * 0.51)
 
 
-@needs_compiler
 def test_a_weak_supply_does_not_change_what_is_read_until_it_is_too_weak() -> None:
-    firmware, codec = CompiledFirmware(), Codec()
+    firmware, codec = Firmware(), Codec()
     firmware.supply_share = 0.92
     run(firmware, 0, 20, 12.0, 600.0)
     assert telemetry(firmware, codec).cv_kPa == pytest.approx(12.0, abs=0.005)
@@ -67,42 +66,38 @@ def test_a_weak_supply_does_not_change_what_is_read_until_it_is_too_weak() -> No
     assert Fault.SUPPLY in firmware.faults
 
 
-@needs_compiler
 @pytest.mark.parametrize("spoil", [0, 3, 20, -1])
 def test_damaged_settings_are_not_used_and_say_so(spoil: int) -> None:
-    firmware, codec = CompiledFirmware(), Codec()
+    firmware, codec = Firmware(), Codec()
     firmware.step(0, 0.0, 690.0)
     firmware.receive(codec.encode(Hello(PROTOCOL_VERSION, 1)) + codec.encode(SetSetting(0, 20.0)))
     firmware.reset()
     kept = bytearray(firmware._stored)
-    assert CompiledFirmware(stored=bytes(kept)).settings.cv_limit_kPa == 20.0
+    assert Firmware(stored=bytes(kept)).settings["cv_limit_kPa"] == 20.0
     kept[spoil] ^= 0x10
-    damaged = CompiledFirmware(stored=bytes(kept))
+    damaged = Firmware(stored=bytes(kept))
     assert damaged.faults == Fault.SETTINGS
-    assert damaged.settings == CompiledFirmware().settings
+    assert damaged.settings == Firmware().settings
 
 
-@needs_compiler
 def test_a_memory_that_was_never_written_is_no_fault() -> None:
-    assert CompiledFirmware(stored=b"\xff" * 128).faults == Fault.NONE
-    assert CompiledFirmware(stored=b"\x00" * 128).faults == Fault.SETTINGS
+    assert Firmware(stored=b"\xff" * 128).faults == Fault.NONE
+    assert Firmware(stored=b"\x00" * 128).faults == Fault.SETTINGS
 
 
-@needs_compiler
 def test_settings_reach_the_core() -> None:
-    wanted = FirmwareSettings(
-        cv_limit_kPa=25.0, dead_man_ms=120, regulator=RegulatorSettings(on_off_error_kPa=1.0)
-    )
-    assert CompiledFirmware(wanted).settings == wanted
-    with pytest.raises(ValueError, match="dead_man_ms 301"):
-        CompiledFirmware(FirmwareSettings(dead_man_ms=301))
-    with pytest.raises(ValueError, match=r"tolerated_kPa is compiled into the firmware as 0\.3"):
-        CompiledFirmware(FirmwareSettings(regulator=RegulatorSettings(tolerated_kPa=0.5)))
+    wanted = {"cv_limit_kPa": 25.0, "dead_man_ms": 120.0, "on_off_error_kPa": 1.0}
+    assert Firmware(wanted).settings == Firmware().settings | wanted
+    with pytest.raises(ValueError, match="does not take dead_man_ms 301"):
+        Firmware({"dead_man_ms": 301})
+    with pytest.raises(ValueError, match="no setting tolerated_kPa"):
+        Firmware({"tolerated_kPa": 0.5})
+    with pytest.raises(ValueError, match="regulator has no cv_limit_kPa"):
+        Regulator({"cv_limit_kPa": 0.5})
 
 
-@needs_compiler
 def test_openings_are_of_the_current_that_the_valves_are_wired_for() -> None:
-    firmware, codec = CompiledFirmware(), Codec()
+    firmware, codec = Firmware(), Codec()
     firmware.step(0, 0.0, 690.0)
     firmware.receive(codec.encode(Hello(PROTOCOL_VERSION, 1)) + codec.encode(Setpoint(20.0, 200.0, 300, 1)))
     openings = [firmware.step(1000 * ms, 0.0, 690.0).evp for ms in range(1, 250)]
@@ -114,15 +109,15 @@ def test_without_a_compiler_it_says_what_to_install(monkeypatch: pytest.MonkeyPa
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CXX", raising=False)
     with pytest.raises(FirmwareBuildError, match=r"without a C\+\+ compiler: sudo apt install"):
-        compiled_firmware.build()
+        core_library.build()
 
 
 @needs_compiler
 def test_it_is_built_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    first = compiled_firmware.build()
+    first = core_library.build()
     made_at = first.stat().st_mtime_ns
-    assert compiled_firmware.build() == first
+    assert core_library.build() == first
     assert first.stat().st_mtime_ns == made_at
     assert [path.name for path in (tmp_path / "flying-vines").iterdir()] == [first.name]
 
@@ -132,19 +127,43 @@ def test_a_cache_that_cannot_be_written_is_named(monkeypatch: pytest.MonkeyPatch
     (tmp_path / "flying-vines").write_text("in the way")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with pytest.raises(FirmwareBuildError, match="cannot be kept in"):
-        compiled_firmware.build()
+        core_library.build()
 
 
-@pytest.mark.parametrize("number", range(len(SETTING_ROWS)))
-def test_the_docs_list_every_setting(number: int) -> None:
-    row = SETTING_ROWS[number]
-    standard = value_of(FirmwareSettings(), row.name)
+@pytest.mark.parametrize("target", TARGETS)
+def test_the_prebuilt_libraries_are_of_these_sources(target: str) -> None:
+    """Where this fails: pip install 'flying-vines[firmware]', and build them anew as `core_library` says."""
+    assert core_library.sources_digest().encode() in core_library.prebuilt(target).read_bytes()
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_the_prebuilt_libraries_are_what_these_sources_give(target: str, tmp_path: Path) -> None:
+    pytest.importorskip("ziglang")
+    core_library.prebuild(target, tmp_path / "phlosar.so")
+    assert (tmp_path / "phlosar.so").read_bytes() == core_library.prebuilt(target).read_bytes()
+
+
+@needs_compiler
+@pytest.mark.parametrize("part", read(), ids=lambda part: part.name)
+def test_what_is_built_here_does_the_golden_run(part: Part) -> None:
+    assert difference(part, on_host(part.told, core_library.opened(core_library.build()))) == ""
+
+
+@needs_compiler
+def test_changed_sources_are_built_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(core_library, "sources_digest", lambda: "changed")
+    assert core_library.load.__wrapped__().phlosar_sources() == b"changed"
+
+
+@pytest.mark.parametrize("name", setting_rows())
+def test_the_docs_list_every_setting(name: str) -> None:
+    row = setting_rows()[name]
     table = (DOCS / "serial-protocol.md").read_text().replace("−", "-")
     cells = [
         [cell.strip() for cell in line.split("|")[1:-1]]
         for line in table.splitlines()
-        if re.match(rf"\| {number} \| {row.name} \|", line)
+        if re.match(rf"\| {row.number} \| {name} \|", line)
     ]
     assert len(cells) == 1
-    assert [float(cell) for cell in cells[0][2:5]] == [standard, row.least, row.most]
-    assert math.isfinite(standard)
+    wanted = (row.standard, row.least, row.most)
+    assert [float(cell) for cell in cells[0][2:5]] == pytest.approx(wanted, rel=1e-6)
