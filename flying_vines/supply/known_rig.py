@@ -15,10 +15,10 @@ import msgspec
 
 from flying_vines.config.config import Pneumatics
 from flying_vines.physics.paper import ALPHA_KPA
-from flying_vines.physics.plant.causes import Setup
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, flow_SL_per_s
 from flying_vines.physics.plant.motion import ValveMotion
 from flying_vines.physics.plant.plant import Plant
+from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_from
 from flying_vines.physics.plant.wall import Wall

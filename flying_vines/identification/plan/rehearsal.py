@@ -10,11 +10,17 @@ import random
 
 import numpy as np
 
-from flying_vines.identification.model import Array, Numbers, State, Told, step
+from flying_vines.identification.model import Array
 from flying_vines.identification.recording import Run
-from flying_vines.identification.simulate import numbers_of
 from flying_vines.physics.baseline import ALPHA_KPA
 from flying_vines.physics.compiler import compiled, record
+from flying_vines.physics.plant.ambient import Air
+from flying_vines.physics.plant.compiled import floats_of
+from flying_vines.physics.plant.loops import APART
+from flying_vines.physics.plant.numbers import Numbers, numbers_of
+from flying_vines.physics.plant.plant import Held, Plant, at_rest
+from flying_vines.physics.plant.rates import Floats, conditions
+from flying_vines.physics.plant.tick import runge_kutta
 from flying_vines.physics.rig import Rig
 from flying_vines.simulation.phlosar.regulator import RegulatorSettings, begin, regulate
 from flying_vines.simulation.scenario.command import command_of, valves_of
@@ -44,12 +50,13 @@ def _regulated(rig: Rig, kind: Kind, time_s: Array) -> Array:
     assert command is not None and rig.cv is not None, "a run either regulates or moves the valves"
     firmware = firmware_for(rig, rig.cv, kind.reservoir_kPa, kind.sample_rate_Hz)
     openings = np.empty((len(time_s), 3))
-    compiled(regulate_held, (step, regulate))(
-        numbers_of(rig),
+    plant = Plant(rig)
+    compiled(regulate_held, (*APART, regulate))(
+        record(numbers_of(plant, 1.0 / FIRMWARE_HZ)),
+        floats_of(at_rest(plant, kind.reservoir_kPa)),
         record(firmware.regulator),
         firmware.rate_limit_kPa_per_s,
         np.array([command(t) for t in time_s.tolist()]),
-        kind.reservoir_kPa,
         FIRMWARE_HZ // kind.sample_rate_Hz,
         openings,
     )
@@ -58,32 +65,32 @@ def _regulated(rig: Rig, kind: Kind, time_s: Array) -> Array:
 
 def regulate_held(
     numbers: Numbers,
+    state: Floats,
     settings: RegulatorSettings,
     rate_kPa_per_s: float,
     wanted_kPa: Array,
-    reservoir_kPa: float,
     ticks: int,
     openings: Array,
 ) -> None:
     """Fill `openings` (n, 3): from each sample on, for so many ticks, what the valves are told."""
-    nothing = np.zeros(0)
-    state = State(reservoir_kPa, 1.0, 0.0, 1.0)
+    air = Air(ALPHA_KPA, 0.0, 1.0, 0.0)
     memory = begin(0.0)
     for sample in range(len(wanted_kPa)):
         evp = dvp = solenoid = 0.0
         for tick in range(ticks):
+            found = conditions(numbers, air, state)
             memory, drive = regulate(
                 settings,
                 memory,
                 wanted_kPa[sample],
                 rate_kPa_per_s,
                 1.0 / FIRMWARE_HZ,
-                state.cv_kPa,
-                state.reservoir_kPa,
+                found.cv_kPa,
+                found.reservoir_kPa,
             )
             if tick == 0:
                 evp, dvp = round(drive.evp, OPENING_DIGITS), round(drive.dvp, OPENING_DIGITS)
                 solenoid = 1.0 if drive.solenoid else 0.0
                 openings[sample] = evp, dvp, solenoid
-            told = Told(0.0, evp, dvp, solenoid, ALPHA_KPA, 0.0, evp)
-            state = step(numbers, told, state, 1.0 / FIRMWARE_HZ, nothing)
+            held = Held(evp, dvp, solenoid > 0.0)
+            state = runge_kutta(numbers, air, 0.0, state, held, 1.0 / FIRMWARE_HZ)

@@ -86,8 +86,8 @@ def numbers_of(plant: Plant, tick_s: float) -> Numbers:
         * reservoir_gas
         * (steepest + reservoir_leak.steepest_SL_per_s_kPa)
         / rig.reservoir.volume_L,
-        _heat_per_s(reservoir_heat, rig.reservoir.volume_L),
-        _heat_per_s(cv_heat, cv.flat_L),
+        heat_per_s(reservoir_heat, rig.reservoir.volume_L),
+        heat_per_s(cv_heat, cv.flat_L),
         evp.lag_per_s,
         dvp.lag_per_s,
     )
@@ -134,6 +134,6 @@ def _valve(
     )
 
 
-def _heat_per_s(heat: Heat, volume_L: float) -> float:
+def heat_per_s(heat: Heat, volume_L: float) -> float:
     """How quickly gas at half an atmosphere, and the wall, take the other's temperature."""
     return heat.per_air / ALPHA_KPA + heat.fixed / (0.5 * ALPHA_KPA * volume_L) + heat.wall_per_s

@@ -84,6 +84,8 @@ def rates(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held) ->
             enthalpy = onward_ratio * onward - leak_c_ratio * leak_c
         else:
             cv_air = evp - outlet - leak_c
+            if numbers.cv_heat.inflow_at_ambient and evp > 0.0:
+                evp_ratio = ratio_a
             enthalpy = evp_ratio * evp - outlet_ratio * outlet - leak_c_ratio * leak_c
         if numbers.cv_heat.own_temperature:
             cv_energy = _GAMMA_ALPHA * enthalpy + heat_c + _G1 * (volume - numbers.cv.flat_L) * air.kPa_per_s

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello, Setpoint
 from flying_vines.physics.baseline import Inputs
-from flying_vines.physics.plant.causes import Setup
 from flying_vines.physics.plant.plant import Conditions, at_rest
 from flying_vines.physics.plant.sensors import read, rested
+from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import ControlVolume, Rig
