@@ -18,7 +18,7 @@ from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.gas import GAMMA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.numbers import Numbers, Valve
 from flying_vines.physics.plant.plant import Held
-from flying_vines.physics.plant.rates import Floats, conditions, edges, rates
+from flying_vines.physics.plant.rates import Floats, conditions, edges
 from flying_vines.physics.plant.sensors import Seen, Transfer, reading
 from flying_vines.physics.plant.shape import volume_and_work
 from flying_vines.physics.plant.tick import runge_kutta
@@ -85,7 +85,7 @@ def _allowed(valve: Valve, opening: float, target: float, h: float) -> float:
     return h
 
 
-APART = (rates, conditions, runge_kutta, step)
+APART = (runge_kutta,)
 """Called from several places: what the compiler is to keep in one."""
 
 
@@ -99,7 +99,7 @@ def run(
     weather: Array,
     start: NDArray[np.intp],
     initial: Array,
-    longest_s: float,
+    longest_s: tuple[float, float],
     out: Array,
 ) -> None:
     """Simulate one run.
@@ -111,7 +111,7 @@ def run(
         weather: (n, 2) absolute pressure in kPa and temperature ratio; straight from reading to reading.
         start: (s,) at which samples the pressures are set anew; the first is 0.
         initial: (s, 2) to which gauge pressures of reservoir and control volume.
-        longest_s: the longest step.
+        longest_s: the longest step with the solenoid shut, and open.
         out: (n, 2) receives what the sensors of control volume and reservoir would read, kPa gauge.
     """
     now = time_s[0]
@@ -121,6 +121,7 @@ def run(
     reservoir_K = cv_K = ambient_K
     cv_seen = reservoir_seen = Seen(0.0, 0.0)
     cv_reads = reservoir_reads = 0.0
+    lagging = cv_sensor.time_constant_s > 0.0 or reservoir_sensor.time_constant_s > 0.0
     started = at = 0
     last = len(time_s) - 1
     for i in range(last + 1):
@@ -159,19 +160,22 @@ def run(
             air = Air(weather[i, 0] + climb * since_s, climb, weather[i, 1] + warming * since_s, warming)
             held = Held(openings[at, 0], openings[at, 1], openings[at, 2] > 0.0, False)
             then = air
+            longest = longest_s[1] if held.solenoid_open else longest_s[0]
             done, left = 0.0, until - now
             while left > 0.0:
-                h = left / max(1, ceil(left / longest_s - 1e-9))
+                h = left / max(1, ceil(left / longest - 1e-9))
                 h = _allowed(numbers.evp, state[7], held.evp_target, h)
                 h = _allowed(numbers.dvp, state[8], held.dvp_target, h)
                 state = step(numbers, air, done, state, held, h)
                 done += h
                 left = left - h if left - h > 1e-12 else 0.0
                 then = Air(air.kPa + climb * done, climb, air.ratio + warming * done, warming)
-                found = conditions(numbers, then, state)
-                cv_seen, cv_reads = reading(cv_sensor, cv_seen, found.line_kPa, h, 0.0)
-                reservoir_seen, reservoir_reads = reading(
-                    reservoir_sensor, reservoir_seen, found.reservoir_kPa, h, 0.0
-                )
+                # A sensor without a lag is asked at the samples only.
+                if lagging or (left <= 0.0 and until >= time_s[i + 1]):
+                    found = conditions(numbers, then, state)
+                    cv_seen, cv_reads = reading(cv_sensor, cv_seen, found.line_kPa, h, 0.0)
+                    reservoir_seen, reservoir_reads = reading(
+                        reservoir_sensor, reservoir_seen, found.reservoir_kPa, h, 0.0
+                    )
             air = then
             now = until

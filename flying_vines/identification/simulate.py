@@ -19,7 +19,9 @@ from flying_vines.physics.compiler import compiled, record
 from flying_vines.physics.plant.commands import Commands, followed, steps_of, together
 from flying_vines.physics.plant.compiled import weather_at
 from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.flow import Opening
 from flying_vines.physics.plant.gas import GAMMA
+from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.numbers import Numbers, heat_per_s, numbers_of
 from flying_vines.physics.plant.sensors import Sensor
 from flying_vines.physics.plant.setup import Setup, perfect
@@ -67,7 +69,6 @@ class Prepared(NamedTuple):
 
     time_s: Array
     commands: Commands
-    switchings: tuple[Array, Array]
     weather: Array
     to_atmosphere: bool
     start: NDArray[np.intp]
@@ -82,7 +83,8 @@ class Made(NamedTuple):
     cv_sensor: np.void
     reservoir_sensor: np.void
     effects: Effects
-    longest_s: float
+    longest_s: tuple[float, float]
+    """Steps with the solenoid shut, and open."""
 
 
 class Simulation:
@@ -93,6 +95,7 @@ class Simulation:
         self.runs = tuple(_prepared(run) for run in case.runs)
         # Derivatives by initial pressures ask for the same rig again and again.
         self._made = lru_cache(64)(self._make)
+        self._switchings = lru_cache(64)(self._switch)
 
     def readings(
         self,
@@ -111,11 +114,9 @@ class Simulation:
         """
         run = self.runs[index]
         made = self._made(tuple(moved.items()), tuple(causes), run.to_atmosphere)
-        commands = followed(run.commands, made.effects)
-        for cause, x in causes:
-            if cause.commands is not None:
-                commands = cause.commands(commands, x)
-        switch_s, openings = run.switchings if commands is run.commands else together(commands)
+        own = tuple((cause.commands, x) for cause, x in causes if cause.commands is not None)
+        e = made.effects
+        switch_s, openings = self._switchings(index, e.evp_motion, e.dvp_motion, e.solenoid_timing, own)
         weather = run.weather
         if made.effects.ambient is not None:
             change = weather_at(made.effects.ambient, run.time_s - run.time_s[0])
@@ -140,6 +141,20 @@ class Simulation:
                 readings = cause.readings(readings, x)
         return readings
 
+    def _switch(
+        self,
+        index: int,
+        evp: ValveMotion | None,
+        dvp: ValveMotion | None,
+        solenoid: SolenoidTiming | None,
+        own: tuple[tuple[Callable[[Commands, Values], Commands], Values], ...],
+    ) -> tuple[Array, Array]:
+        """When the valves of a run switch, and what they then do."""
+        commands = followed(self.runs[index].commands, evp, dvp, solenoid)
+        for change, values in own:
+            commands = change(commands, values)
+        return together(commands)
+
     def _make(
         self,
         moved: tuple[tuple[str, float], ...],
@@ -158,9 +173,12 @@ class Simulation:
         if effects.evp_coil is not None or effects.dvp_coil is not None:
             raise ValueError("a fit takes openings as recorded, and cannot simulate a coil")
         numbers = numbers_of(setup.plant, TICK_S)
-        longest_s = min(LONGEST_STEP_S, _STEP / _quickest_per_s(numbers, setup))
+        shut_s, open_s = (
+            min(LONGEST_STEP_S, _STEP / _quickest_per_s(numbers, setup, law))
+            for law in (Opening(), numbers.solenoid)
+        )
         sensors = (_sensor(setup.cv_sensor), _sensor(setup.reservoir_sensor))
-        return Made(record(numbers), *sensors, effects, longest_s)
+        return Made(record(numbers), *sensors, effects, (shut_s, open_s))
 
 
 @cache
@@ -183,7 +201,7 @@ def _prepared(run: Run) -> Prepared:
     )
     ambient = np.full(len(time_s), ALPHA_KPA) if run.ambient_kPa is None else run.ambient_kPa
     weather = np.column_stack((ambient, np.ones(len(time_s))))
-    return Prepared(time_s, commands, together(commands), weather, run.to_atmosphere, _starts(run))
+    return Prepared(time_s, commands, weather, run.to_atmosphere, _starts(run))
 
 
 def _starts(run: Run) -> NDArray[np.intp]:
@@ -202,11 +220,12 @@ def _starts(run: Run) -> NDArray[np.intp]:
     return np.concatenate(([0], np.flatnonzero(again) + 1))
 
 
-def _quickest_per_s(numbers: Numbers, setup: Setup) -> float:
+def _quickest_per_s(numbers: Numbers, setup: Setup, solenoid: Opening) -> float:
     """The inverse of the quickest time constant that an explicit integrator has to resolve."""
     n = numbers
+    lagging = max(setup.cv_sensor.time_constant_s, setup.reservoir_sensor.time_constant_s) > 0.0
     evp = n.evp.law.conductance_SL_per_s_kPa
-    at_the_valves = evp + n.solenoid.conductance_SL_per_s_kPa
+    at_the_valves = evp + (n.solenoid if lagging else solenoid).conductance_SL_per_s_kPa
     out_of_reservoir = evp + n.dvp.law.conductance_SL_per_s_kPa
     rates = [GAMMA * ALPHA_KPA * out_of_reservoir * n.reservoir_per_L]
     if n.has_tubing:
@@ -214,8 +233,7 @@ def _quickest_per_s(numbers: Numbers, setup: Setup) -> float:
         rates += [(at_the_valves + line) * n.line_kPa_per_SL, GAMMA * ALPHA_KPA * line / n.cv.flat_L]
     elif n.has_cv:
         rates.append(GAMMA * ALPHA_KPA * at_the_valves / n.cv.flat_L)
-    lags = (setup.cv_sensor.time_constant_s, setup.reservoir_sensor.time_constant_s)
-    if max(lags) > 0.0:
+    if lagging:
         # A straight line over a step has to be near what the pressure does there.
         rates.append(10.0 * max(rates))
     walls = ((n.reservoir_heat, 1.0 / n.reservoir_per_L), (n.cv_heat, n.cv.flat_L))

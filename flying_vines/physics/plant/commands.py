@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.compiler import compiled
 from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion, backlash, dead_zone
 
 Array = NDArray[np.float64]
@@ -45,16 +45,15 @@ def together(commands: Commands) -> tuple[Array, Array]:
     return times, openings
 
 
-def followed(told: Commands, effects: Effects) -> Commands:
+def followed(
+    told: Commands, evp: ValveMotion | None, dvp: ValveMotion | None, solenoid: SolenoidTiming | None
+) -> Commands:
     """What the valves do of what they are told, at exact times: delays, backlash, dead zones. Lags are for
     the integrator."""
-    evp, dvp, timing = effects.evp_motion, effects.dvp_motion, effects.solenoid_timing
-    if evp is None and dvp is None and timing is None:
-        return told
     return Commands(
         _moved(told.evp, evp) if evp else told.evp,
         _moved(told.dvp, dvp) if dvp else told.dvp,
-        _turned(told.solenoid, timing) if timing else told.solenoid,
+        _turned(told.solenoid, solenoid) if solenoid else told.solenoid,
     )
 
 
@@ -65,12 +64,18 @@ def _moved(told: Steps, motion: ValveMotion) -> Steps:
         time_s = np.concatenate((time_s[:1], time_s + motion.delay_s))
         value = np.concatenate(([0.0], value))
     if motion.backlash_width > 0.0 or motion.dead_opening > 0.0:
-        held, moved = 0.0, []
-        for command in value.tolist():
-            held = backlash(held, command, motion.backlash_width)
-            moved.append(dead_zone(held, motion.dead_opening))
-        value = np.array(moved)
+        value = compiled(moved_openings)(value, motion.backlash_width, motion.dead_opening)
     return Steps(time_s, value)
+
+
+def moved_openings(told: Array, backlash_width: float, dead_opening: float) -> Array:
+    """Where a valve with play and a dead zone goes, from shut."""
+    moved = np.empty(len(told))
+    held = 0.0
+    for i in range(len(told)):
+        held = backlash(held, told[i], backlash_width)
+        moved[i] = dead_zone(held, dead_opening)
+    return moved
 
 
 def _turned(told: Steps, timing: SolenoidTiming) -> Steps:
