@@ -13,9 +13,8 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
-from flying_vines.physics.plant.gas import GAMMA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.numbers import Numbers, Valve
 from flying_vines.physics.plant.plant import Held
 from flying_vines.physics.plant.rates import Floats, conditions, edges

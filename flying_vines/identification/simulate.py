@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from flying_vines.identification.case import Case, Run
 from flying_vines.identification.model import APART, Array, run
-from flying_vines.physics.baseline import ALPHA_KPA
 from flying_vines.physics.cause import Cause, Readings, Values
 from flying_vines.physics.compiler import compiled, record
+from flying_vines.physics.constants import ALPHA_KPA, GAMMA
 from flying_vines.physics.plant.commands import Commands, followed, steps_of, together
 from flying_vines.physics.plant.compiled import weather_at
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Opening
-from flying_vines.physics.plant.gas import GAMMA
 from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.numbers import Numbers, heat_per_s, numbers_of
 from flying_vines.physics.plant.sensors import Sensor

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from firmware_link.protocol import Fault, Telemetry
 from flying_vines.config.config import Pneumatics
-from flying_vines.physics.paper import STANDARD_TEMPERATURE_K
+from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
 from flying_vines.supply.flying import TRACE, Flying, Inflation
 from flying_vines.supply.reservoir import (

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flying_vines.physics.baseline import ALPHA_KPA, Inputs
+from flying_vines.physics.baseline import Inputs
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.ambient import (
     Climb,
     Recorded,

@@ -19,7 +19,7 @@ from flying_vines.identification.plan.library import FULL_KPA, LOW_KPA, MOST_KPA
 from flying_vines.identification.plan.traces import Layout, Part, layout_of, parts_of
 from flying_vines.identification.search import Progress, silent
 from flying_vines.identification.verdict import NONE
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.effects import catalogue
 from flying_vines.physics.rig import Rig
 from flying_vines.simulation.scenario.kinds import Kind

@@ -12,8 +12,8 @@ import numpy as np
 
 from flying_vines.identification.model import Array
 from flying_vines.identification.recording import Run
-from flying_vines.physics.baseline import ALPHA_KPA
 from flying_vines.physics.compiler import compiled, record
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.compiled import floats_of
 from flying_vines.physics.plant.loops import APART

@@ -29,8 +29,8 @@ from flying_vines.identification.plan.rehearsal import rehearsed
 from flying_vines.identification.plan.strengths import strengths, typical
 from flying_vines.identification.recording import Run
 from flying_vines.identification.simulate import Simulation, believed_keys, believed_spread
-from flying_vines.physics.baseline import ALPHA_KPA
 from flying_vines.physics.cause import Cause, Values
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import Rig, number
 from flying_vines.simulation.scenario.kinds import Kind
 

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.compiler import compiled, record
+from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Ambient, Recorded, Steady
-from flying_vines.physics.plant.gas import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.loops import APART, COLUMNS, Table, run_openings
 from flying_vines.physics.plant.numbers import numbers_of
 from flying_vines.physics.plant.plant import Plant, State, at_rest

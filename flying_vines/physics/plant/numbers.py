@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA, GAMMA
 from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, Opening
-from flying_vines.physics.plant.gas import GAMMA
 from flying_vines.physics.plant.motion import ValveMotion, ticks
 from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.shape import Chamber

@@ -17,10 +17,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.flow import flow_SL_per_s
-from flying_vines.physics.plant.gas import GAMMA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.numbers import Numbers
 from flying_vines.physics.plant.plant import Conditions, Held
 from flying_vines.physics.plant.shape import pressure_and_volume

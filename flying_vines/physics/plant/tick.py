@@ -10,9 +10,9 @@ from __future__ import annotations
 from math import ceil
 from typing import NamedTuple
 
+from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.coil import current_A, temperature_after_K
-from flying_vines.physics.plant.gas import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.motion import (
     backlash,
     dead_zone,

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
 
-from flying_vines.physics.baseline import ALPHA_KPA
-from flying_vines.physics.plant.gas import GAMMA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_TEMPERATURE_K
 
 _G1 = GAMMA - 1.0
 _PER_G1 = 1.0 / _G1

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import ControlVolume, Rig
 from flying_vines.simulation.phlosar.firmware import FirmwareSettings
 from flying_vines.simulation.phlosar.regulator import RegulatorSettings

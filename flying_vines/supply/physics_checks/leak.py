@@ -6,7 +6,7 @@ The bottle tells: how much faster it falls while the vine is held than it did wh
 
 from __future__ import annotations
 
-from flying_vines.physics.paper import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.supply.physics_checks.expected import Expected
 from flying_vines.supply.physics_checks.moment import Moment
 
