@@ -60,8 +60,9 @@ def step(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held, h: 
     seen = edges(numbers, air, at_s, state)
     held = Held(held.evp_target, held.dvp_target, held.solenoid_open, seen[0] < 0.0)
     end = runge_kutta(numbers, air, at_s, state, held, h)
+    found = edges(numbers, air, at_s + h, end)
     for edge in range(3):
-        over, under, part = seen[edge], edges(numbers, air, at_s + h, end)[edge], h
+        over, under, part = seen[edge], found[edge], h
         if (over < 0.0) == (under < 0.0):
             continue
         # Regula falsi; what has passed an edge is not to be trusted, so it is come to from this side.
@@ -74,6 +75,7 @@ def step(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held, h: 
         stalled = over >= 0.0 if edge == 0 else held.venturi_stalled
         held = Held(held.evp_target, held.dvp_target, held.solenoid_open, stalled)
         end = runge_kutta(numbers, air, at_s + part, end, held, h - part)
+        found = edges(numbers, air, at_s + h, end)
     return end
 
 
