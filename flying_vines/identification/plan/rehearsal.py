@@ -92,5 +92,5 @@ def regulate_held(
                 evp, dvp = round(drive.evp, OPENING_DIGITS), round(drive.dvp, OPENING_DIGITS)
                 solenoid = 1.0 if drive.solenoid else 0.0
                 openings[sample] = evp, dvp, solenoid
-            held = Held(evp, dvp, solenoid > 0.0)
+            held = Held(evp, dvp, solenoid > 0.0, False)
             state = runge_kutta(numbers, air, 0.0, state, held, 1.0 / FIRMWARE_HZ)
