@@ -35,11 +35,10 @@ from cycles_left_rigs import Case, draw
 from flying_vines.calibration.findings import Findings
 from flying_vines.calibration.plan import Wish, plan
 from flying_vines.config import config
-from flying_vines.physics.baseline import ALPHA_KPA
-from flying_vines.physics.plant.causes import Setup
+from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.coil import current_A
 from flying_vines.physics.plant.flow import Iso6358, Ohm
-from flying_vines.physics.plant.gas import STANDARD_TEMPERATURE_K
+from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.shape import Compliant, Pouch
 from flying_vines.physics.plant.venturi import outlet_SL_per_s
 

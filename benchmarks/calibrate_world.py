@@ -16,8 +16,8 @@ from flying_vines.calibration.plan import Plan
 from flying_vines.core.core import TICK_S
 from flying_vines.core.events import Decision, Measured, Snapshot
 from flying_vines.core.motion_planner import MotionPlanner
-from flying_vines.physics.plant.causes import Setup
 from flying_vines.physics.plant.plant import State, at_rest
+from flying_vines.physics.plant.setup import Setup
 from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
 from flying_vines.vine.intent import Intent, SetPressure, StartProfile
 from flying_vines.vine.motion import Motion

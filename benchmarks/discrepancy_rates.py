@@ -19,7 +19,7 @@ from flying_vines.identification.case import Case, Run
 from flying_vines.identification.fit import Point, Problem
 from flying_vines.identification.recording import Array
 from flying_vines.identification.simulate import GAP
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import Rig
 
 WINDOW_S = 0.2

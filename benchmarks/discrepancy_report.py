@@ -28,8 +28,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from flying_vines.identification.causes import catalogue
 from flying_vines.identification.verdict import NONE, UNEXPLAINED
+from flying_vines.physics.effects import catalogue
 
 GOALS = {
     "clear": 0.98,

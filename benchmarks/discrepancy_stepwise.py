@@ -16,12 +16,12 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from flying_vines.identification.case import Case
-from flying_vines.identification.cause import Cause, Values
-from flying_vines.identification.causes import catalogue
 from flying_vines.identification.fit import Point, Problem
 from flying_vines.identification.noise import stated_noise_kPa
 from flying_vines.identification.recording import Array
 from flying_vines.identification.verdict import NONE
+from flying_vines.physics.cause import Cause, Values
+from flying_vines.physics.effects import catalogue
 
 MOST_CAUSES = 8
 MOST_STEPS = 12

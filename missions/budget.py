@@ -14,7 +14,7 @@ from typing import NamedTuple
 from flying_vines.config.config import Config
 from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.safety import Conditions, Ruling, Safety
-from flying_vines.physics.paper import STANDARD_TEMPERATURE_K
+from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate
 from flying_vines.supply.estimate import READING_SD_KPA, Z90
 from flying_vines.supply.flying import BLOCK_S, FLAT_KPA

@@ -23,7 +23,7 @@ import numpy as np
 
 from flying_vines.calibration.estimate import Estimate
 from flying_vines.calibration.readings import Array, Flags, Readings
-from flying_vines.physics.plant.gas import GAMMA, STANDARD_PRESSURE_KPA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.constants import GAMMA, STANDARD_PRESSURE_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.supply.belief import bottle_wall
 
 BIN_S = 0.2

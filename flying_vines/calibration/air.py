@@ -23,7 +23,7 @@ from flying_vines.calibration.findings import Finding, Result
 from flying_vines.calibration.readings import Array, Readings
 from flying_vines.calibration.zero import noise_kPa
 from flying_vines.config.config import Pneumatics
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA
 
 SMOOTHED_S = 0.05
 FLAT_KPA = 1.0

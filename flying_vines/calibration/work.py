@@ -11,7 +11,7 @@ from flying_vines.calibration.estimate import Estimate
 from flying_vines.calibration.findings import Finding, Findings, Result
 from flying_vines.calibration.plan import Plan
 from flying_vines.calibration.readings import Readings
-from flying_vines.physics.plant.gas import STANDARD_PRESSURE_KPA
+from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from flying_vines.identification.case import Case
-from flying_vines.identification.cause import Cause
-from flying_vines.identification.causes import catalogue
 from flying_vines.identification.cores import mapped
 from flying_vines.identification.evidence import evidence
 from flying_vines.identification.fit import Problem
@@ -21,6 +19,8 @@ from flying_vines.identification.noise import noise_kPa, stated_noise_kPa
 from flying_vines.identification.plan import recommend
 from flying_vines.identification.search import CLAIM, Candidate, Found, Progress, Search, silent
 from flying_vines.identification.verdict import NONE, UNEXPLAINED, Estimate, Named, Tried, Verdict
+from flying_vines.physics.cause import Cause
+from flying_vines.physics.effects import catalogue
 
 ALIKE = 9.2
 """A candidate whose evidence is within a factor of 100 of the best cannot be told apart from it."""

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from flying_vines.identification.case import Case
-from flying_vines.identification.cause import Cause, Values
-from flying_vines.identification.model import Array, Numbers
-from flying_vines.identification.simulate import BELIEVED, Simulation, believed_spread
+from flying_vines.identification.model import Array
+from flying_vines.identification.simulate import Simulation, believed_spread
 from flying_vines.identification.slopes import RunSlopes, Slopes
+from flying_vines.physics.cause import Cause, Values
+from flying_vines.physics.rig import number
 
 Bools = NDArray[np.bool_]
 
@@ -173,12 +174,11 @@ class Problem:
 
     def simulated(self, point: Point, runs: Sequence[int] | None = None) -> list[Array]:
         """Readings of these runs (all if not given): (2, n), control volume then reservoir, kPa."""
-        numbers = self.numbers(point)
+        moved = self.moved(point)
         causes = list(zip(point.causes, point.values, strict=True))
         every = range(len(self.data)) if runs is None else runs
         return [
-            np.stack(self.simulation.readings(i, numbers, causes, point.initial[self.starts[i]]))
-            for i in every
+            np.stack(self.simulation.readings(i, moved, causes, point.initial[self.starts[i]])) for i in every
         ]
 
     def residuals(self, point: Point, runs: Sequence[int] | None = None) -> list[Array]:
@@ -193,13 +193,8 @@ class Problem:
 
     def moved(self, point: Point) -> dict[str, float]:
         """The believed numbers that are free, by their keys, where the fit has them."""
-        believed = self.simulation.believed
-        return {key: getattr(believed, BELIEVED[key]) * (1.0 + d) for key, d in point.deviation.items()}
-
-    def numbers(self, point: Point) -> Numbers:
-        """The believed numbers, as far as they are moved."""
-        moved = {BELIEVED[key]: value for key, value in self.moved(point).items()}
-        return self.simulation.believed._replace(**moved)
+        rig = self.case.rig
+        return {key: number(rig, key) * (1.0 + deviation) for key, deviation in point.deviation.items()}
 
     def tangents(self, fit: Fit) -> Tangents:
         """What small changes of all that is fitted do to the residuals."""
@@ -345,9 +340,9 @@ class _Space:
         runs = []
         for run, starts in enumerate(self._starts):
             initial = []
-            for number, nudge in enumerate(_INITIAL_KPA):
+            for column, nudge in enumerate(_INITIAL_KPA):
                 moved = place.copy()
-                moved[self._common + 2 * starts.start + number : self._common + 2 * starts.stop : 2] += nudge
+                moved[self._common + 2 * starts.start + column : self._common + 2 * starts.stop : 2] += nudge
                 (there,) = self._problem.residuals(self.outer(moved), [run])
                 initial.append(_slope(there, residuals[run], nudge))
             common = [column[run] for column in columns]

@@ -12,9 +12,9 @@ from math import inf, isfinite, sqrt
 
 import numpy as np
 
-from flying_vines.identification.cause import Parameter
 from flying_vines.identification.model import Array
 from flying_vines.identification.search import Candidate
+from flying_vines.physics.cause import Parameter
 
 ABOVE = 3.84
 NEAR_ENOUGH = 0.25

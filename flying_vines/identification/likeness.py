@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flying_vines.identification.cause import Cause, Values
 from flying_vines.identification.fit import Fit, Point, Problem
 from flying_vines.identification.model import Array
+from flying_vines.physics.cause import Cause, Values
 
 _UNSEEN = 1e-6
 _OF_RANGE = 0.03

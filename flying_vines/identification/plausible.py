@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.identification.recording import Array, CaseError, Run
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.rig import Rig
 
-ISA_KPA = 101.325
 _MOST_OFFSET_KPA = 25.0
 _GLITCHES = 3
 """As many readings beyond all reason are taken for slips of the recorder, more for another unit."""
@@ -222,7 +221,9 @@ def _check_cv_absolute(rig: Rig, runs: Mapping[Path, Run]) -> None:
         if low_kPa > 20.0 and len(vented) > _GLITCHES and _is_ambient(float(np.median(vented))):
             raise _absolute(path, _CV, f"rests at {np.median(vented):.4g} when it is vented")
         begins[path] = begin_kPa = float(np.min(readings[:5]))
-        ambient_kPa = ISA_KPA if run.ambient_kPa is None else float(np.nanmedian(run.ambient_kPa))
+        ambient_kPa = (
+            STANDARD_PRESSURE_KPA if run.ambient_kPa is None else float(np.nanmedian(run.ambient_kPa))
+        )
         least_kPa = 20.0 if run.dvp_opening.any() else begin_kPa - 4.0
         never_below &= abs(begin_kPa - ambient_kPa) < 6.0 and low_kPa > least_kPa
         rises |= _top(readings) > begin_kPa + 5.0

@@ -14,12 +14,12 @@ from math import inf
 
 import numpy as np
 
-from flying_vines.identification.cause import Cause
 from flying_vines.identification.cores import mapped
 from flying_vines.identification.fit import Fit, Problem, Tangents
 from flying_vines.identification.model import Array
 from flying_vines.identification.residuals import Pattern, patterns
 from flying_vines.identification.simulate import believed_keys
+from flying_vines.physics.cause import Cause
 
 CLAIM = 25.0
 """By so much a cause must lower the score. Of twenty useless ones the best gains 20 once in 10,000 cases."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
-from flying_vines.identification.causes import catalogue
 from flying_vines.identification.verdict import NONE, UNEXPLAINED, Estimate, Verdict
+from flying_vines.physics.effects import catalogue
 
 RANKED = 8
 

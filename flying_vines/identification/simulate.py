@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
-from math import inf, nan, sqrt
+from dataclasses import replace
+from functools import cache, lru_cache
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.identification.case import Case, Run
-from flying_vines.identification.cause import Cause, Readings, Values
-from flying_vines.identification.causes import catalogue
-from flying_vines.identification.chain import compiled_run
-from flying_vines.identification.commands import Commands, steps_of, together
-from flying_vines.identification.model import Array, Numbers
-from flying_vines.physics.baseline import ALPHA_KPA
-from flying_vines.physics.plant.gas import GAMMA
-from flying_vines.physics.rig import Rig
+from flying_vines.identification.model import APART, Array, run
+from flying_vines.physics.cause import Cause, Readings, Values
+from flying_vines.physics.compiler import compiled, record
+from flying_vines.physics.constants import ALPHA_KPA, GAMMA
+from flying_vines.physics.plant.commands import Commands, followed, steps_of, together
+from flying_vines.physics.plant.compiled import weather_at
+from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.flow import Opening
+from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion
+from flying_vines.physics.plant.numbers import Numbers, heat_per_s, numbers_of
+from flying_vines.physics.plant.sensors import Sensor
+from flying_vines.physics.plant.setup import Setup, perfect
+from flying_vines.physics.plant.simulator import TICK_S
+from flying_vines.physics.rig import ControlVolume, Rig, with_numbers
 
 LONGEST_STEP_S = 0.05
 QUICK_WALL_S = 0.002
@@ -34,16 +41,16 @@ BUSY = 3
 ON_TIME, ON_TIME_SHARE = 0.1, 0.8
 """They do if so many of the times between samples are as usual, but for this share."""
 
-BELIEVED = {
-    "reservoir.volume_L": "reservoir_volume_L",
-    "cv.volume_L": "cv_volume_L",
-    "evp.flow_resistance_kPa_s_per_SL": "evp_flow_resistance_kPa_s_per_SL",
-    "dvp.flow_resistance_kPa_s_per_SL": "dvp_flow_resistance_kPa_s_per_SL",
-    "solenoid.flow_resistance_kPa_s_per_SL": "solenoid_flow_resistance_kPa_s_per_SL",
-    "venturi.full_vacuum_kPa": "full_vacuum_kPa",
-    "venturi.rated_supply_kPa": "rated_supply_kPa",
-}
-"""What a rig file believes, by its key there, and the simulation's number that it is."""
+BELIEVED = (
+    "reservoir.volume_L",
+    "cv.volume_L",
+    "evp.flow_resistance_kPa_s_per_SL",
+    "dvp.flow_resistance_kPa_s_per_SL",
+    "solenoid.flow_resistance_kPa_s_per_SL",
+    "venturi.full_vacuum_kPa",
+    "venturi.rated_supply_kPa",
+)
+"""What a rig file believes and a fit may move, by its key there."""
 
 
 def believed_keys(rig: Rig) -> tuple[str, ...]:
@@ -61,26 +68,38 @@ class Prepared(NamedTuple):
 
     time_s: Array
     commands: Commands
-    switchings: tuple[Array, Array]
-    ambient_kPa: Array
+    weather: Array
     to_atmosphere: bool
     start: NDArray[np.intp]
     """Samples from which on the pressures are unknown: the first, and each after a gap in the record, in
     which nobody knows what the valves did."""
 
 
+class Made(NamedTuple):
+    """A rig with causes in it, ready to be simulated."""
+
+    numbers: np.void
+    cv_sensor: np.void
+    reservoir_sensor: np.void
+    effects: Effects
+    longest_s: tuple[float, float]
+    """Steps with the solenoid shut, and open."""
+
+
 class Simulation:
     """The runs of a case."""
 
     def __init__(self, case: Case) -> None:
-        self.believed = numbers_of(case.rig)
+        self.rig = case.rig
         self.runs = tuple(_prepared(run) for run in case.runs)
-        self._flows = [cause for cause in catalogue() if cause.flows is not None]
+        # Derivatives by initial pressures ask for the same rig again and again.
+        self._made = lru_cache(64)(self._make)
+        self._switchings = lru_cache(64)(self._switch)
 
     def readings(
         self,
         index: int,
-        numbers: Numbers,
+        moved: Mapping[str, float],
         causes: Sequence[tuple[Cause, Values]],
         initial: Array,
     ) -> Readings:
@@ -88,32 +107,32 @@ class Simulation:
 
         Args:
             index: of the run.
-            numbers: of the rig, before the causes.
+            moved: numbers of the rig that are not as believed, by their keys.
             causes: what is in the rig, with their parameters' values.
             initial: (starts, 2) gauge pressures of reservoir and CV at each of the run's starts, kPa.
         """
         run = self.runs[index]
-        commands, ambient = run.commands, run.ambient_kPa
-        present: dict[str, Values] = {}
-        causes = sorted(causes, key=lambda item: item[0].order)
-        for cause, x in causes:
-            if cause.numbers is not None:
-                numbers = cause.numbers(numbers, x)
-            if cause.commands is not None:
-                commands = cause.commands(commands, x)
-            if cause.ambient is not None:
-                ambient = cause.ambient(run.time_s, ambient, x)
-            if cause.flows is not None:
-                present[cause.name] = x
-        if run.to_atmosphere:
-            numbers = numbers._replace(cv_volume_L=inf, cv_time_constant_s=0.0, cv_compliance_per_kPa=0.0)
-            initial = initial * (1.0, 0.0)
-        switch_s, openings = run.switchings if commands is run.commands else together(commands)
+        made = self._made(tuple(moved.items()), tuple(causes), run.to_atmosphere)
+        own = tuple((cause.commands, x) for cause, x in causes if cause.commands is not None)
+        e = made.effects
+        switch_s, openings = self._switchings(index, e.evp_motion, e.dvp_motion, e.solenoid_timing, own)
+        weather = run.weather
+        if made.effects.ambient is not None:
+            change = weather_at(made.effects.ambient, run.time_s - run.time_s[0])
+            weather = weather + change - (ALPHA_KPA, 1.0)
         out = np.empty((len(run.time_s), 2))
-        longest_s = min(LONGEST_STEP_S, _STEP / _quickest_per_s(numbers))
-        parameters = self._parameters(present)
         _compiled()(
-            numbers, run.time_s, switch_s, openings, ambient, run.start, initial, longest_s, parameters, out
+            made.numbers,
+            made.cv_sensor,
+            made.reservoir_sensor,
+            run.time_s,
+            switch_s,
+            openings,
+            weather,
+            run.start,
+            initial,
+            made.longest_s,
+            out,
         )
         readings = Readings(out[:, 0], out[:, 1])
         for cause, x in causes:
@@ -121,30 +140,55 @@ class Simulation:
                 readings = cause.readings(readings, x)
         return readings
 
-    def _parameters(self, present: Mapping[str, Values]) -> Array:
-        """Of all causes that bring flows; NaN for those that are not there."""
-        values: list[float] = []
-        for cause in self._flows:
-            values.extend(present.get(cause.name, (nan,) * len(cause.parameters)))
-        return np.array(values)
+    def _switch(
+        self,
+        index: int,
+        evp: ValveMotion | None,
+        dvp: ValveMotion | None,
+        solenoid: SolenoidTiming | None,
+        own: tuple[tuple[Callable[[Commands, Values], Commands], Values], ...],
+    ) -> tuple[Array, Array]:
+        """When the valves of a run switch, and what they then do."""
+        commands = followed(self.runs[index].commands, evp, dvp, solenoid)
+        for change, values in own:
+            commands = change(commands, values)
+        return together(commands)
+
+    def _make(
+        self,
+        moved: tuple[tuple[str, float], ...],
+        causes: tuple[tuple[Cause, Values], ...],
+        to_atmosphere: bool,
+    ) -> Made:
+        rig = with_numbers(self.rig, dict(moved))
+        # Causes of a control volume do nothing where there is none.
+        setup = perfect(rig if rig.cv is not None else replace(rig, cv=ControlVolume()))
+        for cause, values in causes:
+            names = [parameter.name for parameter in cause.parameters]
+            setup = cause.put_into(setup, dict(zip(names, values, strict=True)))
+        if to_atmosphere:
+            setup = setup.with_rig(cv=None)
+        effects = setup.plant.effects
+        if effects.evp_coil is not None or effects.dvp_coil is not None:
+            raise ValueError("a fit takes openings as recorded, and cannot simulate a coil")
+        numbers = numbers_of(setup.plant, TICK_S)
+        shut_s, open_s = (
+            min(LONGEST_STEP_S, _STEP / _quickest_per_s(numbers, setup, law))
+            for law in (Opening(), numbers.solenoid)
+        )
+        sensors = (_sensor(setup.cv_sensor), _sensor(setup.reservoir_sensor))
+        return Made(record(numbers), *sensors, effects, (shut_s, open_s))
 
 
 @cache
 def _compiled() -> Callable[..., None]:
-    return compiled_run([cause for cause in catalogue() if cause.flows is not None])
+    simulate: Callable[..., None] = compiled(run, APART)
+    return simulate
 
 
-def numbers_of(rig: Rig) -> Numbers:
-    """A rig's believed numbers."""
-    return Numbers(
-        reservoir_volume_L=rig.reservoir.volume_L,
-        cv_volume_L=inf if rig.cv is None else rig.cv.volume_L,
-        evp_flow_resistance_kPa_s_per_SL=rig.evp.flow_resistance_kPa_s_per_SL,
-        dvp_flow_resistance_kPa_s_per_SL=rig.dvp.flow_resistance_kPa_s_per_SL,
-        solenoid_flow_resistance_kPa_s_per_SL=rig.solenoid.flow_resistance_kPa_s_per_SL,
-        full_vacuum_kPa=rig.venturi.full_vacuum_kPa,
-        rated_supply_kPa=rig.venturi.rated_supply_kPa,
-    )
+def _sensor(sensor: Sensor) -> np.void:
+    # A converter's steps have no derivative, and noise covers them.
+    return record(replace(sensor, adc=None).numbers)
 
 
 def _prepared(run: Run) -> Prepared:
@@ -155,7 +199,8 @@ def _prepared(run: Run) -> Prepared:
         steps_of(time_s, run.solenoid),
     )
     ambient = np.full(len(time_s), ALPHA_KPA) if run.ambient_kPa is None else run.ambient_kPa
-    return Prepared(time_s, commands, together(commands), ambient, run.to_atmosphere, _starts(run))
+    weather = np.column_stack((ambient, np.ones(len(time_s))))
+    return Prepared(time_s, commands, weather, run.to_atmosphere, _starts(run))
 
 
 def _starts(run: Run) -> NDArray[np.intp]:
@@ -174,21 +219,26 @@ def _starts(run: Run) -> NDArray[np.intp]:
     return np.concatenate(([0], np.flatnonzero(again) + 1))
 
 
-def _quickest_per_s(numbers: Numbers) -> float:
+def _quickest_per_s(numbers: Numbers, setup: Setup, solenoid: Opening) -> float:
     """The inverse of the quickest time constant that an explicit integrator has to resolve."""
     n = numbers
-    evp = 1.0 / n.evp_flow_resistance_kPa_s_per_SL
-    into_cv = evp + 1.0 / n.solenoid_flow_resistance_kPa_s_per_SL
-    out_of_reservoir = evp + 1.0 / n.dvp_flow_resistance_kPa_s_per_SL
-    rates = [
-        GAMMA * ALPHA_KPA * into_cv / n.cv_volume_L,
-        GAMMA * ALPHA_KPA * out_of_reservoir / n.reservoir_volume_L,
-    ]
-    for wall_s in (n.reservoir_time_constant_s, n.cv_time_constant_s):
-        if wall_s > 0.0:
-            # Where heat comes and goes within milliseconds, gas hardly leaves the ambient temperature.
-            rates.append(_STEP / max(_STEP * wall_s, min(wall_s, QUICK_WALL_S)))
-    if n.cv_sensor_lag_s > 0.0:
+    lagging = max(setup.cv_sensor.time_constant_s, setup.reservoir_sensor.time_constant_s) > 0.0
+    evp = n.evp.law.conductance_SL_per_s_kPa
+    at_the_valves = evp + (n.solenoid if lagging else solenoid).conductance_SL_per_s_kPa
+    out_of_reservoir = evp + n.dvp.law.conductance_SL_per_s_kPa
+    rates = [GAMMA * ALPHA_KPA * out_of_reservoir * n.reservoir_per_L]
+    if n.has_tubing:
+        line = n.line_SL_per_s_kPa
+        rates += [(at_the_valves + line) * n.line_kPa_per_SL, GAMMA * ALPHA_KPA * line / n.cv.flat_L]
+    elif n.has_cv:
+        rates.append(GAMMA * ALPHA_KPA * at_the_valves / n.cv.flat_L)
+    if lagging:
         # A straight line over a step has to be near what the pressure does there.
-        rates.append(10.0 * rates[0])
+        rates.append(10.0 * max(rates))
+    walls = ((n.reservoir_heat, 1.0 / n.reservoir_per_L), (n.cv_heat, n.cv.flat_L))
+    for wall_per_s in (heat_per_s(heat, volume_L) for heat, volume_L in walls):
+        if wall_per_s > 0.0:
+            # Where heat comes and goes within milliseconds, gas hardly leaves the ambient temperature.
+            wall_s = 1.0 / wall_per_s
+            rates.append(_STEP / max(_STEP * wall_s, min(wall_s, QUICK_WALL_S)))
     return max(rates)

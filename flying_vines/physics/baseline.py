@@ -15,10 +15,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import Rig
-
-ALPHA_KPA = 101.325
-"""ρ Rᵤ T / M: kPa of a litre into which a standard litre went."""
 
 
 class State(NamedTuple):

@@ -12,6 +12,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, TypeVar
 
+from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA, STANDARD_TEMPERATURE_K
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
@@ -21,7 +23,6 @@ Value = TypeVar("Value", float, "NDArray[np.float64]")
 
 GAS_CONSTANT_J_PER_MOL_K = 8.314462618
 AIR_MOLAR_MASS_KG_PER_MOL = 0.0289652
-STANDARD_TEMPERATURE_K = 293.15
 STANDARD_DENSITY_KG_PER_M3 = 1.2041
 """Of air at 101.325 kPa and 20 °C, the standard state that flows in SLPM most often mean."""
 
@@ -41,10 +42,6 @@ def alpha_kPa(
         molar_mass_kg_per_mol: M, of air, kg/mol.
     """
     return (density_kg_per_m3 * GAS_CONSTANT_J_PER_MOL_K * temperature_K / molar_mass_kg_per_mol) / 1000.0
-
-
-ALPHA_KPA = 101.325
-"""α of a consistent standard state at one atmosphere, kPa; the paper prints no number."""
 
 
 def pressure_rate_kPa_per_s(flow_SL_per_s: Value, volume_L: float, alpha_kPa: float = ALPHA_KPA) -> Value:
@@ -235,7 +232,10 @@ def rigid_fill_SL(swing_kPa: float, cv_volume_L: float, alpha_kPa: float = ALPHA
 
 
 def pouch_fill_SL(
-    swing_kPa: float, cv_volume_L: float, ambient_kPa: float = 101.325, alpha_kPa: float = ALPHA_KPA
+    swing_kPa: float,
+    cv_volume_L: float,
+    ambient_kPa: float = STANDARD_PRESSURE_KPA,
+    alpha_kPa: float = ALPHA_KPA,
 ) -> float:
     """V_cv (P_a + ΔP) / α, standard litres: the air for a pouch that lies flat before each inflation.
 

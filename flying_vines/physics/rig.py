@@ -93,6 +93,12 @@ class Rig:
         return self.tolerance_percent.get(key, 1.0)
 
 
+def number(rig: Rig, key: str) -> float:
+    """The number at a key, as `cv.volume_L`."""
+    table, name = key.split(".")
+    return float(getattr(getattr(rig, table), name))
+
+
 def with_numbers(rig: Rig, numbers: Mapping[str, float]) -> Rig:
     """The rig with other numbers, by their keys, as `cv.volume_L`."""
     for key, value in numbers.items():

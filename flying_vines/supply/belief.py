@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from flying_vines.config.config import Pneumatics
-from flying_vines.physics.paper import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.plant.flow import FlowLaw, Iso6358
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Dvp, Evp, Reservoir, Rig
 
-AMBIENT_KPA = 101.325
+AMBIENT_KPA = STANDARD_PRESSURE_KPA
 CRITICAL_RATIO = 0.3
 """b of a valve with fittings."""
 LEAST_RISE = 0.65

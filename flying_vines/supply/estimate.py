@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from flying_vines.config.config import Pneumatics
-from flying_vines.physics.paper import STANDARD_TEMPERATURE_K
+from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
 from flying_vines.supply.features import Features
 from flying_vines.supply.flying import TRACE, Flying, Inflation

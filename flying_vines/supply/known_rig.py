@@ -14,17 +14,17 @@ from pathlib import Path
 import msgspec
 
 from flying_vines.config.config import Pneumatics
-from flying_vines.physics.paper import ALPHA_KPA
-from flying_vines.physics.plant.causes import Setup
+from flying_vines.physics.constants import ALPHA_KPA, GAMMA
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, flow_SL_per_s
 from flying_vines.physics.plant.motion import ValveMotion
 from flying_vines.physics.plant.plant import Plant
+from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_from
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import Rig, RigError, read_rig
 from flying_vines.supply.belief import AMBIENT_KPA, LEAST_RISE, Belief, Prior, nominal
-from flying_vines.supply.reservoir import GAMMA, PER_AIR_K
+from flying_vines.supply.reservoir import PER_AIR_K
 
 CHANGED = 0.1
 """One standard deviation, of what a rig is from its calibration to its flight: of what a rise takes …"""

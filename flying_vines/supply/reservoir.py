@@ -19,10 +19,9 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from flying_vines.physics.paper import STANDARD_TEMPERATURE_K
+from flying_vines.physics.constants import GAMMA, STANDARD_TEMPERATURE_K
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
 
-GAMMA = 1.4
 PER_AIR_K = (GAMMA - 1.0) * STANDARD_TEMPERATURE_K
 """What p V is divided by for the gas's m c_v, in J/K."""
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from flying_vines.physics.paper import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
 from flying_vines.supply.flying import Inflation, driving_kPa, tolerance_kPa
 

@@ -10,8 +10,8 @@ import pytest
 from hidden_truth import draw, write
 
 from flying_vines.identification.case import read_case
-from flying_vines.identification.causes import catalogue
 from flying_vines.identification.diagnose import diagnose
+from flying_vines.physics.effects import catalogue
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.true_rig import load_true_rig
 

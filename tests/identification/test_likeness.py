@@ -10,11 +10,11 @@ import pytest
 from hidden_truth import draw, write
 
 from flying_vines.identification.case import Case, read_case
-from flying_vines.identification.cause import Cause
-from flying_vines.identification.causes import catalogue
 from flying_vines.identification.fit import Problem
 from flying_vines.identification.likeness import Likeness, likeness
 from flying_vines.identification.simulate import believed_keys
+from flying_vines.physics.cause import Cause
+from flying_vines.physics.effects import catalogue
 
 BY_NAME = {cause.name: cause for cause in catalogue()}
 

@@ -13,8 +13,6 @@ import pytest
 from command_line import run as run_command
 
 from flying_vines.config import config as configuration
-from flying_vines.identification.cause import Cause, Parameter
-from flying_vines.identification.causes import catalogue
 from flying_vines.identification.model import Array
 from flying_vines.identification.plan import Pair, Plan, PlanError, plan, recommend
 from flying_vines.identification.plan.apart import SETTLED, apart
@@ -25,7 +23,9 @@ from flying_vines.identification.plan.rehearsal import rehearsed
 from flying_vines.identification.plan.strengths import strengths, typical
 from flying_vines.identification.plan.traces import Layout, Part, layout_of, parts_of
 from flying_vines.identification.plan.write import profiles_text, scenario_text
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.effects import catalogue
 from flying_vines.physics.rig import ControlVolume, Rig, Sensors, Venturi
 from flying_vines.simulation.scenario import load_scenario, parse_scenario, simulate, simulate_scenario
 from flying_vines.simulation.scenario.kinds import Bends, Kind, Profile, Steps

@@ -21,7 +21,6 @@ from hidden_truth import draw, write
 
 from flying_vines.cli.main import main
 from flying_vines.identification.case import Case, read_case
-from flying_vines.identification.causes import catalogue
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.report import figures
 from flying_vines.identification.report.figures import curve, shown_runs
@@ -32,6 +31,7 @@ from flying_vines.identification.report.words import label_and_unit, numbers, sh
 from flying_vines.identification.report.write import svg
 from flying_vines.identification.show import in_words
 from flying_vines.identification.verdict import NONE, UNEXPLAINED, Estimate, Verdict
+from flying_vines.physics.effects import catalogue
 
 HOSTILE = """<script>alert("1")</script><img src=http://example.org/x> & '$x_{'"""
 VOID = {"meta", "img", "br"}

@@ -13,7 +13,7 @@ from flying_vines.identification.fit import Fit, Problem
 from flying_vines.identification.model import Array
 from flying_vines.identification.residuals import patterns
 from flying_vines.identification.search import STRUCTURE
-from flying_vines.identification.simulate import Simulation, numbers_of
+from flying_vines.identification.simulate import Simulation
 from flying_vines.physics.rig import ControlVolume, Rig
 
 NOISE_KPA = (0.15, 1.2)
@@ -31,9 +31,7 @@ def fitted(seed: int) -> tuple[Problem, Fit]:
     ambient_C = 20.0 + 5.0 * np.sin(np.pi * time_s / 30.0)
     rig = Rig(cv=ControlVolume(0.25))
     run = Run("run", time_s, None, evp, shut, solenoid, shut, shut, None, ambient_C, False)
-    clean = Simulation(Case(Path("memory"), rig, (run,), ())).readings(
-        0, numbers_of(rig), [], np.array([(640.0, 0.0)])
-    )
+    clean = Simulation(Case(Path("memory"), rig, (run,), ())).readings(0, {}, [], np.array([(640.0, 0.0)]))
     run = replace(
         run,
         cv_kPa=clean.cv_kPa + random.normal(0.0, NOISE_KPA[0], len(time_s)),

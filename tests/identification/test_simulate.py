@@ -13,10 +13,10 @@ from hidden_truth.recording import replay
 from hidden_truth.rig import Rig as TrueRig
 
 from flying_vines.identification.case import Case, Run
-from flying_vines.identification.cause import Cause
-from flying_vines.identification.causes import catalogue
-from flying_vines.identification.simulate import Simulation, numbers_of
+from flying_vines.identification.simulate import Simulation
 from flying_vines.physics.baseline import Inputs, State, step
+from flying_vines.physics.cause import Cause
+from flying_vines.physics.effects import catalogue
 from flying_vines.physics.rig import ControlVolume, Rig
 
 RIG = Rig(cv=ControlVolume(0.25))
@@ -64,8 +64,8 @@ def test_a_cause_is_what_the_truth_says_it_is(cause: Cause, seed: int) -> None:
     truth = replay(
         physics, np.column_stack((run.evp_opening, run.dvp_opening, run.solenoid)), run.time_s, START_KPA
     )
-    ours = Simulation(case_of(run)).readings(0, numbers_of(RIG), [(cause, (value,))], STARTS)
-    plain = Simulation(case_of(run)).readings(0, numbers_of(RIG), [], STARTS)
+    ours = Simulation(case_of(run)).readings(0, {}, [(cause, (value,))], STARTS)
+    plain = Simulation(case_of(run)).readings(0, {}, [], STARTS)
     # A fiftieth of the sensors' noise at most.
     assert ours.cv_kPa == pytest.approx(truth[:, 0], abs=0.003)
     assert ours.reservoir_kPa == pytest.approx(truth[:, 1], abs=0.003)
@@ -88,7 +88,7 @@ def test_a_valve_much_quicker_than_the_samples_is_simulated_as_well(lag_s: float
     truth = replay(
         with_effects(TrueRig(cv_L=0.25), [Hidden("evp_lag", lag_s)]), inputs, run.time_s, START_KPA
     )
-    ours = Simulation(case_of(run)).readings(0, numbers_of(RIG), [(cause, (lag_s,))], STARTS)
+    ours = Simulation(case_of(run)).readings(0, {}, [(cause, (lag_s,))], STARTS)
     assert ours.cv_kPa == pytest.approx(truth[:, 0], abs=0.003)
 
 
@@ -130,14 +130,14 @@ def test_where_samples_never_come_on_time_no_row_is_missing() -> None:
 def test_a_sensor_that_lags_goes_on_lagging_where_a_run_begins_again() -> None:
     (cause,) = (cause for cause in catalogue() if cause.name == "cv_sensor_lag")
     run = random_run(7)
-    whole = Simulation(case_of(run)).readings(0, numbers_of(RIG), [(cause, (0.2,))], STARTS)
-    pressures = Simulation(case_of(run)).readings(0, numbers_of(RIG), [], STARTS)
+    whole = Simulation(case_of(run)).readings(0, {}, [(cause, (0.2,))], STARTS)
+    pressures = Simulation(case_of(run)).readings(0, {}, [], STARTS)
     moving = int(np.argmax(np.abs(whole.cv_kPa - pressures.cv_kPa)))
     simulation = Simulation(case_of(run))
     simulation.runs = (simulation.runs[0]._replace(start=np.array([0, moving])),)
     # Begun again where it is anyway.
     starts = np.array([START_KPA, (pressures.reservoir_kPa[moving], pressures.cv_kPa[moving])])
-    again = simulation.readings(0, numbers_of(RIG), [(cause, (0.2,))], starts)
+    again = simulation.readings(0, {}, [(cause, (0.2,))], starts)
     # Steps are shorter where a sensor lags.
     assert again.cv_kPa == pytest.approx(whole.cv_kPa, abs=1e-3)
 
@@ -149,15 +149,15 @@ def test_a_neutral_cause_does_nothing(cause: Cause) -> None:
         assert cause.name == "compressible_flow"
         return
     simulation = Simulation(case_of(random_run(1)))
-    plain = simulation.readings(0, numbers_of(RIG), [], STARTS)
-    ours = simulation.readings(0, numbers_of(RIG), [(cause, (neutral,))], STARTS)
+    plain = simulation.readings(0, {}, [], STARTS)
+    ours = simulation.readings(0, {}, [(cause, (neutral,))], STARTS)
     assert ours.cv_kPa == pytest.approx(plain.cv_kPa, abs=1e-9)
     assert ours.reservoir_kPa == pytest.approx(plain.reservoir_kPa, abs=1e-9)
 
 
 def test_without_causes_it_is_the_baseline() -> None:
     run = random_run(3)
-    readings = Simulation(case_of(run)).readings(0, numbers_of(RIG), [], STARTS)
+    readings = Simulation(case_of(run)).readings(0, {}, [], STARTS)
     state = State(*START_KPA)
     for i, inputs in enumerate(zip(run.evp_opening, run.dvp_opening, run.solenoid, strict=True)):
         assert readings.cv_kPa[i] == pytest.approx(state.cv_kPa, abs=1e-4)
@@ -177,7 +177,7 @@ def test_all_causes_together_are_what_the_truth_says_they_are() -> None:
     )
     by_name = {cause.name: cause for cause in catalogue()}
     causes = [(by_name[one.name], (one.value,)) for one in hidden]
-    ours = Simulation(case_of(run)).readings(0, numbers_of(RIG), causes, STARTS)
+    ours = Simulation(case_of(run)).readings(0, {}, causes, STARTS)
     assert ours.cv_kPa == pytest.approx(truth[:, 0], abs=0.003)
     assert ours.reservoir_kPa == pytest.approx(truth[:, 1], abs=0.003)
 
@@ -187,9 +187,9 @@ def test_a_discharge_to_atmosphere_is_an_exponential() -> None:
     time_s = np.arange(0.0, 30.0, 0.5)
     shut = np.zeros(len(time_s))
     run = Run("discharge", time_s, None, shut + 1.0, shut, shut, shut, shut, None, None, True)
-    readings = Simulation(case_of(run, rig)).readings(0, numbers_of(rig), [], np.array([[690.0, 0.0]]))
+    readings = Simulation(case_of(run, rig)).readings(0, {}, [], np.array([[690.0, 0.0]]))
     tau_s = rig.evp.flow_resistance_kPa_s_per_SL * rig.reservoir.volume_L / 101.325
     assert readings.reservoir_kPa == pytest.approx(690.0 * np.exp(-time_s / tau_s), rel=1e-6)
     # Behind the valve is the air around, whatever a fit makes of a pressure that nobody recorded.
-    other = Simulation(case_of(run, rig)).readings(0, numbers_of(rig), [], np.array([[690.0, -30.0]]))
+    other = Simulation(case_of(run, rig)).readings(0, {}, [], np.array([[690.0, -30.0]]))
     assert other.reservoir_kPa == pytest.approx(readings.reservoir_kPa)

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flying_vines.physics.baseline import ALPHA_KPA, Flows, Inputs, State, derivatives, flows, step
+from flying_vines.physics.baseline import Flows, Inputs, State, derivatives, flows, step
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import ControlVolume, Rig
 
 RIG = Rig()

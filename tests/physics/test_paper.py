@@ -12,9 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flying_vines.physics import paper
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.studies.paper.data import CURVES, PaperDataError, condition, curve, parse_curve, stated
 
-LOW_RESISTANCE = 20.1535 * paper.ALPHA_KPA
+LOW_RESISTANCE = 20.1535 * ALPHA_KPA
 DEMONSTRATION = {
     "reservoir_volume_L": 2.0,
     "cv_volume_L": 0.1,
@@ -28,7 +29,7 @@ resistances = st.floats(50.0, 5000.0)
 
 
 def test_alpha_is_the_pressure_of_the_standard_state() -> None:
-    assert paper.alpha_kPa() == pytest.approx(paper.ALPHA_KPA, rel=1e-4)
+    assert paper.alpha_kPa() == pytest.approx(ALPHA_KPA, rel=1e-4)
 
 
 def test_a_valve_rated_in_SLPM_has_its_resistance() -> None:
@@ -47,7 +48,7 @@ def test_a_valve_rated_in_SLPM_has_its_resistance() -> None:
 def test_the_drawn_discharges_are_equation_3(
     name: str, ratio_s_per_L: float, volume_L: float, tau_s: float
 ) -> None:
-    found = paper.discharge_time_constant_s(ratio_s_per_L * paper.ALPHA_KPA, volume_L)
+    found = paper.discharge_time_constant_s(ratio_s_per_L * ALPHA_KPA, volume_L)
     assert found == pytest.approx(tau_s, rel=1e-5)
     drawn = curve(f"discharge_{name}_model")
     assert paper.discharge_kPa(drawn.x, float(drawn.y[0]), tau_s) == pytest.approx(drawn.y, rel=5e-6)

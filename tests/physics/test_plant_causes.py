@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 
 from flying_vines.physics.baseline import Inputs
-from flying_vines.physics.plant.causes import CAUSES, Setup, setup
+from flying_vines.physics.effects import catalogue, setup
 from flying_vines.physics.plant.plant import at_rest
 from flying_vines.physics.plant.sensors import read, rested
+from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.simulator import Simulator
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 
@@ -312,8 +313,9 @@ def test_a_sensors_lag_is_its_equation() -> None:
 
 
 def test_every_cause_of_the_table_is_a_setting() -> None:
-    sensors = {name for name in CAUSES if "sensor" in name}
-    assert set(STANDING) | sensors == set(CAUSES)
+    causes = {cause.name for cause in catalogue()}
+    sensors = {name for name in causes if "sensor" in name}
+    assert set(STANDING) | sensors == causes | {"none"}
     assert len(sensors) == 5
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from flying_vines.physics.baseline import Inputs
+from flying_vines.physics.effects import catalogue, setup
 from flying_vines.physics.plant.ambient import Climb, Recorded, Steady
-from flying_vines.physics.plant.causes import CAUSES, setup
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.likely import likely_effects
@@ -135,7 +135,7 @@ def test_a_replay_is_the_simulators_run(name: str) -> None:
     assert worst < 1e-9
 
 
-@pytest.mark.parametrize("cause", CAUSES)
+@pytest.mark.parametrize("cause", [cause.name for cause in catalogue()])
 def test_every_cause_is_the_simulators_and_so_are_its_readings(cause: str) -> None:
     made, inputs = setup(Rig(), cause, **CAUSE_NUMBERS[cause]), told(600, 8)
     run = replay(made.plant, inputs, cv_sensor=made.cv_sensor, reservoir_sensor=made.reservoir_sensor, seed=5)

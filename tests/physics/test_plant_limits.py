@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flying_vines.physics import baseline
-from flying_vines.physics.baseline import ALPHA_KPA, Inputs
+from flying_vines.physics.baseline import Inputs
+from flying_vines.physics.constants import ALPHA_KPA, GAMMA
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.gas import (
-    GAMMA,
     adiabatic_choked_discharge_kPa_abs,
     air_SL,
     choked_time_constant_s,

@@ -11,7 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from flying_vines.physics import baseline
-from flying_vines.physics.baseline import ALPHA_KPA, Inputs, State
+from flying_vines.physics.baseline import Inputs, State
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig, Sensors
 from flying_vines.simulation.scenario import (

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flying_vines.physics import paper
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.studies.design import Evaluation, Parts, Robot, catalogue, demonstration, evaluate
 from flying_vines.studies.design.parts import PositiveNumber
 from flying_vines.studies.design.show import notes
@@ -63,7 +64,7 @@ def test_a_pouch_takes_more_air(demo: Evaluation) -> None:
     pouch = evaluate(robot(cv_kind="pouch", least_cycles=0.0), PROTOTYPE)
     assert pouch.cycles == pouch.cycles_pouch == demo.cycles_pouch < demo.cycles_pouch_air
     assert pouch.inflation_kPa_per_s < demo.inflation_kPa_per_s
-    spare_SL = PROTOTYPE.reservoir_volume_L * (pouch.fill_kPa - pouch.least_kPa) / paper.ALPHA_KPA
+    spare_SL = PROTOTYPE.reservoir_volume_L * (pouch.fill_kPa - pouch.least_kPa) / ALPHA_KPA
     assert pouch.cycles == pytest.approx(spare_SL / (2.0 * pouch.robot.pouch_fill_SL))
 
 

@@ -49,7 +49,7 @@ class Check:
         simulation = Simulation(bare)
         runs = []
         for index, (run, initial) in enumerate(zip(self._runs, self._initial, strict=True)):
-            readings = simulation.readings(index, simulation.believed, [(cause, values)], initial)
+            readings = simulation.readings(index, {}, [(cause, values)], initial)
             cv_kPa = np.full_like(run.time_s, np.nan) if run.to_atmosphere else readings.cv_kPa
             runs.append(replace(run, cv_kPa=cv_kPa, reservoir_kPa=readings.reservoir_kPa))
         return replace(bare, runs=tuple(runs))

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from flying_vines.identification.model import Array
 from flying_vines.identification.plan.apart import apart, open_pairs
 from flying_vines.identification.plan.traces import Layout, Part
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA
 
 WORTH = 0.03
 """Pairs. A run that settles less is not worth the trouble."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import ceil, log
 
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import ControlVolume, Rig
 from flying_vines.simulation.scenario.kinds import Kind, Openings, Profile, Segment, Valves
 from flying_vines.vine.profile import HoldFor, Step

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from flying_vines.identification.causes import catalogue
 from flying_vines.identification.model import Array
 from flying_vines.identification.plan.apart import SETTLED, apart
 from flying_vines.identification.plan.check import Check
@@ -20,7 +19,8 @@ from flying_vines.identification.plan.library import FULL_KPA, LOW_KPA, MOST_KPA
 from flying_vines.identification.plan.traces import Layout, Part, layout_of, parts_of
 from flying_vines.identification.search import Progress, silent
 from flying_vines.identification.verdict import NONE
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.effects import catalogue
 from flying_vines.physics.rig import Rig
 from flying_vines.simulation.scenario.kinds import Kind
 from flying_vines.simulation.scenario.scenario import Scenario

@@ -10,11 +10,17 @@ import random
 
 import numpy as np
 
-from flying_vines.identification.model import Array, Numbers, State, Told, step
+from flying_vines.identification.model import Array
 from flying_vines.identification.recording import Run
-from flying_vines.identification.simulate import numbers_of
-from flying_vines.physics.baseline import ALPHA_KPA
-from flying_vines.physics.compiler import compiled
+from flying_vines.physics.compiler import compiled, record
+from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.plant.ambient import Air
+from flying_vines.physics.plant.compiled import floats_of
+from flying_vines.physics.plant.loops import APART
+from flying_vines.physics.plant.numbers import Numbers, numbers_of
+from flying_vines.physics.plant.plant import Held, Plant, at_rest
+from flying_vines.physics.plant.rates import Floats, conditions
+from flying_vines.physics.plant.tick import runge_kutta
 from flying_vines.physics.rig import Rig
 from flying_vines.simulation.phlosar.closed_loop import regulator_step
 from flying_vines.simulation.phlosar.regulator import Regulator
@@ -45,11 +51,12 @@ def _regulated(rig: Rig, kind: Kind, time_s: Array) -> Array:
     assert command is not None and rig.cv is not None, "a run either regulates or moves the valves"
     regulator = Regulator(tuning_for(rig, rig.cv, kind.reservoir_kPa, kind.sample_rate_Hz))
     openings = np.empty((len(time_s), 3))
-    compiled(regulate_held, (step,))(
-        numbers_of(rig),
+    plant = Plant(rig)
+    compiled(regulate_held, APART)(
+        record(numbers_of(plant, 1.0 / FIRMWARE_HZ)),
+        floats_of(at_rest(plant, kind.reservoir_kPa)),
         regulator.address,
         np.array([command(t) for t in time_s.tolist()]),
-        kind.reservoir_kPa,
         FIRMWARE_HZ // kind.sample_rate_Hz,
         openings,
     )
@@ -58,26 +65,26 @@ def _regulated(rig: Rig, kind: Kind, time_s: Array) -> Array:
 
 def regulate_held(
     numbers: Numbers,
+    state: Floats,
     regulator: int,
     wanted_kPa: Array,
-    reservoir_kPa: float,
     ticks: int,
     openings: Array,
 ) -> None:
     """Fill `openings` (n, 3): from each sample on, for so many ticks, what the valves are told."""
-    nothing = np.zeros(0)
-    state = State(reservoir_kPa, 1.0, 0.0, 1.0)
+    air = Air(ALPHA_KPA, 0.0, 1.0, 0.0)
     drive = np.empty(4)
     for sample in range(len(wanted_kPa)):
         evp = dvp = solenoid = 0.0
         for tick in range(ticks):
+            found = conditions(numbers, air, state)
             target_kPa = wanted_kPa[sample]
             regulator_step(
-                regulator, target_kPa, FASTEST_KPA_PER_S, state.cv_kPa, state.reservoir_kPa, drive.ctypes
+                regulator, target_kPa, FASTEST_KPA_PER_S, found.cv_kPa, found.reservoir_kPa, drive.ctypes
             )
             if tick == 0:
                 evp, dvp = round(drive[0], OPENING_DIGITS), round(drive[1], OPENING_DIGITS)
                 solenoid = drive[2]
                 openings[sample] = evp, dvp, solenoid
-            told = Told(0.0, evp, dvp, solenoid, ALPHA_KPA, 0.0, evp)
-            state = step(numbers, told, state, 1.0 / FIRMWARE_HZ, nothing)
+            held = Held(evp, dvp, solenoid > 0.0, False)
+            state = runge_kutta(numbers, air, 0.0, state, held, 1.0 / FIRMWARE_HZ)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import isinf
 
-from flying_vines.identification.cause import Cause, Parameter
+from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.rig import Rig
 
 TYPICAL = {

@@ -13,7 +13,7 @@ believed numbers are common to all runs, and are rows of G as well (each moved b
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,20 +22,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.identification.case import Case
-from flying_vines.identification.cause import Cause, Values
-from flying_vines.identification.model import Array, Numbers
+from flying_vines.identification.model import Array
 from flying_vines.identification.noise import stated_noise_kPa
 from flying_vines.identification.plan.library import Candidate
 from flying_vines.identification.plan.rehearsal import rehearsed
 from flying_vines.identification.plan.strengths import strengths, typical
 from flying_vines.identification.recording import Run
-from flying_vines.identification.simulate import BELIEVED, Simulation, believed_keys, believed_spread
-from flying_vines.physics.baseline import ALPHA_KPA
-from flying_vines.physics.rig import Rig
+from flying_vines.identification.simulate import Simulation, believed_keys, believed_spread
+from flying_vines.physics.cause import Cause, Values
+from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.rig import Rig, number
 from flying_vines.simulation.scenario.kinds import Kind
 
 Causes = Sequence[tuple[Cause, Values]]
 
+_AS_BELIEVED: Mapping[str, float] = {}
 _RESERVOIR_KPA, _CV_KPA = 1.0, 0.1
 """How far initial pressures are moved for a derivative."""
 
@@ -120,14 +121,15 @@ def parts_of(layout: Layout, candidate: Candidate) -> list[Part]:
 def _traces(layout: Layout, run: Run, reservoir_kPa: float) -> tuple[Array, Array]:
     """(rows, 2, n): of G's rows, then of the two initial pressures; and the reservoir's baseline, kPa."""
     simulation = Simulation(Case(Path(run.name), layout.rig, (run,), ()))
-    believed = simulation.believed
     start = np.array([[reservoir_kPa, 0.0]])
     noise = np.array(layout.noise_kPa)[:, None]
     if run.to_atmosphere:
         noise[0] = np.inf
 
-    def readings(numbers: Numbers = believed, causes: Causes = (), initial: Array = start) -> Array:
-        return np.stack(simulation.readings(0, numbers, causes, initial))
+    def readings(
+        moved: Mapping[str, float] = _AS_BELIEVED, causes: Causes = (), initial: Array = start
+    ) -> Array:
+        return np.stack(simulation.readings(0, moved, causes, initial))
 
     baseline = readings()
     rows = [
@@ -136,8 +138,8 @@ def _traces(layout: Layout, run: Run, reservoir_kPa: float) -> tuple[Array, Arra
         for value in values
     ]
     for key in layout.keys:
-        moved = getattr(believed, BELIEVED[key]) * (1.0 + believed_spread(layout.rig, key))
-        rows.append(readings(numbers=believed._replace(**{BELIEVED[key]: moved})))
+        moved = number(layout.rig, key) * (1.0 + believed_spread(layout.rig, key))
+        rows.append(readings({key: moved}))
     rows += [readings(initial=start + move) for move in ((_RESERVOIR_KPA, 0.0), (0.0, _CV_KPA))]
     traces = (np.array(rows) - baseline) / noise
     return np.nan_to_num(traces, nan=0.0, posinf=0.0, neginf=0.0), baseline[1]

@@ -10,7 +10,7 @@ from bisect import bisect_right
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from flying_vines.physics.plant.gas import STANDARD_PRESSURE_KPA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.constants import STANDARD_PRESSURE_KPA, STANDARD_TEMPERATURE_K
 
 
 class Air(NamedTuple):

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import exp
 
-from flying_vines.physics.plant.gas import STANDARD_TEMPERATURE_K
+from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 
 COPPER_PER_K = 0.0039
 """Rise of copper's resistance."""

@@ -9,15 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.compiler import compiled, record
-from flying_vines.physics.plant.ambient import Recorded, Steady
-from flying_vines.physics.plant.gas import STANDARD_TEMPERATURE_K
+from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
+from flying_vines.physics.plant.ambient import Ambient, Recorded, Steady
 from flying_vines.physics.plant.loops import APART, COLUMNS, Table, run_openings
 from flying_vines.physics.plant.numbers import numbers_of
 from flying_vines.physics.plant.plant import Plant, State, at_rest
@@ -100,8 +100,12 @@ def weather_of(plant: Plant, n_ticks: int, tick_s: float) -> Table:
     ambient = plant.ambient
     if isinstance(ambient, Steady):
         return np.array([[ambient.pressure_kPa, ambient.temperature_K / STANDARD_TEMPERATURE_K]])
-    times_s = np.arange(n_ticks + 1) * tick_s
-    corners_s = ambient.time_s if isinstance(ambient, Recorded) else (0.0, times_s[-1])
+    return weather_at(ambient, np.arange(n_ticks + 1) * tick_s)
+
+
+def weather_at(ambient: Ambient, times_s: NDArray[np.floating[Any]]) -> Table:
+    """The air around at rising times: kPa, temperature ratio."""
+    corners_s = ambient.time_s if isinstance(ambient, Recorded) else (times_s[0], times_s[-1])
     kPa, kelvin, _ = np.transpose([ambient.at(corner_s) for corner_s in corners_s])
     return np.column_stack(
         [

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from math import sqrt
 from typing import NamedTuple
 
-from flying_vines.physics.plant.gas import STANDARD_PRESSURE_KPA
+from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 
-_ANR_SL = 101.325 / 100.0
+_ANR_SL = STANDARD_PRESSURE_KPA / 100.0
 """ISO 6358 counts at 100 kPa and 20 °C what we count at 101.325 kPa and 20 °C."""
 
 

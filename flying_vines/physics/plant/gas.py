@@ -9,12 +9,7 @@ from __future__ import annotations
 
 import math
 
-from flying_vines.physics.baseline import ALPHA_KPA
-
-GAMMA = 1.4
-"""c_p / c_v of dry air."""
-STANDARD_PRESSURE_KPA = 101.325
-STANDARD_TEMPERATURE_K = 293.15
+from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_TEMPERATURE_K
 
 
 def air_SL(pressure_kPa_abs: float, volume_L: float, temperature_K: float = STANDARD_TEMPERATURE_K) -> float:

@@ -1,12 +1,13 @@
 """How a valve follows its command: delay, backlash, dead zone, lag, in this order; a solenoid's two delays.
 
 The first three belong to one tick of the firmware, during which a command holds; delays are whole ticks. The
-lag dx/dt = (target − x) / τ is integrated with the gas.
+lag dx/dt = (target − x) / τ is exact, whatever the step.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import exp, expm1
 
 
 @dataclass(frozen=True)
@@ -79,3 +80,19 @@ def solenoid_after(
     if waited_ticks >= (opening_ticks if told_open else closing_ticks):
         return told_open, 0
     return is_open, waited_ticks + 1
+
+
+def opening_after(per_s: float, opening: float, target: float, dt_s: float) -> float:
+    """Where a valve with a lag is `dt_s` on; `per_s` is 1/τ, 0 without a lag."""
+    if per_s == 0.0:
+        return target
+    return target + (opening - target) * exp(-dt_s * per_s)
+
+
+def opening_midway(per_s: float, opening: float, target: float, dt_s: float) -> float:
+    """The opening at half a step with which Simpson's rule gives the mean over the step exactly."""
+    steps = dt_s * per_s
+    if steps < 1e-6:
+        return opening_after(per_s, opening, target, 0.5 * dt_s)
+    mean = -expm1(-steps) / steps
+    return target + (opening - target) * (6.0 * mean - 1.0 - exp(-steps)) / 4.0

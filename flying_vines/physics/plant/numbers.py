@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA, GAMMA
 from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, Opening
-from flying_vines.physics.plant.gas import GAMMA
 from flying_vines.physics.plant.motion import ValveMotion, ticks
 from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.shape import Chamber
@@ -86,8 +85,8 @@ def numbers_of(plant: Plant, tick_s: float) -> Numbers:
         * reservoir_gas
         * (steepest + reservoir_leak.steepest_SL_per_s_kPa)
         / rig.reservoir.volume_L,
-        _heat_per_s(reservoir_heat, rig.reservoir.volume_L),
-        _heat_per_s(cv_heat, cv.flat_L),
+        heat_per_s(reservoir_heat, rig.reservoir.volume_L),
+        heat_per_s(cv_heat, cv.flat_L),
         evp.lag_per_s,
         dvp.lag_per_s,
     )
@@ -134,6 +133,6 @@ def _valve(
     )
 
 
-def _heat_per_s(heat: Heat, volume_L: float) -> float:
+def heat_per_s(heat: Heat, volume_L: float) -> float:
     """How quickly gas at half an atmosphere, and the wall, take the other's temperature."""
     return heat.per_air / ALPHA_KPA + heat.fixed / (0.5 * ALPHA_KPA * volume_L) + heat.wall_per_s

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from flying_vines.physics.constants import GAMMA
 from flying_vines.physics.plant.ambient import Ambient, Steady
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.gas import GAMMA, air_SL
-from flying_vines.physics.plant.shape import Compliant, Shape
+from flying_vines.physics.plant.gas import air_SL
+from flying_vines.physics.plant.shape import Compliant, Shape, volume_and_work
 from flying_vines.physics.rig import Rig
 
 
@@ -96,7 +97,8 @@ def at_rest(
     """
     effects = plant.effects
     ambient_kPa, ambient_K, _ = plant.ambient.at(t_s)
-    volume_L, work_J = plant.shape.at(plant.cv_volume_L, cv_kPa, ambient_kPa, pouch_volume_L)
+    chamber = plant.shape.numbers(plant.cv_volume_L, GAMMA - 1.0)
+    volume_L, work_J = volume_and_work(chamber, cv_kPa, ambient_kPa, pouch_volume_L or 0.0)
     reservoir_kPa_abs, cv_kPa_abs = reservoir_kPa + ambient_kPa, cv_kPa + ambient_kPa
     line_L = effects.tubing.volume_L if effects.tubing else 0.0
     return State(

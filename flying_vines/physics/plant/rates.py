@@ -17,10 +17,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.flow import flow_SL_per_s
-from flying_vines.physics.plant.gas import GAMMA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.numbers import Numbers
 from flying_vines.physics.plant.plant import Conditions, Held
 from flying_vines.physics.plant.shape import pressure_and_volume
@@ -84,6 +83,8 @@ def rates(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held) ->
             enthalpy = onward_ratio * onward - leak_c_ratio * leak_c
         else:
             cv_air = evp - outlet - leak_c
+            if numbers.cv_heat.inflow_at_ambient and evp > 0.0:
+                evp_ratio = ratio_a
             enthalpy = evp_ratio * evp - outlet_ratio * outlet - leak_c_ratio * leak_c
         if numbers.cv_heat.own_temperature:
             cv_energy = _GAMMA_ALPHA * enthalpy + heat_c + _G1 * (volume - numbers.cv.flat_L) * air.kPa_per_s

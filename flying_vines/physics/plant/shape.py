@@ -49,6 +49,21 @@ def pressure_and_volume(chamber: Chamber, energy: float, ambient_kPa: float) -> 
     return energy / flat, flat
 
 
+def volume_and_work(
+    chamber: Chamber, gauge_kPa: float, ambient_kPa: float, fill_L: float
+) -> tuple[float, float]:
+    """Volume in L and the work W in J at a gauge pressure; at none a pouch holds `fill_L`."""
+    flat, full = chamber.flat_L, chamber.full_L
+    if gauge_kPa > 0.0:
+        stretch = full * chamber.per_kPa
+        work = stretch * (ambient_kPa * gauge_kPa + gauge_kPa * gauge_kPa / 2.0)
+        return full + stretch * gauge_kPa, work + ambient_kPa * (full - flat)
+    volume = flat
+    if gauge_kPa == 0.0:
+        volume = min(full, max(flat, fill_L))
+    return volume, ambient_kPa * (volume - flat)
+
+
 @dataclass(frozen=True)
 class Compliant:
     """V = V₀ (1 + k P) for gauge pressures P > 0, V₀ below; W = V₀ k (p_a P + P²/2). k = 0 is rigid."""
@@ -62,14 +77,6 @@ class Compliant:
     def numbers(self, volume_L: float, g: float) -> Chamber:
         edge_L = volume_L if self.per_kPa > 0.0 else _NO_EDGE_L
         return Chamber(volume_L, volume_L, self.per_kPa, g, _NO_EDGE_L, edge_L)
-
-    def at(
-        self, volume_L: float, kPa: float, ambient_kPa: float, fill_L: float | None
-    ) -> tuple[float, float]:
-        """Volume and work W at a gauge pressure."""
-        above = max(0.0, kPa)
-        work = volume_L * self.per_kPa * (ambient_kPa * above + above * above / 2.0)
-        return volume_L * (1.0 + self.per_kPa * above), work
 
 
 @dataclass(frozen=True)
@@ -88,18 +95,6 @@ class Pouch:
         if not flat_L < volume_L:
             raise ValueError("a pouch's flat volume is smaller than the full one")
         return Chamber(flat_L, volume_L, self.per_kPa, g, flat_L, volume_L + g * (volume_L - flat_L))
-
-    def at(
-        self, volume_L: float, kPa: float, ambient_kPa: float, fill_L: float | None
-    ) -> tuple[float, float]:
-        """Volume and work W at a gauge pressure; at none it holds `fill_L`, flat if not given."""
-        if kPa > 0.0:
-            volume, work = Compliant(self.per_kPa).at(volume_L, kPa, ambient_kPa, None)
-            return volume, work + ambient_kPa * (volume_L - self.flat_volume_L)
-        if kPa < 0.0 or fill_L is None:
-            return self.flat_volume_L, 0.0
-        fill_L = min(volume_L, max(self.flat_volume_L, fill_L))
-        return fill_L, ambient_kPa * (fill_L - self.flat_volume_L)
 
 
 Shape = Compliant | Pouch

@@ -10,10 +10,16 @@ from __future__ import annotations
 from math import ceil
 from typing import NamedTuple
 
+from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.coil import current_A, temperature_after_K
-from flying_vines.physics.plant.gas import STANDARD_TEMPERATURE_K
-from flying_vines.physics.plant.motion import backlash, dead_zone, solenoid_after
+from flying_vines.physics.plant.motion import (
+    backlash,
+    dead_zone,
+    opening_after,
+    opening_midway,
+    solenoid_after,
+)
 from flying_vines.physics.plant.numbers import Numbers, Valve
 from flying_vines.physics.plant.plant import Held
 from flying_vines.physics.plant.rates import Floats, edges, quickest_per_s, rates
@@ -120,10 +126,9 @@ def tick(
             held = Held(held.evp_target, held.dvp_target, held.solenoid_open, seen[0] < 0.0)
 
     s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state
-    # An opening without lag is not integrated, but it is to be read.
-    if numbers.evp.lag_per_s == 0.0 or abs(s7 - evp_now.target) < _ARRIVED:
+    if abs(s7 - evp_now.target) < _ARRIVED:
         s7 = evp_now.target
-    if numbers.dvp.lag_per_s == 0.0 or abs(s8 - dvp_now.target) < _ARRIVED:
+    if abs(s8 - dvp_now.target) < _ARRIVED:
         s8 = dvp_now.target
     fine_ticks = max(0, fine_ticks - 1)
     return (
@@ -157,26 +162,33 @@ def _first_crossing(before: tuple[float, float, float], after: tuple[float, floa
 
 
 def runge_kutta(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held, dt_s: float) -> Floats:
-    """The classical step. Written out: loops over ten numbers cost more than the numbers."""
+    """The classical step of the gas; openings with a lag are exact.
+
+    Written out: loops over the numbers cost more than the numbers.
+    """
     h = dt_s / 2.0
     s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state
-    a0, a1, a2, a3, a4, a5, a6, a7, a8, a9 = rates(numbers, air, at_s, state, held)
+    evp = opening_midway(numbers.evp.lag_per_s, s7, held.evp_target, dt_s)
+    dvp = opening_midway(numbers.dvp.lag_per_s, s8, held.dvp_target, dt_s)
+    a0, a1, a2, a3, a4, a5, a6, _, _, a9 = rates(numbers, air, at_s, state, held)
     middle = (
-        s0 + h * a0, s1 + h * a1, s2 + h * a2, s3 + h * a3, s4 + h * a4,
-        s5 + h * a5, s6 + h * a6, s7 + h * a7, s8 + h * a8, s9 + h * a9,
+        s0 + h * a0, s1 + h * a1, s2 + h * a2, s3 + h * a3, s4 + h * a4, s5 + h * a5, s6 + h * a6,
+        evp, dvp, s9,
     )  # fmt: skip
-    b0, b1, b2, b3, b4, b5, b6, b7, b8, b9 = rates(numbers, air, at_s + h, middle, held)
+    b0, b1, b2, b3, b4, b5, b6, _, _, b9 = rates(numbers, air, at_s + h, middle, held)
     middle = (
-        s0 + h * b0, s1 + h * b1, s2 + h * b2, s3 + h * b3, s4 + h * b4,
-        s5 + h * b5, s6 + h * b6, s7 + h * b7, s8 + h * b8, s9 + h * b9,
+        s0 + h * b0, s1 + h * b1, s2 + h * b2, s3 + h * b3, s4 + h * b4, s5 + h * b5, s6 + h * b6,
+        evp, dvp, s9,
     )  # fmt: skip
-    c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = rates(numbers, air, at_s + h, middle, held)
+    c0, c1, c2, c3, c4, c5, c6, _, _, c9 = rates(numbers, air, at_s + h, middle, held)
     h = dt_s
+    evp = opening_after(numbers.evp.lag_per_s, s7, held.evp_target, dt_s)
+    dvp = opening_after(numbers.dvp.lag_per_s, s8, held.dvp_target, dt_s)
     last = (
-        s0 + h * c0, s1 + h * c1, s2 + h * c2, s3 + h * c3, s4 + h * c4,
-        s5 + h * c5, s6 + h * c6, s7 + h * c7, s8 + h * c8, s9 + h * c9,
+        s0 + h * c0, s1 + h * c1, s2 + h * c2, s3 + h * c3, s4 + h * c4, s5 + h * c5, s6 + h * c6,
+        evp, dvp, s9,
     )  # fmt: skip
-    d0, d1, d2, d3, d4, d5, d6, d7, d8, d9 = rates(numbers, air, at_s + h, last, held)
+    d0, d1, d2, d3, d4, d5, d6, _, _, d9 = rates(numbers, air, at_s + h, last, held)
     h = dt_s / 6.0
     return (
         s0 + h * (a0 + 2.0 * (b0 + c0) + d0),
@@ -186,7 +198,7 @@ def runge_kutta(numbers: Numbers, air: Air, at_s: float, state: Floats, held: He
         s4 + h * (a4 + 2.0 * (b4 + c4) + d4),
         s5 + h * (a5 + 2.0 * (b5 + c5) + d5),
         s6 + h * (a6 + 2.0 * (b6 + c6) + d6),
-        s7 + h * (a7 + 2.0 * (b7 + c7) + d7),
-        s8 + h * (a8 + 2.0 * (b8 + c8) + d8),
+        evp,
+        dvp,
         s9 + h * (a9 + 2.0 * (b9 + c9) + d9),
     )

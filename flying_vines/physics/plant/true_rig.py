@@ -17,7 +17,6 @@ Without `[causes]` and `[effects]` it is a plain rig file, and the believed numb
 
 from __future__ import annotations
 
-import inspect
 import math
 import types
 from collections.abc import Mapping, Sequence
@@ -28,12 +27,11 @@ from typing import Any, get_args, get_type_hints
 
 import msgspec
 
-from flying_vines.physics.plant.causes import CAUSES, Setup, setup
+from flying_vines.physics.effects import NONE, catalogue, cause_named
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.likely import likely_effects
-from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, Sensor
+from flying_vines.physics.plant.setup import Setup, changed, perfect
 from flying_vines.physics.rig import Rig, RigError, Sensors, read_rig, rig_from
 
 _EFFECTS: dict[str, dict[str, type]] = {
@@ -74,13 +72,13 @@ class TrueRig:
     @cached_property
     def setup(self) -> Setup:
         """The plant and its sensors."""
-        made = setup(self.believed)
         own = {f.name: value for f in fields(Effects) if (value := getattr(self.effects, f.name)) is not None}
         try:
             if self.likely:
-                made = Setup(made.plant, *likely_sensors(self.believed.sensors))
                 own = {**vars(likely_effects()), **dict.fromkeys(self.without), **own}
-            made = replace(made, plant=Plant(self.believed, Effects(**own)))
+            made = perfect(self.believed, Effects(**own))
+            if self.likely:
+                made = Setup(made.plant, *likely_sensors(self.believed.sensors))
         except ValueError as error:
             raise RigError(f"effects: {error}.") from None
         for name, parameters in self.causes.items():
@@ -145,19 +143,21 @@ def true_rig_text(rig: TrueRig) -> str:
         effect = getattr(rig.effects, name)
         if effect is not None:
             kind = {"kind": type(effect).__name__.lower()} if len(kinds) > 1 else {}
-            tables.append((f"effects.{name}", {**kind, **_changed(effect)}))
+            tables.append((f"effects.{name}", {**kind, **changed(effect)}))
     return "\n".join(_toml(name, values) for name, values in tables)
 
 
 def _caused(made: Setup, name: str, parameters: Mapping[str, float]) -> Setup:
     """What a cause adds to what is there already."""
     where = f"causes.{name}"
-    if name not in CAUSES:
-        raise RigError(f"{where} is no cause: the causes are {', '.join(CAUSES)}.")
-    rig, effects = made.plant.rig, made.plant.effects
-    if rig.cv is None and name.startswith(_NEEDS_CV):
+    try:
+        cause = cause_named(name)
+    except KeyError:
+        names = ", ".join(cause.name for cause in (NONE, *catalogue()))
+        raise RigError(f"{where} is no cause: the causes are {names}.") from None
+    if made.plant.rig.cv is None and name.startswith(_NEEDS_CV):
         raise RigError(f"{where} needs a control volume, and the rig has no [cv].")
-    known = list(inspect.signature(CAUSES[name]).parameters)[1:]
+    known = [parameter.name for parameter in cause.parameters]
     for parameter, value in parameters.items():
         if parameter not in known:
             raise RigError(f"{where}.{parameter} is no parameter: {_listed(known)}.")
@@ -167,39 +167,14 @@ def _caused(made: Setup, name: str, parameters: Mapping[str, float]) -> Setup:
         if parameter not in parameters:
             raise RigError(f"{where}.{parameter} is missing.")
     try:
-        alone = CAUSES[name](replace(made, plant=Plant(rig)), **parameters)
-        added = {
-            f.name: _merged(getattr(effects, f.name), new)
-            for f in fields(Effects)
-            if (new := getattr(alone.plant.effects, f.name)) is not None
-        }
-        restriction = alone.plant.rig.evp.flow_resistance_kPa_s_per_SL / rig.evp.flow_resistance_kPa_s_per_SL
-        if restriction != 1.0 and effects.evp_law is not None:
-            added["evp_law"] = _restricted(effects.evp_law, restriction)
-        rig = msgspec.convert(asdict(alone.plant.rig), Rig)
-        return replace(alone, plant=Plant(rig, replace(effects, **added)))
+        caused = cause.put_into(made, parameters)
+        # Its own numbers are in range; those of the rig need not be any more.
+        msgspec.convert(asdict(caused.plant.rig), Rig)
+        return caused
     except msgspec.ValidationError:
         raise RigError(f"{where} makes the rig impossible: {_said(parameters)}.") from None
     except ValueError as error:
         raise RigError(f"{where}: {error}.") from None
-
-
-def _restricted(law: Ohm | Iso6358, scale: float) -> Ohm | Iso6358:
-    """A valve with a law of its own, its resistance `scale` times as high."""
-    if isinstance(law, Ohm):
-        return Ohm(scale * law.flow_resistance_kPa_s_per_SL)
-    return replace(law, sonic_conductance_SL_per_s_kPa=law.sonic_conductance_SL_per_s_kPa / scale)
-
-
-def _merged(old: Any, new: Any) -> Any:
-    """`new`, or, where `old` has all that `new` says, `old` with that."""
-    says = _changed(new)
-    return replace(old, **says) if old is not None and all(hasattr(old, name) for name in says) else new
-
-
-def _changed(part: Any) -> dict[str, Any]:
-    """What of a description is not as its defaults have it."""
-    return {f.name: v for f in fields(part) if (v := getattr(part, f.name)) != f.default}
 
 
 def _effect(name: str, value: Any) -> Any:

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
 
-from flying_vines.physics.baseline import ALPHA_KPA
-from flying_vines.physics.plant.gas import GAMMA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_TEMPERATURE_K
 
 _G1 = GAMMA - 1.0
 _PER_G1 = 1.0 / _G1
@@ -34,6 +33,7 @@ class Heat(NamedTuple):
     outer_conductance_W_per_K: float = 0.0
     wall_per_s: float = 0.0
     """How quickly the wall follows."""
+    inflow_at_ambient: bool = False
 
 
 def heat_kPa_L_per_s(heat: Heat, air_SL: float, ratio: float, wall_K: float, ambient_ratio: float) -> float:
@@ -52,13 +52,15 @@ def wall_K_per_s(heat: Heat, into_gas_kPa_L_per_s: float, wall_K: float, ambient
 class Wall:
     """A wall; as it stands it passes no heat (adiabatic). A volume without a wall is isothermal.
 
-    With an infinite capacity the wall is at ambient temperature.
+    With an infinite capacity the wall is at ambient temperature. `inflow_at_ambient`: valve and tubing have
+    brought to ambient temperature what flows in.
     """
 
     time_constant_s: float = inf
     conductance_W_per_K: float = 0.0
     capacity_J_per_K: float = inf
     outer_conductance_W_per_K: float = 1.0
+    inflow_at_ambient: bool = False
 
     def __post_init__(self) -> None:
         if not (self.time_constant_s > 0.0 and self.capacity_J_per_K > 0.0):
@@ -74,6 +76,7 @@ class Wall:
             1.0 / self.capacity_J_per_K,
             self.outer_conductance_W_per_K,
             (self.conductance_W_per_K + self.outer_conductance_W_per_K) / self.capacity_J_per_K,
+            self.inflow_at_ambient,
         )
 
 

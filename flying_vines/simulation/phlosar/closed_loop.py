@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from flying_vines.physics.compiler import compiled, external, record
+from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import air_between
 from flying_vines.physics.plant.compiled import Run, empty_table, floats_of, named, noise_of, weather_of
-from flying_vines.physics.plant.gas import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.loops import APART, Table, read_both, weather_at, write
 from flying_vines.physics.plant.numbers import Numbers, numbers_of
 from flying_vines.physics.plant.plant import Plant, State, at_rest

@@ -13,9 +13,8 @@ from math import inf, isfinite, pi
 from random import Random
 from typing import Any, NamedTuple
 
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.plant.flow import Iso6358, Ohm, Opening, flow_SL_per_s
-from flying_vines.physics.plant.gas import GAMMA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.plant.numbers import Numbers, Valve
 
 OPEN_SHARE = -0.125

@@ -13,9 +13,9 @@ from functools import partial
 from pathlib import Path
 from time import monotonic
 
-from flying_vines.physics.baseline import ALPHA_KPA, Inputs
+from flying_vines.physics.baseline import Inputs
+from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.gas import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.numbers import Numbers
 from flying_vines.physics.plant.plant import Conditions, State, at_rest
 from flying_vines.physics.plant.sensors import Sensor, reading, rested

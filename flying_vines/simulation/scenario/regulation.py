@@ -6,7 +6,7 @@ At the firmware's own rate it has its standard tuning. A valve that stays as it 
 
 from __future__ import annotations
 
-from flying_vines.physics.baseline import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import ControlVolume, Rig
 from flying_vines.simulation.phlosar.regulator import Tuning, standard_tuning
 from flying_vines.simulation.scenario.kinds import FIRMWARE_HZ

@@ -11,6 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.config.toml_text import explained, located, not_finite, one_line, read_text
+from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 from flying_vines.studies.bending.body import Body
 from flying_vines.studies.bending.cpam import Cpam
 from flying_vines.studies.bending.fpam import Fpam
@@ -36,7 +37,7 @@ class Vine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     """The most that the supply gives the actuator, gauge."""
     tip_load_N: Annotated[float, Meta(ge=0, le=1000)] = 0.0
     """What the tip is to bear, across its direction."""
-    ambient_kPa: Annotated[float, Meta(ge=20, le=120)] = 101.325
+    ambient_kPa: Annotated[float, Meta(ge=20, le=120)] = STANDARD_PRESSURE_KPA
     """Absolute."""
     body: Body
     actuator: Kind

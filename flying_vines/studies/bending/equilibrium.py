@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flying_vines.physics.paper import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.studies.bending.actuator import Array, bulge_where, free
 from flying_vines.studies.bending.description import Vine
 from flying_vines.vine.shape import tip

@@ -13,6 +13,7 @@ from msgspec import Meta
 from flying_vines.config.config import ConfigError
 from flying_vines.config.toml_text import read_text
 from flying_vines.physics import paper
+from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 from flying_vines.studies.design.reading import decode
 
 # The bounds keep every result finite.
@@ -54,7 +55,7 @@ class Robot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     least_cycles: NotNegative = 0.0
     fill_kPa: Positive = 690.0
     other_mass_kg: NotNegative = 0.0
-    ambient_kPa: Annotated[float, Meta(ge=20, le=120)] = 101.325
+    ambient_kPa: Annotated[float, Meta(ge=20, le=120)] = STANDARD_PRESSURE_KPA
     parts: PartNames = PartNames()
 
     def __post_init__(self) -> None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from flying_vines.physics import paper
 from flying_vines.physics.baseline import Inputs, State, step
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.compiled import replay
 from flying_vines.physics.plant.flow import Iso6358
 from flying_vines.physics.plant.plant import Plant, at_rest
@@ -229,7 +230,7 @@ def discharge(name: str, label: str, reservoir_volume_L: float, likely: Bench) -
     initial_kPa = float(measured.y[0])
     tau_s = fit_time_constant_s(model.x, model.y)
     best_s = nearest_time_constant_s(measured.x, measured.y)
-    resistance = tau_s * paper.ALPHA_KPA / reservoir_volume_L
+    resistance = tau_s * ALPHA_KPA / reservoir_volume_L
 
     def nrmse(time_s: Array, pressure_kPa: Array, with_tau_s: float) -> float:
         model_kPa = paper.discharge_kPa(time_s, initial_kPa, with_tau_s)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from flying_vines.physics import paper
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.studies.paper.compare import (
     BAND,
     HIGH_RESISTANCE,
@@ -242,7 +243,7 @@ def _discharge(curves: Curves) -> Iterator[Row]:
     rated = rated_resistance_kPa_s_per_SL()
     for d in curves.discharges:
         low_resistance = "low" in d.name
-        best = d.best_time_constant_s * paper.ALPHA_KPA / d.reservoir_volume_L
+        best = d.best_time_constant_s * ALPHA_KPA / d.reservoir_volume_L
         note = "How far the valve was closed for this test is not stated."
         if low_resistance:
             note = (

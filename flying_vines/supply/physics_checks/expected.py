@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from flying_vines.config.config import Checks
-from flying_vines.physics.paper import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.flow import Opening
 from flying_vines.supply import Belief, Features
 from flying_vines.supply.belief import AMBIENT_KPA, conductance_SL_per_s_kPa
@@ -25,8 +25,6 @@ SOFTNESS = 4.0
 """How much more air a soft vine takes for a rise than a rigid one of its size."""
 LEAST_RISE = 0.65
 """How much less a warm vine takes: gas that was compressed quickly has not cooled yet."""
-ADIABATIC = 1.4
-"""How much further a bottle's pressure falls at once than after it has warmed again."""
 SLOWEST_OUTLET_KPA_S_PER_SL = 120.0
 """From the vine to the outside through solenoid and Venturi; a small solenoid has 70."""
 

@@ -6,7 +6,7 @@ bottle shows it: its pressure falls faster while the vine is held than while the
 
 from __future__ import annotations
 
-from flying_vines.physics.paper import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.supply.features import Features
 from flying_vines.supply.physics_checks.expected import Expected
 

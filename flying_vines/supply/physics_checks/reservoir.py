@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import deque
 
+from flying_vines.physics.constants import GAMMA
 from flying_vines.supply.features import Features
-from flying_vines.supply.physics_checks.expected import ADIABATIC, Expected
+from flying_vines.supply.physics_checks.expected import Expected
 
 BLOCK_S = 0.2
 """What a reading of the bottle is averaged over."""
@@ -69,7 +70,8 @@ class Loss:
                 continue
             before_kPa, before_SL = self._blocks[-1 - blocks]
             seconds = blocks * BLOCK_S
-            told_kPa = ADIABATIC * self._rig.bottle_fall_kPa(told_SL - before_SL)
+            # At once it falls γ times as far as when it is warm again.
+            told_kPa = GAMMA * self._rig.bottle_fall_kPa(told_SL - before_SL)
             lost_kPa = before_kPa - kPa - told_kPa
             if lost_kPa > SURE_KPA + self._noise_kPa + SHARE_OF_EVP * open_kPa_per_s * seconds:
                 return f"bottle loses {lost_kPa / seconds:.0f} kPa/s unasked"

@@ -17,10 +17,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from flying_vines.identification.case import Case, Run
-from flying_vines.identification.cause import Cause, Parameter
-from flying_vines.identification.causes import catalogue
 from flying_vines.identification.fit import Point
 from flying_vines.identification.verdict import NONE, Estimate
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.effects import catalogue
 from flying_vines.physics.rig import Rig
 from flying_vines.studies.paper.compare import HIGH_RESISTANCE, HIGH_RESISTANCE_RATIO
 from flying_vines.studies.paper.data import DISCHARGES, curve

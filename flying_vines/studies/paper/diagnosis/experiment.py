@@ -17,8 +17,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from flying_vines.identification.case import Case, Run
-from flying_vines.identification.cause import Cause
 from flying_vines.identification.fit import Point, Problem
+from flying_vines.physics.cause import Cause
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 from flying_vines.studies.paper.data import curve
 from flying_vines.studies.paper.diagnosis.correlated import RESERVOIR, Correlated

@@ -12,15 +12,15 @@ from math import ceil
 
 import numpy as np
 
-from flying_vines.identification.cause import Readings
 from flying_vines.identification.fit import Point
 from flying_vines.physics.baseline import Inputs
+from flying_vines.physics.cause import Readings
 from flying_vines.physics.plant.compiled import replay
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Ohm, iso6358_matching
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.wall import PET_BOTTLE_2L
-from flying_vines.physics.rig import Evp
+from flying_vines.physics.rig import Evp, with_numbers
 from flying_vines.studies.paper.diagnosis.correlated import Correlated
 from flying_vines.studies.paper.diagnosis.evidence import Array
 
@@ -34,12 +34,13 @@ class OnPlant(Correlated):
 
     def simulated(self, point: Point, runs: Sequence[int] | None = None) -> list[Array]:
         """Readings of these runs: (2, n), of which the first row says nothing."""
-        numbers = self.numbers(point)
         every = list(zip(point.causes, point.values, strict=True))
         given = {cause.name: values[0] for cause, values in every if cause.readings is None}
         if unknown := given.keys() - set(SIMULATED):
             raise ValueError(f"the plant's discharge knows no {', '.join(sorted(unknown))}")
-        resistance = numbers.evp_flow_resistance_kPa_s_per_SL * given.get("evp_restriction", 1.0)
+        resistance = with_numbers(
+            self.case.rig, self.moved(point)
+        ).evp.flow_resistance_kPa_s_per_SL * given.get("evp_restriction", 1.0)
         law = wall = leak = None
         if "compressible_flow" in given:
             law = iso6358_matching(resistance, critical_pressure_ratio=given["compressible_flow"])

@@ -17,8 +17,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from flying_vines.identification.verdict import NONE
-from flying_vines.physics.plant.causes import Setup, setup
+from flying_vines.physics.effects import setup
 from flying_vines.physics.plant.plant import Plant, at_rest
+from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.plant.tubing import Tubing
 from flying_vines.physics.rig import ControlVolume, Rig, Solenoid

@@ -12,8 +12,8 @@ from math import log
 import numpy as np
 from numpy.typing import NDArray
 
-from flying_vines.identification.cause import Cause, Parameter, Readings, Values
-from flying_vines.identification.commands import Commands, Steps
+from flying_vines.physics.cause import Cause, Parameter, Readings, Values
+from flying_vines.physics.plant.commands import Commands, Steps
 
 Flags = NDArray[np.bool_]
 

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.motion import ValveMotion
+from flying_vines.physics.plant.setup import Setup
 
-from flying_vines.identification.cause import Cause, Parameter, Values
-from flying_vines.identification.commands import Commands, Steps
 
-
-def commands(commands: Commands, x: Values) -> Commands:
-    evp = commands.evp
-    if x[0] <= 0.0:
-        return commands
-    # From rest: until the first command arrives the valve is shut.
-    time_s = np.concatenate((evp.time_s[:1], evp.time_s + x[0]))
-    return commands._replace(evp=Steps(time_s, np.concatenate(([0.0], evp.value))))
+def apply(base: Setup, delay_s: float) -> Setup:
+    return base.with_effects(evp_motion=ValveMotion(delay_s=delay_s))
 
 
 CAUSE = Cause(
@@ -31,5 +25,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Open and shut the inflation valve in pulses of 0.05 to 0.5 s.",
-    commands=commands,
+    apply=apply,
 )

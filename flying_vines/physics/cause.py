@@ -1,26 +1,24 @@
-"""What a cause is: a named effect that the baseline lacks, its parameters, and what it does.
+"""What a cause is: a named effect that the baseline lacks, its parameters, and what it does to a rig.
 
-A cause does its work through any of five functions, each given the values of its parameters `x`:
-
-- `numbers`: other numbers of the simulation;
-- `commands`: valves that do something else than they were told;
-- `ambient`: another ambient pressure over time;
-- `flows`: other flows, a function in the part of Python that numba compiles;
-- `readings`: sensors that say something else than what is.
-
-Adding a cause is adding a file to `causes`, with one `CAUSE` in it.
+`apply` takes a plant with its sensors, and the parameters by their names, and gives the plant with the
+effect in it. The simulation and the fit both run that plant. To add a cause, add a file to `effects` with one
+`CAUSE` in it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from math import exp, log
+from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
+from flying_vines.physics.plant.setup import Setup
 
-from flying_vines.identification.commands import Commands
-from flying_vines.identification.model import Array, Numbers
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from flying_vines.physics.plant.commands import Commands
 
 Values = tuple[float, ...]
 
@@ -28,8 +26,8 @@ Values = tuple[float, ...]
 class Readings(NamedTuple):
     """(n,) kPa gauge."""
 
-    cv_kPa: Array
-    reservoir_kPa: Array
+    cv_kPa: NDArray[np.float64]
+    reservoir_kPa: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,7 @@ class Parameter:
 
     def inner(self, value: float) -> float:
         """What the fit moves."""
-        return float(np.log(value)) if self.logarithmic else value
+        return log(value) if self.logarithmic else value
 
     @property
     def range(self) -> float:
@@ -78,7 +76,7 @@ class Parameter:
         return ((inner - mean) / sd) ** 2
 
     def outer(self, inner: float) -> float:
-        return float(np.exp(inner)) if self.logarithmic else inner
+        return exp(inner) if self.logarithmic else inner
 
 
 @dataclass(frozen=True)
@@ -91,13 +89,14 @@ class Cause:
     parameters: tuple[Parameter, ...]
     experiment: str
     """A minute's recording that shows it best."""
-    numbers: Callable[[Numbers, Values], Numbers] | None = None
+    apply: Callable[..., Setup] | None = None
     commands: Callable[[Commands, Values], Commands] | None = None
-    ambient: Callable[[Array, Array, Values], Array] | None = None
-    flows: Callable[..., object] | None = None
+    """What a bench's valves do beside: only a fit knows it, as the next."""
     readings: Callable[[Readings, Values], Readings] | None = None
-    order: int = 0
-    """Among the causes that change the commands, or the readings: the lower acts first."""
+
+    def put_into(self, setup: Setup, parameters: Mapping[str, float]) -> Setup:
+        """The setup with this cause."""
+        return self.apply(setup, **parameters) if self.apply else setup
 
     def seeds(self) -> list[Values]:
         """Where fits begin: the first parameter's seeds, the others where they begin first."""

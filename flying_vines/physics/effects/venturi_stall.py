@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from flying_vines.identification.cause import Cause, Parameter, Values
-from flying_vines.identification.model import Numbers
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.venturi import Ejector
 
 
-def numbers(numbers: Numbers, x: Values) -> Numbers:
-    return numbers._replace(stall_supply_kPa=x[0])
+def apply(base: Setup, supply_pressure_kPa: float) -> Setup:
+    return base.with_effects(ejector=Ejector(stall_supply_kPa=supply_pressure_kPa))
 
 
 CAUSE = Cause(
@@ -24,5 +25,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Empty the control volume with the Venturi again and again until the reservoir is empty.",
-    numbers=numbers,
+    apply=apply,
 )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from flying_vines.identification.cause import Cause, Parameter, Values
-from flying_vines.identification.model import Numbers
+from dataclasses import replace
+
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.setup import Setup
 
 
-def numbers(numbers: Numbers, x: Values) -> Numbers:
-    return numbers._replace(cv_sensor_lag_s=x[0])
+def apply(base: Setup, time_constant_s: float) -> Setup:
+    return replace(base, cv_sensor=replace(base.cv_sensor, time_constant_s=time_constant_s))
 
 
 CAUSE = Cause(
@@ -25,5 +27,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Inflate quickly, shut all valves at once, and record every millisecond.",
-    numbers=numbers,
+    apply=apply,
 )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from flying_vines.identification.cause import Cause, Parameter, Values
-from flying_vines.identification.model import Numbers
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.rig import Reservoir
 
 
-def numbers(numbers: Numbers, x: Values) -> Numbers:
-    return numbers._replace(reservoir_volume_L=numbers.reservoir_volume_L * x[0])
+def apply(base: Setup, scale: float) -> Setup:
+    return base.with_rig(reservoir=Reservoir(scale * base.plant.rig.reservoir.volume_L))
 
 
 CAUSE = Cause(
@@ -25,5 +26,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Weigh the reservoir full of water; or discharge it through a known flow.",
-    numbers=numbers,
+    apply=apply,
 )

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from flying_vines.identification.cause import Cause, Parameter, Readings, Values
+from dataclasses import replace
+
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.setup import Setup
 
 
-def readings(readings: Readings, x: Values) -> Readings:
-    return readings._replace(reservoir_kPa=readings.reservoir_kPa * x[0])
+def apply(base: Setup, gain: float) -> Setup:
+    return replace(base, reservoir_sensor=replace(base.reservoir_sensor, gain=gain))
 
 
 CAUSE = Cause(
@@ -24,6 +27,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Fill to a pressure that a gauge of known accuracy shows as well.",
-    readings=readings,
-    order=1,
+    apply=apply,
 )

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from flying_vines.identification.cause import Cause, Parameter, Values
-from flying_vines.identification.model import Numbers
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.rig import ControlVolume
 
 
-def numbers(numbers: Numbers, x: Values) -> Numbers:
-    return numbers._replace(cv_volume_L=numbers.cv_volume_L + x[0])
+def apply(base: Setup, volume_L: float) -> Setup:
+    cv = base.plant.rig.cv
+    if cv is None:
+        raise ValueError("a rig without a control volume has no dead volume")
+    return base.with_rig(cv=ControlVolume(cv.volume_L + volume_L))
 
 
 CAUSE = Cause(
@@ -25,5 +29,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Weigh the control volume and its tubing full of water; or inflate it through a known flow.",
-    numbers=numbers,
+    apply=apply,
 )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from flying_vines.identification.cause import Cause, Parameter, Values
-from flying_vines.identification.model import Numbers
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.motion import ValveMotion
+from flying_vines.physics.plant.setup import Setup
 
 
-def numbers(numbers: Numbers, x: Values) -> Numbers:
-    return numbers._replace(evp_lag_s=x[0])
+def apply(base: Setup, time_constant_s: float) -> Setup:
+    return base.with_effects(evp_motion=ValveMotion(time_constant_s=time_constant_s))
 
 
 CAUSE = Cause(
@@ -25,5 +26,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Open and shut the inflation valve in pulses of 0.05 to 0.5 s.",
-    numbers=numbers,
+    apply=apply,
 )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from flying_vines.identification.cause import Cause, Parameter, Values
-from flying_vines.identification.model import Array
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.ambient import Climb
+from flying_vines.physics.plant.setup import Setup
 
 
-def ambient(time_s: Array, ambient_kPa: Array, x: Values) -> Array:
-    fallen: Array = ambient_kPa - x[0] * (time_s - time_s[0])
-    return fallen
+def apply(base: Setup, rate_kPa_per_s: float) -> Setup:
+    return base.with_effects(ambient=Climb(rate_kPa_per_s))
 
 
 CAUSE = Cause(
@@ -25,5 +25,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Record the ambient pressure as well; or repeat the run on the ground.",
-    ambient=ambient,
+    apply=apply,
 )

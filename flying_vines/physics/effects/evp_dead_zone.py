@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.motion import ValveMotion
+from flying_vines.physics.plant.setup import Setup
 
-from flying_vines.identification.cause import Cause, Parameter, Values
-from flying_vines.identification.commands import Commands, Steps
 
-
-def commands(commands: Commands, x: Values) -> Commands:
-    evp = commands.evp
-    opening = np.maximum(0.0, (evp.value - x[0]) / (1.0 - x[0]))
-    return commands._replace(evp=Steps(evp.time_s, opening))
+def apply(base: Setup, opening: float) -> Setup:
+    return base.with_effects(evp_motion=ValveMotion(dead_opening=opening))
 
 
 CAUSE = Cause(
@@ -28,6 +25,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Raise the opening of the inflation valve from 0 to 1 in small steps, a second each.",
-    commands=commands,
-    order=2,
+    apply=apply,
 )

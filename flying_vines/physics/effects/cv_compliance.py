@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from flying_vines.identification.cause import Cause, Parameter, Values
-from flying_vines.identification.model import Numbers
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.shape import Compliant
 
 
-def numbers(numbers: Numbers, x: Values) -> Numbers:
-    return numbers._replace(cv_compliance_per_kPa=x[0])
+def apply(base: Setup, per_kPa: float) -> Setup:
+    return base.with_effects(cv_shape=Compliant(per_kPa))
 
 
 CAUSE = Cause(
@@ -25,5 +26,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Inflate in several steps to the highest pressure, each with the same opening and duration.",
-    numbers=numbers,
+    apply=apply,
 )

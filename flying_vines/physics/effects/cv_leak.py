@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from flying_vines.identification.cause import Cause, Parameter
-from flying_vines.identification.model import Array, Flows, Moment, Numbers
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.flow import Ohm
+from flying_vines.physics.plant.setup import Setup
 
 
-def flows(numbers: Numbers, moment: Moment, flows: Flows, x: Array) -> Flows:
-    loss = flows.cv_loss + moment.cv_kPa / x[0]
-    return Flows(flows.inflation, flows.motive, flows.outlet, flows.reservoir_loss, loss)
+def apply(base: Setup, flow_resistance_kPa_s_per_SL: float) -> Setup:
+    return base.with_effects(cv_leak=Ohm(flow_resistance_kPa_s_per_SL))
 
 
 CAUSE = Cause(
@@ -26,5 +26,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Inflate the control volume, shut all valves, and record its pressure for a minute.",
-    flows=flows,
+    apply=apply,
 )

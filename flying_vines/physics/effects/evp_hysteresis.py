@@ -4,20 +4,13 @@ only when it must. A command of 0 shuts it and resets the play.
 
 from __future__ import annotations
 
-import numpy as np
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.motion import ValveMotion
+from flying_vines.physics.plant.setup import Setup
 
-from flying_vines.identification.cause import Cause, Parameter, Values
-from flying_vines.identification.commands import Commands, Steps
 
-
-def commands(commands: Commands, x: Values) -> Commands:
-    half = 0.5 * x[0]
-    does = 0.0
-    opening = []
-    for told in commands.evp.value.tolist():
-        does = max(told - half, min(told + half, does)) if told > 0.0 else 0.0
-        opening.append(does)
-    return commands._replace(evp=Steps(commands.evp.time_s, np.array(opening)))
+def apply(base: Setup, width: float) -> Setup:
+    return base.with_effects(evp_motion=ValveMotion(backlash_width=width))
 
 
 CAUSE = Cause(
@@ -34,6 +27,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Raise the opening of the inflation valve in small steps and lower it again the same way.",
-    commands=commands,
-    order=1,
+    apply=apply,
 )

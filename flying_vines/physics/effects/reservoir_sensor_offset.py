@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from flying_vines.identification.cause import Cause, Parameter, Readings, Values
+from dataclasses import replace
+
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.setup import Setup
 
 
-def readings(readings: Readings, x: Values) -> Readings:
-    return readings._replace(reservoir_kPa=readings.reservoir_kPa + x[0])
+def apply(base: Setup, offset_kPa: float) -> Setup:
+    return replace(base, reservoir_sensor=replace(base.reservoir_sensor, offset_kPa=offset_kPa))
 
 
 CAUSE = Cause(
@@ -23,5 +26,5 @@ CAUSE = Cause(
         ),
     ),
     experiment="Empty the reservoir, wait, and read its sensor.",
-    readings=readings,
+    apply=apply,
 )

@@ -5,12 +5,15 @@ dP/dt = γ α (Q_in − θ Q_out)/V − (P_a/θ)(θ − 1)/τ      air enters at
 
 from __future__ import annotations
 
-from flying_vines.identification.cause import Cause, Parameter, Values
-from flying_vines.identification.model import Numbers
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.wall import Wall
 
 
-def numbers(numbers: Numbers, x: Values) -> Numbers:
-    return numbers._replace(cv_time_constant_s=x[0])
+def apply(base: Setup, time_constant_s: float) -> Setup:
+    if time_constant_s == 0.0:
+        return base
+    return base.with_effects(cv_wall=Wall(time_constant_s, inflow_at_ambient=True))
 
 
 CAUSE = Cause(
@@ -31,5 +34,5 @@ CAUSE = Cause(
         "Inflate the control volume as fast as it goes, shut all valves, and record for half a minute: "
         "warm gas lets the pressure fall to a new level."
     ),
-    numbers=numbers,
+    apply=apply,
 )

@@ -5,12 +5,15 @@ dθ/dt = −(γ−1) θ² α ΣQ/(V P_a) + (1 − θ)/τ      dP/dt = −γ θ �
 
 from __future__ import annotations
 
-from flying_vines.identification.cause import Cause, Parameter, Values
-from flying_vines.identification.model import Numbers
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.wall import Wall
 
 
-def numbers(numbers: Numbers, x: Values) -> Numbers:
-    return numbers._replace(reservoir_time_constant_s=x[0])
+def apply(base: Setup, time_constant_s: float) -> Setup:
+    if time_constant_s == 0.0:
+        return base
+    return base.with_effects(reservoir_wall=Wall(time_constant_s))
 
 
 CAUSE = Cause(
@@ -31,5 +34,5 @@ CAUSE = Cause(
         "Let air out for some seconds, shut all valves, and record for half a minute: "
         "cooled gas makes the pressure rise again."
     ),
-    numbers=numbers,
+    apply=apply,
 )

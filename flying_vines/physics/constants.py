@@ -1,0 +1,11 @@
+"""Constants of air and of its standard state, each here and nowhere else."""
+
+from __future__ import annotations
+
+GAMMA = 1.4
+"""c_p / c_v of dry air."""
+STANDARD_PRESSURE_KPA = 101.325
+STANDARD_TEMPERATURE_K = 293.15
+ALPHA_KPA = STANDARD_PRESSURE_KPA
+"""α = ρ Rᵤ T / M: kPa of a litre into which a standard litre went. By the gas law it is the pressure of the
+standard state."""

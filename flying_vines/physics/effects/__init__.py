@@ -1,0 +1,36 @@
+"""The effects that a rig may have and a diagnosis may name: one file each, with one `CAUSE`.
+
+A file says what the effect does to a plant and its sensors, its parameters with their bounds and sources, and
+which experiment shows it. The simulation, the fit and the rig file all take it from there. Names and
+definitions are those of the table of causes in the rig-data format.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
+
+from flying_vines.physics.cause import Cause
+from flying_vines.physics.plant.setup import Setup, perfect
+from flying_vines.physics.rig import Rig
+
+
+@cache
+def catalogue() -> tuple[Cause, ...]:
+    """Every cause in this folder, by name."""
+    modules = sorted(module.name for module in iter_modules(__path__))
+    return tuple(import_module(f"{__name__}.{name}").CAUSE for name in modules)
+
+
+NONE = Cause(name="none", what="The rig is as the baseline has it.", parameters=(), experiment="")
+
+
+def cause_named(name: str) -> Cause:
+    """A cause, or `none`; KeyError for another name."""
+    return {cause.name: cause for cause in (NONE, *catalogue())}[name]
+
+
+def setup(rig: Rig, cause: str = "none", **parameters: float) -> Setup:
+    """The rig with one cause; its sensors have the rig's noise. KeyError for an unknown name."""
+    return cause_named(cause).put_into(perfect(rig), parameters)

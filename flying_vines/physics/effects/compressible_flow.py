@@ -1,0 +1,49 @@
+"""Both proportional valves follow ISO 6358 and choke:
+
+    Q = u C p₁ φ(p₂/p₁),   φ = 1 for p₂/p₁ ≤ b, else √(1 − ((p₂/p₁ − b)/(1 − b))²)
+
+with absolute pressures, C such that an open valve passes at 690 kPa into 0 kPa what Ohm's law gives there
+(at 101.325 kPa ambient); nothing flows back. ISO 6358-1:2013.
+"""
+
+from __future__ import annotations
+
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.flow import Iso6358, iso6358_matching
+from flying_vines.physics.plant.setup import Setup
+
+
+def apply(base: Setup, critical_pressure_ratio: float) -> Setup:
+    def law(flow_resistance_kPa_s_per_SL: float) -> Iso6358:
+        return iso6358_matching(
+            flow_resistance_kPa_s_per_SL,
+            critical_pressure_ratio=critical_pressure_ratio,
+            laminar_ratio=1.0,
+            temperature_dependent=False,
+            one_way=True,
+        )
+
+    rig = base.plant.rig
+    return base.with_effects(
+        evp_law=law(rig.evp.flow_resistance_kPa_s_per_SL),
+        dvp_law=law(rig.dvp.flow_resistance_kPa_s_per_SL),
+    )
+
+
+CAUSE = Cause(
+    name="compressible_flow",
+    what="The proportional valves choke, as compressible flow does.",
+    parameters=(
+        Parameter(
+            "critical_pressure_ratio",
+            low=0.0,
+            high=0.95,
+            seeds=(0.3,),
+            neutral=None,
+            typical=(0.35, 0.12),
+            source="ISO 6358: 0.5 for an orifice, 0.2 to 0.4 with fittings, 0 for long tubes",
+        ),
+    ),
+    experiment="Discharge the reservoir from full to empty through the open inflation valve.",
+    apply=apply,
+)

@@ -1,0 +1,29 @@
+"""The solenoid stays open for a while after it is told to close."""
+
+from __future__ import annotations
+
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.motion import SolenoidTiming
+from flying_vines.physics.plant.setup import Setup
+
+
+def apply(base: Setup, delay_s: float) -> Setup:
+    return base.with_effects(solenoid_timing=SolenoidTiming(closing_s=delay_s))
+
+
+CAUSE = Cause(
+    name="solenoid_slow_close",
+    what="The solenoid closes late.",
+    parameters=(
+        Parameter(
+            "delay_s",
+            low=0.0,
+            high=1.0,
+            seeds=(0.001, 0.02, 0.08),
+            neutral=0.0,
+            source="10 to 40 ms with a fly-back diode; sticky ones more",
+        ),
+    ),
+    experiment="Vent the inflated control volume in pulses of 0.05 to 0.5 s.",
+    apply=apply,
+)
