@@ -33,7 +33,7 @@ from calibrate_world import CompiledWorld
 from cycles_left_rigs import Case, draw
 
 from flying_vines.calibration.findings import Findings
-from flying_vines.calibration.plan import Wish, plan
+from flying_vines.calibration.plan import CalibrationRequest, plan
 from flying_vines.config import config
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.coil import current_A
@@ -125,7 +125,7 @@ def calibrated(seed: int, step_ms: int = 1) -> Outcome:
     """One rig, from whatever its bottle holds."""
     case = draw(seed)
     believed = msgspec.structs.replace(config.default(), pneumatics=case.believed)
-    wish = Wish(eye=False, bottle_volume_L=case.plant.rig.reservoir.volume_L)
+    wish = CalibrationRequest(eye=False, bottle_volume_L=case.plant.rig.reservoir.volume_L)
     done = plan(believed, wish)
     rig = Setup(case.plant, case.cv_sensor, case.reservoir_sensor)
     world = CompiledWorld(done, rig, case.fill_kPa, seed, step_ms)

@@ -11,14 +11,14 @@ import math
 
 from cycles_left_flights import told
 
-from flying_vines.calibration.calibrator import BY, LATE_S, Ask, Calibrator, Out, Question, Work
-from flying_vines.calibration.plan import Plan
+from flying_vines.calibration.calibrator import BY, LATE_S, Calibrator, OperatorRequest, Out, Question, Work
+from flying_vines.calibration.plan import CalibrationPlan
 from flying_vines.core.core import TICK_S
 from flying_vines.core.events import Decision, Measured, Snapshot
 from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.physics.plant.plant import State, at_rest
 from flying_vines.physics.plant.setup import Setup
-from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
+from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.vine.intent import Intent, SetPressure, StartProfile
 from flying_vines.vine.motion import Motion
 
@@ -29,7 +29,9 @@ LOOKS_S = 0.1
 class CompiledWorld:
     """One rig, filled to a true gauge pressure."""
 
-    def __init__(self, plan: Plan, rig: Setup, fill_kPa: float, seed: int, step_ms: int = 1) -> None:
+    def __init__(
+        self, plan: CalibrationPlan, rig: Setup, fill_kPa: float, seed: int, step_ms: int = 1
+    ) -> None:
         self.calibrator = Calibrator(plan)
         self.now = 0.0
         self.asked: list[Intent] = []
@@ -61,10 +63,12 @@ class CompiledWorld:
         """Until then, or until something else is asked for."""
         begun_s, motion = self.now, self._motion
         ticks = round(seconds / TICK_S)
-        setpoints = [Setpoint(0.0, math.nan, 1.0)]
+        setpoints = [SetpointChange(0.0, math.nan, 1.0)]
         if motion is not None:
             setpoints = [
-                Setpoint(i * TICK_S, motion.setpoint_kPa(begun_s + (i + 1) * TICK_S), motion.rate_kPa_per_s)
+                SetpointChange(
+                    i * TICK_S, motion.setpoint_kPa(begun_s + (i + 1) * TICK_S), motion.rate_kPa_per_s
+                )
                 for i in range(ticks)
             ]
         self._seed += 1
@@ -88,7 +92,7 @@ class CompiledWorld:
     def _carry_out(self, outs: list[Out]) -> None:
         for out in outs:
             match out:
-                case Ask(intent):
+                case OperatorRequest(intent):
                     self._ask(intent)
                 case Question():
                     self._carry_out(self.calibrator.answer(self.now, out, ""))

@@ -21,7 +21,7 @@ from cycles_left_guess import Guess, quantity
 from cycles_left_rigs import Case, Manoeuvre
 from rich.table import Table
 
-from flying_vines.config.config import Pneumatics
+from flying_vines.config.config import PneumaticsConfig
 from flying_vines.identification.case import read_case
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.extended import extended_rig
@@ -123,7 +123,7 @@ def draw(seed: int) -> Rigged:
         names = [CHOKED, *names[:1]]
     there = TrueRig(_worn(dice, believed), {name: _strength(dice, name, believed) for name in names})
     swing_kPa = dice.uniform(12.0, 24.0)
-    pneumatics = Pneumatics(cycle_swing_kPa=swing_kPa, cycle_rate_kPa_per_s=dice.uniform(15.0, 30.0))
+    pneumatics = PneumaticsConfig(cycle_swing_kPa=swing_kPa, cycle_rate_kPa_per_s=dice.uniform(15.0, 30.0))
     setup = there.setup
     rise_s = swing_kPa / pneumatics.cycle_rate_kPa_per_s
     hold_s, rest_s = TOP_SHARE * rise_s, dice.uniform(0.1, 0.4) * rise_s

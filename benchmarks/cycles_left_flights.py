@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines.physics.plant.plant import at_rest
-from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
+from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.supply.flying import tolerance_kPa
 
 Array = NDArray[np.float64]
@@ -118,10 +118,10 @@ def told(table: NDArray[np.void]) -> Iterator[tuple[float, Telemetry]]:
         yield t, Telemetry(round(1000 * t), mode, Fault.NONE, 0, setpoint, cv, reservoir, evp, dvp, solenoid)
 
 
-def setpoints_of(case: Case, length_s: float) -> tuple[list[float], list[Setpoint]]:
+def setpoints_of(case: Case, length_s: float) -> tuple[list[float], list[SetpointChange]]:
     """When each manoeuvre begins, and what the host sends every 20 ms: where to be at its next word."""
     begins: list[float] = []
-    setpoints: list[Setpoint] = []
+    setpoints: list[SetpointChange] = []
     tick, last = round(case.waits_s / HOST_TICK_S), math.floor(length_s / HOST_TICK_S)
     while tick < last:
         manoeuvre = case.program[len(begins) % len(case.program)]
@@ -129,7 +129,9 @@ def setpoints_of(case: Case, length_s: float) -> tuple[list[float], list[Setpoin
         ticks = round(manoeuvre.length_s / HOST_TICK_S)
         rate_kPa_per_s = manoeuvre.steepest_kPa_per_s
         setpoints.extend(
-            Setpoint((tick + i) * HOST_TICK_S, manoeuvre.setpoint_kPa((i + 1) * HOST_TICK_S), rate_kPa_per_s)
+            SetpointChange(
+                (tick + i) * HOST_TICK_S, manoeuvre.setpoint_kPa((i + 1) * HOST_TICK_S), rate_kPa_per_s
+            )
             for i in range(min(ticks, last - tick))
         )
         tick += ticks

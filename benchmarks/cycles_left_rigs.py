@@ -10,7 +10,7 @@ import math
 import random
 from dataclasses import dataclass, replace
 
-from flying_vines.config.config import Pneumatics
+from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.plant.ambient import Steady
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
@@ -72,7 +72,7 @@ class Case:
     """What is flown with what, and what is believed of it."""
 
     kind: str
-    believed: Pneumatics
+    believed: PneumaticsConfig
     plant: Plant
     cv_sensor: Sensor
     reservoir_sensor: Sensor
@@ -92,7 +92,7 @@ def draw(seed: int) -> Case:
     kind = dice.choice(("rigid", "compliant", "pouch"))
     believed_L = _log_uniform(dice, 0.08, 0.4)
     swing_kPa = dice.uniform(12.0, 24.0)
-    believed = Pneumatics(
+    believed = PneumaticsConfig(
         reservoir_volume_L=dice.choice((1.0, 1.5, 2.0)),
         cv_volume_L=believed_L,
         cycle_swing_kPa=swing_kPa,

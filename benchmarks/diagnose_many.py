@@ -28,18 +28,18 @@ from hidden_truth import draw, write
 from flying_vines.identification.case import read_case
 from flying_vines.identification.cores import cores
 from flying_vines.identification.diagnose import diagnose
-from flying_vines.identification.many import Outcome, diagnose_all
+from flying_vines.identification.many import CaseOutcome, diagnose_all
 
 TIER = "clear"
-Way = Callable[[list[Path]], Iterable[tuple[Path, Outcome]]]
+Way = Callable[[list[Path]], Iterable[tuple[Path, CaseOutcome]]]
 
 
-def loop(folders: list[Path]) -> Iterable[tuple[Path, Outcome]]:
+def loop(folders: list[Path]) -> Iterable[tuple[Path, CaseOutcome]]:
     """What a user would write."""
     return [(folder, diagnose(read_case(folder))) for folder in folders]
 
 
-def answers(outcomes: Iterable[tuple[Path, Outcome]]) -> dict[str, str]:
+def answers(outcomes: Iterable[tuple[Path, CaseOutcome]]) -> dict[str, str]:
     """By case, the verdict as text."""
     said: dict[str, str] = {}
     for path, outcome in outcomes:

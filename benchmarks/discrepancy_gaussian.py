@@ -21,13 +21,13 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from threadpoolctl import threadpool_limits
 
-from flying_vines.identification.case import Case, Run
-from flying_vines.identification.fit import Point, Problem
+from flying_vines.identification.case import Case, RecordedRun
+from flying_vines.identification.fit import FitPoint, FitProblem
 from flying_vines.identification.noise import stated_noise_kPa
-from flying_vines.identification.recording import Array
 from flying_vines.identification.simulate import believed_keys
 from flying_vines.identification.verdict import NONE, UNEXPLAINED
-from flying_vines.physics.baseline import Inputs, State, step
+from flying_vines.physics.arrays import Array
+from flying_vines.physics.baseline import BaselineState, Inputs, step
 from flying_vines.physics.rig import Rig, with_numbers
 
 MOST_ROWS = 300
@@ -78,7 +78,7 @@ Lacks = tuple[Lack, Lack]
 
 
 def look(case: Case) -> dict[str, Any]:
-    problem = Problem(case, stated_noise_kPa(case.rig))
+    problem = FitProblem(case, stated_noise_kPa(case.rig))
     with threadpool_limits(1):
         null = problem.fit(problem.start().freed(believed_keys(case.rig))).point
         rows = _rows(problem, null)
@@ -95,13 +95,13 @@ def look(case: Case) -> dict[str, Any]:
     return said
 
 
-def _rows(problem: Problem, point: Point) -> list[tuple[Array, Array]]:
+def _rows(problem: FitProblem, point: FitPoint) -> list[tuple[Array, Array]]:
     """A run's each: inputs (rows, 5), and what the baseline's rates lack (rows, 2)."""
     rig = _rig(problem, point)
     return [_lacks(problem.case, rig, s) for s in series(problem, point)]
 
 
-def _rig(problem: Problem, point: Point) -> Rig:
+def _rig(problem: FitProblem, point: FitPoint) -> Rig:
     """With its numbers as fitted."""
     return with_numbers(problem.case.rig, problem.moved(point))
 
@@ -126,7 +126,7 @@ def _stack(rows: Sequence[tuple[Array, Array]], channel: int) -> tuple[Array, Ar
     return inputs[taken], lacks[taken]
 
 
-def _held_out(problem: Problem, null: Point, lacks: Lacks | None) -> dict[str, float]:
+def _held_out(problem: FitProblem, null: FitPoint, lacks: Lacks | None) -> dict[str, float]:
     """Errors over the range of what was measured, both channels alike, without and with the process (None:
     without it, too)."""
     case = problem.case
@@ -135,12 +135,12 @@ def _held_out(problem: Problem, null: Point, lacks: Lacks | None) -> dict[str, f
         beginning = run.time_s - run.time_s[0] < SHOWN_S
         used = [np.ones(len(other.time_s), dtype=np.bool_) for other in case.runs]
         used[i] = beginning
-        point = Problem(case, problem.noise_kPa, used).fit(null).point
+        point = FitProblem(case, problem.noise_kPa, used).fit(null).point
         baseline = with_it = problem.simulated(point, [i])[0]
         if lacks is not None:
             others = [row for k, row in enumerate(_rows(problem, point)) if k != i]
             learned = Lack(*_stack(others, 0), lacks[0]), Lack(*_stack(others, 1), lacks[1])
-            start = State(*point.initial[problem.starts[i]][0].tolist())
+            start = BaselineState(*point.initial[problem.starts[i]][0].tolist())
             with_it = _simulated(_rig(problem, point), run, start, learned)
         read = np.stack((run.cv_kPa, run.reservoir_kPa))
         for found, simulated in zip(squares, (baseline, with_it), strict=True):
@@ -155,7 +155,7 @@ def _held_out(problem: Problem, null: Point, lacks: Lacks | None) -> dict[str, f
     }
 
 
-def _simulated(rig: Rig, run: Run, start: State, lacks: Lacks) -> Array:
+def _simulated(rig: Rig, run: RecordedRun, start: BaselineState, lacks: Lacks) -> Array:
     """(2, n) control volume and reservoir: the baseline's steps, and in each what its rates lack."""
     found = np.empty((2, len(run.time_s)))
     state = start
@@ -167,7 +167,7 @@ def _simulated(rig: Rig, run: Run, start: State, lacks: Lacks) -> Array:
         reservoir, cv = (lack.at(features) for lack in lacks)
         for _ in range(STEPS):
             state = step(rig, state, inputs, dt_s / STEPS)
-        state = State(state.reservoir_kPa + dt_s * reservoir, state.cv_kPa + dt_s * cv)
+        state = BaselineState(state.reservoir_kPa + dt_s * reservoir, state.cv_kPa + dt_s * cv)
     return found
 
 

@@ -15,10 +15,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from flying_vines.identification.case import Case, Run
-from flying_vines.identification.fit import Point, Problem
-from flying_vines.identification.recording import Array
+from flying_vines.identification.case import Case, RecordedRun
+from flying_vines.identification.fit import FitPoint, FitProblem
 from flying_vines.identification.simulate import GAP
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import Rig
 
@@ -70,7 +70,7 @@ class Series:
         return self.gain(np.concatenate(([0.0], np.cumsum(size))))
 
 
-def series(problem: Problem, point: Point) -> list[Series]:
+def series(problem: FitProblem, point: FitPoint) -> list[Series]:
     """All runs; a pressure that nobody read is what the baseline says at `point`."""
     found = []
     for run, (cv, reservoir) in zip(problem.case.runs, problem.simulated(point), strict=True):
@@ -91,7 +91,7 @@ def series(problem: Problem, point: Point) -> list[Series]:
     return found
 
 
-def _bridged(run: Run) -> NDArray[np.bool_]:
+def _bridged(run: RecordedRun) -> NDArray[np.bool_]:
     bridged = np.zeros(len(run.time_s) - 1, dtype=np.bool_)
     longest_s = GAP * float(np.median(np.diff(run.time_s)))
     for read in (run.reservoir_kPa, run.cv_kPa):
@@ -102,7 +102,7 @@ def _bridged(run: Run) -> NDArray[np.bool_]:
     return bridged
 
 
-def _filled(run: Run, read: Array, simulated: Array) -> Array:
+def _filled(run: RecordedRun, read: Array, simulated: Array) -> Array:
     there = np.isfinite(read)
     return np.interp(run.time_s, run.time_s[there], read[there]) if there.any() else simulated
 

@@ -16,10 +16,10 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from flying_vines.identification.case import Case
-from flying_vines.identification.fit import Point, Problem
+from flying_vines.identification.fit import FitPoint, FitProblem
 from flying_vines.identification.noise import stated_noise_kPa
-from flying_vines.identification.recording import Array
 from flying_vines.identification.verdict import NONE
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Values
 from flying_vines.physics.effects import catalogue
 
@@ -33,12 +33,12 @@ BROKEN = 1e6
 
 
 class Fit(NamedTuple):
-    point: Point
+    point: FitPoint
     chi2: float
 
 
 def look(case: Case) -> dict[str, Any]:
-    problem = Problem(case, stated_noise_kPa(case.rig))
+    problem = FitProblem(case, stated_noise_kPa(case.rig))
     with threadpool_limits(1):
         point = _selected(problem)
     names = [cause.name for cause in point.causes]
@@ -47,7 +47,7 @@ def look(case: Case) -> dict[str, Any]:
     return {"cause": names[0], "also": [{"cause": name} for name in names[1:]]}
 
 
-def _selected(problem: Problem) -> Point:
+def _selected(problem: FitProblem) -> FitPoint:
     point = replace(problem.start(), initial=_first_readings(problem))
     best = Fit(point, problem.chi2(point))
     price = log(problem.readings)
@@ -61,7 +61,7 @@ def _selected(problem: Problem) -> Point:
     return best.point
 
 
-def _first_readings(problem: Problem) -> Array:
+def _first_readings(problem: FitProblem) -> Array:
     """Of each start, reservoir and control volume; where a pressure was not read, as the project guesses."""
     initial = problem.start().initial.copy()
     for data, weight, run, rows in zip(
@@ -75,16 +75,16 @@ def _first_readings(problem: Problem) -> Array:
     return initial
 
 
-def _begun(problem: Problem, point: Point, cause: Cause) -> Point:
+def _begun(problem: FitProblem, point: FitPoint, cause: Cause) -> FitPoint:
     """With a further cause, at its best seed."""
     return min((point.with_cause(cause, values) for values in cause.seeds()), key=problem.chi2)
 
 
-def _parameters(point: Point) -> int:
+def _parameters(point: FitPoint) -> int:
     return sum(len(cause.parameters) for cause in point.causes)
 
 
-def _fit(problem: Problem, start: Point) -> Fit:
+def _fit(problem: FitProblem, start: FitPoint) -> Fit:
     """χ² over the parameters alone."""
     parameters = [parameter for cause in start.causes for parameter in cause.parameters]
     low = np.array([p.inner(p.low) for p in parameters])
@@ -93,7 +93,7 @@ def _fit(problem: Problem, start: Point) -> Fit:
     inner = np.array([p.inner(value) for p, value in zip(parameters, values, strict=True)])
     nudges = OF_RANGE * (high - low)
 
-    def outer(place: Array) -> Point:
+    def outer(place: Array) -> FitPoint:
         every = iter(p.outer(x) for p, x in zip(parameters, place.tolist(), strict=True))
         grouped: list[Values] = [tuple(next(every) for _ in cause.parameters) for cause in start.causes]
         return replace(start, values=tuple(grouped))

@@ -24,18 +24,18 @@ from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Decision, Event, LinkChanged
 from flying_vines.core.safety import LANDING_MARGIN_M
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.simulation.autopilot import Autopilot, RcLoss, RcSource
+from flying_vines.simulation.autopilot import FakeAutopilot, RcLoss, RcSource
 from flying_vines.simulation.autopilot.forwarding import PX4_BUFFER
 from flying_vines.simulation.autopilot.rc_input import REPORTS_APART_S
 from flying_vines.simulation.phlosar.board import Board
 from flying_vines.simulation.phlosar.firmware import Firmware
-from flying_vines.simulation.phlosar.mishaps import Hanging, Kind, Kinked, StuckAt, Unpowered
+from flying_vines.simulation.phlosar.mishaps import Hanging, Kinked, MishapKind, StuckAt, Unpowered
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.phlosar.regulator import SAFE
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import Kind as AutopilotKind
+from flying_vines.vehicle.mission.storage import AutopilotKind as AutopilotKind
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vine.curve import BendCurve
 
@@ -192,7 +192,7 @@ class RefereedFlight:
         self.profile = profile = setup.profile
         self.timeline: list[tuple[float, str]] = []
         self._new_core = core
-        self.autopilot = Autopilot(
+        self.autopilot = FakeAutopilot(
             setup.autopilot,
             mission=setup.mission,
             rc_present=setup.has_rc,
@@ -221,7 +221,7 @@ class RefereedFlight:
         self.flight.from_autopilot = self.from_autopilot
         self.told: list[tuple[float, str]] = []
         """What the pilot reads."""
-        self._station = Codec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
+        self._station = MavlinkCodec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
         self._position = 0
         self._rc_lost: RcLoss | None = None
         self._rc_lost_s = 0.0
@@ -697,7 +697,7 @@ class RefereedFlight:
 
     # The hardware.
 
-    def befall(self, place: str, kind: Kind) -> None:
+    def befall(self, place: str, kind: MishapKind) -> None:
         self._disturb()
         match place, kind:
             case ("evp", StuckAt(opening)) if opening > 0.0:

@@ -12,7 +12,7 @@ from referee import Foul
 from flying_vines.simulation.autopilot.receiver import LOSSES, RcLoss, RcSource
 from flying_vines.simulation.phlosar.mishaps import Hole, StuckAt, draw_mishap
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 TAKE_OFF_S = 1.5
 IN_THE_AIR_S = 4.5
@@ -81,7 +81,7 @@ class Outcome(NamedTuple):
 def draw(seed: int) -> Script:
     """The same for the same seed, whatever is made of it then."""
     random = Random(seed)
-    kind: Kind = random.choice(("ardupilot", "px4"))
+    kind: AutopilotKind = random.choice(("ardupilot", "px4"))
     style = random.choices(("switch", "station", "mission"), (0.5, 0.15, 0.35))[0]
     receivers: tuple[RcSource, ...] = ("sbus", "sbus", "crsf", "overrides")
     lasts_s = round(random.uniform(11.0, 17.0), 1)
@@ -169,7 +169,7 @@ def _first_told(flight: RefereedFlight, since_s: float) -> str:
     return ""
 
 
-def _mission(kind: Kind, random: Random) -> tuple[MissionItem, ...]:
+def _mission(kind: AutopilotKind, random: Random) -> tuple[MissionItem, ...]:
     """Up, and along a few short legs with something for the vine to do after each."""
     items = [] if kind == "px4" else [_item(0, 16)]
     items.append(_item(len(items), 22, z=8.0))
@@ -183,7 +183,7 @@ def _mission(kind: Kind, random: Random) -> tuple[MissionItem, ...]:
     return tuple(items)
 
 
-def _vine_item(kind: Kind, random: Random, seq: int) -> MissionItem:
+def _vine_item(kind: AutopilotKind, random: Random, seq: int) -> MissionItem:
     codes = ((0, 0), (1, 40), (1, 15), (2, 0), (3, 0), (4, 0), (5, 0))
     code, angle_deg = random.choice(codes)
     if kind == "px4":
@@ -191,7 +191,9 @@ def _vine_item(kind: Kind, random: Random, seq: int) -> MissionItem:
     return _item(seq, SCRIPT_MESSAGE, code, angle_deg)
 
 
-def _other_numbers(mission: tuple[MissionItem, ...], kind: Kind, random: Random) -> tuple[MissionItem, ...]:
+def _other_numbers(
+    mission: tuple[MissionItem, ...], kind: AutopilotKind, random: Random
+) -> tuple[MissionItem, ...]:
     """A mission of the same length that means something else for the vine."""
     own = (ACTUATOR, SCRIPT_MESSAGE)
     return tuple(_vine_item(kind, random, item.seq) if item.command in own else item for item in mission)

@@ -66,7 +66,7 @@ from flying_vines.simulation.phlosar.core_library import (
     compiler,
     core_files,
 )
-from flying_vines.vehicle.mavlink.codec import Codec as MavlinkCodec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec as MavlinkCodec
 
 SANITIZERS = "address,undefined,float-cast-overflow"
 FLAGS = ("-std=c++17", "-O1", "-g", "-fno-exceptions", "-fno-rtti", "-fno-sanitize-recover=all")

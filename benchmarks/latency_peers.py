@@ -19,7 +19,7 @@ from typing import Any
 import serial
 
 from firmware_link.protocol import Codec, Hello, Setpoint
-from flying_vines.vehicle.radio.switch import Move, Switch
+from flying_vines.vehicle.radio.switch import SwitchMove, SwitchReader
 
 TARGETS_KPA = (0.0, 11.35, 20.7)
 _MAVLINK_2 = 0xFD
@@ -34,7 +34,7 @@ class SerialSwitch:
     def __init__(self, tty: str) -> None:
         self._port = serial.Serial(tty, 115200)
         self._codec = Codec()
-        self._switch = Switch(positions=3, debounce_s=0.15, settle_s=1.0, hysteresis_us=25.0)
+        self._switch = SwitchReader(positions=3, debounce_s=0.15, settle_s=1.0, hysteresis_us=25.0)
         self._number = 0
 
     def listening(self) -> None:
@@ -43,7 +43,7 @@ class SerialSwitch:
 
     def sample(self, pulse_us: float) -> None:
         move = self._switch.sample(monotonic(), pulse_us)
-        if isinstance(move, Move):
+        if isinstance(move, SwitchMove):
             self._number = self._number % 0xFFFF + 1
             setpoint = Setpoint(TARGETS_KPA[move.position], 60.0, 250, self._number)
             self._port.write(self._codec.encode(setpoint))

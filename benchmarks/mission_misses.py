@@ -19,13 +19,13 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from mission_storm import Link, Storm, compare, fly, mission
 
-from flying_vines.simulation.autopilot import Kind
+from flying_vines.simulation.autopilot import AutopilotKind
 
 LOSSES = (0.0, 0.01, 0.05, 0.2)
-KINDS: tuple[Kind, Kind] = ("ardupilot", "px4")
+KINDS: tuple[AutopilotKind, AutopilotKind] = ("ardupilot", "px4")
 
 
-def misses(kind: Kind, loss: float, flights: int, seed: int, wild: bool) -> tuple[int, int, int]:
+def misses(kind: AutopilotKind, loss: float, flights: int, seed: int, wild: bool) -> tuple[int, int, int]:
     """Items that ran, that were missed, and triggers that nothing ran for."""
     ran = missed = extra = 0
     for flight in range(flights):

@@ -30,7 +30,7 @@ from pathlib import Path
 import msgspec
 import process_cost
 
-from flying_vines.gateway.mqtt.payloads import Cycles, Reservoir, State
+from flying_vines.gateway.mqtt.payloads import CyclesPayload, ReservoirPayload, StatePayload
 from flying_vines.gateway.mqtt.topics import Topics
 
 SENDERS = 2
@@ -113,7 +113,7 @@ class Result:
 def state() -> bytes:
     """A real one; its time is put in when it is sent."""
     return _timeless(
-        State(
+        StatePayload(
             unix_s=0.0,
             t=81234.568712,
             vehicle="ArduPilot 1",
@@ -137,11 +137,13 @@ def state() -> bytes:
 
 def reservoir() -> bytes:
     return _timeless(
-        Reservoir(unix_s=0.0, reservoir_kPa=612.482, cycles=Cycles(31.24, 27.91, 35.03, 12.0, 18.42))
+        ReservoirPayload(
+            unix_s=0.0, reservoir_kPa=612.482, cycles=CyclesPayload(31.24, 27.91, 35.03, 12.0, 18.42)
+        )
     )
 
 
-def _timeless(payload: State | Reservoir) -> bytes:
+def _timeless(payload: StatePayload | ReservoirPayload) -> bytes:
     return msgspec.json.encode(payload).replace(b'"unix_s":0.0', b'"unix_s":' + CLOCK)
 
 

@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from ports import free_port
 from service_bench import on_bench
 
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 
 SECONDS = 20.0
 VENTS = 60
@@ -77,7 +77,7 @@ async def flood(port: int, made: list[int]) -> None:
 @contextlib.asynccontextmanager
 async def service(folder: Path) -> AsyncIterator[tuple[int, int]]:
     """Its process and its page's port, between the fakes."""
-    async with on_bench(Autopilot("ardupilot")) as bench:
+    async with on_bench(FakeAutopilot("ardupilot")) as bench:
         port = free_port()
         profile = folder / "vine.toml"
         profile.write_text(bench.profile.replace("\nport = 0", f"\nport = {port}"))

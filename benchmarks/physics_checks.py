@@ -25,13 +25,13 @@ from physics_checks_flights import MISHAPS, Noticed, fly
 from physics_checks_rigs import drawn, telemetry_of
 from rich.console import Console
 
-from flying_vines.config.config import Checks
+from flying_vines.config.config import ChecksConfig
 from flying_vines.supply import TelemetryReader, nominal
 from flying_vines.supply.physics_checks import CHECKS, PhysicsChecks
 
 T = TypeVar("T")
 HEALTHY_S = 90.0
-CHECKS_CONFIG = Checks()
+CHECKS_CONFIG = ChecksConfig()
 MOST_WARNED = 1 / 200
 """The share of healthy rigs that may be warned of."""
 

@@ -11,7 +11,7 @@ from physics_checks_rigs import RESERVE_KPA, drawn
 
 from firmware_link import protocol
 from firmware_link.protocol import PROTOCOL_VERSION, Hello, Setpoint, Telemetry, Vent
-from flying_vines.config.config import Checks, Limits
+from flying_vines.config.config import ChecksConfig, LimitsConfig
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.simulation.phlosar.mishaps import (
     Drifting,
@@ -21,8 +21,8 @@ from flying_vines.simulation.phlosar.mishaps import (
     Heated,
     Hole,
     HoseOff,
-    Kind,
     Kinked,
+    MishapKind,
     Noisy,
     Open,
     Shorted,
@@ -33,14 +33,14 @@ from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.supply import Features, TelemetryReader, nominal
 from flying_vines.supply.physics_checks import PhysicsChecks
 
-LIMITS = Limits()
+LIMITS = LimitsConfig()
 RESTS_S = 8.0
 """Vented, before the first manoeuvre."""
 WATCHED_S = 25.0
 """After a mishap; longer than that it is not noticed."""
 WATCHED_LONGER_S = {"bottle sensor stuck": 100.0}
 
-MISHAPS: Mapping[str, tuple[str, Kind]] = {
+MISHAPS: Mapping[str, tuple[str, MishapKind]] = {
     "vine sensor stuck": ("cv_sensor", Stuck()),
     "vine sensor drifts up 1 kPa/s": ("cv_sensor", Drifting(1.0)),
     "vine sensor drifts down 1 kPa/s": ("cv_sensor", Drifting(-1.0)),
@@ -102,7 +102,7 @@ def fly(name: str, seed: int) -> Noticed:
     fill_kPa = max(200.0, case.fill_kPa)
     phlosar = SimulatedPhlosar(true_rig(case), reservoir_kPa=fill_kPa, seed=seed)
     reader = TelemetryReader(nominal(case.believed))
-    checks = PhysicsChecks(nominal(case.believed), Checks())
+    checks = PhysicsChecks(nominal(case.believed), ChecksConfig())
     codec = protocol.Codec()
     phlosar.receive(codec.encode(Hello(PROTOCOL_VERSION, 1)))
     manoeuvres = case.program

@@ -14,14 +14,14 @@ from cycles_left_flights import setpoints_of, told
 from cycles_left_rigs import HOST_TICK_S, Case, Manoeuvre, draw
 
 from firmware_link.protocol import Telemetry
-from flying_vines.config.config import Interlocks
+from flying_vines.config.config import InterlocksConfig
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.shape import Compliant, Pouch
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Rig
-from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
+from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 
-RESERVE_KPA = Interlocks().reserve_kPa
+RESERVE_KPA = InterlocksConfig().reserve_kPa
 """Below it nothing is flown."""
 LONG_REST_S = 1.0
 """A manoeuvre's; in one that is longer the host vents at last …"""
@@ -77,7 +77,7 @@ def telemetry_of(case: Case, seconds: float) -> Iterator[Telemetry]:
         yield telemetry
 
 
-def _setpoints(case: Case, seconds: float) -> list[Setpoint]:
+def _setpoints(case: Case, seconds: float) -> list[SetpointChange]:
     """As for the cycles that are left, but each long rest ends vented."""
     begins_s, setpoints = setpoints_of(case, seconds)
     first_tick = round(begins_s[0] / HOST_TICK_S)

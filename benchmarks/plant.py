@@ -37,18 +37,18 @@ from flying_vines.physics.plant.ambient import Air, air_at
 from flying_vines.physics.plant.compiled import batch, floats_of
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.likely import likely_effects
-from flying_vines.physics.plant.numbers import Numbers
+from flying_vines.physics.plant.numbers import PlantNumbers
 from flying_vines.physics.plant.plant import Conditions, Held, Plant
 from flying_vines.physics.plant.rates import conditions, rates
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, read, rested
 from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.rig import ControlVolume, Evp, Reservoir, Rig
-from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
+from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.simulation.phlosar.regulator import SAFE, Regulator
 
 SECONDS = 60.0
-SETPOINTS = [Setpoint(0.1 + 6.0 * cycle, 20.7, 60.0) for cycle in range(10)]
-SETPOINTS += [Setpoint(1.2 + 6.0 * cycle, 0.0, 60.0) for cycle in range(10)]
+SETPOINTS = [SetpointChange(0.1 + 6.0 * cycle, 20.7, 60.0) for cycle in range(10)]
+SETPOINTS += [SetpointChange(1.2 + 6.0 * cycle, 0.0, 60.0) for cycle in range(10)]
 SETPOINTS.sort()
 CV_SENSOR = dataclasses.replace(HONEYWELL_30PSI, adc=Adc(12))
 RESERVOIR_SENSOR = dataclasses.replace(HONEYWELL_15BAR, adc=Adc(12))
@@ -199,7 +199,7 @@ def course(plant: Plant, seconds: float) -> Iterator[Lived]:
 
 
 def change(
-    numbers: Numbers, air: Air, state: NDArray[np.float64], held: Held, out: NDArray[np.float64]
+    numbers: PlantNumbers, air: Air, state: NDArray[np.float64], held: Held, out: NDArray[np.float64]
 ) -> None:
     """The right-hand side for whoever has arrays."""
     found = rates(
@@ -262,7 +262,7 @@ def at_once(plant: Plant, lived: list[Lived], method: str, rtol: float) -> NDArr
     return np.array([conditions(simulator.numbers, air, tuple(state))[:3] for state in solution.y.T.tolist()])
 
 
-def _openings(state: NDArray[np.float64], held: Held, numbers: Numbers) -> tuple[float, float]:
+def _openings(state: NDArray[np.float64], held: Held, numbers: PlantNumbers) -> tuple[float, float]:
     """Where the valves without lag are, which nothing integrates."""
     return (
         float(state[7]) if numbers.evp.lag_per_s else held.evp_target,

@@ -46,13 +46,13 @@ from flying_vines.record.reader import FlightLog
 from flying_vines.record.restore import restored
 from flying_vines.record.summary import flights_in
 from flying_vines.record.topics import DECISION
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.simulation.ground_station import COMPONENT_ID, SYSTEM_ID, GroundStation
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.vehicle.mavlink.codec import Codec, Message
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 HOUR_S = 3600.0
 REAL_TIME_SAMPLES_S = 300.0
@@ -117,14 +117,14 @@ class Outcome:
         return not tally.fouls and asked == tally.motions == self.decisions.total() and self.flat
 
 
-def simulated(kind: Kind, seed: int, until_s: float, sample_every_s: float = HOUR_S) -> Outcome:
+def simulated(kind: AutopilotKind, seed: int, until_s: float, sample_every_s: float = HOUR_S) -> Outcome:
     """Fly until then in simulated time, and land."""
-    autopilot = Autopilot(kind, links=("companion", "gcs"))
+    autopilot = FakeAutopilot(kind, links=("companion", "gcs"))
     phlosar = SimulatedPhlosar(effects=Effects())
     flight = SimulatedFlight(config.default(), autopilot, phlosar)
-    ground = Codec(SYSTEM_ID, COMPONENT_ID)
+    ground = MavlinkCodec(SYSTEM_ID, COMPONENT_ID)
 
-    def press(button: Message) -> None:
+    def press(button: MavlinkMessage) -> None:
         autopilot.receive(flight.world.now, "gcs", ground.encode(button, SYSTEM_ID))
 
     world = World(autopilot, phlosar, press, lambda: flight.world.now)
@@ -147,12 +147,12 @@ def simulated(kind: Kind, seed: int, until_s: float, sample_every_s: float = HOU
     return outcome
 
 
-async def real(kind: Kind, seed: int, until_s: float, folder: Path) -> Outcome:
+async def real(kind: AutopilotKind, seed: int, until_s: float, folder: Path) -> Outcome:
     """Fly until then in real time, the service in a process of its own."""
     ground = GroundStation()
     ground_port = await ground.listen()
     companion_port = free_port()
-    autopilot = Autopilot(kind)
+    autopilot = FakeAutopilot(kind)
     phlosar = SimulatedPhlosar(effects=Effects())
     server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
     began_s = monotonic()
@@ -205,7 +205,7 @@ def main() -> int:
     parser.add_argument("--autopilot", choices=("ardupilot", "px4"), default="ardupilot")
     parser.add_argument("--real-time", action="store_true")
     arguments = parser.parse_args()
-    kind: Kind = arguments.autopilot
+    kind: AutopilotKind = arguments.autopilot
     hours = arguments.hours or (1.0 if arguments.real_time else 24.0)
     print(
         f"{kind}, seed {arguments.seed}, {hours:g} h of {'real' if arguments.real_time else 'simulated'} time"

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 LOOK_S = 0.1
 SETTLED_AFTER_S = 2.5
@@ -103,9 +103,9 @@ class Tally:
 class World:
     """What the script acts on."""
 
-    autopilot: Autopilot
+    autopilot: FakeAutopilot
     phlosar: SimulatedPhlosar
-    press: Callable[[Message], None]
+    press: Callable[[MavlinkMessage], None]
     """A button of the ground station."""
     now: Callable[[], float]
     tally: Tally = field(default_factory=Tally)
@@ -183,7 +183,7 @@ def _by_mission(world: World, dice: random.Random) -> Iterator[float]:
         yield LOOK_S
 
 
-def mission(autopilot: Autopilot, angles_deg: list[float], dice: random.Random) -> list[MissionItem]:
+def mission(autopilot: FakeAutopilot, angles_deg: list[float], dice: random.Random) -> list[MissionItem]:
     """Take off; between waypoints bend to each angle; land."""
     here = autopilot.flight.home
     made: list[MissionItem] = []
@@ -208,7 +208,7 @@ def mission(autopilot: Autopilot, angles_deg: list[float], dice: random.Random) 
     return made
 
 
-def _add_vine(kind: Kind, add: Callable[..., None], angle_deg: float) -> None:
+def _add_vine(kind: AutopilotKind, add: Callable[..., None], angle_deg: float) -> None:
     if kind == "ardupilot":
         add(_SCRIPT_MESSAGE, 1.0, angle_deg)
     else:

@@ -19,7 +19,7 @@ from time import monotonic
 from flight_load import RC_RATE_HZ, SYSTEM_ID, FlightLoad, mission_count, rc_channels
 from serial_board import TELEMETRY_HZ, SerialBoard
 
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.signing import Signing
 
 PULSES_US = (1100, 1500, 1900)
@@ -73,7 +73,7 @@ class Flipper:
         self._flips = flips
         self._random = random.Random(seed)
         self._load = FlightLoad(monotonic(), seed, signing)
-        self._answers = Codec(255, 0)
+        self._answers = MavlinkCodec(255, 0)
         self._flight = Flight()
         self._position = 0
         self._sample = -1

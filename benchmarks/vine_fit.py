@@ -13,9 +13,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from flying_vines.identification.bend_curve import Calibration, Law, Pairs, fit
-from flying_vines.identification.bend_curve.pairs import Array
-from flying_vines.identification.bend_curve.sequence import Estimate, bent_kPa
+from flying_vines.identification.bend_curve import BendCurveFit, Law, Pairs, fit
+from flying_vines.identification.bend_curve.sequence import CurveEstimate, bent_kPa
+from flying_vines.physics.arrays import Array
 
 UP_KPA = np.linspace(0.0, 20.7, 24)
 KPA = np.concatenate([UP_KPA, UP_KPA[::-1], UP_KPA[::3]])
@@ -23,7 +23,7 @@ NOISE_DEG = 0.7
 LEAST_SHARE = 0.88
 """Of the intervals, with good pressures: 95 % less what a linear reading of a kink costs, and chance."""
 
-Drawn = tuple[Array, Callable[[Calibration], list[tuple[Estimate | None, float]]]]
+Drawn = tuple[Array, Callable[[BendCurveFit], list[tuple[CurveEstimate | None, float]]]]
 
 
 def of_the_law(rng: np.random.Generator) -> Drawn:

@@ -24,7 +24,7 @@ FULL_MS = 1 << 32
 _HALF_MS = 1 << 31
 
 
-class Verdict(Enum):
+class ClockVerdict(Enum):
     """What a message's clock says of it."""
 
     NEW = "new"
@@ -56,16 +56,16 @@ class DeviceClock:
         """How old the latest new message was when it came, at least."""
         return max(0.0, -self._ahead_s)
 
-    def take(self, t: float, device_time_ms: int) -> Verdict:
+    def take(self, t: float, device_time_ms: int) -> ClockVerdict:
         """A message that came at `t`."""
         now = t, device_time_ms
         if self._last is None:
             return self._believe(now, 0, 0.0)
         passed_ms = _passed_ms(self._last, now)
         if passed_ms < 0 and not -passed_ms <= OVERTAKEN_MS <= device_time_ms:
-            return Verdict.BACK
+            return ClockVerdict.BACK
         if passed_ms <= 0:
-            return Verdict.OLD
+            return ClockVerdict.OLD
         ours_s = t - self._last[0]
         ahead_s = self._ahead_s + passed_ms / 1e3 - ours_s
         ahead_s -= math.copysign(min(abs(ahead_s), FORGETS * ours_s), ahead_s)
@@ -73,13 +73,13 @@ class DeviceClock:
             return self._believe(now, passed_ms, max(-MOST_BEHIND_S, ahead_s))
         before, self._leapt = self._leapt, now
         if before is None or not 0 < _passed_ms(before, now) <= 1e3 * (t - before[0] + SURE_S):
-            return Verdict.LEAPT
+            return ClockVerdict.LEAPT
         return self._believe(now, 0, 0.0)
 
-    def _believe(self, now: tuple[float, int], passed_ms: int, ahead_s: float) -> Verdict:
+    def _believe(self, now: tuple[float, int], passed_ms: int, ahead_s: float) -> ClockVerdict:
         self._last, self._leapt = now, None
         self.passed_ms, self._ahead_s = passed_ms, ahead_s
-        return Verdict.NEW
+        return ClockVerdict.NEW
 
 
 def _passed_ms(before: tuple[float, int], now: tuple[float, int]) -> int:

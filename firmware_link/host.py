@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-from firmware_link.device_clock import FULL_MS, DeviceClock, Verdict
+from firmware_link.device_clock import FULL_MS, ClockVerdict, DeviceClock
 from firmware_link.protocol import (
     PROTOCOL_VERSION,
     ClearFaults,
@@ -73,7 +73,7 @@ class Venting:
 
 
 VENTING = Venting()
-Command = Regulate | Venting
+HostCommand = Regulate | Venting
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +199,7 @@ class HostSession:
         self._ping = _Every(_PING_PERIOD_S)
         self._nonce = (first_nonce - 1) & 0xFFFFFFFF
         self._number = 0
-        self._command: Command = VENTING
+        self._command: HostCommand = VENTING
         self._first_vent_owed = True
         self._telemetry_s: float | None = None
         self._device_clock = DeviceClock()
@@ -210,7 +210,7 @@ class HostSession:
         self._incompatible_because: str | None = None
 
     @property
-    def current_command(self) -> Command:
+    def current_command(self) -> HostCommand:
         """What is being repeated while READY."""
         return self._command
 
@@ -235,7 +235,7 @@ class HostSession:
         self._forget_command()
         self.state = SessionState.CLOSED
 
-    def command(self, t: float, command: Command) -> list[HostMessage]:
+    def command(self, t: float, command: HostCommand) -> list[HostMessage]:
         """From now on repeat `command`; what is returned must be sent at once.
 
         While not READY the command is forgotten and nothing is sent: give it again when READY. A command
@@ -307,12 +307,12 @@ class HostSession:
         if self.state is not SessionState.READY:
             return []
         match self._device_clock.take(t, telemetry.device_time_ms):
-            case Verdict.OLD:
+            case ClockVerdict.OLD:
                 return []
-            case Verdict.LEAPT:
+            case ClockVerdict.LEAPT:
                 self.telemetry_gaps += 1
                 return []
-            case Verdict.BACK:
+            case ClockVerdict.BACK:
                 return self._reset(f"its clock went back to {telemetry.device_time_ms} ms")
         if self.welcome is not None:
             periods = self._device_clock.passed_ms * self.welcome.telemetry_Hz / 1000
@@ -411,7 +411,7 @@ class HostSession:
         self._adopt(VENTING)
         return [self._current_message()]
 
-    def _adopt(self, command: Command) -> None:
+    def _adopt(self, command: HostCommand) -> None:
         self._command = command
         # 0 is what telemetry says before the first command.
         self._number = self._number % 0xFFFF + 1

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from firmware_link.answer import Answer
 from firmware_link.find import Ports, UsbBoard
 from firmware_link.framing import FRAME_END
-from firmware_link.host import VENTING, Command, HostEvent, HostSession
+from firmware_link.host import VENTING, HostCommand, HostEvent, HostSession
 from firmware_link.protocol import Codec, Fault, HostMessage
 from firmware_link.serial_port import SerialPort
 from firmware_link.statistics import LinkStatistics, Traffic
@@ -58,7 +58,7 @@ class FirmwareLink:
     def statistics(self) -> LinkStatistics:
         return self._traffic.statistics(time.monotonic(), self.codec, self.session, self.port.dropped_bytes)
 
-    def command(self, command: Command) -> None:
+    def command(self, command: HostCommand) -> None:
         """From now on hold `command`; forgotten while the session is not READY."""
         self._send(self.session.command(time.monotonic(), command))
 

@@ -29,7 +29,7 @@ _SAID = (Hello, Ping, GetSetting, SetSetting)
 """All that a monitor says."""
 
 
-class Seen(NamedTuple):
+class SeenFrame(NamedTuple):
     """One frame, or what should have been one."""
 
     t: float
@@ -49,17 +49,17 @@ class Tap:
         self._sent = sent
         self._frames = FrameDecoder()
 
-    def read(self, t: float, data: bytes) -> list[Seen]:
+    def read(self, t: float, data: bytes) -> list[SeenFrame]:
         """The frames that end within `data`."""
         return [self._seen(t, wire, payload) for wire, payload in self._frames.frames(data)]
 
-    def _seen(self, t: float, wire: bytes, payload: bytes | None) -> Seen:
+    def _seen(self, t: float, wire: bytes, payload: bytes | None) -> SeenFrame:
         if payload is None:
-            return Seen(t, self._sent, wire, None, "no frame, or one that was spoilt on its way")
+            return SeenFrame(t, self._sent, wire, None, "no frame, or one that was spoilt on its way")
         try:
-            return Seen(t, self._sent, wire, protocol.decode(payload)[0])
+            return SeenFrame(t, self._sent, wire, protocol.decode(payload)[0])
         except ProtocolError as error:
-            return Seen(t, self._sent, wire, None, str(error))
+            return SeenFrame(t, self._sent, wire, None, str(error))
 
 
 class Monitor:
@@ -88,7 +88,7 @@ class Monitor:
         self.session.closed(t)
         self.answer.closed()
 
-    def receive(self, t: float, data: bytes) -> tuple[list[Seen], list[HostEvent]]:
+    def receive(self, t: float, data: bytes) -> tuple[list[SeenFrame], list[HostEvent]]:
         """What came, and what it means."""
         messages = self._codec.decode(data)
         self._traffic.received(t, data)
@@ -99,7 +99,7 @@ class Monitor:
                 self._settings.receive(message)
         return self._from_device.read(t, data), events
 
-    def tick(self, t: float) -> tuple[bytes, list[Seen]]:
+    def tick(self, t: float) -> tuple[bytes, list[SeenFrame]]:
         """The bytes to be written at `t`, and what they are."""
         due: list[HostMessage] = [message for message in self.session.tick(t) if isinstance(message, _SAID)]
         if self._settings is not None and self.session.state is SessionState.READY:

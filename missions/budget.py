@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from flying_vines.config.config import Config
 from flying_vines.core.motion_planner import MotionPlanner
-from flying_vines.core.safety import Conditions, Ruling, Safety
+from flying_vines.core.safety import Ruling, Safety, SafetyInputs
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate
 from flying_vines.supply.estimate import READING_SD_KPA, Z90
@@ -22,7 +22,7 @@ from flying_vines.supply.reservoir import GAS, Bottle, Spent, X
 from flying_vines.vehicle.triggers import Rules
 from flying_vines.vine.intent import Intent
 from flying_vines.vine.motion import Motion
-from missions.timeline import ENDS, Step, Timeline
+from missions.timeline import ENDS, Timeline, TimelineStep
 
 WATCHED_S = 60.0
 """For so long, before take-off, the service has read the bottle and found it as believed."""
@@ -39,10 +39,10 @@ class Range(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Bend:
+class PlannedBend:
     """One vine item of the mission and what it takes."""
 
-    step: Step
+    step: TimelineStep
     intent: Intent | None
     ruling: Ruling
     """What safety makes of it with the bottle as expected; refused too where no intent can be made of it."""
@@ -64,18 +64,18 @@ class Bend:
 
 
 @dataclass(frozen=True, slots=True)
-class Budget:
+class AirBudget:
     """The whole mission's."""
 
-    bends: tuple[Bend, ...]
+    bends: tuple[PlannedBend, ...]
     begins: Range
     ends: Range
     length_s: float
-    bent_at_end: Bend | None
+    bent_at_end: PlannedBend | None
     """What the vine is still bent by when the landing begins, or the mission ends."""
 
 
-def budget(plan: Timeline, config: Config, belief: Belief, reservoir_kPa: float) -> Budget:
+def budget(plan: Timeline, config: Config, belief: Belief, reservoir_kPa: float) -> AirBudget:
     """Go through the mission with a bottle at `reservoir_kPa` (gauge) at take-off."""
     return _Walk(plan, config, belief, reservoir_kPa).walk()
 
@@ -128,11 +128,11 @@ class _Walk:
         self._bent_kPa = 0.0
         self._low_at_s: float | None = None
 
-    def walk(self) -> Budget:
+    def walk(self) -> AirBudget:
         begins = self._air.range_kPa()
         steps = [step for step in self._plan.steps if step.item.command in self._rules.commands]
         landing_s = self._landing_s()
-        bends: list[Bend] = []
+        bends: list[PlannedBend] = []
         held: int | None = None
         for i, step in enumerate(steps):
             until_s = min(landing_s, steps[i + 1].t_s if i + 1 < len(steps) else math.inf)
@@ -148,7 +148,7 @@ class _Walk:
         bent = self._motion is not None and self._motion.stays_bent
         self._vent()
         self._pass(self._plan.length_s)
-        return Budget(
+        return AirBudget(
             tuple(bends),
             begins,
             self._air.range_kPa(),
@@ -161,7 +161,7 @@ class _Walk:
         last = self._plan.steps[-1] if self._plan.steps else None
         return self._plan.length_s if last is None or last.item.command not in ENDS else last.t_s
 
-    def _bend(self, step: Step, until_s: float) -> Bend:
+    def _bend(self, step: TimelineStep, until_s: float) -> PlannedBend:
         intent, problem = self._rules.for_command(step.item.command, step.item.params)
         if intent is not None and not problem:
             problem = self._planner.problem(intent)
@@ -169,7 +169,7 @@ class _Walk:
         if intent is None or problem:
             refused = Ruling("refused", problem)
             cycles = self._air.estimate().cycles_left()
-            return Bend(step, intent, refused, "", None, step.t_s, 0.0, before, before, 0.0, cycles)
+            return PlannedBend(step, intent, refused, "", None, step.t_s, 0.0, before, before, 0.0, cycles)
         motion = self._planned(intent)
         ruling = self._judge(motion, step.height_m, before.expected)
         doubt = ""
@@ -184,7 +184,7 @@ class _Walk:
         bent_s = max(0.0, until_s - step.t_s) if motion.stays_bent else ends_s - step.t_s
         self._pass(ends_s)
         after = self._air.range_kPa()
-        return Bend(
+        return PlannedBend(
             step,
             intent,
             ruling,
@@ -204,7 +204,7 @@ class _Walk:
 
     def _judge(self, motion: Motion, height_m: float, reservoir_kPa: float) -> Ruling:
         air = self._air.estimate().air_needed(motion.rise_kPa, motion.rate_kPa_per_s)
-        now = Conditions(
+        now = SafetyInputs(
             armed=True,
             altitude_m=height_m,
             autopilot_age_s=0.0,

@@ -11,10 +11,10 @@ from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import Home
-from flying_vines.vehicle.mission.storage import MISSION_FRAME, Kind
+from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
 from missions.carriers import carrier, suggestion
-from missions.mission import Action, Mission, MissionError, Waypoint
+from missions.mission import Mission, MissionError, VineAction, Waypoint
 
 WAYPOINT, RETURN, LAND, TAKEOFF, DELAY, SPEED = 16, 20, 21, 22, 93, 178
 GLOBAL_FRAME, ABOVE_HOME_FRAME = 0, 3
@@ -24,7 +24,7 @@ REST_S = 0.5
 
 
 def build(
-    mission: Mission, config: Config, kind: Kind, home: Home, source: str, text: str = ""
+    mission: Mission, config: Config, kind: AutopilotKind, home: Home, source: str, text: str = ""
 ) -> list[MissionItem]:
     """The items, ready to be sent; on ArduPilot item 0 is home.
 
@@ -72,11 +72,11 @@ def _place(waypoint: Waypoint, home: Home) -> tuple[float, float]:
 class _Builder:
     """Appends items, and follows the vine to know when it will have come to rest."""
 
-    def __init__(self, config: Config, kind: Kind, source: str, text: str) -> None:
+    def __init__(self, config: Config, kind: AutopilotKind, source: str, text: str) -> None:
         self.items: list[MissionItem] = []
         self.problems: list[str] = []
         self._config = config
-        self._kind: Kind = kind
+        self._kind: AutopilotKind = kind
         self._source = source
         self._text = text
         self._planner = MotionPlanner(config)
@@ -89,7 +89,7 @@ class _Builder:
         seq = len(self.items)
         self.items.append(MissionItem(seq, command, (p1, p2, p3, p4, x, y, z), frame, current=seq == 0))
 
-    def act(self, actions: tuple[Action, ...], key: Key) -> None:
+    def act(self, actions: tuple[VineAction, ...], key: Key) -> None:
         """The items of one place: each of the vine's followed by the time that the vehicle stays for it."""
         for index, action in enumerate(actions):
             intent: Intent = (

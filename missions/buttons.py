@@ -18,12 +18,12 @@ from flying_vines.config.config import Config
 from flying_vines.vehicle.triggers import BEND_TO, CHOICES, Rules
 from flying_vines.vine.intent import (
     ArmPneumatics,
-    ClearFaults,
+    ClearLatchedFaults,
     DisarmPneumatics,
     Hold,
     Intent,
     StartProfile,
-    Vent,
+    VentVine,
 )
 
 ANGLES = 4
@@ -33,9 +33,9 @@ USER_1 = mavlink.MAV_CMD_USER_1
 PARAMS = 7
 
 _WORDS: dict[Intent, tuple[str, str]] = {
-    Vent(): ("Vine vent", "Let the air out of the vine"),
+    VentVine(): ("Vine vent", "Let the air out of the vine"),
     Hold(): ("Vine hold", "Keep the vine as it is"),
-    ClearFaults(): ("Vine clear faults", "Forget faults whose cause is gone"),
+    ClearLatchedFaults(): ("Vine clear faults", "Forget faults whose cause is gone"),
     DisarmPneumatics(): ("Vine disarm pneumatics", "Let the air out and bend for nobody"),
     ArmPneumatics(): ("Vine arm pneumatics", "Allow the vine to bend"),
 }
@@ -52,7 +52,7 @@ class Button(NamedTuple):
 
 def buttons(config: Config) -> list[Button]:
     """Letting air out comes first, what is needed on the ground last."""
-    first = (Vent(), Hold())
+    first = (VentVine(), Hold())
     rest = [intent for intent in _WORDS if intent not in first]
     return [
         *(_choice(intent) for intent in first),

@@ -11,10 +11,10 @@ import struct
 from collections.abc import Iterator
 from dataclasses import replace
 
-from flying_vines.config.config import CARRIERS, Config, Item
+from flying_vines.config.config import CARRIERS, Config, ItemConfig
 from flying_vines.vehicle.autopilots import AUTOPILOTS, store
 from flying_vines.vehicle.mission.item import MissionItem, has_place, is_nav
-from flying_vines.vehicle.mission.storage import MISSION_FRAME, Kind, MissionRefused, Params
+from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind, MissionRefused, Params
 from flying_vines.vehicle.triggers import NAME_OF_COMMAND, Rules
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
 
@@ -22,7 +22,7 @@ ANGLE_KEPT_DEG = 0.01
 """What becomes of an angle on its way through 32-bit floats and a scale."""
 
 
-def carrier(intent: Intent, config: Config, kind: Kind) -> MissionItem | None:
+def carrier(intent: Intent, config: Config, kind: AutopilotKind) -> MissionItem | None:
     """An item (numbered 0) that brings `intent` about on this autopilot, or None."""
     rules = Rules(config)
     for command, rule in _by_preference(config, kind):
@@ -32,7 +32,7 @@ def carrier(intent: Intent, config: Config, kind: Kind) -> MissionItem | None:
     return None
 
 
-def survives(item: MissionItem, intent: Intent, rules: Rules, kind: Kind) -> bool:
+def survives(item: MissionItem, intent: Intent, rules: Rules, kind: AutopilotKind) -> bool:
     """Whether the item means `intent` also after the wire and the autopilot's storage."""
     try:
         kept = store(kind, over_the_wire(item))
@@ -49,7 +49,7 @@ def over_the_wire(item: MissionItem) -> MissionItem:
     return replace(item, params=(_f32(p1), _f32(p2), _f32(p3), _f32(p4), x, y, _f32(z)))
 
 
-def suggestion(intent: Intent, config: Config, kind: Kind) -> str:
+def suggestion(intent: Intent, config: Config, kind: AutopilotKind) -> str:
     """The `[[items]]` entry that would carry `intent`, on one line."""
     autopilot = AUTOPILOTS[kind]
     name = autopilot.carriers[0]
@@ -68,19 +68,19 @@ def described(item: MissionItem) -> str:
     return f"{name} ({', '.join(f'{number:g}' for number in numbers)})"
 
 
-def _by_preference(config: Config, kind: Kind) -> Iterator[tuple[int, Item]]:
+def _by_preference(config: Config, kind: AutopilotKind) -> Iterator[tuple[int, ItemConfig]]:
     """Commands with a rule each; of an actuator first those that move no output of the autopilot's."""
     pairs = [(command, rule) for rule in config.items for command in rule.command_ids if not is_nav(command)]
     ranks = {CARRIERS[name]: rank for rank, name in enumerate(AUTOPILOTS[kind].carriers)}
 
-    def rank(pair: tuple[int, Item]) -> tuple[int, bool]:
+    def rank(pair: tuple[int, ItemConfig]) -> tuple[int, bool]:
         command, rule = pair
         return ranks.get(command, len(ranks)), not rule.match.get("param7")
 
     yield from sorted(pairs, key=rank)
 
 
-def _numbers(rule: Item, intent: Intent) -> Params:
+def _numbers(rule: ItemConfig, intent: Intent) -> Params:
     numbers = [0.0] * 7
     for key, value in rule.match.items():
         numbers[_index(key)] = value

@@ -23,12 +23,12 @@ from flying_vines.vehicle.mission.storage import (
     INVALID_PARAM1,
     MISSION_FRAME,
     UNSUPPORTED_FRAME,
-    Kind,
+    AutopilotKind,
     MissionRefused,
 )
 from flying_vines.vehicle.triggers import Rules
 from flying_vines.vine.intent import BendTo
-from missions.budget import Bend, Budget
+from missions.budget import AirBudget, PlannedBend
 from missions.build import (
     ABOVE_HOME_FRAME,
     BEND_LESS,
@@ -66,7 +66,7 @@ _YAW_MAY_BE_NAN = {WAYPOINT, LAND, TAKEOFF, 84, 85}
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class MissionFinding:
     """One thing that is wrong; `seq` is the item's."""
 
     severity: Literal["error", "warning"]
@@ -75,14 +75,14 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Case:
+class CheckedMission:
     """What a check may look at."""
 
     items: Sequence[MissionItem]
-    kind: Kind
+    kind: AutopilotKind
     config: Config
     timeline: Timeline
-    budget: Budget
+    budget: AirBudget
 
     @cached_property
     def rules(self) -> Rules:
@@ -96,11 +96,11 @@ class Case:
     def is_vine(self, item: MissionItem) -> bool:
         return item.command in self.rules.commands
 
-    def error(self, item: MissionItem, text: str) -> Finding:
-        return Finding("error", item.seq, f"{self._where(item)}: {text}")
+    def error(self, item: MissionItem, text: str) -> MissionFinding:
+        return MissionFinding("error", item.seq, f"{self._where(item)}: {text}")
 
-    def warning(self, item: MissionItem, text: str) -> Finding:
-        return Finding("warning", item.seq, f"{self._where(item)}: {text}")
+    def warning(self, item: MissionItem, text: str) -> MissionFinding:
+        return MissionFinding("warning", item.seq, f"{self._where(item)}: {text}")
 
     def _where(self, item: MissionItem) -> str:
         """An item, for people: its number, what it is and behind which waypoint."""
@@ -109,7 +109,7 @@ class Case:
         return f"item {item.seq} ({name_of(item)}{place})"
 
 
-def check(case: Case) -> list[Finding]:
+def check(case: CheckedMission) -> list[MissionFinding]:
     """Everything that is wrong, errors first, each in the mission's order."""
     found = [finding for look in CHECKS for finding in look(case)]
     return sorted(found, key=lambda finding: (finding.severity, finding.seq))
@@ -123,7 +123,7 @@ def name_of(item: MissionItem) -> str:
 # Checks of the items alone.
 
 
-def _refused(case: Case) -> Iterator[Finding]:
+def _refused(case: CheckedMission) -> Iterator[MissionFinding]:
     for item in case.items:
         try:
             kept = store(case.kind, over_the_wire(item))
@@ -133,7 +133,7 @@ def _refused(case: Case) -> Iterator[Finding]:
             yield from _altered(case, item, kept)
 
 
-def _why_refused(case: Case, item: MissionItem, result: int) -> str:
+def _why_refused(case: CheckedMission, item: MissionItem, result: int) -> str:
     if result == UNSUPPORTED_FRAME:
         better = MISSION_FRAME if case.is_vine(item) else ABOVE_HOME_FRAME
         return f"{case.name} refuses it in frame {item.frame}; use frame {better}"
@@ -150,7 +150,7 @@ def _why_refused(case: Case, item: MissionItem, result: int) -> str:
     return f"{refuses}; for '{intent}' use {described(instead)}"
 
 
-def _altered(case: Case, item: MissionItem, kept: MissionItem) -> Iterator[Finding]:
+def _altered(case: CheckedMission, item: MissionItem, kept: MissionItem) -> Iterator[MissionFinding]:
     """What storage makes of the numbers."""
     sent = list(item.params)
     if item.command in _YAW_MAY_BE_NAN and math.isnan(sent[3]):
@@ -175,7 +175,7 @@ def _altered(case: Case, item: MissionItem, kept: MissionItem) -> Iterator[Findi
     yield case.error(item, f"{stores}, so that '{meant}' becomes '{means or 'nothing'}'{use}")
 
 
-def _home(case: Case) -> Iterator[Finding]:
+def _home(case: CheckedMission) -> Iterator[MissionFinding]:
     first = case.items[0]
     if case.kind == "ardupilot":
         if first.command != WAYPOINT:
@@ -188,13 +188,13 @@ def _home(case: Case) -> Iterator[Finding]:
         )
 
 
-def _capacity(case: Case) -> Iterator[Finding]:
+def _capacity(case: CheckedMission) -> Iterator[MissionFinding]:
     if len(case.items) > CAPACITY:
         last = case.items[-1]
         yield case.error(last, f"there are {len(case.items)} items, and {case.name} holds {CAPACITY}")
 
 
-def _burst(case: Case) -> Iterator[Finding]:
+def _burst(case: CheckedMission) -> Iterator[MissionFinding]:
     for flown, group in itertools.groupby(case.items, AUTOPILOTS["px4"].waits_for):
         burst = [] if flown or case.kind != "px4" else list(group)
         for item in filter(case.is_vine, burst[:-BURST]):
@@ -202,7 +202,7 @@ def _burst(case: Case) -> Iterator[Finding]:
             yield case.error(item, f"{row}, of which PX4 hands on the last {BURST}; put a NAV_DELAY between")
 
 
-def _places(case: Case) -> Iterator[Finding]:
+def _places(case: CheckedMission) -> Iterator[MissionFinding]:
     for item in case.items:
         latitude, longitude = item.params[4:6]
         if not has_place(item.command, item.frame) or (latitude, longitude) == (0.0, 0.0):
@@ -217,7 +217,7 @@ def _places(case: Case) -> Iterator[Finding]:
 # Checks of what runs when.
 
 
-def _never(case: Case) -> Iterator[Finding]:
+def _never(case: CheckedMission) -> Iterator[MissionFinding]:
     end = next((item for item in case.items if item.command in ENDS), None)
     for item in filter(case.is_vine, case.timeline.never):
         if end is not None and item.seq > end.seq:
@@ -228,7 +228,7 @@ def _never(case: Case) -> Iterator[Finding]:
             yield case.error(item, f"never runs: {last}; put a NAV_DELAY or a waypoint behind each")
 
 
-def _on_the_ground(case: Case) -> Iterator[Finding]:
+def _on_the_ground(case: CheckedMission) -> Iterator[MissionFinding]:
     first = case.timeline.steps[0] if case.timeline.steps else None
     if first is not None and not first.flown and case.is_vine(first.item):
         again = ", before arming and again after landing" if case.kind == "ardupilot" else ""
@@ -236,14 +236,14 @@ def _on_the_ground(case: Case) -> Iterator[Finding]:
         yield case.error(first.item, f"{runs}; put it behind the take-off")
 
 
-def _too_long(case: Case) -> Iterator[Finding]:
+def _too_long(case: CheckedMission) -> Iterator[MissionFinding]:
     if case.timeline.cut:
         last = case.timeline.steps[-1].item if case.timeline.steps else case.items[-1]
         longest = f"more than {LONGEST_S / 3600:.0f} h or {MOST_STEPS} items"
         yield case.error(last, f"the mission goes on after it for {longest}, which nobody checks; shorten it")
 
 
-def _jumps(case: Case) -> Iterator[Finding]:
+def _jumps(case: CheckedMission) -> Iterator[MissionFinding]:
     for item in case.items:
         if item.command == JUMP and item.params[1] == FOR_EVER:
             yield case.warning(item, "goes on for ever; the budget is of the first time round")
@@ -254,19 +254,19 @@ def _jumps(case: Case) -> Iterator[Finding]:
 # Checks of what the vine does.
 
 
-def _no_vine(case: Case) -> Iterator[Finding]:
+def _no_vine(case: CheckedMission) -> Iterator[MissionFinding]:
     if not any(map(case.is_vine, case.items)):
         yield case.warning(case.items[0], "no item of this mission means anything to the vine by [[items]]")
 
 
-def _disarmed(case: Case) -> Iterator[Finding]:
+def _disarmed(case: CheckedMission) -> Iterator[MissionFinding]:
     bends = case.budget.bends
     if bends and not case.config.interlocks.armed_at_start:
         first = "the pneumatics start disarmed (interlocks.armed_at_start), which refuses it"
         yield case.warning(bends[0].step.item, f"{first}; have a person arm them before")
 
 
-def _ruled(case: Case) -> Iterator[Finding]:
+def _ruled(case: CheckedMission) -> Iterator[MissionFinding]:
     for bend in case.budget.bends:
         item, ruling = bend.step.item, bend.ruling
         if ruling.verdict == "refused" and bend.step is not case.timeline.steps[0]:
@@ -279,7 +279,7 @@ def _ruled(case: Case) -> Iterator[Finding]:
             yield case.warning(item, f"may be refused: {bend.doubt}, at the low end of what is known")
 
 
-def _advice(case: Case, bend: Bend) -> str:
+def _advice(case: CheckedMission, bend: PlannedBend) -> str:
     if bend.motion is None:
         return f"; {BEND_LESS}" if isinstance(bend.intent, BendTo) else ""
     if bend.step.height_m < case.config.interlocks.min_altitude_m:
@@ -287,7 +287,7 @@ def _advice(case: Case, bend: Bend) -> str:
     return "; fill the bottle further, or leave out bends before it"
 
 
-def _overtaken(case: Case) -> Iterator[Finding]:
+def _overtaken(case: CheckedMission) -> Iterator[MissionFinding]:
     for bend, after in itertools.pairwise(case.budget.bends):
         if bend.motion is None or bend.ruling.verdict == "refused":
             continue
@@ -303,7 +303,7 @@ def _overtaken(case: Case) -> Iterator[Finding]:
             yield case.warning(item, f"{cut}; hold longer")
 
 
-def _bent(case: Case) -> Iterator[Finding]:
+def _bent(case: CheckedMission) -> Iterator[MissionFinding]:
     limit_s = case.config.limits.max_bent_s
     for bend in case.budget.bends:
         if bend.bent_s > limit_s:
@@ -314,14 +314,14 @@ def _bent(case: Case) -> Iterator[Finding]:
         yield case.warning(case.budget.bent_at_end.step.item, ends)
 
 
-def _reserve(case: Case) -> Iterator[Finding]:
+def _reserve(case: CheckedMission) -> Iterator[MissionFinding]:
     for bend in case.budget.bends:
         if bend.low_at_s is not None:
             low = f"the bottle falls below the reserve {bend.low_at_s:.0f} s after take-off, and safety vents"
             yield case.error(bend.step.item, f"{low}; fill it further, or bend less")
 
 
-CHECKS: tuple[Callable[[Case], Iterator[Finding]], ...] = (
+CHECKS: tuple[Callable[[CheckedMission], Iterator[MissionFinding]], ...] = (
     _refused,
     _home,
     _capacity,

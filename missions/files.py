@@ -9,9 +9,9 @@ from pathlib import Path
 
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.reference_vehicle import Home
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.mission import MissionError
-from missions.plan_file import PlanError, read_plan
+from missions.plan_file import PlanFileError, read_plan
 from missions.waypoints import WaypointsError, read_waypoints
 
 SUFFIXES = (".plan", ".waypoints", ".txt")
@@ -23,11 +23,11 @@ class Items:
     """Items as they are sent, home in front on ArduPilot."""
 
     items: tuple[MissionItem, ...]
-    kind: Kind
+    kind: AutopilotKind
     home: Home
 
 
-def load_items(path: Path, kind: Kind | None = None) -> Items:
+def load_items(path: Path, kind: AutopilotKind | None = None) -> Items:
     """The mission in a .plan or .waypoints file, for `kind` or else the autopilot that the file names.
 
     MissionError when it cannot be read, is empty, or does not say for which autopilot it is.
@@ -38,7 +38,7 @@ def load_items(path: Path, kind: Kind | None = None) -> Items:
             return Items(plan.items, _known(plan.kind, path), plan.home)
         kind = _known(kind, path)
         items = tuple(read_waypoints(path))
-    except (PlanError, WaypointsError) as error:
+    except (PlanFileError, WaypointsError) as error:
         raise MissionError(str(error)) from None
     except OSError as error:
         raise MissionError(f"{path}: cannot be read: {error.strerror}") from None
@@ -47,7 +47,7 @@ def load_items(path: Path, kind: Kind | None = None) -> Items:
     return Items(items, kind, home_of(items))
 
 
-def _known(kind: Kind | None, path: Path) -> Kind:
+def _known(kind: AutopilotKind | None, path: Path) -> AutopilotKind:
     if kind is None:
         raise MissionError(f"{path}: does not say for which autopilot: give --autopilot ardupilot or px4")
     return kind

@@ -16,7 +16,7 @@ from firmware_link.find import BoardNotFoundError, UsbBoard
 from flying_vines.config.address import DEFAULT_BAUD, SerialAddress, parse_address
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem, has_place
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 FOUND_WITHIN_S = 10.0
 HEARTBEAT_WITHIN_S = 3.0
@@ -53,7 +53,7 @@ _RESULTS = {
 }
 
 
-class LinkError(Exception):
+class VehicleLinkError(Exception):
     """The vehicle cannot be reached, or does not answer; one sentence says why and what to do."""
 
 
@@ -67,7 +67,7 @@ class UploadRefused(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class HeardMessage:
     """A message of anyone on the vehicle's network, with its fields by name."""
 
     name: str
@@ -93,12 +93,12 @@ def mavsdk_url(link: str) -> str:
 
 
 @asynccontextmanager
-async def vehicle(link: str, within_s: float = FOUND_WITHIN_S) -> AsyncIterator[Vehicle]:
+async def vehicle(link: str, within_s: float = FOUND_WITHIN_S) -> AsyncIterator[MissionVehicle]:
     """The first autopilot that is heard on `link`; LinkError when there is none in time."""
     try:
         url = mavsdk_url(link)
     except ValueError as error:
-        raise LinkError(str(error)) from None
+        raise VehicleLinkError(str(error)) from None
     mavsdk = _mavsdk()
     configuration = mavsdk.Configuration.create_with_component_type(mavsdk.ComponentType.GROUND_STATION)
     async with mavsdk.Mavsdk(configuration) as client:
@@ -106,14 +106,16 @@ async def vehicle(link: str, within_s: float = FOUND_WITHIN_S) -> AsyncIterator[
             async with asyncio.timeout(within_s):
                 await client.add_any_connection(url)
         except (mavsdk.MavsdkConnectionError, TimeoutError):
-            raise LinkError(f"{link}: cannot be opened: is there such a port, and is it free?") from None
+            raise VehicleLinkError(
+                f"{link}: cannot be opened: is there such a port, and is it free?"
+            ) from None
         system = await client.first_autopilot(within_s)
         if system is None:
-            raise LinkError(f"{link}: no vehicle heard within {within_s:g} s")
+            raise VehicleLinkError(f"{link}: no vehicle heard within {within_s:g} s")
         kind = await _kind(system)
         if kind is None:
-            raise LinkError(f"{link}: the vehicle there is neither ArduPilot nor PX4")
-        found = Vehicle(system._system, kind, await system.get_system_id())
+            raise VehicleLinkError(f"{link}: the vehicle there is neither ArduPilot nor PX4")
+        found = MissionVehicle(system._system, kind, await system.get_system_id())
         try:
             yield found
         finally:
@@ -124,7 +126,7 @@ _KINDS = {kind.upper(): kind for kind in AUTOPILOTS}
 """What mavsdk calls them."""
 
 
-async def _kind(system: Any) -> Kind | None:
+async def _kind(system: Any) -> AutopilotKind | None:
     """What the autopilot's next heartbeat says it is; mavsdk finds it by any message."""
     for _ in range(round(HEARTBEAT_WITHIN_S / LOOK_S)):
         kind = _KINDS.get((await system.autopilot_type()).name)
@@ -140,9 +142,9 @@ def _mavsdk() -> Any:
         import mavsdk.asyncio
         from mavsdk.logging import log_subscribe
     except ModuleNotFoundError:
-        raise LinkError(f"mavsdk is missing; {_EXTRA}, on 64-bit systems") from None
+        raise VehicleLinkError(f"mavsdk is missing; {_EXTRA}, on 64-bit systems") from None
     except Exception as error:  # it loads its library on import, and its base class comes with it
-        raise LinkError(f"mavsdk does not run on this machine: {str(error).splitlines()[0]}") from None
+        raise VehicleLinkError(f"mavsdk does not run on this machine: {str(error).splitlines()[0]}") from None
 
     log_subscribe(lambda level, message, file, line: True)
     return mavsdk.asyncio
@@ -171,17 +173,17 @@ class Ears:
         self._called = False
         self._arrived.set()
 
-    def waiting(self) -> list[Heard]:
+    def waiting(self) -> list[HeardMessage]:
         """What has come since the last call."""
         found = []
         while self._waiting:
             message = self._waiting.popleft()
             with suppress(json.JSONDecodeError):
                 fields = json.loads(message.fields_json)
-                found.append(Heard(message.message_name, message.component_id, fields))
+                found.append(HeardMessage(message.message_name, message.component_id, fields))
         return found
 
-    async def hear(self, within_s: float) -> list[Heard]:
+    async def hear(self, within_s: float) -> list[HeardMessage]:
         """What has come, after waiting for the first of it; empty when nothing does in time."""
         with suppress(TimeoutError):
             async with asyncio.timeout(within_s):
@@ -196,14 +198,14 @@ class Ears:
         self._handles = []
 
 
-class Vehicle:
+class MissionVehicle:
     """An autopilot that mavsdk has found."""
 
-    def __init__(self, system: Any, kind: Kind, system_id: int) -> None:
+    def __init__(self, system: Any, kind: AutopilotKind, system_id: int) -> None:
         from mavsdk.plugins.mavlink_direct import MavlinkDirect
         from mavsdk.plugins.mission_raw import MissionRaw
 
-        self.kind: Kind = kind
+        self.kind: AutopilotKind = kind
         self.system_id = system_id
         self._direct = MavlinkDirect(system)
         self._mission = MissionRaw(system)
@@ -244,7 +246,7 @@ class Vehicle:
                 async with asyncio.timeout(ANSWER_WITHIN_S):
                     result, done = await steps.get()
             except TimeoutError:
-                raise LinkError(
+                raise VehicleLinkError(
                     "the vehicle fell silent during the upload; what it holds now is unknown"
                 ) from None
             if result == MissionRawResult.NEXT:
@@ -253,7 +255,9 @@ class Vehicle:
                 progress(1.0)
                 return
             elif result == MissionRawResult.TIMEOUT:
-                raise LinkError("the vehicle fell silent during the upload; what it holds now is unknown")
+                raise VehicleLinkError(
+                    "the vehicle fell silent during the upload; what it holds now is unknown"
+                )
             else:
                 raise await _refusal(ears, result)
 
@@ -264,7 +268,7 @@ class Vehicle:
         result, raw = await _answer(self._mission.download_mission_async, DOWNLOADED_WITHIN_S)
         if result != MissionRawResult.SUCCESS:
             reason = result.name.lower().replace("_", " ") if result else "timeout"
-            raise LinkError(f"the mission cannot be read from the vehicle: {reason}")
+            raise VehicleLinkError(f"the mission cannot be read from the vehicle: {reason}")
         return [_from_raw(item) for item in raw]
 
     async def command(self, command: int, *params: float, component: int = 1) -> int | None:

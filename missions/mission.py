@@ -21,7 +21,7 @@ from flying_vines.config.toml_text import (
 )
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.reference_vehicle import Home
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 Height = Annotated[float, Meta(gt=0, le=1000)]
 Latitude = Annotated[float, Meta(ge=-90, le=90)]
@@ -49,7 +49,7 @@ class PlannedHome(_Table, frozen=True):
     altitude_m: Annotated[float, Meta(ge=-500, le=9000)]
 
 
-class Action(_Table, frozen=True):
+class VineAction(_Table, frozen=True):
     """What the vine does at a place, and how long the vehicle then stays for it."""
 
     profile: str | None = None
@@ -66,7 +66,7 @@ class Takeoff(_Table, frozen=True):
     """The height above home, and what the vine does before the first waypoint."""
 
     altitude_m: Height
-    vine: tuple[Action, ...] = ()
+    vine: tuple[VineAction, ...] = ()
 
 
 class Waypoint(_Table, frozen=True):
@@ -79,7 +79,7 @@ class Waypoint(_Table, frozen=True):
     """Left out, as high as before."""
     stay_s: Annotated[int, Meta(ge=0, le=3600)] = 0
     """Whole seconds, for ArduPilot stores no others; before the vine's first action."""
-    vine: tuple[Action, ...] = ()
+    vine: tuple[VineAction, ...] = ()
 
     def __post_init__(self) -> None:
         offset = self.north_m is not None or self.east_m is not None
@@ -93,7 +93,7 @@ class Mission(_Table, frozen=True):
     takeoff: Takeoff
     waypoints: Annotated[tuple[Waypoint, ...], Meta(min_length=1, max_length=500)]
     name: Annotated[str, Meta(max_length=100)] = ""
-    autopilot: Kind | None = None
+    autopilot: AutopilotKind | None = None
     home: PlannedHome | Literal["simulator"] | None = None
     speed_m_s: Annotated[float, Meta(gt=0, le=30)] | None = None
     """Left out, the autopilot's own."""
@@ -128,7 +128,7 @@ def parse(text: str, source: str) -> Mission:
         raise MissionError(located(text, source, key, reason)) from None
 
 
-def planned_home(mission: Mission, kind: Kind, source: str) -> Home:
+def planned_home(mission: Mission, kind: AutopilotKind, source: str) -> Home:
     """Where the mission begins on this kind of autopilot."""
     if mission.home is None:
         raise MissionError(
@@ -145,7 +145,7 @@ _TABLES: dict[str, type[_Table]] = {
     "home": PlannedHome,
     "takeoff": Takeoff,
     "waypoints": Waypoint,
-    "vine": Action,
+    "vine": VineAction,
 }
 
 

@@ -21,7 +21,7 @@ from flying_vines.config.toml_text import one_line, read_text
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.reference_vehicle import CRUISE_M_S, Home
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 _KINDS = {autopilot.mav_autopilot: kind for kind, autopilot in AUTOPILOTS.items()}
 _MULTIROTOR = 2
@@ -33,7 +33,7 @@ _ABOVE_HOME, _ABOVE_SEA = 1, 2
 _ALTITUDE_MODES = {3: _ABOVE_HOME, 6: _ABOVE_HOME, 0: _ABOVE_SEA, 5: _ABOVE_SEA}
 
 
-class PlanError(ValueError):
+class PlanFileError(ValueError):
     """A plan file that cannot be read; its text is one line."""
 
     def __init__(self, text: str) -> None:
@@ -41,11 +41,11 @@ class PlanError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class PlanFile:
     """What a plan file says of the mission. The items are as they are sent, home in front on ArduPilot."""
 
     items: tuple[MissionItem, ...]
-    kind: Kind | None
+    kind: AutopilotKind | None
     """None where it is for another autopilot, or for none in particular."""
     home: Home
 
@@ -74,18 +74,18 @@ class _File(msgspec.Struct):
     mission: _Mission
 
 
-def read_plan(path: Path, kind: Kind | None = None) -> Plan:
+def read_plan(path: Path, kind: AutopilotKind | None = None) -> PlanFile:
     """The mission in a plan file, for `kind` or else for the autopilot that the file names.
 
     PlanError when it cannot be read, or holds items that only QGroundControl can draw.
     """
-    text = read_text(path, PlanError)
+    text = read_text(path, PlanFileError)
     try:
         content = msgspec.json.decode(text.encode(), type=_File)
     except msgspec.MsgspecError as error:
-        raise PlanError(f"{path}: not a plan of QGroundControl: {_plain(error)}") from None
+        raise PlanFileError(f"{path}: not a plan of QGroundControl: {_plain(error)}") from None
     if content.fileType != "Plan":
-        raise PlanError(f"{path}: not a plan of QGroundControl: its fileType is {content.fileType!r}")
+        raise PlanFileError(f"{path}: not a plan of QGroundControl: its fileType is {content.fileType!r}")
     mission = content.mission
     latitude, longitude, altitude_m = mission.plannedHomePosition
     home = Home(latitude, longitude, altitude_m or 0.0)
@@ -97,10 +97,12 @@ def read_plan(path: Path, kind: Kind | None = None) -> Plan:
     items = [_home_item(home)] if first else []
     for item in simple:
         items.append(_item(path, item, len(items), numbers))
-    return Plan(tuple(items), autopilot, home)
+    return PlanFile(tuple(items), autopilot, home)
 
 
-def write_plan(path: Path, items: Sequence[MissionItem], kind: Kind, home: Home | None = None) -> None:
+def write_plan(
+    path: Path, items: Sequence[MissionItem], kind: AutopilotKind, home: Home | None = None
+) -> None:
     """Write items that are as they are sent, on ArduPilot with home in front; `home` is PX4's.
 
     Raises:
@@ -110,7 +112,7 @@ def write_plan(path: Path, items: Sequence[MissionItem], kind: Kind, home: Home 
     path.write_text(plan_text(items, kind, home), encoding="utf-8")
 
 
-def plan_text(items: Sequence[MissionItem], kind: Kind, home: Home | None = None) -> str:
+def plan_text(items: Sequence[MissionItem], kind: AutopilotKind, home: Home | None = None) -> str:
     """What `write_plan` writes."""
     flown = list(items)
     if AUTOPILOTS[kind].begins_with_home and flown:
@@ -142,7 +144,7 @@ def plan_text(items: Sequence[MissionItem], kind: Kind, home: Home | None = None
     return json.dumps(content, indent=4, sort_keys=True, allow_nan=False) + "\n"
 
 
-def _json(item: MissionItem, number: int, kind: Kind) -> dict[str, object]:
+def _json(item: MissionItem, number: int, kind: AutopilotKind) -> dict[str, object]:
     params = list(item.params)
     if item.command == _JUMP and not AUTOPILOTS[kind].begins_with_home:
         params[0] += 1.0  # seq counts from 0 there, doJumpId from 1
@@ -189,14 +191,14 @@ def _simple_items(path: Path, items: Sequence[_Item]) -> Iterator[_Item]:
         inner = (item.TransectStyleComplexItem or {}).get("Items")
         if not isinstance(inner, list):
             what = item.complexItemType or item.type
-            raise PlanError(
+            raise PlanFileError(
                 f"{path}: mission.items[{index}]: a '{what}' is drawn by the ground station alone; "
                 "upload the plan to the vehicle, and save what it downloads"
             )
         try:
             yield from msgspec.convert(inner, list[_Item])
         except msgspec.ValidationError as error:
-            raise PlanError(f"{path}: mission.items[{index}]: {_plain(error)}") from None
+            raise PlanFileError(f"{path}: mission.items[{index}]: {_plain(error)}") from None
 
 
 def _item(path: Path, item: _Item, seq: int, numbers: dict[int, int]) -> MissionItem:
@@ -207,7 +209,7 @@ def _item(path: Path, item: _Item, seq: int, numbers: dict[int, int]) -> Mission
     if item.command == _JUMP:
         target = numbers.get(int(values[0])) if math.isfinite(values[0]) else None
         if target is None:
-            raise PlanError(f"{path}: item {seq} jumps to doJumpId {values[0]:g}, which no item has")
+            raise PlanFileError(f"{path}: item {seq} jumps to doJumpId {values[0]:g}, which no item has")
         values[0] = float(target)
     p1, p2, p3, p4, x, y, z = values
     made = MissionItem(seq, item.command, (p1, p2, p3, p4, x, y, z), item.frame, current=seq == 0)

@@ -13,12 +13,12 @@ from rich.text import Text
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import Home
-from flying_vines.vehicle.mission.storage import Kind
-from missions.budget import Bend, Budget, Range
+from flying_vines.vehicle.mission.storage import AutopilotKind
+from missions.budget import AirBudget, PlannedBend, Range
 from missions.build import DELAY, SPEED, WAYPOINT
 from missions.carriers import described
-from missions.checks import Finding, name_of
-from missions.timeline import Step, Timeline
+from missions.checks import MissionFinding, name_of
+from missions.timeline import Timeline, TimelineStep
 from missions.trial import Trial
 
 WIDE = 100
@@ -42,15 +42,15 @@ class Report:
 
     name: str
     items: Sequence[MissionItem]
-    kind: Kind
+    kind: AutopilotKind
     home: Home
     timeline: Timeline
-    budget: Budget
-    findings: Sequence[Finding]
+    budget: AirBudget
+    findings: Sequence[MissionFinding]
     trial: Trial | None = None
 
     @property
-    def errors(self) -> list[Finding]:
+    def errors(self) -> list[MissionFinding]:
         return [finding for finding in self.findings if finding.severity == "error"]
 
     @property
@@ -62,10 +62,10 @@ class Report:
 
 
 class _Row(NamedTuple):
-    step: Step
+    step: TimelineStep
     what: str
     lasts_s: float
-    bend: Bend | None = None
+    bend: PlannedBend | None = None
 
 
 def show(report: Report, console: Console) -> None:
@@ -115,11 +115,11 @@ def as_json(report: Report) -> dict[str, Any]:
     return found
 
 
-def _rows(timeline: Timeline, budget: Budget) -> Iterator[_Row]:
+def _rows(timeline: Timeline, budget: AirBudget) -> Iterator[_Row]:
     """A row for each step, but a wait behind a vine item belongs to it."""
     bends = {(bend.step.t_s, bend.step.item.seq): bend for bend in budget.bends}
     steps = list(timeline.steps)
-    before: Bend | None = None
+    before: PlannedBend | None = None
     for i, step in enumerate(steps):
         bend = bends.get((step.t_s, step.item.seq))
         waited, before = before, bend
@@ -133,14 +133,14 @@ def _rows(timeline: Timeline, budget: Budget) -> Iterator[_Row]:
         yield _Row(step, f"  {_vine(bend)}", after.takes_s if after and holds else 0.0, bend)
 
 
-def _flight(step: Step) -> str:
+def _flight(step: TimelineStep) -> str:
     name = f"waypoint {step.waypoint}" if step.item.command == WAYPOINT else name_of(step.item)
     if step.item.command == SPEED:
         name = f"speed {step.item.params[1]:g} m/s"
     return f"{name}, {step.distance_m:.0f} m" if step.distance_m else name
 
 
-def _vine(bend: Bend) -> str:
+def _vine(bend: PlannedBend) -> str:
     return str(bend.intent) if bend.intent else described(bend.step.item)
 
 
@@ -172,7 +172,7 @@ def _cells(row: _Row) -> Iterator[str | Text]:
     yield f"{bend.cycles.expected:.0f}" if bend.cycles else ""
 
 
-def _summary(budget: Budget) -> Text:
+def _summary(budget: AirBudget) -> Text:
     begins, ends = budget.begins, budget.ends
     said = f"Bottle {begins.expected:.0f} → {ends.expected:.0f} kPa gauge ({ends.low:.0f}…{ends.high:.0f})"
     cycles = budget.bends[-1].cycles if budget.bends else None
@@ -192,7 +192,7 @@ def _flown(trial: Trial, differences: Sequence[str]) -> Text:
     )
 
 
-def _differences(budget: Budget, trial: Trial) -> Iterator[str]:
+def _differences(budget: AirBudget, trial: Trial) -> Iterator[str]:
     planned = [bend.step.item.seq for bend in budget.bends]
     ran = [item.seq for item in trial.ran]
     if ran != planned:

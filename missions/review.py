@@ -8,9 +8,9 @@ from flying_vines.config.config import Config
 from flying_vines.supply import Belief
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import Home
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.budget import budget
-from missions.checks import Case, check
+from missions.checks import CheckedMission, check
 from missions.report import Report
 from missions.timeline import timeline
 
@@ -18,7 +18,7 @@ from missions.timeline import timeline
 def review(
     name: str,
     items: Sequence[MissionItem],
-    kind: Kind,
+    kind: AutopilotKind,
     home: Home,
     config: Config,
     belief: Belief,
@@ -27,5 +27,5 @@ def review(
     """Check the items, with a bottle at `reservoir_kPa` (gauge)."""
     plan = timeline(items, kind, home)
     air = budget(plan, config, belief, reservoir_kPa)
-    findings = check(Case(items, kind, config, plan, air))
+    findings = check(CheckedMission(items, kind, config, plan, air))
     return Report(name, items, kind, home, plan, air, findings)

@@ -21,7 +21,7 @@ from flying_vines.vehicle.mission.reference_vehicle import (
     VERTICAL_M_S,
     Home,
 )
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.build import DELAY, GLOBAL_FRAME, LAND, RETURN, SPEED, TAKEOFF, WAYPOINT
 
 MOST_STEPS = 1000
@@ -36,7 +36,7 @@ ENDS = (LAND, RETURN, _VTOL_LAND)
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class TimelineStep:
     """One item while it is flown, or at the moment when it runs."""
 
     item: MissionItem
@@ -59,7 +59,7 @@ class Step:
 class Timeline:
     """What runs, in order, and what never does."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[TimelineStep, ...]
     never: tuple[MissionItem, ...]
     """Items that this autopilot does not get to."""
     cut: bool
@@ -71,18 +71,18 @@ class Timeline:
         return max((step.ends_s for step in self.steps), default=0.0)
 
 
-def timeline(items: Sequence[MissionItem], kind: Kind, home: Home) -> Timeline:
+def timeline(items: Sequence[MissionItem], kind: AutopilotKind, home: Home) -> Timeline:
     """Fly the items on paper."""
     return _Flight(items, kind, home).fly()
 
 
 class _Flight:
-    def __init__(self, items: Sequence[MissionItem], kind: Kind, home: Home) -> None:
+    def __init__(self, items: Sequence[MissionItem], kind: AutopilotKind, home: Home) -> None:
         self._items = items
-        self._kind: Kind = kind
+        self._kind: AutopilotKind = kind
         self._autopilot = AUTOPILOTS[kind]
         self._home = home
-        self._steps: list[Step] = []
+        self._steps: list[TimelineStep] = []
         self._t_s = self._north_m = self._east_m = self._height_m = 0.0
         self._speed_m_s = CRUISE_M_S
         self._waypoint = 0
@@ -153,7 +153,9 @@ class _Flight:
         return north_m, east_m, height_m
 
     def _add(self, item: MissionItem, flown: bool, takes_s: float, distance_m: float) -> None:
-        self._steps.append(Step(item, flown, self._t_s, takes_s, distance_m, self._height_m, self._waypoint))
+        self._steps.append(
+            TimelineStep(item, flown, self._t_s, takes_s, distance_m, self._height_m, self._waypoint)
+        )
         self._t_s += takes_s
 
 

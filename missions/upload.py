@@ -12,11 +12,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS, store
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import Kind, MissionRefused
+from flying_vines.vehicle.mission.storage import AutopilotKind, MissionRefused
 from missions.carriers import described, over_the_wire
 from missions.checks import name_of
 from missions.files import load_items
-from missions.link import LinkError, UploadRefused, Vehicle, vehicle
+from missions.link import MissionVehicle, UploadRefused, VehicleLinkError, vehicle
 from missions.mission import MissionError
 
 DONE, DIFFERS, REFUSED = 0, 1, 2
@@ -27,7 +27,7 @@ _WAYPOINT, _RETURN, _LAND, _TAKEOFF, _ABOVE_SEA = 16, 20, 21, 22, 0
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class MissionComparison:
     """A mission that was sent and the one that is held, item by item; each a sentence."""
 
     changed: tuple[str, ...]
@@ -75,7 +75,7 @@ async def upload(path: Path, link: str, console: Console) -> int:
     return DONE
 
 
-def refuse_wrong_home(path: Path, items: Sequence[MissionItem], kind: Kind) -> None:
+def refuse_wrong_home(path: Path, items: Sequence[MissionItem], kind: AutopilotKind) -> None:
     """ArduPilot would lose the first item of a mission for PX4, which would fly to the home of the other."""
     looks_like_home = items[0].command == _WAYPOINT and items[0].frame == _ABOVE_SEA
     if kind == "ardupilot" and not looks_like_home:
@@ -87,7 +87,7 @@ def refuse_wrong_home(path: Path, items: Sequence[MissionItem], kind: Kind) -> N
     raise MissionError(f"{path}: {what}: build it for {AUTOPILOTS[kind].title}")
 
 
-async def _send(peer: Vehicle, items: Sequence[MissionItem], console: Console | None) -> None:
+async def _send(peer: MissionVehicle, items: Sequence[MissionItem], console: Console | None) -> None:
     columns = (TextColumn("items"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, console=console, transient=True, disable=console is None) as bar:
         task = bar.add_task("", total=len(items))
@@ -101,11 +101,11 @@ def _sentence(items: Sequence[MissionItem], refused: UploadRefused) -> str:
     return f"Refused: item {item.seq} ({name_of(item)}, command {item.command}): {refused.why}."
 
 
-async def _left_behind(peer: Vehicle, sent: Sequence[MissionItem], refused_seq: int) -> list[str]:
+async def _left_behind(peer: MissionVehicle, sent: Sequence[MissionItem], refused_seq: int) -> list[str]:
     """What the vehicle holds after a refusal, read from it: ArduPilot's missions are mixed then."""
     try:
         held = await peer.download()
-    except LinkError as error:
+    except VehicleLinkError as error:
         return [f"What it holds now is not known: {error}"]
     if peer.kind == "px4":
         return [f"The vehicle still holds the mission from before, {len(held)} items."]
@@ -116,7 +116,7 @@ async def _left_behind(peer: Vehicle, sent: Sequence[MissionItem], refused_seq: 
     return ["The vehicle now holds a mixture. Do not fly it: upload a mission that it takes.", *lines]
 
 
-def _is_kept(kind: Kind, sent: MissionItem, held: MissionItem) -> bool:
+def _is_kept(kind: AutopilotKind, sent: MissionItem, held: MissionItem) -> bool:
     if AUTOPILOTS[kind].begins_with_home and sent.seq == _HOME:
         return True
     try:
@@ -125,7 +125,9 @@ def _is_kept(kind: Kind, sent: MissionItem, held: MissionItem) -> bool:
         return False
 
 
-def compare(kind: Kind, sent: Sequence[MissionItem], held: Sequence[MissionItem]) -> Comparison:
+def compare(
+    kind: AutopilotKind, sent: Sequence[MissionItem], held: Sequence[MissionItem]
+) -> MissionComparison:
     """What became of a mission; ArduPilot's item 0 is its home, which it sets itself."""
     changed: list[str] = []
     unexpected: list[str] = []
@@ -149,7 +151,7 @@ def compare(kind: Kind, sent: Sequence[MissionItem], held: Sequence[MissionItem]
             )
         else:
             changed.extend(_changes(_meant(kind, before), _meant(kind, after)))
-    return Comparison(tuple(changed), tuple(unexpected))
+    return MissionComparison(tuple(changed), tuple(unexpected))
 
 
 def _changes(before: MissionItem, after: MissionItem) -> list[str]:
@@ -160,7 +162,7 @@ def _changes(before: MissionItem, after: MissionItem) -> list[str]:
     ]
 
 
-def _meant(kind: Kind, item: MissionItem) -> MissionItem:
+def _meant(kind: AutopilotKind, item: MissionItem) -> MissionItem:
     """Without what the autopilot fills in whatever was sent, and what says nothing to the flight."""
     if kind == "ardupilot" and item.command == _RETURN:
         return replace(item, params=(0.0,) * 7, frame=0)
@@ -169,7 +171,7 @@ def _meant(kind: Kind, item: MissionItem) -> MissionItem:
     return item
 
 
-def _same(kind: Kind, one: MissionItem, other: MissionItem) -> bool:
+def _same(kind: AutopilotKind, one: MissionItem, other: MissionItem) -> bool:
     """Whether two items make the same flight and the same vine."""
     one, other = _meant(kind, one), _meant(kind, other)
     numbers = zip(one.params, other.params, strict=True)

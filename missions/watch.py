@@ -16,7 +16,7 @@ from rich.text import Text
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem
 from missions.checks import name_of
-from missions.link import Heard, LinkError, vehicle
+from missions.link import HeardMessage, VehicleLinkError, vehicle
 
 SILENT_S = 10.0
 MISSION_CURRENT, MISSION_CURRENT_INTERVAL_US = 42, 200_000
@@ -40,7 +40,7 @@ _NAMES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class WatchLine:
     """Something that happened, for people."""
 
     t: float
@@ -71,7 +71,7 @@ class MissionView:
     _told_values: str = ""
     _chunks: dict[tuple[int, int], str] = field(default_factory=dict)
 
-    def handle(self, t: float, heard: Heard) -> list[Line]:
+    def handle(self, t: float, heard: HeardMessage) -> list[WatchLine]:
         """What a message says that is new."""
         if self.ended:
             return []
@@ -98,15 +98,15 @@ class MissionView:
         names = sorted(self.values) if names is None else names
         return "  ".join(f"{name} {self.values[name]:z.1f}" for name in names if name in self.values)
 
-    def _heartbeat(self, t: float, armed: bool) -> list[Line]:
+    def _heartbeat(self, t: float, armed: bool) -> list[WatchLine]:
         before, self._armed = self._armed, armed
         if armed == before:
             return []
         if before and self._was_active:
             self.ended = True
-        return [Line(t, "armed" if armed else "disarmed")] if before is not None or armed else []
+        return [WatchLine(t, "armed" if armed else "disarmed")] if before is not None or armed else []
 
-    def _progress(self, t: float, seq: int, state: int) -> list[Line]:
+    def _progress(self, t: float, seq: int, state: int) -> list[WatchLine]:
         if state == _COMPLETE and self._was_active:
             self.ended = True
         if state != _ACTIVE or seq == self.current:
@@ -117,23 +117,23 @@ class MissionView:
         self._said = {seq}
         return [] if was_said else self._begin(t, seq)
 
-    def _begin(self, t: float, seq: int) -> list[Line]:
+    def _begin(self, t: float, seq: int) -> list[WatchLine]:
         self.begun.add(seq)
         values = self.values_text(_TOLD_VALUES)
         news = f"   {values}" if values and values != self._told_values else ""
         self._told_values = values
         item = self.items[seq] if seq < len(self.items) else None
         what = name_of(item) if item is not None else "not in the mission that was read"
-        return [Line(t, f"item {seq}: {what}{news}", "bold")]
+        return [WatchLine(t, f"item {seq}: {what}{news}", "bold")]
 
-    def _item_reached(self, t: float, seq: int) -> list[Line]:
+    def _item_reached(self, t: float, seq: int) -> list[WatchLine]:
         if seq == self._reached:  # PX4 repeats it
             return []
         self._reached = seq
         # PX4 tells of an item that is over at once only like this.
-        return [Line(t, f"item {seq} reached")] if seq in self.begun else self._begin(t, seq)
+        return [WatchLine(t, f"item {seq} reached")] if seq in self.begun else self._begin(t, seq)
 
-    def _text(self, t: float, heard: Heard) -> list[Line]:
+    def _text(self, t: float, heard: HeardMessage) -> list[WatchLine]:
         text = self._whole(heard)
         if text is None:
             return []
@@ -150,9 +150,9 @@ class MissionView:
                 return []
             text = f"autopilot: {text}"
         style = "red" if heard.fields["severity"] < _WARNING else "cyan"
-        return [Line(t, text, style)]
+        return [WatchLine(t, text, style)]
 
-    def _whole(self, heard: Heard) -> str | None:
+    def _whole(self, heard: HeardMessage) -> str | None:
         """The text, once its last chunk is there."""
         text, number = heard.fields["text"], heard.fields.get("id", 0)
         if not number:
@@ -175,10 +175,10 @@ async def watch(link: str, console: Console, live: bool) -> int:
         items = await peer.download()
         name = AUTOPILOTS[peer.kind].title
         if not items:
-            raise LinkError(f"{name} holds no mission to watch")
+            raise VehicleLinkError(f"{name} holds no mission to watch")
         view = MissionView(items, heard_at=time.monotonic())
         began = time.monotonic()
-        lines: list[Line] = []
+        lines: list[WatchLine] = []
         console.print(f"Watching {name}, system {peer.system_id}: {len(items)} items. Ctrl-C ends it.")
         await peer.command(SET_MESSAGE_INTERVAL, MISSION_CURRENT, MISSION_CURRENT_INTERVAL_US)
         with Live(console=console, auto_refresh=False, transient=True) if live else nullcontext() as screen:
@@ -190,7 +190,7 @@ async def watch(link: str, console: Console, live: bool) -> int:
                         for line in fresh:
                             console.print(_told(line, began), soft_wrap=True)
                 if time.monotonic() - view.heard_at > SILENT_S:
-                    raise LinkError(f"{link}: the vehicle was not heard for {SILENT_S:g} s")
+                    raise VehicleLinkError(f"{link}: the vehicle was not heard for {SILENT_S:g} s")
                 if isinstance(screen, Live):
                     screen.update(picture(view, lines, began), refresh=True)
     length_s = time.monotonic() - began
@@ -200,11 +200,11 @@ async def watch(link: str, console: Console, live: bool) -> int:
     return 0
 
 
-def _told(line: Line, began: float) -> Text:
+def _told(line: WatchLine, began: float) -> Text:
     return Text(f"{line.t - began:8.2f}  {line.text}", style=line.style)
 
 
-def picture(view: MissionView, lines: Sequence[Line], began: float) -> RenderableType:
+def picture(view: MissionView, lines: Sequence[WatchLine], began: float) -> RenderableType:
     """The mission around where it is, the vine's values, and the last things that happened."""
     table = Table(box=None, pad_edge=False, show_header=False)
     first = max(0, min((view.current or 0) - _BEFORE, len(view.items) - _SHOWN_ITEMS))

@@ -10,7 +10,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 
 RECORDINGS = Path(__file__).parent / "data" / "recordings"
@@ -69,7 +69,7 @@ class Peer:
 class World:
     """An autopilot, a companion and a ground station, and the time."""
 
-    def __init__(self, autopilot: Autopilot, answer: Callable[[Peer, Any], None] | None = None) -> None:
+    def __init__(self, autopilot: FakeAutopilot, answer: Callable[[Peer, Any], None] | None = None) -> None:
         self.autopilot = autopilot
         autopilot.add_link("gcs")
         self.t = 0.0
@@ -199,7 +199,7 @@ LAND = (21,)
 
 
 def flown(mission: list[MissionItem], seconds: float = 60.0) -> World:
-    world = World(Autopilot("ardupilot", mission=mission))
+    world = World(FakeAutopilot("ardupilot", mission=mission))
     world.companion.hello()
     world.autopilot.start_mission()
     world.on(seconds)

@@ -7,13 +7,22 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from firmware_link.protocol import Fault, Mode, Telemetry
-from flying_vines.calibration.calibrator import BY, Ask, Calibrator, Ended, Out, Question, Say, Work
+from flying_vines.calibration.calibrator import (
+    BY,
+    Calibrator,
+    Ended,
+    OperatorRequest,
+    Out,
+    Question,
+    Say,
+    Work,
+)
 from flying_vines.calibration.findings import Result
-from flying_vines.calibration.plan import Plan
+from flying_vines.calibration.plan import CalibrationPlan
 from flying_vines.core.events import Action, Asked, Decision, Measured, Snapshot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedWorld
-from flying_vines.vine.intent import Intent, SetPressure, StartProfile, Vent
+from flying_vines.vine.intent import Intent, SetPressure, StartProfile, VentVine
 
 STEP_S = 0.05
 Person = Callable[[Question], str | None]
@@ -26,7 +35,7 @@ def presses_enter(_: Question) -> str:
 class _Stage:
     """Carries out what a calibrator wants, and keeps what it said."""
 
-    def __init__(self, plan: Plan, person: Person = presses_enter) -> None:
+    def __init__(self, plan: CalibrationPlan, person: Person = presses_enter) -> None:
         self.calibrator = Calibrator(plan)
         self.person = person
         self.said: list[Out] = []
@@ -34,7 +43,7 @@ class _Stage:
 
     @property
     def asked(self) -> list[Intent]:
-        return [out.intent for out in self.said if isinstance(out, Ask)]
+        return [out.intent for out in self.said if isinstance(out, OperatorRequest)]
 
     @property
     def ended(self) -> Ended | None:
@@ -43,7 +52,7 @@ class _Stage:
     def carry_out(self, outs: Iterable[Out]) -> None:
         for out in outs:
             self.said.append(out)
-            if isinstance(out, Ask):
+            if isinstance(out, OperatorRequest):
                 self.ask(out.intent)
             elif isinstance(out, Question):
                 self.carry_out(self.calibrator.answer(self.now, out, self.person(out)))
@@ -66,7 +75,9 @@ class _Stage:
 class CoreWorld(_Stage):
     """The core, safety and checks and all, over a simulated phloSAR."""
 
-    def __init__(self, plan: Plan, phlosar: SimulatedPhlosar, person: Person = presses_enter) -> None:
+    def __init__(
+        self, plan: CalibrationPlan, phlosar: SimulatedPhlosar, person: Person = presses_enter
+    ) -> None:
         super().__init__(plan, person)
         self.phlosar = phlosar
         self.world = SimulatedWorld(plan.config, phlosar)
@@ -101,7 +112,9 @@ class CoreWorld(_Stage):
 class PaperWorld(_Stage):
     """No physics: a vine that is where it is told to be, and a bottle that stays full."""
 
-    def __init__(self, plan: Plan, person: Person = presses_enter, reservoir_kPa: float = 690.0) -> None:
+    def __init__(
+        self, plan: CalibrationPlan, person: Person = presses_enter, reservoir_kPa: float = 690.0
+    ) -> None:
         super().__init__(plan, person)
         self.bent = False
         self.snapshot = Snapshot(
@@ -125,7 +138,7 @@ class PaperWorld(_Stage):
         why = self.refuses.get(type(intent), "")
         if isinstance(intent, StartProfile | SetPressure) and not why:
             self.bent = True
-        elif isinstance(intent, Vent):
+        elif isinstance(intent, VentVine):
             self.bent = False
         ruling = Decision(self.now, BY, {}, str(intent), "refused" if why else "accepted", why, 0.0)
         self.carry_out(self.calibrator.take(ruling))

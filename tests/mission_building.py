@@ -10,7 +10,7 @@ from flying_vines.config.config import Config
 from flying_vines.supply import nominal
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME, PX4_HOME, Home
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.build import build
 from missions.files import home_of
 from missions.mission import parse, planned_home
@@ -18,15 +18,15 @@ from missions.report import Report
 from missions.review import review
 
 EXAMPLES = Path(__file__).parents[1] / "missions" / "examples"
-HOMES: dict[Kind, Home] = {"ardupilot": ARDUPILOT_HOME, "px4": PX4_HOME}
-KINDS: tuple[Kind, ...] = ("ardupilot", "px4")
+HOMES: dict[AutopilotKind, Home] = {"ardupilot": ARDUPILOT_HOME, "px4": PX4_HOME}
+KINDS: tuple[AutopilotKind, ...] = ("ardupilot", "px4")
 
 HEAD = 'home = "simulator"\n[takeoff]\naltitude_m = 10\n'
 WP, TAKEOFF, LAND, DELAY = 16, 22, 21, 93
 SCRIPT, ACTUATOR, GRIPPER, WINCH, RELAY = 217, 187, 211, 42600, 181
 
 
-def built(text: str, kind: Kind, config: Config | None = None) -> list[MissionItem]:
+def built(text: str, kind: AutopilotKind, config: Config | None = None) -> list[MissionItem]:
     """The items of a mission's text."""
     mission = parse(text, "m.toml")
     home = planned_home(mission, kind, "m.toml")
@@ -53,7 +53,10 @@ def items(*entries: tuple[float, ...], frame: int = 2) -> list[MissionItem]:
 
 
 def reviewed(
-    given: Sequence[MissionItem], kind: Kind, config: Config | None = None, reservoir_kPa: float = 690.0
+    given: Sequence[MissionItem],
+    kind: AutopilotKind,
+    config: Config | None = None,
+    reservoir_kPa: float = 690.0,
 ) -> Report:
     config = config or configuration.default()
     home = home_of(given)

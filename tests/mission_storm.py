@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from heapq import heappop, heappush
 
 from flying_vines.config import config
-from flying_vines.simulation.autopilot import Autopilot, Kind
+from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot
 from flying_vines.vehicle.clock import LATE_S
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mission.execution import same_numbers
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.triggers import Rules, Trigger
@@ -25,7 +25,7 @@ VINE_COMMANDS = Rules(CONFIG).commands
 TICK_S = 0.02
 LONGEST_WAIT_S = 4.0
 """What a trigger may lag behind its item: the wait for the mission's numbers, its first reading, delays."""
-ORDER_S: dict[Kind, float] = {"ardupilot": 0.1, "px4": 2.0}
+ORDER_S: dict[AutopilotKind, float] = {"ardupilot": 0.1, "px4": 2.0}
 """Items that run this shortly after one another may come in another order: on ArduPilot those of one place,
 which are milliseconds apart; on PX4 those of which one came by its last repeat."""
 UNNUMBERED_WAIT_S = 7.0
@@ -61,7 +61,7 @@ class Seen:
 class Storm:
     """The flight: `ran` is what the autopilot did, `seen` what the vehicle's side made of it."""
 
-    kind: Kind
+    kind: AutopilotKind
     dice: random.Random
     link: Link
     items: list[MissionItem]
@@ -69,7 +69,7 @@ class Storm:
     seen: list[Seen] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.autopilot = Autopilot(self.kind, mission=self.items)
+        self.autopilot = FakeAutopilot(self.kind, mission=self.items)
         self.start_service()
         self.changed_at: list[float] = []
         self._coming: list[tuple[float, int, str, bytes]] = []
@@ -84,7 +84,7 @@ class Storm:
         """A service that has seen nothing so far, and hears nothing before it is up."""
         self._up_at = self.t + down_s
         self.vehicle = Vehicle(CONFIG)
-        self._decoder, self._encoder = Codec(1, 191), Codec(1, 191)
+        self._decoder, self._encoder = MavlinkCodec(1, 191), MavlinkCodec(1, 191)
 
     def run(self, for_s: float) -> None:
         end = self.t + for_s
@@ -186,7 +186,7 @@ def _fits(storm: Storm, one: Seen, ran_at: float, item: MissionItem) -> bool:
     return (renumbered or one.seq in (None, item.seq)) and same_numbers(one.numbers[:4], item.params[:4])
 
 
-def vine_item(kind: Kind, dice: random.Random) -> tuple[int, tuple[float, ...]]:
+def vine_item(kind: AutopilotKind, dice: random.Random) -> tuple[int, tuple[float, ...]]:
     """A vine item that this autopilot takes, with numbers that its storage keeps."""
     choices: list[tuple[int, tuple[float, ...]]] = [
         (GRIPPER, (1.0, float(dice.randrange(2)))),
@@ -199,7 +199,7 @@ def vine_item(kind: Kind, dice: random.Random) -> tuple[int, tuple[float, ...]]:
     return dice.choice(choices)
 
 
-def mission(kind: Kind, dice: random.Random, *, wild: bool) -> list[MissionItem]:
+def mission(kind: AutopilotKind, dice: random.Random, *, wild: bool) -> list[MissionItem]:
     """A mission over a few waypoints. Not wild: one vine item in front of a waypoint, and nothing else."""
     plan: list[tuple[int, tuple[float, ...], bool]] = []
     if kind == "ardupilot":
@@ -227,14 +227,14 @@ def mission(kind: Kind, dice: random.Random, *, wild: bool) -> list[MissionItem]
     return items
 
 
-def _stop(kind: Kind, dice: random.Random, wild: bool) -> tuple[int, tuple[float, ...], bool]:
+def _stop(kind: AutopilotKind, dice: random.Random, wild: bool) -> tuple[int, tuple[float, ...], bool]:
     if dice.random() < 0.3:
         return DELAY, (dice.choice([0.0, 0.5, 2.0]) if wild else dice.uniform(1.5, 3.0),), False
     hold_s = 0.0 if wild else dice.uniform(1.5, 3.0)
     return WP, (hold_s, *_somewhere(kind, dice)[1:]), True
 
 
-def _somewhere(kind: Kind, dice: random.Random) -> tuple[float, ...]:
+def _somewhere(kind: AutopilotKind, dice: random.Random) -> tuple[float, ...]:
     """A point a few seconds' flight from home."""
     latitude_deg, longitude_deg = (-35.363262, 149.165237) if kind == "ardupilot" else (47.3977431, 8.5455944)
     metre_deg = 1 / 111_318.84

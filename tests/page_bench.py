@@ -15,11 +15,20 @@ from patience import PATIENCE_S
 from ports import free_port
 
 from flying_vines.config import config
-from flying_vines.config.config import Page
+from flying_vines.config.config import PageConfig
 from flying_vines.core.events import Decision, Snapshot
 from flying_vines.gateway import page
 from flying_vines.gateway.feed import Feed
-from flying_vines.gateway.messages import Answered, Ask, FromGateway, Happened, Profile, Seen, Trouble, raw
+from flying_vines.gateway.messages import (
+    Answered,
+    FromGateway,
+    GatewayStart,
+    Happened,
+    Request,
+    SnapshotMessage,
+    Trouble,
+    raw,
+)
 from flying_vines.supply import CyclesLeft
 from flying_vines.vehicle.notice import Notice
 
@@ -56,17 +65,17 @@ def snapshot(t: float = 0.0, **changed: Any) -> Snapshot:
 class Bench:
     """A page that is served, and what it has said to its service."""
 
-    page: Page
+    page: PageConfig
     feed: Feed = field(init=False)
     answers: bool = True
     answer: tuple[str, str] = ("accepted", "")
-    asked: list[Ask] = field(default_factory=list)
+    asked: list[Request] = field(default_factory=list)
     troubles: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         profile = msgspec.structs.replace(config.default(), page=self.page)
         token = TOKEN if self.page.needs_token else ""
-        self.feed = Feed(Profile(profile, "1.2.3", token), self._take)
+        self.feed = Feed(GatewayStart(profile, "1.2.3", token), self._take)
 
     @property
     def url(self) -> str:
@@ -75,7 +84,7 @@ class Bench:
     def _take(self, message: FromGateway) -> None:
         if isinstance(message, Trouble):
             self.troubles.append(message.text)
-        elif isinstance(message, Ask):
+        elif isinstance(message, Request):
             self.asked.append(message)
             if self.answers:
                 safety, reason = self.answer
@@ -83,7 +92,7 @@ class Bench:
                 self.feed.take(Answered(message.number, safety, reason))  # type: ignore[arg-type]
 
     def show(self, shown: Snapshot) -> None:
-        self.feed.take(Seen(raw(shown)))
+        self.feed.take(SnapshotMessage(raw(shown)))
 
     def happen(self, action: Decision | Notice) -> None:
         self.feed.take(Happened(type(action).__name__.lower(), raw(action)))
@@ -91,7 +100,7 @@ class Bench:
 
 @contextlib.asynccontextmanager
 async def served(host: str = "127.0.0.1") -> AsyncIterator[Bench]:
-    bench = Bench(Page(host=host, port=free_port()))
+    bench = Bench(PageConfig(host=host, port=free_port()))
     serving = asyncio.create_task(page.serve(bench.feed))
     try:
         async with asyncio.timeout(PATIENCE_S):

@@ -15,7 +15,7 @@ from patience import until
 from ports import free_port
 from service_bench import Bench, on_bench
 
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 
 
 class Served:
@@ -73,7 +73,7 @@ class Served:
 
 @contextlib.asynccontextmanager
 async def serving(folder: Path, host: str = "127.0.0.1", bench_mode: bool = False) -> AsyncIterator[Served]:
-    async with on_bench(Autopilot("ardupilot")) as bench:
+    async with on_bench(FakeAutopilot("ardupilot")) as bench:
         served = Served(bench, folder, host, bench_mode)
         await served.start()
         try:

@@ -8,11 +8,11 @@ from pathlib import Path
 from flying_vines.config import config
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Event, ToVehicle
-from flying_vines.record.recorder import Began, Recorder
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.record.recorder import FlightStart, Recorder
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 
 SWITCH, LOW, MIDDLE, HIGH = 9, 1000, 1500, 2000
 PROFILE = (
@@ -21,12 +21,12 @@ PROFILE = (
     .replace("fuel_status = false", "fuel_status = true")
 )
 CONFIG = config.parse(PROFILE, "the test's profile")
-BEGAN = Began(PROFILE, CONFIG.pneumatics)
+BEGAN = FlightStart(PROFILE, CONFIG.pneumatics)
 
 
 def watch(core: Core, recorder: Recorder) -> None:
     """Let the recorder see what the core does."""
-    handle, codec = core.handle, Codec(0, 191)
+    handle, codec = core.handle, MavlinkCodec(0, 191)
 
     def handled(event: Event) -> list[Action]:
         actions = handle(event)
@@ -57,7 +57,7 @@ def fly(
 
 def new_flight(telemetry_Hz: int = 100) -> SimulatedFlight:
     phlosar = SimulatedPhlosar(firmware={"telemetry_Hz": telemetry_Hz})
-    return SimulatedFlight(CONFIG, Autopilot("ardupilot"), phlosar)
+    return SimulatedFlight(CONFIG, FakeAutopilot("ardupilot"), phlosar)
 
 
 def one_bend(parent: Path) -> Path:

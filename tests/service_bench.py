@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from ports import free_port
 
 from flying_vines.config import config
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.simulation.ground_station import GroundStation
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
@@ -32,7 +32,7 @@ def between(companion_port: int, serial_path: str) -> str:
 class Bench:
     """Two fakes on a bench, and the profile of a service between them."""
 
-    autopilot: Autopilot
+    autopilot: FakeAutopilot
     phlosar: SimulatedPhlosar
     port: PtyPhlosar
     ground: GroundStation
@@ -57,7 +57,7 @@ class Bench:
 
 
 @contextlib.asynccontextmanager
-async def on_bench(autopilot: Autopilot) -> AsyncIterator[Bench]:
+async def on_bench(autopilot: FakeAutopilot) -> AsyncIterator[Bench]:
     autopilot.set_rc(9, 1000)
     ground = GroundStation()
     ground_port = await ground.listen()

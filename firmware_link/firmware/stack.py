@@ -43,7 +43,7 @@ class ImageError(Exception):
 
 
 @dataclass
-class Function:
+class ImageFunction:
     name: str
     address: int
     frame: int = 0
@@ -62,7 +62,7 @@ class Chain:
     names: tuple[str, ...]
 
 
-class Program:
+class Image:
     """The functions of an image."""
 
     def __init__(self, listing: str) -> None:
@@ -72,7 +72,7 @@ class Program:
     def chain(self, address: int) -> Chain:
         return self._chain(address & ~1, ())
 
-    def _chain(self, address: int, above: tuple[Function, ...]) -> Chain:
+    def _chain(self, address: int, above: tuple[ImageFunction, ...]) -> Chain:
         function = self._holding(address)
         if function in above:
             loop = (*above[above.index(function) :], function)
@@ -92,7 +92,7 @@ class Program:
         self._chains[function.address] = chain
         return chain
 
-    def _holding(self, address: int) -> Function:
+    def _holding(self, address: int) -> ImageFunction:
         if address in self.functions:
             return self.functions[address]
         # Some of the library's routines branch into the middle of their neighbours.
@@ -130,7 +130,7 @@ class Needs:
 
 
 def needs_of(elf: Path) -> Needs:
-    program = Program(_run("objdump", "-d", "-C", "--no-show-raw-insn", elf).decode())
+    program = Image(_run("objdump", "-d", "-C", "--no-show-raw-insn", elf).decode())
     stack_top, reset, *others = _vectors(elf)
     sizes = _section_sizes(elf)
     reserved = sizes.get(".stack", 0)
@@ -146,12 +146,12 @@ def needs_of(elf: Path) -> Needs:
     )
 
 
-def _functions(listing: str) -> dict[int, Function]:
-    functions: dict[int, Function] = {}
-    current: Function | None = None
+def _functions(listing: str) -> dict[int, ImageFunction]:
+    functions: dict[int, ImageFunction] = {}
+    current: ImageFunction | None = None
     for line in listing.splitlines():
         if begins := _FUNCTION.match(line):
-            current = Function(begins[2], int(begins[1], 16))
+            current = ImageFunction(begins[2], int(begins[1], 16))
             functions[current.address] = current
         elif (one := _INSTRUCTION.match(line)) and current is not None:
             current.end = int(one[1], 16) + 2
@@ -159,7 +159,7 @@ def _functions(listing: str) -> dict[int, Function]:
     return functions
 
 
-def _read(function: Function, mnemonic: str, operands: str) -> None:
+def _read(function: ImageFunction, mnemonic: str, operands: str) -> None:
     """What one instruction adds to a function's frame and branches."""
     veneer = _VENEER.search(function.name) is not None
     if mnemonic == "push":

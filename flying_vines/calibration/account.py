@@ -22,7 +22,8 @@ from typing import NamedTuple
 import numpy as np
 
 from flying_vines.calibration.estimate import Estimate
-from flying_vines.calibration.readings import Array, Flags, Readings
+from flying_vines.calibration.readings import Readings
+from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.physics.constants import GAMMA, STANDARD_PRESSURE_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.supply.belief import bottle_wall
 
@@ -44,7 +45,7 @@ _ROUNDS = 3
 _STEP = 1e-4
 
 
-class Prior(NamedTuple):
+class AccountPrior(NamedTuple):
     """What is known beforehand, and its standard deviation."""
 
     mean: float
@@ -60,7 +61,7 @@ class Bins:
     reservoir_kPa: Array
     columns: Mapping[str, Array]
     """Cumulative, kPa per unit of the parameter."""
-    counts: Flags
+    counts: BoolArray
     """Which are fitted; in the others gas of the vine is still warm, and pressure does not tell its air."""
     noise_kPa: float
     """Standard deviation of a mean."""
@@ -93,7 +94,7 @@ class Balance:
         return self.bins.reservoir_kPa - self.cold_kPa + given
 
 
-def binned(readings: Readings, columns: Mapping[str, Array], counts: Flags, noise_kPa: float) -> Bins:
+def binned(readings: Readings, columns: Mapping[str, Array], counts: BoolArray, noise_kPa: float) -> Bins:
     """Rows into bins; a bin counts when all of its rows do. `noise_kPa`: of a single reading."""
     index = np.floor((readings.t_s - readings.t_s[0]) / BIN_S).astype(int)
     rows = np.bincount(index)
@@ -113,7 +114,10 @@ def binned(readings: Readings, columns: Mapping[str, Array], counts: Flags, nois
 
 
 def settle(
-    bins: Bins, priors: Mapping[str, Prior], bottle_L: float, ambient_kPa: float = STANDARD_PRESSURE_KPA
+    bins: Bins,
+    priors: Mapping[str, AccountPrior],
+    bottle_L: float,
+    ambient_kPa: float = STANDARD_PRESSURE_KPA,
 ) -> Balance:
     """The parameters of the columns, of a bottle of about this volume; ambient pressure is absolute."""
     # Smooth: a factor of the model that has a reading's noise would explain that very noise.
@@ -136,7 +140,7 @@ class _Ledger:
     """The least squares, linearised about what is known of the gas's temperature ratio 1 + ϑ."""
 
     def __init__(
-        self, bins: Bins, priors: Mapping[str, Prior], bottle_L: float, p_kPa: Array, ratio: Array
+        self, bins: Bins, priors: Mapping[str, AccountPrior], bottle_L: float, p_kPa: Array, ratio: Array
     ) -> None:
         self._bins = bins
         self._bottle_L = bottle_L

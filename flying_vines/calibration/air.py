@@ -16,13 +16,14 @@ from math import hypot
 
 import numpy as np
 
-from flying_vines.calibration.account import Balance, Prior, binned, settle
+from flying_vines.calibration.account import AccountPrior, Balance, binned, settle
 from flying_vines.calibration.charts import Chart, Series
 from flying_vines.calibration.estimate import SD_95, Estimate
-from flying_vines.calibration.findings import Finding, Result
-from flying_vines.calibration.readings import Array, Readings
+from flying_vines.calibration.findings import MeasuredQuantity, Result
+from flying_vines.calibration.readings import Readings
 from flying_vines.calibration.zero import noise_kPa
-from flying_vines.config.config import Pneumatics
+from flying_vines.config.config import PneumaticsConfig
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
 
 SMOOTHED_S = 0.05
@@ -48,10 +49,10 @@ SEEN_SD = 3.0
 
 
 @dataclass(frozen=True)
-class Known:
+class AirInputs:
     """What the account is read with. Pressures of the vine are without its zero."""
 
-    pneumatics: Pneumatics
+    pneumatics: PneumaticsConfig
     bottle: Estimate
     """Litres."""
     top_kPa: float
@@ -70,10 +71,10 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Vine:
+class VineAir:
     """Its air as pressure tells it, in kPa of the bottle."""
 
-    known: Known
+    known: AirInputs
     balance: Balance
     unseen: tuple[str, ...] = ()
     """Of growth and refill: what the readings show nothing of."""
@@ -93,18 +94,18 @@ class Vine:
         return max(0.0, self.balance.values["vine_leak"].value) * self.known.bottle.value / ALPHA_KPA
 
 
-def read_air(readings: Readings, known: Known) -> Vine:
+def read_air(readings: Readings, known: AirInputs) -> VineAir:
     """The account of all that was recorded; pressures of the vine without its zero."""
     columns = _columns(readings, known.top_kPa)
     ratio = known.pneumatics.cv_volume_L / known.pneumatics.reservoir_volume_L
     venturi = ALPHA_KPA / known.bottle.value / known.pneumatics.dvp_flow_resistance_kPa_s_per_SL
     priors = {
-        "growth": Prior(0.0, 4.0 * SOFTEST_PER_KPA * ratio),
-        "leak_offset": Prior(0.0, LEAK_OFFSET_KPA_PER_S),
-        "venturi_offset": Prior(0.0, VENTURI_OFFSET_KPA * venturi),
+        "growth": AccountPrior(0.0, 4.0 * SOFTEST_PER_KPA * ratio),
+        "leak_offset": AccountPrior(0.0, LEAK_OFFSET_KPA_PER_S),
+        "venturi_offset": AccountPrior(0.0, VENTURI_OFFSET_KPA * venturi),
     }
     # What never happened is not known, and holds nothing up.
-    priors |= {name: Prior(0.0, 1.0) for name, column in columns.items() if not column.any()}
+    priors |= {name: AccountPrior(0.0, 1.0) for name, column in columns.items() if not column.any()}
     noise = noise_kPa(readings.reservoir_kPa)
     moved = np.concatenate([[False], np.diff(readings.setpoint_kPa) > 1e-6]) | (readings.dvp > 0.0)
     last_s = np.maximum.accumulate(np.where(moved, readings.t_s, -np.inf))
@@ -114,9 +115,9 @@ def read_air(readings: Readings, known: Known) -> Vine:
     # What was not seen is not there: else it would leave the volume less sure than the readings do.
     unseen = [name for name in ("growth", "refill") if balance.values[name].low <= 0.0]
     if unseen:
-        priors |= {name: Prior(0.0, NOTHING) for name in unseen}
+        priors |= {name: AccountPrior(0.0, NOTHING) for name in unseen}
         balance = settle(bins, priors, known.bottle.value, known.ambient_kPa)
-    return Vine(known, balance, tuple(unseen))
+    return VineAir(known, balance, tuple(unseen))
 
 
 def _columns(readings: Readings, top_kPa: float) -> dict[str, Array]:
@@ -165,13 +166,13 @@ def smooth(column: Array, rows: int) -> Array:
 # Findings.
 
 
-def bottle_leak(vine: Vine) -> Result:
+def bottle_leak(vine: VineAir) -> Result:
     """Of the bottle by itself, at its mean pressure."""
     bins = vine.balance.bins
     at_kPa = float(np.mean(bins.reservoir_kPa))
     rate = vine.balance.of({"bottle_leak": at_kPa, "leak_offset": 1.0})
-    speed = Finding("bottle_leak_kPa_per_s", "bottle's leak", "kPa/s")
-    resistance = Finding("bottle_leak_kPa_s_per_SL", "bottle's leak, as a resistance", "kPa·s/SL")
+    speed = MeasuredQuantity("bottle_leak_kPa_per_s", "bottle's leak", "kPa/s")
+    resistance = MeasuredQuantity("bottle_leak_kPa_s_per_SL", "bottle's leak, as a resistance", "kPa·s/SL")
     known = vine.known
     flow = rate.times(known.bottle.value / ALPHA_KPA, known.supply_sure(at_kPa))
     findings = (
@@ -195,21 +196,21 @@ def bottle_leak(vine: Vine) -> Result:
     return Result(findings, charts=(chart,))
 
 
-def vine_leak(vine: Vine) -> Result:
+def vine_leak(vine: VineAir) -> Result:
     """Of the vine, by what holding it took beyond what the bottle loses anyway."""
     per_kPa = vine.balance.values["vine_leak"].times(
         vine.known.bottle.value / ALPHA_KPA, hypot(vine.known.sure, VINE_LEAK_SURE)
     )
-    finding = Finding("vine_leak_kPa_s_per_SL", "vine's leak, as a resistance", "kPa·s/SL")
+    finding = MeasuredQuantity("vine_leak_kPa_s_per_SL", "vine's leak, as a resistance", "kPa·s/SL")
     return Result((_resistance(finding, 1.0, per_kPa),))
 
 
-def volumes(vine: Vine) -> Result:
+def volumes(vine: VineAir) -> Result:
     """Of the vine: its volume as pressure feels it, how soft it is, and what a pouch takes before."""
     known, values = vine.known, vine.balance.values
     litres = vine.volume()
     per_kPa = known.bottle.value / ALPHA_KPA
-    volume = Finding(
+    volume = MeasuredQuantity(
         "cv_volume_L",
         "vine's volume, as pressure feels it",
         "L",
@@ -221,7 +222,7 @@ def volumes(vine: Vine) -> Result:
     else:
         found = [volume.unknown(TOO_LITTLE)]
     for name, what in (("pouch", "the first inflation, from flat"), ("refill", "a later one, from vented")):
-        finding = Finding(f"{name}_air_SL", f"air of {what}", "SL")
+        finding = MeasuredQuantity(f"{name}_air_SL", f"air of {what}", "SL")
         if name in vine.unseen:
             found.append(finding.unknown("none seen: venting leaves the vine full"))
         elif vine.balance.bins.columns[name].any():
@@ -233,10 +234,10 @@ def volumes(vine: Vine) -> Result:
     return Result(tuple(found), charts=(_staircase(vine),))
 
 
-def venturi(vine: Vine, ran_s: float) -> Finding:
+def venturi(vine: VineAir, ran_s: float) -> MeasuredQuantity:
     """The Venturi's supply valve, told fully open, at the full bottle's pressure."""
     p = vine.known.pneumatics
-    finding = Finding(
+    finding = MeasuredQuantity(
         "dvp_flow_resistance_kPa_s_per_SL",
         "Venturi's supply valve",
         "kPa·s/SL",
@@ -256,12 +257,12 @@ def venturi(vine: Vine, ran_s: float) -> Finding:
     return inverse(finding, p.full_kPa, flow, f"nozzle included; measured at {at_kPa:.0f} kPa")
 
 
-def share_at_full(at_kPa: float, known: Known) -> float:
+def share_at_full(at_kPa: float, known: AirInputs) -> float:
     """By how much more a choked valve passes from a full bottle."""
     return (known.pneumatics.full_kPa + known.ambient_kPa) / (at_kPa + known.ambient_kPa)
 
 
-def inverse(finding: Finding, kPa: float, flow: Estimate, note: str) -> Finding:
+def inverse(finding: MeasuredQuantity, kPa: float, flow: Estimate, note: str) -> MeasuredQuantity:
     """A resistance, of what flows at a pressure."""
     if flow.low <= 0.0:
         return finding.unknown("too little flowed to tell")
@@ -269,7 +270,7 @@ def inverse(finding: Finding, kPa: float, flow: Estimate, note: str) -> Finding:
     return replace(finding, value=value, low=low, high=high, note=note)
 
 
-def _resistance(finding: Finding, at_kPa: float, flow: Estimate) -> Finding:
+def _resistance(finding: MeasuredQuantity, at_kPa: float, flow: Estimate) -> MeasuredQuantity:
     """Of a leak, which there need not be."""
     if flow.value <= SEEN_SD * flow.sd:
         most = max(flow.high, 1e-9)
@@ -277,9 +278,9 @@ def _resistance(finding: Finding, at_kPa: float, flow: Estimate) -> Finding:
     return inverse(finding, at_kPa, flow, "")
 
 
-def _softness(vine: Vine) -> Finding:
+def _softness(vine: VineAir) -> MeasuredQuantity:
     """k of V (1 + k P)."""
-    finding = Finding("cv_compliance_per_kPa", "vine's growth with pressure", "1/kPa")
+    finding = MeasuredQuantity("cv_compliance_per_kPa", "vine's growth with pressure", "1/kPa")
     top, ambient = vine.known.top_kPa, vine.known.ambient_kPa
     growth, mean = vine.balance.values["growth"], vine.balance.values["volume"].value
     rigid = mean - growth.value * (top + ambient) / 2.0
@@ -288,7 +289,7 @@ def _softness(vine: Vine) -> Finding:
     return finding.measured(growth.times(0.5 / rigid), "its volume above is larger for it", least=0.0)
 
 
-def _staircase(vine: Vine) -> Chart:
+def _staircase(vine: VineAir) -> Chart:
     """Air that each inflation had taken by then against the pressure that it had made."""
     known, bins = vine.known, vine.balance.bins
     others = [name for name in bins.columns if name not in ("volume", "growth", "pouch", "refill")]

@@ -6,13 +6,13 @@ import numpy as np
 
 from flying_vines.calibration.charts import Chart, Series
 from flying_vines.calibration.estimate import Estimate
-from flying_vines.calibration.findings import Finding, Result
+from flying_vines.calibration.findings import MeasuredQuantity, Result
 
 
 def curve(pairs: tuple[tuple[float, float], ...]) -> Result:
     """The curve and hysteresis of pairs (gauge kPa, degrees) in the order in which they were seen."""
-    top = Finding("bend_top_deg", "bend at the highest pressure", "deg", key="vine.curve")
-    width = Finding("hysteresis_kPa", "bend's hysteresis", "kPa", key="vine.hysteresis_kPa")
+    top = MeasuredQuantity("bend_top_deg", "bend at the highest pressure", "deg", key="vine.curve")
+    width = MeasuredQuantity("hysteresis_kPa", "bend's hysteresis", "kPa", key="vine.hysteresis_kPa")
     try:
         from flying_vines.identification.bend_curve import Pairs, PairsError, fit
         from flying_vines.identification.bend_curve.pairs import LEAST_PAIRS

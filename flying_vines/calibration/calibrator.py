@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from flying_vines.calibration.charts import Chart
-from flying_vines.calibration.findings import Finding, Findings, Result
-from flying_vines.calibration.plan import ANSWER_S, SETTLE_S, Movement, Plan, Stage
+from flying_vines.calibration.findings import Findings, MeasuredQuantity, Result
+from flying_vines.calibration.plan import ANSWER_S, SETTLE_S, CalibrationPlan, Movement, Stage
 from flying_vines.calibration.readings import Notebook
-from flying_vines.calibration.work import Recorded
+from flying_vines.calibration.work import StageRecording
 from flying_vines.core.events import Action, Decision, Measured, Snapshot
-from flying_vines.vine.intent import Asker, Intent, SetPressure, StartBench, StartProfile, Vent
+from flying_vines.vine.intent import Asker, Intent, SetPressure, StartBench, StartProfile, VentVine
 
 BY: Asker = "calibration"
 BOARD_WITHIN_S = 15.0
@@ -38,7 +38,7 @@ _ZERO_FAULT = "vine_zero"
 
 
 @dataclass(frozen=True)
-class Ask:
+class OperatorRequest:
     """To be asked of the core, at once."""
 
     intent: Intent
@@ -61,7 +61,7 @@ class Say:
 
 
 @dataclass(frozen=True)
-class Began:
+class StageBegan:
     stage: Stage
     index: int
     of: int
@@ -76,11 +76,11 @@ class Work:
 
 
 @dataclass(frozen=True)
-class Found:
+class StageResult:
     """What a stage gave."""
 
     stage: Stage
-    findings: tuple[Finding, ...]
+    findings: tuple[MeasuredQuantity, ...]
     charts: tuple[Chart, ...]
 
 
@@ -92,11 +92,11 @@ class Ended:
     sentence: str
 
 
-Out = Ask | Question | Say | Began | Work | Found | Ended
+Out = OperatorRequest | Question | Say | StageBegan | Work | StageResult | Ended
 
 
 @dataclass(frozen=True)
-class Progress:
+class StageProgress:
     """How far it is."""
 
     stage: str
@@ -117,7 +117,7 @@ class _Stopped(Exception):
 class Calibrator:
     """Feed it all that the core does, the time, and what the person says; do what it gives back, in order."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: CalibrationPlan) -> None:
         self.plan = plan
         self.findings = Findings()
         self.ended: Ended | None = None
@@ -147,7 +147,7 @@ class Calibrator:
         return tuple(self._charts.values())
 
     @property
-    def progress(self) -> Progress:
+    def progress(self) -> StageProgress:
         """For a bar."""
         stages = self.plan.stages
         stage = self._stage or stages[0]
@@ -157,7 +157,9 @@ class Calibrator:
         over = self.ended is not None and self.ended.outcome == "done"
         share = 1.0 if over else min(1.0, done_s / total_s)
         left_s = 0.0 if self.ended else max(0.0, total_s - done_s)
-        return Progress(stage.name, stage.title, self._index + 1, len(stages), share, left_s, self._doing)
+        return StageProgress(
+            stage.name, stage.title, self._index + 1, len(stages), share, left_s, self._doing
+        )
 
     # What happens.
 
@@ -212,7 +214,7 @@ class Calibrator:
             self._out.append(Say(what))
         self.findings = self.findings.with_result(result)
         self._charts |= {chart.name: chart for chart in result.charts}
-        self._out.append(Found(work.stage, result.findings, result.charts))
+        self._out.append(StageResult(work.stage, result.findings, result.charts))
         return self._poke()
 
     def stop(self, t: float, why: str) -> list[Out]:
@@ -228,9 +230,9 @@ class Calibrator:
             yield from self._ask(StartBench())
             self._index, self._stage, self._began_at = index, stage, self._t
             self._doing = stage.does
-            self._out.append(Began(stage, index, len(self.plan.stages)))
+            self._out.append(StageBegan(stage, index, len(self.plan.stages)))
             yield from self._do(stage)
-        self._out.append(Ask(Vent()))
+        self._out.append(OperatorRequest(VentVine()))
         self._finish("done", "calibrated")
 
     def _do(self, stage: Stage) -> Generator[None]:
@@ -286,7 +288,7 @@ class Calibrator:
     def _ask(self, intent: Intent) -> Generator[None]:
         """Ask the core, and wait for its ruling."""
         self._decision = None
-        self._out.append(Ask(intent))
+        self._out.append(OperatorRequest(intent))
         until = self._t + DECIDED_WITHIN_S
         while self._decision is None:
             yield
@@ -328,7 +330,7 @@ class Calibrator:
             yield from self._vent()
 
     def _vent(self) -> Generator[None]:
-        yield from self._ask(Vent())
+        yield from self._ask(VentVine())
         until = self._t + DOWN_WITHIN_S
         while self._cv_kPa() > DOWN_KPA:
             if self._t > until:
@@ -360,7 +362,7 @@ class Calibrator:
         self._need_air(stage.air_kPa)
         self._moved = True
         for level in stage.levels_kPa:
-            yield from self._ask(SetPressure(level) if level > 0.0 else Vent())
+            yield from self._ask(SetPressure(level) if level > 0.0 else VentVine())
             yield from self._wait(self.plan.hold_s)
             held_kPa = self._cv_kPa()
             while True:
@@ -381,7 +383,7 @@ class Calibrator:
     def _evaluate(self, stage: Stage, first: int | None = None) -> Generator[None]:
         """Let what was recorded be evaluated, and wait for it."""
         assert self._snapshot is not None
-        recorded = Recorded(
+        recorded = StageRecording(
             self.plan,
             stage.name,
             self._notebook.readings(self._first_row if first is None else first),
@@ -448,7 +450,7 @@ class Calibrator:
 
     def _end(self, outcome: Literal["stopped"], why: str) -> list[Out]:
         stage = f"{self._stage.title}: " if self._stage else ""
-        self._out.append(Ask(Vent()))
+        self._out.append(OperatorRequest(VentVine()))
         self._finish(outcome if self._moved else "refused", f"{stage}{why}")
         return self._given()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from flying_vines.calibration.readings import Array
+from flying_vines.physics.arrays import Array
 
 MOST_POINTS = 2000
 

@@ -18,10 +18,10 @@ from pathlib import Path
 
 from flying_vines.calibration.conductor import Conducted
 from flying_vines.calibration.procedure import Walk
-from flying_vines.calibration.profile import Change, calibrated, changes, is_sure, with_numbers
+from flying_vines.calibration.profile import ProfileChange, calibrated, changes, is_sure, with_numbers
 from flying_vines.calibration.rig_file import KEYS, rig_text
 from flying_vines.config import on_disk
-from flying_vines.config.config import Config, ConfigError, Pneumatics
+from flying_vines.config.config import Config, ConfigError, PneumaticsConfig
 from flying_vines.config.extras import lacks
 
 FOLDER = "calibration"
@@ -47,7 +47,7 @@ class UserProfile:
 def conclude(
     conducted: Conducted,
     profile: UserProfile,
-    believed: Pneumatics,
+    believed: PneumaticsConfig,
     walk: Walk,
     diagnose: bool,
     in_place: bool,
@@ -110,7 +110,7 @@ def _draw(conducted: Conducted, folder: Path, walk: Walk) -> None:
     walk.at_last("Page", path)
 
 
-def _diagnose(conducted: Conducted, believed: Path, numbers: Pneumatics, walk: Walk) -> Path | None:
+def _diagnose(conducted: Conducted, believed: Path, numbers: PneumaticsConfig, walk: Walk) -> Path | None:
     """The rig file that the profile should name, if any."""
     command = f"flying-vines diagnose --from-log {conducted.folder} --rig {believed}"
     try:
@@ -133,14 +133,16 @@ def _diagnose(conducted: Conducted, believed: Path, numbers: Pneumatics, walk: W
 
 
 def _write_profiles(
-    profile: UserProfile, changed: list[Change], rig: Path | None, places: list[Path], walk: Walk
+    profile: UserProfile, changed: list[ProfileChange], rig: Path | None, places: list[Path], walk: Walk
 ) -> None:
     """The calibrated profile, in each of the places."""
     for place in places:
         wanted = list(changed)
         if rig is not None:
             where = os.path.relpath(rig, place.parent)
-            wanted.append(Change("pneumatics", "rig", where, "with the causes that the diagnosis names"))
+            wanted.append(
+                ProfileChange("pneumatics", "rig", where, "with the causes that the diagnosis names")
+            )
         try:
             text, left_out = calibrated(profile.text, profile.name, wanted, time.strftime("%Y-%m-%d"))
         except ConfigError as error:
@@ -151,10 +153,12 @@ def _write_profiles(
         on_disk.put(place, text)
 
 
-def _of_the_rig_file(name: str, believed: Pneumatics, changed: list[Change]) -> Iterator[Change]:
+def _of_the_rig_file(
+    name: str, believed: PneumaticsConfig, changed: list[ProfileChange]
+) -> Iterator[ProfileChange]:
     """A rig file would go before the measured numbers: it is named no more, and what else it says is kept."""
-    yield Change("pneumatics", "rig", "", "it would go before these numbers")
+    yield ProfileChange("pneumatics", "rig", "", "it would go before these numbers")
     measured = {change.name for change in changed}
     for key in KEYS:
         if key not in measured:
-            yield Change("pneumatics", key, getattr(believed, key), f"as in {name}")
+            yield ProfileChange("pneumatics", key, getattr(believed, key), f"as in {name}")

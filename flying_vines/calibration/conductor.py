@@ -9,21 +9,21 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from flying_vines.calibration.calibrator import (
-    Ask,
-    Began,
     Calibrator,
     Ended,
-    Found,
+    OperatorRequest,
     Out,
-    Progress,
     Question,
     Say,
+    StageBegan,
+    StageProgress,
+    StageResult,
     Work,
 )
 from flying_vines.calibration.charts import Chart
 from flying_vines.calibration.findings import Findings
-from flying_vines.calibration.known import Known
-from flying_vines.calibration.plan import Plan
+from flying_vines.calibration.known import KnownBeforehand
+from flying_vines.calibration.plan import CalibrationPlan
 from flying_vines.config.config_text import profile_text
 from flying_vines.core.events import Action, Snapshot
 from flying_vines.record import recorder
@@ -38,10 +38,10 @@ INTERRUPTED = "interrupted"
 class Beholder(Protocol):
     """Whoever is shown how it goes."""
 
-    def show(self, out: Began | Say | Found | Ended) -> None:
+    def show(self, out: StageBegan | Say | StageResult | Ended) -> None:
         """Something happened."""
 
-    def progress(self, progress: Progress) -> None:
+    def progress(self, progress: StageProgress) -> None:
         """How far it is, some fifty times a second of the rig's."""
 
 
@@ -84,7 +84,7 @@ class Conductor:
             return
         while self._outs:
             match self._outs[0]:
-                case Ask(intent):
+                case OperatorRequest(intent):
                     self.ask(intent)
                 case Question() as asked:
                     self.question(asked)
@@ -118,7 +118,7 @@ def vented(snapshot: Snapshot) -> bool:
     return snapshot.doing == "vented" and not snapshot.cv_kPa >= VENTED_KPA
 
 
-def began(plan: Plan, known: Known) -> recorder.Began:
+def began(plan: CalibrationPlan, known: KnownBeforehand) -> recorder.FlightStart:
     """With what the flight's log begins, so that it can be replayed."""
     numbers = known.belief.pneumatics if known.belief else plan.config.pneumatics
-    return recorder.Began(profile_text(plan.config), numbers, known.rig_text, disarmed=known.disarmed)
+    return recorder.FlightStart(profile_text(plan.config), numbers, known.rig_text, disarmed=known.disarmed)

@@ -16,13 +16,13 @@ from pathlib import Path
 from flying_vines.calibration import session, simulated
 from flying_vines.calibration.conclude import UserProfile
 from flying_vines.calibration.conductor import Conducted
-from flying_vines.calibration.known import Known, with_kept
-from flying_vines.calibration.plan import Plan, Wish, plan
+from flying_vines.calibration.known import KnownBeforehand, with_kept
+from flying_vines.calibration.plan import CalibrationPlan, CalibrationRequest, plan
 from flying_vines.calibration.procedure import Walk
 from flying_vines.calibration.profile import proposed
 from flying_vines.calibration.telemetry_rate import EVERY_STEP_HZ, RATE, every_step
 from flying_vines.config.address import parse_address
-from flying_vines.config.config import Config, Pneumatics
+from flying_vines.config.config import Config, PneumaticsConfig
 from flying_vines.physics.plant.true_rig import load_true_rig
 from flying_vines.service.link_settings import talk_about_settings
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
@@ -42,7 +42,7 @@ class Carried:
     """What came of it."""
 
     conducted: Conducted
-    believed: Pneumatics
+    believed: PneumaticsConfig
     """Of the rig file, where the profile names one."""
     interrupted: bool
     firmware: Mapping[str, float]
@@ -56,7 +56,7 @@ class Carried:
 
 
 async def on_a_rig(
-    profile: UserProfile, wish: Wish, out: Path, walk: Walk, set_firmware: bool
+    profile: UserProfile, wish: CalibrationRequest, out: Path, walk: Walk, set_firmware: bool
 ) -> Carried | None:
     """On the profile's ports; None where nobody wanted it to begin.
 
@@ -85,11 +85,15 @@ async def on_a_rig(
     return Carried(conducted, believed.pneumatics, stopped.is_set(), wanted, to_set)
 
 
-def on_a_fake(profile: UserProfile, wish: Wish, out: Path, walk: Walk, rig: Path | None) -> Carried:
+def on_a_fake(
+    profile: UserProfile, wish: CalibrationRequest, out: Path, walk: Walk, rig: Path | None
+) -> Carried:
     """On a simulated rig: that of a file, or a likely one. Raises `CalibrateError`, `RigError`, `OSError`."""
     if wish.vessel_L is not None:
         raise CalibrateError("--vessel-L takes hands that change a hose: it is not for --fake")
-    believed, known = with_kept(profile.path, profile.config) if profile.path else (profile.config, Known())
+    believed, known = (
+        with_kept(profile.path, profile.config) if profile.path else (profile.config, KnownBeforehand())
+    )
     planned = _plan(believed, wish)
     phlosar = SimulatedPhlosar(
         load_true_rig(rig) if rig else None,
@@ -102,7 +106,7 @@ def on_a_fake(profile: UserProfile, wish: Wish, out: Path, walk: Walk, rig: Path
         return Carried(conducted, believed.pneumatics, interrupted(), {}, False)
 
 
-def _plan(config: Config, wish: Wish) -> Plan:
+def _plan(config: Config, wish: CalibrationRequest) -> CalibrationPlan:
     try:
         return plan(config, wish)
     except ValueError as error:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from msgspec.structs import replace
 
 from flying_vines.config.config import Config
-from flying_vines.vine.profile import Profile
+from flying_vines.vine.profile import PressureProfile
 
 VOLUME_FACTOR = 4.0
 """By how much the vine may be larger or smaller than believed: it is about to be measured."""
@@ -17,7 +17,7 @@ LONGER_S = 30.0
 
 
 def derived(
-    config: Config, profiles: Mapping[str, Profile], longest_s: float, vessel_L: float = 0.0
+    config: Config, profiles: Mapping[str, PressureProfile], longest_s: float, vessel_L: float = 0.0
 ) -> Config:
     """The user's profile with these movements.
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from flying_vines.config.config import Pneumatics
+from flying_vines.config.config import PneumaticsConfig
 from flying_vines.identification.case import Case
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.extended import extended_rig
@@ -36,7 +36,7 @@ class Diagnosis:
     """Whether it makes the cycles left better: its causes predict data that they never saw, and cost air."""
 
 
-def diagnosed(flight: Path, believed: Path, numbers: Pneumatics, progress: Progress) -> Diagnosis:
+def diagnosed(flight: Path, believed: Path, numbers: PneumaticsConfig, progress: Progress) -> Diagnosis:
     """Diagnose a calibration's flight; report and rig go beside the file of the `believed` rig.
 
     Raises `CaseError` where the flight holds nothing to be diagnosed.

@@ -11,7 +11,7 @@ from flying_vines.calibration.estimate import Estimate
 
 
 @dataclass(frozen=True)
-class Finding:
+class MeasuredQuantity:
     """A quantity: what it was believed to be, and what was measured, with its 95 % interval."""
 
     name: str
@@ -26,18 +26,18 @@ class Finding:
     key: str | None = None
     """Where it belongs in the profile."""
 
-    def measured(self, estimate: Estimate, note: str = "", least: float | None = None) -> Finding:
+    def measured(self, estimate: Estimate, note: str = "", least: float | None = None) -> MeasuredQuantity:
         """With a value; an interval does not reach below `least`."""
         low = estimate.low if least is None else max(least, estimate.low)
         value = estimate.value if least is None else max(least, estimate.value)
         return replace(self, value=value, low=low, high=max(value, estimate.high), note=note)
 
-    def unknown(self, why: str) -> Finding:
+    def unknown(self, why: str) -> MeasuredQuantity:
         return replace(self, value=None, low=None, high=None, note=why)
 
 
 @dataclass(frozen=True)
-class Proposal:
+class SettingProposal:
     """A setting of the firmware that would suit this rig better."""
 
     setting: str
@@ -51,8 +51,8 @@ class Proposal:
 class Result:
     """What one stage gave."""
 
-    findings: tuple[Finding, ...] = ()
-    proposals: tuple[Proposal, ...] = ()
+    findings: tuple[MeasuredQuantity, ...] = ()
+    proposals: tuple[SettingProposal, ...] = ()
     remarks: tuple[str, ...] = ()
     charts: tuple[Chart, ...] = ()
     curve: tuple[tuple[float, float], ...] = ()
@@ -63,15 +63,15 @@ class Result:
 class Findings:
     """What all stages gave so far. Pairs and curve: gauge kPa, degrees."""
 
-    findings: tuple[Finding, ...] = ()
-    proposals: tuple[Proposal, ...] = ()
+    findings: tuple[MeasuredQuantity, ...] = ()
+    proposals: tuple[SettingProposal, ...] = ()
     remarks: tuple[str, ...] = ()
     pairs: tuple[tuple[float, float], ...] = ()
     curve: tuple[tuple[float, float], ...] = ()
     """Empty: not measured."""
     hysteresis_kPa: float | None = None
 
-    def get(self, name: str) -> Finding | None:
+    def get(self, name: str) -> MeasuredQuantity | None:
         """What is known of a quantity; None when no stage looked for it."""
         return next((finding for finding in self.findings if finding.name == name), None)
 
@@ -106,8 +106,8 @@ def _renewed(before: Iterable[Any], now: Iterable[Any], name: str) -> tuple[Any,
 def from_json(content: Mapping[str, Any]) -> Findings:
     """What `as_json` made."""
     return Findings(
-        tuple(Finding(**finding) for finding in content["findings"]),
-        tuple(Proposal(**proposal) for proposal in content["proposals"]),
+        tuple(MeasuredQuantity(**finding) for finding in content["findings"]),
+        tuple(SettingProposal(**proposal) for proposal in content["proposals"]),
         tuple(content["remarks"]),
         _pairs(content["pairs"]),
         _pairs(content["curve"]),

@@ -9,7 +9,7 @@ import msgspec
 
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
-from flying_vines.service.persistent_state import Kept
+from flying_vines.service.persistent_state import PersistentState
 from flying_vines.supply import Belief
 from flying_vines.supply.known_rig import load_calibration
 from flying_vines.vehicle.component.parameters import Parameters
@@ -17,7 +17,7 @@ from flying_vines.vehicle.mavlink.signing import Signing
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownBeforehand:
     """Beyond the profile."""
 
     belief: Belief | None = None
@@ -26,16 +26,16 @@ class Known:
     disarmed: bool = False
     """Whether the pneumatics are."""
     signing: Signing | None = None
-    kept: Kept | None = None
+    kept: PersistentState | None = None
     """What outlives us."""
 
 
-def with_kept(path: Path, config: Config) -> tuple[Config, Known]:
+def with_kept(path: Path, config: Config) -> tuple[Config, KnownBeforehand]:
     """A profile as `run` would fly it, with what is kept beside it.
 
     Raises `ParameterFileError`, `SigningKeyError` or `RigError`: one line.
     """
-    kept = Kept.of(path, config)
+    kept = PersistentState.of(path, config)
     flown = Parameters(config, kept.read_parameters(config)).config
     signing, _ = kept.read_signing(config)
     belief, rig_text = None, ""
@@ -43,4 +43,4 @@ def with_kept(path: Path, config: Config) -> tuple[Config, Known]:
         belief = load_calibration(rig, config.pneumatics).belief
         rig_text = rig.read_text(encoding="utf-8")
         flown = msgspec.structs.replace(flown, pneumatics=belief.pneumatics)
-    return flown, Known(belief, rig_text, kept.disarmed, signing, kept)
+    return flown, KnownBeforehand(belief, rig_text, kept.disarmed, signing, kept)

@@ -12,11 +12,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from flying_vines.calibration.air import SMOOTHED_S, TOO_LITTLE, Vine, smooth
+from flying_vines.calibration.air import SMOOTHED_S, TOO_LITTLE, VineAir, smooth
 from flying_vines.calibration.charts import Chart, Series, thinned
 from flying_vines.calibration.estimate import Estimate
-from flying_vines.calibration.findings import Finding, Result
-from flying_vines.calibration.readings import Array, Readings
+from flying_vines.calibration.findings import MeasuredQuantity, Result
+from flying_vines.calibration.readings import Readings
+from flying_vines.physics.arrays import Array
 
 LEAST_KPA = 8.0
 EMPTY = 0.01
@@ -54,9 +55,11 @@ def vents(readings: Readings) -> Iterator[tuple[Array, Array]]:
         yield t_s[begin : begin + stop] - opened_s, kPa[:stop]
 
 
-def outlet(readings: Readings, vine: Vine) -> Result:
+def outlet(readings: Readings, vine: VineAir) -> Result:
     """The outlet's resistance, the Venturi at rest."""
-    finding = Finding("outlet_flow_resistance_kPa_s_per_SL", "outlet, the Venturi at rest", "kPa·s/SL")
+    finding = MeasuredQuantity(
+        "outlet_flow_resistance_kPa_s_per_SL", "outlet, the Venturi at rest", "kPa·s/SL"
+    )
     falls = list(vents(readings))
     if not falls:
         return Result((finding.unknown("no vent from a held pressure was seen at once and whole"),))

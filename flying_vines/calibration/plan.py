@@ -13,7 +13,7 @@ from flying_vines.config.config import Config
 from flying_vines.supply import nominal
 from flying_vines.vine.motion import Motion
 from flying_vines.vine.motion import plan as motion
-from flying_vines.vine.profile import HoldFor, Profile, Ramp, Segment, Step, flatten
+from flying_vines.vine.profile import HoldFor, PressureProfile, Ramp, Segment, Step, flatten
 
 if TYPE_CHECKING:
     from flying_vines.identification.bend_curve import Pairs
@@ -50,7 +50,7 @@ MOST_HELD_S = 10.0
 
 
 @dataclass(frozen=True)
-class Wish:
+class CalibrationRequest:
     """What the person wants."""
 
     only: tuple[str, ...] = ()
@@ -94,13 +94,13 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Plan:
+class CalibrationPlan:
     """All of it. `config` is the derived profile, `believed` the user's own."""
 
     stages: tuple[Stage, ...]
     config: Config
     believed: Config
-    wish: Wish
+    wish: CalibrationRequest
     hold_s: float
     top_kPa: float
 
@@ -146,7 +146,7 @@ class Plan:
         return f"takes {minutes} and about {air} kPa of the bottle"
 
 
-def plan(config: Config, wish: Wish) -> Plan:
+def plan(config: Config, wish: CalibrationRequest) -> CalibrationPlan:
     """What is to be done, with the profile for it. ValueError, a sentence, where the wish cannot be met."""
     _check(wish)
     top_kPa = config.limits.max_kPa
@@ -169,10 +169,10 @@ def plan(config: Config, wish: Wish) -> Plan:
     longest_s = max(*(move.duration_s for move in moves.values()), ANSWER_S)
     stages = tuple(_stages(config, wish, moves, hold_s))
     changed = derived(config, profiles, longest_s, wish.vessel_L or 0.0)
-    return Plan(stages, changed, config, wish, hold_s, top_kPa)
+    return CalibrationPlan(stages, changed, config, wish, hold_s, top_kPa)
 
 
-def _check(wish: Wish) -> None:
+def _check(wish: CalibrationRequest) -> None:
     for name in wish.only:
         if name not in STAGES:
             near = difflib.get_close_matches(name, STAGES, n=1)
@@ -196,8 +196,8 @@ def _hold_s(litres: float) -> float:
     return min(MOST_HELD_S, HELD_S + HELD_S_PER_L * litres)
 
 
-def _profile(segments: Iterable[Segment]) -> Profile:
-    return Profile(tuple(segments))
+def _profile(segments: Iterable[Segment]) -> PressureProfile:
+    return PressureProfile(tuple(segments))
 
 
 def _valve_profile(rate_kPa_per_s: float) -> str:
@@ -214,13 +214,15 @@ def _staircase(top_kPa: float, hold_s: float) -> Iterator[Segment]:
         yield from _to(top_kPa * level / LEVELS, STEP_S, hold_s)
 
 
-def _motion(config: Config, profiles: dict[str, Profile], name: str) -> Motion:
+def _motion(config: Config, profiles: dict[str, PressureProfile], name: str) -> Motion:
     rate = config.limits.max_rate_kPa_per_s
     segments = tuple(flatten(profiles, name))
     return motion(segments, config.vine.bend_curve(), 0.0, rate, config.limits.max_kPa)
 
 
-def _stages(config: Config, wish: Wish, moves: dict[str, Motion], hold_s: float) -> Iterator[Stage]:
+def _stages(
+    config: Config, wish: CalibrationRequest, moves: dict[str, Motion], hold_s: float
+) -> Iterator[Stage]:
     belief = nominal(config.pneumatics)
 
     def wanted(name: str) -> bool:
@@ -273,7 +275,7 @@ def _stages(config: Config, wish: Wish, moves: dict[str, Motion], hold_s: float)
         yield _angle(config, wish, belief.rise.mean, hold_s)
 
 
-def _angle(config: Config, wish: Wish, kPa_per_kPa: float, hold_s: float) -> Stage:
+def _angle(config: Config, wish: CalibrationRequest, kPa_per_kPa: float, hold_s: float) -> Stage:
     if wish.angles is not None:
         return Stage("angle", "Bend", "fit the angles that were measured before", 0.0)
     top_kPa = config.limits.max_kPa

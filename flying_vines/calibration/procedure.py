@@ -16,9 +16,9 @@ from rich.table import Table
 from rich.text import Text
 
 from flying_vines.calibration import calibrator
-from flying_vines.calibration.calibrator import Began, Ended, Found, Question, Say
-from flying_vines.calibration.findings import Finding, Findings
-from flying_vines.calibration.plan import Plan
+from flying_vines.calibration.calibrator import Ended, Question, Say, StageBegan, StageResult
+from flying_vines.calibration.findings import Findings, MeasuredQuantity
+from flying_vines.calibration.plan import CalibrationPlan
 
 if TYPE_CHECKING:
     from flying_vines.calibration.diagnosis import Diagnosis
@@ -40,7 +40,7 @@ class Walk:
         self._bar = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
         self._task = self._bar.add_task("", total=1.0, left="")
         self._answered: Callable[[str | None], None] | None = None
-        self._told: dict[str, Finding] = {}
+        self._told: dict[str, MeasuredQuantity] = {}
         self._paused = False
         self._typed = ""
 
@@ -63,7 +63,7 @@ class Walk:
         finally:
             loop.remove_reader(number)
 
-    def introduce(self, plan: Plan) -> None:
+    def introduce(self, plan: CalibrationPlan) -> None:
         """What will be done, and what it takes."""
         table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
         for name in ("stage", "", "time", "bottle"):
@@ -98,15 +98,15 @@ class Walk:
         self._answered = None
         return not stopped.is_set()
 
-    def show(self, out: Began | Say | Found | Ended) -> None:
+    def show(self, out: StageBegan | Say | StageResult | Ended) -> None:
         """One line, or a few."""
         say = self._bar.console.print
         match out:
-            case Began(stage, index, of):
+            case StageBegan(stage, index, of):
                 say(Text.assemble((f"{index + 1}/{of}  {stage.title}", "bold"), (f"  {stage.does}", "dim")))
             case Say(text):
                 say(Text(f"     {text}"))
-            case Found(_, findings, _):
+            case StageResult(_, findings, _):
                 for finding in findings:
                     if _is_news(finding, self._told.get(finding.name)):
                         self._told[finding.name] = finding
@@ -115,7 +115,7 @@ class Walk:
                 said, style = OUTCOMES[outcome]
                 say(Text(f"{said}: {sentence}", style=style), soft_wrap=True)
 
-    def progress(self, progress: calibrator.Progress) -> None:
+    def progress(self, progress: calibrator.StageProgress) -> None:
         """On the bar."""
         left = _duration(progress.left_s)
         self._bar.update(self._task, completed=progress.share, left=left, description=progress.doing)
@@ -201,7 +201,7 @@ def findings_table(findings: Findings) -> Table:
     return table
 
 
-def measured(finding: Finding) -> tuple[str, str]:
+def measured(finding: MeasuredQuantity) -> tuple[str, str]:
     """The value and its interval, with as many digits as the interval says that are known."""
     if finding.value is None:
         return "–", ""
@@ -212,7 +212,7 @@ def measured(finding: Finding) -> tuple[str, str]:
     return f"{finding.value:.{digits}f}", f"{low:.{digits}f} … {high:.{digits}f}"
 
 
-def change(finding: Finding) -> str:
+def change(finding: MeasuredQuantity) -> str:
     """Against what was believed; nothing where nothing was, or where the interval holds it."""
     value, believed = finding.value, finding.believed
     if value is None or believed is None:
@@ -222,7 +222,7 @@ def change(finding: Finding) -> str:
     return f"{value - believed:+.3g}" if believed == 0.0 else f"{value / believed - 1.0:+.1%}"
 
 
-def _is_news(finding: Finding, told: Finding | None) -> bool:
+def _is_news(finding: MeasuredQuantity, told: MeasuredQuantity | None) -> bool:
     """Whether it says more than what was told: it is measured now, it is elsewhere, or twice as sure."""
     if told is None or told.value is None or finding.value is None:
         return told is None or told.value != finding.value
@@ -232,7 +232,7 @@ def _is_news(finding: Finding, told: Finding | None) -> bool:
     return elsewhere or finding.high - finding.low < 0.5 * (told.high - told.low)
 
 
-def _found(finding: Finding) -> Text:
+def _found(finding: MeasuredQuantity) -> Text:
     value, interval = measured(finding)
     if finding.value is None:
         return Text(f"     {finding.what}: {finding.note or 'not measured'}", style="yellow")

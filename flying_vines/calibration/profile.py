@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from firmware_link.protocol import Setting
-from flying_vines.calibration.findings import Finding, Findings, Proposal
+from flying_vines.calibration.findings import Findings, MeasuredQuantity, SettingProposal
 from flying_vines.calibration.procedure import measured
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config, ConfigError
@@ -23,7 +23,7 @@ LEAST_SURE = 0.25
 
 
 @dataclass(frozen=True)
-class Change:
+class ProfileChange:
     """Of one key of the profile."""
 
     table: str
@@ -33,7 +33,7 @@ class Change:
     """A clause: how well it is known."""
 
 
-def changes(findings: Findings, max_kPa: float) -> Iterator[Change]:
+def changes(findings: Findings, max_kPa: float) -> Iterator[ProfileChange]:
     """What of the findings belongs into a profile, with as many digits as are known.
 
     A curve goes as a whole, up to the profile's limit, which a held pressure may be a little above.
@@ -43,13 +43,13 @@ def changes(findings: Findings, max_kPa: float) -> Iterator[Change]:
             table, name = finding.key.split(".")
             if table != "vine":
                 value, interval = measured(finding)
-                yield Change(table, name, float(value), interval)
+                yield ProfileChange(table, name, float(value), interval)
     seen = f"{len(findings.pairs)} angles" if findings.pairs else "fitted to a file of pairs"
     if findings.curve:
         pairs = [[round(kPa, 3), round(deg, 2)] for kPa, deg in _up_to(max_kPa, findings.curve)]
-        yield Change("vine", "curve", pairs, seen)
+        yield ProfileChange("vine", "curve", pairs, seen)
     if findings.hysteresis_kPa is not None:
-        yield Change("vine", "hysteresis_kPa", findings.hysteresis_kPa, seen)
+        yield ProfileChange("vine", "hysteresis_kPa", findings.hysteresis_kPa, seen)
 
 
 def _up_to(max_kPa: float, curve: Sequence[tuple[float, float]]) -> Sequence[tuple[float, float]]:
@@ -59,7 +59,7 @@ def _up_to(max_kPa: float, curve: Sequence[tuple[float, float]]) -> Sequence[tup
     return [*within, (max_kPa, BendCurve(curve).angle_deg(max_kPa))]
 
 
-def is_sure(finding: Finding) -> bool:
+def is_sure(finding: MeasuredQuantity) -> bool:
     """Whether it is known well enough to take the place of what was believed."""
     value, low, high = finding.value, finding.low, finding.high
     if value is None or low is None or high is None:
@@ -67,7 +67,7 @@ def is_sure(finding: Finding) -> bool:
     return low > 0.0 and high - low <= 2.0 * LEAST_SURE * value
 
 
-def with_changes(text: str, source: str, changed: Sequence[Change], day: str) -> str:
+def with_changes(text: str, source: str, changed: Sequence[ProfileChange], day: str) -> str:
     """The profile's text with these values; each line says what it was, and on which `day` it was measured.
 
     Raises `ConfigError` where the profile is not written so that single lines can be replaced, or where what
@@ -94,7 +94,7 @@ def _says(text: str, config: Config) -> bool:
         return False
 
 
-def calibrated(text: str, source: str, found: Sequence[Change], day: str) -> tuple[str, str]:
+def calibrated(text: str, source: str, found: Sequence[ProfileChange], day: str) -> tuple[str, str]:
     """As `with_changes`, and a sentence where the measured curve stands there only as a comment.
 
     The rest of a profile may ask for angles that the vine does not reach, and would not be read with it.
@@ -114,20 +114,20 @@ def calibrated(text: str, source: str, found: Sequence[Change], day: str) -> tup
     return "\n".join(lines), f"The measured curve is in the profile as a comment only, for {why}"
 
 
-def with_numbers(config: Config, found: Sequence[Change]) -> Config:
+def with_numbers(config: Config, found: Sequence[ProfileChange]) -> Config:
     """The configuration with these values, whatever else it says."""
     for change in found:
         config = _replaced(config, change)
     return config
 
 
-def _replaced(config: Config, change: Change) -> Config:
+def _replaced(config: Config, change: ProfileChange) -> Config:
     table = getattr(config, change.table)
     values = {**msgspec.to_builtins(table), change.name: change.value}
     return msgspec.structs.replace(config, **{change.table: msgspec.convert(values, type(table))})
 
 
-def proposed(proposals: Sequence[Proposal], settings: Sequence[Setting]) -> Mapping[str, float]:
+def proposed(proposals: Sequence[SettingProposal], settings: Sequence[Setting]) -> Mapping[str, float]:
     """What is to be set in the firmware, whose settings are known, within what it takes."""
     now = {setting.name: setting for setting in settings}
     wanted = {}

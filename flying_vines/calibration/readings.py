@@ -8,12 +8,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_link.protocol import Mode, Telemetry
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from flying_vines.physics.arrays import Array, BoolArray
 
 OUTLET_LAG_S = 0.06
 """After it is told to shut an outlet may still let air out."""
@@ -26,13 +23,13 @@ class Readings:
 
     t_s: Array
     """Of the board's clock, from where it was first heard."""
-    regulating: Flags
+    regulating: BoolArray
     setpoint_kPa: Array
     cv_kPa: Array
     reservoir_kPa: Array
     evp: Array
     dvp: Array
-    solenoid: Flags
+    solenoid: BoolArray
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -43,14 +40,14 @@ class Readings:
         return float(np.median(np.diff(self.t_s)))
 
     @cached_property
-    def shut(self) -> Flags:
+    def shut(self) -> BoolArray:
         """Whether the outlet has been told shut for so long that it is."""
         told_open = self.t_s[self.solenoid]
         last = np.searchsorted(told_open, self.t_s, "right") - 1
         since_s = np.where(last >= 0, self.t_s - told_open[np.maximum(last, 0)], np.inf)
         return since_s > OUTLET_LAG_S if len(told_open) else np.ones(len(self), bool)
 
-    def rows(self, where: slice | Flags) -> Readings:
+    def rows(self, where: slice | BoolArray) -> Readings:
         """Some of them."""
         return Readings(*(getattr(self, name)[where] for name in _COLUMNS))
 
@@ -58,7 +55,7 @@ class Readings:
         """With the vine's pressures as they are once its sensor's zero is taken out."""
         return replace(self, cv_kPa=self.cv_kPa - cv_zero_kPa)
 
-    def stretches(self, so: Flags) -> Iterator[slice]:
+    def stretches(self, so: BoolArray) -> Iterator[slice]:
         """Each run of rows for which it is so, in order."""
         edges = np.flatnonzero(np.diff(np.concatenate([[0], so.astype(np.int8), [0]])))
         for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from flying_vines.calibration.findings import Findings
-from flying_vines.config.config import Pneumatics
+from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
 from flying_vines.supply import nominal_rig
 
@@ -22,7 +22,7 @@ KEYS = {
 NOISE = {"cv_noise_kPa": "cv_noise_std_kPa", "reservoir_noise_kPa": "reservoir_noise_std_kPa"}
 
 
-def rig_text(numbers: Pneumatics, findings: Findings) -> str:
+def rig_text(numbers: PneumaticsConfig, findings: Findings) -> str:
     """The file's text; `numbers` are those of the profile with the measured ones in it."""
     rig = nominal_rig(numbers)
     noise = {}

@@ -20,12 +20,12 @@ from flying_vines.calibration.conductor import (
     done,
     vented,
 )
-from flying_vines.calibration.known import Known
-from flying_vines.calibration.plan import Plan
+from flying_vines.calibration.known import KnownBeforehand
+from flying_vines.calibration.plan import CalibrationPlan
 from flying_vines.core.events import Action, KeepDisarmed
 from flying_vines.core.watcher import EachAction
 from flying_vines.record.recorder import Recorder
-from flying_vines.service.persistent_state import Kept, KeptError
+from flying_vines.service.persistent_state import PersistentState, PersistentStateError
 from flying_vines.service.service import Service
 from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile
 from flying_vines.vehicle.notice import Severity
@@ -40,7 +40,7 @@ class Person(Beholder, Protocol):
 
 
 async def calibrate(
-    plan: Plan, known: Known, parent: Path, person: Person, stopped: asyncio.Event
+    plan: CalibrationPlan, known: KnownBeforehand, parent: Path, person: Person, stopped: asyncio.Event
 ) -> Conducted:
     """Calibrate the rig on the profile's ports; `stopped` ends it. However it ends, the vine is vented.
 
@@ -63,10 +63,10 @@ async def calibrate(
         result = await asyncio.to_thread(done, asked)
         conductor.carry_out(calibrator.worked(service.now, asked, result))
 
-    async def keep(kept: Kept, disarmed: bool) -> None:
+    async def keep(kept: PersistentState, disarmed: bool) -> None:
         try:
             await asyncio.to_thread(kept.store_disarmed, disarmed)
-        except KeptError as error:
+        except PersistentStateError as error:
             service.say(Severity.WARNING, f"disarming not kept: {error}")
 
     def take(action: Action) -> None:

@@ -18,23 +18,23 @@ from flying_vines.calibration.conductor import (
     vented,
 )
 from flying_vines.calibration.eye import SimulatedEye
-from flying_vines.calibration.known import Known
-from flying_vines.calibration.plan import Plan
+from flying_vines.calibration.known import KnownBeforehand
+from flying_vines.calibration.plan import CalibrationPlan
 from flying_vines.config.config import Config
 from flying_vines.core.events import Action, Asked, Event, Snapshot, Stop, ToVehicle
 from flying_vines.record.recorder import Recorder
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.supply import Belief
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vine.intent import Intent
 
 STEPS_A_SNAPSHOT = 5
 
 
 def calibrate(
-    plan: Plan,
-    known: Known,
+    plan: CalibrationPlan,
+    known: KnownBeforehand,
     phlosar: SimulatedPhlosar,
     parent: Path,
     beholder: Beholder,
@@ -100,7 +100,7 @@ class _RecordedWorld(SimulatedWorld):
     ) -> None:
         super().__init__(config, phlosar, belief=belief)
         self._recorder = recorder
-        self._mavlink = Codec(config.vehicle.system_id, config.vehicle.component_id)
+        self._mavlink = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id)
 
     def feed(self, event: Event) -> Iterator[Action]:
         actions = list(super().feed(event))

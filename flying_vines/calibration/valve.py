@@ -16,11 +16,12 @@ from math import hypot
 
 import numpy as np
 
-from flying_vines.calibration.air import TOO_LITTLE, Vine, inverse
+from flying_vines.calibration.air import TOO_LITTLE, VineAir, inverse
 from flying_vines.calibration.charts import Chart, Series
 from flying_vines.calibration.estimate import SD_95, Estimate
-from flying_vines.calibration.findings import Finding, Proposal, Result
-from flying_vines.calibration.readings import Array, Readings
+from flying_vines.calibration.findings import MeasuredQuantity, Result, SettingProposal
+from flying_vines.calibration.readings import Readings
+from flying_vines.physics.arrays import Array
 
 EVERY_STEP_S = 0.0015
 """Telemetry that comes less often does not tell what the valve was told."""
@@ -42,7 +43,7 @@ MARGIN = 0.01
 
 
 @dataclass(frozen=True)
-class Inflation:
+class SettledInflation:
     """From one settled pressure to another."""
 
     rows: slice
@@ -61,11 +62,11 @@ class Opened:
     """SL/s per opening and kPa of absolute supply."""
     full: Estimate
     """SL/s per kPa of absolute supply, told fully open from shut."""
-    inflations: tuple[Inflation, ...]
+    inflations: tuple[SettledInflation, ...]
     expected_SL: Array
 
 
-def inflations(readings: Readings, vine: Vine) -> Iterator[Inflation]:
+def inflations(readings: Readings, vine: VineAir) -> Iterator[SettledInflation]:
     """Those that began and ended settled, with the outlet shut."""
     t_s, setpoint = readings.t_s, readings.setpoint_kPa
     change = np.diff(setpoint, prepend=setpoint[0])
@@ -89,7 +90,7 @@ def inflations(readings: Readings, vine: Vine) -> Iterator[Inflation]:
             continue
         during = slice(begin, end + 1)
         leaked = vine.leak_SL_per_s_kPa * float(np.sum(readings.cv_kPa[during])) * readings.step_s
-        yield Inflation(during, low, high, vine.air_SL(low, high) + leaked)
+        yield SettledInflation(during, low, high, vine.air_SL(low, high) + leaked)
 
 
 def played(told: Array, widths: Array) -> Array:
@@ -109,7 +110,7 @@ def played(told: Array, widths: Array) -> Array:
     return out
 
 
-def open_valve(readings: Readings, vine: Vine) -> Opened | str:
+def open_valve(readings: Readings, vine: VineAir) -> Opened | str:
     """Start, play and gain; or why they cannot be told."""
     if readings.step_s > EVERY_STEP_S:
         rate_Hz = 1.0 / readings.step_s
@@ -153,7 +154,7 @@ def _cost(doses: Array, air: Array, sd: Array) -> tuple[Array, Array]:
 
 def _refined(
     doses: Array,
-    found: tuple[Inflation, ...],
+    found: tuple[SettledInflation, ...],
     air: Array,
     sd: Array,
     best: tuple[int, int],
@@ -200,12 +201,12 @@ def _refined(
     )
 
 
-def inflation_valve(readings: Readings, vine: Vine) -> Result:
+def inflation_valve(readings: Readings, vine: VineAir) -> Result:
     """The valve's start, gain and resistance, and what follows for the firmware."""
     p, known = vine.known.pneumatics, vine.known
-    start = Finding("evp_start", "inflation valve passes air from", "opening")
-    gain = Finding("evp_gain_SL_per_s", "inflation valve's gain, full bottle", "SL/s per opening")
-    full = Finding(
+    start = MeasuredQuantity("evp_start", "inflation valve passes air from", "opening")
+    gain = MeasuredQuantity("evp_gain_SL_per_s", "inflation valve's gain, full bottle", "SL/s per opening")
+    full = MeasuredQuantity(
         "evp_flow_resistance_kPa_s_per_SL",
         "inflation valve, fully open",
         "kPa·s/SL",
@@ -228,11 +229,11 @@ def inflation_valve(readings: Readings, vine: Vine) -> Result:
     )
     lift = max(0.0, round(opened.start.low - MARGIN, 3))
     why = f"the valve passes air from {opened.start.value:.3f} on"
-    proposal = Proposal("evp_dead_band", min(lift, 0.6), False, why)
+    proposal = SettingProposal("evp_dead_band", min(lift, 0.6), False, why)
     return Result(found, (proposal,), charts=(_chart(readings, vine, opened, at_kPa),))
 
 
-def _chart(readings: Readings, vine: Vine, opened: Opened, at_kPa: float) -> Chart:
+def _chart(readings: Readings, vine: VineAir, opened: Opened, at_kPa: float) -> Chart:
     """Mean flow of each inflation against the mean opening that it was told while the valve was open."""
     x, y = [], []
     for each, expected in zip(opened.inflations, opened.expected_SL, strict=True):

@@ -8,17 +8,17 @@ import numpy as np
 
 from flying_vines.calibration import air, angle, outlet, valve, vessel, zero
 from flying_vines.calibration.estimate import Estimate
-from flying_vines.calibration.findings import Finding, Findings, Result
-from flying_vines.calibration.plan import Plan
+from flying_vines.calibration.findings import Findings, MeasuredQuantity, Result
+from flying_vines.calibration.plan import CalibrationPlan
 from flying_vines.calibration.readings import Readings
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 
 
 @dataclass(frozen=True)
-class Recorded:
+class StageRecording:
     """What a stage is judged by."""
 
-    plan: Plan
+    plan: CalibrationPlan
     stage: str
     readings: Readings
     """Of all since the bottle and what hangs on it were last changed; of a rest, that rest alone."""
@@ -58,7 +58,7 @@ class Recorded:
         return self.readings.less_zero(zero_kPa.value if zero_kPa else 0.0)
 
     @property
-    def _vine(self) -> air.Vine:
+    def _vine(self) -> air.VineAir:
         plan = self.plan
         ambient_kPa = self.ambient_kPa if np.isfinite(self.ambient_kPa) else STANDARD_PRESSURE_KPA
         bottle = self._bottle
@@ -68,11 +68,11 @@ class Recorded:
             known = Estimate.of_interval(bottle.value, bottle.low, bottle.high)
         return air.read_air(
             self._less_zero,
-            air.Known(plan.believed.pneumatics, known, plan.top_kPa, plan.settling_s, ambient_kPa),
+            air.AirInputs(plan.believed.pneumatics, known, plan.top_kPa, plan.settling_s, ambient_kPa),
         )
 
     @property
-    def _bottle(self) -> Finding:
+    def _bottle(self) -> MeasuredQuantity:
         """What is known of its volume by now."""
         believed_L = self.plan.believed.pneumatics.reservoir_volume_L
         found = self.findings.get("reservoir_volume_L")

@@ -8,8 +8,9 @@ import numpy as np
 
 from flying_vines.calibration.charts import Chart, Series, thinned
 from flying_vines.calibration.estimate import Estimate
-from flying_vines.calibration.findings import Finding, Proposal, Result
-from flying_vines.calibration.readings import Array, Readings
+from flying_vines.calibration.findings import MeasuredQuantity, Result, SettingProposal
+from flying_vines.calibration.readings import Readings
+from flying_vines.physics.arrays import Array
 
 DISTURBED = 4.0
 """So many times the noise of a block's mean apart, and the pressure was not at rest."""
@@ -36,11 +37,11 @@ def mean_at_rest(column: Array) -> tuple[Estimate, bool]:
 def cv_zero(vented: Readings) -> Result:
     """Of the vine's sensor, and the noise of both."""
     zero, steady = mean_at_rest(vented.cv_kPa)
-    finding = Finding("cv_zero_kPa", "vine's sensor at no pressure", "kPa", believed=0.0)
-    proposals: tuple[Proposal, ...] = ()
+    finding = MeasuredQuantity("cv_zero_kPa", "vine's sensor at no pressure", "kPa", believed=0.0)
+    proposals: tuple[SettingProposal, ...] = ()
     if steady and abs(zero.value) > max(WORTH_KPA, 2.0 * zero.sd):
         why = f"the vented vine reads {zero.value:+z.2f} kPa"
-        proposals = (Proposal("cv_zero_kPa", round(-zero.value, 3), True, why),)
+        proposals = (SettingProposal("cv_zero_kPa", round(-zero.value, 3), True, why),)
     return Result(
         (
             finding.measured(zero, "" if steady else UNSTEADY),
@@ -56,19 +57,19 @@ def cv_zero(vented: Readings) -> Result:
 def reservoir_zero(empty: Readings) -> Result:
     """Of the bottle's sensor, while the bottle is open and empty."""
     zero, steady = mean_at_rest(empty.reservoir_kPa)
-    finding = Finding("reservoir_zero_kPa", "bottle's sensor at no pressure", "kPa", believed=0.0)
+    finding = MeasuredQuantity("reservoir_zero_kPa", "bottle's sensor at no pressure", "kPa", believed=0.0)
     if not steady:
         return Result((finding.unknown(UNSTEADY),))
-    proposals: tuple[Proposal, ...] = ()
+    proposals: tuple[SettingProposal, ...] = ()
     if abs(zero.value) > max(RESERVOIR_WORTH_KPA, 2.0 * zero.sd):
         why = f"the empty bottle reads {zero.value:+.1f} kPa"
-        proposals = (Proposal("reservoir_zero_kPa", round(-zero.value, 2), True, why),)
+        proposals = (SettingProposal("reservoir_zero_kPa", round(-zero.value, 2), True, why),)
     return Result((finding.measured(zero),), proposals)
 
 
-def _noise(name: str, what: str, column: Array) -> Finding:
+def _noise(name: str, what: str, column: Array) -> MeasuredQuantity:
     sd = noise_kPa(column)
-    return Finding(name, what, "kPa").measured(Estimate(sd, sd / sqrt(2.0 * len(column))))
+    return MeasuredQuantity(name, what, "kPa").measured(Estimate(sd, sd / sqrt(2.0 * len(column))))
 
 
 def _chart(vented: Readings, zero: Estimate) -> Chart:

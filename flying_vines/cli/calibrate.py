@@ -91,7 +91,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     from flying_vines.calibration.conclude import UserProfile, conclude
     from flying_vines.calibration.course import CalibrateError, on_a_fake, on_a_rig
-    from flying_vines.calibration.plan import Wish
+    from flying_vines.calibration.plan import CalibrationRequest
     from flying_vines.calibration.procedure import Walk
 
     path: Path | None = arguments.config
@@ -106,7 +106,7 @@ def _run(arguments: argparse.Namespace) -> int:
     asked = not (fake or arguments.yes)
     if asked and not sys.stdin.isatty():
         raise CalibrateError("nobody is at the terminal to say that the vine may bend: give --yes")
-    wish = Wish(
+    wish = CalibrationRequest(
         only=arguments.only,
         bottle_empty=arguments.bottle_empty,
         bottle_volume_L=arguments.bottle_volume_L,

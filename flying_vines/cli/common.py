@@ -18,7 +18,7 @@ from flying_vines.vehicle.mission.item import MissionItem
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from flying_vines.supply.known_rig import Calibration
+    from flying_vines.supply.known_rig import KnownRig
 
 FLIGHTS = Path("flights")
 
@@ -82,7 +82,7 @@ def show_found(
     return 0
 
 
-def known_rig(config: Config, profile: Path | None, rig: Path | None = None) -> Calibration | None:
+def known_rig(config: Config, profile: Path | None, rig: Path | None = None) -> KnownRig | None:
     """What the rig file says that is given, or that the profile names; paths in it start from where it is."""
     rig = rig or configuration.rig_named(config, profile)
     if rig is None:

@@ -108,7 +108,7 @@ def _plan(arguments: argparse.Namespace) -> int:
     if len(arguments.case) != 1:
         fail("--plan needs one CASE, the rig.toml of the believed rig")
     with needs_analysis():
-        from flying_vines.identification.plan import PlanError, plan
+        from flying_vines.identification.plan import RecordingPlanError, plan
         from flying_vines.identification.plan.picture import figures
         from flying_vines.identification.plan.show import show
         from flying_vines.identification.plan.write import write_plan
@@ -117,7 +117,7 @@ def _plan(arguments: argparse.Namespace) -> int:
 
     folder: Path | None = arguments.out
     limits = {name: getattr(arguments, name) for name in _OF_A_PLAN}
-    with file_errors(folder, PlanError, RigError):
+    with file_errors(folder, RecordingPlanError, RigError):
         rig = load_rig(arguments.case[0])
         with needs_analysis(), progress_bar() as progress:
             found = plan(rig, **{k: v for k, v in limits.items() if v is not None}, progress=progress)

@@ -25,13 +25,13 @@ from flying_vines.config.toml_edit import value_text, with_value
 from flying_vines.doctor.checks import receiver
 from flying_vines.doctor.examine import keep_signing, link_to
 from flying_vines.doctor.fakes import between
-from flying_vines.doctor.finding import Finding, may_fly
+from flying_vines.doctor.finding import DoctorFinding, may_fly
 from flying_vines.doctor.look import processes, profile
-from flying_vines.doctor.look.profile import Profile
+from flying_vines.doctor.look.profile import ServiceProfile
 from flying_vines.doctor.radio_guide import NobodyThereError, guided
 from flying_vines.doctor.radio_test import RadioLearned
 from flying_vines.doctor.show import show
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 
 NOT_SAFE = 1
 SAFE = "The vine is safe with this receiver."
@@ -46,7 +46,7 @@ def test_radio(arguments: argparse.Namespace) -> int:
     examined = profile.read(path) if path else profile.given(configuration.default(), "the built-in profile")
     # What a program reads stands alone on standard output.
     console = Console(highlight=False, stderr=arguments.json)
-    ports: list[Finding] = []
+    ports: list[DoctorFinding] = []
     try:
         learned = asyncio.run(_test(examined, arguments.fakes, console, ports))
     except NobodyThereError:
@@ -73,12 +73,12 @@ def test_radio(arguments: argparse.Namespace) -> int:
 
 
 async def _test(
-    examined: Profile, fakes: bool, console: Console, ports: list[Finding]
+    examined: ServiceProfile, fakes: bool, console: Console, ports: list[DoctorFinding]
 ) -> RadioLearned | None:
     """None where the vehicle's link cannot be opened: then `ports` says why."""
     config = examined.config
     if fakes:
-        autopilot = Autopilot("ardupilot", unix_s=time.time())
+        autopilot = FakeAutopilot("ardupilot", unix_s=time.time())
         async with between(config, autopilot, None) as linked:
             return await guided(parse_address(linked.vehicle.link), linked, None, console, autopilot)
     address = link_to("vehicle", config.vehicle.link, ports.extend, processes.services(), [])
@@ -88,7 +88,7 @@ async def _test(
 
 
 def as_json(
-    findings: Sequence[Finding],
+    findings: Sequence[DoctorFinding],
     learned: RadioLearned,
     failsafe: ReceiverFailsafe | None,
     written: Path | None,
@@ -128,13 +128,13 @@ def with_learned(text: str, source: str, failsafe: ReceiverFailsafe, day: str) -
     raise ConfigError(f"{source}: it is not written a key a line: set switch.{KEY} by hand")
 
 
-def _summary(findings: Sequence[Finding], learned: RadioLearned) -> str:
+def _summary(findings: Sequence[DoctorFinding], learned: RadioLearned) -> str:
     if learned.problem:
         return "" if learned.problem == "ground station" else NOT_KNOWN
     return SAFE if may_fly(findings) else UNSAFE
 
 
-def _last_line(findings: Sequence[Finding], learned: RadioLearned) -> Text:
+def _last_line(findings: Sequence[DoctorFinding], learned: RadioLearned) -> Text:
     style = "bold green" if may_fly(findings) else "bold red"
     return Text(f"\n{_summary(findings, learned)}" if _summary(findings, learned) else "", style=style)
 

@@ -67,17 +67,17 @@ def add(commands: Any) -> None:
 
 
 def _fake_autopilot(arguments: argparse.Namespace) -> int:
-    from flying_vines.simulation.autopilot import Autopilot
+    from flying_vines.simulation.autopilot import FakeAutopilot
     from flying_vines.simulation.autopilot_server import AutopilotServer
     from flying_vines.simulation.console import HELP, obey, type_to
 
     mission = read_mission(arguments.mission)
-    script: list[tuple[float, Callable[[Autopilot], None]]] = []
+    script: list[tuple[float, Callable[[FakeAutopilot], None]]] = []
     if arguments.fly:
-        fly = Autopilot.start_mission if mission else lambda autopilot: autopilot.takeoff(10.0)
+        fly = FakeAutopilot.start_mission if mission else lambda autopilot: autopilot.takeoff(10.0)
         script.append((3.0, fly))
     try:
-        autopilot = Autopilot(arguments.kind, mission=mission, unix_s=time())
+        autopilot = FakeAutopilot(arguments.kind, mission=mission, unix_s=time())
         gcs = f"udpout:{arguments.gcs}" if arguments.gcs else None
         server = AutopilotServer(autopilot, f"udpout:{arguments.to}", gcs, script, listen=arguments.listen)
     except ValueError as error:

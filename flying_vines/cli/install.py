@@ -18,7 +18,7 @@ from flying_vines.cli.bad_input import bad_input
 from flying_vines.config import config as configuration
 from flying_vines.install import files
 from flying_vines.install.changes import (
-    Change,
+    FileChange,
     How,
     below,
     holds_anything,
@@ -26,7 +26,7 @@ from flying_vines.install.changes import (
     removing,
     take_away_empty,
 )
-from flying_vines.install.program import InstallError, Program, Reader, check_reachable
+from flying_vines.install.program import FileReader, InstalledProgram, InstallError, check_reachable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -41,11 +41,11 @@ STYLES = {How.NEW: "green", How.CHANGED: "yellow", How.TAKEN_AWAY: "red", How.AS
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class InstallPlan:
     """The commands are run before and after the files are changed."""
 
     question: str
-    changes: Sequence[Change]
+    changes: Sequence[FileChange]
     before: Sequence[str] = ()
     after: Sequence[str] = ()
     remarks: Sequence[str] = ()
@@ -82,7 +82,7 @@ def _run(arguments: argparse.Namespace) -> int:
     root: Path = arguments.root
     try:
         if root == THIS_MACHINE and os.geteuid() != 0:
-            again = shlex.join(("sudo", *Program.here().command, "install-service"))
+            again = shlex.join(("sudo", *InstalledProgram.here().command, "install-service"))
             raise InstallError(f"only root may install a service: {again}")
         plan = _removal(root) if arguments.remove else _installation(arguments)
         return _carry_out(plan, root, arguments.yes)
@@ -92,12 +92,12 @@ def _run(arguments: argparse.Namespace) -> int:
         return bad_input(f"{error.filename or root}: {error.strerror}")
 
 
-def _installation(arguments: argparse.Namespace) -> Plan:
-    from flying_vines.service.persistent_state import Kept
+def _installation(arguments: argparse.Namespace) -> InstallPlan:
+    from flying_vines.service.persistent_state import PersistentState
 
     root: Path = arguments.root
     user: str = arguments.user
-    program = Program.here()
+    program = InstalledProgram.here()
     profile = arguments.config.resolve() if arguments.config else files.PROFILE
     written = arguments.config or below(root, profile)
     fresh = files.profile()
@@ -109,7 +109,7 @@ def _installation(arguments: argparse.Namespace) -> Plan:
     if root == THIS_MACHINE:
         # Of an image neither folders nor users can be seen from here.
         check_reachable(read, _reader(user))
-    kept_in = Kept.of(profile, config).parameters.parent
+    kept_in = PersistentState.of(profile, config).parameters.parent
     wanted = [
         *([] if arguments.config else [fresh]),
         *([files.users()] if user == files.USER else []),
@@ -123,7 +123,7 @@ def _installation(arguments: argparse.Namespace) -> Plan:
     if changes[-1].how is How.CHANGED:
         remarks.append("A service that runs goes on as it was until it is restarted.")
     remarks.append("What it does: systemctl status flying-vines; journalctl -fu flying-vines")
-    return Plan(
+    return InstallPlan(
         "Write these, and run those?",
         changes,
         after=[
@@ -146,7 +146,7 @@ def _named(config: Config, folder: Path) -> list[Path]:
     return [folder / name for name in for_all if name] + [(folder / name).parent for name in for_one if name]
 
 
-def _removal(root: Path) -> Plan:
+def _removal(root: Path) -> InstallPlan:
     changes = removing(root)
     taken = {change.path for change in changes if change.how is How.TAKEN_AWAY}
     own_user = below(root, files.USERS) in taken
@@ -158,7 +158,7 @@ def _removal(root: Path) -> Plan:
         )
         if own_user:
             remarks.append(f"So does the user {files.USER}, whose they are. Then: sudo userdel {files.USER}")
-    return Plan(
+    return InstallPlan(
         "Take these away, and run those?",
         changes,
         before=[f"systemctl disable --now {files.SERVICE}"] if below(root, files.UNIT) in taken else [],
@@ -170,17 +170,17 @@ def _removal(root: Path) -> Plan:
     )
 
 
-def _reader(user: str) -> Reader:
+def _reader(user: str) -> FileReader:
     try:
         entry = pwd.getpwnam(user)
     except KeyError:
         if user == files.USER:
-            return Reader(user)
+            return FileReader(user)
         raise InstallError(f"there is no user {user} here") from None
-    return Reader(user, entry.pw_uid, frozenset(os.getgrouplist(user, entry.pw_gid)))
+    return FileReader(user, entry.pw_uid, frozenset(os.getgrouplist(user, entry.pw_gid)))
 
 
-def _carry_out(plan: Plan, root: Path, agreed: bool) -> int:
+def _carry_out(plan: InstallPlan, root: Path, agreed: bool) -> int:
     from rich.console import Console
 
     console = Console(highlight=False, soft_wrap=True)
@@ -206,7 +206,7 @@ def _carry_out(plan: Plan, root: Path, agreed: bool) -> int:
     return 0 if good else NOT_ALL
 
 
-def _show(change: Change, console: Console) -> None:
+def _show(change: FileChange, console: Console) -> None:
     why = f", for {change.why}" if change.why else ""
     console.print(
         f"\n{change.path}: {change.how.value}{why}", style=f"bold {STYLES[change.how]}", markup=False

@@ -19,7 +19,7 @@ from flying_vines.cli.link_view import LinkView, as_json, line, settings_table, 
 from flying_vines.config import config as configuration
 from flying_vines.config.address import FORMS, Address, parse_address
 from flying_vines.service.link_settings import SettingsError, talk_about_settings
-from flying_vines.service.link_watch import Heard, LinkWatch
+from flying_vines.service.link_watch import LinkEvent, LinkWatch
 
 _REFRESH_PER_S = 8
 
@@ -91,7 +91,7 @@ async def monitor(address: Address, title: str, seconds: float | None, objects: 
     with Live(view.render(watch), console=console, refresh_per_second=_REFRESH_PER_S, screen=True) as screen:
         drawn_at = 0.0
 
-        def show(heard: Sequence[Heard]) -> None:
+        def show(heard: Sequence[LinkEvent]) -> None:
             nonlocal drawn_at
             view.take(heard)
             if watch.t - drawn_at >= 1.0 / _REFRESH_PER_S:
@@ -122,8 +122,8 @@ def _stopped() -> asyncio.Event:
     return stopped
 
 
-def _printer(console: Console, objects: bool, raw: bool) -> Callable[[Sequence[Heard]], None]:
-    def show(heard: Sequence[Heard]) -> None:
+def _printer(console: Console, objects: bool, raw: bool) -> Callable[[Sequence[LinkEvent]], None]:
+    def show(heard: Sequence[LinkEvent]) -> None:
         for each in heard:
             if objects:
                 print(json.dumps(as_json(each, raw), allow_nan=False))

@@ -16,10 +16,10 @@ from rich.table import Table
 from rich.text import Text
 
 from firmware_link.host import SessionState
-from firmware_link.monitor import Seen
+from firmware_link.monitor import SeenFrame
 from firmware_link.protocol import Fault, Message, Mode, Ping, Pong, Setting, Telemetry, Welcome, fault_names
 from firmware_link.statistics import LinkStatistics
-from flying_vines.service.link_watch import Heard, LinkWatch, Told
+from flying_vines.service.link_watch import LinkEvent, LinkNote, LinkWatch
 from flying_vines.terminal.screen import bar, number
 
 STALE_S = 0.3
@@ -46,9 +46,9 @@ def _plain(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def line(heard: Heard, raw: bool = False) -> Text:
+def line(heard: LinkEvent, raw: bool = False) -> Text:
     """One line for a terminal or a pipe."""
-    if isinstance(heard, Told):
+    if isinstance(heard, LinkNote):
         return Text(f"{heard.t:9.3f}   {heard.text}", style="green" if heard.good else "bold red")
     text = Text(f"{heard.t:9.3f} ", no_wrap=True, overflow="ellipsis")
     text.append("→ " if heard.sent else "← ", style="yellow" if heard.sent else "cyan")
@@ -62,9 +62,9 @@ def line(heard: Heard, raw: bool = False) -> Text:
     return text
 
 
-def as_json(heard: Heard, raw: bool = False) -> dict[str, Any]:
+def as_json(heard: LinkEvent, raw: bool = False) -> dict[str, Any]:
     """The same as an object; what is no number is null."""
-    if isinstance(heard, Told):
+    if isinstance(heard, LinkNote):
         return {"t": round(heard.t, 6), "told": heard.text}
     entry: dict[str, Any] = {"t": round(heard.t, 6), "to": "device" if heard.sent else "host"}
     if heard.message is None:
@@ -137,10 +137,10 @@ class LinkView:
         self._lines: deque[Text] = deque(maxlen=lines)
         self._telemetry: Telemetry | None = None
 
-    def take(self, heard: Sequence[Heard]) -> None:
+    def take(self, heard: Sequence[LinkEvent]) -> None:
         """Of what comes all the time, only what changes is worth a line: the rest is in the rows above."""
         for each in heard:
-            message = each.message if isinstance(each, Seen) else None
+            message = each.message if isinstance(each, SeenFrame) else None
             if isinstance(message, (Ping, Pong)):
                 continue
             if isinstance(message, Telemetry):

@@ -21,7 +21,7 @@ from flying_vines.core.events import (
     LinkChanged,
 )
 from flying_vines.record.folders import ABOUT
-from flying_vines.record.reader import Entry, FlightLog
+from flying_vines.record.reader import FlightLog, LogEntry
 from flying_vines.record.restore import restored
 from flying_vines.record.summary import Summary, summarise
 from flying_vines.record.topics import topic_of
@@ -109,7 +109,7 @@ def show_again(again: Again, json_wanted: bool, console: Console) -> None:
         console.print(f"Identical to the flight: {same}", highlight=False)
 
 
-def _lines(entry: Entry, began: float) -> Iterator[Text]:
+def _lines(entry: LogEntry, began: float) -> Iterator[Text]:
     said = entry.fields
     at = f"{said['t'] - began:7.2f}  "
     if entry.topic in (_DECISION, _NOTICE):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from flying_vines.config.config import Config
     from flying_vines.vehicle.mission.item import MissionItem
     from flying_vines.vehicle.mission.reference_vehicle import Home
-    from flying_vines.vehicle.mission.storage import Kind
+    from flying_vines.vehicle.mission.storage import AutopilotKind
     from missions.report import Report
 
 NOT_AS_PLANNED = 1
@@ -127,12 +127,12 @@ def _script(arguments: argparse.Namespace) -> int:
 
 
 def _on_vehicle(work: Coroutine[None, None, int]) -> int:
-    from missions.link import LinkError
+    from missions.link import VehicleLinkError
     from missions.mission import MissionError
 
     try:
         return asyncio.run(work)
-    except (LinkError, MissionError) as error:
+    except (VehicleLinkError, MissionError) as error:
         return _fail(str(error))
 
 
@@ -192,7 +192,7 @@ def _build(arguments: argparse.Namespace) -> int:
     return _tell(report, arguments.json, written)
 
 
-def _targets(out: Path, stem: str, kind: Kind) -> list[Path]:
+def _targets(out: Path, stem: str, kind: AutopilotKind) -> list[Path]:
     if out.suffix in (".plan", ".waypoints"):
         return [out]
     return [out / f"{stem}-{kind}{suffix}" for suffix in (".plan", ".waypoints")]
@@ -237,7 +237,9 @@ def _report(arguments: argparse.Namespace, flies: bool = False) -> Report:
     return with_flight(report, config, reservoir_kPa, load_true_rig(rig) if rig else None)
 
 
-def _items(arguments: argparse.Namespace, config: Config) -> tuple[str, list[MissionItem], Kind, Home]:
+def _items(
+    arguments: argparse.Namespace, config: Config
+) -> tuple[str, list[MissionItem], AutopilotKind, Home]:
     """Name, items, autopilot and home, from whichever file."""
     from missions.build import build
     from missions.files import SUFFIXES, load_items

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from flying_vines.config.config import Config
-    from flying_vines.service.persistent_state import Kept
+    from flying_vines.service.persistent_state import PersistentState
 
 
 def add(commands: Any) -> None:
@@ -31,8 +31,8 @@ def add(commands: Any) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     from flying_vines.gateway.page_token import PageTokenError
-    from flying_vines.record.recorder import Began, Recorder
-    from flying_vines.service.persistent_state import Kept
+    from flying_vines.record.recorder import FlightStart, Recorder
+    from flying_vines.service.persistent_state import PersistentState
     from flying_vines.service.runner import Remembered, serve
     from flying_vines.terminal.screen import PatientOutput
     from flying_vines.vehicle.component.parameter_file import ParameterFileError
@@ -41,7 +41,7 @@ def _run(arguments: argparse.Namespace) -> int:
     text = configuration.text_of(arguments.config)
     config = configuration.parse(text, str(arguments.config))
     known = known_rig(config, arguments.config, arguments.rig)
-    kept = Kept.of(arguments.config, config)
+    kept = PersistentState.of(arguments.config, config)
     with file_errors(arguments.config, ParameterFileError, SigningKeyError, PageTokenError):
         signing, clock_problem = kept.read_signing(config)
         remembered = Remembered(
@@ -50,7 +50,7 @@ def _run(arguments: argparse.Namespace) -> int:
     try:
         numbers = known.belief.pneumatics if known else config.pneumatics
         rig = known.path.read_text(encoding="utf-8") if known else ""
-        began = Began(text, numbers, rig, remembered.parameters, remembered.disarmed)
+        began = FlightStart(text, numbers, rig, remembered.parameters, remembered.disarmed)
         log = Recorder(arguments.out, began, config.log.least_free_MB)
     except OSError as error:
         fail(f"{arguments.out}: no flight log can be written there: {error.strerror}")
@@ -78,7 +78,7 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _page_said(config: Config, kept: Kept, page_token: str, console: Console) -> str:
+def _page_said(config: Config, kept: PersistentState, page_token: str, console: Console) -> str:
     """Where the page is. Its token is for those at the terminal, not for a log that others read."""
     from flying_vines.gateway.page_token import address, watching
 

@@ -36,14 +36,14 @@ def _simulate(arguments: argparse.Namespace) -> int:
     folder: Path = arguments.out
     with needs_analysis():
         from flying_vines.simulation.scenario import (
-            CaseError,
+            CaseFolderError,
             ScenarioError,
             load_scenario,
             simulate_scenario,
             write_case,
         )
         from flying_vines.simulation.scenario.picture import draw_runs
-    with file_errors(folder, RigError, ScenarioError, CaseError):
+    with file_errors(folder, RigError, ScenarioError, CaseFolderError):
         rig = load_true_rig(arguments.rig)
         scenario = load_scenario(arguments.scenario)
         began_s = monotonic()

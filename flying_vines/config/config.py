@@ -25,12 +25,10 @@ from flying_vines.config.toml_text import (
     place,
     read_text,
 )
+from flying_vines.physics.rig import NotNegative, Positive
 from flying_vines.vine.curve import BendCurve
-from flying_vines.vine.intent import Command
-from flying_vines.vine.profile import Profile, Segment, Sine, ends_kPa, flatten
-
-Positive = Annotated[float, Meta(gt=0)]
-NotNegative = Annotated[float, Meta(ge=0)]
+from flying_vines.vine.intent import CommandName
+from flying_vines.vine.profile import PressureProfile, Segment, Sine, ends_kPa, flatten
 
 CARRIERS = {
     "script_message": 217,
@@ -64,7 +62,7 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     pass
 
 
-class Vehicle(_Table, frozen=True):
+class VehicleConfig(_Table, frozen=True):
     link: str = "udpin:127.0.0.1:14540"
     system_id: Annotated[int, Meta(ge=0, le=255)] = 0
     component_id: Annotated[int, Meta(ge=2, le=255)] = 191  # 1 is the autopilot
@@ -77,7 +75,7 @@ class Vehicle(_Table, frozen=True):
         return believed(parse_address(self.link), bool(self.signing_key))
 
 
-class Firmware(_Table, frozen=True):
+class FirmwareConfig(_Table, frozen=True):
     link: str = "serial:/dev/ttyACM0"
 
 
@@ -85,7 +83,7 @@ ReceiverFailsafe = Literal["unknown", "hold", "hidden"] | Annotated[int, Meta(ge
 """What the switch's channel reads while the transmitter is lost, as `flying-vines doctor --radio` saw it."""
 
 
-class Switch(_Table, frozen=True):
+class SwitchConfig(_Table, frozen=True):
     positions: tuple[str, ...] = ("straight", "bend-half", "bend-full")
     channel: Annotated[int, Meta(ge=1, le=18)] = 9
     debounce_s: Annotated[float, Meta(ge=0.1, le=2)] = 0.15
@@ -102,7 +100,7 @@ class Switch(_Table, frozen=True):
             raise ValueError(f"a switch has 2, 3 or 6 positions, not {len(self.positions)}")
 
 
-class Item(_Table, frozen=True):
+class ItemConfig(_Table, frozen=True):
     """What a mission item or command of the vehicle means for the vine."""
 
     command: str | int | tuple[str | int, ...]
@@ -132,7 +130,7 @@ class Item(_Table, frozen=True):
         return self.command if isinstance(self.command, tuple) else (self.command,)
 
 
-class Vine(_Table, frozen=True):
+class VineConfig(_Table, frozen=True):
     curve: tuple[tuple[float, float], ...] = ((0.0, 0.0), (2.0, 0.0), (20.7, 60.0))
     hysteresis_kPa: NotNegative = 0.0
 
@@ -143,7 +141,7 @@ class Vine(_Table, frozen=True):
         return BendCurve(self.curve, self.hysteresis_kPa)
 
 
-class Limits(_Table, frozen=True):
+class LimitsConfig(_Table, frozen=True):
     max_kPa: Annotated[float, Meta(gt=0, le=200)] = 20.7
     max_rate_kPa_per_s: Annotated[float, Meta(gt=0, le=2000)] = 60.0
     max_bent_s: Positive = 120.0
@@ -154,14 +152,14 @@ class Limits(_Table, frozen=True):
             raise ValueError("overpressure_kPa must be above max_kPa")
 
 
-class Interlocks(_Table, frozen=True):
+class InterlocksConfig(_Table, frozen=True):
     bench_mode: bool = False
     armed_at_start: bool = True
     min_altitude_m: NotNegative = 2.0
     reserve_kPa: NotNegative = 40.0
 
 
-class Losses(_Table, frozen=True):
+class LossesConfig(_Table, frozen=True):
     """How long each thing may be silent, and what the vine does then."""
 
     rc_s: Annotated[float, Meta(ge=0.3, le=10)] = 1.0
@@ -171,7 +169,7 @@ class Losses(_Table, frozen=True):
     hold_at_most_s: Positive = 30.0
 
 
-class Pneumatics(_Table, frozen=True):
+class PneumaticsConfig(_Table, frozen=True):
     """What is known of the rig, for the reservoir estimate (as in the paper's demonstration)."""
 
     rig: str = ""
@@ -185,7 +183,7 @@ class Pneumatics(_Table, frozen=True):
     cycle_rate_kPa_per_s: Positive = 22.8
 
 
-class Checks(_Table, frozen=True):
+class ChecksConfig(_Table, frozen=True):
     """What follows when the physics does not answer as predicted, and how far the rig may be from belief."""
 
     volume_factor: Annotated[float, Meta(ge=1, le=10)] = 2.0
@@ -202,13 +200,13 @@ class Checks(_Table, frozen=True):
     unsteady: CheckLevel = "warn"
 
 
-class Telemetry(_Table, frozen=True):
+class TelemetryConfig(_Table, frozen=True):
     rate_Hz: Annotated[float, Meta(ge=0.1, le=10)] = 2.0
     fuel_status: bool = False
     low_reservoir_cycles: Annotated[float, Meta(ge=0)] = 10.0
 
 
-class Page(_Table, frozen=True):
+class PageConfig(_Table, frozen=True):
     """The page that `run` serves."""
 
     host: str = "127.0.0.1"
@@ -221,7 +219,7 @@ class Page(_Table, frozen=True):
         return self.port != 0 and not ipaddress.ip_address(self.host).is_loopback
 
 
-class Mqtt(_Table, frozen=True):
+class MqttConfig(_Table, frozen=True):
     """A broker that is told what happens, and what may be asked for over it."""
 
     broker: str = ""
@@ -236,18 +234,18 @@ class Mqtt(_Table, frozen=True):
     client_id: str = ""
     keepalive_s: Annotated[int, Meta(ge=5, le=3600)] = 30
     kept_events: Annotated[int, Meta(ge=1, le=100_000)] = 1000
-    commands: tuple[Command, ...] = ()
+    commands: tuple[CommandName, ...] = ()
     asked_within_s: Annotated[float, Meta(ge=0.5, le=60)] = 5.0
     discovery_prefix: str = ""
 
 
-class Log(_Table, frozen=True):
+class LogConfig(_Table, frozen=True):
     """The flight recorder's."""
 
     least_free_MB: NotNegative = 200.0
 
 
-class State(_Table, frozen=True):
+class StateConfig(_Table, frozen=True):
     """Where the service keeps what must survive it."""
 
     folder: str = ""
@@ -256,22 +254,22 @@ class State(_Table, frozen=True):
 class Config(_Table, frozen=True):
     """The whole profile."""
 
-    profiles: dict[str, Profile]
-    vehicle: Vehicle = Vehicle()
-    firmware: Firmware = Firmware()
-    switch: Switch = Switch()
-    items: tuple[Item, ...] = ()
-    vine: Vine = Vine()
-    limits: Limits = Limits()
-    interlocks: Interlocks = Interlocks()
-    losses: Losses = Losses()
-    pneumatics: Pneumatics = Pneumatics()
-    checks: Checks = Checks()
-    telemetry: Telemetry = Telemetry()
-    page: Page = Page()
-    mqtt: Mqtt = Mqtt()
-    log: Log = Log()
-    state: State = State()
+    profiles: dict[str, PressureProfile]
+    vehicle: VehicleConfig = VehicleConfig()
+    firmware: FirmwareConfig = FirmwareConfig()
+    switch: SwitchConfig = SwitchConfig()
+    items: tuple[ItemConfig, ...] = ()
+    vine: VineConfig = VineConfig()
+    limits: LimitsConfig = LimitsConfig()
+    interlocks: InterlocksConfig = InterlocksConfig()
+    losses: LossesConfig = LossesConfig()
+    pneumatics: PneumaticsConfig = PneumaticsConfig()
+    checks: ChecksConfig = ChecksConfig()
+    telemetry: TelemetryConfig = TelemetryConfig()
+    page: PageConfig = PageConfig()
+    mqtt: MqttConfig = MqttConfig()
+    log: LogConfig = LogConfig()
+    state: StateConfig = StateConfig()
 
 
 def default_text() -> str:
@@ -319,7 +317,7 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
         inside: Key = ()
         for name, profile in _profiles_of(raw):
             inside = ("profiles", name)
-            msgspec.convert(profile, Profile)
+            msgspec.convert(profile, PressureProfile)
         inside = ()
         config = msgspec.convert(raw, Config)
     except msgspec.ValidationError as error:
@@ -413,7 +411,7 @@ def _open_doors(config: Config) -> list[tuple[Key, str]]:
     return found
 
 
-def _broker_contradictions(mqtt: Mqtt) -> list[tuple[str, str]]:
+def _broker_contradictions(mqtt: MqttConfig) -> list[tuple[str, str]]:
     found = []
     tls = False
     if mqtt.broker:
@@ -448,7 +446,7 @@ def _broker_contradictions(mqtt: Mqtt) -> list[tuple[str, str]]:
 
 
 def _too_fast(
-    config: Config, curve: BendCurve, name: str, profile: Profile, sine: Sine
+    config: Config, curve: BendCurve, name: str, profile: PressureProfile, sine: Sine
 ) -> list[tuple[Key, str]]:
     low, high = ends_kPa(sine, curve)
     steepest = math.pi * sine.frequency_Hz * abs(high - low)
@@ -492,20 +490,20 @@ def _choices(key: Key) -> list[str]:
 
 
 _TABLES = {
-    "vehicle": Vehicle,
-    "firmware": Firmware,
-    "switch": Switch,
-    "vine": Vine,
-    "limits": Limits,
-    "interlocks": Interlocks,
-    "losses": Losses,
-    "pneumatics": Pneumatics,
-    "checks": Checks,
-    "telemetry": Telemetry,
-    "page": Page,
-    "mqtt": Mqtt,
-    "log": Log,
-    "state": State,
-    "items": Item,
-    "profiles": Profile,
+    "vehicle": VehicleConfig,
+    "firmware": FirmwareConfig,
+    "switch": SwitchConfig,
+    "vine": VineConfig,
+    "limits": LimitsConfig,
+    "interlocks": InterlocksConfig,
+    "losses": LossesConfig,
+    "pneumatics": PneumaticsConfig,
+    "checks": ChecksConfig,
+    "telemetry": TelemetryConfig,
+    "page": PageConfig,
+    "mqtt": MqttConfig,
+    "log": LogConfig,
+    "state": StateConfig,
+    "items": ItemConfig,
+    "profiles": PressureProfile,
 }

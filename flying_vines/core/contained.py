@@ -30,9 +30,9 @@ from flying_vines.core.events import (
     ToVehicle,
 )
 from flying_vines.core.safety import INTERNAL_ERROR
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
-from flying_vines.vine.intent import Vent as VentIntent
+from flying_vines.vine.intent import VentVine as VentIntent
 
 SHUTDOWN_TEXT = f"Vine: {INTERNAL_ERROR}, vented"
 """The pilot reads it once."""
@@ -161,7 +161,7 @@ class Contained:
             allowed.extend(_answer(event, allowed))
         return allowed
 
-    def _send_missing(self, t: float) -> Iterator[Message]:
+    def _send_missing(self, t: float) -> Iterator[MavlinkMessage]:
         """The heartbeat and the text, if the core has not sent them."""
         if t - self._heartbeat_at > HEARTBEAT_WITHIN_S:
             self._heartbeat_at = t
@@ -178,7 +178,7 @@ def _vents(action: Action) -> bool:
     return isinstance(action, ToFirmware) and isinstance(action.message, Vent)
 
 
-def _is_shutdown_text(message: Message) -> bool:
+def _is_shutdown_text(message: MavlinkMessage) -> bool:
     if message.get_msgId() != mavlink.MAVLINK_MSG_ID_STATUSTEXT:
         return False
     text = message.text if isinstance(message.text, bytes) else message.text.encode("ascii", "replace")

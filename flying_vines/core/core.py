@@ -37,26 +37,26 @@ from flying_vines.core.events import (
     VehicleMessage,
 )
 from flying_vines.core.motion_planner import MotionPlanner
-from flying_vines.core.parts import Parts
+from flying_vines.core.parts import IsolatedParts
 from flying_vines.core.restarts import Restarts
-from flying_vines.core.safety import INTERNAL_ERROR, Conditions, Entered, Left, Ruling, Safety
+from flying_vines.core.safety import INTERNAL_ERROR, Entered, Left, Ruling, Safety, SafetyInputs
 from flying_vines.supply import Belief, CyclesLeft, Features, ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.physics_checks import PhysicsChecks
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.parameters import Changed
 from flying_vines.vehicle.link_loss import LinkLoss
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.radio.pilot import Straightened
 from flying_vines.vehicle.triggers import Trigger, only_lets_out
-from flying_vines.vehicle.vehicle import Output, Vehicle
+from flying_vines.vehicle.vehicle import Vehicle, VehicleOutput
 from flying_vines.vine.intent import (
     ACTS_WITHIN_S,
     COMMAND_OF,
     ArmPneumatics,
     BendTo,
-    ClearFaults,
+    ClearLatchedFaults,
     DisarmPneumatics,
     Hold,
     Intent,
@@ -64,7 +64,7 @@ from flying_vines.vine.intent import (
     StartBench,
     StartProfile,
     StopBench,
-    Vent,
+    VentVine,
 )
 from flying_vines.vine.motion import Motion
 
@@ -83,7 +83,7 @@ BENCH_S = 300.0
 AT_ONCE_S = 0.05
 """Requests within this time of each other count as simultaneous."""
 
-VENTING = (Vent, DisarmPneumatics, StopBench)
+VENTING = (VentVine, DisarmPneumatics, StopBench)
 MOVING = (StartProfile, BendTo, SetPressure)
 _BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
 """Triggers that come from neither another person nor the mission."""
@@ -159,7 +159,7 @@ class Core:
         self._restart_noted = False
         """The restart is handled, and the board has not been ready since."""
         self._stopped = False
-        self._parts = Parts(self._on_failed)
+        self._parts = IsolatedParts(self._on_failed)
         self.internal_error = False
         """A part that the vine needs has failed: it stays vented until a person restarts the service."""
         self._actions: list[Action] = []
@@ -213,7 +213,7 @@ class Core:
 
     # The vehicle's side.
 
-    def _handle_outputs(self, t: float, outputs: Sequence[Output]) -> None:
+    def _handle_outputs(self, t: float, outputs: Sequence[VehicleOutput]) -> None:
         for output in outputs:
             if isinstance(output, Trigger):
                 decision = self._decide(t, output)
@@ -342,7 +342,7 @@ class Core:
         elif seen_at is None or seen_at > t:
             # From before the computer was started: the person has seen nothing of this run.
             seen_at = -math.inf
-        if isinstance(intent, ClearFaults) and seen_at == -math.inf:
+        if isinstance(intent, ClearLatchedFaults) and seen_at == -math.inf:
             problem = problem or "it does not say which state was seen"
         return Trigger(t, by, {}, intent, problem, by_person=not problem, seen_at=seen_at)
 
@@ -418,9 +418,9 @@ class Core:
     def _without_air(self, t: float, intent: Intent, trigger: Trigger) -> Ruling | None:
         """Carry out an intent that takes no air, or say why not; None for one that takes air."""
         match intent:
-            case ClearFaults() | ArmPneumatics() | StartBench() if not trigger.by_person:
+            case ClearLatchedFaults() | ArmPneumatics() | StartBench() if not trigger.by_person:
                 return Ruling("refused", "only a person may do that")
-            case ClearFaults():
+            case ClearLatchedFaults():
                 return self._clear_faults(t, trigger.seen_at)
             case ArmPneumatics():
                 self._pneumatics_armed = True
@@ -431,7 +431,7 @@ class Core:
                 self._stop_moving(t)
                 self._actions.append(KeepDisarmed(t, True))
                 return Ruling("accepted")
-            case Vent():
+            case VentVine():
                 if trigger.by_person:
                     self._clear_faults(t, trigger.seen_at)
                 self._stop_moving(t)
@@ -516,7 +516,7 @@ class Core:
         motion = self._motion
         if motion is not None and motion.is_over(t) and motion.final_kPa <= 0.0 and self._near_zero():
             self._motion = None
-        command: fw.Command = fw.VENTING
+        command: fw.HostCommand = fw.VENTING
         if self._motion is not None:
             command = fw.Regulate(self._motion.setpoint_kPa(t + TICK_S), self._motion.rate_kPa_per_s)
         self._to_firmware(self._firmware.command(t, command))
@@ -574,9 +574,9 @@ class Core:
         elif not armed and self._motion is None:
             self._rc_in_use = False
 
-    def _conditions(self, t: float) -> Conditions:
+    def _conditions(self, t: float) -> SafetyInputs:
         telemetry = self._firmware.telemetry
-        return Conditions(
+        return SafetyInputs(
             pneumatics_armed=self._pneumatics_armed,
             armed=self._vehicle.state.armed,
             altitude_m=self._vehicle.state.altitude_m(t),
@@ -610,7 +610,7 @@ class Core:
             f"{value_kPa:g} kPa" if math.isfinite(value_kPa) else "no number"
         )
 
-    def _check_safety(self, t: float) -> Conditions:
+    def _check_safety(self, t: float) -> SafetyInputs:
         """Let safety check the conditions, and do what it says. Returns the conditions after that."""
         self._note_rc_use(t)
         now = self._conditions(t)
@@ -642,7 +642,7 @@ class Core:
         if change.name == "autopilot" and not self._vehicle.state.heartbeat_missing:
             self._vehicle.forget_radio()
         if mattered:
-            trigger = Trigger(t, "failsafe", {"loss": change.name}, Hold() if hold else Vent())
+            trigger = Trigger(t, "failsafe", {"loss": change.name}, Hold() if hold else VentVine())
             self._record(t, trigger, Ruling("accepted", change.reason))
         if told:
             self._notice(t, Severity.DEBUG if quiet else Severity.WARNING, told, mattered)
@@ -770,11 +770,11 @@ class Core:
 
     # Sending.
 
-    def _send(self, *messages: Message) -> None:
+    def _send(self, *messages: MavlinkMessage) -> None:
         for message in messages:
             self._vehicle.component.send(message)
 
-    def _transmit(self, messages: Sequence[Message]) -> None:
+    def _transmit(self, messages: Sequence[MavlinkMessage]) -> None:
         system_id = self._vehicle.state.system_id or self.config.vehicle.system_id or 1
         self._actions.extend(ToVehicle(message, system_id) for message in messages)
 

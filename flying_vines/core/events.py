@@ -9,7 +9,7 @@ from typing import Literal
 
 from firmware_link import protocol
 from flying_vines.supply import CyclesLeft
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vine.intent import Asker, Intent
 
@@ -24,7 +24,7 @@ class VehicleMessage:
     """A MAVLink message of anyone on the vehicle's link."""
 
     t: float
-    message: Message
+    message: MavlinkMessage
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +107,7 @@ Event = VehicleMessage | FirmwareMessage | LinkChanged | Tick | Said | Asked | S
 
 @dataclass(frozen=True, slots=True)
 class ToVehicle:
-    message: Message
+    message: MavlinkMessage
     system_id: int
 
 

@@ -13,7 +13,7 @@ from flying_vines.core.events import Failed
 _T = TypeVar("_T")
 
 
-class Parts:
+class IsolatedParts:
     """Runs parts by name. `failed` is called once for each part that raises."""
 
     def __init__(self, failed: Callable[[Failed], None]) -> None:

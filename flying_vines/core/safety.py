@@ -37,7 +37,7 @@ FAULT_SENTENCES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Conditions:
+class SafetyInputs:
     """The inputs of safety at one moment. Pressures are gauge kPa, NaN when unknown."""
 
     pneumatics_armed: bool = True
@@ -138,7 +138,7 @@ class Safety:
         if self._held_at is None:
             self._held_s = 0.0
 
-    def watch(self, t: float, now: Conditions) -> list[Entered | Left]:
+    def watch(self, t: float, now: SafetyInputs) -> list[Entered | Left]:
         """What began and what ended at time `t`."""
         changes: list[Entered | Left] = []
         causes = self._latching(now)
@@ -185,7 +185,7 @@ class Safety:
             return self._losses.on_rc_loss
         return "vent"
 
-    def _latching(self, now: Conditions) -> dict[str, str]:
+    def _latching(self, now: SafetyInputs) -> dict[str, str]:
         """The causes of latched faults that are present now."""
         causes = {
             "internal_error": INTERNAL_ERROR if now.internal_error else None,
@@ -202,7 +202,7 @@ class Safety:
         self._latched_at[name] = t
         return Entered(name, reason, "vent")
 
-    def clear(self, now: Conditions, seen_at: float = math.inf) -> list[str]:
+    def clear(self, now: SafetyInputs, seen_at: float = math.inf) -> list[str]:
         """A person clears latched faults. Returns those that were cleared.
 
         A fault stays if its cause is still present, or if it came after `seen_at`, unseen by the person.
@@ -219,7 +219,7 @@ class Safety:
         """Whether all faults that the firmware reports now were present at `seen_at`."""
         return self._faults_at <= seen_at
 
-    def judge(self, motion: Motion, air: AirNeeded, now: Conditions) -> Ruling:
+    def judge(self, motion: Motion, air: AirNeeded, now: SafetyInputs) -> Ruling:
         """Whether a motion may be carried out. Letting air out always may."""
         if motion.only_lets_out:
             return Ruling("accepted")
@@ -235,7 +235,7 @@ class Safety:
             )
         return Ruling("accepted")
 
-    def _problem(self, motion: Motion, air: AirNeeded, now: Conditions) -> str | None:
+    def _problem(self, motion: Motion, air: AirNeeded, now: SafetyInputs) -> str | None:
         if self.reasons:
             return "; ".join(self.reasons.values())
         if not now.pneumatics_armed:
@@ -258,58 +258,58 @@ class Safety:
             return f"bottle at {now.reservoir_kPa:.0f} kPa, needs {needed_kPa:.0f}"
         return None
 
-    def _on_bench(self, now: Conditions) -> bool:
+    def _on_bench(self, now: SafetyInputs) -> bool:
         return now.bench or self._interlocks.bench_mode
 
     # One sentence each, or None.
 
-    def _overpressure(self, now: Conditions) -> str | None:
+    def _overpressure(self, now: SafetyInputs) -> str | None:
         if now.cv_kPa > self._limits.overpressure_kPa:
             return f"vine at {now.cv_kPa:.1f} kPa, limit {self._limits.overpressure_kPa:g}"
         return None
 
-    def _regulates(self, now: Conditions) -> str | None:
+    def _regulates(self, now: SafetyInputs) -> str | None:
         """The board regulates after the command to vent. The command is repeated; no setpoint is renewed."""
         mismatch = not now.moving and now.mode_mismatch_s > MODE_FOLLOWS_WITHIN_S
         return "phloSAR goes on regulating" if mismatch else None
 
-    def _rc(self, now: Conditions) -> str | None:
+    def _rc(self, now: SafetyInputs) -> str | None:
         return f"RC lost: {now.rc_problem}" if now.rc_problem else None
 
-    def _autopilot(self, now: Conditions) -> str | None:
+    def _autopilot(self, now: SafetyInputs) -> str | None:
         if now.autopilot_age_s is not None and now.autopilot_age_s > self._losses.autopilot_s:
             return f"autopilot silent for {self._losses.autopilot_s:g} s"
         return "no HEARTBEAT, armed or not is unknown" if now.heartbeat_missing else None
 
-    def _serial(self, now: Conditions) -> str | None:
+    def _serial(self, now: SafetyInputs) -> str | None:
         if now.firmware_was_ready and not now.firmware_ready:
             return f"phloSAR {now.firmware_problem}"
         return None
 
-    def _telemetry(self, now: Conditions) -> str | None:
+    def _telemetry(self, now: SafetyInputs) -> str | None:
         if now.firmware_ready and not now.telemetry_age_s <= self._losses.telemetry_s:
             return "phloSAR telemetry stale"
         return None
 
-    def _firmware_fault(self, now: Conditions) -> str | None:
+    def _firmware_fault(self, now: SafetyInputs) -> str | None:
         if not now.faults:
             return None
         names = [sentence for fault, sentence in FAULT_SENTENCES.items() if fault in now.faults]
         return f"firmware fault: {', '.join(names) or f'0x{int(now.faults):04x}'}"
 
-    def _reservoir(self, now: Conditions) -> str | None:
+    def _reservoir(self, now: SafetyInputs) -> str | None:
         if now.reservoir_kPa < self._interlocks.reserve_kPa:
             return f"bottle low: {now.reservoir_kPa:.0f} kPa"
         return None
 
-    def _deaf(self, now: Conditions) -> str | None:
+    def _deaf(self, now: SafetyInputs) -> str | None:
         """If the wire to the board breaks while it rests, no dead-man runs out, and telemetry goes on."""
         return "phloSAR does not hear us" if now.mode_mismatch_s > MODE_FOLLOWS_WITHIN_S else None
 
-    def _disarmed(self, now: Conditions) -> str | None:
+    def _disarmed(self, now: SafetyInputs) -> str | None:
         return "disarmed" if not now.armed and not self._on_bench(now) else None
 
-    def _altitude(self, now: Conditions) -> str | None:
+    def _altitude(self, now: SafetyInputs) -> str | None:
         lowest_m = self._interlocks.min_altitude_m - LANDING_MARGIN_M
         if self._on_bench(now) or lowest_m <= 0:
             return None
@@ -317,13 +317,13 @@ class Safety:
             return "altitude no longer known"
         return f"landing, at {now.altitude_m:.1f} m" if now.altitude_m < lowest_m else None
 
-    def _duration(self, now: Conditions) -> str | None:
+    def _duration(self, now: SafetyInputs) -> str | None:
         if now.moving_s > self._limits.max_bent_s:
             return f"bent for {self._limits.max_bent_s:g} s"
         return None
 
 
-_Look = Callable[[Safety, Conditions], str | None]
+_Look = Callable[[Safety, SafetyInputs], str | None]
 _LOSSES: dict[str, _Look] = {
     "rc": Safety._rc,
     "autopilot": Safety._autopilot,

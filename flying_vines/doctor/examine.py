@@ -25,13 +25,13 @@ from flying_vines.doctor.checks import vehicle as vehicles
 from flying_vines.doctor.checks.network import PageFacts
 from flying_vines.doctor.checks.port import Which
 from flying_vines.doctor.checks.service import Process
-from flying_vines.doctor.finding import Finding
+from flying_vines.doctor.finding import DoctorFinding
 from flying_vines.doctor.firmware_probe import FirmwareProbe
 from flying_vines.doctor.look import broker, ports, processes
 from flying_vines.doctor.look import disk as folders
 from flying_vines.doctor.look import machine as computer
 from flying_vines.doctor.look.clock import Clock, when
-from flying_vines.doctor.look.profile import Profile
+from flying_vines.doctor.look.profile import ServiceProfile
 from flying_vines.doctor.vehicle_probe import Radio
 from flying_vines.doctor.vehicle_watch import TICK_S, VehicleWatch
 from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile
@@ -39,14 +39,14 @@ from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampF
 MOVING_S = 20.0
 """Time for the user to move the switch through all its positions."""
 
-Tell = Callable[[Sequence[Finding]], None]
-Ask = Callable[[Radio], None]
+Tell = Callable[[Sequence[DoctorFinding]], None]
+RadioQuestion = Callable[[Radio], None]
 """Asks the user to move the switch and shows its state; called repeatedly."""
 
 
 async def examine(
-    examined: Profile, logs: Path, seconds: float, tell: Tell, ask: Ask | None = None
-) -> list[Finding]:
+    examined: ServiceProfile, logs: Path, seconds: float, tell: Tell, ask: RadioQuestion | None = None
+) -> list[DoctorFinding]:
     """All findings in order; `tell` gets them as they come.
 
     Args:
@@ -56,9 +56,9 @@ async def examine(
         tell: is called with what was found.
         ask: has the switch moved; None where nobody is there to do so.
     """
-    found: list[Finding] = []
+    found: list[DoctorFinding] = []
 
-    def say(findings: Sequence[Finding]) -> None:
+    def say(findings: Sequence[DoctorFinding]) -> None:
         found.extend(findings)
         tell(findings)
 
@@ -101,14 +101,14 @@ async def examine(
     return found
 
 
-def _disks(examined: Profile, logs: Path) -> list[Finding]:
+def _disks(examined: ServiceProfile, logs: Path) -> list[DoctorFinding]:
     found = [disk.check(folders.facts("flight logs", logs, examined.config.log.least_free_MB))]
     if examined.state is not None:
         found.append(disk.check(folders.facts("state", examined.state, 0.0)))
     return found
 
 
-def _page(config: Config, service_runs: bool) -> Finding:
+def _page(config: Config, service_runs: bool) -> DoctorFinding:
     host, number = config.page.host, config.page.port
     facts = PageFacts(f"{host}:{number}", *ports.tcp_port(host, number)) if number else PageFacts("")
     return network.check_page(facts, service_runs)
@@ -137,12 +137,12 @@ def link_to(
     return address if facts.may_open and not facts.missing and not facts.held_by else None
 
 
-def _service(running: Sequence[Process], holders: Sequence[Process]) -> Finding:
+def _service(running: Sequence[Process], holders: Sequence[Process]) -> DoctorFinding:
     holding = {process.pid for process in holders}
     return service.check(running, [p for p in running if p.pid in holding or processes.secretive(p)])
 
 
-async def _moved(watch: VehicleWatch, positions: int, ask: Ask) -> Radio:
+async def _moved(watch: VehicleWatch, positions: int, ask: RadioQuestion) -> Radio:
     """The switch, after all its positions were seen or the time is over."""
     ends_s = watch.t + MOVING_S
     while True:
@@ -153,7 +153,7 @@ async def _moved(watch: VehicleWatch, positions: int, ask: Ask) -> Radio:
         await asyncio.sleep(TICK_S)
 
 
-def keep_signing(examined: Profile) -> None:
+def keep_signing(examined: ServiceProfile) -> None:
     """Save the signing timestamps, so that the service does not use them again."""
     if examined.signing is not None and examined.signing_timestamp is not None:
         try:

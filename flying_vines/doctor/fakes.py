@@ -11,7 +11,7 @@ from contextlib import ExitStack, asynccontextmanager
 import msgspec
 
 from flying_vines.config.config import Config
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
@@ -19,7 +19,7 @@ from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 @asynccontextmanager
 async def healthy(config: Config) -> AsyncIterator[Config]:
     """The profile with links to the two."""
-    autopilot = Autopilot("ardupilot", unix_s=time.time())
+    autopilot = FakeAutopilot("ardupilot", unix_s=time.time())
     autopilot.set_rc(config.switch.channel, 1000)
     phlosar = SimulatedPhlosar(reservoir_kPa=config.pneumatics.full_kPa)
     async with between(config, autopilot, phlosar) as linked:
@@ -28,7 +28,7 @@ async def healthy(config: Config) -> AsyncIterator[Config]:
 
 @asynccontextmanager
 async def between(
-    config: Config, autopilot: Autopilot, phlosar: SimulatedPhlosar | None
+    config: Config, autopilot: FakeAutopilot, phlosar: SimulatedPhlosar | None
 ) -> AsyncIterator[Config]:
     """The profile with links to these two, which live until the end; without a phloSAR its link stays."""
     companion_port = _free_udp_port()

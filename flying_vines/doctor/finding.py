@@ -6,40 +6,40 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-Verdict = Literal["good", "warning", "bad", "skipped"]
+FindingLevel = Literal["good", "warning", "bad", "skipped"]
 """Only "bad" means: do not fly."""
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class DoctorFinding:
     """One line of the doctor: what was checked, the result, and what to do."""
 
     check: str
-    verdict: Verdict
+    verdict: FindingLevel
     what: str
     do: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class FindingText:
     """A line that a check can print, with `{names}` for its values."""
 
     check: str
-    verdict: Verdict
+    verdict: FindingLevel
     what: str
     do: str = ""
 
-    def __call__(self, **found: object) -> Finding:
-        return Finding(
+    def __call__(self, **found: object) -> DoctorFinding:
+        return DoctorFinding(
             self.check.format(**found), self.verdict, self.what.format(**found), self.do.format(**found)
         )
 
 
-def may_fly(findings: Iterable[Finding]) -> bool:
+def may_fly(findings: Iterable[DoctorFinding]) -> bool:
     return all(finding.verdict != "bad" for finding in findings)
 
 
-def summary(findings: Iterable[Finding]) -> str:
+def summary(findings: Iterable[DoctorFinding]) -> str:
     """The last line."""
     verdicts = [finding.verdict for finding in findings]
     bad, warnings = verdicts.count("bad"), verdicts.count("warning")

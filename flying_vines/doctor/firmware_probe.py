@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from statistics import fmean
 
 from firmware_link.host import SessionState
-from firmware_link.monitor import Seen
+from firmware_link.monitor import SeenFrame
 from firmware_link.protocol import Fault, Setting, Telemetry, Welcome
 from firmware_link.settings import SettingsTalk
 from flying_vines.config.address import Address
-from flying_vines.service.link_watch import Heard, LinkWatch
+from flying_vines.service.link_watch import LinkEvent, LinkWatch
 from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate, TelemetryReader
 
 REST_S = 1.0
@@ -60,9 +60,9 @@ class FirmwareProbe:
     async def run(self, over: Callable[[], bool]) -> None:
         await self._watch.run(self._take, over)
 
-    def _take(self, heard: Sequence[Heard]) -> None:
+    def _take(self, heard: Sequence[LinkEvent]) -> None:
         for seen in heard:
-            if not isinstance(seen, Seen) or seen.sent:
+            if not isinstance(seen, SeenFrame) or seen.sent:
                 continue
             if isinstance(seen.message, Welcome):
                 self._boots.add(seen.message.boot_id)

@@ -16,11 +16,11 @@ from rich.text import Text
 
 from flying_vines.config.address import Address
 from flying_vines.config.config import Config
-from flying_vines.doctor.radio_test import LOSSES, Loss, RadioLearned, RadioTest, Sign, Step
+from flying_vines.doctor.radio_test import LOSSES, RadioLearned, RadioStep, RadioTest, Sign, TransmitterLoss
 from flying_vines.doctor.vehicle_probe import VehicleProbe
 from flying_vines.doctor.vehicle_watch import TICK_S, VehicleWatch
-from flying_vines.simulation.autopilot import Autopilot
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.simulation.autopilot import FakeAutopilot
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mavlink.signing import Signing
 
 BEGIN = (
@@ -44,12 +44,12 @@ class RadioProbe(VehicleProbe):
         super().__init__(config)
         self.test = RadioTest(config)
 
-    def take(self, t: float, unix_s: float, message: Message) -> None:
+    def take(self, t: float, unix_s: float, message: MavlinkMessage) -> None:
         super().take(t, unix_s, message)
         if self._state.is_ours(message):
             self.test.take(t, message)
 
-    def due(self, t: float) -> list[Message]:
+    def due(self, t: float) -> list[MavlinkMessage]:
         asked = self.test.requests(t, self._state.system_id) if self._state.found else []
         return [*super().due(t), *asked]
 
@@ -57,12 +57,12 @@ class RadioProbe(VehicleProbe):
 class FakeHand:
     """Does with the fake's transmitter what a person is asked to do."""
 
-    def __init__(self, autopilot: Autopilot, test: RadioTest, channel: int, positions: int) -> None:
+    def __init__(self, autopilot: FakeAutopilot, test: RadioTest, channel: int, positions: int) -> None:
         self._autopilot, self._test = autopilot, test
         self._channel, self._positions = channel, positions
-        self._done: tuple[int, Step] | None = None
+        self._done: tuple[int, RadioStep] | None = None
         self._since_s = 0.0
-        self._seen: tuple[int, Step] | None = None
+        self._seen: tuple[int, RadioStep] | None = None
 
     def act(self, t: float) -> None:
         now = self._test.round, self._test.step
@@ -92,7 +92,7 @@ class Guide:
     def __init__(self, test: RadioTest, config: Config, console: Console) -> None:
         self._test, self._console = test, console
         self._channel, self._names = config.switch.channel, config.switch.positions
-        self._at: tuple[int, Step] | None = None
+        self._at: tuple[int, RadioStep] | None = None
         self._signs = 0
         self._losses = 0
         self._told_early = False
@@ -115,7 +115,7 @@ class Guide:
             self._step_changed(before, t)
         return self._meanwhile(t)
 
-    def _step_changed(self, before: tuple[int, Step] | None, t: float) -> None:
+    def _step_changed(self, before: tuple[int, RadioStep] | None, t: float) -> None:
         test = self._test
         if before is not None and before[1] == "on" and test.learned.losses[-1].back is not None:
             self._show_return(test.learned.losses[-1])
@@ -160,7 +160,7 @@ class Guide:
             self._note(f"{sign.after_s:+.1f} s  {sign.said}", "cyan")
         self._signs = max(self._signs, len(signs))
 
-    def _show_loss(self, loss: Loss) -> None:
+    def _show_loss(self, loss: TransmitterLoss) -> None:
         if not loss.seen:
             self._note("nothing showed", "yellow")
             return
@@ -168,7 +168,7 @@ class Guide:
         others = f"; channels {', '.join(map(str, loss.jumped))} jumped, too" if loss.jumped else ""
         self._note(f"{said} {loss.lost_us} µs{others}", "cyan")
 
-    def _show_return(self, loss: Loss) -> None:
+    def _show_return(self, loss: TransmitterLoss) -> None:
         back = loss.back
         assert back is not None
         said = f"✓ back, channel {self._channel} at {back.switch_us} µs"
@@ -200,7 +200,7 @@ async def guided(
     config: Config,
     signing: Signing | None,
     console: Console,
-    autopilot: Autopilot | None = None,
+    autopilot: FakeAutopilot | None = None,
 ) -> RadioLearned:
     """The whole test; `autopilot` is the fake whose transmitter is at hand, None where a person has it.
 

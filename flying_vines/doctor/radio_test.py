@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config.config import Config, ReceiverFailsafe
 from flying_vines.vehicle.autopilots import of_heartbeat
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.radio.radio_parameters import RadioParameters
 from flying_vines.vehicle.radio.rc import (
     CHANNELS,
@@ -30,10 +30,10 @@ from flying_vines.vehicle.radio.rc import (
 )
 from flying_vines.vehicle.radio.switch import BOUNDARIES_US
 
-Step = Literal["ready", "off", "lost", "on", "done"]
+RadioStep = Literal["ready", "off", "lost", "on", "done"]
 """Get ready; press Enter and switch off; note what shows; switch on again."""
 SignKind = Literal["channels", "rssi", "RC status", "text", "no RC_CHANNELS", "throttle", "mode"]
-Problem = Literal[
+RadioProblem = Literal[
     "", "armed", "no autopilot", "no RC", "RC not good", "position", "ground station", "not back"
 ]
 """Why the test ended before its end."""
@@ -82,7 +82,7 @@ class Return:
 
 
 @dataclass(frozen=True, slots=True)
-class Loss:
+class TransmitterLoss:
     """One loss of the transmitter."""
 
     pressed: bool
@@ -122,7 +122,7 @@ def position_of(pulse_us: int, positions: int) -> int:
     return sum(pulse_us >= boundary for boundary in BOUNDARIES_US[positions])
 
 
-def failsafe_of(losses: tuple[Loss, ...]) -> ReceiverFailsafe:
+def failsafe_of(losses: tuple[TransmitterLoss, ...]) -> ReceiverFailsafe:
     """What the switch's channel reads when the transmitter is lost.
 
     Where it stayed in one position, and was never lost in another, it may be held or preset there: then the
@@ -142,11 +142,11 @@ class RadioLearned:
     """What this receiver and autopilot do when the transmitter is lost."""
 
     autopilot: str = "unknown"
-    problem: Problem = ""
+    problem: RadioProblem = ""
     detail: str = ""
     target: int = 0
     """The position in which the switch should have been at last, counted from 0."""
-    losses: tuple[Loss, ...] = ()
+    losses: tuple[TransmitterLoss, ...] = ()
     parameters: dict[str, float] = field(default_factory=dict)
     hidden_by: str = ""
     """The parameter that lets the autopilot hide a loss."""
@@ -176,7 +176,7 @@ class RadioTest:
         self._silent_after_s = config.losses.rc_s
         self._parameters = RadioParameters()
         self._radio = RadioLink(config.switch, config.losses.rc_s)
-        self.step: Step = "ready"
+        self.step: RadioStep = "ready"
         self.round = 0
         self.came_back_early = False
         """RC was good again before all signs were seen: that loss does not count."""
@@ -184,9 +184,9 @@ class RadioTest:
         """The position in which the switch should be, counted from 0."""
         self._began_at: float | None = None
         self._step_at = 0.0
-        self._problem: Problem = ""
+        self._problem: RadioProblem = ""
         self._detail = ""
-        self._losses: list[Loss] = []
+        self._losses: list[TransmitterLoss] = []
         self._under: _Under | None = None
         self._autopilot = ""
         self._mode: int | None = None
@@ -205,7 +205,7 @@ class RadioTest:
 
     # What comes in
 
-    def take(self, t: float, message: Message) -> None:
+    def take(self, t: float, message: MavlinkMessage) -> None:
         """A message of our autopilot."""
         kind = message.get_type()
         self._radio.handle(t, message)
@@ -228,7 +228,7 @@ class RadioTest:
             jumped = self._jump_at is not None
             self._begin_loss(t if self._jump_at is None else self._jump_at, pressed=not jumped)
 
-    def requests(self, t: float, system_id: int) -> list[Message]:
+    def requests(self, t: float, system_id: int) -> list[MavlinkMessage]:
         """Requests for the autopilot's parameters."""
         return self._parameters.requests(t, system_id, self._radio.autopilot)
 
@@ -303,7 +303,7 @@ class RadioTest:
         if trouble:
             if waited_s >= READY_WITHIN_S:
                 no_rc = self._heard_at is None or self._chancount == 0
-                early: Problem = "no RC" if no_rc else "RC not good"
+                early: RadioProblem = "no RC" if no_rc else "RC not good"
                 self._end("no autopilot" if not self._autopilot else early, trouble)
             return
         rests = self._position == self.target and t - self._position_at >= REST_S
@@ -377,20 +377,20 @@ class RadioTest:
         else:
             self._go(t, "ready")
 
-    def _go(self, t: float, step: Step) -> None:
+    def _go(self, t: float, step: RadioStep) -> None:
         self.step, self._step_at = step, t
 
-    def _end(self, problem: Problem = "", detail: str = "") -> None:
+    def _end(self, problem: RadioProblem = "", detail: str = "") -> None:
         self.step, self._problem, self._detail = "done", problem, detail
 
-    def _loss(self, under: _Under) -> Loss:
+    def _loss(self, under: _Under) -> TransmitterLoss:
         others = tuple(
             number
             for number, before_us in sorted(under.jumped.items())
             if number != self._switch.channel and abs(self._channels_us[number - 1] - before_us) > SAME_US
         )
         signs = tuple(sorted(under.signs, key=lambda sign: sign.after_s))
-        return Loss(under.pressed, under.before_us, self.switch_us, signs, others)
+        return TransmitterLoss(under.pressed, under.before_us, self.switch_us, signs, others)
 
     # The signs
 
@@ -411,7 +411,7 @@ class RadioTest:
     def _reads(self, pulse_us: int) -> bool:
         return abs(self.switch_us - pulse_us) <= SAME_US
 
-    def _heartbeat(self, t: float, message: Message) -> None:
+    def _heartbeat(self, t: float, message: MavlinkMessage) -> None:
         self._radio.autopilot = of_heartbeat(message.autopilot)
         self._autopilot = self._radio.autopilot.kind
         if message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED and self.step != "done":
@@ -420,7 +420,7 @@ class RadioTest:
             self._sign(t, "mode", "the flight mode changes")
         self._mode = message.custom_mode
 
-    def _rc_channels(self, t: float, message: Message) -> None:
+    def _rc_channels(self, t: float, message: MavlinkMessage) -> None:
         before_us = self._channels_us
         self._channels_us = tuple(getattr(message, f"chan{number}_raw") for number in range(1, CHANNELS + 1))
         self._heard_at, self._chancount = t, message.chancount
@@ -465,7 +465,7 @@ class RadioTest:
         elif len(jumped) > 1:
             self._sign(t, "channels", f"channels {', '.join(map(str, jumped))} jump")
 
-    def _sys_status(self, t: float, message: Message) -> None:
+    def _sys_status(self, t: float, message: MavlinkMessage) -> None:
         before = self._status
         self._status = (
             int(bool(message.onboard_control_sensors_present & RC_BIT)),

@@ -10,11 +10,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.doctor.finding import Finding, Verdict, may_fly, summary
+from flying_vines.doctor.finding import DoctorFinding, FindingLevel, may_fly, summary
 from flying_vines.doctor.vehicle_probe import Radio
 
 LABEL_WIDTH = 20
-_SYMBOLS: dict[Verdict, tuple[str, str, str]] = {
+_SYMBOLS: dict[FindingLevel, tuple[str, str, str]] = {
     "good": ("✓", "ok", "green"),
     "warning": ("!", "look", "bold yellow"),
     "bad": ("✗", "BAD", "bold red"),
@@ -23,12 +23,12 @@ _SYMBOLS: dict[Verdict, tuple[str, str, str]] = {
 """On a terminal, in a pipe, and how it is coloured."""
 
 
-def show(findings: Sequence[Finding], console: Console) -> None:
+def show(findings: Sequence[DoctorFinding], console: Console) -> None:
     for finding in findings:
         console.print(row(finding, console.is_terminal), soft_wrap=not console.is_terminal)
 
 
-def row(finding: Finding, terminal: bool) -> Table | Text:
+def row(finding: DoctorFinding, terminal: bool) -> Table | Text:
     """One finding; in a pipe a line of its own for each of the two, however long."""
     symbol, word, style = _SYMBOLS[finding.verdict]
     if not terminal:
@@ -45,12 +45,12 @@ def row(finding: Finding, terminal: bool) -> Table | Text:
     return table
 
 
-def last_line(findings: Sequence[Finding]) -> Text:
+def last_line(findings: Sequence[DoctorFinding]) -> Text:
     style = "bold green" if may_fly(findings) else "bold red"
     return Text(f"\n{summary(findings)}", style=style)
 
 
-def as_json(findings: Sequence[Finding]) -> dict[str, Any]:
+def as_json(findings: Sequence[DoctorFinding]) -> dict[str, Any]:
     return {"may_fly": may_fly(findings), "summary": summary(findings), "findings": [*map(asdict, findings)]}
 
 

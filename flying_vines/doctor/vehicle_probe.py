@@ -17,13 +17,13 @@ from flying_vines.core.core import SPEAK_FIRST_S
 from flying_vines.vehicle.component.clash import Clash
 from flying_vines.vehicle.component.telemetry import Heartbeat
 from flying_vines.vehicle.component.transmit_queue import TransmitQueue
-from flying_vines.vehicle.mavlink.codec import Message
-from flying_vines.vehicle.mavlink.signing import Refused
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
+from flying_vines.vehicle.mavlink.signing import RefusedFrames
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.radio.radio_parameters import RadioParameters
 from flying_vines.vehicle.radio.rc import RadioLink
-from flying_vines.vehicle.radio.switch import Move, MovedUnseen, Ready, Switch
+from flying_vines.vehicle.radio.switch import MovedUnseen, SwitchMove, SwitchReader, SwitchReady
 from flying_vines.vehicle.state import Ambiguous, VehicleState
 from flying_vines.vehicle.streams import Streams, Wanted
 
@@ -37,7 +37,7 @@ _SIGNED = 1
 
 
 @dataclass(frozen=True, slots=True)
-class Stream:
+class StreamFacts:
     """A message that the service needs."""
 
     name: str
@@ -77,7 +77,7 @@ class VehicleFacts:
     """A sender's IP address that is ignored because the link names another peer."""
     messages: int = 0
     """Accepted messages of any sender."""
-    refused: Refused = field(default_factory=Refused)
+    refused: RefusedFrames = field(default_factory=RefusedFrames)
     """Messages refused because of their signature."""
     others: tuple[tuple[int, int], ...] = ()
     """System and component of the other senders."""
@@ -94,7 +94,7 @@ class VehicleFacts:
     heartbeat_Hz: float = 0.0
     heartbeat_missing: bool = False
     """Other messages of the autopilot arrive, but no heartbeat."""
-    streams: tuple[Stream, ...] = ()
+    streams: tuple[StreamFacts, ...] = ()
     clash: bool = False
     """Another program uses our system and component id."""
     signs: bool = False
@@ -142,7 +142,9 @@ class VehicleProbe:
         self._streams = Streams(config.vehicle.rc_rate_Hz)
         self._radio = RadioLink(switch, config.losses.rc_s)
         self._parameters = RadioParameters()
-        self._switch = Switch(len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us)
+        self._switch = SwitchReader(
+            len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us
+        )
         self._book = MissionBook()
         self._heartbeat = Heartbeat()
         self._queue = TransmitQueue()
@@ -161,7 +163,7 @@ class VehicleProbe:
         self._version_asked_at: float | None = None
         self._ahead_s: float | None = None
 
-    def take(self, t: float, unix_s: float, message: Message) -> None:
+    def take(self, t: float, unix_s: float, message: MavlinkMessage) -> None:
         """Take in a message of any sender; `unix_s` is the time of this computer's clock."""
         self._messages += 1
         sender = message.get_srcSystem(), message.get_srcComponent()
@@ -178,7 +180,7 @@ class VehicleProbe:
         elif self._state.is_ours(message):
             self._take_ours(t, unix_s, message)
 
-    def _take_ours(self, t: float, unix_s: float, message: Message) -> None:
+    def _take_ours(self, t: float, unix_s: float, message: MavlinkMessage) -> None:
         kind = message.get_type()
         frame = message.get_msgbuf()
         self._signs |= frame[0] == mavlink.PROTOCOL_MARKER_V2 and bool(frame[2] & _SIGNED)
@@ -216,10 +218,10 @@ class VehicleProbe:
             self._switch.lose()
             return
         seen = self._switch.sample(t, self._radio.switch_us)
-        if isinstance(seen, (Move, MovedUnseen, Ready)):
+        if isinstance(seen, (SwitchMove, MovedUnseen, SwitchReady)):
             self._seen.add(seen.position)
 
-    def due(self, t: float) -> list[Message]:
+    def due(self, t: float) -> list[MavlinkMessage]:
         """The messages to send at `t`: our heartbeat and our requests."""
         self._began_at = t if self._began_at is None else self._began_at
         if not self._state.found:
@@ -238,7 +240,7 @@ class VehicleProbe:
             self._queue.put(message)
         return self._queue.due(t)
 
-    def _ask_version(self, t: float, system_id: int) -> list[Message]:
+    def _ask_version(self, t: float, system_id: int) -> list[MavlinkMessage]:
         asked_at = self._version_asked_at
         if self._version or (asked_at is not None and t - asked_at < VERSION_AGAIN_S):
             return []
@@ -294,7 +296,7 @@ class VehicleProbe:
             ahead_s=self._ahead_s,
         )
 
-    def _stream(self, t: float, name: str, wanted: Wanted) -> Stream:
+    def _stream(self, t: float, name: str, wanted: Wanted) -> StreamFacts:
         rate = self._rates.get(name)
         rate_Hz = rate.per_s(t, wanted.rate_Hz) if rate else 0.0
-        return Stream(name, wanted.rate_Hz, rate_Hz, wanted.essential, wanted.refused)
+        return StreamFacts(name, wanted.rate_Hz, rate_Hz, wanted.essential, wanted.refused)

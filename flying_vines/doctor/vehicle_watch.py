@@ -11,9 +11,9 @@ from flying_vines.config.address import Address
 from flying_vines.config.config import Config
 from flying_vines.doctor.vehicle_probe import VehicleFacts, VehicleProbe
 from flying_vines.service.host_clock import synchronised
-from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mavlink.link import open_link, unread_from
-from flying_vines.vehicle.mavlink.signing import Refused, Signing
+from flying_vines.vehicle.mavlink.signing import RefusedFrames, Signing
 
 TICK_S = 0.02
 
@@ -32,7 +32,7 @@ class VehicleWatch:
         self._down = "it was not opened"
         self._signing = signing
         self._synchronised = bool(synchronised())
-        self._codec = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)
+        self._codec = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id, signing)
         self._received = 0
         self._link = open_link(address, self._bytes, self._state, self._stranger)
 
@@ -42,7 +42,7 @@ class VehicleWatch:
 
     @property
     def facts(self) -> VehicleFacts:
-        refused = self._signing.refused if self._signing else Refused()
+        refused = self._signing.refused if self._signing else RefusedFrames()
         return replace(
             self.probe.facts(self.t),
             down=self._down,
@@ -77,7 +77,7 @@ class VehicleWatch:
             enter()
         self._take(messages)
 
-    def _take(self, messages: Sequence[Message]) -> None:
+    def _take(self, messages: Sequence[MavlinkMessage]) -> None:
         now, unix_s = self.t, time.time()
         for message in messages:
             self.probe.take(now, unix_s, message)

@@ -19,7 +19,7 @@ from flying_vines.gateway.messages import (
     ALIVE_EVERY_S,
     Alive,
     FromGateway,
-    Profile,
+    GatewayStart,
     packet,
     read_to_gateway,
 )
@@ -41,7 +41,7 @@ async def serve(service: socket.socket) -> None:
             return
 
     profile = read_to_gateway(await loop.sock_recv(service, LONGEST_PACKET))
-    if not isinstance(profile, Profile):
+    if not isinstance(profile, GatewayStart):
         raise msgspec.DecodeError("the profile comes first")
     feed = Feed(profile, send)
     parts = [_beat(send)]

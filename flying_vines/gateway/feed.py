@@ -9,15 +9,15 @@ from contextlib import contextmanager
 
 from flying_vines.gateway.messages import (
     Answered,
-    Ask,
     FromGateway,
+    GatewayStart,
     Happened,
-    Profile,
-    Seen,
+    Request,
+    SnapshotMessage,
     ToGateway,
     Trouble,
 )
-from flying_vines.vine.intent import ACTS_WITHIN_S, Asker, Command
+from flying_vines.vine.intent import ACTS_WITHIN_S, Asker, CommandName
 
 REMEMBERED = 500
 """Events kept for viewers that come later."""
@@ -31,29 +31,29 @@ class NoAnswerError(Exception):
     """The service does not answer. It is unknown whether it executed the command."""
 
 
-class Reader:
+class FeedReader:
     """Follows the feed at its own speed: the latest snapshot, and every event unless it is far behind."""
 
     def __init__(self) -> None:
         self.missed = 0
         """Events lost because it was too slow."""
         self._events: deque[Happened] = deque()
-        self._latest: Seen | None = None
+        self._latest: SnapshotMessage | None = None
         self._news = asyncio.Event()
 
-    async def next(self) -> list[Happened | Seen]:
+    async def next(self) -> list[Happened | SnapshotMessage]:
         """The news, at least one; the snapshot last."""
         await self._news.wait()
         self._news.clear()
-        news: list[Happened | Seen] = list(self._events)
+        news: list[Happened | SnapshotMessage] = list(self._events)
         self._events.clear()
         if self._latest is not None:
             news.append(self._latest)
             self._latest = None
         return news
 
-    def take(self, message: Happened | Seen) -> None:
-        if isinstance(message, Seen):
+    def take(self, message: Happened | SnapshotMessage) -> None:
+        if isinstance(message, SnapshotMessage):
             self._latest = message
         else:
             if len(self._events) == MOST_BEHIND:
@@ -66,19 +66,19 @@ class Reader:
 class Feed:
     """The feed of one service. `send` sends it a message."""
 
-    def __init__(self, profile: Profile, send: Callable[[FromGateway], None]) -> None:
+    def __init__(self, profile: GatewayStart, send: Callable[[FromGateway], None]) -> None:
         self.profile = profile
-        self.latest: Seen | None = None
+        self.latest: SnapshotMessage | None = None
         self.happened: deque[Happened] = deque(maxlen=REMEMBERED)
         self._send = send
-        self._readers: set[Reader] = set()
+        self._readers: set[FeedReader] = set()
         self._number = 0
         self._waiting: dict[int, asyncio.Future[Answered]] = {}
 
     @contextmanager
-    def reader(self) -> Iterator[Reader]:
+    def reader(self) -> Iterator[FeedReader]:
         """A reader of what comes from now on; `latest` and `happened` hold what came before."""
-        reader = Reader()
+        reader = FeedReader()
         self._readers.add(reader)
         try:
             yield reader
@@ -88,7 +88,7 @@ class Feed:
     async def ask(
         self,
         by: Asker,
-        command: Command,
+        command: CommandName,
         value: float | None = None,
         name: str | None = None,
         made_at: float | None = None,
@@ -96,11 +96,11 @@ class Feed:
     ) -> Answered:
         """What safety made of it; raises ValueError for an impossible ask, and `NoAnswerError`.
 
-        `made_at` and `seen_at` are those of `Ask`. Nothing was made later than it came here.
+        `made_at` and `seen_at` are those of `Request`. Nothing was made later than it came here.
         """
         self._number += 1
         now = asyncio.get_running_loop().time()
-        ask = Ask(self._number, by, command, value, name, min(now, made_at or now), seen_at)
+        ask = Request(self._number, by, command, value, name, min(now, made_at or now), seen_at)
         answer: asyncio.Future[Answered] = asyncio.get_running_loop().create_future()
         self._waiting[ask.number] = answer
         self._send(ask)
@@ -120,7 +120,7 @@ class Feed:
     def take(self, message: ToGateway) -> None:
         """A message from the service."""
         match message:
-            case Seen():
+            case SnapshotMessage():
                 self.latest = message
             case Happened():
                 self.happened.append(message)
@@ -129,7 +129,7 @@ class Feed:
                 if waiting is not None and not waiting.done():
                     waiting.set_result(message)
                 return
-            case Profile():
+            case GatewayStart():
                 return
         for reader in self._readers:
             reader.take(message)

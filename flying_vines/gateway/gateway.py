@@ -23,10 +23,10 @@ from flying_vines.gateway.keep_alive import keep_alive
 from flying_vines.gateway.messages import (
     Alive,
     Answered,
-    Ask,
+    GatewayStart,
     Happened,
-    Profile,
-    Seen,
+    Request,
+    SnapshotMessage,
     Trouble,
     packet,
     raw,
@@ -34,7 +34,7 @@ from flying_vines.gateway.messages import (
 )
 from flying_vines.gateway.token_bucket import TokenBucket
 from flying_vines.vehicle.notice import Notice, Severity
-from flying_vines.vine.intent import Asker, Intent, Vent
+from flying_vines.vine.intent import Asker, Intent, VentVine
 
 COMMAND = (sys.executable, "-m", "flying_vines.gateway")
 LONGEST_PACKET = 64 * 1024
@@ -61,7 +61,7 @@ class Gateway(Watcher):
         page_token: str = "",
     ) -> None:
         version = metadata.version("flying-vines")
-        self._profile = Profile(config, version, page_token)
+        self._profile = GatewayStart(config, version, page_token)
         self._ask = ask
         self._say = say
         self._socket: socket.socket | None = None
@@ -69,7 +69,7 @@ class Gateway(Watcher):
         self._spoke = False
         """Since the last look."""
         self._bucket = TokenBucket(0.0, MOST_ASKED_PER_S, MOST_ASKED_PER_S)
-        self._vents: dict[Asker, list[Ask]] = {}
+        self._vents: dict[Asker, list[Request]] = {}
         """Those that wait."""
         self._next_vents: asyncio.TimerHandle | None = None
 
@@ -91,7 +91,7 @@ class Gateway(Watcher):
             if not self._send(self._unsent[0]):
                 return
             self._unsent.popleft()
-        self._send(packet(Seen(raw(snapshot))))
+        self._send(packet(SnapshotMessage(raw(snapshot))))
 
     async def run(self) -> None:
         """Runs until cancelled; then the gateway ends too."""
@@ -196,7 +196,7 @@ class Gateway(Watcher):
         for by, asked in vents.items():
             # As if each were executed: the latest snapshot seen decides which faults are cleared.
             seen = [ask.seen_at for ask in asked if ask.seen_at is not None]
-            decision = self._ask(by, Vent(), None, max(seen, default=None))
+            decision = self._ask(by, VentVine(), None, max(seen, default=None))
             for ask in asked:
                 self._answer(ask.number, decision)
         self._next_vents = asyncio.get_running_loop().call_later(VENTED_EVERY_S, self._vent)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Literal, get_args
 import msgspec
 
 from flying_vines.config.config import Config
-from flying_vines.vine.intent import COMMAND_OF, Asker, BendTo, Command, Intent, SetPressure, StartProfile
+from flying_vines.vine.intent import COMMAND_OF, Asker, BendTo, CommandName, Intent, SetPressure, StartProfile
 
 if TYPE_CHECKING:
     # What these need is not needed by the gateway: it is to be light.
     from flying_vines.core.events import Action, Snapshot
 
-COMMANDS: tuple[Command, ...] = get_args(Command)
+COMMANDS: tuple[CommandName, ...] = get_args(CommandName)
 ALIVE_EVERY_S = 0.5
 
 
@@ -26,7 +26,7 @@ class _Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_fiel
 # From the service.
 
 
-class Profile(_Message, frozen=True, tag="profile"):
+class GatewayStart(_Message, frozen=True, tag="profile"):
     """The first: what the gateway is to serve, and on which vehicle's configuration."""
 
     config: Config
@@ -35,7 +35,7 @@ class Profile(_Message, frozen=True, tag="profile"):
     """Who has it may open the page from the network."""
 
 
-class Seen(_Message, frozen=True, tag="snapshot"):
+class SnapshotMessage(_Message, frozen=True, tag="snapshot"):
     """A `Snapshot`; null is unknown. Its `t` is the machine's monotonic clock, in seconds."""
 
     snapshot: msgspec.Raw
@@ -49,25 +49,25 @@ class Happened(_Message, frozen=True, tag="happened"):
 
 
 class Answered(_Message, frozen=True, tag="answered"):
-    """What came of an `Ask`."""
+    """What came of an `Request`."""
 
     number: int
     safety: Literal["accepted", "limited", "refused"]
     reason: str = ""
 
 
-ToGateway = Profile | Seen | Happened | Answered
+ToGateway = GatewayStart | SnapshotMessage | Happened | Answered
 
 
 # From the gateway.
 
 
-class Ask(_Message, frozen=True, tag="ask"):
+class Request(_Message, frozen=True, tag="ask"):
     """A person wants something. `value` is an angle or a pressure, `name` a profile's."""
 
     number: int
     by: Asker
-    command: Command
+    command: CommandName
     value: float | None = None
     name: str | None = None
     made_at: float | None = None
@@ -104,7 +104,7 @@ class Alive(_Message, frozen=True, tag="alive"):
     """The gateway's loop runs. Said `ALIVE_EVERY_S`, whatever else is said."""
 
 
-FromGateway = Ask | Trouble | Alive
+FromGateway = Request | Trouble | Alive
 
 _NEEDS = {"bend": "takes a value", "pressure": "takes a value", "profile": "takes a name"}
 _PLAIN: dict[str, Callable[[], Intent]] = {name: kind for kind, name in COMMAND_OF.items()}

@@ -13,7 +13,7 @@ import stat
 from ipaddress import ip_address
 from pathlib import Path
 
-from flying_vines.config.config import Page
+from flying_vines.config.config import PageConfig
 
 RANDOM_BYTES = 10
 """Long enough that nobody can guess it over a network, short enough to type on a phone."""
@@ -59,7 +59,7 @@ def read(path: Path) -> str:
     return token.strip()
 
 
-def address(page: Page, token: str = "") -> str:
+def address(page: PageConfig, token: str = "") -> str:
     """The URL for a browser, on this machine or in the network."""
     host = page.host
     if ip_address(host).is_unspecified:

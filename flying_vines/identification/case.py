@@ -19,11 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.identification import plausible
-from flying_vines.identification.recording import Array, CaseError, Run
-from flying_vines.identification.table import TIME, Table, read_table
+from flying_vines.identification.recording import CaseError, RecordedRun
+from flying_vines.identification.table import TIME, RunTable, read_table
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.rig import Rig, RigError, load_rig
 
-__all__ = ["Case", "CaseError", "Run", "read_case"]
+__all__ = ["Case", "CaseError", "RecordedRun", "read_case"]
 
 Rows = NDArray[np.intp]
 
@@ -62,7 +63,7 @@ class Case:
 
     path: Path
     rig: Rig
-    runs: tuple[Run, ...]
+    runs: tuple[RecordedRun, ...]
     remarks: tuple[str, ...]
     """What was assumed or left out, a line each; none of a case that keeps to the format."""
 
@@ -121,7 +122,7 @@ def _rig(path: Path) -> Rig:
         raise CaseError(str(error)) from None
 
 
-def _read_run(path: Path, rig: Rig, remarks: list[str]) -> Run:
+def _read_run(path: Path, rig: Rig, remarks: list[str]) -> RecordedRun:
     table = read_table(path)
     remarks += table.remarks
     remarks += _strangers(table)
@@ -154,7 +155,7 @@ def _read_run(path: Path, rig: Rig, remarks: list[str]) -> Run:
             f"the reservoir needs {', '.join(_INPUTS)}"
         )
     shut, opened, unread = np.zeros_like(time_s), np.ones_like(time_s), np.full_like(time_s, np.nan)
-    run = Run(
+    run = RecordedRun(
         name=path.stem,
         time_s=time_s,
         command_kPa=command_kPa,
@@ -183,7 +184,7 @@ def _read_run(path: Path, rig: Rig, remarks: list[str]) -> Run:
     return run
 
 
-def _rows_in_time(table: Table, remarks: list[str]) -> Rows:
+def _rows_in_time(table: RunTable, remarks: list[str]) -> Rows:
     """Which rows count: those with a time, and of one time the last."""
     time_s = table.numbers(TIME)
     rows = np.flatnonzero(~np.isnan(time_s))
@@ -207,7 +208,7 @@ def _rows_in_time(table: Table, remarks: list[str]) -> Rows:
     return rows[np.append(steps_s > 0.0, True)] if len(rows) else rows
 
 
-def _long_enough(table: Table, time_s: Array, pressures: Sequence[Array]) -> None:
+def _long_enough(table: RunTable, time_s: Array, pressures: Sequence[Array]) -> None:
     if len(time_s) and not pressures:
         raise CaseError(f"{table.header}: no pressure was recorded; a run needs {_CV} or {_RESERVOIR}")
     readings = np.isfinite(pressures).any(axis=0) if len(time_s) else np.zeros(0, dtype=bool)
@@ -219,7 +220,7 @@ def _long_enough(table: Table, time_s: Array, pressures: Sequence[Array]) -> Non
         )
 
 
-def _held(table: Table, name: str, rows: Rows, remarks: list[str]) -> Array | None:
+def _held(table: RunTable, name: str, rows: Rows, remarks: list[str]) -> Array | None:
     """An input: where its cell is empty what it was before, shut at first. None without a value."""
     if name not in table.columns:
         return None
@@ -243,7 +244,7 @@ def _without_holes(time_s: Array, values: Array | None) -> Array | None:
     return np.interp(time_s, time_s[there], values[there])
 
 
-def _strangers(table: Table) -> Iterator[str]:
+def _strangers(table: RunTable) -> Iterator[str]:
     """Remarks on columns that are none of a run; CaseError where one is a known column under another name."""
     absent = [name for name in _COLUMNS if name not in table.columns]
     for name in table.columns:

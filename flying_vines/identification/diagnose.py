@@ -12,13 +12,13 @@ from threadpoolctl import threadpool_limits
 from flying_vines.identification.case import Case
 from flying_vines.identification.cores import mapped
 from flying_vines.identification.evidence import evidence
-from flying_vines.identification.fit import Problem
+from flying_vines.identification.fit import FitProblem
 from flying_vines.identification.held_out import HeldOut, Split, held_out, splits_for, unseen_error
-from flying_vines.identification.intervals import Profile, profile
+from flying_vines.identification.intervals import LikelihoodProfile, profile
 from flying_vines.identification.noise import noise_kPa, stated_noise_kPa
 from flying_vines.identification.plan import recommend
-from flying_vines.identification.search import CLAIM, Candidate, Found, Progress, Search, silent
-from flying_vines.identification.verdict import NONE, UNEXPLAINED, Estimate, Named, Tried, Verdict
+from flying_vines.identification.search import CLAIM, Candidate, Progress, Search, SearchResult, silent
+from flying_vines.identification.verdict import NONE, UNEXPLAINED, Named, ParameterEstimate, Tried, Verdict
 from flying_vines.physics.cause import Cause
 from flying_vines.physics.effects import catalogue
 
@@ -46,11 +46,11 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
     # The fits themselves run on all cores; small matrices on several more would only wait for each other.
     with threadpool_limits(1):
         stated = stated_noise_kPa(case.rig)
-        found = Search(Problem(case, stated), every).best(progress)
+        found = Search(FitProblem(case, stated), every).best(progress)
         noise = _noise_left(found.chosen)
         if noise != stated:
             progress("again, with the noise that the data have", 0.0)
-            found = Search(Problem(case, noise), every).best(progress)
+            found = Search(FitProblem(case, noise), every).best(progress)
         return _verdict(found, progress)
 
 
@@ -67,7 +67,7 @@ def _noise_left(chosen: Candidate) -> tuple[float, float]:
     return found[0], found[1]
 
 
-def _verdict(found: Found, progress: Progress) -> Verdict:
+def _verdict(found: SearchResult, progress: Progress) -> Verdict:
     chosen, problem = found.chosen, found.chosen.problem
     progress("intervals", 0.85)
     parameters = [(i, n) for i, cause in enumerate(chosen.causes) for n in range(len(cause.parameters))]
@@ -112,7 +112,7 @@ def _verdict(found: Found, progress: Progress) -> Verdict:
     )
 
 
-def _noise_remarks(problem: Problem) -> list[str]:
+def _noise_remarks(problem: FitProblem) -> list[str]:
     """Where the data contradict what the rig states."""
     sensors = problem.case.rig.sensors
     stated = {
@@ -126,7 +126,7 @@ def _noise_remarks(problem: Problem) -> list[str]:
     ]
 
 
-def _ranking(found: Found, splits: Sequence[Split], errors: HeldOut) -> tuple[Tried, ...]:
+def _ranking(found: SearchResult, splits: Sequence[Split], errors: HeldOut) -> tuple[Tried, ...]:
     best: dict[frozenset[str], Candidate] = {}
     for candidate in found.tried:
         if not isfinite(candidate.score):
@@ -151,7 +151,7 @@ def _ranking(found: Found, splits: Sequence[Split], errors: HeldOut) -> tuple[Tr
     )
 
 
-def _roughly(candidate: Candidate, cause: Cause) -> dict[str, Estimate]:
+def _roughly(candidate: Candidate, cause: Cause) -> dict[str, ParameterEstimate]:
     """Parameters of one of the causes, with intervals as if χ² were a parabola."""
     point = candidate.fit.point
     index = point.causes.index(cause)
@@ -160,7 +160,7 @@ def _roughly(candidate: Candidate, cause: Cause) -> dict[str, Estimate]:
     for number, (parameter, value) in enumerate(zip(cause.parameters, point.values[index], strict=True)):
         reach = 1.96 * sqrt(max(0.0, candidate.covariance[at + number, at + number]))
         inner = parameter.inner(value)
-        estimates[parameter.name] = Estimate(
+        estimates[parameter.name] = ParameterEstimate(
             value, parameter.within(inner - reach), parameter.within(inner + reach)
         )
     return estimates
@@ -176,14 +176,14 @@ def _on_bound(candidate: Candidate) -> tuple[str, ...]:
     )
 
 
-def _main_first(chosen: Candidate, found: Found) -> tuple[str, list[str]]:
+def _main_first(chosen: Candidate, found: SearchResult) -> tuple[str, list[str]]:
     """The cause that explains most by itself, and the others."""
     alone = {c.names[0]: c.fit.chi2 for c in found.tried if len(c.names) == 1}
     names = sorted(chosen.names, key=lambda name: alone[name])
     return names[0], names[1:]
 
 
-def _instead(chosen: Candidate, cause: str, found: Found) -> dict[str, float]:
+def _instead(chosen: Candidate, cause: str, found: SearchResult) -> dict[str, float]:
     """How much worse the evidence is with another cause in place of one of the chosen, by its name."""
     rest = set(chosen.names) - {cause}
     worse: dict[str, float] = {}
@@ -195,7 +195,7 @@ def _instead(chosen: Candidate, cause: str, found: Found) -> dict[str, float]:
     return worse
 
 
-def _doubts(chosen: Candidate, names: Sequence[str], found: Found) -> dict[str, tuple[str, ...]]:
+def _doubts(chosen: Candidate, names: Sequence[str], found: SearchResult) -> dict[str, tuple[str, ...]]:
     """What could as well stand in place of each cause, the likeliest first; of those for which something
     could."""
     doubts = {}
@@ -207,7 +207,7 @@ def _doubts(chosen: Candidate, names: Sequence[str], found: Found) -> dict[str, 
     return doubts
 
 
-def _sureness(chosen: Candidate, main: str, found: Found) -> float:
+def _sureness(chosen: Candidate, main: str, found: SearchResult) -> float:
     """How probable it is that the main cause, or what is like it, is the cause."""
     worse = _instead(chosen, main, found)
     worse[NONE] = max(0.0, found.search.null.score - CLAIM - chosen.score)
@@ -224,6 +224,8 @@ def _settling(case: Case, doubts: Mapping[str, Sequence[str]]) -> str:
     return recommend(case.rig, {cause, *others}).in_words()
 
 
-def _measured(cause: str, profiles: Sequence[Profile]) -> dict[str, Estimate]:
+def _measured(cause: str, profiles: Sequence[LikelihoodProfile]) -> dict[str, ParameterEstimate]:
     """The parameters of a cause, with their intervals."""
-    return {p.parameter.name: Estimate(p.estimate, p.low, p.high) for p in profiles if p.cause == cause}
+    return {
+        p.parameter.name: ParameterEstimate(p.estimate, p.low, p.high) for p in profiles if p.cause == cause
+    }

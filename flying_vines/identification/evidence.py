@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flying_vines.identification.intervals import Profile
+from flying_vines.identification.intervals import LikelihoodProfile
 from flying_vines.identification.likeness import Likeness, likeness
-from flying_vines.identification.model import Array
 from flying_vines.identification.residuals import Pattern
-from flying_vines.identification.search import Found
+from flying_vines.identification.search import SearchResult
+from flying_vines.physics.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,13 +42,13 @@ class Evidence:
     """What the baseline's residuals depend on, the strongest first."""
     after: tuple[Pattern, ...]
     """What is left of it with the causes."""
-    profiles: tuple[Profile, ...]
+    profiles: tuple[LikelihoodProfile, ...]
     """Of the named causes' parameters."""
     likeness: Likeness
     """Of the whole catalogue, around what fits best."""
 
 
-def evidence(found: Found, profiles: Sequence[Profile]) -> Evidence:
+def evidence(found: SearchResult, profiles: Sequence[LikelihoodProfile]) -> Evidence:
     """Of a search that has ended."""
     null, chosen = found.search.null, found.chosen
     problem = chosen.problem

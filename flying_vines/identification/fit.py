@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from flying_vines.identification.case import Case
-from flying_vines.identification.model import Array
 from flying_vines.identification.simulate import Simulation, believed_spread
 from flying_vines.identification.slopes import RunSlopes, Slopes
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Values
 from flying_vines.physics.rig import number
 
@@ -52,7 +52,7 @@ _READINGS = 3
 
 
 @dataclass(frozen=True)
-class Point:
+class FitPoint:
     """Where a fit is. `deviation` of believed numbers, in shares of them, by key; `values` of the causes."""
 
     causes: tuple[Cause, ...]
@@ -62,17 +62,17 @@ class Point:
     initial: Array
     """(starts, 2) gauge pressures of reservoir and control volume, kPa, run by run."""
 
-    def with_cause(self, cause: Cause, values: Values) -> Point:
+    def with_cause(self, cause: Cause, values: Values) -> FitPoint:
         """The same place with another cause, where it begins."""
         return replace(self, causes=(*self.causes, cause), values=(*self.values, values))
 
-    def without(self, index: int) -> Point:
+    def without(self, index: int) -> FitPoint:
         """The same place without one of the causes."""
         causes, values = list(self.causes), list(self.values)
         del causes[index], values[index]
         return replace(self, causes=tuple(causes), values=tuple(values))
 
-    def pinned(self, index: int, number: int, value: float) -> Point:
+    def pinned(self, index: int, number: int, value: float) -> FitPoint:
         """The same place, with one parameter of one cause held at a value."""
         cause, values = self.causes[index], list(self.values[index])
         values[number] = value
@@ -82,7 +82,7 @@ class Point:
         causes[index], every[index] = replace(cause, parameters=tuple(parameters)), tuple(values)
         return replace(self, causes=tuple(causes), values=tuple(every))
 
-    def freed(self, keys: Sequence[str]) -> Point:
+    def freed(self, keys: Sequence[str]) -> FitPoint:
         """The same place, with these believed numbers free and no others."""
         return replace(self, deviation={key: self.deviation.get(key, 0.0) for key in keys})
 
@@ -91,7 +91,7 @@ class Point:
 class Fit:
     """Where a fit ended."""
 
-    point: Point
+    point: FitPoint
     chi2: float
     """Of the residuals alone."""
     cost: float
@@ -125,7 +125,7 @@ class Tangents:
         return beside
 
 
-class Problem:
+class FitProblem:
     """A case to be fitted.
 
     Args:
@@ -149,11 +149,11 @@ class Problem:
         self.starts = [
             slice(end - len(run.start), end) for end, run in zip(ends, self.simulation.runs, strict=True)
         ]
-        """Of each run, in `Point.initial`."""
+        """Of each run, in `FitPoint.initial`."""
         self._read = self.start().initial
         self.readings = int(sum(np.count_nonzero(weight) for weight in self.weights))
 
-    def start(self) -> Point:
+    def start(self) -> FitPoint:
         """The believed rig, at rest where the first readings are."""
         initial = []
         for data, weight, run in zip(self.data, self.weights, self.simulation.runs, strict=True):
@@ -162,7 +162,7 @@ class Problem:
                 few = _READINGS if i == 0 else 1
                 reservoir_kPa = _first(data[1, i:], weight[1, i:], few, UNREAD_RESERVOIR_KPA)
                 initial.append((reservoir_kPa, _first(data[0, i:], weight[0, i:], few, 0.0)))
-        return Point((), (), {}, np.array(initial))
+        return FitPoint((), (), {}, np.array(initial))
 
     def tolerance(self, key: str) -> float:
         """How well a number is believed, as a share."""
@@ -172,7 +172,7 @@ class Problem:
         """As `believed_spread`."""
         return believed_spread(self.case.rig, key)
 
-    def simulated(self, point: Point, runs: Sequence[int] | None = None) -> list[Array]:
+    def simulated(self, point: FitPoint, runs: Sequence[int] | None = None) -> list[Array]:
         """Readings of these runs (all if not given): (2, n), control volume then reservoir, kPa."""
         moved = self.moved(point)
         causes = list(zip(point.causes, point.values, strict=True))
@@ -181,17 +181,17 @@ class Problem:
             np.stack(self.simulation.readings(i, moved, causes, point.initial[self.starts[i]])) for i in every
         ]
 
-    def residuals(self, point: Point, runs: Sequence[int] | None = None) -> list[Array]:
+    def residuals(self, point: FitPoint, runs: Sequence[int] | None = None) -> list[Array]:
         """Of these runs (all if not given), as in `Fit`."""
         every = range(len(self.data)) if runs is None else runs
         simulated = self.simulated(point, runs)
         return [(self.data[i] - s) * self.weights[i] for i, s in zip(every, simulated, strict=True)]
 
-    def chi2(self, point: Point) -> float:
+    def chi2(self, point: FitPoint) -> float:
         """The sum of squared residuals at a place."""
         return _chi2(self.residuals(point))
 
-    def moved(self, point: Point) -> dict[str, float]:
+    def moved(self, point: FitPoint) -> dict[str, float]:
         """The believed numbers that are free, by their keys, where the fit has them."""
         rig = self.case.rig
         return {key: number(rig, key) * (1.0 + deviation) for key, deviation in point.deviation.items()}
@@ -215,14 +215,14 @@ class Problem:
         covariance: Array = inverse / np.outer(scale, scale)
         return covariance
 
-    def begun(self, base: Point, cause: Cause) -> Fit:
+    def begun(self, base: FitPoint, cause: Cause) -> Fit:
         """The first steps of a fit with a further cause: of it alone from each seed, of all from the best."""
         starts = [self._well_begun(base.with_cause(cause, values)) for values in cause.seeds()]
         nearest = sorted(starts, key=lambda start: start[0])[:FEW_SEEDS]
         alone = (self.fit(start, FIRST_STEPS, moving=len(cause.parameters)) for _, start in nearest)
         return self.fit(min(alone, key=lambda fit: fit.chi2).point, THEN_STEPS)
 
-    def fit(self, start: Point, most_steps: int = MOST_STEPS, moving: int | None = None) -> Fit:
+    def fit(self, start: FitPoint, most_steps: int = MOST_STEPS, moving: int | None = None) -> Fit:
         """The least χ² near `start`.
 
         Args:
@@ -258,7 +258,7 @@ class Problem:
                 break
         return Fit(space.outer(place), _chi2(residuals), cost, tuple(residuals))
 
-    def _well_begun(self, point: Point) -> tuple[float, Point]:
+    def _well_begun(self, point: FitPoint) -> tuple[float, FitPoint]:
         """The same place, with each pair of initial pressures as it is or as first read, whichever is nearer:
         where a cause was missing a fit may have moved them far away to do its work. Its χ² is first."""
         there = self._by_start(self.residuals(point))
@@ -276,7 +276,7 @@ class Problem:
 class _Space:
     """The numbers that a fit moves, in one row: deviations, parameters, initial pressures run by run."""
 
-    def __init__(self, problem: Problem, start: Point, moving: int | None = None) -> None:
+    def __init__(self, problem: FitProblem, start: FitPoint, moving: int | None = None) -> None:
         self._problem = problem
         self._start = start
         self._keys = tuple(start.deviation)
@@ -300,12 +300,12 @@ class _Space:
         self._sureness = np.array([sd**-2.0 for _, sd in typical])
         """What is believed of deviations and parameters: mean, and one over the variance."""
 
-    def inner(self, point: Point) -> Array:
+    def inner(self, point: FitPoint) -> Array:
         values = [value for values in point.values for value in values]
         inner = [p.inner(value) for p, value in zip(self._parameters, values, strict=True)]
         return np.concatenate(([point.deviation[key] for key in self._keys], inner, point.initial.ravel()))
 
-    def outer(self, place: Array) -> Point:
+    def outer(self, place: Array) -> FitPoint:
         keys = len(self._keys)
         values = [
             p.outer(x) for p, x in zip(self._parameters, place[keys : self._common].tolist(), strict=True)

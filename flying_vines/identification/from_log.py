@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 
 from firmware_link.protocol import Fault, Mode
 from flying_vines.identification.case import Case
-from flying_vines.identification.recording import Array, CaseError, Run
+from flying_vines.identification.recording import CaseError, RecordedRun
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.rig import Rig, RigError, load_rig, rig_from
 from flying_vines.record.folders import MCAP
 from flying_vines.record.reader import FlightLog, LogError
@@ -225,7 +226,7 @@ def _from_rest(stretch: _Telemetry) -> Iterator[_Telemetry]:
             yield stretch.part(slice(int(begin), int(end)))
 
 
-def _run(name: str, telemetry: _Telemetry) -> Run:
+def _run(name: str, telemetry: _Telemetry) -> RecordedRun:
     since_ms = telemetry.time_ms - telemetry.time_ms[0]
     read = np.append(True, np.diff(since_ms // READING_MS) > 0)
     moved = np.append(True, np.any(np.diff(telemetry.valves, axis=0) != 0.0, axis=1))
@@ -236,7 +237,7 @@ def _run(name: str, telemetry: _Telemetry) -> Run:
         return column
 
     evp, dvp, solenoid = telemetry.valves.T
-    return Run(
+    return RecordedRun(
         name=name,
         time_s=kept(since_ms / 1000.0),
         command_kPa=kept(np.where(telemetry.regulates, telemetry.setpoint_kPa, np.nan)),

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.identification.cores import mapped
-from flying_vines.identification.fit import Bools, Point, Problem
-from flying_vines.identification.intervals import Profile
-from flying_vines.identification.model import Array
+from flying_vines.identification.fit import Bools, FitPoint, FitProblem
+from flying_vines.identification.intervals import LikelihoodProfile
+from flying_vines.physics.arrays import Array
 
 SHOWN_S = 0.5
 STRETCH_S = 2.0
@@ -55,10 +55,10 @@ class HeldOut:
 class Split:
     """What a fit is shown, and what it is scored on."""
 
-    shown: Problem
+    shown: FitProblem
     scored: tuple[Bools, ...]
     """Run by run, (n,)."""
-    fitted: Point
+    fitted: FitPoint
     """The chosen causes, fitted from nothing to what is shown."""
 
 
@@ -72,7 +72,7 @@ class _Errors:
     """(blocks, 2) readings."""
 
 
-def held_out(problem: Problem, splits: Sequence[Split], null: Point | None) -> HeldOut:
+def held_out(problem: FitProblem, splits: Sequence[Split], null: FitPoint | None) -> HeldOut:
     """Errors of the null and of the chosen causes, both refitted without what they predict.
 
     Args:
@@ -88,13 +88,13 @@ def held_out(problem: Problem, splits: Sequence[Split], null: Point | None) -> H
     )
 
 
-def unseen_error(problem: Problem, splits: Sequence[Split], point: Point) -> float:
+def unseen_error(problem: FitProblem, splits: Sequence[Split], point: FitPoint) -> float:
     """The error of some causes alone, as in `HeldOut`, but after two steps from where all data have put
     them: for a table of those that were not chosen."""
     return float(_nrmse(problem, _errors(problem, splits, lambda split: split.shown.fit(point, 2).point)))
 
 
-def splits_for(problem: Problem, chosen: Point, profiles: Sequence[Profile]) -> list[Split]:
+def splits_for(problem: FitProblem, chosen: FitPoint, profiles: Sequence[LikelihoodProfile]) -> list[Split]:
     """What is predicted from what.
 
     Args:
@@ -105,7 +105,9 @@ def splits_for(problem: Problem, chosen: Point, profiles: Sequence[Profile]) -> 
     return [split for splits in every for split in splits]
 
 
-def _of_run(problem: Problem, chosen: Point, profiles: Sequence[Profile], i: int) -> list[Split]:
+def _of_run(
+    problem: FitProblem, chosen: FitPoint, profiles: Sequence[LikelihoodProfile], i: int
+) -> list[Split]:
     time_s = problem.case.runs[i].time_s - problem.case.runs[i].time_s[0]
     beginning = _beginnings(time_s, problem.simulation.runs[i].start)
     if len(problem.case.runs) > 1:
@@ -125,15 +127,15 @@ def _beginnings(time_s: Array, start: NDArray[np.intp]) -> Bools:
     return beginnings
 
 
-def _split(problem: Problem, chosen: Point, i: int, unseen: Bools) -> Split:
+def _split(problem: FitProblem, chosen: FitPoint, i: int, unseen: Bools) -> Split:
     """These samples of a run, from all the rest."""
     used = [np.ones(len(run.time_s), dtype=np.bool_) for run in problem.case.runs]
     used[i] = ~unseen
-    shown = Problem(problem.case, problem.noise_kPa, used)
+    shown = FitProblem(problem.case, problem.noise_kPa, used)
     return Split(shown, tuple(~mask for mask in used), _refitted(shown, chosen))
 
 
-def _fixed(split: Split, profiles: Sequence[Profile]) -> bool:
+def _fixed(split: Split, profiles: Sequence[LikelihoodProfile]) -> bool:
     """Whether no parameter can lie far outside its interval, for all that is shown."""
     shown, point = split.shown, split.fitted
     least = shown.fit(point, 1).cost
@@ -152,7 +154,7 @@ def _fixed(split: Split, profiles: Sequence[Profile]) -> bool:
     return True
 
 
-def _errors(problem: Problem, splits: Sequence[Split], refit: Callable[[Split], Point]) -> _Errors:
+def _errors(problem: FitProblem, splits: Sequence[Split], refit: Callable[[Split], FitPoint]) -> _Errors:
     squares, count = [], []
     predicted = mapped(lambda split: problem.residuals(refit(split)), splits)
     for split, residuals in zip(splits, predicted, strict=True):
@@ -167,7 +169,7 @@ def _errors(problem: Problem, splits: Sequence[Split], refit: Callable[[Split], 
     return _Errors(np.concatenate(squares, dtype=np.float64)[kept], scored[kept])
 
 
-def _refitted(problem: Problem, point: Point) -> Point:
+def _refitted(problem: FitProblem, point: FitPoint) -> FitPoint:
     """The same causes and free numbers, fitted from nothing."""
     fit = problem.fit(problem.start().freed(tuple(point.deviation)))
     for cause in point.causes:
@@ -175,7 +177,7 @@ def _refitted(problem: Problem, point: Point) -> Point:
     return problem.fit(fit.point).point
 
 
-def _gain(problem: Problem, before: _Errors, after: _Errors) -> tuple[float, float]:
+def _gain(problem: FitProblem, before: _Errors, after: _Errors) -> tuple[float, float]:
     if after is before:
         return 0.0, 0.0
     drawn = np.random.default_rng(0).integers(0, len(before.count), (_DRAWS, len(before.count)))
@@ -184,7 +186,7 @@ def _gain(problem: Problem, before: _Errors, after: _Errors) -> tuple[float, flo
     return float(low), float(high)
 
 
-def _nrmse(problem: Problem, errors: _Errors, drawn: NDArray[np.intp] | None = None) -> Array:
+def _nrmse(problem: FitProblem, errors: _Errors, drawn: NDArray[np.intp] | None = None) -> Array:
     """Of all blocks; or of each draw of blocks, (draws, blocks)."""
     squares, count = (
         values.sum(axis=0) if drawn is None else values[drawn].sum(axis=1)

@@ -12,8 +12,8 @@ from math import inf, isfinite, sqrt
 
 import numpy as np
 
-from flying_vines.identification.model import Array
 from flying_vines.identification.search import Candidate
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Parameter
 
 ABOVE = 3.84
@@ -27,7 +27,7 @@ BLIND = 1e-4
 
 
 @dataclass(frozen=True)
-class Profile:
+class LikelihoodProfile:
     """Of one parameter of a fit."""
 
     cause: str
@@ -41,7 +41,7 @@ class Profile:
     """(n,) how far χ² is above its least there."""
 
 
-def profile(candidate: Candidate, index: int, number: int) -> Profile:
+def profile(candidate: Candidate, index: int, number: int) -> LikelihoodProfile:
     """Of the parameter `number` of the cause `index`."""
     problem, point = candidate.problem, candidate.fit.point
     cause = point.causes[index]
@@ -62,7 +62,7 @@ def profile(candidate: Candidate, index: int, number: int) -> Profile:
         for side, bound in ((-1.0, parameter.low), (1.0, parameter.high))
     )
     values = sorted(seen)
-    return Profile(
+    return LikelihoodProfile(
         cause.name, parameter, best, low, high, np.array(values), np.array([seen[v] for v in values])
     )
 

@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from flying_vines.identification.fit import Fit, Point, Problem
-from flying_vines.identification.model import Array
+from flying_vines.identification.fit import Fit, FitPoint, FitProblem
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Values
 
 _UNSEEN = 1e-6
@@ -38,7 +38,7 @@ class Likeness:
     """(causes,) length of each trace: how many standard deviations of noise the cause would stand out."""
 
 
-def likeness(problem: Problem, fit: Fit, causes: Sequence[Cause], keys: Sequence[str]) -> Likeness:
+def likeness(problem: FitProblem, fit: Fit, causes: Sequence[Cause], keys: Sequence[str]) -> Likeness:
     """Of all these causes, around a fit.
 
     Args:
@@ -49,7 +49,7 @@ def likeness(problem: Problem, fit: Fit, causes: Sequence[Cause], keys: Sequence
     spreads = np.array([problem.spread(key) for key in keys])
     f = slopes.free[: len(keys)] * spreads[:, None]
 
-    def trace(point: Point) -> Array:
+    def trace(point: FitPoint) -> Array:
         residuals = zip(problem.residuals(point), fit.residuals, strict=True)
         whole = [there - here for there, here in residuals]
         return slopes.beside([np.where(np.isfinite(run), run, 0.0) for run in whole])
@@ -64,7 +64,7 @@ def likeness(problem: Problem, fit: Fit, causes: Sequence[Cause], keys: Sequence
     return Likeness(tuple(cause.name for cause in causes), cosine, seen)
 
 
-def _changed(point: Point, cause: Cause) -> Iterator[Point]:
+def _changed(point: FitPoint, cause: Cause) -> Iterator[FitPoint]:
     """Without the cause if it is there, else with it where its fits begin."""
     if cause in point.causes:
         yield point.without(point.causes.index(cause))

@@ -26,7 +26,7 @@ AHEAD = 2
 """So many cases a process are handed out at once: none waits for work, and no season has to be in memory."""
 ANSWER_S = 5.0
 """Within this a cluster has to answer."""
-Outcome = Verdict | CaseError
+CaseOutcome = Verdict | CaseError
 Job = tuple[Path, Case | Path | CaseError]
 """Where a case is, and the case, or where it is still to be read from, or why it could not be."""
 
@@ -45,7 +45,7 @@ def diagnose_all(
     workers: int | None = None,
     scheduler: str | None = None,
     rig: Path | str | None = None,
-) -> Iterator[tuple[Path, Outcome]]:
+) -> Iterator[tuple[Path, CaseOutcome]]:
     """The verdicts as they come, each with its case's path; a CaseError for a case that has none.
 
     Args:
@@ -76,8 +76,8 @@ def diagnose_all(
 
 def _as_they_come(
     pool: Executor, jobs: Iterable[Job], at_once: int, threads: int, rig: Path | str | None
-) -> Iterator[tuple[Path, Outcome]]:
-    waiting: dict[Future[Outcome], Path] = {}
+) -> Iterator[tuple[Path, CaseOutcome]]:
+    waiting: dict[Future[CaseOutcome], Path] = {}
     for job in jobs:
         waiting[_handed_out(pool, job, threads, rig)] = job[0]
         if len(waiting) >= AHEAD * at_once:
@@ -86,16 +86,16 @@ def _as_they_come(
         yield from _finished(waiting)
 
 
-def _handed_out(pool: Executor, job: Job, threads: int, rig: Path | str | None) -> Future[Outcome]:
+def _handed_out(pool: Executor, job: Job, threads: int, rig: Path | str | None) -> Future[CaseOutcome]:
     try:
         return pool.submit(_outcome, job, threads, rig)
     except RuntimeError as error:  # a pool that lost a process takes nothing any more
-        lost: Future[Outcome] = Future()
+        lost: Future[CaseOutcome] = Future()
         lost.set_exception(error)
         return lost
 
 
-def _finished(waiting: dict[Future[Outcome], Path]) -> Iterator[tuple[Path, Outcome]]:
+def _finished(waiting: dict[Future[CaseOutcome], Path]) -> Iterator[tuple[Path, CaseOutcome]]:
     for future in wait(waiting, return_when=FIRST_COMPLETED).done:
         path = waiting.pop(future)
         try:
@@ -112,7 +112,7 @@ def _read(job: Job, rig: Path | str | None) -> Job:
         return path, error
 
 
-def _outcome(job: Job, threads: int, rig: Path | str | None) -> Outcome:
+def _outcome(job: Job, threads: int, rig: Path | str | None) -> CaseOutcome:
     """Of one case, in whatever process and thread it is handed out to."""
     path, what = _read(job, rig)
     if not isinstance(what, Case):

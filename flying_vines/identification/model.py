@@ -13,12 +13,13 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
-from flying_vines.physics.plant.numbers import Numbers, Valve
+from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
 from flying_vines.physics.plant.plant import Held
 from flying_vines.physics.plant.rates import Floats, conditions, edges
-from flying_vines.physics.plant.sensors import Seen, Transfer, reading
+from flying_vines.physics.plant.sensors import SensorMemory, Transfer, reading
 from flying_vines.physics.plant.shape import volume_and_work
 from flying_vines.physics.plant.tick import runge_kutta
 
@@ -27,11 +28,9 @@ SETTLED = 1e-3
 _ON_EDGE = 1e-7
 """So near to an edge (kPa, kPa·L) is on it."""
 
-Array = NDArray[np.float64]
-
 
 def pressurised(
-    numbers: Numbers,
+    numbers: PlantNumbers,
     air: Air,
     state: Floats,
     reservoir_kPa: float,
@@ -53,7 +52,7 @@ def pressurised(
     )  # fmt: skip
 
 
-def step(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held, h: float) -> Floats:
+def step(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held, h: float) -> Floats:
     """The state `h` seconds on; where an edge lies between, it is stepped to and from."""
     if not numbers.has_edges:
         return runge_kutta(numbers, air, at_s, state, held, h)
@@ -79,7 +78,7 @@ def step(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held, h: 
     return end
 
 
-def _allowed(valve: Valve, opening: float, target: float, h: float) -> float:
+def _allowed(valve: ValveNumbers, opening: float, target: float, h: float) -> float:
     """A step of at most `h` that resolves a valve on its way."""
     if h * valve.lag_per_s > 1.0 and abs(opening - target) > SETTLED:
         return 1.0 / valve.lag_per_s
@@ -91,7 +90,7 @@ APART = (runge_kutta,)
 
 
 def run(
-    numbers: Numbers,
+    numbers: PlantNumbers,
     cv_sensor: Transfer,
     reservoir_sensor: Transfer,
     time_s: Array,
@@ -120,7 +119,7 @@ def run(
     ambient_K = air.ratio * STANDARD_TEMPERATURE_K
     state: Floats = (1.0, 1.0, ambient_K, 1.0, 1.0, ambient_K, 0.0, 0.0, 0.0, 0.0)
     reservoir_K = cv_K = ambient_K
-    cv_seen = reservoir_seen = Seen(0.0, 0.0)
+    cv_seen = reservoir_seen = SensorMemory(0.0, 0.0)
     cv_reads = reservoir_reads = 0.0
     lagging = cv_sensor.time_constant_s > 0.0 or reservoir_sensor.time_constant_s > 0.0
     started = at = 0
@@ -137,8 +136,8 @@ def run(
             # A sensor that lags goes on lagging.
             cv_late = cv_seen.lagged_kPa - cv_seen.true_kPa
             reservoir_late = reservoir_seen.lagged_kPa - reservoir_seen.true_kPa
-            cv_seen = Seen(found.line_kPa, found.line_kPa + cv_late)
-            reservoir_seen = Seen(found.reservoir_kPa, found.reservoir_kPa + reservoir_late)
+            cv_seen = SensorMemory(found.line_kPa, found.line_kPa + cv_late)
+            reservoir_seen = SensorMemory(found.reservoir_kPa, found.reservoir_kPa + reservoir_late)
             cv_seen, cv_reads = reading(cv_sensor, cv_seen, found.line_kPa, 0.0, 0.0)
             reservoir_seen, reservoir_reads = reading(
                 reservoir_sensor, reservoir_seen, found.reservoir_kPa, 0.0, 0.0

@@ -7,7 +7,7 @@ from math import sqrt
 
 import numpy as np
 
-from flying_vines.identification.model import Array
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.rig import Rig
 
 LEAST_KPA = 1e-3

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flying_vines.identification.recording import Array, CaseError, Run
+from flying_vines.identification.recording import CaseError, RecordedRun
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.rig import Rig
 
@@ -66,7 +67,7 @@ _PSI = _Unit("psi", 0.145038, 1.33)
 _SMALL = (_PSI, _Unit("bar", 0.01, 3.0), _Unit("MPa", 0.001, 3.0))
 
 
-def check(rig: Rig, runs: Mapping[Path, Run]) -> list[str]:
+def check(rig: Rig, runs: Mapping[Path, RecordedRun]) -> list[str]:
     """Remarks. CaseError for the first run that is no recording of a rig like this."""
     for path, run in runs.items():
         _check_swapped(path, run)
@@ -81,7 +82,7 @@ def check(rig: Rig, runs: Mapping[Path, Run]) -> list[str]:
     return _check_anything_moves(rig, runs)
 
 
-def check_shut(path: Path, name: str, run: Run, rig: Rig) -> None:
+def check_shut(path: Path, name: str, run: RecordedRun, rig: Rig) -> None:
     """CaseError where a valve that was not recorded cannot have been shut."""
     time_s, cv_kPa = _readings(run, _CV)
     if len(time_s) == 0 or rig.cv is None:
@@ -102,7 +103,7 @@ def check_shut(path: Path, name: str, run: Run, rig: Rig) -> None:
         raise CaseError(f"{path}: {what}, but {name} was not recorded; add the column")
 
 
-def _check_swapped(path: Path, run: Run) -> None:
+def _check_swapped(path: Path, run: RecordedRun) -> None:
     """The reservoir is the higher one, and falls while the other one fills."""
     both = np.isfinite(run.cv_kPa) & np.isfinite(run.reservoir_kPa)
     if not both.any() or np.median((run.cv_kPa - run.reservoir_kPa)[both]) < 40.0:
@@ -119,7 +120,7 @@ def _check_swapped(path: Path, run: Run) -> None:
         )
 
 
-def _check_levels(path: Path, run: Run) -> None:
+def _check_levels(path: Path, run: RecordedRun) -> None:
     for channel in _CHANNELS:
         time_s, readings = _readings(run, channel)
         beyond = (readings > channel.highest_kPa) | (readings < channel.lowest_kPa)
@@ -142,7 +143,7 @@ def _check_levels(path: Path, run: Run) -> None:
         )
 
 
-def _check_ambient(path: Path, run: Run) -> None:
+def _check_ambient(path: Path, run: RecordedRun) -> None:
     if run.ambient_kPa is not None and not 40.0 <= (level := float(np.nanmedian(run.ambient_kPa))) <= 115.0:
         raise CaseError(
             f"{path}: ambient_pressure_kPa: is about {level:.4g}, and the air has 40 to 115 kPa absolute; "
@@ -155,7 +156,7 @@ def _check_ambient(path: Path, run: Run) -> None:
         )
 
 
-def check_discharge(path: Path, run: Run, rig: Rig) -> None:
+def check_discharge(path: Path, run: RecordedRun, rig: Rig) -> None:
     """CaseError where a reservoir of which only the pressure was recorded has no open outlet."""
     time_s, readings = _readings(run, _RESERVOIR)
     tau_s = rig.evp.flow_resistance_kPa_s_per_SL * rig.reservoir.volume_L / ALPHA_KPA
@@ -167,7 +168,7 @@ def check_discharge(path: Path, run: Run, rig: Rig) -> None:
         )
 
 
-def _check_small_units(rig: Rig, runs: Mapping[Path, Run]) -> None:
+def _check_small_units(rig: Rig, runs: Mapping[Path, RecordedRun]) -> None:
     """psi, bar and MPa give numbers that a weak reservoir could give in kPa, but with too little noise."""
     believed_kPa = {_CV: rig.sensors.cv_noise_std_kPa, _RESERVOIR: rig.sensors.reservoir_noise_std_kPa}
     for channel in _CHANNELS:
@@ -191,7 +192,7 @@ def _check_small_units(rig: Rig, runs: Mapping[Path, Run]) -> None:
                 raise _other_unit(f"{path}: {channel.column}", what, unit)
 
 
-def _small_unit(run: Run, channel: _Channel, noise_kPa: float) -> _Unit | None:
+def _small_unit(run: RecordedRun, channel: _Channel, noise_kPa: float) -> _Unit | None:
     top, noise = _top(getattr(run, channel.field)), _noise(run, channel)
     if not (top > 0.0 and noise.std > 0.0 and noise_kPa > 0.0):
         return None
@@ -203,7 +204,7 @@ def _small_unit(run: Run, channel: _Channel, noise_kPa: float) -> _Unit | None:
     return None
 
 
-def _check_cv_absolute(rig: Rig, runs: Mapping[Path, Run]) -> None:
+def _check_cv_absolute(rig: Rig, runs: Mapping[Path, RecordedRun]) -> None:
     """An absolute sensor rests at ambient pressure, not at zero."""
     if rig.cv is None:
         return
@@ -232,7 +233,7 @@ def _check_cv_absolute(rig: Rig, runs: Mapping[Path, Run]) -> None:
         raise _absolute(path, _CV, f"begins at {begin_kPa:.4g} and hardly falls below")
 
 
-def _check_reservoir_absolute(path: Path, run: Run, rig: Rig) -> None:
+def _check_reservoir_absolute(path: Path, run: RecordedRun, rig: Rig) -> None:
     """It empties to zero, not to ambient pressure, through a valve so far open that nothing blocks it."""
     outlet = (run.to_atmosphere | (run.solenoid > 0.0)) & (run.evp_opening >= _WIDE)
     per_R = np.where(outlet, 1.0 / rig.evp.flow_resistance_kPa_s_per_SL, 0.0)
@@ -252,7 +253,7 @@ def _check_reservoir_absolute(path: Path, run: Run, rig: Rig) -> None:
             raise _absolute(path, _RESERVOIR, f"comes to rest at {end_kPa:.4g} although a valve is open")
 
 
-def _check_time_unit(path: Path, run: Run, rig: Rig) -> None:
+def _check_time_unit(path: Path, run: RecordedRun, rig: Rig) -> None:
     """In milliseconds the valves would have let out far more air than is missing."""
     step_s = float(np.median(np.diff(run.time_s)))
     _, readings = _readings(run, _RESERVOIR)
@@ -269,7 +270,7 @@ def _check_time_unit(path: Path, run: Run, rig: Rig) -> None:
         )
 
 
-def _check_stuck(path: Path, run: Run, rig: Rig) -> None:
+def _check_stuck(path: Path, run: RecordedRun, rig: Rig) -> None:
     """The same to the last digit, although the valves move, or one is so far open that it has to move."""
     wide = run.evp_opening >= _WIDE
     has_to_move = {
@@ -285,7 +286,7 @@ def _check_stuck(path: Path, run: Run, rig: Rig) -> None:
             )
 
 
-def _check_anything_moves(rig: Rig, runs: Mapping[Path, Run]) -> list[str]:
+def _check_anything_moves(rig: Rig, runs: Mapping[Path, RecordedRun]) -> list[str]:
     still = [path for path, run in runs.items() if not _moves(run)]
     noise_kPa = {_CV: rig.sensors.cv_noise_std_kPa, _RESERVOIR: rig.sensors.reservoir_noise_std_kPa}
     drifts = any(
@@ -317,14 +318,14 @@ def _is_ambient(kPa: float) -> bool:
     return 50.0 < kPa < 127.0
 
 
-def _readings(run: Run, channel: _Channel) -> tuple[Array, Array]:
+def _readings(run: RecordedRun, channel: _Channel) -> tuple[Array, Array]:
     """Times and values where there is a reading."""
     values: Array = getattr(run, channel.field)
     there = np.isfinite(values)
     return run.time_s[there], values[there]
 
 
-def _all_readings(run: Run) -> dict[_Channel, Array]:
+def _all_readings(run: RecordedRun) -> dict[_Channel, Array]:
     """Of the pressures that were recorded."""
     return {channel: readings for channel in _CHANNELS if len(readings := _readings(run, channel)[1]) >= _FEW}
 
@@ -345,7 +346,7 @@ def _lost(readings: Array) -> float:
     return float(np.median(readings[:part]) - np.median(readings[-part:]))
 
 
-def _moves(run: Run) -> bool:
+def _moves(run: RecordedRun) -> bool:
     return bool(((run.evp_opening > 0.0) | (run.dvp_opening > 0.0) | (run.solenoid > 0.0)).any())
 
 
@@ -355,7 +356,7 @@ def _spells(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
 
 
-def _held_for(run: Run, mask: NDArray[np.bool_], least_s: float) -> NDArray[np.bool_]:
+def _held_for(run: RecordedRun, mask: NDArray[np.bool_], least_s: float) -> NDArray[np.bool_]:
     """Where a mask has been true for so long."""
     held = np.zeros_like(mask)
     for first, last in _spells(mask):
@@ -368,7 +369,7 @@ def _change(values: Array, mask: NDArray[np.bool_]) -> float:
     return float(np.nansum(np.diff(values)[mask[:-1]]))
 
 
-def _noise(run: Run, channel: _Channel, *, only_quiet: bool = False) -> _Noise:
+def _noise(run: RecordedRun, channel: _Channel, *, only_quiet: bool = False) -> _Noise:
     """Of the readings about a straight line through their neighbours; NaN of too few.
 
     Nothing bends while all valves are shut. Over all readings bends only add to it, but so many more may
@@ -400,13 +401,13 @@ def _vent_s(rig: Rig, cv_L: float) -> float:
     return rig.solenoid.flow_resistance_kPa_s_per_SL * cv_L / ALPHA_KPA
 
 
-def _filled(run: Run, channel: _Channel) -> Array:
+def _filled(run: RecordedRun, channel: _Channel) -> Array:
     """A pressure at every sample, straight between readings; zero where it was not recorded."""
     t, x = _readings(run, channel)
     return np.interp(run.time_s, t, x) if len(t) else np.zeros_like(run.time_s)
 
 
-def _through_evp(run: Run, rig: Rig, where: NDArray[np.bool_]) -> Array:
+def _through_evp(run: RecordedRun, rig: Rig, where: NDArray[np.bool_]) -> Array:
     """Standard litres that the baseline lets through the inflation valve from each sample to the next."""
     drop_kPa = np.maximum(_filled(run, _RESERVOIR) - _filled(run, _CV), 0.0)
     flow = np.where(where, run.evp_opening, 0.0) * drop_kPa / rig.evp.flow_resistance_kPa_s_per_SL
@@ -414,7 +415,7 @@ def _through_evp(run: Run, rig: Rig, where: NDArray[np.bool_]) -> Array:
     return volume
 
 
-def _lost_through_valves(run: Run, rig: Rig, where: NDArray[np.bool_] | None = None) -> float:
+def _lost_through_valves(run: RecordedRun, rig: Rig, where: NDArray[np.bool_] | None = None) -> float:
     """What the reservoir loses in the baseline at the pressures that were recorded, kPa."""
     everywhere = np.ones(len(run.time_s), dtype=bool) if where is None else where
     motive = np.where(everywhere, run.dvp_opening, 0.0) * np.maximum(_filled(run, _RESERVOIR), 0.0)
@@ -422,14 +423,14 @@ def _lost_through_valves(run: Run, rig: Rig, where: NDArray[np.bool_] | None = N
     return float(ALPHA_KPA / rig.reservoir.volume_L * (_through_evp(run, rig, everywhere) + motive).sum())
 
 
-def _filled_through_evp(run: Run, rig: Rig, where: NDArray[np.bool_]) -> float:
+def _filled_through_evp(run: RecordedRun, rig: Rig, where: NDArray[np.bool_]) -> float:
     """What the control volume gains in the baseline while the solenoid is shut, likewise."""
     if rig.cv is None:
         return 0.0
     return float(ALPHA_KPA / rig.cv.volume_L * _through_evp(run, rig, where & (run.solenoid == 0.0)).sum())
 
 
-def _flow_ratio(run: Run, rig: Rig) -> float:
+def _flow_ratio(run: RecordedRun, rig: Rig) -> float:
     """What the control volume gained over what it gains in the baseline; NaN where neither is much."""
     fills = (run.evp_opening > 0.0) & (run.solenoid == 0.0)
     gained, expected = _change(run.cv_kPa, fills), _filled_through_evp(run, rig, fills)

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from flying_vines.config.toml_text import one_line
-
-Array = NDArray[np.float64]
+from flying_vines.physics.arrays import Array
 
 
 class CaseError(ValueError):
@@ -20,7 +16,7 @@ class CaseError(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class RecordedRun:
     """One recorded run, an element a sample; gauge pressures. The arrays are of one length and read-only.
 
     Time rises strictly. Inputs hold from their sample until the next. A pressure is NaN where there is no

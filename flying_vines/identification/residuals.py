@@ -17,8 +17,8 @@ from math import log
 import numpy as np
 from scipy import stats
 
-from flying_vines.identification.fit import Fit, Problem
-from flying_vines.identification.model import Array
+from flying_vines.identification.fit import Fit, FitProblem
+from flying_vines.physics.arrays import Array
 
 CHANNELS = ("control volume", "reservoir")
 STRETCHES_S = (0.1, 0.5, 2.5, 10.0)
@@ -45,7 +45,7 @@ class Pattern:
     """−log₁₀ of how often noise alone makes means as large as these."""
 
 
-def patterns(problem: Problem, fit: Fit) -> list[Pattern]:
+def patterns(problem: FitProblem, fit: Fit) -> list[Pattern]:
     """All that are looked for, the strongest first."""
     found = []
     for row, channel in enumerate(CHANNELS):
@@ -76,7 +76,7 @@ def _pattern(
     return Pattern(channel, feature, unit, centre, mean, count, surprise)
 
 
-def _features(problem: Problem, fit: Fit) -> Iterator[tuple[str, str, Array, Array]]:
+def _features(problem: FitProblem, fit: Fit) -> Iterator[tuple[str, str, Array, Array]]:
     """Each: its name and unit, its value and its group (negative: none), over all samples of all runs."""
     case = problem.case
     times = [run.time_s - run.time_s[0] for run in case.runs]

@@ -15,10 +15,10 @@ from math import inf
 import numpy as np
 
 from flying_vines.identification.cores import mapped
-from flying_vines.identification.fit import Fit, Problem, Tangents
-from flying_vines.identification.model import Array
+from flying_vines.identification.fit import Fit, FitProblem, Tangents
 from flying_vines.identification.residuals import Pattern, patterns
 from flying_vines.identification.simulate import believed_keys
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause
 
 CLAIM = 25.0
@@ -49,7 +49,7 @@ def silent(step: str, share: float) -> None:
 class Candidate:
     """Some causes (or none), fitted."""
 
-    problem: Problem
+    problem: FitProblem
     fit: Fit
 
     @property
@@ -62,7 +62,7 @@ class Candidate:
 
     @cached_property
     def covariance(self) -> Array:
-        """As `Problem.covariance`."""
+        """As `FitProblem.covariance`."""
         return self.problem.covariance(self.fit)
 
     @cached_property
@@ -98,7 +98,7 @@ class Candidate:
 class Search:
     """Fits of one problem, with what they led to."""
 
-    def __init__(self, problem: Problem, catalogue: Sequence[Cause]) -> None:
+    def __init__(self, problem: FitProblem, catalogue: Sequence[Cause]) -> None:
         self.problem = problem
         self.catalogue = tuple(catalogue)
         self.keys = believed_keys(problem.case.rig)
@@ -170,7 +170,7 @@ class Search:
                 best = max(best, tangents.gain(trace))
         return best
 
-    def best(self, progress: Progress = silent) -> Found:
+    def best(self, progress: Progress = silent) -> SearchResult:
         """Everything that was tried, and what explains the data best."""
         progress("single causes", 0.1)
         bases = self.singles()
@@ -198,7 +198,7 @@ class Search:
             if least.score > chosen.score + CLAIM:
                 break
             chosen = least
-        return Found(self, tried, chosen)
+        return SearchResult(self, tried, chosen)
 
     def _without(self, candidate: Candidate, index: int) -> Candidate:
         """What is left of the evidence without one of the causes."""
@@ -208,7 +208,7 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     search: Search
     tried: list[Candidate]
     chosen: Candidate

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
-from flying_vines.identification.verdict import NONE, UNEXPLAINED, Estimate, Verdict
+from flying_vines.identification.verdict import NONE, UNEXPLAINED, ParameterEstimate, Verdict
 from flying_vines.physics.effects import catalogue
 
 RANKED = 8
@@ -63,7 +63,7 @@ def _nearest(verdict: Verdict) -> str:
     return f" Nearest comes {' with '.join(best.causes)}, with {min(share, 1.0):.1%} of what is above noise."
 
 
-def _estimate(estimate: Estimate) -> str:
+def _estimate(estimate: ParameterEstimate) -> str:
     return f"{estimate.estimate:.4g} ({estimate.low:.4g} … {estimate.high:.4g})"
 
 

@@ -12,16 +12,18 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedCo
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.identification.many import Outcome
+from flying_vines.identification.many import CaseOutcome
 from flying_vines.identification.recording import CaseError
 from flying_vines.identification.verdict import NONE, UNEXPLAINED, Verdict
 
 FAILED = "no verdict"
 
 
-def show_all(outcomes: Iterable[tuple[Path, Outcome]], total: int, as_json: bool, console: Console) -> bool:
+def show_all(
+    outcomes: Iterable[tuple[Path, CaseOutcome]], total: int, as_json: bool, console: Console
+) -> bool:
     """Print outcomes as they come. Whether every case has a verdict."""
-    seen: list[tuple[Path, Outcome]] = []
+    seen: list[tuple[Path, CaseOutcome]] = []
     # What is written elsewhere must stay clean, whatever the terminal shows.
     screen = console if console.is_terminal else Console(stderr=True)
     bar = Progress(
@@ -46,14 +48,14 @@ def show_all(outcomes: Iterable[tuple[Path, Outcome]], total: int, as_json: bool
     return not any(isinstance(outcome, CaseError) for _, outcome in seen)
 
 
-def as_object(path: Path, outcome: Outcome) -> dict[str, object]:
+def as_object(path: Path, outcome: CaseOutcome) -> dict[str, object]:
     """As a verdict of the rig-data format, with the case's path; `error` instead where there is none."""
     if isinstance(outcome, CaseError):
         return {"case": str(path), "error": str(outcome)}
     return {"case": str(path), **outcome.as_json()}
 
 
-def line(path: Path, outcome: Outcome) -> Text:
+def line(path: Path, outcome: CaseOutcome) -> Text:
     """One case in one line."""
     if isinstance(outcome, CaseError):
         said = str(outcome)
@@ -67,7 +69,7 @@ def line(path: Path, outcome: Outcome) -> Text:
     return text
 
 
-def summary(outcomes: Sequence[tuple[Path, Outcome]]) -> Table:
+def summary(outcomes: Sequence[tuple[Path, CaseOutcome]]) -> Table:
     """How often each answer was given."""
     counts = Counter(FAILED if isinstance(o, CaseError) else _causes(o) for _, o in outcomes)
     table = Table(box=None, padding=(0, 2, 0, 0), title=f"{len(outcomes)} cases", title_justify="left")

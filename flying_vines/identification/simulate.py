@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flying_vines.identification.case import Case, Run
-from flying_vines.identification.model import APART, Array, run
-from flying_vines.physics.cause import Cause, Readings, Values
+from flying_vines.identification.case import Case, RecordedRun
+from flying_vines.identification.model import APART, run
+from flying_vines.physics.arrays import Array
+from flying_vines.physics.cause import Cause, ModelReadings, Values
 from flying_vines.physics.compiler import compiled, record
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA
 from flying_vines.physics.plant.commands import Commands, followed, steps_of, together
@@ -21,7 +22,7 @@ from flying_vines.physics.plant.compiled import weather_at
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Opening
 from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion
-from flying_vines.physics.plant.numbers import Numbers, heat_per_s, numbers_of
+from flying_vines.physics.plant.numbers import PlantNumbers, heat_per_s, numbers_of
 from flying_vines.physics.plant.sensors import Sensor
 from flying_vines.physics.plant.setup import Setup, perfect
 from flying_vines.physics.plant.simulator import TICK_S
@@ -102,7 +103,7 @@ class Simulation:
         moved: Mapping[str, float],
         causes: Sequence[tuple[Cause, Values]],
         initial: Array,
-    ) -> Readings:
+    ) -> ModelReadings:
         """What the sensors would have read in a run.
 
         Args:
@@ -134,7 +135,7 @@ class Simulation:
             made.longest_s,
             out,
         )
-        readings = Readings(out[:, 0], out[:, 1])
+        readings = ModelReadings(out[:, 0], out[:, 1])
         for cause, x in causes:
             if cause.readings is not None:
                 readings = cause.readings(readings, x)
@@ -191,7 +192,7 @@ def _sensor(sensor: Sensor) -> np.void:
     return record(replace(sensor, adc=None).numbers)
 
 
-def _prepared(run: Run) -> Prepared:
+def _prepared(run: RecordedRun) -> Prepared:
     time_s = run.time_s
     commands = Commands(
         steps_of(time_s, run.evp_opening),
@@ -203,7 +204,7 @@ def _prepared(run: Run) -> Prepared:
     return Prepared(time_s, commands, weather, run.to_atmosphere, _starts(run))
 
 
-def _starts(run: Run) -> NDArray[np.intp]:
+def _starts(run: RecordedRun) -> NDArray[np.intp]:
     """Where a run begins, and where it begins again: after a gap, and after a missing row in which valves may
     have been moved unseen: if they were busy, or a regulator was at work, which may open one for a row."""
     between = np.diff(run.time_s)
@@ -219,7 +220,7 @@ def _starts(run: Run) -> NDArray[np.intp]:
     return np.concatenate(([0], np.flatnonzero(again) + 1))
 
 
-def _quickest_per_s(numbers: Numbers, setup: Setup, solenoid: Opening) -> float:
+def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> float:
     """The inverse of the quickest time constant that an explicit integrator has to resolve."""
     n = numbers
     lagging = max(setup.cv_sensor.time_constant_s, setup.reservoir_sensor.time_constant_s) > 0.0

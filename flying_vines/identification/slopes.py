@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from flying_vines.identification.model import Array
+from flying_vines.physics.arrays import Array
 
 _RIDGE = 1e-12
 

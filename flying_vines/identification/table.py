@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flying_vines.identification.recording import Array, CaseError
+from flying_vines.identification.recording import CaseError
+from flying_vines.physics.arrays import Array
 
 TIME = "time_s"
 _SEPARATORS = (",", ";", "\t")
@@ -26,7 +27,7 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
 
 @dataclass(frozen=True)
-class Table:
+class RunTable:
     """The cells of a file, by the name of their column."""
 
     path: Path
@@ -82,7 +83,7 @@ class Table:
         raise CaseError(f"{self.place(row, name)}: {_short(cell)} {why}")
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> RunTable:
     """The cells of a CSV file. CaseError where it is none."""
     lines = _lines_of(path)
     at, separator, names = _names(path, lines)
@@ -108,7 +109,7 @@ def read_table(path: Path) -> Table:
             )
     cells = list(zip(*rows, strict=False)) or [()] * len(names)
     columns = dict(zip(names, cells, strict=False))
-    return Table(path, header, columns, [number + 1 for number in kept], remarks)
+    return RunTable(path, header, columns, [number + 1 for number in kept], remarks)
 
 
 def _rows(path: Path, lines: Sequence[str], kept: Sequence[int], separator: str) -> Iterator[list[str]]:

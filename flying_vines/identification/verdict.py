@@ -14,7 +14,7 @@ UNEXPLAINED = "unexplained"
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ParameterEstimate:
     """A parameter and its 95 % interval, in the unit of its name."""
 
     estimate: float
@@ -27,7 +27,7 @@ class Named:
     """A cause and what it measures."""
 
     cause: str
-    parameters: dict[str, Estimate]
+    parameters: dict[str, ParameterEstimate]
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Verdict:
     """Probability that `cause` and `indistinguishable` hold the cause."""
     indistinguishable: tuple[str, ...]
     """Others that these data cannot tell apart from it, or from one that is in `also`."""
-    parameters: dict[str, Estimate]
+    parameters: dict[str, ParameterEstimate]
     also: tuple[Named, ...]
     """Further causes that still improve held-out data."""
     numbers: dict[str, float]
@@ -105,7 +105,7 @@ class Verdict:
         }
 
 
-def parameters_json(parameters: Mapping[str, Estimate]) -> dict[str, dict[str, float]]:
+def parameters_json(parameters: Mapping[str, ParameterEstimate]) -> dict[str, dict[str, float]]:
     """Each with the ends of its interval."""
     return {name: {"estimate": e.estimate, "low": e.low, "high": e.high} for name, e in parameters.items()}
 

@@ -21,7 +21,7 @@ class How(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class FileChange:
     """The change of one file."""
 
     path: Path
@@ -52,12 +52,12 @@ def below(root: Path, path: Path) -> Path:
     return root / path.relative_to("/")
 
 
-def installing(wanted: Iterable[File], root: Path) -> list[Change]:
+def installing(wanted: Iterable[File], root: Path) -> list[FileChange]:
     """The change of each file. Raises `OSError` for one that cannot be read."""
     return [_installed(file, below(root, file.path)) for file in wanted]
 
 
-def removing(root: Path) -> list[Change]:
+def removing(root: Path) -> list[FileChange]:
     """The removal of each existing file. Files that a person wrote or changed stay. Raises `OSError`."""
     found = []
     for path in (below(root, path) for path in (files.UNIT, files.RULE, files.USERS)):
@@ -82,19 +82,19 @@ def take_away_empty(folder: Path) -> None:
         folder.rmdir()
 
 
-def _installed(file: File, path: Path) -> Change:
+def _installed(file: File, path: Path) -> FileChange:
     if not path.exists():
-        return Change(path, How.NEW, after=file.text)
+        return FileChange(path, How.NEW, after=file.text)
     if file.of_people:
-        return Change(path, How.AS_IT_IS, why="an existing profile stays")
+        return FileChange(path, How.AS_IT_IS, why="an existing profile stays")
     before = _read(path)
     if before == file.text:
-        return Change(path, How.AS_IT_IS, why="it is already installed")
-    return Change(path, How.CHANGED, before, file.text)
+        return FileChange(path, How.AS_IT_IS, why="it is already installed")
+    return FileChange(path, How.CHANGED, before, file.text)
 
 
-def _removed(path: Path, why_not: str) -> Change:
-    return Change(path, How.AS_IT_IS, why=why_not) if why_not else Change(path, How.TAKEN_AWAY)
+def _removed(path: Path, why_not: str) -> FileChange:
+    return FileChange(path, How.AS_IT_IS, why=why_not) if why_not else FileChange(path, How.TAKEN_AWAY)
 
 
 def _read(path: Path) -> str:

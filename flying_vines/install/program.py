@@ -20,14 +20,14 @@ class InstallError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Program:
+class InstalledProgram:
     """Its command, and the paths that must be readable for it to run."""
 
     command: tuple[str, ...]
     places: tuple[Path, ...]
 
     @classmethod
-    def here(cls) -> Program:
+    def here(cls) -> InstalledProgram:
         """The running program; without a command of its own, `python -m flying_vines`."""
         schemes = (sysconfig.get_default_scheme(), sysconfig.get_preferred_scheme("user"))
         scripts = (Path(sysconfig.get_path("scripts", scheme)) / "flying-vines" for scheme in schemes)
@@ -39,7 +39,7 @@ class Program:
 
 
 @dataclass(frozen=True, slots=True)
-class Reader:
+class FileReader:
     """The user that reads files. One that does not exist yet has no number and no groups."""
 
     name: str
@@ -59,7 +59,7 @@ class Reader:
         return mode & bits == bits
 
 
-def check_reachable(places: Iterable[Path], reader: Reader) -> None:
+def check_reachable(places: Iterable[Path], reader: FileReader) -> None:
     """Raises `InstallError` if `reader` cannot read one of these places, now or after a restart."""
     for place in places:
         # The link and its target must both be readable.
@@ -79,7 +79,7 @@ def check_reachable(places: Iterable[Path], reader: Reader) -> None:
 _ELSEWHERE = "install it where every user can read it, for example in /opt/flying-vines"
 
 
-def _closed(path: Path, reader: Reader) -> Path | None:
+def _closed(path: Path, reader: FileReader) -> Path | None:
     """The first part of `path` that the reader cannot read."""
     try:
         for folder in reversed(path.parents):

@@ -19,7 +19,7 @@ from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import Rig
 
 
-class State(NamedTuple):
+class BaselineState(NamedTuple):
     """kPa gauge."""
 
     reservoir_kPa: float
@@ -34,7 +34,7 @@ class Inputs(NamedTuple):
     solenoid: bool
 
 
-class Flows(NamedTuple):
+class BaselineFlows(NamedTuple):
     """Standard litres per second."""
 
     evp_SL_per_s: float
@@ -42,24 +42,24 @@ class Flows(NamedTuple):
     outlet_SL_per_s: float
 
 
-def flows(rig: Rig, state: State, inputs: Inputs) -> Flows:
+def flows(rig: Rig, state: BaselineState, inputs: Inputs) -> BaselineFlows:
     """What flows through each valve. Without a control volume the inflation valve opens to atmosphere."""
     reservoir_kPa, cv_kPa = state
     evp, dvp, solenoid = inputs
     inflation = evp * (reservoir_kPa - cv_kPa) / rig.evp.flow_resistance_kPa_s_per_SL
     motive = dvp * reservoir_kPa / rig.dvp.flow_resistance_kPa_s_per_SL
     if not solenoid or rig.cv is None:
-        return Flows(inflation, motive, 0.0)
+        return BaselineFlows(inflation, motive, 0.0)
     venturi = rig.venturi
     vacuum_kPa = venturi.full_vacuum_kPa * dvp * min(1.0, reservoir_kPa / venturi.rated_supply_kPa)
     outlet = (cv_kPa + vacuum_kPa) / rig.solenoid.flow_resistance_kPa_s_per_SL
     # A running Venturi lets nothing back in; a Venturi at rest is an open pipe.
     if dvp > 0.0 and outlet < 0.0:
         outlet = 0.0
-    return Flows(inflation, motive, outlet)
+    return BaselineFlows(inflation, motive, outlet)
 
 
-def derivatives(rig: Rig, state: State, inputs: Inputs) -> tuple[float, float]:
+def derivatives(rig: Rig, state: BaselineState, inputs: Inputs) -> tuple[float, float]:
     """dP_r/dt and dP_cv/dt, kPa/s."""
     inflation, motive, outlet = flows(rig, state, inputs)
     reservoir = -ALPHA_KPA * (inflation + motive) / rig.reservoir.volume_L
@@ -68,7 +68,7 @@ def derivatives(rig: Rig, state: State, inputs: Inputs) -> tuple[float, float]:
     return reservoir, ALPHA_KPA * (inflation - outlet) / rig.cv.volume_L
 
 
-def step(rig: Rig, state: State, inputs: Inputs, dt_s: float) -> State:
+def step(rig: Rig, state: BaselineState, inputs: Inputs, dt_s: float) -> BaselineState:
     """The state `dt_s` later, inputs held (Runge-Kutta of fourth order, one step).
 
     Good while `dt_s` is short against the quickest time constant, R_sol V_cv / α: 69 ms for the vine.
@@ -76,11 +76,11 @@ def step(rig: Rig, state: State, inputs: Inputs, dt_s: float) -> State:
     reservoir, cv = state
     half = dt_s / 2.0
     r1, c1 = derivatives(rig, state, inputs)
-    r2, c2 = derivatives(rig, State(reservoir + half * r1, cv + half * c1), inputs)
-    r3, c3 = derivatives(rig, State(reservoir + half * r2, cv + half * c2), inputs)
-    r4, c4 = derivatives(rig, State(reservoir + dt_s * r3, cv + dt_s * c3), inputs)
+    r2, c2 = derivatives(rig, BaselineState(reservoir + half * r1, cv + half * c1), inputs)
+    r3, c3 = derivatives(rig, BaselineState(reservoir + half * r2, cv + half * c2), inputs)
+    r4, c4 = derivatives(rig, BaselineState(reservoir + dt_s * r3, cv + dt_s * c3), inputs)
     sixth = dt_s / 6.0
-    return State(
+    return BaselineState(
         reservoir + sixth * (r1 + 2.0 * (r2 + r3) + r4),
         cv + sixth * (c1 + 2.0 * (c2 + c3) + c4),
     )

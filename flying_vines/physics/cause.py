@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Values = tuple[float, ...]
 
 
-class Readings(NamedTuple):
+class ModelReadings(NamedTuple):
     """(n,) kPa gauge."""
 
     cv_kPa: NDArray[np.float64]
@@ -92,7 +92,7 @@ class Cause:
     apply: Callable[..., Setup] | None = None
     commands: Callable[[Commands, Values], Commands] | None = None
     """What a bench's valves do beside: only a fit knows it, as the next."""
-    readings: Callable[[Readings, Values], Readings] | None = None
+    readings: Callable[[ModelReadings, Values], ModelReadings] | None = None
 
     def put_into(self, setup: Setup, parameters: Mapping[str, float]) -> Setup:
         """The setup with this cause."""

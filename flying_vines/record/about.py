@@ -16,7 +16,7 @@ _BOARD = Path("/proc/device-tree/model")
 
 
 @dataclass(frozen=True)
-class Firmware:
+class FirmwareIdentity:
     """As the board reported it."""
 
     build: str
@@ -38,7 +38,7 @@ class About:
     packages: dict[str, str]
     kernel: str
     machine: str
-    firmware: Firmware | None = None
+    firmware: FirmwareIdentity | None = None
     """Of the board that answered last."""
 
     @classmethod
@@ -55,7 +55,7 @@ class About:
         )
 
     def with_firmware(self, welcome: protocol.Welcome) -> About:
-        firmware = Firmware(welcome.firmware_build, welcome.protocol_version, welcome.boot_id)
+        firmware = FirmwareIdentity(welcome.firmware_build, welcome.protocol_version, welcome.boot_id)
         return replace(self, firmware=firmware)
 
 

@@ -23,7 +23,7 @@ import msgspec
 
 from firmware_link import protocol
 from flying_vines.config import on_disk
-from flying_vines.config.config import Pneumatics
+from flying_vines.config.config import PneumaticsConfig
 from flying_vines.record.about import About, version_of
 from flying_vines.record.mcap_file import McapFile
 from flying_vines.record.topics import (
@@ -31,7 +31,7 @@ from flying_vines.record.topics import (
     MAVLINK_OUT,
     NUMBERS,
     TOPICS,
-    Entry,
+    RawEntry,
     Start,
     encoded,
     entry_of_state,
@@ -52,12 +52,12 @@ _MAVLINK = (NUMBERS[MAVLINK_IN], NUMBERS[MAVLINK_OUT])
 
 
 @dataclass(frozen=True, slots=True)
-class Began:
+class FlightStart:
     """The state with which the service started its core; the first entry of every log."""
 
     profile: str
     """The configuration's text."""
-    pneumatics: Pneumatics
+    pneumatics: PneumaticsConfig
     """The believed values."""
     rig: str = ""
     """The rig file's text, if there is one."""
@@ -77,7 +77,7 @@ class LogEnded(OSError):
 class Folders:
     """One folder after another; works in the recorder's thread."""
 
-    def __init__(self, parent: Path, began: Began, least_free_MB: float, t: float) -> None:
+    def __init__(self, parent: Path, began: FlightStart, least_free_MB: float, t: float) -> None:
         """`t` is now. The first folder and its beginning are on the disk when this returns."""
         self._parent = parent
         self._began = began
@@ -93,7 +93,7 @@ class Folders:
         self.folder = self._make_folder()
         self._files: Files | None = self._begin(t, "")
 
-    def write(self, batches: Sequence[Sequence[Entry | None]]) -> None:
+    def write(self, batches: Sequence[Sequence[RawEntry | None]]) -> None:
         """None among the entries begins another folder. Raises `LogEnded` if trying again cannot help."""
         for batch in batches:
             for entry in batch:
@@ -122,7 +122,7 @@ class Folders:
             if whole:
                 files.finish()
 
-    def _write_entry(self, entry: Entry) -> None:
+    def _write_entry(self, entry: RawEntry) -> None:
         t = entry[1]
         if isinstance(entry[2], protocol.Welcome):
             self._firmware = entry[2]
@@ -204,7 +204,7 @@ class Folders:
 class Files:
     """The files of one flight."""
 
-    def __init__(self, folder: Path, zero_unix_ns: int, began: Began, t: float, continues: str) -> None:
+    def __init__(self, folder: Path, zero_unix_ns: int, began: FlightStart, t: float, continues: str) -> None:
         self.latest = t
         self._folder = folder
         self._zero_unix_ns = zero_unix_ns
@@ -219,7 +219,7 @@ class Files:
                 self._opened.close()
             raise
 
-    def _begin(self, began: Began, t: float, continues: str) -> None:
+    def _begin(self, began: FlightStart, t: float, continues: str) -> None:
         self._tlog = self._opened.enter_context(TlogWriter(self._folder / TLOG))
         on_disk.put(self._folder / PROFILE, began.profile)
         if began.rig:
@@ -241,7 +241,7 @@ class Files:
     def chunks(self) -> int:
         return self._mcap.chunks
 
-    def add(self, entry: Entry) -> None:
+    def add(self, entry: RawEntry) -> None:
         number, self.latest, what = entry
         time_ns = self._unix_ns(self.latest)
         self._mcap.add(number, time_ns, encoded(entry))

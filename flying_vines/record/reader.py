@@ -21,7 +21,7 @@ class LogError(Exception):
     """A log that cannot be read; the text is one line that says which, and why."""
 
 
-class Entry(NamedTuple):
+class LogEntry(NamedTuple):
     """One message of the log."""
 
     topic: str
@@ -63,7 +63,7 @@ class FlightLog:
             said.append(f"it is incomplete and ends at {last}")
         return f"{self.path.name}: {'; '.join(said)}" if said else ""
 
-    def entries(self, topics: Collection[str] | None = None) -> Iterator[Entry]:
+    def entries(self, topics: Collection[str] | None = None) -> Iterator[LogEntry]:
         """All, or those of some topics, in the order in which they happened.
 
         Raises `LogError` when there is nothing to read.
@@ -77,7 +77,7 @@ class FlightLog:
         except OSError as error:
             raise LogError(f"{self.path}: cannot be read: {error.strerror}") from None
 
-    def _entries(self, data: mmap.mmap, topics: Collection[str] | None) -> Iterator[Entry]:
+    def _entries(self, data: mmap.mmap, topics: Collection[str] | None) -> Iterator[LogEntry]:
         self.lost, self.cut_off, self._last_ns = 0, data[-len(MAGIC) :] != MAGIC, 0
         names: dict[int, str] = {}
         expected = count = 0
@@ -94,7 +94,7 @@ class FlightLog:
                     self._last_ns = record.log_time
                     name = names.get(record.channel_id, "")
                     if name and (topics is None or name in topics):
-                        yield Entry(name, record.log_time, record.data)
+                        yield LogEntry(name, record.log_time, record.data)
                 elif isinstance(record, Channel):
                     names[record.id] = record.topic
         if not names:

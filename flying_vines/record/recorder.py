@@ -13,10 +13,10 @@ from pathlib import Path
 from flying_vines.core.events import Action, Event, Snapshot
 from flying_vines.core.watcher import Watcher
 from flying_vines.record.background_writer import BackgroundWriter
-from flying_vines.record.folders import Began, Folders
-from flying_vines.record.topics import Entry, entry_of_action, entry_of_event, entry_of_state
+from flying_vines.record.folders import FlightStart, Folders
+from flying_vines.record.topics import RawEntry, entry_of_action, entry_of_event, entry_of_state
 
-__all__ = ["Began", "Recorder"]
+__all__ = ["FlightStart", "Recorder"]
 
 HAND_OVER_S = 0.1
 """How long entries wait in the loop's list. Short, as the thread shares the interpreter with the loop."""
@@ -29,17 +29,17 @@ class Recorder(Watcher):
     """Records from the start of the service to its end."""
 
     def __init__(
-        self, parent: Path, began: Began, least_free_MB: float = 0.0, t: float | None = None
+        self, parent: Path, began: FlightStart, least_free_MB: float = 0.0, t: float | None = None
     ) -> None:
         """`t` is now by the service's clock, which is asyncio's unless it is given.
 
         Raises `OSError` when nothing can be written there.
         """
         self._folders = Folders(parent, began, least_free_MB, time.monotonic() if t is None else t)
-        self._writer: BackgroundWriter[list[Entry | None]] = BackgroundWriter(
+        self._writer: BackgroundWriter[list[RawEntry | None]] = BackgroundWriter(
             self._folders.write, MOST_WAITING
         )
-        self._waiting: list[Entry | None] = []
+        self._waiting: list[RawEntry | None] = []
         self._due = 0.0
         self._t = 0.0
         self._armings = _Armings()
@@ -95,7 +95,7 @@ class Recorder(Watcher):
         except OSError as error:
             self._ended = f"the flight log ends here: {error.strerror}"
 
-    def _take(self, entry: Entry) -> None:
+    def _take(self, entry: RawEntry) -> None:
         self._waiting.append(entry)
         if entry[1] >= self._due:
             self._due = entry[1] + HAND_OVER_S

@@ -26,10 +26,10 @@ from flying_vines.core.events import (
     Tick,
     VehicleMessage,
 )
-from flying_vines.record.reader import Entry, FlightLog, LogError
+from flying_vines.record.reader import FlightLog, LogEntry, LogError
 from flying_vines.record.topics import MAVLINK_IN, START, Start, message_in, topic_of
 from flying_vines.vehicle.notice import Notice
-from flying_vines.vine.intent import Intent
+from flying_vines.vine.intent import Intent, name_of
 
 T = TypeVar("T")
 _KINDS: dict[str, type] = {
@@ -40,7 +40,7 @@ _KINDS: dict[str, type] = {
         *(Decision, Notice, Start),
     )
 }
-_INTENTS: dict[str, type] = {kind.__name__: kind for kind in get_args(Intent)}
+_INTENTS: dict[str, type] = {name_of(kind): kind for kind in get_args(Intent)}
 
 
 def start_of(log: FlightLog) -> Start:
@@ -50,7 +50,7 @@ def start_of(log: FlightLog) -> Start:
     raise LogError(f"{log.path}: its beginning is damaged")
 
 
-def event_of(entry: Entry) -> Event:
+def event_of(entry: LogEntry) -> Event:
     """The event of an entry from one of the `EVENT_TOPICS`."""
     said = entry.fields
     if entry.topic == MAVLINK_IN:

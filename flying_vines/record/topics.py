@@ -37,11 +37,11 @@ from flying_vines.core.events import (
 )
 from flying_vines.record.schema import Schema, merged, obj, of_dataclass, of_mavlink, of_type
 from flying_vines.vehicle.mavlink import handled_messages as handled
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mavlink.frames import Frame, Frames
 from flying_vines.vehicle.mavlink.payloads import message_of
 from flying_vines.vehicle.notice import Notice
-from flying_vines.vine.intent import Intent
+from flying_vines.vine.intent import Intent, name_of
 
 _ANOTHER = bytes((mavlink.PROTOCOL_MARKER_V2,))
 _encode = msgspec.json.Encoder().encode
@@ -169,7 +169,7 @@ START, SNAPSHOT = _STATES[Start], _STATES[Snapshot]
 DECISION, NOTICE = _ANSWERS[Decision], _ANSWERS[Notice]
 TELEMETRY = _SERIAL[protocol.Telemetry]
 
-Entry = tuple[int, float, Any]
+RawEntry = tuple[int, float, Any]
 """A topic's number, the time, and what is to be written there: a dataclass, or a MAVLink frame."""
 
 _IN, _OUT = NUMBERS[MAVLINK_IN], NUMBERS[MAVLINK_OUT]
@@ -181,7 +181,7 @@ def topic_of(kind: type) -> str:
     return TOPICS[_NUMBER_OF[kind] - 1].name
 
 
-def entry_of_event(event: Event) -> Entry:
+def entry_of_event(event: Event) -> RawEntry:
     """Runs in the loop that flies, so it only finds the topic."""
     if isinstance(event, VehicleMessage):
         return _IN, event.t, event.message.get_msgbuf()
@@ -190,7 +190,7 @@ def entry_of_event(event: Event) -> Entry:
     return _NUMBER_OF[type(event)], event.t, event
 
 
-def entry_of_action(t: float, action: Action) -> Entry | None:
+def entry_of_action(t: float, action: Action) -> RawEntry | None:
     """At time `t` of the event that caused it; None for what only repeats an event."""
     if isinstance(action, ToVehicle):
         return _OUT, t, action.message.get_msgbuf()
@@ -201,11 +201,11 @@ def entry_of_action(t: float, action: Action) -> Entry | None:
     return _NUMBER_OF[type(action)], action.t, action
 
 
-def entry_of_state(state: Snapshot | Start) -> Entry:
+def entry_of_state(state: Snapshot | Start) -> RawEntry:
     return _NUMBER_OF[type(state)], state.t, state
 
 
-def encoded(entry: Entry) -> bytes:
+def encoded(entry: RawEntry) -> bytes:
     """The message's JSON."""
     number, t, what = entry
     if number in (_IN, _OUT):
@@ -222,7 +222,7 @@ def encoded(entry: Entry) -> bytes:
 def _shaped(what: Asked) -> dict[str, Any]:
     """Names what plain encoding would not name."""
     plain: dict[str, Any] = msgspec.to_builtins(what)
-    plain["intent"] = {"kind": type(what.intent).__name__, **plain["intent"]}
+    plain["intent"] = {"kind": name_of(type(what.intent)), **plain["intent"]}
     return plain
 
 
@@ -262,6 +262,6 @@ def frame_of(raw: bytes) -> Frame:
     return frame
 
 
-def message_in(raw: bytes) -> Message:
+def message_in(raw: bytes) -> MavlinkMessage:
     """The message in a received frame."""
     return message_of(frame_of(raw))

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from firmware_link.host import FirmwareReset, HostEvent, Incompatible, Ready
-from firmware_link.monitor import Monitor, Seen
+from firmware_link.monitor import Monitor, SeenFrame
 from firmware_link.settings import SettingsTalk
 from firmware_link.statistics import LinkStatistics
 from flying_vines.config.address import Address
@@ -16,7 +16,7 @@ from flying_vines.vehicle.mavlink.link import open_link
 TICK_S = 0.01
 
 
-class Told(NamedTuple):
+class LinkNote(NamedTuple):
     """A text about the line."""
 
     t: float
@@ -24,7 +24,7 @@ class Told(NamedTuple):
     good: bool
 
 
-Heard = Seen | Told
+LinkEvent = SeenFrame | LinkNote
 
 
 class LinkWatch:
@@ -37,12 +37,12 @@ class LinkWatch:
         self.monitor = Monitor(settings)
         self.answered = False
         """Whether a firmware of our version has been there."""
-        self.port = Told(0.0, "opening", False)
+        self.port = LinkNote(0.0, "opening", False)
         """The state of the port, and of the board on it."""
         self._opened = self.port
         self.clean_since: LinkStatistics | None = None
         """The counts when the firmware last answered: earlier bad frames do not count."""
-        self._received: list[Heard] = []
+        self._received: list[LinkEvent] = []
         self._began = asyncio.get_running_loop().time()
         self._link = open_link(address, self._bytes, self._state)
 
@@ -54,7 +54,7 @@ class LinkWatch:
     def statistics(self) -> LinkStatistics:
         return self.monitor.statistics(self.t, self._link.dropped_bytes)
 
-    async def run(self, show: Callable[[Sequence[Heard]], None], over: Callable[[], bool]) -> None:
+    async def run(self, show: Callable[[Sequence[LinkEvent]], None], over: Callable[[], bool]) -> None:
         """Run until `over`; `show` gets what was received, in order, at every tick."""
         opening = asyncio.create_task(self._link.run())
         try:
@@ -75,7 +75,7 @@ class LinkWatch:
         if not opening.cancelled():
             opening.result()
 
-    def _take_received(self) -> list[Heard]:
+    def _take_received(self) -> list[LinkEvent]:
         heard, self._received = self._received, []
         return heard
 
@@ -106,8 +106,8 @@ class LinkWatch:
                 self._report_port(reason, False)
 
     def _report_port(self, text: str, good: bool) -> None:
-        self.port = Told(self.t, text, good)
+        self.port = LinkNote(self.t, text, good)
         self._received.append(self.port)
 
     def _report(self, text: str, good: bool) -> None:
-        self._received.append(Told(self.t, text, good))
+        self._received.append(LinkNote(self.t, text, good))

@@ -21,12 +21,12 @@ Arm them from a ground station (command USER_4, 3), or take the file away and st
 """
 
 
-class KeptError(Exception):
+class PersistentStateError(Exception):
     """A state cannot be stored; the text is one line that says which file, and why."""
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class PersistentState:
     """The files of one profile."""
 
     profile: Path
@@ -37,7 +37,7 @@ class Kept:
     page_token: Path
 
     @classmethod
-    def of(cls, profile: Path, config: Config) -> Kept:
+    def of(cls, profile: Path, config: Config) -> PersistentState:
         """`state.folder` of the profile may be relative to it; by default it is the profile's own."""
         folder = profile.parent / config.state.folder
         token_file = config.page.token_file
@@ -60,7 +60,7 @@ class Kept:
         return self.disarming.exists()
 
     def store_disarmed(self, disarmed: bool) -> None:
-        """Raises `KeptError`."""
+        """Raises `PersistentStateError`."""
         try:
             if disarmed:
                 on_disk.put(self.disarming, DISARMED)
@@ -68,7 +68,7 @@ class Kept:
                 on_disk.take_away(self.disarming)
         except OSError as error:
             change = "written" if disarmed else "taken away"
-            raise KeptError(f"{self.disarming}: cannot be {change}: {error.strerror}") from None
+            raise PersistentStateError(f"{self.disarming}: cannot be {change}: {error.strerror}") from None
 
     def read_page_token(self, config: Config) -> str:
         """Made if there is none; empty if the page needs none. Raises `PageTokenError`, one line."""

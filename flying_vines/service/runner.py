@@ -15,7 +15,7 @@ from flying_vines.config.config import Config
 from flying_vines.core.watcher import EachAction
 from flying_vines.gateway.gateway import Gateway
 from flying_vines.record.recorder import Recorder
-from flying_vines.service.persistent_state import Kept
+from flying_vines.service.persistent_state import PersistentState
 from flying_vines.service.service import Service
 from flying_vines.service.systemd import service_manager
 from flying_vines.supply import Belief
@@ -30,7 +30,7 @@ SNAPSHOT_S = 0.05
 class Remembered:
     """The persistent state, as it was read at the start."""
 
-    kept: Kept
+    kept: PersistentState
     parameters: dict[str, float]
     disarmed: bool
     signing: Signing | None

@@ -36,10 +36,10 @@ from flying_vines.core.events import (
 )
 from flying_vines.core.watcher import Watcher
 from flying_vines.service.host_clock import synchronised
-from flying_vines.service.persistent_state import Kept, KeptError
+from flying_vines.service.persistent_state import PersistentState, PersistentStateError
 from flying_vines.supply import Belief
 from flying_vines.vehicle.component import parameter_file
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.link import open_link, unread_from
 from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile
@@ -75,7 +75,7 @@ class Service:
         parameters: Mapping[str, float] | None = None,
         disarmed: bool = False,
         signing: Signing | None = None,
-        kept: Kept | None = None,
+        kept: PersistentState | None = None,
     ) -> None:
         self.core = Contained(
             Core(config, belief=belief, parameters=parameters, disarmed=disarmed),
@@ -94,7 +94,7 @@ class Service:
         self._synchronised = bool(synchronised())
         self._watchers = list(watchers)
         self._unpublished: list[tuple[Event, list[Action]]] = []
-        self._mavlink = Codec(config.vehicle.system_id, config.vehicle.component_id, signing)
+        self._mavlink = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id, signing)
         self._serial = protocol.Codec()
         self._answer = Answer()
         self._unread_reported = False
@@ -198,7 +198,7 @@ class Service:
                 what, write = self._unwritten.popitem()
                 try:
                     await asyncio.to_thread(write)
-                except (parameter_file.ParameterFileError, KeptError) as error:
+                except (parameter_file.ParameterFileError, PersistentStateError) as error:
                     self.say(Severity.WARNING, f"{what} not kept: {error}")
 
     def _store(self, what: str, write: Callable[[], None]) -> None:

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from typing import cast
 
 from flying_vines.config.address import NetworkAddress, parse_address
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 
-Address = tuple[str, int]
-Script = Sequence[tuple[float, Callable[[Autopilot], None]]]
+SocketAddress = tuple[str, int]
+Script = Sequence[tuple[float, Callable[[FakeAutopilot], None]]]
 
 PACE_S = 0.01
 MOST_CLIENTS = 8
@@ -30,12 +30,12 @@ class AutopilotServer:
 
     def __init__(
         self,
-        autopilot: Autopilot,
-        companion: str | Address | None = "udpout:127.0.0.1:14540",
-        gcs: str | Address | None = None,
+        autopilot: FakeAutopilot,
+        companion: str | SocketAddress | None = "udpout:127.0.0.1:14540",
+        gcs: str | SocketAddress | None = None,
         script: Script = (),
         *,
-        listen: Sequence[str | Address] = (),
+        listen: Sequence[str | SocketAddress] = (),
         speed: float = 1.0,
     ) -> None:
         """`companion` and `gcs` are (host, port) or "udpout:host:port"; ValueError for anything else.
@@ -45,7 +45,7 @@ class AutopilotServer:
         vehicle lives ten seconds in one.
         """
         self.autopilot = autopilot
-        self._peers: dict[str, Address] = {}
+        self._peers: dict[str, SocketAddress] = {}
         if companion is not None:
             self._peers[_COMPANION] = _host_and_port(companion)
         if gcs is not None:
@@ -90,7 +90,7 @@ class AutopilotServer:
             for end in list(self._ends.values()):
                 end.close()
 
-    async def _connect(self, link: str, address: Address) -> None:
+    async def _connect(self, link: str, address: SocketAddress) -> None:
         peer = self._ends[link] = _UdpPeer(self, link)
         self.autopilot.add_link(link)
         await asyncio.get_running_loop().create_datagram_endpoint(lambda: peer, remote_addr=address)
@@ -194,7 +194,7 @@ class _TcpClient(asyncio.Protocol):
             self._transport.close()
 
 
-def _host_and_port(peer: str | Address) -> Address:
+def _host_and_port(peer: str | SocketAddress) -> SocketAddress:
     if not isinstance(peer, str):
         return peer
     address = parse_address(peer)
@@ -203,7 +203,7 @@ def _host_and_port(peer: str | Address) -> Address:
     return address.host, address.port
 
 
-def _listening(at: str | Address) -> Address:
+def _listening(at: str | SocketAddress) -> SocketAddress:
     if not isinstance(at, str):
         return at
     kind, _, place = at.partition(":")

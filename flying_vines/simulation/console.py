@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from itertools import groupby
 
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.mishaps import PLACES, Mishaps, kind_from, words_for
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 
@@ -32,7 +32,7 @@ COMMANDS: dict[str, tuple[int, Callable[..., None]]] = {
 }
 
 
-def obey(autopilot: Autopilot, line: str) -> str:
+def obey(autopilot: FakeAutopilot, line: str) -> str:
     """Do what a line says; what to tell the person who typed it, or nothing."""
     words = line.split()
     if not words:

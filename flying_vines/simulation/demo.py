@@ -26,9 +26,9 @@ from flying_vines.gateway.gateway import Gateway
 from flying_vines.gateway.page_token import address
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.record.reader import FlightLog
-from flying_vines.record.recorder import Began, Recorder
+from flying_vines.record.recorder import FlightStart, Recorder
 from flying_vines.service.service import Service
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.simulation.ground_station import GroundStation
 from flying_vines.simulation.phlosar.mishaps import Hole
@@ -55,7 +55,7 @@ class World:
     """What a step can act on and look at."""
 
     config: Config
-    autopilot: Autopilot
+    autopilot: FakeAutopilot
     phlosar: SimulatedPhlosar
     ground: GroundStation
     decisions: list[Decision] = field(default_factory=list)
@@ -98,7 +98,7 @@ class Expectation:
 
 
 @dataclass(frozen=True)
-class Step:
+class DemoStep:
     at_s: float
     title: str
     act: Callable[[World], None]
@@ -106,10 +106,10 @@ class Step:
 
 
 @dataclass
-class Outcome:
+class DemoOutcome:
     """An expectation and when, after its step, it was met; None while it was not."""
 
-    step: Step
+    step: DemoStep
     expectation: Expectation
     began: float
     met_after_s: float | None = None
@@ -189,7 +189,7 @@ def _unseen_move(w: World) -> None:
 FIVE_VALUES = {"RES_KPA", "CYC_LEFT", "CV_KPA", "CMD_KPA", "BEND_DEG"}
 
 SCRIPT = (
-    Step(
+    DemoStep(
         0.5,
         "Power on",
         lambda w: None,
@@ -203,7 +203,7 @@ SCRIPT = (
             ),
         ),
     ),
-    Step(
+    DemoStep(
         2.5,
         "Arm and take off",
         lambda w: w.autopilot.takeoff(CRUISE_M),
@@ -212,10 +212,10 @@ SCRIPT = (
             Expectation("above 4 m", 5.0, lambda w, _: bool(w.snapshot and w.snapshot.altitude_m > 4.0)),
         ),
     ),
-    Step(5.5, "Switch to the middle", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
-    Step(7.0, "Switch up", _switch(HIGH), (_switched(2), _bends_to(60.0))),
-    Step(8.5, "Switch down", _switch(LOW), (_switched(0), _vented(2.0))),
-    Step(
+    DemoStep(5.5, "Switch to the middle", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
+    DemoStep(7.0, "Switch up", _switch(HIGH), (_switched(2), _bends_to(60.0))),
+    DemoStep(8.5, "Switch down", _switch(LOW), (_switched(0), _vented(2.0))),
+    DemoStep(
         10.5,
         "Fly the mission: item 3 bends to 40°",
         lambda w: w.autopilot.start_mission(),
@@ -228,28 +228,28 @@ SCRIPT = (
             Expectation("vine at 40°", 6.0, lambda w, since: abs(w.bend_deg - 40.0) < 4.0),
         ),
     ),
-    Step(14.5, "RC is lost", lambda w: w.autopilot.lose_rc("frozen"), (_lost("rc", 2.0), _vented(3.0))),
-    Step(16.0, "The pilot moves the switch, unseen", _unseen_move, ()),
-    Step(
+    DemoStep(14.5, "RC is lost", lambda w: w.autopilot.lose_rc("frozen"), (_lost("rc", 2.0), _vented(3.0))),
+    DemoStep(16.0, "The pilot moves the switch, unseen", _unseen_move, ()),
+    DemoStep(
         16.5,
         "RC returns",
         lambda w: w.autopilot.return_rc(),
         (_told("RC is back", 1.0), _told("move it again", 2.5), _stays_vented(2.9)),
     ),
-    Step(19.5, "A fresh move of the switch", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
-    Step(
+    DemoStep(19.5, "A fresh move of the switch", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
+    DemoStep(
         21.0,
         "The bottle is holed, and runs low",
         _open_leak,
         (_lost("bottle_loss", 2.0), _vented(2.5), _told("bottle low", 4.0)),
     ),
-    Step(
+    DemoStep(
         24.5,
         "Switch up with an empty bottle",
         _switch(HIGH),
         (_switched(2, "refused", "bottle loses"), _told("refused bend-full", 1.0), _stays_vented(3.0)),
     ),
-    Step(
+    DemoStep(
         25.0,
         "Land",
         lambda w: w.autopilot.land(),
@@ -270,10 +270,10 @@ ASKED_FOR = {"switch": 5, "mission_item": 1, "command": 0}
 
 
 @dataclass(frozen=True)
-class Flight:
+class DemoFlight:
     """What came of a scripted flight."""
 
-    outcomes: list[Outcome]
+    outcomes: list[DemoOutcome]
     unasked: list[str]
     folder: Path
     picture: Path | None
@@ -286,7 +286,7 @@ class Flight:
 
 async def fly(
     out: Path, console: Console, live: bool, rig: TrueRig | None = None, page: bool = False
-) -> Flight:
+) -> DemoFlight:
     """Fly the script in real time; the log and its picture go to a new folder under `out`.
 
     With `page`, a browser may look on.
@@ -295,7 +295,7 @@ async def fly(
     ground_port = await ground.listen()
     companion_port = _free_udp_port()
     phlosar = SimulatedPhlosar(rig, reservoir_kPa=690.0)
-    autopilot = Autopilot("ardupilot", mission=demo_mission(), rc_failsafe_mode=None)
+    autopilot = FakeAutopilot("ardupilot", mission=demo_mission(), rc_failsafe_mode=None)
     autopilot.set_rc(SWITCH_CHANNEL, LOW)
     with PtyPhlosar(phlosar) as port:
         default = configuration.default()
@@ -303,7 +303,7 @@ async def fly(
         text = text.replace(default.vehicle.link, f"udpin:127.0.0.1:{companion_port}")
         text = text.replace(default.firmware.link, f"serial:{port.path}")
         config = configuration.parse(text, "the demo's profile")
-        log = Recorder(out, Began(text, config.pneumatics))
+        log = Recorder(out, FlightStart(text, config.pneumatics))
         world = World(config, autopilot, phlosar, ground)
         server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
         began = asyncio.get_running_loop().time()
@@ -339,16 +339,16 @@ async def fly(
                 task.cancel()
     log.close()
     picture = _draw(log, console)
-    return Flight(outcomes, _unasked(world), log.folder, picture, dict(ground.values))
+    return DemoFlight(outcomes, _unasked(world), log.folder, picture, dict(ground.values))
 
 
 async def _direct(
     world: World, service: Service, view: LiveView, console: Console, live: bool
-) -> list[Outcome]:
+) -> list[DemoOutcome]:
     """Do the steps in time, and look whether what they say comes true."""
     began = service.now
     waiting = list(SCRIPT)
-    outcomes: list[Outcome] = []
+    outcomes: list[DemoOutcome] = []
     screen = Live(console=console, refresh_per_second=10, screen=True) if live else None
     if screen:
         screen.start()
@@ -357,7 +357,7 @@ async def _direct(
             now = service.now
             while waiting and now - began >= waiting[0].at_s:
                 step = waiting.pop(0)
-                outcomes.extend(Outcome(step, expectation, now) for expectation in step.expect)
+                outcomes.extend(DemoOutcome(step, expectation, now) for expectation in step.expect)
                 title = Text(f"{now - began:7.2f}  ▶ {step.title}", style="bold magenta")
                 view.say(title)
                 if not live:
@@ -412,7 +412,7 @@ def _draw(log: Recorder, console: Console) -> Path | None:
     return path
 
 
-def summary(flight: Flight) -> Table:
+def summary(flight: DemoFlight) -> Table:
     """The script's steps, what each had to bring about, and whether it did."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("at, s", justify="right")
@@ -420,7 +420,7 @@ def summary(flight: Flight) -> Table:
     table.add_column("must happen")
     table.add_column("after, s", justify="right")
     table.add_column("")
-    shown: Step | None = None
+    shown: DemoStep | None = None
     for outcome in flight.outcomes:
         first = outcome.step is not shown
         shown = outcome.step

@@ -6,7 +6,7 @@ import asyncio
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 
 SYSTEM_ID, COMPONENT_ID = 255, 190
 
@@ -17,7 +17,7 @@ class GroundStation(asyncio.DatagramProtocol):
     def __init__(self) -> None:
         self.values: dict[str, float] = {}
         self.texts: list[str] = []
-        self._codec = Codec(SYSTEM_ID, COMPONENT_ID)
+        self._codec = MavlinkCodec(SYSTEM_ID, COMPONENT_ID)
         self._transport: asyncio.DatagramTransport | None = None
         self._autopilot: tuple[str, int] | None = None
 
@@ -44,7 +44,7 @@ class GroundStation(asyncio.DatagramProtocol):
             if self._transport is not None:
                 self._transport.close()
 
-    def send(self, message: Message) -> None:
+    def send(self, message: MavlinkMessage) -> None:
         """Send it to whoever sends to us; nobody yet: it is lost."""
         if self._transport is not None and self._autopilot is not None:
             self._transport.sendto(self._codec.encode(message, SYSTEM_ID), self._autopilot)

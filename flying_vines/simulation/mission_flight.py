@@ -11,7 +11,7 @@ import msgspec
 from flying_vines.config.config import Config
 from flying_vines.core.events import Decision
 from flying_vines.physics.plant.true_rig import TrueRig
-from flying_vines.simulation.autopilot import Autopilot, Kind
+from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.supply import nominal_rig
@@ -31,7 +31,7 @@ TURN_S = 1.0
 def fly(
     items: Sequence[MissionItem],
     config: Config,
-    kind: Kind,
+    kind: AutopilotKind,
     home: Home,
     reservoir_kPa: float,
     planned_s: float,
@@ -46,7 +46,7 @@ def fly(
     # In a trial nobody stands by to arm the pneumatics.
     interlocks = msgspec.structs.replace(config.interlocks, armed_at_start=True)
     config = msgspec.structs.replace(config, interlocks=interlocks)
-    autopilot = Autopilot(kind, mission=items, home=home)
+    autopilot = FakeAutopilot(kind, mission=items, home=home)
     rig = rig or TrueRig(nominal_rig(config.pneumatics), likely=True)
     phlosar = SimulatedPhlosar(rig, reservoir_kPa=reservoir_kPa)
     flight = SimulatedFlight(config, autopilot, phlosar)

@@ -22,7 +22,7 @@ from flying_vines.config.config import Config
 from flying_vines.core.contained import Contained
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Decision, ToVehicle, VehicleMessage
-from flying_vines.record.reader import Entry, FlightLog, LogError
+from flying_vines.record.reader import FlightLog, LogEntry, LogError
 from flying_vines.record.restore import event_of, restored, start_of
 from flying_vines.record.topics import (
     ANSWER_TOPICS,
@@ -37,7 +37,7 @@ from flying_vines.record.topics import (
 )
 from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.supply import Belief
-from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 
 GAP_S = 0.5
@@ -60,10 +60,10 @@ def replay(
     predecessor's. Where the core asks for a mission item, it gets the one that the recording showed last.
     """
     world = SimulatedWorld(config, mission=mission, belief=belief, parameters=parameters)
-    codec = Codec(config.vehicle.system_id, config.vehicle.component_id)
+    codec = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id)
     began: float | None = None
     started = time.monotonic()
-    items: dict[int, Message] = {}
+    items: dict[int, MavlinkMessage] = {}
 
     def live(actions: Iterable[Action]) -> Iterator[Action]:
         for action in actions:
@@ -183,7 +183,7 @@ def _ours(t: float, action: Action) -> list[tuple[str, object]]:
     return [(name, _spoken(what) if name == MAVLINK_OUT else encoded(entry))]
 
 
-def _theirs(entry: Entry) -> tuple[str, object]:
+def _theirs(entry: LogEntry) -> tuple[str, object]:
     if entry.topic == MAVLINK_OUT:
         return entry.topic, _spoken(binascii.a2b_base64(entry.fields["frame"]))
     return entry.topic, entry.data

@@ -19,10 +19,10 @@ from flying_vines.core.events import (
     VehicleMessage,
 )
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.supply import Belief
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mission.item import MissionItem
 
 COMPANION = "companion"
@@ -104,15 +104,15 @@ class SimulatedFlight:
     def __init__(
         self,
         config: Config,
-        autopilot: Autopilot | None = None,
+        autopilot: FakeAutopilot | None = None,
         phlosar: SimulatedPhlosar | None = None,
         mission: Sequence[MissionItem] = (),
         disarmed: bool = False,
     ) -> None:
-        self.autopilot = autopilot or Autopilot("ardupilot")
+        self.autopilot = autopilot or FakeAutopilot("ardupilot")
         self.world = SimulatedWorld(config, phlosar, mission, disarmed=disarmed)
         self.from_autopilot: Wire = perfect
-        self._codec = Codec(config.vehicle.system_id, config.vehicle.component_id)
+        self._codec = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id)
 
     @property
     def phlosar(self) -> SimulatedPhlosar:

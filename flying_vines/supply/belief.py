@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from flying_vines.config.config import Pneumatics
+from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.plant.flow import FlowLaw, Iso6358
 from flying_vines.physics.plant.wall import Wall
@@ -27,7 +27,7 @@ VENTURI_SHARE_SD = 0.2
 """Of its supply valve's flow, because the nozzle restricts it too."""
 
 
-def nominal_rig(numbers: Pneumatics) -> Rig:
+def nominal_rig(numbers: PneumaticsConfig) -> Rig:
     """What `[pneumatics]` says of a rig, as a rig file has it."""
     return Rig(
         reservoir=Reservoir(numbers.reservoir_volume_L),
@@ -48,7 +48,7 @@ class Prior(NamedTuple):
 class Belief:
     """Of one rig. Air is counted in kPa of its reservoir; gauge pressures are true ones."""
 
-    pneumatics: Pneumatics
+    pneumatics: PneumaticsConfig
     """The numbers that the formulas take, the rig file's where there is one."""
     rise: Prior
     """For every kPa that the control volume's reading rises."""
@@ -106,7 +106,7 @@ def bottle_wall(volume_L: float) -> Wall:
     )
 
 
-def nominal(p: Pneumatics) -> Belief:
+def nominal(p: PneumaticsConfig) -> Belief:
     """Of a rig of which only these numbers are known."""
     rigid = p.cv_volume_L / p.reservoir_volume_L
     pouch_kPa = rigid * AMBIENT_KPA

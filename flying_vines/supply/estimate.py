@@ -17,11 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from flying_vines.config.config import Pneumatics
+from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
 from flying_vines.supply.features import Features
-from flying_vines.supply.flying import TRACE, Flying, Inflation
+from flying_vines.supply.flying import TRACE, Flying, ObservedInflation
 from flying_vines.supply.formula import floor_kPa
 from flying_vines.supply.reservoir import (
     CV_LEAK,
@@ -36,7 +36,7 @@ from flying_vines.supply.reservoir import (
     X,
     colder_K,
 )
-from flying_vines.supply.supply import Demand, least_supply_kPa
+from flying_vines.supply.supply import SupplyCost, least_supply_kPa
 
 READING_SD_KPA = 1.3
 """Of one reading: sensor noise and a converter of 10 bits."""
@@ -102,7 +102,7 @@ class _Mix:
         self._sums = [PRIOR_CYCLES * amount for amount in cycle]
         self._venturi_kPa_s = PRIOR_CYCLES * belief.cycle_venturi_s * (p.full_kPa + AMBIENT_KPA)
 
-    def add(self, inflation: Inflation, supply_kPa_abs: float) -> None:
+    def add(self, inflation: ObservedInflation, supply_kPa_abs: float) -> None:
         cycles = inflation.swing_kPa / self._cycle_kPa
         keep = math.exp(-cycles / MEMORY_CYCLES)
         self.cycles = keep * self.cycles + cycles
@@ -137,9 +137,9 @@ class ReservoirEstimate:
         self.read_at = 0.0
         self._flying = Flying(belief)
         self.bottle: Bottle | None = None
-        self._demand = Demand(belief)
+        self._demand = SupplyCost(belief)
         self._mix = _Mix(belief)
-        self._inflations: list[Inflation] = []
+        self._inflations: list[ObservedInflation] = []
         self._warmed_up = belief.packed_kPa == 0.0
         self.measured_cycles = 0.0
         """Cycles flown so far that the cost was measured on."""
@@ -165,7 +165,7 @@ class ReservoirEstimate:
         if flying.inflation is not None:
             self._add(flying.inflation, self.bottle)
 
-    def _add(self, inflation: Inflation, bottle: Bottle) -> None:
+    def _add(self, inflation: ObservedInflation, bottle: Bottle) -> None:
         if not self._warmed_up:
             # A pouch that has lain flat since it was packed: no other cycle is like the first.
             self._warmed_up = True
@@ -176,7 +176,7 @@ class ReservoirEstimate:
         self._inflations = [*self._inflations[1 - KEPT_INFLATIONS :], inflation]
 
     @staticmethod
-    def _air_kPa(mean: Sequence[float], inflation: Inflation) -> float:
+    def _air_kPa(mean: Sequence[float], inflation: ObservedInflation) -> float:
         return mean[RISE] * inflation.swing_kPa + mean[FLAT] * inflation.spent.flat
 
     def air_needed(self, rise_kPa: float, rate_kPa_per_s: float) -> AirNeeded:
@@ -261,10 +261,10 @@ class ReservoirEstimate:
         (a, ln_a), (b, ln_b) = ends
         return (ln_b - ln_a) / (b - a) if b > a else 0.0
 
-    def _believed_inflation(self) -> Inflation:
+    def _believed_inflation(self) -> ObservedInflation:
         """The profile's own cycle, before there is another: up evenly, and a little time at the top."""
         swing = self._p.cycle_swing_kPa
-        return Inflation(
+        return ObservedInflation(
             low_kPa=0.0,
             top_kPa=swing,
             given_s=1.2 * swing / self._p.cycle_rate_kPa_per_s,
@@ -277,7 +277,7 @@ class ReservoirEstimate:
         )
 
 
-def _least_cost_kPa(p: Pneumatics) -> float:
+def _least_cost_kPa(p: PneumaticsConfig) -> float:
     """A cycle never takes less: a fifth of what the believed volume takes if it is rigid."""
     return 0.2 * p.cv_volume_L * p.cycle_swing_kPa / p.reservoir_volume_L
 
@@ -287,7 +287,7 @@ class _Floor(NamedTuple):
 
     kPa: float
     kPa_per_ln: float
-    worst: Inflation
+    worst: ObservedInflation
     air_kPa: float
 
 

@@ -49,7 +49,7 @@ def driving_kPa(law: Opening, supply_kPa_abs: float, downstream_kPa_abs: float) 
 
 
 @dataclass(frozen=True, slots=True)
-class Inflation:
+class ObservedInflation:
     """One rise of the setpoint, and everything until the next one began. Gauge kPa."""
 
     low_kPa: float
@@ -70,7 +70,7 @@ class Inflation:
     def swing_kPa(self) -> float:
         return self.top_kPa - self.low_kPa
 
-    def as_hard_as(self, other: Inflation) -> bool:
+    def as_hard_as(self, other: ObservedInflation) -> bool:
         """At least as far, and in no more time, within a twentieth."""
         return self.swing_kPa > 0.95 * other.swing_kPa and self.given_s < 1.05 * other.given_s
 
@@ -87,7 +87,7 @@ class Flying:
         self.reading_kPa: float | None = None
         """The mean over the block, if the bottle may be read."""
         self.readings = 0
-        self.inflation: Inflation | None = None
+        self.inflation: ObservedInflation | None = None
         self._begun = False
         self._setpoint = 0.0
         self._calm_s = 0.0
@@ -222,7 +222,7 @@ class Flying:
     def _end_inflation(self) -> None:
         if self._began_at is not None:
             valve, partly = self._needed
-            self.inflation = Inflation(
+            self.inflation = ObservedInflation(
                 low_kPa=self._from,
                 top_kPa=self._top,
                 given_s=self._given_s,

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from flying_vines.config.config import Pneumatics
+from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics import paper
 
 
-def n_cycles(p: Pneumatics, reservoir_kPa: float) -> float:
+def n_cycles(p: PneumaticsConfig, reservoir_kPa: float) -> float:
     """Cycles left by the paper's equation (Eq. 8), for gauge reservoir pressure; not below 0."""
     by_paper = paper.n_cycles(
         reservoir_kPa,
@@ -19,6 +19,6 @@ def n_cycles(p: Pneumatics, reservoir_kPa: float) -> float:
     return max(0.0, by_paper)
 
 
-def floor_kPa(p: Pneumatics, rate_kPa_per_s: float) -> float:
+def floor_kPa(p: PneumaticsConfig, rate_kPa_per_s: float) -> float:
     """Below this gauge pressure the reservoir no longer fills a CV at `rate_kPa_per_s`."""
     return paper.least_reservoir_kPa(rate_kPa_per_s, p.evp_flow_resistance_kPa_s_per_SL, p.cv_volume_L)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import msgspec
 
-from flying_vines.config.config import Pneumatics
+from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, flow_SL_per_s
 from flying_vines.physics.plant.motion import ValveMotion
@@ -51,7 +51,7 @@ ISOTHERMAL = Wall(time_constant_s=1e-3)
 
 
 @dataclass(frozen=True)
-class Calibration:
+class KnownRig:
     """What a rig file gives."""
 
     path: Path
@@ -71,7 +71,7 @@ class Calibration:
         return said
 
 
-def load_calibration(path: Path, p: Pneumatics) -> Calibration:
+def load_calibration(path: Path, p: PneumaticsConfig) -> KnownRig:
     """What a rig file makes of the numbers of `[pneumatics]`.
 
     RigError when the file cannot be read, names something unknown, or has nothing to inflate.
@@ -79,17 +79,17 @@ def load_calibration(path: Path, p: Pneumatics) -> Calibration:
     return read_rig(path, lambda content: _calibration(path, p, true_rig_from(content)))
 
 
-def _calibration(path: Path, p: Pneumatics, rig: TrueRig) -> Calibration:
+def _calibration(path: Path, p: PneumaticsConfig, rig: TrueRig) -> KnownRig:
     belief = believed(p, rig)
     without = {
         name: replace(rig, causes={other: rig.causes[other] for other in rig.causes if other != name})
         for name in rig.causes
     }
     used = tuple(name for name, less in without.items() if believed(p, less, rig.complete) != belief)
-    return Calibration(path, belief, used, tuple(name for name in rig.causes if name not in used))
+    return KnownRig(path, belief, used, tuple(name for name in rig.causes if name not in used))
 
 
-def believed(p: Pneumatics, rig: TrueRig, complete: bool | None = None) -> Belief:
+def believed(p: PneumaticsConfig, rig: TrueRig, complete: bool | None = None) -> Belief:
     """What a rig makes of the numbers of `[pneumatics]`, for one that flies it.
 
     A rig of which only the numbers are told is as any rig in all else, unless it is said to be `complete`.
@@ -101,7 +101,7 @@ def believed(p: Pneumatics, rig: TrueRig, complete: bool | None = None) -> Belie
     return _known(numbers, there)
 
 
-def _numbers(p: Pneumatics, rig: Rig) -> Pneumatics:
+def _numbers(p: PneumaticsConfig, rig: Rig) -> PneumaticsConfig:
     if rig.cv is None:
         raise RigError("the rig has no [cv], so that there is nothing to inflate.")
     return msgspec.structs.replace(
@@ -113,7 +113,7 @@ def _numbers(p: Pneumatics, rig: Rig) -> Pneumatics:
     )
 
 
-def _known(p: Pneumatics, there: Setup) -> Belief:
+def _known(p: PneumaticsConfig, there: Setup) -> Belief:
     plant, effects = there.plant, there.plant.effects
     motion = effects.evp_motion or ValveMotion()
     kPa_per_SL = ALPHA_KPA / p.reservoir_volume_L
@@ -160,7 +160,7 @@ def _known(p: Pneumatics, there: Setup) -> Belief:
     )
 
 
-def _air_SL_per_kPa(p: Pneumatics, plant: Plant, top_kPa: float) -> float:
+def _air_SL_per_kPa(p: PneumaticsConfig, plant: Plant, top_kPa: float) -> float:
     """What fills the control volume and its tube to a pressure, for each kPa; once it is full, of a pouch.
 
     V (1 + k P) at P + p_a for V at p_a; less, where the gas is still warm when the inflation ends, for warm
@@ -179,7 +179,7 @@ def _air_SL_per_kPa(p: Pneumatics, plant: Plant, top_kPa: float) -> float:
     return volume_L / ALPHA_KPA
 
 
-def _motive_SL_per_s(p: Pneumatics, plant: Plant, supply_kPa: float) -> float:
+def _motive_SL_per_s(p: PneumaticsConfig, plant: Plant, supply_kPa: float) -> float:
     """Through the Venturi and its supply valve, in series where the rig says so."""
     law = plant.effects.dvp_law or Ohm(p.dvp_flow_resistance_kPa_s_per_SL)
     motive = _flow_SL_per_s(law, supply_kPa)
@@ -189,7 +189,7 @@ def _motive_SL_per_s(p: Pneumatics, plant: Plant, supply_kPa: float) -> float:
     return motive
 
 
-def _venturi_s(p: Pneumatics, plant: Plant, offset_kPa: float) -> float:
+def _venturi_s(p: PneumaticsConfig, plant: Plant, offset_kPa: float) -> float:
     """How long the Venturi helps in a cycle of `[pneumatics]`, where what leaves by itself is too slow.
 
     Air leaves at P/τ; with the Venturi at (P + P_vac)/τ. On the way down at a rate r that is too slow from

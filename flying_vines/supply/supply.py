@@ -13,7 +13,7 @@ import math
 
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
-from flying_vines.supply.flying import Inflation, driving_kPa, tolerance_kPa
+from flying_vines.supply.flying import ObservedInflation, driving_kPa, tolerance_kPa
 
 WIDE_OPEN_SD = 0.05
 SLUGGISH_S = 0.04
@@ -23,7 +23,7 @@ WIDE_OPEN_ERROR_KPA = 2.0
 MOST_KPA = 2000.0
 
 
-class Demand:
+class SupplyCost:
     """Learns κ, in seconds · kPa absolute of supply per kPa of bottle."""
 
     def __init__(self, belief: Belief) -> None:
@@ -32,7 +32,7 @@ class Demand:
         self.variance = belief.rating_sd**2
         self._partly_open_sd = belief.partly_open_sd
 
-    def learn(self, inflation: Inflation, air_kPa: float) -> None:
+    def learn(self, inflation: ObservedInflation, air_kPa: float) -> None:
         """Learn from an inflation that took `air_kPa` of the reservoir."""
         if inflation.valve_kPa_s <= 0.0 or air_kPa <= 0.0:
             return
@@ -47,7 +47,9 @@ class Demand:
         self.variance = max((1.0 - gain) * self.variance, min(self.variance, 0.3 * variance))
 
 
-def least_supply_kPa(belief: Belief, inflation: Inflation, air_kPa: float, demand_kPa_s: float) -> float:
+def least_supply_kPa(
+    belief: Belief, inflation: ObservedInflation, air_kPa: float, demand_kPa_s: float
+) -> float:
     """Gauge, at the start of an inflation like this one, which takes `air_kPa` and needs `demand_kPa_s`.
 
     At most the pressure with which this one was done.
@@ -64,7 +66,7 @@ def least_supply_kPa(belief: Belief, inflation: Inflation, air_kPa: float, deman
     return high - AMBIENT_KPA + 0.5 * air_kPa
 
 
-def _filled(belief: Belief, inflation: Inflation, demand_kPa_s: float, supply_kPa_abs: float) -> bool:
+def _filled(belief: Belief, inflation: ObservedInflation, demand_kPa_s: float, supply_kPa_abs: float) -> bool:
     """Whether the control volume gets near the top before the setpoint falls.
 
     The regulator opens in proportion to the error, and adds no air on the way down.

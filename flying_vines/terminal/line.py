@@ -35,7 +35,7 @@ def socket_of(page: str) -> URL:
     return url.with_path("/live").with_query(url.query)
 
 
-class Line:
+class PageSocket:
     """A link to a page's socket. `take` gets each message; `problem` is a sentence while there is no link."""
 
     def __init__(self, url: URL, token: str, take: Callable[[str], None]) -> None:

@@ -20,7 +20,7 @@ _ACTIONS: dict[str, type[Decision] | type[Notice]] = {"decision": Decision, "not
 _NUMBERS = [field.name for field in fields(Snapshot) if field.type == "float"]
 
 
-class Vine(NamedTuple):
+class VineScale(NamedTuple):
     """The pressures at which the bars are full, gauge kPa."""
 
     max_kPa: float
@@ -35,7 +35,7 @@ class Story:
     """The events of one service, over all losses of the link. Times are those of the service's clock."""
 
     def __init__(self) -> None:
-        self.vine: Vine | None = None
+        self.vine: VineScale | None = None
         self.began = 0.0
         """The service's time of the first known event."""
         self.snapshot: Snapshot | None = None
@@ -71,7 +71,7 @@ class Story:
             # The first hello, or one of a service that was restarted.
             self.began = min([hello["t"], *(action.t for action in past)])
             self._latest_t = -math.inf
-        self.vine = Vine(hello["vine"]["max_kPa"], hello["vine"]["full_kPa"])
+        self.vine = VineScale(hello["vine"]["max_kPa"], hello["vine"]["full_kPa"])
         return self._note([action for action in past if action.t > self._latest_t])
 
     def _note(self, news: list[Decision | Notice]) -> list[Decision | Notice]:
@@ -82,7 +82,7 @@ class Story:
         return t - self._shown_at
 
 
-class Vent:
+class VentRequest:
     """A request to vent. It is repeated until it is confirmed or refused, over any loss of the link."""
 
     def __init__(self) -> None:

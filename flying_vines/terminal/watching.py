@@ -12,9 +12,9 @@ from rich.text import Text
 from yarl import URL
 
 from flying_vines.terminal import keys
-from flying_vines.terminal.line import Line
+from flying_vines.terminal.line import PageSocket
 from flying_vines.terminal.screen import LiveView, event_line
-from flying_vines.terminal.story import LATE_S, Story, StrangeMessageError, Vent
+from flying_vines.terminal.story import LATE_S, Story, StrangeMessageError, VentRequest
 
 LOOK_S = 0.1
 SURE_S = 3.0
@@ -32,9 +32,9 @@ class Watching:
         self._as_json = as_json
         self._story = Story()
         self._view: LiveView | None = None
-        self._vent = Vent()
+        self._vent = VentRequest()
         self._pressed_at: float | None = None
-        self._line = Line(url, token, self._take)
+        self._line = PageSocket(url, token, self._take)
         self._told = "connecting"
         self._over = False
 

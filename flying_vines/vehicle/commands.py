@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.answer import acknowledgement
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.repeats import PX4_REPEAT_S, STATION_REPEAT_S, Repeats
 from flying_vines.vehicle.triggers import Rules, Trigger, direct_intent
 from flying_vines.vine.intent import Intent
@@ -18,7 +18,7 @@ from flying_vines.vine.intent import Intent
 _Key = tuple[object, ...]
 
 
-class Commands:
+class CommandReceiver:
     """Turns COMMAND_LONG and COMMAND_INT into triggers, each once, and answers every repeat."""
 
     def __init__(self, rules: Rules, component_id: int) -> None:
@@ -26,20 +26,20 @@ class Commands:
         self._component_id = component_id
         self._repeats = Repeats()
 
-    def _for_us(self, message: Message, system_id: int) -> bool:
+    def _for_us(self, message: MavlinkMessage, system_id: int) -> bool:
         """Whether it is for us, and nobody else."""
         return bool(message.target_system == system_id and message.target_component == self._component_id)
 
     def handle(
         self,
         t: float,
-        message: Message,
+        message: MavlinkMessage,
         system_id: int,
         from_autopilot: bool,
         watch: MissionWatch,
         from_station: bool,
         age_s: float = 0.0,
-    ) -> list[Trigger | Message]:
+    ) -> list[Trigger | MavlinkMessage]:
         """A trigger, or the answer if there is nothing to decide. `age_s`: how long ago it was sent.
 
         Only a ground station and the autopilot may bend the vine. Everybody may let air out.
@@ -92,7 +92,7 @@ class Commands:
         intent, _ = self._intent(command, params) or (None, "")
         return self._rules.only_lets_out(intent)
 
-    def acknowledge(self, trigger: Trigger, accepted: bool) -> list[Message]:
+    def acknowledge(self, trigger: Trigger, accepted: bool) -> list[MavlinkMessage]:
         """The COMMAND_ACK for the command behind a trigger, if there is one."""
         if trigger.command is None:
             return []
@@ -101,17 +101,17 @@ class Commands:
         return [acknowledgement(trigger.command, result)]
 
 
-def _params(message: Message) -> tuple[float, ...]:
+def _params(message: MavlinkMessage) -> tuple[float, ...]:
     first = (message.param1, message.param2, message.param3, message.param4)
     if message.get_type() == "COMMAND_INT":
         return (*first, float(message.x), float(message.y), message.z)
     return (*first, message.param5, message.param6, message.param7)
 
 
-def _sender(message: Message) -> str:
+def _sender(message: MavlinkMessage) -> str:
     return f"{message.get_srcSystem()}/{message.get_srcComponent()}"
 
 
-def _key(message: Message) -> _Key:
+def _key(message: MavlinkMessage) -> _Key:
     numbers = tuple("nan" if math.isnan(value) else value for value in _params(message))
     return (message.get_srcSystem(), message.get_srcComponent(), message.command, *numbers)

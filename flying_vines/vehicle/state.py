@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.vehicle.autopilots import OTHER, of_heartbeat
 from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.mavlink import handled_messages as handled
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 _AUTOPILOT: int = mavlink.MAV_COMP_ID_AUTOPILOT1
 ALTITUDE_FRESH_S = 2.0
@@ -40,7 +40,7 @@ class Rebooted:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class AutopilotFound:
     """The first heartbeat of the autopilot that we serve."""
 
     system_id: int
@@ -53,7 +53,7 @@ class Ambiguous:
     system_ids: tuple[int, int]
 
 
-VehicleEvent = Rebooted | Found | Ambiguous
+VehicleEvent = Rebooted | AutopilotFound | Ambiguous
 
 
 class VehicleState:
@@ -118,14 +118,14 @@ class VehicleState:
         """Our time `t` on the autopilot's clock; 0 before that clock is known."""
         return self.clock.time_boot_ms(t)
 
-    def is_ours(self, message: Message) -> bool:
+    def is_ours(self, message: MavlinkMessage) -> bool:
         """Whether a message comes from the autopilot that we serve."""
         header = message.get_header()
         return bool(
             header.srcComponent == _AUTOPILOT and header.srcSystem == self.system_id and self.system_id
         )
 
-    def handle(self, t: float, message: Message) -> list[VehicleEvent]:
+    def handle(self, t: float, message: MavlinkMessage) -> list[VehicleEvent]:
         """Take in one message of anyone."""
         kind = message.get_type()
         events: list[VehicleEvent] = []
@@ -158,7 +158,7 @@ class VehicleState:
             self.clock.forget()
         return events
 
-    def _choose(self, t: float, message: Message) -> list[VehicleEvent]:
+    def _choose(self, t: float, message: MavlinkMessage) -> list[VehicleEvent]:
         system = message.get_srcSystem()
         if self._ambiguous or system in (0, self.system_id):
             return []
@@ -173,10 +173,10 @@ class VehicleState:
             self.armed = False
             return [Ambiguous(pair)]
         self.system_id, self._found_at = system, t
-        return [Found(system)]
+        return [AutopilotFound(system)]
 
 
-def _is_autopilot(message: Message) -> bool:
+def _is_autopilot(message: MavlinkMessage) -> bool:
     return (
         message.autopilot != mavlink.MAV_AUTOPILOT_INVALID
         and message.type not in NO_VEHICLE

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 ASK_SPACING_S = 0.1
 ASK_AGAIN_S = 3.0
@@ -63,7 +63,7 @@ class Streams:
         self._asked: _Stream | None = None
         self._heard_at = self._heard_since = -math.inf
 
-    def handle(self, t: float, message: Message) -> None:
+    def handle(self, t: float, message: MavlinkMessage) -> None:
         """Take in a message of our autopilot."""
         if t - self._heard_at > SILENT_S:
             self._heard_since = t
@@ -84,7 +84,7 @@ class Streams:
             stream.refused_at = -math.inf
         self._asked = None
 
-    def requests(self, t: float, system_id: int) -> list[Message]:
+    def requests(self, t: float, system_id: int) -> list[MavlinkMessage]:
         """At most one request a call, spaced so that small buffers do not overflow."""
         if t - self._asked_at < ASK_SPACING_S or self._awaited(t):
             return []

@@ -10,19 +10,19 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config.config import CARRIERS, Config, Param
 from flying_vines.vehicle.clock import LATE_S
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vine.intent import (
     ArmPneumatics,
     BendTo,
-    ClearFaults,
+    ClearLatchedFaults,
     DisarmPneumatics,
     Hold,
     Intent,
     SetPressure,
     StartProfile,
     StopBench,
-    Vent,
+    VentVine,
 )
 from flying_vines.vine.profile import flatten, top_kPa
 
@@ -34,14 +34,14 @@ NAME_OF_COMMAND = {number: name for name, number in CARRIERS.items()}
 BEND_TO, SET_PRESSURE = mavlink.MAV_CMD_USER_2, mavlink.MAV_CMD_USER_3
 CHOICES: dict[int, tuple[tuple[str, Intent | None], ...]] = {
     mavlink.MAV_CMD_USER_4: (
-        ("vent", Vent()),
+        ("vent", VentVine()),
         ("hold", Hold()),
         ("disarm", DisarmPneumatics()),
         ("arm", ArmPneumatics()),
     ),
     mavlink.MAV_CMD_USER_5: (
         ("nothing", None),
-        ("clear faults", ClearFaults()),
+        ("clear faults", ClearLatchedFaults()),
     ),
 }
 """What param1 = 0, 1, 2, 3 of a command asks for. No autopilot carries out these commands itself: ArduPilot
@@ -62,7 +62,7 @@ class Trigger:
     intent: Intent | None
     problem: str = ""
     by_person: bool = False
-    command: Message | None = None
+    command: MavlinkMessage | None = None
     """The command that waits for an acknowledgement."""
     age_s: float = 0.0
     """The minimum age of the request."""
@@ -77,7 +77,7 @@ def only_lets_out(config: Config, intent: Intent | None) -> bool:
     """Whether an intent can only let air out, wherever the vine is. That is always safe."""
     curve = config.vine.bend_curve()
     match intent:
-        case Vent() | DisarmPneumatics() | StopBench():
+        case VentVine() | DisarmPneumatics() | StopBench():
             return True
         case StartProfile(name) if name in config.profiles:
             return top_kPa(tuple(flatten(config.profiles, name)), curve, math.inf) <= 0.0
@@ -128,7 +128,7 @@ class Rules:
         numbers = ", ".join(f"{value:g}" for value in params[:4])
         return None, f"no rule for {name} ({numbers})"
 
-    def item_trigger(self, t: float, execution: Execution, command: Message | None = None) -> Trigger:
+    def item_trigger(self, t: float, execution: Execution, command: MavlinkMessage | None = None) -> Trigger:
         """The trigger of a mission item that ran, and of the command that published it."""
         intent, problem = self.for_command(execution.command, execution.params)
         what: dict[str, object] = {"seq": execution.seq, "command": execution.command}

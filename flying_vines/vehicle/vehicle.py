@@ -7,24 +7,24 @@ from collections.abc import Mapping, Sequence
 
 from flying_vines.config.config import Config
 from flying_vines.vehicle.clock import Mark
-from flying_vines.vehicle.commands import Commands
+from flying_vines.vehicle.commands import CommandReceiver
 from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.parameters import Changed
 from flying_vines.vehicle.mavlink import handled_messages as handled
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.radio.pilot import Pilot, Straightened
 from flying_vines.vehicle.radio.rc import RadioLink
-from flying_vines.vehicle.radio.switch import Switch
-from flying_vines.vehicle.state import Ambiguous, Found, VehicleState
+from flying_vines.vehicle.radio.switch import SwitchReader
+from flying_vines.vehicle.state import Ambiguous, AutopilotFound, VehicleState
 from flying_vines.vehicle.streams import Streams
 from flying_vines.vehicle.triggers import Rules, Trigger
-from flying_vines.vine.intent import Vent
+from flying_vines.vine.intent import VentVine
 
-Output = Trigger | Notice | Straightened | Changed | Message
+VehicleOutput = Trigger | Notice | Straightened | Changed | MavlinkMessage
 """What the core gets: requests to decide on, notices, changed parameters and messages to send."""
 
 
@@ -54,8 +54,8 @@ class Vehicle:
         self.link_closed = False
         self._book = MissionBook(mission)
         self._take_autopilot(0.0)
-        self._held: deque[tuple[Mark, Message]] = deque(maxlen=MOST_HELD)
-        self._commands = Commands(self._rules, config.vehicle.component_id)
+        self._held: deque[tuple[Mark, MavlinkMessage]] = deque(maxlen=MOST_HELD)
+        self._commands = CommandReceiver(self._rules, config.vehicle.component_id)
 
     def _take_autopilot(self, t: float) -> None:
         self._autopilot = self.state.autopilot
@@ -72,14 +72,14 @@ class Vehicle:
         return self.pilot.radio
 
     @property
-    def switch(self) -> Switch:
+    def switch(self) -> SwitchReader:
         return self.pilot.switch
 
     def configure(self) -> None:
         """A parameter has changed."""
         self.pilot.configure(self.config)
 
-    def handle(self, t: float, message: Message, vented: bool = True) -> list[Output]:
+    def handle(self, t: float, message: MavlinkMessage, vented: bool = True) -> list[VehicleOutput]:
         """Take in a message of any sender on the link.
 
         `vented`: the vine is straight and nothing moves it, so parameters that affect it may be changed.
@@ -92,7 +92,7 @@ class Vehicle:
             state.heard(t)
         if kind not in handled.ALL:
             return self._items(t) if from_autopilot and not self._watch.idle else []
-        out: list[Output] = []
+        out: list[VehicleOutput] = []
         if kind == "HEARTBEAT":
             out.extend(self._on_heartbeat(t, message))
         elif from_autopilot and kind in handled.STATE and state.handle(t, message):
@@ -120,7 +120,7 @@ class Vehicle:
             out.extend(self._items(t))
         return out
 
-    def _on_mission(self, t: float, message: Message) -> list[Output]:
+    def _on_mission(self, t: float, message: MavlinkMessage) -> list[VehicleOutput]:
         self._book.handle(t, message)
         self._watch.handle(t, message)
         out = [*self._book.acknowledgement(self.state.system_id), *self._items(t)]
@@ -128,12 +128,12 @@ class Vehicle:
             out.append(Notice(t, Severity.NOTICE, "Vine: mission read anew"))
         return out
 
-    def _on_heartbeat(self, t: float, message: Message) -> list[Output]:
-        out: list[Output] = []
+    def _on_heartbeat(self, t: float, message: MavlinkMessage) -> list[VehicleOutput]:
+        out: list[VehicleOutput] = []
         before = (self.state.armed, self.state.mode)
         for event in self.state.handle(t, message):
             match event:
-                case Found(system_id):
+                case AutopilotFound(system_id):
                     out.append(Notice(t, Severity.INFO, f"Vine: serving vehicle {system_id}"))
                 case Ambiguous((one, other)):
                     text = f"Vine: autopilots {one} and {other}: set vehicle.system_id"
@@ -145,9 +145,9 @@ class Vehicle:
             self.pilot.parameters.refresh()
         return out
 
-    def tick(self, t: float) -> list[Output]:
+    def tick(self, t: float) -> list[VehicleOutput]:
         """Let time pass: triggers that are due now, and requests to the autopilot."""
-        out: list[Output] = []
+        out: list[VehicleOutput] = []
         out.extend(self.pilot.tick(t))
         if not self.state.found:
             return out
@@ -176,11 +176,11 @@ class Vehicle:
         """Forget the state of the radio: the switch waits for a fresh move."""
         self.pilot.forget()
 
-    def acknowledge(self, trigger: Trigger, accepted: bool) -> list[Message]:
+    def acknowledge(self, trigger: Trigger, accepted: bool) -> list[MavlinkMessage]:
         """The acknowledgement of the command behind a trigger."""
         return self._commands.acknowledge(trigger, accepted)
 
-    def _rebooted(self, t: float) -> list[Output]:
+    def _rebooted(self, t: float) -> list[VehicleOutput]:
         self.component.greet()
         self._streams.forget()
         self.pilot.restarted()
@@ -188,12 +188,12 @@ class Vehicle:
         self._book.doubt(t)
         return [
             Notice(t, Severity.WARNING, "Vine: autopilot rebooted, vented"),
-            Trigger(t, "link", {"event": "autopilot rebooted"}, Vent()),
+            Trigger(t, "link", {"event": "autopilot rebooted"}, VentVine()),
         ]
 
-    def _command_triggers(self, t: float) -> list[Output]:
+    def _command_triggers(self, t: float) -> list[VehicleOutput]:
         """The outputs of the waiting commands whose age is known."""
-        out: list[Output] = []
+        out: list[VehicleOutput] = []
         while self._held:
             mark, message = self._held[0]
             age_s = self.state.clock.age_s(mark, t)
@@ -207,15 +207,15 @@ class Vehicle:
             out.extend(self._commands.handle(t, message, system_id, theirs, watch, from_station, age_s))
         return out
 
-    def _items(self, t: float) -> list[Output]:
+    def _items(self, t: float) -> list[VehicleOutput]:
         """The triggers of mission items that ran, and requests for items whose numbers are not certain."""
         watch = self._watch
         out = self._item_triggers(t, watch.due(t))
         out.extend(self._book.ask(seq, self.state.system_id) for seq in watch.asks(t))
         return out
 
-    def _item_triggers(self, t: float, executions: Sequence[Execution]) -> list[Output]:
-        out: list[Output] = []
+    def _item_triggers(self, t: float, executions: Sequence[Execution]) -> list[VehicleOutput]:
+        out: list[VehicleOutput] = []
         for execution in executions:
             trigger = self._rules.item_trigger(t, execution)
             if execution.anew:

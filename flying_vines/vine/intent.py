@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Command = Literal[
+CommandName = Literal[
     "vent",
     "hold",
     "profile",
@@ -65,7 +65,7 @@ class Hold:
 
 
 @dataclass(frozen=True, slots=True)
-class Vent:
+class VentVine:
     """Let the air out, now: always allowed."""
 
     def __str__(self) -> str:
@@ -73,7 +73,7 @@ class Vent:
 
 
 @dataclass(frozen=True, slots=True)
-class ClearFaults:
+class ClearLatchedFaults:
     """A person clears latched faults."""
 
     def __str__(self) -> str:
@@ -117,23 +117,30 @@ Intent = (
     | BendTo
     | SetPressure
     | Hold
-    | Vent
-    | ClearFaults
+    | VentVine
+    | ClearLatchedFaults
     | ArmPneumatics
     | DisarmPneumatics
     | StartBench
     | StopBench
 )
 
-COMMAND_OF: dict[type[Intent], Command] = {
-    Vent: "vent",
+COMMAND_OF: dict[type[Intent], CommandName] = {
+    VentVine: "vent",
     Hold: "hold",
     StartProfile: "profile",
     BendTo: "bend",
     SetPressure: "pressure",
-    ClearFaults: "clear_faults",
+    ClearLatchedFaults: "clear_faults",
     ArmPneumatics: "arm",
     DisarmPneumatics: "disarm",
     StartBench: "start_bench",
     StopBench: "stop_bench",
 }
+
+_NAMES: dict[type, str] = {VentVine: "Vent", ClearLatchedFaults: "ClearFaults"}
+
+
+def name_of(kind: type[Intent]) -> str:
+    """The name of a kind of intent in flight logs."""
+    return _NAMES.get(kind, kind.__name__)

@@ -84,7 +84,7 @@ class Sub(_Segment, tag="profile", frozen=True):
 Segment = Step | Ramp | HoldFor | Sine | Sub
 
 
-class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class PressureProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A named sequence of segments; after the last one its value is held."""
 
     segments: tuple[Segment, ...]
@@ -111,7 +111,9 @@ def _positive(value: float, name: str) -> None:
         raise ValueError(f"{name} must be above 0 and at most {LARGEST:.0f}")
 
 
-def flatten(profiles: Mapping[str, Profile], name: str, _inside: tuple[str, ...] = ()) -> Iterator[Segment]:
+def flatten(
+    profiles: Mapping[str, PressureProfile], name: str, _inside: tuple[str, ...] = ()
+) -> Iterator[Segment]:
     """The segments of a profile in order, repeats and sub-profiles unrolled.
 
     Raises `ValueError` naming the profile when one contains itself, is missing, or grows beyond

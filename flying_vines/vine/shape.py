@@ -9,7 +9,7 @@ SMALLEST_RAD = 1e-6
 """Below it an arc is a line, to the rounding of a float."""
 
 
-class Point(NamedTuple):
+class AxisPoint(NamedTuple):
     """A point on the vine's axis. The base is at 0, 0."""
 
     x_m: float
@@ -20,7 +20,7 @@ class Point(NamedTuple):
     """0 is along the base's direction."""
 
 
-def tip(angle_deg: float, length_m: float) -> Point:
+def tip(angle_deg: float, length_m: float) -> AxisPoint:
     """Where the tip is: x = (1 − cos θ) L/θ, y = sin θ L/θ.
 
     Args:
@@ -29,12 +29,12 @@ def tip(angle_deg: float, length_m: float) -> Point:
     """
     angle = math.radians(angle_deg)
     if abs(angle) < SMALLEST_RAD:
-        return Point(0.5 * angle * length_m, length_m, angle)
+        return AxisPoint(0.5 * angle * length_m, length_m, angle)
     radius_m = length_m / angle
-    return Point((1.0 - math.cos(angle)) * radius_m, math.sin(angle) * radius_m, angle)
+    return AxisPoint((1.0 - math.cos(angle)) * radius_m, math.sin(angle) * radius_m, angle)
 
 
-def axis(angle_deg: float, length_m: float, pieces: int = 40) -> list[Point]:
+def axis(angle_deg: float, length_m: float, pieces: int = 40) -> list[AxisPoint]:
     """Points along the vine, evenly from base to tip."""
     shares = (i / pieces for i in range(pieces + 1))
     return [tip(share * angle_deg, share * length_m) for share in shares]

@@ -12,18 +12,19 @@ from hypothesis import strategies as st
 
 from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines.calibration import angle, outlet, valve, vessel, zero
-from flying_vines.calibration.account import Bins, Prior, settle
-from flying_vines.calibration.air import Known, Vine, read_air, volumes
+from flying_vines.calibration.account import AccountPrior, Bins, settle
+from flying_vines.calibration.air import AirInputs, VineAir, read_air, volumes
 from flying_vines.calibration.estimate import Estimate
 from flying_vines.calibration.eye import CURVE, HYSTERESIS_KPA, SimulatedEye
-from flying_vines.calibration.findings import Finding, Findings, Proposal, Result, from_json
-from flying_vines.calibration.readings import Array, Flags, Notebook, Readings
-from flying_vines.config.config import Pneumatics
+from flying_vines.calibration.findings import Findings, MeasuredQuantity, Result, SettingProposal, from_json
+from flying_vines.calibration.readings import Notebook, Readings
+from flying_vines.config.config import PneumaticsConfig
+from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.vine.curve import BendCurve
 
 TOP_KPA = 20.0
 BOTTLE_L = 2.0
-KNOWN = Known(Pneumatics(), Estimate(BOTTLE_L, 0.0), TOP_KPA, 0.5, 101.325)
+KNOWN = AirInputs(PneumaticsConfig(), Estimate(BOTTLE_L, 0.0), TOP_KPA, 0.5, 101.325)
 
 
 def times(n: int, step_s: float) -> Array:
@@ -122,7 +123,7 @@ def test_what_is_known_of_a_column_that_says_nothing_is_its_prior() -> None:
     t = times(200, 0.2)
     flat = {"never": np.zeros(200)}
     found = settle(
-        Bins(t, t, np.full(200, 500.0), flat, np.ones(200, bool), 0.1), {"never": Prior(3.0, 2.0)}, 2.0
+        Bins(t, t, np.full(200, 500.0), flat, np.ones(200, bool), 0.1), {"never": AccountPrior(3.0, 2.0)}, 2.0
     )
     assert found.values["never"].value == pytest.approx(3.0) and found.values["never"].sd >= 2.0
 
@@ -139,8 +140,8 @@ def filled(litres: float, start: float, gain: float, play: float, seed: int = 1)
     step_s = 0.001
     told: list[Array] = []
     setpoint: list[Array] = []
-    regulating: list[Flags] = []
-    solenoid: list[Flags] = []
+    regulating: list[BoolArray] = []
+    solenoid: list[BoolArray] = []
 
     def add(seconds: float, u: float, kPa: float, held: bool) -> None:
         n = round(seconds / step_s)
@@ -178,12 +179,12 @@ def filled(litres: float, start: float, gain: float, play: float, seed: int = 1)
 
 
 @pytest.fixture(scope="module")
-def seen() -> tuple[Readings, Vine]:
+def seen() -> tuple[Readings, VineAir]:
     readings = filled(0.15, 0.35, 0.5, 0.06)
     return readings, read_air(readings, KNOWN)
 
 
-def test_the_volume_is_what_the_bottle_lost_for_the_pressure(seen: tuple[Readings, Vine]) -> None:
+def test_the_volume_is_what_the_bottle_lost_for_the_pressure(seen: tuple[Readings, VineAir]) -> None:
     _, vine = seen
     found = vine.volume()
     assert found.value == pytest.approx(0.15, rel=0.04)
@@ -193,7 +194,7 @@ def test_the_volume_is_what_the_bottle_lost_for_the_pressure(seen: tuple[Reading
     assert by_name["refill_air_SL"].value is None and "none seen" in by_name["refill_air_SL"].note
 
 
-def test_start_and_gain_of_the_valve(seen: tuple[Readings, Vine]) -> None:
+def test_start_and_gain_of_the_valve(seen: tuple[Readings, VineAir]) -> None:
     readings, vine = seen
     opened = valve.open_valve(readings, vine)
     assert not isinstance(opened, str)
@@ -202,7 +203,7 @@ def test_start_and_gain_of_the_valve(seen: tuple[Readings, Vine]) -> None:
     assert opened.gain.value * supply_kPa == pytest.approx(0.5, rel=0.06)
 
 
-def test_telemetry_that_leaves_steps_out_does_not_tell_of_the_valve(seen: tuple[Readings, Vine]) -> None:
+def test_telemetry_that_leaves_steps_out_does_not_tell_of_the_valve(seen: tuple[Readings, VineAir]) -> None:
     readings, vine = seen
     said = valve.open_valve(readings.rows(slice(None, None, 10)), vine)
     assert isinstance(said, str) and "100 Hz" in said
@@ -211,7 +212,7 @@ def test_telemetry_that_leaves_steps_out_does_not_tell_of_the_valve(seen: tuple[
     assert result.proposals == ()
 
 
-def test_a_vessel_of_known_volume_tells_the_bottles(seen: tuple[Readings, Vine]) -> None:
+def test_a_vessel_of_known_volume_tells_the_bottles(seen: tuple[Readings, VineAir]) -> None:
     _, vine = seen
     (found,) = vessel.bottle_volume(vine, 0.15, 1.7).findings
     assert found.value == pytest.approx(BOTTLE_L, rel=0.04) and found.believed == 1.7
@@ -225,7 +226,7 @@ def test_a_play_keeps_within_its_width_of_what_is_told(width: float, told: list[
     assert np.all(passed >= open_ - 1e-12) and np.all(passed <= open_ + width + 1e-12)
 
 
-def test_the_outlets_resistance_is_that_of_its_decay(seen: tuple[Readings, Vine]) -> None:
+def test_the_outlets_resistance_is_that_of_its_decay(seen: tuple[Readings, VineAir]) -> None:
     _, vine = seen
     resistance, litres, delay_s = 60.0, vine.volume().value, 0.015
     n, held = 4000, 1000
@@ -241,12 +242,12 @@ def test_the_outlets_resistance_is_that_of_its_decay(seen: tuple[Readings, Vine]
     assert found.value == pytest.approx(resistance * (1.0 + outlet.COLD), rel=0.05)
 
 
-def test_an_outlet_that_was_never_seen_to_open_is_not_known(seen: tuple[Readings, Vine]) -> None:
+def test_an_outlet_that_was_never_seen_to_open_is_not_known(seen: tuple[Readings, VineAir]) -> None:
     (found,) = outlet.outlet(resting(2.0, 0.0, 1), seen[1]).findings
     assert found.value is None and found.note
 
 
-def test_where_the_volume_is_not_known_nothing_that_rests_on_it_is(seen: tuple[Readings, Vine]) -> None:
+def test_where_the_volume_is_not_known_nothing_that_rests_on_it_is(seen: tuple[Readings, VineAir]) -> None:
     readings, vine = seen
     vague = replace(vine.balance, values={**vine.balance.values, "volume": Estimate(-0.03, 0.05)})
     unsure = replace(vine, balance=vague)
@@ -292,9 +293,11 @@ def test_a_clock_that_wraps_goes_on() -> None:
 
 
 def test_findings_survive_json_and_the_newest_counts() -> None:
-    first = Result((Finding("a", "what", "kPa", 1.0, 0.5, 1.5), Finding("b", "b", "")))
+    first = Result((MeasuredQuantity("a", "what", "kPa", 1.0, 0.5, 1.5), MeasuredQuantity("b", "b", "")))
     second = Result(
-        (Finding("a", "what", "kPa").unknown("gone"),), (Proposal("s", 1.0, True, "why"),), ("said",)
+        (MeasuredQuantity("a", "what", "kPa").unknown("gone"),),
+        (SettingProposal("s", 1.0, True, "why"),),
+        ("said",),
     )
     findings = Findings(pairs=((1.0, 2.0),)).with_result(first).with_result(second).with_result(second)
     assert [finding.name for finding in findings.findings] == ["a", "b"]

@@ -11,7 +11,7 @@ import numpy as np
 from flying_vines.calibration.calibrator import Ended
 from flying_vines.calibration.charts import Chart, Series
 from flying_vines.calibration.conductor import Conducted
-from flying_vines.calibration.findings import Finding, Findings
+from flying_vines.calibration.findings import Findings, MeasuredQuantity
 from flying_vines.calibration.page import page
 from flying_vines.calibration.pictures import pictures
 
@@ -45,7 +45,11 @@ def test_each_chart_is_two_files_and_the_same_bytes_again(tmp_path: Path) -> Non
 
 def test_the_page_holds_every_quantity_and_asks_nobody(tmp_path: Path) -> None:
     findings = Findings(
-        (Finding("cv_volume_L", "vine's <volume>", "L", 0.1043, 0.102, 0.1066, believed=0.1, note="scales"),)
+        (
+            MeasuredQuantity(
+                "cv_volume_L", "vine's <volume>", "L", 0.1043, 0.102, 0.1066, believed=0.1, note="scales"
+            ),
+        )
     )
     conducted = Conducted(tmp_path, Ended("done", "calibrated"), findings, (CHART,), "")
     text = page("Calibration of today", conducted, pictures((CHART,), tmp_path))

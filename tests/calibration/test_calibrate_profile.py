@@ -7,9 +7,9 @@ import tomllib
 import pytest
 
 from firmware_link.protocol import Setting
-from flying_vines.calibration.findings import Finding, Findings, Proposal
+from flying_vines.calibration.findings import Findings, MeasuredQuantity, SettingProposal
 from flying_vines.calibration.profile import (
-    Change,
+    ProfileChange,
     calibrated,
     changes,
     proposed,
@@ -27,8 +27,8 @@ TEXT = configuration.default_text()
 CURVE = ((0.0, 0.0), (3.0, 0.0), (12.04, 41.0), (20.7, 60.04))
 FOUND = Findings(
     (
-        Finding("cv_noise_kPa", "noise", "kPa", 0.1234, 0.12, 0.13),
-        Finding(
+        MeasuredQuantity("cv_noise_kPa", "noise", "kPa", 0.1234, 0.12, 0.13),
+        MeasuredQuantity(
             "cv_volume_L",
             "the vine's volume",
             "L",
@@ -38,12 +38,16 @@ FOUND = Findings(
             believed=0.1,
             key="pneumatics.cv_volume_L",
         ),
-        Finding("vine_leak", "the vine's leak", "kPa·s/SL", note="none seen"),
-        Finding(
+        MeasuredQuantity("vine_leak", "the vine's leak", "kPa·s/SL", note="none seen"),
+        MeasuredQuantity(
             "reservoir_volume_L", "the bottle's", "L", note="believed", key="pneumatics.reservoir_volume_L"
         ),
-        Finding("dvp", "unsure", "", 600.0, 100.0, 1100.0, key="pneumatics.dvp_flow_resistance_kPa_s_per_SL"),
-        Finding("evp", "none", "", -2.0, -5.0, 1.0, key="pneumatics.evp_flow_resistance_kPa_s_per_SL"),
+        MeasuredQuantity(
+            "dvp", "unsure", "", 600.0, 100.0, 1100.0, key="pneumatics.dvp_flow_resistance_kPa_s_per_SL"
+        ),
+        MeasuredQuantity(
+            "evp", "none", "", -2.0, -5.0, 1.0, key="pneumatics.evp_flow_resistance_kPa_s_per_SL"
+        ),
     ),
     pairs=((0.0, 0.0), (12.0, 41.0), (20.7, 60.0)),
     curve=CURVE,
@@ -66,7 +70,7 @@ def test_lines_say_what_they_were_and_all_else_stays() -> None:
 
 def test_again_the_next_day_it_says_only_the_latest() -> None:
     once = with_changes(TEXT, "vine.toml", list(changes(FOUND, MAX_KPA)), DAY)
-    later = Change("pneumatics", "cv_volume_L", 0.11, "0.108 … 0.112")
+    later = ProfileChange("pneumatics", "cv_volume_L", 0.11, "0.108 … 0.112")
     twice = with_changes(once, "vine.toml", [later], "2026-11-23")
     (line,) = [line for line in twice.split("\n") if line.startswith("cv_volume_L")]
     assert "was 0.1043, measured 2026-11-23" in line
@@ -95,7 +99,7 @@ def test_a_profile_in_one_line_is_left_to_its_person() -> None:
     text = "pneumatics = { full_kPa = 600 }\n[switch]\npositions = ['', '']\n[profiles]\n"
     configuration.parse(text, "vine.toml")
     with pytest.raises(ConfigError, match=r"set pneumatics\.cv_volume_L by hand"):
-        with_changes(text, "vine.toml", [Change("pneumatics", "cv_volume_L", 0.1, "")], DAY)
+        with_changes(text, "vine.toml", [ProfileChange("pneumatics", "cv_volume_L", 0.1, "")], DAY)
 
 
 def test_the_rig_is_believed_as_well_as_it_was_measured() -> None:
@@ -115,9 +119,9 @@ def test_proposals_for_the_firmware_stay_within_what_it_takes() -> None:
     ]
     wanted = proposed(
         [
-            Proposal("cv_zero_kPa", -0.2, True, "zero"),
-            Proposal("evp_dead_band", 0.7, False, "starts there"),
-            Proposal("of_another_firmware", 1.0, False, "unknown"),
+            SettingProposal("cv_zero_kPa", -0.2, True, "zero"),
+            SettingProposal("evp_dead_band", 0.7, False, "starts there"),
+            SettingProposal("of_another_firmware", 1.0, False, "unknown"),
         ],
         settings,
     )

@@ -9,17 +9,17 @@ from calibration_worlds import CoreWorld, PaperWorld
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flying_vines.calibration.calibrator import Began, Calibrator, Found, Question, Work
-from flying_vines.calibration.plan import STAGES, Wish, plan
+from flying_vines.calibration.calibrator import Calibrator, Question, StageBegan, StageResult, Work
+from flying_vines.calibration.plan import STAGES, CalibrationRequest, plan
 from flying_vines.config import config
 from flying_vines.core.events import Decision
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.phlosar.mishaps import Hole, HoseOff, Mishap, Shorted
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.vine.intent import SetPressure, StartBench, StartProfile, Vent
+from flying_vines.vine.intent import SetPressure, StartBench, StartProfile, VentVine
 
 CONFIG = config.default()
-BLIND = Wish(eye=False)
+BLIND = CalibrationRequest(eye=False)
 
 
 def phlosar(**given: object) -> SimulatedPhlosar:
@@ -27,15 +27,15 @@ def phlosar(**given: object) -> SimulatedPhlosar:
 
 
 def stages_of(world: PaperWorld | CoreWorld) -> list[str]:
-    return [out.stage.name for out in world.said if isinstance(out, Began)]
+    return [out.stage.name for out in world.said if isinstance(out, StageBegan)]
 
 
 def test_goes_through_all_stages_in_order_and_ends_vented() -> None:
-    world = PaperWorld(plan(CONFIG, Wish(bottle_empty=True, vessel_L=0.5)))
+    world = PaperWorld(plan(CONFIG, CalibrationRequest(bottle_empty=True, vessel_L=0.5)))
     world.run()
     assert world.ended is not None and world.ended.outcome == "done"
     assert stages_of(world) == list(STAGES)
-    assert world.asked[-1] == Vent() and not world.bent
+    assert world.asked[-1] == VentVine() and not world.bent
     assert world.calibrator.progress.share == 1.0
 
 
@@ -70,7 +70,7 @@ def test_repeats_a_movement_that_did_not_say_enough_but_not_forever() -> None:
     how=st.sampled_from(["ctrl-c", "serial", "fault", "failsafe", "page", "refused"]),
 )
 def test_whatever_happens_the_last_that_is_asked_for_is_to_vent(after: int, how: str) -> None:
-    world = PaperWorld(plan(CONFIG, Wish()), person=lambda question: "10")
+    world = PaperWorld(plan(CONFIG, CalibrationRequest()), person=lambda question: "10")
     world.run(after / 2.0)
     calibrator = world.calibrator
     if how == "ctrl-c":
@@ -90,7 +90,7 @@ def test_whatever_happens_the_last_that_is_asked_for_is_to_vent(after: int, how:
     world.run()
     assert world.ended is not None
     assert world.ended.outcome in ("done", "stopped", "refused") and world.ended.sentence
-    assert world.asked[-1] == Vent() and not world.bent
+    assert world.asked[-1] == VentVine() and not world.bent
     # And nothing comes after.
     assert calibrator.tick(world.now + 1.0, world.snapshot) == calibrator.stop(world.now, "again") == []
 
@@ -125,7 +125,7 @@ def test_nobody_to_swap_the_hose_ends_it() -> None:
 
 
 def test_nobody_to_say_an_angle_vents_the_vine_and_keeps_the_rest() -> None:
-    world = PaperWorld(plan(CONFIG, Wish(only=("angle",))), person=lambda question: None)
+    world = PaperWorld(plan(CONFIG, CalibrationRequest(only=("angle",))), person=lambda question: None)
     world.run()
     assert world.ended is not None and world.ended.outcome == "done"
     assert world.calibrator.findings.pairs == ()
@@ -137,7 +137,7 @@ def test_a_person_who_never_answers_is_not_waited_for_with_a_bent_vine() -> None
         def carry_out(self, outs):  # type: ignore[no-untyped-def]
             super().carry_out(out for out in outs if not isinstance(out, Question))
 
-    world = Silent(plan(CONFIG, Wish(only=("angle",))))
+    world = Silent(plan(CONFIG, CalibrationRequest(only=("angle",))))
     world.run()
     assert world.ended is not None and not world.bent
     assert world.now < 120.0
@@ -145,7 +145,9 @@ def test_a_person_who_never_answers_is_not_waited_for_with_a_bent_vine() -> None
 
 def test_angles_are_kept_and_what_is_no_angle_is_asked_for_again() -> None:
     answers = iter(["0", "abc", "10°", "", "12,5"])
-    world = PaperWorld(plan(CONFIG, Wish(only=("angle",))), person=lambda question: next(answers, None))
+    world = PaperWorld(
+        plan(CONFIG, CalibrationRequest(only=("angle",))), person=lambda question: next(answers, None)
+    )
     world.run()
     assert [deg for _, deg in world.calibrator.findings.pairs] == [0.0, 10.0, 12.5]
     assert "'abc' is no angle in degrees" in world.sentences()
@@ -175,7 +177,7 @@ def test_answers_and_results_that_were_not_asked_for_change_nothing() -> None:
 @pytest.fixture(scope="module")
 def measured() -> CoreWorld:
     world = CoreWorld(plan(CONFIG, replace(BLIND, only=("levels",))), phlosar())
-    world.run(400.0, until=lambda: sum(isinstance(out, Found) for out in world.said) >= 2)
+    world.run(400.0, until=lambda: sum(isinstance(out, StageResult) for out in world.said) >= 2)
     return world
 
 
@@ -216,7 +218,7 @@ def test_a_fault_ends_it_vented_with_its_sentence(stage: str, mishap: Mishap, sa
     world.run(60.0)
     assert world.ended is not None and world.ended.outcome in ("stopped", "refused")
     assert says in world.ended.sentence
-    assert world.asked[-1] == Vent()
+    assert world.asked[-1] == VentVine()
     world.settle()
     assert world.phlosar.drive.evp == 0.0 and world.phlosar.drive.solenoid
 

@@ -18,7 +18,7 @@ from real_time import real_time
 from rich.console import Console
 
 from firmware_link.host import HostSession, Incompatible, Ready, SessionState
-from firmware_link.monitor import Seen
+from firmware_link.monitor import SeenFrame
 from firmware_link.protocol import (
     PROTOCOL_VERSION,
     Codec,
@@ -41,7 +41,7 @@ from flying_vines.config.address import SerialAddress
 from flying_vines.config.config import default_text
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.service import link_settings
-from flying_vines.service.link_watch import LinkWatch, Told
+from flying_vines.service.link_watch import LinkNote, LinkWatch
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 pytestmark = real_time
@@ -225,16 +225,16 @@ async def test_a_firmware_that_is_flashed_while_the_port_is_open_ends_the_compla
 
 
 def test_lines_and_objects_of_what_is_rare() -> None:
-    spoilt = Seen(1.0, False, b"\x05abc", None, "no frame")
+    spoilt = SeenFrame(1.0, False, b"\x05abc", None, "no frame")
     assert str(line(spoilt)) == "    1.000 ← 4 bytes: no frame  [05 61 62 63]"
     assert as_json(spoilt)["wire"] == "05616263"
-    assert "DEAD_MAN" in str(line(Seen(1.0, False, b"", TELEMETRY)))
-    assert as_json(Seen(1.0, False, b"", TELEMETRY))["faults"] == 1
-    refused = Seen(2.0, False, b"", Refusal(3, RefusalReason.FAULT_LATCHED))
+    assert "DEAD_MAN" in str(line(SeenFrame(1.0, False, b"", TELEMETRY)))
+    assert as_json(SeenFrame(1.0, False, b"", TELEMETRY))["faults"] == 1
+    refused = SeenFrame(2.0, False, b"", Refusal(3, RefusalReason.FAULT_LATCHED))
     assert str(line(refused)) == "    2.000 ← Refusal    number 3, reason FAULT_LATCHED"
-    nan = Seen(2.0, True, b"", Setpoint(float("nan"), 1.0, 1, 1))
+    nan = SeenFrame(2.0, True, b"", Setpoint(float("nan"), 1.0, 1, 1))
     assert as_json(nan)["target_kPa"] is None
-    assert as_json(Told(0.5, "gone", False)) == {"t": 0.5, "told": "gone"}
+    assert as_json(LinkNote(0.5, "gone", False)) == {"t": 0.5, "told": "gone"}
 
 
 def test_faults_of_a_later_firmware_are_told_by_number() -> None:

@@ -38,7 +38,7 @@ def mistake(text: str, profiles: str = PROFILES) -> tuple[int, str, str]:
 
 
 def test_the_least_profile_is_enough() -> None:
-    assert config.parse(PROFILES, "my.toml").vehicle == config.Vehicle()
+    assert config.parse(PROFILES, "my.toml").vehicle == config.VehicleConfig()
 
 
 def test_the_built_in_profile_says_what_the_defaults_are() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import msgspec
 import pytest
 
-from flying_vines.calibration.plan import Wish, plan
+from flying_vines.calibration.plan import CalibrationRequest, plan
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
 from flying_vines.config.config_text import profile_text
@@ -22,7 +22,12 @@ ODD = msgspec.structs.replace(
 
 @pytest.mark.parametrize(
     "config",
-    [DEFAULT, ODD, plan(DEFAULT, Wish()).config, plan(DEFAULT, replace(Wish(), telemetry_Hz=100)).config],
+    [
+        DEFAULT,
+        ODD,
+        plan(DEFAULT, CalibrationRequest()).config,
+        plan(DEFAULT, replace(CalibrationRequest(), telemetry_Hz=100)).config,
+    ],
     ids=["default", "odd", "of a calibration", "of a slow one"],
 )
 def test_it_is_the_same_again(config: Config) -> None:

@@ -18,10 +18,10 @@ from flying_vines.core.events import (
     ToVehicle,
     VehicleMessage,
 )
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.notice import Notice
 
 LOW, MIDDLE, HIGH = 1000, 1500, 2000
@@ -32,11 +32,13 @@ def configured(**tables: object) -> Config:
 
 
 def airborne(
-    conf: Config | None = None, autopilot: Autopilot | None = None, phlosar: SimulatedPhlosar | None = None
+    conf: Config | None = None,
+    autopilot: FakeAutopilot | None = None,
+    phlosar: SimulatedPhlosar | None = None,
 ) -> SimulatedFlight:
     """In the air at 10 m, RC good, switch low, nothing bent; 8 s have passed."""
     conf = conf or config.default()
-    autopilot = autopilot or Autopilot("ardupilot", rc_failsafe_mode=None)
+    autopilot = autopilot or FakeAutopilot("ardupilot", rc_failsafe_mode=None)
     flight = SimulatedFlight(conf, autopilot, phlosar)
     autopilot.set_rc(9, LOW)
     flight.run(2.0)
@@ -78,8 +80,8 @@ def ground_command(
 ) -> list[Action]:
     numbers = [*params, *[0.0] * (7 - len(params))]
     message = mavlink.MAVLink_command_long_message(*target, command, confirmation, *numbers)
-    ground = Codec(255, 190)
-    flight_codec = Codec(1, 191)
+    ground = MavlinkCodec(255, 190)
+    flight_codec = MavlinkCodec(1, 191)
     ground._out.seq = int(flight.world.now * 1000) % 256
     (received,) = flight_codec.decode(ground.encode(message, 255))
     return flight.feed(VehicleMessage(flight.world.now, received))

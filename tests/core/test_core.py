@@ -24,12 +24,12 @@ from flying_vines.core.events import (
     VehicleMessage,
 )
 from flying_vines.core.safety import INTERNAL_ERROR
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.mishaps import Hole, StuckAt
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.supply import ReservoirEstimate
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mission.item import MissionItem
 
 from .flights import (
@@ -153,7 +153,7 @@ def test_setpoints_never_jump_beyond_the_rate_limit() -> None:
 
 
 def test_a_switch_left_up_does_not_fire_at_the_start() -> None:
-    autopilot = Autopilot("ardupilot")
+    autopilot = FakeAutopilot("ardupilot")
     autopilot.set_rc(9, HIGH)
     flight = SimulatedFlight(config.default(), autopilot)
     flight.run(2.0)
@@ -253,7 +253,7 @@ def test_a_firmware_reset_latches() -> None:
 
 
 def test_an_empty_bottle_vents_refuses_and_tells() -> None:
-    flight = bent(conf=configured(checks=config.Checks(bottle_loss="warn")))
+    flight = bent(conf=configured(checks=config.ChecksConfig(bottle_loss="warn")))
     flight.phlosar.mishaps.bottle = Hole(bore_mm=4.0)
     actions = run_for(flight, 4.0)
     assert any("kPa/s unasked" in text for text in notices(actions))
@@ -312,7 +312,7 @@ def test_a_hot_bottle_is_told_and_counted_and_the_vine_goes_on() -> None:
 
 
 def test_a_check_that_trips_on_an_odd_rig_can_be_set_to_warn() -> None:
-    flight = airborne(configured(checks=config.Checks(filling="warn")))
+    flight = airborne(configured(checks=config.ChecksConfig(filling="warn")))
     flight.phlosar.mishaps.evp = StuckAt(0.0)
     flight.autopilot.set_rc(9, HIGH)
     actions = run_for(flight, 3.0)
@@ -346,8 +346,8 @@ def test_landing_and_disarming_straighten_the_vine() -> None:
 
 def test_not_armed_is_refused_and_bench_mode_is_not() -> None:
     for bench in (False, True):
-        conf = configured(interlocks=config.Interlocks(bench_mode=bench))
-        autopilot = Autopilot("ardupilot")
+        conf = configured(interlocks=config.InterlocksConfig(bench_mode=bench))
+        autopilot = FakeAutopilot("ardupilot")
         autopilot.set_rc(9, LOW)
         flight = SimulatedFlight(conf, autopilot)
         flight.run(3.0)
@@ -358,7 +358,7 @@ def test_not_armed_is_refused_and_bench_mode_is_not() -> None:
 
 
 def test_bent_too_long() -> None:
-    conf = configured(limits=config.Limits(max_bent_s=5.0))
+    conf = configured(limits=config.LimitsConfig(max_bent_s=5.0))
     flight = airborne(conf)
     flight.autopilot.set_rc(9, HIGH)
     found = decisions(run_for(flight, 7.0))
@@ -386,7 +386,7 @@ PX4_MISSION = [
 
 
 def test_ardupilot_mission_items_fire_once_with_their_numbers() -> None:
-    autopilot = Autopilot("ardupilot", mission=VINE_MISSION)
+    autopilot = FakeAutopilot("ardupilot", mission=VINE_MISSION)
     flight = SimulatedFlight(config.default(), autopilot)
     flight.run(4.0)
     autopilot.start_mission()
@@ -399,7 +399,7 @@ def test_ardupilot_mission_items_fire_once_with_their_numbers() -> None:
 
 
 def test_a_mission_changed_in_flight_fires_the_new_numbers() -> None:
-    autopilot = Autopilot("ardupilot", mission=VINE_MISSION)
+    autopilot = FakeAutopilot("ardupilot", mission=VINE_MISSION)
     flight = SimulatedFlight(config.default(), autopilot)
     flight.run(4.0)
     autopilot.start_mission()
@@ -417,7 +417,7 @@ def test_a_mission_changed_in_flight_fires_the_new_numbers() -> None:
 
 
 def test_px4_mission_items_are_acknowledged_and_fire_once() -> None:
-    autopilot = Autopilot("px4", mission=PX4_MISSION)
+    autopilot = FakeAutopilot("px4", mission=PX4_MISSION)
     flight = SimulatedFlight(config.default(), autopilot)
     flight.run(4.0)
     autopilot.start_mission()
@@ -491,7 +491,7 @@ def test_hold_freezes_and_vent_vents() -> None:
 
 
 def test_a_vine_that_is_being_straightened_is_not_held_bent_when_rc_is_lost() -> None:
-    flight = bent(conf=configured(losses=config.Losses(on_rc_loss="hold")))
+    flight = bent(conf=configured(losses=config.LossesConfig(on_rc_loss="hold")))
     flight.autopilot.set_rc(9, LOW)
     run_for(flight, 0.22)
     assert flight.phlosar.cv_kPa > 5.0
@@ -540,12 +540,12 @@ def test_stale_telemetry_is_not_reported_as_the_present() -> None:
 def test_a_missing_stream_is_named() -> None:
     conf = config.default()
     flight = SimulatedFlight(conf)
-    codec = Codec(1, 1)
+    codec = MavlinkCodec(1, 1)
     beat = mavlink.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3)
     texts: list[str] = []
     for second in range(12):
         texts += notices(list(flight.world.advance(float(second))))
-        for message in Codec(1, 191).decode(codec.encode(beat, 1)):
+        for message in MavlinkCodec(1, 191).decode(codec.encode(beat, 1)):
             texts += notices(flight.feed(VehicleMessage(float(second), message)))
     assert any("does not send" in text and "GLOBAL_POSITION_INT" in text for text in texts)
 

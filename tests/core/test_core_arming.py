@@ -9,11 +9,11 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
-from flying_vines.config.config import Interlocks
+from flying_vines.config.config import InterlocksConfig
 from flying_vines.core.events import Action, Decision, KeepDisarmed, VehicleMessage
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 
 BEND, STOP, MORE = 31011, 31013, 31014
 VENT, HOLD, DISARM, ARM = 0, 1, 2, 3
@@ -26,17 +26,17 @@ class Bench:
     def __init__(self, *, disarmed: bool = False, **interlocks: object) -> None:
         conf = msgspec.structs.replace(
             config.default(),
-            interlocks=msgspec.structs.replace(Interlocks(bench_mode=True), **interlocks),
+            interlocks=msgspec.structs.replace(InterlocksConfig(bench_mode=True), **interlocks),
         )
-        self.flight = SimulatedFlight(conf, Autopilot("ardupilot"), disarmed=disarmed)
+        self.flight = SimulatedFlight(conf, FakeAutopilot("ardupilot"), disarmed=disarmed)
         self.actions: list[Action] = self.flight.run(3.0)
-        self._senders: dict[tuple[int, int], Codec] = {}
+        self._senders: dict[tuple[int, int], MavlinkCodec] = {}
 
     def command(self, number: int, param1: float, sender: tuple[int, int] = GROUND) -> Decision:
         """Send it and let a moment pass; what came of it."""
         message = mavlink.MAVLink_command_long_message(1, 191, number, 0, param1, 0, 0, 0, 0, 0, 0)
-        codec = self._senders.setdefault(sender, Codec(*sender))
-        (received,) = Codec(1, 191).decode(codec.encode(message, sender[0]))
+        codec = self._senders.setdefault(sender, MavlinkCodec(*sender))
+        (received,) = MavlinkCodec(1, 191).decode(codec.encode(message, sender[0]))
         actions = self.flight.feed(VehicleMessage(self.flight.world.now, received))
         self.actions += actions
         (decision,) = (action for action in actions if isinstance(action, Decision))

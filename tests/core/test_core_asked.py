@@ -9,14 +9,14 @@ import pytest
 from flying_vines.config import config
 from flying_vines.config.config import Config
 from flying_vines.core.events import Asked, Decision
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import (
     ArmPneumatics,
     Asker,
     BendTo,
-    ClearFaults,
+    ClearLatchedFaults,
     DisarmPneumatics,
     Hold,
     Intent,
@@ -24,7 +24,7 @@ from flying_vines.vine.intent import (
     StartBench,
     StartProfile,
     StopBench,
-    Vent,
+    VentVine,
 )
 
 from .flights import HIGH, LOW, airborne, assert_vented, bent, configured, run_for
@@ -35,11 +35,17 @@ TAKES_AIR: list[Intent] = [
     StartProfile("bend-half"),
     Hold(),
 ]
-LETS_OUT: list[Intent] = [Vent(), DisarmPneumatics(), StartProfile("straight"), BendTo(0.0), SetPressure(0.0)]
+LETS_OUT: list[Intent] = [
+    VentVine(),
+    DisarmPneumatics(),
+    StartProfile("straight"),
+    BendTo(0.0),
+    SetPressure(0.0),
+]
 
 
 def open_to(*commands: str) -> Config:
-    return configured(mqtt=config.Mqtt(commands=commands))  # type: ignore[arg-type]
+    return configured(mqtt=config.MqttConfig(commands=commands))  # type: ignore[arg-type]
 
 
 def ask(
@@ -58,7 +64,7 @@ def ask(
 
 
 def on_the_ground(conf: Config | None = None) -> SimulatedFlight:
-    autopilot = Autopilot("ardupilot")
+    autopilot = FakeAutopilot("ardupilot")
     autopilot.set_rc(9, LOW)
     flight = SimulatedFlight(conf or config.default(), autopilot)
     flight.run(4.0)
@@ -84,7 +90,9 @@ def test_what_is_late_is_refused_and_its_age_is_told(by: Asker) -> None:
 
 
 @pytest.mark.parametrize(
-    "intent", [*TAKES_AIR, ArmPneumatics(), ClearFaults(), StartBench()], ids=lambda intent: str(intent)
+    "intent",
+    [*TAKES_AIR, ArmPneumatics(), ClearLatchedFaults(), StartBench()],
+    ids=lambda intent: str(intent),
 )
 def test_nothing_but_letting_air_out_is_done_late(intent: Intent) -> None:
     flight = on_the_bench()
@@ -95,7 +103,7 @@ def test_nothing_but_letting_air_out_is_done_late(intent: Intent) -> None:
 
 
 def test_of_two_reasons_the_age_is_told() -> None:
-    late = ask(on_the_bench(), "page", ClearFaults(), age_s=1.1, seen_s=None)
+    late = ask(on_the_bench(), "page", ClearLatchedFaults(), age_s=1.1, seen_s=None)
     assert (late.safety, late.reason) == ("refused", "too late: asked 1.1 s ago")
 
 
@@ -143,12 +151,12 @@ def test_the_page_takes_no_air_in_flight(intent: Intent) -> None:
 
 
 def test_not_even_where_the_profile_is_for_the_bench() -> None:
-    flight = airborne(configured(interlocks=config.Interlocks(bench_mode=True)))
+    flight = airborne(configured(interlocks=config.InterlocksConfig(bench_mode=True)))
     assert ask(flight, "page", BendTo(30.0)).safety == "refused"
 
 
 def test_a_profile_for_the_bench_is_bench_mode() -> None:
-    flight = on_the_ground(configured(interlocks=config.Interlocks(bench_mode=True)))
+    flight = on_the_ground(configured(interlocks=config.InterlocksConfig(bench_mode=True)))
     assert ask(flight, "page", BendTo(30.0)).safety == "accepted"
 
 
@@ -163,7 +171,7 @@ def test_the_page_takes_no_air_on_the_ground_but_in_bench_mode() -> None:
 
 def test_the_page_arms_disarms_and_clears_in_flight() -> None:
     flight = airborne()
-    wanted: tuple[Intent, ...] = (DisarmPneumatics(), ArmPneumatics(), ClearFaults())
+    wanted: tuple[Intent, ...] = (DisarmPneumatics(), ArmPneumatics(), ClearLatchedFaults())
     for intent in wanted:
         assert ask(flight, "page", intent).safety == "accepted"
 
@@ -172,10 +180,10 @@ def test_the_broker_may_do_what_the_profile_lists() -> None:
     flight = airborne(open_to("vent", "bend"))
     assert ask(flight, "broker", BendTo(30.0)).safety == "accepted"
     assert ask(flight, "broker", SetPressure(9.0)).reason == "mqtt.commands does not list pressure"
-    unlisted: tuple[Intent, ...] = (ArmPneumatics(), ClearFaults(), StartBench(), Hold())
+    unlisted: tuple[Intent, ...] = (ArmPneumatics(), ClearLatchedFaults(), StartBench(), Hold())
     for intent in unlisted:
         assert ask(flight, "broker", intent).reason.startswith("mqtt.commands does not list ")
-    lets_out: tuple[Intent, ...] = (StopBench(), Vent())
+    lets_out: tuple[Intent, ...] = (StopBench(), VentVine())
     for out in lets_out:
         assert "mqtt.commands" not in ask(flight, "broker", out).reason
 
@@ -197,7 +205,7 @@ def faults(flight: SimulatedFlight) -> set[str]:
 
 
 @pytest.mark.parametrize("by", ["page", "broker"])
-@pytest.mark.parametrize("intent", [Vent(), StartProfile("straight"), ClearFaults()])
+@pytest.mark.parametrize("intent", [VentVine(), StartProfile("straight"), ClearLatchedFaults()])
 def test_a_fault_that_was_seen_is_cleared(by: Asker, intent: Intent) -> None:
     flight = with_latched_fault()
     assert ask(flight, by, intent, seen_s=0.5).safety == "accepted"
@@ -205,13 +213,13 @@ def test_a_fault_that_was_seen_is_cleared(by: Asker, intent: Intent) -> None:
 
 
 @pytest.mark.parametrize("by", ["page", "broker"])
-@pytest.mark.parametrize("intent", [Vent(), StartProfile("straight"), ClearFaults()])
+@pytest.mark.parametrize("intent", [VentVine(), StartProfile("straight"), ClearLatchedFaults()])
 @pytest.mark.parametrize("seen_s", [3.0, None, -1e6], ids=["before", "nothing", "before the computer began"])
 def test_a_fault_that_was_not_seen_stays(by: Asker, intent: Intent, seen_s: float | None) -> None:
     flight = with_latched_fault()
     decision = ask(flight, by, intent, seen_s=seen_s)
     assert faults(flight) == {"firmware_reset"}
-    if isinstance(intent, ClearFaults) and seen_s != 3.0:
+    if isinstance(intent, ClearLatchedFaults) and seen_s != 3.0:
         assert decision.reason == "it does not say which state was seen"
     else:
         assert decision.safety == "accepted"
@@ -225,7 +233,7 @@ def test_a_firmwares_fault_that_was_not_seen_stays() -> None:
     run_for(flight, 0.5)
     assert faults(flight) == {"firmware_fault"}
     for seen_at, left in ((before, {"firmware_fault"}), (flight.world.now, set())):
-        flight.feed(Asked(flight.world.now, "broker", Vent(), flight.world.now, seen_at))
+        flight.feed(Asked(flight.world.now, "broker", VentVine(), flight.world.now, seen_at))
         run_for(flight, 0.5)
         assert faults(flight) == left
 
@@ -245,6 +253,6 @@ def test_the_pilots_switch_and_the_calibration_on_the_terminal_clear_what_there_
     assert faults(flight) == set()
     flight.autopilot.set_rc(9, HIGH)
     flight = with_latched_fault()
-    ask(flight, "calibration", Vent(), age_s=None, seen_s=None)
+    ask(flight, "calibration", VentVine(), age_s=None, seen_s=None)
     assert faults(flight) == set()
     assert not math.isnan(flight.core.snapshot(flight.world.now).cv_kPa)

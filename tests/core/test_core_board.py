@@ -13,7 +13,7 @@ from firmware_link.protocol import Mode, Setpoint, Telemetry, Vent
 from flying_vines.config import config
 from flying_vines.core.events import Action, Asked, Decision, ToFirmware, ToVehicle
 from flying_vines.gateway.gateway import Gateway
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.terminal.screen import event_line
 from flying_vines.vehicle.notice import Notice, Severity
@@ -25,7 +25,7 @@ Change = Callable[[Telemetry], Telemetry]
 
 def airborne() -> SimulatedFlight:
     """At 10 m, RC good, switch low; 8 s have passed."""
-    autopilot = Autopilot("ardupilot", rc_failsafe_mode=None)
+    autopilot = FakeAutopilot("ardupilot", rc_failsafe_mode=None)
     flight = SimulatedFlight(config.default(), autopilot)
     autopilot.set_rc(9, LOW)
     flight.run(2.0)
@@ -199,7 +199,7 @@ def test_two_answers_that_are_late_one_after_the_other_are_no_fault() -> None:
     flight = bent()
     says(flight, lambda telemetry: dataclasses.replace(telemetry, mode=Mode.VENT))
     actions = run_for(flight, 0.25)
-    actions += flight.feed(Asked(flight.world.now, "page", intent.Vent()))
+    actions += flight.feed(Asked(flight.world.now, "page", intent.VentVine()))
     says(flight, regulating)
     actions += run_for(flight, 0.25)
     flight.world.from_phlosar = lambda data: data

@@ -32,7 +32,7 @@ from flying_vines.core.events import (
     VehicleMessage,
 )
 from flying_vines.simulation.simulated_world import SimulatedWorld
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 
 MESSAGES = 16_000
 ODD_FLOATS = [float("nan"), float("inf"), float("-inf"), 3e38, -1.0, 0.0, 1.0]
@@ -47,7 +47,7 @@ def setpoints(actions: list[Action]) -> list[protocol.Setpoint]:
     return [message for message in messages if isinstance(message, protocol.Setpoint)]
 
 
-def sent(actions: list[Action], out: Codec) -> int:
+def sent(actions: list[Action], out: MavlinkCodec) -> int:
     """How many frames go to the vehicle; each can be encoded."""
     frames = [out.encode(a.message, a.system_id) for a in actions if isinstance(a, ToVehicle)]
     assert all(frames)
@@ -56,7 +56,7 @@ def sent(actions: list[Action], out: Codec) -> int:
 
 def test_while_the_phlosar_is_not_ready_no_message_moves_anything() -> None:
     babble, core = Babble(20), Core(serving_vehicle_1())
-    codec, out = Codec(0, 191), Codec(0, 191)
+    codec, out = MavlinkCodec(0, 191), MavlinkCodec(0, 191)
     core.handle(LinkChanged(0.0, "firmware", True))
     decoded = 0
     for i in range(MESSAGES):
@@ -75,7 +75,11 @@ def test_while_the_phlosar_is_not_ready_no_message_moves_anything() -> None:
 
 
 def test_while_the_vehicle_is_disarmed_no_message_moves_anything() -> None:
-    babble, world, codec = Babble(21, disarmed=True), SimulatedWorld(serving_vehicle_1()), Codec(0, 191)
+    babble, world, codec = (
+        Babble(21, disarmed=True),
+        SimulatedWorld(serving_vehicle_1()),
+        MavlinkCodec(0, 191),
+    )
     ready = False
     for i in range(MESSAGES // 2):
         t = i * 0.002
@@ -89,8 +93,8 @@ def test_while_the_vehicle_is_disarmed_no_message_moves_anything() -> None:
 
 
 def test_whatever_moves_stays_within_the_limits() -> None:
-    babble, world, codec = Babble(22), SimulatedWorld(serving_vehicle_1()), Codec(0, 191)
-    autopilot = Codec(1, 1)
+    babble, world, codec = Babble(22), SimulatedWorld(serving_vehicle_1()), MavlinkCodec(0, 191)
+    autopilot = MavlinkCodec(1, 1)
     limits = config.default().limits
     moved = 0
     for i in range(MESSAGES // 2):
@@ -113,7 +117,12 @@ def test_whatever_moves_stays_within_the_limits() -> None:
 
 @pytest.mark.parametrize("sender", [AUTOPILOT, (255, 190), None])
 def test_a_flood_makes_no_flood_of_answers_and_no_heap_of_them(sender: tuple[int, int] | None) -> None:
-    babble, core, codec, out = Babble(23), Core(serving_vehicle_1()), Codec(0, 191), Codec(0, 191)
+    babble, core, codec, out = (
+        Babble(23),
+        Core(serving_vehicle_1()),
+        MavlinkCodec(0, 191),
+        MavlinkCodec(0, 191),
+    )
     answers, heard, seconds = 0, 0, 4.0
     heartbeat = [kind for kind in KINDS if kind.id == 0]
     for i in range(round(seconds * 2000)):

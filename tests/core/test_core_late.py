@@ -7,7 +7,7 @@ from mission_storm import SCRIPT, WP
 
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.notice import Notice
@@ -15,13 +15,13 @@ from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import (
     ArmPneumatics,
     BendTo,
-    ClearFaults,
+    ClearLatchedFaults,
     DisarmPneumatics,
     Hold,
     Intent,
     SetPressure,
     StartProfile,
-    Vent,
+    VentVine,
 )
 
 TAKEOFF, DELAY, LAND = 22, 93, 21
@@ -46,7 +46,7 @@ def mission(angle_deg: float) -> list[MissionItem]:
 
 def flying(until_item_s: float = 0.0) -> SimulatedFlight:
     """On the way to item 3, so many seconds before it runs."""
-    autopilot = Autopilot("ardupilot", mission=mission(40.0))
+    autopilot = FakeAutopilot("ardupilot", mission=mission(40.0))
     flight = SimulatedFlight(config.default(), autopilot)
     flight.run(3.0)
     autopilot.start_mission()
@@ -118,10 +118,10 @@ LATE: list[tuple[Intent, str]] = [
     (BendTo(500.0), "refused"),
     (StartProfile("of another vine"), "refused"),
     (Hold(), "refused"),
-    (ClearFaults(), "refused"),
+    (ClearLatchedFaults(), "refused"),
     (ArmPneumatics(), "refused"),
     (StartProfile("straight"), "accepted"),
-    (Vent(), "accepted"),
+    (VentVine(), "accepted"),
     (DisarmPneumatics(), "accepted"),
 ]
 
@@ -145,7 +145,7 @@ def test_what_was_asked_for_before_something_newer_is_not_carried_out() -> None:
     assert decide(flight, BendTo(30.0), 0.5).reason == "something newer was asked"
     assert decide(flight, StartProfile("straight"), 0.5).reason == "something newer was asked"
     assert decide(flight, StartProfile("straight"), 5.0).reason == "came 5.0 s late"
-    assert decide(flight, Vent(), 5.0).safety == "accepted"
+    assert decide(flight, VentVine(), 5.0).safety == "accepted"
     assert decide(flight, BendTo(20.0), 0.1).safety == "accepted"
 
 

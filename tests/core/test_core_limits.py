@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.config import config
 from flying_vines.core.events import Action, VehicleMessage
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 
 from .flights import HIGH, LOW, airborne, answers, assert_vented, bent, configured, notices, run_for
 
@@ -23,16 +23,16 @@ STATION, GIMBAL, CAMERA = (255, 190), (1, 154), (2, 100)
 
 
 def holding(hold_s: float, bent_s: float) -> config.Config:
-    losses = config.Losses(on_rc_loss="hold", hold_at_most_s=hold_s)
-    return configured(losses=losses, limits=config.Limits(max_bent_s=bent_s))
+    losses = config.LossesConfig(on_rc_loss="hold", hold_at_most_s=hold_s)
+    return configured(losses=losses, limits=config.LimitsConfig(max_bent_s=bent_s))
 
 
 def say(
-    flight: SimulatedFlight, message: Message, sender: tuple[int, int], sequence: int = 0
+    flight: SimulatedFlight, message: MavlinkMessage, sender: tuple[int, int], sequence: int = 0
 ) -> list[Action]:
-    codec = Codec(*sender)
+    codec = MavlinkCodec(*sender)
     codec._out.seq = sequence or int(flight.world.now * 1000) % 256
-    (received,) = Codec(1, 191).decode(codec.encode(message, sender[0]))
+    (received,) = MavlinkCodec(1, 191).decode(codec.encode(message, sender[0]))
     return flight.feed(VehicleMessage(flight.world.now, received))
 
 

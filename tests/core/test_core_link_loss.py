@@ -10,7 +10,7 @@ import pytest
 from flying_vines.config import config
 from flying_vines.config.config import Config
 from flying_vines.core.events import Action, Decision, LinkChanged
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vehicle.state import HEARTBEAT_FRESH_S
@@ -21,7 +21,7 @@ HEARTBEAT, RC_CHANNELS = 0, 65
 
 def bent(profile: Config | None = None, rc: bool = True) -> SimulatedFlight:
     """At 10 m; the switch has bent the vine, or a person where this flight has no RC."""
-    autopilot = Autopilot("ardupilot", rc_failsafe_mode=None)
+    autopilot = FakeAutopilot("ardupilot", rc_failsafe_mode=None)
     flight = SimulatedFlight(profile or config.default(), autopilot)
     autopilot.set_rc(9, LOW)
     flight.run(2.0)

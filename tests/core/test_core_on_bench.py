@@ -10,7 +10,7 @@ import pytest
 from flying_vines.config import config
 from flying_vines.core import core
 from flying_vines.core.events import Action, Asked, Decision
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vehicle.triggers import Trigger
@@ -21,7 +21,7 @@ LOW, HIGH = 1000, 2000
 
 def on_the_ground(conf: config.Config | None = None) -> SimulatedFlight:
     """Autopilot, RC and phloSAR are there, the switch is low."""
-    autopilot = Autopilot("ardupilot")
+    autopilot = FakeAutopilot("ardupilot")
     autopilot.set_rc(9, LOW)
     flight = SimulatedFlight(conf or config.default(), autopilot)
     flight.run(4.0)
@@ -121,7 +121,7 @@ def test_what_no_person_asks_for_does_not_prolong_it(monkeypatch: pytest.MonkeyP
 
 
 def test_rc_that_goes_off_vents_where_the_profile_is_for_the_bench() -> None:
-    interlocks = config.Interlocks(bench_mode=True)
+    interlocks = config.InterlocksConfig(bench_mode=True)
     flight = on_the_ground(msgspec.structs.replace(config.default(), interlocks=interlocks))
     assert ask(flight, BendTo(30.0)).safety == "accepted"
     run_for(flight, 1.5)

@@ -7,9 +7,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision, KeepParameters, ToVehicle, VehicleMessage
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 
 REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
 BEND = 31011
@@ -20,13 +20,13 @@ class Field:
 
     def __init__(self) -> None:
         text = config.default_text().replace("bench_mode = false", "bench_mode = true")
-        self.flight = SimulatedFlight(config.parse(text, "bench.toml"), Autopilot("ardupilot"))
+        self.flight = SimulatedFlight(config.parse(text, "bench.toml"), FakeAutopilot("ardupilot"))
         self.actions: list[Action] = self.flight.run(3.0)
-        self._station = Codec(255, 190)
+        self._station = MavlinkCodec(255, 190)
 
-    def send(self, message: Message) -> list[Action]:
+    def send(self, message: MavlinkMessage) -> list[Action]:
         """Send it and let a moment pass; what came of it."""
-        (received,) = Codec(1, 191).decode(self._station.encode(message, 255))
+        (received,) = MavlinkCodec(1, 191).decode(self._station.encode(message, 255))
         actions = self.flight.feed(VehicleMessage(self.flight.world.now, received))
         actions += self.flight.run(self.flight.world.now + 0.2)
         self.actions += actions
@@ -45,7 +45,7 @@ class Field:
         return decision
 
 
-def sent(actions: list[Action]) -> list[Message]:
+def sent(actions: list[Action]) -> list[MavlinkMessage]:
     return [action.message for action in actions if isinstance(action, ToVehicle)]
 
 

@@ -26,7 +26,7 @@ from flying_vines.config.config import Config
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Decision, Event, Tick
 from flying_vines.core.safety import Entered, Left, Ruling
-from flying_vines.simulation.autopilot import Kind, RcSource
+from flying_vines.simulation.autopilot import AutopilotKind, RcSource
 from flying_vines.simulation.autopilot.receiver import LOSSES
 from flying_vines.simulation.phlosar.firmware import Firmware
 from flying_vines.simulation.phlosar.mishaps import DRAWN, PLACES, Filled, StuckAt
@@ -400,7 +400,7 @@ class AnyFlight(RuleBasedStateMachine):
 
     @initialize(receiver=st.sampled_from(sorted(LOSSES)), holds=st.booleans())
     def take_off(self, receiver: RcSource, holds: bool) -> None:
-        autopilot: Kind = "ardupilot" if receiver == "pulses" else "px4"
+        autopilot: AutopilotKind = "ardupilot" if receiver == "pulses" else "px4"
         self.flight = RefereedFlight(Setup(autopilot, receiver=receiver, holds=holds))
         self.rc_lost = self.unplugged = self.link_closed = self.overridden = False
         airborne(self.flight)

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from firmware_link.protocol import Fault
 from flying_vines.config import config
 from flying_vines.config.config import Config
-from flying_vines.core.safety import Conditions, Entered, Left, Safety
+from flying_vines.core.safety import Entered, Left, Safety, SafetyInputs
 from flying_vines.supply import AirNeeded
 from flying_vines.vine.motion import plan
 from flying_vines.vine.profile import Step
 
-FLYING = Conditions(
+FLYING = SafetyInputs(
     armed=True,
     altitude_m=10.0,
     autopilot_age_s=0.2,
@@ -38,7 +38,7 @@ def safety(**tables: object) -> Safety:
     return Safety(msgspec.structs.replace(base, **tables))
 
 
-def but(conditions: Conditions, **changes: object) -> Conditions:
+def but(conditions: SafetyInputs, **changes: object) -> SafetyInputs:
     return dataclasses.replace(conditions, **changes)  # type: ignore[arg-type]
 
 
@@ -127,7 +127,7 @@ def test_interlocks_refuse_with_a_reason(change: dict[str, object], reason: str)
 
 
 def test_bench_mode_needs_no_flight() -> None:
-    machine = safety(interlocks=config.Interlocks(bench_mode=True))
+    machine = safety(interlocks=config.InterlocksConfig(bench_mode=True))
     bench = but(FLYING, armed=False, altitude_m=None, autopilot_age_s=None)
     machine.watch(0.0, bench)
     assert machine.judge(BEND, AIR, bench).verdict == "accepted"
@@ -169,7 +169,7 @@ def test_a_physics_check_latches_until_a_person_clears_it_and_it_is_over() -> No
 
 
 def test_hold_ends_in_venting() -> None:
-    losses = config.Losses(on_rc_loss="hold", hold_at_most_s=30.0)
+    losses = config.LossesConfig(on_rc_loss="hold", hold_at_most_s=30.0)
     machine = safety(losses=losses)
     lost = but(BENT, rc_problem="silent")
     (entered,) = machine.watch(0.0, lost)
@@ -185,7 +185,7 @@ def test_hold_ends_in_venting() -> None:
 
 
 def test_losses_that_come_and_go_are_not_held_longer_than_one() -> None:
-    machine = safety(losses=config.Losses(on_rc_loss="hold", hold_at_most_s=5.0))
+    machine = safety(losses=config.LossesConfig(on_rc_loss="hold", hold_at_most_s=5.0))
     lost = but(BENT, rc_problem="silent")
     for second in range(0, 8, 2):
         (entered,) = machine.watch(float(second), lost)
@@ -208,7 +208,7 @@ def test_losses_that_come_and_go_are_not_held_longer_than_one() -> None:
 
 def test_a_lost_autopilot_is_never_held() -> None:
     """Altitude and armed are lost with it."""
-    machine = safety(losses=config.Losses(on_rc_loss="hold"))
+    machine = safety(losses=config.LossesConfig(on_rc_loss="hold"))
     (entered,) = machine.watch(0.0, but(BENT, autopilot_age_s=3.1))
     assert isinstance(entered, Entered) and entered.response == "vent"
 
@@ -253,7 +253,7 @@ def test_a_fault_of_the_firmware_is_told_by_its_name_or_number(faults: Fault, to
 
 @pytest.mark.parametrize("altitude_m", [None, -3.0])
 def test_where_a_bend_needs_no_altitude_none_ends_it(altitude_m: float | None) -> None:
-    machine = safety(interlocks=config.Interlocks(min_altitude_m=0.5))
+    machine = safety(interlocks=config.InterlocksConfig(min_altitude_m=0.5))
     assert machine.watch(0.0, but(BENT, altitude_m=altitude_m)) == []
 
 
@@ -282,8 +282,8 @@ def test_no_losses_stretch_what_may_be_held_or_bent(history: list[tuple[str, flo
     """A vine as the core moves it: a loss holds or vents, a trigger bends where nothing is lost."""
     held_at_most_s, bent_at_most_s, tick_s = 3.0, 12.0, 0.02
     machine = safety(
-        losses=config.Losses(on_rc_loss="hold", hold_at_most_s=held_at_most_s),
-        limits=config.Limits(max_bent_s=bent_at_most_s),
+        losses=config.LossesConfig(on_rc_loss="hold", hold_at_most_s=held_at_most_s),
+        limits=config.LimitsConfig(max_bent_s=bent_at_most_s),
     )
     tick, lost, bent, held_s = 0, False, False, 0.0
     triggered_at = 0.0
@@ -309,7 +309,7 @@ def test_no_losses_stretch_what_may_be_held_or_bent(history: list[tuple[str, flo
 
 
 CONDITIONS = st.builds(
-    Conditions,
+    SafetyInputs,
     armed=st.booleans(),
     altitude_m=st.none() | st.floats(-5, 50),
     rc_problem=st.none() | st.just("silent"),
@@ -327,7 +327,7 @@ CONDITIONS = st.builds(
 
 
 @given(st.lists(CONDITIONS, min_size=1, max_size=30), st.data())
-def test_never_a_bend_while_anything_is_wrong(history: list[Conditions], data: st.DataObject) -> None:
+def test_never_a_bend_while_anything_is_wrong(history: list[SafetyInputs], data: st.DataObject) -> None:
     machine = safety()
     latched = False
     for i, now in enumerate(history):

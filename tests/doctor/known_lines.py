@@ -19,7 +19,7 @@ from flying_vines.doctor.checks import (
     service,
     vehicle,
 )
-from flying_vines.doctor.finding import Finding, Line
+from flying_vines.doctor.finding import DoctorFinding, FindingText
 
 CHECKS: tuple[ModuleType, ...] = (
     profile,
@@ -40,18 +40,18 @@ CHECKS: tuple[ModuleType, ...] = (
 _BLANK = re.compile(r"\{(\w+)[^}]*\}")
 
 
-def lines_of(check: ModuleType) -> list[Line]:
+def lines_of(check: ModuleType) -> list[FindingText]:
     """Those of one file; of both ports, which say the same, the phloSAR's."""
     if check is port:
         return list(port.LINES["phloSAR"].values())
-    return [value for value in vars(check).values() if isinstance(value, Line)]
+    return [value for value in vars(check).values() if isinstance(value, FindingText)]
 
 
-def every_line() -> list[Line]:
+def every_line() -> list[FindingText]:
     return [line for check in CHECKS for line in lines_of(check)]
 
 
-def says(line: Line, finding: Finding) -> bool:
+def says(line: FindingText, finding: DoctorFinding) -> bool:
     """Whether a finding is this line, with its blanks filled."""
     templates, texts = (line.check, line.what, line.do), (finding.check, finding.what, finding.do)
     return line.verdict == finding.verdict and all(map(_fits, templates, texts))

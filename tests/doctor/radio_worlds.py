@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.config import config
 from flying_vines.config.config import Config
 from flying_vines.doctor.radio_test import RadioTest
-from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mavlink.tlog import TlogReader
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
@@ -18,9 +18,9 @@ DEFAULT = config.default()
 TICK_S = 0.05
 
 
-def recorded(name: str, from_s: float, until_s: float) -> Iterator[tuple[float, Message]]:
+def recorded(name: str, from_s: float, until_s: float) -> Iterator[tuple[float, MavlinkMessage]]:
     """The autopilot's messages between two times; the vehicle that flew is told to be disarmed."""
-    codec, began = Codec(99, 191), None
+    codec, began = MavlinkCodec(99, 191), None
     for unix_s, frame in TlogReader(RECORDINGS / f"{name}.tlog").frames():
         began = unix_s if began is None else began
         t = unix_s - began

@@ -17,18 +17,18 @@ from rich.console import Console
 from service_bench import on_bench
 
 from flying_vines.config import config as configuration
-from flying_vines.doctor.finding import Finding
+from flying_vines.doctor.finding import DoctorFinding
 from flying_vines.doctor.show import asking, last_line, show
 from flying_vines.doctor.vehicle_probe import Radio
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 
 pytestmark = real_time
 
 FOUND = [
-    Finding("memory", "good", "900 MB free"),
-    Finding("broker", "skipped", "the profile has none"),
-    Finding("clock", "warning", "not synchronised " + "and so on " * 20, "wait"),
-    Finding("phloSAR port", "bad", "/dev/ttyACM0 is not there", "plug it in"),
+    DoctorFinding("memory", "good", "900 MB free"),
+    DoctorFinding("broker", "skipped", "the profile has none"),
+    DoctorFinding("clock", "warning", "not synchronised " + "and so on " * 20, "wait"),
+    DoctorFinding("phloSAR port", "bad", "/dev/ttyACM0 is not there", "plug it in"),
 ]
 
 
@@ -120,7 +120,7 @@ def test_bad_usage_is_a_line_and_status_two(
 async def test_a_service_that_runs_already_is_named_with_what_it_holds(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    async with on_bench(Autopilot("ardupilot")) as bench:
+    async with on_bench(FakeAutopilot("ardupilot")) as bench:
         profile = tmp_path / "vine.toml"
         profile.write_text(bench.profile.replace("port = 8017", "port = 0"))
         arguments = ("--config", str(profile), "--out", str(tmp_path / "flights"))

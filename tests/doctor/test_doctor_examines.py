@@ -26,11 +26,11 @@ from doctor.worlds import (
 from firmware_link.protocol import GetSetting, Hello, Ping
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
-from flying_vines.doctor.examine import Ask
+from flying_vines.doctor.examine import RadioQuestion
 from flying_vines.doctor.fakes import linked
 from flying_vines.doctor.finding import may_fly
 from flying_vines.doctor.look import profile
-from flying_vines.doctor.look.profile import Profile
+from flying_vines.doctor.look.profile import ServiceProfile
 from flying_vines.doctor.vehicle_probe import Radio
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S
@@ -55,7 +55,7 @@ def after_a_watchdog() -> SimulatedPhlosar:
     return board
 
 
-def moved_through_all(vehicle: Vehicle) -> Ask:
+def moved_through_all(vehicle: Vehicle) -> RadioQuestion:
     """Somebody who does what he is asked for."""
 
     def ask(radio: Radio) -> None:
@@ -65,15 +65,15 @@ def moved_through_all(vehicle: Vehicle) -> Ask:
     return ask
 
 
-def no_port(config: Config, folder: Path) -> Profile:
+def no_port(config: Config, folder: Path) -> ServiceProfile:
     return profile.given(linked(config, config.vehicle.link, "serial:/dev/there-is-none"), "test")
 
 
-def no_vehicle(config: Config, folder: Path) -> Profile:
+def no_vehicle(config: Config, folder: Path) -> ServiceProfile:
     return profile.given(linked(config, "tcp:127.0.0.1:9", config.firmware.link), "test")
 
 
-def with_a_key(config: Config, folder: Path) -> Profile:
+def with_a_key(config: Config, folder: Path) -> ServiceProfile:
     """As a file, with a signing key beside it."""
     default = configuration.default()
     text = configuration.default_text().replace('signing_key = ""', f'signing_key = "{KEY_FILE}"')

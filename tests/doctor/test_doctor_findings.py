@@ -34,12 +34,12 @@ from flying_vines.doctor.checks.network import BrokerFacts, PageFacts
 from flying_vines.doctor.checks.port import PortFacts
 from flying_vines.doctor.checks.profile import ProfileFacts
 from flying_vines.doctor.checks.service import Process
-from flying_vines.doctor.finding import Finding, Line, may_fly, summary
+from flying_vines.doctor.finding import DoctorFinding, FindingText, may_fly, summary
 from flying_vines.doctor.firmware_probe import FirmwareFacts
-from flying_vines.doctor.radio_test import Loss, RadioLearned, Sign
-from flying_vines.doctor.vehicle_probe import Radio, Stream, VehicleFacts
+from flying_vines.doctor.radio_test import RadioLearned, Sign, TransmitterLoss
+from flying_vines.doctor.vehicle_probe import Radio, StreamFacts, VehicleFacts
 from flying_vines.supply import CyclesLeft
-from flying_vines.vehicle.mavlink.signing import Refused
+from flying_vines.vehicle.mavlink.signing import RefusedFrames
 from flying_vines.vehicle.mission.item import MissionItem
 
 CONFIG = configuration.default()
@@ -65,7 +65,7 @@ FIRMWARE = FirmwareFacts(
     cycles_left=CyclesLeft(60.0, 40.0, 90.0, 0.0, 9.0, 60.0),
 )
 STREAMS = {
-    name: Stream(name, wanted_Hz, wanted_Hz, essential, refused=False)
+    name: StreamFacts(name, wanted_Hz, wanted_Hz, essential, refused=False)
     for name, wanted_Hz, essential in (
         ("RC_CHANNELS", 20.0, False),
         ("SYS_STATUS", 10.0, True),
@@ -88,13 +88,15 @@ VEHICLE = VehicleFacts(
     ahead_s=0.1,
 )
 SWITCH = Radio(None, 1004, 0, frozenset({0}))
-REFUSED = Refused(unsigned=7)
+REFUSED = RefusedFrames(unsigned=7)
 
 RC_STATUS = Sign("RC status", 1.1, "RC status (present, enabled, health) 1 1 1 → 0 1 0")
-HELD = Loss(True, 1000, 1000, (RC_STATUS,), ())
-HELD_BENT = Loss(True, 2000, 2000, (RC_STATUS,), ())
-PRESET = Loss(True, 1000, 2000, (Sign("channels", 0.2, "channel 9: 1000 → 2000 µs"), RC_STATUS), ())
-UNSEEN = Loss(True, 1000, 1000, (), ())
+HELD = TransmitterLoss(True, 1000, 1000, (RC_STATUS,), ())
+HELD_BENT = TransmitterLoss(True, 2000, 2000, (RC_STATUS,), ())
+PRESET = TransmitterLoss(
+    True, 1000, 2000, (Sign("channels", 0.2, "channel 9: 1000 → 2000 µs"), RC_STATUS), ()
+)
+UNSEEN = TransmitterLoss(True, 1000, 1000, (), ())
 LEARNED = RadioLearned("px4", losses=(HELD, HELD_BENT), parameters={"COM_RC_LOSS_T": 0.5}, shows_within_s=1.6)
 
 
@@ -105,58 +107,60 @@ def changed(table: str, **values: object) -> Config:
     )
 
 
-def of_receiver(**learned: object) -> list[Finding]:
+def of_receiver(**learned: object) -> list[DoctorFinding]:
     return receiver.check(replace(LEARNED, **learned), CONFIG)  # type: ignore[arg-type]
 
 
-def later(loss: Loss, shown_s: float) -> Loss:
+def later(loss: TransmitterLoss, shown_s: float) -> TransmitterLoss:
     """The same with its RC status at another time."""
     return replace(loss, signs=(*loss.signs[:-1], replace(RC_STATUS, after_s=shown_s)))
 
 
-def of_profile(**facts: object) -> list[Finding]:
+def of_profile(**facts: object) -> list[DoctorFinding]:
     return profile.check(replace(PROFILE, **facts))  # type: ignore[arg-type]
 
 
-def of_machine(**facts: object) -> list[Finding]:
+def of_machine(**facts: object) -> list[DoctorFinding]:
     return machine.check(replace(MACHINE, **facts))  # type: ignore[arg-type]
 
 
-def of_disk(facts: DiskFacts, **others: object) -> list[Finding]:
+def of_disk(facts: DiskFacts, **others: object) -> list[DoctorFinding]:
     return [disk.check(replace(facts, **others))]  # type: ignore[arg-type]
 
 
-def of_clock(**facts: object) -> list[Finding]:
+def of_clock(**facts: object) -> list[DoctorFinding]:
     looked = replace(NOW, **facts)  # type: ignore[arg-type]
     return [*clock.check(looked, "2024-01-01 00:00:00"), clock.against_vehicle(looked)]
 
 
-def of_port(**facts: object) -> list[Finding]:
+def of_port(**facts: object) -> list[DoctorFinding]:
     return port.check(replace(PORT, **facts))  # type: ignore[arg-type]
 
 
-def of_firmware(config: Config = CONFIG, **facts: object) -> list[Finding]:
+def of_firmware(config: Config = CONFIG, **facts: object) -> list[DoctorFinding]:
     return firmware.check(replace(FIRMWARE, **facts), config)  # type: ignore[arg-type]
 
 
-def of_welcome(**limits: float) -> list[Finding]:
+def of_welcome(**limits: float) -> list[DoctorFinding]:
     return of_firmware(welcome=replace(WELCOME, **limits))  # type: ignore[arg-type]
 
 
-def of_vehicle(config: Config = CONFIG, **facts: object) -> list[Finding]:
+def of_vehicle(config: Config = CONFIG, **facts: object) -> list[DoctorFinding]:
     return vehicle.check(replace(VEHICLE, **facts), config, 6.0)  # type: ignore[arg-type]
 
 
-def of_stream(name: str, rate_Hz: float, *, refused: bool = False, kind: str = "ardupilot") -> list[Finding]:
+def of_stream(
+    name: str, rate_Hz: float, *, refused: bool = False, kind: str = "ardupilot"
+) -> list[DoctorFinding]:
     streams = {**STREAMS, name: replace(STREAMS[name], rate_Hz=rate_Hz, refused=refused)}
     return of_vehicle(streams=tuple(streams.values()), kind=kind)
 
 
-def of_switch(asked: bool = False, config: Config = CONFIG, **facts: object) -> list[Finding]:
+def of_switch(asked: bool = False, config: Config = CONFIG, **facts: object) -> list[DoctorFinding]:
     return [radio.check(replace(SWITCH, **facts), config, asked)]  # type: ignore[arg-type]
 
 
-def of_mission(*commands: tuple[int, float, float]) -> list[Finding]:
+def of_mission(*commands: tuple[int, float, float]) -> list[DoctorFinding]:
     items = {
         seq: MissionItem(seq, command, (param1, param2, 0.0, 0.0, 0.0, 0.0, 0.0))
         for seq, (command, param1, param2) in enumerate(commands)
@@ -164,11 +168,11 @@ def of_mission(*commands: tuple[int, float, float]) -> list[Finding]:
     return mission.check(items, True, CONFIG)
 
 
-def of_broker(**facts: object) -> list[Finding]:
+def of_broker(**facts: object) -> list[DoctorFinding]:
     return [network.check_broker(replace(BrokerFacts("broker:1883"), **facts))]  # type: ignore[arg-type]
 
 
-def of_page(service_runs: bool = False, **facts: object) -> list[Finding]:
+def of_page(service_runs: bool = False, **facts: object) -> list[DoctorFinding]:
     looked = replace(PageFacts("127.0.0.1:8017"), **facts)  # type: ignore[arg-type]
     return [network.check_page(looked, service_runs)]
 
@@ -177,7 +181,7 @@ SIGNED = changed("vehicle", signing_key="key")
 PORTS = port.LINES["phloSAR"]
 HOME, WAYPOINT, SCRIPT = (16, 0.0, 0.0), (16, 0.0, 0.0), 217
 
-CASES: list[tuple[Line, list[Finding]]] = [
+CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (profile.GOOD, of_profile()),
     (profile.RIG, of_profile(rig="rig.toml", rig_said="bottle 2 L")),
     (profile.BAD_RIG, of_profile(rig="rig.toml", rig_problem="rig.toml:3: no such cause")),
@@ -285,7 +289,7 @@ CASES: list[tuple[Line, list[Finding]]] = [
     (vehicle.SERVED, vehicle.check(VehicleFacts(), CONFIG, 6.0, [SERVICE])),
     (vehicle.SERVED, vehicle.check(VehicleFacts(messages=9, others=((1, 191),)), CONFIG, 6.0, [SERVICE])),
     (vehicle.FREE, of_vehicle(others=((1, 154), (255, 190)))),
-    (vehicle.DATED_AHEAD, vehicle.check(VehicleFacts(refused=Refused(ahead=9)), CONFIG, 6.0)),
+    (vehicle.DATED_AHEAD, vehicle.check(VehicleFacts(refused=RefusedFrames(ahead=9)), CONFIG, 6.0)),
     (vehicle.UNSIGNED, of_vehicle(SIGNED, messages=0, refused=REFUSED)),
     (vehicle.SOME_REFUSED, of_vehicle(SIGNED, refused=REFUSED)),
     (vehicle.SIGNED, of_vehicle(SIGNED)),
@@ -341,12 +345,12 @@ CASES: list[tuple[Line, list[Finding]]] = [
 ]
 
 
-def named(case: tuple[Line, list[Finding]]) -> str:
+def named(case: tuple[FindingText, list[DoctorFinding]]) -> str:
     return f"{case[0].check}-{case[0].what[:30]}"
 
 
 @pytest.mark.parametrize(("line", "found"), CASES, ids=map(named, CASES))
-def test_the_facts_call_for_the_line(line: Line, found: list[Finding]) -> None:
+def test_the_facts_call_for_the_line(line: FindingText, found: list[DoctorFinding]) -> None:
     assert any(says(line, finding) for finding in found), found
 
 
@@ -383,7 +387,7 @@ def test_both_ports_say_the_same_of_their_own_link() -> None:
         assert (other.verdict, other.what) == (line.verdict, line.what)
 
 
-HEALTHY: list[Sequence[Finding]] = [
+HEALTHY: list[Sequence[DoctorFinding]] = [
     of_profile(),
     of_machine(),
     of_disk(DISK),
@@ -408,7 +412,7 @@ def test_of_what_is_well_nothing_else_is_said() -> None:
 
 
 def test_only_what_is_bad_keeps_one_on_the_ground() -> None:
-    good, warning, bad = (Finding("disk", verdict, "?") for verdict in ("good", "warning", "bad"))
+    good, warning, bad = (DoctorFinding("disk", verdict, "?") for verdict in ("good", "warning", "bad"))
     assert may_fly([good, warning])
     assert not may_fly([good, bad])
     assert summary([good, warning]) == "You may fly; 1 thing to look at."
@@ -449,7 +453,7 @@ def test_a_limit_that_is_too_low_is_told_with_what_to_raise_it_to() -> None:
     ],
 )
 def test_a_receiver_is_safe_where_the_service_is_told_before_it_bends(
-    losses: tuple[Loss, ...], safe: bool
+    losses: tuple[TransmitterLoss, ...], safe: bool
 ) -> None:
     assert may_fly(of_receiver(losses=losses)) is safe
 

@@ -20,7 +20,7 @@ from serial.tools.list_ports_common import ListPortInfo
 from firmware_link.find import UsbBoard
 from flying_vines.config import config as configuration
 from flying_vines.config.address import NetworkAddress, SerialAddress
-from flying_vines.config.config import ConfigError, Mqtt
+from flying_vines.config.config import ConfigError, MqttConfig
 from flying_vines.doctor.checks.network import BrokerFacts
 from flying_vines.doctor.checks.service import Process
 from flying_vines.doctor.look import broker, clock, disk, machine, ports, processes, profile
@@ -248,7 +248,7 @@ def test_where_the_kernel_may_not_be_asked_timesyncd_tells(
 
 
 def of_broker(address: str, **others: str) -> BrokerFacts:
-    return asyncio.run(broker.facts(Mqtt(broker=address, **others)))  # type: ignore[arg-type]
+    return asyncio.run(broker.facts(MqttConfig(broker=address, **others)))  # type: ignore[arg-type]
 
 
 def test_a_broker_that_is_not_there_is_told_by_what_failed() -> None:
@@ -284,7 +284,7 @@ def test_a_broker_is_asked_to_let_us_in(answer: bytes, says: str, needs_person: 
         server = await asyncio.start_server(serve, "127.0.0.1", 0)
         async with server, asyncio.timeout(PATIENCE_S):
             port = server.sockets[0].getsockname()[1]
-            found = await broker.facts(Mqtt(broker=f"mqtt://127.0.0.1:{port}", username="vine"))
+            found = await broker.facts(MqttConfig(broker=f"mqtt://127.0.0.1:{port}", username="vine"))
             await gone.wait()
             return found
 

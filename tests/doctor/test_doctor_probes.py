@@ -12,7 +12,7 @@ from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines.config import config
 from flying_vines.doctor.firmware_probe import FirmwareFacts, with_readings
 from flying_vines.doctor.vehicle_probe import SETTLE_S, VehicleProbe
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.radio.rc import RC_BIT
 
 
@@ -21,7 +21,7 @@ class Feed:
 
     def __init__(self) -> None:
         self.probe = VehicleProbe(config.default())
-        self._ears = Codec(0, 0)
+        self._ears = MavlinkCodec(0, 0)
         self._out = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
 
     def take(self, t: float, message: Any) -> None:

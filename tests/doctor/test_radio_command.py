@@ -17,10 +17,10 @@ from flying_vines.cli.doctor_radio import with_learned
 from flying_vines.config import config as configuration
 from flying_vines.config.config import ConfigError
 from flying_vines.doctor.radio_guide import NobodyThereError
-from flying_vines.doctor.radio_test import Loss, RadioLearned, Sign
+from flying_vines.doctor.radio_test import RadioLearned, Sign, TransmitterLoss
 
 SIGN = Sign("RC status", 1.1, "RC status (present, enabled, health) 1 1 1 → 0 1 0")
-HELD = Loss(True, 1000, 1000, (SIGN,), ()), Loss(True, 2000, 2000, (SIGN,), ())
+HELD = TransmitterLoss(True, 1000, 1000, (SIGN,), ()), TransmitterLoss(True, 2000, 2000, (SIGN,), ())
 HOLDS = RadioLearned("px4", losses=HELD, shows_within_s=1.6)
 STRAIGHT = '[profiles.straight]\nsegments = [{ kind = "step", to_deg = 0 }]\n'
 LINE = 'receiver_failsafe = "hold"'
@@ -120,7 +120,9 @@ def test_for_the_built_in_profile_the_line_is_printed(
 def test_a_loss_that_does_not_show_is_status_one_and_takes_the_bends_from_the_switch(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, profile: Path
 ) -> None:
-    having_learned(monkeypatch, RadioLearned("ardupilot", losses=(Loss(True, 1000, 1000, (), ()),)))
+    having_learned(
+        monkeypatch, RadioLearned("ardupilot", losses=(TransmitterLoss(True, 1000, 1000, (), ()),))
+    )
     status, out, _ = run(capsys, "doctor", "--radio", "--config", profile, "--yes")
     assert status == 1
     assert "BAD  RC loss:" in out
@@ -132,7 +134,7 @@ def test_contradictory_losses_write_that_it_is_unknown(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, profile: Path
 ) -> None:
     profile.write_text(profile.read_text().replace('receiver_failsafe = "unknown"', LINE))
-    losses = HELD[0], Loss(True, 2000, 1500, (SIGN,), ())
+    losses = HELD[0], TransmitterLoss(True, 2000, 1500, (SIGN,), ())
     having_learned(monkeypatch, RadioLearned("px4", losses=losses, shows_within_s=1.6))
     run(capsys, "doctor", "--radio", "--config", profile, "--yes")
     assert configuration.load(profile).switch.receiver_failsafe == "unknown"

@@ -17,12 +17,12 @@ from flying_vines.doctor.radio_test import (
     QUIET_S,
     READY_WITHIN_S,
     SHOWS_WITHIN_S,
-    Loss,
     RadioTest,
     Sign,
+    TransmitterLoss,
     failsafe_of,
 )
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.radio.rc import RC_BIT
 
 CONFIG = config.default()
@@ -34,7 +34,7 @@ PX4_LATEST_S = 1.4
 """As measured on real ones: by then its RC status has told of a loss."""
 
 
-def kinds(loss: Loss) -> list[str]:
+def kinds(loss: TransmitterLoss) -> list[str]:
     return [sign.kind for sign in loss.signs if sign.kind != "mode"]
 
 
@@ -163,7 +163,7 @@ class Person:
                 self.test.take(self.t, message)
             self.test.advance(self.t)
 
-    def _messages(self) -> list[Message]:
+    def _messages(self) -> list[MavlinkMessage]:
         armed = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0
         bits = [RC_BIT * bit for bit in self.status]
         messages = [
@@ -303,12 +303,21 @@ def test_a_transmitter_that_is_not_switched_on_again_ends_it() -> None:
     ("losses", "failsafe"),
     [
         ((), "unknown"),
-        ((Loss(True, 1000, 1000, (SIGN,), ()), Loss(True, 2000, 2000, (SIGN,), ())), "hold"),
-        ((Loss(True, 1000, 1510, (SIGN,), ()), Loss(True, 2000, 1500, (SIGN,), ())), 1500),
-        ((Loss(True, 1000, 1000, (SIGN,), ()), Loss(True, 2000, 1500, (SIGN,), ())), "unknown"),
-        ((Loss(True, 1000, 0, (SIGN,), ()),), "unknown"),
-        ((Loss(True, 1000, 1000, (), ()),), "unknown"),
+        (
+            (TransmitterLoss(True, 1000, 1000, (SIGN,), ()), TransmitterLoss(True, 2000, 2000, (SIGN,), ())),
+            "hold",
+        ),
+        (
+            (TransmitterLoss(True, 1000, 1510, (SIGN,), ()), TransmitterLoss(True, 2000, 1500, (SIGN,), ())),
+            1500,
+        ),
+        (
+            (TransmitterLoss(True, 1000, 1000, (SIGN,), ()), TransmitterLoss(True, 2000, 1500, (SIGN,), ())),
+            "unknown",
+        ),
+        ((TransmitterLoss(True, 1000, 0, (SIGN,), ()),), "unknown"),
+        ((TransmitterLoss(True, 1000, 1000, (), ()),), "unknown"),
     ],
 )
-def test_what_the_channel_reads_when_lost(losses: tuple[Loss, ...], failsafe: int | str) -> None:
+def test_what_the_channel_reads_when_lost(losses: tuple[TransmitterLoss, ...], failsafe: int | str) -> None:
     assert failsafe_of(losses) == failsafe

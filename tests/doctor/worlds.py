@@ -20,19 +20,19 @@ from firmware_link.protocol import PROTOCOL_VERSION, Fault, Mode, Telemetry, Uni
 from flying_vines.config import config as configuration
 from flying_vines.config.address import NetworkAddress, parse_address
 from flying_vines.config.config import Config
-from flying_vines.doctor.examine import Ask, examine
+from flying_vines.doctor.examine import RadioQuestion, examine
 from flying_vines.doctor.fakes import between, linked
-from flying_vines.doctor.finding import Finding
+from flying_vines.doctor.finding import DoctorFinding
 from flying_vines.doctor.look import profile
-from flying_vines.doctor.look.profile import Profile
+from flying_vines.doctor.look.profile import ServiceProfile
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.board import Between
 from flying_vines.simulation.phlosar.firmware import Firmware
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 Mute = Callable[[int], bool]
 """Of a message's number, whether it is not sent."""
@@ -48,16 +48,16 @@ MISSION = (
 )
 
 
-class Vehicle(Autopilot):
+class Vehicle(FakeAutopilot):
     """Writes down what it is told, and does not send some of its messages."""
 
     def __init__(
-        self, kind: Kind = "ardupilot", mute: Mute = lambda message_id: False, **others: Any
+        self, kind: AutopilotKind = "ardupilot", mute: Mute = lambda message_id: False, **others: Any
     ) -> None:
         super().__init__(kind, unix_s=time.time(), **others)
         self.set_rc(9, 1000)
         self.told: list[Any] = []
-        self._ears = Codec(0, 0)
+        self._ears = MavlinkCodec(0, 0)
         self._mute = mute
 
     def receive(self, t: float, link: str, data: bytes) -> None:
@@ -156,21 +156,21 @@ class World:
     phlosar: Callable[[], SimulatedPhlosar] | None = None
     firmware: Callable[[], Callable[[bytes], bytes]] = quick_board
     """What answers where there is no simulated phloSAR: the bytes that came, to the bytes that go."""
-    profile: Callable[[Config, Path], Profile] = lambda config, folder: profile.given(config, "test")
+    profile: Callable[[Config, Path], ServiceProfile] = lambda config, folder: profile.given(config, "test")
     """What the service would start with, of a profile with the right links; and a folder for its files."""
     stranger: Callable[[int], bytes] | None = None
     """What another program sends to the companion, ten times a second: of the count, a frame."""
-    ask: Callable[[Vehicle], Ask] | None = None
+    ask: Callable[[Vehicle], RadioQuestion] | None = None
 
 
 @dataclass(frozen=True)
 class Examined:
-    findings: list[Finding]
-    told: list[Sequence[Finding]]
+    findings: list[DoctorFinding]
+    told: list[Sequence[DoctorFinding]]
     vehicle: Vehicle
     phlosar: SimulatedPhlosar | None
 
-    def of(self, check: str) -> Finding:
+    def of(self, check: str) -> DoctorFinding:
         """The worst thing that was said of it."""
         order = ("bad", "warning", "good", "skipped")
         return min((f for f in self.findings if f.check == check), key=lambda f: order.index(f.verdict))
@@ -182,7 +182,7 @@ class Examined:
 
 async def examined(world: World, folder: Path) -> Examined:
     vehicle, board = world.vehicle(), world.phlosar() if world.phlosar else None
-    told: list[Sequence[Finding]] = []
+    told: list[Sequence[DoctorFinding]] = []
     async with AsyncExitStack() as stack:
         config = configuration.default()
         if board is None:

@@ -20,8 +20,8 @@ from flying_vines.simulation.phlosar.mishaps import (
     Hanging,
     Hole,
     HoseOff,
-    Kind,
     Kinked,
+    MishapKind,
     Noisy,
     Open,
     Shorted,
@@ -30,8 +30,8 @@ from flying_vines.simulation.phlosar.mishaps import (
     Unpowered,
 )
 from flying_vines.simulation.simulated_world import Wire, perfect
-from flying_vines.vehicle.mavlink.codec import Codec
-from flying_vines.vehicle.mission.storage import Kind as AutopilotKind
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
+from flying_vines.vehicle.mission.storage import AutopilotKind as AutopilotKind
 
 from .watched import Watched
 
@@ -104,8 +104,8 @@ def open_vehicle_link(flight: Watched) -> None:
 
 def live_with_a_second_autopilot(flight: Watched, seconds: float) -> None:
     """It is disarmed, on the ground, and its switch moves; all that would end or begin a bend."""
-    other = Codec(2, mavlink.MAV_COMP_ID_AUTOPILOT1)
-    ours = Codec(1, 191)
+    other = MavlinkCodec(2, mavlink.MAV_COMP_ID_AUTOPILOT1)
+    ours = MavlinkCodec(1, 191)
     for i in range(round(seconds / 0.1)):
         us = 1000 if i % 20 < 10 else 2000
         heartbeat = mavlink.MAVLink_heartbeat_message(
@@ -247,7 +247,7 @@ def stall(flight: Watched, seconds: float) -> None:
 
 def hardware(
     place: str,
-    kind: Kind,
+    kind: MishapKind,
     phase: Literal["inflating", "held", "vented"] = "inflating",
     lasts_s: float = 3.0,
     live: Live = Watched.run,
@@ -295,7 +295,9 @@ INJECTIONS: dict[str, Injection] = {
     "rc_lost": Injection(lambda f: f.autopilot.lose_rc(), lambda f: f.autopilot.return_rc(), kind="px4"),
     "rc_frozen": Injection(lambda f: f.autopilot.lose_rc("frozen"), lambda f: f.autopilot.return_rc()),
     "rc_jumps": Injection(lambda f: f.autopilot.lose_rc("jump"), lambda f: f.autopilot.return_rc()),
-    "rc_frozen_untold": Injection(nothing, lasts_s=10.5, tables={"limits": config.Limits(max_bent_s=10.0)}),
+    "rc_frozen_untold": Injection(
+        nothing, lasts_s=10.5, tables={"limits": config.LimitsConfig(max_bent_s=10.0)}
+    ),
     "autopilot_silent": Injection(lambda f: f.autopilot.mute(5.0), lasts_s=5.0),
     "autopilot_silent_without_rc": Injection(lambda f: f.autopilot.mute(5.0), lasts_s=5.0, rc=False),
     "autopilot_rebooted": Injection(lambda f: f.autopilot.reboot(), fly_on, lasts_s=8.0),

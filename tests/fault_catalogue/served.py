@@ -16,7 +16,7 @@ from service_bench import between
 
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.record.reader import FlightLog, LogError
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.simulation.ground_station import GroundStation
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
@@ -29,7 +29,7 @@ class Served:
     """One rig on a bench; the service may be started, and started again."""
 
     def __init__(
-        self, folder: Path, autopilot: Autopilot, ground: GroundStation, companion_port: int
+        self, folder: Path, autopilot: FakeAutopilot, ground: GroundStation, companion_port: int
     ) -> None:
         self.folder = folder
         self.autopilot = autopilot
@@ -134,8 +134,8 @@ class Served:
 
 
 @contextlib.asynccontextmanager
-async def on_bench(folder: Path, autopilot: Autopilot | None = None) -> AsyncIterator[Served]:
-    autopilot = autopilot or Autopilot("ardupilot")
+async def on_bench(folder: Path, autopilot: FakeAutopilot | None = None) -> AsyncIterator[Served]:
+    autopilot = autopilot or FakeAutopilot("ardupilot")
     ground = GroundStation()
     ground_port = await ground.listen()
     companion_port = free_port()

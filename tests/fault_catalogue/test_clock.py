@@ -12,7 +12,7 @@ import pytest
 from needed import need
 from real_time import TRIES, real_time
 
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 
 from .served import Served, on_bench
 
@@ -38,7 +38,7 @@ async def served(tmp_path: Path) -> AsyncIterator[Served]:
         "FAKETIME_DISABLE_SHM": "1",
         "FAKETIME_DONT_FAKE_MONOTONIC": "1",  # nobody can set that one
     }
-    autopilot = Autopilot("ardupilot", signing_key=KEY, unix_s=time.time())
+    autopilot = FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())
     async with on_bench(tmp_path, autopilot) as served:
         served.environment = {**os.environ, **env}
         key = tmp_path / "key"

@@ -15,9 +15,9 @@ from real_time import real_time
 from service_bench import on_bench
 
 from flying_vines.config import config
-from flying_vines.service.persistent_state import Kept
+from flying_vines.service.persistent_state import PersistentState
 from flying_vines.service.service import Service
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 
 from .catalogue import ROWS
 
@@ -32,11 +32,11 @@ async def test_disk_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return status(path, **options)
 
-    async with on_bench(Autopilot("ardupilot")) as bench:
+    async with on_bench(FakeAutopilot("ardupilot")) as bench:
         profile = tmp_path / "profile.toml"
         profile.write_text(bench.profile.replace("settle_s = 1.0", "settle_s = 0.2"))
         parsed = config.load(profile)
-        service = Service(parsed, kept=Kept.of(profile, parsed))
+        service = Service(parsed, kept=PersistentState.of(profile, parsed))
         serving = asyncio.create_task(service.run())
         await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
         bench.autopilot.set_rc(9, 2000)

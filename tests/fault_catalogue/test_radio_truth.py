@@ -17,10 +17,10 @@ from needed import needs_compiler
 
 from flying_vines.config.config import Config
 from flying_vines.core.core import Core
-from flying_vines.simulation.autopilot import Kind, RcSource
+from flying_vines.simulation.autopilot import AutopilotKind, RcSource
 from flying_vines.vehicle.autopilots import OTHER
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.radio.pilot import PilotOutput
@@ -199,12 +199,14 @@ def test_an_override_that_ends_is_no_move() -> None:
 # The mission that really runs, and when.
 
 
-def vine_item(kind: Kind, seq: int, code: float, angle_deg: float) -> MissionItem:
+def vine_item(kind: AutopilotKind, seq: int, code: float, angle_deg: float) -> MissionItem:
     command, last = (ACTUATOR, 1.0) if kind == "px4" else (SCRIPT_MESSAGE, 0.0)
     return MissionItem(seq, command, (code, angle_deg, 0.0, 0.0, 0.0, 0.0, last), 2)
 
 
-def mission(kind: Kind, *wanted: tuple[float, float], delay_s: float = 2.0) -> tuple[MissionItem, ...]:
+def mission(
+    kind: AutopilotKind, *wanted: tuple[float, float], delay_s: float = 2.0
+) -> tuple[MissionItem, ...]:
     """Up, and then for each a delay and what the vine is to do, code and angle."""
     items = [] if kind == "px4" else [MissionItem(0, 16, (0.0,) * 7, 3)]
     items.append(MissionItem(len(items), 22, (0.0,) * 6 + (8.0,), 3))
@@ -223,7 +225,7 @@ def other_numbers(stored: tuple[MissionItem, ...], code: float, angle_deg: float
     )
 
 
-KINDS: list[Kind] = ["ardupilot", "px4"]
+KINDS: list[AutopilotKind] = ["ardupilot", "px4"]
 OTHERS = [((1.0, 11.0), (1.0, 44.0)), ((1.0, 44.0), (1.0, 11.0)), ((5.0, 0.0), (0.0, 0.0))]
 """What is stored before, and after."""
 
@@ -232,7 +234,7 @@ OTHERS = [((1.0, 11.0), (1.0, 44.0)), ((1.0, 44.0), (1.0, 11.0)), ((5.0, 0.0), (
 @pytest.mark.parametrize("waits_s", [0.2, 3.0, 10.0])
 @pytest.mark.parametrize(("before", "after"), OTHERS)
 def test_what_is_stored_is_executed_when_the_mission_begins(
-    kind: Kind, waits_s: float, before: tuple[float, float], after: tuple[float, float]
+    kind: AutopilotKind, waits_s: float, before: tuple[float, float], after: tuple[float, float]
 ) -> None:
     stored = mission(kind, before, before, delay_s=0.0)
     flight = airborne(Setup(kind, mission=stored))
@@ -245,7 +247,9 @@ def test_what_is_stored_is_executed_when_the_mission_begins(
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("sooner_s", [0.15, 0.5, 1.5])
-def test_what_is_stored_is_executed_when_it_was_replaced_on_the_way(kind: Kind, sooner_s: float) -> None:
+def test_what_is_stored_is_executed_when_it_was_replaced_on_the_way(
+    kind: AutopilotKind, sooner_s: float
+) -> None:
     stored = mission(kind, (1.0, 11.0), (1.0, 11.0), delay_s=4.0)
     flight = airborne(Setup(kind, mission=stored))
     flight.start_mission()
@@ -260,7 +264,9 @@ def test_what_is_stored_is_executed_when_it_was_replaced_on_the_way(kind: Kind, 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("stall_s", [2.0, 5.0])
 @pytest.mark.parametrize("process", [False, True])
-def test_an_item_that_is_heard_late_is_not_carried_out(kind: Kind, stall_s: float, process: bool) -> None:
+def test_an_item_that_is_heard_late_is_not_carried_out(
+    kind: AutopilotKind, stall_s: float, process: bool
+) -> None:
     flight = airborne(Setup(kind, mission=mission(kind, (1.0, 40.0)), has_rc=False))
     flight.start_mission()
     flight.run(1.5)
@@ -276,7 +282,7 @@ def test_an_item_that_is_heard_late_is_not_carried_out(kind: Kind, stall_s: floa
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("process", [False, True])
-def test_a_button_that_is_heard_late_bends_nothing(kind: Kind, process: bool) -> None:
+def test_a_button_that_is_heard_late_bends_nothing(kind: AutopilotKind, process: bool) -> None:
     flight = airborne(Setup(kind, has_rc=False))
     if process:
         flight.stall_companion(4.0, meanwhile=lambda: flight.press(5))
@@ -358,7 +364,7 @@ class BelievesAnyRc(Core):
         handle = self._vehicle.pilot.handle
 
         def believe(
-            t: float, message: Message, autopilot: Autopilot, vented: bool = False
+            t: float, message: MavlinkMessage, autopilot: Autopilot, vented: bool = False
         ) -> list[PilotOutput]:
             return [] if message.get_type() == "SYS_STATUS" else handle(t, message, OTHER, vented)
 

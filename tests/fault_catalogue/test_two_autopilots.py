@@ -7,10 +7,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.config import config
 from flying_vines.core.events import VehicleMessage
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 
 from .black_box import BlackBox
 from .catalogue import ROWS
@@ -18,7 +18,7 @@ from .watched import HIGH, LOW, SWITCH, Texts
 
 
 def test_two_autopilots() -> None:
-    autopilot = Autopilot("ardupilot")
+    autopilot = FakeAutopilot("ardupilot")
     autopilot.set_rc(SWITCH, LOW)
     phlosar = SimulatedPhlosar(effects=Effects())
     box = BlackBox(phlosar)
@@ -40,6 +40,6 @@ def heartbeat_of(system: int) -> mavlink.MAVLink_message:
     message = mavlink.MAVLink_heartbeat_message(
         mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
     )
-    sent = Codec(system, mavlink.MAV_COMP_ID_AUTOPILOT1).encode(message, system)
-    (received,) = Codec(1, 191).decode(sent)
+    sent = MavlinkCodec(system, mavlink.MAV_COMP_ID_AUTOPILOT1).encode(message, system)
+    (received,) = MavlinkCodec(1, 191).decode(sent)
     return received

@@ -11,11 +11,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision, Event, ToVehicle, VehicleMessage
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.vehicle.mavlink.codec import Codec
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 from .black_box import STEP_S, BlackBox
 
@@ -54,7 +54,7 @@ class Watched:
 
     def __init__(
         self,
-        kind: Kind = "ardupilot",
+        kind: AutopilotKind = "ardupilot",
         tables: Mapping[str, object] | None = None,
         rc: bool = True,
         reservoir_kPa: float = 690.0,
@@ -62,9 +62,9 @@ class Watched:
     ) -> None:
         profile = msgspec.structs.replace(config.default(), **(tables or {}))
         self._has_rc = rc
-        self._ground = Codec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
-        self._companion = Codec(profile.vehicle.system_id, profile.vehicle.component_id)
-        self.autopilot = Autopilot(kind, rc_present=rc, rc_failsafe_mode=None)
+        self._ground = MavlinkCodec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
+        self._companion = MavlinkCodec(profile.vehicle.system_id, profile.vehicle.component_id)
+        self.autopilot = FakeAutopilot(kind, rc_present=rc, rc_failsafe_mode=None)
         self.autopilot.set_rc(SWITCH, LOW)
         self.phlosar = SimulatedPhlosar(effects=Effects(), reservoir_kPa=reservoir_kPa)
         self.box = BlackBox(self.phlosar)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_link.device_clock import FULL_MS, DeviceClock, Verdict
+from firmware_link.device_clock import FULL_MS, ClockVerdict, DeviceClock
 from firmware_link.host import HostSession
 from firmware_link.protocol import PROTOCOL_VERSION, Fault, Hello, Mode, Telemetry, Welcome
 
@@ -31,7 +31,7 @@ def ready() -> HostSession:
     return session
 
 
-def verdicts(came: Iterable[tuple[float, int]]) -> list[Verdict]:
+def verdicts(came: Iterable[tuple[float, int]]) -> list[ClockVerdict]:
     clock = DeviceClock()
     return [clock.take(t, ms % FULL_MS) for t, ms in came]
 
@@ -128,7 +128,7 @@ def test_a_true_clock_is_always_new(began_ms: int, steps: list[tuple[int, int]])
         made_ms += step_ms
         came_s = max(came_s, (made_ms + delay_ms) / 1e3)
         came.append((came_s, began_ms + made_ms))
-    assert set(verdicts(came)) == {Verdict.NEW}
+    assert set(verdicts(came)) == {ClockVerdict.NEW}
 
 
 @given(millis, st.lists(st.integers(0, 60), min_size=1, max_size=200))
@@ -142,10 +142,10 @@ def test_each_time_is_new_once_however_often_and_in_what_order_it_comes(
         # Ten messages of 10 ms at most: nothing here is far enough back for a restart.
         number = max(number, latest - 9)
         verdict = clock.take(i * PERIOD_S, (began_ms + 200 + 10 * number) % FULL_MS)
-        if verdict is Verdict.NEW:
+        if verdict is ClockVerdict.NEW:
             assert number > latest
             latest = number
-        elif verdict is not Verdict.LEAPT and (began_ms + 200 + 10 * number) % FULL_MS >= 100:
+        elif verdict is not ClockVerdict.LEAPT and (began_ms + 200 + 10 * number) % FULL_MS >= 100:
             assert number <= latest
 
 

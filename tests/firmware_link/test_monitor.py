@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from firmware_link.framing import FRAME_END, encode_frame
 from firmware_link.host import FirmwareReset, Ready, SessionState
-from firmware_link.monitor import Monitor, Seen, Tap
+from firmware_link.monitor import Monitor, SeenFrame, Tap
 from firmware_link.protocol import (
     PROTOCOL_VERSION,
     Codec,
@@ -27,7 +27,7 @@ from firmware_link.settings import SettingsTalk
 from flying_vines.simulation.phlosar.firmware import Firmware
 
 
-def watch(monitor: Monitor, firmware: Firmware, for_ms: int, began_ms: int = 0) -> list[Seen]:
+def watch(monitor: Monitor, firmware: Firmware, for_ms: int, began_ms: int = 0) -> list[SeenFrame]:
     """Both for so long, on a perfect line."""
     seen = []
     for ms in range(began_ms, began_ms + for_ms):
@@ -40,7 +40,7 @@ def watch(monitor: Monitor, firmware: Firmware, for_ms: int, began_ms: int = 0) 
     return seen
 
 
-def sent_kinds(seen: list[Seen]) -> set[type[Message]]:
+def sent_kinds(seen: list[SeenFrame]) -> set[type[Message]]:
     return {type(each.message) for each in seen if each.sent and each.message is not None}
 
 

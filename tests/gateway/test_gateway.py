@@ -19,14 +19,14 @@ from patience import PATIENCE_S, until
 from ports import free_port
 from real_time import real_time
 
-from flying_vines.config.config import Page
+from flying_vines.config.config import PageConfig
 from flying_vines.core.events import Decision
 from flying_vines.gateway import __main__ as gateway_process
 from flying_vines.gateway import gateway, keep_alive, mqtt, page
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.gateway import Gateway
-from flying_vines.gateway.messages import Alive, Profile, Trouble, packet, read_from_gateway
-from flying_vines.vine.intent import Asker, Hold, Intent, StartBench, Vent
+from flying_vines.gateway.messages import Alive, GatewayStart, Trouble, packet, read_from_gateway
+from flying_vines.vine.intent import Asker, Hold, Intent, StartBench, VentVine
 
 from .mqtt.brokers import Broker, Onlooker
 from .told import configured, decision, notice, snapshot
@@ -107,7 +107,7 @@ async def test_a_gateway_that_is_killed_leaves_its_last_will_and_comes_back(
         await people.until(f"{BASE}/event", event="decision", number=1)
         await people.say(f"{BASE}/ask", {"id": "1", "unix_s": time.time(), "command": "vent"})
         await people.until(f"{BASE}/answer", id="1", safety="limited", reason="as a test")
-        assert service.asked == [("broker", Vent())]
+        assert service.asked == [("broker", VentVine())]
 
         os.kill(gateway_of(os.getpid()), signal.SIGKILL)
         await people.until(f"{BASE}/status", status="offline")
@@ -223,14 +223,14 @@ async def test_a_page_that_fails_is_served_again_and_the_broker_does_not_notice(
     monkeypatch.setattr(page, "serve", fails_twice)
     monkeypatch.setattr(mqtt, "serve", broker)
     config = configured(broker="mqtt://127.0.0.1:1", name="heron")
-    config = msgspec.structs.replace(config, page=Page(port=free_port()))
+    config = msgspec.structs.replace(config, page=PageConfig(port=free_port()))
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     loop = asyncio.get_running_loop()
     with ours, theirs:
         ours.setblocking(False)
         theirs.setblocking(False)
         serving = asyncio.create_task(gateway_process.serve(theirs))
-        ours.send(packet(Profile(config, "1.2.3")))
+        ours.send(packet(GatewayStart(config, "1.2.3")))
         async with asyncio.timeout(PATIENCE_S):
             await served.wait()
             alive = 0
@@ -286,7 +286,7 @@ async def test_whoever_asks_too_often_may_still_vent(played: Callable[[str], Non
     refused, vented = service.said[0].split(" ", 1)
     assert vented == "limitedas a test"
     asked = [intent for _, intent in service.asked]
-    assert asked[-1] == Vent()
+    assert asked[-1] == VentVine()
     assert asked.count(StartBench()) == 100 - int(refused)
     assert 20 <= asked.count(StartBench()) <= 25
 
@@ -307,7 +307,7 @@ async def test_a_flood_of_vents_is_a_few_vents_and_each_is_answered(played: Call
         await until(lambda: len(service.said) == 1, "all is answered")
     assert service.said == ["{'limited'}"]
     asked = [intent for _, intent in service.asked]
-    assert 2 <= asked.count(Vent()) < 20
+    assert 2 <= asked.count(VentVine()) < 20
     # Nothing that was asked for after a vent is done before it.
     assert asked[-1] == Hold()
 
@@ -321,7 +321,7 @@ async def test_a_vent_that_waits_comes_by_itself(played: Callable[[str], None]) 
     )
     async with Service().living() as service:
         await until(lambda: len(service.asked) == 3, "the last vents")
-    assert service.asked == [("page", Vent()), ("broker", Vent()), ("page", Vent())]
+    assert service.asked == [("page", VentVine()), ("broker", VentVine()), ("page", VentVine())]
 
 
 async def test_when_it_was_made_and_what_was_seen_goes_on_to_the_service(

@@ -8,8 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flying_vines.gateway import messages
-from flying_vines.gateway.messages import Answered, Ask, FromGateway, Happened, Seen, ToGateway, Trouble
-from flying_vines.vine.intent import BendTo, Command, SetPressure, StartProfile, Vent
+from flying_vines.gateway.messages import (
+    Answered,
+    FromGateway,
+    Happened,
+    Request,
+    SnapshotMessage,
+    ToGateway,
+    Trouble,
+)
+from flying_vines.vine.intent import BendTo, CommandName, SetPressure, StartProfile, VentVine
 
 from .told import decision, happened, notice, profile, seen
 
@@ -18,9 +26,9 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
 by = st.sampled_from(["page", "broker"])
 number = st.integers(0, 2**53)
 asks = st.one_of(
-    st.builds(Ask, number, by, st.sampled_from(plain)),
-    st.builds(Ask, number, by, st.sampled_from(["bend", "pressure"]), finite),
-    st.builds(lambda n, b, name: Ask(n, b, "profile", None, name), number, by, st.text()),
+    st.builds(Request, number, by, st.sampled_from(plain)),
+    st.builds(Request, number, by, st.sampled_from(["bend", "pressure"]), finite),
+    st.builds(lambda n, b, name: Request(n, b, "profile", None, name), number, by, st.text()),
 )
 
 
@@ -41,7 +49,7 @@ def test_what_the_service_tells_is_read_as_it_was_said(message: ToGateway) -> No
     again = messages.read_to_gateway(messages.packet(message))
     assert type(again) is type(message)
     assert messages.packet(again) == messages.packet(message)
-    if isinstance(again, Seen):
+    if isinstance(again, SnapshotMessage):
         snapshot = msgspec.json.decode(again.snapshot)
         assert snapshot["bend_deg"] == 59.7
         assert snapshot["evp_opening"] is None, "what is not known is null"
@@ -50,7 +58,7 @@ def test_what_the_service_tells_is_read_as_it_was_said(message: ToGateway) -> No
 
 
 @given(asks)
-def test_every_ask_is_an_intent(ask: Ask) -> None:
+def test_every_ask_is_an_intent(ask: Request) -> None:
     match ask.intent:
         case BendTo(value) | SetPressure(value):
             assert value == ask.value
@@ -58,7 +66,7 @@ def test_every_ask_is_an_intent(ask: Ask) -> None:
             assert name == ask.name
         case intent:
             assert ask.command in plain
-            assert (ask.command == "vent") == (intent == Vent())
+            assert (ask.command == "vent") == (intent == VentVine())
 
 
 @given(
@@ -68,7 +76,7 @@ def test_every_ask_is_an_intent(ask: Ask) -> None:
     st.booleans(),
 )
 def test_an_ask_that_cannot_be_is_refused_wherever_it_comes_from(
-    command: Command, value: float | None, name: str | None, as_bytes: bool
+    command: CommandName, value: float | None, name: str | None, as_bytes: bool
 ) -> None:
     good = (value is not None) == (command in ("bend", "pressure")) and (name is not None) == (
         command == "profile"
@@ -79,7 +87,7 @@ def test_an_ask_that_cannot_be_is_refused_wherever_it_comes_from(
         if as_bytes:
             messages.read_from_gateway(msgspec.json.encode(said))
         else:
-            Ask(1, "page", command, value, name)
+            Request(1, "page", command, value, name)
     except ValueError:
         assert not good
     else:

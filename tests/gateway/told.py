@@ -9,22 +9,22 @@ import msgspec
 from flying_vines.config import config
 from flying_vines.config.config import Config
 from flying_vines.core.events import Decision, Snapshot
-from flying_vines.gateway.messages import Happened, Profile, Seen, raw
+from flying_vines.gateway.messages import GatewayStart, Happened, SnapshotMessage, raw
 from flying_vines.supply import CyclesLeft
 from flying_vines.vehicle.notice import Notice, Severity
 
 CYCLES = CyclesLeft(31.2, 27.9, 35.0, 12.0, 18.4, 102.0)
 
 
-def profile(**mqtt: Any) -> Profile:
+def profile(**mqtt: Any) -> GatewayStart:
     """The built-in one, without a page."""
-    return Profile(configured(**mqtt), "1.2.3")
+    return GatewayStart(configured(**mqtt), "1.2.3")
 
 
 def configured(**mqtt: Any) -> Config:
     built_in = config.default()
     return msgspec.structs.replace(
-        built_in, page=config.Page(port=0), mqtt=msgspec.structs.replace(built_in.mqtt, **mqtt)
+        built_in, page=config.PageConfig(port=0), mqtt=msgspec.structs.replace(built_in.mqtt, **mqtt)
     )
 
 
@@ -54,8 +54,8 @@ def snapshot(t: float, **known: Any) -> Snapshot:
     return Snapshot(**(fields | known))
 
 
-def seen(t: float, **known: Any) -> Seen:
-    return Seen(raw(snapshot(t, **known)))
+def seen(t: float, **known: Any) -> SnapshotMessage:
+    return SnapshotMessage(raw(snapshot(t, **known)))
 
 
 def decision(t: float, safety: Any = "accepted", reason: str = "") -> Decision:

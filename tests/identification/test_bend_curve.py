@@ -9,7 +9,7 @@ import pytest
 
 from flying_vines.config import config
 from flying_vines.identification.bend_curve import (
-    Calibration,
+    BendCurveFit,
     Law,
     Pairs,
     PairsError,
@@ -17,8 +17,8 @@ from flying_vines.identification.bend_curve import (
     load_pairs,
     parse_pairs,
 )
-from flying_vines.identification.bend_curve.pairs import Array
 from flying_vines.identification.bend_curve.sequence import bent_kPa
+from flying_vines.physics.arrays import Array
 from flying_vines.vine.curve import BendCurve
 
 TRUTH = Law(bend_max_deg=75.0, dead_kPa=2.5, scale_kPa=11.0, hysteresis_kPa=2.2)
@@ -31,7 +31,7 @@ def measured(law: Law, seed: int, kPa: np.ndarray = LOOP, noise_deg: float = 0.7
     return Pairs(kPa, law.angles_deg(kPa) + rng.normal(0.0, noise_deg, len(kPa)))
 
 
-def estimates(found: Calibration) -> tuple[tuple[float, float, float], ...]:
+def estimates(found: BendCurveFit) -> tuple[tuple[float, float, float], ...]:
     assert found.hysteresis_kPa is not None
     return found.bend_max_deg, found.dead_kPa, found.scale_kPa, found.hysteresis_kPa
 

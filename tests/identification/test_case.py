@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flying_vines.identification.case import CaseError, Run, read_case
+from flying_vines.identification.case import CaseError, RecordedRun, read_case
 from flying_vines.physics.rig import Rig, load_rig
 from flying_vines.simulation.scenario import csv_text, load_scenario, simulate, write_case
-from flying_vines.simulation.scenario.kinds import Bends, Discharge, Openings, Valves
+from flying_vines.simulation.scenario.kinds import BendsRun, DischargeRun, OpeningsRun, Valves
 
 RIG = "[reservoir]\nvolume_L = 2.0\n[cv]\nvolume_L = 0.5\n"
 HEADER = "time_s,command_kPa,evp_opening,dvp_opening,solenoid,cv_pressure_kPa,reservoir_pressure_kPa"
@@ -45,7 +45,7 @@ def only(*columns: str, rows: list[str] = ROWS) -> str:
     return text([",".join(row.split(",")[i] for i in kept) for row in rows], ",".join(columns))
 
 
-def read(folder: Path, content: str | bytes) -> Run:
+def read(folder: Path, content: str | bytes) -> RecordedRun:
     data = content if isinstance(content, bytes) else content.encode()
     (folder / "run.csv").write_bytes(data)
     (run,) = read_case(folder).runs
@@ -67,7 +67,7 @@ def complaint(folder: Path, content: str | bytes) -> str:
     return refused(folder).removeprefix(str(folder / "run.csv"))
 
 
-def assert_same(one: Run, other: Run) -> None:
+def assert_same(one: RecordedRun, other: RecordedRun) -> None:
     for name, values in vars(one).items():
         if isinstance(values, np.ndarray):
             assert np.array_equal(values, getattr(other, name), equal_nan=True)
@@ -287,7 +287,10 @@ def test_many_rows_are_read_quickly(folder: Path) -> None:
 
 
 def test_what_the_simulation_writes(tmp_path: Path) -> None:
-    kinds = (Bends(cycles=1), Openings(valves=(Valves(for_s=1.0, evp=1.0), Valves(for_s=1.0)), name="hold"))
+    kinds = (
+        BendsRun(cycles=1),
+        OpeningsRun(valves=(Valves(for_s=1.0, evp=1.0), Valves(for_s=1.0)), name="hold"),
+    )
     runs = [simulate(Rig(), kind) for kind in kinds]
     write_case(runs, b"[cv]\nvolume_L = 0.1\n", tmp_path)
     (tmp_path / "picture.png").write_bytes(b"\x89PNG")
@@ -304,10 +307,10 @@ def test_what_the_simulation_writes(tmp_path: Path) -> None:
 
 def test_the_discharge_that_the_simulation_writes(tmp_path: Path) -> None:
     (kind,) = load_scenario("discharge").runs
-    assert isinstance(kind, Discharge)
+    assert isinstance(kind, DischargeRun)
     rig = Rig(cv=None)
     (tmp_path / "rig.toml").write_text("")
-    (tmp_path / "run.csv").write_text(csv_text(simulate(rig, Discharge(duration_s=5.0))))
+    (tmp_path / "run.csv").write_text(csv_text(simulate(rig, DischargeRun(duration_s=5.0))))
     case = read_case(tmp_path)
     assert case.remarks == ()
     assert case.runs[0].to_atmosphere

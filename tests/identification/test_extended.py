@@ -7,7 +7,7 @@ from dataclasses import fields
 from typing import Any
 
 from flying_vines.identification.extended import extended_rig
-from flying_vines.identification.verdict import NONE, UNEXPLAINED, Estimate, Named, Verdict
+from flying_vines.identification.verdict import NONE, UNEXPLAINED, Named, ParameterEstimate, Verdict
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_from, true_rig_text
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 
@@ -30,8 +30,8 @@ def test_causes_and_fitted_numbers_are_in_the_file() -> None:
     rig = written(
         verdict(
             "cv_leak",
-            parameters={"flow_resistance_kPa_s_per_SL": Estimate(304.0, 296.0, 312.0)},
-            also=(Named("evp_lag", {"time_constant_s": Estimate(0.02, 0.018, 0.022)}),),
+            parameters={"flow_resistance_kPa_s_per_SL": ParameterEstimate(304.0, 296.0, 312.0)},
+            also=(Named("evp_lag", {"time_constant_s": ParameterEstimate(0.02, 0.018, 0.022)}),),
             numbers={"cv.volume_L": 0.507, "reservoir.volume_L": 1.99},
         )
     )

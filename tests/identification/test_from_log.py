@@ -25,13 +25,13 @@ from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import Rig
 from flying_vines.record.folders import MCAP
 from flying_vines.record.mcap_file import McapFile
-from flying_vines.record.reader import Entry, FlightLog
+from flying_vines.record.reader import FlightLog, LogEntry
 from flying_vines.record.recorder import Recorder
 from flying_vines.record.topics import NUMBERS, TOPICS
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 
 LEAK = 8000.0
 ONCE = ((3.0, LOW), (5.0, MIDDLE), (7.0, HIGH), (13.5, LOW))
@@ -43,7 +43,7 @@ def flown(parent: Path, causes: dict[str, dict[str, float]], moves: Sequence[tup
     """The log of moves of the switch (until when, where) on embedded fakes, with something in the rig."""
     phlosar = SimulatedPhlosar(TrueRig(Rig(), causes), {"telemetry_Hz": 1000})
     recorder = Recorder(parent, BEGAN, t=0.0)
-    fly(SimulatedFlight(CONFIG, Autopilot("ardupilot"), phlosar), recorder, moves)
+    fly(SimulatedFlight(CONFIG, FakeAutopilot("ardupilot"), phlosar), recorder, moves)
     recorder.close()
     return recorder.folder / MCAP
 
@@ -82,7 +82,7 @@ def written(parent: Path, telemetry: Iterator[Telemetry], air_kPa: float | None 
     return recorder.folder / MCAP
 
 
-def rewritten(path: Path, to: Path, change: Callable[[Entry], bytes | None]) -> Path:
+def rewritten(path: Path, to: Path, change: Callable[[LogEntry], bytes | None]) -> Path:
     """A log with another JSON in some of its messages, or without them."""
     to.parent.mkdir(exist_ok=True)
     with to.open("wb") as file:
@@ -184,7 +184,7 @@ def test_the_air_around_is_known_as_long_as_the_autopilot_says_it() -> None:
     flight.run(1.5)
     said = mavlink.MAVLink_scaled_pressure_message(0, 950.0, 0.0, 2000)
     autopilot = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
-    (message,) = Codec(0, 191).decode(said.pack(autopilot))
+    (message,) = MavlinkCodec(0, 191).decode(said.pack(autopilot))
     assert math.isnan(flight.core.snapshot(1.5).ambient_kPa)
     flight.feed(VehicleMessage(1.5, message))
     assert flight.core.snapshot(2.0).ambient_kPa == 95.0
@@ -229,7 +229,7 @@ def test_a_log_may_be_cut_off_and_damaged(leaky: Path, tmp_path: Path) -> None:
 
     readings = iter(range(100_000))
 
-    def one_without_pressure(entry: Entry) -> bytes:
+    def one_without_pressure(entry: LogEntry) -> bytes:
         if entry.topic == "phlosar/telemetry" and next(readings) == 3000:
             return b'{"t":1.0}'
         return entry.data

@@ -10,7 +10,7 @@ import pytest
 from hidden_truth import draw, write
 
 from flying_vines.identification.case import Case, read_case
-from flying_vines.identification.fit import Problem
+from flying_vines.identification.fit import FitProblem
 from flying_vines.identification.likeness import Likeness, likeness
 from flying_vines.identification.simulate import believed_keys
 from flying_vines.physics.cause import Cause
@@ -27,7 +27,7 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
 
 
 def found(case: Case, *causes: Cause, there: str | None = None) -> Likeness:
-    problem = Problem(case, (0.15, 1.2))
+    problem = FitProblem(case, (0.15, 1.2))
     start = problem.start()
     if there is not None:
         start = start.with_cause(BY_NAME[there], BY_NAME[there].seeds()[0])

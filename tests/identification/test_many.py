@@ -20,7 +20,7 @@ from flying_vines.identification import many
 from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.cores import THREADS
 from flying_vines.identification.diagnose import diagnose
-from flying_vines.identification.many import ClusterError, Outcome, diagnose_all
+from flying_vines.identification.many import CaseOutcome, ClusterError, diagnose_all
 from flying_vines.identification.recording import CaseError
 from flying_vines.identification.show_many import show_all
 from flying_vines.identification.verdict import Verdict
@@ -57,7 +57,7 @@ def alone(season: list[Path]) -> dict[Path, Verdict]:
     return verdicts
 
 
-def same(outcomes: dict[Path, Outcome], season: list[Path], alone: dict[Path, Verdict]) -> bool:
+def same(outcomes: dict[Path, CaseOutcome], season: list[Path], alone: dict[Path, Verdict]) -> bool:
     error = outcomes[season[1]]
     assert isinstance(error, CaseError) and str(season[1]) in str(error)
     verdicts = {path: said for path, said in outcomes.items() if isinstance(said, Verdict)}

@@ -13,36 +13,36 @@ import pytest
 from command_line import run as run_command
 
 from flying_vines.config import config as configuration
-from flying_vines.identification.model import Array
-from flying_vines.identification.plan import Pair, Plan, PlanError, plan, recommend
+from flying_vines.identification.plan import CausePair, RecordingPlan, RecordingPlanError, plan, recommend
 from flying_vines.identification.plan.apart import SETTLED, apart
 from flying_vines.identification.plan.check import Check
 from flying_vines.identification.plan.choose import gram_of
-from flying_vines.identification.plan.library import Candidate, library
+from flying_vines.identification.plan.library import CandidateRun, library
 from flying_vines.identification.plan.rehearsal import rehearsed
 from flying_vines.identification.plan.strengths import strengths, typical
-from flying_vines.identification.plan.traces import Layout, Part, layout_of, parts_of
+from flying_vines.identification.plan.traces import CandidatePart, Layout, layout_of, parts_of
 from flying_vines.identification.plan.write import profiles_text, scenario_text
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.effects import catalogue
 from flying_vines.physics.rig import ControlVolume, Rig, Sensors, Venturi
 from flying_vines.simulation.scenario import load_scenario, parse_scenario, simulate, simulate_scenario
-from flying_vines.simulation.scenario.kinds import Bends, Kind, Profile, Steps
+from flying_vines.simulation.scenario.kinds import BendsRun, ProfileRun, RunKind, StepsRun
 
 HALF = Rig(cv=ControlVolume(0.5), venturi=Venturi(rated_supply_kPa=900.0))
 """Below the Venturi's rated supply all is homogeneous in pressure: a gain g of one sensor is 1/g of the
 other's."""
-GAINS = Pair("cv_sensor_gain", "reservoir_sensor_gain")
+GAINS = CausePair("cv_sensor_gain", "reservoir_sensor_gain")
 
 
 @pytest.fixture(scope="module")
-def made() -> Plan:
+def made() -> RecordingPlan:
     return plan(HALF, minutes=0.5)
 
 
 @pytest.fixture(scope="module")
-def short() -> Plan:
+def short() -> RecordingPlan:
     """Of the vine, for which commands alone are not enough."""
     return plan(Rig(), minutes=0.5, air_SL=11.0)
 
@@ -52,18 +52,18 @@ def layout() -> Layout:
     return layout_of(HALF, catalogue())
 
 
-def parts(layout: Layout, kinds: list[Kind]) -> list[Part]:
+def parts(layout: Layout, kinds: list[RunKind]) -> list[CandidatePart]:
     found = []
     for number, kind in enumerate(kinds):
-        found += parts_of(layout, Candidate(f"{number}", "", partial(_same, kind), (1,), False))
+        found += parts_of(layout, CandidateRun(f"{number}", "", partial(_same, kind), (1,), False))
     return found
 
 
-def _same(kind: Kind, count: int) -> Kind:
+def _same(kind: RunKind, count: int) -> RunKind:
     return kind
 
 
-def worst(matrix: Array, but: Pair | None = None) -> float:
+def worst(matrix: Array, but: CausePair | None = None) -> float:
     """Δχ² of the pair that is told apart worst; `but` does not count."""
     names = [cause.name for cause in catalogue()]
     counts = ~np.eye(*matrix.shape, dtype=np.bool_)
@@ -72,12 +72,14 @@ def worst(matrix: Array, but: Pair | None = None) -> float:
     return float(matrix[counts].min())
 
 
-def test_a_plan_beats_what_one_would_record_without_it(made: Plan, layout: Layout) -> None:
+def test_a_plan_beats_what_one_would_record_without_it(made: RecordingPlan, layout: Layout) -> None:
     """In the worst pair that can be told apart, at the same length, and at the same highest pressure."""
     seconds = made.best.seconds / 3
-    bends: Kind = Bends(cycles=int(seconds / 2.5), bend_kPa=20.7)
-    stairs: Kind = Steps(pressures_kPa=tuple([7.0, 14.0, 20.7, 14.0, 7.0, 0.0] * 2), hold_s=seconds / 12)
-    hold: Kind = Steps(pressures_kPa=(20.7,), hold_s=seconds)
+    bends: RunKind = BendsRun(cycles=int(seconds / 2.5), bend_kPa=20.7)
+    stairs: RunKind = StepsRun(
+        pressures_kPa=tuple([7.0, 14.0, 20.7, 14.0, 7.0, 0.0] * 2), hold_s=seconds / 12
+    )
+    hold: RunKind = StepsRun(pressures_kPa=(20.7,), hold_s=seconds)
     naive = parts(layout, [bends, stairs, hold])
     assert sum(part.seconds for part in naive) == pytest.approx(made.best.seconds, abs=2.5)
     planned = parts(layout, [run.kind for run in made.best.runs])
@@ -86,7 +88,7 @@ def test_a_plan_beats_what_one_would_record_without_it(made: Plan, layout: Layou
     assert least > SETTLED
 
 
-def test_it_settles_what_the_example_scenario_leaves_open(short: Plan) -> None:
+def test_it_settles_what_the_example_scenario_leaves_open(short: RecordingPlan) -> None:
     """In a sixth of its three minutes, with a third of its pressure."""
     layout = layout_of(short.rig, catalogue())
     example = parts(layout, list(load_scenario("case").runs))
@@ -95,7 +97,7 @@ def test_it_settles_what_the_example_scenario_leaves_open(short: Plan) -> None:
     assert GAINS in short.by_commands.open
 
 
-def test_a_plan_keeps_its_budgets(short: Plan) -> None:
+def test_a_plan_keeps_its_budgets(short: RecordingPlan) -> None:
     """As the simulated rig does it: time, and air with what is let down between the runs."""
     runs = simulate_scenario(short.rig, short.best.scenario, seed=4)
     assert {run.commanded for run in short.best.runs} == {True, False}
@@ -112,7 +114,7 @@ def test_a_plan_keeps_its_budgets(short: Plan) -> None:
     assert air_SL == pytest.approx(short.best.air_SL, rel=0.02)
 
 
-def test_what_no_run_can_tell_is_reported(made: Plan) -> None:
+def test_what_no_run_can_tell_is_reported(made: RecordingPlan) -> None:
     assert made.never == made.best.open == (GAINS,)
     row, column = made.names.index(GAINS.first), made.names.index(GAINS.second)
     assert made.matrix[row, column] < 0.1 < SETTLED < made.matrix[row, -1]
@@ -122,7 +124,7 @@ def test_what_no_run_can_tell_is_reported(made: Plan) -> None:
     assert usual.sigmas > sqrt(SETTLED) and usual.run.name in usual.in_words()
 
 
-def test_floors_hold_against_full_fits(made: Plan, layout: Layout) -> None:
+def test_floors_hold_against_full_fits(made: RecordingPlan, layout: Layout) -> None:
     """And where causes are hard to tell apart, they are near."""
     runs = [part for run in made.best.runs[:2] for part in parts(layout, [run.kind])]
     floors, check = apart(layout, gram_of(layout, runs)), Check(layout, runs)
@@ -162,12 +164,12 @@ def test_the_run_that_settles_a_doubt(layout: Layout) -> None:
     assert found.sigmas**2 > SETTLED
     assert {*found.worst} == {"evp_lag", "line_delay"}
     assert found.run.name in found.in_words()
-    rest: Kind = Steps(pressures_kPa=(0.0,), hold_s=found.run.seconds)
+    rest: RunKind = StepsRun(pressures_kPa=(0.0,), hold_s=found.run.seconds)
     names = [cause.name for cause in layout.causes]
     idle = apart(layout, gram_of(layout, parts(layout, [rest])))
     assert idle[names.index("evp_lag"), names.index("line_delay")] < 0.01 * found.sigmas**2
     assert recommend(HALF, ("cv_leak", "none")).sigmas > sqrt(SETTLED)
-    with pytest.raises(PlanError, match="no_such"):
+    with pytest.raises(RecordingPlanError, match="no_such"):
         recommend(HALF, ("evp_lag", "no_such"))
 
 
@@ -185,24 +187,24 @@ def test_a_new_cause_is_planned_for_without_more_ado() -> None:
         "new", "x", (parameter,), "x", readings=lambda r, x: r._replace(cv_kPa=r.cv_kPa * (1.0 + x[0]))
     )
     laid = layout_of(HALF, [new])
-    (part,) = parts(laid, [Steps(pressures_kPa=(20.0, 0.0), hold_s=3.0)])
+    (part,) = parts(laid, [StepsRun(pressures_kPa=(20.0, 0.0), hold_s=3.0)])
     assert apart(laid, part.gram)[0, -1] > 0.0
 
 
-def test_the_scenario_and_the_profiles_are_readable(made: Plan) -> None:
+def test_the_scenario_and_the_profiles_are_readable(made: RecordingPlan) -> None:
     assert parse_scenario(scenario_text(made.best), "plan").runs == made.best.scenario.runs
     text = configuration.default_text() + profiles_text(made.by_commands)
     read = configuration.parse(text, "plan")
     for number, run in enumerate(made.by_commands.runs, start=101):
         name = f"plan-{number}-{run.name.replace('_', '-')}"
-        assert isinstance(run.kind, Profile)
+        assert isinstance(run.kind, ProfileRun)
         assert read.profiles[name].segments[: len(run.kind.segments)] == run.kind.segments
         assert read.profiles[name].rate_kPa_per_s == run.kind.rate_kPa_per_s
         assert [item.profile for item in read.items if item.match == {"param1": number}] == [name]
 
 
 def test_planned_simulated_and_diagnosed(
-    made: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    made: RecordingPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """To the right name for what is hidden in the rig."""
     truth, scenario, case = tmp_path / "truth.toml", tmp_path / "scenario.toml", str(tmp_path / "case")

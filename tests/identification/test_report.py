@@ -30,7 +30,7 @@ from flying_vines.identification.report.runs import draw_run
 from flying_vines.identification.report.words import label_and_unit, numbers, share
 from flying_vines.identification.report.write import svg
 from flying_vines.identification.show import in_words
-from flying_vines.identification.verdict import NONE, UNEXPLAINED, Estimate, Verdict
+from flying_vines.identification.verdict import NONE, UNEXPLAINED, ParameterEstimate, Verdict
 from flying_vines.physics.effects import catalogue
 
 HOSTILE = """<script>alert("1")</script><img src=http://example.org/x> & '$x_{'"""
@@ -302,15 +302,15 @@ def test_a_profile_goes_through_what_was_computed(found: Diagnosed) -> None:
 @pytest.mark.parametrize(
     ("estimate", "said"),
     [
-        (Estimate(5.6238, 5.604, 5.643), ("5.624", "5.604", "5.643")),
-        (Estimate(-0.0028, -0.0111, 0.0056), ("−0.0028", "−0.0111", "0.0056")),
-        (Estimate(1230.4, 1200.0, 1290.0), ("1,230", "1,200", "1,290")),
-        (Estimate(0.5, 0.5, 0.5), ("0.5", "0.5", "0.5")),
-        (Estimate(9.327e6, 1.148e6, 7.58e7), ("9.33 × 10⁶", "1.15 × 10⁶", "7.58 × 10⁷")),
+        (ParameterEstimate(5.6238, 5.604, 5.643), ("5.624", "5.604", "5.643")),
+        (ParameterEstimate(-0.0028, -0.0111, 0.0056), ("−0.0028", "−0.0111", "0.0056")),
+        (ParameterEstimate(1230.4, 1200.0, 1290.0), ("1,230", "1,200", "1,290")),
+        (ParameterEstimate(0.5, 0.5, 0.5), ("0.5", "0.5", "0.5")),
+        (ParameterEstimate(9.327e6, 1.148e6, 7.58e7), ("9.33 × 10⁶", "1.15 × 10⁶", "7.58 × 10⁷")),
     ],
 )
 def test_numbers_have_the_digits_that_the_interval_leaves_them(
-    estimate: Estimate, said: tuple[str, str, str]
+    estimate: ParameterEstimate, said: tuple[str, str, str]
 ) -> None:
     assert numbers(estimate) == said
 

@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flying_vines.identification.case import Case, Run
-from flying_vines.identification.fit import Fit, Problem
-from flying_vines.identification.model import Array
+from flying_vines.identification.case import Case, RecordedRun
+from flying_vines.identification.fit import Fit, FitProblem
 from flying_vines.identification.residuals import patterns
 from flying_vines.identification.search import STRUCTURE
 from flying_vines.identification.simulate import Simulation
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.rig import ControlVolume, Rig
 
 NOISE_KPA = (0.15, 1.2)
 
 
-def fitted(seed: int) -> tuple[Problem, Fit]:
+def fitted(seed: int) -> tuple[FitProblem, Fit]:
     """A clean rig, whose room warms up in the first half of the run and cools again."""
     random = np.random.default_rng(seed)
     time_s = np.arange(0.0, 30.0, 0.02)
@@ -30,14 +30,14 @@ def fitted(seed: int) -> tuple[Problem, Fit]:
     shut, solenoid = np.zeros(len(time_s)), (phase >= 2).astype(float)
     ambient_C = 20.0 + 5.0 * np.sin(np.pi * time_s / 30.0)
     rig = Rig(cv=ControlVolume(0.25))
-    run = Run("run", time_s, None, evp, shut, solenoid, shut, shut, None, ambient_C, False)
+    run = RecordedRun("run", time_s, None, evp, shut, solenoid, shut, shut, None, ambient_C, False)
     clean = Simulation(Case(Path("memory"), rig, (run,), ())).readings(0, {}, [], np.array([(640.0, 0.0)]))
     run = replace(
         run,
         cv_kPa=clean.cv_kPa + random.normal(0.0, NOISE_KPA[0], len(time_s)),
         reservoir_kPa=clean.reservoir_kPa + random.normal(0.0, NOISE_KPA[1], len(time_s)),
     )
-    problem = Problem(Case(Path("memory"), rig, (run,), ()), NOISE_KPA)
+    problem = FitProblem(Case(Path("memory"), rig, (run,), ()), NOISE_KPA)
     return problem, problem.fit(problem.start())
 
 
@@ -79,5 +79,5 @@ def test_without_a_thermometer_there_is_no_such_pattern() -> None:
     problem, fit = fitted(2)
     (run,) = problem.case.runs
     case = replace(problem.case, runs=(replace(run, ambient_C=None),))
-    features = {pattern.feature for pattern in patterns(Problem(case, NOISE_KPA), fit)}
+    features = {pattern.feature for pattern in patterns(FitProblem(case, NOISE_KPA), fit)}
     assert "temperature around" not in features and "opening of the inflation valve" in features

@@ -12,9 +12,9 @@ from hidden_truth.effects import EFFECTS, Hidden, with_effects
 from hidden_truth.recording import replay
 from hidden_truth.rig import Rig as TrueRig
 
-from flying_vines.identification.case import Case, Run
+from flying_vines.identification.case import Case, RecordedRun
 from flying_vines.identification.simulate import Simulation
-from flying_vines.physics.baseline import Inputs, State, step
+from flying_vines.physics.baseline import BaselineState, Inputs, step
 from flying_vines.physics.cause import Cause
 from flying_vines.physics.effects import catalogue
 from flying_vines.physics.rig import ControlVolume, Rig
@@ -25,7 +25,7 @@ STARTS = np.array([START_KPA])
 LENGTH_S = 12.0
 
 
-def random_run(seed: int) -> Run:
+def random_run(seed: int) -> RecordedRun:
     """Openings at random, with the Venturi, down to a reservoir in which it stalls."""
     random = np.random.default_rng(seed)
     time_s = np.arange(0.0, LENGTH_S, 0.02)
@@ -39,10 +39,10 @@ def random_run(seed: int) -> Run:
         dvp[at : at + length] = random.uniform(0.5, 1.0) if what == "suck" else 0.0
         at += length
     nothing = np.full(len(time_s), np.nan)
-    return Run("random", time_s, None, evp, dvp, solenoid, nothing, nothing, None, None, False)
+    return RecordedRun("random", time_s, None, evp, dvp, solenoid, nothing, nothing, None, None, False)
 
 
-def case_of(run: Run, rig: Rig = RIG) -> Case:
+def case_of(run: RecordedRun, rig: Rig = RIG) -> Case:
     return Case(Path("memory"), rig, (run,), ())
 
 
@@ -92,7 +92,7 @@ def test_a_valve_much_quicker_than_the_samples_is_simulated_as_well(lag_s: float
     assert ours.cv_kPa == pytest.approx(truth[:, 0], abs=0.003)
 
 
-def without(run: Run, rows: list[int]) -> Run:
+def without(run: RecordedRun, rows: list[int]) -> RecordedRun:
     """The same run, of which these rows are lost."""
     left = replace(run)
     for name, values in vars(run).items():
@@ -158,7 +158,7 @@ def test_a_neutral_cause_does_nothing(cause: Cause) -> None:
 def test_without_causes_it_is_the_baseline() -> None:
     run = random_run(3)
     readings = Simulation(case_of(run)).readings(0, {}, [], STARTS)
-    state = State(*START_KPA)
+    state = BaselineState(*START_KPA)
     for i, inputs in enumerate(zip(run.evp_opening, run.dvp_opening, run.solenoid, strict=True)):
         assert readings.cv_kPa[i] == pytest.approx(state.cv_kPa, abs=1e-4)
         assert readings.reservoir_kPa[i] == pytest.approx(state.reservoir_kPa, abs=1e-4)
@@ -186,7 +186,7 @@ def test_a_discharge_to_atmosphere_is_an_exponential() -> None:
     rig = Rig(cv=None)
     time_s = np.arange(0.0, 30.0, 0.5)
     shut = np.zeros(len(time_s))
-    run = Run("discharge", time_s, None, shut + 1.0, shut, shut, shut, shut, None, None, True)
+    run = RecordedRun("discharge", time_s, None, shut + 1.0, shut, shut, shut, shut, None, None, True)
     readings = Simulation(case_of(run, rig)).readings(0, {}, [], np.array([[690.0, 0.0]]))
     tau_s = rig.evp.flow_resistance_kPa_s_per_SL * rig.reservoir.volume_L / 101.325
     assert readings.reservoir_kPa == pytest.approx(690.0 * np.exp(-time_s / tau_s), rel=1e-6)

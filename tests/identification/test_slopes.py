@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flying_vines.identification.model import Array
 from flying_vines.identification.slopes import RunSlopes
+from flying_vines.physics.arrays import Array
 
 START = np.array([0, 3, 40, 41, 60])
 SAMPLES, NUMBERS = 90, 3

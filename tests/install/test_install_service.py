@@ -17,7 +17,7 @@ from needed import need
 from firmware_link.find import UsbBoard
 from flying_vines.config import config
 from flying_vines.install import files, program
-from flying_vines.install.program import InstallError, Program, Reader, check_reachable
+from flying_vines.install.program import FileReader, InstalledProgram, InstallError, check_reachable
 
 MOST_EXPOSED = 2.0
 """Of 10, as systemd-analyze counts; it calls up to 2 safe."""
@@ -288,7 +288,7 @@ class TestReachable:
     """Files of root's under /usr stand for an installation that everybody may read."""
 
     def test_a_program_of_the_system_is(self) -> None:
-        check_reachable((Path("/usr/bin/env"),), Reader("flying-vines"))
+        check_reachable((Path("/usr/bin/env"),), FileReader("flying-vines"))
 
     @pytest.mark.parametrize(
         ("place", "why"),
@@ -303,7 +303,7 @@ class TestReachable:
     )
     def test_these_are_not(self, place: str, why: str) -> None:
         with pytest.raises(InstallError, match=why):
-            check_reachable((Path(place),), Reader("flying-vines"))
+            check_reachable((Path(place),), FileReader("flying-vines"))
 
     def test_a_closed_home_is_open_to_its_owner(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(program, "GONE_AFTER_A_START", ())
@@ -312,17 +312,17 @@ class TestReachable:
             command = home / "flying-vines"
             command.write_text("", encoding="utf-8")
             home.chmod(0o700)
-            check_reachable((command,), Reader("pi", home.stat().st_uid))
+            check_reachable((command,), FileReader("pi", home.stat().st_uid))
             with pytest.raises(
                 InstallError, match=f"flying-vines, the user of the service, cannot read {home}"
             ):
-                check_reachable((command,), Reader("flying-vines"))
+                check_reachable((command,), FileReader("flying-vines"))
             home.chmod(0o755)
-            check_reachable((command,), Reader("flying-vines"))
+            check_reachable((command,), FileReader("flying-vines"))
 
 
 def test_the_program_is_where_its_python_is() -> None:
-    program = Program.here()
+    program = InstalledProgram.here()
     assert Path(program.command[0]).parent == Path(sys.executable).parent
     assert Path(sys.executable) in program.places
 
@@ -332,7 +332,7 @@ def test_the_machine_itself_is_changed_only_with_what_it_can_reach(
 ) -> None:
     """As root on a real machine, with a program that its service could not start."""
     monkeypatch.setattr(os, "geteuid", lambda: 0)
-    lost = Program(("/tmp/venv/bin/flying-vines",), (Path("/tmp/venv/bin/flying-vines"),))
-    monkeypatch.setattr(Program, "here", lambda: lost)
+    lost = InstalledProgram(("/tmp/venv/bin/flying-vines",), (Path("/tmp/venv/bin/flying-vines"),))
+    monkeypatch.setattr(InstalledProgram, "here", lambda: lost)
     status, _, said = run(capsys, "install-service", "--yes")
     assert (status, "is deleted when the machine restarts" in said) == (2, True)

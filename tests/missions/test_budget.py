@@ -15,7 +15,7 @@ from flying_vines.physics.rig import Rig
 from flying_vines.simulation.mission_flight import fly, with_flight
 from flying_vines.supply import nominal
 from flying_vines.vehicle.mission.reference_vehicle import Home
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.budget import budget
 from missions.report import as_json
 from missions.review import review
@@ -89,7 +89,7 @@ def test_a_vine_with_hysteresis_is_let_down_further() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_service_flies_what_the_budget_says(kind: Kind) -> None:
+def test_the_service_flies_what_the_budget_says(kind: AutopilotKind) -> None:
     given = built(SHORT, kind)
     belief = nominal(CONFIG.pneumatics)
     report = review("short", given, kind, HOMES[kind], CONFIG, belief, 690.0)

@@ -26,9 +26,9 @@ from mission_building import (
 )
 
 from flying_vines.config import config as configuration
-from flying_vines.config.config import Config, Item
+from flying_vines.config.config import Config, ItemConfig
 from flying_vines.vehicle.autopilots import store
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from flying_vines.vehicle.triggers import Rules
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
 from missions.carriers import carrier, described, over_the_wire
@@ -37,7 +37,7 @@ from missions.mission import MissionError
 DEFAULT = configuration.default()
 
 
-def with_items(*rules: Item) -> Config:
+def with_items(*rules: ItemConfig) -> Config:
     return msgspec.structs.replace(DEFAULT, items=rules)
 
 
@@ -93,8 +93,8 @@ def test_every_wrong_action_is_named_with_its_line() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_no_rule_carries_comes_with_the_rule_to_add(kind: Kind) -> None:
-    config = with_items(Item(command="gripper", match={"param2": 0.0}, profile="bend-full"))
+def test_what_no_rule_carries_comes_with_the_rule_to_add(kind: AutopilotKind) -> None:
+    config = with_items(ItemConfig(command="gripper", match={"param2": 0.0}, profile="bend-full"))
     with pytest.raises(MissionError) as error:
         built(HEAD + waypoint("{ profile = 'wave' }, { bend_deg = 20 }"), kind, config)
     profile, bend = str(error.value).splitlines()
@@ -107,8 +107,8 @@ def test_what_no_rule_carries_comes_with_the_rule_to_add(kind: Kind) -> None:
 
 
 def test_the_preferred_carrier_is_the_one_that_survives() -> None:
-    winch = Item(command="winch", bend="param1")
-    gripper = Item(command="gripper", bend="param1", scale=0.5)
+    winch = ItemConfig(command="winch", bend="param1")
+    gripper = ItemConfig(command="gripper", bend="param1", scale=0.5)
     # ArduPilot keeps whole numbers of both; only the gripper's scale makes 30.5 one.
     item = carrier(BendTo(30.5), with_items(winch, gripper), "ardupilot")
     assert item is not None and item.command == GRIPPER and item.params[0] == 61.0
@@ -120,14 +120,14 @@ def test_the_preferred_carrier_is_the_one_that_survives() -> None:
 
 
 def test_a_rule_in_front_that_catches_the_numbers_is_seen() -> None:
-    catches = Item(command="script_message", profile="straight")
-    behind = Item(command="script_message", match={"param1": 2.0}, profile="reach")
+    catches = ItemConfig(command="script_message", profile="straight")
+    behind = ItemConfig(command="script_message", match={"param1": 2.0}, profile="reach")
     assert carrier(StartProfile("reach"), with_items(catches, behind), "ardupilot") is None
     assert carrier(StartProfile("reach"), with_items(behind, catches), "ardupilot") is not None
 
 
 def test_x_and_y_travel_as_whole_numbers() -> None:
-    by_x = Item(command="winch", bend="param5")
+    by_x = ItemConfig(command="winch", bend="param5")
     assert carrier(BendTo(30.5), with_items(by_x), "px4") is None
     assert carrier(BendTo(30.0), with_items(by_x), "px4") is not None
 
@@ -144,7 +144,9 @@ WAYPOINTS = st.lists(st.tuples(PLACE, st.lists(st.tuples(ACTION, HOLD), max_size
 @settings(max_examples=40)
 @given(WAYPOINTS, st.sampled_from(KINDS), st.sampled_from(("land", "return")))
 def test_any_mission_passes_its_own_check_and_means_the_same_once_stored(
-    places: list[tuple[tuple[int, int, float], list[tuple[tuple[str, Intent], str]]]], kind: Kind, end: str
+    places: list[tuple[tuple[int, int, float], list[tuple[tuple[str, Intent], str]]]],
+    kind: AutopilotKind,
+    end: str,
 ) -> None:
     text = f'end = "{end}"\n' + HEAD
     wanted: list[Intent] = []

@@ -11,7 +11,7 @@ import pytest
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
 from flying_vines.vehicle.triggers import CHOICES, Rules, direct_intent
-from flying_vines.vine.intent import BendTo, Intent, StartProfile, Vent
+from flying_vines.vine.intent import BendTo, Intent, StartProfile, VentVine
 from missions.buttons import actions_text, buttons, write_buttons
 
 NUMBERS = {"mavCmd", "compId", *(f"param{n}" for n in range(1, 8))}
@@ -62,7 +62,7 @@ def test_the_default_profile_has_a_button_for_everything_a_person_can_ask() -> N
     angles = [BendTo(15), BendTo(30), BendTo(45), BendTo(60)]
     assert len(wanted) == len(choices) + len(profiles) + len(angles)
     assert set(wanted.values()) == {*choices, *profiles, *angles}
-    assert wanted["Vine vent"] == Vent()
+    assert wanted["Vine vent"] == VentVine()
     assert wanted["Vine reach"] == StartProfile("reach")
     assert wanted["Vine 30°"] == BendTo(30)
     assert {action["compId"] for action in actions} == {191}
@@ -107,7 +107,7 @@ def test_a_profile_that_is_called_like_another_button_can_be_told_from_it() -> N
     wanted = {
         action["label"]: asked(config, action) for action in json.loads(actions_text(config))["actions"]
     }
-    assert wanted["Vine vent"] == Vent()
+    assert wanted["Vine vent"] == VentVine()
     assert wanted["Vine vent profile"] == StartProfile("vent")
 
 

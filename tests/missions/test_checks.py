@@ -28,21 +28,21 @@ from mission_building import (
 )
 
 from flying_vines.config import config as configuration
-from flying_vines.config.config import Item
+from flying_vines.config.config import ItemConfig
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 HOME = (WP, 0, 0, 0, 0, 47.3977431, 8.5455944, 489.4)
 JUMP, CONDITION = 177, 112
 NAN = math.nan
 
 
-def errors(kind: Kind, *entries: tuple[float, ...], frame: int = 2) -> list[str]:
+def errors(kind: AutopilotKind, *entries: tuple[float, ...], frame: int = 2) -> list[str]:
     return said(reviewed(items(*entries, frame=frame), kind))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_good_mission_has_nothing_to_say(kind: Kind) -> None:
+def test_a_good_mission_has_nothing_to_say(kind: AutopilotKind) -> None:
     report = reviewed(built(HEAD + waypoint("{ profile = 'reach' }"), kind), kind)
     assert report.findings == []
 
@@ -82,7 +82,10 @@ def test_not_a_number_is_named() -> None:
 def test_numbers_that_storage_changes_are_told_with_what_they_then_mean() -> None:
     config = msgspec.structs.replace(
         configuration.default(),
-        items=(Item(command="winch", bend="param1"), Item(command="script_message", bend="param2")),
+        items=(
+            ItemConfig(command="winch", bend="param1"),
+            ItemConfig(command="script_message", bend="param2"),
+        ),
     )
     given = items(HOME, (TAKEOFF,), (WP,), (WINCH, 30.5), (WP,), (LAND,))
     assert said(reviewed(given, "ardupilot", config)) == [
@@ -238,7 +241,7 @@ ANY_ITEM = st.tuples(COMMANDS, st.tuples(*[ANY_NUMBER] * 7), st.sampled_from((0,
 @settings(max_examples=20)
 @given(st.lists(ANY_ITEM, min_size=1, max_size=12), st.sampled_from(KINDS))
 def test_whatever_is_in_a_file_is_checked_without_a_crash(
-    entries: list[tuple[int, tuple[float, ...], int]], kind: Kind
+    entries: list[tuple[int, tuple[float, ...], int]], kind: AutopilotKind
 ) -> None:
     given = [
         MissionItem(seq, command, (p[0], p[1], p[2], p[3], p[4], p[5], p[6]), frame)

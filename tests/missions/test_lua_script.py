@@ -12,7 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
-from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vehicle.vehicle import Vehicle
@@ -66,7 +66,7 @@ class ArduPilot:
         self.now_ms = 4_294_967_295 - 3_000  # the clock's 32 bits end on the way
         self.params: dict[str, float] = {"SYSID_THISMAV": 1.0}
         self.texts: list[str] = []
-        self.sent: list[tuple[int, Message]] = []
+        self.sent: list[tuple[int, MavlinkMessage]] = []
         self.items: deque[tuple[int, int, float, float, float]] = deque()
         self.received: deque[tuple[bytes, int, int]] = deque()
         self.registered: set[int] = set()
@@ -134,7 +134,7 @@ class ArduPilot:
         if len(self.items) < 5:
             self.items.append((self.now_ms & 0xFFFFFFFF, p1, p2, p3, p4))
 
-    def hear(self, message: Message, system: int = 1, component: int = 191, channel: int = US) -> None:
+    def hear(self, message: MavlinkMessage, system: int = 1, component: int = 191, channel: int = US) -> None:
         """A message comes in; what the script gets is ArduPilot's own structure of it."""
         if message.get_msgId() not in self.registered:
             return
@@ -275,11 +275,11 @@ def test_an_error_does_not_end_it(autopilot: ArduPilot) -> None:
 
 def test_the_service_makes_one_bend_of_text_command_and_repeats(autopilot: ArduPilot) -> None:
     mission = [MissionItem(3, 217, (1.0, 40.0, 0.0, 0.0, 0.0, 0.0, 0.0))]
-    vehicle, codec, side = Vehicle(config.default(), mission), Codec(1, 191), Codec(1, 1)
+    vehicle, codec, side = Vehicle(config.default(), mission), MavlinkCodec(1, 191), MavlinkCodec(1, 1)
     triggers: list[Trigger] = []
-    answers: list[Message] = []
+    answers: list[MavlinkMessage] = []
 
-    def tell(t: float, message: Message) -> None:
+    def tell(t: float, message: MavlinkMessage) -> None:
         for received in codec.decode(side.encode(message, 1)):
             for output in vehicle.handle(t, received):
                 if isinstance(output, Trigger):

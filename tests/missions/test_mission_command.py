@@ -11,8 +11,8 @@ import pytest
 from command_line import run
 from mission_building import EXAMPLES, HEAD, KINDS, waypoint
 
-from flying_vines.simulation.autopilot import Autopilot
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.simulation.autopilot import FakeAutopilot
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.files import load_items
 
 Captured = pytest.CaptureFixture[str]
@@ -30,7 +30,7 @@ def mission(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", ["bridge_inspection", "canopy_sampling"])
 def test_the_examples_are_what_their_missions_build(
-    name: str, kind: Kind, tmp_path: Path, capsys: Captured
+    name: str, kind: AutopilotKind, tmp_path: Path, capsys: Captured
 ) -> None:
     built = ("mission", "build", EXAMPLES / f"{name}.toml", "--autopilot", kind, "--out", tmp_path)
     assert run(capsys, *built)[0] == 0
@@ -38,7 +38,7 @@ def test_the_examples_are_what_their_missions_build(
         file = f"{name}-{kind}{suffix}"
         assert (tmp_path / file).read_text() == (EXAMPLES / file).read_text(), f"build {file} anew"
         found = load_items(EXAMPLES / file, kind)
-        stored = Autopilot(kind, mission=found.items, home=found.home).items
+        stored = FakeAutopilot(kind, mission=found.items, home=found.home).items
         assert [item.command for item in stored] == [item.command for item in found.items]
         status, out, err = run(capsys, "mission", "check", EXAMPLES / file, "--autopilot", kind)
         assert (status, err) == (0, "") and "warning" not in out

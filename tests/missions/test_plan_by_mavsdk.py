@@ -9,10 +9,10 @@ import pytest
 from mission_building import EXAMPLES, KINDS
 from patience import PATIENCE_S
 
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.vehicle.mission.item import has_place
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.carriers import over_the_wire
 from missions.files import load_items
 from missions.link import vehicle
@@ -26,8 +26,8 @@ GLOBAL_INT = {0: 5, 5: 5}
 
 
 @pytest.mark.parametrize("kind", KINDS)
-async def test_mavsdk_reads_the_plans_as_we_do(kind: Kind) -> None:
-    server = AutopilotServer(Autopilot(kind), None, listen=[("127.0.0.1", 0)])
+async def test_mavsdk_reads_the_plans_as_we_do(kind: AutopilotKind) -> None:
+    server = AutopilotServer(FakeAutopilot(kind), None, listen=[("127.0.0.1", 0)])
     flying = asyncio.create_task(server.run())
     try:
         async with asyncio.timeout(PATIENCE_S):

@@ -12,21 +12,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mission_building import HEAD, HOMES, KINDS, built, items, waypoint
 
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.files import load_items
 from missions.mission import MissionError
-from missions.plan_file import PlanError, plan_text, read_plan, write_plan
+from missions.plan_file import PlanFileError, plan_text, read_plan, write_plan
 
 TEXT = "speed_m_s = 4\n" + HEAD + waypoint("{ profile = 'reach' }, { bend_deg = 30.3 }") + waypoint("")
 
 
-def content(kind: Kind) -> dict[str, Any]:
+def content(kind: AutopilotKind) -> dict[str, Any]:
     found: dict[str, Any] = json.loads(plan_text(built(TEXT, kind), kind, HOMES[kind]))
     return found
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_plan_has_what_qgroundcontrol_asks_for(kind: Kind) -> None:
+def test_a_plan_has_what_qgroundcontrol_asks_for(kind: AutopilotKind) -> None:
     plan = content(kind)
     assert (plan["fileType"], plan["version"], plan["groundStation"]) == ("Plan", 1, "QGroundControl")
     assert plan["geoFence"] == {"circles": [], "polygons": [], "version": 2}
@@ -41,7 +41,7 @@ def test_a_plan_has_what_qgroundcontrol_asks_for(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_its_items_are_simple_ones_numbered_from_1(kind: Kind) -> None:
+def test_its_items_are_simple_ones_numbered_from_1(kind: AutopilotKind) -> None:
     entries = content(kind)["mission"]["items"]
     assert [entry["doJumpId"] for entry in entries] == list(range(1, len(entries) + 1))
     assert entries[0]["command"] == 22  # home is no item there, whatever the autopilot
@@ -60,7 +60,7 @@ def test_its_items_are_simple_ones_numbered_from_1(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_written_reads_back_equal(kind: Kind, tmp_path: Path) -> None:
+def test_what_is_written_reads_back_equal(kind: AutopilotKind, tmp_path: Path) -> None:
     made = built(TEXT, kind)
     path = tmp_path / "m.plan"
     write_plan(path, made, kind, HOMES[kind])
@@ -71,7 +71,7 @@ def test_what_is_written_reads_back_equal(kind: Kind, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_jump_keeps_its_target(kind: Kind, tmp_path: Path) -> None:
+def test_a_jump_keeps_its_target(kind: AutopilotKind, tmp_path: Path) -> None:
     made = items((16,), (22,), (16,), (177, 2, 3), (21,))
     path = tmp_path / "m.plan"
     write_plan(path, made, kind)
@@ -106,7 +106,7 @@ def test_a_survey_is_flown_by_the_items_that_it_holds(tmp_path: Path) -> None:
     del survey["TransectStyleComplexItem"]
     path.write_text(json.dumps(plan))
     with pytest.raises(
-        PlanError, match=r"mission.items\[1\]: a 'survey' is drawn by the ground station alone"
+        PlanFileError, match=r"mission.items\[1\]: a 'survey' is drawn by the ground station alone"
     ):
         read_plan(path)
 
@@ -142,7 +142,7 @@ def test_any_text_is_a_plan_or_an_error(text: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "m.plan"
         path.write_text(text, encoding="utf-8")
-        with pytest.raises(PlanError):
+        with pytest.raises(PlanFileError):
             read_plan(path)
 
 

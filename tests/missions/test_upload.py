@@ -9,7 +9,7 @@ import pytest
 
 from flying_vines.vehicle.autopilots import store
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import Kind, Params
+from flying_vines.vehicle.mission.storage import AutopilotKind, Params
 from missions.carriers import over_the_wire
 from missions.files import load_items
 from missions.mission import MissionError
@@ -18,7 +18,7 @@ from missions.upload import compare, refuse_wrong_home
 EXAMPLES = Path(__file__).parents[2] / "missions" / "examples"
 
 
-def held(kind: Kind, seq: int, command: int, params: Params, frame: int) -> list[MissionItem]:
+def held(kind: AutopilotKind, seq: int, command: int, params: Params, frame: int) -> list[MissionItem]:
     first = [MissionItem(0, 16, (0.0,) * 7)] if kind == "ardupilot" else []
     return [*first, MissionItem(seq, command, params, frame)]
 
@@ -57,7 +57,7 @@ def test_items_too_few_and_items_that_were_not_known_to_be_taken_are_unexpected(
     ],
 )
 def test_a_mission_for_the_other_autopilot_is_not_sent(
-    kind: Kind, other: Kind, says: str, suffix: str
+    kind: AutopilotKind, other: AutopilotKind, says: str, suffix: str
 ) -> None:
     path = EXAMPLES / f"canopy_sampling-{kind}{suffix}"
     items = load_items(path, kind).items
@@ -102,6 +102,6 @@ def test_what_ardupilot_fills_into_a_return_and_a_landing_is_no_difference(last:
         ),
     ],
 )
-def test_another_landing_is_one(kind: Kind, sent: MissionItem, kept: MissionItem) -> None:
+def test_another_landing_is_one(kind: AutopilotKind, sent: MissionItem, kept: MissionItem) -> None:
     first = MissionItem(0, 16, (0.0,) * 7, 6 if kind == "px4" else 0)
     assert len(compare(kind, [first, sent], [first, kept]).unexpected) == 1

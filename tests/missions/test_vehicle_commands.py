@@ -12,7 +12,7 @@ from pathlib import Path
 import command_line
 import pytest
 
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 
 VINE_MISSION = Path(__file__).parents[1] / "data" / "recordings" / "ardupilot_vine_mission.waypoints"
@@ -73,7 +73,7 @@ def test_files_are_looked_at_before_the_vehicle(
 async def test_ctrl_c_ends_a_watch_that_waits() -> None:
     if not os.environ.get("CI"):
         pytest.importorskip("mavsdk", reason="needs mavsdk: pip install 'flying-vines[missions]'")
-    server = AutopilotServer(Autopilot(), None, listen=[("127.0.0.1", 0)])
+    server = AutopilotServer(FakeAutopilot(), None, listen=[("127.0.0.1", 0)])
     running = asyncio.create_task(server.run())
     await server.ready.wait()
     command = [sys.executable, "-m", "flying_vines", "mission", "watch"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from flying_vines.vehicle.mission.item import MissionItem
-from missions.link import Heard
+from missions.link import HeardMessage
 from missions.watch import MissionView
 
 MISSION = [
@@ -27,7 +27,7 @@ class Story:
 
     def hears(self, kind: str, component: int = 1, /, **fields: Any) -> None:
         self.t += 0.1
-        self.lines += [line.text for line in self.view.handle(self.t, Heard(kind, component, fields))]
+        self.lines += [line.text for line in self.view.handle(self.t, HeardMessage(kind, component, fields))]
 
     def beat(self, armed: bool) -> None:
         self.hears("HEARTBEAT", base_mode=128 if armed else 0)

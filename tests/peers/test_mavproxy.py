@@ -24,13 +24,13 @@ from service_bench import between
 
 from flying_vines.config import config
 from flying_vines.service.service import Service
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.vehicle.component.settings import SETTINGS
 from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vehicle.mavlink.signing_key import read_key
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from peers.mavproxy import HOW_TO_INSTALL, MavProxy, installed, mavproxy
 
 pytestmark = [
@@ -47,8 +47,8 @@ NUMBER = r"(-?[\d.]+(?:e-?\d+)?)"
 class Flight:
     """What is there, and the ground station that sees it through the autopilot."""
 
-    kind: Kind
-    autopilot: Autopilot
+    kind: AutopilotKind
+    autopilot: FakeAutopilot
     phlosar: SimulatedPhlosar
     ground: MavProxy
 
@@ -67,16 +67,16 @@ class Flight:
 async def flight(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> AsyncIterator[Flight]:
-    kind: Kind = request.param
+    kind: AutopilotKind = request.param
     async with flying(kind, tmp_path_factory.mktemp(kind)) as flight:
         await flight.ground.sees("Detected vehicle 1:191 on link 0")
         yield flight
 
 
 @asynccontextmanager
-async def flying(kind: Kind, folder: Path, key: bytes | None = None) -> AsyncIterator[Flight]:
+async def flying(kind: AutopilotKind, folder: Path, key: bytes | None = None) -> AsyncIterator[Flight]:
     """An autopilot on a bench with the service and MAVProxy; with a `key` the first two sign."""
-    autopilot = Autopilot(kind, signing_key=key, unix_s=time.time())
+    autopilot = FakeAutopilot(kind, signing_key=key, unix_s=time.time())
     autopilot.set_rc(9, 1000)
     companion_port, ground_port = free_port(), free_port()
     phlosar = SimulatedPhlosar()

@@ -24,12 +24,12 @@ from flying_vines.config import config
 from flying_vines.core.events import Action, Decision
 from flying_vines.core.watcher import EachAction
 from flying_vines.service.service import Service
-from flying_vines.simulation.autopilot import Autopilot, Kind
+from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 from missions.download import download
 from missions.files import load_items
-from missions.link import Ears, Heard, LinkError, vehicle
+from missions.link import Ears, HeardMessage, VehicleLinkError, vehicle
 from missions.upload import upload
 from missions.watch import watch
 
@@ -49,7 +49,7 @@ BEND_TO = 31011
 VINE_ITEMS = {"ardupilot": [3, 5, 7, 9], "px4": [2, 4, 6, 8]}
 
 
-def recorded(kind: Kind) -> Path:
+def recorded(kind: AutopilotKind) -> Path:
     """The vine mission that a real autopilot of this kind was recorded with."""
     return RECORDINGS / f"{kind}_vine_mission.waypoints"
 
@@ -58,7 +58,7 @@ def recorded(kind: Kind) -> Path:
 class Scene:
     """A service and what it lives between, and a link for whoever else comes."""
 
-    autopilot: Autopilot
+    autopilot: FakeAutopilot
     service: Service
     link: str
     actions: list[Action] = field(default_factory=list)
@@ -71,8 +71,8 @@ class Scene:
 
 
 @asynccontextmanager
-async def scene(kind: Kind, speed: float = 1.0) -> AsyncIterator[Scene]:
-    autopilot = Autopilot(kind)
+async def scene(kind: AutopilotKind, speed: float = 1.0) -> AsyncIterator[Scene]:
+    autopilot = FakeAutopilot(kind)
     autopilot.set_rc(9, 1000)
     companion_port = free_port()
     server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), listen=[("127.0.0.1", 0)], speed=speed)
@@ -104,7 +104,7 @@ def written(console: Console) -> str:
     return console.file.getvalue()
 
 
-async def hear(ears: Ears, what: Callable[[Heard], bool]) -> Heard:
+async def hear(ears: Ears, what: Callable[[HeardMessage], bool]) -> HeardMessage:
     """The first message like this."""
     async with asyncio.timeout(PATIENCE_S):
         while True:
@@ -114,7 +114,9 @@ async def hear(ears: Ears, what: Callable[[Heard], bool]) -> Heard:
 
 
 @KINDS
-async def test_an_uploaded_mission_is_flown_and_each_vine_item_fires_once(kind: Kind, tmp_path: Path) -> None:
+async def test_an_uploaded_mission_is_flown_and_each_vine_item_fires_once(
+    kind: AutopilotKind, tmp_path: Path
+) -> None:
     async with scene(kind, SPEED) as flight:
         console = paper()
         assert await upload(recorded(kind), flight.link, console) == 0, written(console)
@@ -139,7 +141,9 @@ async def test_an_uploaded_mission_is_flown_and_each_vine_item_fires_once(kind: 
 
 
 @KINDS
-async def test_values_texts_and_acknowledgements_of_the_vine_come_through_the_autopilot(kind: Kind) -> None:
+async def test_values_texts_and_acknowledgements_of_the_vine_come_through_the_autopilot(
+    kind: AutopilotKind,
+) -> None:
     async with scene(kind, 2.0) as flight, vehicle(flight.link) as peer:
         assert peer.kind == kind
         ears = peer.listen("NAMED_VALUE_FLOAT", "STATUSTEXT")
@@ -170,11 +174,13 @@ async def test_values_texts_and_acknowledgements_of_the_vine_come_through_the_au
 
 
 @KINDS
-async def test_a_refused_mission_is_told_by_item_and_what_is_left(kind: Kind, tmp_path: Path) -> None:
+async def test_a_refused_mission_is_told_by_item_and_what_is_left(
+    kind: AutopilotKind, tmp_path: Path
+) -> None:
     unknown = {"ardupilot": ("\t217\t2\t-25", "\t31010\t2\t-25"), "px4": ("\t42600\t", "\t31010\t")}[kind]
     path = tmp_path / "refused.waypoints"
     path.write_text(recorded(kind).read_text().replace(*unknown))
-    async with bare(Autopilot(kind)) as link:
+    async with bare(FakeAutopilot(kind)) as link:
         assert await upload(recorded(kind), link, paper()) == 0
         console = paper()
         assert await upload(path, link, console) == 2
@@ -193,21 +199,21 @@ async def test_what_storage_changes_is_told(tmp_path: Path) -> None:
     path = tmp_path / "rounded.waypoints"
     path.write_text(recorded("ardupilot").read_text().replace("\t217\t1\t40", "\t217\t1.9\t40"))
     assert path.read_text() != recorded("ardupilot").read_text()
-    async with bare(Autopilot("ardupilot")) as link:
+    async with bare(FakeAutopilot("ardupilot")) as link:
         console = paper()
         assert await upload(path, link, console) == 0
     assert "item 3 (script message (1.9, 40)): param1 1.9 is kept as 1." in written(console)
 
 
 async def test_nobody_there_is_said_in_one_line() -> None:
-    with pytest.raises(LinkError, match=r"^udpin:127\.0\.0\.1:\d+: no vehicle heard within 0\.5 s$"):
+    with pytest.raises(VehicleLinkError, match=r"^udpin:127\.0\.0\.1:\d+: no vehicle heard within 0\.5 s$"):
         async with vehicle(f"udpin:127.0.0.1:{free_port()}", within_s=0.5):
             pass
 
 
 async def test_what_mavsdk_may_still_call_outlives_it() -> None:
     """Else the process crashes now and then: interrupted on a busy machine, 8 of 300 did."""
-    async with bare(Autopilot("px4")) as link, vehicle(link) as peer:
+    async with bare(FakeAutopilot("px4")) as link, vehicle(link) as peer:
         assert await peer.command(511, 42.0, 200_000.0) == 0
         answer = weakref.ref(peer._direct._callbacks[-1])
     del peer
@@ -216,7 +222,7 @@ async def test_what_mavsdk_may_still_call_outlives_it() -> None:
 
 
 async def test_several_clients_have_a_port_of_the_autopilot_each() -> None:
-    async with bare(Autopilot("px4")) as link, vehicle(link) as one, vehicle(link) as other:
+    async with bare(FakeAutopilot("px4")) as link, vehicle(link) as one, vehicle(link) as other:
         ears = other.listen("STATUSTEXT")
         assert await one.command(511, 33, 100_000.0) == 0
         assert await other.command(31010) == 3
@@ -224,7 +230,7 @@ async def test_several_clients_have_a_port_of_the_autopilot_each() -> None:
 
 
 @asynccontextmanager
-async def bare(autopilot: Autopilot) -> AsyncIterator[str]:
+async def bare(autopilot: FakeAutopilot) -> AsyncIterator[str]:
     """An autopilot alone, and the link to it."""
     server = AutopilotServer(autopilot, None, listen=[("127.0.0.1", 0)])
     running = asyncio.create_task(server.run())

@@ -8,7 +8,7 @@ import pytest
 from firmware_link.protocol import Setpoint
 from flying_vines.config import config
 from flying_vines.core.events import ToFirmware
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 
 LOW, MIDDLE, HIGH = 1000, 1500, 2000
@@ -18,9 +18,9 @@ WIDTH_KPA = 3.0
 @pytest.fixture
 def flight() -> SimulatedFlight:
     """In the air, nothing bent; the vine has a hysteresis."""
-    vine = config.Vine(curve=((0.0, 0.0), (4.0, 0.0), (20.0, 60.0)), hysteresis_kPa=WIDTH_KPA)
+    vine = config.VineConfig(curve=((0.0, 0.0), (4.0, 0.0), (20.0, 60.0)), hysteresis_kPa=WIDTH_KPA)
     conf = msgspec.structs.replace(config.default(), vine=vine)
-    flight = SimulatedFlight(conf, Autopilot("ardupilot", rc_failsafe_mode=None))
+    flight = SimulatedFlight(conf, FakeAutopilot("ardupilot", rc_failsafe_mode=None))
     flight.autopilot.set_rc(9, LOW)
     flight.run(2.0)
     flight.autopilot.takeoff(10.0)

@@ -11,12 +11,12 @@ import pytest
 
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.effects import catalogue, setup
-from flying_vines.physics.plant.ambient import Climb, Recorded, Steady
+from flying_vines.physics.plant.ambient import Climb, RecordedAmbient, Steady
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.likely import likely_effects
 from flying_vines.physics.plant.motion import ValveMotion, dead_zone
-from flying_vines.physics.plant.numbers import Numbers, numbers_of
+from flying_vines.physics.plant.numbers import PlantNumbers, numbers_of
 from flying_vines.physics.plant.plant import Conditions, Plant, State, at_rest
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, read, rested
 from flying_vines.physics.plant.shape import Compliant, Pouch
@@ -32,7 +32,7 @@ pytest.importorskip("numba")
 
 from flying_vines.physics import compiler  # noqa: E402
 from flying_vines.physics.plant import compiled  # noqa: E402
-from flying_vines.physics.plant.compiled import Run, batch, noise_of, replay  # noqa: E402
+from flying_vines.physics.plant.compiled import CompiledRun, batch, noise_of, replay  # noqa: E402
 
 LIKELY = likely_effects()
 ADC = Adc(12)
@@ -83,7 +83,7 @@ def told(ticks: int, seed: int) -> list[Inputs]:
     return inputs[:ticks]
 
 
-def differs_kPa(run: Run, plant: Plant, inputs: list[Inputs], state: State | None = None) -> float:
+def differs_kPa(run: CompiledRun, plant: Plant, inputs: list[Inputs], state: State | None = None) -> float:
     """The largest difference of any condition from the Simulator's, at every tick and at the end."""
     simulator = Simulator(plant, state)
     rows = []
@@ -121,7 +121,7 @@ PLANTS = {
     "weather": Plant(
         Rig(),
         dataclasses.replace(
-            LIKELY, ambient=Recorded((0.1, 0.3505, 0.9), (101.0, 100.0, 104.0), (290.0, 280.0, 300.0))
+            LIKELY, ambient=RecordedAmbient((0.1, 0.3505, 0.9), (101.0, 100.0, 104.0), (290.0, 280.0, 300.0))
         ),
     ),
 }
@@ -190,7 +190,7 @@ def test_finer_steps_change_little_whatever_the_rig(monkeypatch: pytest.MonkeyPa
     assert np.median(worst) < 1e-3
 
 
-def finer(plant: Plant, tick_s: float) -> Numbers:
+def finer(plant: Plant, tick_s: float) -> PlantNumbers:
     return numbers_of(plant, tick_s)._replace(least_steps=40)
 
 
@@ -219,7 +219,7 @@ def test_half_a_run_and_the_other_half_are_the_run() -> None:
 
 
 def test_noise_is_the_seeds_and_readings_are_the_converters_codes() -> None:
-    def run(seed: int | None) -> Run:
+    def run(seed: int | None) -> CompiledRun:
         return replay(
             PLANTS["likely"],
             [SHUT] * 3000,

@@ -64,7 +64,7 @@ def test_without_effects_it_is_the_baseline(
     cv_kPa = 0.0 if rig.cv is None else cv_kPa
     plant = Plant(rig)
     simulator = Simulator(plant, at_rest(plant, reservoir_kPa, cv_kPa))
-    state = baseline.State(reservoir_kPa, cv_kPa)
+    state = baseline.BaselineState(reservoir_kPa, cv_kPa)
     for command in told:
         for _ in range(20):
             simulator.advance(command)
@@ -78,7 +78,7 @@ def test_it_is_still_the_baseline_after_a_minute() -> None:
     rng = random.Random(3)
     plant = Plant()
     simulator = Simulator(plant)
-    state = baseline.State(690.0, 0.0)
+    state = baseline.BaselineState(690.0, 0.0)
     for _ in range(300):
         kind = rng.random()
         command = (

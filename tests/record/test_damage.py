@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from recorded_flight import one_bend
 
-from flying_vines.record.reader import Entry, FlightLog, LogError
+from flying_vines.record.reader import FlightLog, LogEntry, LogError
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -23,14 +23,16 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def entries(whole: Path) -> list[Entry]:
+def entries(whole: Path) -> list[LogEntry]:
     log = FlightLog(whole)
     entries = list(log.entries())
     assert not log.damage
     return entries
 
 
-def test_cut_off_anywhere_it_is_read_up_to_there(whole: Path, entries: list[Entry], tmp_path: Path) -> None:
+def test_cut_off_anywhere_it_is_read_up_to_there(
+    whole: Path, entries: list[LogEntry], tmp_path: Path
+) -> None:
     data, cut = whole.read_bytes(), tmp_path / "cut.mcap"
     chance = random.Random(1)
     counts = []
@@ -44,7 +46,7 @@ def test_cut_off_anywhere_it_is_read_up_to_there(whole: Path, entries: list[Entr
     assert counts == sorted(counts) and counts[-1] > 0.9 * len(entries) and len(set(counts)) > 10
 
 
-def test_a_damaged_place_costs_half_a_second(whole: Path, entries: list[Entry], tmp_path: Path) -> None:
+def test_a_damaged_place_costs_half_a_second(whole: Path, entries: list[LogEntry], tmp_path: Path) -> None:
     data, hurt = whole.read_bytes(), tmp_path / "hurt.mcap"
     chance = random.Random(2)
     lost = 0
@@ -63,7 +65,7 @@ def test_a_damaged_place_costs_half_a_second(whole: Path, entries: list[Entry], 
     assert lost > 20
 
 
-def test_many_damaged_places_and_noise(whole: Path, entries: list[Entry], tmp_path: Path) -> None:
+def test_many_damaged_places_and_noise(whole: Path, entries: list[LogEntry], tmp_path: Path) -> None:
     data, hurt = bytearray(whole.read_bytes()), tmp_path / "hurt.mcap"
     chance = random.Random(3)
     for _ in range(5):
@@ -76,7 +78,7 @@ def test_many_damaged_places_and_noise(whole: Path, entries: list[Entry], tmp_pa
 
 
 def test_the_names_of_topics_are_in_more_than_one_place(
-    whole: Path, entries: list[Entry], tmp_path: Path
+    whole: Path, entries: list[LogEntry], tmp_path: Path
 ) -> None:
     data, hurt = bytearray(whole.read_bytes()), tmp_path / "hurt.mcap"
     data[data.index(b"zstd") + 500] ^= 1

@@ -19,7 +19,7 @@ from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
 from flying_vines.physics.rig import Rig
 from flying_vines.record.folders import MCAP
 from flying_vines.record.mcap_file import McapFile
-from flying_vines.record.reader import Entry, FlightLog, LogError
+from flying_vines.record.reader import FlightLog, LogEntry, LogError
 from flying_vines.record.recorder import Recorder
 from flying_vines.record.topics import NUMBERS, TOPICS, topic_of
 from flying_vines.simulation.replay import replay_flight
@@ -34,7 +34,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return one_bend(tmp_path_factory.mktemp("flown"))
 
 
-def rewritten(log: Path, folder: Path, change: Callable[[Entry], bytes]) -> Path:
+def rewritten(log: Path, folder: Path, change: Callable[[LogEntry], bytes]) -> Path:
     folder.mkdir()
     with (folder / MCAP).open("wb") as file:
         mcap = McapFile(file, TOPICS, "test")
@@ -72,7 +72,7 @@ def test_all_that_the_core_began_with_counts(tmp_path: Path) -> None:
     assert not again.differences and again.compared.total() > 300
     assert {d.reason for d in again.decisions if d.safety == "refused"} == {"the pneumatics are disarmed"}
 
-    def without_disarming(entry: Entry) -> bytes:
+    def without_disarming(entry: LogEntry) -> bytes:
         return entry.data.replace(b'"disarmed":true', b'"disarmed":false')
 
     forgot = replay_flight(FlightLog(rewritten(recorder.folder, tmp_path / "forgot", without_disarming)))
@@ -138,7 +138,7 @@ def test_the_second_flight_of_a_service_is_replayed_from_the_first(tmp_path: Pat
 
 
 def test_another_answer_is_found_and_said(flown: Path, tmp_path: Path) -> None:
-    def other_setpoint(entry: Entry) -> bytes:
+    def other_setpoint(entry: LogEntry) -> bytes:
         if entry.topic != "decision":
             return entry.data
         return msgspec.json.encode({**entry.fields, "setpoint_kPa": 19.0})

@@ -42,17 +42,17 @@ from flying_vines.core.events import (
 )
 from flying_vines.record import folders as folders_module
 from flying_vines.record import recorder as recorder_module
-from flying_vines.record.reader import Entry, FlightLog, LogError
+from flying_vines.record.reader import FlightLog, LogEntry, LogError
 from flying_vines.record.recorder import Recorder
 from flying_vines.record.restore import event_of, start_of
 from flying_vines.record.schema import Schema
 from flying_vines.record.topics import TOPICS, encoded, entry_of_event
 from flying_vines.simulation.replay import replay_flight
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.fuel_status import fuel_status
 from flying_vines.vehicle.mavlink.tlog import TlogReader
 from flying_vines.vehicle.notice import Notice, Severity
-from flying_vines.vine.intent import BendTo, StartProfile, Vent
+from flying_vines.vine.intent import BendTo, StartProfile, VentVine
 
 SNAPSHOT = Core(CONFIG).snapshot(1.0)
 READING = Telemetry(1234, Mode.REGULATE, Fault.DEAD_MAN | Fault.SUPPLY, 3, 10.0, 0.1, 600.0, 0.5, 0.0, True)
@@ -141,7 +141,7 @@ EVENTS: tuple[Event, ...] = (
     FirmwareMessage(0.5, Welcome(2, 1, 77, "1.0", 1, 30.0, 28.0, 760.0, 200.0, 300, 100)),
     Asked(0.6, "page", BendTo(40.1)),
     Asked(0.7, "broker", StartProfile("bend-half")),
-    Asked(0.8, "page", Vent()),
+    Asked(0.8, "page", VentVine()),
     Stop(0.9),
 )
 
@@ -155,7 +155,9 @@ def test_events_come_back_as_they_were(tmp_path: Path) -> None:
 
 
 def test_a_request_of_an_earlier_version_is_refused_in_one_line() -> None:
-    asked = Entry("asked", 0, encoded(entry_of_event(Asked(1.0, "page", Vent()))).replace(b"Vent", b"Gone"))
+    asked = LogEntry(
+        "asked", 0, encoded(entry_of_event(Asked(1.0, "page", VentVine()))).replace(b"Vent", b"Gone")
+    )
     with pytest.raises(LogError, match="a request of an earlier version, Gone"):
         event_of(asked)
 
@@ -443,13 +445,13 @@ def test_any_mavlink_message_comes_back_whatever_is_in_it() -> None:
         blank._pack(sender, kind.crc_extra, payload)
         raw = blank.get_msgbuf()
         if kind.msgname == "SETUP_SIGNING":
-            (heard,) = Codec(0, 191).decode(raw)
+            (heard,) = MavlinkCodec(0, 191).decode(raw)
             assert not any(heard.secret_key), "a key is in no log"
             continue
-        (heard,) = Codec(0, 191).decode(raw)
+        (heard,) = MavlinkCodec(0, 191).decode(raw)
         data = encoded(entry_of_event(VehicleMessage(1.0, heard)))
         assert_fits(json.loads(data), schema, kind.msgname)
-        again = event_of(Entry("mavlink/in", 0, data))
+        again = event_of(LogEntry("mavlink/in", 0, data))
         assert isinstance(again, VehicleMessage)
         assert again.message.get_msgbuf() == raw
         assert str(again.message) == str(heard)

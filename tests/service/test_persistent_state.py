@@ -17,10 +17,10 @@ from service_bench import Bench, on_bench
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision
 from flying_vines.core.watcher import EachAction
-from flying_vines.service.persistent_state import Kept
+from flying_vines.service.persistent_state import PersistentState
 from flying_vines.service.service import Service
-from flying_vines.simulation.autopilot import Autopilot
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.simulation.autopilot import FakeAutopilot
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S, Signing
 from flying_vines.vehicle.mavlink.signing_key import TimestampFile
 from flying_vines.vehicle.notice import Notice
@@ -33,7 +33,7 @@ STOP, DISARM, ARM = 31013, 2, 3
 
 @pytest.fixture
 async def bench() -> AsyncIterator[Bench]:
-    async with on_bench(Autopilot("ardupilot")) as bench:
+    async with on_bench(FakeAutopilot("ardupilot")) as bench:
         yield bench
 
 
@@ -44,7 +44,7 @@ class Served:
         self.profile = folder / "vine.toml"
         self.profile.write_text(bench.profile.replace('signing_key = ""', f'signing_key = "{key}"'))
         self.config = config.load(self.profile)
-        self.kept = Kept.of(self.profile, self.config)
+        self.kept = PersistentState.of(self.profile, self.config)
         self.seen: list[Action] = []
         signing, _ = self.kept.read_signing(self.config)
         parameters = self.kept.read_parameters(self.config)
@@ -147,7 +147,7 @@ async def test_that_they_are_disarmed_cannot_be_kept_is_said_and_they_are(
 def test_disarmed_is_a_file_that_says_what_it_is_for_and_that_may_be_taken_away(tmp_path: Path) -> None:
     profile = tmp_path / "vine.toml"
     profile.write_text(config.default_text().replace('folder = ""', 'folder = "state/of"'))
-    kept = Kept.of(profile, config.load(profile))
+    kept = PersistentState.of(profile, config.load(profile))
     assert not kept.disarmed
     kept.store_disarmed(False)  # it is not there, and neither is its folder
     kept.store_disarmed(True)
@@ -167,7 +167,7 @@ def private_key(folder: Path, key: bytes) -> str:
 
 
 async def test_a_signed_vehicle_bends_the_vine_and_the_clock_is_kept(tmp_path: Path) -> None:
-    autopilot = Autopilot("ardupilot", signing_key=KEY, unix_s=time.time())
+    autopilot = FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
         await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
         bench.autopilot.set_rc(9, 2000)
@@ -184,7 +184,7 @@ async def test_a_signed_vehicle_bends_the_vine_and_the_clock_is_kept(tmp_path: P
 async def test_whoever_lacks_the_key_is_not_believed_and_that_is_said(
     tmp_path: Path, theirs: bytes | None
 ) -> None:
-    autopilot = Autopilot("ardupilot", signing_key=theirs, unix_s=time.time())
+    autopilot = FakeAutopilot("ardupilot", signing_key=theirs, unix_s=time.time())
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
         await until(lambda: any("refused messages" in text for text in served.texts), "it is said")
         assert served.service.core.snapshot(0.0).vehicle == "none heard"
@@ -192,7 +192,7 @@ async def test_whoever_lacks_the_key_is_not_believed_and_that_is_said(
 
 
 async def test_a_kept_timestamp_of_2040_is_set_right_and_told(tmp_path: Path) -> None:
-    autopilot = Autopilot("ardupilot", signing_key=KEY, unix_s=time.time())
+    autopilot = FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())
     (tmp_path / "vine.signing-timestamp").write_text("078890880000000 191\n255 001 001 078890880000000\n")
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
         await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
@@ -205,10 +205,10 @@ async def test_a_kept_timestamp_of_2040_is_set_right_and_told(tmp_path: Path) ->
 async def test_what_was_recorded_before_a_stop_is_refused_after_it(tmp_path: Path) -> None:
     pilot, key = Signing(KEY), private_key(tmp_path, KEY)
     pilot.advance(time.time())
-    station = Codec(255, 190, pilot)
+    station = MavlinkCodec(255, 190, pilot)
     bend = mavlink.MAVLink_command_long_message(1, 191, mavlink.MAV_CMD_USER_2, 0, 60, 0, 0, 0, 0, 0, 0)
     recorded = station.encode(bend, 255)
-    async with on_bench(Autopilot("ardupilot", signing_key=KEY, unix_s=time.time())) as bench:
+    async with on_bench(FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())) as bench:
         for expected in (1, 0):
             async with serving(bench, tmp_path, key) as served:
                 await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")

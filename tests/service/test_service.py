@@ -24,7 +24,7 @@ from flying_vines.core.events import Action, Decision, Event, ToFirmware
 from flying_vines.core.watcher import EachAction, Watcher
 from flying_vines.record.reader import FlightLog
 from flying_vines.service.service import Service
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.replay import replay_flight
 from flying_vines.vehicle.notice import Notice, Severity
 
@@ -33,7 +33,7 @@ pytestmark = real_time
 
 @pytest.fixture
 async def bench() -> AsyncIterator[Bench]:
-    async with on_bench(Autopilot("ardupilot")) as bench:
+    async with on_bench(FakeAutopilot("ardupilot")) as bench:
         yield bench
 
 

@@ -21,7 +21,7 @@ from flying_vines.core.contained import SHUTDOWN_TEXT
 from flying_vines.core.events import Action, Decision, InternalError
 from flying_vines.core.watcher import EachAction
 from flying_vines.service.service import BARE_VENT, Service
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.vehicle.mavlink.link import UdpLink
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vine.intent import BendTo
@@ -58,7 +58,7 @@ class Serving:
 
 @pytest.fixture
 async def serving() -> AsyncIterator[Serving]:
-    async with on_bench(Autopilot("ardupilot")) as bench:
+    async with on_bench(FakeAutopilot("ardupilot")) as bench:
         box = BlackBox(bench.phlosar)
         seen: list[Action] = []
         service = Service(config.parse(bench.profile, "test"), (EachAction(seen.append),))

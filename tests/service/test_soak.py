@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from needed import needs_compiler
 
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -22,7 +22,7 @@ from soak_day import BUTTONS, Tally, bend
     [("ardupilot", 10, "mission item"), ("px4", 36, "command"), ("ardupilot", 2, "switch")],
 )
 def test_every_trigger_of_a_flight_is_a_motion(
-    kind: Kind, seed: int, by: str, capsys: pytest.CaptureFixture[str]
+    kind: AutopilotKind, seed: int, by: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     outcome = simulated(kind, seed, 1.0, 1.0)
     tally = outcome.world.tally

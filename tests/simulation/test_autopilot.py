@@ -26,7 +26,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.simulation.autopilot import Autopilot, Kind, MissionRefused, RcLoss
+from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot, MissionRefused, RcLoss
 from flying_vines.vehicle.mission.item import MissionItem
 
 # ArduPilot's mission quirks
@@ -109,7 +109,7 @@ def test_loiter_and_back_restarts_only_the_nav_item_and_set_current_fires_a_do_i
     ],
 )
 def test_what_survives_ardupilots_storage(sent: tuple[float, ...], kept: tuple[float, ...]) -> None:
-    stored = Autopilot("ardupilot", mission=plan(sent)).items[1]
+    stored = FakeAutopilot("ardupilot", mission=plan(sent)).items[1]
     assert stored.params == kept
     assert stored.frame == 0
 
@@ -126,13 +126,13 @@ def test_what_survives_ardupilots_storage(sent: tuple[float, ...], kept: tuple[f
         ("px4", item(1, 187, 0.5, frame=3), 2),
     ],
 )
-def test_a_refused_item_ends_the_upload(kind: Kind, refused: MissionItem, result: int) -> None:
+def test_a_refused_item_ends_the_upload(kind: AutopilotKind, refused: MissionItem, result: int) -> None:
     with pytest.raises(MissionRefused):
-        Autopilot(kind, mission=[home(), refused])
+        FakeAutopilot(kind, mission=[home(), refused])
     good = item(2, 16, 0.0, 0.0, 0.0, 0.0, 47.0, 8.0, 5.0)
     old = [home(), item(1, 22), item(2, 22)] if kind == "ardupilot" else [item(0, 22), item(1, 22)]
     first = home() if kind == "ardupilot" else item(0, 16, 0, 0, 0, 0, 47, 8, 5)
-    world = World(Autopilot(kind, mission=old), upload([first, refused, good]))
+    world = World(FakeAutopilot(kind, mission=old), upload([first, refused, good]))
     world.gcs.say(mavlink.MAVLink_mission_count_message(1, 1, 3))
     world.on(1.0)
     assert [message.type for message in world.gcs.of("MISSION_ACK")] == [result]
@@ -141,14 +141,14 @@ def test_a_refused_item_ends_the_upload(kind: Kind, refused: MissionItem, result
 
 def test_a_refused_upload_to_ardupilot_leaves_a_mixed_mission() -> None:
     new = plan((217, 1), (31010,), LAND)
-    world = World(Autopilot("ardupilot", mission=plan(TAKEOFF, WAYPOINT, LAND)), upload(new))
+    world = World(FakeAutopilot("ardupilot", mission=plan(TAKEOFF, WAYPOINT, LAND)), upload(new))
     world.gcs.say(mavlink.MAVLink_mission_count_message(1, 1, len(new)))
     world.on(1.0)
     assert [stored.command for stored in world.autopilot.items] == [16, 217, 16, 21]
 
 
 def test_an_upload_is_asked_for_again_and_then_given_up() -> None:
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     world.gcs.say(mavlink.MAVLink_mission_count_message(1, 1, 3))
     world.on(20.0)
     assert len(world.gcs.of("MISSION_REQUEST")) == 8
@@ -156,7 +156,7 @@ def test_an_upload_is_asked_for_again_and_then_given_up() -> None:
 
 
 def test_px4_tells_a_mission_id_that_changes_with_the_mission() -> None:
-    world = World(Autopilot("px4"))
+    world = World(FakeAutopilot("px4"))
     world.companion.hello()
     world.on(1.5)
     world.autopilot.set_mission([item(0, 22, 0, 0, 0, 0, 0, 0, 10)])
@@ -173,7 +173,7 @@ def test_px4_tells_a_mission_id_that_changes_with_the_mission() -> None:
 
 def test_px4_repeats_a_command_until_it_is_acknowledged() -> None:
     mission = [item(0, 22, 0, 0, 0, 0, 0, 0, 5), item(1, 187, 0.5, frame=2), item(2, 93, 20, frame=2)]
-    world = World(Autopilot("px4", mission=mission))
+    world = World(FakeAutopilot("px4", mission=mission))
     world.companion.hello()
     world.autopilot.start_mission()
     world.on(15.0)
@@ -185,7 +185,7 @@ def test_px4_repeats_a_command_until_it_is_acknowledged() -> None:
 def test_a_burst_of_more_than_eight_items_loses_the_first() -> None:
     burst = [item(seq, 187, seq / 100, frame=2) for seq in range(1, 11)]
     mission = [item(0, 22, 0, 0, 0, 0, 0, 0, 5), *burst, item(11, 93, 20, frame=2)]
-    world = World(Autopilot("px4", mission=mission))
+    world = World(FakeAutopilot("px4", mission=mission))
     world.companion.hello()
     world.autopilot.start_mission()
     world.on(8.0)
@@ -195,7 +195,7 @@ def test_a_burst_of_more_than_eight_items_loses_the_first() -> None:
 
 
 def test_px4_stops_rc_channels_when_rc_is_lost_and_flies_on() -> None:
-    world = World(Autopilot("px4"))
+    world = World(FakeAutopilot("px4"))
     world.request_streams()
     world.autopilot.takeoff(30.0)
     world.on(2.0)
@@ -224,7 +224,7 @@ def commands_187(world: World) -> list[tuple[float, int]]:
 
 
 def test_px4_takes_an_acknowledgement_for_the_oldest_command_of_that_number() -> None:
-    world = World(Autopilot("px4", mission=px4_plan((187, 0.1), (187, 0.2), (93, 20))))
+    world = World(FakeAutopilot("px4", mission=px4_plan((187, 0.1), (187, 0.2), (93, 20))))
     world.companion.hello()
     world.autopilot.start_mission()
     while len(commands_187(world)) < 2:
@@ -241,7 +241,7 @@ def test_px4_takes_an_acknowledgement_for_the_oldest_command_of_that_number() ->
 
 
 def test_px4_tells_an_old_current_item_after_a_jump() -> None:
-    world = World(Autopilot("px4", mission=px4_plan((93, 3), (93, 3), (93, 3))))
+    world = World(FakeAutopilot("px4", mission=px4_plan((93, 3), (93, 3), (93, 3))))
     world.request_streams()
     world.autopilot.start_mission()
     while not any(message.seq == 1 for message in world.companion.of("MISSION_CURRENT")):
@@ -254,7 +254,7 @@ def test_px4_tells_an_old_current_item_after_a_jump() -> None:
 
 
 def test_ardupilot_does_not_tell_of_another_mission_of_the_same_length() -> None:
-    world = World(Autopilot("ardupilot", mission=plan(TAKEOFF, (217, 1, 40), (93, 9), LAND)))
+    world = World(FakeAutopilot("ardupilot", mission=plan(TAKEOFF, (217, 1, 40), (93, 9), LAND)))
     world.gcs.hello()
     world.request_streams()
     world.on(2.0)  # The count of its seconds is told every 31 s.
@@ -268,7 +268,7 @@ def test_ardupilot_does_not_tell_of_another_mission_of_the_same_length() -> None
 
 
 def test_px4_tells_of_another_mission_by_its_id() -> None:
-    world = World(Autopilot("px4", mission=px4_plan((187, 0.4), (93, 9))))
+    world = World(FakeAutopilot("px4", mission=px4_plan((187, 0.4), (93, 9))))
     world.request_streams()
     world.on(1.0)
     world.autopilot.replace_mission(px4_plan((187, 0.1), (93, 9)))
@@ -283,7 +283,7 @@ def test_px4_tells_of_another_mission_by_its_id() -> None:
 
 @pytest.mark.parametrize("both_ways", [False, True])
 def test_a_stalled_link_delivers_all_at_once(both_ways: bool) -> None:
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     world.request_streams()
     world.on(1.0)
     world.companion.forget()
@@ -304,8 +304,8 @@ def test_a_stalled_link_delivers_all_at_once(both_ways: bool) -> None:
 @pytest.mark.parametrize(
     ("kind", "kinds"), [("ardupilot", {"HEARTBEAT", "TIMESYNC"}), ("px4", {"HEARTBEAT"})]
 )
-def test_a_link_that_never_spoke_hears_little(kind: Kind, kinds: set[str]) -> None:
-    world = World(Autopilot(kind))
+def test_a_link_that_never_spoke_hears_little(kind: AutopilotKind, kinds: set[str]) -> None:
+    world = World(FakeAutopilot(kind))
     world.gcs.hello()
     world.autopilot.takeoff(5.0)
     world.gcs.say(mavlink.MAVLink_named_value_float_message(1, b"X", 1.0))
@@ -315,7 +315,7 @@ def test_a_link_that_never_spoke_hears_little(kind: Kind, kinds: set[str]) -> No
 
 
 def test_ardupilot_does_itself_what_is_for_a_component_it_never_heard() -> None:
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     world.gcs.hello()
     world.gcs.command(183, 9, 1900, to=(1, 191))
     world.on(0.1)
@@ -332,7 +332,7 @@ def test_ardupilot_does_itself_what_is_for_a_component_it_never_heard() -> None:
 
 
 def test_px4_ignores_a_command_for_a_component_it_never_heard() -> None:
-    world = World(Autopilot("px4"))
+    world = World(FakeAutopilot("px4"))
     world.gcs.hello()
     world.gcs.command(187, 0.5, to=(1, 191))
     world.on(0.1)
@@ -353,7 +353,7 @@ def test_px4_ignores_a_command_for_a_component_it_never_heard() -> None:
     ],
 )
 def test_which_acknowledgements_reach_the_ground_station(to: tuple[int, int], arrives: bool) -> None:
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     world.gcs.hello()
     world.companion.hello()
     world.companion.say(mavlink.MAVLink_command_ack_message(31010, 0, 0, 0, *to))
@@ -362,8 +362,8 @@ def test_which_acknowledgements_reach_the_ground_station(to: tuple[int, int], ar
 
 
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
-def test_named_values_and_texts_reach_the_ground_station_unchanged(kind: Kind) -> None:
-    world = World(Autopilot(kind))
+def test_named_values_and_texts_reach_the_ground_station_unchanged(kind: AutopilotKind) -> None:
+    world = World(FakeAutopilot(kind))
     world.gcs.hello()
     world.companion.hello()
     world.on(0.02)
@@ -381,7 +381,7 @@ def test_named_values_and_texts_reach_the_ground_station_unchanged(kind: Kind) -
 
 
 def test_a_stream_has_the_rate_asked_for_and_stops() -> None:
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     world.request_streams()
     world.on(10.0)
     assert {name: len(world.companion.of(name)) for name in ("RC_CHANNELS", "SYS_STATUS", "ATTITUDE")} == {
@@ -400,7 +400,7 @@ def test_a_stream_has_the_rate_asked_for_and_stops() -> None:
 
 
 def test_a_message_is_sent_once_on_request_and_an_unknown_one_refused() -> None:
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     world.companion.command(512, 148)
     world.companion.command(511, 12345, 1e6)
     world.companion.command(31010, 1)
@@ -411,7 +411,7 @@ def test_a_message_is_sent_once_on_request_and_an_unknown_one_refused() -> None:
 
 
 def test_the_sequence_counts_up_per_link_without_a_gap() -> None:
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     world.request_streams()
     world.on(30.0)
     sequence = [frame[4] for frame in world.companion.frames]
@@ -420,7 +420,7 @@ def test_the_sequence_counts_up_per_link_without_a_gap() -> None:
 
 
 def test_a_reboot_is_silent_then_knows_nobody() -> None:
-    world = World(Autopilot("ardupilot", mission=plan(TAKEOFF, LAND)))
+    world = World(FakeAutopilot("ardupilot", mission=plan(TAKEOFF, LAND)))
     world.request_streams()
     world.on(5.0)
     before_ms = world.companion.of("RC_CHANNELS")[-1].time_boot_ms
@@ -438,7 +438,7 @@ def test_a_reboot_is_silent_then_knows_nobody() -> None:
 
 
 def test_an_upload_right_after_boot_finds_no_space_and_ready_is_said_later() -> None:
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     world.autopilot.reboot()
     world.on(1.3)
     world.gcs.say(mavlink.MAVLink_mission_count_message(1, 1, 2))
@@ -448,7 +448,7 @@ def test_an_upload_right_after_boot_finds_no_space_and_ready_is_said_later() -> 
 
 
 def test_muted_links_carry_nothing_either_way_and_the_gap_shows() -> None:
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     world.request_streams()
     world.on(1.0)
     last = world.companion.frames[-1][4]
@@ -466,7 +466,7 @@ def test_muted_links_carry_nothing_either_way_and_the_gap_shows() -> None:
 
 
 def test_without_a_receiver_since_boot_there_are_no_channels() -> None:
-    world = World(Autopilot("ardupilot", rc_present=False))
+    world = World(FakeAutopilot("ardupilot", rc_present=False))
     world.request_streams()
     world.on(1.0)
     channels = world.companion.of("RC_CHANNELS")[0]
@@ -480,7 +480,7 @@ def test_without_a_receiver_since_boot_there_are_no_channels() -> None:
 
 
 def test_a_flight_may_go_on_after_rc_loss() -> None:
-    world = World(Autopilot("ardupilot", mission=plan(TAKEOFF, (93, 30), LAND), rc_failsafe_mode=None))
+    world = World(FakeAutopilot("ardupilot", mission=plan(TAKEOFF, (93, 30), LAND), rc_failsafe_mode=None))
     world.companion.hello()
     world.autopilot.start_mission()
     world.on(10.0)
@@ -503,7 +503,7 @@ def test_a_flight_may_go_on_after_rc_loss() -> None:
     ],
 )
 def test_parameters_of_ardupilot_hide_a_loss(parameters: dict[str, float], how: RcLoss, told: bool) -> None:
-    world = World(Autopilot("ardupilot", parameters=parameters))
+    world = World(FakeAutopilot("ardupilot", parameters=parameters))
     world.request_streams()
     world.autopilot.lose_rc(how)
     world.on(3.0)
@@ -513,7 +513,7 @@ def test_parameters_of_ardupilot_hide_a_loss(parameters: dict[str, float], how: 
 
 
 def test_ardupilot_may_ignore_overrides() -> None:
-    world = World(Autopilot("ardupilot", parameters={"RC_OPTIONS": 2}))
+    world = World(FakeAutopilot("ardupilot", parameters={"RC_OPTIONS": 2}))
     world.request_streams()
     world.gcs.say(mavlink.MAVLink_rc_channels_override_message(1, 1, *(65535,) * 8, 2000, *(0,) * 9))
     world.on(1.0)
@@ -521,7 +521,7 @@ def test_ardupilot_may_ignore_overrides() -> None:
 
 
 def test_px4_reports_its_health_no_oftener_than_each_two_seconds() -> None:
-    world = World(Autopilot("px4", receiver="sbus"))
+    world = World(FakeAutopilot("px4", receiver="sbus"))
     world.request_streams(STREAMS_HZ | {1: 10})
     world.on(5.0)
     world.autopilot.stir_health()
@@ -534,7 +534,7 @@ def test_px4_reports_its_health_no_oftener_than_each_two_seconds() -> None:
 
 
 def test_stimuli_that_make_no_sense_are_refused() -> None:
-    autopilot = Autopilot("ardupilot")
+    autopilot = FakeAutopilot("ardupilot")
     stimuli: list[Callable[[], None]] = [
         lambda: autopilot.set_mode("SIDEWAYS"),
         lambda: autopilot.set_rc(17, 1500),
@@ -547,11 +547,11 @@ def test_stimuli_that_make_no_sense_are_refused() -> None:
         with pytest.raises(ValueError):
             nonsense()
     with pytest.raises(ValueError, match="sbus"):
-        Autopilot("ardupilot", receiver="sbus")
+        FakeAutopilot("ardupilot", receiver="sbus")
 
 
 def test_auto_without_a_mission_is_refused() -> None:
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     world.gcs.command(176, 1, 3)
     world.on(0.1)
     assert world.gcs.of("COMMAND_ACK")[0].result == 4
@@ -559,8 +559,8 @@ def test_auto_without_a_mission_is_refused() -> None:
 
 
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
-def test_a_ground_station_flies_it_by_command(kind: Kind) -> None:
-    world = World(Autopilot(kind))
+def test_a_ground_station_flies_it_by_command(kind: AutopilotKind) -> None:
+    world = World(FakeAutopilot(kind))
     world.gcs.hello()
     if kind == "ardupilot":
         world.gcs.command(176, 1, 4)
@@ -576,7 +576,9 @@ def test_a_ground_station_flies_it_by_command(kind: Kind) -> None:
 
 def test_time_may_be_cut_in_any_way() -> None:
     def run(cuts: Sequence[float]) -> list[tuple[str, bytes]]:
-        autopilot = Autopilot("ardupilot", mission=plan(TAKEOFF, WAYPOINT, (217, 1), (217, 2), (93, 1), LAND))
+        autopilot = FakeAutopilot(
+            "ardupilot", mission=plan(TAKEOFF, WAYPOINT, (217, 1), (217, 2), (93, 1), LAND)
+        )
         frames = autopilot.advance(100.0)
         hello = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
         autopilot.receive(100.0, "companion", hello.pack(mavlink.MAVLink(None, 1, 191)))
@@ -599,8 +601,8 @@ UINT16 = st.integers(0, 65535)
 
 @settings(max_examples=150, deadline=None)
 @given(KINDS, st.lists(st.binary(max_size=300), max_size=5))
-def test_random_bytes_do_no_harm(kind: Kind, chunks: list[bytes]) -> None:
-    autopilot = Autopilot(kind)
+def test_random_bytes_do_no_harm(kind: AutopilotKind, chunks: list[bytes]) -> None:
+    autopilot = FakeAutopilot(kind)
     for t, chunk in enumerate(chunks):
         autopilot.receive(t / 10, "companion", chunk)
     autopilot.advance(1.0)
@@ -620,11 +622,11 @@ def valid_frames() -> bytes:
 
 @settings(max_examples=150, deadline=None)
 @given(KINDS, st.lists(st.tuples(st.integers(0, 200), st.integers(0, 255)), max_size=8))
-def test_damaged_frames_do_no_harm(kind: Kind, damage: list[tuple[int, int]]) -> None:
+def test_damaged_frames_do_no_harm(kind: AutopilotKind, damage: list[tuple[int, int]]) -> None:
     frames = bytearray(valid_frames())
     for at, byte in damage:
         frames[at % len(frames)] = byte
-    autopilot = Autopilot(kind)
+    autopilot = FakeAutopilot(kind)
     autopilot.receive(0.0, "companion", bytes(frames))
     autopilot.advance(1.0)
 
@@ -679,9 +681,9 @@ def strange_messages(draw: st.DrawFn) -> Any:
 @settings(max_examples=250, deadline=None)
 @given(KINDS, st.lists(strange_messages(), max_size=8), st.lists(SEVEN, min_size=1, max_size=3), COMMANDS)
 def test_strange_messages_do_no_harm(
-    kind: Kind, messages: list[Any], uploaded: list[tuple[float, ...]], command: int
+    kind: AutopilotKind, messages: list[Any], uploaded: list[tuple[float, ...]], command: int
 ) -> None:
-    autopilot = Autopilot(kind)
+    autopilot = FakeAutopilot(kind)
     peer = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     frame = 2 if kind == "px4" and command > 90 else 3
     messages = [
@@ -703,8 +705,8 @@ def test_strange_messages_do_no_harm(
 
 
 @pytest.mark.parametrize(("kind", "given"), [("ardupilot", [0, 5, 5, 2]), ("px4", [0])])
-def test_px4_gives_items_in_turn_only_and_ardupilot_any(kind: Kind, given: list[int]) -> None:
-    world = World(Autopilot(kind, mission=[item(seq, 16, 0, 0, 0, 0, 47, 8, 10) for seq in range(8)]))
+def test_px4_gives_items_in_turn_only_and_ardupilot_any(kind: AutopilotKind, given: list[int]) -> None:
+    world = World(FakeAutopilot(kind, mission=[item(seq, 16, 0, 0, 0, 0, 47, 8, 10) for seq in range(8)]))
     world.companion.hello()
     world.companion.say(mavlink.MAVLink_mission_request_list_message(1, 1))
     for seq in (0, 5, 5, 2):

@@ -9,7 +9,7 @@ import pytest
 from autopilot_world import LAND, TAKEOFF, World, changes, parameter_bytes, plan
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.simulation.autopilot import Autopilot, Kind
+from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot
 from flying_vines.vehicle.mission.reference_vehicle import PX4_HOME
 
 KEY = bytes(range(32))
@@ -29,8 +29,8 @@ def set_parameter(world: World, name: str, value: float, kind: int) -> None:
 
 
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
-def test_all_parameters_come_once_and_again_by_index_and_name(kind: Kind) -> None:
-    world = World(Autopilot(kind))
+def test_all_parameters_come_once_and_again_by_index_and_name(kind: AutopilotKind) -> None:
+    world = World(FakeAutopilot(kind))
     world.gcs.say(mavlink.MAVLink_param_request_list_message(1, 1))
     world.on(0.5)
     values = [m for m in world.gcs.of("PARAM_VALUE") if m.param_index != 65535]
@@ -47,7 +47,7 @@ def test_all_parameters_come_once_and_again_by_index_and_name(kind: Kind) -> Non
 
 
 def test_ardupilot_casts_integers_and_px4_sends_their_bytes() -> None:
-    ardupilot, px4 = World(Autopilot("ardupilot")), World(Autopilot("px4"))
+    ardupilot, px4 = World(FakeAutopilot("ardupilot")), World(FakeAutopilot("px4"))
     set_parameter(ardupilot, "SYSID_MYGCS", 250.0, 4)
     assert [m.param_value for m in ardupilot.gcs.of("PARAM_VALUE")] == [250.0]
     assert ardupilot.autopilot.parameters["SYSID_MYGCS"] == 250.0
@@ -57,7 +57,7 @@ def test_ardupilot_casts_integers_and_px4_sends_their_bytes() -> None:
 
 
 def test_a_change_is_told_to_everyone_and_what_is_the_autopilots_own_is_kept() -> None:
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     world.companion.hello()
     set_parameter(world, "SCR_ENABLE", 1.0, 2)
     set_parameter(world, "SYSID_THISMAV", 7.0, 4)
@@ -65,14 +65,14 @@ def test_a_change_is_told_to_everyone_and_what_is_the_autopilots_own_is_kept() -
     assert told == [("SCR_ENABLE", 1.0), ("SYSID_THISMAV", 1.0)]
     set_parameter(world, "NO_SUCH", 1.0, 9)
     assert len(world.gcs.of("PARAM_VALUE")) == 2
-    world = World(Autopilot("px4"))
+    world = World(FakeAutopilot("px4"))
     world.gcs.hello()
     set_parameter(world, "NO_SUCH", 1.0, 9)
     assert world.gcs.texts() == ["[pm] unknown param: NO_SUCH"]
 
 
 def test_px4_begins_its_list_with_a_hash_that_ends_it_when_sent_back() -> None:
-    world = World(Autopilot("px4"))
+    world = World(FakeAutopilot("px4"))
     world.gcs.say(mavlink.MAVLink_param_request_list_message(1, 1))
     world.on(0.035)
     first = world.gcs.of("PARAM_VALUE")[0]
@@ -92,7 +92,7 @@ def test_px4_begins_its_list_with_a_hash_that_ends_it_when_sent_back() -> None:
 
 @pytest.mark.parametrize(("operation", "error"), [(4, 10), (15, 10), (3, 6), (200, 7)])
 def test_a_request_for_a_file_is_refused_at_once(operation: int, error: int) -> None:
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     request = struct.pack("<HBBBBBxI", 65535, 3, operation, 5, 0, 0, 0) + b"@PARAM/param.pck"
     message = mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, request.ljust(251, b"\0"))
     world.gcs.say(message)
@@ -120,7 +120,7 @@ def channel_9(world: World) -> list[int]:
 
 
 def test_ardupilot_takes_overrides_from_its_ground_station_alone_and_for_three_seconds() -> None:
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     world.request_streams()
     world.on(0.5)
     channels_us = (*(65535,) * 8, 2000, *(0,) * 9)
@@ -144,7 +144,7 @@ def test_ardupilot_takes_overrides_from_its_ground_station_alone_and_for_three_s
 
 
 def test_overrides_clear_a_failsafe_while_rc_is_really_lost() -> None:
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     world.request_streams()
     world.autopilot.lose_rc()
     world.on(2.0)
@@ -160,7 +160,7 @@ def test_overrides_clear_a_failsafe_while_rc_is_really_lost() -> None:
 
 def test_px4_passes_on_two_of_a_burst() -> None:
     for kind, arrive in (("px4", 2), ("ardupilot", 6)):
-        world = World(Autopilot(kind))  # type: ignore[arg-type]
+        world = World(FakeAutopilot(kind))  # type: ignore[arg-type]
         world.gcs.hello()
         world.companion.hello()
         world.on(0.1)
@@ -175,7 +175,7 @@ def test_px4_passes_on_two_of_a_burst() -> None:
 
 
 def test_px4_forwards_for_a_companion_only_if_it_is_set_so_at_boot() -> None:
-    world = World(Autopilot("px4", parameters={"MAV_1_FORWARD": 0}))
+    world = World(FakeAutopilot("px4", parameters={"MAV_1_FORWARD": 0}))
 
     def heard_by_gcs() -> int:
         world.gcs.hello()
@@ -196,7 +196,7 @@ def test_px4_forwards_for_a_companion_only_if_it_is_set_so_at_boot() -> None:
 def test_px4_says_named_values_again_itself_with_a_shorter_name() -> None:
     ours, echo = (191, "ABCDEFGHIJ"), (1, "ABCDEFGHI")
     for kind, expected in (("px4", {ours, echo}), ("ardupilot", {ours})):
-        world = World(Autopilot(kind))  # type: ignore[arg-type]
+        world = World(FakeAutopilot(kind))  # type: ignore[arg-type]
         world.gcs.hello()
         world.companion.hello()
         world.on(0.1)
@@ -208,8 +208,8 @@ def test_px4_says_named_values_again_itself_with_a_shorter_name() -> None:
 
 
 @pytest.mark.parametrize(("kind", "arrives"), [("ardupilot", False), ("px4", True)])
-def test_fuel_status_is_passed_on_by_px4_alone(kind: Kind, arrives: bool) -> None:
-    world = World(Autopilot(kind))
+def test_fuel_status_is_passed_on_by_px4_alone(kind: AutopilotKind, arrives: bool) -> None:
+    world = World(FakeAutopilot(kind))
     world.gcs.hello()
     world.companion.hello()
     world.on(0.1)
@@ -232,7 +232,7 @@ def sign(peer: Any, link_id: int) -> None:
 
 
 def test_with_a_key_only_signed_messages_are_heard_except_on_usb() -> None:
-    world = World(Autopilot("ardupilot", signing_key=KEY))
+    world = World(FakeAutopilot("ardupilot", signing_key=KEY))
     world.gcs.command(512, 148)
     world.on(0.1)
     assert world.gcs.of("COMMAND_ACK") == []
@@ -253,7 +253,7 @@ def test_with_a_key_only_signed_messages_are_heard_except_on_usb() -> None:
 
 
 def test_a_signed_message_counts_once_and_with_the_right_key() -> None:
-    world = World(Autopilot("ardupilot", signing_key=KEY))
+    world = World(FakeAutopilot("ardupilot", signing_key=KEY))
     sign(world.gcs, 5)
     frame = bytes(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(world.gcs._mav))
     command = mavlink.MAVLink_command_long_message(1, 1, 512, 0, 148, 0, 0, 0, 0, 0, 0)
@@ -270,7 +270,7 @@ def test_a_signed_message_counts_once_and_with_the_right_key() -> None:
 
 
 def test_px4_ends_an_upload_that_was_given_up() -> None:
-    world = World(Autopilot("px4"))
+    world = World(FakeAutopilot("px4"))
     world.gcs.say(mavlink.MAVLink_mission_count_message(1, 1, 3))
     world.on(1.5)
     world.gcs.say(mavlink.MAVLink_mission_ack_message(1, 1, 15))
@@ -281,7 +281,7 @@ def test_px4_ends_an_upload_that_was_given_up() -> None:
 
 @pytest.mark.parametrize("mission_type", [1, 2])
 def test_fences_and_rally_points_are_none(mission_type: int) -> None:
-    world = World(Autopilot("ardupilot", mission=plan(TAKEOFF, LAND)))
+    world = World(FakeAutopilot("ardupilot", mission=plan(TAKEOFF, LAND)))
     world.gcs.say(mavlink.MAVLink_mission_request_list_message(1, 1, mission_type))
     world.gcs.say(mavlink.MAVLink_mission_clear_all_message(1, 1, mission_type))
     world.on(0.1)
@@ -294,8 +294,8 @@ def test_fences_and_rally_points_are_none(mission_type: int) -> None:
 
 
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
-def test_what_clients_ask_first_is_answered(kind: Kind) -> None:
-    world = World(Autopilot(kind))
+def test_what_clients_ask_first_is_answered(kind: AutopilotKind) -> None:
+    world = World(FakeAutopilot(kind))
     for command, param1 in ((512, 148), (520, 1), (410, 0), (511, 33), (510, 33)):
         world.gcs.command(command, param1, 200_000.0)
     world.on(0.1)
@@ -311,7 +311,7 @@ def test_what_clients_ask_first_is_answered(kind: Kind) -> None:
 
 
 def test_px4_sends_a_ground_station_what_it_needs_unasked() -> None:
-    world = World(Autopilot("px4"))
+    world = World(FakeAutopilot("px4"))
     world.gcs.hello()
     world.on(10.0)
     counts = {name: len(world.gcs.of(name)) for name in ("GLOBAL_POSITION_INT", "RC_CHANNELS", "GPS_RAW_INT")}

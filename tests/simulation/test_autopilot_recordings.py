@@ -29,7 +29,7 @@ from autopilot_world import (
 )
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.simulation.autopilot import Autopilot, Kind
+from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import PX4_HOME
 from missions.waypoints import read_waypoints
@@ -52,7 +52,7 @@ def commands(heard: list[Heard]) -> list[str]:
 
 def test_rc_switch_as_recorded() -> None:
     real = recording("rc_switch")
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     autopilot = world.autopilot
     autopilot.set_mode("GUIDED")
     autopilot.set_rc(8, 1800)
@@ -92,7 +92,7 @@ def test_rc_switch_as_recorded() -> None:
 def test_ardupilot_mission_as_recorded() -> None:
     real = recording("ardupilot_vine_mission")
     items = read_waypoints(RECORDINGS / "ardupilot_vine_mission.waypoints")
-    world = World(Autopilot("ardupilot"), upload(items))
+    world = World(FakeAutopilot("ardupilot"), upload(items))
     world.gcs.hello()
     world.request_streams(VINE_MISSION_HZ)
     world.companion.command(410)
@@ -138,7 +138,7 @@ def test_px4_mission_as_recorded() -> None:
         ):
             peer.say(mavlink.MAVLink_command_ack_message(message.command, 0, 0, 0, 1, 1))
 
-    world = World(Autopilot("px4"), answer)
+    world = World(FakeAutopilot("px4"), answer)
     world.gcs.hello()
     world.request_streams(PX4_HZ)
     world.to(3.0)
@@ -215,7 +215,7 @@ def play(world: World, script: list[tuple[float, Callable[[], None]]], until_s: 
 
 
 def switch_moves(
-    autopilot: Autopilot, moves: list[tuple[float, int]]
+    autopilot: FakeAutopilot, moves: list[tuple[float, int]]
 ) -> list[tuple[float, Callable[[], None]]]:
     return [(at_s, lambda us=us: autopilot.set_rc(9, us)) for at_s, us in moves]  # type: ignore[misc]
 
@@ -226,7 +226,7 @@ PX4_RC_HZ = {65: 20, 1: 10, 33: 5, 2: 1}
 def test_px4_sbus_losses_as_recorded() -> None:
     real = recording("px4_sbus_failsafe")
     low, middle, high = 999, 1499, 1999
-    world = World(Autopilot("px4", receiver="sbus", rc_failsafe_mode="HOLD", seed=SBUS_SEED))
+    world = World(FakeAutopilot("px4", receiver="sbus", rc_failsafe_mode="HOLD", seed=SBUS_SEED))
     autopilot = world.autopilot
     for channel in range(1, 17):
         autopilot.set_rc(channel, low if channel == 9 else middle)
@@ -262,7 +262,7 @@ def test_px4_crsf_losses_as_recorded() -> None:
     # The companion's process stood still at 4.4 s.
     real = [heard for heard in recording("px4_crsf_loss") if heard[0] >= 6.0]
     low, high = 1012, 1988
-    world = World(Autopilot("px4", receiver="crsf", rc_failsafe_mode="HOLD", seed=CRSF_SEED))
+    world = World(FakeAutopilot("px4", receiver="crsf", rc_failsafe_mode="HOLD", seed=CRSF_SEED))
     autopilot = world.autopilot
     for channel in range(1, 17):
         autopilot.set_rc(channel, low if channel == 9 else 1500)
@@ -307,7 +307,7 @@ def test_px4_crsf_losses_as_recorded() -> None:
 
 def test_ardupilot_losses_told_and_hidden_as_recorded() -> None:
     real = recording("ardupilot_hidden_rc_loss")
-    world = World(Autopilot("ardupilot", rc_failsafe_mode=None))
+    world = World(FakeAutopilot("ardupilot", rc_failsafe_mode=None))
     autopilot = world.autopilot
     autopilot.set_mode("GUIDED")
     autopilot.takeoff(10.0)
@@ -368,7 +368,7 @@ def test_an_override_that_expires_and_a_link_that_stalls_as_recorded() -> None:
     real = recording("ardupilot_override_and_late_texts")
     delay = (93, 4, 0, 0, 0, 0, 0, 0)
     items = plan(delay, (217, 1, 40), delay, (217, 0), delay, (20,))
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     autopilot = world.autopilot
     for channel in range(1, 17):
         autopilot.set_rc(channel, {5: 1800, 8: 1800}.get(channel, 1500 if channel < 5 else 1000))
@@ -441,7 +441,7 @@ def test_px4_mission_with_overrides_and_a_pause_as_recorded() -> None:
             world.gcs.say(mavlink.MAVLink_rc_channels_override_message(1, 1, *channels_us))
             world.on(0.05)
 
-    world = World(Autopilot("px4", rc_present=False, parameters={"MIS_COMMAND_TOUT": 5.0}), answer)
+    world = World(FakeAutopilot("px4", rc_present=False, parameters={"MIS_COMMAND_TOUT": 5.0}), answer)
     world.gcs.hello()
     world.request_streams(PX4_HZ | {65: 10, 2: 1, 24: 1, 32: 1, 36: 1, 147: 0.5})
     for until_s, ch9_us in ((3.0, 1000), (6.0, 1500), (9.0, 2000)):
@@ -497,7 +497,7 @@ def test_px4_mission_with_overrides_and_a_pause_as_recorded() -> None:
 def test_two_reboots_as_recorded() -> None:
     real = recording("reboot")
     streams_hz = STREAMS_HZ | GPS_HZ
-    world = World(Autopilot("ardupilot"))
+    world = World(FakeAutopilot("ardupilot"))
     world.autopilot.set_rc(8, 1800)
     world.autopilot.set_rc(9, 1500)
     fake = world.companion.heard
@@ -560,10 +560,10 @@ def after_gaps(heard: list[Heard], longer_than_s: float) -> list[Any]:
 @pytest.mark.parametrize(
     ("kind", "name"), [("ardupilot", "ardupilot_vine_mission"), ("px4", "px4_vine_mission")]
 )
-def test_a_mission_downloads_as_recorded(kind: Kind, name: str) -> None:
+def test_a_mission_downloads_as_recorded(kind: AutopilotKind, name: str) -> None:
     real = [str(m) for _, m in recording(name) if m.get_type() == "MISSION_ITEM_INT"]
     items = read_waypoints(RECORDINGS / f"{name}.waypoints")
-    world = World(Autopilot(kind, mission=items))
+    world = World(FakeAutopilot(kind, mission=items))
     world.companion.download(len(items))
     world.on(0.1)
     assert world.companion.of("MISSION_COUNT")[0].count == len(items)
@@ -603,7 +603,7 @@ def test_forty_six_kinds_of_items_as_recorded() -> None:
         *((93, 4), (112, 1.5), (217, 8), (115,), (114, 1), (217, 9), waypoint(90)),
         *((217, 10), (218,), (211, 1, 1), (21,), (217, 11)),
     )
-    world = World(Autopilot("ardupilot", mission=mission, parameters={"CAM1_TYPE": 5}))
+    world = World(FakeAutopilot("ardupilot", mission=mission, parameters={"CAM1_TYPE": 5}))
     world.request_streams(STREAMS_HZ | GPS_HZ | {36: 5})
     world.autopilot.start_mission()
     world.on(100.0)

@@ -13,7 +13,7 @@ from patience import PATIENCE_S
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
 
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import MOST_CLIENTS, AutopilotServer
 
 pytestmark = real_time
@@ -80,7 +80,7 @@ async def serving(server: AutopilotServer) -> AsyncIterator[asyncio.Task[None]]:
 
 async def test_a_companion_asks_for_a_stream_and_gets_it() -> None:
     async with listening(1, 191) as companion:
-        server = AutopilotServer(Autopilot(), f"udpout:127.0.0.1:{companion.port}")
+        server = AutopilotServer(FakeAutopilot(), f"udpout:127.0.0.1:{companion.port}")
         async with serving(server):
             await companion.hear("HEARTBEAT")
             companion.say(mavlink.MAVLink_command_long_message(1, 1, 511, 0, 65, 2e4, 0, 0, 0, 0, 0))
@@ -93,7 +93,7 @@ async def test_a_companion_asks_for_a_stream_and_gets_it() -> None:
 
 async def test_a_ground_station_hears_what_the_companion_says() -> None:
     async with listening(1, 191) as companion, listening(255, 190) as gcs:
-        server = AutopilotServer(Autopilot(), ("127.0.0.1", companion.port), ("127.0.0.1", gcs.port))
+        server = AutopilotServer(FakeAutopilot(), ("127.0.0.1", companion.port), ("127.0.0.1", gcs.port))
         async with serving(server):
             await companion.hear("HEARTBEAT")
             await gcs.hear("HEARTBEAT")
@@ -106,7 +106,7 @@ async def test_a_ground_station_hears_what_the_companion_says() -> None:
 
 
 async def test_a_script_moves_the_sticks_in_time() -> None:
-    autopilot = Autopilot()
+    autopilot = FakeAutopilot()
     async with listening(1, 191) as companion:
         server = AutopilotServer(
             autopilot,
@@ -125,7 +125,7 @@ async def test_a_script_moves_the_sticks_in_time() -> None:
 async def test_what_a_stimulus_raises_ends_the_run() -> None:
     async with listening(1, 191) as companion:
         server = AutopilotServer(
-            Autopilot(), ("127.0.0.1", companion.port), script=[(0.0, lambda fake: fake.set_mode("NONE"))]
+            FakeAutopilot(), ("127.0.0.1", companion.port), script=[(0.0, lambda fake: fake.set_mode("NONE"))]
         )
         with pytest.raises(ValueError, match="NONE"):
             await asyncio.wait_for(server.run(), 2.0)
@@ -136,7 +136,7 @@ async def test_nobody_needs_to_listen() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    async with serving(AutopilotServer(Autopilot(), ("127.0.0.1", port))) as task:
+    async with serving(AutopilotServer(FakeAutopilot(), ("127.0.0.1", port))) as task:
         await asyncio.sleep(0.1)
         assert not task.done()
 
@@ -144,7 +144,7 @@ async def test_nobody_needs_to_listen() -> None:
 @pytest.mark.parametrize("address", ["127.0.0.1:14540", "udpin:127.0.0.1:14540", "udpout:host:0", ""])
 def test_other_addresses_are_refused(address: str) -> None:
     with pytest.raises(ValueError):
-        AutopilotServer(Autopilot(), address)
+        AutopilotServer(FakeAutopilot(), address)
 
 
 # TCP
@@ -177,7 +177,7 @@ class Client:
 
 
 @contextlib.asynccontextmanager
-async def on_tcp(autopilot: Autopilot, speed: float = 1.0) -> AsyncIterator[AutopilotServer]:
+async def on_tcp(autopilot: FakeAutopilot, speed: float = 1.0) -> AsyncIterator[AutopilotServer]:
     server = AutopilotServer(autopilot, None, listen=[("127.0.0.1", 0)], speed=speed)
     async with serving(server):
         await asyncio.wait_for(server.ready.wait(), 5.0)
@@ -189,7 +189,7 @@ async def connect(server: AutopilotServer, system: int = 255) -> Client:
 
 
 async def test_tcp_clients_have_a_port_each_and_leave_it_to_the_next() -> None:
-    autopilot = Autopilot()
+    autopilot = FakeAutopilot()
     async with on_tcp(autopilot) as server:
         one, other = await connect(server), await connect(server, 254)
         for client in (one, other):
@@ -207,7 +207,7 @@ async def test_tcp_clients_have_a_port_each_and_leave_it_to_the_next() -> None:
 
 
 async def test_one_client_too_many_is_sent_away() -> None:
-    async with on_tcp(Autopilot()) as server:
+    async with on_tcp(FakeAutopilot()) as server:
         clients = [await connect(server) for _ in range(MOST_CLIENTS)]
         await clients[-1].hear("HEARTBEAT")
         last = await asyncio.open_connection("127.0.0.1", server.ports[0])
@@ -218,7 +218,7 @@ async def test_one_client_too_many_is_sent_away() -> None:
 
 
 async def test_time_can_run_fast() -> None:
-    async with on_tcp(Autopilot(), speed=20.0) as server:
+    async with on_tcp(FakeAutopilot(), speed=20.0) as server:
         client = await connect(server)
         await client.hear("HEARTBEAT")
         client.say(mavlink.MAVLink_command_long_message(1, 1, 511, 0, 2, 1e6, 0, 0, 0, 0, 0))
@@ -231,8 +231,8 @@ async def test_time_can_run_fast() -> None:
 
 
 async def test_a_port_that_is_taken_ends_the_run() -> None:
-    async with on_tcp(Autopilot()) as server:
-        second = AutopilotServer(Autopilot(), None, listen=[f"tcpin:127.0.0.1:{server.ports[0]}"])
+    async with on_tcp(FakeAutopilot()) as server:
+        second = AutopilotServer(FakeAutopilot(), None, listen=[f"tcpin:127.0.0.1:{server.ports[0]}"])
         with pytest.raises(OSError):
             await asyncio.wait_for(second.run(), 5.0)
 
@@ -240,4 +240,4 @@ async def test_a_port_that_is_taken_ends_the_run() -> None:
 @pytest.mark.parametrize("address", ["tcp:127.0.0.1:5760", "tcpin:127.0.0.1", "tcpin:127.0.0.1:99999"])
 def test_other_places_to_listen_at_are_refused(address: str) -> None:
     with pytest.raises(ValueError):
-        AutopilotServer(Autopilot(), None, listen=[address])
+        AutopilotServer(FakeAutopilot(), None, listen=[address])

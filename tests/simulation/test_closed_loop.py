@@ -25,16 +25,16 @@ np = pytest.importorskip("numpy")
 pytest.importorskip("numba")
 
 from flying_vines.physics.plant.compiled import batch, noise_of  # noqa: E402
-from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop  # noqa: E402
+from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop  # noqa: E402
 
 CV_SENSOR = dataclasses.replace(HONEYWELL_30PSI, adc=Adc(12))
 RESERVOIR_SENSOR = dataclasses.replace(HONEYWELL_15BAR, adc=Adc(10))
 SETPOINTS = [
-    Setpoint(0.02, 12.0, 60.0),
-    Setpoint(0.5, 5.0, 25.0),
-    Setpoint(0.9, math.nan, 0.0),
-    Setpoint(1.1, 15.0, 200.0),
-    Setpoint(1.4, 0.0, 150.0),
+    SetpointChange(0.02, 12.0, 60.0),
+    SetpointChange(0.5, 5.0, 25.0),
+    SetpointChange(0.9, math.nan, 0.0),
+    SetpointChange(1.1, 15.0, 200.0),
+    SetpointChange(1.4, 0.0, 150.0),
 ]
 PLANTS = {
     "baseline": Plant(Rig(), Effects()),
@@ -94,7 +94,7 @@ def test_it_is_the_regulator_on_the_simulator(name: str) -> None:
 
 def test_it_holds_what_the_whole_firmware_holds() -> None:
     """With frames, telemetry, a converter and single precision, on the same rig."""
-    run = closed_loop(PLANTS["baseline"], [Setpoint(0.1, 12.0, 60.0)], 1.5, record_every=1)
+    run = closed_loop(PLANTS["baseline"], [SetpointChange(0.1, 12.0, 60.0)], 1.5, record_every=1)
     phlosar = SimulatedPhlosar(TrueRig(Rig()))
     host, pressures = Codec(), []
     phlosar.receive(host.encode(Hello(PROTOCOL_VERSION, 7)))
@@ -141,4 +141,4 @@ def test_a_batch_on_two_cores_is_its_runs() -> None:
 
 def test_setpoints_that_go_back_in_time() -> None:
     with pytest.raises(ValueError, match="times must rise"):
-        closed_loop(PLANTS["baseline"], [Setpoint(1.0, 5.0, 10.0), Setpoint(1.0, 6.0, 10.0)], 2.0)
+        closed_loop(PLANTS["baseline"], [SetpointChange(1.0, 5.0, 10.0), SetpointChange(1.0, 6.0, 10.0)], 2.0)

@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.console import HELP, MISHAPS, obey, suffer, type_to
-from flying_vines.simulation.phlosar.mishaps import Drifting, Hole, HoseOff, Kind, Mishaps, Unpowered
+from flying_vines.simulation.phlosar.mishaps import Drifting, Hole, HoseOff, MishapKind, Mishaps, Unpowered
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 
 
 def test_lines_fly_the_vehicle() -> None:
-    autopilot = Autopilot("ardupilot")
+    autopilot = FakeAutopilot("ardupilot")
     autopilot.advance(0.0)
     for line in ("rc 9 2000", "takeoff 10", ""):
         assert obey(autopilot, line) == ""
@@ -28,12 +28,12 @@ def test_lines_fly_the_vehicle() -> None:
 
 @pytest.mark.parametrize("line", ["help", "takeoff", "rc 9", "land now"])
 def test_what_is_not_understood_gets_the_list(line: str) -> None:
-    assert obey(Autopilot("ardupilot"), line) == HELP
+    assert obey(FakeAutopilot("ardupilot"), line) == HELP
 
 
 @pytest.mark.parametrize("line", ["takeoff high", "rc nine 1500", "mode NONSENSE"])
 def test_what_is_wrong_is_said(line: str) -> None:
-    assert obey(Autopilot("ardupilot"), line).startswith(line.split()[0] + ": ")
+    assert obey(FakeAutopilot("ardupilot"), line).startswith(line.split()[0] + ": ")
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def test_what_is_wrong_is_said(line: str) -> None:
         ("board unpowered", "board", Unpowered()),
     ],
 )
-def test_lines_break_the_phlosar_and_mend_it(line: str, place: str, kind: Kind) -> None:
+def test_lines_break_the_phlosar_and_mend_it(line: str, place: str, kind: MishapKind) -> None:
     phlosar = SimulatedPhlosar(effects=Effects())
     for mending in (f"{place} well", "well"):
         assert suffer(phlosar, line) == ""

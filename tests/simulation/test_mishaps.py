@@ -28,9 +28,9 @@ from flying_vines.simulation.phlosar.mishaps import (
     Heated,
     Hole,
     HoseOff,
-    Kind,
     Kinked,
     Mishap,
+    MishapKind,
     Mishaps,
     Momentary,
     Noisy,
@@ -157,7 +157,7 @@ def test_both_may_be_wrong_at_once_and_well_again() -> None:
     ("place", "fault"),
     [("cv_sensor", Fault.CV_SENSOR), ("reservoir_sensor", Fault.RESERVOIR_SENSOR)],
 )
-def test_the_firmware_finds_a_broken_wire(place: str, fault: Fault, kind: Kind) -> None:
+def test_the_firmware_finds_a_broken_wire(place: str, fault: Fault, kind: MishapKind) -> None:
     phlosar = SimulatedPhlosar()
     phlosar.advance(0.1)
     assert phlosar.firmware.faults is Fault.NONE
@@ -454,7 +454,7 @@ def test_a_board_that_hangs_for_a_moment_goes_on() -> None:
 
 
 @pytest.mark.parametrize(("kind", "watchdog"), [(Reset(), False), (WatchdogReset(), True)])
-def test_a_reset_is_over_at_once(kind: Kind, watchdog: bool) -> None:
+def test_a_reset_is_over_at_once(kind: MishapKind, watchdog: bool) -> None:
     phlosar, board = rigged(SHUT, Effects())
     phlosar.suffer([Mishap("board", kind, 0.1)])
     phlosar.advance(1.0)
@@ -488,7 +488,7 @@ def test_one_begins_and_ends_to_the_millisecond() -> None:
 
 
 def test_what_was_never_wrong_is_the_same_to_the_last_bit() -> None:
-    def flown(mishap: Kind | None) -> tuple[bytes, float]:
+    def flown(mishap: MishapKind | None) -> tuple[bytes, float]:
         phlosar = SimulatedPhlosar()
         host = greeted(phlosar)
         phlosar.befall("evp", mishap)
@@ -550,7 +550,7 @@ def test_a_rig_without_a_vine_has_nothing_to_burst() -> None:
         ("bottle", HoseOff(), r"bottle cannot suffer HoseOff\(\)"),
     ],
 )
-def test_what_cannot_happen_there_is_refused(place: str, kind: Kind, sentence: str) -> None:
+def test_what_cannot_happen_there_is_refused(place: str, kind: MishapKind, sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         Mishap(place, kind, 0.0)
 

@@ -15,7 +15,7 @@ import serial
 from patience import until
 from still_board import StillBoard
 
-from firmware_link.host import VENTING, Command, HostSession, Regulate, SessionState
+from firmware_link.host import VENTING, HostCommand, HostSession, Regulate, SessionState
 from firmware_link.protocol import Codec, Fault, Mode, Telemetry
 from flying_vines.cli.main import main
 from flying_vines.physics.plant.effects import Effects
@@ -40,7 +40,7 @@ class Flight:
         self.fly(0.1)
         assert self.session.state is SessionState.READY
 
-    def command(self, command: Command) -> None:
+    def command(self, command: HostCommand) -> None:
         for message in self.session.command(self.t, command):
             self.phlosar.receive(self.codec.encode(message))
 

@@ -11,29 +11,29 @@ import pytest
 from numpy.typing import NDArray
 
 from flying_vines.physics import baseline
-from flying_vines.physics.baseline import Inputs, State
+from flying_vines.physics.baseline import BaselineState, Inputs
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig, Sensors
 from flying_vines.simulation.scenario import (
-    Run,
     Scenario,
     ScenarioError,
+    ScenarioRun,
     csv_text,
     parse_scenario,
     simulate,
     simulate_scenario,
 )
 from flying_vines.simulation.scenario.kinds import (
-    Bends,
-    Chirp,
-    Discharge,
-    Kind,
-    Openings,
-    Prbs,
-    Profile,
-    Sine,
-    Steps,
+    BendsRun,
+    ChirpRun,
+    DischargeRun,
+    OpeningsRun,
+    PrbsRun,
+    ProfileRun,
+    RunKind,
+    SineRun,
+    StepsRun,
     Valves,
 )
 from flying_vines.vine.profile import HoldFor, Ramp
@@ -42,17 +42,17 @@ VINE = Rig()
 HALF_LITRE = Rig(cv=ControlVolume(0.5))
 NO_CV = Rig(cv=None)
 QUIET = Sensors(0.0, 0.0)
-EVERY_KIND: tuple[Kind, ...] = (
-    Steps(pressures_kPa=(50.0, 20.0, 35.0, 0.0), hold_s=1.5, reservoir_kPa=450.0),
-    Sine(low_kPa=5.0, high_kPa=20.0, frequency_Hz=1.0, duration_s=3.0),
-    Chirp(high_kPa=20.0, from_Hz=0.5, to_Hz=5.0, duration_s=4.0),
-    Prbs(levels_kPa=(0.0, 10.0, 30.0), duration_s=4.0),
-    Prbs(levels_opening=(0.0, 0.3, 1.0), duration_s=6.0, name="prbs_openings"),
-    Discharge(duration_s=3.0),
-    Discharge(duration_s=3.0, valve="dvp", opening=0.4, name="discharge_dvp"),
-    Bends(cycles=3),
-    Openings(valves=(Valves(for_s=2.0, evp=0.5, until_kPa=30.0), Valves(for_s=2.0))),
-    Profile(segments=(Ramp(over_s=1.0, to_kPa=15.0), HoldFor(for_s=1.0)), settle_s=0.5),
+EVERY_KIND: tuple[RunKind, ...] = (
+    StepsRun(pressures_kPa=(50.0, 20.0, 35.0, 0.0), hold_s=1.5, reservoir_kPa=450.0),
+    SineRun(low_kPa=5.0, high_kPa=20.0, frequency_Hz=1.0, duration_s=3.0),
+    ChirpRun(high_kPa=20.0, from_Hz=0.5, to_Hz=5.0, duration_s=4.0),
+    PrbsRun(levels_kPa=(0.0, 10.0, 30.0), duration_s=4.0),
+    PrbsRun(levels_opening=(0.0, 0.3, 1.0), duration_s=6.0, name="prbs_openings"),
+    DischargeRun(duration_s=3.0),
+    DischargeRun(duration_s=3.0, valve="dvp", opening=0.4, name="discharge_dvp"),
+    BendsRun(cycles=3),
+    OpeningsRun(valves=(Valves(for_s=2.0, evp=0.5, until_kPa=30.0), Valves(for_s=2.0))),
+    ProfileRun(segments=(Ramp(over_s=1.0, to_kPa=15.0), HoldFor(for_s=1.0)), settle_s=0.5),
 )
 
 
@@ -65,7 +65,9 @@ def rms(values: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def replay(rig: Rig, file: dict[str, NDArray[np.float64]], start: State, parts: int) -> NDArray[np.float64]:
+def replay(
+    rig: Rig, file: dict[str, NDArray[np.float64]], start: BaselineState, parts: int
+) -> NDArray[np.float64]:
     """The baseline told what the file says was told, each sample until the next: reservoir and CV."""
     state = start
     states = []
@@ -82,10 +84,10 @@ def replay(rig: Rig, file: dict[str, NDArray[np.float64]], start: State, parts: 
 
 @pytest.mark.parametrize("rig", [VINE, HALF_LITRE], ids=["vine", "half_litre"])
 @pytest.mark.parametrize("kind", EVERY_KIND, ids=lambda kind: kind.label)
-def test_the_recorded_openings_replayed_give_the_recorded_pressures(rig: Rig, kind: Kind) -> None:
+def test_the_recorded_openings_replayed_give_the_recorded_pressures(rig: Rig, kind: RunKind) -> None:
     run = simulate(rig, kind, seed=5)
     file = columns(csv_text(run))
-    reservoir_kPa, cv_kPa = replay(rig, file, State(kind.reservoir_kPa, 0.0), parts=4)
+    reservoir_kPa, cv_kPa = replay(rig, file, BaselineState(kind.reservoir_kPa, 0.0), parts=4)
     assert rms(cv_kPa - run.true_cv_kPa) < 0.01
     assert rms(reservoir_kPa - run.true_reservoir_kPa) < 0.01
     beyond = rms(file["cv_pressure_kPa"] - cv_kPa) ** 2 - rig.sensors.cv_noise_std_kPa**2
@@ -94,10 +96,10 @@ def test_the_recorded_openings_replayed_give_the_recorded_pressures(rig: Rig, ki
 
 
 def test_at_the_firmware_s_rate_too() -> None:
-    kind = Steps(pressures_kPa=(20.0, 10.0), hold_s=1.0, sample_rate_Hz=1000)
+    kind = StepsRun(pressures_kPa=(20.0, 10.0), hold_s=1.0, sample_rate_Hz=1000)
     run = simulate(VINE, kind)
     assert len(run.time_s) == 2000
-    _, cv_kPa = replay(VINE, columns(csv_text(run)), State(690.0, 0.0), parts=1)
+    _, cv_kPa = replay(VINE, columns(csv_text(run)), BaselineState(690.0, 0.0), parts=1)
     assert rms(cv_kPa - run.true_cv_kPa) < 0.01
 
 
@@ -105,7 +107,7 @@ def test_at_the_firmware_s_rate_too() -> None:
 @pytest.mark.parametrize("volume_L", [0.1, 0.5, 2.0])
 def test_the_regulator_settles_at_every_sample_rate(rate_Hz: int, volume_L: float) -> None:
     rig = Rig(reservoir=Reservoir(4.0), cv=ControlVolume(volume_L))
-    kind = Steps(pressures_kPa=(20.0, 10.0, 35.0), hold_s=4.0, sample_rate_Hz=rate_Hz)
+    kind = StepsRun(pressures_kPa=(20.0, 10.0, 35.0), hold_s=4.0, sample_rate_Hz=rate_Hz)
     run = simulate(rig, kind)
     assert run.faults == ""
     for end_s, wanted_kPa in ((4.0, 20.0), (8.0, 10.0), (12.0, 35.0)):
@@ -114,15 +116,17 @@ def test_the_regulator_settles_at_every_sample_rate(rate_Hz: int, volume_L: floa
 
 
 def test_the_noise_is_the_rig_s() -> None:
-    run = simulate(HALF_LITRE, Openings(valves=(Valves(for_s=60.0),)))
+    run = simulate(HALF_LITRE, OpeningsRun(valves=(Valves(for_s=60.0),)))
     assert np.std(run.cv_pressure_kPa - run.true_cv_kPa) == pytest.approx(0.15, rel=0.05)
     assert np.std(run.reservoir_pressure_kPa - run.true_reservoir_kPa) == pytest.approx(1.2, rel=0.05)
-    quiet = simulate(replace(VINE, sensors=QUIET), Bends(cycles=1))
+    quiet = simulate(replace(VINE, sensors=QUIET), BendsRun(cycles=1))
     assert np.array_equal(quiet.cv_pressure_kPa, quiet.true_cv_kPa)
 
 
 def test_the_same_seed_is_the_same_run_and_another_is_not() -> None:
-    scenario = Scenario(runs=(Bends(cycles=1), Bends(cycles=1), Prbs(levels_opening=(0, 1), duration_s=2.0)))
+    scenario = Scenario(
+        runs=(BendsRun(cycles=1), BendsRun(cycles=1), PrbsRun(levels_opening=(0, 1), duration_s=2.0))
+    )
 
     def texts(seed: int) -> list[str]:
         return [csv_text(run) for run in simulate_scenario(HALF_LITRE, scenario, seed)]
@@ -135,39 +139,39 @@ def test_the_same_seed_is_the_same_run_and_another_is_not() -> None:
 
 def test_without_a_control_volume_the_reservoir_falls_exponentially() -> None:
     rig = replace(NO_CV, sensors=QUIET)
-    run = simulate(rig, Discharge(duration_s=20.0, reservoir_kPa=600.0))
+    run = simulate(rig, DischargeRun(duration_s=20.0, reservoir_kPa=600.0))
     tau_s = 2042.0 * 2.0 / ALPHA_KPA
     assert run.reservoir_pressure_kPa == pytest.approx(600.0 * np.exp(-run.time_s / tau_s), rel=1e-9)
     assert np.isnan(run.cv_pressure_kPa).all()
 
 
 @pytest.mark.parametrize(
-    "kind", [Bends(cycles=1), Openings(valves=(Valves(for_s=1.0, evp=1.0, until_kPa=3.0),))]
+    "kind", [BendsRun(cycles=1), OpeningsRun(valves=(Valves(for_s=1.0, evp=1.0, until_kPa=3.0),))]
 )
-def test_what_needs_a_control_volume_says_so(kind: Kind) -> None:
+def test_what_needs_a_control_volume_says_so(kind: RunKind) -> None:
     with pytest.raises(ScenarioError, match=rf"runs\[0\]: {kind.label} needs a control volume"):
         simulate(NO_CV, kind)
 
 
 def test_openings_do_without_one() -> None:
-    run = simulate(NO_CV, Openings(valves=(Valves(for_s=1.0, evp=1.0), Valves(for_s=1.0))))
+    run = simulate(NO_CV, OpeningsRun(valves=(Valves(for_s=1.0, evp=1.0), Valves(for_s=1.0))))
     assert run.true_reservoir_kPa[-1] == run.true_reservoir_kPa[50] < 690.0
 
 
 def test_what_is_really_there_is_simulated_and_what_is_believed_decides() -> None:
     rig = replace(HALF_LITRE, sensors=QUIET)
     true = TrueRig(rig, causes={"reservoir_leak": {"flow_resistance_kPa_s_per_SL": 20_000.0}})
-    shut = Openings(valves=(Valves(for_s=5.0),))
+    shut = OpeningsRun(valves=(Valves(for_s=5.0),))
     run = simulate(true, shut)
     tau_s = 20_000.0 * 2.0 / ALPHA_KPA
     assert run.reservoir_pressure_kPa == pytest.approx(690.0 * np.exp(-run.time_s / tau_s), rel=1e-9)
     assert np.array_equal(run.reservoir_pressure_kPa, run.true_reservoir_kPa)
     doubled = TrueRig(rig, causes={"dead_volume": {"volume_L": 0.5}})
-    fill = Openings(valves=(Valves(for_s=0.5, evp=1.0), Valves(for_s=0.5)))
+    fill = OpeningsRun(valves=(Valves(for_s=0.5, evp=1.0), Valves(for_s=0.5)))
     ratio = simulate(doubled, fill).true_cv_kPa[-1] / simulate(rig, fill).true_cv_kPa[-1]
     assert ratio == pytest.approx(0.5, rel=0.02)
     # The regulator's gains are those of the rig that is believed: its first word is the same.
-    up = Steps(pressures_kPa=(20.0,), hold_s=0.1)
+    up = StepsRun(pressures_kPa=(20.0,), hold_s=0.1)
     assert simulate(doubled, up).evp_opening[0] == simulate(rig, up).evp_opening[0]
 
 
@@ -178,7 +182,7 @@ def test_sensors_read_what_they_are_said_to_read() -> None:
         "cv_sensor_offset": {"offset_kPa": 0.4},
         "reservoir_sensor_gain": {"gain": 1.02},
     }
-    run = simulate(TrueRig(rig, causes=causes), Openings(valves=(Valves(for_s=0.5, evp=1.0),)))
+    run = simulate(TrueRig(rig, causes=causes), OpeningsRun(valves=(Valves(for_s=0.5, evp=1.0),)))
     assert run.reservoir_pressure_kPa == pytest.approx(1.02 * run.true_reservoir_kPa)
     # Behind a ramp a lag is behind by its time constant.
     slope_kPa_per_s = (run.true_cv_kPa[-1] - run.true_cv_kPa[-6]) / 0.1
@@ -188,7 +192,7 @@ def test_sensors_read_what_they_are_said_to_read() -> None:
 
 def test_a_likely_rig_regulates_all_the_same() -> None:
     true = TrueRig(HALF_LITRE, likely=True, without=("cv_shape",))
-    kind = Steps(pressures_kPa=(20.0, 10.0, 35.0), hold_s=4.0)
+    kind = StepsRun(pressures_kPa=(20.0, 10.0, 35.0), hold_s=4.0)
     run = simulate(true, kind)
     assert run.faults == ""
     for end_s, wanted_kPa in ((4.0, 20.0), (8.0, 10.0), (12.0, 35.0)):
@@ -202,16 +206,16 @@ def test_a_likely_rig_regulates_all_the_same() -> None:
 
 def test_what_the_firmware_latches_is_told() -> None:
     true = TrueRig(VINE, causes={"cv_sensor_offset": {"offset_kPa": 203.0}})
-    run = simulate(true, Bends(cycles=1))
+    run = simulate(true, BendsRun(cycles=1))
     assert run.faults == "cv overpressure"
     assert run.solenoid[1:].all()
     assert not run.evp_opening[1:].any()
-    assert simulate(VINE, Bends(cycles=1)).faults == ""
+    assert simulate(VINE, BendsRun(cycles=1)).faults == ""
 
 
 def test_a_tiny_control_volume_stays_finite() -> None:
     rig = Rig(cv=ControlVolume(0.002))
-    run = simulate(rig, Openings(valves=(Valves(for_s=0.2, evp=0.02), Valves(for_s=0.2, solenoid=True))))
+    run = simulate(rig, OpeningsRun(valves=(Valves(for_s=0.2, evp=0.02), Valves(for_s=0.2, solenoid=True))))
     assert np.isfinite(run.true_cv_kPa).all()
     assert run.true_cv_kPa[-1] == pytest.approx(0.0, abs=1e-3)
 
@@ -221,6 +225,6 @@ def test_the_samples_are_those_of_the_rate() -> None:
         '[[runs]]\nkind="bends"\ncycles=1\nhold_s=0.5\nrest_s=0.5\nsample_rate_Hz=125', ""
     )
     (run,) = simulate_scenario(VINE, scenario)
-    assert isinstance(run, Run)
+    assert isinstance(run, ScenarioRun)
     assert run.time_s == pytest.approx(np.arange(125) * 0.008)
     assert run.command_kPa[[0, 62, 63, 124]] == pytest.approx([20.7, 20.7, 0.0, 0.0])

@@ -10,14 +10,14 @@ import pytest
 from flying_vines.physics.plant.true_rig import true_rig_from
 from flying_vines.simulation.scenario import ScenarioError, load_scenario, parse_scenario
 from flying_vines.simulation.scenario.kinds import (
-    Bends,
-    Chirp,
-    Discharge,
-    Openings,
-    Prbs,
-    Profile,
-    Sine,
-    Steps,
+    BendsRun,
+    ChirpRun,
+    DischargeRun,
+    OpeningsRun,
+    PrbsRun,
+    ProfileRun,
+    SineRun,
+    StepsRun,
 )
 from flying_vines.simulation.scenario.scenario import examples
 
@@ -60,7 +60,16 @@ settle_s = 1
 
 def test_every_kind_is_read_with_its_length() -> None:
     runs = parse_scenario(EVERY_KIND, "all").runs
-    assert [type(run) for run in runs] == [Steps, Sine, Chirp, Prbs, Discharge, Bends, Openings, Profile]
+    assert [type(run) for run in runs] == [
+        StepsRun,
+        SineRun,
+        ChirpRun,
+        PrbsRun,
+        DischargeRun,
+        BendsRun,
+        OpeningsRun,
+        ProfileRun,
+    ]
     assert [run.length_s for run in runs] == pytest.approx([3.5, 2, 2, 2, 2, 5, 3, 4])
     assert [run.label for run in runs] == (
         ["steps", "sine", "chirp", "prbs", "discharge", "bends", "openings", "profile"]
@@ -73,7 +82,7 @@ def test_examples_are_there_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert examples() == ("case", "discharge")
     assert [run.label for run in load_scenario("case").runs] == ["steps", "prbs", "bends", "hold"]
     assert [run.length_s for run in load_scenario("case").runs] == [45.0] * 4
-    assert isinstance(load_scenario("discharge").runs[0], Discharge)
+    assert isinstance(load_scenario("discharge").runs[0], DischargeRun)
 
 
 def test_a_file_goes_before_an_example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

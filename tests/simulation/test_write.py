@@ -11,7 +11,7 @@ from command_line import status
 
 from flying_vines.physics.rig import ControlVolume, Rig, load_rig
 from flying_vines.simulation.scenario import csv_text, simulate
-from flying_vines.simulation.scenario.kinds import Bends, Discharge, Openings, Valves
+from flying_vines.simulation.scenario.kinds import BendsRun, DischargeRun, OpeningsRun, Valves
 
 RIG = """[reservoir]
 volume_L = 2.0
@@ -92,13 +92,13 @@ def test_the_command_makes_a_case_folder(
 
 
 def test_numbers_are_written_plainly() -> None:
-    text = csv_text(simulate(Rig(), Openings(valves=(Valves(for_s=0.04, evp=0.00012, dvp=0.00004),))))
+    text = csv_text(simulate(Rig(), OpeningsRun(valves=(Valves(for_s=0.04, evp=0.00012, dvp=0.00004),))))
     assert text.split("\n")[1].split(",")[:5] == ["0.000", "", "0.0001", "0", "0"]
-    assert "-0.000," not in csv_text(simulate(Rig(), Bends(cycles=1, hold_s=0.5, rest_s=5.0)))
+    assert "-0.000," not in csv_text(simulate(Rig(), BendsRun(cycles=1, hold_s=0.5, rest_s=5.0)))
 
 
 def test_without_a_control_volume_there_is_no_column_for_it() -> None:
-    text = csv_text(simulate(Rig(cv=None), Discharge(duration_s=0.04)))
+    text = csv_text(simulate(Rig(cv=None), DischargeRun(duration_s=0.04)))
     assert text.split("\n")[0] == HEADER.replace("cv_pressure_kPa,", "")
     assert all(line.count(",") == 5 for line in text.split("\n")[:-1])
 

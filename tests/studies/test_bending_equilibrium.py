@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flying_vines.studies.bending import Vine, VineError, bend, examples, load_vine, parse_vine
+from flying_vines.studies.bending import BendingVine, VineError, bend, examples, load_vine, parse_vine
 from flying_vines.studies.bending.actuator import force_N
 from flying_vines.studies.bending.body import Body
 from flying_vines.studies.bending.description import example_text
@@ -20,7 +20,7 @@ from flying_vines.vine.shape import axis, sides, tip
 BODY = Body(diameter_mm=80.0, pressure_kPa=14.0, film_um=75.0, modulus_MPa=300.0)
 
 
-def changed(name: str = "pouch", **body: float) -> Vine:
+def changed(name: str = "pouch", **body: float) -> BendingVine:
     vine = load_vine(name)
     return msgspec.structs.replace(vine, body=msgspec.structs.replace(vine.body, **body))
 
@@ -132,7 +132,7 @@ def test_a_body_under_more_pressure_bends_less_and_bears_more() -> None:
     assert np.all(hard.tip_load_N > soft.tip_load_N)
 
 
-def ending(vine: Vine) -> str:
+def ending(vine: BendingVine) -> str:
     end = bend(vine).end
     assert end is not None and end.pressure_kPa is not None
     return end.name

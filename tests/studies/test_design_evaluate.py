@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from flying_vines.physics import paper
 from flying_vines.physics.constants import ALPHA_KPA
-from flying_vines.studies.design import Evaluation, Parts, Robot, catalogue, demonstration, evaluate
+from flying_vines.studies.design import Evaluation, PartsChoice, Robot, catalogue, demonstration, evaluate
 from flying_vines.studies.design.parts import PositiveNumber
 from flying_vines.studies.design.show import notes
 
@@ -30,17 +30,17 @@ def number(value: float) -> PositiveNumber:
     return PositiveNumber(value=value, source="the test")
 
 
-def with_bottle(volume_L: float) -> Parts:
+def with_bottle(volume_L: float) -> PartsChoice:
     bottle = msgspec.structs.replace(PROTOTYPE.reservoir, volume_L=number(volume_L))
     return replaced(reservoir=bottle)
 
 
-def with_resistance(factor: float) -> Parts:
+def with_resistance(factor: float) -> PartsChoice:
     resistance = number(factor * PROTOTYPE.evp.resistance_kPa_s_per_SL)
     return replaced(evp=msgspec.structs.replace(PROTOTYPE.evp, flow_resistance_kPa_s_per_SL=resistance))
 
 
-def replaced(**changes: Any) -> Parts:
+def replaced(**changes: Any) -> PartsChoice:
     return dataclasses.replace(PROTOTYPE, **changes)
 
 

@@ -11,7 +11,7 @@ from flying_vines.studies.design import catalogue
 from flying_vines.studies.design import robot as profile
 from flying_vines.studies.design.compass import METRICS, compass, solutions
 from flying_vines.studies.design.evaluate import evaluate
-from flying_vines.studies.design.parts import Number, Valve, parse
+from flying_vines.studies.design.parts import Number, ValvePart, parse
 
 VALVE = """kind = "valve"
 name = "mine"
@@ -116,10 +116,10 @@ def test_what_ships_says_where_each_number_is_from() -> None:
 def test_variants_by_orifice_scale_with_its_area() -> None:
     parts = catalogue().parts
     rated = parts["clippard-evp"]
-    assert isinstance(rated, Valve)
+    assert isinstance(rated, ValvePart)
     for name, inch in (("013", 0.013), ("020", 0.020), ("040", 0.040)):
         variant = parts[f"evp-orifice-{name}"]
-        assert isinstance(variant, Valve)
+        assert isinstance(variant, ValvePart)
         assert variant.flow_SLPM.origin == "computed"
         expected = rated.flow_SLPM.value * (inch / 0.025) ** 2
         assert variant.flow_SLPM.value == pytest.approx(expected, rel=0.005)

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 import flying_vines.studies.paper.diagnosis
 from flying_vines.cli.main import main
-from flying_vines.identification.fit import Point
+from flying_vines.identification.fit import FitPoint
 from flying_vines.studies.paper.compare import HIGH_RESISTANCE_RATIO
 from flying_vines.studies.paper.diagnosis import PaperDiagnosis
 from flying_vines.studies.paper.diagnosis.correlated import RESERVOIR, Correlated
@@ -31,8 +31,8 @@ from flying_vines.studies.paper.diagnosis.discharge import (
     start_of,
     step_kPa,
 )
-from flying_vines.studies.paper.diagnosis.evidence import Level, Linear, Noise, worth
-from flying_vines.studies.paper.diagnosis.experiment import EXPERIMENTS, RIVALS, Proposal, propose
+from flying_vines.studies.paper.diagnosis.evidence import Linear, Noise, UnexplainedLevel, worth
+from flying_vines.studies.paper.diagnosis.experiment import EXPERIMENTS, RIVALS, ExperimentProposal, propose
 from flying_vines.studies.paper.diagnosis.flow_law import CHOKED, flow_laws
 from flying_vines.studies.paper.diagnosis.on_plant import OnPlant
 from flying_vines.studies.paper.diagnosis.response import FLOOR, SUSPECTS, Responses, account_for
@@ -60,7 +60,7 @@ def found() -> Discharges:
 
 
 @pytest.fixture(scope="module")
-def proposal(found: Discharges) -> Proposal:
+def proposal(found: Discharges) -> ExperimentProposal:
     return propose(found, experiments=[e for e in EXPERIMENTS if e.name in ("open", "two pauses")])
 
 
@@ -71,7 +71,7 @@ def responses() -> Responses:
 
 
 @pytest.fixture(scope="module")
-def diagnosis(found: Discharges, proposal: Proposal, responses: Responses) -> PaperDiagnosis:
+def diagnosis(found: Discharges, proposal: ExperimentProposal, responses: Responses) -> PaperDiagnosis:
     return PaperDiagnosis(found, flow_laws(found, HIGH_RESISTANCE_RATIO), proposal, responses)
 
 
@@ -136,7 +136,7 @@ def test_the_law_of_flow_hangs_on_the_ratio_of_the_settings(diagnosis: PaperDiag
     assert papers.choked.estimates["evp_restriction"]["scale"].estimate == pytest.approx(1.0, abs=0.05)
 
 
-def test_the_proposed_minute_tells_apart_what_the_papers_does_not(proposal: Proposal) -> None:
+def test_the_proposed_minute_tells_apart_what_the_papers_does_not(proposal: ExperimentProposal) -> None:
     as_the_paper, best = proposal.outcomes
     assert proposal.best is best
     assert as_the_paper.worst.delta_chi2 < 0.1
@@ -147,7 +147,7 @@ def test_the_proposed_minute_tells_apart_what_the_papers_does_not(proposal: Prop
     assert apart[cold, heat] > 25.0
 
 
-def test_with_heat_the_pressure_rises_again_when_the_valve_shuts(proposal: Proposal) -> None:
+def test_with_heat_the_pressure_rises_again_when_the_valve_shuts(proposal: ExperimentProposal) -> None:
     best = proposal.best
     shut = (best.time_s > 25.0) & (best.time_s < 35.0)
     heat, cold = (best.expected_kPa[RIVALS[i]][shut] for i in (0, 2))
@@ -155,7 +155,7 @@ def test_with_heat_the_pressure_rises_again_when_the_valve_shuts(proposal: Propo
     assert np.ptp(cold) < 0.01
 
 
-def test_sharing_the_air_tells_the_valve_from_the_volume(proposal: Proposal) -> None:
+def test_sharing_the_air_tells_the_valve_from_the_volume(proposal: ExperimentProposal) -> None:
     sharing = proposal.sharing
     assert sharing.discharge_delta_chi2 < 1e-3
     assert sharing.delta_chi2_rounding > 1000.0
@@ -192,7 +192,7 @@ def test_evidence_is_the_likelihood_averaged_over_parameters_and_noise() -> None
 
 def test_a_discrepancy_begins_at_nothing_unless_it_may_not() -> None:
     x, flat = np.array([0.0, 3.0, 300.0]), np.zeros(3)
-    level = Level(5.0, 20.0, 0.0)
+    level = UnexplainedLevel(5.0, 20.0, 0.0)
     beginning = Noise(0.1, (5.0,), (20.0,), (0.0,))
     sd = np.sqrt(np.diag(beginning.covariance([level], x, flat)[0]))
     assert sd == pytest.approx([0.1, 5.0 * np.sqrt(1.0 - np.exp(-0.3)), 5.0], rel=1e-2)
@@ -202,7 +202,7 @@ def test_a_discrepancy_begins_at_nothing_unless_it_may_not() -> None:
 
 def test_residuals_are_independent_once_they_are_whitened() -> None:
     kind = noises(0.35)[0]
-    level = Level(6.0, 20.0, 0.03)
+    level = UnexplainedLevel(6.0, 20.0, 0.03)
     problem = Correlated(paper_case(), kind, level)
     point = start_of(problem)
     white = problem.residuals(point)
@@ -234,7 +234,7 @@ def test_the_plant_agrees_with_the_engine_where_both_know_the_rig() -> None:
 def test_a_wall_that_conducts_much_makes_the_gas_isothermal() -> None:
     problem = OnPlant(paper_case(), noises(0.35)[0], LEAST_SQUARES)
 
-    def kPa(point: Point) -> float:
+    def kPa(point: FitPoint) -> float:
         return float(problem.simulated(point)[2][RESERVOIR][3])
 
     plain = start_of(problem)
@@ -247,7 +247,7 @@ def test_a_wall_that_conducts_much_makes_the_gas_isothermal() -> None:
 @pytest.mark.parametrize("heat", [False, True])
 def test_heat_is_found_where_it_is_and_only_there(heat: bool) -> None:
     rng = np.random.default_rng(7)
-    case, known, level = paper_case(), causes(), Level(12.0, 320.0, 0.03)
+    case, known, level = paper_case(), causes(), UnexplainedLevel(12.0, 320.0, 0.03)
     kind = noises(0.35)[0]
     true = Correlated(case, kind, level)
     point = start_of(true).with_cause(known["evp_restriction"], (0.85,))

@@ -18,7 +18,7 @@ from rich.console import Console
 import flying_vines.studies.paper
 from flying_vines.cli.main import main
 from flying_vines.physics.rig import ControlVolume, Rig
-from flying_vines.studies.paper import Comparison, Row, as_json, compare
+from flying_vines.studies.paper import PaperComparison, PaperRow, as_json, compare
 from flying_vines.studies.paper.bench import LIKELY, Bench, Trace, follow_sine, gain, run
 from flying_vines.studies.paper.compare import last_crossing_Hz, window_s
 from flying_vines.studies.paper.figures import draw
@@ -31,17 +31,17 @@ FIGURES = {f"paper-{name}.png" for name in ("discharge", "inflation", "frequency
 
 
 @pytest.fixture(scope="module")
-def comparison() -> Comparison:
+def comparison() -> PaperComparison:
     return compare()
 
 
 @pytest.fixture
-def rows(comparison: Comparison) -> dict[str, Row]:
+def rows(comparison: PaperComparison) -> dict[str, PaperRow]:
     return {row.key: row for row in comparison.rows}
 
 
 @pytest.fixture
-def quick(comparison: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
+def quick(comparison: PaperComparison, monkeypatch: pytest.MonkeyPatch) -> None:
     """The command, without computing again what this module has computed."""
     monkeypatch.setattr(flying_vines.studies.paper, "compare", lambda: comparison)
 
@@ -76,7 +76,7 @@ def quick(comparison: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
         ("cycles.pouch", 53.0, 0.5),
     ],
 )
-def test_published_numbers_come_out(rows: dict[str, Row], key: str, ours: float, within: float) -> None:
+def test_published_numbers_come_out(rows: dict[str, PaperRow], key: str, ours: float, within: float) -> None:
     assert rows[key].ours == pytest.approx(ours, abs=within)
 
 
@@ -92,7 +92,7 @@ def test_published_numbers_come_out(rows: dict[str, Row], key: str, ours: float,
         ("power", 3.0, 0.0),
     ],
 )
-def test_the_papers_column(rows: dict[str, Row], key: str, paper: float, within: float) -> None:
+def test_the_papers_column(rows: dict[str, PaperRow], key: str, paper: float, within: float) -> None:
     assert rows[key].paper == pytest.approx(paper, abs=within)
 
 
@@ -113,11 +113,11 @@ def test_the_papers_column(rows: dict[str, Row], key: str, paper: float, within:
         ("mass.total", "agrees"),
     ],
 )
-def test_verdicts(rows: dict[str, Row], key: str, verdict: str) -> None:
+def test_verdicts(rows: dict[str, PaperRow], key: str, verdict: str) -> None:
     assert rows[key].verdict == verdict
 
 
-def test_whatever_does_not_agree_says_why(comparison: Comparison) -> None:
+def test_whatever_does_not_agree_says_why(comparison: PaperComparison) -> None:
     assert len({row.key for row in comparison.rows}) == len(comparison.rows)
     for row in comparison.rows:
         assert row.verdict == "agrees" or row.note, row.key
@@ -125,7 +125,7 @@ def test_whatever_does_not_agree_says_why(comparison: Comparison) -> None:
         assert row.place
 
 
-def test_the_plant_is_where_the_equations_say(rows: dict[str, Row]) -> None:
+def test_the_plant_is_where_the_equations_say(rows: dict[str, PaperRow]) -> None:
     """What the baseline plant must do whatever the regulator's tuning."""
     for name in ("4L_highRv", "4L_lowRv", "2L_lowRv"):
         assert rows[f"discharge.{name}.nrmse_plant"].verdict == "agrees"
@@ -203,7 +203,7 @@ def test_a_sine_has_a_frequency_and_a_loop_a_volume() -> None:
     assert Bench().with_cv(1.0).rig.cv == ControlVolume(1.0)
 
 
-def test_json_has_the_documented_keys(comparison: Comparison) -> None:
+def test_json_has_the_documented_keys(comparison: PaperComparison) -> None:
     found = json.loads(json.dumps(as_json(comparison), allow_nan=False))
     page = PAGE.read_text(encoding="utf-8")
     keys = set(found)
@@ -219,7 +219,7 @@ def cells(line: str) -> list[str]:
     return re.split(r"\s{2,}", line.strip())
 
 
-def test_the_table_is_as_it_was(comparison: Comparison) -> None:
+def test_the_table_is_as_it_was(comparison: PaperComparison) -> None:
     printed = io.StringIO()
     show(comparison.rows, (), Console(file=printed, width=160))
     ours = [cells(line) for line in printed.getvalue().split("\n")[: 1 + len(comparison.rows)]]
@@ -235,7 +235,7 @@ def test_the_table_is_as_it_was(comparison: Comparison) -> None:
         assert any(float(n) == pytest.approx(row.ours, rel=within, abs=0.02) for n in numbers), row.key
 
 
-def test_the_page_has_rows_of_the_table_and_the_counts(comparison: Comparison) -> None:
+def test_the_page_has_rows_of_the_table_and_the_counts(comparison: PaperComparison) -> None:
     page = PAGE.read_text(encoding="utf-8")
     shown = page.split("```")[1].strip().split("\n")
     assert len(shown) > 30
@@ -245,7 +245,7 @@ def test_the_page_has_rows_of_the_table_and_the_counts(comparison: Comparison) -
     assert f"\n{agree} agree, {differ} differ, {undecided} cannot be decided.\n" in page
 
 
-def test_the_page_has_todays_distances(comparison: Comparison) -> None:
+def test_the_page_has_todays_distances(comparison: PaperComparison) -> None:
     page = PAGE.read_text(encoding="utf-8")
     likely = comparison.curves.likely_frequencies
     for baseline, f in zip(comparison.curves.frequencies, likely, strict=True):
@@ -261,7 +261,7 @@ def test_the_page_has_todays_distances(comparison: Comparison) -> None:
         assert " ".join(finding.split()[:12]) in " ".join(page.split())
 
 
-def test_the_high_fidelity_plant_is_nearer_to_the_measured_gain(rows: dict[str, Row]) -> None:
+def test_the_high_fidelity_plant_is_nearer_to_the_measured_gain(rows: dict[str, PaperRow]) -> None:
     for name in ("tc4", "tc5_345"):
         likely, model = rows[f"frequency.{name}.rms_likely"], rows[f"frequency.{name}.rms"]
         assert likely.ours is not None
@@ -284,7 +284,7 @@ def test_the_likely_bench_is_what_its_sensors_read() -> None:
     assert np.std(noisy.cv_kPa) == pytest.approx(0.15, rel=0.15)
 
 
-def test_figures_are_pictures(comparison: Comparison, tmp_path: Path) -> None:
+def test_figures_are_pictures(comparison: PaperComparison, tmp_path: Path) -> None:
     paths = draw(comparison.curves, tmp_path)
     assert {path.name for path in paths} == FIGURES
     for path in paths:

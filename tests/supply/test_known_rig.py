@@ -16,7 +16,7 @@ from command_line import status as command
 
 from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines.config import config
-from flying_vines.config.config import Pneumatics
+from flying_vines.config.config import PneumaticsConfig
 from flying_vines.identification.case import read_case
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.extended import extended_rig
@@ -27,13 +27,13 @@ from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.true_rig import TrueRig, load_true_rig, true_rig_text
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig, RigError
-from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
+from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.simulation.scenario import parse_scenario, simulate_scenario, write_case
 from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.supply import Belief, ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.known_rig import believed, load_calibration
 
-P = Pneumatics()
+P = PneumaticsConfig()
 RIG = Rig(Reservoir(2.0), ControlVolume(0.1))
 RESISTANCE = "flow_resistance_kPa_s_per_SL"
 
@@ -145,7 +145,7 @@ def told(there: TrueRig, seconds: float) -> Iterator[tuple[float, Telemetry]]:
     for t in times:
         phase = ((t + 0.02 - WAIT_S) % CYCLE_S) / RISE_S
         share = max(0.0, min(1.0, phase, 2.2 - phase))
-        setpoints.append(Setpoint(t, TOP_KPA * share, P.cycle_rate_kPa_per_s))
+        setpoints.append(SetpointChange(t, TOP_KPA * share, P.cycle_rate_kPa_per_s))
     plant, setup = there.setup.plant, there.setup
     state = at_rest(plant, FULL_KPA)
     run = closed_loop(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from firmware_link import protocol
 from firmware_link.protocol import PROTOCOL_VERSION, Fault, Hello, Mode, Setpoint, Telemetry, Vent
-from flying_vines.config.config import Checks, Pneumatics
+from flying_vines.config.config import ChecksConfig, PneumaticsConfig
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.rig import ControlVolume, Rig
 from flying_vines.simulation.phlosar.mishaps import (
@@ -22,35 +22,35 @@ from flying_vines.simulation.phlosar.mishaps import (
     Glitching,
     Hole,
     HoseOff,
-    Kind,
+    MishapKind,
     Noisy,
     Stuck,
     StuckAt,
 )
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.supply import Belief, TelemetryReader, nominal
-from flying_vines.supply.physics_checks import CHECKS, Finding, PhysicsChecks
+from flying_vines.supply.physics_checks import CHECKS, PhysicsChecks, PhysicsFinding
 
 HOST_TICK_S = 0.02
 TOP_KPA = 20.0
 RATE_KPA_PER_S = 60.0
 
-Found = list[tuple[float, Finding]]
+Found = list[tuple[float, PhysicsFinding]]
 
 
 class Watch(PhysicsChecks):
     """The checks and the reader before them, as in the core."""
 
-    def __init__(self, belief: Belief, checks: Checks) -> None:
+    def __init__(self, belief: Belief, checks: ChecksConfig) -> None:
         super().__init__(belief, checks)
         self._reader = TelemetryReader(belief)
 
-    def watch(self, telemetry: Telemetry) -> list[Finding]:
+    def watch(self, telemetry: Telemetry) -> list[PhysicsFinding]:
         return self.take(self._reader.read(telemetry.device_time_ms / 1000.0, telemetry))
 
 
-def checks_of(cv_volume_L: float = 0.1, checks: Checks | None = None) -> Watch:
-    return Watch(nominal(Pneumatics(cv_volume_L=cv_volume_L)), checks or Checks())
+def checks_of(cv_volume_L: float = 0.1, checks: ChecksConfig | None = None) -> Watch:
+    return Watch(nominal(PneumaticsConfig(cv_volume_L=cv_volume_L)), checks or ChecksConfig())
 
 
 class Flying:
@@ -100,7 +100,7 @@ def test_a_healthy_rig_is_not_accused(cv_volume_L: float, bottle_kPa: float, bel
 
 REST, BEND, HOLD, RELEASE = "rest", "bend", "hold", "release"
 
-MISHAPS: Sequence[tuple[str, Kind, str, str, float]] = (
+MISHAPS: Sequence[tuple[str, MishapKind, str, str, float]] = (
     # Where, what, when, the check that finds it, within how many seconds.
     ("evp", StuckAt(0.0), BEND, "filling", 2.0),
     ("hose", HoseOff(), BEND, "filling", 2.0),
@@ -120,7 +120,9 @@ MISHAPS: Sequence[tuple[str, Kind, str, str, float]] = (
 
 
 @pytest.mark.parametrize(("place", "kind", "when", "name", "within_s"), MISHAPS)
-def test_a_mishap_is_found_in_time(place: str, kind: Kind, when: str, name: str, within_s: float) -> None:
+def test_a_mishap_is_found_in_time(
+    place: str, kind: MishapKind, when: str, name: str, within_s: float
+) -> None:
     flying = Flying(likely(), checks_of())
     flying.run(8.0, None)
     if when in (HOLD, RELEASE):
@@ -232,7 +234,7 @@ HELD = dataclasses.replace(VENTED, mode=Mode.REGULATE, setpoint_kPa=20.0, cv_kPa
 
 def stream(
     checks: Watch, told: Callable[[float], Telemetry], seconds: float, from_ms: int = 0
-) -> Iterator[tuple[float, Finding]]:
+) -> Iterator[tuple[float, PhysicsFinding]]:
     """What is found in telemetry of 100 Hz; `told` by seconds."""
     for ms in range(0, round(1000 * seconds), 10):
         message = dataclasses.replace(told(ms / 1000.0), device_time_ms=(from_ms + ms) & 0xFFFFFFFF)
@@ -278,7 +280,7 @@ def test_what_a_sound_sensor_reads_is_no_fault() -> None:
 
 
 def test_a_check_can_be_set_to_warn_and_is_counted() -> None:
-    checks = checks_of(checks=Checks(vine_zero="warn"))
+    checks = checks_of(checks=ChecksConfig(vine_zero="warn"))
     off = dataclasses.replace(VENTED, cv_kPa=5.0)
     ((_, finding),) = stream(checks, lambda _: off, 10.0)
     assert finding.level == "warn"
@@ -309,7 +311,9 @@ def test_readings_that_the_firmware_does_not_believe_accuse_nobody() -> None:
 
 
 def test_every_check_has_a_level_in_the_profile() -> None:
-    assert set(CHECKS) == {name for name in Checks.__struct_fields__ if not name.endswith(("kPa", "factor"))}
+    assert set(CHECKS) == {
+        name for name in ChecksConfig.__struct_fields__ if not name.endswith(("kPa", "factor"))
+    }
 
 
 TOLD = st.builds(

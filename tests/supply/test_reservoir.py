@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_link.protocol import Fault, Mode, Telemetry
-from flying_vines.config.config import Pneumatics
+from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.plant.wall import Wall
@@ -17,7 +17,7 @@ from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate, Telemetry
 from flying_vines.supply.formula import floor_kPa
 from flying_vines.supply.known_rig import believed
 
-DEMONSTRATION = Pneumatics()
+DEMONSTRATION = PneumaticsConfig()
 BELIEFS = (
     nominal(DEMONSTRATION),
     believed(DEMONSTRATION, TrueRig(none_found=True)),

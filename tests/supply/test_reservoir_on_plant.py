@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from firmware_link.protocol import Fault, Mode, Telemetry
-from flying_vines.config.config import Pneumatics
+from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Ohm
 from flying_vines.physics.plant.likely import likely_effects
@@ -21,11 +21,11 @@ from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc
 from flying_vines.physics.plant.shape import Compliant, Pouch
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
-from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
+from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.simulation.phlosar.regulator import Tuning
 from flying_vines.supply import CyclesLeft, ReservoirEstimate, TelemetryReader, n_cycles, nominal
 
-BELIEVED = Pneumatics(reservoir_volume_L=1.0, cv_volume_L=0.25)
+BELIEVED = PneumaticsConfig(reservoir_volume_L=1.0, cv_volume_L=0.25)
 WAIT_S = 8.0
 TOP_KPA = 20.7
 
@@ -63,9 +63,9 @@ def rigs() -> Iterator[Flown]:
 def told(flown: Flown, seconds: float) -> Iterator[tuple[float, Telemetry]]:
     times = np.arange(WAIT_S, min(seconds, flown.until_s), 0.02).tolist()
     rate = TOP_KPA / flown.up_s
-    setpoints = [Setpoint(t, flown.setpoint_kPa(t + 0.02), rate) for t in times]
+    setpoints = [SetpointChange(t, flown.setpoint_kPa(t + 0.02), rate) for t in times]
     if flown.until_s < seconds:
-        setpoints.append(Setpoint(flown.until_s, math.nan, math.inf))
+        setpoints.append(SetpointChange(flown.until_s, math.nan, math.inf))
     run = closed_loop(
         flown.plant,
         setpoints,

@@ -11,8 +11,8 @@ import pytest
 from page_bench import snapshot
 
 from flying_vines.core.events import Decision
-from flying_vines.gateway.messages import Happened, Seen, raw
-from flying_vines.terminal.story import VENT_AGAIN_S, Story, StrangeMessageError, Vent
+from flying_vines.gateway.messages import Happened, SnapshotMessage, raw
+from flying_vines.terminal.story import VENT_AGAIN_S, Story, StrangeMessageError, VentRequest
 from flying_vines.vehicle.notice import Notice, Severity
 
 VINE = {
@@ -48,7 +48,7 @@ def test_a_snapshot_is_what_the_service_had() -> None:
     story = Story()
     story.take(0.0, hello(10.0))
     sent = snapshot(10.1, cv_kPa=math.nan, safe_state={"rc": "RC lost"}, findings={"leak": 2})
-    story.take(0.1, msgspec.json.encode(Seen(raw(sent))).decode())
+    story.take(0.1, msgspec.json.encode(SnapshotMessage(raw(sent))).decode())
     assert story.snapshot is not None
     assert math.isnan(story.snapshot.cv_kPa)
     assert msgspec.to_builtins(story.snapshot) | {"cv_kPa": 0} == msgspec.to_builtins(sent) | {"cv_kPa": 0}
@@ -93,7 +93,7 @@ def test_what_is_not_understood_says_so(text: str) -> None:
 
 
 def test_a_vent_is_asked_for_until_it_is_confirmed() -> None:
-    vent = Vent()
+    vent = VentRequest()
     assert vent.pop_message(0.0) is None
     vent.press(1.0, None)
     first = vent.pop_message(1.0)
@@ -111,7 +111,7 @@ def test_a_vent_is_asked_for_until_it_is_confirmed() -> None:
 
 
 def test_a_vent_that_is_refused_is_not_asked_for_again() -> None:
-    vent = Vent()
+    vent = VentRequest()
     vent.press(1.0, snapshot(7.25))
     assert json.loads(vent.pop_message(1.0) or "")["seen_at"] == 7.25
     said = '{"kind": "answer", "id": 1, "safety": "refused", "reason": "you may only watch"}'

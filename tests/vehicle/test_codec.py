@@ -14,8 +14,8 @@ from flying_vines.vehicle.mavlink.codec import (
     MOST_SENDERS,
     REMEMBERED_FRAMES,
     REMEMBERED_SENT,
-    Codec,
-    Message,
+    MavlinkCodec,
+    MavlinkMessage,
 )
 from flying_vines.vehicle.mavlink.frames import LONGEST_FRAME
 
@@ -26,7 +26,7 @@ class Sender:
     def __init__(self, system_id: int = 1, component_id: int = 1) -> None:
         self.mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
 
-    def frame(self, message: Message, version_1: bool = False) -> bytes:
+    def frame(self, message: MavlinkMessage, version_1: bool = False) -> bytes:
         data: bytes = message.pack(self.mav, force_mavlink1=version_1)
         self.mav.seq = (self.mav.seq + 1) % 256
         return data
@@ -35,15 +35,15 @@ class Sender:
         self.mav.seq = (self.mav.seq + frames) % 256
 
 
-def text(words: str) -> Message:
+def text(words: str) -> MavlinkMessage:
     return mavlink.MAVLink_statustext_message(6, words.encode(), 0, 0)
 
 
-def clock(time_boot_ms: int) -> Message:
+def clock(time_boot_ms: int) -> MavlinkMessage:
     return mavlink.MAVLink_system_time_message(0, time_boot_ms)
 
 
-def texts_of(messages: list[Message]) -> list[str]:
+def texts_of(messages: list[MavlinkMessage]) -> list[str]:
     return [message.text for message in messages if message.get_type() == "STATUSTEXT"]
 
 
@@ -71,14 +71,14 @@ def test_any_chunking_gives_the_same_messages(parts: list[str | int | bytes], cu
                 stream += sender.frame(clock(part))
             case bytes():
                 stream += part
-    whole, split = Codec(1, 191), Codec(1, 191)
+    whole, split = MavlinkCodec(1, 191), MavlinkCodec(1, 191)
     at_once = [str(message) for message in whole.decode(stream)]
     assert [str(m) for chunk in chunked(stream, cuts) for m in split.decode(chunk)] == at_once
     assert (split.lost_frames, split.repeated_frames) == (whole.lost_frames, whole.repeated_frames)
 
 
 def test_one_byte_at_a_time() -> None:
-    sender, codec = Sender(), Codec(1, 191)
+    sender, codec = Sender(), MavlinkCodec(1, 191)
     stream = b"".join(sender.frame(text(f"line {i}")) for i in range(5))
     found = [message for byte in stream for message in codec.decode(bytes((byte,)))]
     assert texts_of(found) == [f"line {i}" for i in range(5)]
@@ -88,7 +88,7 @@ def test_one_byte_at_a_time() -> None:
 @given(st.lists(st.binary(max_size=700), max_size=8))
 @settings(max_examples=150, deadline=None)
 def test_random_bytes_never_raise_and_good_frames_are_read_after_them(garbage: list[bytes]) -> None:
-    codec, sender = Codec(1, 191), Sender()
+    codec, sender = MavlinkCodec(1, 191), Sender()
     for chunk in garbage:
         codec.decode(chunk)
     # Garbage may look like the start of the longest frame, which then swallows what follows.
@@ -104,7 +104,7 @@ def test_random_bytes_never_raise_and_good_frames_are_read_after_them(garbage: l
 )
 @settings(max_examples=300, deadline=None)
 def test_changed_and_cut_frames_never_raise(words: str, changes: list[tuple[int, int]], cut: int) -> None:
-    codec, sender = Codec(1, 191), Sender()
+    codec, sender = MavlinkCodec(1, 191), Sender()
     frame = bytearray(sender.frame(text(words)))
     for at, value in changes:
         frame[at % len(frame)] = value
@@ -120,11 +120,11 @@ def test_a_frame_with_any_one_bit_flipped_is_not_taken_for_another() -> None:
     for bit in range(8 * len(frame)):
         flipped = bytearray(frame)
         flipped[bit // 8] ^= 1 << bit % 8
-        assert texts_of(Codec(1, 191).decode(bytes(flipped))) == []
+        assert texts_of(MavlinkCodec(1, 191).decode(bytes(flipped))) == []
 
 
 def test_reads_that_always_end_within_a_frame_do_not_fill_the_memory() -> None:
-    codec, sender = Codec(1, 191), Sender()
+    codec, sender = MavlinkCodec(1, 191), Sender()
     frames = [sender.frame(text("a rather long text, to make a rather long frame")) for _ in range(64)]
     rotated = b"".join(frames)[7:] + b"".join(frames)[:7]
     codec.decode(b"".join(frames)[:7])
@@ -140,7 +140,7 @@ def test_reads_that_always_end_within_a_frame_do_not_fill_the_memory() -> None:
 
 
 def test_a_copy_comes_out_once_also_behind_another_frame() -> None:
-    codec, sender = Codec(1, 191), Sender()
+    codec, sender = MavlinkCodec(1, 191), Sender()
     first, second = sender.frame(text("Mission: 3 Scripting")), sender.frame(text("Mission: 4 WP"))
     found = texts_of(codec.decode(first + second + first + second + second))
     assert found == ["Mission: 3 Scripting", "Mission: 4 WP"]
@@ -149,14 +149,14 @@ def test_a_copy_comes_out_once_also_behind_another_frame() -> None:
 
 
 def test_the_same_text_said_again_is_no_copy() -> None:
-    codec, sender = Codec(1, 191), Sender()
+    codec, sender = MavlinkCodec(1, 191), Sender()
     found = [texts_of(codec.decode(sender.frame(text("Mission: 3 Scripting")))) for _ in range(300)]
     assert all(found)
     assert codec.repeated_frames == 0
 
 
 def test_equal_frames_of_two_senders_are_no_copies() -> None:
-    codec = Codec(1, 191)
+    codec = MavlinkCodec(1, 191)
     stream = Sender(1, 1).frame(text("hello")) + Sender(2, 1).frame(text("hello"))
     assert texts_of(codec.decode(stream)) == ["hello", "hello"]
 
@@ -164,7 +164,7 @@ def test_equal_frames_of_two_senders_are_no_copies() -> None:
 @pytest.mark.parametrize("unseen", [0, 15, 20, 31, 63])
 def test_a_sender_that_is_forwarded_in_part_is_not_taken_for_copies(unseen: int) -> None:
     # A ground station's heartbeats are all alike, and its other frames do not come to us.
-    codec, station = Codec(1, 191), Sender(255, 190)
+    codec, station = MavlinkCodec(1, 191), Sender(255, 190)
     heartbeat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
     for _ in range(600):
         assert codec.decode(station.frame(heartbeat))
@@ -173,7 +173,7 @@ def test_a_sender_that_is_forwarded_in_part_is_not_taken_for_copies(unseen: int)
 
 
 def test_losses_are_counted_over_the_wrap_of_the_sequence() -> None:
-    codec, sender = Codec(1, 191), Sender()
+    codec, sender = MavlinkCodec(1, 191), Sender()
     for i in range(600):
         codec.decode(sender.frame(clock(i)))
     assert codec.lost_frames == 0
@@ -188,7 +188,7 @@ def test_losses_are_counted_over_the_wrap_of_the_sequence() -> None:
 
 
 def test_frames_in_another_order_all_come_out_and_none_counts_as_lost() -> None:
-    codec, sender = Codec(1, 191), Sender()
+    codec, sender = MavlinkCodec(1, 191), Sender()
     frames = [sender.frame(text(str(i))) for i in range(500)]
     dice = random.Random(7)
     found: list[str] = []
@@ -202,7 +202,7 @@ def test_frames_in_another_order_all_come_out_and_none_counts_as_lost() -> None:
 
 
 def test_messages_that_the_dialect_lacks_are_neither_given_out_nor_lost() -> None:
-    codec, sender = Codec(1, 191), Sender()
+    codec, sender = MavlinkCodec(1, 191), Sender()
     for i in range(50):
         assert len(codec.decode(sender.frame(clock(i)))) == 1
         unknown = bytearray(sender.frame(clock(i)))
@@ -212,7 +212,7 @@ def test_messages_that_the_dialect_lacks_are_neither_given_out_nor_lost() -> Non
 
 
 def test_mavlink_1_frames_are_read_among_mavlink_2() -> None:
-    codec, sender = Codec(1, 191), Sender()
+    codec, sender = MavlinkCodec(1, 191), Sender()
     stream = sender.frame(text("one"), version_1=True) + sender.frame(text("two"))
     stream += sender.frame(text("three"), version_1=True)
     assert texts_of(codec.decode(stream)) == ["one", "two", "three"]
@@ -220,7 +220,7 @@ def test_mavlink_1_frames_are_read_among_mavlink_2() -> None:
 
 
 def test_signed_frames_are_read_without_a_key() -> None:
-    codec, sender = Codec(1, 191), Sender()
+    codec, sender = MavlinkCodec(1, 191), Sender()
     sender.mav.signing.secret_key = b"k" * 32
     sender.mav.signing.sign_outgoing = True
     frames = [sender.frame(text(f"signed {i}")) for i in range(3)]
@@ -229,7 +229,7 @@ def test_signed_frames_are_read_without_a_key() -> None:
 
 
 def test_what_we_send_bears_our_names_and_counts_up() -> None:
-    ours, peer = Codec(0, 191), mavlink.MAVLink(None)
+    ours, peer = MavlinkCodec(0, 191), mavlink.MAVLink(None)
     peer.robust_parsing = True
     received = [peer.parse_char(ours.encode(text("hi"), 42)) for _ in range(258)]
     assert {(m.get_srcSystem(), m.get_srcComponent()) for m in received} == {(42, 191)}
@@ -238,7 +238,7 @@ def test_what_we_send_bears_our_names_and_counts_up() -> None:
 
 
 def test_our_own_frames_that_come_back_do_not_come_out() -> None:
-    ours, router = Codec(1, 191), Sender()
+    ours, router = MavlinkCodec(1, 191), Sender()
     sent = [ours.encode(text(f"Vine: {i}"), 1) for i in range(REMEMBERED_SENT)]
     stream = b"".join(2 * frame + router.frame(clock(i)) for i, frame in enumerate(sent))
     assert texts_of(ours.decode(stream)) == []
@@ -247,14 +247,14 @@ def test_our_own_frames_that_come_back_do_not_come_out() -> None:
 
 
 def test_another_that_has_our_ids_is_heard() -> None:
-    ours, twin = Codec(1, 191), Sender(1, 191)
+    ours, twin = MavlinkCodec(1, 191), Sender(1, 191)
     ours.encode(text("Vine: ours"), 1)
     assert texts_of(ours.decode(twin.frame(text("Vine: theirs")))) == ["Vine: theirs"]
     assert ours.echoes == 0
 
 
 def test_an_old_frame_of_ours_is_no_echo_any_more() -> None:
-    ours = Codec(1, 191)
+    ours = MavlinkCodec(1, 191)
     first = ours.encode(text("first"), 1)
     for i in range(REMEMBERED_SENT):
         ours.encode(clock(i), 1)
@@ -262,20 +262,20 @@ def test_an_old_frame_of_ours_is_no_echo_any_more() -> None:
 
 
 def test_a_key_that_is_sent_to_us_does_not_come_out() -> None:
-    codec, station = Codec(1, 191), Sender(255, 190)
+    codec, station = MavlinkCodec(1, 191), Sender(255, 190)
     key = list(range(1, 33))
     (heard,) = codec.decode(station.frame(mavlink.MAVLink_setup_signing_message(1, 191, key, 7)))
     assert (heard.target_system, heard.target_component, heard.get_srcSystem()) == (1, 191, 255)
     assert (heard.secret_key, heard.initial_timestamp) == ([0] * 32, 0)
     assert bytes(key[:4]) not in heard.get_msgbuf()
-    (again,) = Codec(1, 191).decode(bytes(heard.get_msgbuf()))
+    (again,) = MavlinkCodec(1, 191).decode(bytes(heard.get_msgbuf()))
     assert str(again) == str(heard), "as a log has it"
     assert texts_of(codec.decode(station.frame(text("next")))) == ["next"]
     assert codec.lost_frames == 0
 
 
 def test_strangers_without_end_neither_fill_the_memory_nor_crowd_the_autopilot_out() -> None:
-    codec, autopilot = Codec(1, 191), Sender()
+    codec, autopilot = MavlinkCodec(1, 191), Sender()
     for i in range(2 * REMEMBERED_FRAMES):
         codec.decode(autopilot.frame(clock(i)))
     frame = autopilot.frame(text("Mission: 3 Scripting"))

@@ -13,22 +13,22 @@ from flying_vines.config import config
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import AutopilotClock
-from flying_vines.vehicle.commands import Commands
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.commands import CommandReceiver
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from flying_vines.vehicle.repeats import LATE_S, MOST_REMEMBERED, PX4_REPEAT_S
 from flying_vines.vehicle.triggers import Rules, Trigger
 from flying_vines.vine.intent import (
     ArmPneumatics,
     BendTo,
-    ClearFaults,
+    ClearLatchedFaults,
     DisarmPneumatics,
     Hold,
     SetPressure,
     StartProfile,
-    Vent,
+    VentVine,
 )
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = 0, 2, 3, 4, 5
@@ -41,7 +41,7 @@ NAN = math.nan
 SEQUENCE = count()
 
 
-def sent(message: Message, sender: tuple[int, int]) -> Message:
+def sent(message: MavlinkMessage, sender: tuple[int, int]) -> MavlinkMessage:
     side = mavlink.MAVLink(None, *sender)
     side.seq = next(SEQUENCE) & 0xFF
     return mavlink.MAVLink(None).parse_char(message.pack(side))
@@ -53,7 +53,7 @@ def command(
     confirmation: int = 0,
     sender: tuple[int, int] = STATION,
     target: tuple[int, int] = (1, US),
-) -> Message:
+) -> MavlinkMessage:
     numbers = [*params, *(7 * [0.0])][:7]
     return sent(mavlink.MAVLink_command_long_message(*target, number, confirmation, *numbers), sender)
 
@@ -63,7 +63,7 @@ def published(
     params: Sequence[float] = (0.5,),
     confirmation: int = 0,
     target: tuple[int, int] = (1, 0),
-) -> Message:
+) -> MavlinkMessage:
     """A mission item as PX4 sends it to everybody."""
     return command(number, params, confirmation, AUTOPILOT, target)
 
@@ -71,16 +71,18 @@ def published(
 class Bench:
     """Commands, decided at once; keeps what was triggered and what was answered."""
 
-    def __init__(self, items: Sequence[MissionItem] = (), kind: Kind = "px4", accepts: bool = True) -> None:
+    def __init__(
+        self, items: Sequence[MissionItem] = (), kind: AutopilotKind = "px4", accepts: bool = True
+    ) -> None:
         rules = Rules(config.default())
-        self.commands = Commands(rules, US)
+        self.commands = CommandReceiver(rules, US)
         book = MissionBook(items)
         self.watch = AUTOPILOTS[kind].mission_watch(book, rules.commands, AutopilotClock())
         self.accepts = accepts
         self.triggers: list[Trigger] = []
-        self.answers: list[Message] = []
+        self.answers: list[MavlinkMessage] = []
 
-    def take(self, t: float, message: Message) -> None:
+    def take(self, t: float, message: MavlinkMessage) -> None:
         from_autopilot = (message.get_srcSystem(), message.get_srcComponent()) == AUTOPILOT
         from_station = message.get_srcSystem() > 1
         for output in self.commands.handle(t, message, 1, from_autopilot, self.watch, from_station):
@@ -252,11 +254,11 @@ def test_what_we_cannot_do_is_unsupported(number: int) -> None:
         (USER_1, (2.0,), StartProfile("reach")),
         (USER_2, (33.0,), BendTo(33.0)),
         (USER_3, (12.0,), SetPressure(12.0)),
-        (USER_4, (0.0,), Vent()),
+        (USER_4, (0.0,), VentVine()),
         (USER_4, (1.0,), Hold()),
         (USER_4, (2.0,), DisarmPneumatics()),
         (USER_4, (3.0,), ArmPneumatics()),
-        (USER_5, (1.0,), ClearFaults()),
+        (USER_5, (1.0,), ClearLatchedFaults()),
         (GRIPPER, (1.0, 0.0), StartProfile("bend-full")),
         (ACTUATOR, (-0.5,), BendTo(-30.0)),
     ],
@@ -317,7 +319,7 @@ def test_all_seven_numbers_count(param: int) -> None:
         "test",
     )
     numbers = [12.0, *(6 * [0.0])]
-    commands = Commands(Rules(rules), US)
+    commands = CommandReceiver(Rules(rules), US)
     (other,) = commands.handle(1.0, command(ACTUATOR, numbers), 1, False, MissionWatch(MissionBook()), True)
     numbers[param] = 5.0
     (trigger,) = commands.handle(2.0, command(ACTUATOR, numbers), 1, False, MissionWatch(MissionBook()), True)
@@ -367,7 +369,7 @@ def test_a_vent_is_done_each_time_and_a_repeat_of_it_clears_nothing() -> None:
     bench = Bench()
     for confirmation in range(2):
         bench.take(10.0 + confirmation, command(USER_4, (0.0,), confirmation))
-    assert [trigger.intent for trigger in bench.triggers] == [Vent(), Vent()]
+    assert [trigger.intent for trigger in bench.triggers] == [VentVine(), VentVine()]
     assert [trigger.by_person for trigger in bench.triggers] == [True, False]
 
 

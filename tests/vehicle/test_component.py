@@ -17,13 +17,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.config import config
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Event, ToVehicle, VehicleMessage
-from flying_vines.simulation.autopilot import Autopilot
+from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.telemetry import NamedValues
 from flying_vines.vehicle.component.texts import CHUNK_LENGTH, LONGEST_TEXT, SAME_AGAIN_S, SPACING_S, Texts
-from flying_vines.vehicle.mavlink.codec import Codec, Message
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vehicle.state import VehicleState
 
@@ -40,9 +40,9 @@ def component(**telemetry: Any) -> Component:
 
 def run(
     ours: Component, for_s: float, values: dict[str, float] | None = None, start_s: float = 0.0
-) -> list[tuple[float, Message]]:
+) -> list[tuple[float, MavlinkMessage]]:
     """What is sent, as a receiver has it."""
-    sender, receiver, received = Codec(1, US), Codec(255, 190), []
+    sender, receiver, received = MavlinkCodec(1, US), MavlinkCodec(255, 190), []
     for i in range(round(for_s / TICK_S)):
         t = start_s + i * TICK_S
         due = ours.due(t, int(t * 1000), VALUES if values is None else values, 4)
@@ -51,7 +51,7 @@ def run(
     return received
 
 
-def of(kind: str, sent: list[tuple[float, Message]]) -> list[tuple[float, Message]]:
+def of(kind: str, sent: list[tuple[float, MavlinkMessage]]) -> list[tuple[float, MavlinkMessage]]:
     return [(t, message) for t, message in sent if message.get_type() == kind]
 
 
@@ -122,7 +122,7 @@ def test_other_rates_are_kept_too(rate_Hz: float) -> None:
 
 def test_a_slow_radio_has_room_for_us() -> None:
     """A 57600 baud radio carries about 5000 B/s for everybody; of ours a pilot wants a few hundred."""
-    ours, sender = component(), Codec(1, US)
+    ours, sender = component(), MavlinkCodec(1, US)
     sent = [
         sender.encode(message, 1)
         for i in range(round(60.0 / TICK_S))
@@ -158,14 +158,14 @@ def test_the_bottle_as_a_fuel_tank_only_for_who_wants_it() -> None:
 # Texts.
 
 
-def said(texts: list[str], for_s: float = 20.0) -> list[tuple[float, Message]]:
+def said(texts: list[str], for_s: float = 20.0) -> list[tuple[float, MavlinkMessage]]:
     ours = component()
     for words in texts:
         ours.say(0.0, 4, words)
     return of("STATUSTEXT", run(ours, for_s, {}))
 
 
-def joined(sent: list[tuple[float, Message]]) -> list[str]:
+def joined(sent: list[tuple[float, MavlinkMessage]]) -> list[str]:
     """Texts put together as a ground station does it: a chunk that is full is followed by another."""
     texts: list[str] = []
     for _, message in sent:
@@ -259,7 +259,7 @@ def test_a_flood_does_not_tear_a_text_that_is_half_told() -> None:
 # All of it together.
 
 
-def heard(message: Message, sender: tuple[int, int]) -> Message:
+def heard(message: MavlinkMessage, sender: tuple[int, int]) -> MavlinkMessage:
     return mavlink.MAVLink(None).parse_char(message.pack(mavlink.MAVLink(None, *sender)))
 
 
@@ -271,10 +271,10 @@ class Link:
         self.state = VehicleState()
         self.autopilot = autopilot
         self.t = 0.0
-        self.sent: list[tuple[float, Message]] = []
+        self.sent: list[tuple[float, MavlinkMessage]] = []
         self.notices: list[Notice] = []
 
-    def take(self, message: Message, sender: tuple[int, int] = (255, 190)) -> None:
+    def take(self, message: MavlinkMessage, sender: tuple[int, int] = (255, 190)) -> None:
         message = heard(message, sender)
         self.state.handle(self.t, message)
         for output in self.ours.handle(self.t, message, self.state, True) or []:
@@ -379,11 +379,13 @@ def test_under_load_all_leaves_in_pairs() -> None:
 
 
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
-def test_in_flight_all_that_we_send_leaves_in_pairs(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_in_flight_all_that_we_send_leaves_in_pairs(
+    kind: AutopilotKind, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The whole machine, from the first heartbeat on: requests, mission, parameters, commands and values."""
-    flight = SimulatedFlight(config.default(), Autopilot(kind))
+    flight = SimulatedFlight(config.default(), FakeAutopilot(kind))
     handle = flight.core.handle
-    left: list[tuple[float, Message]] = []
+    left: list[tuple[float, MavlinkMessage]] = []
 
     def watched(event: Event) -> list[Action]:
         actions = handle(event)
@@ -391,9 +393,9 @@ def test_in_flight_all_that_we_send_leaves_in_pairs(kind: Kind, monkeypatch: pyt
         return actions
 
     monkeypatch.setattr(flight.core, "handle", watched)
-    station = Codec(255, 190)
+    station = MavlinkCodec(255, 190)
 
-    def ask(message: Message) -> None:
+    def ask(message: MavlinkMessage) -> None:
         flight.autopilot.receive(flight.world.now, "gcs", station.encode(message, 255))
 
     for quarter in range(4, 80):  # one at a time: an autopilot loses what a station sends in a burst
@@ -420,7 +422,7 @@ def test_in_flight_all_that_we_send_leaves_in_pairs(kind: Kind, monkeypatch: pyt
 
 def told_of_key(profile: config.Config, target_system: int, times: int = 1) -> list[str]:
     """What people read when a ground station gives a vehicle its key."""
-    core, codec = Core(profile), Codec(0, US)
+    core, codec = Core(profile), MavlinkCodec(0, US)
     autopilot, station = mavlink.MAVLink(None, 1, 1), mavlink.MAVLink(None, 255, 190)
     setup = mavlink.MAVLink_setup_signing_message(target_system, 1, list(range(32)), 1)
     frames = [mavlink.MAVLink_heartbeat_message(2, 3, 0x80, 3, 4, 3).pack(autopilot)]

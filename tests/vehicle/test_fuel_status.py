@@ -13,7 +13,7 @@ import pymavlink.dialects.v20 as dialects
 import pytest
 from pymavlink.generator import mavgen, mavparse
 
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.fuel_status import fuel_status
 
 DEFINITION = """<?xml version="1.0"?>
@@ -55,7 +55,7 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 def test_others_read_what_we_write(generated: Any) -> None:
-    frame = Codec(1, 191).encode(fuel_status(437.5, 500.0, 12.25, 293.0), 1)
+    frame = MavlinkCodec(1, 191).encode(fuel_status(437.5, 500.0, 12.25, 293.0), 1)
     (read,) = generated.MAVLink(None).parse_buffer(frame)
     assert read.get_type() == "FUEL_STATUS"
     assert (read.id, read.maximum_fuel, read.remaining_fuel, read.percent_remaining) == (0, 500.0, 437.5, 88)
@@ -81,12 +81,12 @@ def test_byte_for_byte_as_others_write_it(
     expected = generated.MAVLink_fuel_status_message(
         0, full_kPa, math.nan, reservoir_kPa, percent, 3.5, math.nan, 2
     )
-    assert Codec(1, 191).encode(fuel_status(reservoir_kPa, full_kPa, 3.5), 1) == expected.pack(theirs)
+    assert MavlinkCodec(1, 191).encode(fuel_status(reservoir_kPa, full_kPa, 3.5), 1) == expected.pack(theirs)
 
 
 def test_it_has_the_published_identity() -> None:
     message = fuel_status(437.5, 500.0)
-    frame = Codec(1, 191).encode(message, 1)
+    frame = MavlinkCodec(1, 191).encode(message, 1)
     assert int.from_bytes(frame[7:10], "little") == message.get_msgId() == 371
     assert (type(message).crc_extra, type(message).unpacker.size) == (10, 26)
     assert struct.unpack_from("<f", frame, 10 + 8) == (437.5,)
@@ -101,6 +101,6 @@ def test_people_can_read_it() -> None:
 
 
 def test_what_a_fuel_gauge_of_others_says_is_not_for_us() -> None:
-    sender, receiver = Codec(1, 30), Codec(1, 191)
+    sender, receiver = MavlinkCodec(1, 30), MavlinkCodec(1, 191)
     frame = sender.encode(fuel_status(437.5, 500.0), 1)
     assert receiver.decode(frame + frame) == []

@@ -14,7 +14,7 @@ from flying_vines.core.events import Event, Tick, ToVehicle, VehicleMessage
 from flying_vines.vehicle.component.parameters import Parameters
 from flying_vines.vehicle.component.requests import Requests
 from flying_vines.vehicle.mavlink import handled_messages as handled
-from flying_vines.vehicle.mavlink.codec import Codec
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.tlog import TlogReader
 
 NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
@@ -40,7 +40,7 @@ def test_whatever_is_asked_of_us_is_heard() -> None:
 @pytest.mark.parametrize("path", RECORDINGS, ids=lambda path: path.stem)
 def test_nothing_comes_of_the_others(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def flown() -> list[str]:
-        codec, core, ticked, done = Codec(0, 191), Core(config.default()), 0.0, []
+        codec, core, ticked, done = MavlinkCodec(0, 191), Core(config.default()), 0.0, []
         for t, frame in TlogReader(path).frames():
             events: list[Event] = [VehicleMessage(t, message) for message in codec.decode(frame)]
             if t - ticked > 0.02:

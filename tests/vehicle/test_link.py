@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from firmware_link import serial_port
 from flying_vines.config.address import Address, NetworkAddress, SerialAddress
 from flying_vines.vehicle.mavlink import link as link_module
-from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mavlink.link import (
     MAX_QUEUED_BYTES,
     MOST_OF_STRANGERS,
@@ -173,11 +173,11 @@ AUTOPILOT = frame_of(1)
 
 @contextlib.asynccontextmanager
 async def serving(
-    address: NetworkAddress, codec: Codec | None = None
+    address: NetworkAddress, codec: MavlinkCodec | None = None
 ) -> AsyncIterator[tuple[Watched, list[tuple[int, int]]]]:
     """A vehicle's link as the service has it, and who said something that was believed."""
     believed: list[tuple[int, int]] = []
-    codec = codec or Codec(0, 191)
+    codec = codec or MavlinkCodec(0, 191)
 
     def stranger(data: bytes, enter: Callable[[], None]) -> None:
         messages, proven = codec.decode_stranger(data)
@@ -185,7 +185,7 @@ async def serving(
             enter()
         take(messages)
 
-    def take(messages: list[Message]) -> None:
+    def take(messages: list[MavlinkMessage]) -> None:
         believed.extend((message.get_srcSystem(), message.get_srcComponent()) for message in messages)
         watched.data += b"."
 
@@ -294,12 +294,15 @@ async def test_on_an_open_port_only_a_signature_opens() -> None:
     signing, theirs = Signing(bytes(32)), Signing(bytes(32))
     signing.advance(1_790_000_000.0)
     theirs.advance(1_790_000_000.0)
-    signed = Codec(1, 1, theirs).encode(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3), 1)
+    signed = MavlinkCodec(1, 1, theirs).encode(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3), 1)
     radio = mavlink.MAVLink(None, srcSystem=51, srcComponent=68)
     status = mavlink.MAVLink_radio_status_message(200, 200, 90, 30, 30, 0, 0).pack(radio)
     port = free_port()
     async with (
-        serving(NetworkAddress("udpin", "0.0.0.0", port), Codec(0, 191, signing)) as (watched, believed),
+        serving(NetworkAddress("udpin", "0.0.0.0", port), MavlinkCodec(0, 191, signing)) as (
+            watched,
+            believed,
+        ),
         udp_peer((HOST, port)) as (_, from_stranger, _),
         udp_peer((HOST, port)) as (autopilot, to_us, _),
     ):

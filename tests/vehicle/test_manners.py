@@ -17,7 +17,7 @@ from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.clash import AGAIN_S, WITHIN_S, Clash
 from flying_vines.vehicle.component.settings import SETTINGS
 from flying_vines.vehicle.component.texts import LONGEST_TEXT, harmless
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.state import VehicleState
 from flying_vines.vehicle.vehicle import Vehicle
@@ -150,7 +150,7 @@ def test_notices_begin_with_who_speaks() -> None:
 # Our id, and what comes back to us.
 
 
-def heard(message: Message, sender: tuple[int, int]) -> Message:
+def heard(message: MavlinkMessage, sender: tuple[int, int]) -> MavlinkMessage:
     return mavlink.MAVLink(None).parse_char(message.pack(mavlink.MAVLink(None, *sender)))
 
 

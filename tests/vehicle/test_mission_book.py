@@ -10,14 +10,14 @@ from collections.abc import Sequence
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.book import MOST_ATTEMPTS, RETRY_S, TRY_AGAIN_S, MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
 
 TICK_S = 0.02
 
 
-def sent(message: Message) -> Message:
+def sent(message: MavlinkMessage) -> MavlinkMessage:
     """The message as the other side of a link has it."""
     return mavlink.MAVLink(None).parse_char(message.pack(mavlink.MAVLink(None, 1, 1)))
 
@@ -31,7 +31,7 @@ def mission(size: int, angle_deg: float = 40.0) -> list[MissionItem]:
     return [item(seq, 217, 1.0, angle_deg + seq) if seq % 3 == 2 else item(seq) for seq in range(size)]
 
 
-def current(total: int, mission_id: int = 0, seq: int = 0) -> Message:
+def current(total: int, mission_id: int = 0, seq: int = 0) -> MavlinkMessage:
     """MISSION_CURRENT with its newer fields, which the dialect does not name."""
     payload = struct.pack("<HHBBIII", seq, total, 0, 0, mission_id, 0, 0)
     header = bytes((len(payload), 0, 0, 0, 1, 1, 42, 0, 0))
@@ -41,11 +41,11 @@ def current(total: int, mission_id: int = 0, seq: int = 0) -> Message:
     return message
 
 
-def text(words: str) -> Message:
+def text(words: str) -> MavlinkMessage:
     return sent(mavlink.MAVLink_statustext_message(6, words.encode(), 0, 0))
 
 
-def item_message(one: MissionItem, mission_type: int = 0) -> Message:
+def item_message(one: MissionItem, mission_type: int = 0) -> MavlinkMessage:
     p1, p2, p3, p4, x, y, z = one.params
     return sent(
         mavlink.MAVLink_mission_item_int_message(
@@ -54,7 +54,7 @@ def item_message(one: MissionItem, mission_type: int = 0) -> Message:
     )
 
 
-def count_message(count: int, mission_type: int = 0) -> Message:
+def count_message(count: int, mission_type: int = 0) -> MavlinkMessage:
     return sent(mavlink.MAVLink_mission_count_message(1, 191, count, mission_type))
 
 
@@ -79,7 +79,7 @@ class Autopilot:
     def arrives(self) -> bool:
         return self._dice.random() >= self.loss
 
-    def deliver(self, message: Message) -> None:
+    def deliver(self, message: MavlinkMessage) -> None:
         self.book.handle(self.now_s, message)
         self.acknowledged += len(self.book.acknowledgement(1))
 
@@ -95,7 +95,7 @@ class Autopilot:
                 self.deliver(current(self.total, self.mission_id))
             self.ticks += 1
 
-    def answer(self, request: Message) -> None:
+    def answer(self, request: MavlinkMessage) -> None:
         assert (request.target_system, request.target_component, request.mission_type) == (1, 1, 0)
         if request.get_type() == "MISSION_REQUEST_LIST":
             self.deliver(count_message(len(self.items)))

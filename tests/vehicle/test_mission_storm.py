@@ -9,15 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mission_storm import RESTART_S, Link, Storm, compare, fly, in_order, mission, numbers_of_before
 
-from flying_vines.simulation.autopilot import Kind
+from flying_vines.simulation.autopilot import AutopilotKind
 
-KINDS: tuple[Kind, Kind] = ("ardupilot", "px4")
+KINDS: tuple[AutopilotKind, AutopilotKind] = ("ardupilot", "px4")
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @given(seed=st.integers(0, 2**32), loss=st.sampled_from([0.0, 0.05, 0.3]), late_s=st.sampled_from([0.0, 0.3]))
 @settings(max_examples=9, deadline=None)
-def test_never_twice_and_never_what_did_not_run(kind: Kind, seed: int, loss: float, late_s: float) -> None:
+def test_never_twice_and_never_what_did_not_run(
+    kind: AutopilotKind, seed: int, loss: float, late_s: float
+) -> None:
     dice = random.Random(seed)
     storm = Storm(kind, dice, Link(loss, copies=0.2, late_s=late_s), mission(kind, dice, wild=True))
     fly(storm, 20.0, happenings=dice.randrange(5))
@@ -28,7 +30,7 @@ def test_never_twice_and_never_what_did_not_run(kind: Kind, seed: int, loss: flo
 @pytest.mark.parametrize("kind", KINDS)
 @given(seed=st.integers(0, 2**32), late_s=st.sampled_from([0.0, 0.1]))
 @settings(max_examples=5, deadline=None)
-def test_on_a_good_link_nothing_is_missed(kind: Kind, seed: int, late_s: float) -> None:
+def test_on_a_good_link_nothing_is_missed(kind: AutopilotKind, seed: int, late_s: float) -> None:
     dice = random.Random(seed)
     storm = Storm(kind, dice, Link(copies=0.2, late_s=late_s), mission(kind, dice, wild=True))
     fly(storm, 45.0)
@@ -39,7 +41,7 @@ def test_on_a_good_link_nothing_is_missed(kind: Kind, seed: int, late_s: float) 
 @pytest.mark.parametrize("kind", KINDS)
 @given(seed=st.integers(0, 2**32))
 @settings(max_examples=5, deadline=None)
-def test_of_frames_lost_one_by_one_none_makes_an_item_miss(kind: Kind, seed: int) -> None:
+def test_of_frames_lost_one_by_one_none_makes_an_item_miss(kind: AutopilotKind, seed: int) -> None:
     # The bound: one frame lost at a time, in each direction, four seconds apart; an item and then a waypoint.
     dice = random.Random(seed)
     storm = Storm(kind, dice, Link(loss=0.5, spare_s=4.0), mission(kind, dice, wild=False))
@@ -54,7 +56,9 @@ def test_of_frames_lost_one_by_one_none_makes_an_item_miss(kind: Kind, seed: int
 @pytest.mark.parametrize("kind", KINDS)
 @given(seed=st.integers(0, 2**32))
 @settings(max_examples=4, deadline=None)
-def test_a_service_that_starts_in_mid_mission_sees_what_comes_and_nothing_else(kind: Kind, seed: int) -> None:
+def test_a_service_that_starts_in_mid_mission_sees_what_comes_and_nothing_else(
+    kind: AutopilotKind, seed: int
+) -> None:
     dice = random.Random(seed)
     storm = Storm(kind, dice, Link(late_s=0.05), mission(kind, dice, wild=False))
     storm.run(3.0)
@@ -71,7 +75,9 @@ def test_a_service_that_starts_in_mid_mission_sees_what_comes_and_nothing_else(k
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_another_mission_of_the_same_length_never_runs_with_the_numbers_of_before(kind: Kind) -> None:
+def test_another_mission_of_the_same_length_never_runs_with_the_numbers_of_before(
+    kind: AutopilotKind,
+) -> None:
     ran = 0
     for seed in range(10):
         dice = random.Random(seed)

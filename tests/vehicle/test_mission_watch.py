@@ -21,7 +21,7 @@ from flying_vines.vehicle.autopilots.ardupilot_mission import (
 )
 from flying_vines.vehicle.autopilots.px4_mission import Px4Watch
 from flying_vines.vehicle.clock import BACKLOG_S, LATE_S, AutopilotClock
-from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mission.book import MOST_ITEMS, MissionBook
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem
@@ -48,14 +48,14 @@ PLAN = mission(WP, TAKEOFF, WP, SCRIPT, GRIPPER, WP, SCRIPT, WP, LAND)
 """Home, take-off, and two legs that end in payload items: 3 and 4 behind waypoint 2, 6 behind waypoint 5."""
 
 
-def item_message(one: MissionItem) -> Message:
+def item_message(one: MissionItem) -> MavlinkMessage:
     p1, p2, p3, p4, _, _, z = one.params
     return mavlink.MAVLink_mission_item_int_message(
         1, 191, one.seq, one.frame, one.command, 0, 1, p1, p2, p3, p4, 0, 0, z, 0
     )
 
 
-def identified(total: int, mission_id: int) -> Message:
+def identified(total: int, mission_id: int) -> MavlinkMessage:
     """MISSION_CURRENT of a newer autopilot, with fields that the dialect does not name."""
     payload = struct.pack("<HHBBIII", 2, total, 0, 0, mission_id, 0, 0)
     message = mavlink.MAVLink_mission_current_message(2, total)
@@ -86,7 +86,7 @@ class Air:
         self.clock.stamp(self._awake_at, int(self._awake_at * 1000))
         self.wait(0.1)
 
-    def send(self, message: Message, lost: bool = False) -> None:
+    def send(self, message: MavlinkMessage, lost: bool = False) -> None:
         frame = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
         if not lost:
@@ -106,7 +106,7 @@ class Air:
             if seq in self.stored:
                 self.send(item_message(self.stored[seq]))
 
-    def send_twice(self, message: Message, later_s: float) -> None:
+    def send_twice(self, message: MavlinkMessage, later_s: float) -> None:
         frame = message.pack(self._mav)
         for wait_s in (later_s, 0.0):
             self._take(frame)
@@ -694,7 +694,7 @@ class Flight:
     def __post_init__(self) -> None:
         self.mav = mavlink.MAVLink(None, 1, 1)
 
-    def send(self, message: Message) -> None:
+    def send(self, message: MavlinkMessage) -> None:
         self.frames.append((self.t, message.pack(self.mav)))
         self.mav.seq = (self.mav.seq + 1) % 256
 
@@ -795,7 +795,7 @@ def plan(dice: random.Random) -> list[MissionItem]:
     ]
 
 
-def received(flight: Flight, loss: float, copies: float, late_s: float) -> list[tuple[float, Message]]:
+def received(flight: Flight, loss: float, copies: float, late_s: float) -> list[tuple[float, MavlinkMessage]]:
     """The flight's messages behind a link that loses, doubles and delays frames."""
     dice = flight.dice
     arriving: list[tuple[float, int, bytes]] = []
@@ -804,11 +804,11 @@ def received(flight: Flight, loss: float, copies: float, late_s: float) -> list[
             continue
         for _ in range(2 if dice.random() < copies else 1):
             arriving.append((t + dice.uniform(0.0, late_s), len(arriving), frame))
-    codec = Codec(1, 191)
+    codec = MavlinkCodec(1, 191)
     return [(t, message) for t, _, frame in sorted(arriving) for message in codec.decode(frame)]
 
 
-def watched(flight: Flight, messages: list[tuple[float, Message]]) -> list[tuple[float, int]]:
+def watched(flight: Flight, messages: list[tuple[float, MavlinkMessage]]) -> list[tuple[float, int]]:
     clock = AutopilotClock()
     watch = ArduPilotWatch(MissionBook(flight.items), PAYLOAD, clock)
     found, now = [], 0.0
@@ -962,7 +962,7 @@ class Px4Air:
             self.send(item_message(one))
         self.wait(5.0)
 
-    def send(self, message: Message) -> None:
+    def send(self, message: MavlinkMessage) -> None:
         arrived = mavlink.MAVLink(None).parse_char(message.pack(self._mav))
         self._mav.seq = (self._mav.seq + 1) % 256
         self.clock.frame(self.t, arrived.get_seq())

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from flying_vines.config import config
 from flying_vines.vehicle.component.parameter_file import ParameterFileError, read, write
 from flying_vines.vehicle.component.parameters import Parameters
-from flying_vines.vehicle.component.settings import SETTINGS, Refused, bounds
+from flying_vines.vehicle.component.settings import SETTINGS, ParameterRefused, bounds
 
 PROFILE = config.default()
 VALUES = {"VINE_MAX_KPA": 18.1, "VINE_RC_ACTION": 1.0}
@@ -54,7 +54,7 @@ def test_any_set_of_allowed_values_is_read_again(
         values[row.name] = data.draw(number)
     try:
         Parameters(PROFILE, values)
-    except Refused:
+    except ParameterRefused:
         reject()
     write(path, values, PROFILE)
     assert read(path, PROFILE) == values

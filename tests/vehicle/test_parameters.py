@@ -16,8 +16,15 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.config import config
 from flying_vines.config.config import Config
 from flying_vines.vehicle.component.parameters import LIST_SPACING_S, Changed, Parameters
-from flying_vines.vehicle.component.settings import BY_NAME, SETTINGS, Refused, bounds, decimal, value_of
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.component.settings import (
+    BY_NAME,
+    SETTINGS,
+    ParameterRefused,
+    bounds,
+    decimal,
+    value_of,
+)
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 
 US, STATION = (1, 191), (255, 190)
@@ -34,7 +41,7 @@ def profile(**tables: dict[str, Any]) -> Config:
     )
 
 
-def sent(message: Message, sender: tuple[int, int] = STATION) -> Message:
+def sent(message: MavlinkMessage, sender: tuple[int, int] = STATION) -> MavlinkMessage:
     return mavlink.MAVLink(None).parse_char(message.pack(mavlink.MAVLink(None, *sender)))
 
 
@@ -52,7 +59,7 @@ class Bench:
         self.may_change = True
         self.t = 10.0
 
-    def take(self, message: Message) -> tuple[list[Message], list[str], list[Changed]]:
+    def take(self, message: MavlinkMessage) -> tuple[list[MavlinkMessage], list[str], list[Changed]]:
         outputs = self.parameters.handle(self.t, sent(message), *US, self.may_change)
         values = [sent(output, US) for output in outputs if isinstance(output, mavlink.MAVLink_message)]
         texts = [output.text for output in outputs if isinstance(output, Notice)]
@@ -67,7 +74,7 @@ class Bench:
         assert SETTINGS[answer.param_index].name == answer.param_id == name
         return answer.param_value, texts, changes
 
-    def wait(self, for_s: float) -> list[tuple[float, Message]]:
+    def wait(self, for_s: float) -> list[tuple[float, MavlinkMessage]]:
         listed = []
         for _ in range(round(for_s / TICK_S)):
             listed += [(self.t, sent(message, US)) for message in self.parameters.due(self.t)]
@@ -305,7 +312,7 @@ def test_kept_values_are_in_force_from_the_start() -> None:
     assert parameters.config.limits.max_kPa == 18.0
     assert parameters.config.losses.on_rc_loss == "hold"
     assert parameters.values == kept
-    with pytest.raises(Refused, match=r"VINE_MAX_KPA: 30 is outside 0\.5 to 20\.7"):
+    with pytest.raises(ParameterRefused, match=r"VINE_MAX_KPA: 30 is outside 0\.5 to 20\.7"):
         Parameters(PROFILE, {"VINE_MAX_KPA": 30.0})
 
 

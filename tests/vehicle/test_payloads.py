@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.frames import Frames
-from flying_vines.vehicle.mavlink.payloads import Message, message_of
+from flying_vines.vehicle.mavlink.payloads import MavlinkMessage, message_of
 
 TYPES = sorted(mavlink.mavlink_map)
 
@@ -24,12 +24,12 @@ def frame_of(message_id: int, payload: bytes, version_1: bool = False) -> bytes:
     return head + payload + crc.to_bytes(2, "little")
 
 
-def ours(frame: bytes) -> Message:
+def ours(frame: bytes) -> MavlinkMessage:
     (found,) = Frames().take(frame)
     return message_of(found)
 
 
-def assert_same(message: Message, expected: Message) -> None:
+def assert_same(message: MavlinkMessage, expected: MavlinkMessage) -> None:
     assert type(message) is type(expected)
     # As text, because what is not a number is not equal to itself.
     assert str(message.to_dict()) == str(expected.to_dict())

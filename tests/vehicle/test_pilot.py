@@ -539,7 +539,7 @@ def test_another_parameter_leaves_the_bend_that_waits() -> None:
     radio = Radio()
     radio.move(2)
     radio.run(1.0)
-    radio.pilot.configure(msgspec.structs.replace(radio.profile, limits=config.Limits(max_bent_s=5.0)))
+    radio.pilot.configure(msgspec.structs.replace(radio.profile, limits=config.LimitsConfig(max_bent_s=5.0)))
     radio.run(3.0)
     assert len(radio.bends) == 1
 

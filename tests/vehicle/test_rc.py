@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.config.config import Switch
-from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.config.config import SwitchConfig
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mavlink.tlog import TlogReader
 from flying_vines.vehicle.radio.rc import RC_BIT, TEXT_OUTLIVED_BY_HEALTH_S, RadioLink
 
@@ -18,20 +18,20 @@ SILENT_AFTER_S = 1.0
 
 
 def radio(throttle_channel: int = 3) -> RadioLink:
-    return RadioLink(Switch(throttle_channel=throttle_channel), SILENT_AFTER_S)
+    return RadioLink(SwitchConfig(throttle_channel=throttle_channel), SILENT_AFTER_S)
 
 
-def channels(switch_us: int = 1500, throttle_us: int = 1100, count: int = 16) -> Message:
+def channels(switch_us: int = 1500, throttle_us: int = 1100, count: int = 16) -> MavlinkMessage:
     pulses_us = [1500, 1500, throttle_us, 1500, 1500, 1500, 1500, 1500, switch_us, *(9 * [0])]
     return mavlink.MAVLink_rc_channels_message(0, count, *pulses_us, 255)
 
 
-def health(good: bool, present: bool = True, enabled: bool = True) -> Message:
+def health(good: bool, present: bool = True, enabled: bool = True) -> MavlinkMessage:
     bits = [RC_BIT * flag for flag in (present, enabled, good)]
     return mavlink.MAVLink_sys_status_message(*bits, 0, 12000, -1, -1, 0, 0, 0, 0, 0, 0)
 
 
-def text(words: str) -> Message:
+def text(words: str) -> MavlinkMessage:
     return mavlink.MAVLink_statustext_message(4, words.encode(), 0, 0)
 
 
@@ -179,8 +179,8 @@ def test_one_sign_that_clears_does_not_clear_the_others() -> None:
     assert "reports RC lost" in str(link.problem(0.2))
 
 
-def recorded(name: str) -> Iterator[tuple[float, Message]]:
-    codec, began = Codec(1, 191), None
+def recorded(name: str) -> Iterator[tuple[float, MavlinkMessage]]:
+    codec, began = MavlinkCodec(1, 191), None
     for unix_s, frame in TlogReader(RECORDINGS / f"{name}.tlog").frames():
         began = unix_s if began is None else began
         for message in codec.decode(frame):

@@ -17,7 +17,7 @@ from flying_vines.vehicle.component.identity import ProtocolVersion, autopilot_v
 from flying_vines.vehicle.component.requests import Requests
 from flying_vines.vehicle.component.telemetry import Heartbeat, NamedValues
 from flying_vines.vehicle.component.timesync import MAX_ASKERS, Timesync, TokenBuckets
-from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
 US, STATION, AUTOPILOT = (1, 191), (255, 190), (1, 1)
@@ -27,13 +27,13 @@ TICK_S = 0.02
 VALUES = {"RES_KPA": 500.0, "CYC_LEFT": 40.0, "CV_KPA": 3.0}
 
 
-def heard(message: Message, sender: tuple[int, int] = STATION) -> Message:
+def heard(message: MavlinkMessage, sender: tuple[int, int] = STATION) -> MavlinkMessage:
     return mavlink.MAVLink(None).parse_char(message.pack(mavlink.MAVLink(None, *sender)))
 
 
 def command(
     number: int, params: Sequence[float] = (), target: tuple[int, int] = US, as_int: bool = False
-) -> Message:
+) -> MavlinkMessage:
     numbers = [*params, *(7 * [0.0])][:7]
     if as_int:
         return mavlink.MAVLink_command_int_message(*target, 0, number, 0, 0, *numbers[:4], 0, 0, 0.0)
@@ -49,12 +49,12 @@ class Bench:
         self.requests = Requests(191, self.heartbeat, self.values)
         self.t = 100.0
 
-    def take(self, message: Message, sender: tuple[int, int] = STATION) -> list[Message] | None:
+    def take(self, message: MavlinkMessage, sender: tuple[int, int] = STATION) -> list[MavlinkMessage] | None:
         return self.requests.handle(self.t, heard(message, sender), 1)
 
     def ask(
         self, number: int, *params: float, sender: tuple[int, int] = STATION
-    ) -> tuple[int, list[Message]]:
+    ) -> tuple[int, list[MavlinkMessage]]:
         """The result in the acknowledgement, which goes to who asked and comes first; and what else came."""
         answers = self.take(command(number, params), sender)
         assert answers is not None
@@ -81,7 +81,7 @@ class Bench:
 def test_our_version_and_what_we_can_do(asked: tuple[int, float]) -> None:
     result, (answer,) = Bench().ask(*asked)
     assert result == ACCEPTED
-    (received,) = Codec(255, 190).decode(Codec(*US).encode(answer, 1))
+    (received,) = MavlinkCodec(255, 190).decode(MavlinkCodec(*US).encode(answer, 1))
     assert (received.get_srcSystem(), received.get_srcComponent()) == US
     major, minor, patch = (int(part) for part in version("flying-vines").split(".")[:3])
     assert list(received.flight_sw_version.to_bytes(4, "big"))[:3] == [major, minor, patch]
@@ -309,7 +309,7 @@ def test_an_answer_about_the_clock_names_whom_it_is_for() -> None:
     frame = answer.pack(mavlink.MAVLink(None, *US))
     assert frame[1] == 18
     assert tuple(frame[10 + 16 : 10 + 18]) == AUTOPILOT
-    (received,) = Codec(1, 1).decode(frame)
+    (received,) = MavlinkCodec(1, 1).decode(frame)
     assert (received.tc1, received.ts1) == (100_000_000_000, 1234)
 
 
@@ -320,7 +320,7 @@ def test_a_question_about_the_clock_of_somebody_else_is_left_alone(
     target: tuple[int, int], answered: bool
 ) -> None:
     asked = Timesync(0, 1234, *target).pack(mavlink.MAVLink(None, *AUTOPILOT))
-    (received,) = Codec(*US).decode(asked)
+    (received,) = MavlinkCodec(*US).decode(asked)
     assert bool(Bench().requests.handle(0.0, received, 1)) is answered
 
 

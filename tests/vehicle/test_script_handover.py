@@ -6,7 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
-from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vehicle.vehicle import Vehicle
@@ -15,7 +15,7 @@ MISSION = [MissionItem(3, 217, (1.0, 40.0, 0.0, 0.0, 0.0, 0.0, 0.0))]
 TEXT = mavlink.MAVLink_statustext_message(6, b"Mission: 3 Scripting")
 
 
-def handed(angle_deg: float = 40.0) -> Message:
+def handed(angle_deg: float = 40.0) -> MavlinkMessage:
     return mavlink.MAVLink_command_long_message(1, 191, 31010, 0, 1.0, angle_deg, 0, 0, 0, 0, 0)
 
 
@@ -24,12 +24,12 @@ class Link:
 
     def __init__(self, mission: list[MissionItem]) -> None:
         self.vehicle = Vehicle(config.default(), mission)
-        self._autopilot, self._codec = Codec(1, 1), Codec(1, 191)
+        self._autopilot, self._codec = MavlinkCodec(1, 1), MavlinkCodec(1, 191)
         self.triggers: list[Trigger] = []
         self.answers: list[int] = []
         self._stamped_at = -1.0
 
-    def send(self, t: float, message: Message) -> None:
+    def send(self, t: float, message: MavlinkMessage) -> None:
         while self._stamped_at < t - 1.0:
             self._stamped_at += 1.0
             self._take(self._stamped_at, mavlink.MAVLink_heartbeat_message(2, 3, 217, 3, 4, 3))
@@ -37,7 +37,7 @@ class Link:
             self._take(self._stamped_at, mavlink.MAVLink_system_time_message(0, boot_ms))
         self._take(t, message)
 
-    def _take(self, t: float, message: Message) -> None:
+    def _take(self, t: float, message: MavlinkMessage) -> None:
         for received in self._codec.decode(self._autopilot.encode(message, 1)):
             self._keep(self.vehicle.handle(t, received))
 
@@ -45,7 +45,7 @@ class Link:
         for tick in range(int(until_t * 50)):
             self._keep(self.vehicle.tick(tick / 50))
 
-    def _keep(self, outputs: list[Message]) -> None:
+    def _keep(self, outputs: list[MavlinkMessage]) -> None:
         for output in outputs:
             if isinstance(output, Trigger):
                 self.triggers.append(output)

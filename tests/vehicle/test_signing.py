@@ -14,16 +14,16 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
 from flying_vines.core.events import Snapshot
-from flying_vines.simulation.autopilot.autopilot import Autopilot
+from flying_vines.simulation.autopilot.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mavlink.signing import (
     MOST_STREAMS,
     UNITS_PER_S,
     UNIX_TIME_OF_ZERO_S,
-    Memory,
-    Refused,
+    RefusedFrames,
     Signing,
+    SigningMemory,
 )
 from flying_vines.vehicle.mavlink.tlog import TlogReader
 
@@ -83,20 +83,20 @@ class Ours:
     """Our codec with a key, at `NOW_S`."""
 
     def __init__(self, timestamp: int = 0, clock_s: float | None = NOW_S, link_id: int = 0) -> None:
-        self.signing = Signing(KEY, link_id, Memory(timestamp))
+        self.signing = Signing(KEY, link_id, SigningMemory(timestamp))
         if clock_s is not None:
             self.signing.advance(clock_s)
-        self.codec = Codec(1, 191, self.signing)
+        self.codec = MavlinkCodec(1, 191, self.signing)
 
     def hears(self, data: bytes) -> list[str]:
         return [message.text for message in self.codec.decode(data)]
 
     @property
-    def refused(self) -> Refused:
+    def refused(self) -> RefusedFrames:
         return self.signing.refused
 
 
-def text(words: str) -> Message:
+def text(words: str) -> MavlinkMessage:
     return mavlink.MAVLink_statustext_message(6, words.encode(), 0, 0)
 
 
@@ -117,22 +117,22 @@ def test_what_is_signed_by_hand_is_heard_and_by_pymavlink_too() -> None:
     assert ours.hears(text("by pymavlink").pack(theirs)) == ["by pymavlink"]
     (message,) = theirs.parse_buffer(ours.codec.encode(text("Vine: hello"), 1))
     assert (message.text, message.get_signed()) == ("Vine: hello", True)
-    assert ours.refused == Refused()
+    assert ours.refused == RefusedFrames()
 
 
 @pytest.mark.parametrize("name", ["px4_mission.tlog", "px4_vine_mission.tlog"])
 def test_frames_that_a_real_px4_signed(name: str) -> None:
     # It signs with a key of zeros until it is given one, and counts timestamps from its start.
     signing = Signing(bytes(32))
-    codec = Codec(0, 191, signing)
+    codec = MavlinkCodec(0, 191, signing)
     frames = [frame for _, frame in TlogReader(RECORDINGS / name).frames()]
     unsigned = sum(not frame[2] & 1 for frame in frames)
     known = sum(int.from_bytes(frame[7:10], "little") in mavlink.mavlink_map for frame in frames)
     heard = sum(len(codec.decode(frame)) for frame in frames)
-    assert signing.refused == Refused(unsigned=unsigned)
+    assert signing.refused == RefusedFrames(unsigned=unsigned)
     assert 0 < unsigned < 150
     assert heard == known - unsigned
-    assert Codec(0, 191, Signing(KEY)).decode(b"".join(frames)) == []
+    assert MavlinkCodec(0, 191, Signing(KEY)).decode(b"".join(frames)) == []
 
 
 def test_each_frame_has_a_timestamp_of_its_own_and_none_behind_the_clock() -> None:
@@ -164,9 +164,9 @@ clocks = st.lists(
 def test_whatever_the_clock_does_no_timestamp_comes_twice_on_one_link_id(
     kept: int, steps: list[tuple[float, float | None, bool] | int | None]
 ) -> None:
-    signing, at_s = Signing(KEY, memory=Memory(kept)), 0.0
+    signing, at_s = Signing(KEY, memory=SigningMemory(kept)), 0.0
     last = {0: kept}
-    codec = Codec(1, 191, signing)
+    codec = MavlinkCodec(1, 191, signing)
     for step in steps:
         if step is None:
             stamp = signing.next_timestamp()
@@ -200,7 +200,7 @@ def test_unsigned_frames_are_refused_of_both_versions() -> None:
     ours, stranger = Ours(), mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     assert ours.hears(text("obey").pack(stranger)) == []
     assert ours.hears(text("obey").pack(stranger, force_mavlink1=True)) == []
-    assert ours.refused == Refused(unsigned=2)
+    assert ours.refused == RefusedFrames(unsigned=2)
 
 
 def test_messages_that_the_dialect_lacks_are_refused_as_well() -> None:
@@ -209,7 +209,7 @@ def test_messages_that_the_dialect_lacks_are_refused_as_well() -> None:
     unknown = bytearray(text("x").pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1)))
     unknown[4], unknown[7:10] = 90, (50_000).to_bytes(3, "little")
     assert ours.hears(bytes(unknown) + peer.say("again")) == ["again"]
-    assert ours.refused == Refused(unsigned=1)
+    assert ours.refused == RefusedFrames(unsigned=1)
     assert ours.codec.lost_frames == 0  # not even its sequence number was believed
 
 
@@ -221,7 +221,7 @@ def test_a_telemetry_radio_may_say_how_well_it_hears() -> None:
     # The same in the autopilot's name is none of a radio's; nor is a radio's other message.
     assert ours.codec.decode(status.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))) == []
     assert ours.codec.decode(text("obey").pack(radio)) == []
-    assert ours.refused == Refused(unsigned=2)
+    assert ours.refused == RefusedFrames(unsigned=2)
 
 
 def test_one_changed_bit_anywhere_and_the_frame_is_not_heard() -> None:
@@ -249,7 +249,7 @@ def test_random_bytes_never_raise_and_are_never_heard(parts: list[bytes | str]) 
 def test_another_key_is_refused() -> None:
     ours, peer = Ours(), Peer()
     assert ours.hears(peer.say("obey", key=bytes(32))) == []
-    assert ours.refused == Refused(forged=1)
+    assert ours.refused == RefusedFrames(forged=1)
 
 
 def test_a_forged_frame_of_the_far_future_does_not_lock_the_real_one_out() -> None:
@@ -275,7 +275,7 @@ def test_copies_that_a_network_makes_are_no_attack() -> None:
     first, second = peer.say("one"), peer.say("two")
     assert ours.hears(first + second + first + second) == ["one", "two"]
     assert ours.codec.repeated_frames == 2
-    assert ours.refused == Refused()
+    assert ours.refused == RefusedFrames()
 
 
 def test_our_own_frames_that_come_back_are_no_attack() -> None:
@@ -283,7 +283,7 @@ def test_our_own_frames_that_come_back_are_no_attack() -> None:
     sent = b"".join(ours.codec.encode(text(f"Vine: {i}"), 1) for i in range(50))
     assert ours.hears(sent + sent) == []
     assert ours.codec.echoes == 100
-    assert ours.refused == Refused()
+    assert ours.refused == RefusedFrames()
 
 
 @pytest.mark.parametrize(("age_s", "heard"), [(59, True), (61, False), (3600, False), (-3600, True)])
@@ -352,7 +352,7 @@ def test_one_frame_of_2040_locks_nobody_out(synchronised: bool) -> None:
     ours.signing.advance(NOW_S, 0.0, synchronised)
     station, autopilot = Peer(IN_2040, system=255, component=190), Peer()
     assert ours.hears(station.say("what year is it?") + station.say("again")) == []
-    assert ours.refused == Refused(ahead=2)
+    assert ours.refused == RefusedFrames(ahead=2)
     assert ours.hears(autopilot.say("hello")) == ["hello"]
     assert ours.hears(Peer(NOW, system=254).say("the right time")) == ["the right time"]
     assert ours.signing.next_timestamp() < NOW + MINUTE
@@ -369,16 +369,16 @@ def test_a_wrong_time_zone_is_heard_and_moves_no_border(hours: int, heard: bool)
 
 
 def test_a_far_future_that_was_kept_is_dropped_and_the_others_hear_us_again() -> None:
-    poisoned = Memory(IN_2040, 191, (((0, 255, 190), IN_2040), ((3, 1, 1), NOW - HOUR)))
+    poisoned = SigningMemory(IN_2040, 191, (((0, 255, 190), IN_2040), ((3, 1, 1), NOW - HOUR)))
     signing = Signing(KEY, 191, poisoned)
     pilot = mavlink.MAVLink(None, srcSystem=255, srcComponent=230)
     pilot.signing.secret_key, pilot.signing.timestamp = KEY, NOW
-    codec = Codec(1, 191, signing)
+    codec = MavlinkCodec(1, 191, signing)
     assert pilot.parse_buffer(codec.encode(text("in 2040"), 1))[0].get_signed()
     pilot.signing.timestamp = NOW  # it was restarted, but knows our stream, as an autopilot does
     signing.advance(NOW_S, 0.0)
     assert signing.news == ["signing clock was 4849 days ahead: set right"]
-    assert signing.memory == Memory(NOW, 192, (((3, 1, 1), NOW - HOUR),))
+    assert signing.memory == SigningMemory(NOW, 192, (((3, 1, 1), NOW - HOUR),))
     assert pilot.parse_buffer(codec.encode(text("Vine: back"), 1))[0].get_signed()
     assert [m.text for m in codec.decode(Peer(NOW, system=255, component=190, link_id=0).say("hello"))] == [
         "hello"
@@ -431,9 +431,9 @@ def test_what_was_recorded_before_a_restart_is_refused_after_it() -> None:
     assert len(before.hears(b"".join(recorded))) == 20
     after = Signing(KEY, memory=before.signing.memory)
     after.advance(NOW_S + 2.0)
-    codec = Codec(1, 191, after)
+    codec = MavlinkCodec(1, 191, after)
     assert codec.decode(b"".join(recorded)) == []
-    assert after.refused == Refused(replayed=20)
+    assert after.refused == RefusedFrames(replayed=20)
     assert [m.text for m in codec.decode(peer.say("live"))] == ["live"]
 
 
@@ -446,7 +446,7 @@ def test_after_a_crash_only_what_was_not_saved_can_come_again_and_not_once_its_s
     before.hears(b"".join(late))
     crashed = Signing(KEY, memory=memory)
     crashed.advance(NOW_S + 2.0)
-    codec = Codec(1, 191, crashed)
+    codec = MavlinkCodec(1, 191, crashed)
     assert codec.decode(b"".join(early)) == []
     assert [m.text for m in codec.decode(late[0])] == ["late 0"]
     assert [m.text for m in codec.decode(peer.say("live"))] == ["live"]
@@ -464,7 +464,12 @@ sendings = st.lists(
 def test_no_frame_is_believed_twice_over_any_restarts(steps: list[tuple[str, int, int]]) -> None:
     signing, now_s = Signing(KEY), NOW_S
     signing.advance(now_s, 0.0, synchronised=True)
-    codec, peers, said, believed = Codec(1, 191, signing), [Peer(NOW, 1 + i) for i in range(3)], [b""], []
+    codec, peers, said, believed = (
+        MavlinkCodec(1, 191, signing),
+        [Peer(NOW, 1 + i) for i in range(3)],
+        [b""],
+        [],
+    )
     for what, number, value in steps:
         if what == "time":
             now_s += value
@@ -472,7 +477,7 @@ def test_no_frame_is_believed_twice_over_any_restarts(steps: list[tuple[str, int
         elif what == "restart":
             signing = Signing(KEY, memory=signing.memory)
             signing.advance(now_s, 0.0, synchronised=True)
-            codec = Codec(1, 191, signing)
+            codec = MavlinkCodec(1, 191, signing)
         else:
             if what == "live":
                 peer = peers[number]
@@ -493,10 +498,10 @@ def test_a_key_has_32_bytes() -> None:
 Kind = Literal["ardupilot", "px4"]
 
 
-def signed_flight(kind: Kind, key: bytes) -> tuple[Snapshot, Refused]:
+def signed_flight(kind: Kind, key: bytes) -> tuple[Snapshot, RefusedFrames]:
     """A core that signs with `key`, and an autopilot that signs with `KEY` by pymavlink's own code."""
-    flight, signing = SimulatedFlight(config.default(), Autopilot(kind, signing_key=KEY)), Signing(key)
-    flight._codec = Codec(0, 191, signing)
+    flight, signing = SimulatedFlight(config.default(), FakeAutopilot(kind, signing_key=KEY)), Signing(key)
+    flight._codec = MavlinkCodec(0, 191, signing)
     flight.run(6.0)
     flight.autopilot.reboot()
     flight.run(14.0)
@@ -507,7 +512,7 @@ def signed_flight(kind: Kind, key: bytes) -> tuple[Snapshot, Refused]:
 def test_an_autopilot_with_our_key_serves_us_before_and_after_it_reboots(kind: Kind) -> None:
     seen, refused = signed_flight(kind, KEY)
     assert (seen.vehicle, seen.rc) == (f"{kind} 1", "good")
-    assert refused == Refused()
+    assert refused == RefusedFrames()
 
 
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S, Memory, Signing
+from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S, Signing, SigningMemory
 from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile, read_key
 
 KEY = bytes(range(32))
@@ -111,16 +111,16 @@ def file(tmp_path: Path) -> Path:
 
 def test_a_first_start_has_nothing_to_go_on_from_and_saves_at_once(file: Path) -> None:
     keeper = TimestampFile(file)
-    assert keeper.load() == (Memory(), "")
+    assert keeper.load() == (SigningMemory(), "")
     assert keeper.due(5)
-    keeper.save(Memory(5))
+    keeper.save(SigningMemory(5))
     assert not keeper.due(6)
 
 
 def test_a_restart_goes_on_a_minute_later_and_saves_at_once(file: Path) -> None:
-    TimestampFile(file).save(Memory(36_000_000_000_000))
+    TimestampFile(file).save(SigningMemory(36_000_000_000_000))
     again = TimestampFile(file)
-    assert again.load() == (Memory(36_000_000_000_000 + 60 * UNITS_PER_S, 0), "")
+    assert again.load() == (SigningMemory(36_000_000_000_000 + 60 * UNITS_PER_S, 0), "")
     assert again.due(36_000_006_000_000)
 
 
@@ -129,7 +129,7 @@ def test_it_is_saved_every_half_minute_and_when_the_clock_jumped(file: Path) -> 
     saved = []
     for second in [*range(100), *range(5000, 5060)]:
         if keeper.due(second * UNITS_PER_S):
-            keeper.save(Memory(second * UNITS_PER_S))
+            keeper.save(SigningMemory(second * UNITS_PER_S))
             saved.append(second)
     assert saved == [0, 30, 60, 90, 5000, 5030]
 
@@ -151,7 +151,7 @@ def test_however_often_it_crashes_no_timestamp_comes_twice(file: Path, clock_s: 
 
 
 def test_a_clock_that_was_set_back_changes_nothing(file: Path) -> None:
-    TimestampFile(file).save(Memory(36_000_000_000_000))
+    TimestampFile(file).save(SigningMemory(36_000_000_000_000))
     signing = Signing(KEY, memory=TimestampFile(file).load()[0])
     signing.advance(UNIX_TIME_OF_ZERO_S + 1.0)
     assert signing.next_timestamp() == 36_000_006_000_001
@@ -173,14 +173,14 @@ def test_a_clock_that_was_set_back_changes_nothing(file: Path) -> None:
 def test_a_damaged_file_leaves_the_clock_alone_and_says_so(file: Path, content: bytes) -> None:
     file.write_bytes(content)
     assert TimestampFile(file).load() == (
-        Memory(),
+        SigningMemory(),
         f"{file}: damaged; the signing timestamp goes on from the clock alone",
     )
 
 
 def test_a_file_of_an_earlier_version_is_gone_on_from(file: Path) -> None:
     file.write_text("036000000000000\n")
-    assert TimestampFile(file).load() == (Memory(36_000_006_000_000), "")
+    assert TimestampFile(file).load() == (SigningMemory(36_000_006_000_000), "")
 
 
 @given(
@@ -192,34 +192,34 @@ def test_a_file_of_an_earlier_version_is_gone_on_from(file: Path) -> None:
 def test_all_is_read_as_it_was_written(
     file: Path, timestamp: int, link_id: int, streams: dict[tuple[int, int, int], int]
 ) -> None:
-    memory = Memory(timestamp, link_id, tuple(streams.items()))
+    memory = SigningMemory(timestamp, link_id, tuple(streams.items()))
     TimestampFile(file).save(memory)
     again, problem = TimestampFile(file).load()
-    assert (again, problem) == (Memory(timestamp + 60 * UNITS_PER_S, link_id, memory.streams), "")
+    assert (again, problem) == (SigningMemory(timestamp + 60 * UNITS_PER_S, link_id, memory.streams), "")
 
 
 def test_it_is_saved_at_once_where_the_clock_was_set_right(file: Path) -> None:
     keeper = TimestampFile(file)
-    keeper.save(Memory(36_000_000_000_000))
+    keeper.save(SigningMemory(36_000_000_000_000))
     assert keeper.due(35_000_000_000_000)
 
 
 def test_it_is_written_as_a_whole_or_not_at_all(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     keeper = TimestampFile(file)
-    keeper.save(Memory(36_000_000_000_000))
+    keeper.save(SigningMemory(36_000_000_000_000))
 
     def power_cut(descriptor: int) -> None:
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr(os, "fsync", power_cut)
     with pytest.raises(SigningKeyError, match=r"signing timestamp cannot be written: Input/output error"):
-        keeper.save(Memory(37_000_000_000_000))
+        keeper.save(SigningMemory(37_000_000_000_000))
     assert TimestampFile(file).load()[0].timestamp == 36_000_006_000_000
 
 
 def test_a_folder_is_made_where_there_is_none_and_said_where_that_fails(tmp_path: Path) -> None:
     path = tmp_path / "none" / "signing.timestamp"
-    TimestampFile(path).save(Memory(7))
+    TimestampFile(path).save(SigningMemory(7))
     assert path.read_text() == "000000000000007 000\n"
     with pytest.raises(SigningKeyError, match="cannot be written: Not a directory"):
-        TimestampFile(path / "below" / "signing.timestamp").save(Memory(1))
+        TimestampFile(path / "below" / "signing.timestamp").save(SigningMemory(1))

@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.state import (
     ALTITUDE_FRESH_S,
     Ambiguous,
-    Found,
+    AutopilotFound,
     Rebooted,
     VehicleEvent,
     VehicleState,
@@ -21,7 +21,7 @@ QUADROTOR, ARDUPILOT, PX4 = 2, 3, 12
 ARMED = 0x80
 
 
-def sent(message: Message, system_id: int = 1, component_id: int = 1) -> Message:
+def sent(message: MavlinkMessage, system_id: int = 1, component_id: int = 1) -> MavlinkMessage:
     """The message as the other side of a link has it."""
     frame = message.pack(mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id))
     return mavlink.MAVLink(None).parse_char(frame)
@@ -34,28 +34,28 @@ def heartbeat(
     autopilot: int = ARDUPILOT,
     base_mode: int = 0,
     custom_mode: int = 0,
-) -> Message:
+) -> MavlinkMessage:
     message = mavlink.MAVLink_heartbeat_message(vehicle_type, autopilot, base_mode, custom_mode, 4, 3)
     return sent(message, system_id, component_id)
 
 
-def clock(time_boot_ms: int) -> Message:
+def clock(time_boot_ms: int) -> MavlinkMessage:
     return sent(mavlink.MAVLink_system_time_message(0, time_boot_ms))
 
 
-def position(time_boot_ms: int, height_m: float) -> Message:
+def position(time_boot_ms: int, height_m: float) -> MavlinkMessage:
     return sent(
         mavlink.MAVLink_global_position_int_message(time_boot_ms, 0, 0, 0, int(height_m * 1000), 0, 0, 0, 0)
     )
 
 
-def text(words: str) -> Message:
+def text(words: str) -> MavlinkMessage:
     return sent(mavlink.MAVLink_statustext_message(6, words.encode(), 0, 0))
 
 
 def found() -> VehicleState:
     state = VehicleState()
-    assert state.handle(0.0, heartbeat()) == [Found(1)]
+    assert state.handle(0.0, heartbeat()) == [AutopilotFound(1)]
     return state
 
 
@@ -81,7 +81,7 @@ def test_only_an_autopilot_is_served(other: str) -> None:
     state = VehicleState()
     assert state.handle(0.0, OTHERS[other]) == []
     assert not state.found
-    assert state.handle(0.5, heartbeat(5)) == [Found(5)]
+    assert state.handle(0.5, heartbeat(5)) == [AutopilotFound(5)]
     assert state.handle(1.0, OTHERS[other]) == []
     assert state.system_id == 5
     assert state.kind == "ardupilot"
@@ -135,7 +135,7 @@ def test_the_configured_vehicle_is_served_among_others() -> None:
     state = VehicleState(system_id=7)
     assert state.handle(0.0, heartbeat(1)) == []
     assert not state.found
-    assert state.handle(0.1, heartbeat(7)) == [Found(7)]
+    assert state.handle(0.1, heartbeat(7)) == [AutopilotFound(7)]
     assert state.handle(0.2, heartbeat(1)) == []
     assert state.handle(0.3, heartbeat(7)) == []
     assert state.system_id == 7
@@ -163,7 +163,7 @@ def test_height_is_known_only_while_it_is_fresh() -> None:
 
 
 @pytest.mark.parametrize("sign", [text("ArduPilot Ready"), clock(1200)])
-def test_the_height_before_a_reboot_is_no_height_after_it(sign: Message) -> None:
+def test_the_height_before_a_reboot_is_no_height_after_it(sign: MavlinkMessage) -> None:
     state = found()
     state.handle(10.0, position(90_000, 30.0))
     assert state.handle(11.5, sign) == [Rebooted()]

@@ -7,7 +7,7 @@ import itertools
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.streams import ASK_AGAIN_S, ASK_SPACING_S, MISSING_AFTER_S, REFUSED_S, Streams
 
 WANTED_HZ = {65: 20.0, 1: 10.0, 33: 5.0, 42: 5.0, 2: 1.0, 29: 1.0}
@@ -49,7 +49,7 @@ class Autopilot:
             self.ticks += 1
         return self.asked[before:]
 
-    def take(self, request: Message) -> None:
+    def take(self, request: MavlinkMessage) -> None:
         assert (request.command, request.target_system, request.target_component) == (511, 7, 1)
         message_id = int(request.param1)
         assert 1e6 / request.param2 == WANTED_HZ[message_id]

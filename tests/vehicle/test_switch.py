@@ -12,24 +12,24 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from flying_vines.vehicle.radio.switch import (
     BOUNDARIES_US,
     SAMPLING_SLACK_S,
-    Move,
     MovedUnseen,
-    Ready,
-    Switch,
+    SwitchMove,
+    SwitchReader,
+    SwitchReady,
 )
 
 DEBOUNCE_S, SETTLE_S, HYSTERESIS_US = 0.15, 1.0, 25.0
 MIDDLES_US = {2: (1000, 2000), 3: (1000, 1500, 2000), 6: (1165, 1295, 1425, 1555, 1685, 1815)}
 RATES_HZ = (10.0, 20.0, 50.0)
 
-Event = Move | MovedUnseen | Ready
+Event = SwitchMove | MovedUnseen | SwitchReady
 
 
 class Bench:
     """A switch, sampled evenly; `hold` leaves the stick at a pulse width for a while."""
 
     def __init__(self, positions: int = 3, rate_Hz: float = 20.0) -> None:
-        self.switch = Switch(positions, DEBOUNCE_S, SETTLE_S, HYSTERESIS_US)
+        self.switch = SwitchReader(positions, DEBOUNCE_S, SETTLE_S, HYSTERESIS_US)
         self.period_s = 1.0 / rate_Hz
         self.samples = 0
         self.events: list[Event] = []
@@ -52,12 +52,12 @@ class Bench:
         return self.events[before:]
 
     def moves(self) -> list[tuple[int, int]]:
-        return [(event.before, event.position) for event in self.events if isinstance(event, Move)]
+        return [(event.before, event.position) for event in self.events if isinstance(event, SwitchMove)]
 
 
 def settled(positions: int = 3, rate_Hz: float = 20.0, pulse_us: float = 1000) -> Bench:
     bench = Bench(positions, rate_Hz)
-    assert isinstance(bench.hold(pulse_us, SETTLE_S + 0.2)[0], Ready)
+    assert isinstance(bench.hold(pulse_us, SETTLE_S + 0.2)[0], SwitchReady)
     bench.events.clear()
     return bench
 
@@ -77,7 +77,7 @@ def test_each_move_there_and_back_is_seen_in_time(positions: int, rate_Hz: float
         while not bench.events:
             bench.sample(MIDDLES_US[positions][position])
             assert bench.now_s - began_s < DEBOUNCE_S + 2 * bench.period_s + 1e-9
-        assert bench.events == [Move(position, before)]
+        assert bench.events == [SwitchMove(position, before)]
         bench.events.clear()
         bench.hold(MIDDLES_US[positions][position], 0.2)
         before = position
@@ -87,27 +87,27 @@ def test_each_move_there_and_back_is_seen_in_time(positions: int, rate_Hz: float
 @pytest.mark.parametrize("pulse_us", [1000, 1500, 2000])
 def test_a_switch_that_stands_anywhere_at_start_does_nothing(pulse_us: int) -> None:
     bench = Bench()
-    assert bench.hold(pulse_us, 20.0) == [Ready(nearest(3, pulse_us))]
+    assert bench.hold(pulse_us, 20.0) == [SwitchReady(nearest(3, pulse_us))]
 
 
 def test_a_move_before_it_is_settled_only_starts_the_settling_anew() -> None:
     bench = Bench()
     assert bench.hold(1000, 0.9) == []
     assert bench.hold(2000, 0.9) == []
-    assert bench.hold(2000, 0.3) == [Ready(2)]
+    assert bench.hold(2000, 0.3) == [SwitchReady(2)]
 
 
 def test_a_move_while_lost_is_told_and_does_nothing() -> None:
     bench = settled(pulse_us=2000)
     bench.switch.lose()
     assert bench.hold(1000, 5.0) == [MovedUnseen(0, 2)]
-    assert bench.hold(2000, 1.0) == [Move(2, 0)]
+    assert bench.hold(2000, 1.0) == [SwitchMove(2, 0)]
 
 
 def test_a_loss_without_a_move_only_settles() -> None:
     bench = settled(pulse_us=2000)
     bench.switch.lose()
-    assert bench.hold(2000, 5.0) == [Ready(2)]
+    assert bench.hold(2000, 5.0) == [SwitchReady(2)]
 
 
 def test_what_stood_before_is_remembered_over_several_losses() -> None:
@@ -132,7 +132,7 @@ def test_the_jump_of_a_receiver_in_failsafe_is_no_move() -> None:
         bench = settled(pulse_us=2000, rate_Hz=rate_Hz)
         assert bench.hold(1500, 0.1) == []
         bench.switch.lose()
-        assert bench.hold(2000, 3.0) == [Ready(2)]
+        assert bench.hold(2000, 3.0) == [SwitchReady(2)]
 
 
 @pytest.mark.parametrize("rate_Hz", RATES_HZ)
@@ -206,7 +206,7 @@ def test_passing_through_the_middle_is_no_stop_there(rate_Hz: float) -> None:
 def test_a_position_that_is_believed_is_the_one_of_the_pulse(
     positions: int, steps: list[tuple[float, float | None]]
 ) -> None:
-    switch = Switch(positions, DEBOUNCE_S, SETTLE_S, HYSTERESIS_US)
+    switch = SwitchReader(positions, DEBOUNCE_S, SETTLE_S, HYSTERESIS_US)
     t, last_event_position = 0.0, None
     for after_s, pulse_us in steps:
         t += after_s
@@ -230,7 +230,7 @@ class Judge(RuleBasedStateMachine):
     @initialize(positions=st.sampled_from([2, 3, 6]), rate_Hz=st.sampled_from(RATES_HZ))
     def begin(self, positions: int, rate_Hz: float) -> None:
         self.positions = positions
-        self.switch = Switch(positions, DEBOUNCE_S, SETTLE_S, HYSTERESIS_US)
+        self.switch = SwitchReader(positions, DEBOUNCE_S, SETTLE_S, HYSTERESIS_US)
         self.period_s = 1.0 / rate_Hz
         self.t = 100.0
         self.seen: list[tuple[float, float]] = []
@@ -253,12 +253,12 @@ class Judge(RuleBasedStateMachine):
         self.t += self.period_s
         self.seen.append((self.t, pulse_us))
         match self.switch.sample(self.t, pulse_us):
-            case Move(position, before):
+            case SwitchMove(position, before):
                 assert self.ready_at is not None
                 assert before == self.position != position
                 assert self.stayed_s(position) >= DEBOUNCE_S - SAMPLING_SLACK_S
                 self.position = position
-            case Ready(position):
+            case SwitchReady(position):
                 assert self.ready_at is None
                 assert self.before_loss in (None, position)
                 self.settle(position)

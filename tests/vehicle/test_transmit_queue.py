@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.vehicle.component.answer import acknowledgement
 from flying_vines.vehicle.component.identity import autopilot_version
 from flying_vines.vehicle.component.transmit_queue import MOST_WAITING, TransmitQueue
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mavlink.fuel_status import fuel_status
 
 TICK_S = 0.02
@@ -19,28 +19,28 @@ LATE_S = 0.002
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 3, 3)
 
 
-def answer(number: int = 0) -> Message:
+def answer(number: int = 0) -> MavlinkMessage:
     asked = mavlink.MAVLink_command_long_message(1, 191, 31010, 0, number, 0, 0, 0, 0, 0, 0)
     return acknowledgement(asked, 0, number % 100)
 
 
-def text(number: int = 0) -> Message:
+def text(number: int = 0) -> MavlinkMessage:
     return mavlink.MAVLink_statustext_message(4, f"Vine: {number}".encode(), 0, 0)
 
 
-def request(number: int = 0) -> Message:
+def request(number: int = 0) -> MavlinkMessage:
     return mavlink.MAVLink_mission_request_int_message(1, 1, number)
 
 
-def parameter(number: int = 0) -> Message:
+def parameter(number: int = 0) -> MavlinkMessage:
     return mavlink.MAVLink_param_value_message(b"VINE_MAX_KPA", float(number), 9, 16, 8)
 
 
-def value(number: int = 0) -> Message:
+def value(number: int = 0) -> MavlinkMessage:
     return mavlink.MAVLink_named_value_float_message(number, b"CV_KPA", 3.0)
 
 
-Maker = Callable[[int], Message]
+Maker = Callable[[int], MavlinkMessage]
 MAKERS: tuple[Maker, ...] = (answer, text, request, parameter, value)
 """From what leaves first to what leaves last."""
 
@@ -118,8 +118,8 @@ class Line:
     def __init__(self) -> None:
         self.queue = TransmitQueue()
         self.t = 0.0
-        self.put: list[Message] = []
-        self.left: list[tuple[float, Message]] = []
+        self.put: list[MavlinkMessage] = []
+        self.left: list[tuple[float, MavlinkMessage]] = []
         self._ticks = 1
 
     def wait(self, for_s: float) -> None:
@@ -128,7 +128,7 @@ class Line:
             self.ask(tick_at)
             self._ticks += 1
 
-    def take(self, *messages: Message) -> None:
+    def take(self, *messages: MavlinkMessage) -> None:
         for message in messages:
             self.put.append(message)
             self.queue.put(message)
@@ -137,7 +137,7 @@ class Line:
     def ask(self, t: float) -> None:
         self.left += [(t, message) for message in self.queue.due(t)]
 
-    def left_at(self, message: Message) -> float:
+    def left_at(self, message: MavlinkMessage) -> float:
         return next(t for t, other in self.left if other is message)
 
 

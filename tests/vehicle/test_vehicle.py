@@ -9,13 +9,13 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
-from flying_vines.vehicle.mavlink.codec import Codec, Message
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mavlink.tlog import TlogReader
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vehicle.vehicle import Vehicle
-from flying_vines.vine.intent import BendTo, StartProfile, Vent
+from flying_vines.vine.intent import BendTo, StartProfile, VentVine
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 TICK_S = 0.02
@@ -28,12 +28,12 @@ class Link:
         self, settings: config.Config | None = None, mission: list[MissionItem] | None = None
     ) -> None:
         self.vehicle = Vehicle(settings or config.default(), mission or [])
-        self.codec = Codec(0, 191)
+        self.codec = MavlinkCodec(0, 191)
         self.ticks = 0
         self.triggers: list[Trigger] = []
         self.notices: list[Notice] = []
-        self.sent: list[tuple[float, Message]] = []
-        self.items: dict[int, Message] = {}
+        self.sent: list[tuple[float, MavlinkMessage]] = []
+        self.items: dict[int, MavlinkMessage] = {}
         """What the autopilot answers with when it is asked for an item."""
         self._senders: dict[tuple[int, int], mavlink.MAVLink] = {}
 
@@ -41,7 +41,7 @@ class Link:
     def now_s(self) -> float:
         return self.ticks * TICK_S
 
-    def hear(self, message: Message, system_id: int = 1, component_id: int = 1) -> None:
+    def hear(self, message: MavlinkMessage, system_id: int = 1, component_id: int = 1) -> None:
         sender = self._senders.setdefault(
             (system_id, component_id), mavlink.MAVLink(None, system_id, component_id)
         )
@@ -55,7 +55,7 @@ class Link:
                 self.items[message.seq] = message
             self._sort(t, self.vehicle.handle(t, message))
 
-    def _sort(self, t: float, outputs: list[Trigger | Notice | Message]) -> None:
+    def _sort(self, t: float, outputs: list[Trigger | Notice | MavlinkMessage]) -> None:
         for output in outputs:
             if isinstance(output, Trigger):
                 self.triggers.append(output)
@@ -175,7 +175,7 @@ def test_a_reboot_vents_and_everything_is_asked_anew() -> None:
     assert {m.param1 for _, m in link.sent if m.get_type() == "COMMAND_LONG"} == {65, 1, 33, 42, 2, 29}
     link.sent.clear()
     link.text("ArduPilot Ready")
-    assert [trigger.intent for trigger in link.triggers] == [Vent()]
+    assert [trigger.intent for trigger in link.triggers] == [VentVine()]
     link.wait(4.0)
     assert {m.param1 for _, m in link.sent if m.get_type() == "COMMAND_LONG"} == {65, 1, 33, 42, 2, 29}
     link.run(3.0, 2000)
@@ -191,7 +191,7 @@ def test_missing_streams_are_named_once() -> None:
 
 def test_one_execution_of_an_ardupilot_item_is_one_trigger() -> None:
     settings = config.default()
-    camera = config.Item(command=203, bend="param1", scale=1.0)
+    camera = config.ItemConfig(command=203, bend="param1", scale=1.0)
     settings = msgspec.structs.replace(settings, items=(camera, *settings.items))
     items = [MissionItem(seq, 16, (0,) * 7) for seq in range(3)]
     items += [MissionItem(3, 203, (12.0, 0, 0, 0, 0, 0, 0)), MissionItem(4, 16, (0,) * 7)]
@@ -287,7 +287,7 @@ def test_another_mission_of_the_same_length_is_told_with_what_was_carried_out() 
     assert told == ["Vine: mission read anew, item 2: bend 44°"]
 
 
-def mission_item(seq: int, command: int, param1: float = 0.0, param2: float = 0.0) -> Message:
+def mission_item(seq: int, command: int, param1: float = 0.0, param2: float = 0.0) -> MavlinkMessage:
     return mavlink.MAVLink_mission_item_int_message(
         1, 191, seq, 0, command, 0, 1, param1, param2, 0, 0, 0, 0, 0, 0
     )

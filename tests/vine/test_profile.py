@@ -17,7 +17,7 @@ from flying_vines.vine.profile import (
     LARGEST,
     MOST_PIECES,
     HoldFor,
-    Profile,
+    PressureProfile,
     Ramp,
     Segment,
     Sine,
@@ -255,8 +255,8 @@ def test_with_hysteresis_no_limit_is_passed_and_the_bend_is_known(
 # Profiles out of profiles.
 
 
-def profile(*parts: Segment, repeat: int = 1) -> Profile:
-    return Profile(segments=parts, repeat=repeat)
+def profile(*parts: Segment, repeat: int = 1) -> PressureProfile:
+    return PressureProfile(segments=parts, repeat=repeat)
 
 
 def test_profiles_unroll_in_order() -> None:
@@ -269,7 +269,7 @@ def test_profiles_unroll_in_order() -> None:
     assert list(flatten(profiles, "outer")) == once * 2
 
 
-def chain(length: int) -> dict[str, Profile]:
+def chain(length: int) -> dict[str, PressureProfile]:
     profiles = {str(i): profile(Sub(name=str(i + 1))) for i in range(length - 1)}
     return profiles | {str(length - 1): profile(Step(to_kPa=1))}
 
@@ -336,15 +336,15 @@ BAD = [
 @pytest.mark.parametrize("segment", BAD)
 def test_segments_that_make_no_sense_are_refused(segment: dict[str, object]) -> None:
     with pytest.raises(msgspec.ValidationError):
-        msgspec.convert({"segments": [segment]}, Profile)
+        msgspec.convert({"segments": [segment]}, PressureProfile)
 
 
 @pytest.mark.parametrize("keys", [{"repeat": 0}, {"repeat": 1001}, {"rate_kPa_per_s": 0}, {"rate": 1}])
 def test_profiles_that_make_no_sense_are_refused(keys: dict[str, object]) -> None:
     with pytest.raises(msgspec.ValidationError):
-        msgspec.convert({"segments": [{"kind": "step", "to_kPa": 0}], **keys}, Profile)
+        msgspec.convert({"segments": [{"kind": "step", "to_kPa": 0}], **keys}, PressureProfile)
 
 
 def test_a_profile_without_segments_is_refused() -> None:
     with pytest.raises(msgspec.ValidationError, match="at least one segment"):
-        msgspec.convert({"segments": []}, Profile)
+        msgspec.convert({"segments": []}, PressureProfile)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flying_vines.doctor.finding import Finding, Line
+from flying_vines.doctor.finding import DoctorFinding, FindingText
 from flying_vines.vehicle.mavlink.signing import CLOCK_SET_UNIX_S, NEW_STREAM_MAY_LAG, UNITS_PER_S
 
 APART_S = 2.0
@@ -24,39 +24,39 @@ class ClockFacts:
     signing: bool = False
 
 
-SYNCHRONISED = Line("clock", "good", "synchronised")
-NOT_SYNCHRONISED = Line(
+SYNCHRONISED = FindingText("clock", "good", "synchronised")
+NOT_SYNCHRONISED = FindingText(
     "clock",
     "warning",
     "not synchronised: the logs' times may be off",
     "let it meet a network before the flight, or have a real-time clock or GPS time (chrony)",
 )
-NOT_SET = Line(
+NOT_SET = FindingText(
     "clock", "warning", "not set: it says {when}", "set it (sudo date -s …), or let it meet a network"
 )
-JUMPED = Line(
+JUMPED = FindingText(
     "clock",
     "warning",
     "it jumped by {by:+.1f} s while it was looked at",
     "wait until it is synchronised; only then start the service",
 )
-AGREES = Line("clock", "good", "{by:+.2f} s against the autopilot's")
-APART = Line(
+AGREES = FindingText("clock", "good", "{by:+.2f} s against the autopilot's")
+APART = FindingText(
     "clock",
     "warning",
     "{by:+.1f} s against the autopilot's",
     "set this computer's clock: logs of both do not match otherwise",
 )
-APART_AND_SIGNED = Line(
+APART_AND_SIGNED = FindingText(
     "clock",
     "bad",
     "{by:+.0f} s against the autopilot's, and messages are signed",
     "set this computer's clock: signed messages more than a minute old are not believed",
 )
-VEHICLE_WITHOUT = Line("clock", "skipped", "the autopilot does not know the time yet (no GPS fix)")
+VEHICLE_WITHOUT = FindingText("clock", "skipped", "the autopilot does not know the time yet (no GPS fix)")
 
 
-def check(facts: ClockFacts, when: str) -> list[Finding]:
+def check(facts: ClockFacts, when: str) -> list[DoctorFinding]:
     """`when` is how people write `facts.unix_s`."""
     found = []
     if facts.unix_s < CLOCK_SET_UNIX_S:
@@ -68,7 +68,7 @@ def check(facts: ClockFacts, when: str) -> list[Finding]:
     return found
 
 
-def against_vehicle(facts: ClockFacts) -> Finding:
+def against_vehicle(facts: ClockFacts) -> DoctorFinding:
     """Once an autopilot was heard."""
     by = facts.ahead_s
     if by is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from flying_vines.doctor.finding import Finding, Line
+from flying_vines.doctor.finding import DoctorFinding, FindingText
 
 SLOW_S = 0.5
 """To put a few kilobytes on the disk for good. The recorder does so twice a second."""
@@ -25,26 +25,26 @@ class DiskFacts:
     took_s: float = 0.0
 
 
-GOOD = Line("disk", "good", "{folder} for {use}: {free:.0f} MB free, on the disk within {took:.0f} ms")
-NO_LOGS = Line(
+GOOD = FindingText("disk", "good", "{folder} for {use}: {free:.0f} MB free, on the disk within {took:.0f} ms")
+NO_LOGS = FindingText(
     "disk",
     "bad",
     "{folder}: no flight log can be written there: {why}",
     "run from another folder, or give another one with --out; or mend its rights",
 )
-NO_STATE = Line(
+NO_STATE = FindingText(
     "disk",
     "warning",
     "{folder}: parameters and disarming cannot be kept there: {why}",
     "set state.folder to one that the service's user may write",
 )
-FULL = Line(
+FULL = FindingText(
     "disk",
     "warning",
     "{folder} for {use}: {free:.0f} MB free; below {least:.0f} nothing is recorded",
     "take old flights away; nothing is deleted by itself",
 )
-SLOW = Line(
+SLOW = FindingText(
     "disk",
     "warning",
     "{folder} for {use}: the disk takes {took:.0f} ms for a few kilobytes",
@@ -52,7 +52,7 @@ SLOW = Line(
 )
 
 
-def check(facts: DiskFacts) -> Finding:
+def check(facts: DiskFacts) -> DoctorFinding:
     if facts.problem:
         return (NO_LOGS if facts.use == "flight logs" else NO_STATE)(folder=facts.folder, why=facts.problem)
     if facts.free_MB < facts.least_free_MB:

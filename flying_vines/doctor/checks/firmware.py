@@ -7,7 +7,7 @@ import math
 from firmware_link.protocol import Setting, Welcome, fault_names
 from flying_vines.config.config import Config
 from flying_vines.core.safety import FAULT_SENTENCES
-from flying_vines.doctor.finding import Finding, Line
+from flying_vines.doctor.finding import DoctorFinding, FindingText
 from flying_vines.doctor.firmware_probe import FirmwareFacts
 
 LEAST_RATE_SHARE = 0.8
@@ -20,115 +20,117 @@ ABOVE_FULL = 1.05
 FALLS_KPA_PER_S = 0.5
 """Of the bottle, with all valves shut."""
 
-NO_PORT = Line("phloSAR", "skipped", "not asked: see its port")
-NO_ANSWER = Line(
+NO_PORT = FindingText("phloSAR", "skipped", "not asked: see its port")
+NO_ANSWER = FindingText(
     "phloSAR",
     "bad",
     "{why}",
     "`flying-vines link` shows what comes from there; docs/link.md says what each sentence means",
 )
-GOOD = Line("phloSAR", "good", "{build!r} answers, protocol {version}, boot {boot:08x}")
-FAULTS = Line(
+GOOD = FindingText("phloSAR", "good", "{build!r} answers, protocol {version}, boot {boot:08x}")
+FAULTS = FindingText(
     "phloSAR",
     "bad",
     "latched: {faults}",
     "find out why; then clear it from a ground station (command USER_5, 1), or switch the board off and on",
 )
-RESTARTED = Line(
+RESTARTED = FindingText(
     "phloSAR",
     "bad",
     "it restarted {times} times while it was looked at",
     "look after its supply and its USB cable",
 )
-RATE = Line(
+RATE = FindingText(
     "phloSAR line",
     "good",
     "{rate:.0f} telemetry a second, round trip {trip:.0f} ms, {frames} frames, {lost} lost",
 )
-NO_TELEMETRY = Line(
+NO_TELEMETRY = FindingText(
     "phloSAR line",
     "bad",
     "it answers, but no telemetry comes",
     "flash its firmware again, or try another cable",
 )
-SLOW = Line(
+SLOW = FindingText(
     "phloSAR line",
     "warning",
     "{rate:.0f} telemetry a second of {wanted}",
     "see what else loads this computer, and whether a serial line is quick enough (57600 baud at least)",
 )
-LOSSES = Line(
+LOSSES = FindingText(
     "phloSAR line",
     "warning",
     "{lost} of {frames} frames lost or spoilt, {gaps} gaps in telemetry",
     "use a shorter, shielded cable, away from motor wires",
 )
-FAR = Line(
+FAR = FindingText(
     "phloSAR line",
     "warning",
     "a round trip takes {trip:.0f} ms",
     "see what else loads this computer; on a serial server, the network",
 )
-SETTINGS = Line("phloSAR settings", "good", "all {count} as they come")
-OWN_SETTINGS = Line("phloSAR settings", "good", "{count}, of which set otherwise than they come: {changed}")
-NO_SETTINGS = Line("phloSAR settings", "warning", "{why}", "try again; then flash the firmware again")
-LIMITS = Line(
+SETTINGS = FindingText("phloSAR settings", "good", "all {count} as they come")
+OWN_SETTINGS = FindingText(
+    "phloSAR settings", "good", "{count}, of which set otherwise than they come: {changed}"
+)
+NO_SETTINGS = FindingText("phloSAR settings", "warning", "{why}", "try again; then flash the firmware again")
+LIMITS = FindingText(
     "phloSAR limits", "good", "setpoints to {most:g}, vine {vine:g}, bottle {bottle:g} kPa; {rate:g} kPa/s"
 )
-LOW_SETPOINTS = Line(
+LOW_SETPOINTS = FindingText(
     "phloSAR limits",
     "bad",
     "it takes setpoints to {most:g} kPa, the profile asks for up to {wanted:g} (limits.max_kPa)",
     "lower limits.max_kPa, or raise it: flying-vines link --set cv_limit_kPa={raised:g}",
 )
-VENTS_FIRST = Line(
+VENTS_FIRST = FindingText(
     "phloSAR limits",
     "warning",
     "it vents at {vine:g} kPa, before limits.overpressure_kPa = {over:g} is reached",
     "lower limits.overpressure_kPa below it, so that the pilot is told why",
 )
-LOW_BOTTLE = Line(
+LOW_BOTTLE = FindingText(
     "phloSAR limits",
     "bad",
     "it vents when the bottle is above {bottle:g} kPa, and a full one has {full:g} (pneumatics.full_kPa)",
     "fill it less, and say so in pneumatics.full_kPa; raise reservoir_limit_kPa only if the bottle bears it",
 )
-LOW_RATE = Line(
+LOW_RATE = FindingText(
     "phloSAR limits",
     "warning",
     "it slews at {rate:g} kPa/s at most, the profile allows {wanted:g} (limits.max_rate_kPa_per_s)",
     "lower limits.max_rate_kPa_per_s: what is planned quicker arrives late",
 )
-VINE = Line("vine sensor", "good", "{kPa:z.2f} kPa at rest")
-VINE_OFF = Line(
+VINE = FindingText("vine sensor", "good", "{kPa:z.2f} kPa at rest")
+VINE_OFF = FindingText(
     "vine sensor",
     "bad",
     "{kPa:.1f} kPa in a vented vine; up to {zero:g} is sound",
     "see that the outlet is free; then zero it: flying-vines link --set cv_zero_kPa=…",
 )
-BOTTLE = Line("bottle", "good", "{kPa:.0f} kPa, for {cycles:.0f} cycles ({low:.0f} … {high:.0f})")
-BOTTLE_EMPTY = Line(
+BOTTLE = FindingText("bottle", "good", "{kPa:.0f} kPa, for {cycles:.0f} cycles ({low:.0f} … {high:.0f})")
+BOTTLE_EMPTY = FindingText(
     "bottle",
     "bad",
     "{kPa:.0f} kPa; a bend to {most:g} kPa needs {needed:.0f}",
     "fill it, and open its valve",
 )
-BOTTLE_LOW = Line(
+BOTTLE_LOW = FindingText(
     "bottle", "warning", "{kPa:.0f} kPa, for {cycles:.0f} cycles ({low:.0f} … {high:.0f})", "fill it"
 )
-BOTTLE_SENSOR = Line(
+BOTTLE_SENSOR = FindingText(
     "bottle",
     "bad",
     "its sensor reads {kPa:.0f} kPa, which no bottle has",
     "look after the sensor and its wire; `flying-vines link --settings` has its span and zero",
 )
-BOTTLE_OVER = Line(
+BOTTLE_OVER = FindingText(
     "bottle",
     "warning",
     "{kPa:.0f} kPa, more than a full one ({full:g}, pneumatics.full_kPa)",
     "let air out, or correct pneumatics.full_kPa",
 )
-BOTTLE_LOSES = Line(
+BOTTLE_LOSES = FindingText(
     "bottle",
     "bad",
     "it loses {rate:.1f} kPa/s with all valves shut",
@@ -136,7 +138,7 @@ BOTTLE_LOSES = Line(
 )
 
 
-def check(facts: FirmwareFacts | None, config: Config) -> list[Finding]:
+def check(facts: FirmwareFacts | None, config: Config) -> list[DoctorFinding]:
     """`facts` are None where there was no port to open."""
     if facts is None:
         return [NO_PORT()]
@@ -160,7 +162,7 @@ def check(facts: FirmwareFacts | None, config: Config) -> list[Finding]:
     return found
 
 
-def _line(facts: FirmwareFacts, welcome: Welcome) -> list[Finding]:
+def _line(facts: FirmwareFacts, welcome: Welcome) -> list[DoctorFinding]:
     if facts.telemetry_Hz == 0.0:
         return [NO_TELEMETRY()]
     found = []
@@ -175,14 +177,14 @@ def _line(facts: FirmwareFacts, welcome: Welcome) -> list[Finding]:
     return found or [RATE(rate=facts.telemetry_Hz, trip=trip_ms, frames=frames, lost=facts.bad_frames)]
 
 
-def _settings(settings: tuple[Setting, ...]) -> Finding:
+def _settings(settings: tuple[Setting, ...]) -> DoctorFinding:
     changed = [f"{s.name} = {s.value:.5g}" for s in settings if s.value != s.standard]
     if changed:
         return OWN_SETTINGS(count=len(settings), changed=", ".join(changed))
     return SETTINGS(count=len(settings))
 
 
-def _limits(welcome: Welcome, config: Config) -> list[Finding]:
+def _limits(welcome: Welcome, config: Config) -> list[DoctorFinding]:
     limits, full_kPa = config.limits, config.pneumatics.full_kPa
     found = []
     if welcome.setpoint_limit_kPa < limits.max_kPa:
@@ -207,7 +209,7 @@ def _limits(welcome: Welcome, config: Config) -> list[Finding]:
     return found
 
 
-def _vine(facts: FirmwareFacts, config: Config) -> Finding:
+def _vine(facts: FirmwareFacts, config: Config) -> DoctorFinding:
     zero_kPa = config.checks.zero_kPa
     # Written so that what is no number is not sound.
     if abs(facts.cv_kPa) <= zero_kPa:
@@ -215,7 +217,7 @@ def _vine(facts: FirmwareFacts, config: Config) -> Finding:
     return VINE_OFF(kPa=facts.cv_kPa, zero=zero_kPa)
 
 
-def _bottle(facts: FirmwareFacts, config: Config) -> list[Finding]:
+def _bottle(facts: FirmwareFacts, config: Config) -> list[DoctorFinding]:
     kPa, full_kPa, most_kPa = facts.reservoir_kPa, config.pneumatics.full_kPa, config.limits.max_kPa
     needed_kPa = config.interlocks.reserve_kPa + most_kPa
     if not kPa >= -BELOW_ZERO_KPA:

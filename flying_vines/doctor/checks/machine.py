@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flying_vines.doctor.finding import Finding, Line
+from flying_vines.doctor.finding import DoctorFinding, FindingText
 
 LEAST_FREE_MB = 200.0
 """The service takes less than 120."""
@@ -27,33 +27,33 @@ class MachineFacts:
     hottest_C: float | None = None
 
 
-GOOD = Line("computer", "good", "flying-vines {version}, Python {python}, {system} on {machine}")
-NOT_LINUX = Line(
+GOOD = FindingText("computer", "good", "flying-vines {version}, Python {python}, {system} on {machine}")
+NOT_LINUX = FindingText(
     "computer",
     "warning",
     "flying-vines {version}, Python {python}, {system} on {machine}: made for Linux",
     "fly with a Linux companion; here ports, processes and clock cannot be looked at in full",
 )
-MEMORY = Line("memory", "good", "{free:.0f} MB free")
-LITTLE_MEMORY = Line(
+MEMORY = FindingText("memory", "good", "{free:.0f} MB free")
+LITTLE_MEMORY = FindingText(
     "memory", "warning", "{free:.0f} MB free, of which the service takes up to 120", "end what else runs here"
 )
-SUPPLY = Line("supply", "good", "no under-voltage and no throttling since the start")
-SUPPLY_NOW = Line(
+SUPPLY = FindingText("supply", "good", "no under-voltage and no throttling since the start")
+SUPPLY_NOW = FindingText(
     "supply",
     "bad",
     "the Raspberry Pi reports {what} now",
     "give it 5 V at 3 A or more by a short thick wire, and cool it",
 )
-SUPPLY_BEFORE = Line(
+SUPPLY_BEFORE = FindingText(
     "supply",
     "warning",
     "the Raspberry Pi reports {what} since its start",
     "see whether it comes when the motors or the valves draw current; a better supply, a shorter wire",
 )
-NO_SUPPLY = Line("supply", "skipped", "this is no Raspberry Pi that tells of its supply")
-COOL = Line("temperature", "good", "{celsius:.0f} °C")
-HOT = Line(
+NO_SUPPLY = FindingText("supply", "skipped", "this is no Raspberry Pi that tells of its supply")
+COOL = FindingText("temperature", "good", "{celsius:.0f} °C")
+HOT = FindingText(
     "temperature",
     "warning",
     "{celsius:.0f} °C: from {limit:.0f} on it slows down",
@@ -61,7 +61,7 @@ HOT = Line(
 )
 
 
-def check(facts: MachineFacts) -> list[Finding]:
+def check(facts: MachineFacts) -> list[DoctorFinding]:
     known = GOOD if facts.system.startswith("Linux") else NOT_LINUX
     found = [known(version=facts.version, python=facts.python, system=facts.system, machine=facts.machine)]
     if facts.free_MB is not None:
@@ -72,7 +72,7 @@ def check(facts: MachineFacts) -> list[Finding]:
     return found
 
 
-def _supply(throttled: int | None) -> Finding:
+def _supply(throttled: int | None) -> DoctorFinding:
     if throttled is None:
         return NO_SUPPLY()
     if now := _named(throttled):

@@ -6,21 +6,21 @@ from collections.abc import Mapping
 
 from flying_vines.config.config import Config
 from flying_vines.core.motion_planner import MotionPlanner
-from flying_vines.doctor.finding import Finding, Line
+from flying_vines.doctor.finding import DoctorFinding, FindingText
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.triggers import Rules
 
-NOT_READ = Line(
+NOT_READ = FindingText(
     "mission",
     "warning",
     "it could not be read: its items would do nothing",
     "try again with more --seconds; see whether a ground station is uploading",
 )
-NOT_HEARD = Line("mission", "skipped", "not read: no autopilot was heard")
-NONE = Line("mission", "good", "the vehicle holds none")
-NO_VINE = Line("mission", "good", "{items} items, none for the vine")
-UNDERSTOOD = Line("mission", "good", "{items} items, of which for the vine: {vine}")
-NOT_UNDERSTOOD = Line(
+NOT_HEARD = FindingText("mission", "skipped", "not read: no autopilot was heard")
+NONE = FindingText("mission", "good", "the vehicle holds none")
+NO_VINE = FindingText("mission", "good", "{items} items, none for the vine")
+UNDERSTOOD = FindingText("mission", "good", "{items} items, of which for the vine: {vine}")
+NOT_UNDERSTOOD = FindingText(
     "mission",
     "bad",
     "item {seq}: {why}",
@@ -28,7 +28,7 @@ NOT_UNDERSTOOD = Line(
 )
 
 
-def check(mission: Mapping[int, MissionItem] | None, heard: bool, config: Config) -> list[Finding]:
+def check(mission: Mapping[int, MissionItem] | None, heard: bool, config: Config) -> list[DoctorFinding]:
     """`mission` is None where it was not read, `heard` whether an autopilot was there at all."""
     if not heard:
         return [NOT_HEARD()]

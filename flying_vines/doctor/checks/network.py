@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from flying_vines.doctor.checks.service import Process, named
-from flying_vines.doctor.finding import Finding, Line
+from flying_vines.doctor.finding import DoctorFinding, FindingText
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,20 +29,22 @@ class BrokerFacts:
     took_s: float = 0.0
 
 
-NO_PAGE = Line("page", "skipped", "the profile has none")
-PAGE = Line("page", "good", "{address} is free")
-PAGE_TAKEN = Line(
+NO_PAGE = FindingText("page", "skipped", "the profile has none")
+PAGE = FindingText("page", "good", "{address} is free")
+PAGE_TAKEN = FindingText(
     "page", "warning", "{address}: {why}", "end that program, or give another address in [page]"
 )
-PAGE_SERVED = Line("page", "skipped", "{address} is the running service's")
-NO_BROKER = Line("broker", "skipped", "the profile has none")
-BROKER = Line("broker", "good", "{broker} answers within {took:.0f} ms")
-NO_PACKAGE = Line("broker", "warning", "{why}", "install flying-vines again")
-AWAY = Line("broker", "warning", "{broker}: {why}", "see whether there is a network, and a broker there")
-REFUSES = Line("broker", "warning", "{broker}: {why}", "correct [mqtt], or the broker (docs/mqtt.md)")
+PAGE_SERVED = FindingText("page", "skipped", "{address} is the running service's")
+NO_BROKER = FindingText("broker", "skipped", "the profile has none")
+BROKER = FindingText("broker", "good", "{broker} answers within {took:.0f} ms")
+NO_PACKAGE = FindingText("broker", "warning", "{why}", "install flying-vines again")
+AWAY = FindingText(
+    "broker", "warning", "{broker}: {why}", "see whether there is a network, and a broker there"
+)
+REFUSES = FindingText("broker", "warning", "{broker}: {why}", "correct [mqtt], or the broker (docs/mqtt.md)")
 
 
-def check_page(facts: PageFacts, service_runs: bool) -> Finding:
+def check_page(facts: PageFacts, service_runs: bool) -> DoctorFinding:
     if not facts.address:
         return NO_PAGE()
     if not facts.problem:
@@ -53,7 +55,7 @@ def check_page(facts: PageFacts, service_runs: bool) -> Finding:
     return PAGE_TAKEN(address=facts.address, why=facts.problem + held)
 
 
-def check_broker(facts: BrokerFacts) -> Finding:
+def check_broker(facts: BrokerFacts) -> DoctorFinding:
     if not facts.broker:
         return NO_BROKER()
     if facts.missing_package:

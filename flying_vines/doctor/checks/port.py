@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from flying_vines.doctor.checks.service import Process, named
-from flying_vines.doctor.finding import Finding, Line
+from flying_vines.doctor.finding import DoctorFinding, FindingText
 
 Which = Literal["phloSAR", "vehicle"]
 _BY_NUMBER = re.compile(r"/dev/tty(ACM|USB)\d+")
@@ -44,49 +44,49 @@ class PortFacts:
     modem_manager_kept_off: bool = False
 
 
-def lines_of(which: Which) -> dict[str, Line]:
+def lines_of(which: Which) -> dict[str, FindingText]:
     """The lines that can be said of one of the two."""
     check, table = f"{which} port", "firmware" if which == "phloSAR" else "vehicle"
     return {
-        "good": Line(check, "good", "{path} ({board}): may be opened, and nobody else holds it"),
-        "network": Line(
+        "good": FindingText(check, "good", "{path} ({board}): may be opened, and nobody else holds it"),
+        "network": FindingText(
             check, "skipped", "{where} is on the network: there is nothing to look at beforehand"
         ),
-        "free": Line(check, "good", "{where} is free"),
-        "missing": Line(
+        "free": FindingText(check, "good", "{where} is free"),
+        "missing": FindingText(
             check,
             "bad",
             "{why}",
             f"plug it in and switch it on, or name the right port in {table}.link",
         ),
-        "not allowed": Line(
+        "not allowed": FindingText(
             check,
             "bad",
             "{path} may not be opened by this user",
             "add yourself to its group (sudo usermod -aG {group} $USER), then log in again",
         ),
-        "log in again": Line(
+        "log in again": FindingText(
             check,
             "bad",
             "{path} may not be opened yet: group {group} was joined after logging in",
             "log out and in again",
         ),
-        "served": Line(check, "skipped", "{path} is the running service's"),
-        "held": Line(check, "bad", "{path} is held by {who}", "end that program"),
-        "console": Line(
+        "served": FindingText(check, "skipped", "{path} is the running service's"),
+        "held": FindingText(check, "bad", "{path} is held by {who}", "end that program"),
+        "console": FindingText(
             check,
             "bad",
             "{path} is the kernel's console: its messages go to whoever is there",
             "sudo raspi-config, Interface Options, Serial Port: no login shell, but the hardware; restart",
         ),
-        "modem": Line(
+        "modem": FindingText(
             check,
             "warning",
             "ModemManager runs, and may take {path} for a modem: it then talks to it for seconds",
             "keep it off by a udev rule (flying-vines install-service has one), or purge modemmanager",
         ),
-        "kept off": Line(check, "good", "ModemManager runs, and is kept off {path} by a udev rule"),
-        "by number": Line(
+        "kept off": FindingText(check, "good", "ModemManager runs, and is kept off {path} by a udev rule"),
+        "by number": FindingText(
             check,
             "warning",
             "{path} is a name by number: the board has another one when it restarts at a bad moment",
@@ -95,10 +95,10 @@ def lines_of(which: Which) -> dict[str, Line]:
     }
 
 
-LINES: dict[Which, dict[str, Line]] = {"phloSAR": lines_of("phloSAR"), "vehicle": lines_of("vehicle")}
+LINES: dict[Which, dict[str, FindingText]] = {"phloSAR": lines_of("phloSAR"), "vehicle": lines_of("vehicle")}
 
 
-def check(facts: PortFacts) -> list[Finding]:
+def check(facts: PortFacts) -> list[DoctorFinding]:
     """Of a serial port."""
     lines = LINES[facts.which]
     if facts.missing:
@@ -125,7 +125,7 @@ def check(facts: PortFacts) -> list[Finding]:
 
 def check_network(
     which: Which, where: str, listens: bool, held_by: Sequence[Process] | None, served: bool = False
-) -> Finding:
+) -> DoctorFinding:
     """Of a link over the network.
 
     Args:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from flying_vines.config.address import NetworkAddress, parse_address
 from flying_vines.config.config import Config
-from flying_vines.doctor.finding import Finding, Line
+from flying_vines.doctor.finding import DoctorFinding, FindingText
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,38 +31,38 @@ class ProfileFacts:
     """The file that says that the pneumatics are disarmed, where it is there."""
 
 
-GOOD = Line(
+GOOD = FindingText(
     "configuration", "good", "{path}: {profiles} profiles, {rules} rules for mission items and commands"
 )
-RIG = Line("configuration", "good", "rig {path}: {said}")
-BAD_RIG = Line(
+RIG = FindingText("configuration", "good", "rig {path}: {said}")
+BAD_RIG = FindingText(
     "configuration", "bad", "{why}", "mend the file that pneumatics.rig names, or take the key out"
 )
-KEY = Line("configuration", "good", "signing key {path}: only its owner may read it")
-BAD_KEY = Line(
+KEY = FindingText("configuration", "good", "signing key {path}: only its owner may read it")
+BAD_KEY = FindingText(
     "configuration", "bad", "{why}", "mend the file that vehicle.signing_key names, or take the key out"
 )
-BELIEVED = Line("configuration", "good", "vehicle link {who}")
-BELIEVED_FROM_AFAR = Line(
+BELIEVED = FindingText("configuration", "good", "vehicle link {who}")
+BELIEVED_FROM_AFAR = FindingText(
     "configuration",
     "warning",
     "vehicle link {who}",
     "set vehicle.signing_key, if your autopilot can sign (docs/mavlink.md)",
 )
-NO_CLOCK = Line(
+NO_CLOCK = FindingText(
     "configuration", "warning", "{why}", "set this computer's clock before each flight, or the file's rights"
 )
-PARAMETERS = Line("configuration", "good", "set by a pilot, in place of the profile's: {parameters}")
-BAD_PARAMETERS = Line(
+PARAMETERS = FindingText("configuration", "good", "set by a pilot, in place of the profile's: {parameters}")
+BAD_PARAMETERS = FindingText(
     "configuration", "bad", "{why}", "mend the file, or take it away: the profile then holds"
 )
-DISARMED = Line(
+DISARMED = FindingText(
     "configuration",
     "bad",
     "the pneumatics are disarmed ({path}): nothing bends",
     "arm them from a ground station (command USER_4, 3), or take the file away",
 )
-BENCH = Line(
+BENCH = FindingText(
     "configuration",
     "bad",
     "bench mode: the vine bends without an armed vehicle, and at any altitude",
@@ -70,7 +70,7 @@ BENCH = Line(
 )
 
 
-def check(facts: ProfileFacts) -> list[Finding]:
+def check(facts: ProfileFacts) -> list[DoctorFinding]:
     config = facts.config
     found = [GOOD(path=facts.path, profiles=len(config.profiles), rules=len(config.items))]
     if facts.rig_problem:
@@ -96,7 +96,7 @@ def check(facts: ProfileFacts) -> list[Finding]:
     return found
 
 
-def _believed(config: Config) -> Finding:
+def _believed(config: Config) -> DoctorFinding:
     address = parse_address(config.vehicle.link)
     unsigned = not config.vehicle.signing_key
     afar = isinstance(address, NetworkAddress) and not address.on_loopback and unsigned

@@ -3,53 +3,53 @@
 from __future__ import annotations
 
 from flying_vines.config.config import Config
-from flying_vines.doctor.finding import Finding, Line
+from flying_vines.doctor.finding import DoctorFinding, FindingText
 from flying_vines.doctor.vehicle_probe import Radio
 from flying_vines.vehicle.radio.switch import BOUNDARIES_US
 
-NOT_USED = Line("RC switch", "skipped", "the profile gives its positions nothing to do")
-NOT_HEARD = Line("RC switch", "skipped", "not looked at: no autopilot was heard")
-NOT_BELIEVED = Line(
+NOT_USED = FindingText("RC switch", "skipped", "the profile gives its positions nothing to do")
+NOT_HEARD = FindingText("RC switch", "skipped", "not looked at: no autopilot was heard")
+NOT_BELIEVED = FindingText(
     "RC switch",
     "bad",
     "channel {channel} cannot be believed: {why}",
     "switch the transmitter on, bind the receiver; give the channel in switch.channel",
 )
-HIDES_LOSS = Line(
+HIDES_LOSS = FindingText(
     "RC switch",
     "bad",
     "{why} hides a lost transmitter: the switch does not bend the vine",
     "ArduPilot: FS_THR_ENABLE 1, RC_FS_TIMEOUT 1, RC_OPTIONS without 1 and 4; PX4: COM_RC_IN_MODE 0",
 )
-BENDS_LATE = Line(
+BENDS_LATE = FindingText(
     "RC switch",
     "warning",
     "channel {channel} works, but a bend waits 1.6 s: what this receiver does in a loss is not known",
     "run flying-vines doctor --radio once for this receiver",
 )
-UNSETTLED = Line(
+UNSETTLED = FindingText(
     "RC switch",
     "bad",
     "channel {channel} does not come to rest ({pulse} µs)",
     "see what else is mixed to that channel on the transmitter",
 )
-STANDS = Line(
+STANDS = FindingText(
     "RC switch", "good", "channel {channel} at {pulse} µs: position {position}, “{profile}”; nobody moved it"
 )
-STANDS_BENT = Line(
+STANDS_BENT = FindingText(
     "RC switch",
     "warning",
     "channel {channel} at {pulse} µs: position {position}, “{profile}”",
     "put it to position 1 before the start: only a fresh move counts, and it would be one back",
 )
-ALL_SEEN = Line("RC switch", "good", "channel {channel}: all {count} positions were seen")
-SOME_SEEN = Line(
+ALL_SEEN = FindingText("RC switch", "good", "channel {channel}: all {count} positions were seen")
+SOME_SEEN = FindingText(
     "RC switch",
     "warning",
     "channel {channel}: seen in position {seen}, never in {unseen}",
     "look at the channel's end points on the transmitter: {bounds}",
 )
-NEVER_MOVED = Line(
+NEVER_MOVED = FindingText(
     "RC switch",
     "bad",
     "channel {channel} stayed in position {seen} when it was to be moved",
@@ -57,7 +57,7 @@ NEVER_MOVED = Line(
 )
 
 
-def check(radio: Radio | None, config: Config, asked: bool) -> Finding:
+def check(radio: Radio | None, config: Config, asked: bool) -> DoctorFinding:
     """`asked` says whether somebody was asked to move it; `radio` is None where no autopilot was heard."""
     switch = config.switch
     channel, count = switch.channel, len(switch.positions)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from flying_vines.config.config import Config, ReceiverFailsafe
-from flying_vines.doctor.finding import Finding, Line, may_fly
-from flying_vines.doctor.radio_test import Loss, RadioLearned, failsafe_of, position_of
+from flying_vines.doctor.finding import DoctorFinding, FindingText, may_fly
+from flying_vines.doctor.radio_test import RadioLearned, TransmitterLoss, failsafe_of, position_of
 from flying_vines.vehicle.autopilots import of_name
 from flying_vines.vehicle.autopilots.autopilot import LOSS_SHOWN_WITHIN_S, Autopilot
 from flying_vines.vehicle.triggers import Rules
@@ -12,95 +12,97 @@ from flying_vines.vehicle.triggers import Rules
 HUMAN_S = 1.0
 """Between pressing Enter and switching off."""
 
-ARMED = Line("radio test", "bad", "the vehicle is armed", "disarm it, take the props off, and start again")
-NO_AUTOPILOT = Line(
+ARMED = FindingText(
+    "radio test", "bad", "the vehicle is armed", "disarm it, take the props off, and start again"
+)
+NO_AUTOPILOT = FindingText(
     "radio test",
     "bad",
     "no autopilot was heard",
     "see what `flying-vines doctor` says of the vehicle's link",
 )
-NO_RC = Line(
+NO_RC = FindingText(
     "radio test",
     "bad",
     "no channels of a receiver come: {why}",
     "bind the receiver; a joystick sends no RC_CHANNELS, and the switch cannot be used with one",
 )
-NOT_GOOD = Line(
+NOT_GOOD = FindingText(
     "radio test",
     "bad",
     "RC did not become good: {why}",
     "switch the transmitter on and bind the receiver, then start again",
 )
-NOT_THERE = Line(
+NOT_THERE = FindingText(
     "radio test",
     "bad",
     "channel {channel} did not come to rest in position {position}: it reads {now}",
     "see on the transmitter which channel the switch is on, and give it in switch.channel",
 )
-NOT_BACK = Line(
+NOT_BACK = FindingText(
     "radio test",
     "bad",
     "RC did not come back: {why}",
     "switch the transmitter on, confirm its warnings, and start again",
 )
-GROUND_STATION = Line(
+GROUND_STATION = FindingText(
     "radio test",
     "skipped",
     "RC comes from a ground station (no receiver): nothing to learn; it can be used, and its end shows",
 )
-HIDDEN_BY = Line(
+HIDDEN_BY = FindingText(
     "RC loss",
     "bad",
     "{autopilot} hides a lost transmitter ({why}): the switch will not bend",
     "{do}",
 )
-HIDDEN = Line(
+HIDDEN = FindingText(
     "RC loss",
     "bad",
     "nothing told that the transmitter was off: a move made meanwhile would bend the vine on its return",
     "{do}",
 )
-SLOW = Line(
+SLOW = FindingText(
     "RC loss",
     "bad",
     "it shows only {seconds} s after Enter, by {sign}: a shorter loss can hide a move of the switch",
     "on ArduPilot RC_FS_TIMEOUT = 1, on PX4 COM_RC_LOSS_T = 0.5; on the receiver no delay of its failsafe",
 )
-SHOWS = Line("RC loss", "good", "it shows {seconds} s after Enter (± 1 s), by {sign}; then {then}")
-SHOWS_UNTIMED = Line(
+SHOWS = FindingText("RC loss", "good", "it shows {seconds} s after Enter (± 1 s), by {sign}; then {then}")
+SHOWS_UNTIMED = FindingText(
     "RC loss", "good", "it shows (Enter came too late to say how soon), by {sign}; then {then}"
 )
-PARAMETERS = Line("autopilot", "good", "{values}")
-NO_PARAMETERS = Line(
+PARAMETERS = FindingText("autopilot", "good", "{values}")
+NO_PARAMETERS = FindingText(
     "autopilot", "skipped", "it did not say {names}: whether it can hide a loss is not known"
 )
-HELD = Line("receiver", "good", "it holds the switch: a bend by the switch is immediate")
-HARMLESS = Line(
+HELD = FindingText("receiver", "good", "it holds the switch: a bend by the switch is immediate")
+HARMLESS = FindingText(
     "receiver",
     "good",
     "it puts the switch to position {position} ({us} µs), which does not bend: bends are immediate",
 )
-BENDS_UNSEEN = Line(
+BENDS_UNSEEN = FindingText(
     "receiver",
     "warning",
     "it puts the switch to position {position}, “{profile}” ({us} µs), and a loss shorter than {seconds} s"
     " does not show: the switch waits {wait} s before it bends so",
     "set the receiver's failsafe of channel {channel} to hold, or to position 1; then repeat the test",
 )
-BENDS_TOLD = Line(
+BENDS_TOLD = FindingText(
     "receiver",
     "warning",
     "it puts the switch to position {position}, “{profile}” ({us} µs); the autopilot tells of it in time",
     "better set the receiver's failsafe of channel {channel} to hold, or to position 1; then repeat the test",
 )
-BENDS = Line(
+BENDS = FindingText(
     "receiver",
     "bad",
     "it puts the switch to position {position}, “{profile}” ({us} µs), and the loss shows {when}:"
     " a lost transmitter bends the vine",
     "set the receiver's failsafe of channel {channel} to hold, or to position 1; then repeat the test",
 )
-UNCLEAR = Line(
+UNCLEAR = FindingText(
     "receiver",
     "warning",
     "channel {channel} read {us} µs when it was lost: neither held nor one preset value",
@@ -113,7 +115,7 @@ LOST = {
 }
 
 
-def check(learned: RadioLearned, config: Config) -> list[Finding]:
+def check(learned: RadioLearned, config: Config) -> list[DoctorFinding]:
     """Every line that holds; all of them good, or skipped, where the vine is safe with this receiver."""
     problem = _problem(learned, config)
     if problem is not None:
@@ -138,7 +140,7 @@ def to_write(learned: RadioLearned, config: Config) -> ReceiverFailsafe | None:
     return failsafe_of(learned.losses) if may_fly(check(learned, config)) else "hidden"
 
 
-def _problem(learned: RadioLearned, config: Config) -> Finding | None:
+def _problem(learned: RadioLearned, config: Config) -> DoctorFinding | None:
     match learned.problem:
         case "armed":
             return ARMED()
@@ -157,7 +159,7 @@ def _problem(learned: RadioLearned, config: Config) -> Finding | None:
     return None
 
 
-def _loss(learned: RadioLearned, config: Config) -> Finding:
+def _loss(learned: RadioLearned, config: Config) -> DoctorFinding:
     if any(loss.shown_after_s is None for loss in learned.losses):
         return HIDDEN(do=_autopilot(learned).unseen_loss_remedy)
     timed = [loss for loss in learned.losses if loss.pressed] or list(learned.losses)
@@ -173,18 +175,18 @@ def _loss(learned: RadioLearned, config: Config) -> Finding:
     )
 
 
-def _parameters(learned: RadioLearned) -> list[Finding]:
+def _parameters(learned: RadioLearned) -> list[DoctorFinding]:
     unsaid = [name for name in _autopilot(learned).rc_parameters if name not in learned.parameters]
     values = ", ".join(f"{name} {value:g}" for name, value in sorted(learned.parameters.items()))
     found = [PARAMETERS(values=values)] if values else []
     return [*found, NO_PARAMETERS(names=", ".join(unsaid))] if unsaid else found
 
 
-def _first_sign(loss: Loss) -> str:
+def _first_sign(loss: TransmitterLoss) -> str:
     return next(sign.said for sign in loss.signs if sign.after_s == loss.shown_after_s and sign.telling)
 
 
-def _receiver(learned: RadioLearned, config: Config) -> Finding:
+def _receiver(learned: RadioLearned, config: Config) -> DoctorFinding:
     failsafe, switch = failsafe_of(learned.losses), config.switch
     if failsafe == "hold":
         return HELD()

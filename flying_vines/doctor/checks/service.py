@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from flying_vines.doctor.finding import Finding, Line
+from flying_vines.doctor.finding import DoctorFinding, FindingText
 
 
 class Process(NamedTuple):
@@ -25,14 +25,14 @@ class Process(NamedTuple):
         return f"sudo systemctl stop {self.unit}" if self.unit else f"kill {self.pid}"
 
 
-NONE = Line("service", "good", "no other one runs here")
-ELSEWHERE = Line(
+NONE = FindingText("service", "good", "no other one runs here")
+ELSEWHERE = FindingText(
     "service",
     "warning",
     "{who} runs already, on other ports of this computer",
     "stop it ({stop}), unless it serves another vehicle: two services need two component ids",
 )
-RUNS = Line(
+RUNS = FindingText(
     "service",
     "bad",
     "{who} runs already, and holds the links: they cannot be looked at meanwhile",
@@ -48,7 +48,7 @@ def stop(processes: Sequence[Process]) -> str:
     return "; ".join(process.stop for process in processes)
 
 
-def check(running: Sequence[Process], holding: Sequence[Process]) -> Finding:
+def check(running: Sequence[Process], holding: Sequence[Process]) -> DoctorFinding:
     """`holding` are those of the running ones that have our links, as far as anybody can tell."""
     if holding:
         return RUNS(who=named(holding), stop=stop(holding))

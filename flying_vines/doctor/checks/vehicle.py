@@ -8,8 +8,8 @@ from dataclasses import replace
 
 from flying_vines.config.config import Config
 from flying_vines.doctor.checks.service import Process, named, stop
-from flying_vines.doctor.finding import Finding, Line
-from flying_vines.doctor.vehicle_probe import Stream, VehicleFacts
+from flying_vines.doctor.finding import DoctorFinding, FindingText
+from flying_vines.doctor.vehicle_probe import StreamFacts, VehicleFacts
 from flying_vines.vehicle.autopilots import OTHER, of_name
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.state import ALTITUDE_FRESH_S, HEARTBEAT_FRESH_S
@@ -29,122 +29,124 @@ USES = {
 }
 """What the service needs each for."""
 
-NO_LINK = Line("vehicle link", "bad", "{why}", "see vehicle.link, and what its port says above")
-SERVED = Line(
+NO_LINK = FindingText("vehicle link", "bad", "{why}", "see vehicle.link, and what its port says above")
+SERVED = FindingText(
     "vehicle link",
     "bad",
     "no autopilot is heard{why}, and {who} runs: it may have this link",
     "look at it with flying-vines watch, or stop it ({stop}) and look again",
 )
-NOT_ASKED = Line("vehicle link", "skipped", "not listened to: see its port")
-SILENT = Line(
+NOT_ASKED = FindingText("vehicle link", "skipped", "not listened to: see its port")
+SILENT = FindingText(
     "vehicle link",
     "bad",
     "nothing came in {seconds:.0f} s",
     "set the autopilot's port: on ArduPilot SERIALn_PROTOCOL = 2 and its baud rate, on PX4 MAV_1_CONFIG; "
     "see vehicle.link, RX and TX",
 )
-NOT_THE_PEER = Line(
+NOT_THE_PEER = FindingText(
     "vehicle link",
     "bad",
     "only {other} sends, and it is not the peer that vehicle.link names",
     "write ?peer={other} in vehicle.link, if that is your autopilot",
 )
-NOISE = Line(
+NOISE = FindingText(
     "vehicle link",
     "bad",
     "{bytes} bytes came, but no MAVLink message",
     "give the autopilot's baud rate in vehicle.link, and see that nothing else is on that line",
 )
-NO_AUTOPILOT = Line(
+NO_AUTOPILOT = FindingText(
     "vehicle link",
     "bad",
     "{messages} messages came from {others}, but none of an autopilot",
     "see what a router between passes on, and vehicle.system_id = {system} (0: the one that is heard)",
 )
-TWO_AUTOPILOTS = Line(
+TWO_AUTOPILOTS = FindingText(
     "vehicle link",
     "bad",
     "autopilots {one} and {other} are on the link: neither is served",
     "set vehicle.system_id",
 )
-AUTOPILOT = Line("autopilot", "good", "{kind} {version}, system {system}, {mode}")
-OTHER_AUTOPILOT = Line(
+AUTOPILOT = FindingText("autopilot", "good", "{kind} {version}, system {system}, {mode}")
+OTHER_AUTOPILOT = FindingText(
     "autopilot",
     "warning",
     "system {system} is neither ArduPilot nor PX4",
     "try each trigger on the ground first: nobody knows how it tells of mission items",
 )
-ARMED = Line(
+ARMED = FindingText(
     "autopilot", "warning", "it is armed ({mode})", "disarm it before anything is connected or mended"
 )
-HEARTBEAT = Line("heartbeat", "good", "{rate:.1f} a second; the link was silent for {silence:.1f} s at most")
-HEARTBEAT_GAPS = Line(
+HEARTBEAT = FindingText(
+    "heartbeat", "good", "{rate:.1f} a second; the link was silent for {silence:.1f} s at most"
+)
+HEARTBEAT_GAPS = FindingText(
     "heartbeat",
     "bad",
     "nothing came for {silence:.1f} s; after {limit:g} s (losses.autopilot_s) the autopilot counts as lost",
     "mend the link: cable, baud rate, a router's load",
 )
-NO_HEARTBEAT = Line(
+NO_HEARTBEAT = FindingText(
     "heartbeat",
     "bad",
     "none for {limit:g} s while other messages come: whether the vehicle is armed is not known",
     "see which messages a router between passes on",
 )
-STREAM = Line("{name}", "good", "{rate:.1f} a second")
-SLOW = Line("{name}", "warning", "{rate:.1f} a second of {wanted:g} (for {use})", "{where}")
-TOO_SLOW = Line("{name}", "bad", "{rate:.1f} a second; {use} needs {least:.1f}", "{where}")
-MISSING = Line("{name}", "bad", "does not come: needed for {use}", "{where}")
-MISSED = Line("{name}", "warning", "does not come: used for {use}", "{where}")
-CLASH = Line(
+STREAM = FindingText("{name}", "good", "{rate:.1f} a second")
+SLOW = FindingText("{name}", "warning", "{rate:.1f} a second of {wanted:g} (for {use})", "{where}")
+TOO_SLOW = FindingText("{name}", "bad", "{rate:.1f} a second; {use} needs {least:.1f}", "{where}")
+MISSING = FindingText("{name}", "bad", "does not come: needed for {use}", "{where}")
+MISSED = FindingText("{name}", "warning", "does not come: used for {use}", "{where}")
+CLASH = FindingText(
     "component id",
     "bad",
     "{id} is taken by another program on this vehicle",
     "set vehicle.component_id to a free one (BlueOS and Rpanion have 191)",
 )
-CLASH_WITH_SERVICE = Line(
+CLASH_WITH_SERVICE = FindingText(
     "component id",
     "warning",
     "{id} is in use on this vehicle, and {who} runs: it is probably the one",
     "stop it ({stop}) and look again",
 )
-FREE = Line("component id", "good", "{id} is ours alone; {others} heard besides the autopilot")
-UNSIGNED = Line(
+FREE = FindingText("component id", "good", "{id} is ours alone; {others} heard besides the autopilot")
+UNSIGNED = FindingText(
     "signing",
     "bad",
     "nothing that came was believed: {refused}",
     "give both sides the same key (docs/mavlink.md), or take vehicle.signing_key out",
 )
-DATED_AHEAD = Line(
+DATED_AHEAD = FindingText(
     "signing",
     "bad",
     "nothing that came was believed: it is dated too far ahead of this computer's clock",
     "set the clock that is wrong: this computer's, or the sender's (docs/mavlink.md)",
 )
-SOME_REFUSED = Line(
+SOME_REFUSED = FindingText(
     "signing",
     "warning",
     "not all that came was believed: {refused}",
     "see who else speaks on this link, and with which key",
 )
-SIGNED = Line("signing", "good", "all that came was signed with our key")
-NO_KEY = Line(
+SIGNED = FindingText("signing", "good", "all that came was signed with our key")
+NO_KEY = FindingText(
     "signing",
     "warning",
     "the autopilot signs its messages, and the profile has no key: it may not listen to us",
     "put its key in a file, and name that in vehicle.signing_key",
 )
-NO_KEY_NEEDED = Line(
+NO_KEY_NEEDED = FindingText(
     "signing",
     "good",
     "the autopilot signs its messages and answers ours, which are unsigned: no key is needed",
 )
-NOT_SIGNED = Line("signing", "good", "off, on both sides")
+NOT_SIGNED = FindingText("signing", "good", "off, on both sides")
 
 
 def check(
     facts: VehicleFacts | None, config: Config, seconds: float, running: Sequence[Process] = ()
-) -> list[Finding]:
+) -> list[DoctorFinding]:
     """What is to be said of the link.
 
     Args:
@@ -183,7 +185,7 @@ def check(
     ]
 
 
-def _autopilot(facts: VehicleFacts, autopilot: Autopilot) -> list[Finding]:
+def _autopilot(facts: VehicleFacts, autopilot: Autopilot) -> list[DoctorFinding]:
     mode = facts.mode or "no mode"
     if autopilot is OTHER:
         return [OTHER_AUTOPILOT(system=facts.system_id)]
@@ -192,7 +194,7 @@ def _autopilot(facts: VehicleFacts, autopilot: Autopilot) -> list[Finding]:
     return [*found, ARMED(mode=mode)] if facts.armed else found
 
 
-def _heartbeat(facts: VehicleFacts, config: Config) -> Finding:
+def _heartbeat(facts: VehicleFacts, config: Config) -> DoctorFinding:
     if facts.heartbeat_missing:
         return NO_HEARTBEAT(limit=HEARTBEAT_FRESH_S)
     if facts.longest_silence_s > config.losses.autopilot_s:
@@ -200,7 +202,7 @@ def _heartbeat(facts: VehicleFacts, config: Config) -> Finding:
     return HEARTBEAT(rate=facts.heartbeat_Hz, silence=facts.longest_silence_s)
 
 
-def _stream(stream: Stream, autopilot: Autopilot, config: Config) -> Finding:
+def _stream(stream: StreamFacts, autopilot: Autopilot, config: Config) -> DoctorFinding:
     if stream.name in autopilot.own_rates_Hz:
         stream = replace(stream, wanted_Hz=autopilot.own_rates_Hz[stream.name], refused=False)
     use, where = USES[stream.name], autopilot.how_to_set_stream(stream.name, math.ceil(stream.wanted_Hz))
@@ -227,7 +229,7 @@ def uses_switch(config: Config) -> bool:
     return any(config.switch.positions)
 
 
-def _component(facts: VehicleFacts, config: Config, running: Sequence[Process]) -> Finding:
+def _component(facts: VehicleFacts, config: Config, running: Sequence[Process]) -> DoctorFinding:
     ours = config.vehicle.component_id
     if facts.clash and running:
         return CLASH_WITH_SERVICE(id=ours, who=named(running), stop=stop(running))
@@ -236,7 +238,7 @@ def _component(facts: VehicleFacts, config: Config, running: Sequence[Process]) 
     return FREE(id=ours, others=_named(facts.others) or "nobody")
 
 
-def _signing(facts: VehicleFacts, wanted: bool) -> Finding:
+def _signing(facts: VehicleFacts, wanted: bool) -> DoctorFinding:
     if wanted:
         return SOME_REFUSED(refused=facts.refused) if facts.refused.total else SIGNED()
     if not facts.signs:

@@ -8,7 +8,7 @@ import ssl
 import time
 
 from flying_vines.config.address import parse_broker
-from flying_vines.config.config import Mqtt
+from flying_vines.config.config import MqttConfig
 from flying_vines.doctor.checks.network import BrokerFacts
 
 PATIENCE_S = 5.0
@@ -18,7 +18,7 @@ _SILENT.addHandler(logging.NullHandler())
 _SILENT.propagate = False
 
 
-async def facts(mqtt: Mqtt) -> BrokerFacts:
+async def facts(mqtt: MqttConfig) -> BrokerFacts:
     """Connects as somebody whom it has not met, so that a service that is connected stays so, and leaves."""
     if not mqtt.broker:
         return BrokerFacts("")

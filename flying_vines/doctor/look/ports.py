@@ -7,13 +7,12 @@ import os
 import pwd
 import re
 import socket
-from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from serial.tools.list_ports import comports
 from serial.tools.list_ports_common import ListPortInfo
 
-from firmware_link.find import BoardNotFoundError, UsbBoard
+from firmware_link.find import BoardNotFoundError, Ports, UsbBoard
 from flying_vines.config.address import NetworkAddress, SerialAddress
 from flying_vines.doctor.checks.port import PortFacts, Which
 from flying_vines.doctor.checks.service import Process
@@ -28,8 +27,6 @@ _CONSOLE = re.compile(r"\bconsole=(\w+)")
 _KEPT_OFF = re.compile(
     r"^E:ID_MM_(DEVICE|PORT|TTY)_IGNORE=1$|^E:ID_MM_DEVICE_MANUAL_SCAN_ONLY=1$", re.MULTILINE
 )
-
-Ports = Callable[[], Iterable[ListPortInfo]]
 
 
 def serial_port(

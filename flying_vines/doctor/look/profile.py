@@ -9,7 +9,7 @@ from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
 from flying_vines.doctor.checks.profile import ProfileFacts
 from flying_vines.physics.rig import RigError
-from flying_vines.service.persistent_state import Kept
+from flying_vines.service.persistent_state import PersistentState
 from flying_vines.supply import Belief, nominal
 from flying_vines.supply.known_rig import load_calibration
 from flying_vines.vehicle.component.parameter_file import ParameterFileError
@@ -19,7 +19,7 @@ from flying_vines.vehicle.mavlink.signing_key import SigningKeyError
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class ServiceProfile:
     """Everything that the service would start with."""
 
     facts: ProfileFacts
@@ -34,10 +34,10 @@ class Profile:
         return self.facts.config
 
 
-def read(path: Path) -> Profile:
+def read(path: Path) -> ServiceProfile:
     """Raises `ConfigError`, one line, where the profile itself cannot be read."""
     config = configuration.load(path)
-    kept = Kept.of(path, config)
+    kept = PersistentState.of(path, config)
     parameters, parameters_problem = {}, ""
     try:
         parameters = kept.read_parameters(config)
@@ -72,12 +72,12 @@ def read(path: Path) -> Profile:
         parameters_problem=parameters_problem,
         disarming=str(kept.disarming) if _exists(kept.disarming) else "",
     )
-    return Profile(facts, belief, signing, kept.parameters.parent, kept.signing_timestamp)
+    return ServiceProfile(facts, belief, signing, kept.parameters.parent, kept.signing_timestamp)
 
 
-def given(config: Config, name: str) -> Profile:
+def given(config: Config, name: str) -> ServiceProfile:
     """A profile that is no file."""
-    return Profile(ProfileFacts(name, config), nominal(config.pneumatics), None, None, None)
+    return ServiceProfile(ProfileFacts(name, config), nominal(config.pneumatics), None, None, None)
 
 
 def _exists(path: Path) -> bool:

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import msgspec
 
 from flying_vines.gateway import messages
-from flying_vines.gateway.mqtt.payloads import Answer, Ask
+from flying_vines.gateway.mqtt.payloads import AnswerPayload, RequestPayload
 from flying_vines.gateway.mqtt.teller import Now
 from flying_vines.gateway.token_bucket import TokenBucket
-from flying_vines.vine.intent import Command
+from flying_vines.vine.intent import CommandName
 
 LONGEST_ASK = 1024
 MOST_AT_ONCE, MOST_PER_S = 10.0, 5.0
@@ -21,20 +21,20 @@ MOST_AT_ONCE, MOST_PER_S = 10.0, 5.0
 MOST_WAITING = 20
 MOST_REMEMBERED = 2000
 _VENT = b'"vent"'
-_DECODER = msgspec.json.Decoder(Ask)
+_DECODER = msgspec.json.Decoder(RequestPayload)
 
 
 class Waiting(NamedTuple):
     """What is to be handed to the service, and when it was asked for by the clock that nobody sets."""
 
-    ask: Ask
+    ask: RequestPayload
     made_at: float
 
 
 class Asks:
     """Judges what comes in, and says what is to be handed to the service, one after another."""
 
-    def __init__(self, commands: Sequence[Command], within_s: float) -> None:
+    def __init__(self, commands: Sequence[CommandName], within_s: float) -> None:
         self._commands = commands
         self._within_s = within_s
         self._known: dict[str, float] = {}
@@ -43,7 +43,7 @@ class Asks:
         self._bucket = TokenBucket(0.0, MOST_AT_ONCE, MOST_PER_S)
         self.ignored = 0
 
-    def hear(self, now: Now, payload: bytes, retained: bool) -> list[Answer]:
+    def hear(self, now: Now, payload: bytes, retained: bool) -> list[AnswerPayload]:
         """One message on the topic, and whoever is answered at once."""
         # Of a flood most is not even read.
         may_be_vent = self._may_be_vent(payload)
@@ -80,7 +80,7 @@ class Asks:
         """What waits is not to come as a surprise when the broker is back."""
         self._waiting.clear()
 
-    def _vent(self, now: Now, ask: Ask) -> list[Answer]:
+    def _vent(self, now: Now, ask: RequestPayload) -> list[AnswerPayload]:
         """Before all else; what was asked for earlier is not to bend the vine afterwards."""
         overtaken = [each.ask for each in self._waiting if each.ask.command != "vent"]
         self._waiting = deque(each for each in self._waiting if each.ask.command == "vent")
@@ -89,7 +89,7 @@ class Asks:
             self._waiting.append(Waiting(ask, made_at(now, ask)))
         return [refused(now, earlier, "overtaken by a vent") for earlier in overtaken]
 
-    def _read(self, now: Now, payload: bytes, retained: bool) -> tuple[Ask | None, str]:
+    def _read(self, now: Now, payload: bytes, retained: bool) -> tuple[RequestPayload | None, str]:
         """What is asked for, as far as it can be read, and why it is refused, if it is."""
         if len(payload) > LONGEST_ASK:
             return None, f"longer than {LONGEST_ASK} bytes"
@@ -107,12 +107,12 @@ class Asks:
             when = f"{age_s:.1f} s ago" if age_s > 0 else f"{-age_s:.1f} s from now"
             return ask, f"asked {when} by this vehicle's clock, {self._within_s:g} s are allowed"
         try:
-            messages.Ask(0, "broker", ask.command, ask.value, ask.name)
+            messages.Request(0, "broker", ask.command, ask.value, ask.name)
         except ValueError as error:
             return ask, str(error)
         return ask, "" if self._is_new(now, ask) else "asked before: each needs an id of its own"
 
-    def _is_new(self, now: Now, ask: Ask) -> bool:
+    def _is_new(self, now: Now, ask: RequestPayload) -> bool:
         """Only as long as it is not too old need an id be remembered."""
         while self._known:
             oldest = next(iter(self._known))
@@ -130,10 +130,10 @@ class Asks:
         return "vent" in self._commands and len(payload) <= LONGEST_ASK and _VENT in payload
 
 
-def made_at(now: Now, ask: Ask) -> float:
+def made_at(now: Now, ask: RequestPayload) -> float:
     """As old as it says that it is, and at least as old as it has been here."""
     return now.t - max(0.0, now.unix_s - ask.unix_s)
 
 
-def refused(now: Now, ask: Ask | None, why: str) -> Answer:
-    return Answer(unix_s=now.unix_s, id=ask.id if ask else None, safety="refused", reason=why)
+def refused(now: Now, ask: RequestPayload | None, why: str) -> AnswerPayload:
+    return AnswerPayload(unix_s=now.unix_s, id=ask.id if ask else None, safety="refused", reason=why)

@@ -15,13 +15,13 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from flying_vines.config.address import parse_broker
-from flying_vines.gateway.feed import Feed, NoAnswerError, Reader
+from flying_vines.gateway.feed import Feed, FeedReader, NoAnswerError
 from flying_vines.gateway.messages import Happened
 from flying_vines.gateway.mqtt import credentials
 from flying_vines.gateway.mqtt.asks import Asks, Waiting
 from flying_vines.gateway.mqtt.health import Health
 from flying_vines.gateway.mqtt.home_assistant import discovery
-from flying_vines.gateway.mqtt.payloads import Answer
+from flying_vines.gateway.mqtt.payloads import AnswerPayload
 from flying_vines.gateway.mqtt.problems import FileError, RefusedError, may_want_other_version, problem_of
 from flying_vines.gateway.mqtt.teller import Now, Publication, Teller
 from flying_vines.gateway.mqtt.topics import Topics
@@ -66,7 +66,7 @@ class Connection:
         self._topics = Topics.of(self._mqtt)
         self._teller = Teller(feed.profile, self._topics)
         self._asks = Asks(self._mqtt.commands, self._mqtt.asked_within_s)
-        self._answers: asyncio.Queue[Answer] = asyncio.Queue(MOST_UNANSWERED)
+        self._answers: asyncio.Queue[AnswerPayload] = asyncio.Queue(MOST_UNANSWERED)
         self._happened, self._asked = asyncio.Event(), asyncio.Event()
         self._protocol = aiomqtt.ProtocolVersion.V5
         self._flood_told_at = -FLOODS_TOLD_S
@@ -77,7 +77,7 @@ class Connection:
     def _now(self) -> Now:
         return Now(asyncio.get_running_loop().time(), round(time.time(), 3))
 
-    async def listen(self, reader: Reader) -> None:
+    async def listen(self, reader: FeedReader) -> None:
         """To the service, whether there is a connection or not."""
         while True:
             for news in await reader.next():
@@ -210,7 +210,7 @@ class Connection:
             self._asked.set()
         self._tell_of_flood()
 
-    def _answer(self, answer: Answer) -> None:
+    def _answer(self, answer: AnswerPayload) -> None:
         # Whoever asks faster than the broker takes answers gets fewer of them.
         with contextlib.suppress(asyncio.QueueFull):
             self._answers.put_nowait(answer)
@@ -227,7 +227,9 @@ class Connection:
             while asks := self._asks.next():
                 safety, reason = await self._ask(asks)
                 for ask, _ in asks:
-                    self._answer(Answer(unix_s=self._now.unix_s, id=ask.id, safety=safety, reason=reason))
+                    self._answer(
+                        AnswerPayload(unix_s=self._now.unix_s, id=ask.id, safety=safety, reason=reason)
+                    )
                 await asyncio.sleep(ASKED_EVERY_S)
             await self._asked.wait()
 

@@ -7,11 +7,11 @@ import stat
 from pathlib import Path
 
 from flying_vines.config.address import BrokerAddress
-from flying_vines.config.config import Mqtt
+from flying_vines.config.config import MqttConfig
 from flying_vines.gateway.mqtt.problems import FileError
 
 
-def password(mqtt: Mqtt) -> str | None:
+def password(mqtt: MqttConfig) -> str | None:
     """The first line of its file. Raises `FileError`; blocks while the disk does."""
     if not mqtt.password_file:
         return None
@@ -21,7 +21,7 @@ def password(mqtt: Mqtt) -> str | None:
     return lines[0]
 
 
-def tls(mqtt: Mqtt, broker: BrokerAddress) -> ssl.SSLContext | None:
+def tls(mqtt: MqttConfig, broker: BrokerAddress) -> ssl.SSLContext | None:
     """Raises `FileError`; blocks while the disk does."""
     if not broker.tls:
         return None

@@ -17,14 +17,16 @@ SHORT_LIVED = 3
 """So many connections in a row that did not last are no accident."""
 
 
-class Problem(NamedTuple):
+class BrokerProblem(NamedTuple):
     """Why there is no connection: a sentence; and whether a person has to do something about it."""
 
     text: str
     needs_person: bool = False
 
 
-THROWN_OUT = Problem("lets us in and closes: has another vehicle the same mqtt.name?", needs_person=True)
+THROWN_OUT = BrokerProblem(
+    "lets us in and closes: has another vehicle the same mqtt.name?", needs_person=True
+)
 """Not every broker says that somebody else came with our client id."""
 
 
@@ -35,8 +37,8 @@ class Health:
         self._broker = broker
         self._connected_at: float | None = None
         self._lost_at = t
-        self._problem: Problem | None = None
-        self._told: Problem | None = None
+        self._problem: BrokerProblem | None = None
+        self._told: BrokerProblem | None = None
         self._failures = 0
         self._short_lived = 0
 
@@ -55,7 +57,7 @@ class Health:
         self._told = None
         return f"MQTT: {self._broker} is back"
 
-    def failed(self, t: float, problem: Problem) -> str | None:
+    def failed(self, t: float, problem: BrokerProblem) -> str | None:
         """A try that failed, or a connection that ended; what people are to be told, if anything."""
         if self._is_well(t):
             self._failures = self._short_lived = 0

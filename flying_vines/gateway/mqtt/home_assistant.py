@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from flying_vines.config.config import Mqtt
+from flying_vines.config.config import MqttConfig
 from flying_vines.gateway.mqtt.teller import Publication
 from flying_vines.gateway.mqtt.topics import Topics
 
@@ -35,7 +35,7 @@ _VENT = """{"id": "{{ now().timestamp() }}-{{ range(1000000) | random }}", \
 "unix_s": {{ now().timestamp() }}, "command": "vent"}"""
 
 
-def discovery(mqtt: Mqtt, topics: Topics, version: str) -> list[Publication]:
+def discovery(mqtt: MqttConfig, topics: Topics, version: str) -> list[Publication]:
     """Nothing where it is not wanted. A button that may no longer be pressed is taken away."""
     if not mqtt.discovery_prefix:
         return []

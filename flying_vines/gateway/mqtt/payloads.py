@@ -12,13 +12,13 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from flying_vines.vine.intent import Command
+from flying_vines.vine.intent import CommandName
 
 SCHEMA_VERSION = 1
 LONGEST_ID = 64
 
-Verdict = Literal["accepted", "limited", "refused"]
-Severity = Literal["error", "warning", "notice", "info"]
+RulingName = Literal["accepted", "limited", "refused"]
+SeverityName = Literal["error", "warning", "notice", "info"]
 
 
 class _Told(msgspec.Struct, frozen=True, kw_only=True):
@@ -27,14 +27,14 @@ class _Told(msgspec.Struct, frozen=True, kw_only=True):
     """By the vehicle's clock."""
 
 
-class Status(_Told, frozen=True, kw_only=True):
+class StatusPayload(_Told, frozen=True, kw_only=True):
     """Whether anybody is there: retained. The last will says `offline`, with the time of its connecting."""
 
     status: Literal["online", "silent", "offline"]
     """`silent`: the computer is there, the service that flies does not speak."""
 
 
-class Limits(msgspec.Struct, frozen=True):
+class LimitsPayload(msgspec.Struct, frozen=True):
     """As the profile has them; a pilot's parameters may be tighter."""
 
     max_kPa: float
@@ -44,7 +44,7 @@ class Limits(msgspec.Struct, frozen=True):
     overpressure_kPa: float
 
 
-class About(_Told, frozen=True, kw_only=True):
+class AboutPayload(_Told, frozen=True, kw_only=True):
     """What this vehicle is: retained."""
 
     name: str
@@ -53,14 +53,14 @@ class About(_Told, frozen=True, kw_only=True):
     run: str
     """Of this start of the sender; events are numbered anew in each."""
     profiles: tuple[str, ...]
-    limits: Limits
-    commands: tuple[Command, ...]
+    limits: LimitsPayload
+    commands: tuple[CommandName, ...]
     """What may be asked for."""
     asked_within_s: float
     rate_Hz: float
 
 
-class State(_Told, frozen=True, kw_only=True):
+class StatePayload(_Told, frozen=True, kw_only=True):
     """How things stand."""
 
     t: float
@@ -85,7 +85,7 @@ class State(_Told, frozen=True, kw_only=True):
     bench: bool
 
 
-class Cycles(msgspec.Struct, frozen=True):
+class CyclesPayload(msgspec.Struct, frozen=True):
     """How often the vine can still be bent: a prediction, and the interval that holds nine times of ten."""
 
     expected: float
@@ -96,11 +96,11 @@ class Cycles(msgspec.Struct, frozen=True):
     cost_kPa: float
 
 
-class Reservoir(_Told, frozen=True, kw_only=True):
+class ReservoirPayload(_Told, frozen=True, kw_only=True):
     """The bottle."""
 
     reservoir_kPa: float | None
-    cycles: Cycles | None
+    cycles: CyclesPayload | None
 
 
 class _Event(_Told, frozen=True, kw_only=True, tag_field="event"):
@@ -115,7 +115,7 @@ class DecisionEvent(_Event, frozen=True, kw_only=True, tag="decision"):
     trigger: str
     what: dict[str, Any]
     intent: str | None
-    safety: Verdict
+    safety: RulingName
     reason: str
     setpoint_kPa: float | None
 
@@ -123,7 +123,7 @@ class DecisionEvent(_Event, frozen=True, kw_only=True, tag="decision"):
 class NoticeEvent(_Event, frozen=True, kw_only=True, tag="notice"):
     """A sentence for people. `of_decision`: a decision of the same moment says the same."""
 
-    severity: Severity
+    severity: SeverityName
     text: str
     of_decision: bool
 
@@ -134,10 +134,10 @@ class LostEvent(_Event, frozen=True, kw_only=True, tag="lost"):
     count: int
 
 
-Event = DecisionEvent | NoticeEvent | LostEvent
+EventPayload = DecisionEvent | NoticeEvent | LostEvent
 
 
-class Ask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class RequestPayload(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A person wants something."""
 
     version: Literal[1] = 1
@@ -145,7 +145,7 @@ class Ask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Never used before; the answer has it, too."""
     unix_s: float
     """When it was asked."""
-    command: Command
+    command: CommandName
     value: float | None = None
     """Of `bend` an angle, of `pressure` a pressure."""
     name: str | None = None
@@ -158,8 +158,8 @@ class Ask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
             raise ValueError("unix_s is not a finite number")
 
 
-class Answer(_Told, frozen=True, kw_only=True):
-    """What came of an `Ask`."""
+class AnswerPayload(_Told, frozen=True, kw_only=True):
+    """What came of an `RequestPayload`."""
 
     id: str | None
     """Null where what was asked could not be read."""
@@ -169,13 +169,13 @@ class Answer(_Told, frozen=True, kw_only=True):
 
 
 PAYLOADS: dict[str, Any] = {
-    "status": Status,
-    "about": About,
-    "state": State,
-    "reservoir": Reservoir,
-    "event": Event,
-    "ask": Ask,
-    "answer": Answer,
+    "status": StatusPayload,
+    "about": AboutPayload,
+    "state": StatePayload,
+    "reservoir": ReservoirPayload,
+    "event": EventPayload,
+    "ask": RequestPayload,
+    "answer": AnswerPayload,
 }
 """By the last word of the topic."""
 

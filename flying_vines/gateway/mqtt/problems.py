@@ -9,7 +9,7 @@ import aiomqtt
 from paho.mqtt.reasoncodes import ReasonCode
 
 from flying_vines.config.address import BrokerAddress
-from flying_vines.gateway.mqtt.health import Problem
+from flying_vines.gateway.mqtt.health import BrokerProblem
 
 _OTHER_VERSION = 0x84
 _NO_GREETING = "Operation timed out"
@@ -32,34 +32,38 @@ class FileError(Exception):
     """A password, key or certificate cannot be used."""
 
 
-def problem_of(error: BaseException, broker: BrokerAddress, connected: bool) -> Problem:
+def problem_of(error: BaseException, broker: BrokerAddress, connected: bool) -> BrokerProblem:
     """What `error` means; `connected`: it came after the broker had let us in."""
     if isinstance(error, RefusedError | FileError):
-        return Problem(str(error), needs_person=True)
+        return BrokerProblem(str(error), needs_person=True)
     cause = _beneath(error)
     if isinstance(cause, aiomqtt.MqttCodeError):
         return _by_code(cause, connected)
     if isinstance(cause, ssl.SSLCertVerificationError):
-        return Problem(f"its certificate is not trusted: {_lower(cause.verify_message)}", needs_person=True)
+        return BrokerProblem(
+            f"its certificate is not trusted: {_lower(cause.verify_message)}", needs_person=True
+        )
     if broker.tls and not connected and isinstance(cause, ssl.SSLEOFError | ConnectionResetError):
-        return Problem("it closes at once: does it speak TLS at this port?", needs_person=True)
+        return BrokerProblem("it closes at once: does it speak TLS at this port?", needs_person=True)
     if isinstance(cause, ssl.SSLError):
         reason = (cause.reason or str(cause)).replace("_", " ").lower()
         if reason == "wrong version number":
-            return Problem("it speaks no TLS at this port: mqtt:// instead of mqtts://?", needs_person=True)
-        return Problem(f"TLS: {reason}", needs_person=True)
+            return BrokerProblem(
+                "it speaks no TLS at this port: mqtt:// instead of mqtts://?", needs_person=True
+            )
+        return BrokerProblem(f"TLS: {reason}", needs_person=True)
     if isinstance(cause, socket.gaierror):
-        return Problem("there is no such name: no network, or a wrong address")
+        return BrokerProblem("there is no such name: no network, or a wrong address")
     if isinstance(cause, ConnectionRefusedError):
-        return Problem("nothing answers there")
+        return BrokerProblem("nothing answers there")
     if connected:
-        return Problem("the connection is lost")
+        return BrokerProblem("the connection is lost")
     if str(error) == _NO_GREETING:
         hint = "?" if broker.tls else ", or does it want mqtts://?"
-        return Problem(f"something is there and says nothing: is it a broker{hint}")
+        return BrokerProblem(f"something is there and says nothing: is it a broker{hint}")
     if isinstance(cause, TimeoutError):
-        return Problem("no answer")
-    return Problem(f"{getattr(cause, 'strerror', None) or cause or error}")
+        return BrokerProblem("no answer")
+    return BrokerProblem(f"{getattr(cause, 'strerror', None) or cause or error}")
 
 
 def may_want_other_version(error: BaseException) -> bool:
@@ -76,14 +80,14 @@ def _beneath(error: BaseException) -> BaseException | None:
     return error.__cause__ or error.__context__
 
 
-def _by_code(error: aiomqtt.MqttCodeError, connected: bool) -> Problem:
+def _by_code(error: aiomqtt.MqttCodeError, connected: bool) -> BrokerProblem:
     text = _BY_CODE.get(_code(error))
     if text is not None:
-        return Problem(text, needs_person=True)
+        return BrokerProblem(text, needs_person=True)
     if connected:
-        return Problem("the connection is lost")
+        return BrokerProblem("the connection is lost")
     said = error.rc.getName() if isinstance(error.rc, ReasonCode) else str(error)
-    return Problem(f"it refuses: {_lower(said)}")
+    return BrokerProblem(f"it refuses: {_lower(said)}")
 
 
 def _code(error: aiomqtt.MqttCodeError) -> int:

@@ -8,17 +8,17 @@ from typing import Any, Literal, NamedTuple
 
 import msgspec
 
-from flying_vines.gateway.messages import Happened, Profile, Seen
+from flying_vines.gateway.messages import GatewayStart, Happened, SnapshotMessage
 from flying_vines.gateway.mqtt.payloads import (
-    About,
-    Answer,
-    Event,
-    Limits,
+    AboutPayload,
+    AnswerPayload,
+    EventPayload,
+    LimitsPayload,
     LostEvent,
-    Reservoir,
-    Severity,
-    State,
-    Status,
+    ReservoirPayload,
+    SeverityName,
+    StatePayload,
+    StatusPayload,
 )
 from flying_vines.gateway.mqtt.topics import Topics
 
@@ -27,7 +27,7 @@ SILENT_S = 3.0
 RESERVOIR_S = 2.0
 
 _KINDS = {"decision", "notice"}
-SEVERITIES: dict[int, Severity] = {3: "error", 4: "warning", 5: "notice", 6: "info"}
+SEVERITIES: dict[int, SeverityName] = {3: "error", 4: "warning", 5: "notice", 6: "info"}
 
 
 class Now(NamedTuple):
@@ -84,7 +84,7 @@ class Events:
         if not self._kept:
             return None
         number, happened = self._kept[0]
-        event: Event
+        event: EventPayload
         if self._lost:
             number -= 1
             event = LostEvent(unix_s=now.unix_s, run=self._run, number=number, count=self._lost)
@@ -101,7 +101,7 @@ class Events:
         else:
             self._lost -= 1
 
-    def _event(self, now: Now, number: int, happened: Happened) -> Event:
+    def _event(self, now: Now, number: int, happened: Happened) -> EventPayload:
         fields: dict[str, Any] = msgspec.json.decode(happened.fields)
         if happened.what == "notice":
             fields["severity"] = SEVERITIES[fields["severity"]]
@@ -111,33 +111,33 @@ class Events:
             "run": self._run,
             "number": number,
         }
-        event: Event = msgspec.convert(fields, Event)
+        event: EventPayload = msgspec.convert(fields, EventPayload)
         return event
 
 
 class Teller:
     """Of one vehicle."""
 
-    def __init__(self, profile: Profile, topics: Topics) -> None:
+    def __init__(self, profile: GatewayStart, topics: Topics) -> None:
         self.topics = topics
         self._run = secrets.token_hex(4)
         self._mqtt = profile.config.mqtt
         self._profile = profile
         self.events = Events(topics.event, self._run, self._mqtt.kept_events)
-        self._latest: Seen | None = None
+        self._latest: SnapshotMessage | None = None
         self._seen_at = -SILENT_S
         self._status: Literal["online", "silent"] = "silent"
         self._reservoir_at = -RESERVOIR_S
 
-    def take(self, t: float, news: Happened | Seen) -> None:
-        if isinstance(news, Seen):
+    def take(self, t: float, news: Happened | SnapshotMessage) -> None:
+        if isinstance(news, SnapshotMessage):
             self._latest, self._seen_at = news, t
         elif news.what in _KINDS:
             self.events.take(news)
 
     def last_will(self, now: Now) -> Publication:
         """What the broker tells when it no longer hears of us."""
-        return self._retained(self.topics.status, Status(unix_s=now.unix_s, status="offline"))
+        return self._retained(self.topics.status, StatusPayload(unix_s=now.unix_s, status="offline"))
 
     def greeting(self, now: Now) -> list[Publication]:
         """On every connection: the broker may have been started anew, and knows nothing."""
@@ -157,27 +157,27 @@ class Teller:
             t = snapshot["t"]
             # Its own time is not rounded: a fault of a moment later is not in it.
             seen = _rounded(snapshot) | {"t": t, "unix_s": now.unix_of(t)}
-            told.append(self._plain(self.topics.state, msgspec.convert(seen, State)))
+            told.append(self._plain(self.topics.state, msgspec.convert(seen, StatePayload)))
             if now.t - self._reservoir_at >= RESERVOIR_S:
                 self._reservoir_at = now.t
-                told.append(self._plain(self.topics.reservoir, msgspec.convert(seen, Reservoir)))
+                told.append(self._plain(self.topics.reservoir, msgspec.convert(seen, ReservoirPayload)))
             # The same moment is not told twice.
             self._latest = None
         return told
 
-    def answer(self, answer: Answer) -> Publication:
+    def answer(self, answer: AnswerPayload) -> Publication:
         return Publication(self.topics.answer, msgspec.json.encode(answer), qos=1)
 
-    def about(self, now: Now) -> About:
+    def about(self, now: Now) -> AboutPayload:
         config = self._profile.config
         limits = config.limits
-        return About(
+        return AboutPayload(
             unix_s=now.unix_s,
             name=self.topics.name,
             flying_vines=self._profile.version,
             run=self._run,
             profiles=tuple(config.profiles),
-            limits=Limits(
+            limits=LimitsPayload(
                 limits.max_kPa,
                 config.vine.bend_curve().max_deg,
                 limits.max_rate_kPa_per_s,
@@ -193,14 +193,14 @@ class Teller:
         return "online" if now.t - self._seen_at < SILENT_S else "silent"
 
     def _told_status(self, now: Now) -> Publication:
-        return self._retained(self.topics.status, Status(unix_s=now.unix_s, status=self._status))
+        return self._retained(self.topics.status, StatusPayload(unix_s=now.unix_s, status=self._status))
 
     @staticmethod
-    def _retained(topic: str, payload: Status | About) -> Publication:
+    def _retained(topic: str, payload: StatusPayload | AboutPayload) -> Publication:
         return Publication(topic, msgspec.json.encode(payload), qos=1, retain=True)
 
     @staticmethod
-    def _plain(topic: str, payload: State | Reservoir) -> Publication:
+    def _plain(topic: str, payload: StatePayload | ReservoirPayload) -> Publication:
         return Publication(topic, msgspec.json.encode(payload))
 
 

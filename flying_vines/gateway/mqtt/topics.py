@@ -6,7 +6,7 @@ import re
 import socket
 from dataclasses import dataclass
 
-from flying_vines.config.config import Mqtt
+from flying_vines.config.config import MqttConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +17,7 @@ class Topics:
     name: str
 
     @classmethod
-    def of(cls, mqtt: Mqtt) -> Topics:
+    def of(cls, mqtt: MqttConfig) -> Topics:
         """A vehicle that has no name goes by that of its computer."""
         return cls(mqtt.prefix, mqtt.name or re.sub(r"[^\w.-]", "-", socket.gethostname(), flags=re.ASCII))
 

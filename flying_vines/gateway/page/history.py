@@ -6,7 +6,7 @@ from collections import deque
 
 import msgspec
 
-from flying_vines.gateway.messages import Seen
+from flying_vines.gateway.messages import SnapshotMessage
 
 KEPT_S = 120.0
 EVERY_S = 0.19
@@ -35,7 +35,7 @@ class History:
     def __init__(self) -> None:
         self.samples: deque[Sample] = deque()
 
-    def take(self, seen: Seen) -> None:
+    def take(self, seen: SnapshotMessage) -> None:
         now = _PRESSURES.decode(seen.snapshot)
         if self.samples and now.t - self.samples[-1].t < EVERY_S:
             return

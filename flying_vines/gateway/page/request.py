@@ -7,8 +7,8 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from flying_vines.gateway.messages import Ask
-from flying_vines.vine.intent import Command
+from flying_vines.gateway.messages import Request
+from flying_vines.vine.intent import CommandName
 
 MAX_REQUEST_BYTES = 512
 MOST_PER_S = 20.0
@@ -19,7 +19,7 @@ class PageRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A pressed button. The answer has the same `id`."""
 
     id: Annotated[int, Meta(ge=0, le=2**53)]
-    command: Command
+    command: CommandName
     value: float | None = None
     name: Annotated[str, Meta(max_length=100)] | None = None
     made_at: float | None = None
@@ -31,7 +31,7 @@ class PageRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def read_request(text: str) -> PageRequest:
     """Raises `msgspec.DecodeError`, or `ValueError` for a command that does not exist."""
     request = _REQUEST.decode(text)
-    Ask(0, "page", request.command, request.value, request.name)
+    Request(0, "page", request.command, request.value, request.name)
     return request
 
 

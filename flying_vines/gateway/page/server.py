@@ -14,7 +14,7 @@ from aiohttp import hdrs
 from aiohttp.web import BaseRequest, RequestHandler, Response, Server, StreamResponse, WebSocketResponse
 
 from flying_vines.gateway.feed import Feed
-from flying_vines.gateway.messages import Seen
+from flying_vines.gateway.messages import SnapshotMessage
 from flying_vines.gateway.page.access import Access, Refused
 from flying_vines.gateway.page.connections import MAX_VIEWERS, Connections
 from flying_vines.gateway.page.history import History
@@ -70,7 +70,7 @@ async def _remember(feed: Feed, history: History) -> None:
     with feed.reader() as reader:
         while True:
             for message in await reader.next():
-                if isinstance(message, Seen):
+                if isinstance(message, SnapshotMessage):
                     history.take(message)
 
 

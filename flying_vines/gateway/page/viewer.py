@@ -10,8 +10,8 @@ from aiohttp import WSCloseCode, WSMsgType
 from aiohttp.web import WebSocketResponse
 
 from flying_vines.config.config import Config
-from flying_vines.gateway.feed import Feed, NoAnswerError, Reader
-from flying_vines.gateway.messages import Happened, Seen
+from flying_vines.gateway.feed import Feed, FeedReader, NoAnswerError
+from flying_vines.gateway.messages import Happened, SnapshotMessage
 from flying_vines.gateway.page.history import History, Sample
 from flying_vines.gateway.page.request import MOST_AT_ONCE, MOST_PER_S, PageRequest, read_request
 from flying_vines.gateway.token_bucket import TokenBucket
@@ -62,7 +62,7 @@ class _Beat(msgspec.Struct, frozen=True, tag="beat", tag_field="kind"):
     pass
 
 
-_Message = _Hello | _Answer | _Missed | _Beat | Happened | Seen
+_Message = _Hello | _Answer | _Missed | _Beat | Happened | SnapshotMessage
 
 
 class Viewer:
@@ -105,7 +105,7 @@ class Viewer:
             tuple(self._feed.happened)[-TOLD_AT_FIRST:],
         )
 
-    async def _tell(self, reader: Reader) -> None:
+    async def _tell(self, reader: FeedReader) -> None:
         missed = 0
         while True:
             try:

@@ -6,9 +6,9 @@ found.hysteresis_kPa, found.rms_deg, found.curve
 print(found.table)                          for the configuration
 """
 
-from flying_vines.identification.bend_curve.fit import Calibration, fit
+from flying_vines.identification.bend_curve.fit import BendCurveFit, fit
 from flying_vines.identification.bend_curve.law import Law
 from flying_vines.identification.bend_curve.pairs import Pairs, PairsError, load_pairs, parse_pairs
-from flying_vines.identification.bend_curve.sequence import Estimate
+from flying_vines.identification.bend_curve.sequence import CurveEstimate
 
-__all__ = ["Calibration", "Estimate", "Law", "Pairs", "PairsError", "fit", "load_pairs", "parse_pairs"]
+__all__ = ["BendCurveFit", "CurveEstimate", "Law", "Pairs", "PairsError", "fit", "load_pairs", "parse_pairs"]

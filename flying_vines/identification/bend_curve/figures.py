@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 from matplotlib import pyplot as plt
 
-from flying_vines.identification.bend_curve.fit import Calibration
+from flying_vines.identification.bend_curve.fit import BendCurveFit
 from flying_vines.plots.style import BLUE, GREY, ORANGE, PURPLE, finish, save
 
 
-def draw(found: Calibration, folder: Path, title: str) -> list[Path]:
+def draw(found: BendCurveFit, folder: Path, title: str) -> list[Path]:
     """Draw one PNG into a folder that exists: where it is."""
     return save({"fit": _fit(found, title)}, folder, "vine")
 
 
-def _fit(found: Calibration, title: str) -> Any:
+def _fit(found: BendCurveFit, title: str) -> Any:
     figure, (loop, rest) = plt.subplots(
         2, 1, figsize=(8, 7), sharex=True, height_ratios=[3, 1], layout="constrained"
     )

@@ -13,8 +13,9 @@ import numpy as np
 
 from flying_vines.identification.bend_curve.free_curve import fit_free_curve
 from flying_vines.identification.bend_curve.law import Law, fit_law
-from flying_vines.identification.bend_curve.pairs import Array, Pairs, PairsError
-from flying_vines.identification.bend_curve.sequence import Estimate, Explanation
+from flying_vines.identification.bend_curve.pairs import Pairs, PairsError
+from flying_vines.identification.bend_curve.sequence import CurveEstimate, Explanation
+from flying_vines.physics.arrays import Array
 from flying_vines.vine.curve import BendCurve
 
 FAR_BETTER = 10.0
@@ -26,19 +27,19 @@ SLOW_KPA_PER_S = 2.0
 
 
 @dataclass(frozen=True)
-class Calibration:
+class BendCurveFit:
     """What was found of a vine."""
 
     pairs: Pairs
     law: Law
-    bend_max_deg: Estimate
-    dead_kPa: Estimate
-    scale_kPa: Estimate
+    bend_max_deg: CurveEstimate
+    dead_kPa: CurveEstimate
+    scale_kPa: CurveEstimate
     law_rms_deg: float
     """What the law leaves of the angles."""
     follows_law: bool
     """Whether the curve is the law's; else any rising curve was far better."""
-    hysteresis_kPa: Estimate | None
+    hysteresis_kPa: CurveEstimate | None
     """None: the pairs hold no way down."""
     curve: tuple[tuple[float, float], ...]
     """Pairs [kPa, degrees] on the way up, as far as it was measured."""
@@ -67,7 +68,7 @@ class Calibration:
         return tuple(_notes(self))
 
 
-def fit(pairs: Pairs) -> Calibration:
+def fit(pairs: Pairs) -> BendCurveFit:
     """The best curve and hysteresis for measured pairs.
 
     Raises `PairsError` when the pairs do not say how the vine bends.
@@ -78,7 +79,7 @@ def fit(pairs: Pairs) -> Calibration:
     chosen: Explanation = by_law if follows_law else by_curve
     if not chosen.curve:
         raise PairsError("no curve that rises from 0° fits the angles; 0° is the straight vine")
-    return Calibration(
+    return BendCurveFit(
         pairs=pairs,
         law=law,
         bend_max_deg=bend_max_deg,
@@ -92,7 +93,7 @@ def fit(pairs: Pairs) -> Calibration:
     )
 
 
-def _notes(found: Calibration) -> Iterator[str]:
+def _notes(found: BendCurveFit) -> Iterator[str]:
     hysteresis, curve = found.hysteresis_kPa, BendCurve(found.curve)
     if not found.follows_law:
         yield (

@@ -12,14 +12,15 @@ import numpy as np
 from scipy.optimize import brentq, minimize_scalar, nnls
 from scipy.stats import f as fisher
 
-from flying_vines.identification.bend_curve.pairs import Array, Pairs
+from flying_vines.identification.bend_curve.pairs import Pairs
 from flying_vines.identification.bend_curve.sequence import (
-    Estimate,
+    CurveEstimate,
     Explanation,
     bent_kPa,
     pairs_per_news,
     rounded,
 )
+from flying_vines.physics.arrays import Array
 
 MOST_PIECES = 12
 PAIRS_PER_PIECE = 5
@@ -52,7 +53,7 @@ def fit_free_curve(pairs: Pairs) -> Explanation:
     angles = np.cumsum(rises)
     residual = deg - np.interp(bent_kPa(kPa, width_kPa), knots, angles)
     numbers = int(np.count_nonzero(rises)) + int(pairs.unloads)
-    hysteresis = Estimate(width_kPa, width_kPa, width_kPa)
+    hysteresis = CurveEstimate(width_kPa, width_kPa, width_kPa)
     if pairs.unloads:
         shared = pairs_per_news(residual)
         free = max(len(kPa) / shared - numbers, 1.0)
@@ -63,5 +64,5 @@ def fit_free_curve(pairs: Pairs) -> Explanation:
 
         low = brentq(beyond, 0.0, width_kPa, xtol=1e-4) if beyond(0.0) > 0.0 else 0.0
         high = brentq(beyond, width_kPa, widest_kPa, xtol=1e-4) if beyond(widest_kPa) > 0.0 else widest_kPa
-        hysteresis = Estimate(width_kPa, float(low), float(high))
+        hysteresis = CurveEstimate(width_kPa, float(low), float(high))
     return Explanation(rounded(knots, angles), hysteresis, residual, numbers)

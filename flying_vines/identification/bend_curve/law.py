@@ -16,14 +16,15 @@ import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import t as student
 
-from flying_vines.identification.bend_curve.pairs import Array, Pairs
+from flying_vines.identification.bend_curve.pairs import Pairs
 from flying_vines.identification.bend_curve.sequence import (
-    Estimate,
+    CurveEstimate,
     Explanation,
     bent_kPa,
     pairs_per_news,
     rounded,
 )
+from flying_vines.physics.arrays import Array
 
 KNOTS = 8
 """Straight pieces of the curve that is written: evenly by angle, off by less than 1 % of it."""
@@ -51,7 +52,7 @@ class Law(NamedTuple):
         return self.curve_deg(bent_kPa(pressure_kPa, self.hysteresis_kPa))
 
 
-def fit_law(pairs: Pairs) -> tuple[Law, list[Estimate], Explanation]:
+def fit_law(pairs: Pairs) -> tuple[Law, list[CurveEstimate], Explanation]:
     """The best law, its numbers with their intervals, and what it explains."""
     kPa, deg = pairs.pressure_kPa, pairs.angle_deg
     span, top = float(np.ptp(kPa)), float(np.ptp(deg))
@@ -74,18 +75,18 @@ def fit_law(pairs: Pairs) -> tuple[Law, list[Estimate], Explanation]:
     law = Law(*(float(x) for x in best.x))
     numbers = 4 if pairs.unloads else 3
     estimates = _estimates(law, best.jac[:, :numbers], -best.fun)
-    hysteresis = estimates[3] if pairs.unloads else Estimate(0.0, 0.0, 0.0)
+    hysteresis = estimates[3] if pairs.unloads else CurveEstimate(0.0, 0.0, 0.0)
     return law, estimates[:3], Explanation(_curve(law, float(np.max(kPa))), hysteresis, -best.fun, numbers)
 
 
-def _estimates(law: Law, jacobian: Array, residual: Array) -> list[Estimate]:
+def _estimates(law: Law, jacobian: Array, residual: Array) -> list[CurveEstimate]:
     count, numbers = jacobian.shape
     shared = pairs_per_news(residual)
     sigma = math.sqrt(float(residual @ residual) / max(count - numbers, 1) * shared)
     quantile = float(student.ppf(0.975, max(count / shared - numbers, 1.0)))
     reach = quantile * sigma * np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)))
     return [
-        Estimate(value, max(0.0, value - float(width)), value + float(width))
+        CurveEstimate(value, max(0.0, value - float(width)), value + float(width))
         for value, width in zip(law, reach, strict=False)
     ]
 

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.config.toml_text import one_line, read_text
-
-Array = NDArray[np.float64]
+from flying_vines.physics.arrays import Array
 
 LEAST_PAIRS = 8
 MOST_PAIRS = 20_000

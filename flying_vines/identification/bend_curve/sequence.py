@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flying_vines.identification.bend_curve.pairs import Array
+from flying_vines.physics.arrays import Array
 
 
-class Estimate(NamedTuple):
+class CurveEstimate(NamedTuple):
     """A value and its 95 % interval."""
 
     value: float
@@ -22,7 +22,7 @@ class Explanation(NamedTuple):
 
     curve: tuple[tuple[float, float], ...]
     """Pairs [kPa, degrees] on the way up, as far as it was measured."""
-    hysteresis_kPa: Estimate
+    hysteresis_kPa: CurveEstimate
     residual_deg: Array
     numbers: int
     """That were fitted."""

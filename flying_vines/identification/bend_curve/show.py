@@ -10,11 +10,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.identification.bend_curve.fit import Calibration
-from flying_vines.identification.bend_curve.sequence import Estimate
+from flying_vines.identification.bend_curve.fit import BendCurveFit
+from flying_vines.identification.bend_curve.sequence import CurveEstimate
 
 
-def show(found: Calibration, console: Console) -> None:
+def show(found: BendCurveFit, console: Console) -> None:
     """Print what was found, and the table for the configuration."""
     pairs = found.pairs
     up = int(np.sum(pairs.rising))
@@ -37,17 +37,17 @@ def show(found: Calibration, console: Console) -> None:
     console.print(found.table, end="", markup=False, highlight=False, soft_wrap=True)
 
 
-def _rows(found: Calibration) -> Iterator[tuple[str, str, Estimate | None]]:
+def _rows(found: BendCurveFit) -> Iterator[tuple[str, str, CurveEstimate | None]]:
     yield "greatest bend θ_max", "°", found.bend_max_deg
     yield "dead zone P_d", "kPa", found.dead_kPa
     yield "scale P_s", "kPa", found.scale_kPa
     yield "hysteresis h", "kPa", found.hysteresis_kPa
 
 
-def as_json(found: Calibration) -> dict[str, Any]:
+def as_json(found: BendCurveFit) -> dict[str, Any]:
     """Everything as plain lists, numbers and texts."""
 
-    def plain(estimate: Estimate | None) -> dict[str, float] | None:
+    def plain(estimate: CurveEstimate | None) -> dict[str, float] | None:
         return None if estimate is None else estimate._asdict()
 
     return {

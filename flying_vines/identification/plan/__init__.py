@@ -8,14 +8,23 @@ recommend(rig, ("evp_lag", "line_delay"))           the one run that settles a d
 from __future__ import annotations
 
 from flying_vines.identification.plan.planning import (
-    Pair,
-    Plan,
-    PlanError,
+    CausePair,
     PlannedRun,
     Recommendation,
     Recording,
+    RecordingPlan,
+    RecordingPlanError,
     plan,
     recommend,
 )
 
-__all__ = ["Pair", "Plan", "PlanError", "PlannedRun", "Recommendation", "Recording", "plan", "recommend"]
+__all__ = [
+    "CausePair",
+    "PlannedRun",
+    "Recommendation",
+    "Recording",
+    "RecordingPlan",
+    "RecordingPlanError",
+    "plan",
+    "recommend",
+]

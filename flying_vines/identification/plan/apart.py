@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flying_vines.identification.model import Array
 from flying_vines.identification.plan.traces import Layout
+from flying_vines.physics.arrays import Array
 
 SETTLED = 25.0
 """Δχ² from which two causes are told apart: five standard deviations, as the diagnosis asks of a claim."""

@@ -14,17 +14,17 @@ from pathlib import Path
 import numpy as np
 
 from flying_vines.identification.case import Case
-from flying_vines.identification.fit import Problem
+from flying_vines.identification.fit import FitProblem
 from flying_vines.identification.plan.apart import nearest
 from flying_vines.identification.plan.rehearsal import rehearsed
-from flying_vines.identification.plan.traces import Layout, Part
+from flying_vines.identification.plan.traces import CandidatePart, Layout
 from flying_vines.identification.simulate import Simulation
 
 
 class Check:
     """Full fits to what the runs of one plan would read."""
 
-    def __init__(self, layout: Layout, parts: Sequence[Part]) -> None:
+    def __init__(self, layout: Layout, parts: Sequence[CandidatePart]) -> None:
         self._layout = layout
         self._runs = tuple(rehearsed(layout.rig, part.kind) for part in parts)
         self._initial = [np.array([[part.kind.reservoir_kPa, 0.0]]) for part in parts]
@@ -33,7 +33,7 @@ class Check:
     def apart(self, there: int, fitted: int) -> float:
         """Δχ² of the cause `fitted` to what the cause `there` reads, both by their column in the matrix."""
         layout = self._layout
-        problem = Problem(self._case(there), layout.noise_kPa)
+        problem = FitProblem(self._case(there), layout.noise_kPa)
         start = replace(problem.start().freed(layout.keys), initial=np.concatenate(self._initial))
         if fitted < len(layout.causes):
             cause = layout.causes[fitted]

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from flying_vines.identification.model import Array
 from flying_vines.identification.plan.apart import apart, open_pairs
-from flying_vines.identification.plan.traces import Layout, Part
+from flying_vines.identification.plan.traces import CandidatePart, Layout
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
 
 WORTH = 0.03
@@ -19,14 +19,14 @@ _MOST_EXCHANGES = 20
 _ROUNDING = 1e-6
 
 
-class Budget:
+class RecordingBudget:
     """What a plan may take, and whether it fits."""
 
     def __init__(self, layout: Layout, seconds: float, air_SL: float) -> None:
         self._seconds, self._air_SL = seconds, air_SL
         self._SL_per_kPa = layout.rig.reservoir.volume_L / ALPHA_KPA
 
-    def air_SL(self, parts: Iterable[Part]) -> float:
+    def air_SL(self, parts: Iterable[CandidatePart]) -> float:
         """That leaves the reservoir in these runs, and between them where it is let down to the next."""
         total_SL, reservoir_kPa = 0.0, 0.0
         for part in in_order(parts):
@@ -35,23 +35,23 @@ class Budget:
             reservoir_kPa = start_kPa - part.air_SL / self._SL_per_kPa
         return total_SL
 
-    def share(self, parts: Sequence[Part]) -> float:
+    def share(self, parts: Sequence[CandidatePart]) -> float:
         """Of what is scarcer; above 1 it does not fit."""
         time = sum(part.seconds for part in parts) / self._seconds
         return max(time, self.air_SL(parts) / self._air_SL) - _ROUNDING
 
 
-def in_order(parts: Iterable[Part]) -> list[Part]:
+def in_order(parts: Iterable[CandidatePart]) -> list[CandidatePart]:
     """As they are to be done: the reservoir need never be filled higher than before."""
     return sorted(parts, key=lambda part: (-part.kind.reservoir_kPa, part.candidate.name))
 
 
-def gram_of(layout: Layout, parts: Iterable[Part]) -> Array:
+def gram_of(layout: Layout, parts: Iterable[CandidatePart]) -> Array:
     """Of several runs together."""
     return sum((part.gram for part in parts), start=layout.nothing)
 
 
-def choose(layout: Layout, parts: Sequence[Part], budget: Budget) -> list[Part]:
+def choose(layout: Layout, parts: Sequence[CandidatePart], budget: RecordingBudget) -> list[CandidatePart]:
     """The runs of a plan, in the order in which they are to be done; at most one length of each candidate."""
     # To let the reservoir down may take all the air there is, so how far down is tried first.
     lowest = sorted({part.kind.reservoir_kPa for part in parts})
@@ -59,9 +59,9 @@ def choose(layout: Layout, parts: Sequence[Part], budget: Budget) -> list[Part]:
     return in_order(min(plans, key=lambda chosen: _open(layout, gram_of(layout, chosen)), default=[]))
 
 
-def _chosen(layout: Layout, parts: Sequence[Part], budget: Budget) -> list[Part]:
-    chosen: list[Part] = []
-    other: list[Part] | None = chosen
+def _chosen(layout: Layout, parts: Sequence[CandidatePart], budget: RecordingBudget) -> list[CandidatePart]:
+    chosen: list[CandidatePart] = []
+    other: list[CandidatePart] | None = chosen
     for _ in range(_MOST_EXCHANGES):
         if other is None:
             break
@@ -72,7 +72,9 @@ def _chosen(layout: Layout, parts: Sequence[Part], budget: Budget) -> list[Part]
     return chosen
 
 
-def _one_more(layout: Layout, parts: Sequence[Part], chosen: list[Part], budget: Budget) -> list[Part] | None:
+def _one_more(
+    layout: Layout, parts: Sequence[CandidatePart], chosen: list[CandidatePart], budget: RecordingBudget
+) -> list[CandidatePart] | None:
     gram = gram_of(layout, chosen)
     before, share = _open(layout, gram), budget.share(chosen)
     best, most = None, 0.0
@@ -86,8 +88,8 @@ def _one_more(layout: Layout, parts: Sequence[Part], chosen: list[Part], budget:
 
 
 def _exchanged(
-    layout: Layout, parts: Sequence[Part], chosen: list[Part], budget: Budget
-) -> list[Part] | None:
+    layout: Layout, parts: Sequence[CandidatePart], chosen: list[CandidatePart], budget: RecordingBudget
+) -> list[CandidatePart] | None:
     """With one run less and another instead, where that leaves fewer pairs open."""
     least = _open(layout, gram_of(layout, chosen)) - WORTH
     best = None
@@ -101,7 +103,7 @@ def _exchanged(
     return best
 
 
-def _others(parts: Sequence[Part], chosen: Sequence[Part]) -> list[Part]:
+def _others(parts: Sequence[CandidatePart], chosen: Sequence[CandidatePart]) -> list[CandidatePart]:
     names = {part.candidate.name for part in chosen}
     return [part for part in parts if part.candidate.name not in names]
 

@@ -14,7 +14,7 @@ from math import ceil, log
 
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import ControlVolume, Rig
-from flying_vines.simulation.scenario.kinds import Kind, Openings, Profile, Segment, Valves
+from flying_vines.simulation.scenario.kinds import OpeningsRun, ProfileRun, RunKind, ScenarioSegment, Valves
 from flying_vines.vine.profile import HoldFor, Step
 
 Visit = tuple[float, float]
@@ -32,20 +32,20 @@ _PATTERN = 7
 
 
 @dataclass(frozen=True)
-class Candidate:
+class CandidateRun:
     """A run of which the first `count` parts may be done; `make(n)` begins as `make(n + 1)` does."""
 
     name: str
     shows: str
     """What it is there for, in plain words."""
-    make: Callable[[int], Kind]
+    make: Callable[[int], RunKind]
     counts: tuple[int, ...]
     """That a plan may choose, rising."""
     commanded: bool
     """Whether it consists of pressure commands alone."""
 
 
-def library(rig: Rig, most_kPa: float = MOST_KPA) -> tuple[Candidate, ...]:
+def library(rig: Rig, most_kPa: float = MOST_KPA) -> tuple[CandidateRun, ...]:
     """All runs that a rig can do."""
     runs = [*_discharges(rig)]
     if rig.cv is not None:
@@ -53,19 +53,19 @@ def library(rig: Rig, most_kPa: float = MOST_KPA) -> tuple[Candidate, ...]:
     return tuple(runs)
 
 
-def _commands(most_kPa: float) -> Iterator[Candidate]:
+def _commands(most_kPa: float) -> Iterator[CandidateRun]:
     """Profiles, as they stand in a configuration of the service."""
 
     def profile(
         name: str, shows: str, supply_kPa: float, visits: list[Visit], counts: tuple[int, ...]
-    ) -> Candidate:
-        def make(count: int) -> Kind:
-            segments: list[Segment] = []
+    ) -> CandidateRun:
+        def make(count: int) -> RunKind:
+            segments: list[ScenarioSegment] = []
             for share, hold_s in visits[:count]:
                 segments += [Step(to_kPa=round(share * most_kPa, 2)), HoldFor(hold_s)]
-            return Profile(name=name, reservoir_kPa=supply_kPa, segments=tuple(segments))
+            return ProfileRun(name=name, reservoir_kPa=supply_kPa, segments=tuple(segments))
 
-        return Candidate(name, shows, make, counts, True)
+        return CandidateRun(name, shows, make, counts, True)
 
     stairs = [(share, 2.0) for share in (0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0)]
     yield profile("staircase", "pressures up and down by steps, each held", FULL_KPA, 2 * stairs, (4, 8, 16))
@@ -94,7 +94,7 @@ def _commands(most_kPa: float) -> Iterator[Candidate]:
         )
 
 
-def _openings(rig: Rig, cv: ControlVolume, most_kPa: float) -> Iterator[Candidate]:
+def _openings(rig: Rig, cv: ControlVolume, most_kPa: float) -> Iterator[CandidateRun]:
     """The valves one by one."""
 
     def fill(supply_kPa: float, opening: float, to_kPa: float, share: float = 1.0) -> Valves:
@@ -143,7 +143,7 @@ def _openings(rig: Rig, cv: ControlVolume, most_kPa: float) -> Iterator[Candidat
     yield _of_openings("pulses", shows, FULL_KPA, pulses, (8, 24))
 
 
-def _discharges(rig: Rig) -> Iterator[Candidate]:
+def _discharges(rig: Rig) -> Iterator[CandidateRun]:
     """The reservoir empties: in stretches, with a rest at the end of each."""
     through_evp = rig.cv is not None
     for name, through, out in (
@@ -158,12 +158,12 @@ def _discharges(rig: Rig) -> Iterator[Candidate]:
 
 def _of_openings(
     name: str, shows: str, supply_kPa: float, parts: list[list[Valves]], counts: tuple[int, ...]
-) -> Candidate:
-    def make(count: int) -> Kind:
+) -> CandidateRun:
+    def make(count: int) -> RunKind:
         valves = tuple(one for part in parts[:count] for one in part)
-        return Openings(name=name, reservoir_kPa=supply_kPa, valves=valves)
+        return OpeningsRun(name=name, reservoir_kPa=supply_kPa, valves=valves)
 
-    return Candidate(name, shows, make, counts, False)
+    return CandidateRun(name, shows, make, counts, False)
 
 
 def filling_s(rig: Rig, cv: ControlVolume, supply_kPa: float, opening: float, to_kPa: float) -> float:

@@ -10,7 +10,7 @@ from matplotlib import pyplot as plt
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 
 from flying_vines.identification.plan.apart import SETTLED
-from flying_vines.identification.plan.planning import Plan
+from flying_vines.identification.plan.planning import RecordingPlan
 from flying_vines.identification.verdict import NONE
 from flying_vines.plots.style import BLUE, RED, finish
 
@@ -19,12 +19,12 @@ _DARK = 30.0
 """Standard deviations from which a cell is so dark that its number is white."""
 
 
-def figures(plan: Plan) -> dict[str, Any]:
+def figures(plan: RecordingPlan) -> dict[str, Any]:
     """By name."""
     return {"matrix": _matrix(plan)}
 
 
-def _matrix(plan: Plan) -> Any:
+def _matrix(plan: RecordingPlan) -> Any:
     sigmas = plan.sigmas.copy()
     np.fill_diagonal(sigmas, np.nan)
     least = sqrt(SETTLED)

@@ -11,18 +11,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from flying_vines.identification.model import Array
 from flying_vines.identification.plan.apart import SETTLED, apart
 from flying_vines.identification.plan.check import Check
-from flying_vines.identification.plan.choose import Budget, choose, gram_of
-from flying_vines.identification.plan.library import FULL_KPA, LOW_KPA, MOST_KPA, Candidate, library
-from flying_vines.identification.plan.traces import Layout, Part, layout_of, parts_of
+from flying_vines.identification.plan.choose import RecordingBudget, choose, gram_of
+from flying_vines.identification.plan.library import FULL_KPA, LOW_KPA, MOST_KPA, CandidateRun, library
+from flying_vines.identification.plan.traces import CandidatePart, Layout, layout_of, parts_of
 from flying_vines.identification.search import Progress, silent
 from flying_vines.identification.verdict import NONE
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.effects import catalogue
 from flying_vines.physics.rig import Rig
-from flying_vines.simulation.scenario.kinds import Kind
+from flying_vines.simulation.scenario.kinds import RunKind
 from flying_vines.simulation.scenario.scenario import Scenario
 
 MINUTES = 3.0
@@ -35,21 +35,21 @@ _LOOK_AGAIN = 2.0 * SETTLED
 """Below it a full fit takes the place of the floor."""
 
 
-class PlanError(ValueError):
+class RecordingPlanError(ValueError):
     """A plan that cannot be made; its text is one line."""
 
 
-class Pair(NamedTuple):
+class CausePair(NamedTuple):
     """Two causes, or a cause and `none`."""
 
     first: str
     second: str
 
 
-class Told(NamedTuple):
+class PairSeparation(NamedTuple):
     """By how many standard deviations a pair is told apart: with all runs but one, and with that as well."""
 
-    pair: Pair
+    pair: CausePair
     without: float
     having: float
 
@@ -60,13 +60,13 @@ class PlannedRun:
 
     name: str
     shows: str
-    kind: Kind
+    kind: RunKind
     """As it stands in a scenario."""
     seconds: float
     air_SL: float
     commanded: bool
     """Whether the service can do it: it consists of pressure commands alone."""
-    told: tuple[Told, ...]
+    told: tuple[PairSeparation, ...]
     """The pairs that nothing else of the plan settles; where there is none, the one that it makes surest."""
 
     def as_json(self) -> dict[str, Any]:
@@ -90,7 +90,7 @@ class Recording:
 
     runs: tuple[PlannedRun, ...]
     air_SL: float
-    open: tuple[Pair, ...]
+    open: tuple[CausePair, ...]
     """Δχ² below `SETTLED`, whichever of the two is there; with `none`: the cause does not show."""
 
     @property
@@ -112,7 +112,7 @@ class Recording:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class RecordingPlan:
     """Which runs of a rig to record within a time and an air budget, and what they will tell apart."""
 
     rig: Rig
@@ -126,7 +126,7 @@ class Plan:
     """Of the causes: the rows of the matrix, and its columns but for the last, which is `none`."""
     matrix: Array
     """(causes, causes + 1) Δχ² in `best`: the row is there at its typical strength, the column is fitted."""
-    never: tuple[Pair, ...]
+    never: tuple[CausePair, ...]
     """Open in `best`, and in all runs of the library together."""
 
     @property
@@ -156,7 +156,7 @@ class Recommendation:
     run: PlannedRun
     sigmas: float
     """Of the pair that it tells apart worst."""
-    worst: Pair
+    worst: CausePair
 
     def in_words(self) -> str:
         """A sentence or two for people."""
@@ -174,7 +174,7 @@ def plan(
     air_SL: float | None = None,
     most_kPa: float = MOST_KPA,
     progress: Progress = silent,
-) -> Plan:
+) -> RecordingPlan:
     """Which runs to record of a rig.
 
     Args:
@@ -190,13 +190,15 @@ def plan(
         air_SL = rig.reservoir.volume_L * (FULL_KPA - SPENT_KPA) / ALPHA_KPA
     for what, value in (("minutes", minutes), ("air_SL", air_SL), ("most_kPa", most_kPa)):
         if not value > 0.0 or not np.isfinite(value):
-            raise PlanError(f"{what}: {value:g} is not above 0")
+            raise RecordingPlanError(f"{what}: {value:g} is not above 0")
     if most_kPa > 0.5 * LOW_KPA:
-        raise PlanError(f"most_kPa: {most_kPa:g} is too near the {LOW_KPA:g} kPa from which runs fill it")
+        raise RecordingPlanError(
+            f"most_kPa: {most_kPa:g} is too near the {LOW_KPA:g} kPa from which runs fill it"
+        )
     with threadpool_limits(1):
         layout = layout_of(rig, catalogue())
         parts = _all_parts(layout, library(rig, most_kPa), progress)
-        budget = Budget(layout, 60.0 * minutes, air_SL)
+        budget = RecordingBudget(layout, 60.0 * minutes, air_SL)
         progress("choosing", 0.6)
         by_commands = _look(layout, choose(layout, [p for p in parts if p.candidate.commanded], budget))
         best = by_commands
@@ -205,12 +207,12 @@ def plan(
             if len(anything.open) < len(by_commands.open):
                 best = anything
         if not best.parts:
-            raise PlanError(
+            raise RecordingPlanError(
                 f"no run fits into {60.0 * minutes:g} s and {air_SL:g} standard litres; allow more of either"
             )
         progress("what no run would tell", 0.9)
         never = _open_in_all(layout, parts, best.open)
-        return Plan(
+        return RecordingPlan(
             rig=rig,
             minutes=minutes,
             air_SL=air_SL,
@@ -231,7 +233,7 @@ def recommend(rig: Rig, doubt: Collection[str], most_kPa: float = MOST_KPA) -> R
     known = {cause.name: cause for cause in catalogue()}
     unknown = sorted(set(doubt) - {*known, NONE})
     if unknown or len(set(doubt)) < 2:
-        raise PlanError(f"no two causes to tell apart: {', '.join(unknown or sorted(set(doubt)))}")
+        raise RecordingPlanError(f"no two causes to tell apart: {', '.join(unknown or sorted(set(doubt)))}")
     causes = [cause for name, cause in known.items() if name in doubt]
     with_none = NONE in doubt
     with threadpool_limits(1):
@@ -251,25 +253,25 @@ def recommend(rig: Rig, doubt: Collection[str], most_kPa: float = MOST_KPA) -> R
 class _Look(NamedTuple):
     """Some runs, looked at."""
 
-    parts: list[Part]
+    parts: list[CandidatePart]
     matrix: Array
-    open: tuple[Pair, ...]
+    open: tuple[CausePair, ...]
 
 
-def _all_parts(layout: Layout, candidates: Sequence[Candidate], progress: Progress) -> list[Part]:
-    parts: list[Part] = []
+def _all_parts(layout: Layout, candidates: Sequence[CandidateRun], progress: Progress) -> list[CandidatePart]:
+    parts: list[CandidatePart] = []
     for done, candidate in enumerate(candidates):
         progress(f"trying {candidate.name}", 0.6 * done / len(candidates))
         parts += parts_of(layout, candidate)
     return parts
 
 
-def _longest(parts: Sequence[Part]) -> list[Part]:
+def _longest(parts: Sequence[CandidatePart]) -> list[CandidatePart]:
     """Of each candidate."""
     return list({part.candidate.name: part for part in parts}.values())
 
 
-def _look(layout: Layout, parts: list[Part]) -> _Look:
+def _look(layout: Layout, parts: list[CandidatePart]) -> _Look:
     """The matrix, with full fits in place of floors where those are low, and what is open."""
     matrix = apart(layout, gram_of(layout, parts))
     none = len(layout.causes)
@@ -285,18 +287,20 @@ def _look(layout: Layout, parts: list[Part]) -> _Look:
     return _Look(parts, matrix, _open(layout, matrix))
 
 
-def _open(layout: Layout, matrix: Array) -> tuple[Pair, ...]:
+def _open(layout: Layout, matrix: Array) -> tuple[CausePair, ...]:
     """Pairs below `SETTLED`; of a cause that does not show only that."""
     names, none = layout.names, len(layout.names)
     shown = [index for index in range(none) if matrix[index, none] >= SETTLED]
-    pairs = [Pair(name, NONE) for index, name in enumerate(names) if index not in shown]
+    pairs = [CausePair(name, NONE) for index, name in enumerate(names) if index not in shown]
     for a, b in combinations(shown, 2):
         if min(matrix[a, b], matrix[b, a]) < SETTLED:
-            pairs.append(Pair(names[a], names[b]))
+            pairs.append(CausePair(names[a], names[b]))
     return tuple(pairs)
 
 
-def _open_in_all(layout: Layout, parts: Sequence[Part], pairs: Sequence[Pair]) -> tuple[Pair, ...]:
+def _open_in_all(
+    layout: Layout, parts: Sequence[CandidatePart], pairs: Sequence[CausePair]
+) -> tuple[CausePair, ...]:
     """Of some pairs those that all runs together, each at its longest, leave open."""
     whole = _longest(parts)
     floors, check = apart(layout, gram_of(layout, whole)), Check(layout, whole)
@@ -311,21 +315,23 @@ def _open_in_all(layout: Layout, parts: Sequence[Part], pairs: Sequence[Pair]) -
     )
 
 
-def _recording(layout: Layout, budget: Budget, look: _Look) -> Recording:
+def _recording(layout: Layout, budget: RecordingBudget, look: _Look) -> Recording:
     runs = []
     for index, part in enumerate(look.parts):
         without = apart(layout, gram_of(layout, [*look.parts[:index], *look.parts[index + 1 :]]))
         opened = [pair for pair in _open(layout, without) if pair not in look.open]
         pairs = opened or [_sharpened(layout, look.matrix, without)]
         told = [
-            Told(pair, *(round(_sigmas(layout, matrix, pair), 2) for matrix in (without, look.matrix)))
+            PairSeparation(
+                pair, *(round(_sigmas(layout, matrix, pair), 2) for matrix in (without, look.matrix))
+            )
             for pair in pairs
         ]
         runs.append(_planned(part, sorted(told, key=lambda t: t.without)))
     return Recording(tuple(runs), budget.air_SL(look.parts), look.open)
 
 
-def _sigmas(layout: Layout, matrix: Array, pair: Pair) -> float:
+def _sigmas(layout: Layout, matrix: Array, pair: CausePair) -> float:
     """Whichever of the two is there."""
     there = layout.names.index(pair.first)
     if pair.second == NONE:
@@ -334,15 +340,15 @@ def _sigmas(layout: Layout, matrix: Array, pair: Pair) -> float:
     return sqrt(min(matrix[there, other], matrix[other, there]))
 
 
-def _sharpened(layout: Layout, matrix: Array, without: Array) -> Pair:
+def _sharpened(layout: Layout, matrix: Array, without: Array) -> CausePair:
     """The pair for which a run does most, least sure pairs first."""
     gain = np.log((matrix + 1.0) / (without + 1.0)) / np.sqrt(without + SETTLED)
     np.fill_diagonal(gain, -np.inf)
     there, fitted = np.unravel_index(int(np.argmax(gain)), gain.shape)
-    return Pair(layout.names[there], (*layout.names, NONE)[fitted])
+    return CausePair(layout.names[there], (*layout.names, NONE)[fitted])
 
 
-def _planned(part: Part, told: Sequence[Told] = ()) -> PlannedRun:
+def _planned(part: CandidatePart, told: Sequence[PairSeparation] = ()) -> PlannedRun:
     candidate = part.candidate
     return PlannedRun(
         name=candidate.name,
@@ -355,10 +361,10 @@ def _planned(part: Part, told: Sequence[Told] = ()) -> PlannedRun:
     )
 
 
-def _worst(layout: Layout, matrix: Array, with_none: bool) -> tuple[Pair, float]:
+def _worst(layout: Layout, matrix: Array, with_none: bool) -> tuple[CausePair, float]:
     """The pair that is told apart worst, and its Δχ²."""
     columns = (*layout.names, NONE) if with_none else layout.names
     among = matrix[:, : len(columns)].copy()
     np.fill_diagonal(among, np.inf)
     there, fitted = np.unravel_index(int(np.argmin(among)), among.shape)
-    return Pair(layout.names[there], columns[fitted]), float(among[there, fitted])
+    return CausePair(layout.names[there], columns[fitted]), float(among[there, fitted])

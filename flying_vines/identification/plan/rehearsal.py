@@ -10,14 +10,14 @@ import random
 
 import numpy as np
 
-from flying_vines.identification.model import Array
-from flying_vines.identification.recording import Run
+from flying_vines.identification.recording import RecordedRun
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.compiler import compiled, record
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.compiled import floats_of
 from flying_vines.physics.plant.loops import APART
-from flying_vines.physics.plant.numbers import Numbers, numbers_of
+from flying_vines.physics.plant.numbers import PlantNumbers, numbers_of
 from flying_vines.physics.plant.plant import Held, Plant, at_rest
 from flying_vines.physics.plant.rates import Floats, conditions
 from flying_vines.physics.plant.tick import runge_kutta
@@ -25,12 +25,12 @@ from flying_vines.physics.rig import Rig
 from flying_vines.simulation.phlosar.closed_loop import regulator_step
 from flying_vines.simulation.phlosar.regulator import Regulator
 from flying_vines.simulation.scenario.command import command_of, valves_of
-from flying_vines.simulation.scenario.kinds import FIRMWARE_HZ, Kind
+from flying_vines.simulation.scenario.kinds import FIRMWARE_HZ, RunKind
 from flying_vines.simulation.scenario.regulation import FASTEST_KPA_PER_S, tuning_for
 from flying_vines.simulation.scenario.run import OPENING_DIGITS
 
 
-def rehearsed(rig: Rig, kind: Kind) -> Run:
+def rehearsed(rig: Rig, kind: RunKind) -> RecordedRun:
     """The run as it would be recorded, without readings."""
     samples = max(1, round(kind.length_s * kind.sample_rate_Hz))
     time_s = np.arange(samples) / kind.sample_rate_Hz
@@ -43,10 +43,12 @@ def rehearsed(rig: Rig, kind: Kind) -> Run:
     evp, dvp, solenoid = openings.T
     unread = np.zeros_like(time_s)
     cv_kPa = np.full_like(time_s, np.nan) if rig.cv is None else unread
-    return Run(kind.label, time_s, None, evp, dvp, solenoid, cv_kPa, unread, None, None, rig.cv is None)
+    return RecordedRun(
+        kind.label, time_s, None, evp, dvp, solenoid, cv_kPa, unread, None, None, rig.cv is None
+    )
 
 
-def _regulated(rig: Rig, kind: Kind, time_s: Array) -> Array:
+def _regulated(rig: Rig, kind: RunKind, time_s: Array) -> Array:
     command = command_of(kind, random.Random(0))
     assert command is not None and rig.cv is not None, "a run either regulates or moves the valves"
     regulator = Regulator(tuning_for(rig, rig.cv, kind.reservoir_kPa, kind.sample_rate_Hz))
@@ -64,7 +66,7 @@ def _regulated(rig: Rig, kind: Kind, time_s: Array) -> Array:
 
 
 def regulate_held(
-    numbers: Numbers,
+    numbers: PlantNumbers,
     state: Floats,
     regulator: int,
     wanted_kPa: Array,

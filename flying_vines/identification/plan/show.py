@@ -10,14 +10,14 @@ from rich.table import Table
 from rich.text import Text
 
 from flying_vines.identification.plan.apart import SETTLED
-from flying_vines.identification.plan.planning import Pair, Plan, PlannedRun, Recording
+from flying_vines.identification.plan.planning import CausePair, PlannedRun, Recording, RecordingPlan
 from flying_vines.identification.verdict import NONE
 
 _NAMED = 2
 _WORST = 8
 
 
-def show(plan: Plan, console: Console) -> None:
+def show(plan: RecordingPlan, console: Console) -> None:
     """Print the runs and why each is there, what is told apart worst, and what stays open."""
     best = plan.best
     runs = f"{len(best.runs)} run{'s' if len(best.runs) > 1 else ''}"
@@ -32,7 +32,7 @@ def show(plan: Plan, console: Console) -> None:
         console.print(Text(line))
 
 
-def in_words(pairs: Sequence[Pair]) -> str:
+def in_words(pairs: Sequence[CausePair]) -> str:
     """`a from b; c does not show`."""
     hidden = [pair.first for pair in pairs if pair.second == NONE]
     told = [f"{a} from {b}" for a, b in pairs if b != NONE]
@@ -70,7 +70,7 @@ def _why(run: PlannedRun) -> str:
     return ", ".join(told)
 
 
-def _worst(plan: Plan) -> Table:
+def _worst(plan: RecordingPlan) -> Table:
     """Of the pairs in which the first shows."""
     table = Table(box=None, padding=(0, 2, 0, 0), title="Told apart worst", title_justify="left")
     table.add_column("there")
@@ -88,7 +88,7 @@ def _worst(plan: Plan) -> Table:
     return table
 
 
-def _left(plan: Plan) -> list[str]:
+def _left(plan: RecordingPlan) -> list[str]:
     if not plan.best.open:
         lines = ["Every cause is told from every other, and from none."]
     else:

@@ -22,17 +22,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.identification.case import Case
-from flying_vines.identification.model import Array
 from flying_vines.identification.noise import stated_noise_kPa
-from flying_vines.identification.plan.library import Candidate
+from flying_vines.identification.plan.library import CandidateRun
 from flying_vines.identification.plan.rehearsal import rehearsed
 from flying_vines.identification.plan.strengths import strengths, typical
-from flying_vines.identification.recording import Run
+from flying_vines.identification.recording import RecordedRun
 from flying_vines.identification.simulate import Simulation, believed_keys, believed_spread
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Values
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import Rig, number
-from flying_vines.simulation.scenario.kinds import Kind
+from flying_vines.simulation.scenario.kinds import RunKind
 
 Causes = Sequence[tuple[Cause, Values]]
 
@@ -71,10 +71,10 @@ class Layout:
 
 
 @dataclass(frozen=True)
-class Part:
+class CandidatePart:
     """The first so many parts of a candidate."""
 
-    candidate: Candidate
+    candidate: CandidateRun
     count: int
     seconds: float
     air_SL: float
@@ -82,7 +82,7 @@ class Part:
     gram: Array
 
     @cached_property
-    def kind(self) -> Kind:
+    def kind(self) -> RunKind:
         """As it stands in a scenario."""
         return self.candidate.make(self.count)
 
@@ -102,7 +102,7 @@ def layout_of(rig: Rig, causes: Sequence[Cause]) -> Layout:
     )
 
 
-def parts_of(layout: Layout, candidate: Candidate) -> list[Part]:
+def parts_of(layout: Layout, candidate: CandidateRun) -> list[CandidatePart]:
     """A candidate at each of its lengths."""
     whole = candidate.make(candidate.counts[-1])
     run = rehearsed(layout.rig, whole)
@@ -114,11 +114,11 @@ def parts_of(layout: Layout, candidate: Candidate) -> list[Part]:
         piece = rows[:, :, done:end].reshape(len(rows), -1)
         gram, done = gram + piece @ piece.T, end
         air_SL = layout.rig.reservoir.volume_L * (reservoir_kPa[0] - reservoir_kPa[end - 1]) / ALPHA_KPA
-        parts.append(Part(candidate, count, seconds, float(air_SL), _without_initial(gram)))
+        parts.append(CandidatePart(candidate, count, seconds, float(air_SL), _without_initial(gram)))
     return parts
 
 
-def _traces(layout: Layout, run: Run, reservoir_kPa: float) -> tuple[Array, Array]:
+def _traces(layout: Layout, run: RecordedRun, reservoir_kPa: float) -> tuple[Array, Array]:
     """(rows, 2, n): of G's rows, then of the two initial pressures; and the reservoir's baseline, kPa."""
     simulation = Simulation(Case(Path(run.name), layout.rig, (run,), ()))
     start = np.array([[reservoir_kPa, 0.0]])

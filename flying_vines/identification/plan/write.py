@@ -8,8 +8,8 @@ from typing import Any
 
 import msgspec
 
-from flying_vines.identification.plan.planning import Plan, PlannedRun, Recording
-from flying_vines.simulation.scenario.kinds import Profile
+from flying_vines.identification.plan.planning import PlannedRun, Recording, RecordingPlan
+from flying_vines.simulation.scenario.kinds import ProfileRun
 
 SCENARIO, PROFILES = "scenario.toml", "profiles.toml"
 _FIRST_NUMBER = 101
@@ -20,7 +20,7 @@ _HEADER = """\
 """
 
 
-def write_plan(plan: Plan, folder: Path) -> list[Path]:
+def write_plan(plan: RecordingPlan, folder: Path) -> list[Path]:
     """Write the best runs as a scenario and what the service can do as profiles: where they are."""
     folder.mkdir(parents=True, exist_ok=True)
     texts = {SCENARIO: scenario_text(plan.best)}
@@ -51,7 +51,7 @@ def profiles_text(recording: Recording) -> str:
 
 
 def _segments(run: PlannedRun) -> list[str]:
-    assert isinstance(run.kind, Profile)
+    assert isinstance(run.kind, ProfileRun)
     segments = list(msgspec.to_builtins(run.kind.segments))
     if segments[-2:-1] != (end := [{"kind": "step", "to_kPa": 0.0}]):
         segments += end

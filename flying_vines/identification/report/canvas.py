@@ -12,10 +12,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from flying_vines.identification.evidence import Compared
-from flying_vines.identification.model import Array
 from flying_vines.identification.residuals import CHANNELS
 from flying_vines.identification.simulate import GAP
 from flying_vines.identification.verdict import Verdict
+from flying_vines.physics.arrays import Array
 from flying_vines.plots.style import BLUE, ORANGE, plain
 
 WIDTH_IN = 6.4

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from scipy.cluster.hierarchy import leaves_list, linkage
 from scipy.spatial.distance import squareform
 
-from flying_vines.identification.intervals import ABOVE, Profile
+from flying_vines.identification.intervals import ABOVE, LikelihoodProfile
 from flying_vines.identification.likeness import Likeness
-from flying_vines.identification.model import Array
 from flying_vines.identification.report.canvas import (
     AFTER,
     BEFORE,
@@ -33,7 +32,8 @@ from flying_vines.identification.report.residual_figures import (
 from flying_vines.identification.report.runs import draw_run, parting
 from flying_vines.identification.report.words import label_and_unit, labelled, numbers, share
 from flying_vines.identification.search import CLAIM
-from flying_vines.identification.verdict import Estimate, Tried, Verdict
+from flying_vines.identification.verdict import ParameterEstimate, Tried, Verdict
+from flying_vines.physics.arrays import Array
 from flying_vines.plots.style import GREY, PURPLE
 
 MOST_RUNS = 6
@@ -177,7 +177,7 @@ def draw_profiles(verdict: Verdict) -> Figure:
     return figure
 
 
-def _profile(axis: Any, profile: Profile) -> None:
+def _profile(axis: Any, profile: LikelihoodProfile) -> None:
     axis.axvspan(profile.low, profile.high, color=AFTER, alpha=0.12, lw=0)
     axis.axhline(ABOVE, color=INK, lw=0.8, ls=(0, (4, 3)))
     axis.axvline(profile.estimate, color=AFTER, lw=0.8)
@@ -190,12 +190,12 @@ def _profile(axis: Any, profile: Profile) -> None:
     axis.set_ylim(-0.3, _HIGHEST)
     axis.locator_params(axis="x", nbins=4)
     axis.ticklabel_format(useOffset=False)
-    estimate, low, high = numbers(Estimate(profile.estimate, profile.low, profile.high))
+    estimate, low, high = numbers(ParameterEstimate(profile.estimate, profile.low, profile.high))
     quiet(axis, f"{profile.cause}\n{estimate} ({low} … {high}) {label_and_unit(profile.parameter.name)[1]}")
     axis.set_xlabel(labelled(profile.parameter.name))
 
 
-def curve(profile: Profile) -> tuple[Array, Array]:
+def curve(profile: LikelihoodProfile) -> tuple[Array, Array]:
     """Interpolates linearly in the square root of χ², which is exact for a parabola."""
     parameter = profile.parameter
     inner = np.array([parameter.inner(float(value)) for value in profile.value])

@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
-from flying_vines.identification.model import Array
 from flying_vines.identification.report.canvas import (
     AFTER,
     BEFORE,
@@ -23,6 +22,7 @@ from flying_vines.identification.report.canvas import (
 )
 from flying_vines.identification.residuals import CHANNELS, Pattern
 from flying_vines.identification.verdict import UNEXPLAINED, Verdict
+from flying_vines.physics.arrays import Array
 
 BAND = 2.0
 """Standard deviations."""

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from flying_vines.identification.evidence import Compared
 from flying_vines.identification.fit import Bools
-from flying_vines.identification.model import Array
 from flying_vines.identification.report.canvas import (
     AFTER,
     BEFORE,
@@ -21,6 +20,7 @@ from flying_vines.identification.report.canvas import (
     unbroken,
 )
 from flying_vines.identification.residuals import CHANNELS
+from flying_vines.physics.arrays import Array
 from flying_vines.plots.style import BLUE, GREEN, GREY
 
 _ZOOM = 0.09

@@ -6,7 +6,7 @@ from math import floor, isfinite, log10
 
 from flying_vines.identification.residuals import Pattern
 from flying_vines.identification.search import STRUCTURE
-from flying_vines.identification.verdict import Estimate
+from flying_vines.identification.verdict import ParameterEstimate
 
 _UNITS = {
     "_kPa_s_per_SL": "kPa·s/SL",
@@ -37,7 +37,7 @@ def labelled(name: str) -> str:
     return f"{label}, {unit}" if unit else label
 
 
-def numbers(estimate: Estimate) -> tuple[str, str, str]:
+def numbers(estimate: ParameterEstimate) -> tuple[str, str, str]:
     """The estimate and the ends of its interval, to the second digit of the interval's half width."""
     half = 0.5 * (estimate.high - estimate.low)
     values = (estimate.estimate, estimate.low, estimate.high)

@@ -47,7 +47,7 @@ class Climb:
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedAmbient:
     """Straight lines between (time, pressure, temperature); before and after, what is first and last."""
 
     time_s: tuple[float, ...]
@@ -74,7 +74,7 @@ class Recorded:
         return pressure_kPa, self.temperature_K[before] + share * rise_K, rise_kPa / span_s
 
 
-Ambient = Steady | Climb | Recorded
+Ambient = Steady | Climb | RecordedAmbient
 
 
 def air_at(ambient: Ambient, t_s: float) -> Air:

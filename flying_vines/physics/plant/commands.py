@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.compiler import compiled
 from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion, backlash, dead_zone
-
-Array = NDArray[np.float64]
 
 
 class Steps(NamedTuple):

@@ -1,7 +1,7 @@
 """The compiled plant: whole runs as one call, for fits, benchmarks and batches of rigs.
 
 `replay` runs a plant with openings that are given; the closed loop with the firmware's regulator is
-`flying_vines.simulation.phlosar.closed_loop.closed_loop`. Both give a `Run`. Needs numba: pip install
+`flying_vines.simulation.phlosar.closed_loop.closed_loop`. Both give a `CompiledRun`. Needs numba: pip install
 'flying-vines[analysis]'.
 """
 
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.compiler import compiled, record
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
-from flying_vines.physics.plant.ambient import Ambient, Recorded, Steady
+from flying_vines.physics.plant.ambient import Ambient, RecordedAmbient, Steady
 from flying_vines.physics.plant.loops import APART, COLUMNS, Table, run_openings
 from flying_vines.physics.plant.numbers import numbers_of
 from flying_vines.physics.plant.plant import Plant, State, at_rest
@@ -28,7 +28,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-class Run(NamedTuple):
+class CompiledRun(NamedTuple):
     """What happened: `table["cv_kPa"]` and so on for each of `loops.COLUMNS`, and the state at the end."""
 
     table: NDArray[np.void]
@@ -46,7 +46,7 @@ def replay(
     initial: Inputs = SHUT,
     tick_s: float = TICK_S,
     record_every: int = 1,
-) -> Run:
+) -> CompiledRun:
     """The plant from `state` (default: `at_rest`) with the valves told `openings`.
 
     `openings` has a row for every tick of `tick_s`: EVP 0…1, DVP 0…1, solenoid 0 or 1. Sensors are perfect
@@ -69,7 +69,7 @@ def replay(
         record_every,
         table,
     )
-    return Run(named(table), State(*final))
+    return CompiledRun(named(table), State(*final))
 
 
 def batch(run: Callable[[T], R], items: Iterable[T], *, threads: int = 1) -> list[R]:
@@ -105,7 +105,7 @@ def weather_of(plant: Plant, n_ticks: int, tick_s: float) -> Table:
 
 def weather_at(ambient: Ambient, times_s: NDArray[np.floating[Any]]) -> Table:
     """The air around at rising times: kPa, temperature ratio."""
-    corners_s = ambient.time_s if isinstance(ambient, Recorded) else (times_s[0], times_s[-1])
+    corners_s = ambient.time_s if isinstance(ambient, RecordedAmbient) else (times_s[0], times_s[-1])
     kPa, kelvin, _ = np.transpose([ambient.at(corner_s) for corner_s in corners_s])
     return np.column_stack(
         [

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air, air_between
-from flying_vines.physics.plant.numbers import Numbers
+from flying_vines.physics.plant.numbers import PlantNumbers
 from flying_vines.physics.plant.plant import Conditions
 from flying_vines.physics.plant.rates import Floats, conditions, rates
-from flying_vines.physics.plant.sensors import Seen, Transfer, reading, rested
+from flying_vines.physics.plant.sensors import SensorMemory, Transfer, reading, rested
 from flying_vines.physics.plant.tick import memory_at_rest, runge_kutta, tick
 
 Table = NDArray[np.float64]
@@ -40,7 +40,7 @@ sensors read; what the valves are told then; what is true."""
 
 
 def run_openings(
-    numbers: Numbers,
+    numbers: PlantNumbers,
     cv_sensor: Transfer,
     reservoir_sensor: Transfer,
     weather: Table,
@@ -95,13 +95,13 @@ def weather_at(weather: Table, index: int) -> Air:
 def read_both(
     cv_sensor: Transfer,
     reservoir_sensor: Transfer,
-    cv_seen: Seen,
-    reservoir_seen: Seen,
+    cv_seen: SensorMemory,
+    reservoir_seen: SensorMemory,
     true: Conditions,
     dt_s: float,
     noise: Table,
     index: int,
-) -> tuple[Seen, float, Seen, float]:
+) -> tuple[SensorMemory, float, SensorMemory, float]:
     """What both sensors remember and read. That of the control volume sits at the valves."""
     row = min(index, len(noise) - 1)
     cv_seen, cv_kPa = reading(cv_sensor, cv_seen, true.line_kPa, dt_s, noise[row, 0])

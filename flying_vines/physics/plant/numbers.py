@@ -19,7 +19,7 @@ from flying_vines.physics.plant.venturi import Ejector, Suction
 from flying_vines.physics.plant.wall import Heat
 
 
-class Valve(NamedTuple):
+class ValveNumbers(NamedTuple):
     """A proportional valve: how it flows when it is fully open, and how it follows its command."""
 
     law: Opening
@@ -33,7 +33,7 @@ class Valve(NamedTuple):
     """0…1: it goes there, and stays, whatever it is told. Below 0: it does as it is told."""
 
 
-class Numbers(NamedTuple):
+class PlantNumbers(NamedTuple):
     """A plant, for ticks of `tick_s`."""
 
     tick_s: float
@@ -42,8 +42,8 @@ class Numbers(NamedTuple):
     reservoir_per_L: float
     reservoir_heat: Heat
     reservoir_leak: Opening
-    evp: Valve
-    dvp: Valve
+    evp: ValveNumbers
+    dvp: ValveNumbers
     venturi: Suction
     solenoid: Opening
     solenoid_opening_ticks: int
@@ -63,7 +63,7 @@ class Numbers(NamedTuple):
     """A bound on the quickest rate of what does not depend on where the valves and the volume are."""
 
 
-def numbers_of(plant: Plant, tick_s: float) -> Numbers:
+def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
     """The numbers of a plant."""
     rig, effects = plant.rig, plant.effects
     evp = _valve(
@@ -90,7 +90,7 @@ def numbers_of(plant: Plant, tick_s: float) -> Numbers:
         evp.lag_per_s,
         dvp.lag_per_s,
     )
-    return Numbers(
+    return PlantNumbers(
         tick_s=tick_s,
         least_steps=1,
         reservoir_per_L=1.0 / rig.reservoir.volume_L,
@@ -121,9 +121,9 @@ def _opening(law: FlowLaw | None, flow_resistance_kPa_s_per_SL: float) -> Openin
 
 def _valve(
     law: FlowLaw | None, resistance: float, motion: ValveMotion | None, coil: Coil | None, tick_s: float
-) -> Valve:
+) -> ValveNumbers:
     motion = motion or ValveMotion()
-    return Valve(
+    return ValveNumbers(
         _opening(law, resistance),
         motion,
         ticks(motion.delay_s, tick_s),

@@ -20,7 +20,7 @@ from typing import NamedTuple
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.flow import flow_SL_per_s
-from flying_vines.physics.plant.numbers import Numbers
+from flying_vines.physics.plant.numbers import PlantNumbers
 from flying_vines.physics.plant.plant import Conditions, Held
 from flying_vines.physics.plant.shape import pressure_and_volume
 from flying_vines.physics.plant.venturi import outlet_SL_per_s, supply
@@ -54,13 +54,13 @@ class Flows(NamedTuple):
     cv_heat_W: float
 
 
-def flows(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held) -> Flows:
+def flows(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held) -> Flows:
     """What flows where, `at_s` after the start of what `air` tells."""
     found = _balance(numbers, air, at_s, state, held)
     return Flows._make((*found[:12], found[12] / _G1, found[13] / _G1))
 
 
-def rates(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held) -> Floats:
+def rates(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held) -> Floats:
     """The state's change per second, `at_s` after the start of what `air` tells."""
     (
         evp, evp_ratio, motive, motive_ratio, outlet, outlet_ratio,
@@ -104,7 +104,7 @@ def rates(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held) ->
 
 
 def _balance(
-    numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held
+    numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held
 ) -> tuple[
     float, float, float, float, float, float, float, float, float,
     float, float, float, float, float, float, float, float,
@@ -172,7 +172,7 @@ def _balance(
     )  # fmt: skip
 
 
-def conditions(numbers: Numbers, air: Air, state: Floats) -> Conditions:
+def conditions(numbers: PlantNumbers, air: Air, state: Floats) -> Conditions:
     """What is true of a state, at the start of what `air` tells."""
     n_r, e_r, _, n_c, e_c, _, n_l, _, _, _ = state
     ambient, ambient_K = air.kPa, air.ratio * STANDARD_TEMPERATURE_K
@@ -198,7 +198,7 @@ def conditions(numbers: Numbers, air: Air, state: Floats) -> Conditions:
     )
 
 
-def edges(numbers: Numbers, air: Air, at_s: float, state: Floats) -> tuple[float, float, float]:
+def edges(numbers: PlantNumbers, air: Air, at_s: float, state: Floats) -> tuple[float, float, float]:
     """Each changes its sign where the right-hand side has a jump or kink: the Venturi stalls; the control
     volume becomes flat, full."""
     ambient = air.kPa + air.kPa_per_s * at_s
@@ -211,7 +211,7 @@ def edges(numbers: Numbers, air: Air, at_s: float, state: Floats) -> tuple[float
     return stall, energy - numbers.cv.flat_edge_L * ambient, energy - numbers.cv.full_edge_L * ambient
 
 
-def quickest_per_s(numbers: Numbers, air: Air, state: Floats, held: Held) -> float:
+def quickest_per_s(numbers: PlantNumbers, air: Air, state: Floats, held: Held) -> float:
     """A bound on the quickest rate of a tick that begins here: what an explicit integrator has to resolve."""
     if not numbers.has_cv:
         return numbers.standing_per_s

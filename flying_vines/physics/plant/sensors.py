@@ -116,21 +116,21 @@ HONEYWELL_15BAR = Sensor(
 """ABPDANN015BGAA5, likewise."""
 
 
-class Seen(NamedTuple):
+class SensorMemory(NamedTuple):
     """What a sensor remembers: the true pressure at the last reading, and where its lag is. kPa."""
 
     true_kPa: float
     lagged_kPa: float
 
 
-def rested(true_kPa: float) -> Seen:
+def rested(true_kPa: float) -> SensorMemory:
     """A sensor that has seen this pressure for long."""
-    return Seen(true_kPa, true_kPa)
+    return SensorMemory(true_kPa, true_kPa)
 
 
 def read(
-    sensor: Sensor, seen: Seen, true_kPa: float, dt_s: float, standard_normal: float = 0.0
-) -> tuple[Seen, float]:
+    sensor: Sensor, seen: SensorMemory, true_kPa: float, dt_s: float, standard_normal: float = 0.0
+) -> tuple[SensorMemory, float]:
     """The reading `dt_s` after the last one, and what to remember; the noise is given, for repeatability.
 
     The lag is exact for a pressure that went straight from the last reading's to this one's.
@@ -139,8 +139,8 @@ def read(
 
 
 def reading(
-    sensor: Transfer, seen: Seen, true_kPa: float, dt_s: float, standard_normal: float
-) -> tuple[Seen, float]:
+    sensor: Transfer, seen: SensorMemory, true_kPa: float, dt_s: float, standard_normal: float
+) -> tuple[SensorMemory, float]:
     """`read`, of a sensor's numbers."""
     lagged_kPa = true_kPa
     tau_s = sensor.time_constant_s
@@ -154,4 +154,4 @@ def reading(
     kPa = min(sensor.highest_kPa, max(sensor.lowest_kPa, kPa))
     if sensor.has_adc:
         kPa = _pressure_kPa(sensor.adc, _code(sensor.adc, kPa, sensor.span_kPa), sensor.span_kPa)
-    return Seen(true_kPa, lagged_kPa), kPa
+    return SensorMemory(true_kPa, lagged_kPa), kPa

@@ -7,7 +7,7 @@ from collections import deque
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Steady, air_at, air_between
-from flying_vines.physics.plant.numbers import Numbers, numbers_of
+from flying_vines.physics.plant.numbers import PlantNumbers, numbers_of
 from flying_vines.physics.plant.plant import Conditions, Held, Plant, State, at_rest
 from flying_vines.physics.plant.rates import conditions
 from flying_vines.physics.plant.tick import memory_at_rest, tick
@@ -44,7 +44,7 @@ class Simulator:
         self._evp_line = deque((initial.evp,) * self.numbers.evp.delay_ticks)
         self._dvp_line = deque((initial.dvp,) * self.numbers.dvp.delay_ticks)
         # What the last tick was given, if it changed nothing.
-        self._at_rest: tuple[Numbers, State, float, float, bool] | None = None
+        self._at_rest: tuple[PlantNumbers, State, float, float, bool] | None = None
 
     @property
     def t_s(self) -> float:

@@ -20,7 +20,7 @@ from flying_vines.physics.plant.motion import (
     opening_midway,
     solenoid_after,
 )
-from flying_vines.physics.plant.numbers import Numbers, Valve
+from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
 from flying_vines.physics.plant.plant import Held
 from flying_vines.physics.plant.rates import Floats, edges, quickest_per_s, rates
 
@@ -68,7 +68,7 @@ def memory_at_rest(solenoid_open: bool, ambient_K: float) -> Memory:
 
 
 def tick(
-    numbers: Numbers, air: Air, memory: Memory, state: Floats, evp: float, dvp: float, solenoid: bool
+    numbers: PlantNumbers, air: Air, memory: Memory, state: Floats, evp: float, dvp: float, solenoid: bool
 ) -> tuple[Memory, Floats]:
     """What is remembered and the state one tick later, for which the valves are told this.
 
@@ -137,7 +137,7 @@ def tick(
     )
 
 
-def _follow(valve: Valve, memory: ValveMemory, command: float, air: Air, tick_s: float) -> ValveMemory:
+def _follow(valve: ValveNumbers, memory: ValveMemory, command: float, air: Air, tick_s: float) -> ValveMemory:
     """Where a valve is driven to during a tick."""
     coil_K = memory.coil_K
     if valve.stuck_opening >= 0.0:
@@ -161,7 +161,9 @@ def _first_crossing(before: tuple[float, float, float], after: tuple[float, floa
     return share
 
 
-def runge_kutta(numbers: Numbers, air: Air, at_s: float, state: Floats, held: Held, dt_s: float) -> Floats:
+def runge_kutta(
+    numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held, dt_s: float
+) -> Floats:
     """The classical step of the gas; openings with a lag are exact.
 
     Written out: loops over the numbers cost more than the numbers.

@@ -10,8 +10,8 @@
 It behaves as the real ones were recorded to, traps included: see the recordings that its tests replay.
 """
 
-from flying_vines.simulation.autopilot.autopilot import Autopilot
+from flying_vines.simulation.autopilot.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot.receiver import RcLoss, RcSource
-from flying_vines.vehicle.mission.storage import Kind, MissionRefused
+from flying_vines.vehicle.mission.storage import AutopilotKind, MissionRefused
 
-__all__ = ["Autopilot", "Kind", "MissionRefused", "RcLoss", "RcSource"]
+__all__ = ["AutopilotKind", "FakeAutopilot", "MissionRefused", "RcLoss", "RcSource"]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 
 @dataclass(slots=True)
-class Entry:
+class AgendaEntry:
     """One thing on the agenda; `cancel` it and it will not happen."""
 
     callback: Callable[[], None]
@@ -28,15 +28,15 @@ class Agenda:
 
     def __init__(self) -> None:
         self.now_s = 0.0
-        self._heap: list[tuple[float, int, Entry]] = []
+        self._heap: list[tuple[float, int, AgendaEntry]] = []
         self._order = itertools.count()
 
-    def at(self, t_s: float, callback: Callable[[], None]) -> Entry:
-        entry = Entry(callback)
+    def at(self, t_s: float, callback: Callable[[], None]) -> AgendaEntry:
+        entry = AgendaEntry(callback)
         heapq.heappush(self._heap, (t_s, next(self._order), entry))
         return entry
 
-    def after(self, delay_s: float, callback: Callable[[], None]) -> Entry:
+    def after(self, delay_s: float, callback: Callable[[], None]) -> AgendaEntry:
         return self.at(self.now_s + delay_s, callback)
 
     def run_until(self, t_s: float) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from flying_vines.simulation.autopilot.agenda import Entry
+from flying_vines.simulation.autopilot.agenda import AgendaEntry
 from flying_vines.simulation.autopilot.legs import DELAY, LAND, RETURN_HOME, Leg
 from flying_vines.simulation.autopilot.runner import (
     ACTIVE,
@@ -53,7 +53,7 @@ class ArduPilotMission:
         self._nav_seq = 0
         self._leg: Leg | None = None
         self._queue: list[int] = []
-        self._next_do: Entry | None = None
+        self._next_do: AgendaEntry | None = None
         self._condition: Callable[[], bool] | None = None
         self._condition_seq = 0
         self._from_the_start = False

@@ -10,24 +10,24 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot import commands, files, legs, sensors, telemetry
-from flying_vines.simulation.autopilot.agenda import Agenda, Entry
+from flying_vines.simulation.autopilot.agenda import Agenda, AgendaEntry
 from flying_vines.simulation.autopilot.ardupilot import ArduPilotMission
-from flying_vines.simulation.autopilot.flight import Flight
+from flying_vines.simulation.autopilot.flight import CopterMotion
 from flying_vines.simulation.autopilot.forwarding import Forwarder
 from flying_vines.simulation.autopilot.mission_protocol import MissionStorage
-from flying_vines.simulation.autopilot.modes import Mode, mission_mode, mode_named, mode_numbered
-from flying_vines.simulation.autopilot.parameters import Parameters
+from flying_vines.simulation.autopilot.modes import FlightMode, mission_mode, mode_named, mode_numbered
+from flying_vines.simulation.autopilot.parameters import ParameterServer
 from flying_vines.simulation.autopilot.port import COMPANION, KNOWN, PX4_ALSO_KNOWS, Port
-from flying_vines.simulation.autopilot.px4 import Command, CommandSender, Px4Mission
+from flying_vines.simulation.autopilot.px4 import CommandLong, CommandSender, Px4Mission
 from flying_vines.simulation.autopilot.rc_input import ArduPilotRc, RcInput, rc_input
 from flying_vines.simulation.autopilot.receiver import RcLoss, RcSource, Receiver
 from flying_vines.simulation.autopilot.routing import Routes
 from flying_vines.simulation.autopilot.runner import Runner
-from flying_vines.simulation.autopilot.snapshot import Snapshot
-from flying_vines.simulation.autopilot.streams import Streams
+from flying_vines.simulation.autopilot.snapshot import AutopilotSnapshot
+from flying_vines.simulation.autopilot.streams import StreamSender
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME, PX4_HOME, Home
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 _TICK_S = 0.02
 _UPTIME_S = 30.0
@@ -75,7 +75,7 @@ class _Stall:
     incoming: list[bytes] = field(default_factory=list)
 
 
-class Autopilot:
+class FakeAutopilot:
     """An ArduCopter or PX4 copter as a companion computer and a ground station hear it.
 
     Sans-IO: `receive` what came in on a link, `advance` to a time and send what comes back. Times are
@@ -87,7 +87,7 @@ class Autopilot:
 
     def __init__(
         self,
-        kind: Kind = "ardupilot",
+        kind: AutopilotKind = "ardupilot",
         system_id: int = 1,
         mission: Sequence[MissionItem] = (),
         *,
@@ -112,10 +112,10 @@ class Autopilot:
         hears only what is signed with it, except on a link named "usb". `unix_s` is what its clock says at
         the start. `seed` decides how late PX4 tells of each loss.
         """
-        self.kind: Kind = kind
+        self.kind: AutopilotKind = kind
         self.system_id = system_id
         self.agenda = Agenda()
-        self.flight = Flight(home or (ARDUPILOT_HOME if kind == "ardupilot" else PX4_HOME))
+        self.flight = CopterMotion(home or (ARDUPILOT_HOME if kind == "ardupilot" else PX4_HOME))
         self._rc: RcInput = rc_input(
             kind,
             rc_present,
@@ -128,9 +128,9 @@ class Autopilot:
         self.payload_log: list[tuple[float, MissionItem]] = []
         self.performed: list[tuple[float, int]] = []
         self.armed = False
-        self.mode: Mode = mode_named(kind, "STABILIZE" if kind == "ardupilot" else "HOLD")
+        self.mode: FlightMode = mode_named(kind, "STABILIZE" if kind == "ardupilot" else "HOLD")
         self._failsafe_mode = mode_named(kind, rc_failsafe_mode) if rc_failsafe_mode is not None else None
-        self._mode_before: Mode | None = None
+        self._mode_before: FlightMode | None = None
         """PX4 goes back to it when its failsafe is over."""
         self._unix_s = unix_s
         self._key = signing_key
@@ -141,9 +141,9 @@ class Autopilot:
         self._ports: dict[str, Port] = {}
         self._routes = Routes(kind, system_id)
         self._forwarder = Forwarder(kind, self.agenda, self._put_out)
-        self._streams = Streams(kind, self.agenda, self._snapshot, self._send)
+        self._streams = StreamSender(kind, self.agenda, self._snapshot, self._send)
         own = {"SYSID_THISMAV": system_id, "MAV_SYS_ID": system_id}
-        self.parameters = Parameters(
+        self.parameters = ParameterServer(
             kind, {**(parameters or {}), **own}, self.agenda, self._send_to, self._tell, self.text
         )
         self._sender = CommandSender(self.agenda, self._send_command)
@@ -152,7 +152,7 @@ class Autopilot:
         )
         self._runner: Runner = self._new_runner()
         self._leg: legs.Leg | None = None
-        self._reached_again: Entry | None = None
+        self._reached_again: AgendaEntry | None = None
         self._grounded_s: float | None = None
         self._muted_until_s = -1.0
         self._stalls: dict[str, _Stall] = {}
@@ -348,7 +348,7 @@ class Autopilot:
         self._routes = Routes(self.kind, self.system_id)
         self._sender = CommandSender(self.agenda, self._send_command)
         place = self.flight
-        self.flight = Flight(place.home)
+        self.flight = CopterMotion(place.home)
         self.flight.north_m, self.flight.east_m = place.north_m, place.east_m
         self._rc.reboot()
         self._forwarder.reboot()
@@ -475,7 +475,7 @@ class Autopilot:
         elif self.agenda.now_s - self._grounded_s >= _DISARM_AFTER_LANDING_S:
             self.disarm()
 
-    def _select(self, mode: Mode) -> bool:
+    def _select(self, mode: FlightMode) -> bool:
         if not self._running:
             return False
         flies_mission = self._mission_mode
@@ -575,15 +575,15 @@ class Autopilot:
             again = self.agenda.after(_REACHED_AGAIN_S, lambda: self._send_reached(seq, times_left - 1))
             self._reached_again = again
 
-    def _send_command(self, command: Command, confirmation: int) -> None:
+    def _send_command(self, command: CommandLong, confirmation: int) -> None:
         target = self.system_id, command.target_component
         self._tell(
             mavlink.MAVLink_command_long_message(*target, command.command, confirmation, *command.params)
         )
 
-    def _snapshot(self) -> Snapshot:
+    def _snapshot(self) -> AutopilotSnapshot:
         now_s = self.agenda.now_s
-        return Snapshot(
+        return AutopilotSnapshot(
             kind=self.kind,
             mode=self.mode,
             armed=self.armed,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from flying_vines.simulation.autopilot.modes import Mode, mode_numbered
+from flying_vines.simulation.autopilot.modes import FlightMode, mode_numbered
 from flying_vines.simulation.autopilot.telemetry import (
     ATTITUDE,
     GLOBAL_POSITION_INT,
@@ -15,7 +15,7 @@ from flying_vines.simulation.autopilot.telemetry import (
     SYSTEM_TIME,
     VFR_HUD,
 )
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 
@@ -25,7 +25,7 @@ GET_HOME, REQUEST_CAPABILITIES = 410, 520
 GET_MESSAGE_INTERVAL, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 510, 511, 512
 
 # Payload commands that the autopilot carries out itself: servos, relays, grippers.
-PAYLOAD: dict[Kind, frozenset[int]] = {
+PAYLOAD: dict[AutopilotKind, frozenset[int]] = {
     "ardupilot": frozenset({178, 181, 182, 183, 184, 203, 206, 211, 218, 42600}),
     "px4": frozenset({178, 187, 203, 206, 211, 2000, 2001, 2003}),
 }
@@ -63,7 +63,7 @@ def parameters(message: Any) -> tuple[float, ...]:
     return (*first, message.param5, message.param6, message.param7)
 
 
-def requested_mode(kind: Kind, params: tuple[float, ...]) -> Mode | None:
+def requested_mode(kind: AutopilotKind, params: tuple[float, ...]) -> FlightMode | None:
     """The mode that DO_SET_MODE asks for, None if there is none like it."""
     if not whole(params[0], 0) & _CUSTOM_MODE_FLAG:
         return None

@@ -13,7 +13,7 @@ from flying_vines.vehicle.mission.reference_vehicle import (
 )
 
 
-class Flight:
+class CopterMotion:
     """Position and velocity; told where to go, moved by `step`.
 
     It moves only while it is airborne; `take_off_to` and the ground are the only ways between both.

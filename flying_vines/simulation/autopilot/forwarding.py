@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from flying_vines.simulation.autopilot.agenda import Agenda
 from flying_vines.simulation.autopilot.port import Port
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 PX4_BUFFER = 2
 _PX4_EVERY_S = 0.01
@@ -20,7 +20,7 @@ class Forwarder:
     its buffer is full is lost. Both links must take part in forwarding.
     """
 
-    def __init__(self, kind: Kind, agenda: Agenda, put_out: Callable[[Port, bytes], None]) -> None:
+    def __init__(self, kind: AutopilotKind, agenda: Agenda, put_out: Callable[[Port, bytes], None]) -> None:
         self._kind = kind
         self._agenda = agenda
         self._put_out = put_out

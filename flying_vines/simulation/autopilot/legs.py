@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from flying_vines.simulation.autopilot.flight import Flight
+from flying_vines.simulation.autopilot.flight import CopterMotion
 from flying_vines.vehicle.mission.item import MissionItem
 
 WAYPOINT, RETURN_HOME, LAND, TAKEOFF, VTOL_TAKEOFF, VTOL_LAND = 16, 20, 21, 22, 84, 85
@@ -24,7 +24,7 @@ class Leg:
     about everything, the hold time included.
     """
 
-    def __init__(self, flight: Flight, item: MissionItem, now_s: float) -> None:
+    def __init__(self, flight: CopterMotion, item: MissionItem, now_s: float) -> None:
         self.item = item
         self.arrived = False
         self.done = False

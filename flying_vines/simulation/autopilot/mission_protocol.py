@@ -11,7 +11,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.simulation.autopilot.agenda import Agenda, Entry
+from flying_vines.simulation.autopilot.agenda import Agenda, AgendaEntry
 from flying_vines.vehicle.autopilots import store
 from flying_vines.vehicle.autopilots.ardupilot import whole_centimetres
 from flying_vines.vehicle.mission.item import MissionItem, has_place
@@ -23,7 +23,7 @@ from flying_vines.vehicle.mission.storage import (
     ERROR,
     INVALID_SEQUENCE,
     NO_SPACE,
-    Kind,
+    AutopilotKind,
     MissionRefused,
 )
 
@@ -43,7 +43,7 @@ class _Upload:
     component: int
     count: int
     deadline_s: float
-    entry: Entry | None = None
+    entry: AgendaEntry | None = None
     next_seq: int = 0
 
 
@@ -65,7 +65,7 @@ class MissionStorage:
 
     def __init__(
         self,
-        kind: Kind,
+        kind: AutopilotKind,
         home: Home,
         agenda: Agenda,
         send: Callable[[str, Any], None],

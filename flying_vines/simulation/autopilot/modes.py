@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 ARMED_FLAG = 128
 
 
 @dataclass(frozen=True, slots=True)
-class Mode:
+class FlightMode:
     """A flight mode as HEARTBEAT shows it; `base` is base_mode while disarmed."""
 
     name: str
@@ -21,37 +21,37 @@ class Mode:
 _ARDUPILOT = {
     mode.name: mode
     for mode in (
-        Mode("STABILIZE", 0, 81),
-        Mode("AUTO", 3, 89),
-        Mode("GUIDED", 4, 89),
-        Mode("LOITER", 5, 89),
-        Mode("RTL", 6, 89),
-        Mode("LAND", 9, 81),
+        FlightMode("STABILIZE", 0, 81),
+        FlightMode("AUTO", 3, 89),
+        FlightMode("GUIDED", 4, 89),
+        FlightMode("LOITER", 5, 89),
+        FlightMode("RTL", 6, 89),
+        FlightMode("LAND", 9, 81),
     )
 }
 
 _PX4 = {
     mode.name: mode
     for mode in (
-        Mode("POSCTL", 3 << 16, 81),
-        Mode("STABILIZE", 7 << 16, 81),
-        Mode("TAKEOFF", 4 << 16 | 2 << 24, 29),
-        Mode("HOLD", 4 << 16 | 3 << 24, 29),
-        Mode("MISSION", 4 << 16 | 4 << 24, 29),
-        Mode("RTL", 4 << 16 | 5 << 24, 29),
-        Mode("LAND", 4 << 16 | 6 << 24, 29),
+        FlightMode("POSCTL", 3 << 16, 81),
+        FlightMode("STABILIZE", 7 << 16, 81),
+        FlightMode("TAKEOFF", 4 << 16 | 2 << 24, 29),
+        FlightMode("HOLD", 4 << 16 | 3 << 24, 29),
+        FlightMode("MISSION", 4 << 16 | 4 << 24, 29),
+        FlightMode("RTL", 4 << 16 | 5 << 24, 29),
+        FlightMode("LAND", 4 << 16 | 6 << 24, 29),
     )
 }
 
 _PX4_ALIASES = {"AUTO": "MISSION", "GUIDED": "HOLD", "LOITER": "HOLD"}
 
 
-def modes_of(kind: Kind) -> dict[str, Mode]:
+def modes_of(kind: AutopilotKind) -> dict[str, FlightMode]:
     """All modes that the autopilot has here, by name."""
     return dict(_ARDUPILOT if kind == "ardupilot" else _PX4)
 
 
-def mode_named(kind: Kind, name: str) -> Mode:
+def mode_named(kind: AutopilotKind, name: str) -> FlightMode:
     """The mode of that name.
 
     On PX4 AUTO, GUIDED and LOITER mean MISSION, HOLD and HOLD, so that one script can fly both.
@@ -66,11 +66,11 @@ def mode_named(kind: Kind, name: str) -> Mode:
     return modes[key]
 
 
-def mode_numbered(kind: Kind, custom: int) -> Mode | None:
+def mode_numbered(kind: AutopilotKind, custom: int) -> FlightMode | None:
     """The mode with that custom_mode number, None if there is none."""
     return next((mode for mode in modes_of(kind).values() if mode.custom == custom), None)
 
 
-def mission_mode(kind: Kind) -> Mode:
+def mission_mode(kind: AutopilotKind) -> FlightMode:
     """The mode that flies the mission."""
     return mode_named(kind, "AUTO")

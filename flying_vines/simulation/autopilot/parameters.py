@@ -10,8 +10,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.simulation.autopilot.agenda import Agenda, Entry
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.simulation.autopilot.agenda import Agenda, AgendaEntry
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 HASH_CHECK = "_HASH_CHECK"
 NO_INDEX = 65535
@@ -19,7 +19,7 @@ NO_INDEX = 65535
 _INT8, _INT16, _UINT32, _INT32, _REAL32 = 2, 4, 5, 6, 9
 _PACE_S = 0.01
 
-_TYPES: dict[Kind, dict[str, int]] = {
+_TYPES: dict[AutopilotKind, dict[str, int]] = {
     "ardupilot": {
         "SYSID_THISMAV": _INT16,
         "SYSID_MYGCS": _INT16,
@@ -94,7 +94,7 @@ def _first_four_bytes(message: Any) -> bytes:
     return frame[header : header + min(4, frame[1])].ljust(4, b"\0")
 
 
-class Parameters:
+class ParameterServer:
     """The parameter protocol's vehicle side.
 
     ArduPilot writes integers as the number (a C cast), PX4 as their bytes. ArduPilot does not answer for a
@@ -103,7 +103,7 @@ class Parameters:
 
     def __init__(
         self,
-        kind: Kind,
+        kind: AutopilotKind,
         values: Mapping[str, float],
         agenda: Agenda,
         send: Callable[[str, Any], None],
@@ -119,7 +119,7 @@ class Parameters:
         self._send = send
         self._tell = tell
         self._say = say
-        self._lists: dict[str, Entry] = {}
+        self._lists: dict[str, AgendaEntry] = {}
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]

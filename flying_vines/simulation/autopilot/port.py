@@ -7,7 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.simulation.autopilot.agenda import Entry
+from flying_vines.simulation.autopilot.agenda import AgendaEntry
 
 COMPANION = "companion"
 USB = "usb"
@@ -19,11 +19,11 @@ _RADIO_STATUS = {109, 166}
 
 
 @dataclass(slots=True)
-class Stream:
+class PortStream:
     """One message sent again and again."""
 
     interval_s: float
-    entry: Entry
+    entry: AgendaEntry
 
 
 @dataclass(slots=True)
@@ -43,7 +43,7 @@ class Port:
     forwards: bool = True
     active: bool = False
     hears_gcs: bool = False
-    streams: dict[int, Stream] = field(default_factory=dict)
+    streams: dict[int, PortStream] = field(default_factory=dict)
     rc_updates: int = 0
     echoed: int = 0
     _encoder: Any = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from flying_vines.simulation.autopilot.agenda import Agenda, Entry
+from flying_vines.simulation.autopilot.agenda import Agenda, AgendaEntry
 from flying_vines.simulation.autopilot.legs import LAND, RETURN_HOME, Leg
 from flying_vines.simulation.autopilot.runner import (
     ACTIVE,
@@ -35,7 +35,7 @@ _NAN = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class CommandLong:
     """A COMMAND_LONG that PX4 sends of its own accord."""
 
     command: int
@@ -47,7 +47,7 @@ class Command:
 class _Sent:
     """A command until it is repeated for the last time, or its turn to be repeated comes and it is known."""
 
-    command: Command
+    command: CommandLong
     acknowledged: bool = False
 
 
@@ -59,12 +59,12 @@ class CommandSender:
     is repeated although it was acknowledged, and one that was lost may be ended by another's acknowledgement.
     """
 
-    def __init__(self, agenda: Agenda, send: Callable[[Command, int], None]) -> None:
+    def __init__(self, agenda: Agenda, send: Callable[[CommandLong, int], None]) -> None:
         self._agenda = agenda
         self._send = send
         self._sent: list[_Sent] = []
 
-    def send(self, command: Command, repeat: bool = True) -> None:
+    def send(self, command: CommandLong, repeat: bool = True) -> None:
         self._send(command, 0)
         if repeat:
             sent = _Sent(command)
@@ -104,7 +104,7 @@ class Px4Mission:
         self._stale_seq: int | None = None
         self._jumps = Jumps()
         self._leg: Leg | None = None
-        self._wait: Entry | None = None
+        self._wait: AgendaEntry | None = None
         self._uploaded = bool(host.items)
         self._pictures = False
 
@@ -227,7 +227,7 @@ class Px4Mission:
         for item in burst[-_QUEUE:]:
             first = item.params[0]
             target = int(first) if item.command in _TO_PARAM1 and 0.0 <= first < 256.0 else 0
-            self._sender.send(Command(item.command, item.params, target))
+            self._sender.send(CommandLong(item.command, item.params, target))
 
     def _grow_stale(self) -> None:
         if self._stale_seq is None and self._state == ACTIVE:
@@ -239,12 +239,12 @@ class Px4Mission:
             self._wait = None
 
     def _release_gimbal(self) -> None:
-        self._sender.send(Command(_GIMBAL_CONTROL, (1.0, 1.0, -1.0, -1.0, 0.0, 0.0, 0.0)))
-        self._sender.send(Command(_GIMBAL, (_NAN, _NAN, _NAN, _NAN, 2.0, 0.0, 0.0)), repeat=False)
-        self._sender.send(Command(_GIMBAL_CONTROL, (-3.0, -3.0, -1.0, -1.0, 0.0, 0.0, 0.0)), repeat=False)
+        self._sender.send(CommandLong(_GIMBAL_CONTROL, (1.0, 1.0, -1.0, -1.0, 0.0, 0.0, 0.0)))
+        self._sender.send(CommandLong(_GIMBAL, (_NAN, _NAN, _NAN, _NAN, 2.0, 0.0, 0.0)), repeat=False)
+        self._sender.send(CommandLong(_GIMBAL_CONTROL, (-3.0, -3.0, -1.0, -1.0, 0.0, 0.0, 0.0)), repeat=False)
 
     def _stop_cameras(self) -> None:
-        self._sender.send(Command(_STOP_CAMERA_TRIGGER, (-1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)))
+        self._sender.send(CommandLong(_STOP_CAMERA_TRIGGER, (-1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)))
         if self._pictures:
             self._pictures = False
-            self._sender.send(Command(_STOP_PICTURES, (0.0,) * 7, _CAMERA), repeat=False)
+            self._sender.send(CommandLong(_STOP_PICTURES, (0.0,) * 7, _CAMERA), repeat=False)

@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from random import Random
 
-from flying_vines.simulation.autopilot.agenda import Agenda, Entry
+from flying_vines.simulation.autopilot.agenda import Agenda, AgendaEntry
 from flying_vines.simulation.autopilot.receiver import LOSSES, RcLoss, RcSource, Receiver
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 _JUMP_FAILSAFE_S = 0.05
 _THROTTLE_FAILSAFE_US = 975
@@ -46,8 +46,8 @@ class ArduPilotRc:
         self._agenda = agenda
         self._parameter = parameter
         self._failsafe_changed = failsafe_changed
-        self._failsafe_due: Entry | None = None
-        self._override_ends: Entry | None = None
+        self._failsafe_due: AgendaEntry | None = None
+        self._override_ends: AgendaEntry | None = None
 
     def lose(self, how: RcLoss | None, preset: Mapping[int, int] | None) -> None:
         how = _loss(self.receiver, how)
@@ -143,9 +143,9 @@ class Px4Rc:
         self.has_driver = self.receiver.source in ("sbus", "crsf")
         self._good = self.reported_good = self.has_driver and present
         self._reported_s = -math.inf
-        self._due: list[Entry] = []
-        self._report_due: Entry | None = None
-        self._override_ends: Entry | None = None
+        self._due: list[AgendaEntry] = []
+        self._report_due: AgendaEntry | None = None
+        self._override_ends: AgendaEntry | None = None
 
     def lose(self, how: RcLoss | None, preset: Mapping[int, int] | None) -> None:
         self.receiver.lose(_loss(self.receiver, how), preset)
@@ -226,7 +226,7 @@ RcInput = ArduPilotRc | Px4Rc
 
 
 def rc_input(
-    kind: Kind,
+    kind: AutopilotKind,
     present: bool,
     source: RcSource | None,
     agenda: Agenda,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 RcLoss = Literal["frozen", "jump", "silent"]
 RcSource = Literal["pulses", "sbus", "crsf", "overrides", "joystick"]
@@ -40,7 +40,7 @@ class Receiver:
     input of their own, which is there while they come.
     """
 
-    def __init__(self, kind: Kind, present: bool = True, source: RcSource | None = None) -> None:
+    def __init__(self, kind: AutopilotKind, present: bool = True, source: RcSource | None = None) -> None:
         self.source: RcSource = source or ("pulses" if kind == "ardupilot" else "overrides")
         if (kind == "ardupilot") != (self.source == "pulses"):
             raise ValueError(f"{kind} has no receiver {self.source!r} here")

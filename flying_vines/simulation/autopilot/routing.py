@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 AUTOPILOT_COMPONENT = 1
 _CAPACITY = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Decision:
+class Route:
     """Links to pass a message on to, and whether the autopilot takes it itself."""
 
     forward: tuple[str, ...]
@@ -22,7 +22,7 @@ class Decision:
 class Routes:
     """(system, component) -> link. Routes never expire; a reboot forgets them."""
 
-    def __init__(self, kind: Kind, system_id: int) -> None:
+    def __init__(self, kind: AutopilotKind, system_id: int) -> None:
         self._kind = kind
         self._system_id = system_id
         self._link_of: dict[tuple[int, int], str] = {}
@@ -34,17 +34,17 @@ class Routes:
         if system and address != own and has_room:
             self._link_of[address] = link
 
-    def decide(self, source: str, system: int, component: int) -> Decision:
+    def decide(self, source: str, system: int, component: int) -> Route:
         """For a message from link `source` to (system, component), where 0 means all."""
         ours = system in (0, self._system_id)
         local = ours and component in (0, AUTOPILOT_COMPONENT)
         if local and system and component:
-            return Decision((), True)
+            return Route((), True)
         forward = self._links(source, self._concerned(system, component, ours))
         if not forward and ours and self._kind == "ardupilot":
             # The trap: what is for a component that was never heard, ArduPilot does itself.
             local = True
-        return Decision(forward, local)
+        return Route(forward, local)
 
     def _links(self, source: str, concerned: Callable[[tuple[int, int]], bool]) -> tuple[str, ...]:
         found = (link for address, link in self._link_of.items() if link != source and concerned(address))

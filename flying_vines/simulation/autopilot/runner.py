@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from flying_vines.simulation.autopilot.agenda import Agenda
-from flying_vines.simulation.autopilot.flight import Flight
+from flying_vines.simulation.autopilot.flight import CopterMotion
 from flying_vines.vehicle.mission.item import MissionItem
 
 NO_MISSION, NOT_STARTED, ACTIVE, PAUSED, COMPLETE = 1, 2, 3, 4, 5
@@ -26,7 +26,7 @@ class Host(Protocol):
     """The autopilot as its mission runner sees it."""
 
     agenda: Agenda
-    flight: Flight
+    flight: CopterMotion
 
     @property
     def items(self) -> list[MissionItem]: ...

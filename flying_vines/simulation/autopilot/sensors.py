@@ -7,7 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.simulation.autopilot.snapshot import Snapshot
+from flying_vines.simulation.autopilot.snapshot import AutopilotSnapshot
 
 PING, GPS_RAW_INT, SCALED_PRESSURE, LOCAL_POSITION_NED, SERVO_OUTPUT_RAW = 4, 24, 29, 32, 36
 GPS_GLOBAL_ORIGIN, POSITION_TARGET_GLOBAL_INT, BATTERY_STATUS = 49, 87, 147
@@ -20,7 +20,7 @@ _NO_TEMPERATURE = 32767
 _RELATIVE_ALTITUDE_INT = 6
 
 
-def gps_raw_int(now: Snapshot) -> Any:
+def gps_raw_int(now: AutopilotSnapshot) -> Any:
     flight = now.flight
     latitude_deg, longitude_deg = flight.home.global_deg(flight.north_m, flight.east_m)
     altitude_mm = round((flight.home.altitude_amsl_m + flight.height_m) * 1000)
@@ -38,13 +38,13 @@ def gps_raw_int(now: Snapshot) -> Any:
     )
 
 
-def scaled_pressure(now: Snapshot) -> Any:
+def scaled_pressure(now: AutopilotSnapshot) -> Any:
     altitude_m = now.flight.home.altitude_amsl_m + now.flight.height_m
     ambient_hPa = _SEA_LEVEL_HPA * math.exp(-altitude_m / _SCALE_HEIGHT_M)
     return mavlink.MAVLink_scaled_pressure_message(now.boot_ms, ambient_hPa, 0.0, 1500)
 
 
-def local_position_ned(now: Snapshot) -> Any:
+def local_position_ned(now: AutopilotSnapshot) -> Any:
     flight = now.flight
     velocity = flight.north_m_s, flight.east_m_s, -flight.climb_m_s
     return mavlink.MAVLink_local_position_ned_message(
@@ -52,19 +52,19 @@ def local_position_ned(now: Snapshot) -> Any:
     )
 
 
-def servo_output_raw(now: Snapshot) -> Any:
+def servo_output_raw(now: AutopilotSnapshot) -> Any:
     motors_us = _FLYING_US if now.flight.airborne else _STOPPED_US
     outputs = [motors_us] * _MOTORS + [_STOPPED_US] * (_SERVOS - _MOTORS)
     first, rest = outputs[:8], outputs[8:]
     return mavlink.MAVLink_servo_output_raw_message(int(now.boot_s * 1e6) & 0xFFFFFFFF, 0, *first, *rest)
 
 
-def battery_status(now: Snapshot) -> Any:
+def battery_status(now: AutopilotSnapshot) -> Any:
     cells = [_VOLTAGE_MV] + [_NO_CELL] * (_CELLS - 1)
     return mavlink.MAVLink_battery_status_message(0, 1, 1, _NO_TEMPERATURE, cells, -1, -1, -1, 100)
 
 
-def gps_global_origin(now: Snapshot) -> Any:
+def gps_global_origin(now: AutopilotSnapshot) -> Any:
     home = now.flight.home
     return mavlink.MAVLink_gps_global_origin_message(
         round(home.latitude_deg * 1e7),
@@ -74,7 +74,7 @@ def gps_global_origin(now: Snapshot) -> Any:
     )
 
 
-def position_target(now: Snapshot) -> Any | None:
+def position_target(now: AutopilotSnapshot) -> Any | None:
     """Where the position controller wants to be; none is at work while disarmed."""
     if not now.armed:
         return None
@@ -99,6 +99,6 @@ def position_target(now: Snapshot) -> Any | None:
     )
 
 
-def ping(now: Snapshot) -> Any:
+def ping(now: AutopilotSnapshot) -> Any:
     """PX4's own request, once a second; whoever likes answers it."""
     return mavlink.MAVLink_ping_message(int(now.boot_s * 1e6), int(now.boot_s) & 0xFFFFFFFF, 0, 0)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flying_vines.simulation.autopilot.flight import Flight
-from flying_vines.simulation.autopilot.modes import Mode
+from flying_vines.simulation.autopilot.flight import CopterMotion
+from flying_vines.simulation.autopilot.modes import FlightMode
 from flying_vines.simulation.autopilot.receiver import Receiver
 from flying_vines.simulation.autopilot.runner import MissionStatus
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 
 @dataclass(frozen=True, slots=True)
-class Snapshot:
-    kind: Kind
-    mode: Mode
+class AutopilotSnapshot:
+    kind: AutopilotKind
+    mode: FlightMode
     armed: bool
     calibrating: bool
     rc_failsafe: bool
@@ -22,7 +22,7 @@ class Snapshot:
     """PX4's health report calls RC good."""
     boot_s: float
     unix_s: float
-    flight: Flight
+    flight: CopterMotion
     receiver: Receiver
     mission: MissionStatus
     mission_id: int

@@ -9,9 +9,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot import sensors, telemetry
 from flying_vines.simulation.autopilot.agenda import Agenda
-from flying_vines.simulation.autopilot.port import COMPANION, Port, Stream
-from flying_vines.simulation.autopilot.snapshot import Snapshot
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.simulation.autopilot.port import COMPANION, Port, PortStream
+from flying_vines.simulation.autopilot.snapshot import AutopilotSnapshot
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 _NAMED_VALUE_FLOAT = 251
 _NAME_BYTES = 9
@@ -34,7 +34,7 @@ _NORMAL_HZ = {
 }
 
 
-class Streams:
+class StreamSender:
     """Sends telemetry on ports, once or at a rate.
 
     A port that was never heard on gets heartbeats and TIMESYNC alone.
@@ -42,9 +42,9 @@ class Streams:
 
     def __init__(
         self,
-        kind: Kind,
+        kind: AutopilotKind,
         agenda: Agenda,
-        snapshot: Callable[[], Snapshot],
+        snapshot: Callable[[], AutopilotSnapshot],
         send: Callable[[Port, Any], None],
     ) -> None:
         self._kind = kind
@@ -86,10 +86,10 @@ class Streams:
         def send(count: int = 1) -> None:
             # Counted, not added up, so that the rate is exact for hours.
             entry = self._agenda.at(begin_s + count * interval_s, lambda: send(count + 1))
-            port.streams[message_id] = Stream(interval_s, entry)
+            port.streams[message_id] = PortStream(interval_s, entry)
             self.once(port, message_id)
 
-        port.streams[message_id] = Stream(interval_s, self._agenda.at(begin_s, send))
+        port.streams[message_id] = PortStream(interval_s, self._agenda.at(begin_s, send))
 
     def once(self, port: Port, message_id: int) -> None:
         """Send it now, if there is anything to say in it."""

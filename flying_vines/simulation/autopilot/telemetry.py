@@ -8,12 +8,12 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot import sensors
-from flying_vines.simulation.autopilot.flight import Flight
+from flying_vines.simulation.autopilot.flight import CopterMotion
 from flying_vines.simulation.autopilot.modes import ARMED_FLAG
 from flying_vines.simulation.autopilot.runner import MissionStatus
-from flying_vines.simulation.autopilot.snapshot import Snapshot
+from flying_vines.simulation.autopilot.snapshot import AutopilotSnapshot
 from flying_vines.vehicle.mission.reference_vehicle import CRUISE_M_S
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 HEARTBEAT, SYS_STATUS, SYSTEM_TIME, ATTITUDE, GLOBAL_POSITION_INT = 0, 1, 2, 30, 33
 MISSION_CURRENT, RC_CHANNELS, VFR_HUD, TIMESYNC, AUTOPILOT_VERSION = 42, 65, 74, 111, 148
@@ -34,7 +34,7 @@ _CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
 )
-_PARAM_ENCODING: dict[Kind, int] = {
+_PARAM_ENCODING: dict[AutopilotKind, int] = {
     "ardupilot": mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST,
     "px4": mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE,
 }
@@ -56,7 +56,7 @@ class Px4MissionCurrent(mavlink.MAVLink_mission_current_message):  # type: ignor
         return bytes(self._pack(mav, self.crc_extra, head + self._ids, force_mavlink1=force_mavlink1))
 
 
-def telemetry(message_id: int, now: Snapshot) -> Any | None:
+def telemetry(message_id: int, now: AutopilotSnapshot) -> Any | None:
     """The message of that id as of `now`; None if the autopilot has nothing to say in it."""
     make = _MAKERS.get(message_id)
     return make(now) if make is not None else None
@@ -67,7 +67,7 @@ def streamable(message_id: int) -> bool:
     return message_id in _MAKERS
 
 
-def _heartbeat(now: Snapshot) -> Any:
+def _heartbeat(now: AutopilotSnapshot) -> Any:
     if now.kind == "ardupilot":
         autopilot = 3
         status = _ACTIVE if now.calibrating or now.flight.airborne else _STANDBY
@@ -79,7 +79,7 @@ def _heartbeat(now: Snapshot) -> Any:
     return mavlink.MAVLink_heartbeat_message(2, autopilot, base, now.mode.custom, status, 3)
 
 
-def _sys_status(now: Snapshot) -> Any:
+def _sys_status(now: AutopilotSnapshot) -> Any:
     if now.kind == "px4":
         present, enabled, health = _PX4_PRESENT, _PX4_ENABLED, _PX4_HEALTH
         if now.rc_reported:
@@ -96,22 +96,22 @@ def _sys_status(now: Snapshot) -> Any:
     )
 
 
-def _system_time(now: Snapshot) -> Any:
+def _system_time(now: AutopilotSnapshot) -> Any:
     return mavlink.MAVLink_system_time_message(int(now.unix_s * 1e6), now.boot_ms)
 
 
-def _attitude(now: Snapshot) -> Any:
+def _attitude(now: AutopilotSnapshot) -> Any:
     flight = now.flight
     speed = math.hypot(flight.north_m_s, flight.east_m_s)
     pitch_rad = -0.15 * speed / CRUISE_M_S
     return mavlink.MAVLink_attitude_message(now.boot_ms, 0.0, pitch_rad, flight.yaw_rad, 0.0, 0.0, 0.0)
 
 
-def _heading_deg(flight: Flight) -> float:
+def _heading_deg(flight: CopterMotion) -> float:
     return math.degrees(flight.yaw_rad) % 360.0
 
 
-def _global_position(now: Snapshot) -> Any:
+def _global_position(now: AutopilotSnapshot) -> Any:
     flight = now.flight
     latitude_deg, longitude_deg = flight.home.global_deg(flight.north_m, flight.east_m)
     height_mm = round(flight.height_m * 1000)
@@ -128,7 +128,7 @@ def _global_position(now: Snapshot) -> Any:
     )
 
 
-def _vfr_hud(now: Snapshot) -> Any:
+def _vfr_hud(now: AutopilotSnapshot) -> Any:
     flight = now.flight
     speed = math.hypot(flight.north_m_s, flight.east_m_s)
     return mavlink.MAVLink_vfr_hud_message(
@@ -141,14 +141,14 @@ def _vfr_hud(now: Snapshot) -> Any:
     )
 
 
-def _mission_current(now: Snapshot) -> Any:
+def _mission_current(now: AutopilotSnapshot) -> Any:
     status = now.mission
     if now.kind == "px4":
         return Px4MissionCurrent(status, now.mission_id)
     return mavlink.MAVLink_mission_current_message(status.seq, status.total, status.state, status.mode)
 
 
-def _rc_channels(now: Snapshot) -> Any | None:
+def _rc_channels(now: AutopilotSnapshot) -> Any | None:
     receiver = now.receiver
     values = receiver.values_us
     count, rssi, unused = len(values), _NO_RSSI, 0
@@ -161,7 +161,7 @@ def _rc_channels(now: Snapshot) -> Any | None:
     return mavlink.MAVLink_rc_channels_message(now.boot_ms, count, *channels, rssi)
 
 
-def _autopilot_version(now: Snapshot) -> Any:
+def _autopilot_version(now: AutopilotSnapshot) -> Any:
     version = (4 << 24 | 6 << 16) if now.kind == "ardupilot" else (1 << 24 | 17 << 16)
     capabilities = _CAPABILITIES | _PARAM_ENCODING[now.kind]
     nothing = [0] * 8
@@ -170,7 +170,7 @@ def _autopilot_version(now: Snapshot) -> Any:
     )
 
 
-def _home_position(now: Snapshot) -> Any:
+def _home_position(now: AutopilotSnapshot) -> Any:
     home = now.flight.home
     return mavlink.MAVLink_home_position_message(
         round(home.latitude_deg * 1e7),
@@ -187,7 +187,7 @@ def _home_position(now: Snapshot) -> Any:
     )
 
 
-def _extended_sys_state(now: Snapshot) -> Any:
+def _extended_sys_state(now: AutopilotSnapshot) -> Any:
     flight = now.flight
     if not flight.airborne:
         landed = _ON_GROUND
@@ -200,7 +200,7 @@ def _extended_sys_state(now: Snapshot) -> Any:
     return mavlink.MAVLink_extended_sys_state_message(0, landed)
 
 
-def _timesync(now: Snapshot) -> Any:
+def _timesync(now: AutopilotSnapshot) -> Any:
     return mavlink.MAVLink_timesync_message(0, int(now.boot_s * 1e9) + 1)
 
 

@@ -15,9 +15,16 @@ import numpy as np
 from flying_vines.physics.compiler import compiled, external, record
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import air_between
-from flying_vines.physics.plant.compiled import Run, empty_table, floats_of, named, noise_of, weather_of
+from flying_vines.physics.plant.compiled import (
+    CompiledRun,
+    empty_table,
+    floats_of,
+    named,
+    noise_of,
+    weather_of,
+)
 from flying_vines.physics.plant.loops import APART, Table, read_both, weather_at, write
-from flying_vines.physics.plant.numbers import Numbers, numbers_of
+from flying_vines.physics.plant.numbers import PlantNumbers, numbers_of
 from flying_vines.physics.plant.plant import Plant, State, at_rest
 from flying_vines.physics.plant.rates import Floats, conditions
 from flying_vines.physics.plant.sensors import Sensor, Transfer, rested
@@ -31,7 +38,7 @@ regulator_step = external(load().phlosar_regulator_step, "void(intp, f8, f8, f8,
 """For compiled loops. Both take a `Regulator.address`; a step fills evp, dvp, solenoid (0 or 1), setpoint."""
 
 
-class Setpoint(NamedTuple):
+class SetpointChange(NamedTuple):
     """From when on which pressure is to be held, and how fast to go there. NaN kPa: vent."""
 
     from_s: float
@@ -41,7 +48,7 @@ class Setpoint(NamedTuple):
 
 def closed_loop(
     plant: Plant,
-    setpoints: Sequence[Setpoint],
+    setpoints: Sequence[SetpointChange],
     seconds: float,
     state: State | None = None,
     *,
@@ -50,7 +57,7 @@ def closed_loop(
     reservoir_sensor: Sensor | None = None,
     seed: int | None = None,
     record_every: int = 10,
-) -> Run:
+) -> CompiledRun:
     """The plant from `state` (default: `at_rest`) under the regulator for so long.
 
     `setpoints` in the order of their times, each until the next one; before the first the plant is vented,
@@ -78,11 +85,11 @@ def closed_loop(
         record_every,
         table,
     )
-    return Run(named(table), State(*final))
+    return CompiledRun(named(table), State(*final))
 
 
 def run_regulated(
-    numbers: Numbers,
+    numbers: PlantNumbers,
     cv_sensor: Transfer,
     reservoir_sensor: Transfer,
     regulator: int,

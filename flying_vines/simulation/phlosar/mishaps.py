@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.plant.flow import Iso6358, Ohm, Opening, flow_SL_per_s
-from flying_vines.physics.plant.numbers import Numbers, Valve
+from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
 
 OPEN_SHARE = -0.125
 """What a ratiometric sensor of 0.5 to 4.5 V reads of its span at 0 V …"""
@@ -216,7 +216,7 @@ class WatchdogReset:
     """The watchdog barks."""
 
 
-Kind = (
+MishapKind = (
     SensorMishap
     | StuckAt
     | Hole
@@ -256,7 +256,7 @@ class Mishap:
     """A kind at a place, from one time on and to another; None: it stays."""
 
     place: str
-    kind: Kind
+    kind: MishapKind
     begins_s: float
     ends_s: float | None = None
 
@@ -299,7 +299,7 @@ def words_for(place: str, word: str) -> str:
     return " ".join([word, *numbers])
 
 
-def kind_from(place: str, words: list[str]) -> Kind:
+def kind_from(place: str, words: list[str]) -> MishapKind:
     """What a person's words mean: `hole 0.3`. ValueError, with a sentence, where they mean nothing."""
     known = PLACES[place]
     if not words or words[0] not in known:
@@ -312,13 +312,13 @@ def kind_from(place: str, words: list[str]) -> Kind:
     if not all(map(isfinite, values)):
         raise ValueError(f"{' '.join(words)}: numbers are finite")
     try:
-        made: Kind = known[word](*values)
+        made: MishapKind = known[word](*values)
     except TypeError:
         raise ValueError(f"{place} takes: {words_for(place, word)}") from None
     return made
 
 
-DRAWN: tuple[tuple[str, Callable[[Random], Kind]], ...] = (
+DRAWN: tuple[tuple[str, Callable[[Random], MishapKind]], ...] = (
     ("cv_sensor", lambda _: Stuck()),
     ("cv_sensor", lambda r: Drifting(_either_way(r, 0.2, 20.0))),
     ("cv_sensor", lambda _: Open()),
@@ -369,7 +369,7 @@ def draw_mishap(random: Random, within_s: float) -> Mishap:
 _HOSE_BORE = Hole(4.0)
 
 
-def with_mishaps(well: Numbers, mishaps: Mishaps) -> Numbers:
+def with_mishaps(well: PlantNumbers, mishaps: Mishaps) -> PlantNumbers:
     """The plant as it is with all this wrong with it."""
     numbers = well._replace(evp=_stuck(well.evp, mishaps.evp), dvp=_stuck(well.dvp, mishaps.dvp))
     if mishaps.bottle is not None:
@@ -393,11 +393,11 @@ def with_mishaps(well: Numbers, mishaps: Mishaps) -> Numbers:
     return numbers
 
 
-def _stuck(valve: Valve, mishap: StuckAt | None) -> Valve:
+def _stuck(valve: ValveNumbers, mishap: StuckAt | None) -> ValveNumbers:
     return valve if mishap is None else valve._replace(stuck_opening=mishap.opening)
 
 
-def _parted(numbers: Numbers) -> Numbers:
+def _parted(numbers: PlantNumbers) -> PlantNumbers:
     """Nothing passes between valves and actuator."""
     if numbers.has_tubing:
         return numbers._replace(line_SL_per_s_kPa=0.0)

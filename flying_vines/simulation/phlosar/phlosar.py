@@ -16,7 +16,7 @@ from time import monotonic
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.numbers import Numbers
+from flying_vines.physics.plant.numbers import PlantNumbers
 from flying_vines.physics.plant.plant import Conditions, State, at_rest
 from flying_vines.physics.plant.sensors import Sensor, reading, rested
 from flying_vines.physics.plant.simulator import TICK_S, Simulator
@@ -31,8 +31,8 @@ from flying_vines.simulation.phlosar.mishaps import (
     Filled,
     Hanging,
     Heated,
-    Kind,
     Mishap,
+    MishapKind,
     Mishaps,
     Reading,
     Reset,
@@ -79,7 +79,7 @@ class SimulatedPhlosar:
         self.drive: Drive = SAFE
         self.mishaps = Mishaps()
         self._suffered = Mishaps()
-        self._planned: list[tuple[int, str, Kind | None]] = []
+        self._planned: list[tuple[int, str, MishapKind | None]] = []
         self._simulator = Simulator(setup.plant, at_rest(setup.plant, reservoir_kPa, cv_kPa))
         self._well = self._simulator.numbers
         self._conditions = self._simulator.conditions
@@ -149,7 +149,7 @@ class SimulatedPhlosar:
                 self._planned.append((round(mishap.ends_s / TICK_S), mishap.place, None))
         self._planned.sort(key=lambda change: change[0])
 
-    def befall(self, place: str, kind: Kind | None) -> None:
+    def befall(self, place: str, kind: MishapKind | None) -> None:
         """Let this happen there, now; what lasts is from now on in `mishaps`. None: it is well again."""
         match kind:
             case Filled(kPa):
@@ -281,7 +281,7 @@ class _Wire:
         return min(SHORTED_SHARE * span_kPa, max(OPEN_SHARE * span_kPa, kPa))
 
 
-def _with_stub(numbers: Numbers, state: State, now: Conditions) -> State:
+def _with_stub(numbers: PlantNumbers, state: State, now: Conditions) -> State:
     """The air at the valves parted from that of an actuator without tubing, or made one with it again."""
     ratio = now.ambient_K / STANDARD_TEMPERATURE_K
     into_SL = -state.line_air_SL

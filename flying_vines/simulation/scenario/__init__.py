@@ -11,15 +11,15 @@ A `Rig` is simulated by the baseline, a `TrueRig` with what it says is really th
 
 from __future__ import annotations
 
-from flying_vines.simulation.scenario.run import Run, simulate, simulate_scenario
+from flying_vines.simulation.scenario.run import ScenarioRun, simulate, simulate_scenario
 from flying_vines.simulation.scenario.scenario import Scenario, ScenarioError, load_scenario, parse_scenario
-from flying_vines.simulation.scenario.write import CaseError, case_files, csv_text, write_case
+from flying_vines.simulation.scenario.write import CaseFolderError, case_files, csv_text, write_case
 
 __all__ = [
-    "CaseError",
-    "Run",
+    "CaseFolderError",
     "Scenario",
     "ScenarioError",
+    "ScenarioRun",
     "case_files",
     "csv_text",
     "load_scenario",

@@ -10,19 +10,19 @@ from itertools import accumulate
 
 from flying_vines.simulation.phlosar.regulator import Drive
 from flying_vines.simulation.scenario.kinds import (
-    Bends,
-    Chirp,
-    Discharge,
-    Kind,
-    Openings,
-    Prbs,
-    Profile,
-    Sine,
-    Steps,
+    BendsRun,
+    ChirpRun,
+    DischargeRun,
+    OpeningsRun,
+    PrbsRun,
+    ProfileRun,
+    RunKind,
+    SineRun,
+    StepsRun,
     Valves,
 )
 
-Command = Callable[[float], float]
+OpeningOverTime = Callable[[float], float]
 """From time in s to the setpoint in kPa gauge."""
 ValveCommand = Callable[[float, float], Drive]
 """From time in s and the control volume's reading in kPa to the openings. Asked once a sample, in order."""
@@ -32,40 +32,40 @@ _SLACK_S = 1e-9
 _VENTURI_LEVELS = (0.0, 0.5, 1.0)
 
 
-def command_of(run: Kind, pattern: random.Random) -> Command | None:
+def command_of(run: RunKind, pattern: random.Random) -> OpeningOverTime | None:
     """The setpoint of a run that regulates; None of one that does not."""
     match run:
-        case Steps():
+        case StepsRun():
             return _held(run.pressures_kPa, run.holds_s)
-        case Bends():
+        case BendsRun():
             holds_s = (run.hold_s, run.rest_s) * run.cycles
             return _held((run.bend_kPa, 0.0) * run.cycles, holds_s)
-        case Sine():
+        case SineRun():
             return _swing(run.low_kPa, run.high_kPa, lambda t_s: run.frequency_Hz * t_s)
-        case Chirp():
+        case ChirpRun():
             return _swing(run.low_kPa, run.high_kPa, lambda t_s: chirp_cycles(run, t_s))
-        case Prbs(levels_kPa=levels) if levels:
+        case PrbsRun(levels_kPa=levels) if levels:
             drawn = list(_draw(run, levels, pattern))
             return _held([level for level, _ in drawn], [hold_s for _, hold_s in drawn])
-        case Profile():
+        case ProfileRun():
             return run.motion().setpoint_kPa
     return None
 
 
-def valves_of(run: Kind, pattern: random.Random) -> ValveCommand | None:
+def valves_of(run: RunKind, pattern: random.Random) -> ValveCommand | None:
     """The openings of a run that does not regulate; None of one that does."""
     match run:
-        case Discharge():
+        case DischargeRun():
             drive = Drive(run.opening, 0.0, True) if run.valve == "evp" else Drive(0.0, run.opening, False)
             return lambda t_s, cv_kPa: drive
-        case Openings():
+        case OpeningsRun():
             return _Sequence(run.valves)
-        case Prbs(levels_opening=levels) if levels:
+        case PrbsRun(levels_opening=levels) if levels:
             return _RandomValves(run, pattern)
     return None
 
 
-def chirp_cycles(run: Chirp, t_s: float) -> float:
+def chirp_cycles(run: ChirpRun, t_s: float) -> float:
     """How many cycles a chirp has made: the integral of its frequency."""
     ratio = run.to_Hz / run.from_Hz
     if run.sweep == "linear" or math.isclose(ratio, 1.0, rel_tol=1e-9):
@@ -74,17 +74,19 @@ def chirp_cycles(run: Chirp, t_s: float) -> float:
     return run.from_Hz * run.duration_s / octaves * math.expm1(octaves * t_s / run.duration_s)
 
 
-def _swing(low_kPa: float, high_kPa: float, cycles: Command) -> Command:
+def _swing(low_kPa: float, high_kPa: float, cycles: OpeningOverTime) -> OpeningOverTime:
     half = 0.5 * (high_kPa - low_kPa)
     return lambda t_s: low_kPa + half * (1.0 - math.cos(2.0 * math.pi * cycles(t_s)))
 
 
-def _held(levels: list[float] | tuple[float, ...], holds_s: list[float] | tuple[float, ...]) -> Command:
+def _held(
+    levels: list[float] | tuple[float, ...], holds_s: list[float] | tuple[float, ...]
+) -> OpeningOverTime:
     ends_s = list(accumulate(holds_s))
     return lambda t_s: levels[min(bisect_right(ends_s, t_s + _SLACK_S), len(levels) - 1)]
 
 
-def _draw(run: Prbs, levels: tuple[float, ...], pattern: random.Random) -> Iterator[tuple[float, float]]:
+def _draw(run: PrbsRun, levels: tuple[float, ...], pattern: random.Random) -> Iterator[tuple[float, float]]:
     """Levels and how long each is held, until the run is full; no level follows itself."""
     level = None
     begin_s = 0.0
@@ -119,7 +121,7 @@ class _Sequence:
 class _RandomValves:
     """Moves drawn one by one, for what is next depends on how full the control volume is."""
 
-    def __init__(self, run: Prbs, pattern: random.Random) -> None:
+    def __init__(self, run: PrbsRun, pattern: random.Random) -> None:
         self._run = run
         self._pattern = pattern
         self._drive = Drive(0.0, 0.0, False)

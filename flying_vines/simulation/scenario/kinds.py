@@ -20,7 +20,7 @@ _NO_CURVE = BendCurve(((0.0, 0.0), (1.0, 0.0)))
 """Profiles are in kPa here."""
 
 Pressure = Annotated[float, Meta(ge=0, le=MOST_KPA)]
-Opening = Annotated[float, Meta(ge=0, le=1)]
+OpeningFraction = Annotated[float, Meta(ge=0, le=1)]
 Duration = Annotated[float, Meta(gt=0, le=LONGEST_S)]
 Frequency = Annotated[float, Meta(gt=0, le=FIRMWARE_HZ / 2)]
 Times = Annotated[int, Meta(ge=1, le=1000)]
@@ -75,7 +75,7 @@ class _Lasting(Common, frozen=True, kw_only=True):
         return self.duration_s
 
 
-class Steps(Common, tag="steps", frozen=True, kw_only=True):
+class StepsRun(Common, tag="steps", frozen=True, kw_only=True):
     """Pressures to go to at once, each held for its time."""
 
     pressures_kPa: Annotated[tuple[Pressure, ...], Meta(min_length=1, max_length=1000)]
@@ -117,7 +117,7 @@ class _Swinging(_Lasting, frozen=True, kw_only=True):
         super().check()
 
 
-class Sine(_Swinging, tag="sine", frozen=True, kw_only=True):
+class SineRun(_Swinging, tag="sine", frozen=True, kw_only=True):
     """A swing that starts at its low end."""
 
     frequency_Hz: Frequency
@@ -127,7 +127,7 @@ class Sine(_Swinging, tag="sine", frozen=True, kw_only=True):
         return self.frequency_Hz
 
 
-class Chirp(_Swinging, tag="chirp", frozen=True, kw_only=True):
+class ChirpRun(_Swinging, tag="chirp", frozen=True, kw_only=True):
     """A swing whose frequency moves evenly from one to another, by octaves (log) or by hertz (linear)."""
 
     from_Hz: Frequency
@@ -139,7 +139,7 @@ class Chirp(_Swinging, tag="chirp", frozen=True, kw_only=True):
         return max(self.from_Hz, self.to_Hz)
 
 
-class Prbs(_Lasting, tag="prbs", frozen=True, kw_only=True):
+class PrbsRun(_Lasting, tag="prbs", frozen=True, kw_only=True):
     """Levels drawn at random, each held for a random time; the seed decides.
 
     Of pressures, the regulator follows them. Of openings there is no regulation: a share of the moves lets
@@ -147,10 +147,10 @@ class Prbs(_Lasting, tag="prbs", frozen=True, kw_only=True):
     """
 
     levels_kPa: tuple[Pressure, ...] = ()
-    levels_opening: tuple[Opening, ...] = ()
+    levels_opening: tuple[OpeningFraction, ...] = ()
     min_hold_s: Duration = 0.1
     max_hold_s: Duration = 0.8
-    vent_share: Opening = 0.3
+    vent_share: OpeningFraction = 0.3
     most_kPa: Pressure = 60.0
 
     def check(self) -> None:
@@ -165,7 +165,7 @@ class Prbs(_Lasting, tag="prbs", frozen=True, kw_only=True):
         super().check()
 
 
-class Discharge(_Lasting, tag="discharge", frozen=True, kw_only=True):
+class DischargeRun(_Lasting, tag="discharge", frozen=True, kw_only=True):
     """A valve is held open, and nothing regulates. What passes the EVP leaves by the solenoid."""
 
     valve: Literal["evp", "dvp"] = "evp"
@@ -176,7 +176,7 @@ class Discharge(_Lasting, tag="discharge", frozen=True, kw_only=True):
         return False
 
 
-class Bends(Common, tag="bends", frozen=True, kw_only=True):
+class BendsRun(Common, tag="bends", frozen=True, kw_only=True):
     """Inflate, hold, deflate, rest; again and again."""
 
     cycles: Times
@@ -193,13 +193,13 @@ class Valves(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Openings for a time, or until the control volume reads a pressure if that is earlier."""
 
     for_s: Duration
-    evp: Opening = 0.0
-    dvp: Opening = 0.0
+    evp: OpeningFraction = 0.0
+    dvp: OpeningFraction = 0.0
     solenoid: bool = False
     until_kPa: Pressure | None = None
 
 
-class Openings(Common, tag="openings", frozen=True, kw_only=True):
+class OpeningsRun(Common, tag="openings", frozen=True, kw_only=True):
     """Valve openings over time, nothing regulates. The last ones stay for what others left early."""
 
     valves: Annotated[tuple[Valves, ...], Meta(min_length=1, max_length=10_000)]
@@ -213,13 +213,13 @@ class Openings(Common, tag="openings", frozen=True, kw_only=True):
         return sum(valves.for_s for valves in self.valves)
 
 
-Segment = Step | Ramp | HoldFor | Swing
+ScenarioSegment = Step | Ramp | HoldFor | Swing
 
 
-class Profile(Common, tag="profile", frozen=True, kw_only=True):
+class ProfileRun(Common, tag="profile", frozen=True, kw_only=True):
     """A pressure profile by its segments, as in the configuration's profiles, in kPa."""
 
-    segments: Annotated[tuple[Segment, ...], Meta(min_length=1, max_length=1000)]
+    segments: Annotated[tuple[ScenarioSegment, ...], Meta(min_length=1, max_length=1000)]
     repeat: Times = 1
     rate_kPa_per_s: Annotated[float, Meta(gt=0, le=2000)] = 60.0
     settle_s: Annotated[float, Meta(ge=0, le=LONGEST_S)] = 0.0
@@ -248,4 +248,4 @@ class Profile(Common, tag="profile", frozen=True, kw_only=True):
         super().check()
 
 
-Kind = Steps | Sine | Chirp | Prbs | Discharge | Bends | Openings | Profile
+RunKind = StepsRun | SineRun | ChirpRun | PrbsRun | DischargeRun | BendsRun | OpeningsRun | ProfileRun

@@ -10,13 +10,13 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from flying_vines.plots.style import BLUE, GREEN, GREY, ORANGE, RED, plain
-from flying_vines.simulation.scenario.run import Run
+from flying_vines.simulation.scenario.run import ScenarioRun
 
 _MOST_ACROSS = 2
 _LEAST_SPAN_KPA = 40.0
 
 
-def draw_runs(runs: Sequence[Run], path: Path, title: str) -> None:
+def draw_runs(runs: Sequence[ScenarioRun], path: Path, title: str) -> None:
     """Draw each run into a PNG: pressures, openings and reservoir over time."""
     across = min(_MOST_ACROSS, len(runs))
     down = -(-len(runs) // across)
@@ -32,7 +32,7 @@ def draw_runs(runs: Sequence[Run], path: Path, title: str) -> None:
     plt.close(figure)
 
 
-def _draw(run: Run, block: Any, label: str) -> None:
+def _draw(run: ScenarioRun, block: Any, label: str) -> None:
     has_cv = not np.isnan(run.cv_pressure_kPa[0])
     heights = [2.6, 1.0, 1.2] if has_cv else [1.0, 2.6]
     axes = block.subplots(len(heights), 1, sharex=True, height_ratios=heights)
@@ -49,7 +49,7 @@ def _draw(run: Run, block: Any, label: str) -> None:
     block.align_ylabels()
 
 
-def _pressure(run: Run, axis: Any) -> None:
+def _pressure(run: ScenarioRun, axis: Any) -> None:
     axis.margins(y=0.18)
     if not np.isnan(run.command_kPa).all():
         axis.step(run.time_s, run.command_kPa, color=ORANGE, lw=1.1, where="post", label="command")
@@ -58,7 +58,7 @@ def _pressure(run: Run, axis: Any) -> None:
     axis.set_ylabel("kPa gauge")
 
 
-def _openings(run: Run, axis: Any) -> None:
+def _openings(run: ScenarioRun, axis: Any) -> None:
     axis.fill_between(run.time_s, run.evp_opening, color=BLUE, alpha=0.6, lw=0.5, step="post")
     axis.fill_between(run.time_s, -run.dvp_opening, color=GREEN, alpha=0.7, lw=0.5, step="post")
     axis.fill_between(run.time_s, -1.4, -1.15, where=run.solenoid, color=GREY, lw=0.5, step="post")
@@ -66,7 +66,7 @@ def _openings(run: Run, axis: Any) -> None:
     axis.set_yticks([-1.28, -0.5, 0.5], ["solenoid", "DVP", "EVP"], fontsize=8)
 
 
-def _reservoir(run: Run, axis: Any) -> None:
+def _reservoir(run: ScenarioRun, axis: Any) -> None:
     axis.plot(run.time_s, run.reservoir_pressure_kPa, color=BLUE, lw=1.0)
     middle_kPa = (run.reservoir_pressure_kPa.min() + run.reservoir_pressure_kPa.max()) / 2.0
     # So wide that noise on a reservoir that loses nothing looks like noise.

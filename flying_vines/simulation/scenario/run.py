@@ -16,6 +16,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.plant import Conditions, at_rest
 from flying_vines.physics.plant.sensors import read, rested
@@ -24,12 +25,10 @@ from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import ControlVolume, Rig
 from flying_vines.simulation.phlosar.regulator import SAFE, Drive, Regulator
-from flying_vines.simulation.scenario.command import Command, ValveCommand, command_of, valves_of
-from flying_vines.simulation.scenario.kinds import FIRMWARE_HZ, Kind
+from flying_vines.simulation.scenario.command import OpeningOverTime, ValveCommand, command_of, valves_of
+from flying_vines.simulation.scenario.kinds import FIRMWARE_HZ, RunKind
 from flying_vines.simulation.scenario.regulation import FASTEST_KPA_PER_S, tuning_for
 from flying_vines.simulation.scenario.scenario import Scenario, ScenarioError
-
-Array = NDArray[np.float64]
 
 OPENING_DIGITS = 4
 """After the point: of what is told to a valve, and of what is written."""
@@ -39,7 +38,7 @@ _READINGS_OVER = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class ScenarioRun:
     """What a run recorded, an element a sample; gauge pressures.
 
     Openings hold from their sample until the next. `command_kPa` is NaN where nothing regulated, the control
@@ -60,7 +59,7 @@ class Run:
     """What the run ended for, and vented from then on; empty if nothing."""
 
 
-def simulate(rig: Rig | TrueRig, run: Kind, seed: int = 1, *, index: int = 0) -> Run:
+def simulate(rig: Rig | TrueRig, run: RunKind, seed: int = 1, *, index: int = 0) -> ScenarioRun:
     """One run of a scenario, from rest. The same arguments give the same numbers.
 
     Args:
@@ -106,16 +105,16 @@ def simulate(rig: Rig | TrueRig, run: Kind, seed: int = 1, *, index: int = 0) ->
     return _recorded(run, believed, np.array(rows, dtype=np.float64).T, controller.faults)
 
 
-def simulate_scenario(rig: Rig | TrueRig, scenario: Scenario, seed: int = 1) -> tuple[Run, ...]:
+def simulate_scenario(rig: Rig | TrueRig, scenario: Scenario, seed: int = 1) -> tuple[ScenarioRun, ...]:
     """All runs of a scenario, each from rest, as `simulate`."""
     return tuple(simulate(rig, run, seed, index=i) for i, run in enumerate(scenario.runs))
 
 
-def _recorded(run: Kind, rig: Rig, columns: Array, faults: str) -> Run:
+def _recorded(run: RunKind, rig: Rig, columns: Array, faults: str) -> ScenarioRun:
     time_s, command, evp, dvp, solenoid, cv, reservoir, true_cv, true_reservoir = columns
     if rig.cv is None:
         cv = true_cv = np.full_like(time_s, np.nan)
-    return Run(
+    return ScenarioRun(
         run.label, time_s, command, evp, dvp, solenoid > 0.5, cv, reservoir, true_cv, true_reservoir, faults
     )
 
@@ -170,7 +169,7 @@ class _OpenLoop:
 class _ClosedLoop:
     """The firmware's regulator, with a limit that is wide enough for every scenario."""
 
-    def __init__(self, rig: Rig, cv: ControlVolume, run: Kind, command: Command) -> None:
+    def __init__(self, rig: Rig, cv: ControlVolume, run: RunKind, command: OpeningOverTime) -> None:
         self.faults = ""
         self._regulator = Regulator(tuning_for(rig, cv, run.reservoir_kPa, run.sample_rate_Hz))
         self._command = command

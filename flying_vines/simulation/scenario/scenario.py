@@ -13,11 +13,11 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.config.toml_text import dotted, not_finite, one_line, read_text
-from flying_vines.simulation.scenario.kinds import Kind, Segment, Valves
+from flying_vines.simulation.scenario.kinds import RunKind, ScenarioSegment, Valves
 
 _EXAMPLES = resources.files("flying_vines.simulation.scenario") / "examples"
-_KINDS = {str(kind.__struct_config__.tag): kind for kind in get_args(Kind)}
-_SEGMENTS = tuple(str(segment.__struct_config__.tag) for segment in get_args(Segment))
+_KINDS = {str(kind.__struct_config__.tag): kind for kind in get_args(RunKind)}
+_SEGMENTS = tuple(str(segment.__struct_config__.tag) for segment in get_args(ScenarioSegment))
 
 
 class ScenarioError(ValueError):
@@ -30,7 +30,7 @@ class ScenarioError(ValueError):
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Runs, each from rest, in their order."""
 
-    runs: Annotated[tuple[Kind, ...], Meta(min_length=1, max_length=20)]
+    runs: Annotated[tuple[RunKind, ...], Meta(min_length=1, max_length=20)]
     name: Annotated[str, Meta(max_length=100)] = ""
     """For people: the picture's title."""
 
@@ -96,7 +96,7 @@ def _keys_of_run(content: dict[str, Any], key: str) -> tuple[str, ...]:
     if at is None:
         return Scenario.__struct_fields__
     if at[2]:
-        parts = (Valves,) if at[2] == "valves" else get_args(Segment)
+        parts = (Valves,) if at[2] == "valves" else get_args(ScenarioSegment)
         return tuple(field for part in parts for field in part.__struct_fields__)
     kind = content["runs"][int(at[1])].get("kind")
     return _KINDS[kind].__struct_fields__ if kind in _KINDS else ()

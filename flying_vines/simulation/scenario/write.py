@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from flying_vines.simulation.scenario.run import OPENING_DIGITS, Run
+from flying_vines.simulation.scenario.run import OPENING_DIGITS, ScenarioRun
 
 RIG = "rig.toml"
 TRUE_RIG = "truth.toml"
@@ -22,24 +22,24 @@ _COLUMNS: dict[str, Callable[[float], str]] = {
 }
 
 
-class CaseError(ValueError):
+class CaseFolderError(ValueError):
     """A folder that is not to be written into; its text is one sentence for people."""
 
 
-def csv_text(run: Run) -> str:
+def csv_text(run: ScenarioRun) -> str:
     """A run as a file. Without a control volume there is no column of its pressure."""
     names = [name for name in _COLUMNS if name != "cv_pressure_kPa" or not math.isnan(run.cv_pressure_kPa[0])]
     columns = [map(_COLUMNS[name], getattr(run, name).tolist()) for name in names]
     return "\n".join([",".join(names), *map(",".join, zip(*columns, strict=True)), ""])
 
 
-def case_files(runs: Sequence[Run]) -> tuple[str, ...]:
+def case_files(runs: Sequence[ScenarioRun]) -> tuple[str, ...]:
     """What the files of these runs are called."""
     return tuple(f"run_{number}_{run.label}.csv" for number, run in enumerate(runs, start=1))
 
 
 def write_case(
-    runs: Sequence[Run], rig_toml: bytes, folder: Path, true_rig_toml: bytes | None = None
+    runs: Sequence[ScenarioRun], rig_toml: bytes, folder: Path, true_rig_toml: bytes | None = None
 ) -> list[Path]:
     """Make or renew a case folder: where its CSV files are, in the order of the runs.
 
@@ -56,13 +56,13 @@ def write_case(
     names = case_files(runs)
     strangers = sorted(path.name for path in folder.glob("*.csv") if path.name not in names)
     if strangers:
-        raise CaseError(
+        raise CaseFolderError(
             f"{folder}: holds {strangers[0]}, which is no run of this scenario; give another folder"
         )
     rigs = {folder / RIG: rig_toml, folder / TRUE_RIG: true_rig_toml}
     for path, text in rigs.items():
         if path.exists() and path.read_bytes() != text:
-            raise CaseError(
+            raise CaseFolderError(
                 f"{path}: is there already and differs from the rig that is simulated; give another folder"
             )
     for path, text in rigs.items():

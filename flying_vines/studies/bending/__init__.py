@@ -7,13 +7,13 @@ force_N(vine.actuator, 20.7, 0.1)           the actuator alone
 """
 
 from flying_vines.studies.bending.actuator import burst_kPa, force_N, free, held_at, volume_L
-from flying_vines.studies.bending.description import Vine, VineError, examples, load_vine, parse_vine
-from flying_vines.studies.bending.equilibrium import Bend, Limit, bend
+from flying_vines.studies.bending.description import BendingVine, VineError, examples, load_vine, parse_vine
+from flying_vines.studies.bending.equilibrium import BendingCurve, Limit, bend
 
 __all__ = [
-    "Bend",
+    "BendingCurve",
+    "BendingVine",
     "Limit",
-    "Vine",
     "VineError",
     "bend",
     "burst_kPa",

@@ -12,12 +12,17 @@ film stores, p dV = −F dL + dU, so that F = (dU − p dV)/dL at constant press
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Annotated, NamedTuple, Protocol
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from flying_vines.physics.arrays import Array
+
+Size = Annotated[float, Meta(ge=0.1, le=10000)]
+"""mm."""
+
 
 HALVINGS = 60
 """Of an interval of bulges: down to the rounding of a float."""
@@ -25,7 +30,7 @@ MOST_KPA = 1000.0
 """Where the search for a bursting pressure ends."""
 
 
-class State(NamedTuple):
+class ActuatorState(NamedTuple):
     """An actuator at a pressure and a bulge."""
 
     contraction: Array
@@ -50,7 +55,7 @@ class Actuator(Protocol):
     def strength_N_per_mm(self) -> float:
         """The film tension that its seams bear."""
 
-    def state(self, pressure_kPa: ArrayLike, bulge: ArrayLike) -> State:
+    def state(self, pressure_kPa: ArrayLike, bulge: ArrayLike) -> ActuatorState:
         """At a gauge pressure and a bulge in (0, 1]. Force falls and contraction rises with the bulge."""
 
 
@@ -66,7 +71,7 @@ def bulge_where(
     return high
 
 
-def held_at(actuator: Actuator, pressure_kPa: ArrayLike, contraction: ArrayLike) -> State:
+def held_at(actuator: Actuator, pressure_kPa: ArrayLike, contraction: ArrayLike) -> ActuatorState:
     """The actuator at a gauge pressure, its ends held at a contraction; beyond the free one, free.
 
     Args:
@@ -89,7 +94,7 @@ def volume_L(actuator: Actuator, pressure_kPa: ArrayLike, contraction: ArrayLike
     return held_at(actuator, pressure_kPa, contraction).volume_L
 
 
-def free(actuator: Actuator, pressure_kPa: ArrayLike) -> State:
+def free(actuator: Actuator, pressure_kPa: ArrayLike) -> ActuatorState:
     """The actuator when nothing pulls on it: the greatest contraction that a pressure brings."""
     kPa = np.asarray(pressure_kPa, float)
     return actuator.state(kPa, bulge_where(lambda x: actuator.state(kPa, x).force_N <= 0.0, kPa.shape))

@@ -25,9 +25,9 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike
 
-from flying_vines.studies.bending.actuator import Array
+from flying_vines.physics.arrays import Array
+from flying_vines.studies.bending.actuator import Size
 
-Size = Annotated[float, Meta(ge=0.1, le=10_000)]
 _TAUT = np.geomspace(1.0, 3e-3, 3000) * math.pi
 """ν: how far around the wall is still taut, from where wrinkling begins."""
 

@@ -25,9 +25,8 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike
 
-from flying_vines.studies.bending.actuator import Array, State
-
-Size = Annotated[float, Meta(ge=0.1, le=10_000)]
+from flying_vines.physics.arrays import Array
+from flying_vines.studies.bending.actuator import ActuatorState, Size
 
 
 class Cpam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="cpam", tag_field="kind"):
@@ -46,7 +45,7 @@ class Cpam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="cpam", 
     def length_m(self) -> float:
         return self.count * self.chamber_length_mm / 1000.0
 
-    def state(self, pressure_kPa: ArrayLike, bulge: ArrayLike) -> State:
+    def state(self, pressure_kPa: ArrayLike, bulge: ArrayLike) -> ActuatorState:
         """m is half the bulge."""
         p, m = np.broadcast_arrays(1000.0 * np.asarray(pressure_kPa, float), 0.5 * np.asarray(bulge, float))
         flat, film_radius = self.chamber_length_mm / 1000.0, self.flat_width_mm / 1000.0 / math.pi
@@ -64,7 +63,7 @@ class Cpam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="cpam", 
         cylinder = np.maximum(0.0, meridian - 2.0 * sigma * radius)
         cap = math.pi * radius**3 / (6.0 * m * root) * ((1.0 - m) * first - (1.0 - 2.0 * m) * second)
         tension = p * math.pi * radius**2 / (2.0 * m)
-        return State(
+        return ActuatorState(
             contraction=1.0 - (meridian - 2.0 * delta * radius) / flat,
             force_N=tension - p * math.pi * radius**2,
             volume_L=1000.0 * self.count * (2.0 * cap + math.pi * radius**2 * cylinder),

@@ -17,8 +17,8 @@ from flying_vines.studies.bending.cpam import Cpam
 from flying_vines.studies.bending.fpam import Fpam
 from flying_vines.studies.bending.pouch_motor import PouchMotor
 
-Kind = PouchMotor | Fpam | Cpam
-_KINDS = {str(kind.__struct_config__.tag): kind for kind in get_args(Kind)}
+ActuatorKind = PouchMotor | Fpam | Cpam
+_KINDS = {str(kind.__struct_config__.tag): kind for kind in get_args(ActuatorKind)}
 _EXAMPLES = resources.files("flying_vines.studies.bending") / "examples"
 
 
@@ -29,7 +29,7 @@ class VineError(ValueError):
         super().__init__(one_line(text))
 
 
-class Vine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class BendingVine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """An inflated tube with one actuator along its side, as long as the actuator."""
 
     name: Annotated[str, Meta(min_length=1, max_length=60)]
@@ -40,7 +40,7 @@ class Vine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     ambient_kPa: Annotated[float, Meta(ge=20, le=120)] = STANDARD_PRESSURE_KPA
     """Absolute."""
     body: Body
-    actuator: Kind
+    actuator: ActuatorKind
 
 
 def examples() -> tuple[str, ...]:
@@ -55,7 +55,7 @@ def example_text(name: str) -> str:
     return (_EXAMPLES / f"{name}.toml").read_text(encoding="utf-8")
 
 
-def load_vine(source: Path | str) -> Vine:
+def load_vine(source: Path | str) -> BendingVine:
     """The vine in a TOML file; where there is no such file, the example of that name.
 
     Raises `VineError` when the file cannot be read, or describes no vine.
@@ -67,7 +67,7 @@ def load_vine(source: Path | str) -> Vine:
     return parse_vine(read_text(path, VineError, absent), str(path))
 
 
-def parse_vine(text: str, source: str) -> Vine:
+def parse_vine(text: str, source: str) -> BendingVine:
     """Check the text of a description; `source` is what errors call it."""
     try:
         content = tomllib.loads(text)
@@ -76,13 +76,13 @@ def parse_vine(text: str, source: str) -> Vine:
     for key in not_finite(content):
         raise VineError(located(text, source, key, "is not a finite number"))
     try:
-        return msgspec.convert(content, Vine)
+        return msgspec.convert(content, BendingVine)
     except msgspec.ValidationError as error:
         raise _explained(text, source, str(error)) from None
 
 
 def _explained(text: str, source: str, error: str) -> VineError:
-    parts = (Vine, Body, *_KINDS.values())
+    parts = (BendingVine, Body, *_KINDS.values())
     key, reason = explained(error, lambda key: [field for part in parts for field in part.__struct_fields__])
     if reason.startswith("Invalid value") and key[-1:] == ("kind",):
         reason = f"give one of {', '.join(_KINDS)}"

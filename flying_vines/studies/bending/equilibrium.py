@@ -15,9 +15,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
-from flying_vines.studies.bending.actuator import Array, bulge_where, free
-from flying_vines.studies.bending.description import Vine
+from flying_vines.studies.bending.actuator import bulge_where, free
+from flying_vines.studies.bending.description import BendingVine
 from flying_vines.vine.shape import tip
 
 SATURATED = 0.95
@@ -39,10 +40,10 @@ class Limit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Bend:
+class BendingCurve:
     """A vine over rising pressures in its actuator. Gauge kPa; each array has a value for each pressure."""
 
-    vine: Vine
+    vine: BendingVine
     pressure_kPa: Array
     contraction: Array
     """Share of the actuator's length."""
@@ -111,7 +112,7 @@ class Bend:
         return float(np.interp(pressure_kPa, self.pressure_kPa, values))
 
 
-def bend(vine: Vine, pressure_kPa: ArrayLike | None = None) -> Bend:
+def bend(vine: BendingVine, pressure_kPa: ArrayLike | None = None) -> BendingCurve:
     """The vine at rest at rising gauge pressures, by default 0 to its supply's `max_kPa`.
 
     Raises `ValueError` when the pressures do not rise from 0.
@@ -132,7 +133,7 @@ def bend(vine: Vine, pressure_kPa: ArrayLike | None = None) -> Bend:
     state = actuator.state(under, bulge_where(rests, under.shape))
     contraction = np.append(0.0, np.maximum(state.contraction, 0.0))
     curvature = np.interp(contraction, yielding.contraction, yielding.curvature_per_m)
-    return Bend(
+    return BendingCurve(
         vine=vine,
         pressure_kPa=kPa,
         contraction=contraction,
@@ -145,7 +146,7 @@ def bend(vine: Vine, pressure_kPa: ArrayLike | None = None) -> Bend:
     )
 
 
-def _limits(found: Bend) -> Sequence[Limit]:
+def _limits(found: BendingCurve) -> Sequence[Limit]:
     body, actuator, load = found.vine.body, found.vine.actuator, found.vine.tip_load_N
     length = actuator.length_m
     # In the end a soft film stretches faster than it shortens.

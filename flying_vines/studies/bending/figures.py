@@ -12,19 +12,19 @@ from matplotlib import pyplot as plt
 from flying_vines.plots.style import BLUE, GREEN, GREY, LABEL_BOX, ORANGE, PURPLE, RED, finish, save
 from flying_vines.plots.vine import draw_drone, draw_vine
 from flying_vines.studies.bending.actuator import force_N, free
-from flying_vines.studies.bending.equilibrium import Bend
+from flying_vines.studies.bending.equilibrium import BendingCurve
 
 COLORS = (BLUE, GREEN, PURPLE, ORANGE, RED)
 SHARES = (0.0, 0.25, 0.5, 1.0)
 """Of the usable pressure, at which the vine is drawn."""
 
 
-def draw(found: Sequence[Bend], folder: Path) -> list[Path]:
+def draw(found: Sequence[BendingCurve], folder: Path) -> list[Path]:
     """Draw three PNGs into a folder that exists: where they are."""
     return save({"bend": _bend(found), "pull": _pull(found), "shape": _shape(found)}, folder, "vine")
 
 
-def _bend(found: Sequence[Bend]) -> Any:
+def _bend(found: Sequence[BendingCurve]) -> Any:
     figure, (angle, air) = plt.subplots(1, 2, figsize=(12, 5), layout="constrained", width_ratios=[1.5, 1])
     for b, color in zip(found, _colors(found), strict=True):
         usable = b.pressure_kPa <= b.usable_kPa
@@ -61,7 +61,7 @@ def _bend(found: Sequence[Bend]) -> Any:
     return finish(figure, "How far a pressure bends the vine, and the air that a bend takes")
 
 
-def _pull(found: Sequence[Bend]) -> Any:
+def _pull(found: Sequence[BendingCurve]) -> Any:
     figure, axes = plt.subplots(
         1, len(found), figsize=(4.2 * len(found), 4.4), sharey=True, layout="constrained", squeeze=False
     )
@@ -103,7 +103,7 @@ def _pull(found: Sequence[Bend]) -> Any:
     return finish(figure, "Where the actuator's pull meets what the body yields to")
 
 
-def _shape(found: Sequence[Bend]) -> Any:
+def _shape(found: Sequence[BendingCurve]) -> Any:
     figure, axes = plt.subplots(
         1, len(found), figsize=(4.2 * len(found), 4.4), layout="constrained", squeeze=False
     )
@@ -138,5 +138,5 @@ def _shape(found: Sequence[Bend]) -> Any:
     return finish(figure, "The vine under the drone, to scale, up to where it can be used")
 
 
-def _colors(found: Sequence[Bend]) -> list[str]:
+def _colors(found: Sequence[BendingCurve]) -> list[str]:
     return [COLORS[i % len(COLORS)] for i in range(len(found))]

@@ -18,9 +18,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike
 
-from flying_vines.studies.bending.actuator import State
-
-Size = Annotated[float, Meta(ge=0.1, le=10_000)]
+from flying_vines.studies.bending.actuator import ActuatorState, Size
 
 
 class Fpam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="fpam", tag_field="kind"):
@@ -44,7 +42,7 @@ class Fpam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="fpam", 
         """Where the pressure's force vanishes."""
         return 1.0 - 1.0 / (math.sqrt(3.0) * math.cos(math.radians(self.angle_deg)))
 
-    def state(self, pressure_kPa: ArrayLike, bulge: ArrayLike) -> State:
+    def state(self, pressure_kPa: ArrayLike, bulge: ArrayLike) -> ActuatorState:
         """The contraction is the ideal one times the bulge."""
         p, share = 1000.0 * np.asarray(pressure_kPa, float), np.asarray(bulge, float)
         contraction = self.ideal_contraction * share + 0.0 * p
@@ -53,7 +51,7 @@ class Fpam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="fpam", 
         a, b = 3.0 / math.tan(angle) ** 2, 1.0 / math.sin(angle) ** 2
         section = math.pi * radius**2
         widening = b * (1.0 - (left * math.cos(angle)) ** 2)
-        return State(
+        return ActuatorState(
             contraction=contraction,
             force_N=section * p * (a * left**2 - b) - self.stiffness_N * contraction,
             volume_L=1000.0 * section * self.length_m * left * widening,

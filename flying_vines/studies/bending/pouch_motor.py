@@ -18,9 +18,7 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import ArrayLike
 
-from flying_vines.studies.bending.actuator import State
-
-Size = Annotated[float, Meta(ge=0.1, le=10_000)]
+from flying_vines.studies.bending.actuator import ActuatorState, Size
 
 
 class PouchMotor(
@@ -42,7 +40,7 @@ class PouchMotor(
     def length_m(self) -> float:
         return self.count * self.pouch_length_mm / 1000.0
 
-    def state(self, pressure_kPa: ArrayLike, bulge: ArrayLike) -> State:
+    def state(self, pressure_kPa: ArrayLike, bulge: ArrayLike) -> ActuatorState:
         """θ is 90° times the bulge."""
         p, theta = 1000.0 * np.asarray(pressure_kPa, float), 0.5 * np.pi * np.asarray(bulge, float)
         flat, width = self.pouch_length_mm / 1000.0, self.width_mm / 1000.0
@@ -53,7 +51,7 @@ class PouchMotor(
         sin, cos = np.sin(theta), np.cos(theta)
         area = arc**2 * (theta - sin * cos) / (2.0 * theta**2)
         # Where no tension balances the pressure, the film would stretch without end.
-        return State(
+        return ActuatorState(
             contraction=np.where(left > 0.0, 1.0 - arc * sin / (theta * flat), -np.inf),
             force_N=np.where(left > 0.0, 2.0 * tension * width * cos, np.inf),
             volume_L=1000.0 * self.count * width * area,

@@ -11,13 +11,13 @@ from rich.table import Table
 from rich.text import Text
 
 from flying_vines.studies.bending.actuator import burst_kPa
-from flying_vines.studies.bending.equilibrium import Bend, Limit
+from flying_vines.studies.bending.equilibrium import BendingCurve, Limit
 
 ROWS = 9
 """Pressures that the table shows, evenly from 0 to the supply's most."""
 
 
-def show(found: Bend, console: Console) -> None:
+def show(found: BendingCurve, console: Console) -> None:
     """Print the curve, the limits and what ends the vine's use."""
     vine, body = found.vine, found.vine.body
     console.print(Text(vine.name, style="bold"))
@@ -37,7 +37,7 @@ def words(limit: Limit) -> str:
     return f"{limit.name} {at}: {limit.reason}"
 
 
-def verdict(found: Bend) -> str:
+def verdict(found: BendingCurve) -> str:
     """How far the vine can be used, and why not further."""
     deg = found.at(found.angle_deg, found.usable_kPa)
     why = f"{found.end.name} ends it" if found.end else "the supply ends it, no limit"
@@ -46,7 +46,7 @@ def verdict(found: Bend) -> str:
     )
 
 
-def _table(found: Bend) -> Table:
+def _table(found: BendingCurve) -> Table:
     table = Table(box=None, padding=(0, 1), pad_edge=False)
     columns = (
         ("kPa", found.pressure_kPa, ".1f"),
@@ -67,7 +67,7 @@ def _table(found: Bend) -> Table:
     return table
 
 
-def as_json(found: Bend) -> dict[str, Any]:
+def as_json(found: BendingCurve) -> dict[str, Any]:
     """Everything as plain lists, numbers and texts; units are in the keys."""
     body = found.vine.body
     return {

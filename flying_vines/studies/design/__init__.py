@@ -7,8 +7,17 @@ front = search(robot, parts)                least mass for most cycles, as evalu
 """
 
 from flying_vines.studies.design.evaluate import Evaluation, evaluate
-from flying_vines.studies.design.parts import Catalogue, Parts, catalogue
+from flying_vines.studies.design.parts import Catalogue, PartsChoice, catalogue
 from flying_vines.studies.design.robot import Robot, demonstration
 from flying_vines.studies.design.search import search
 
-__all__ = ["Catalogue", "Evaluation", "Parts", "Robot", "catalogue", "demonstration", "evaluate", "search"]
+__all__ = [
+    "Catalogue",
+    "Evaluation",
+    "PartsChoice",
+    "Robot",
+    "catalogue",
+    "demonstration",
+    "evaluate",
+    "search",
+]

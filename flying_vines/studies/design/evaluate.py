@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flying_vines.physics import paper
-from flying_vines.studies.design.parts import Origin, Part, Parts, Valve, Venturi
+from flying_vines.physics.arrays import Array
+from flying_vines.studies.design.parts import Origin, Part, PartsChoice, ValvePart, VenturiPart
 from flying_vines.studies.design.robot import Robot
-
-Array = NDArray[np.float64]
 
 DEFLATED = 0.05
 """What is left of the swing when a deflation counts as done: passive venting never quite ends."""
@@ -28,7 +26,7 @@ class Evaluation:
     """
 
     robot: Robot
-    parts: Parts
+    parts: PartsChoice
     fill_kPa: float
     """What the robot asks for, or the least that one of the parts bears."""
 
@@ -131,7 +129,7 @@ class Evaluation:
         return tuple(self.missed.values())
 
 
-def evaluate(robot: Robot, parts: Parts) -> Evaluation:
+def evaluate(robot: Robot, parts: PartsChoice) -> Evaluation:
     """Compute what a choice of parts does for a robot.
 
     Inflation, bandwidth, operating time and cycles are the paper's Eq. 3, 4, 7 and 8. Deflation is not
@@ -189,7 +187,7 @@ def evaluate(robot: Robot, parts: Parts) -> Evaluation:
     )
 
 
-def _limits_kPa(parts: Parts) -> list[float]:
+def _limits_kPa(parts: PartsChoice) -> list[float]:
     limits = [parts.reservoir.max_kPa.value, parts.evp.max_inlet_kPa.value]
     if parts.dvp is not None:
         limits.append(parts.dvp.max_inlet_kPa.value)
@@ -197,7 +195,7 @@ def _limits_kPa(parts: Parts) -> list[float]:
 
 
 def _deflation_curve(
-    robot: Robot, parts: Parts, reservoir_kPa: Array, more_air: float
+    robot: Robot, parts: PartsChoice, reservoir_kPa: Array, more_air: float
 ) -> tuple[Array, float]:
     """Mean speed of a deflation to `DEFLATED` of the swing, kPa/s: over P_r, and passively.
 
@@ -223,7 +221,9 @@ def _deflation_curve(
     return curve, passive
 
 
-def _suction(dvp: Valve, venturi: Venturi, supply_kPa: float, ambient_kPa: float) -> tuple[float, float]:
+def _suction(
+    dvp: ValvePart, venturi: VenturiPart, supply_kPa: float, ambient_kPa: float
+) -> tuple[float, float]:
     """Greatest vacuum (kPa below ambient) and free suction (SL/s) of a Venturi behind a fully open DVP.
 
     The flows of two restrictions in series add as 1/Q², which is nearer to choked flow than adding R_v.
@@ -237,14 +237,14 @@ def _suction(dvp: Valve, venturi: Venturi, supply_kPa: float, ambient_kPa: float
     return vacuum_kPa, venturi.suction_per_consumption.value * paper.flow_SL_per_s(supply_kPa, both)
 
 
-def _mass_by_origin_kg(parts: Parts) -> dict[Origin, float]:
+def _mass_by_origin_kg(parts: PartsChoice) -> dict[Origin, float]:
     masses: dict[Origin, float] = {"printed": 0.0, "computed": 0.0, "assumed": 0.0}
     for part, count in parts.each():
         masses[part.mass_g.origin] += part.mass_g.value * count / 1000.0
     return masses
 
 
-def _power_W(parts: Parts, passive: bool) -> float:
+def _power_W(parts: PartsChoice, passive: bool) -> float:
     def power(part: Part | None, count: int = 1) -> float:
         return 0.0 if part is None or part.power_W is None else count * part.power_W.value
 

@@ -66,7 +66,7 @@ class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     note: str = ""
 
 
-class Valve(_Part, frozen=True, tag="valve"):
+class ValvePart(_Part, frozen=True, tag="valve"):
     """A proportional valve: an EVP, or the DVP before a Venturi."""
 
     flow_SLPM: PositiveNumber
@@ -84,14 +84,14 @@ class Valve(_Part, frozen=True, tag="valve"):
         return paper.flow_resistance_kPa_s_per_SL(self.at_kPa.value, self.flow_SLPM.value)
 
 
-class Reservoir(_Part, frozen=True, tag="reservoir"):
+class ReservoirPart(_Part, frozen=True, tag="reservoir"):
     """A vessel for compressed air; `max_kPa` is what it may be filled to, not what bursts it."""
 
     volume_L: PositiveNumber
     max_kPa: PositiveNumber
 
 
-class Venturi(_Part, frozen=True, tag="venturi"):
+class VenturiPart(_Part, frozen=True, tag="venturi"):
     """A Venturi pump: what it consumes, and what it draws for that."""
 
     consumption_SLPM: PositiveNumber
@@ -110,7 +110,7 @@ class Venturi(_Part, frozen=True, tag="venturi"):
         return paper.flow_resistance_kPa_s_per_SL(self.at_kPa.value, self.consumption_SLPM.value)
 
 
-class Solenoid(_Part, frozen=True, tag="solenoid"):
+class SolenoidPart(_Part, frozen=True, tag="solenoid"):
     """The binary valve out of the control volume."""
 
     flow_resistance_kPa_s_per_SL: PositiveNumber
@@ -123,20 +123,20 @@ class Fixed(_Part, frozen=True, tag="fixed"):
     count: Annotated[int, Meta(ge=1, le=1000)] = 1
 
 
-Part = Valve | Reservoir | Venturi | Solenoid | Fixed
-P = TypeVar("P", Valve, Reservoir, Venturi, Solenoid, Fixed)
+Part = ValvePart | ReservoirPart | VenturiPart | SolenoidPart | Fixed
+P = TypeVar("P", ValvePart, ReservoirPart, VenturiPart, SolenoidPart, Fixed)
 
 
 @dataclass(frozen=True)
-class Parts:
+class PartsChoice:
     """One choice of parts. `venturi` and `dvp` are both there, or neither: then it vents passively."""
 
-    evp: Valve
-    reservoir: Reservoir
-    solenoid: Solenoid
+    evp: ValvePart
+    reservoir: ReservoirPart
+    solenoid: SolenoidPart
     fixed: tuple[Fixed, ...] = ()
-    dvp: Valve | None = None
-    venturi: Venturi | None = None
+    dvp: ValvePart | None = None
+    venturi: VenturiPart | None = None
     reservoirs: int = 1
 
     def __post_init__(self) -> None:
@@ -178,7 +178,7 @@ class Catalogue:
                 lightest[part.role] = part
         return tuple(lightest.values())
 
-    def choose(self, names: PartNames | None = None, source: str = "robot") -> Parts:
+    def choose(self, names: PartNames | None = None, source: str = "robot") -> PartsChoice:
         """The parts that are named, by default the paper's.
 
         Args:
@@ -189,12 +189,12 @@ class Catalogue:
         """
         names = names or PartNames()
         without = not names.venturi
-        return Parts(
-            evp=self._get(f"{source}: parts.evp", names.evp, Valve),
-            dvp=None if without else self._get(f"{source}: parts.dvp", names.dvp, Valve),
-            venturi=None if without else self._get(f"{source}: parts.venturi", names.venturi, Venturi),
-            solenoid=self._get(f"{source}: parts.solenoid", names.solenoid, Solenoid),
-            reservoir=self._get(f"{source}: parts.reservoir", names.reservoir, Reservoir),
+        return PartsChoice(
+            evp=self._get(f"{source}: parts.evp", names.evp, ValvePart),
+            dvp=None if without else self._get(f"{source}: parts.dvp", names.dvp, ValvePart),
+            venturi=None if without else self._get(f"{source}: parts.venturi", names.venturi, VenturiPart),
+            solenoid=self._get(f"{source}: parts.solenoid", names.solenoid, SolenoidPart),
+            reservoir=self._get(f"{source}: parts.reservoir", names.reservoir, ReservoirPart),
             reservoirs=names.reservoirs,
             fixed=self.fixed(),
         )
@@ -227,7 +227,7 @@ def catalogue(*folders: Path) -> Catalogue:
 def parse(text: str, source: str) -> Part:
     """Check the text of a part's file; `source` is what errors call it."""
     known = {"kind", *Number.__struct_fields__}
-    for kind in (Valve, Reservoir, Venturi, Solenoid, Fixed):
+    for kind in (ValvePart, ReservoirPart, VenturiPart, SolenoidPart, Fixed):
         known.update(kind.__struct_fields__)
     part: Any = decode(text, source, Part, sorted(known))
     if not isinstance(part, Part):

@@ -17,8 +17,8 @@ from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 from flying_vines.studies.design.reading import decode
 
 # The bounds keep every result finite.
-Positive = Annotated[float, Meta(ge=1e-6, le=1e6)]
-NotNegative = Annotated[float, Meta(ge=0, le=1e6)]
+PositiveNumeral = Annotated[float, Meta(ge=1e-6, le=1e6)]
+NotNegativeNumber = Annotated[float, Meta(ge=0, le=1e6)]
 
 
 class PartNames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -43,18 +43,18 @@ class Robot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """
 
     name: str
-    cv_volume_L: Positive
-    pressure_kPa: Positive
-    payload_kg: Positive
+    cv_volume_L: PositiveNumeral
+    pressure_kPa: PositiveNumeral
+    payload_kg: PositiveNumeral
     cv_kind: Literal["rigid", "pouch"] = "rigid"
-    frequency_Hz: Positive | None = None
+    frequency_Hz: PositiveNumeral | None = None
     wave: Literal["triangle", "sine"] = "triangle"
-    inflation_rate_kPa_per_s: Positive | None = None
-    deflation_rate_kPa_per_s: Positive | None = None
-    peak_to_peak_kPa: Positive | None = None
-    least_cycles: NotNegative = 0.0
-    fill_kPa: Positive = 690.0
-    other_mass_kg: NotNegative = 0.0
+    inflation_rate_kPa_per_s: PositiveNumeral | None = None
+    deflation_rate_kPa_per_s: PositiveNumeral | None = None
+    peak_to_peak_kPa: PositiveNumeral | None = None
+    least_cycles: NotNegativeNumber = 0.0
+    fill_kPa: PositiveNumeral = 690.0
+    other_mass_kg: NotNegativeNumber = 0.0
     ambient_kPa: Annotated[float, Meta(ge=20, le=120)] = STANDARD_PRESSURE_KPA
     parts: PartNames = PartNames()
 

@@ -6,7 +6,14 @@ from collections.abc import Iterator, Sequence
 from typing import Literal
 
 from flying_vines.studies.design.evaluate import Evaluation, evaluate
-from flying_vines.studies.design.parts import Catalogue, Parts, Reservoir, Solenoid, Valve, Venturi
+from flying_vines.studies.design.parts import (
+    Catalogue,
+    PartsChoice,
+    ReservoirPart,
+    SolenoidPart,
+    ValvePart,
+    VenturiPart,
+)
 from flying_vines.studies.design.robot import Robot
 
 Performance = Literal["cycles", "inflation", "deflation"]
@@ -15,18 +22,18 @@ MOST_RESERVOIRS = 2
 """Bottles of one kind, side by side."""
 
 
-def choices(catalogue: Catalogue) -> Iterator[Parts]:
+def choices(catalogue: Catalogue) -> Iterator[PartsChoice]:
     """Every choice of valves, Venturi (or none), solenoid and one or two bottles, with the lightest rest."""
     fixed = catalogue.fixed()
-    valves = catalogue.all(Valve)
-    pumps: list[tuple[Valve | None, Venturi | None]] = [(None, None)]
-    pumps += [(dvp, venturi) for dvp in valves for venturi in catalogue.all(Venturi)]
+    valves = catalogue.all(ValvePart)
+    pumps: list[tuple[ValvePart | None, VenturiPart | None]] = [(None, None)]
+    pumps += [(dvp, venturi) for dvp in valves for venturi in catalogue.all(VenturiPart)]
     for evp in valves:
         for dvp, venturi in pumps:
-            for solenoid in catalogue.all(Solenoid):
-                for reservoir in catalogue.all(Reservoir):
+            for solenoid in catalogue.all(SolenoidPart):
+                for reservoir in catalogue.all(ReservoirPart):
                     for count in range(1, MOST_RESERVOIRS + 1):
-                        yield Parts(evp, reservoir, solenoid, fixed, dvp, venturi, count)
+                        yield PartsChoice(evp, reservoir, solenoid, fixed, dvp, venturi, count)
 
 
 def evaluate_all(robot: Robot, catalogue: Catalogue) -> list[Evaluation]:

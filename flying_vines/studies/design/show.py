@@ -13,7 +13,7 @@ from rich.text import Text
 
 from flying_vines.studies.design.compass import METRICS, Compass
 from flying_vines.studies.design.evaluate import DEFLATED, Evaluation
-from flying_vines.studies.design.parts import Parts
+from flying_vines.studies.design.parts import PartsChoice
 from flying_vines.studies.design.search import Performance
 
 WHAT: Mapping[Performance, str] = {
@@ -61,7 +61,7 @@ def show(
     console.print(_compass(compared))
 
 
-def words(parts: Parts) -> str:
+def words(parts: PartsChoice) -> str:
     """A choice in one line."""
     count = f"{parts.reservoirs} × " if parts.reservoirs > 1 else ""
     pump = (

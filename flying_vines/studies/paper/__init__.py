@@ -21,22 +21,22 @@ from numpy.typing import NDArray
 from flying_vines.studies.paper.bench import LIKELY, Bench
 from flying_vines.studies.paper.compare import Curves, curves
 from flying_vines.studies.paper.findings import findings
-from flying_vines.studies.paper.rows import Row, table
+from flying_vines.studies.paper.rows import PaperRow, table
 
-__all__ = ["Bench", "Comparison", "Curves", "Row", "as_json", "compare"]
+__all__ = ["Bench", "Curves", "PaperComparison", "PaperRow", "as_json", "compare"]
 
 
 @dataclass(frozen=True)
-class Comparison:
+class PaperComparison:
     """The table, and the arrays behind it."""
 
-    rows: tuple[Row, ...]
+    rows: tuple[PaperRow, ...]
     findings: tuple[str, ...]
     """What disagrees in the paper itself."""
     curves: Curves
 
 
-def compare(bench: Bench | None = None, likely: Bench = LIKELY) -> Comparison:
+def compare(bench: Bench | None = None, likely: Bench = LIKELY) -> PaperComparison:
     """Reproduce the paper on two benches, by default the nominal rig's and that of a likely one (seconds).
 
     Notes and findings that explain the plant's numbers speak of the nominal rig.
@@ -47,10 +47,10 @@ def compare(bench: Bench | None = None, likely: Bench = LIKELY) -> Comparison:
     """
     found = curves(bench, likely)
     rows = table(found)
-    return Comparison(rows, findings(rows), found)
+    return PaperComparison(rows, findings(rows), found)
 
 
-def as_json(comparison: Comparison) -> dict[str, Any]:
+def as_json(comparison: PaperComparison) -> dict[str, Any]:
     """The comparison as plain lists, numbers and texts; the keys are described in docs/paper.md."""
     c = comparison.curves
     return {

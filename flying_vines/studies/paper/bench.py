@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.likely import likely_effects
 from flying_vines.physics.plant.plant import Plant, at_rest
@@ -21,10 +21,8 @@ from flying_vines.physics.plant.sensors import Sensor
 from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.plant.true_rig import likely_sensors
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig, Sensors
-from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
+from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.simulation.phlosar.regulator import Tuning
-
-Array = NDArray[np.float64]
 
 AT_ONCE_KPA_PER_S = 1e6
 """So that a step is a step."""
@@ -122,7 +120,7 @@ def run(
         raise ValueError("a test in closed loop needs a control volume")
     plant = Plant(bench.rig, bench.effects)
     commands = [
-        Setpoint(i * TICK_S, command_kPa(i * TICK_S), AT_ONCE_KPA_PER_S)
+        SetpointChange(i * TICK_S, command_kPa(i * TICK_S), AT_ONCE_KPA_PER_S)
         for i in range(round(duration_s / TICK_S))
     ]
     cv_sensor, reservoir_sensor = bench.sensors

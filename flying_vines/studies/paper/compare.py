@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flying_vines.physics import paper
-from flying_vines.physics.baseline import Inputs, State, step
+from flying_vines.physics.arrays import Array
+from flying_vines.physics.baseline import BaselineState, Inputs, step
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.compiled import replay
 from flying_vines.physics.plant.flow import Iso6358
@@ -18,8 +18,6 @@ from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.rig import Evp, Reservoir, Rig
 from flying_vines.studies.paper.bench import LIKELY, Bench, Trace, follow_sine, gain, run
 from flying_vines.studies.paper.data import Condition, Curve, condition, curve, stated
-
-Array = NDArray[np.float64]
 
 STEP_TEST_S = 2.5
 """Enough for TC1 to TC3 to arrive and stand still; how long the paper's time series are is not stated."""
@@ -38,7 +36,7 @@ BAND = 3.0
 
 
 @dataclass(frozen=True)
-class Discharge:
+class DischargeCurve:
     """One series of Fig. 3. Pressures kPa gauge, times s."""
 
     name: str
@@ -136,7 +134,7 @@ class SineSeries:
 
 
 @dataclass(frozen=True)
-class Cycles:
+class CycleComparison:
     """Eq. 8 for the demonstration, and the plant at the same task."""
 
     reservoir_kPa: Array
@@ -158,7 +156,7 @@ class Cycles:
 class Curves:
     """Everything that is compared."""
 
-    discharges: tuple[Discharge, ...]
+    discharges: tuple[DischargeCurve, ...]
     steps: tuple[StepResponse, ...]
     likely_steps: tuple[StepResponse, ...]
     """TC1 to TC3 on the high-fidelity plant."""
@@ -176,7 +174,7 @@ class Curves:
     """The same with the EVP's rated flow instead of the resistance that the discharge implies."""
     low_supply_kPa: float
     """On which the plant's peak to peak is the paper's for "low P_r"."""
-    cycles: Cycles
+    cycles: CycleComparison
 
 
 def curves(bench: Bench | None = None, likely: Bench = LIKELY) -> Curves:
@@ -224,7 +222,7 @@ def curves(bench: Bench | None = None, likely: Bench = LIKELY) -> Curves:
     )
 
 
-def discharge(name: str, label: str, reservoir_volume_L: float, likely: Bench) -> Discharge:
+def discharge(name: str, label: str, reservoir_volume_L: float, likely: Bench) -> DischargeCurve:
     """One series of Fig. 3 against Eq. 3, against the best exponential, and against both plants."""
     measured, model = curve(f"discharge_{name}_measured"), curve(f"discharge_{name}_model")
     initial_kPa = float(measured.y[0])
@@ -244,7 +242,7 @@ def discharge(name: str, label: str, reservoir_volume_L: float, likely: Bench) -
     closed = HIGH_RESISTANCE_RATIO if name == HIGH_RESISTANCE else 1.0
     likely_kPa = likely_discharge(likely, reservoir_volume_L, initial_kPa, len(plant_s), closed)
     likely_at_points = np.interp(measured.x, plant_s, likely_kPa)
-    return Discharge(
+    return DischargeCurve(
         name=name,
         label=label,
         reservoir_volume_L=reservoir_volume_L,
@@ -285,7 +283,7 @@ def plant_discharge(
 ) -> tuple[Array, Array]:
     """The baseline plant emptying to atmosphere through the fully open EVP: times s, pressures kPa gauge."""
     rig = Rig(reservoir=Reservoir(volume_L), cv=None, evp=Evp(flow_resistance_kPa_s_per_SL))
-    state, wide_open = State(initial_kPa, 0.0), Inputs(1.0, 0.0, False)
+    state, wide_open = BaselineState(initial_kPa, 0.0), Inputs(1.0, 0.0, False)
     pressures = [initial_kPa]
     for _ in range(math.ceil(duration_s / DISCHARGE_STEP_S)):
         state = step(rig, state, wide_open, DISCHARGE_STEP_S)
@@ -464,7 +462,7 @@ def supply_for(bench: Bench, peak_to_peak_kPa: float) -> float:
     return 0.5 * (low + high)
 
 
-def cycles(bench: Bench, flow_resistance_kPa_s_per_SL: float) -> Cycles:
+def cycles(bench: Bench, flow_resistance_kPa_s_per_SL: float) -> CycleComparison:
     """Eq. 8 over reservoir pressure for the demonstration (Sec. VII), and the plant at the same task."""
     numbers = stated()
     volume_L, swing_kPa = numbers["cycles.cv_volume"].value, numbers["cycles.swing"].value
@@ -492,7 +490,7 @@ def cycles(bench: Bench, flow_resistance_kPa_s_per_SL: float) -> Cycles:
     # A cycle that does not reach its swing is none.
     per_kPa = np.where(part >= 0.95, 1.0 / cost_kPa, 0.0)
     left = np.concatenate(([0.0], np.cumsum(np.diff(plant_kPa) * 0.5 * (per_kPa[1:] + per_kPa[:-1]))))
-    return Cycles(
+    return CycleComparison(
         reservoir_kPa=reservoir,
         rigid=rigid,
         rigid_sine=by_paper(paper.sine_peak_rate_kPa_per_s(frequency, swing_kPa / 2.0)),

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from flying_vines.studies.paper.rows import Row
+from flying_vines.studies.paper.rows import PaperRow
 
 
-def findings(rows: tuple[Row, ...]) -> tuple[str, ...]:
+def findings(rows: tuple[PaperRow, ...]) -> tuple[str, ...]:
     """One text a finding, with the table's numbers."""
     ours = {row.key: row.ours if row.ours is not None else float("nan") for row in rows}
     paper = {row.key: row.paper if row.paper is not None else float("nan") for row in rows}

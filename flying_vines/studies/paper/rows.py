@@ -14,7 +14,7 @@ from flying_vines.studies.paper.compare import (
     HIGH_RESISTANCE,
     STEP_TEST_S,
     Curves,
-    Discharge,
+    DischargeCurve,
     FrequencyResponse,
     StepResponse,
     distance_dB,
@@ -22,7 +22,7 @@ from flying_vines.studies.paper.compare import (
 )
 from flying_vines.studies.paper.data import Curve, curve, stated
 
-Verdict = Literal["agrees", "differs", "undecided"]
+RowVerdict = Literal["agrees", "differs", "undecided"]
 By = Literal["equation", "data", "plant", "high-fidelity", "text"]
 
 PLANT_TOLERANCE = 0.1
@@ -34,7 +34,7 @@ FIT_TOLERANCE_DB = 1.0
 
 
 @dataclass(frozen=True)
-class Row:
+class PaperRow:
     """One line of the table."""
 
     key: str
@@ -49,7 +49,7 @@ class Row:
     """None where nothing of ours computes it."""
     by: By
     """What ours comes from: the paper's equation, its printed data, a plant in closed loop, its text."""
-    verdict: Verdict
+    verdict: RowVerdict
     place: str
     note: str
     comparable: bool = True
@@ -70,9 +70,9 @@ class Row:
         return (self.ours - self.paper) / self.paper
 
 
-def table(curves: Curves) -> tuple[Row, ...]:
+def table(curves: Curves) -> tuple[PaperRow, ...]:
     """The whole table, chapter by chapter in the paper's order."""
-    chapters: tuple[Callable[[Curves], Iterator[Row]], ...] = (
+    chapters: tuple[Callable[[Curves], Iterator[PaperRow]], ...] = (
         _alpha,
         _discharge,
         _inflation,
@@ -92,17 +92,17 @@ def _row(
     paper_value: float | None,
     ours: float | None,
     by: By,
-    verdict: Verdict,
+    verdict: RowVerdict,
     place: str,
     note: str = "",
     paper_to: float | None = None,
     comparable: bool = True,
     bound: Literal["", ">", "<"] = "",
-) -> Row:
+) -> PaperRow:
     def finite(value: float | None) -> float | None:
         return None if value is None or not math.isfinite(value) else float(value)
 
-    return Row(
+    return PaperRow(
         key=key,
         quantity=quantity,
         unit=unit,
@@ -118,12 +118,12 @@ def _row(
     )
 
 
-def _near(ours: float, paper_value: float, tolerance: float) -> Verdict:
+def _near(ours: float, paper_value: float, tolerance: float) -> RowVerdict:
     # A hair more, for halves of digits that binary fractions cannot hold.
     return "agrees" if abs(ours - paper_value) <= tolerance * (1.0 + 1e-9) else "differs"
 
 
-def _alpha(_: Curves) -> Iterator[Row]:
+def _alpha(_: Curves) -> Iterator[PaperRow]:
     number = stated()["alpha"]
     yield _row(
         "alpha",
@@ -139,7 +139,7 @@ def _alpha(_: Curves) -> Iterator[Row]:
     )
 
 
-def _discharge(curves: Curves) -> Iterator[Row]:
+def _discharge(curves: Curves) -> Iterator[PaperRow]:
     low, high = stated()["discharge.nrmse_least"], stated()["discharge.nrmse_most"]
     for d in curves.discharges:
         key, place = f"discharge.{d.name}", "Fig. 3"
@@ -267,16 +267,16 @@ def _full_flow_SLPM(flow_resistance_kPa_s_per_SL: float) -> float:
     return 60.0 * paper.flow_SL_per_s(stated()["reservoir.pressure"].value, flow_resistance_kPa_s_per_SL)
 
 
-def _tau_between_ends(d: Discharge) -> float:
+def _tau_between_ends(d: DischargeCurve) -> float:
     first, last = float(d.model.y[0]), float(d.model.y[-1])
     return float(d.model.x[-1]) / math.log(first / last)
 
 
-def _within(ours: float, low: float, high: float) -> Verdict:
+def _within(ours: float, low: float, high: float) -> RowVerdict:
     return "agrees" if low <= ours <= high else "differs"
 
 
-def _inflation(curves: Curves) -> Iterator[Row]:
+def _inflation(curves: Curves) -> Iterator[PaperRow]:
     for s, likely in zip(curves.steps, curves.likely_steps, strict=True):
         yield from _step(s)
         yield from _likely_step(likely)
@@ -295,7 +295,7 @@ def _inflation(curves: Curves) -> Iterator[Row]:
     )
 
 
-def _likely_step(s: StepResponse) -> Iterator[Row]:
+def _likely_step(s: StepResponse) -> Iterator[PaperRow]:
     label, key = s.condition.name.upper(), f"inflation.{s.condition.name}"
     nearer = min(s.faster_kPa_per_s, s.slower_kPa_per_s, key=lambda rate: abs(rate - s.rate_kPa_per_s))
     yield _row(
@@ -324,7 +324,7 @@ def _likely_step(s: StepResponse) -> Iterator[Row]:
     )
 
 
-def _step(s: StepResponse) -> Iterator[Row]:
+def _step(s: StepResponse) -> Iterator[PaperRow]:
     name, numbers = s.condition.name, stated()
     error, nrmse = numbers[f"{name}.rate_error"], numbers[f"{name}.nrmse"]
     label, key = name.upper(), f"inflation.{name}"
@@ -406,7 +406,7 @@ def _step(s: StepResponse) -> Iterator[Row]:
     )
 
 
-def _frequency(curves: Curves) -> Iterator[Row]:
+def _frequency(curves: Curves) -> Iterator[PaperRow]:
     tc4, tc5_low, tc5_full = curves.frequencies
     for f in (tc4, tc5_low):
         yield from _cutoffs(f)
@@ -421,7 +421,7 @@ def _frequency(curves: Curves) -> Iterator[Row]:
     yield from _supply(curves, tc5_low, tc5_full)
 
 
-def _cutoffs(f: FrequencyResponse) -> Iterator[Row]:
+def _cutoffs(f: FrequencyResponse) -> Iterator[PaperRow]:
     name, numbers = f.condition.name, stated()
     label, key = name.upper(), f"frequency.{name}"
     text, drawn = numbers[f"{name}.cutoff_modelled"], numbers[f"{name}.cutoff_drawn"]
@@ -519,7 +519,7 @@ _LIKELY = _Plant(
 )
 
 
-def _distance(f: FrequencyResponse, plant: _Plant) -> Iterator[Row]:
+def _distance(f: FrequencyResponse, plant: _Plant) -> Iterator[PaperRow]:
     name = f.condition.name
     on = "" if name == "tc4" else f" on {f.supply_kPa:.0f} kPa"
     key = f"frequency.{name}" if name == "tc4" else f"frequency.{name}_{f.supply_kPa:.0f}"
@@ -551,7 +551,7 @@ def _distance(f: FrequencyResponse, plant: _Plant) -> Iterator[Row]:
         )
 
 
-def _other_regulator(f: FrequencyResponse, curves: Curves, regulator: Curve) -> Iterator[Row]:
+def _other_regulator(f: FrequencyResponse, curves: Curves, regulator: Curve) -> Iterator[PaperRow]:
     likely = next(g for g in curves.likely_frequencies if g.condition == f.condition)
     yield _row(
         f"frequency.{f.condition.name}.rms_other",
@@ -567,7 +567,7 @@ def _other_regulator(f: FrequencyResponse, curves: Curves, regulator: Curve) -> 
     )
 
 
-def _flows(f: FrequencyResponse) -> Iterator[Row]:
+def _flows(f: FrequencyResponse) -> Iterator[PaperRow]:
     name, rated = f.condition.name, stated()["evp.flow"]
     for meaning, amplitude_kPa in (
         ("amplitude", f.condition.swing_kPa),
@@ -576,7 +576,7 @@ def _flows(f: FrequencyResponse) -> Iterator[Row]:
         rate = paper.sine_peak_rate_kPa_per_s(f.cutoff_Hz, amplitude_kPa)
         flow = 60.0 * paper.flow_for_rate_SL_per_s(rate, f.condition.cv_volume_L)
         if meaning == "amplitude":
-            verdict: Verdict = "differs"
+            verdict: RowVerdict = "differs"
             note = (
                 "What the valve would have to pass at the drawn cut-off; it cannot. So A is peak to peak (as "
                 "the text has it for 1.2 Hz), and Eq. 5 and 7 want half of it."
@@ -602,7 +602,7 @@ def _flows(f: FrequencyResponse) -> Iterator[Row]:
         )
 
 
-def _rate(curves: Curves) -> Iterator[Row]:
+def _rate(curves: Curves) -> Iterator[PaperRow]:
     f, tc1 = curves.frequencies[0], curves.steps[0]
     rate = paper.sine_peak_rate_kPa_per_s(f.cutoff_Hz, f.condition.swing_kPa / 2.0)
     yield _row(
@@ -619,7 +619,7 @@ def _rate(curves: Curves) -> Iterator[Row]:
     )
 
 
-def _supply(curves: Curves, low: FrequencyResponse, full: FrequencyResponse) -> Iterator[Row]:
+def _supply(curves: Curves, low: FrequencyResponse, full: FrequencyResponse) -> Iterator[PaperRow]:
     yield _row(
         "frequency.tc5.supply",
         "TC5 supply, stated twice",
@@ -657,7 +657,7 @@ def _supply(curves: Curves, low: FrequencyResponse, full: FrequencyResponse) -> 
         )
 
 
-def _sine(curves: Curves) -> Iterator[Row]:
+def _sine(curves: Curves) -> Iterator[PaperRow]:
     numbers = stated()
     command, frequency = numbers["sine.command"].value, numbers["sine.frequency"].value
     for name, series, rated in zip(("phlosar", "low_supply"), curves.sines, curves.rated_sines, strict=True):
@@ -719,7 +719,7 @@ def _sine(curves: Curves) -> Iterator[Row]:
     )
 
 
-def _likely_sines(curves: Curves) -> Iterator[Row]:
+def _likely_sines(curves: Curves) -> Iterator[PaperRow]:
     for name, series in zip(("phlosar", "low_supply"), curves.likely_sines, strict=True):
         number = stated()[f"sine.{name}"]
         yield _row(
@@ -738,11 +738,11 @@ def _likely_sines(curves: Curves) -> Iterator[Row]:
         )
 
 
-def _cycles(curves: Curves) -> Iterator[Row]:
+def _cycles(curves: Curves) -> Iterator[PaperRow]:
     c, numbers = curves.cycles, stated()
     least = numbers["cycles.least"]
 
-    def more(ours: float) -> Verdict:
+    def more(ours: float) -> RowVerdict:
         return "agrees" if ours > least.value else "differs"
 
     for key, quantity, ours, note in (
@@ -805,7 +805,7 @@ def _cycles(curves: Curves) -> Iterator[Row]:
     )
 
 
-def _mass(_: Curves) -> Iterator[Row]:
+def _mass(_: Curves) -> Iterator[PaperRow]:
     numbers = stated()
     total, phlosar, payload = (numbers[f"mass.{name}"] for name in ("total", "phlosar", "payload"))
     parts = [numbers[f"mass.{name}"] for name in ("evp", "dvp", "bottle")]

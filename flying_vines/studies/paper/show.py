@@ -9,12 +9,12 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.studies.paper.rows import Row
+from flying_vines.studies.paper.rows import PaperRow
 
 STYLES = {"agrees": "green", "differs": "red", "undecided": "yellow"}
 
 
-def show(rows: tuple[Row, ...], findings: tuple[str, ...], console: Console) -> None:
+def show(rows: tuple[PaperRow, ...], findings: tuple[str, ...], console: Console) -> None:
     """Print the table, what disagrees in the paper itself, and why rows do not agree."""
     console.print(_table(rows))
     counts = Counter(row.verdict for row in rows)
@@ -31,7 +31,7 @@ def show(rows: tuple[Row, ...], findings: tuple[str, ...], console: Console) -> 
         _item(console, "·", f"{'; '.join(quantities)}: {note}")
 
 
-def reasons(rows: tuple[Row, ...]) -> dict[str, list[str]]:
+def reasons(rows: tuple[PaperRow, ...]) -> dict[str, list[str]]:
     """Note by note, the quantities that do not agree for it."""
     found: dict[str, list[str]] = {}
     for row in rows:
@@ -46,7 +46,7 @@ def _item(console: Console, mark: str, text: str) -> None:
     console.print(Padding(item, (0, 0, 0, 1)))
 
 
-def _table(rows: tuple[Row, ...]) -> Table:
+def _table(rows: tuple[PaperRow, ...]) -> Table:
     table = Table(box=None, padding=(0, 1), pad_edge=False)
     table.add_column("quantity", overflow="fold")
     for heading in ("unit", "paper", "ours"):
@@ -75,7 +75,7 @@ def _table(rows: tuple[Row, ...]) -> Table:
     return table
 
 
-def _number(value: float | None, row: Row) -> str:
+def _number(value: float | None, row: PaperRow) -> str:
     if value is None:
         return "–"
     # The paper's time constants are known to five digits.

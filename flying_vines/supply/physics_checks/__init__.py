@@ -4,6 +4,6 @@
 `filling`, `venting`, `vine_sensor`, `reservoir`, `leak`. `checks` runs them all.
 """
 
-from flying_vines.supply.physics_checks.checks import CHECKS, Finding, PhysicsChecks
+from flying_vines.supply.physics_checks.checks import CHECKS, PhysicsChecks, PhysicsFinding
 
-__all__ = ["CHECKS", "Finding", "PhysicsChecks"]
+__all__ = ["CHECKS", "PhysicsChecks", "PhysicsFinding"]

@@ -7,30 +7,30 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from flying_vines.config.config import Checks
+from flying_vines.config.config import ChecksConfig
 from flying_vines.supply import Belief, Features
 from flying_vines.supply.physics_checks.expected import Expected, expected
 from flying_vines.supply.physics_checks.filling import Filling, StuckVineSensor
 from flying_vines.supply.physics_checks.leak import VineLeak
-from flying_vines.supply.physics_checks.reservoir import BottleSensor, Hot, Loss
-from flying_vines.supply.physics_checks.venting import Venting
+from flying_vines.supply.physics_checks.reservoir import BottleSensor, Hot, ReservoirLoss
+from flying_vines.supply.physics_checks.venting import VentingCheck
 from flying_vines.supply.physics_checks.vine_sensor import SuddenFall, Unsteady, Zero
 
 BRIDGING = ("filling",)
 """These checks count only air that has gone in for sure, so they continue over a gap. If a fifth of 10 Hz
 telemetry is lost, all others start again twice a second."""
 
-Level = Literal["fault", "warn"]
+FindingSeverity = Literal["fault", "warn"]
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class PhysicsFinding:
     """Something is physically wrong from now on."""
 
     name: str
     """As in `[checks]`."""
     sentence: str
-    level: Level
+    level: FindingSeverity
 
 
 class _Check(Protocol):
@@ -39,11 +39,11 @@ class _Check(Protocol):
 
 CHECKS: dict[str, Callable[[Expected], _Check]] = {
     "filling": Filling,
-    "venting": Venting,
+    "venting": VentingCheck,
     "sudden_fall": lambda _: SuddenFall(),
     "vine_sensor": StuckVineSensor,
     "vine_zero": Zero,
-    "bottle_loss": Loss,
+    "bottle_loss": ReservoirLoss,
     "bottle_sensor": BottleSensor,
     "bottle_hot": Hot,
     "vine_leak": VineLeak,
@@ -55,10 +55,10 @@ CHECKS: dict[str, Callable[[Expected], _Check]] = {
 class PhysicsChecks:
     """Give `take` every telemetry message. What is wrong just now is in `present`."""
 
-    def __init__(self, belief: Belief, checks: Checks) -> None:
+    def __init__(self, belief: Belief, checks: ChecksConfig) -> None:
         self._rig = expected(belief, checks)
-        self._levels: dict[str, Level] = {name: getattr(checks, name) for name in CHECKS}
-        self.present: dict[str, Finding] = {}
+        self._levels: dict[str, FindingSeverity] = {name: getattr(checks, name) for name in CHECKS}
+        self.present: dict[str, PhysicsFinding] = {}
         self.counts: Counter[str] = Counter()
         """How often each one has begun."""
         self.restart()
@@ -68,13 +68,13 @@ class PhysicsChecks:
         self._checks = {name: made_of(self._rig) for name, made_of in CHECKS.items()}
         self.present = {}
 
-    def take(self, now: Features) -> list[Finding]:
+    def take(self, now: Features) -> list[PhysicsFinding]:
         """Take in one telemetry message. Returns what has just become wrong."""
         if now.continuity == "broken":
             self.restart()
         if now.continuity in ("none", "broken"):
             return []
-        begun: list[Finding] = []
+        begun: list[PhysicsFinding] = []
         for name, check in self._checks.items():
             if now.continuity == "gap" and name not in BRIDGING:
                 self._checks[name] = CHECKS[name](self._rig)
@@ -84,7 +84,7 @@ class PhysicsChecks:
             if sentence is None:
                 self.present.pop(name, None)
             elif name not in self.present:
-                finding = Finding(name, sentence, self._levels[name])
+                finding = PhysicsFinding(name, sentence, self._levels[name])
                 self.present[name] = finding
                 self.counts[name] += 1
                 begun.append(finding)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flying_vines.config.config import Checks
+from flying_vines.config.config import ChecksConfig
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.flow import Opening
 from flying_vines.supply import Belief, Features
@@ -85,7 +85,7 @@ def _most_effective(opening: float) -> float:
     return max(0.0, (opening - LEAST_DEAD) / (1.0 - LEAST_DEAD))
 
 
-def expected(belief: Belief, checks: Checks) -> Expected:
+def expected(belief: Belief, checks: ChecksConfig) -> Expected:
     """The bounds for a believed rig."""
     p = belief.pneumatics
     return Expected(

@@ -31,7 +31,7 @@ FORGETS_S = 120.0
 """Warming by the sun may hide a fall that is slower."""
 
 
-class Loss:
+class ReservoirLoss:
     """Finds air that leaves the bottle though no valve is commanded open."""
 
     def __init__(self, rig: Expected) -> None:

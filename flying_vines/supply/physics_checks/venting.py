@@ -19,7 +19,7 @@ LENIENCE = 2.0
 LN_4_3 = 0.288
 
 
-class Venting:
+class VentingCheck:
     """Times how long ago the vine last lost a quarter."""
 
     def __init__(self, rig: Expected) -> None:

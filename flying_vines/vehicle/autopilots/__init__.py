@@ -6,9 +6,9 @@ from flying_vines.vehicle.autopilots.ardupilot import ArduPilot
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.autopilots.px4 import Px4
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import Kind
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
-AUTOPILOTS: dict[Kind, Autopilot] = {"ardupilot": ArduPilot(), "px4": Px4()}
+AUTOPILOTS: dict[AutopilotKind, Autopilot] = {"ardupilot": ArduPilot(), "px4": Px4()}
 OTHER = Autopilot()
 
 _OF_HEARTBEAT = {autopilot.mav_autopilot: autopilot for autopilot in AUTOPILOTS.values()}
@@ -24,6 +24,6 @@ def of_name(kind: str) -> Autopilot:
     return next((autopilot for autopilot in AUTOPILOTS.values() if autopilot.kind == kind), OTHER)
 
 
-def store(kind: Kind, item: MissionItem) -> MissionItem:
+def store(kind: AutopilotKind, item: MissionItem) -> MissionItem:
     """The item as this autopilot would give it back; MissionRefused if it would not take it."""
     return AUTOPILOTS[kind].store(item)

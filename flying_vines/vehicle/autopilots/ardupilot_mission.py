@@ -13,7 +13,7 @@ from typing import NamedTuple
 from flying_vines.config.config import CARRIERS
 from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import AutopilotClock, Mark
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.book import MOST_ITEMS, MissionBook, item_of
 from flying_vines.vehicle.mission.execution import Execution, same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
@@ -148,7 +148,7 @@ class ArduPilotWatch(MissionWatch):
         self._note(t, seq)
         return Execution(SCRIPT_MESSAGE, seq, item, params)
 
-    def handle(self, t: float, message: Message) -> None:
+    def handle(self, t: float, message: MavlinkMessage) -> None:
         kind = message.get_type()
         if kind == "STATUSTEXT":
             if match := ITEM_TEXT.match(message.text):

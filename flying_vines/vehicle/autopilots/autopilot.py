@@ -12,7 +12,7 @@ from typing import ClassVar
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.clock import AutopilotClock
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
@@ -37,7 +37,7 @@ class MissionWatch:
         self._commands = commands
         self._clock = clock or AutopilotClock()
 
-    def handle(self, t: float, message: Message) -> None:
+    def handle(self, t: float, message: MavlinkMessage) -> None:
         """Take in a message of the autopilot, which the book and the clock have seen."""
 
     @property
@@ -105,7 +105,7 @@ class Autopilot:
         """The flight mode in HEARTBEAT."""
         return f"MODE {custom_mode}"
 
-    def parameter_value(self, message: Message) -> float:
+    def parameter_value(self, message: MavlinkMessage) -> float:
         """The number in a PARAM_VALUE."""
         return float(message.param_value)
 

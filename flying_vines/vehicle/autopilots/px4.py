@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.autopilots.px4_mission import Px4Watch
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import PX4_HOME
 from flying_vines.vehicle.mission.storage import (
@@ -59,7 +59,7 @@ class Px4(Autopilot):
         name = MAIN_MODES.get(main, f"MODE {main}")
         return f"{name}.{AUTO_MODES.get(sub, sub)}" if main == AUTO else name
 
-    def parameter_value(self, message: Message) -> float:
+    def parameter_value(self, message: MavlinkMessage) -> float:
         """An integer's bytes stand in the place of the float."""
         if message.param_type == mavlink.MAV_PARAM_TYPE_INT32:
             return float(struct.unpack("<i", struct.pack("<f", message.param_value))[0])

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import AutopilotClock, Mark
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution, same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
@@ -86,7 +86,7 @@ class Px4Watch(MissionWatch):
         self._forgotten_at = t
         self._waiting = None
 
-    def handle(self, t: float, message: Message) -> None:
+    def handle(self, t: float, message: MavlinkMessage) -> None:
         kind = message.get_type()
         if self._begun_at is None:
             self._begun_at = self._stood_at = t

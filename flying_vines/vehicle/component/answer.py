@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 
-def acknowledgement(command: Message, result: int, percent: int = 0) -> Message:
+def acknowledgement(command: MavlinkMessage, result: int, percent: int = 0) -> MavlinkMessage:
     """The answer to a COMMAND_LONG or COMMAND_INT.
 
     Args:

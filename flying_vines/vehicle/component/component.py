@@ -9,13 +9,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config.config import Config
 from flying_vines.vehicle.component.clash import Clash
-from flying_vines.vehicle.component.parameters import Output, Parameters
+from flying_vines.vehicle.component.parameters import ParameterOutput, Parameters
 from flying_vines.vehicle.component.requests import Requests
 from flying_vines.vehicle.component.stations import Stations
 from flying_vines.vehicle.component.telemetry import FuelGauge, Heartbeat, NamedValues
 from flying_vines.vehicle.component.texts import Texts
 from flying_vines.vehicle.component.transmit_queue import TransmitQueue
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.state import VehicleState
 
@@ -46,8 +46,8 @@ class Component:
         return self._queue.dropped
 
     def handle(
-        self, t: float, message: Message, vehicle: VehicleState, may_change: bool
-    ) -> list[Output] | None:
+        self, t: float, message: MavlinkMessage, vehicle: VehicleState, may_change: bool
+    ) -> list[ParameterOutput] | None:
         """Answer a message of any sender. None: the message is not ours to answer.
 
         Args:
@@ -75,12 +75,12 @@ class Component:
             return self.parameters.handle(t, message, vehicle.system_id, self._component_id, may_change)
         return None
 
-    def is_station(self, message: Message, vehicle: VehicleState) -> bool:
+    def is_station(self, message: MavlinkMessage, vehicle: VehicleState) -> bool:
         """Whether a ground station sent it."""
         own = message.get_srcSystem() == vehicle.system_id
         return not own and self._stations.sent(message)
 
-    def _without_key(self, t: float, message: Message, system_id: int) -> list[Output]:
+    def _without_key(self, t: float, message: MavlinkMessage, system_id: int) -> list[ParameterOutput]:
         """Say once that we ignore a signing key that is sent to the vehicle."""
         if self._key_told or message.target_system not in (0, system_id):
             return []
@@ -95,13 +95,13 @@ class Component:
         """Send a status text."""
         self._texts.say(t, severity, text)
 
-    def send(self, message: Message) -> None:
+    def send(self, message: MavlinkMessage) -> None:
         """Queue a message."""
         self._queue.put(message)
 
     def due(
         self, t: float, time_boot_ms: int, values: Mapping[str, float], system_status: int
-    ) -> list[Message]:
+    ) -> list[MavlinkMessage]:
         """The messages that leave at time `t`. `values` are the present named values; NaN is not sent."""
         config = self.parameters.config
         self._values.usual_s = 1.0 / config.telemetry.rate_Hz
@@ -120,6 +120,6 @@ class Component:
             self._queue.put(message)
         return self._queue.due(t)
 
-    def leaving(self, t: float) -> list[Message]:
+    def leaving(self, t: float) -> list[MavlinkMessage]:
         """The queued messages that may leave now."""
         return self._queue.due(t)

@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
@@ -34,7 +34,7 @@ def packed_version(text: str) -> int:
     return major << 24 | minor << 16 | patch << 8 | finished
 
 
-def autopilot_version() -> Message:
+def autopilot_version() -> MavlinkMessage:
     """Our version and what we can do. There is no hardware id: the vehicle's is the autopilot's."""
     try:
         ours = packed_version(version("flying-vines"))
@@ -54,7 +54,7 @@ class ProtocolVersion(mavlink.MAVLink_message):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__(self.id, self.msgname)
 
-    def pack(self, mav: Message, force_mavlink1: bool = False) -> bytes:
+    def pack(self, mav: MavlinkMessage, force_mavlink1: bool = False) -> bytes:
         spec_hash = library_hash = bytes(8)
         payload = struct.pack("<HHH8s8s", 200, 100, 200, spec_hash, library_hash)
         frame: bytes = self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1)

@@ -16,7 +16,7 @@ from typing import Any
 from flying_vines.config import on_disk
 from flying_vines.config.config import Config
 from flying_vines.config.toml_text import one_line, place, read_text
-from flying_vines.vehicle.component.settings import BY_NAME, SETTINGS, Refused, changed, value_of
+from flying_vines.vehicle.component.settings import BY_NAME, SETTINGS, ParameterRefused, changed, value_of
 
 HEADING = """\
 # Vine parameters set from a ground station: they go before the profile.
@@ -48,7 +48,7 @@ def read(path: Path, profile: Config) -> dict[str, float]:
     for name, value in values.items():
         try:
             config = changed(profile, config, name, value)
-        except Refused as refusal:
+        except ParameterRefused as refusal:
             where = place(text, str(path), (name,))
             raise ParameterFileError(f"{where}: {refusal}: correct the line or take it out") from None
     return values

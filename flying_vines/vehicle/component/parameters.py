@@ -16,13 +16,13 @@ from flying_vines.config.config import Config
 from flying_vines.vehicle.component.settings import (
     BY_NAME,
     SETTINGS,
-    Refused,
+    ParameterRefused,
     changed,
     decimal,
     same,
     value_of,
 )
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 
 LIST_SPACING_S = 0.1
@@ -40,7 +40,7 @@ class Changed:
     config: Config
 
 
-Output = Message | Notice | Changed
+ParameterOutput = MavlinkMessage | Notice | Changed
 
 
 class Parameters:
@@ -68,8 +68,8 @@ class Parameters:
             self._keep(name, value)
 
     def handle(
-        self, t: float, message: Message, system_id: int, component_id: int, may_change: bool
-    ) -> list[Output]:
+        self, t: float, message: MavlinkMessage, system_id: int, component_id: int, may_change: bool
+    ) -> list[ParameterOutput]:
         """What follows from a request.
 
         Args:
@@ -100,7 +100,7 @@ class Parameters:
         """Send all of them, from the first on, whether or not that is under way already."""
         self._next = 0
 
-    def due(self, t: float) -> list[Message]:
+    def due(self, t: float) -> list[MavlinkMessage]:
         """The next of the list, when its time has come."""
         if self._next is None or t - self._listed_at < LIST_SPACING_S:
             return []
@@ -109,13 +109,13 @@ class Parameters:
         self._next = index + 1 if index + 1 < len(SETTINGS) else None
         return [self._value(index)]
 
-    def _read(self, message: Message) -> list[Output]:
+    def _read(self, message: MavlinkMessage) -> list[ParameterOutput]:
         index = message.param_index
         if index == _BY_NAME and message.param_id in BY_NAME:
             index = SETTINGS.index(BY_NAME[message.param_id])
         return [self._value(index)] if 0 <= index < len(SETTINGS) else []
 
-    def _set(self, t: float, message: Message, may_change: bool) -> list[Output]:
+    def _set(self, t: float, message: MavlinkMessage, may_change: bool) -> list[ParameterOutput]:
         setting = BY_NAME.get(message.param_id)
         if setting is None:
             return []
@@ -123,13 +123,13 @@ class Parameters:
         before = value_of(setting, self.config)
         try:
             if message.param_type != mavlink.MAV_PARAM_TYPE_REAL32:
-                raise Refused(name, "send it as REAL32")
+                raise ParameterRefused(name, "send it as REAL32")
             if math.isfinite(message.param_value) and same(message.param_value, before):
                 return [self._value(index)]
             if not may_change and not setting.in_flight:
-                raise Refused(name, "vent the vine first")
+                raise ParameterRefused(name, "vent the vine first")
             self._keep(name, decimal(message.param_value))
-        except Refused as refusal:
+        except ParameterRefused as refusal:
             text = f"Vine: {name} stays {before:g}: {refusal.reason}"
             return [self._value(index), Notice(t, Severity.WARNING, text)]
         value = value_of(setting, self.config)
@@ -149,7 +149,7 @@ class Parameters:
             self.config = changed(self._profile, self.config, name, value)
             self.values[name] = value
 
-    def _value(self, index: int) -> Message:
+    def _value(self, index: int) -> MavlinkMessage:
         setting = SETTINGS[index]
         return mavlink.MAVLink_param_value_message(
             setting.name.encode(),

@@ -21,7 +21,7 @@ from flying_vines.vehicle.component.telemetry import (
     NamedValues,
 )
 from flying_vines.vehicle.component.timesync import Timesync, TokenBuckets, target_of
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 ACCEPTED, DENIED, UNSUPPORTED = (
     mavlink.MAV_RESULT_ACCEPTED,
@@ -39,7 +39,7 @@ NOT_SENT_US, OFF_US, USUAL_US = 0, -1, 0
 
 REMEMBERED_PINGS = 16
 
-Outcome = tuple[int, list[Message]]
+RequestOutcome = tuple[int, list[MavlinkMessage]]
 """MAV_RESULT, and what is sent besides it."""
 
 
@@ -62,7 +62,7 @@ class Requests:
         self._values = values
         self._pinged: deque[tuple[object, object]] = deque(maxlen=REMEMBERED_PINGS)
         self._clock_answers = TokenBuckets()
-        self._commands: dict[int, Callable[[float, Message], Outcome]] = {
+        self._commands: dict[int, Callable[[float, MavlinkMessage], RequestOutcome]] = {
             mavlink.MAV_CMD_REQUEST_MESSAGE: self._request,
             mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
             mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_interval,
@@ -70,7 +70,7 @@ class Requests:
             mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._capabilities,
         }
 
-    def handle(self, t: float, message: Message, system_id: int) -> list[Message] | None:
+    def handle(self, t: float, message: MavlinkMessage, system_id: int) -> list[MavlinkMessage] | None:
         """The acknowledgement and then what was asked for; None where this is not ours to answer.
 
         Args:
@@ -89,7 +89,7 @@ class Requests:
         result, answers = self._commands[message.command](t, message)
         return [acknowledgement(message, result), *answers]
 
-    def _request(self, t: float, message: Message) -> Outcome:
+    def _request(self, t: float, message: MavlinkMessage) -> RequestOutcome:
         wanted = _whole(message.param1)
         if wanted is None:
             return DENIED, []
@@ -107,7 +107,7 @@ class Requests:
             return ACCEPTED, []
         return UNSUPPORTED, []
 
-    def _set_interval(self, t: float, message: Message) -> Outcome:
+    def _set_interval(self, t: float, message: MavlinkMessage) -> RequestOutcome:
         wanted, interval_us = _whole(message.param1), message.param2
         if wanted is None or not math.isfinite(interval_us):
             return DENIED, []
@@ -126,10 +126,10 @@ class Requests:
             return DENIED, []
         return ACCEPTED, []
 
-    def _get_interval(self, t: float, message: Message) -> Outcome:
+    def _get_interval(self, t: float, message: MavlinkMessage) -> RequestOutcome:
         return self._interval_of(_whole(message.param1))
 
-    def _interval_of(self, wanted: int | None) -> Outcome:
+    def _interval_of(self, wanted: int | None) -> RequestOutcome:
         if wanted is None or not 0 <= wanted <= 0xFFFF:
             return DENIED, []
         interval_us = NOT_SENT_US
@@ -140,13 +140,13 @@ class Requests:
             interval_us = OFF_US if period_s == math.inf else round(period_s * 1e6)
         return ACCEPTED, [mavlink.MAVLink_message_interval_message(wanted, interval_us)]
 
-    def _protocol_version(self, t: float, message: Message) -> Outcome:
+    def _protocol_version(self, t: float, message: MavlinkMessage) -> RequestOutcome:
         return (ACCEPTED, [ProtocolVersion()]) if message.param1 == 1 else (DENIED, [])
 
-    def _capabilities(self, t: float, message: Message) -> Outcome:
+    def _capabilities(self, t: float, message: MavlinkMessage) -> RequestOutcome:
         return (ACCEPTED, [autopilot_version()]) if message.param1 == 1 else (DENIED, [])
 
-    def _ping(self, message: Message, system_id: int) -> list[Message]:
+    def _ping(self, message: MavlinkMessage, system_id: int) -> list[MavlinkMessage]:
         """A ping to all or to us, sent back; never the same twice, or two that do so would never stop."""
         sender = (message.get_srcSystem(), message.get_srcComponent())
         ping = (message.time_usec, message.seq)
@@ -158,7 +158,7 @@ class Requests:
         self._pinged.append((sender, ping))
         return [mavlink.MAVLink_ping_message(*ping, *sender)]
 
-    def _timesync(self, t: float, message: Message, system_id: int) -> list[Message]:
+    def _timesync(self, t: float, message: MavlinkMessage, system_id: int) -> list[MavlinkMessage]:
         """The autopilot asks for our clock; what is an answer itself gets none."""
         asker = (message.get_srcSystem(), message.get_srcComponent())
         autopilot = (system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)

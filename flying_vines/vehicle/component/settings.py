@@ -22,7 +22,7 @@ Guard = Literal["none", "most", "least"]
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class ParameterRow:
     """One parameter: a float over MAVLink, a key of the profile here."""
 
     name: str
@@ -45,26 +45,32 @@ VENT_OR_HOLD = ("vent", "hold")
 OFF_OR_ON = (False, True)
 
 SETTINGS = (
-    Setting("VINE_SW_CHAN", "switch", "channel", "RC channel of the switch"),
-    Setting("VINE_SW_DEBOUNCE", "switch", "debounce_s", "s that a new position of the switch must last"),
-    Setting("VINE_SW_HYST_US", "switch", "hysteresis_us", "us past the border before the position changes"),
-    Setting("VINE_RC_LOSS_S", "losses", "rc_s", "s without RC_CHANNELS until RC is lost", "most"),
-    Setting("VINE_RC_ACTION", "losses", "on_rc_loss", "RC lost: 0 vent, 1 hold", choices=VENT_OR_HOLD),
-    Setting("VINE_AP_LOSS_S", "losses", "autopilot_s", "s without a message: the autopilot is lost", "most"),
-    Setting(
+    ParameterRow("VINE_SW_CHAN", "switch", "channel", "RC channel of the switch"),
+    ParameterRow("VINE_SW_DEBOUNCE", "switch", "debounce_s", "s that a new position of the switch must last"),
+    ParameterRow(
+        "VINE_SW_HYST_US", "switch", "hysteresis_us", "us past the border before the position changes"
+    ),
+    ParameterRow("VINE_RC_LOSS_S", "losses", "rc_s", "s without RC_CHANNELS until RC is lost", "most"),
+    ParameterRow("VINE_RC_ACTION", "losses", "on_rc_loss", "RC lost: 0 vent, 1 hold", choices=VENT_OR_HOLD),
+    ParameterRow(
+        "VINE_AP_LOSS_S", "losses", "autopilot_s", "s without a message: the autopilot is lost", "most"
+    ),
+    ParameterRow(
         "VINE_HOLD_MAX_S", "losses", "hold_at_most_s", "s that RC losses are held, then it vents", "most", 0.5
     ),
-    Setting("VINE_MAX_KPA", "limits", "max_kPa", "gauge kPa: no setpoint is above it", "most", 0.5),
-    Setting("VINE_MAX_RATE", "limits", "max_rate_kPa_per_s", "kPa/s: no motion is faster", "most", 1.0),
-    Setting(
+    ParameterRow("VINE_MAX_KPA", "limits", "max_kPa", "gauge kPa: no setpoint is above it", "most", 0.5),
+    ParameterRow("VINE_MAX_RATE", "limits", "max_rate_kPa_per_s", "kPa/s: no motion is faster", "most", 1.0),
+    ParameterRow(
         "VINE_MAX_BENT_S", "limits", "max_bent_s", "s since the last trigger, then it vents", "most", 1.0
     ),
-    Setting("VINE_MIN_ALT_M", "interlocks", "min_altitude_m", "m above home, to bend", "least", most=1000.0),
-    Setting(
+    ParameterRow(
+        "VINE_MIN_ALT_M", "interlocks", "min_altitude_m", "m above home, to bend", "least", most=1000.0
+    ),
+    ParameterRow(
         "VINE_RESERVE_KPA", "interlocks", "reserve_kPa", "gauge kPa kept in the bottle", "least", most=2000.0
     ),
-    Setting("VINE_RATE_HZ", "telemetry", "rate_Hz", "Hz of each named value", in_flight=True),
-    Setting(
+    ParameterRow("VINE_RATE_HZ", "telemetry", "rate_Hz", "Hz of each named value", in_flight=True),
+    ParameterRow(
         "VINE_FUEL_STATUS",
         "telemetry",
         "fuel_status",
@@ -72,7 +78,7 @@ SETTINGS = (
         choices=OFF_OR_ON,
         in_flight=True,
     ),
-    Setting(
+    ParameterRow(
         "VINE_LOW_CYCLES",
         "telemetry",
         "low_reservoir_cycles",
@@ -86,7 +92,7 @@ SETTINGS = (
 BY_NAME = {setting.name: setting for setting in SETTINGS}
 
 
-class Refused(Exception):
+class ParameterRefused(Exception):
     """A value that a parameter may not have; `reason` is a clause for people."""
 
     def __init__(self, name: str, reason: str) -> None:
@@ -95,13 +101,13 @@ class Refused(Exception):
         self.reason = reason
 
 
-def value_of(setting: Setting, config: Config) -> float:
+def value_of(setting: ParameterRow, config: Config) -> float:
     """What a configuration has, as a parameter's number."""
     value = getattr(getattr(config, setting.table), setting.key)
     return float(setting.choices.index(value)) if setting.choices else float(value)
 
 
-def bounds(setting: Setting, profile: Config) -> tuple[float, float]:
+def bounds(setting: ParameterRow, profile: Config) -> tuple[float, float]:
     """The least and the most that may be set: of the configuration, the row and the profile the narrowest."""
     least, most = setting.least, setting.most
     kind = _type(setting)
@@ -118,7 +124,7 @@ def bounds(setting: Setting, profile: Config) -> tuple[float, float]:
 
 
 def changed(profile: Config, config: Config, name: str, value: float) -> Config:
-    """The configuration with another value; raises `Refused` where the profile does not allow it.
+    """The configuration with another value; raises `ParameterRefused` where the profile does not allow it.
 
     Args:
         profile: as the engineer wrote it.
@@ -146,22 +152,22 @@ def same(one: float, other: float) -> bool:
     return c_float(one).value == c_float(other).value
 
 
-def _checked(setting: Setting, profile: Config, value: float) -> float | str | bool:
+def _checked(setting: ParameterRow, profile: Config, value: float) -> float | str | bool:
     """The value as the configuration has it."""
     if not math.isfinite(value):
-        raise Refused(setting.name, "it must be a number")
+        raise ParameterRefused(setting.name, "it must be a number")
     least, most = bounds(setting, profile)
     if not least <= value <= most:
-        raise Refused(setting.name, f"{value:g} is outside {least:g} to {most:g}")
+        raise ParameterRefused(setting.name, f"{value:g} is outside {least:g} to {most:g}")
     if not setting.choices and not isinstance(_type(setting), inspect.IntType):
         return value
     if value != int(value):
-        raise Refused(setting.name, f"{value:g} is no whole number")
+        raise ParameterRefused(setting.name, f"{value:g} is no whole number")
     return setting.choices[int(value)] if setting.choices else int(value)
 
 
 @cache
-def _type(setting: Setting) -> inspect.Type:
+def _type(setting: ParameterRow) -> inspect.Type:
     info = inspect.type_info(get_type_hints(Config)[setting.table])
     assert isinstance(info, inspect.StructType)
     return next(field.type for field in info.fields if field.name == setting.key)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 SETTLED_S = 7.0
 GONE_S = 60.0
@@ -36,7 +36,7 @@ class Stations:
         self._heard_at: dict[int, float] = {}
         self._show_at: dict[int, float] = {}
 
-    def heard(self, t: float, heartbeat: Message, show: bool) -> None:
+    def heard(self, t: float, heartbeat: MavlinkMessage, show: bool) -> None:
         """Take in a heartbeat that is not the autopilot's. `show`: send our parameters to a new station."""
         sender = _sender(heartbeat)
         self._type_of.pop(sender, None)
@@ -50,7 +50,7 @@ class Stations:
             self._show_at[system_id] = t + SETTLED_S
         self._heard_at[system_id] = t
 
-    def sent(self, message: Message) -> bool:
+    def sent(self, message: MavlinkMessage) -> bool:
         """Whether a ground station sent it."""
         sender = _sender(message)
         if sender in self._type_of:
@@ -65,5 +65,5 @@ class Stations:
         return bool(waiting)
 
 
-def _sender(message: Message) -> tuple[int, int]:
+def _sender(message: MavlinkMessage) -> tuple[int, int]:
     return message.get_srcSystem(), message.get_srcComponent()

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mavlink.fuel_status import fuel_status
 
 HEARTBEAT_S = 1.0
@@ -43,7 +43,7 @@ class Heartbeat:
         """The next one is due."""
         self._sent_at = -math.inf
 
-    def due(self, t: float, system_status: int) -> list[Message]:
+    def due(self, t: float, system_status: int) -> list[MavlinkMessage]:
         if t - self._sent_at < HEARTBEAT_S - _TICK_GRAIN_S:
             return []
         self._sent_at = t
@@ -81,7 +81,7 @@ class NamedValues:
         """Send each value once, now."""
         self._wanted_at = t
 
-    def due(self, t: float, time_boot_ms: int, values: Mapping[str, float]) -> list[Message]:
+    def due(self, t: float, time_boot_ms: int, values: Mapping[str, float]) -> list[MavlinkMessage]:
         """At most one message, of the value that is most overdue: this spreads them over time."""
         sent = {name: self._due_at.get(name, -math.inf) for name in values if math.isfinite(values[name])}
         name = min(sent, key=lambda name: sent[name], default=None)
@@ -108,7 +108,7 @@ class FuelGauge:
     def __init__(self) -> None:
         self._sent_at = -math.inf
 
-    def due(self, t: float, reservoir_kPa: float, full_kPa: float) -> list[Message]:
+    def due(self, t: float, reservoir_kPa: float, full_kPa: float) -> list[MavlinkMessage]:
         """Gauge pressures. Nothing is sent while the reservoir's pressure is not known."""
         if t - self._sent_at < FUEL_S - _TICK_GRAIN_S or not math.isfinite(reservoir_kPa):
             return []

@@ -14,7 +14,7 @@ from collections import deque
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 OURS = "Vine:"
 """The prefix of every text. Other programs look for other prefixes."""
@@ -69,7 +69,7 @@ class Texts:
     """Status texts that wait to be sent, one chunk after another, spaced so that people can follow."""
 
     def __init__(self) -> None:
-        self._texts: deque[deque[Message]] = deque()
+        self._texts: deque[deque[MavlinkMessage]] = deque()
         self._said: dict[str, float] = {}
         self._sent_at = -math.inf
         self._identity = 0
@@ -86,7 +86,7 @@ class Texts:
         if len(self._texts) > MOST_WAITING:
             del self._texts[1]  # the first may be half told
 
-    def due(self, t: float) -> list[Message]:
+    def due(self, t: float) -> list[MavlinkMessage]:
         """The next chunk, when its time has come."""
         if not self._texts or t - self._sent_at < SPACING_S:
             return []
@@ -96,7 +96,7 @@ class Texts:
             self._texts.popleft()
         return [chunk]
 
-    def _chunks(self, severity: int, data: bytes) -> deque[Message]:
+    def _chunks(self, severity: int, data: bytes) -> deque[MavlinkMessage]:
         parts = [data[i : i + CHUNK_LENGTH] for i in range(0, len(data), CHUNK_LENGTH)]
         if len(parts) == 1:
             return deque([mavlink.MAVLink_statustext_message(severity, data, 0, 0)])

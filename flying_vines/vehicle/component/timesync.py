@@ -9,7 +9,7 @@ import struct
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 RATE_HZ = 1.0
 BURST = 4
@@ -28,13 +28,13 @@ class Timesync(mavlink.MAVLink_timesync_message):  # type: ignore[misc]
         super().__init__(tc1, ts1)
         self.target_system, self.target_component = target_system, target_component
 
-    def pack(self, mav: Message, force_mavlink1: bool = False) -> bytes:
+    def pack(self, mav: MavlinkMessage, force_mavlink1: bool = False) -> bytes:
         payload = _TARGET.pack(self.tc1, self.ts1, self.target_system, self.target_component)
         frame: bytes = self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1)
         return frame
 
 
-def target_of(message: Message) -> tuple[int, int]:
+def target_of(message: MavlinkMessage) -> tuple[int, int]:
     """System and component that a received TIMESYNC is for; zeros where it is for everybody."""
     system, component = (message.get_payload() or b"")[_TARGET_AT:].ljust(2, b"\0")[:2]
     return system, component

@@ -13,7 +13,7 @@ from enum import IntEnum
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mavlink.fuel_status import FuelStatus
 from flying_vines.vehicle.mission.book import ItemRequest
 
@@ -57,11 +57,11 @@ class TransmitQueue:
     def __init__(self) -> None:
         self.dropped = 0
         self._count = 0
-        self._waiting: dict[Rank, deque[Message]] = {rank: deque() for rank in Rank}
+        self._waiting: dict[Rank, deque[MavlinkMessage]] = {rank: deque() for rank in Rank}
         self._left_at: deque[float] = deque(maxlen=MOST_IN_WINDOW)
         self._low_rank_left_at = -math.inf
 
-    def put(self, message: Message) -> None:
+    def put(self, message: MavlinkMessage) -> None:
         """Queue a message. If the queue is full, drop the oldest message of the lowest rank."""
         rank = _RANKS.get(message.get_msgId(), Rank.ANSWER)
         self._waiting[Rank.ANSWER if isinstance(message, ItemRequest) else rank].append(message)
@@ -72,9 +72,9 @@ class TransmitQueue:
             self._count -= 1
             self.dropped += 1
 
-    def due(self, t: float) -> list[Message]:
+    def due(self, t: float) -> list[MavlinkMessage]:
         """The messages that leave at time `t`, in order."""
-        leaving: list[Message] = []
+        leaving: list[MavlinkMessage] = []
         if not self._count:
             return leaving
         for rank, queue in self._waiting.items():

@@ -7,10 +7,10 @@ from collections import deque
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.frames import Frame, Frames
-from flying_vines.vehicle.mavlink.payloads import Message, message_of
+from flying_vines.vehicle.mavlink.payloads import MavlinkMessage, message_of
 from flying_vines.vehicle.mavlink.signing import Signing
 
-__all__ = ["Codec", "Message"]
+__all__ = ["MavlinkCodec", "MavlinkMessage"]
 
 REMEMBERED_FRAMES = 32
 """Frames remembered per sender to recognise copies: far fewer than 256, where the sequence repeats."""
@@ -25,7 +25,7 @@ _WITH_KEY = mavlink.MAVLINK_MSG_ID_SETUP_SIGNING
 """Its secret key is removed at decoding: our key comes from a file, and no log may show another one."""
 
 
-class Codec:
+class MavlinkCodec:
     """Decodes a byte stream, and encodes messages as one component of one system.
 
     A frame that arrives twice (the same sequence number and checksum from the same sender, due to routers and
@@ -52,11 +52,11 @@ class Codec:
         """Frames with a wrong checksum, and stretches of bytes that are not frames."""
         return self._frames.bad_frames
 
-    def decode(self, data: bytes) -> list[Message]:
+    def decode(self, data: bytes) -> list[MavlinkMessage]:
         """The messages that `data` completes, in order; known types with a good checksum only."""
         return self._admitted(self._frames.take(data))
 
-    def decode_stranger(self, data: bytes) -> tuple[list[Message], bool]:
+    def decode_stranger(self, data: bytes) -> tuple[list[MavlinkMessage], bool]:
         """The messages in one datagram of a new sender, and whether they prove that it is an autopilot.
 
         Half a frame is dropped: other senders' frames must not wait for its end. Only a signature is a proof.
@@ -67,7 +67,7 @@ class Codec:
         )
         return messages, proven
 
-    def _admitted(self, frames: list[Frame]) -> list[Message]:
+    def _admitted(self, frames: list[Frame]) -> list[MavlinkMessage]:
         messages = []
         for frame in frames:
             if frame.component == self._component_id and self._is_echo(frame):
@@ -89,7 +89,7 @@ class Codec:
                 messages.append(_without_key(frame) if frame.message_id == _WITH_KEY else message_of(frame))
         return messages
 
-    def encode(self, message: Message, system_id: int) -> bytes:
+    def encode(self, message: MavlinkMessage, system_id: int) -> bytes:
         """One MAVLink 2 frame from our component of the system `system_id`."""
         self._out.srcSystem = system_id
         if self._signing is not None:
@@ -112,7 +112,7 @@ class Codec:
         return sender
 
 
-def _without_key(frame: Frame) -> Message:
+def _without_key(frame: Frame) -> MavlinkMessage:
     target = message_of(frame)
     sender = mavlink.MAVLink(None, frame.system, frame.component)
     sender.seq = frame.sequence

@@ -11,7 +11,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.payloads import Message
+from flying_vines.vehicle.mavlink.payloads import MavlinkMessage
 
 _GAS = 2
 """MAV_FUEL_TYPE_GAS: levels are in kPa, the flow in ml/s."""
@@ -56,7 +56,7 @@ class FuelStatus(mavlink.MAVLink_message):  # type: ignore[misc]
 
 def fuel_status(
     reservoir_kPa: float, full_kPa: float, flow_ml_per_s: float = math.nan, temperature_K: float = math.nan
-) -> Message:
+) -> MavlinkMessage:
     """The reservoir as a tank of gas. Pressures are gauge, as in our named values; NaN: not known.
 
     The flow is positive while air is taken.

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.frames import Frame
 
-Message = Any
+MavlinkMessage = Any
 """A message object of the pymavlink dialect; pymavlink carries no types."""
 
 
@@ -22,7 +22,7 @@ class _Layout:
     """How the payloads of one type of message become that type's fields."""
 
     def __init__(self, kind: Any) -> None:
-        self.build: Callable[..., Message] = kind
+        self.build: Callable[..., MavlinkMessage] = kind
         self.unpack: Callable[[bytes], tuple[Any, ...]] = kind.unpacker.unpack
         self.size: int = kind.unpacker.size
         plain = "s" not in kind.unpacker.format and set(kind.lengths) == {1} and len(kind.orders) > 1
@@ -49,7 +49,7 @@ def _arrange_arrays_and_texts(kind: Any) -> Callable[[tuple[Any, ...]], list[Any
 _LAYOUTS = {number: _Layout(kind) for number, kind in mavlink.mavlink_map.items()}
 
 
-def message_of(frame: Frame) -> Message:
+def message_of(frame: Frame) -> MavlinkMessage:
     """The message in a frame that the dialect knows."""
     layout = _LAYOUTS[frame.message_id]
     # Version 2 cuts trailing zeros off, and newer dialects may have appended fields.

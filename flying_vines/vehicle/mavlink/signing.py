@@ -1,6 +1,6 @@
 """MAVLink 2 message signing: which frames are accepted, and the timestamps of our own.
 
-Sans-IO: the service passes the time, and saves `Memory` over restarts (`signing_key.TimestampFile`). The key
+Sans-IO: the edge gives the time and saves `SigningMemory` (`signing_key.TimestampFile`). The key
 comes only from a file on this computer: SETUP_SIGNING is ignored.
 
 Recorded frames can be replayed, so the timestamps of each stream (link, system, component) must rise, over
@@ -59,7 +59,7 @@ _RADIO_MESSAGES = {mavlink.MAVLINK_MSG_ID_RADIO_STATUS, mavlink.MAVLINK_MSG_ID_R
 
 
 @dataclass(slots=True)
-class Refused:
+class RefusedFrames:
     """Refused frames, by reason."""
 
     unsigned: int = 0
@@ -79,18 +79,18 @@ class Refused:
         return f"{told}, {self.ahead} dated ahead" if self.ahead else told
 
 
-Stream = tuple[int, int, int]
+SigningStream = tuple[int, int, int]
 """Link id, system and component."""
 
 
 @dataclass(frozen=True, slots=True)
-class Memory:
+class SigningMemory:
     """State that must survive a restart, so that no timestamp is used or accepted twice."""
 
     timestamp: int = 0
     link_id: int | None = None
     """Ours; None where nothing was kept."""
-    streams: tuple[tuple[Stream, int], ...] = ()
+    streams: tuple[tuple[SigningStream, int], ...] = ()
     """The last accepted timestamp of each stream."""
 
 
@@ -101,16 +101,16 @@ class Signing:
     fall, the link id changes, which makes a new stream.
     """
 
-    def __init__(self, key: bytes, link_id: int = 0, memory: Memory = Memory()) -> None:
+    def __init__(self, key: bytes, link_id: int = 0, memory: SigningMemory = SigningMemory()) -> None:
         if len(key) != KEY_SIZE:
             raise ValueError(f"a signing key has {KEY_SIZE} bytes, not {len(key)}")
         self.key = key
         self.link_id = link_id if memory.link_id is None else memory.link_id
         self.timestamp = memory.timestamp
-        self.refused = Refused()
+        self.refused = RefusedFrames()
         self.news: list[str] = []
         """Texts about clocks. The reader empties the list."""
-        self._streams: dict[Stream, int] = dict(memory.streams)
+        self._streams: dict[SigningStream, int] = dict(memory.streams)
         self._host: int | None = None
         """This computer's clock, without jumps that are not followed."""
         self._followed: tuple[int, float | None] | None = None
@@ -120,8 +120,8 @@ class Signing:
         self._told_ahead: set[tuple[int, int]] = set()
 
     @property
-    def memory(self) -> Memory:
-        return Memory(self.timestamp, self.link_id, tuple(self._streams.items()))
+    def memory(self) -> SigningMemory:
+        return SigningMemory(self.timestamp, self.link_id, tuple(self._streams.items()))
 
     def advance(self, unix_time_s: float, at_s: float | None = None, synchronised: bool = False) -> None:
         """Set the time. A clock that was set back, or never set, blocks nothing.
@@ -211,7 +211,7 @@ class Signing:
             by = (timestamp - self._host) / DAY
             self.news.append(f"{sender[0]}/{sender[1]} signs {by:.0f} days ahead of our clock")
 
-    def _is_new(self, stream: Stream, timestamp: int) -> bool:
+    def _is_new(self, stream: SigningStream, timestamp: int) -> bool:
         last = self._streams.get(stream)
         if last is None or last > self._latest:
             oldest = self._oldest

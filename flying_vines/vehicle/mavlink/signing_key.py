@@ -9,7 +9,7 @@ import threading
 from pathlib import Path
 
 from flying_vines.config import on_disk
-from flying_vines.vehicle.mavlink.signing import KEY_SIZE, UNITS_PER_S, Memory
+from flying_vines.vehicle.mavlink.signing import KEY_SIZE, UNITS_PER_S, SigningMemory
 
 SHORTEST_PASSPHRASE = 8
 _PASSPHRASE = b"passphrase:"
@@ -74,21 +74,21 @@ class TimestampFile:
         self._saved: int | None = None
         self._writing = threading.Lock()
 
-    def load(self) -> tuple[Memory, str]:
+    def load(self) -> tuple[SigningMemory, str]:
         """The saved memory, and a sentence if the file cannot be used."""
         try:
             text = self._path.read_text(encoding="ascii")
         except FileNotFoundError:
-            return Memory(), ""
+            return SigningMemory(), ""
         except (OSError, UnicodeDecodeError) as error:
-            return Memory(), self._clock_alone(getattr(error, "strerror", None) or "damaged")
+            return SigningMemory(), self._clock_alone(getattr(error, "strerror", None) or "damaged")
         if not _FILE.fullmatch(text):
-            return Memory(), self._clock_alone("damaged")
+            return SigningMemory(), self._clock_alone("damaged")
         (timestamp, *link_id), *lines = (tuple(map(int, line.split())) for line in text.splitlines())
         streams = tuple(((link, system, component), at) for link, system, component, at in lines)
         if max(timestamp, *(at for _, at in streams), 0) > _LARGEST:
-            return Memory(), self._clock_alone("damaged")
-        return Memory(timestamp + AHEAD_AFTER_RESTART, link_id[0] if link_id else None, streams), ""
+            return SigningMemory(), self._clock_alone("damaged")
+        return SigningMemory(timestamp + AHEAD_AFTER_RESTART, link_id[0] if link_id else None, streams), ""
 
     def _clock_alone(self, why: str) -> str:
         return f"{self._path}: {why}; the signing timestamp goes on from the clock alone"
@@ -97,7 +97,7 @@ class TimestampFile:
         """Whether to save: at the start, then every 30 s and after a jump of the clock."""
         return self._saved is None or not 0 <= timestamp - self._saved < SAVE_AFTER
 
-    def save(self, memory: Memory) -> None:
+    def save(self, memory: SigningMemory) -> None:
         """Write the file; a power cut leaves the old or the new one. Blocks on a slow disk."""
         self._saved = memory.timestamp
         lines = [f"{memory.timestamp:015d} {memory.link_id or 0:03d}\n"]

@@ -10,7 +10,7 @@ from typing import Self
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 _TIME = struct.Struct(">Q")
 _V1, _V2 = 0xFE, 0xFD
@@ -104,5 +104,5 @@ class TlogReader:
     def _checks(frame: bytes) -> bool:
         parser = mavlink.MAVLink(None)
         parser.robust_parsing = True
-        message: Message = parser.parse_char(frame)
+        message: MavlinkMessage = parser.parse_char(frame)
         return message is not None and message.get_msgId() >= 0

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.execution import same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, has_place, is_nav
 
@@ -111,7 +111,7 @@ class MissionBook:
         self._attempts = 0
         self._gave_up_at = None
 
-    def handle(self, t: float, message: Message) -> None:
+    def handle(self, t: float, message: MavlinkMessage) -> None:
         """Take in a message of our autopilot."""
         kind = message.get_type()
         if kind == "MISSION_CURRENT":
@@ -165,7 +165,7 @@ class MissionBook:
         )
         return before.keys() != now.keys() or any(not same_numbers(before[seq], now[seq]) for seq in now)
 
-    def _watch_for_change(self, t: float, message: Message) -> None:
+    def _watch_for_change(self, t: float, message: MavlinkMessage) -> None:
         total, mission_id = message.total, _mission_id(message, 6)
         first = self._total is None
         if first or (total, mission_id) == (self._total, self._mission_id):
@@ -180,7 +180,7 @@ class MissionBook:
             return  # ArduPilot, which does not count the home item, and has no id
         self.doubt(t)
 
-    def requests(self, t: float, system_id: int, in_any_order: bool = False) -> list[Message]:
+    def requests(self, t: float, system_id: int, in_any_order: bool = False) -> list[MavlinkMessage]:
         """The next request to the autopilot; at most one message a call.
 
         `in_any_order`: it gives any item at any time, as ArduPilot does. PX4 ends the transfer if an item is
@@ -206,12 +206,12 @@ class MissionBook:
         first = min(missing, key=lambda seq: (seq < here, seq))  # what runs soon is needed first
         return [mavlink.MAVLink_mission_request_int_message(system_id, 1, first, 0)]
 
-    def ask(self, seq: int, system_id: int) -> Message:
+    def ask(self, seq: int, system_id: int) -> MavlinkMessage:
         """The request for one item, which ArduPilot gives at any time."""
         self._asking = True
         return ItemRequest(system_id, 1, seq, 0)
 
-    def acknowledgement(self, system_id: int) -> list[Message]:
+    def acknowledgement(self, system_id: int) -> list[MavlinkMessage]:
         """The MISSION_ACK that ends a download that we asked for, once it is complete."""
         if not self._owes_ack:
             return []
@@ -219,7 +219,7 @@ class MissionBook:
         return [mavlink.MAVLink_mission_ack_message(system_id, 1, mavlink.MAV_MISSION_ACCEPTED, 0)]
 
 
-def item_of(message: Message) -> MissionItem:
+def item_of(message: MavlinkMessage) -> MissionItem:
     """The item that MISSION_ITEM_INT or MISSION_ITEM carries."""
     whole_numbers = message.get_type() == "MISSION_ITEM_INT"
     scale = 1e-7 if whole_numbers and has_place(message.command, message.frame) else 1.0
@@ -237,7 +237,7 @@ def item_of(message: Message) -> MissionItem:
     )
 
 
-def _mission_id(message: Message, at: int) -> int:
+def _mission_id(message: MavlinkMessage, at: int) -> int:
     """PX4's checksum of the mission: an extension of MISSION_CURRENT and of MISSION_COUNT that the dialect
     does not name, at this place in the payload."""
     frame = message.get_msgbuf()

@@ -6,7 +6,7 @@ from typing import Literal
 
 from flying_vines.vehicle.mission.item import MissionItem
 
-Kind = Literal["ardupilot", "px4"]
+AutopilotKind = Literal["ardupilot", "px4"]
 
 ACCEPTED, ERROR, UNSUPPORTED_FRAME, UNSUPPORTED, NO_SPACE = 0, 1, 2, 3, 4
 INVALID_PARAM1, INVALID_SEQUENCE, CANCELLED = 6, 13, 15

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 from flying_vines.config.config import Config
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.radio.radio_parameters import RadioParameters
 from flying_vines.vehicle.radio.rc import RadioLink
-from flying_vines.vehicle.radio.switch import Move, MovedUnseen, Switch
+from flying_vines.vehicle.radio.switch import MovedUnseen, SwitchMove, SwitchReader
 from flying_vines.vehicle.triggers import Rules, Trigger
 
 CONFIRMED_WITHIN_S = 4.0
@@ -41,7 +41,7 @@ PilotOutput = Trigger | Notice | Straightened
 class _Waiting:
     """A move that waits until RC has been good for long enough after it."""
 
-    move: Move
+    move: SwitchMove
     before: int
     seen_at: float
     since_s: float | None
@@ -113,7 +113,7 @@ class Pilot:
             self._position_overruled, self._left_it_at = position, math.inf
 
     def handle(
-        self, t: float, message: Message, autopilot: Autopilot, vented: bool = False
+        self, t: float, message: MavlinkMessage, autopilot: Autopilot, vented: bool = False
     ) -> list[PilotOutput]:
         """Take in a message of our autopilot.
 
@@ -128,7 +128,7 @@ class Pilot:
             return self._sample(t, vented)
         return [*self._tell_source(t), *self._confirm(t)] if kind == "SYS_STATUS" else []
 
-    def override(self, t: float, message: Message) -> None:
+    def override(self, t: float, message: MavlinkMessage) -> None:
         """A ground station's RC_CHANNELS_OVERRIDE, if the autopilot forwards it to us."""
         pulse_us = getattr(message, f"chan{self.channel}_raw")
         released = pulse_us == RELEASED_US or (pulse_us == 0 and self.channel <= 8)
@@ -149,7 +149,7 @@ class Pilot:
             return []
         return [self._refused(t, waiting.move, "the autopilot does not confirm RC, move it again")]
 
-    def requests(self, t: float, system_id: int, autopilot: Autopilot) -> list[Message]:
+    def requests(self, t: float, system_id: int, autopilot: Autopilot) -> list[MavlinkMessage]:
         """What to ask the autopilot next."""
         return self.parameters.requests(t, system_id, autopilot)
 
@@ -201,7 +201,7 @@ class Pilot:
         if self._waiting is not None:
             self._keep_waiting(self._waiting)
         seen = self.switch.sample(t, radio.switch_us, radio.jumped)
-        if isinstance(seen, Move):
+        if isinstance(seen, SwitchMove):
             return self._moved(t, seen, vented)
         if seen is not None:
             self._stood = {seen.position}
@@ -213,7 +213,7 @@ class Pilot:
         elif waiting.since_s is None:
             waiting.since_s = self.radio.stamp_s
 
-    def _moved(self, t: float, move: Move, vented: bool) -> list[PilotOutput]:
+    def _moved(self, t: float, move: SwitchMove, vented: bool) -> list[PilotOutput]:
         waiting, self._waiting = self._waiting, None
         unconfirmed = waiting if waiting is not None and self._waits_to_bend(waiting) else None
         origin = unconfirmed.before if unconfirmed else move.before
@@ -238,7 +238,7 @@ class Pilot:
             self._stood = {move.position}
         return self._asks(t, move, by_person=not (must_wait or move.jumped))
 
-    def _for_sure(self, t: float, move: Move) -> list[PilotOutput]:
+    def _for_sure(self, t: float, move: SwitchMove) -> list[PilotOutput]:
         """Act on a bending move that is confirmed or needs no confirmation."""
         was_there = move.position in self._stood
         self._stood = {move.position}
@@ -246,7 +246,7 @@ class Pilot:
             return [self._move_again(t, "is back where it was")]
         return self._asks(t, move, by_person=True)
 
-    def _not_the_pilots(self, t: float, move: Move) -> str:
+    def _not_the_pilots(self, t: float, move: SwitchMove) -> str:
         """What other than the pilot may have made this move; empty if nothing."""
         if move.jumped:
             return "moved with other channels"
@@ -293,22 +293,22 @@ class Pilot:
         self._stood = {waiting.move.position}
         return [] if was_there else [Straightened(waiting.seen_at)]
 
-    def _asks(self, t: float, move: Move, *, by_person: bool) -> list[PilotOutput]:
+    def _asks(self, t: float, move: SwitchMove, *, by_person: bool) -> list[PilotOutput]:
         intent = self._rules.for_position(move.position)
         if intent is None:
             return []
         return [Trigger(t, "switch", self._what(move), intent, by_person=by_person)]
 
-    def _refused(self, t: float, move: Move, why: str) -> Trigger:
+    def _refused(self, t: float, move: SwitchMove, why: str) -> Trigger:
         return Trigger(t, "switch", self._what(move), None, why, by_person=True)
 
-    def _what(self, move: Move) -> dict[str, object]:
+    def _what(self, move: SwitchMove) -> dict[str, object]:
         return {"channel": self.channel, "position": move.position, "from": move.before}
 
     def _move_again(self, t: float, what: str) -> Notice:
         return Notice(t, Severity.NOTICE, f"Vine: switch ch{self.channel} {what}, move it again")
 
 
-def _switch(config: Config) -> Switch:
+def _switch(config: Config) -> SwitchReader:
     switch = config.switch
-    return Switch(len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us)
+    return SwitchReader(len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us)

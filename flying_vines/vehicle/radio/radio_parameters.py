@@ -7,7 +7,7 @@ import math
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 ASK_SPACING_S = 0.2
 ASK_AGAIN_S = 2.0
@@ -34,7 +34,7 @@ class RadioParameters:
         self._attempts = {}
         self._asked_at = self._round_at = -math.inf
 
-    def handle(self, autopilot: Autopilot, message: Message) -> bool:
+    def handle(self, autopilot: Autopilot, message: MavlinkMessage) -> bool:
         """Take in a PARAM_VALUE of our autopilot; whether it changed anything."""
         name = message.param_id
         if name not in autopilot.rc_parameters:
@@ -47,7 +47,7 @@ class RadioParameters:
         self.values[name] = value
         return changed
 
-    def requests(self, t: float, system_id: int, autopilot: Autopilot) -> list[Message]:
+    def requests(self, t: float, system_id: int, autopilot: Autopilot) -> list[MavlinkMessage]:
         """At most one request a call."""
         if t - self._asked_at < ASK_SPACING_S:
             return []

@@ -11,9 +11,9 @@ from operator import attrgetter
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.config.config import Switch
+from flying_vines.config.config import SwitchConfig
 from flying_vines.vehicle.autopilots import OTHER
-from flying_vines.vehicle.mavlink.codec import Message
+from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 LOWEST_US, HIGHEST_US = 800, 2200
@@ -43,7 +43,7 @@ class RadioLink:
     ground station does.
     """
 
-    def __init__(self, switch: Switch, silent_after_s: float) -> None:
+    def __init__(self, switch: SwitchConfig, silent_after_s: float) -> None:
         self.configure(switch, silent_after_s)
         self.autopilot = OTHER
         self.switch_us = 0
@@ -53,7 +53,7 @@ class RadioLink:
         """Whether several other channels jumped in the latest RC_CHANNELS, too."""
         self.forget()
 
-    def configure(self, switch: Switch, silent_after_s: float) -> None:
+    def configure(self, switch: SwitchConfig, silent_after_s: float) -> None:
         """Use this switch's channel from the next message on."""
         self._channel_number = switch.channel
         self._throttle_channel = switch.throttle_channel
@@ -87,7 +87,7 @@ class RadioLink:
         no_receiver = self.autopilot.needs_rc_status and not self._status_told_good
         return no_receiver and self._heard_at is not None and self._rssi == OVERRIDE_RSSI
 
-    def handle(self, t: float, message: Message) -> None:
+    def handle(self, t: float, message: MavlinkMessage) -> None:
         """Take in a message of our autopilot."""
         kind = message.get_type()
         if kind == "RC_CHANNELS":
@@ -130,7 +130,7 @@ class RadioLink:
             return f"throttle at {throttle_us}: receiver in failsafe"
         return None
 
-    def _take_channels(self, t: float, message: Message) -> None:
+    def _take_channels(self, t: float, message: MavlinkMessage) -> None:
         # `problem` is not called while our process stands still: the gap itself counts as a loss.
         if self._heard_at is not None and t - self._heard_at > self._silent_after_s:
             self._interrupted = True
@@ -167,7 +167,7 @@ class RadioLink:
             return False
         return self._rssi == NO_SIGNAL or t - self._rssi_lost_at < RSSI_WARNS_FOR_S
 
-    def _take_health(self, message: Message) -> None:
+    def _take_health(self, message: MavlinkMessage) -> None:
         health = (
             message.onboard_control_sensors_present,
             message.onboard_control_sensors_enabled,
@@ -177,7 +177,7 @@ class RadioLink:
             self._health_stamp_s = self.stamp_s
         self._health = health
 
-    def _take_status(self, t: float, message: Message) -> None:
+    def _take_status(self, t: float, message: MavlinkMessage) -> None:
         present = bool(message.onboard_control_sensors_present & RC_BIT)
         enabled = bool(message.onboard_control_sensors_enabled & RC_BIT)
         health = bool(message.onboard_control_sensors_health & RC_BIT)

@@ -16,7 +16,7 @@ SAMPLING_SLACK_S = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Move:
+class SwitchMove:
     """The switch came to rest in another position, counted from 0 at the lowest pulse width."""
 
     position: int
@@ -34,13 +34,13 @@ class MovedUnseen:
 
 
 @dataclass(frozen=True, slots=True)
-class Ready:
+class SwitchReady:
     """The switch is trusted from now on: its next move counts."""
 
     position: int
 
 
-class Switch:
+class SwitchReader:
     """Debounce, hysteresis, and no action after a loss until a fresh move.
 
     Call `sample` with the pulse width while the radio link is good, and `lose` when it is not. After the
@@ -64,7 +64,9 @@ class Switch:
         self.position = None
         self._candidate = None
 
-    def sample(self, t: float, pulse_us: float, jumped: bool = False) -> Move | MovedUnseen | Ready | None:
+    def sample(
+        self, t: float, pulse_us: float, jumped: bool = False
+    ) -> SwitchMove | MovedUnseen | SwitchReady | None:
         """Take in the pulse width at `t`; `jumped`: several other channels jumped with it."""
         seen = self.reads(pulse_us)
         if seen != self._candidate:
@@ -75,14 +77,14 @@ class Switch:
         if seen == self.position or steady_s < self._debounce_s:
             return None
         before, self.position = self.position, seen
-        return Move(seen, before, self._candidate_jumped)
+        return SwitchMove(seen, before, self._candidate_jumped)
 
-    def _settle(self, seen: int) -> MovedUnseen | Ready:
+    def _settle(self, seen: int) -> MovedUnseen | SwitchReady:
         before, self._before_loss = self._before_loss, None
         self.position = seen
         if before is not None and before != seen:
             return MovedUnseen(seen, before)
-        return Ready(seen)
+        return SwitchReady(seen)
 
     def reads(self, pulse_us: float) -> int:
         """The position of a pulse width, not debounced. The present position is wider by the hysteresis.

@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flying_vines.gateway.mqtt.asks import LONGEST_ASK, MOST_WAITING, Asks
-from flying_vines.gateway.mqtt.payloads import Answer
+from flying_vines.gateway.mqtt.payloads import AnswerPayload
 from flying_vines.gateway.mqtt.teller import Now
-from flying_vines.vine.intent import Command
+from flying_vines.vine.intent import CommandName
 
 NOW = Now(50.0, 1_700_000_000.0)
-ALL: tuple[Command, ...] = ("vent", "bend", "profile", "hold")
+ALL: tuple[CommandName, ...] = ("vent", "bend", "profile", "hold")
 
 
 def ask(id: str = "1", command: str = "hold", age_s: float = 0.0, **more: Any) -> bytes:
@@ -155,7 +155,7 @@ def test_what_waits_grows_old_whatever_its_senders_clock_says() -> None:
 def test_no_bytes_make_it_fail(payload: bytes, retained: bool) -> None:
     asks = Asks(ALL, 5.0)
     for answer in asks.hear(NOW, payload, retained):
-        assert isinstance(answer, Answer)
+        assert isinstance(answer, AnswerPayload)
         assert answer.safety == "refused"
         assert answer.reason
     assert waiting(asks) == []

@@ -10,7 +10,7 @@ from flying_vines.config.address import BrokerAddress, parse_broker
 TLS = 'broker = "mqtts://b"\n'
 
 
-def parsed(text: str) -> config.Mqtt:
+def parsed(text: str) -> config.MqttConfig:
     return config.parse(f"[mqtt]\n{text}\n[switch]\npositions = ['', '']\n[profiles]\n", "my.toml").mqtt
 
 

@@ -9,12 +9,12 @@ from flying_vines.gateway.mqtt.health import (
     LONGEST_WAIT_REFUSED_S,
     LONGEST_WAIT_S,
     THROWN_OUT,
+    BrokerProblem,
     Health,
-    Problem,
 )
 
-AWAY = Problem("nothing answers there")
-LOGIN = Problem("it does not know this user and password", needs_person=True)
+AWAY = BrokerProblem("nothing answers there")
+LOGIN = BrokerProblem("it does not know this user and password", needs_person=True)
 
 
 def test_a_broker_that_is_there_is_not_worth_a_word() -> None:
@@ -63,7 +63,9 @@ def test_one_that_is_let_in_and_thrown_out_again_and_again_is_no_good_connection
 
 
 @given(st.lists(st.sampled_from([AWAY, LOGIN]), min_size=1, max_size=80), st.floats(0, 1))
-def test_waits_grow_to_a_bound_and_differ_from_vehicle_to_vehicle(said: list[Problem], luck: float) -> None:
+def test_waits_grow_to_a_bound_and_differ_from_vehicle_to_vehicle(
+    said: list[BrokerProblem], luck: float
+) -> None:
     health = Health(0.0, "mqtt://b")
     for t, problem in enumerate(said):
         health.failed(float(t), problem)

@@ -10,14 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flying_vines.core.events import Action, Asked, Decision
-from flying_vines.gateway.messages import Happened, Seen, raw
+from flying_vines.gateway.messages import Happened, SnapshotMessage, raw
 from flying_vines.gateway.mqtt.home_assistant import discovery
-from flying_vines.gateway.mqtt.payloads import PAYLOADS, Event, LostEvent, NoticeEvent
+from flying_vines.gateway.mqtt.payloads import PAYLOADS, EventPayload, LostEvent, NoticeEvent
 from flying_vines.gateway.mqtt.teller import RESERVOIR_S, SILENT_S, Events, Now, Publication, Teller
 from flying_vines.gateway.mqtt.topics import Topics
 from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.vehicle.notice import Notice
-from flying_vines.vine.intent import BendTo, Intent, StartBench, StartProfile, Vent
+from flying_vines.vine.intent import BendTo, Intent, StartBench, StartProfile, VentVine
 
 from ..told import configured, decision, happened, notice, profile, seen
 
@@ -40,10 +40,10 @@ def read(publication: Publication) -> dict[str, Any]:
     return told
 
 
-def tell_all(events: Events, t: float = 10.0) -> list[Event]:
+def tell_all(events: Events, t: float = 10.0) -> list[EventPayload]:
     told = []
     while pending := events.first(now(t)):
-        event: Event = msgspec.json.decode(pending.publication.payload, type=Event)
+        event: EventPayload = msgspec.json.decode(pending.publication.payload, type=EventPayload)
         told.append(event)
         events.told(pending)
     return told
@@ -163,7 +163,7 @@ def test_whatever_happens_every_event_is_told_once_in_order_or_counted(steps: li
         for _ in range(meanwhile):
             happen()
         if pending is not None:
-            event: Event = msgspec.json.decode(pending.publication.payload, type=Event)
+            event: EventPayload = msgspec.json.decode(pending.publication.payload, type=EventPayload)
             if isinstance(event, LostEvent):
                 lost += event.count
             else:
@@ -201,7 +201,7 @@ def test_whatever_a_core_makes_can_be_told() -> None:
         StartBench(),
         StartProfile("wave"),
         BendTo(500.0),
-        Vent(),
+        VentVine(),
     )
     made = []
 
@@ -218,7 +218,7 @@ def test_whatever_a_core_makes_can_be_told() -> None:
     assert set(made) == {"decision", "notice"}
     told: list[str] = [event.__struct_config__.tag for event in tell_all(vehicle.events)]  # type: ignore[misc]
     assert told == made
-    vehicle.take(60.0, Seen(raw(world.core.snapshot(60.0))))
+    vehicle.take(60.0, SnapshotMessage(raw(world.core.snapshot(60.0))))
     _, state, reservoir = vehicle.due(now(60.0))
     assert read(state)["doing"] == "vented"
     assert read(reservoir)["reservoir_kPa"] > 100.0

@@ -9,7 +9,7 @@ from typing import Any
 
 from flying_vines.gateway import mqtt
 from flying_vines.gateway.feed import Feed
-from flying_vines.gateway.messages import Answered, Ask, FromGateway, Trouble
+from flying_vines.gateway.messages import Answered, FromGateway, Request, Trouble
 
 from ..told import happened, notice, profile, seen
 
@@ -22,7 +22,7 @@ class Vehicle:
     def __init__(self, **settings: Any) -> None:
         self.feed = Feed(profile(**settings), self._hear)
         self.troubles: list[str] = []
-        self.asked: list[Ask] = []
+        self.asked: list[Request] = []
         self.deaf = False
 
     @property
@@ -36,7 +36,7 @@ class Vehicle:
         if isinstance(message, Trouble):
             self.troubles.append(message.text)
             return
-        assert isinstance(message, Ask)
+        assert isinstance(message, Request)
         self.asked.append(message)
         if not self.deaf:
             answer = Answered(message.number, "accepted", "")

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 from page_bench import snapshot
 
-from flying_vines.gateway.messages import Seen, raw
+from flying_vines.gateway.messages import SnapshotMessage, raw
 from flying_vines.gateway.page.connections import (
     MAX_NEW,
     MAX_PILOTS,
@@ -117,7 +117,7 @@ def test_a_wish_is_read() -> None:
 def test_two_minutes_are_remembered_five_times_a_second() -> None:
     history = History()
     for i in range(3000):
-        history.take(Seen(raw(snapshot(0.1 * i, cv_kPa=math.nan if i % 2 else 0.123456))))
+        history.take(SnapshotMessage(raw(snapshot(0.1 * i, cv_kPa=math.nan if i % 2 else 0.123456))))
     times = [sample.t for sample in history.samples]
     assert times[-1] - times[0] == pytest.approx(KEPT_S, abs=0.5)
     assert len(times) == pytest.approx(5 * KEPT_S, abs=3)
@@ -127,5 +127,5 @@ def test_two_minutes_are_remembered_five_times_a_second() -> None:
 
 def test_a_pressure_that_is_not_known_is_remembered_as_that() -> None:
     history = History()
-    history.take(Seen(raw(snapshot(1.0, cv_kPa=math.nan, reservoir_kPa=math.nan))))
+    history.take(SnapshotMessage(raw(snapshot(1.0, cv_kPa=math.nan, reservoir_kPa=math.nan))))
     assert msgspec.json.encode(tuple(history.samples)) == b"[[1.0,null,0.0,null]]"

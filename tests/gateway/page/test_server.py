@@ -18,7 +18,7 @@ from patience import PATIENCE_S
 from ports import free_port
 from real_time import real_time
 
-from flying_vines.config.config import Page
+from flying_vines.config.config import PageConfig
 from flying_vines.core.events import Decision
 from flying_vines.gateway import page, page_token
 from flying_vines.gateway.page import server, viewer
@@ -386,7 +386,7 @@ async def _vents(viewing: object, number: int = 1) -> None:
 
 
 async def test_a_port_that_is_taken_is_told_and_had_later(session: ClientSession) -> None:
-    bench = Bench(Page(port=free_port()))
+    bench = Bench(PageConfig(port=free_port()))
     taken = "cannot be opened: Address already in use"
     with socket.create_server(("127.0.0.1", bench.page.port)), pytest.raises(OSError, match=taken):
         await page.serve(bench.feed)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 from flying_vines.studies.paper.compare import HIGH_RESISTANCE_RATIO
 from flying_vines.studies.paper.diagnosis.discharge import Discharges, analyse
-from flying_vines.studies.paper.diagnosis.experiment import Proposal, propose
-from flying_vines.studies.paper.diagnosis.flow_law import FlowLaw, flow_laws
+from flying_vines.studies.paper.diagnosis.experiment import ExperimentProposal, propose
+from flying_vines.studies.paper.diagnosis.flow_law import FlowLawFit, flow_laws
 from flying_vines.studies.paper.diagnosis.response import Responses, account_for
 
 __all__ = ["PaperDiagnosis", "diagnose_paper"]
@@ -26,9 +26,9 @@ class PaperDiagnosis:
     """What the paper's measurements say."""
 
     discharges: Discharges
-    flow_laws: tuple[FlowLaw, FlowLaw]
+    flow_laws: tuple[FlowLawFit, FlowLawFit]
     """At the ratio of the valve's settings that the paper uses, and at another."""
-    proposal: Proposal
+    proposal: ExperimentProposal
     responses: Responses
 
 

@@ -14,8 +14,9 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from flying_vines.identification.case import Case
-from flying_vines.identification.fit import Bools, Point, Problem
-from flying_vines.studies.paper.diagnosis.evidence import Array, Level, Linear, Noise
+from flying_vines.identification.fit import Bools, FitPoint, FitProblem
+from flying_vines.physics.arrays import Array
+from flying_vines.studies.paper.diagnosis.evidence import Linear, Noise, UnexplainedLevel
 
 RESERVOIR = 1
 """The row of a run's readings."""
@@ -25,7 +26,7 @@ _NUDGE = 1e-3
 _NUDGE_KPA = 0.1
 
 
-class Correlated(Problem):
+class Correlated(FitProblem):
     """A case of discharges; residuals are in units of their standard deviations and independent.
 
     Args:
@@ -35,7 +36,9 @@ class Correlated(Problem):
         used: as the engine has it; all readings if not given.
     """
 
-    def __init__(self, case: Case, noise: Noise, level: Level, used: Sequence[Bools] | None = None) -> None:
+    def __init__(
+        self, case: Case, noise: Noise, level: UnexplainedLevel, used: Sequence[Bools] | None = None
+    ) -> None:
         super().__init__(case, (1.0, 1.0), used)
         self.noise = noise
         self.level = level
@@ -47,7 +50,7 @@ class Correlated(Problem):
             for x, s, kept in zip(self.after_s, self.scaled, self._kept, strict=True)
         ]
 
-    def residuals(self, point: Point, runs: Sequence[int] | None = None) -> list[Array]:
+    def residuals(self, point: FitPoint, runs: Sequence[int] | None = None) -> list[Array]:
         """Of these runs (all if not given): (2, n) as in `Fit`, independent."""
         every = range(len(self.data)) if runs is None else runs
         found = []
@@ -58,11 +61,11 @@ class Correlated(Problem):
             found.append(white)
         return found
 
-    def pressures_kPa(self, point: Point) -> Array:
+    def pressures_kPa(self, point: FitPoint) -> Array:
         """What the reservoir's sensor would have read, run after run."""
         return np.concatenate([readings[RESERVOIR] for readings in self.simulated(point)])
 
-    def linear(self, point: Point) -> Linear:
+    def linear(self, point: FitPoint) -> Linear:
         """The model about a place: believed numbers that are free, causes' parameters, pressures at the
         start."""
         here = self.pressures_kPa(point)

@@ -16,16 +16,17 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from flying_vines.identification.case import Case, Run
-from flying_vines.identification.fit import Point
-from flying_vines.identification.verdict import NONE, Estimate
+from flying_vines.identification.case import Case, RecordedRun
+from flying_vines.identification.fit import FitPoint
+from flying_vines.identification.verdict import NONE, ParameterEstimate
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.effects import catalogue
 from flying_vines.physics.rig import Rig
 from flying_vines.studies.paper.compare import HIGH_RESISTANCE, HIGH_RESISTANCE_RATIO
 from flying_vines.studies.paper.data import DISCHARGES, curve
 from flying_vines.studies.paper.diagnosis.correlated import RESERVOIR, Correlated
-from flying_vines.studies.paper.diagnosis.evidence import Array, Level, Noise, Worth, worth
+from flying_vines.studies.paper.diagnosis.evidence import Noise, UnexplainedLevel, Worth, worth
 from flying_vines.studies.paper.diagnosis.on_plant import OnPlant
 from flying_vines.studies.paper.diagnosis.rivals import RESERVOIR_WALL, SENSOR_LINE, VALVE_SETTLES
 
@@ -42,11 +43,11 @@ BETWEEN_SERIES = (0.01, 0.03, 0.1)
 NOISES = ("rough", "smooth", "from anywhere")
 """Three ways to be wrong: a discrepancy that begins at 0 and wanders, one that is smooth, and one that is
 there from the first reading on."""
-LEAST_SQUARES = Level(5.0, 1e-3, 0.0)
+LEAST_SQUARES = UnexplainedLevel(5.0, 1e-3, 0.0)
 """Errors that have nothing to do with each other: a fit by least squares, through the first readings …"""
 PINNED_KPA = 0.01
 """… to within so much."""
-_FIRST_LEVEL = Level(6.0, 80.0, 0.03)
+_FIRST_LEVEL = UnexplainedLevel(6.0, 80.0, 0.03)
 
 _TYPICAL = {
     "evp_restriction": (0.0, 0.25),  # a rating, a setting and a seat: 25 %
@@ -117,16 +118,16 @@ def paper_case(settings_ratio: float = HIGH_RESISTANCE_RATIO) -> Case:
     return Case(Path("paper"), Rig(cv=None), tuple(_run(name, settings_ratio) for name in DISCHARGES), ())
 
 
-def _run(name: str, settings_ratio: float) -> Run:
+def _run(name: str, settings_ratio: float) -> RecordedRun:
     measured = curve(f"discharge_{name}_measured")
     opening = BOTTLE_L / VOLUME_L[name] / (settings_ratio if name == HIGH_RESISTANCE else 1.0)
     return discharge_run(name, measured.x, np.full(len(measured.x), opening), measured.y)
 
 
-def discharge_run(name: str, time_s: Array, opening: Array, reservoir_kPa: Array) -> Run:
+def discharge_run(name: str, time_s: Array, opening: Array, reservoir_kPa: Array) -> RecordedRun:
     """A discharge to atmosphere."""
     shut, unread = np.zeros(len(time_s)), np.full(len(time_s), np.nan)
-    return Run(name, time_s, None, opening, shut, shut + 1.0, unread, reservoir_kPa, None, None, True)
+    return RecordedRun(name, time_s, None, opening, shut, shut + 1.0, unread, reservoir_kPa, None, None, True)
 
 
 def step_kPa(case: Case) -> tuple[float, float]:
@@ -148,21 +149,21 @@ def noises(rounding_kPa: float) -> tuple[Noise, Noise, Noise]:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class DischargeModel:
     """Some causes (or none), and what the readings say of them."""
 
     names: tuple[str, ...]
     problem: Correlated
     """At the level of the first kind of noise that fits best."""
-    point: Point
+    point: FitPoint
     """The likeliest there."""
     worths: tuple[Worth, ...]
     """By kind of noise, as `NOISES`."""
-    estimates: dict[str, dict[str, Estimate]]
+    estimates: dict[str, dict[str, ParameterEstimate]]
     """Over all levels of the first kind of noise."""
     plain: Correlated
     """For least squares."""
-    nearest: Point
+    nearest: FitPoint
     """By least squares."""
     rms_kPa: float
     nrmse_percent: tuple[float, ...]
@@ -183,14 +184,14 @@ class Discharges:
     kinds: tuple[Noise, ...]
     step_kPa: float
     on_grid: float
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[DischargeModel, ...]
     alike: tuple[Alike, ...]
 
-    def of(self, *names: str) -> Candidate:
+    def of(self, *names: str) -> DischargeModel:
         """The candidate with these causes."""
         return next(c for c in self.candidates if set(c.names) == set(names))
 
-    def above(self, candidate: Candidate) -> tuple[float, ...]:
+    def above(self, candidate: DischargeModel) -> tuple[float, ...]:
         """−2 ln of its evidence, above the best, by kind of noise."""
         return tuple(
             w.minus_2_ln - min(c.worths[i].minus_2_ln for c in self.candidates)
@@ -198,21 +199,21 @@ class Discharges:
         )
 
     @property
-    def null(self) -> Candidate:
+    def null(self) -> DischargeModel:
         return self.of()
 
     @property
-    def named(self) -> Candidate:
+    def named(self) -> DischargeModel:
         """The best of those that are not told apart from the best and have the fewest causes."""
         possible = self.open()
         fewest = min(len(c.names) for c in possible)
         return next(c for c in possible if len(c.names) == fewest)
 
-    def open(self) -> tuple[Candidate, ...]:
+    def open(self) -> tuple[DischargeModel, ...]:
         """Those that the readings do not tell apart from the best."""
         return tuple(c for c in self.candidates if min(self.above(c)) < ALIKE)
 
-    def missed(self, has: Callable[[Candidate], bool]) -> tuple[float, ...]:
+    def missed(self, has: Callable[[DischargeModel], bool]) -> tuple[float, ...]:
         """How far the best without something lies above the best with it, by kind of noise."""
         differences = []
         for i in range(len(NOISES)):
@@ -262,7 +263,7 @@ def _analyse(case: Case, progress: Callable[[str], None], sets: Sequence[tuple[s
     )
 
 
-def candidate(case: Case, kinds: Sequence[Noise], causes: Sequence[Cause]) -> Candidate:
+def candidate(case: Case, kinds: Sequence[Noise], causes: Sequence[Cause]) -> DischargeModel:
     """One set of causes, fitted."""
     made = OnPlant if RESERVOIR_WALL in causes else Correlated
     plain = made(case, replace(kinds[0], rounding=PINNED_KPA), LEAST_SQUARES)
@@ -278,7 +279,7 @@ def candidate(case: Case, kinds: Sequence[Noise], causes: Sequence[Cause]) -> Ca
         level = worth(kinds[0], linear).level
     worths = tuple(worth(kind, linear) for kind in kinds)
     errors = _errors_kPa(plain, nearest)
-    return Candidate(
+    return DischargeModel(
         names=tuple(cause.name for cause in causes),
         problem=problem,
         point=point,
@@ -294,7 +295,7 @@ def candidate(case: Case, kinds: Sequence[Noise], causes: Sequence[Cause]) -> Ca
     )
 
 
-def start_of(problem: Correlated) -> Point:
+def start_of(problem: Correlated) -> FitPoint:
     """The believed rig; the first readings are the pressures at the start."""
     start = problem.start().freed((FLOW,))
     initial = start.initial.copy()
@@ -302,7 +303,7 @@ def start_of(problem: Correlated) -> Point:
     return replace(start, initial=initial)
 
 
-def seeded(start: Point, causes: Sequence[Cause]) -> list[Point]:
+def seeded(start: FitPoint, causes: Sequence[Cause]) -> list[FitPoint]:
     """Where fits with these causes begin: all at their first seeds, all at their second …"""
     starts = []
     for number in range(max((len(cause.seeds()) for cause in causes), default=1)):
@@ -313,12 +314,12 @@ def seeded(start: Point, causes: Sequence[Cause]) -> list[Point]:
     return starts
 
 
-def best_fit(problem: Correlated, starts: Sequence[Point]) -> Point:
+def best_fit(problem: Correlated, starts: Sequence[FitPoint]) -> FitPoint:
     """The best that fits from these places come to."""
     return min((problem.fit(start) for start in starts), key=lambda fit: fit.cost).point
 
 
-def _predicted_percent(plain: Correlated, nearest: Point) -> tuple[float, ...]:
+def _predicted_percent(plain: Correlated, nearest: FitPoint) -> tuple[float, ...]:
     """Each run from a fit to the two others by least squares, and from its own first reading."""
     runs = plain.case.runs
     errors = []
@@ -331,7 +332,7 @@ def _predicted_percent(plain: Correlated, nearest: Point) -> tuple[float, ...]:
     return tuple(errors)
 
 
-def _errors_kPa(problem: Correlated, point: Point) -> list[Array]:
+def _errors_kPa(problem: Correlated, point: FitPoint) -> list[Array]:
     return [
         data[RESERVOIR] - simulated[RESERVOIR]
         for data, simulated in zip(problem.data, problem.simulated(point), strict=True)
@@ -342,8 +343,8 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _estimates(point: Point, found: Worth) -> dict[str, dict[str, Estimate]]:
-    estimates: dict[str, dict[str, Estimate]] = {}
+def _estimates(point: FitPoint, found: Worth) -> dict[str, dict[str, ParameterEstimate]]:
+    estimates: dict[str, dict[str, ParameterEstimate]] = {}
     at = len(point.deviation)
     for cause, values in zip(point.causes, point.values, strict=True):
         estimates[cause.name] = {}
@@ -353,12 +354,12 @@ def _estimates(point: Point, found: Worth) -> dict[str, dict[str, Estimate]]:
     return estimates
 
 
-def _estimate(parameter: Parameter, value: float, shift: float, sd: float) -> Estimate:
+def _estimate(parameter: Parameter, value: float, shift: float, sd: float) -> ParameterEstimate:
     inner = parameter.inner(value) + shift
-    return Estimate(*(parameter.within(inner + move) for move in (0.0, -1.96 * sd, 1.96 * sd)))
+    return ParameterEstimate(*(parameter.within(inner + move) for move in (0.0, -1.96 * sd, 1.96 * sd)))
 
 
-def _alike(null: Candidate, causes: Sequence[Cause]) -> list[Alike]:
+def _alike(null: DischargeModel, causes: Sequence[Cause]) -> list[Alike]:
     """How the traces of single causes look beside each other, about the baseline nearest to the readings."""
     problem = null.plain
     base = null.nearest.freed(())
@@ -385,7 +386,7 @@ def _alike(null: Candidate, causes: Sequence[Cause]) -> list[Alike]:
     return pairs
 
 
-def _trace(problem: Correlated, base: Point, cause: Cause) -> Array:
+def _trace(problem: Correlated, base: FitPoint, cause: Cause) -> Array:
     """What a little of a cause does to all readings."""
     (parameter,) = cause.parameters
     assert parameter.typical is not None

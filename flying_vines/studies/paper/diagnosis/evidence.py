@@ -21,12 +21,11 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from flying_vines.physics.arrays import Array
 
 
-class Level(NamedTuple):
+class UnexplainedLevel(NamedTuple):
     """How much no model explains, in the unit of the readings and of x."""
 
     discrepancy: float
@@ -48,11 +47,13 @@ class Noise:
     smooth: bool = False
     """The Gaussian kernel instead of the exponential one."""
 
-    def levels(self) -> list[Level]:
+    def levels(self) -> list[UnexplainedLevel]:
         """All that are equally likely before any data."""
-        return [Level(*each) for each in product(self.discrepancies, self.lengths, self.between_series)]
+        return [
+            UnexplainedLevel(*each) for each in product(self.discrepancies, self.lengths, self.between_series)
+        ]
 
-    def covariance(self, levels: Sequence[Level], x: Array, scaled: Array) -> Array:
+    def covariance(self, levels: Sequence[UnexplainedLevel], x: Array, scaled: Array) -> Array:
         """Of the readings of one series, (levels, n, n).
 
         Args:
@@ -96,7 +97,7 @@ class Worth(NamedTuple):
 
     minus_2_ln: float
     """Of the marginal likelihood."""
-    level: Level
+    level: UnexplainedLevel
     """The likeliest."""
     shift: Array
     """(k,) by how much the parameters differ from where the model was linearised, over all levels …"""

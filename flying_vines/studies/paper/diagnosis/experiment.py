@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from flying_vines.identification.case import Case, Run
-from flying_vines.identification.fit import Point, Problem
+from flying_vines.identification.case import Case, RecordedRun
+from flying_vines.identification.fit import FitPoint, FitProblem
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 from flying_vines.studies.paper.data import curve
@@ -25,7 +26,7 @@ from flying_vines.studies.paper.diagnosis.correlated import RESERVOIR, Correlate
 from flying_vines.studies.paper.diagnosis.discharge import (
     BOTTLE_L,
     LEAST_SQUARES,
-    Candidate,
+    DischargeModel,
     Discharges,
     best_fit,
     causes,
@@ -33,7 +34,7 @@ from flying_vines.studies.paper.diagnosis.discharge import (
     seeded,
     start_of,
 )
-from flying_vines.studies.paper.diagnosis.evidence import Array, Level, Noise
+from flying_vines.studies.paper.diagnosis.evidence import Noise, UnexplainedLevel
 from flying_vines.studies.paper.diagnosis.rivals import sensor_line
 
 MINUTE_S = 60.0
@@ -76,7 +77,7 @@ EXPERIMENTS = (
 
 
 @dataclass(frozen=True)
-class Pair:
+class RivalPair:
     """If one explanation is true, the other's best fit."""
 
     true: tuple[str, ...]
@@ -88,17 +89,17 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ExperimentOutcome:
     """What an experiment tells apart."""
 
     experiment: Experiment
     time_s: Array
     expected_kPa: dict[tuple[str, ...], Array]
     """Explanation by explanation, what would be read."""
-    pairs: tuple[Pair, ...]
+    pairs: tuple[RivalPair, ...]
 
     @property
-    def worst(self) -> Pair:
+    def worst(self) -> RivalPair:
         return min(self.pairs, key=lambda pair: pair.delta_chi2)
 
 
@@ -117,14 +118,14 @@ class Sharing:
 
 
 @dataclass(frozen=True)
-class Proposal:
+class ExperimentProposal:
     """What to do next."""
 
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[ExperimentOutcome, ...]
     sharing: Sharing
 
     @property
-    def best(self) -> Outcome:
+    def best(self) -> ExperimentOutcome:
         return max(self.outcomes, key=lambda outcome: outcome.worst.delta_chi2)
 
 
@@ -132,7 +133,7 @@ def propose(
     found: Discharges,
     progress: Callable[[str], None] = lambda step: None,
     experiments: Sequence[Experiment] = EXPERIMENTS,
-) -> Proposal:
+) -> ExperimentProposal:
     """Simulate the experiments with what the discharges left open; `found` has all of `RIVALS`."""
     level = found.candidates[0].problem.level
     rounding = found.candidates[0].problem.noise.rounding
@@ -141,13 +142,17 @@ def propose(
         outcomes = []
         for experiment in experiments:
             progress(f"experiment: {experiment.name}")
-            outcomes.append(_outcome(experiment, found, noise, Level(level.discrepancy, level.length, 0.0)))
+            outcomes.append(
+                _outcome(experiment, found, noise, UnexplainedLevel(level.discrepancy, level.length, 0.0))
+            )
         best = max(outcomes, key=lambda outcome: outcome.worst.delta_chi2)
         sharing = _sharing(found, best.experiment, noise)
-    return Proposal(tuple(outcomes), sharing)
+    return ExperimentProposal(tuple(outcomes), sharing)
 
 
-def _outcome(experiment: Experiment, found: Discharges, noise: Noise, level: Level) -> Outcome:
+def _outcome(
+    experiment: Experiment, found: Discharges, noise: Noise, level: UnexplainedLevel
+) -> ExperimentOutcome:
     time_s, opening = experiment.run(_period_s())
     expected: dict[tuple[str, ...], Array] = {}
     pairs = []
@@ -157,18 +162,18 @@ def _outcome(experiment: Experiment, found: Discharges, noise: Noise, level: Lev
     for true in RIVALS:
         case = _case(time_s, opening, expected[true])
         whole = Correlated(case, noise, level)
-        rounded = Correlated(case, noise, Level(0.0, level.length, 0.0))
+        rounded = Correlated(case, noise, UnexplainedLevel(0.0, level.length, 0.0))
         for rival in RIVALS:
             if set(rival) >= set(true):
                 continue
             starts = _starts(rounded, found.of(*rival))
             at = best_fit(whole, starts)
             by_rounding = best_fit(rounded, [at, *starts])
-            pairs.append(Pair(true, rival, rounded.chi2(by_rounding), whole.chi2(at)))
-    return Outcome(experiment, time_s, expected, tuple(pairs))
+            pairs.append(RivalPair(true, rival, rounded.chi2(by_rounding), whole.chi2(at)))
+    return ExperimentOutcome(experiment, time_s, expected, tuple(pairs))
 
 
-def _expected_kPa(case: Case, candidate: Candidate, noise: Noise) -> Array:
+def _expected_kPa(case: Case, candidate: DischargeModel, noise: Noise) -> Array:
     """What the sensor would read, if the candidate is true as it was fitted."""
     problem = Correlated(case, noise, LEAST_SQUARES)
     point = candidate.point
@@ -177,7 +182,7 @@ def _expected_kPa(case: Case, candidate: Candidate, noise: Noise) -> Array:
     return problem.pressures_kPa(replace(point, causes=acting, initial=initial))
 
 
-def _starts(problem: Correlated, candidate: Candidate) -> list[Point]:
+def _starts(problem: Correlated, candidate: DischargeModel) -> list[FitPoint]:
     """Where a rival's fit begins: as the paper has it, and at its seeds."""
     start = start_of(problem)
     acting = [_here(cause, problem.case) for cause in candidate.point.causes]
@@ -227,20 +232,22 @@ def _sharing(found: Discharges, experiment: Experiment, noise: Noise) -> Sharing
     zero, start = np.zeros(len(time_s)), np.array([[SHARED_KPA, 0.0]])
     rig = Rig(reservoir=Reservoir(BOTTLE_L), cv=ControlVolume(VESSEL_L))
 
-    def problem(vessel_kPa: Array, bottle_kPa: Array) -> Problem:
-        run = Run("sharing", time_s, None, zero + 1.0, zero, zero, vessel_kPa, bottle_kPa, None, None, False)
+    def problem(vessel_kPa: Array, bottle_kPa: Array) -> FitProblem:
+        run = RecordedRun(
+            "sharing", time_s, None, zero + 1.0, zero, zero, vessel_kPa, bottle_kPa, None, None, False
+        )
         case = Case(Path("sharing"), rig, (run,), ())
-        return Problem(case, (VESSEL_STEP_KPA / float(np.sqrt(12.0)), noise.rounding))
+        return FitProblem(case, (VESSEL_STEP_KPA / float(np.sqrt(12.0)), noise.rounding))
 
-    def with_cause(cause: Cause) -> Point:
-        return Point((cause,), ((scale,),), {}, start)
+    def with_cause(cause: Cause) -> FitPoint:
+        return FitPoint((cause,), ((scale,),), {}, start)
 
     blank = problem(zero, zero + SHARED_KPA)
     by_valve, by_volume = (blank.simulated(with_cause(cause))[0] for cause in (valve, volume))
 
     discharge_s, opening = experiment.run(_period_s())
     full = _case(discharge_s, opening, np.full(len(discharge_s), found.case.runs[0].reservoir_kPa[0]))
-    rounded = Level(0.0, noise.lengths[0], 0.0)
+    rounded = UnexplainedLevel(0.0, noise.lengths[0], 0.0)
     emptied = Correlated(full, noise, rounded)
     truth = emptied.pressures_kPa(start_of(emptied).with_cause(valve, (scale,)))
     emptied = Correlated(_case(discharge_s, opening, truth), noise, rounded)

@@ -13,8 +13,8 @@ from flying_vines.studies.paper.compare import BAND
 from flying_vines.studies.paper.data import condition, curve, stated
 from flying_vines.studies.paper.diagnosis import PaperDiagnosis
 from flying_vines.studies.paper.diagnosis.correlated import RESERVOIR
-from flying_vines.studies.paper.diagnosis.discharge import VOLUME_L, Candidate, Discharges
-from flying_vines.studies.paper.diagnosis.experiment import Proposal
+from flying_vines.studies.paper.diagnosis.discharge import VOLUME_L, DischargeModel, Discharges
+from flying_vines.studies.paper.diagnosis.experiment import ExperimentProposal
 from flying_vines.studies.paper.diagnosis.response import FLOOR, TESTS, Responses
 
 COLORS = (PURPLE, GREEN, RED, ORANGE, GREY)
@@ -59,11 +59,11 @@ def _discharge(found: Discharges) -> Any:
     return finish(figure, "The paper's discharges: measured, simulated, and what is left")
 
 
-def _nearest_kPa(candidate: Candidate, index: int) -> Any:
+def _nearest_kPa(candidate: DischargeModel, index: int) -> Any:
     return candidate.plain.simulated(candidate.nearest)[index][RESERVOIR]
 
 
-def _experiment(proposal: Proposal) -> Any:
+def _experiment(proposal: ExperimentProposal) -> Any:
     best = proposal.best
     figure, axes = plt.subplot_mosaic(
         [["read", "apart"], ["off", "apart"]], figsize=(11, 5.4), width_ratios=[2, 1], layout="constrained"

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from threadpoolctl import threadpool_limits
 
 from flying_vines.studies.paper.diagnosis.discharge import (
-    Candidate,
+    DischargeModel,
     Discharges,
     candidate,
     causes,
@@ -28,12 +28,12 @@ BEST_FOR_CHOKED = 1.24
 
 
 @dataclass(frozen=True)
-class FlowLaw:
+class FlowLawFit:
     """Both laws at one ratio of the valve's settings."""
 
     settings_ratio: float
-    ohm: Candidate
-    choked: Candidate
+    ohm: DischargeModel
+    choked: DischargeModel
 
     @property
     def choked_above(self) -> tuple[float, ...]:
@@ -43,15 +43,15 @@ class FlowLaw:
         )
 
 
-def flow_laws(found: Discharges, papers_ratio: float) -> tuple[FlowLaw, FlowLaw]:
+def flow_laws(found: Discharges, papers_ratio: float) -> tuple[FlowLawFit, FlowLawFit]:
     """At the paper's ratio, as found, and at the other."""
-    as_found = FlowLaw(papers_ratio, found.of(*OHM), found.of(*CHOKED))
+    as_found = FlowLawFit(papers_ratio, found.of(*OHM), found.of(*CHOKED))
     return as_found, at_ratio(BEST_FOR_CHOKED, found.kinds)
 
 
-def at_ratio(settings_ratio: float, kinds: tuple[Noise, ...]) -> FlowLaw:
+def at_ratio(settings_ratio: float, kinds: tuple[Noise, ...]) -> FlowLawFit:
     """Both laws fitted to the series with this ratio."""
     known, case = causes(), paper_case(settings_ratio)
     with threadpool_limits(1):
         ohm, choked = (candidate(case, kinds, [known[name] for name in names]) for names in (OHM, CHOKED))
-    return FlowLaw(settings_ratio, ohm, choked)
+    return FlowLawFit(settings_ratio, ohm, choked)

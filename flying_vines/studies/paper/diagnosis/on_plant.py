@@ -12,9 +12,10 @@ from math import ceil
 
 import numpy as np
 
-from flying_vines.identification.fit import Point
+from flying_vines.identification.fit import FitPoint
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.baseline import Inputs
-from flying_vines.physics.cause import Readings
+from flying_vines.physics.cause import ModelReadings
 from flying_vines.physics.plant.compiled import replay
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Ohm, iso6358_matching
@@ -22,7 +23,6 @@ from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.wall import PET_BOTTLE_2L
 from flying_vines.physics.rig import Evp, with_numbers
 from flying_vines.studies.paper.diagnosis.correlated import Correlated
-from flying_vines.studies.paper.diagnosis.evidence import Array
 
 TICK_S = 0.25
 SIMULATED = ("evp_restriction", "reservoir_wall", "compressible_flow", "reservoir_leak")
@@ -32,7 +32,7 @@ SIMULATED = ("evp_restriction", "reservoir_wall", "compressible_flow", "reservoi
 class OnPlant(Correlated):
     """The same readings, simulated by the plant."""
 
-    def simulated(self, point: Point, runs: Sequence[int] | None = None) -> list[Array]:
+    def simulated(self, point: FitPoint, runs: Sequence[int] | None = None) -> list[Array]:
         """Readings of these runs: (2, n), of which the first row says nothing."""
         every = list(zip(point.causes, point.values, strict=True))
         given = {cause.name: values[0] for cause, values in every if cause.readings is None}
@@ -63,7 +63,7 @@ class OnPlant(Correlated):
                 tick_s=TICK_S,
             ).table
             kPa = np.interp(run.time_s, TICK_S * np.arange(ticks), table["reservoir_kPa"])
-            readings = Readings(np.zeros_like(kPa), kPa)
+            readings = ModelReadings(np.zeros_like(kPa), kPa)
             for cause, values in every:
                 if cause.readings is not None:
                     readings = cause.readings(readings, values)

@@ -17,17 +17,18 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from flying_vines.identification.verdict import NONE
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.effects import setup
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.plant.tubing import Tubing
 from flying_vines.physics.rig import ControlVolume, Rig, Solenoid
-from flying_vines.simulation.phlosar.closed_loop import Setpoint, closed_loop
+from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.studies.paper.bench import FIXED_SOURCE, PAPERS_TUNING
 from flying_vines.studies.paper.compare import BAND, decibel, rms
 from flying_vines.studies.paper.data import condition, curve, stated
-from flying_vines.studies.paper.diagnosis.evidence import Array, Linear, Noise, worth
+from flying_vines.studies.paper.diagnosis.evidence import Linear, Noise, worth
 
 TESTS = ("tc4", "tc5")
 SUPPLY_KPA = {"tc4": 690.0, "tc5": 345.0}
@@ -279,7 +280,7 @@ def _gain(made: Setup, frequency_Hz: float, peak_to_peak_kPa: float, supply_kPa:
     rows = zip(at_s[:-1].tolist(), command[1:].tolist(), slopes.tolist(), strict=True)
     table = closed_loop(
         made.plant,
-        [Setpoint(*row) for row in rows],
+        [SetpointChange(*row) for row in rows],
         ticks * TICK_S,
         at_rest(made.plant, supply_kPa),
         tuning=PAPERS_TUNING,

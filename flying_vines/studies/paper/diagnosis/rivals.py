@@ -10,26 +10,24 @@ from collections.abc import Callable
 from math import log
 
 import numpy as np
-from numpy.typing import NDArray
 
-from flying_vines.physics.cause import Cause, Parameter, Readings, Values
+from flying_vines.physics.arrays import BoolArray
+from flying_vines.physics.cause import Cause, ModelReadings, Parameter, Values
 from flying_vines.physics.plant.commands import Commands, Steps
-
-Flags = NDArray[np.bool_]
 
 SETTLED = 5.0
 """Time constants after which a valve has settled."""
 _STAIRS = 40
 
 
-def sensor_line(flows: Callable[[int], Flags]) -> Cause:
+def sensor_line(flows: Callable[[int], BoolArray]) -> Cause:
     """The sensor sits where air flows.
 
     Args:
         flows: whether it does at each of so many readings.
     """
 
-    def readings(readings: Readings, x: Values) -> Readings:
+    def readings(readings: ModelReadings, x: Values) -> ModelReadings:
         less = x[0] * flows(len(readings.reservoir_kPa))
         return readings._replace(reservoir_kPa=readings.reservoir_kPa * (1.0 - less))
 

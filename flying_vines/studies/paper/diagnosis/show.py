@@ -11,7 +11,7 @@ from rich.text import Text
 
 from flying_vines.studies.paper.diagnosis import PaperDiagnosis
 from flying_vines.studies.paper.diagnosis.discharge import NOISES, Discharges
-from flying_vines.studies.paper.diagnosis.experiment import Proposal
+from flying_vines.studies.paper.diagnosis.experiment import ExperimentProposal
 from flying_vines.studies.paper.diagnosis.response import Responses
 from flying_vines.studies.paper.diagnosis.verdict import findings
 
@@ -59,7 +59,7 @@ def _candidates(found: Discharges) -> Table:
     return table
 
 
-def _experiments(proposal: Proposal) -> Table:
+def _experiments(proposal: ExperimentProposal) -> Table:
     columns = ("experiment", "least Δχ²", "by rounding", "if true", "taken for")
     table = _table("\nA minute at the bench", columns, words=(0, 3, 4))
     for outcome in proposal.outcomes:

@@ -7,6 +7,7 @@ from math import exp, isnan, sqrt
 from typing import Any
 
 from flying_vines.identification.verdict import parameters_json
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.rig import Rig
 from flying_vines.studies.paper.data import stated
 from flying_vines.studies.paper.diagnosis import PaperDiagnosis
@@ -16,11 +17,10 @@ from flying_vines.studies.paper.diagnosis.discharge import (
     MORE_AIR,
     NOISES,
     Alike,
-    Candidate,
+    DischargeModel,
     Discharges,
 )
-from flying_vines.studies.paper.diagnosis.evidence import Array
-from flying_vines.studies.paper.diagnosis.flow_law import FlowLaw
+from flying_vines.studies.paper.diagnosis.flow_law import FlowLawFit
 from flying_vines.studies.paper.diagnosis.response import FLOOR, Account, Responses
 
 SAME = 0.999
@@ -29,12 +29,12 @@ SAME = 0.999
 WANDERING_S = 10.0
 
 
-def has_heat(candidate: Candidate) -> bool:
+def has_heat(candidate: DischargeModel) -> bool:
     """Whether gas in the reservoir has a temperature of its own in it."""
     return any(name in HEAT for name in candidate.names)
 
 
-def has_more_air(candidate: Candidate) -> bool:
+def has_more_air(candidate: DischargeModel) -> bool:
     """Whether more air leaves in it than is believed, or less is there."""
     return any(name in MORE_AIR for name in candidate.names)
 
@@ -117,7 +117,7 @@ def _leaves_nothing(alike: Sequence[Alike], name: str) -> bool:
     return all(isnan(a.correlation) for a in alike if name in (a.first, a.second))
 
 
-def _flow_law(laws: tuple[FlowLaw, FlowLaw]) -> str:
+def _flow_law(laws: tuple[FlowLawFit, FlowLawFit]) -> str:
     papers, other = laws
     scale = papers.choked.estimates["evp_restriction"]["scale"].estimate
     return (
@@ -132,7 +132,7 @@ def _flow_law(laws: tuple[FlowLaw, FlowLaw]) -> str:
 
 
 def _predicted(found: Discharges) -> str:
-    def each(candidate: Candidate) -> str:
+    def each(candidate: DischargeModel) -> str:
         return " / ".join(f"{p:.2f}" for p in candidate.predicted_percent)
 
     return (
@@ -206,7 +206,7 @@ def _count_alike(responses: Responses) -> int:
     return sum(responses.above(a) < ALIKE for a in responses.accounts)
 
 
-def _beyond(found: Discharges, candidate: Candidate, other: Candidate) -> tuple[float, ...]:
+def _beyond(found: Discharges, candidate: DischargeModel, other: DischargeModel) -> tuple[float, ...]:
     return tuple(a - b for a, b in zip(found.above(candidate), found.above(other), strict=True))
 
 
@@ -314,7 +314,7 @@ def _account(responses: Responses, account: Account, tc5_supply_kPa: float) -> d
     }
 
 
-def _parameters(candidate: Candidate) -> dict[str, dict[str, dict[str, float]]]:
+def _parameters(candidate: DischargeModel) -> dict[str, dict[str, dict[str, float]]]:
     return {cause: parameters_json(values) for cause, values in candidate.estimates.items()}
 
 
