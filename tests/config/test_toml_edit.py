@@ -13,7 +13,7 @@ from flying_vines.config.toml_edit import value_text, with_value
 
 REMARK = "was 0.1, measured 2026-11-22: 0.102 … 0.107"
 NUMBERS = [
-    (table.__name__.lower(), name)
+    (table.__name__.removesuffix("Config").lower(), name)
     for table in (config.PneumaticsConfig, config.LimitsConfig, config.VineConfig, config.LossesConfig)
     for name in table.__struct_fields__
 ]

@@ -266,7 +266,7 @@ def test_a_board_that_is_gone_is_one_loss() -> None:
 def test_a_board_that_does_not_move_is_deaf_and_one_that_does_not_vent_latches() -> None:
     for moving, name in ((True, "deaf"), (False, "regulates")):
         machine = safety()
-        (entered,) = machine.watch(0.0, but(BENT, moving=moving, unheeded_s=0.31))
+        (entered,) = machine.watch(0.0, but(BENT, moving=moving, mode_mismatch_s=0.31))
         assert isinstance(entered, Entered)
         assert entered.name == name
         machine.watch(1.0, FLYING)
