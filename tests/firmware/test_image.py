@@ -71,7 +71,7 @@ def test_the_frames_are_those_that_the_compiler_tells(image: Path, stack: Module
         ):
             told[title.rpartition(":")[2]] = int(size)
         assert "dynamic" not in path.read_text()
-    program = stack.Program(run("arm-none-eabi-objdump", "-d", "--no-show-raw-insn", image))
+    program = stack.Image(run("arm-none-eabi-objdump", "-d", "--no-show-raw-insn", image))
     read = {function.name: function.frame for function in program.functions.values()}
     ours = told.keys() & read.keys()
     assert len(ours) > 60
@@ -166,7 +166,7 @@ def test_what_has_no_bound_is_refused(tmp_path: Path, stack: ModuleType, said: s
     address = int(run("arm-none-eabi-nm", elf).split(" T main")[0].split()[-1], 16)
     listing = run("arm-none-eabi-objdump", "-d", "--no-show-raw-insn", elf)
     with pytest.raises(stack.ImageError, match=said):
-        stack.Program(listing).chain(address)
+        stack.Image(listing).chain(address)
 
 
 def test_a_chain_of_calls_is_added_up(tmp_path: Path, stack: ModuleType) -> None:
@@ -177,7 +177,7 @@ def test_a_chain_of_calls_is_added_up(tmp_path: Path, stack: ModuleType) -> None
         "00000200 <f>:\n 200:\tpush\t{r4, lr}\n 202:\tb.n\t300 <g>\n"
         "00000300 <g>:\n 300:\tpush\t{r0, r1, r2, lr}\n 302:\tbx\tlr\n"
     )
-    chain = stack.Program(listing).chain(0x101)
+    chain = stack.Image(listing).chain(0x101)
     assert chain.size == (20 + 12) + 8 + 16
     assert chain.names == ("main", "f", "g")
 

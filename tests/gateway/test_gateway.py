@@ -37,7 +37,7 @@ BASE = "flying-vines/heron"
 CHILD = """\
 import os, socket, sys, time
 import msgspec
-from flying_vines.gateway.messages import Alive, Ask, Trouble, packet, read_to_gateway
+from flying_vines.gateway.messages import Alive, Request, Trouble, packet, read_to_gateway
 service = socket.socket(fileno=int(sys.argv[1]))
 def say(message): service.send(packet(message))
 def hear(): return read_to_gateway(service.recv(1 << 20))
@@ -272,8 +272,8 @@ async def test_a_gateway_that_cannot_be_started_is_tried_again(
 async def test_whoever_asks_too_often_may_still_vent(played: Callable[[str], None]) -> None:
     played(
         "hear()\n"
-        "for number in range(100): say(Ask(number, 'page', 'start_bench'))\n"
-        "say(Ask(100, 'page', 'vent'))\n"
+        "for number in range(100): say(Request(number, 'page', 'start_bench'))\n"
+        "say(Request(100, 'page', 'vent'))\n"
         "answers = {}\n"
         "while 100 not in answers:\n"
         "    told = hear()\n"
@@ -294,8 +294,8 @@ async def test_whoever_asks_too_often_may_still_vent(played: Callable[[str], Non
 async def test_a_flood_of_vents_is_a_few_vents_and_each_is_answered(played: Callable[[str], None]) -> None:
     played(
         "hear()\n"
-        "for number in range(200): say(Ask(number, 'page', 'vent'))\n"
-        "say(Ask(200, 'page', 'hold'))\n"
+        "for number in range(200): say(Request(number, 'page', 'vent'))\n"
+        "say(Request(200, 'page', 'hold'))\n"
         "answers = {}\n"
         "while len(answers) < 201:\n"
         "    told = hear()\n"
@@ -316,7 +316,7 @@ async def test_a_vent_that_waits_comes_by_itself(played: Callable[[str], None]) 
     """What bent the vine in between is not to stay because somebody had vented just before."""
     played(
         "hear()\n"
-        "for number in range(3): say(Ask(number, ('page', 'broker')[number % 2], 'vent'))\n"
+        "for number in range(3): say(Request(number, ('page', 'broker')[number % 2], 'vent'))\n"
         "time.sleep(3600)\n"
     )
     async with Service().living() as service:
@@ -330,9 +330,10 @@ async def test_when_it_was_made_and_what_was_seen_goes_on_to_the_service(
     """One vent for many clears what any of them has seen."""
     played(
         "hear()\n"
-        "say(Ask(1, 'page', 'hold', made_at=3.25, seen_at=3.0))\n"
-        "say(Ask(2, 'page', 'vent', seen_at=1.0))\n"
-        "for number, seen in enumerate((None, 4.0, 2.0)): say(Ask(number, 'page', 'vent', seen_at=seen))\n"
+        "say(Request(1, 'page', 'hold', made_at=3.25, seen_at=3.0))\n"
+        "say(Request(2, 'page', 'vent', seen_at=1.0))\n"
+        "for number, seen in enumerate((None, 4.0, 2.0)):\n"
+        "    say(Request(number, 'page', 'vent', seen_at=seen))\n"
         "time.sleep(3600)\n"
     )
     async with Service().living() as service:
@@ -356,4 +357,4 @@ async def test_what_happens_before_the_gateway_reads_is_told_in_order(played: Ca
         service.gateway.action(notice(0.0, str(number)))
     async with service.living():
         await until(lambda: len(service.said) == 1, "it has heard them")
-    assert service.said == ["Profile True"]
+    assert service.said == ["GatewayStart True"]

@@ -11,7 +11,7 @@ import pytest
 
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.effects import catalogue, setup
-from flying_vines.physics.plant.ambient import Climb, RecordedAmbient, Steady
+from flying_vines.physics.plant.ambient import Climb, Recorded, Steady
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.likely import likely_effects
@@ -121,7 +121,7 @@ PLANTS = {
     "weather": Plant(
         Rig(),
         dataclasses.replace(
-            LIKELY, ambient=RecordedAmbient((0.1, 0.3505, 0.9), (101.0, 100.0, 104.0), (290.0, 280.0, 300.0))
+            LIKELY, ambient=Recorded((0.1, 0.3505, 0.9), (101.0, 100.0, 104.0), (290.0, 280.0, 300.0))
         ),
     ),
 }

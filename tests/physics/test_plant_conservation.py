@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flying_vines.physics.baseline import Inputs
-from flying_vines.physics.plant.ambient import Climb, RecordedAmbient, Steady, air_at
+from flying_vines.physics.plant.ambient import Climb, Recorded, Steady, air_at
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion
@@ -81,7 +81,7 @@ def effects_with(walls: st.SearchStrategy[Wall | None]) -> st.SearchStrategy[Eff
                 None,
                 Steady(70.0, 260.0),
                 Climb(0.2),
-                RecordedAmbient((0.0, 0.05, 1.0), (101.0, 100.0, 104.0), (290.0, 280.0, 300.0)),
+                Recorded((0.0, 0.05, 1.0), (101.0, 100.0, 104.0), (290.0, 280.0, 300.0)),
             ]
         ),
     )

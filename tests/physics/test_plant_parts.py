@@ -13,7 +13,7 @@ from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.ambient import (
     Climb,
-    RecordedAmbient,
+    Recorded,
     Steady,
     air_at,
     isa_pressure_kPa,
@@ -110,7 +110,7 @@ def test_a_hot_gas_flows_less_and_nothing_flows_back_where_it_must_not() -> None
         lambda: SolenoidTiming(-0.1),
         lambda: Tubing(0.0),
         lambda: Coil(supply_V=0.5),
-        lambda: RecordedAmbient((0.0, 0.0), (100.0, 100.0), (290.0, 290.0)),
+        lambda: Recorded((0.0, 0.0), (100.0, 100.0), (290.0, 290.0)),
     ],
 )
 def test_what_cannot_be(make: object) -> None:
@@ -235,7 +235,7 @@ def test_a_sealed_tank_shows_more_at_altitude() -> None:
     for _ in range(1000):
         simulator.advance(Inputs(0.0, 0.0, False))
     assert simulator.conditions.reservoir_kPa == pytest.approx(690.2, abs=1e-9)
-    recorded = RecordedAmbient((0.0, 10.0), (101.325, 79.5), (293.15, 280.15))
+    recorded = Recorded((0.0, 10.0), (101.325, 79.5), (293.15, 280.15))
     assert recorded.at(5.0) == pytest.approx((90.4125, 286.65, -2.1825))
     assert recorded.at(-1.0) == (101.325, 293.15, 0.0)
     assert recorded.at(11.0) == (79.5, 280.15, 0.0)

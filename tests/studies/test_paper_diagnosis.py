@@ -34,9 +34,8 @@ from flying_vines.studies.paper.diagnosis.discharge import (
 from flying_vines.studies.paper.diagnosis.evidence import Linear, Noise, UnexplainedLevel, worth
 from flying_vines.studies.paper.diagnosis.experiment import EXPERIMENTS, RIVALS, ExperimentProposal, propose
 from flying_vines.studies.paper.diagnosis.flow_law import CHOKED, flow_laws
-from flying_vines.studies.paper.diagnosis.on_plant import OnPlant
 from flying_vines.studies.paper.diagnosis.response import FLOOR, SUSPECTS, Responses, account_for
-from flying_vines.studies.paper.diagnosis.rivals import RESERVOIR_WALL, VALVE_SETTLES
+from flying_vines.studies.paper.diagnosis.rivals import RESERVOIR_WALL
 from flying_vines.studies.paper.diagnosis.show import show
 from flying_vines.studies.paper.diagnosis.verdict import as_json, findings, has_heat, has_more_air
 
@@ -222,17 +221,8 @@ def test_four_litres_are_two_with_half_the_opening() -> None:
         assert readings[RESERVOIR] == pytest.approx(exact, rel=1e-3)
 
 
-def test_the_plant_agrees_with_the_engine_where_both_know_the_rig() -> None:
-    kind, known = noises(0.35)[0], causes()
-    by_engine, by_plant = (made(paper_case(), kind, LEAST_SQUARES) for made in (Correlated, OnPlant))
-    point = start_of(by_engine).with_cause(known["evp_restriction"], (0.85,))
-    assert by_plant.pressures_kPa(point) == pytest.approx(by_engine.pressures_kPa(point), abs=0.02)
-    with pytest.raises(ValueError, match="knows no valve_settles"):
-        by_plant.simulated(point.with_cause(VALVE_SETTLES, (0.3, 10.0)))
-
-
 def test_a_wall_that_conducts_much_makes_the_gas_isothermal() -> None:
-    problem = OnPlant(paper_case(), noises(0.35)[0], LEAST_SQUARES)
+    problem = Correlated(paper_case(), noises(0.35)[0], LEAST_SQUARES)
 
     def kPa(point: FitPoint) -> float:
         return float(problem.simulated(point)[2][RESERVOIR][3])

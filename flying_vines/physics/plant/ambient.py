@@ -47,7 +47,7 @@ class Climb:
 
 
 @dataclass(frozen=True)
-class RecordedAmbient:
+class Recorded:
     """Straight lines between (time, pressure, temperature); before and after, what is first and last."""
 
     time_s: tuple[float, ...]
@@ -74,7 +74,7 @@ class RecordedAmbient:
         return pressure_kPa, self.temperature_K[before] + share * rise_K, rise_kPa / span_s
 
 
-Ambient = Steady | Climb | RecordedAmbient
+Ambient = Steady | Climb | Recorded
 
 
 def air_at(ambient: Ambient, t_s: float) -> Air:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.compiler import compiled, record
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
-from flying_vines.physics.plant.ambient import Ambient, RecordedAmbient, Steady
+from flying_vines.physics.plant.ambient import Ambient, Recorded, Steady
 from flying_vines.physics.plant.loops import APART, COLUMNS, Table, run_openings
 from flying_vines.physics.plant.numbers import numbers_of
 from flying_vines.physics.plant.plant import Plant, State, at_rest
@@ -105,7 +105,7 @@ def weather_of(plant: Plant, n_ticks: int, tick_s: float) -> Table:
 
 def weather_at(ambient: Ambient, times_s: NDArray[np.floating[Any]]) -> Table:
     """The air around at rising times: kPa, temperature ratio."""
-    corners_s = ambient.time_s if isinstance(ambient, RecordedAmbient) else (times_s[0], times_s[-1])
+    corners_s = ambient.time_s if isinstance(ambient, Recorded) else (times_s[0], times_s[-1])
     kPa, kelvin, _ = np.transpose([ambient.at(corner_s) for corner_s in corners_s])
     return np.column_stack(
         [

@@ -27,7 +27,6 @@ from flying_vines.studies.paper.compare import HIGH_RESISTANCE, HIGH_RESISTANCE_
 from flying_vines.studies.paper.data import DISCHARGES, curve
 from flying_vines.studies.paper.diagnosis.correlated import RESERVOIR, Correlated
 from flying_vines.studies.paper.diagnosis.evidence import Noise, UnexplainedLevel, Worth, worth
-from flying_vines.studies.paper.diagnosis.on_plant import OnPlant
 from flying_vines.studies.paper.diagnosis.rivals import RESERVOIR_WALL, SENSOR_LINE, VALVE_SETTLES
 
 BOTTLE_L = 2.0
@@ -265,14 +264,13 @@ def _analyse(case: Case, progress: Callable[[str], None], sets: Sequence[tuple[s
 
 def candidate(case: Case, kinds: Sequence[Noise], causes: Sequence[Cause]) -> DischargeModel:
     """One set of causes, fitted."""
-    made = OnPlant if RESERVOIR_WALL in causes else Correlated
-    plain = made(case, replace(kinds[0], rounding=PINNED_KPA), LEAST_SQUARES)
+    plain = Correlated(case, replace(kinds[0], rounding=PINNED_KPA), LEAST_SQUARES)
     starts = seeded(start_of(plain), causes)
     nearest = best_fit(plain, starts)
     starts, level = [nearest, starts[len(starts) // 2]], _FIRST_LEVEL
     # The level of the noise and the fit depend on each other; twice is enough.
     for _ in range(2):
-        problem = made(case, kinds[0], level)
+        problem = Correlated(case, kinds[0], level)
         point = best_fit(problem, starts)
         starts = [point]
         linear = problem.linear(point)

@@ -1,12 +1,13 @@
 """What else could make a discharge fast at first and slow later: causes that only this bench can have.
 
 They are no part of the catalogue, which knows a rig with a vine; here they have to lose, or to be named.
-`RESERVOIR_WALL` is the catalogue's cooling with another law of heat, which only the plant can simulate.
+`RESERVOIR_WALL` is the catalogue's cooling with another law of heat: a fixed hA.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import log
 
 import numpy as np
@@ -14,6 +15,8 @@ import numpy as np
 from flying_vines.physics.arrays import BoolArray
 from flying_vines.physics.cause import Cause, ModelReadings, Parameter, Values
 from flying_vines.physics.plant.commands import Commands, Steps
+from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.wall import PET_BOTTLE_2L
 
 SETTLED = 5.0
 """Time constants after which a valve has settled."""
@@ -93,6 +96,11 @@ VALVE_SETTLES = Cause(
     commands=_settling,
 )
 
+
+def _wall(base: Setup, conductance_W_per_K: float) -> Setup:
+    return base.with_effects(reservoir_wall=replace(PET_BOTTLE_2L, conductance_W_per_K=conductance_W_per_K))
+
+
 RESERVOIR_WALL = Cause(
     name="reservoir_wall",
     what="Gas in the reservoir cools as it expands; a fixed hA warms it, from a wall that cools as well.",
@@ -109,4 +117,5 @@ RESERVOIR_WALL = Cause(
         ),
     ),
     experiment="As reservoir_cooling.",
+    apply=_wall,
 )
