@@ -393,8 +393,9 @@ def test_little_room_ends_the_log_before_the_disk_is_full(
     monkeypatch.setattr(shutil, "disk_usage", lambda path: Usage(1e9, 5e8, free_MB[0] * 1e6))
     recorder = Recorder(tmp_path, BEGAN, least_free_MB=200.0, t=0.0)
     fly(new_flight(), recorder, ((3.0, LOW),))
+    t = write_until(recorder, 3.0, lambda: (recorder.folder / "flight.mcap").stat().st_size > 20_000)
     free_MB[0] = 150.0
-    fly(new_flight(), recorder, ((6.0, HIGH), (9.0, LOW)))
+    write_until(recorder, t + 2.0, lambda: bool(recorder.failed))
     recorder.close()
     assert recorder.failed == (
         "the flight log ends here: the disk has 150 MB left, and log.least_free_MB is 200"
