@@ -22,7 +22,7 @@ import pytest
 from mcap.reader import make_reader
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
-from recorded_flight import BEGAN, CONFIG, HIGH, LOW, fly, new_flight, one_bend
+from recorded_flight import BEGAN, CONFIG, LOW, fly, new_flight, one_bend
 
 from firmware_link.protocol import Fault, Mode, Telemetry, Welcome
 from flying_vines.core.core import Core
