@@ -89,7 +89,7 @@ _BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
 """Triggers that come from neither another person nor the mission."""
 
 PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
-"""The page may request these in flight too, besides letting air out."""
+"""The page may request these in flight too, besides letting air out. Bench mode needs a disarmed vehicle."""
 
 _SENSOR_TEXTS = {
     "cv_kPa": "vine sensor reads",
@@ -104,7 +104,7 @@ _RESPONSE_TEXTS = {
     "venting": "outlet told open",
     "regulates": "told to vent",
 }
-"""What was done, where it is not known that the vine is vented."""
+"""For these faults the core cannot see whether the vine is vented. The text says what the core did."""
 
 _BOARD_FAULTS = ("serial", "telemetry", "firmware_fault", "refused_by_firmware")
 """A restart of the board causes these too."""

@@ -37,7 +37,7 @@ FEW_SEEDS = 3
 ENOUGH = 0.02
 """A step that lowers χ² by less ends the fit."""
 LESS_TRUST = 0.3
-"""Goes the move of initial pressures that makes their own stretch worse."""
+"""Factor for a step of initial pressures that increases χ² on its own segment."""
 _DEVIATION = 1e-5
 _OF_RANGE = 1e-4
 _INITIAL_KPA = (0.1, 0.01)

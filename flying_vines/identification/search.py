@@ -24,7 +24,7 @@ from flying_vines.physics.cause import Cause
 CLAIM = 25.0
 """By so much a cause must lower the score. Of twenty useless ones the best gains 20 once in 10,000 cases."""
 STRUCTURE = 6.0
-"""−log₁₀ of how often noise alone would leave such a pattern, from where on it is none."""
+"""−log₁₀ p: from this value on, a pattern in the residuals is not noise."""
 MOST_CAUSES = 3
 FIRSTS = 5
 """So many of the best single causes are tried with a second one: one may hide another."""

@@ -50,8 +50,8 @@ COUNT_SD = 0.4
 FEWEST = 1e-3
 """Keeps the logarithm finite."""
 FLAT_KEPT = 0.5
-"""Below the pressure at which the Venturi is left off nothing makes a pouch flat again. But what an inflation
-from flat takes more than its rise may as well be a compliance: all or nothing, nobody knows."""
+"""At low supply the Venturi is off, and the pouch does not go flat between cycles. The additional air of an
+inflation may fill the pouch, or stretch it. So half of it is counted."""
 VENTURI_USED_S = 0.01
 """In a cycle; less is none."""
 VENTURI_TREND = 0.3

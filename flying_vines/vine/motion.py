@@ -78,8 +78,8 @@ def plan(
     """The motion through `segments` from `start_kPa` (gauge), within the rate and pressure limits.
 
     A swing that is too fast for the rate limit is slowed down; a value above `max_kPa` is clipped to it.
-    Where the vine has a hysteresis, an angle is gone to by the pressure of its side, from `bent_kPa` (as
-    `BendCurve.bent_kPa` names bends; by default as the start's pressure bends it on the way up).
+    With hysteresis an angle has one pressure for inflation and one for deflation. The present bend selects
+    which: `bent_kPa` (see `BendCurve.bent_kPa`; by default the bend of `start_kPa` on the way up).
     """
     bent = start_kPa if bent_kPa is None else bent_kPa
 

@@ -143,8 +143,8 @@ def flatten(
 def ends_kPa(sine: Sine, curve: BendCurve) -> tuple[float, float]:
     """The gauge pressures between which a swing goes, its first end first.
 
-    Of angles, the greater one is met on the way up, the smaller one on the way down: there the pressure is
-    lower by the hysteresis, which so delays the turns of the vine and changes none of its ends.
+    The greater angle uses the inflation curve, the smaller one the deflation curve. Its pressure is lower by
+    the hysteresis. The vine reaches both angles, only later.
     """
     if sine.from_deg is None or sine.to_deg is None:
         return sine.from_kPa or 0.0, sine.to_kPa or 0.0

@@ -36,7 +36,7 @@ _JUMP = 0.1
 _ARRIVED = 1e-9
 """So near an opening is where it is driven to."""
 _GRAZE = 1e-7
-"""Who passes an edge by less (kPa, kPa·L) rests upon it."""
+"""A state that passes an edge by less (kPa, kPa·L) is set onto it."""
 _MOST_PARTS = 3
 """How often a tick is divided at edges: as often as a plant has edges."""
 

@@ -13,7 +13,7 @@ BLOCK_S = 0.2
 LOOKS_BACK_BLOCKS = (5, 20)
 """One second for what is quick, four for what is not: noise counts less over the longer time."""
 SURE_KPA = 2.0
-"""Beyond the noise of two blocks, of which none is above the mean difference of two readings."""
+"""Margin above the noise of two blocks. A block is never noisier than the mean difference of two readings."""
 NOISE_S = 1.0
 SHARE_OF_EVP = 1.0 / 3.0
 """Of the wide open inflation valve's flow: a greater loss is more than a leak."""
