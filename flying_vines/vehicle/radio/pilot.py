@@ -281,7 +281,7 @@ class Pilot:
         if waiting is None or waiting.since_s is None:
             return []
         wait_s = self._confirmed_after_s
-        # After a change of health PX4 may report a loss this much later. The report of a loss is a change, too:
+        # After a change of health PX4 may report a loss this much later. A loss report is a change, too:
         # it prolongs the wait, and then the loss drops the move.
         if self.radio.health_changed_since(waiting.since_s - HEALTH_REPORTS_APART_S):
             wait_s += HEALTH_REPORTS_APART_S
