@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from flying_vines.config.config import CARRIERS, Config, ItemConfig
-from flying_vines.vehicle.autopilots import AUTOPILOTS, store
+from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem, has_place, is_nav
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind, MissionRefused, Params
 from flying_vines.vehicle.triggers import NAME_OF_COMMAND, Rules
@@ -35,7 +35,7 @@ def carrier(intent: Intent, config: Config, kind: AutopilotKind) -> MissionItem 
 def survives(item: MissionItem, intent: Intent, rules: Rules, kind: AutopilotKind) -> bool:
     """Whether the item means `intent` also after the wire and the autopilot's storage."""
     try:
-        kept = store(kind, over_the_wire(item))
+        kept = AUTOPILOTS[kind].store(over_the_wire(item))
     except MissionRefused:
         return False
     return _same(rules.for_command(kept.command, kept.params)[0], intent)

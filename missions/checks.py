@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Literal
 
 from flying_vines.config.config import Config
-from flying_vines.vehicle.autopilots import AUTOPILOTS, store
+from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.execution import same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.jumps import FOR_EVER, JUMP
@@ -126,7 +126,7 @@ def name_of(item: MissionItem) -> str:
 def _refused(case: CheckedMission) -> Iterator[MissionFinding]:
     for item in case.items:
         try:
-            kept = store(case.kind, over_the_wire(item))
+            kept = AUTOPILOTS[case.kind].store(over_the_wire(item))
         except MissionRefused as refused:
             yield case.error(item, _why_refused(case, item, refused.result))
         else:

@@ -10,7 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from flying_vines.vehicle.autopilots import AUTOPILOTS, store
+from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind, MissionRefused
 from missions.carriers import described, over_the_wire
@@ -120,7 +120,7 @@ def _is_kept(kind: AutopilotKind, sent: MissionItem, held: MissionItem) -> bool:
     if AUTOPILOTS[kind].begins_with_home and sent.seq == _HOME:
         return True
     try:
-        return _same(kind, store(kind, over_the_wire(sent)), held)
+        return _same(kind, AUTOPILOTS[kind].store(over_the_wire(sent)), held)
     except MissionRefused:
         return False
 
@@ -137,7 +137,7 @@ def compare(
         if AUTOPILOTS[kind].begins_with_home and before.seq == _HOME:
             continue
         try:
-            expected = store(kind, over_the_wire(before))
+            expected = AUTOPILOTS[kind].store(over_the_wire(before))
         except MissionRefused:
             name = AUTOPILOTS[kind].title
             unexpected.append(

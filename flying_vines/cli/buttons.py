@@ -29,7 +29,7 @@ def add(commands: Any) -> None:
 def _buttons(arguments: argparse.Namespace) -> int:
     from missions.buttons import write_buttons
 
-    config = configuration.load(arguments.config) if arguments.config else configuration.default()
+    config = configuration.load_or_default(arguments.config)
     with file_errors(arguments.out):
         write_buttons(config, arguments.out)
     print(f"{arguments.out}: for QGroundControl's folder MavlinkActions; choose it in the Fly View settings")

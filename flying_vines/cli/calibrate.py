@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from flying_vines.cli.bad_input import bad_input
-from flying_vines.cli.common import FLIGHTS
+from flying_vines.cli.common import FLIGHTS, file_errors, needs_analysis
 from flying_vines.config import config as configuration
-from flying_vines.config.extras import lacks
 
 NOT_DONE = 1
 INTERRUPTED = 130
@@ -66,24 +65,20 @@ def _names(text: str) -> tuple[str, ...]:
 
 def run(arguments: argparse.Namespace) -> int:
     """0 where all was measured, 1 where it ended before; `ConfigError` where the profile cannot be read."""
-    try:
+    with needs_analysis():
         from flying_vines.calibration.course import CalibrateError
         from flying_vines.physics.rig import RigError
         from flying_vines.service.link_settings import SettingsError, SettingsInterruptedError
         from flying_vines.vehicle.component.parameter_file import ParameterFileError
         from flying_vines.vehicle.mavlink.signing_key import SigningKeyError
 
-        return _run(arguments)
-    except ModuleNotFoundError as error:
-        return bad_input(lacks(error))
-    except (CalibrateError, RigError, ParameterFileError, SigningKeyError) as error:
-        return bad_input(str(error))
-    except SettingsInterruptedError:
-        return INTERRUPTED
-    except SettingsError as error:
-        return bad_input(f"phloSAR: {error}")
-    except OSError as error:
-        return bad_input(f"{error.filename or arguments.out}: {error.strerror}")
+        try:
+            with file_errors(arguments.out, CalibrateError, RigError, ParameterFileError, SigningKeyError):
+                return _run(arguments)
+        except SettingsInterruptedError:
+            return INTERRUPTED
+        except SettingsError as error:
+            return bad_input(f"phloSAR: {error}")
 
 
 def _run(arguments: argparse.Namespace) -> int:

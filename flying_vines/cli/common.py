@@ -29,7 +29,7 @@ def fail(sentence: str) -> NoReturn:
 
 @contextmanager
 def needs_analysis() -> Iterator[None]:
-    """What follows needs the extra: one line says so where it is not installed."""
+    """Turn an import error of the block into one line that says which package to install."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -40,8 +40,8 @@ def needs_analysis() -> Iterator[None]:
 
 @contextmanager
 def file_errors(where: Path | None, *kinds: type[Exception]) -> Iterator[None]:
-    """What follows reads and writes files, `where` if the system does not say which: one line for what goes
-    wrong, and for errors of these kinds, whose text is one."""
+    """Turn errors of the block into one line: those of `kinds`, and of files. `where` is the file if the
+    system does not name it."""
     try:
         yield
     except kinds as error:
@@ -52,7 +52,7 @@ def file_errors(where: Path | None, *kinds: type[Exception]) -> Iterator[None]:
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """A bar on the terminal while something long works, which tells it what it does and how far it is."""
+    """A progress bar on the terminal. Call it with the present step and the share that is done, 0…1."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -83,7 +83,7 @@ def show_found(
 
 
 def known_rig(config: Config, profile: Path | None, rig: Path | None = None) -> KnownRig | None:
-    """What the rig file says that is given, or that the profile names; paths in it start from where it is."""
+    """The content of the given rig file, or of the one that the profile names."""
     rig = rig or configuration.rig_named(config, profile)
     if rig is None:
         return None

@@ -74,7 +74,7 @@ async def _run(arguments: argparse.Namespace) -> int:
         if arguments.fakes:
             from flying_vines.doctor.fakes import healthy
 
-            base = configuration.load(arguments.config) if arguments.config else configuration.default()
+            base = configuration.load_or_default(arguments.config)
             config = await stack.enter_async_context(healthy(base))
             examined = profile.given(config, "the profile between two fakes")
         elif arguments.config:

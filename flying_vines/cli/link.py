@@ -47,7 +47,7 @@ def add(commands: Any) -> None:
 def _link(arguments: argparse.Namespace) -> int:
     title: str | None = arguments.address
     if title is None:
-        config = configuration.load(arguments.config) if arguments.config else configuration.default()
+        config = configuration.load_or_default(arguments.config)
         title = config.firmware.link
     if arguments.seconds is not None and not arguments.seconds > 0.0:
         fail("--seconds must be above 0")

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flying_vines.cli.bad_input import bad_input
-from flying_vines.config.extras import lacks
+from flying_vines.cli.common import file_errors, needs_analysis
 
 if TYPE_CHECKING:
     from flying_vines.record.reader import FlightLog
@@ -65,15 +65,9 @@ def _reading(run: Callable[[FlightLog, argparse.Namespace], int], arguments: arg
     from flying_vines.record.reader import LogError
     from flying_vines.record.summary import find_flight
 
-    try:
+    with needs_analysis(), file_errors(arguments.folder, LogError):
         log = find_flight(arguments.flight, arguments.folder)
         status = run(log, arguments)
-    except LogError as error:
-        return bad_input(str(error))
-    except ModuleNotFoundError as error:
-        return bad_input(lacks(error))
-    except OSError as error:
-        return bad_input(f"{error.filename}: {error.strerror}")
     if log.damage:
         print(f"flying-vines: {log.damage}", file=sys.stderr)
     return status

@@ -217,7 +217,7 @@ def _report(arguments: argparse.Namespace, flies: bool = False) -> Report:
     from missions.mission import MissionError
     from missions.review import review
 
-    config = configuration.load(arguments.config) if arguments.config else configuration.default()
+    config = configuration.load_or_default(arguments.config)
     name, items, kind, home = _items(arguments, config)
     rig: Path | None = arguments.rig
     rig = rig or configuration.rig_named(config, arguments.config)

@@ -48,7 +48,7 @@ def _replay(arguments: argparse.Namespace) -> int:
         if arguments.mission or arguments.parameters or arguments.pace:
             fail("--mission, --parameters and --pace are for a .tlog: a flight's log holds all of its own")
         return log_command.replay_again(recording, arguments.config, arguments.json)
-    config = configuration.load(arguments.config) if arguments.config else configuration.default()
+    config = configuration.load_or_default(arguments.config)
     known = known_rig(config, arguments.config)
     mission = read_mission(arguments.mission)
     if not arguments.pace >= 0.0:

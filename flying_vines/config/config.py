@@ -6,7 +6,6 @@ import difflib
 import ipaddress
 import math
 import re
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -22,6 +21,7 @@ from flying_vines.config.toml_text import (
     located,
     not_finite,
     one_line,
+    parsed,
     place,
     read_text,
 )
@@ -281,6 +281,11 @@ def default() -> Config:
     return parse(default_text(), "the built-in profile")
 
 
+def load_or_default(path: Path | None) -> Config:
+    """The profile in a file, or the built-in one. Raises `ConfigError`."""
+    return load(path) if path else default()
+
+
 def load(path: Path) -> Config:
     """Read and check a profile.
 
@@ -304,14 +309,7 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
 
     The links of a `recorded` one are not opened again: earlier versions let them be open to anybody.
     """
-    try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        at = re.search(r"\(at (?:line (\d+), column \d+|end of document)\)", str(error))
-        line = int(at[1]) if at and at[1] else len(text.splitlines())
-        raise ConfigError(f"{source}:{line}: not TOML: {str(error).split(' (at')[0]}") from None
-    except RecursionError:
-        raise ConfigError(f"{source}: not TOML: nested too deeply") from None
+    raw = parsed(text, source, ConfigError)
     _leave_out_what_is_gone(raw, text, source)
     try:
         inside: Key = ()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,19 @@ def read_text(path: Path, error: Callable[[str], Exception], absent: str = "") -
     except OSError as problem:
         reason = f"cannot be read: {problem.strerror}"
     raise error(f"{path}: {reason}")
+
+
+def parsed(text: str, source: str, error: Callable[[str], Exception]) -> dict[str, Any]:
+    """The tables of a TOML text; raises `error` of one line with the line number if it is not TOML."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as problem:
+        at = re.search(r"\(at line (\d+)", str(problem))
+        line = int(at[1]) if at else len(text.splitlines())
+        reason = str(problem).split(" (at")[0]
+        raise error(f"{source}:{line}: not TOML: {reason}") from None
+    except RecursionError:
+        raise error(f"{source}: not TOML: nested too deeply") from None
 
 
 def one_line(text: str) -> str:

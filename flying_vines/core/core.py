@@ -78,7 +78,7 @@ CYCLES_EVERY_S = 0.5
 """How often the cycles left are predicted anew."""
 
 BENCH_S = 300.0
-"""Bench mode ends so long after the last request."""
+"""Bench mode ends this long after the last request."""
 
 AT_ONCE_S = 0.05
 """Requests within this time of each other count as simultaneous."""

@@ -27,7 +27,7 @@ from mission_building import (
 
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config, ItemConfig
-from flying_vines.vehicle.autopilots import store
+from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.storage import AutopilotKind
 from flying_vines.vehicle.triggers import Rules
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
@@ -159,7 +159,7 @@ def test_any_mission_passes_its_own_check_and_means_the_same_once_stored(
     # Only how long it stays bent is the mission's own business: legs are as long as they are drawn.
     assert [text for text in said(report) if "max_bent_s" not in text] == []
     rules = Rules(DEFAULT)
-    stored = [store(kind, over_the_wire(item)) for item in items]
+    stored = [AUTOPILOTS[kind].store(over_the_wire(item)) for item in items]
     found = [rules.for_command(i.command, i.params)[0] for i in stored if i.command in rules.commands]
     assert len(found) == len(wanted)
     for have, want in zip(found, wanted, strict=True):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from flying_vines.vehicle.autopilots import store
+from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind, Params
 from missions.carriers import over_the_wire
@@ -68,7 +68,7 @@ def test_a_mission_for_the_other_autopilot_is_not_sent(
 
 def as_read_from_a_vehicle(items: list[MissionItem]) -> list[MissionItem]:
     """As ArduCopter 4.6 gave them back."""
-    held = [store("ardupilot", over_the_wire(item)) for item in items]
+    held = [AUTOPILOTS["ardupilot"].store(over_the_wire(item)) for item in items]
     return [
         replace(item, frame=0)
         if item.command == 20

@@ -12,7 +12,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot.agenda import Agenda, AgendaEntry
-from flying_vines.vehicle.autopilots import store
+from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.autopilots.ardupilot import whole_centimetres
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.reference_vehicle import Home
@@ -247,7 +247,7 @@ class MissionStorage:
             home = self._home
             place = home.latitude_deg, home.longitude_deg, whole_centimetres(home.altitude_amsl_m)
             return MissionItem(0, 16, (0.0, 0.0, 0.0, 0.0, *place))
-        return store(self._kind, item)
+        return AUTOPILOTS[self._kind].store(item)
 
     def _in_turn(self, link: str, message: Any) -> bool:
         """PX4 gives the next item or the last one again; any other request ends the transfer."""

@@ -82,7 +82,7 @@ _SIGNATURES = {
 
 @cache
 def load() -> ctypes.CDLL:
-    """The library's functions. FirmwareBuildError where this machine has no library and cannot build one."""
+    """The functions of the library. FirmwareBuildError if none fits this machine and none can be built."""
     return _prebuilt() or opened(build())
 
 
@@ -100,7 +100,7 @@ def opened(path: Path) -> ctypes.CDLL:
 
 
 def _prebuilt() -> ctypes.CDLL | None:
-    """None where there is none of these sources for this machine."""
+    """The prebuilt library for this machine; None if there is none, or if the sources have changed since."""
     for target in TARGETS:
         # Another machine's does not load.
         with contextlib.suppress(FirmwareBuildError):
@@ -151,9 +151,9 @@ def _flags() -> tuple[str, ...]:
 
 
 def built(command: Sequence[str], files: Sequence[Path], name: str) -> Path:
-    """What the command makes of these sources and headers: in the cache, under a name by all it is made of.
+    """The file that the command builds from these sources and headers, in the cache.
 
-    FirmwareBuildError when it fails, or when there can be no cache.
+    Its name has a digest of the command and the sources. FirmwareBuildError if it cannot be built or stored.
     """
     made_of = hashlib.sha256("\0".join(command).encode())
     for file in files:

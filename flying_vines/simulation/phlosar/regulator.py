@@ -1,4 +1,4 @@
-"""The firmware's regulator by itself: tuned as one likes, and in double precision.
+"""The firmware's regulator alone, with any tuning and in double precision.
 
 It is the core's own C++; see `regulator.h` there for how it regulates and what each value of the tuning is.
 """
@@ -22,7 +22,7 @@ class Drive(NamedTuple):
 
 
 SAFE = Drive(0.0, 0.0, True)
-"""Nothing goes in, everything may leave, and no air is spent on it."""
+"""Inflation valve shut, outlet open, Venturi off."""
 
 Tuning = Mapping[str, float]
 
@@ -37,7 +37,7 @@ def _standard() -> dict[str, float]:
 
 
 def standard_tuning() -> dict[str, float]:
-    """Every value that a regulator can be tuned with. It is good from 0.05 to 1 litre, on 100 to 690 kPa."""
+    """All tuning values. They suit vines of 0.05 to 1 L and supplies of 100 to 690 kPa."""
     return dict(_standard())
 
 

@@ -38,7 +38,7 @@ class MissionWatch:
         self._clock = clock or AutopilotClock()
 
     def handle(self, t: float, message: MavlinkMessage) -> None:
-        """Take in a message of the autopilot, which the book and the clock have seen."""
+        """Read a message of the autopilot, after the book and the clock have read it."""
 
     @property
     def idle(self) -> bool:
@@ -60,7 +60,7 @@ class MissionWatch:
         return Execution(command, None, None, params)
 
     def forget(self, t: float) -> None:
-        """A person has asked for something, or we have just begun to listen: older items do not count."""
+        """Drop older items: a person has requested something, or we have just begun to listen."""
 
     def restarted(self) -> None:
         """The autopilot has booted again."""

@@ -7,15 +7,13 @@ cannot be read is never overwritten, so that nothing in it is lost.
 from __future__ import annotations
 
 import difflib
-import re
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from flying_vines.config import on_disk
 from flying_vines.config.config import Config
-from flying_vines.config.toml_text import one_line, place, read_text
+from flying_vines.config.toml_text import one_line, parsed, place, read_text
 from flying_vines.vehicle.component.settings import BY_NAME, SETTINGS, ParameterRefused, changed, value_of
 
 HEADING = """\
@@ -79,14 +77,7 @@ def _text(values: Mapping[str, float], profile: Config) -> str:
 
 def _parsed(text: str, path: Path) -> dict[str, float]:
     """The numbers by name, of parameters that we have."""
-    try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        at = re.search(r"\(at line (\d+)", str(error))
-        line = int(at[1]) if at else len(text.splitlines())
-        raise ParameterFileError(f"{path}:{line}: not TOML: {str(error).split(' (at')[0]}") from None
-    except RecursionError:
-        raise ParameterFileError(f"{path}: not TOML: nested too deeply") from None
+    raw = parsed(text, str(path), ParameterFileError)
     return {name: _number(name, value, place(text, str(path), (name,))) for name, value in raw.items()}
 
 
