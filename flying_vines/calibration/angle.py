@@ -15,12 +15,12 @@ def curve(pairs: tuple[tuple[float, float], ...]) -> Result:
     width = MeasuredQuantity("hysteresis_kPa", "bend's hysteresis", "kPa", key="vine.hysteresis_kPa")
     try:
         from flying_vines.identification.bend_curve import Pairs, PairsError, fit
-        from flying_vines.identification.bend_curve.pairs import LEAST_PAIRS
+        from flying_vines.identification.bend_curve.pairs import MIN_PAIRS
     except ImportError:
         why = "needs pip install 'flying-vines[analysis]'; the pairs are kept for `flying-vines vine fit`"
         return Result((top.unknown(why), width.unknown(why)))
-    if len(pairs) < LEAST_PAIRS:
-        why = f"{len(pairs)} angles were seen; a curve needs at least {LEAST_PAIRS}, up and down"
+    if len(pairs) < MIN_PAIRS:
+        why = f"{len(pairs)} angles were seen; a curve needs at least {MIN_PAIRS}, up and down"
         return Result((top.unknown(why), width.unknown(why)))
     kPa, deg = np.array(pairs).T
     try:

@@ -51,32 +51,32 @@ class Parameter:
     """Mean and standard deviation over rigs (of the logarithm, if that is moved): what stands where the data
     say nothing."""
 
-    def inner(self, value: float) -> float:
+    def to_search(self, value: float) -> float:
         """What the fit moves."""
         return log(value) if self.logarithmic else value
 
     @property
     def range(self) -> float:
         """Of what the fit moves."""
-        return self.inner(self.high) - self.inner(self.low)
+        return self.to_search(self.high) - self.to_search(self.low)
 
-    def within(self, inner: float) -> float:
+    def within(self, searched: float) -> float:
         """The value there, or the bound if that is nearer."""
-        return self.outer(min(max(inner, self.inner(self.low)), self.inner(self.high)))
+        return self.to_model(min(max(searched, self.to_search(self.low)), self.to_search(self.high)))
 
     def share(self, value: float) -> float:
         """How far along its range a value is, 0…1."""
-        return (self.inner(value) - self.inner(self.low)) / self.range if self.range > 0.0 else 0.5
+        return (self.to_search(value) - self.to_search(self.low)) / self.range if self.range > 0.0 else 0.5
 
-    def surprise(self, inner: float) -> float:
+    def prior_penalty(self, searched: float) -> float:
         """How far from typical a value is: squared, in standard deviations."""
         if self.typical is None:
             return 0.0
         mean, sd = self.typical
-        return ((inner - mean) / sd) ** 2
+        return ((searched - mean) / sd) ** 2
 
-    def outer(self, inner: float) -> float:
-        return exp(inner) if self.logarithmic else inner
+    def to_model(self, searched: float) -> float:
+        return exp(searched) if self.logarithmic else searched
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ def test_no_hysteresis_is_told_as_none() -> None:
     assert found.hysteresis_kPa is not None
     assert found.hysteresis_kPa.low == 0.0
     assert found.written_hysteresis_kPa == 0.0
-    assert any("No hysteresis can be told" in note for note in found.notes)
+    assert any("show no hysteresis" in note for note in found.notes)
 
 
 def s_shaped(kPa: Array) -> Array:

@@ -214,7 +214,7 @@ REFUSED: dict[str, tuple[str | bytes, str]] = {
     "case": (text(header=HEADER.replace("evp_opening", "EVP_Opening")), "did you mean evp_opening?"),
     "spelling": (text(header=HEADER.replace("reservoir_pr", "resevoir_pr")), "did you mean reservoir_"),
     "no pressure": (only(*HEADER.split(",")[:5]), ":1: no pressure was recorded"),
-    "no openings": (only("time_s", "cv_pressure_kPa", "reservoir_pressure_kPa"), "what the valves were told"),
+    "no openings": (only("time_s", "cv_pressure_kPa", "reservoir_pressure_kPa"), "valve commands were not"),
     "quotation": (text([*ROWS[:9], '"' + ROWS[9], *ROWS[10:]]), ":11: a quotation mark is not closed"),
     "latin": (text().replace("time_s", "time_s,°").encode("latin-1"), ":1: is not UTF-8 text"),
     "utf-16": (text().encode("utf-16"), ":1: is not UTF-8 text"),

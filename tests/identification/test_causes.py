@@ -53,4 +53,4 @@ def test_a_cause_says_what_it_is(cause: Cause) -> None:
         assert parameter.low < parameter.high
         for seed in parameter.seeds:
             assert parameter.low <= seed <= parameter.high
-            assert parameter.outer(parameter.inner(seed)) == pytest.approx(seed)
+            assert parameter.to_model(parameter.to_search(seed)) == pytest.approx(seed)

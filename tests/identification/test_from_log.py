@@ -18,7 +18,7 @@ from flying_vines.cli.main import main
 from flying_vines.config import config
 from flying_vines.core.events import FirmwareMessage, VehicleMessage
 from flying_vines.identification.diagnose import diagnose
-from flying_vines.identification.from_log import LEAD_MS, MOST_MS, PAUSE_MS, READING_MS, TAIL_MS, read_flight
+from flying_vines.identification.from_log import LEAD_MS, MAX_MS, PAUSE_MS, READING_MS, TAIL_MS, read_flight
 from flying_vines.identification.recording import CaseError
 from flying_vines.identification.simulate import GAP
 from flying_vines.physics.plant.true_rig import TrueRig
@@ -215,7 +215,7 @@ def test_a_long_flight_is_sampled_from_beginning_to_end(tmp_path: Path) -> None:
     bends = 60
     plan = [(i * 12_000 + a, i * 12_000 + b, mode) for i in range(bends) for a, b, mode in ONE_BEND]
     case = read_flight(written(tmp_path, messages(*plan, period_ms=50)))
-    assert sum(run.time_s[-1] for run in case.runs) * 1000.0 < MOST_MS * 1.1
+    assert sum(run.time_s[-1] for run in case.runs) * 1000.0 < MAX_MS * 1.1
     assert len(case.runs) >= 20 and any(f"of {bends} runs" in remark for remark in case.remarks)
 
 

@@ -75,22 +75,22 @@ class Correlated(FitProblem):
             moved = {**point.deviation, key: share + _NUDGE}
             traces.append((self.pressures_kPa(replace(point, deviation=moved)) - here) / _NUDGE)
             away.append(share)
-            spread.append(self.spread(key))
+            spread.append(self.prior_std(key))
         for i, (cause, values) in enumerate(zip(point.causes, point.values, strict=True)):
             for j, parameter in enumerate(cause.parameters):
                 if parameter.typical is None:
                     raise ValueError(f"{cause.name}: {parameter.name} needs a typical value")
                 mean, sd = parameter.typical
-                inner = parameter.inner(values[j])
+                searched = parameter.to_search(values[j])
                 nudge = _NUDGE * sd
-                if parameter.outer(inner + nudge) > parameter.high:
+                if parameter.to_model(searched + nudge) > parameter.high:
                     nudge = -nudge
                 changed = list(values)
-                changed[j] = parameter.outer(inner + nudge)
+                changed[j] = parameter.to_model(searched + nudge)
                 every = list(point.values)
                 every[i] = tuple(changed)
                 traces.append((self.pressures_kPa(replace(point, values=tuple(every))) - here) / nudge)
-                away.append(inner - mean)
+                away.append(searched - mean)
                 spread.append(sd)
         for k, first in enumerate(self.start().initial[:, 0]):
             initial = point.initial.copy()

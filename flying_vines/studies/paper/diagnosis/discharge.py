@@ -353,8 +353,8 @@ def _estimates(point: FitPoint, found: Worth) -> dict[str, dict[str, ParameterEs
 
 
 def _estimate(parameter: Parameter, value: float, shift: float, sd: float) -> ParameterEstimate:
-    inner = parameter.inner(value) + shift
-    return ParameterEstimate(*(parameter.within(inner + move) for move in (0.0, -1.96 * sd, 1.96 * sd)))
+    searched = parameter.to_search(value) + shift
+    return ParameterEstimate(*(parameter.within(searched + move) for move in (0.0, -1.96 * sd, 1.96 * sd)))
 
 
 def _alike(null: DischargeModel, causes: Sequence[Cause]) -> list[Alike]:
@@ -389,6 +389,6 @@ def _trace(problem: Correlated, base: FitPoint, cause: Cause) -> Array:
     (parameter,) = cause.parameters
     assert parameter.typical is not None
     mean, sd = parameter.typical
-    inner = mean + 0.01 * sd
-    with_it = problem.pressures_kPa(base.with_cause(cause, (parameter.outer(inner),)))
+    searched = mean + 0.01 * sd
+    with_it = problem.pressures_kPa(base.with_cause(cause, (parameter.to_model(searched),)))
     return with_it - problem.pressures_kPa(base)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flying_vines.identification.slopes import RunSlopes
+from flying_vines.identification.jacobian import RunJacobian
 from flying_vines.physics.arrays import Array
 
 START = np.array([0, 3, 40, 41, 60])
@@ -32,18 +32,20 @@ def test_the_rest_moves_as_in_a_fit_of_everything_at_once(unread: bool) -> None:
     if unread:
         # The reservoir's pressure shows nowhere in the longest stretch.
         initial[0, :, 3:40] = 0.0
-    slopes = RunSlopes(initial, residuals, common, START)
+    jacobian = RunJacobian(initial, residuals, common, START)
     everything = np.concatenate((common.reshape(NUMBERS, -1), whole(initial))).T
     best, *_ = np.linalg.lstsq(everything, -residuals.ravel(), rcond=None)
-    move: Array = np.asarray(np.linalg.solve(slopes.free @ slopes.free.T, -slopes.free @ slopes.left))
-    assert move == pytest.approx(best[:NUMBERS], rel=1e-8)
-    assert slopes.initial_move(move).ravel() == pytest.approx(best[NUMBERS:], rel=1e-6, abs=1e-9)
+    step: Array = np.asarray(
+        np.linalg.solve(jacobian.reduced @ jacobian.reduced.T, -jacobian.reduced @ jacobian.reduced_residuals)
+    )
+    assert step == pytest.approx(best[:NUMBERS], rel=1e-8)
+    assert jacobian.initial_step(step).ravel() == pytest.approx(best[NUMBERS:], rel=1e-6, abs=1e-9)
 
 
 def test_what_initial_pressures_can_do_leaves_nothing() -> None:
     random = np.random.default_rng(2)
     initial = random.standard_normal((2, 2, SAMPLES))
-    slopes = RunSlopes(initial, np.zeros((2, SAMPLES)), np.zeros((0, 2, SAMPLES)), START)
+    jacobian = RunJacobian(initial, np.zeros((2, SAMPLES)), np.zeros((0, 2, SAMPLES)), START)
     one = whole(initial)[5].reshape(1, 2, SAMPLES)
-    assert np.abs(slopes.beside(one)).max() < 1e-9 * np.abs(one).max()
-    assert slopes.free.shape == (0, 2 * SAMPLES)
+    assert np.abs(jacobian.orthogonal_part(one)).max() < 1e-9 * np.abs(one).max()
+    assert jacobian.reduced.shape == (0, 2 * SAMPLES)

@@ -11,8 +11,8 @@ from hidden_truth import draw, write
 
 from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.fit import FitProblem
-from flying_vines.identification.likeness import Likeness, likeness
-from flying_vines.identification.simulate import believed_keys
+from flying_vines.identification.similarity import Similarity, similarity
+from flying_vines.identification.simulate import rig_number_keys
 from flying_vines.physics.cause import Cause
 from flying_vines.physics.effects import catalogue
 
@@ -26,12 +26,12 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
     return read_case(folder)
 
 
-def found(case: Case, *causes: Cause, there: str | None = None) -> Likeness:
+def found(case: Case, *causes: Cause, there: str | None = None) -> Similarity:
     problem = FitProblem(case, (0.15, 1.2))
     start = problem.start()
     if there is not None:
         start = start.with_cause(BY_NAME[there], BY_NAME[there].seeds()[0])
-    return likeness(problem, problem.fit(start, 2), causes, believed_keys(case.rig))
+    return similarity(problem, problem.fit(start, 2), causes, rig_number_keys(case.rig))
 
 
 def with_tolerance(case: Case, key: str, percent: float) -> Case:
