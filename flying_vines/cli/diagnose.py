@@ -35,7 +35,7 @@ def add(commands: Any) -> None:
     )
     diagnose.add_argument("--from-log", type=Path, metavar="LOG", help="a flight log, or a flight's folder")
     diagnose.add_argument(
-        "--rig", type=Path, metavar="RIG.toml", help="what is believed (default: what the case says)"
+        "--rig", type=Path, metavar="RIG.toml", help="nominal rig (default: that of the case)"
     )
     diagnose.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that diagnoses the cases")
     diagnose.add_argument("--write-rig", type=Path, metavar="FILE", help="the rig with the cause in it")

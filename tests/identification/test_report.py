@@ -218,7 +218,7 @@ def test_a_baseline_that_explains_all_has_no_profiles_and_no_extended_model(noth
     assert in_words(nothing.verdict) in seen.text
     assert "Profiles of χ²" not in seen.pictures and "How well the data determine" not in seen.text
     assert "extended" not in seen.text
-    assert "noise alone does this" in seen.text
+    assert "noise alone gives this" in seen.text
     assert "(−1.00 %)" in seen.text and "as believed" in seen.text
 
 

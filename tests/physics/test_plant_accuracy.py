@@ -104,7 +104,7 @@ def test_finer_steps_change_less_than_a_hundredth_of_a_kilopascal() -> None:
     """With warming coils too, and without scipy."""
     plant = Plant(Rig(), likely_effects())
     usual, fine = Simulator(plant), Simulator(plant)
-    fine.numbers = fine.numbers._replace(least_steps=16)
+    fine.numbers = fine.numbers._replace(min_steps=16)
     worst = 0.0
     for command in switching(3.0, 5):
         usual.advance(command)

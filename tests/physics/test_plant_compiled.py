@@ -191,7 +191,7 @@ def test_finer_steps_change_little_whatever_the_rig(monkeypatch: pytest.MonkeyPa
 
 
 def finer(plant: Plant, tick_s: float) -> PlantNumbers:
-    return numbers_of(plant, tick_s)._replace(least_steps=40)
+    return numbers_of(plant, tick_s)._replace(min_steps=40)
 
 
 def test_it_starts_where_it_is_told_and_writes_every_so_often() -> None:
@@ -255,7 +255,7 @@ def test_a_batch_is_its_runs() -> None:
 def test_what_cannot_be_replayed() -> None:
     with pytest.raises(ValueError, match="3 columns"):
         replay(Plant(), [(0.0, 1.0)])
-    with pytest.raises(ValueError, match="every 0 ticks"):
+    with pytest.raises(ValueError, match="record_every must be"):
         replay(Plant(), [SHUT], record_every=0)
 
 

@@ -1,4 +1,4 @@
-"""The inflation valve opens only beyond u₀: max(0, (u − u₀)/(1 − u₀)); a full command opens it fully."""
+"""The inflation valve (EVP) only opens above u₀: max(0, (u − u₀)/(1 − u₀)). A full command opens it fully."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""What the control volume's volume does: rigid, compliant, or a pouch that first fills at no pressure.
+"""Shape of the control volume: rigid, compliant, or a bending pouch that first fills at ambient pressure.
 
-What is known of the gas inside is not its p V alone but E = p V + g W, where W = ∫ p dV is the work it has
-done on wall and ambient since the smallest volume, and g = γ − 1 with a temperature of its own, 0 when
-isothermal. E has no jump in its rate where a pouch becomes full, as p V has.
+The state of the gas is E = p V + g W. W = ∫ p dV is the work on wall and ambient since the smallest volume;
+g = γ − 1 for gas with its own temperature, 0 for isothermal gas. The rate of p V jumps when a pouch becomes
+full; the rate of E does not.
 
-A shape is a description; `numbers(volume_L, g)` are what `pressure_and_volume` calculates with. All shapes
-are a pouch then: a compliant one has no volume to fill first.
+`numbers(volume_L, g)` converts each shape to a pouch, for `pressure_and_volume`. A compliant or rigid shape
+is a pouch without a volume to fill first.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ class Chamber(NamedTuple):
     """The numbers of a shape."""
 
     flat_L: float
-    """The smallest volume: from where work counts, and what is left in a vacuum."""
+    """The smallest volume, also under vacuum. W counts from here."""
     full_L: float
     per_kPa: float
     g: float
     flat_edge_L: float
-    """E / p_a where the law has a kink; below 0 where it has none."""
+    """E / p_a at the kink where the pouch becomes flat; below 0 without a kink."""
     full_edge_L: float
 
 
 def pressure_and_volume(chamber: Chamber, energy: float, ambient_kPa: float) -> tuple[float, float]:
-    """Absolute pressure in kPa and volume in L, of E in kPa·L."""
+    """Absolute pressure in kPa and volume in L for E in kPa·L."""
     g, flat, full = chamber.g, chamber.flat_L, chamber.full_L
     beyond = energy - g * (full - flat) * ambient_kPa
     rigid_kPa = beyond / full
@@ -40,7 +40,7 @@ def pressure_and_volume(chamber: Chamber, energy: float, ambient_kPa: float) -> 
         if k == 0.0:
             return rigid_kPa, full
         rigid_kPa -= ambient_kPa
-        # The positive root of k (1 + g/2) P² + (1 + (1 + g) k p_a) P = rigid, as it survives k → 0.
+        # The positive root of k (1 + g/2) P² + (1 + (1 + g) k p_a) P = rigid, in a form valid for k → 0.
         linear = 1.0 + (1.0 + g) * k * ambient_kPa
         gauge = 2.0 * rigid_kPa / (linear + sqrt(linear * linear + 4.0 * k * (1.0 + 0.5 * g) * rigid_kPa))
         return ambient_kPa + gauge, full * (1.0 + k * gauge)
@@ -52,7 +52,7 @@ def pressure_and_volume(chamber: Chamber, energy: float, ambient_kPa: float) -> 
 def volume_and_work(
     chamber: Chamber, gauge_kPa: float, ambient_kPa: float, fill_L: float
 ) -> tuple[float, float]:
-    """Volume in L and the work W in J at a gauge pressure; at none a pouch holds `fill_L`."""
+    """Volume in L and work W in J at a gauge pressure; at 0 kPa a pouch has the volume `fill_L`."""
     flat, full = chamber.flat_L, chamber.full_L
     if gauge_kPa > 0.0:
         stretch = full * chamber.per_kPa
@@ -72,7 +72,7 @@ class Compliant:
 
     def __post_init__(self) -> None:
         if not self.per_kPa >= 0.0:
-            raise ValueError("a compliance is not negative")
+            raise ValueError("a compliance must not be negative")
 
     def numbers(self, volume_L: float, g: float) -> Chamber:
         edge_L = volume_L if self.per_kPa > 0.0 else _NO_EDGE_L
@@ -81,19 +81,19 @@ class Compliant:
 
 @dataclass(frozen=True)
 class Pouch:
-    """Between its flat and its full volume it is at ambient pressure; then it is compliant or rigid."""
+    """Fills from its flat to its full volume at ambient pressure; above that it is compliant or rigid."""
 
     flat_volume_L: float = 0.01
     per_kPa: float = 0.0
 
     def __post_init__(self) -> None:
         if not (self.flat_volume_L > 0.0 and self.per_kPa >= 0.0):
-            raise ValueError("a pouch's flat volume is positive, its compliance not negative")
+            raise ValueError("a pouch's flat volume must be positive, its compliance not negative")
 
     def numbers(self, volume_L: float, g: float) -> Chamber:
         flat_L = self.flat_volume_L
         if not flat_L < volume_L:
-            raise ValueError("a pouch's flat volume is smaller than the full one")
+            raise ValueError("a pouch's flat volume must be smaller than its full volume")
         return Chamber(flat_L, volume_L, self.per_kPa, g, flat_L, volume_L + g * (volume_L - flat_L))
 
 

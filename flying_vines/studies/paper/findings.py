@@ -1,4 +1,4 @@
-"""What disagrees in the paper itself, in plain words."""
+"""Contradictions within the paper, in words."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from flying_vines.studies.paper.rows import PaperRow
 
 
 def findings(rows: tuple[PaperRow, ...]) -> tuple[str, ...]:
-    """One text a finding, with the table's numbers."""
+    """One text for each finding, with the table's numbers."""
     ours = {row.key: row.ours if row.ours is not None else float("nan") for row in rows}
     paper = {row.key: row.paper if row.paper is not None else float("nan") for row in rows}
     off = {row.key: 100.0 * (row.relative_difference or 0.0) for row in rows}

@@ -1,4 +1,4 @@
-"""What the evidence says, in plain words with its numbers, and as plain numbers for other programs."""
+"""The findings in words with their numbers, and as plain numbers for other programs."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from flying_vines.studies.paper.diagnosis.flow_law import FlowLawFit
 from flying_vines.studies.paper.diagnosis.response import FLOOR, Account, Responses
 
 SAME = 0.999
-"""A correlation of traces from which on no reading of these tells two causes apart."""
+"""From this correlation of traces on, these readings cannot separate two causes."""
 
 WANDERING_S = 10.0
 
 
 def has_heat(candidate: DischargeModel) -> bool:
-    """Whether gas in the reservoir has a temperature of its own in it."""
+    """True if the candidate has a gas temperature in the reservoir."""
     return any(name in HEAT for name in candidate.names)
 
 
 def has_more_air(candidate: DischargeModel) -> bool:
-    """Whether more air leaves in it than is believed, or less is there."""
+    """True if the candidate has more flow than nominal, or less air in the reservoir."""
     return any(name in MORE_AIR for name in candidate.names)
 
 
 def findings(diagnosis: PaperDiagnosis) -> tuple[str, ...]:
-    """What the evidence names, how sure it is, what stays open, what would settle it: one text each."""
+    """The named causes, their confidence, the open questions, and the experiments for them: one text each."""
     found = diagnosis.discharges
     return (
         _named(found),
@@ -73,7 +73,7 @@ def _named(found: Discharges) -> str:
 
 
 def _flow_SLPM(scale: float) -> float:
-    """Of the believed valve with its resistance so scaled."""
+    """Flow of the nominal valve with a scaled resistance."""
     return 60.0 * stated()["reservoir.pressure"].value / (scale * Rig().evp.flow_resistance_kPa_s_per_SL)
 
 
@@ -216,7 +216,7 @@ def _range(values: Sequence[float]) -> str:
 
 
 def _odds(above: Sequence[float]) -> str:
-    """Of −2 ln of the evidence."""
+    """Odds from differences in −2 ln of the evidence."""
     return _range([exp(0.5 * each) for each in above])
 
 
@@ -225,7 +225,7 @@ def _dB(values: Sequence[float]) -> str:
 
 
 def as_json(diagnosis: PaperDiagnosis) -> dict[str, Any]:
-    """Plain lists, numbers and texts."""
+    """The findings and numbers as plain lists, numbers and texts."""
     found, proposal, responses = diagnosis.discharges, diagnosis.proposal, diagnosis.responses
     best, sharing = proposal.best, proposal.sharing
     return {
