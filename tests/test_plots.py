@@ -1,4 +1,4 @@
-"""The vine in a flight's picture and beside the live view."""
+"""The vine in a flight's picture and in the live view."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def decision(t: float) -> dict[str, Any]:
 
 
 def written(said: list[dict[str, Any]], path: Path) -> FlightLog:
-    """A log that says so, without what is unknown."""
+    """A log with these values, without unknown ones."""
     with path.open("wb") as file:
         log = McapFile(file, TOPICS, "test")
         for entry in said:

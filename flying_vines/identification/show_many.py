@@ -59,8 +59,7 @@ def line(path: Path, outcome: CaseOutcome) -> Text:
     """One case in one line."""
     if isinstance(outcome, CaseError):
         error = str(outcome)
-        text = error if str(path) in error else f"{path}: {error}"
-        return Text.assemble((f"{FAILED}  ", "bold red"), text)
+        return Text.assemble((f"{FAILED}  ", "bold red"), error if str(path) in error else f"{path}: {error}")
     style = {NONE: "green", UNEXPLAINED: "yellow"}.get(outcome.cause, "bold")
     text = Text.assemble(f"{path}  ", (_causes(outcome), style), f"  {outcome.confidence:.0%}")
     for name, value in outcome.parameters.items():

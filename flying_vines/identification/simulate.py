@@ -28,7 +28,7 @@ from flying_vines.physics.plant.setup import Setup, perfect
 from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.rig import ControlVolume, Rig, with_numbers
 
-LONGEST_STEP_S = 0.05
+MAX_STEP_S = 0.05
 QUICK_WALL_S = 0.002
 _STEP = 0.25
 """Step over the fastest time constant. Fourth-order Runge-Kutta then errs by 1e-5 of the remaining change."""
@@ -173,7 +173,7 @@ class Simulation:
             raise ValueError("a fit takes openings as recorded, and cannot simulate a coil")
         numbers = numbers_of(setup.plant, TICK_S)
         shut_s, open_s = (
-            min(LONGEST_STEP_S, _STEP / _quickest_per_s(numbers, setup, law))
+            min(MAX_STEP_S, _STEP / _quickest_per_s(numbers, setup, law))
             for law in (Opening(), numbers.solenoid)
         )
         sensors = (_sensor(setup.cv_sensor), _sensor(setup.reservoir_sensor))

@@ -131,7 +131,7 @@ def inflation_rate_kPa_per_s(
     return alpha_kPa * reservoir_kPa / (flow_resistance_kPa_s_per_SL * cv_volume_L)
 
 
-def least_reservoir_kPa(
+def min_reservoir_kPa(
     rate_kPa_per_s: Value,
     flow_resistance_kPa_s_per_SL: float,
     cv_volume_L: float,

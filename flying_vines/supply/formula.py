@@ -21,4 +21,4 @@ def n_cycles(p: PneumaticsConfig, reservoir_kPa: float) -> float:
 
 def floor_kPa(p: PneumaticsConfig, rate_kPa_per_s: float) -> float:
     """Below this gauge pressure the reservoir no longer fills a CV at `rate_kPa_per_s`."""
-    return paper.least_reservoir_kPa(rate_kPa_per_s, p.evp_flow_resistance_kPa_s_per_SL, p.cv_volume_L)
+    return paper.min_reservoir_kPa(rate_kPa_per_s, p.evp_flow_resistance_kPa_s_per_SL, p.cv_volume_L)

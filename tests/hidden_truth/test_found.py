@@ -1,4 +1,4 @@
-"""What a rig hides is found: named, measured, and worth it on data that the fit never saw."""
+"""A diagnosis finds the hidden effect: it names it, measures it, and improves unseen data."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def verdict_on(tier: str, seed: int, folder: Path, runs: int = 4) -> tuple[Truth
     return truth, diagnose(read_case(folder / "case"))
 
 
-# A cause of the valves' commands, of the flows, of the gas, and one under worn numbers.
+# A cause of the commands, of the flows, of the gas, and one with worn numbers.
 @pytest.mark.parametrize(("tier", "seed"), [("worn", 3), ("clear", 7), ("clear", 0), ("clear", 5)])
 def test_a_single_cause_is_named_and_measured(tier: str, seed: int, tmp_path: Path) -> None:
     truth, verdict = verdict_on(tier, seed, tmp_path)
@@ -77,7 +77,7 @@ def test_an_effect_that_nobody_has_named_gets_no_name(tmp_path: Path) -> None:
     [
         # Whose sensor follows 2.6 ms late, in steps that are not much shorter.
         ("case_006", 0.2),
-        # Where the believed resistance is itself off by up to 2.5 %.
+        # The nominal resistance itself is wrong by up to 2.5 %.
         ("case_008", 0.025),
     ],
 )

@@ -1,4 +1,4 @@
-"""Calibration: a hidden truth is found again, its intervals hold it, and bad files are one line."""
+"""Bend-curve fits find a known truth within their intervals; a bad file gives an error of one line."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_the_intervals_hold_the_truth_as_often_as_they_say() -> None:
 
 
 def test_the_fitted_hysteresis_is_that_by_which_the_vine_flies() -> None:
-    """Along a wandering pressure the curve that is written bends as the truth does."""
+    """For a changing pressure the written curve gives the same bend as the truth."""
     found = fit(measured(TRUTH, 3))
     curve = BendCurve(found.curve, found.written_hysteresis_kPa)
     kPa = 10.0 + 9.0 * np.sin(np.linspace(0.0, 20.0, 400)) * np.cos(np.linspace(0.0, 7.3, 400))
@@ -98,7 +98,7 @@ def test_no_hysteresis_is_told_as_none() -> None:
 
 
 def s_shaped(kPa: Array) -> Array:
-    """A vine that no law of a dead zone and a decay describes, with a hysteresis of 2 kPa."""
+    """A vine that does not follow the exponential law, with a hysteresis of 2 kPa."""
     return 60.0 / (1.0 + np.exp(-(bent_kPa(kPa, 2.0) - 11.0) / 2.0))
 
 
@@ -138,7 +138,7 @@ def test_what_is_doubtful_is_said() -> None:
 
 
 def test_a_law_that_does_not_fit_is_not_made_certain_by_more_pairs() -> None:
-    """The S-shaped vine, measured ever more densely: the law's interval stays as wide as its misfit."""
+    """With more pairs of an S-shaped vine the law's interval stays as wide as its error."""
     widths = []
     for count in (30, 300):
         up = np.linspace(0.0, 20.7, count)

@@ -1,4 +1,4 @@
-"""Case folders and their files: what is read, what a remark is made of, and what is said about the rest."""
+"""Case folders and their files: content, remarks, and errors."""
 
 from __future__ import annotations
 

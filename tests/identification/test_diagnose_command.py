@@ -1,4 +1,4 @@
-"""The command: a verdict for people and machines, one line for what cannot be read."""
+"""The command `diagnose`: a verdict for people and machines, one line for each error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a verdict writes into a rig file, and what the file still says when it is read again."""
+"""The rig file of a verdict, written and read again."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BELIEVED = Rig(Reservoir(2.0), ControlVolume(0.5), tolerance_percent={"cv.volume
 
 
 def verdict(cause: str, **said: Any) -> Verdict:
-    """One that says this, and nothing else."""
+    """A verdict with only these values."""
     nothing = {field.name: () for field in fields(Verdict)}
     return Verdict(**{**nothing, "cause": cause, "parameters": {}, "numbers": {}, **said})
 

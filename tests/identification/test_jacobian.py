@@ -1,4 +1,4 @@
-"""Initial pressures are eliminated from a fit: what remains is what a fit of everything would find."""
+"""A fit with eliminated initial pressures gives the same step as a fit of everything."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_the_rest_moves_as_in_a_fit_of_everything_at_once(unread: bool) -> None:
     common = random.standard_normal((NUMBERS, 2, SAMPLES))
     residuals = random.standard_normal((2, SAMPLES))
     if unread:
-        # The reservoir's pressure shows nowhere in the longest stretch.
+        # The longest stretch has no reading of the reservoir.
         initial[0, :, 3:40] = 0.0
     jacobian = RunJacobian(initial, residuals, common, START)
     everything = np.concatenate((common.reshape(NUMBERS, -1), whole(initial))).T

@@ -1,4 +1,4 @@
-"""Which causes look alike in data: twins do, and what the believed numbers can imitate is no evidence."""
+"""Similarity of causes: equal effects are similar, and rig numbers' effects are no evidence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rig files that tell what is really there: read, made into a plant, written again, and found wrong."""
+"""Rig files with causes and effects: read, converted to a plant, written again, and errors."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_causes_change_what_is_likely() -> None:
     assert made.evp_motion == ValveMotion(
         likely.evp_motion.delay_s, likely.evp_motion.backlash_width, 0.2, likely.evp_motion.time_constant_s
     )
-    # The pouch stays one.
+    # The shape stays a pouch.
     assert made.cv_shape == Pouch(0.01, per_kPa=0.01)
     assert isinstance(made.evp_law, Iso6358)
     assert isinstance(likely.evp_law, Iso6358)
@@ -156,7 +156,7 @@ def test_a_plain_file_is_what_is_believed(tmp_path: Path) -> None:
     assert rig == TrueRig(load_rig(path))
     assert rig.setup == setup(load_rig(path))
     path.write_text(true_rig_text(rig))
-    # What is written of it is a plain file again.
+    # Its file is a plain rig file again.
     assert load_rig(path) == rig.believed
     assert rig_of("") == TrueRig(Rig(cv=None))
     assert rig_of(true_rig_text(TrueRig(Rig(cv=None)))) == TrueRig(Rig(cv=None))

@@ -1,4 +1,4 @@
-"""Profiles and parts that are wrong: one line that names file and key; and the data that ship."""
+"""Wrong profiles and parts give one line with file and key; and the built-in data."""
 
 from __future__ import annotations
 

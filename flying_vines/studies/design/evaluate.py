@@ -143,7 +143,7 @@ def evaluate(robot: Robot, parts: PartsChoice) -> Evaluation:
     more_air = robot.fill_SL / robot.rigid_fill_SL
     pouch_air = robot.pouch_fill_SL / robot.rigid_fill_SL
 
-    rigid_min_kPa = paper.least_reservoir_kPa(wanted, resistance, robot.cv_volume_L)
+    rigid_min_kPa = paper.min_reservoir_kPa(wanted, resistance, robot.cv_volume_L)
     inflation = paper.inflation_rate_kPa_per_s(reservoir_kPa, resistance, robot.cv_volume_L) / more_air
     cycles_rigid = paper.n_cycles(
         fill_kPa,

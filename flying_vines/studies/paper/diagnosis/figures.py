@@ -110,10 +110,10 @@ def _frequency(responses: Responses) -> Any:
             off = 20.0 * np.log10(measured.y / gains)
             below.plot(measured.x[order], off[order], color=color, lw=1.2, marker="o", ms=3)
         above.plot(measured.x, measured.y, "o", color=BLUE, ms=4, label="measured")
-        asked = condition(test)
+        tested = condition(test)
         above.set_title(
-            f"{test.upper()}: {asked.swing_kPa:.0f} kPa peak to peak, {asked.cv_volume_L:g} L on "
-            f"{asked.reservoir_kPa:.0f} kPa",
+            f"{test.upper()}: {tested.swing_kPa:.0f} kPa peak to peak, {tested.cv_volume_L:g} L on "
+            f"{tested.reservoir_kPa:.0f} kPa",
             loc="left",
             fontsize=10,
         )
