@@ -57,7 +57,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
             load_rig(arguments.rig)
             paths = write_case(runs, given, folder)
         except RigError:
-            paths = write_case(runs, true_rig_text(TrueRig(rig.believed)).encode(), folder, given)
+            paths = write_case(runs, true_rig_text(TrueRig(rig.nominal)).encode(), folder, given)
         picture = folder / "picture.png"
         draw_runs(runs, picture, scenario.name or str(arguments.scenario))
     for path, run in zip(paths, runs, strict=True):

@@ -13,7 +13,7 @@ def extended_rig(rig: Rig, verdict: Verdict) -> TrueRig:
     An `unexplained` verdict leaves the rig nominal. `none_found` records a verdict of `none`.
     """
     return TrueRig(
-        believed=with_numbers(rig, verdict.numbers),
+        nominal=with_numbers(rig, verdict.numbers),
         causes={
             named.cause: {name: estimate.estimate for name, estimate in named.parameters.items()}
             for named in verdict.named

@@ -104,7 +104,7 @@ def test_a_profile_in_one_line_is_left_to_its_person() -> None:
 
 def test_the_rig_is_believed_as_well_as_it_was_measured() -> None:
     numbers = with_numbers(configuration.default(), list(changes(FOUND, MAX_KPA))).pneumatics
-    rig = true_rig_from(tomllib.loads(rig_text(numbers, FOUND))).believed
+    rig = true_rig_from(tomllib.loads(rig_text(numbers, FOUND))).nominal
     assert rig.cv is not None
     assert rig.cv.volume_L == 0.1043
     assert rig.tolerance("cv.volume_L") == pytest.approx(2.2, abs=0.05)

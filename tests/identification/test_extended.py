@@ -39,18 +39,18 @@ def test_causes_and_fitted_numbers_are_in_the_file() -> None:
         "cv_leak": {"flow_resistance_kPa_s_per_SL": 304.0},
         "evp_lag": {"time_constant_s": 0.02},
     }
-    assert rig.believed.cv == ControlVolume(0.507) and rig.believed.reservoir == Reservoir(1.99)
-    assert rig.believed.tolerance_percent == BELIEVED.tolerance_percent
+    assert rig.nominal.cv == ControlVolume(0.507) and rig.nominal.reservoir == Reservoir(1.99)
+    assert rig.nominal.tolerance_percent == BELIEVED.tolerance_percent
     assert rig.complete and not rig.none_found
 
 
 def test_that_nothing_else_is_there_is_in_the_file_too() -> None:
     rig = written(verdict(NONE, numbers={"cv.volume_L": 0.495}))
     assert rig.complete and not rig.causes
-    assert rig.believed.cv == ControlVolume(0.495)
+    assert rig.nominal.cv == ControlVolume(0.495)
 
 
 def test_what_is_unexplained_stays_as_it_was_believed() -> None:
     rig = written(verdict(UNEXPLAINED))
-    assert rig.believed == BELIEVED
+    assert rig.nominal == BELIEVED
     assert not rig.complete

@@ -133,7 +133,7 @@ def test_causes_change_what_is_likely() -> None:
 
 def test_everything_is_read_and_written_again() -> None:
     rig = rig_of(EVERYTHING)
-    assert rig.believed == Rig(
+    assert rig.nominal == Rig(
         Reservoir(4.0), ControlVolume(0.2), tolerance_percent={"reservoir.volume_L": 3.0}
     )
     effects = rig.setup.plant.effects
@@ -157,7 +157,7 @@ def test_a_plain_file_is_what_is_believed(tmp_path: Path) -> None:
     assert rig.setup == setup(load_rig(path))
     path.write_text(true_rig_text(rig))
     # Its file is a plain rig file again.
-    assert load_rig(path) == rig.believed
+    assert load_rig(path) == rig.nominal
     assert rig_of("") == TrueRig(Rig(cv=None))
     assert rig_of(true_rig_text(TrueRig(Rig(cv=None)))) == TrueRig(Rig(cv=None))
 

@@ -51,8 +51,7 @@ class TrueRig:
     only changes its own parameters of an existing effect.
     """
 
-    believed: Rig = field(default_factory=Rig)
-    """The nominal rig."""
+    nominal: Rig = field(default_factory=Rig)
     causes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     effects: Effects = field(default_factory=Effects)
     likely: bool = False
@@ -77,9 +76,9 @@ class TrueRig:
         try:
             if self.likely:
                 own = {**vars(likely_effects()), **dict.fromkeys(self.without), **own}
-            made = perfect(self.believed, Effects(**own))
+            made = perfect(self.nominal, Effects(**own))
             if self.likely:
-                made = Setup(made.plant, *likely_sensors(self.believed.sensors))
+                made = Setup(made.plant, *likely_sensors(self.nominal.sensors))
         except ValueError as error:
             raise RigError(f"effects: {error}.") from None
         for name, parameters in self.causes.items():
@@ -120,7 +119,7 @@ def true_rig_from(content: Mapping[str, Any]) -> TrueRig:
         if name not in _EFFECTS:
             raise RigError(f"effects.{name} is not an effect: the effects are {', '.join(_EFFECTS)}.")
     return TrueRig(
-        believed=rig,
+        nominal=rig,
         causes={name: _numbers(value, f"causes.{name}") for name, value in causes.items()},
         effects=_checked_effects({name: _effect(name, value) for name, value in effects.items()}),
         likely=likely,
@@ -132,7 +131,7 @@ def true_rig_from(content: Mapping[str, Any]) -> TrueRig:
 def true_rig_text(rig: TrueRig) -> str:
     """The rig as a file that `load_true_rig` reads."""
     tables = [
-        (name, value) for name, value in asdict(rig.believed).items() if value is not None and value != {}
+        (name, value) for name, value in asdict(rig.nominal).items() if value is not None and value != {}
     ]
     tables += [(f"causes.{name}", dict(parameters)) for name, parameters in rig.causes.items()]
     if rig.none_found:

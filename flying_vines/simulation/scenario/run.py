@@ -71,7 +71,7 @@ def simulate(rig: Rig | TrueRig, run: RunKind, seed: int = 1, *, index: int = 0)
     Raises ScenarioError when the run needs a control volume and the rig has none.
     """
     rig = rig if isinstance(rig, TrueRig) else TrueRig(rig)
-    believed, there = rig.believed, rig.setup
+    believed, there = rig.nominal, rig.setup
     pattern = random.Random(f"{seed} {index} pattern")
     command = command_of(run, pattern)
     if believed.cv is None and run.needs_cv:
