@@ -221,6 +221,7 @@ def bench(tmp_path: Path) -> Iterator[Path]:
         phlosar.send_signal(signal.SIGTERM)
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_it_vented_and_sets_the_telemetry_back(
     bench: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

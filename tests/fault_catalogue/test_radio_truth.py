@@ -33,7 +33,7 @@ from faults_flight import ACTUATOR, SCRIPT_MESSAGE, RefereedFlight, Setup
 
 from .catalogue import ROWS
 
-pytestmark = needs_compiler
+pytestmark = [needs_compiler, pytest.mark.long]
 
 RECEIVERS: list[RcSource] = ["sbus", "crsf"]
 BENT_KPA = 5.0

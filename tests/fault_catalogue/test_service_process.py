@@ -22,7 +22,7 @@ from .black_box import STEP_S
 from .catalogue import ROWS
 from .served import Served, on_bench
 
-pytestmark = real_time
+pytestmark = [real_time, pytest.mark.long]
 
 TIME_TO_LIVE_MS = 250
 """Of a setpoint; the fault may come right behind one."""

@@ -20,6 +20,8 @@ from hidden_truth.recording import WITHOUT, Flags, misfit, replay
 from hidden_truth.rig import NUMBERS, WORN, physics
 from hidden_truth.truth import Truth
 
+pytestmark = pytest.mark.long
+
 
 @cache
 def drawn(tier: str) -> tuple[Truth, ...]:

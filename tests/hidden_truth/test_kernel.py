@@ -16,6 +16,8 @@ from hidden_truth.plans import prbs, steady_time
 from hidden_truth.recording import replay
 from hidden_truth.rig import Noise, Rig, physics
 
+pytestmark = pytest.mark.long
+
 ALPHA, AMBIENT, GAMMA = 101.325, 101.325, 1.4
 RIG = Rig(reservoir_L=1.0, cv_L=0.25)
 TIME = steady_time(6.0)

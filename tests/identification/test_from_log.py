@@ -105,6 +105,7 @@ def test_a_hidden_leak_is_named_and_measured(leaky: Path) -> None:
     assert estimate.estimate == pytest.approx(LEAK, rel=0.01)
 
 
+@pytest.mark.long
 def test_an_ideal_rig_is_not_accused(tmp_path: Path) -> None:
     case = read_flight(flown(tmp_path, {}, ONCE))
     assert not case.remarks

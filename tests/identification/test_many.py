@@ -70,6 +70,7 @@ def test_processes_find_what_a_loop_finds(season: list[Path], alone: dict[Path, 
     assert same(dict(diagnose_all(season, workers=2)), season, alone)
 
 
+@pytest.mark.long
 def test_a_cluster_finds_what_a_loop_finds(season: list[Path], alone: dict[Path, Verdict]) -> None:
     from distributed import LocalCluster
 

@@ -72,6 +72,7 @@ def worst(matrix: Array, but: CausePair | None = None) -> float:
     return float(matrix[counts].min())
 
 
+@pytest.mark.long
 def test_a_plan_beats_what_one_would_record_without_it(made: RecordingPlan, layout: Layout) -> None:
     """For the worst separable pair, with the same length and maximum pressure."""
     seconds = made.best.seconds / 3
@@ -88,6 +89,7 @@ def test_a_plan_beats_what_one_would_record_without_it(made: RecordingPlan, layo
     assert least > SETTLED
 
 
+@pytest.mark.long
 def test_it_settles_what_the_example_scenario_leaves_open(short: RecordingPlan) -> None:
     """With a sixth of its three minutes, and a third of its pressure."""
     layout = layout_of(short.rig, catalogue())
@@ -114,6 +116,7 @@ def test_a_plan_keeps_its_budgets(short: RecordingPlan) -> None:
     assert air_SL == pytest.approx(short.best.air_SL, rel=0.02)
 
 
+@pytest.mark.long
 def test_what_no_run_can_tell_is_reported(made: RecordingPlan) -> None:
     assert made.never == made.best.open == (GAINS,)
     row, column = made.names.index(GAINS.first), made.names.index(GAINS.second)

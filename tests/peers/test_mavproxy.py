@@ -35,6 +35,7 @@ from peers.mavproxy import HOW_TO_INSTALL, MavProxy, installed, mavproxy
 
 pytestmark = [
     real_time,
+    pytest.mark.long,
     pytest.mark.skipif(not installed() and not os.environ.get("CI"), reason=HOW_TO_INSTALL),
     pytest.mark.asyncio(loop_scope="module"),
 ]

@@ -33,7 +33,7 @@ from missions.link import Ears, HeardMessage, VehicleLinkError, vehicle
 from missions.upload import upload
 from missions.watch import watch
 
-pytestmark = real_time
+pytestmark = [real_time, pytest.mark.long]
 
 if not os.environ.get("CI"):
     pytest.importorskip(

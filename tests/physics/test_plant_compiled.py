@@ -127,6 +127,7 @@ PLANTS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PLANTS)
 def test_a_replay_is_the_simulators_run(name: str) -> None:
     plant, inputs = PLANTS[name], told(1500, 4)

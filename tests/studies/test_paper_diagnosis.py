@@ -39,6 +39,8 @@ from flying_vines.studies.paper.diagnosis.rivals import RESERVOIR_WALL
 from flying_vines.studies.paper.diagnosis.show import show
 from flying_vines.studies.paper.diagnosis.verdict import as_json, findings, has_heat, has_more_air
 
+pytestmark = pytest.mark.long
+
 FAST = (
     (),
     ("evp_restriction",),
