@@ -14,7 +14,7 @@ _OF_HEARTBEAT = {autopilot.mav_autopilot: autopilot for autopilot in AUTOPILOTS.
 
 
 def of_heartbeat(mav_autopilot: int) -> Autopilot:
-    """The autopilot that a HEARTBEAT names (MAV_AUTOPILOT)."""
+    """The autopilot for the MAV_AUTOPILOT of a HEARTBEAT."""
     return _OF_HEARTBEAT.get(mav_autopilot, OTHER)
 
 
@@ -22,5 +22,5 @@ _OF_NAME = {autopilot.kind: autopilot for autopilot in AUTOPILOTS.values()}
 
 
 def of_name(kind: str) -> Autopilot:
-    """The autopilot of this name."""
+    """The autopilot with this name."""
     return _OF_NAME.get(kind, OTHER)

@@ -1,6 +1,6 @@
-"""The messages that anything here acts on: most of what an autopilot streams is for others.
+"""The messages that this package uses. Most messages of an autopilot are for others.
 
-Whoever looks for one more adds it here; a test finds those that were forgotten.
+If your code handles one more message, add it here. A test finds forgotten ones.
 """
 
 from __future__ import annotations
