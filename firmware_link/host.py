@@ -223,14 +223,12 @@ class HostSession:
         return math.inf if self._telemetry_s is None else t - self._telemetry_s
 
     def opened(self, t: float) -> None:
-        """The port was opened."""
         self.telemetry = None
         self._telemetry_s = None
         self._incompatible_because = None
         self._greet()
 
     def closed(self, t: float) -> None:
-        """The port was closed or lost."""
         self._forget_command()
         self.state = SessionState.CLOSED
 
@@ -254,7 +252,6 @@ class HostSession:
         return [ClearFaults(int(mask) & 0xFFFF)] if self.state is SessionState.READY else []
 
     def tick(self, t: float) -> list[HostMessage]:
-        """The messages to send at `t`."""
         if self.state is SessionState.CLOSED:
             return []
         if self.state is not SessionState.READY:

@@ -67,7 +67,6 @@ class FirmwareLink:
         self._send(self.session.clear_faults(time.monotonic(), mask))
 
     async def run(self) -> None:
-        """Run the link until cancelled."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self.port.run())
             try:

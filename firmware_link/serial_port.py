@@ -136,7 +136,7 @@ class SerialPort:
 
 
 class _Connection(asyncio.Protocol):
-    """One opening of the port."""
+    """One connection, from the opening of the port to its loss."""
 
     def __init__(self, on_bytes: Callable[[bytes], None], on_up: Callable[[_Connection], None]) -> None:
         loop = asyncio.get_running_loop()

@@ -54,7 +54,6 @@ class Traffic:
         self._written.add(t, len(data))
 
     def statistics(self, t: float, codec: Codec, session: HostSession, dropped_bytes: int) -> LinkStatistics:
-        """The statistics at time `t`."""
         return LinkStatistics(
             good_frames=codec.good_frames,
             bad_frames=codec.bad_frames,

@@ -43,7 +43,7 @@ MAX_LOGGED = 20
 """At most this many errors are logged, one for each place in the code."""
 
 
-class Contained:
+class CrashSafeCore:
     """A core whose `handle` and `snapshot` never raise.
 
     `display_failed` is called with the error of a snapshot. Such an error does not vent the vine.

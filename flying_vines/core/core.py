@@ -39,7 +39,7 @@ from flying_vines.core.events import (
 from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.parts import IsolatedParts
 from flying_vines.core.restarts import Restarts
-from flying_vines.core.safety import INTERNAL_ERROR, Entered, Left, Ruling, Safety, SafetyInputs
+from flying_vines.core.safety import INTERNAL_ERROR, LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
 from flying_vines.supply import Belief, CyclesLeft, Features, ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.physics_checks import PhysicsChecks
 from flying_vines.vehicle.clock import LATE_S
@@ -49,7 +49,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.radio.pilot import Straightened
-from flying_vines.vehicle.triggers import Trigger, only_lets_out
+from flying_vines.vehicle.triggers import Trigger, only_deflates
 from flying_vines.vehicle.vehicle import Vehicle, VehicleOutput
 from flying_vines.vine.intent import (
     ACTS_WITHIN_S,
@@ -69,7 +69,7 @@ from flying_vines.vine.intent import (
 from flying_vines.vine.motion import Motion
 
 TICK_S = 0.02
-"""How often `Tick` is due, and how far a setpoint looks ahead."""
+"""Period of `Tick`. Each setpoint is the one at the end of its period."""
 
 SPEAK_FIRST_S = 1.5
 """We listen for an autopilot this long before we send anything."""
@@ -154,7 +154,7 @@ class Core:
         self._bench_until = -math.inf
         self._requested_at = -math.inf
         self._mode_mismatch: tuple[protocol.Mode, float, float] | None = None
-        """The commanded mode that the board is not in, since when and until when, by the board's clock."""
+        """(commanded mode, begin, end) while the board is in another mode. Times by the board's clock."""
         self._restarts = Restarts()
         self._restart_noted = False
         """True from a board restart until the board is ready again."""
@@ -272,7 +272,9 @@ class Core:
                     self._notice(t, Severity.ERROR, f"{reason}")
                 case fw.CommandRefused(refusal):
                     reason = refusal.reason.name.lower().replace("_", " ")
-                    self._enter(t, Entered("refused_by_firmware", f"phloSAR refused: {reason}", "vent"))
+                    self._enter(
+                        t, ResponseNeeded("refused_by_firmware", f"phloSAR refused: {reason}", "vent")
+                    )
 
     def _restarted(self, t: float, reason: str) -> None:
         if self._restart_noted:
@@ -334,7 +336,7 @@ class Core:
     def _trigger_of(self, asked: Asked) -> Trigger:
         """The trigger for a request that did not come over MAVLink. `problem` is why it is refused, if so."""
         t, by, intent = asked.t, asked.by, asked.intent
-        problem = "" if only_lets_out(self.config, intent) else self._request_problem(asked)
+        problem = "" if only_deflates(self.config, intent) else self._request_problem(asked)
         seen_at = asked.seen_at
         if by == "calibration":
             seen_at = t
@@ -384,14 +386,14 @@ class Core:
         )
         if air is None:
             return self._record(t, trigger, Ruling("refused", INTERNAL_ERROR))
-        if trigger.by_person and motion.only_lets_out:
+        if trigger.by_person and motion.only_deflates:
             self._clear_faults(t, trigger.seen_at)
         ruling = self._safety.judge(motion, air, now)
         if ruling.verdict == "refused":
             return self._record(t, trigger, ruling)
         if ruling.rate_scale < 1.0:
             motion = self._plan(t, intent, ruling.rate_scale)
-        if motion.only_lets_out and self._motion is None:
+        if motion.only_deflates and self._motion is None:
             self._stop_moving(t)
         else:
             self._note_trigger(t)
@@ -410,7 +412,7 @@ class Core:
         if isinstance(intent, VENTING) or not (late or overtaken):
             return ""
         moves = isinstance(intent, MOVING) and not self._planner.problem(intent)
-        if moves and not overtaken and self._plan(t, intent).only_lets_out:
+        if moves and not overtaken and self._plan(t, intent).only_deflates:
             return ""
         return f"came {trigger.age_s:.1f} s late" if late else "a newer request came first"
 
@@ -495,7 +497,7 @@ class Core:
         )
         self._actions.append(decision)
         if ruling.verdict != "refused" and trigger.kind not in _BY_PILOT_OR_SAFETY:
-            self._vehicle.pilot.others_asked(straightened=motion is None or motion.only_lets_out)
+            self._vehicle.pilot.others_asked(straightened=motion is None or motion.only_deflates)
         if ruling.verdict == "refused":
             request = decision.intent or trigger.kind.replace("_", " ")
             if (seq := trigger.what.get("seq")) is not None:
@@ -543,7 +545,6 @@ class Core:
         return self._bench_until > -math.inf
 
     def _leave_bench(self, t: float, why: str) -> None:
-        """End bench mode and vent."""
         if self._on_bench:
             self._bench_until = -math.inf
             self._stop_moving(t)
@@ -618,7 +619,7 @@ class Core:
         now = self._conditions(t)
         changes = self._safety.watch(t, now)
         for change in changes:
-            if isinstance(change, Entered):
+            if isinstance(change, ResponseNeeded):
                 self._enter(t, change)
             else:
                 self._leave(t, change)
@@ -627,8 +628,8 @@ class Core:
             now = self._conditions(t)
         return now
 
-    def _enter(self, t: float, change: Entered) -> None:
-        deflates = self._motion is None or self._motion.only_lets_out
+    def _enter(self, t: float, change: ResponseNeeded) -> None:
+        deflates = self._motion is None or self._motion.only_deflates
         hold = change.response == "hold" and not deflates
         moved = self._motion is not None
         response = "holding" if hold else _RESPONSE_TEXTS.get(change.name, "vented")
@@ -654,7 +655,7 @@ class Core:
             return not self._restarts.looping(t)
         return name not in _BOARD_FAULTS or self._restarts.is_new_text(text)
 
-    def _leave(self, t: float, change: Left) -> None:
+    def _leave(self, t: float, change: LossEnded) -> None:
         if not self._link_loss.left(change.name):
             return
         rc_is_off = self._vehicle.rc.problem(t) is not None

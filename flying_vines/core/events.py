@@ -21,7 +21,7 @@ MAX_TRACE_LENGTH = 8000
 
 @dataclass(frozen=True, slots=True)
 class VehicleMessage:
-    """A MAVLink message of anyone on the vehicle's link."""
+    """A MAVLink message of any sender on the vehicle's link."""
 
     t: float
     message: MavlinkMessage

@@ -1,4 +1,4 @@
-"""From an intent to a motion. Used by the core in flight, and by a mission's budget and builder."""
+"""Plans the motion for an intent: for the core in flight, and for a mission's budget and builder."""
 
 from __future__ import annotations
 

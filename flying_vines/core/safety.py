@@ -1,4 +1,4 @@
-"""Which motions are allowed, and the response to losses, faults and limits: one pure state machine.
+"""Judges motions, and responds to losses, faults and limits: one pure state machine.
 
 A loss ends by itself. A latched fault lasts until a person clears it. A limit vents the vine once, at the
 moment it is crossed. During a loss or fault the vine is vented and cannot bend. The configuration may have
@@ -86,7 +86,7 @@ class Ruling:
 
 
 @dataclass(frozen=True, slots=True)
-class Entered:
+class ResponseNeeded:
     """A loss, fault or limit began, and the vine's response."""
 
     name: str
@@ -95,7 +95,7 @@ class Entered:
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
+class LossEnded:
     """The loss `name` ended. The vine stays as it is until a new trigger."""
 
     name: str
@@ -140,9 +140,9 @@ class Safety:
         if self._held_at is None:
             self._held_s = 0.0
 
-    def watch(self, t: float, now: SafetyInputs) -> list[Entered | Left]:
+    def watch(self, t: float, now: SafetyInputs) -> list[ResponseNeeded | LossEnded]:
         """The losses, faults and limits that began, and the losses that ended, at time `t`."""
-        changes: list[Entered | Left] = []
+        changes: list[ResponseNeeded | LossEnded] = []
         causes = self._latching(now)
         for name, cause in causes.items():
             if name not in self._latched:
@@ -163,22 +163,22 @@ class Safety:
                 response = self._response(name)
                 if response == "hold":
                     self._held_at = t
-                changes.append(Entered(name, reason, response))
+                changes.append(ResponseNeeded(name, reason, response))
             elif not reason and name in self._present:
                 del self._present[name]
                 if name == "rc":
                     self._held_at = None
-                changes.append(Left(name))
+                changes.append(LossEnded(name))
         if self._held_at is not None and self._held_s >= self._losses.hold_at_most_s:
             self._held_at = None
-            changes.append(Entered("rc", f"{self._present['rc']}, hold time is over", "vent"))
+            changes.append(ResponseNeeded("rc", f"{self._present['rc']}, hold time is over", "vent"))
         for name, check in _LIMITS.items():
             reason = check(self, now) if now.moving else None
             if not reason:
                 self._crossed.discard(name)
             elif name not in self._crossed:
                 self._crossed.add(name)
-                changes.append(Entered(name, reason, "vent"))
+                changes.append(ResponseNeeded(name, reason, "vent"))
         return changes
 
     def _response(self, name: str) -> Literal["vent", "hold"]:
@@ -198,11 +198,10 @@ class Safety:
         }
         return {**{name: cause for name, cause in causes.items() if cause}, **now.physics}
 
-    def latch(self, t: float, name: str, reason: str) -> Entered:
-        """Latch a fault now."""
+    def latch(self, t: float, name: str, reason: str) -> ResponseNeeded:
         self._latched[name] = reason
         self._latched_at[name] = t
-        return Entered(name, reason, "vent")
+        return ResponseNeeded(name, reason, "vent")
 
     def clear(self, now: SafetyInputs, seen_at: float = math.inf) -> list[str]:
         """A person clears latched faults. Returns the names of those that were cleared.
@@ -223,7 +222,7 @@ class Safety:
 
     def judge(self, motion: Motion, air: AirNeeded, now: SafetyInputs) -> Ruling:
         """Accept, limit or refuse a motion. One that only deflates is always accepted."""
-        if motion.only_lets_out:
+        if motion.only_deflates:
             return Ruling("accepted")
         problem = self._problem(motion, air, now)
         if problem:

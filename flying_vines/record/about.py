@@ -61,7 +61,6 @@ class About:
 
 @cache
 def version_of(package: str) -> str:
-    """The installed version."""
     try:
         return version(package)
     except PackageNotFoundError:

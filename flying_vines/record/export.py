@@ -17,8 +17,6 @@ _SCHEMAS = {topic.name: topic.schema for topic in TOPICS}
 
 
 class _Table:
-    """One CSV file."""
-
     def __init__(self, path: Path, schema: Schema, opened: ExitStack) -> None:
         columns = dict(_columns(schema))
         self._keys = list(columns)

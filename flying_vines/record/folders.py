@@ -202,8 +202,6 @@ class Folders:
 
 
 class Files:
-    """The files of one flight."""
-
     def __init__(self, folder: Path, zero_unix_ns: int, began: FlightStart, t: float, continues: str) -> None:
         self.latest = t
         self._folder = folder
@@ -249,7 +247,6 @@ class Files:
             self._tlog.write(time_ns // 1000, bytes(what))
 
     def sync(self) -> None:
-        """Write everything to the disk."""
         self._mcap.flush()
         os.fsync(self._file.fileno())
         self._tlog.sync()
@@ -263,7 +260,6 @@ class Files:
             return False
 
     def finish(self) -> None:
-        """Write the summary."""
         self._mcap.finish()
         os.fsync(self._file.fileno())
         self._tlog.sync()

@@ -47,7 +47,6 @@ class Recorder(Watcher):
 
     @property
     def folder(self) -> Path:
-        """The folder of the current flight."""
         return self._folders.folder
 
     @property

@@ -33,7 +33,6 @@ def of_dataclass(kind: type) -> Schema:
 
 
 def of_type(hint: Any) -> Schema:
-    """The schema of a type hint."""
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         known = [argument for argument in arguments if argument is not type(None)]

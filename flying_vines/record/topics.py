@@ -178,7 +178,6 @@ _NUMBER_OF = {kind: NUMBERS[name] for kind, name in (_SERIAL | _EVENTS | _ANSWER
 
 
 def topic_of(kind: type) -> str:
-    """The topic of this type."""
     return TOPICS[_NUMBER_OF[kind] - 1].name
 
 
@@ -207,7 +206,6 @@ def entry_of_state(state: Snapshot | Start) -> RawEntry:
 
 
 def encoded(entry: RawEntry) -> bytes:
-    """The message's JSON."""
     number, t, what = entry
     if number in (_IN, _OUT):
         return _mavlink(t, bytes(what))
@@ -264,5 +262,4 @@ def frame_of(raw: bytes) -> Frame:
 
 
 def message_in(raw: bytes) -> MavlinkMessage:
-    """The message in a received frame."""
     return message_of(frame_of(raw))

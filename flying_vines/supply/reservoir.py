@@ -184,7 +184,6 @@ class Bottle:
             p[VENTURI][VENTURI] += (DRIFT_SHARE * m[VENTURI]) ** 2 * spent.venturi_s
 
     def read(self, reading_kPa: float, sd_kPa: float) -> None:
-        """Update with a reading of the pressure."""
         m, p = self.mean, self.covariance
         share = self.absolute_kPa / STANDARD_TEMPERATURE_K
         projected = [line[X] - share * line[GAS] for line in p]

@@ -83,7 +83,7 @@ class AutopilotClock:
         return max(0, int((t - self._offset_s) * 1000)) & 0xFFFFFFFF
 
     def frame(self, t: float, sequence: int) -> None:
-        """Any frame of the autopilot."""
+        """Take in the sequence number of any frame of the autopilot."""
         if self._sequence is not None and (sequence - self._sequence) & 0xFF > 1:
             self._lost, self.lost_at = True, t
         self._sequence = sequence

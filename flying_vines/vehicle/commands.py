@@ -73,7 +73,7 @@ class CommandReceiver:
             what["late_s"] = round(age_s, 1)
         intent, problem = intent_or_problem
         if not from_station and not from_autopilot and not problem:
-            deflates = self._rules.only_lets_out(intent)
+            deflates = self._rules.only_deflates(intent)
             problem = "" if deflates else f"{_sender(message)} is not a ground station"
         # A repeat may be old: it must not clear faults that its sender has not seen.
         by_person = from_station and not repeat
@@ -90,7 +90,7 @@ class CommandReceiver:
     def _only_deflates(self, command: int, params: tuple[float, ...]) -> bool:
         """True if the command only deflates. It always runs: it may be a new request, not a repeat."""
         intent, _ = self._intent(command, params) or (None, "")
-        return self._rules.only_lets_out(intent)
+        return self._rules.only_deflates(intent)
 
     def acknowledge(self, trigger: Trigger, accepted: bool) -> list[MavlinkMessage]:
         """The COMMAND_ACK for the command behind a trigger, if there is one."""

@@ -1,4 +1,4 @@
-"""From triggers (switch, mission items, commands) to intents, by the tables of the profile."""
+"""Turns triggers (switch, mission items, commands) into intents, by the tables of the profile."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Trigger:
         return self.kind + " " + " ".join(f"{key}={value}" for key, value in self.what.items())
 
 
-def only_lets_out(config: Config, intent: Intent | None) -> bool:
+def only_deflates(config: Config, intent: Intent | None) -> bool:
     """True if the intent deflates the vine from any present pressure. That is always safe."""
     curve = config.vine.bend_curve()
     match intent:
@@ -97,9 +97,8 @@ class Rules:
         self._positions = config.switch.positions
         self.commands = {command for item in config.items for command in item.command_ids}
 
-    def only_lets_out(self, intent: Intent | None) -> bool:
-        """True if this intent can only deflate the vine."""
-        return only_lets_out(self._config, intent)
+    def only_deflates(self, intent: Intent | None) -> bool:
+        return only_deflates(self._config, intent)
 
     def for_position(self, position: int) -> Intent | None:
         """The intent of a switch position; None if its name in the configuration is empty."""
@@ -109,7 +108,7 @@ class Rules:
     def bends(self, position: int) -> bool:
         """True if a switch position takes air."""
         intent = self.for_position(position)
-        return intent is not None and not self.only_lets_out(intent)
+        return intent is not None and not self.only_deflates(intent)
 
     def for_command(self, command: int, params: Sequence[float] | None) -> tuple[Intent | None, str]:
         """The intent of a mission item or command, or None and the reason."""

@@ -75,7 +75,6 @@ class Vehicle:
         return self.pilot.switch
 
     def configure(self) -> None:
-        """A parameter has changed."""
         self.pilot.configure(self.config)
 
     def handle(self, t: float, message: MavlinkMessage, vented: bool = True) -> list[VehicleOutput]:

@@ -49,7 +49,6 @@ class BendCurve:
 
     @property
     def max_kPa(self) -> float:
-        """The highest calibrated pressure."""
         return self._pressures_kPa[-1]
 
     def bent_kPa(self, pressure_kPa: float, before_kPa: float) -> float:

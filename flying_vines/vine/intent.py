@@ -1,4 +1,4 @@
-"""What the pilot or the mission requests, before safety judges it."""
+"""Intents: requests of the pilot or the mission, before safety judges them."""
 
 from __future__ import annotations
 

@@ -43,7 +43,6 @@ class Motion:
     """The bend at the end, as the pressure that makes it during inflation (`BendCurve.bent_kPa`)."""
 
     def setpoint_kPa(self, t: float) -> float:
-        """The setpoint at time `t`."""
         since_s = t - self.started_at
         if since_s <= 0.0:
             return self.start_kPa
@@ -56,7 +55,7 @@ class Motion:
         return t - self.started_at >= self.duration_s
 
     @property
-    def only_lets_out(self) -> bool:
+    def only_deflates(self) -> bool:
         return self.rise_kPa <= 0.0 and self.final_kPa <= 0.0
 
     @property

@@ -24,7 +24,7 @@ TEXT = """\
 # RC lost: 0 vent, 1 hold (profile: 0)
 VINE_RC_ACTION = 1.0
 
-# gauge kPa: no setpoint is above it (profile: 20.7)
+# maximum setpoint, gauge kPa (profile: 20.7)
 VINE_MAX_KPA = 18.1
 """
 

@@ -178,9 +178,9 @@ def test_a_motion_begins_at_its_start() -> None:
     up = plan([Step(to_kPa=10)], CURVE, 0.0, 10.0, MAX_KPA, started_at=100.0)
     assert [up.setpoint_kPa(t) for t in (99.0, 100.5, 101.0, 500.0)] == pytest.approx([0, 5, 10, 10])
     assert (up.is_over(100.99), up.is_over(101.0)) == (False, True)
-    assert (up.only_lets_out, up.stays_bent) == (False, True)
+    assert (up.only_deflates, up.stays_bent) == (False, True)
     down = plan([Step(to_kPa=0)], CURVE, 10.0, 10.0, MAX_KPA)
-    assert (down.only_lets_out, down.stays_bent) == (True, False)
+    assert (down.only_deflates, down.stays_bent) == (True, False)
 
 
 @pytest.mark.parametrize("cycles", [1, 3, 7, 100, 1000])

@@ -34,7 +34,8 @@ class PhysicsFinding:
 
 
 class _Check(Protocol):
-    def look(self, now: Features) -> str | None: ...
+    def look(self, now: Features) -> str | None:
+        """Take in one telemetry message. Returns the finding while it is present."""
 
 
 CHECKS: dict[str, Callable[[Expected], _Check]] = {

@@ -46,7 +46,6 @@ class Filling:
         self._bottle_kPa = bottle_kPa
 
     def look(self, now: Features) -> str | None:
-        """What is wrong, while it is."""
         if now.cv_median_kPa > self._flat_kPa:
             self._full = True
         elif now.outlet_shut_s < OUTLET_LAG_S:
@@ -86,7 +85,6 @@ class StuckVineSensor:
         self._same = 0
 
     def look(self, now: Features) -> str | None:
-        """What is wrong, while it is."""
         if now.telemetry.cv_kPa != self._reading_kPa or not now.regulating or now.venting_s > 0.0:
             self._reading_kPa = now.telemetry.cv_kPa
             self._filling_s = self._open_s = 0.0

@@ -47,7 +47,6 @@ class ReservoirLoss:
         self._finding: str | None = None
 
     def look(self, now: Features) -> str | None:
-        """The finding, while it is present."""
         self._outflow_SL += self._rig.max_outflow_SL(now)
         if self._reading_kPa is not None:
             difference_kPa = abs(now.telemetry.reservoir_kPa - self._reading_kPa)
@@ -96,7 +95,6 @@ class BottleSensor:
         self._first_kPa = self._smooth_kPa = bottle_kPa
 
     def look(self, now: Features) -> str | None:
-        """The finding, while it is present."""
         bottle_kPa = now.telemetry.reservoir_kPa
         if self._reading_kPa is None:
             self._begin(bottle_kPa)
@@ -131,7 +129,6 @@ class Hot:
         self._high_s = 0.0
 
     def look(self, now: Features) -> str | None:
-        """The finding, while it is present."""
         self._high_s = self._high_s + now.device_dt_s if now.telemetry.reservoir_kPa > self._max_kPa else 0.0
         if self._high_s < HIGH_S:
             return None

@@ -32,7 +32,6 @@ class VentingCheck:
         self._bottle_kPa = 0.0
 
     def look(self, now: Features) -> str | None:
-        """The finding, while it is present."""
         above_kPa = now.cv_median_kPa - self._rig.zero_kPa
         if now.venting_s == 0.0 or above_kPa < DOWN_KPA:
             self._above_kPa = None

@@ -42,7 +42,6 @@ class Zero:
         self._finding: str | None = None
 
     def look(self, now: Features) -> str | None:
-        """The finding, while it is present."""
         if now.resting_s < REFILLED_S:
             self._sum_kPa_s = self._block_s = 0.0
             self._finding = None
@@ -105,7 +104,6 @@ class Unsteady:
         self._seen_s = 0.0
 
     def look(self, now: Features) -> str | None:
-        """The finding, while it is present."""
         if max(now.resting_s, now.sealed_s) < SEALED_S or now.device_dt_s > NEIGHBOURS_S:
             self._before = None
             return self._sentence()

@@ -1,4 +1,4 @@
-"""The autopilots that we know. To add one: a subclass of `Autopilot` in its own module, and its row here."""
+"""The known autopilots. To add one: a subclass of `Autopilot` in its own module, and its row here."""
 
 from __future__ import annotations
 
@@ -22,5 +22,4 @@ _OF_NAME = {autopilot.kind: autopilot for autopilot in AUTOPILOTS.values()}
 
 
 def of_name(kind: str) -> Autopilot:
-    """The autopilot with this name."""
     return _OF_NAME.get(kind, OTHER)

@@ -76,7 +76,6 @@ class Component:
         return None
 
     def is_station(self, message: MavlinkMessage, vehicle: VehicleState) -> bool:
-        """True if a ground station sent it."""
         own = message.get_srcSystem() == vehicle.system_id
         return not own and self._stations.sent(message)
 
@@ -92,11 +91,9 @@ class Component:
         self._heartbeat.now()
 
     def say(self, t: float, severity: int, text: str) -> None:
-        """Send a status text."""
         self._texts.say(t, severity, text)
 
     def send(self, message: MavlinkMessage) -> None:
-        """Queue a message."""
         self._queue.put(message)
 
     def due(

@@ -101,7 +101,6 @@ class Parameters:
         self._next = 0
 
     def due(self, t: float) -> list[MavlinkMessage]:
-        """The next value of the list, if it is due."""
         if self._next is None or t - self._listed_at < LIST_SPACING_S:
             return []
         self._listed_at = t

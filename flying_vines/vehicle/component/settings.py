@@ -47,35 +47,40 @@ OFF_OR_ON = (False, True)
 
 SETTINGS = (
     ParameterRow("VINE_SW_CHAN", "switch", "channel", "RC channel of the switch"),
-    ParameterRow("VINE_SW_DEBOUNCE", "switch", "debounce_s", "s that a new position of the switch must last"),
+    ParameterRow("VINE_SW_DEBOUNCE", "switch", "debounce_s", "s for which a new switch position must last"),
     ParameterRow(
-        "VINE_SW_HYST_US", "switch", "hysteresis_us", "us past the border before the position changes"
+        "VINE_SW_HYST_US", "switch", "hysteresis_us", "us past a boundary until the position changes"
     ),
     ParameterRow("VINE_RC_LOSS_S", "losses", "rc_s", "s without RC_CHANNELS until RC is lost", "max"),
     ParameterRow("VINE_RC_ACTION", "losses", "on_rc_loss", "RC lost: 0 vent, 1 hold", choices=VENT_OR_HOLD),
     ParameterRow(
-        "VINE_AP_LOSS_S", "losses", "autopilot_s", "s without a message: the autopilot is lost", "max"
+        "VINE_AP_LOSS_S", "losses", "autopilot_s", "s without a message until the autopilot is lost", "max"
     ),
     ParameterRow(
-        "VINE_HOLD_MAX_S", "losses", "hold_at_most_s", "s that RC losses are held, then it vents", "max", 0.5
+        "VINE_HOLD_MAX_S", "losses", "hold_at_most_s", "s of hold after RC losses, then vent", "max", 0.5
     ),
-    ParameterRow("VINE_MAX_KPA", "limits", "max_kPa", "gauge kPa: no setpoint is above it", "max", 0.5),
-    ParameterRow("VINE_MAX_RATE", "limits", "max_rate_kPa_per_s", "kPa/s: no motion is faster", "max", 1.0),
+    ParameterRow("VINE_MAX_KPA", "limits", "max_kPa", "maximum setpoint, gauge kPa", "max", 0.5),
+    ParameterRow("VINE_MAX_RATE", "limits", "max_rate_kPa_per_s", "maximum rate, kPa/s", "max", 1.0),
     ParameterRow(
-        "VINE_MAX_BENT_S", "limits", "max_bent_s", "s since the last trigger, then it vents", "max", 1.0
-    ),
-    ParameterRow(
-        "VINE_MIN_ALT_M", "interlocks", "min_altitude_m", "m above home, to bend", "min", max=1000.0
+        "VINE_MAX_BENT_S", "limits", "max_bent_s", "maximum s bent after a trigger, then vent", "max", 1.0
     ),
     ParameterRow(
-        "VINE_RESERVE_KPA", "interlocks", "reserve_kPa", "gauge kPa kept in the bottle", "min", max=2000.0
+        "VINE_MIN_ALT_M", "interlocks", "min_altitude_m", "minimum m above home to bend", "min", max=1000.0
+    ),
+    ParameterRow(
+        "VINE_RESERVE_KPA",
+        "interlocks",
+        "reserve_kPa",
+        "minimum pressure in the bottle, gauge kPa",
+        "min",
+        max=2000.0,
     ),
     ParameterRow("VINE_RATE_HZ", "telemetry", "rate_Hz", "Hz of each named value", in_flight=True),
     ParameterRow(
         "VINE_FUEL_STATUS",
         "telemetry",
         "fuel_status",
-        "1: FUEL_STATUS, too",
+        "1: also send FUEL_STATUS",
         choices=OFF_OR_ON,
         in_flight=True,
     ),
@@ -83,7 +88,7 @@ SETTINGS = (
         "VINE_LOW_CYCLES",
         "telemetry",
         "low_reservoir_cycles",
-        "cycles left: warn below",
+        "warn below this number of cycles left",
         max=1000.0,
         in_flight=True,
     ),

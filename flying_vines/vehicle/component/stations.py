@@ -51,7 +51,6 @@ class Stations:
         self._heard_at[system_id] = t
 
     def sent(self, message: MavlinkMessage) -> bool:
-        """True if a ground station sent it."""
         sender = _sender(message)
         if sender in self._type_of:
             return sender[0] != 0 and self._type_of[sender] == mavlink.MAV_TYPE_GCS

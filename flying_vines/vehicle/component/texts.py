@@ -25,7 +25,7 @@ SPACING_S = 0.1
 MAX_WAITING = 30
 """Texts in the queue, which takes some seconds to send. The oldest are dropped first."""
 SAME_AGAIN_S = 5.0
-"""The same text is not sent again within this time: ground stations speak texts aloud."""
+"""The same text is not sent again within this time, because ground stations speak texts aloud."""
 
 _WRITTEN_OUT = str.maketrans(
     {
@@ -87,7 +87,6 @@ class Texts:
             del self._texts[1]  # some chunks of the first may have been sent
 
     def due(self, t: float) -> list[MavlinkMessage]:
-        """The next chunk, if it is due."""
         if not self._texts or t - self._sent_at < SPACING_S:
             return []
         self._sent_at = t

@@ -61,7 +61,7 @@ class Frame(NamedTuple):
 
 
 class Frames:
-    """Cuts a stream of bytes into frames, however it is chunked."""
+    """Splits a stream of bytes into frames. The result does not depend on its chunks."""
 
     def __init__(self) -> None:
         self.bad_frames = 0
@@ -146,6 +146,5 @@ def _frame_at(data: bytes, at: int) -> Frame | None:
 
 
 def _fits(frame: Frame) -> bool:
-    """True if the checksum is right for this message."""
     covered = frame.raw[1 : -_TAIL_SIZE if frame.flags else -_CHECKSUM_SIZE]
     return _checksum(covered + _CRC_EXTRA[frame.message_id]) == frame.checksum

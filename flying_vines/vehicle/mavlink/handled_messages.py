@@ -19,5 +19,5 @@ QUESTIONS = frozenset({
 COMMANDS = frozenset({"COMMAND_INT", "COMMAND_LONG"})
 ANSWERS = frozenset({"COMMAND_ACK"})
 OVERRIDES = frozenset({"RC_CHANNELS_OVERRIDE"})
-"""From ground stations."""
+"""Sent by ground stations."""
 ALL = STATE | RADIO | MISSION | QUESTIONS | ANSWERS | OVERRIDES

@@ -130,7 +130,6 @@ class Peers:
         return True
 
     def present(self, t: float) -> list[Source]:
-        """The present peers."""
         for peer, heard_at in list(self._heard_at.items()):
             if t - heard_at > PEER_FORGOTTEN_S:
                 del self._heard_at[peer]
@@ -223,8 +222,6 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
 
 
 class TcpLink(_NetworkLink, asyncio.Protocol):
-    """A TCP client."""
-
     def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
         super().__init__(address, on_bytes, on_state)
         self._transport: asyncio.Transport | None = None

@@ -1,4 +1,4 @@
-"""What the mission storages of all autopilots have in common. `autopilots` has the differences."""
+"""Common parts of all autopilots' mission storages. `autopilots` has the differences."""
 
 from __future__ import annotations
 

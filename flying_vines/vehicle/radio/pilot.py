@@ -90,7 +90,6 @@ class Pilot:
         self._lose()
 
     def restarted(self) -> None:
-        """The autopilot rebooted."""
         self.forget()
         self.parameters.forget()
 
@@ -139,7 +138,6 @@ class Pilot:
             self._override_ends_at = t + self._override_lasts_s
 
     def tick(self, t: float) -> list[PilotOutput]:
-        """Let time pass."""
         if self.radio.problem(t) is not None:
             self._lose()
         waiting = self._waiting
@@ -151,7 +149,6 @@ class Pilot:
         return [self._refused(t, waiting.move, "the autopilot does not confirm RC, move it again")]
 
     def requests(self, t: float, system_id: int, autopilot: Autopilot) -> list[MavlinkMessage]:
-        """The next request to the autopilot."""
         return self.parameters.requests(t, system_id, autopilot)
 
     @property
