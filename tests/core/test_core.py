@@ -256,7 +256,7 @@ def test_an_empty_bottle_vents_refuses_and_tells() -> None:
     flight = bent(conf=configured(checks=config.ChecksConfig(bottle_loss="warn")))
     flight.phlosar.mishaps.bottle = Hole(bore_mm=4.0)
     actions = run_for(flight, 4.0)
-    assert any("kPa/s more than commanded" in text for text in notices(actions))
+    assert any("kPa/s too much" in text for text in notices(actions))
     assert [d.what for d in decisions(actions)] == [{"loss": "reservoir"}]
     assert any("bottle low" in text and "cycles left" in text for text in notices(actions))
     assert_vented(flight)

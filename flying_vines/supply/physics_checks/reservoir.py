@@ -74,7 +74,7 @@ class ReservoirLoss:
             expected_kPa = GAMMA * self._rig.bottle_fall_kPa(outflow_SL - before_SL)
             lost_kPa = before_kPa - kPa - expected_kPa
             if lost_kPa > MARGIN_KPA + self._noise_kPa + SHARE_OF_EVP * open_kPa_per_s * seconds:
-                return f"bottle loses {lost_kPa / seconds:.0f} kPa/s more than commanded"
+                return f"bottle loses {lost_kPa / seconds:.0f} kPa/s too much"
         return None
 
 
