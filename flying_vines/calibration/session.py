@@ -98,7 +98,7 @@ async def calibrate(
             with suppress(SigningKeyError):
                 TimestampFile(known.kept.signing_timestamp).save(known.signing.memory)
         recorder.close()
-    return conductor.result(recorder.folder, recorder.told)
+    return conductor.result(recorder.folder, recorder.news)
 
 
 async def _pass(serving: asyncio.Task[None], tasks: set[asyncio.Task[None]]) -> None:

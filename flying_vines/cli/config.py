@@ -54,5 +54,5 @@ def _config_check(arguments: argparse.Namespace) -> int:
     )
     print(f"Vehicle link {config.vehicle.believed}.")
     if known:
-        print(f"{known.path}: good. {known.said[0].upper()}{known.said[1:]}.")
+        print(f"{known.path}: good. {known.summary[0].upper()}{known.summary[1:]}.")
     return 0

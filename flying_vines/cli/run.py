@@ -60,7 +60,7 @@ def _run(arguments: argparse.Namespace) -> int:
     console.print(f"{links}, log {log.folder}", soft_wrap=True)
     said = [f"Vehicle link {config.vehicle.believed}"]
     if known:
-        said.append(f"Rig {known.path}: {known.said}")
+        said.append(f"Rig {known.path}: {known.summary}")
     said += [f"Parameter {parameter} = {value:g}" for parameter, value in remembered.parameters.items()]
     if clock_problem:
         said.append(clock_problem)

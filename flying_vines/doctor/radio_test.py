@@ -20,9 +20,9 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.radio.radio_parameters import RadioParameters
 from flying_vines.vehicle.radio.rc import (
     CHANNELS,
-    HIGHEST_US,
     JUMP_US,
-    LOWEST_US,
+    MAX_US,
+    MIN_US,
     NO_RSSI,
     NO_SIGNAL,
     RC_BIT,
@@ -133,7 +133,7 @@ def failsafe_of(losses: tuple[TransmitterLoss, ...]) -> ReceiverFailsafe:
         return "unknown"
     read_us = [loss.lost_us for loss in seen]
     if max(read_us) - min(read_us) <= SAME_US:
-        return read_us[-1] if LOWEST_US <= read_us[-1] <= HIGHEST_US else "unknown"
+        return read_us[-1] if MIN_US <= read_us[-1] <= MAX_US else "unknown"
     return "hold" if all(loss.held for loss in seen) else "unknown"
 
 

@@ -84,8 +84,8 @@ async def serve(
     try:
         while not serving.done():
             snapshot = service.core.snapshot(service.now)
-            if log_reported != log.told:
-                log_reported = log.told
+            if log_reported != log.news:
+                log_reported = log.news
                 service.say(Severity.WARNING, log_reported)
             if screen:
                 try:

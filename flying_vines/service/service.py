@@ -15,7 +15,7 @@ from firmware_link.answer import Answer
 from firmware_link.framing import FRAME_END
 from flying_vines.config.address import parse_address
 from flying_vines.config.config import Config
-from flying_vines.core.contained import Contained
+from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import TICK_S, Core
 from flying_vines.core.events import (
     Action,
@@ -77,7 +77,7 @@ class Service:
         signing: Signing | None = None,
         kept: PersistentState | None = None,
     ) -> None:
-        self.core = Contained(
+        self.core = CrashSafeCore(
             Core(config, belief=belief, parameters=parameters, disarmed=disarmed),
             lambda error: self.failed("display", error),
         )

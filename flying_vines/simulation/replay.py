@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
-from flying_vines.core.contained import Contained
+from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Decision, ToVehicle, VehicleMessage
 from flying_vines.record.reader import FlightLog, LogEntry, LogError
@@ -112,7 +112,7 @@ def replay_flight(log: FlightLog, config: Config | None = None) -> Again:
     the log does not say how the core began.
     """
     again = Again()
-    core: Contained | None = None
+    core: CrashSafeCore | None = None
     ours: list[tuple[str, object]] = []
     theirs: list[tuple[str, object]] = []
     t = 0.0
@@ -156,7 +156,7 @@ def _since_the_service_began(log: FlightLog) -> list[FlightLog]:
     return logs
 
 
-def _core(log: FlightLog, start: Start, config: Config | None) -> Contained:
+def _core(log: FlightLog, start: Start, config: Config | None) -> CrashSafeCore:
     config = config or configuration.parse(start.profile, f"{log.path}: the profile in it", recorded=True)
     belief = None
     if start.rig:
@@ -166,7 +166,7 @@ def _core(log: FlightLog, start: Start, config: Config | None) -> Contained:
             path = Path(folder) / "rig.toml"
             path.write_text(start.rig, encoding="utf-8")
             belief = load_calibration(path, config.pneumatics).belief
-    return Contained(Core(config, belief=belief, parameters=start.parameters, disarmed=start.disarmed))
+    return CrashSafeCore(Core(config, belief=belief, parameters=start.parameters, disarmed=start.disarmed))
 
 
 def _ours(t: float, action: Action) -> list[tuple[str, object]]:

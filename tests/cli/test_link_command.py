@@ -145,7 +145,7 @@ async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settin
     ("arguments", "says"),
     [
         (("nonsense",), "is no link"),
-        (("usb:nonsense",), "is no board"),
+        (("usb:nonsense",), "is not a USB board"),
         (("serial:/nowhere", "--seconds", "0"), "--seconds"),
         (("serial:/nowhere", "--set", "x"), "NAME=VALUE"),
         (("serial:/nowhere", "--set", "x=y"), "NAME=VALUE"),

@@ -242,7 +242,7 @@ def parameters(name: str) -> list[str]:
         least, most = bounds(setting, profile)
         allowed = f"{least:g} … {most:g}"
         if setting.guard != "none":
-            allowed = f"at {setting.guard} the profile's ({allowed})"
+            allowed = f"at {'most' if setting.guard == 'max' else 'least'} the profile's ({allowed})"
         key = f"`{setting.table}.{setting.key}`"
         rows.append(_row(f"`{setting.name}`", key, f"{value_of(setting, profile):g}", allowed, setting.doc))
     return rows

@@ -192,7 +192,7 @@ def test_who_is_not_root_is_told_so(
 @pytest.mark.parametrize(
     ("more", "wrong"),
     [
-        (("--port-id", "16c0:0483"), "'16c0:0483' is no board"),
+        (("--port-id", "16c0:0483"), "'16c0:0483' is not a USB board"),
         (("--port-id", 'usb:16c0:0483:1",RUN="x'), "udev cannot match such a serial number"),
         (("--user", "pi\nExecStartPre=/bin/sh"), "is not a valid user name"),
         (("--config", "none.toml"), "none.toml: no such file"),

@@ -12,7 +12,7 @@ from recorded_flight import BEGAN, CONFIG, HIGH, LOW, fly, new_flight, one_bend
 
 from flying_vines.cli.main import main
 from flying_vines.config import config
-from flying_vines.core.contained import Contained
+from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import Core
 from flying_vines.core.events import Asked, Decision, InternalError
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
@@ -102,7 +102,7 @@ def test_a_shutdown_is_in_the_log_and_comes_out_the_same(
 
     monkeypatch.setattr(ReservoirEstimate, "update", failing)
     flight, recorder = new_flight(), Recorder(tmp_path, BEGAN, t=0.0)
-    flight.world.core = Contained(flight.core)  # type: ignore[assignment]
+    flight.world.core = CrashSafeCore(flight.core)  # type: ignore[assignment]
     fly(flight, recorder, ((3.0, LOW), (5.0, HIGH)))
     recorder.close()
     log = FlightLog(recorder.folder)

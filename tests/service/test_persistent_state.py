@@ -196,7 +196,7 @@ async def test_a_kept_timestamp_of_2040_is_set_right_and_told(tmp_path: Path) ->
     (tmp_path / "vine.signing-timestamp").write_text("078890880000000 191\n255 001 001 078890880000000\n")
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
         await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
-        await until(lambda: any("set right" in text for text in served.texts), "it is said")
+        await until(lambda: any("ahead: corrected" in text for text in served.texts), "it is said")
     memory, _ = TimestampFile(served.kept.signing_timestamp).load()
     assert memory.link_id == 192
     assert memory.timestamp < (time.time() + 120 - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S

@@ -187,7 +187,7 @@ def test_items_whose_numbers_are_unknown_are_seen_and_refused() -> None:
     found = decisions(replayed("mission_do_items"), "mission_item")
     assert [d.what["seq"] for d in found] == [2, 6, 7, 37, 40, 42, 44]
     assert {d.safety for d in found} == {"refused"}
-    assert {d.reason for d in found} == {"numbers not confirmed"}
+    assert {d.reason for d in found} == {"params not confirmed"}
 
 
 @pytest.mark.long

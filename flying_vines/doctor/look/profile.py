@@ -53,7 +53,7 @@ def read(path: Path) -> ServiceProfile:
     if rig is not None:
         try:
             known = load_calibration(rig, config.pneumatics)
-            belief, rig_said = known.belief, known.said
+            belief, rig_said = known.belief, known.summary
         except RigError as error:
             rig_problem = str(error)
         except OSError as error:

@@ -9,7 +9,7 @@ from msgspec import Meta
 
 from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.motion import Motion, plan
-from flying_vines.vine.profile import MOST_PIECES, HoldFor, Ramp, Step
+from flying_vines.vine.profile import MAX_PIECES, HoldFor, Ramp, Step
 from flying_vines.vine.profile import Sine as Swing
 
 LONGEST_S = 3600.0
@@ -234,8 +234,8 @@ class ProfileRun(Common, tag="profile", frozen=True, kw_only=True):
         return plan(self.segments * self.repeat, _NO_CURVE, 0.0, self.rate_kPa_per_s, MOST_KPA)
 
     def check(self) -> None:
-        if len(self.segments) * self.repeat > MOST_PIECES:
-            raise ValueError(f"repeat: unrolls the profile to more than {MOST_PIECES} segments")
+        if len(self.segments) * self.repeat > MAX_PIECES:
+            raise ValueError(f"repeat: unrolls the profile to more than {MAX_PIECES} segments")
         for index, segment in enumerate(self.segments):
             for key in ("to", "from"):
                 if getattr(segment, f"{key}_deg", None) is not None:
