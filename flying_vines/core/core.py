@@ -39,8 +39,9 @@ from flying_vines.core.events import (
 from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.parts import IsolatedParts
 from flying_vines.core.restarts import Restarts
-from flying_vines.core.safety import INTERNAL_ERROR, LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
+from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
 from flying_vines.supply import Belief, CyclesLeft, Features, ReservoirEstimate, TelemetryReader, nominal
+from flying_vines.supply.estimate import AirNeeded
 from flying_vines.supply.physics_checks import PhysicsChecks
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.parameters import Changed
@@ -74,8 +75,11 @@ TICK_S = 0.02
 SPEAK_FIRST_S = 1.5
 """We listen for an autopilot this long before we send anything."""
 
-CYCLES_EVERY_S = 0.5
-"""The cycles left are predicted at this interval."""
+CYCLES_EVERY_S = 2.0
+"""The cycles left are predicted at this interval. A prediction takes milliseconds of the loop."""
+
+AIR_UNKNOWN = AirNeeded(math.inf, math.inf)
+"""No reservoir has so much: nothing bends after the estimate has failed."""
 
 BENCH_S = 300.0
 """Bench mode ends this long after the last request of a person."""
@@ -381,11 +385,9 @@ class Core:
         motion = self._plan(t, intent)
         rise_kPa, rate_kPa_per_s = motion.rise_kPa, motion.rate_kPa_per_s
         air = self._parts.run(
-            *(t, "bottle estimate", lambda: self._reservoir.air_needed(rise_kPa, rate_kPa_per_s), None),
-            needed=True,
+            *(t, "bottle estimate", lambda: self._reservoir.air_needed(rise_kPa, rate_kPa_per_s)),
+            *(AIR_UNKNOWN, True),
         )
-        if air is None:
-            return self._record(t, trigger, Ruling("refused", INTERNAL_ERROR))
         if trigger.by_person and motion.only_deflates:
             self._clear_faults(t, trigger.seen_at)
         ruling = self._safety.judge(motion, air, now)
