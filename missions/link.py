@@ -32,7 +32,7 @@ _KEPT: list[Any] = []
 """What mavsdk calls back. It lets go of it when it is destroyed, and a call that runs then would have its
 code freed under it (4.1.0): the process crashes."""
 
-_EXTRA = "pip install 'flying-vines[missions]' brings it"
+_EXTRA = "pip install 'flying-vines[missions]'"
 _RESULTS = {
     1: "the vehicle says: error",
     2: "the vehicle does not take its frame",
@@ -142,7 +142,7 @@ def _mavsdk() -> Any:
         import mavsdk.asyncio
         from mavsdk.logging import log_subscribe
     except ModuleNotFoundError:
-        raise VehicleLinkError(f"mavsdk is missing; {_EXTRA}, on 64-bit systems") from None
+        raise VehicleLinkError(f"mavsdk is missing: {_EXTRA}, on 64-bit systems") from None
     except Exception as error:  # it loads its library on import, and its base class comes with it
         raise VehicleLinkError(f"mavsdk does not run on this machine: {str(error).splitlines()[0]}") from None
 

@@ -52,7 +52,7 @@ def _config_check(arguments: argparse.Namespace) -> int:
         f"{arguments.file}: good. Switch on channel {config.switch.channel}, {len(config.profiles)} "
         f"profiles, {len(config.items)} item rules, up to {config.limits.max_kPa:g} kPa."
     )
-    print(f"Vehicle link {config.vehicle.believed}.")
+    print(f"Vehicle link {config.vehicle.who_can_command}.")
     if known:
         print(f"{known.path}: good. {known.said[0].upper()}{known.said[1:]}.")
     return 0

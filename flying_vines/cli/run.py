@@ -58,7 +58,7 @@ def _run(arguments: argparse.Namespace) -> int:
     console = output.console()
     links = f"Vehicle {config.vehicle.link}, phloSAR {config.firmware.link}"
     console.print(f"{links}, log {log.folder}", soft_wrap=True)
-    said = [f"Vehicle link {config.vehicle.believed}"]
+    said = [f"Vehicle link {config.vehicle.who_can_command}"]
     if known:
         said.append(f"Rig {known.path}: {known.said}")
     said += [f"Parameter {parameter} = {value:g}" for parameter, value in remembered.parameters.items()]

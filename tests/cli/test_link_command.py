@@ -144,7 +144,7 @@ async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settin
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("nonsense",), "is no link"),
+        (("nonsense",), "is not a link"),
         (("usb:nonsense",), "is no board"),
         (("serial:/nowhere", "--seconds", "0"), "--seconds"),
         (("serial:/nowhere", "--set", "x"), "NAME=VALUE"),

@@ -36,7 +36,7 @@ def test_without_mavsdk_it_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "mavsdk", None)
     error = said(capsys, *arguments, "--link", NOBODY)
-    assert error == "mavsdk is missing; pip install 'flying-vines[missions]' brings it, on 64-bit systems"
+    assert error == "mavsdk is missing: pip install 'flying-vines[missions]', on 64-bit systems"
 
 
 def test_where_its_library_does_not_load_the_first_line_says_so(
@@ -54,7 +54,9 @@ def test_where_its_library_does_not_load_the_first_line_says_so(
 
 @ACTIONS
 def test_a_link_that_is_none(arguments: tuple[object, ...], capsys: pytest.CaptureFixture[str]) -> None:
-    assert said(capsys, *arguments, "--link", "telepathy").startswith("'telepathy' is no link: give serial:")
+    assert said(capsys, *arguments, "--link", "telepathy").startswith(
+        "'telepathy' is not a link: give serial:"
+    )
 
 
 @pytest.mark.parametrize(

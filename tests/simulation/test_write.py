@@ -172,6 +172,4 @@ def test_without_the_extra_it_is_one_line(missing: str, tmp_path: Path) -> None:
     )
     assert done.returncode == 2
     assert done.stdout == ""
-    assert (
-        done.stderr == f"flying-vines: {missing} is missing; pip install 'flying-vines[analysis]' brings it\n"
-    )
+    assert done.stderr == f"flying-vines: {missing} is missing: pip install 'flying-vines[analysis]'\n"

@@ -100,4 +100,4 @@ def _believed(config: Config) -> DoctorFinding:
     address = parse_address(config.vehicle.link)
     unsigned = not config.vehicle.signing_key
     afar = isinstance(address, NetworkAddress) and not address.on_loopback and unsigned
-    return (BELIEVED_FROM_AFAR if afar else BELIEVED)(who=config.vehicle.believed)
+    return (BELIEVED_FROM_AFAR if afar else BELIEVED)(who=config.vehicle.who_can_command)
