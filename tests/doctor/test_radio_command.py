@@ -104,7 +104,7 @@ def test_a_profile_that_has_it_already_is_left_alone(
     profile.write_text(profile.read_text().replace('receiver_failsafe = "unknown"', LINE))
     before = profile.read_text()
     _, out, _ = run(capsys, "doctor", "--radio", "--config", profile, "--yes")
-    assert f"{profile} has it already" in out
+    assert f"{profile} already has this line" in out
     assert profile.read_text() == before
 
 

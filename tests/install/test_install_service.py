@@ -139,12 +139,12 @@ def test_removing_leaves_nothing_but_flights(capsys: pytest.CaptureFixture[str],
     said = installed(capsys, tmp_path, "--remove")
     assert there(tmp_path) == {Path("/var/lib/flying-vines/flights/log")}
     assert "/var/lib/flying-vines stays" in said
-    assert "So does the user flying-vines" in said
-    assert "nothing to take away" not in said
+    assert "Their owner flying-vines also stays" in said
+    assert "nothing to remove" not in said
 
 
 def test_removing_what_is_not_there_is_no_fault(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert "nothing to take away" in installed(capsys, tmp_path, "--remove")
+    assert "nothing to remove" in installed(capsys, tmp_path, "--remove")
 
 
 def test_what_somebody_else_wrote_stays(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -175,7 +175,7 @@ def test_where_nobody_answers_nothing_is_written(tmp_path: Path) -> None:
     ran = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stderr) == (
         2,
-        "flying-vines: nobody answers; --yes does it without asking\n",
+        "flying-vines: no answer on standard input; --yes runs it without a question\n",
     )
     assert there(tmp_path) == set()
 
