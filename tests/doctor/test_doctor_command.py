@@ -49,7 +49,7 @@ def test_in_a_pipe_each_finding_is_a_line_and_each_remedy_another() -> None:
     assert lines[2].startswith("look clock:")
     assert lines[3] == "     → wait"
     assert lines[4].startswith("BAD  phloSAR port:")
-    assert lines[-1] == "Do not fly: 1 thing to mend, and 1 thing to look at."
+    assert lines[-1] == "Do not fly: 1 thing to correct, and 1 thing to check."
     assert len(lines) == 8
 
 
@@ -135,7 +135,7 @@ async def test_a_service_that_runs_already_is_named_with_what_it_holds(
     assert status == 1
     for port in ("phloSAR", "vehicle"):
         (held,) = [line for line in out.splitlines() if f" {port} port:" in line]
-        assert held.startswith("- ") and held.endswith("is the running service's")
+        assert held.startswith("- ") and held.endswith("is used by the running service")
     (runs,) = [line for line in out.splitlines() if line.startswith("BAD  service:")]
     assert f"flying-vines run (process {service.pid}) runs already, and holds" in runs
     assert "-    phloSAR:" in out

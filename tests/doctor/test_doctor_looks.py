@@ -151,7 +151,7 @@ def test_a_port_that_is_not_there_is_told_with_those_that_are(terminal: str) -> 
         "phloSAR", "serial:/dev/ttyACM7", SerialAddress("/dev/ttyACM7"), lambda: [board(terminal)]
     )
     assert facts.missing == (
-        f"/dev/ttyACM7 is not there; there is {terminal} (usb:16c0:0483, USB Serial, 1234560)"
+        f"/dev/ttyACM7 does not exist; found: {terminal} (usb:16c0:0483, USB Serial, 1234560)"
     )
     facts = ports.serial_port("phloSAR", "usb:16c0:0483", UsbBoard(0x16C0, 0x0483), list)
     assert "no serial port at all" in facts.missing

@@ -16,7 +16,7 @@ from flying_vines.doctor.radio_test import (
     BACK_WITHIN_S,
     QUIET_S,
     READY_WITHIN_S,
-    SHOWS_WITHIN_S,
+    SIGN_WITHIN_S,
     RadioTest,
     Sign,
     TransmitterLoss,
@@ -180,7 +180,7 @@ class Person:
         self.test.press(self.t)
         for name, value in (signs or {"status": (0, 1, 0)}).items():
             setattr(self, name, value)
-        self.wait(SHOWS_WITHIN_S, lambda: self.test.step != "lost")
+        self.wait(SIGN_WITHIN_S, lambda: self.test.step != "lost")
 
     def come_back(self, **signs: object) -> None:
         self.status, self.rc = (1, 1, 1), True
