@@ -23,8 +23,8 @@ from flying_vines.install.changes import (
     below,
     holds_anything,
     installing,
+    remove_empty,
     removing,
-    take_away_empty,
 )
 from flying_vines.install.program import FileReader, InstalledProgram, InstallError, check_reachable
 
@@ -37,7 +37,7 @@ INCOMPLETE = 1
 THIS_MACHINE = Path("/")
 SYSTEMD_RUNS = Path("/run/systemd/system")
 NEW_RULES = ("systemctl daemon-reload", "udevadm control --reload", "udevadm trigger --subsystem-match=tty")
-STYLES = {How.NEW: "green", How.CHANGED: "yellow", How.TAKEN_AWAY: "red", How.AS_IT_IS: "dim"}
+STYLES = {How.NEW: "green", How.CHANGED: "yellow", How.REMOVED: "red", How.UNCHANGED: "dim"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +152,7 @@ def _named(config: Config, folder: Path) -> list[Path]:
 
 def _removal(root: Path) -> InstallPlan:
     changes = removing(root)
-    taken = {change.path for change in changes if change.how is How.TAKEN_AWAY}
+    taken = {change.path for change in changes if change.how is How.REMOVED}
     own_user = below(root, files.USERS) in taken
     state_stays = holds_anything(below(root, files.STATE))
     remarks = []
@@ -191,7 +191,7 @@ def _carry_out(plan: InstallPlan, root: Path, agreed: bool) -> int:
     commands = [*plan.before, *plan.after]
     for change in plan.changes:
         _show(change, console)
-    if not commands and all(change.how is How.AS_IT_IS for change in plan.changes):
+    if not commands and all(change.how is How.UNCHANGED for change in plan.changes):
         _tell(plan.remarks or ["There is nothing to remove."], console)
         return 0
     here = root == THIS_MACHINE and SYSTEMD_RUNS.is_dir()
@@ -204,14 +204,14 @@ def _carry_out(plan: InstallPlan, root: Path, agreed: bool) -> int:
     for change in plan.changes:
         change.make()
     for folder in (files.PROFILE.parent, files.STATE):
-        take_away_empty(below(root, folder))
+        remove_empty(below(root, folder))
     good &= _ran(plan.after, console) if here else True
     _tell(plan.remarks, console)
     return 0 if good else INCOMPLETE
 
 
 def _show(change: FileChange, console: Console) -> None:
-    why = f", for {change.why}" if change.why else ""
+    why = f" ({change.why})" if change.why else ""
     console.print(
         f"\n{change.path}: {change.how.value}{why}", style=f"bold {STYLES[change.how]}", markup=False
     )

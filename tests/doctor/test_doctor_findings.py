@@ -218,7 +218,7 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (network.BROKER, of_broker(took_s=0.02)),
     (network.NO_PACKAGE, of_broker(problem="aiomqtt is missing", missing_package=True)),
     (network.AWAY, of_broker(problem="nothing answers there")),
-    (network.REFUSES, of_broker(problem="it does not know this user and password", needs_person=True)),
+    (network.REFUSES, of_broker(problem="it does not accept this user and password", needs_person=True)),
     (PORTS["good"], of_port()),
     (PORTS["network"], [port.check_network("phloSAR", "tcp:board:3000", False, None)]),
     (PORTS["free"], [port.check_network("phloSAR", "udpin:127.0.0.1:3000", True, None)]),

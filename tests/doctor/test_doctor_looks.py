@@ -257,15 +257,15 @@ def test_a_broker_that_is_not_there_is_told_by_what_failed() -> None:
         closed = probe.getsockname()[1]
     assert of_broker("").broker == ""
     assert of_broker(f"mqtt://127.0.0.1:{closed}").problem == "nothing answers there"
-    assert "no such name" in of_broker("mqtt://broker.invalid").problem
+    assert "unknown host name" in of_broker("mqtt://broker.invalid").problem
 
 
 @pytest.mark.parametrize(
     ("answer", "says", "needs_person"),
     [
         (bytes([0x20, 3, 0, 0, 0]), "", False),
-        (bytes([0x20, 3, 0, 0x86, 0]), "it does not know this user and password", True),
-        (bytes([0x20, 3, 0, 0x87, 0]), "it does not let us in", True),
+        (bytes([0x20, 3, 0, 0x86, 0]), "it does not accept this user and password", True),
+        (bytes([0x20, 3, 0, 0x87, 0]), "it refuses the login", True),
     ],
 )
 def test_a_broker_is_asked_to_let_us_in(answer: bytes, says: str, needs_person: bool) -> None:

@@ -159,7 +159,7 @@ def test_only_the_one_line_changes_and_its_comment_stays() -> None:
     ((_, line),) = changed
     assert line.startswith("receiver_failsafe = 1999 ")
     assert 'was "unknown", measured 2026-11-22' in line
-    assert "what doctor --radio saw" in line
+    assert "result of `doctor --radio`" in line
     again = with_learned(edited, "vine.toml", "hold", "2026-11-23")
     assert "2026-11-22" not in again
     assert "was 1999, measured 2026-11-23" in again

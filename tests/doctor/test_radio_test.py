@@ -120,7 +120,7 @@ def test_ardupilot_that_hides_losses() -> None:
     assert (loss.signs, loss.seen) == ((), False)
     assert receiver.to_write(unseen, CONFIG) == "hidden"
     (finding,) = [f for f in receiver.check(unseen, CONFIG) if f.verdict == "bad"]
-    assert "nothing told" in finding.what
+    assert "no sign of RC loss" in finding.what
     assert "FS_THR_ENABLE = 1" in finding.do
     # The same with the parameter in the stream, at 41.59: nobody needs to switch anything off.
     test = run_on("ardupilot_hidden_rc_loss", 41, 44)

@@ -82,7 +82,7 @@ class Service:
 @pytest.fixture(autouse=True)
 def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(keep_alive, "FIRST_WAIT_S", 0.1)
-    monkeypatch.setattr(gateway, "LOOK_S", 0.1)
+    monkeypatch.setattr(gateway, "POLL_S", 0.1)
     # Scripts that play a gateway say only what the test is about.
     monkeypatch.setattr(gateway, "HANGS_S", 60.0)
 
@@ -278,7 +278,7 @@ async def test_whoever_asks_too_often_may_still_vent(played: Callable[[str], Non
         "while 100 not in answers:\n"
         "    told = hear()\n"
         "    if hasattr(told, 'safety'): answers[told.number] = told.safety + told.reason\n"
-        "say(Trouble(f\"{list(answers.values()).count('refusedasked too often')} {answers[100]}\"))\n"
+        "say(Trouble(f\"{list(answers.values()).count('refusedtoo many requests')} {answers[100]}\"))\n"
         "time.sleep(3600)\n"
     )
     async with Service().living() as service:
