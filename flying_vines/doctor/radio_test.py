@@ -474,7 +474,7 @@ class RadioTest:
             self._sign(t, "RC status", f"RC status (present, enabled, health) {was} → {now}")
 
     def _silent(self, t: float) -> bool:
-        return self._channels_at is not None and t - self._heard_at > self._silent_after_s
+        return self._channels_at is not None and t - self._channels_at > self._silent_after_s
 
     def _throttle_low(self) -> bool:
         number = self._switch.throttle_channel
