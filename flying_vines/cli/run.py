@@ -34,7 +34,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from flying_vines.record.recorder import FlightStart, Recorder
     from flying_vines.service.persistent_state import PersistentState
     from flying_vines.service.runner import Remembered, serve
-    from flying_vines.terminal.screen import PatientOutput
+    from flying_vines.terminal.screen import NonBlockingOutput
     from flying_vines.vehicle.component.parameter_file import ParameterFileError
     from flying_vines.vehicle.mavlink.signing_key import SigningKeyError
 
@@ -54,7 +54,7 @@ def _run(arguments: argparse.Namespace) -> int:
         log = Recorder(arguments.out, began, config.log.least_free_MB)
     except OSError as error:
         fail(f"{arguments.out}: no flight log can be written there: {error.strerror}")
-    output = PatientOutput()
+    output = NonBlockingOutput()
     console = output.console()
     links = f"Vehicle {config.vehicle.link}, phloSAR {config.firmware.link}"
     console.print(f"{links}, log {log.folder}", soft_wrap=True)
