@@ -126,7 +126,7 @@ def test_it_is_built_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> No
 def test_a_cache_that_cannot_be_written_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "flying-vines").write_text("in the way")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    with pytest.raises(FirmwareBuildError, match="cannot be kept in"):
+    with pytest.raises(FirmwareBuildError, match="cannot be stored in"):
         core_library.build()
 
 
