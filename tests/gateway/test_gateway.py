@@ -156,7 +156,7 @@ async def test_a_stopped_gateway_is_replaced(
 ) -> None:
     monkeypatch.setattr(gateway, "HANGS_S", 2.0)
     async with Service(broker=broker.url, name="heron").living() as service:
-        await until(lambda: service.gateway._spoke, "it has started")
+        await until(lambda: service.gateway._alive, "it has started")
         await people.until(f"{BASE}/status", status="online")
         os.kill(gateway_of(os.getpid()), signal.SIGSTOP)
         await people.until(f"{BASE}/status", status="offline")
@@ -170,7 +170,7 @@ async def test_a_gateway_is_not_to_blame_where_the_service_stood_still(
     monkeypatch.setattr(gateway, "HANGS_S", 0.5)
     played("hear()\nwhile True:\n    say(Alive())\n    time.sleep(0.05)\n")
     async with Service().living() as service:
-        await until(lambda: service.gateway._spoke, "it has started")
+        await until(lambda: service.gateway._alive, "it has started")
         pid = gateway_of(os.getpid())
         for _ in range(2):
             time.sleep(0.7)  # noqa: ASYNC251

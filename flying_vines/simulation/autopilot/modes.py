@@ -47,15 +47,14 @@ _PX4_ALIASES = {"AUTO": "MISSION", "GUIDED": "HOLD", "LOITER": "HOLD"}
 
 
 def modes_of(kind: AutopilotKind) -> dict[str, FlightMode]:
-    """All modes that the autopilot has here, by name."""
+    """The simulated modes of the autopilot, by name."""
     return dict(_ARDUPILOT if kind == "ardupilot" else _PX4)
 
 
 def mode_named(kind: AutopilotKind, name: str) -> FlightMode:
-    """The mode of that name.
+    """The mode of this name. Raises `ValueError` if there is none.
 
-    On PX4 AUTO, GUIDED and LOITER mean MISSION, HOLD and HOLD, so that one script can fly both.
-    ValueError if there is none.
+    On PX4, AUTO means MISSION, and GUIDED and LOITER mean HOLD, so that one script can fly both.
     """
     modes = modes_of(kind)
     key = name.upper()
