@@ -306,7 +306,7 @@ class TestReachable:
             check_reachable((Path(place),), FileReader("flying-vines"))
 
     def test_a_closed_home_is_open_to_its_owner(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(program, "GONE_AFTER_A_START", ())
+        monkeypatch.setattr(program, "VOLATILE_FOLDERS", ())
         with TemporaryDirectory(dir="/var/tmp") as folder:
             home = Path(folder)
             command = home / "flying-vines"

@@ -280,7 +280,7 @@ async def test_tls_with_the_right_certificate_and_with_every_wrong_one(tmp_path:
 
 
 async def test_what_is_no_broker(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(connection, "TIMEOUT_S", 0.3)
     greetings = (b"", b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\x00" * 1000, b"\x20\x03\x00\x00", b"\xff" * 99)
     greeted: list[bytes] = []
 
@@ -302,7 +302,7 @@ async def test_what_is_no_broker(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 async def test_a_broker_that_knows_no_mqtt_5(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "PATIENCE_S", 2.0)
+    monkeypatch.setattr(connection, "TIMEOUT_S", 2.0)
     pytest.importorskip("amqtt", reason="needs amqtt: pip install 'flying-vines[dev]'")
     async with running(Broker(tmp_path, kind="amqtt")) as broker, onlooker(broker) as people:
         async with flying(broker=broker.url, name="heron", commands=("vent",)) as vehicle:
