@@ -37,7 +37,7 @@ def add(commands: Any) -> None:
     build = actions.add_parser("build", help="make a .plan and a .waypoints for one autopilot from a text")
     build.add_argument("mission", type=Path, metavar="MISSION.toml", help="the mission as text")
     build.add_argument(
-        "--out", type=Path, metavar="PATH", help="a folder, or one file (default: beside the mission)"
+        "--out", type=Path, metavar="PATH", help="a folder, or one file (default: the mission's folder)"
     )
     _common(build)
     build.set_defaults(run=_build)

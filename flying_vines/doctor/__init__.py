@@ -1,4 +1,4 @@
-"""`flying-vines doctor`: checks whether you may fly, and tells what is wrong and how to correct it.
+"""`flying-vines doctor`: checks whether you may fly, and shows what is wrong and how to correct it.
 
 `look/` and the two probes gather facts about this computer, the vehicle and the phloSAR. `checks/` are
 pure and turn facts into findings. `examine` runs all in order; `show` prints. The doctor moves nothing: it

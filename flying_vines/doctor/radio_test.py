@@ -150,7 +150,7 @@ class RadioLearned:
     hidden_by: str = ""
     """The parameter that lets the autopilot hide a loss."""
     shows_within_s: float = 0.0
-    """On PX4: after a move that may be the receiver's preset, we waits this long for the RC status."""
+    """On PX4: after a move that may be the receiver's preset, a bend waits this long for the RC status."""
 
 
 @dataclass(slots=True)

@@ -1,1 +1,1 @@
-"""The status page and the MQTT client, in a process of their own."""
+"""The status page and the MQTT client, in a separate process."""

@@ -127,7 +127,7 @@ class AutopilotServer:
 
 
 class _UdpPeer(asyncio.DatagramProtocol):
-    """One UDP peer. Frames are sent also if nobody listens."""
+    """One UDP peer. Frames are sent even if nobody listens."""
 
     def __init__(self, server: AutopilotServer, link: str) -> None:
         self._server = server

@@ -175,7 +175,7 @@ def _lost(loss: str, within_s: float) -> Expectation:
 
 
 def _told(text: str, within_s: float) -> Expectation:
-    return Expectation(f"pilot told: “{text}”", within_s, lambda w, since: w.noticed(since, text))
+    return Expectation(f"pilot reads: “{text}”", within_s, lambda w, since: w.noticed(since, text))
 
 
 def _open_leak(w: World) -> None:

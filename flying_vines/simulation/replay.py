@@ -151,7 +151,7 @@ def _since_the_service_began(log: FlightLog) -> list[FlightLog]:
     while before := start_of(logs[0]).continues:
         earlier = FlightLog(logs[0].folder.parent / before)
         if not earlier.path.exists():
-            raise LogError(f"{log.path}: continues {before}, which is not beside it")
+            raise LogError(f"{log.path}: continues {before}, which is not in the same folder")
         logs.insert(0, earlier)
     return logs
 

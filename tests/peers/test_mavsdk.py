@@ -202,11 +202,11 @@ async def test_what_storage_changes_is_told(tmp_path: Path) -> None:
     async with bare(FakeAutopilot("ardupilot")) as link:
         console = paper()
         assert await upload(path, link, console) == 0
-    assert "item 3 (script message (1.9, 40)): param1 1.9 is kept as 1." in written(console)
+    assert "item 3 (script message (1.9, 40)): param1 1.9 is stored as 1." in written(console)
 
 
 async def test_nobody_there_is_said_in_one_line() -> None:
-    with pytest.raises(VehicleLinkError, match=r"^udpin:127\.0\.0\.1:\d+: no vehicle heard within 0\.5 s$"):
+    with pytest.raises(VehicleLinkError, match=r"^udpin:127\.0\.0\.1:\d+: no vehicle found within 0\.5 s$"):
         async with vehicle(f"udpin:127.0.0.1:{free_port()}", within_s=0.5):
             pass
 

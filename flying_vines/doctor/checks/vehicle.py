@@ -219,7 +219,7 @@ def _stream(stream: StreamFacts, autopilot: Autopilot, config: Config) -> Doctor
 
 
 def min_rate_Hz(name: str, config: Config) -> float:
-    """Below this rate the service would detect losses that are none."""
+    """Below this rate the service would report a loss although messages arrive."""
     if name == "RC_CHANNELS":
         return SAMPLES_WITHIN_LOSS / config.losses.rc_s
     return 1.0 / ALTITUDE_FRESH_S
