@@ -137,6 +137,6 @@ async def test_a_service_that_runs_already_is_named_with_what_it_holds(
         (held,) = [line for line in out.splitlines() if f" {port} port:" in line]
         assert held.startswith("- ") and held.endswith("is used by the running service")
     (runs,) = [line for line in out.splitlines() if line.startswith("BAD  service:")]
-    assert f"flying-vines run (process {service.pid}) runs already, and holds" in runs
+    assert f"flying-vines run (process {service.pid}) already runs and uses" in runs
     assert "-    phloSAR:" in out
     assert still_runs

@@ -140,7 +140,7 @@ def test_of_a_healthy_pair_one_may_fly(seen: dict[str, Examined], world: str) ->
 @pytest.mark.parametrize(
     ("world", "check", "says"),
     [
-        ("no SYS_STATUS", "SYS_STATUS", "does not come"),
+        ("no SYS_STATUS", "SYS_STATUS", "does not arrive"),
         ("no vehicle", "vehicle link", "tcp:127.0.0.1:9: Connection refused"),
         ("RC is lost", "RC switch", "channel 9 is not valid"),
         ("switch not moved", "RC switch", "stayed in position 1 although you were asked"),
@@ -184,7 +184,7 @@ def test_the_healthy_pair_is_told_by_what_it_is(seen: dict[str, Examined]) -> No
 
 
 def test_a_switch_that_is_moved_is_seen_in_all_positions(seen: dict[str, Examined]) -> None:
-    assert "all 3 positions were seen" in seen["switch moved"].of("RC switch").what
+    assert "seen in all 3 positions" in seen["switch moved"].of("RC switch").what
     assert "position 1, “straight”" in seen["healthy"].of("RC switch").what
 
 
