@@ -99,10 +99,7 @@ class Mission(_Table, frozen=True):
 
 
 def load(path: Path) -> tuple[Mission, str]:
-    """The mission in a file, and its text, from which later errors get their line number.
-
-    Raises `MissionError` if the file cannot be read or is invalid.
-    """
+    """The mission in a file, and its text, for line numbers in errors. Raises `MissionError`."""
     text = read_text(path, MissionError)
     return parse(text, str(path)), text
 

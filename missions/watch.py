@@ -166,10 +166,7 @@ class MissionView:
 
 
 async def watch(link: str, console: Console, live: bool) -> int:
-    """Follow the mission to its end, as a live screen or as one line per event.
-
-    Raises `VehicleLinkError` if there is no vehicle, or if it stops sending.
-    """
+    """Follow the mission to its end, on a live screen or in lines. Raises `VehicleLinkError`."""
     async with vehicle(link) as peer:
         queue = peer.listen(*_NAMES)
         items = await peer.download()

@@ -40,10 +40,7 @@ def needs_analysis() -> Iterator[None]:
 
 @contextmanager
 def file_errors(where: Path | None, *kinds: type[Exception]) -> Iterator[None]:
-    """Turn file errors and errors of `kinds` in the block into one line.
-
-    `where` is the file that the line names if the error names none.
-    """
+    """Turn file errors and errors of `kinds` into one line. `where`: the file, if the error names none."""
     try:
         yield
     except kinds as error:

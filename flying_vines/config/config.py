@@ -290,10 +290,7 @@ def load_or_default(path: Path | None) -> Config:
 
 
 def load(path: Path) -> Config:
-    """Read and check a profile.
-
-    Raises `ConfigError` with one line that names the file, the key and the line.
-    """
+    """Read and check a profile. Raises `ConfigError` with one line: file, key and line number."""
     return parse(text_of(path), str(path))
 
 

@@ -200,10 +200,7 @@ async def guided(
     console: Console,
     autopilot: FakeAutopilot | None = None,
 ) -> RadioLearned:
-    """Runs the whole test. `autopilot` is the simulated autopilot; None if a person has the transmitter.
-
-    Raises `NobodyThereError` if Enter is needed and standard input has ended.
-    """
+    """Runs the whole test. `autopilot`: the simulated one, or None. Raises `NobodyThereError`."""
     probe = RadioProbe(config)
     test = probe.test
     watch = VehicleWatch(address, config, signing, probe)

@@ -27,10 +27,7 @@ class PageTokenError(Exception):
 
 
 def read_or_make(path: Path) -> str:
-    """The token in a private file; a new one if there is no file.
-
-    Raises `PageTokenError`.
-    """
+    """The token in a private file; a new one if there is no file. Raises `PageTokenError`."""
     if path.exists():
         return read(path)
     try:

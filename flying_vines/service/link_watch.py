@@ -28,10 +28,7 @@ LinkEvent = SeenFrame | LinkNote
 
 
 class LinkWatch:
-    """Sends Hello to the board at `address`; `run` passes on the received messages.
-
-    Times are seconds since the watch began.
-    """
+    """Monitors the board at `address`. Times are seconds since the watch began."""
 
     def __init__(self, address: Address, settings: SettingsTalk | None = None) -> None:
         self.monitor = Monitor(settings)

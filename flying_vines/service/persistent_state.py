@@ -75,10 +75,7 @@ class PersistentState:
         return page_token.read_or_make(self.page_token) if config.page.needs_token else ""
 
     def read_signing(self, config: Config) -> tuple[Signing | None, str]:
-        """The signing of the profile, or None, and a sentence if its clock was not stored.
-
-        Raises `SigningKeyError` with one line.
-        """
+        """The profile's signing, and a sentence if its clock was not stored. Raises `SigningKeyError`."""
         if not config.vehicle.signing_key:
             return None, ""
         key = read_key(self.profile.parent / config.vehicle.signing_key)

@@ -123,10 +123,7 @@ class Service:
         self._feed(Said(self.now, severity, text))
 
     def failed(self, part: str, error: BaseException, needed: bool = False) -> None:
-        """Report the failure of a part, once, because it may fail at every tick.
-
-        needed: the part is needed to move the vine.
-        """
+        """Report a part's failure once: it may fail at every tick. `needed`: to move the vine."""
         if part not in self._failed:
             self._failed.add(part)
             self._feed(Failed.by(self.now, part, error, needed))

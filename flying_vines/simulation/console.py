@@ -78,10 +78,7 @@ def suffer(phlosar: SimulatedPhlosar, line: str) -> str:
 
 
 async def type_to(obeyed: Callable[[str], str]) -> None:
-    """Pass lines of standard input to `obeyed` until it ends.
-
-    Returns at once if nobody can type (a service).
-    """
+    """Pass typed lines to `obeyed` until the end. Returns at once if nobody can type (a service)."""
     kind = os.fstat(sys.stdin.fileno()).st_mode
     if not (sys.stdin.isatty() or stat.S_ISFIFO(kind) or stat.S_ISSOCK(kind)):
         return

@@ -287,10 +287,7 @@ class DemoFlight:
 async def fly(
     out: Path, console: Console, live: bool, rig: TrueRig | None = None, page: bool = False
 ) -> DemoFlight:
-    """Fly the script in real time.
-
-    Log and picture go to a new folder in `out`. `page`: serve the status page.
-    """
+    """Fly the script in real time; log and picture go to `out`. `page`: serve the status page."""
     ground = GroundStation()
     ground_port = await ground.listen()
     companion_port = _free_udp_port()

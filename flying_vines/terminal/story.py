@@ -43,10 +43,7 @@ class Story:
         self._latest_t = -math.inf
 
     def take(self, t: float, text: str) -> list[Decision | Notice]:
-        """Take in a message; returns the new events. `t` is now, on our clock.
-
-        Raises `StrangeMessageError`.
-        """
+        """Take in a message at `t`; returns the new events. Raises `StrangeMessageError`."""
         try:
             message = msgspec.json.decode(text)
             return self._take(t, message)

@@ -319,10 +319,7 @@ class FakeAutopilot:
         self.parameters.change(name, value)
 
     def set_current(self, seq: int) -> None:
-        """Continue at mission item `seq`; a DO item runs (again).
-
-        Raises `ValueError` if it does not exist.
-        """
+        """Continue at item `seq`; a DO item runs (again). Raises `ValueError` if it does not exist."""
         if not 0 <= seq < len(self.items):
             raise ValueError(f"the mission has no item {seq}, only 0 to {len(self.items) - 1}")
         self._runner.set_current(seq)
@@ -384,10 +381,7 @@ class FakeAutopilot:
         self._muted_until_s = self.agenda.now_s + seconds
 
     def stall(self, seconds: float, link: str = COMPANION, *, both_ways: bool = False) -> None:
-        """Delay all frames on a link for this time; then they arrive together, without loss.
-
-        With `both_ways` received bytes are delayed, too.
-        """
+        """Delay frames (`both_ways`: also received bytes) on a link; then all arrive together."""
         self._stalls.setdefault(link, _Stall(both_ways)).until_s = self.agenda.now_s + seconds
 
     # Host of the mission runner

@@ -14,10 +14,7 @@ from flying_vines.vehicle.mission.reference_vehicle import (
 
 
 class CopterMotion:
-    """Position and velocity. Commands set the target; `step` moves.
-
-    It moves only while airborne: from `take_off_to` until it touches the ground.
-    """
+    """Position and velocity. `step` moves it to its target while it is airborne."""
 
     def __init__(self, home: Home) -> None:
         self.home = home

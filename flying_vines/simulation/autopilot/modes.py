@@ -52,10 +52,7 @@ def modes_of(kind: AutopilotKind) -> dict[str, FlightMode]:
 
 
 def mode_named(kind: AutopilotKind, name: str) -> FlightMode:
-    """The mode of this name. Raises `ValueError` if there is none.
-
-    On PX4, AUTO means MISSION, and GUIDED and LOITER mean HOLD, so that one script can fly both.
-    """
+    """The mode of this name; PX4 accepts AUTO, GUIDED and LOITER, too. Raises `ValueError`."""
     modes = modes_of(kind)
     key = name.upper()
     if kind == "px4":

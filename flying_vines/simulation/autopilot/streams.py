@@ -35,10 +35,7 @@ _NORMAL_HZ = {
 
 
 class StreamSender:
-    """Sends telemetry on ports, once or at a rate.
-
-    A port that has received nothing yet gets only heartbeats and TIMESYNC.
-    """
+    """Sends telemetry. A port that has received nothing yet gets only heartbeats and TIMESYNC."""
 
     def __init__(
         self,

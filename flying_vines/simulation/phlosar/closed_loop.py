@@ -35,10 +35,7 @@ from flying_vines.simulation.phlosar.regulator import SAFE, Regulator, Tuning
 
 regulator_begin = external(load().phlosar_regulator_begin, "void(intp, f8)")
 regulator_step = external(load().phlosar_regulator_step, "void(intp, f8, f8, f8, f8, voidptr)")
-"""The regulator for compiled loops, by `Regulator.address`.
-
-A step writes evp, dvp, solenoid (0/1), setpoint.
-"""
+"""For compiled loops, by `Regulator.address`. A step writes evp, dvp, solenoid (0/1), setpoint."""
 
 
 class SetpointChange(NamedTuple):

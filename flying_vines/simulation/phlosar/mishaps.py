@@ -198,10 +198,7 @@ class Heated:
 
 @dataclass(frozen=True)
 class Unpowered:
-    """No power: no communication, and springs close all valves, the outlet too.
-
-    When power returns, it boots.
-    """
+    """No power: no communication; springs close all valves, the outlet too. It boots when power returns."""
 
 
 @dataclass(frozen=True)
@@ -238,10 +235,7 @@ Momentary = Filled | Heated | Reset | WatchdogReset
 
 @dataclass
 class Mishaps:
-    """The present mishaps by place; None: no mishap.
-
-    Holes in bottle and actuator are in addition to the rig's own leaks.
-    """
+    """The present mishaps by place. Holes are in addition to the rig's own leaks."""
 
     cv_sensor: SensorMishap | None = None
     reservoir_sensor: SensorMishap | None = None
@@ -303,10 +297,7 @@ def words_for(place: str, word: str) -> str:
 
 
 def kind_from(place: str, words: list[str]) -> MishapKind:
-    """The mishap for typed words, e.g.
-
-    `hole 0.3`. Raises `ValueError` with a sentence if they are invalid.
-    """
+    """The mishap for typed words (`hole 0.3`). Raises `ValueError` with a sentence."""
     known = PLACES[place]
     if not words or words[0] not in known:
         raise ValueError(f"{place} may have: {', '.join(words_for(place, word) for word in known)}")

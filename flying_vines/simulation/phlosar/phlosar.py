@@ -125,10 +125,7 @@ class SimulatedPhlosar:
             self.firmware.receive(data)
 
     def advance(self, to_t_s: float) -> bytes:
-        """Simulate until `to_t_s`.
-
-        Returns the bytes that the firmware sent. A time in the past changes nothing.
-        """
+        """Simulate until `to_t_s`; a past time changes nothing. Returns the firmware's bytes."""
         last = round(to_t_s * 1e6) // STEP_US
         sent: list[bytes] = []
         self._suffer_now()
@@ -183,10 +180,7 @@ class SimulatedPhlosar:
         )
 
     def heat_bottle(self, kelvin: float) -> None:
-        """Heat bottle and gas by `kelvin`; they cool down by the model.
-
-        In an isothermal model, added air makes the pressure rise.
-        """
+        """Heat bottle and gas by `kelvin`. In an isothermal model, added air makes the pressure rise."""
         now = self._conditions
         ratio = 1.0 + kelvin / now.reservoir_K
         if not self._well.reservoir_heat.own_temperature:

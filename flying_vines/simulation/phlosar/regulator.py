@@ -71,10 +71,7 @@ class Regulator:
         self._library.phlosar_regulator_begin(self.address, cv_kPa)
 
     def step(self, target_kPa: float, rate_kPa_per_s: float, cv_kPa: float, reservoir_kPa: float) -> Drive:
-        """Valve commands for the next millisecond.
-
-        The setpoint moves to the target with at most this rate.
-        """
+        """Valve commands for the next millisecond; the setpoint moves to the target at this rate."""
         outputs = self._outputs
         self._library.phlosar_regulator_step(
             self.address, target_kPa, rate_kPa_per_s, cv_kPa, reservoir_kPa, outputs

@@ -42,10 +42,7 @@ def examples() -> tuple[str, ...]:
 
 
 def load_scenario(source: Path | str) -> Scenario:
-    """The scenario in a TOML file, or the built-in one of this name if there is no such file.
-
-    Raises `ScenarioError` if it cannot be read or is invalid.
-    """
+    """The scenario in a TOML file, or the built-in one of this name. Raises `ScenarioError`."""
     path = Path(source)
     if not path.exists() and str(source) in examples():
         return parse_scenario((_EXAMPLES / f"{source}.toml").read_text(encoding="utf-8"), str(source))
