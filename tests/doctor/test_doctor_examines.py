@@ -148,7 +148,7 @@ def test_of_a_healthy_pair_one_may_fly(seen: dict[str, Examined], world: str) ->
         ("two autopilots", "vehicle link", "autopilots"),
         ("noise", "vehicle link", "but no MAVLink message"),
         ("not signed", "signing", "all messages were refused: "),
-        ("no firmware", "phloSAR port", "/dev/there-is-none is not there"),
+        ("no firmware", "phloSAR port", "/dev/there-is-none does not exist"),
         ("a GPS", "phloSAR", "this is another device"),
         ("silence", "phloSAR", "the port is open but silent"),
         ("next version", "phloSAR", "update the host"),

@@ -416,7 +416,7 @@ def test_only_what_is_bad_keeps_one_on_the_ground() -> None:
     assert may_fly([good, warning])
     assert not may_fly([good, bad])
     assert summary([good, warning]) == "You may fly; 1 thing to check."
-    assert summary([bad, good]) == "Do not fly: 1 thing to mend."
+    assert summary([bad, good]) == "Do not fly: 1 thing to correct."
     assert summary([bad, bad, warning, warning]) == "Do not fly: 2 things to correct, and 2 things to check."
 
 

@@ -146,7 +146,7 @@ def test_a_port_that_is_not_there_is_said_and_nothing_asked(
     profile.write_text(profile.read_text().replace("udpin:127.0.0.1:14540", "serial:/dev/none-a"))
     status, out, err = run(capsys, "doctor", "--radio", "--config", profile)
     assert (status, err) == (1, "")
-    assert "BAD  vehicle port:         /dev/none-a is not there" in out
+    assert "BAD  vehicle port:         /dev/none-a does not exist" in out
     assert "1/5" not in out
 
 
