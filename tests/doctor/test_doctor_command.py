@@ -89,8 +89,8 @@ def test_what_is_bad_makes_the_status_one(capsys: pytest.CaptureFixture[str], tm
     status, out, err = run(capsys, "doctor", "--config", profile, "--out", tmp_path)
     assert (status, err) == (1, "")
     assert "BAD  phloSAR port:         /dev/none-b does not exist" in out
-    assert "BAD  vehicle port:         /dev/none-a is not there" in out
-    assert out.splitlines()[-1].startswith("Do not fly: 2 things to mend")
+    assert "BAD  vehicle port:         /dev/none-a does not exist" in out
+    assert out.splitlines()[-1].startswith("Do not fly: 2 things to correct")
 
 
 @pytest.mark.parametrize(
