@@ -153,7 +153,7 @@ def test_without_the_extra_but_numpy_it_measures_and_tells_what_is_left(tmp_path
     ended = without(tmp_path, "scipy", "matplotlib", "numba", "threadpoolctl")
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "No pictures: " in ended.stdout
-    assert "is missing; pip install 'flying-vines[analysis]' brings it" in ended.stdout
+    assert "is missing: pip install 'flying-vines[analysis]'" in ended.stdout
     assert "Then: flying-vines diagnose --from-log flights/" in ended.stdout
     assert len(list(tmp_path.glob("flights/*/calibration/findings.json"))) == 1
 
@@ -161,7 +161,7 @@ def test_without_the_extra_but_numpy_it_measures_and_tells_what_is_left(tmp_path
 def test_without_numpy_it_is_one_line(tmp_path: Path) -> None:
     ended = without(tmp_path, "numpy", "numba")
     assert ended.returncode == 2
-    assert ended.stderr == "flying-vines: numpy is missing; pip install 'flying-vines[analysis]' brings it\n"
+    assert ended.stderr == "flying-vines: numpy is missing: pip install 'flying-vines[analysis]'\n"
 
 
 # On a terminal, in real time.

@@ -323,7 +323,7 @@ FILES = (
         "disk_read_only",
         "disk read-only: a parameter cannot be saved",
         "the write",
-        "parameters not kept:",
+        "parameters not saved:",
         Cleared.AT_ONCE,
         safe_state="continues; the parameter is valid until the service ends",
         proof=GOES_ON,

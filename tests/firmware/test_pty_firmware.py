@@ -172,7 +172,7 @@ async def test_sensors_that_always_read_the_same(program: Path) -> None:
     [
         (["--boot-id", "-1"], "--boot-id -1: is not within 0 to 4294967295"),
         (["--cv-kPa", "much"], "--cv-kPa much: is not a pressure"),
-        (["--link", "."], ". is not a link and stays as it is"),
+        (["--link", "."], ". is not a link and is not replaced"),
         (["--settings", "."], "cannot read"),
         (["here"], "here is no option"),
         (["--speed"], "--boot-id N"),

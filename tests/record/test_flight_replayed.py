@@ -133,7 +133,7 @@ def test_the_second_flight_of_a_service_is_replayed_from_the_first(tmp_path: Pat
     again = replay_flight(FlightLog(second))
     assert not again.differences and len(again.decisions) >= 1
     first.rename(tmp_path / "elsewhere")
-    with pytest.raises(LogError, match=f"continues {first.name}, which is not beside it"):
+    with pytest.raises(LogError, match=f"continues {first.name}, which is not in the same folder"):
         replay_flight(FlightLog(second))
 
 

@@ -93,9 +93,9 @@ async def test_what_cannot_be_kept_is_said_and_in_force_all_the_same(bench: Benc
         served.kept.parameters.mkdir()
         await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
         set_rate(bench, 30.0)
-        await until(lambda: any("parameters not kept" in text for text in served.texts), "it is said")
+        await until(lambda: any("parameters not saved" in text for text in served.texts), "it is said")
         assert served.service.core.config.limits.max_rate_kPa_per_s == 30.0
-        await until(lambda: any("parameters not kept" in text for text in bench.ground.texts), "to the pilot")
+        await until(lambda: any("parameters not saved" in text for text in bench.ground.texts), "to pilot")
 
 
 def command(bench: Bench, number: int, param1: float) -> None:
@@ -140,7 +140,7 @@ async def test_that_they_are_disarmed_cannot_be_kept_is_said_and_they_are(
         (tmp_path / "vine.disarmed").mkdir()
         await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
         command(bench, STOP, DISARM)
-        await until(lambda: any("disarming not kept" in text for text in served.texts), "it is said")
+        await until(lambda: any("disarming not saved" in text for text in served.texts), "it is said")
         assert doing(served) == "pneumatics disarmed"
 
 

@@ -545,9 +545,9 @@ def test_a_rig_without_a_vine_has_nothing_to_burst() -> None:
 @pytest.mark.parametrize(
     ("place", "kind", "sentence"),
     [
-        ("wing", Stuck(), "wing is no place"),
-        ("evp", Stuck(), r"evp cannot suffer Stuck\(\)"),
-        ("bottle", HoseOff(), r"bottle cannot suffer HoseOff\(\)"),
+        ("wing", Stuck(), "wing is not a place"),
+        ("evp", Stuck(), r"evp cannot have Stuck\(\)"),
+        ("bottle", HoseOff(), r"bottle cannot have HoseOff\(\)"),
     ],
 )
 def test_what_cannot_happen_there_is_refused(place: str, kind: MishapKind, sentence: str) -> None:

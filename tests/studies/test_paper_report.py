@@ -341,7 +341,5 @@ def test_without_the_extra_it_is_one_line(missing: str, arguments: list[str], tm
     )
     assert done.returncode == 2
     assert done.stdout == ""
-    assert (
-        done.stderr == f"flying-vines: {missing} is missing; pip install 'flying-vines[analysis]' brings it\n"
-    )
+    assert done.stderr == f"flying-vines: {missing} is missing: pip install 'flying-vines[analysis]'\n"
     assert list(tmp_path.iterdir()) == []
