@@ -12,7 +12,7 @@ from flying_vines.config.config import ChecksConfig
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.flow import Opening
 from flying_vines.supply import Belief, Features
-from flying_vines.supply.belief import AMBIENT_KPA, conductance_SL_per_s_kPa
+from flying_vines.supply.belief import AMBIENT_KPA, MIN_RISE_SHARE, conductance_SL_per_s_kPa
 from flying_vines.supply.flying import driving_kPa
 
 MIN_FLOW, MAX_FLOW = 0.7, 1.4
@@ -23,8 +23,6 @@ SUPPLY_ERROR_KPA = 25.0
 """Whole error band of the reservoir's sensor."""
 SOFTNESS = 4.0
 """A soft vine takes this many times the air of a rigid one of its size for a rise."""
-MIN_RISE_SHARE = 0.65
-"""A warm vine takes this share of the air: gas that was compressed quickly has not cooled yet."""
 MAX_OUTLET_KPA_S_PER_SL = 120.0
 """Flow resistance from the vine to ambient through solenoid and Venturi. A small solenoid has 70."""
 

@@ -101,7 +101,6 @@ class Unsteady:
     def __init__(self) -> None:
         self._before: tuple[float, float] | None = None
         self._vine_kPa = self._bottle_kPa = 0.0
-        self._seen_s = 0.0
 
     def look(self, now: Features) -> str | None:
         if max(now.resting_s, now.sealed_s) < SEALED_S or now.device_dt_s > NEIGHBOURS_S:

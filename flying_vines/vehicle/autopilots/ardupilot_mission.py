@@ -59,7 +59,6 @@ PROGRESS_AFTER_REACHED_S = 3.0
 waypoint."""
 CONDITIONAL = {112, 113, 114, 115, 177, 601}
 """CONDITION_* and jumps. The mission may move on without the items after them."""
-JUMP = 177
 FLYING = {0, 3}
 """MISSION_CURRENT.mission_state of a running mission; older releases leave it at 0."""
 MAX_WAITING = 64
