@@ -17,6 +17,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.book import MAX_ITEMS, MissionBook, item_of
 from flying_vines.vehicle.mission.execution import Execution, same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
+from flying_vines.vehicle.mission.jumps import JUMP
 
 ITEM_TEXT = re.compile(r"Mission: (\d{1,5}) (\S+)")
 REACHED_TEXT = re.compile(r"Reached command #(\d{1,5})")
