@@ -34,6 +34,7 @@ from cycles_left_rigs import Case, draw
 
 from flying_vines.calibration.findings import Findings
 from flying_vines.calibration.plan import CalibrationRequest, plan
+from flying_vines.calibration.work import StageRecording
 from flying_vines.config import config
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.coil import current_A
@@ -69,6 +70,8 @@ class Outcome:
     seconds: float
     air_kPa: float
     cpu_s: float
+    recording: StageRecording
+    """The last: of the whole calibration."""
 
 
 def truth(case: Case, top_kPa: float) -> dict[str, float]:
@@ -142,6 +145,7 @@ def calibrated(seed: int, step_ms: int = 1) -> Outcome:
         world.now,
         case.fill_kPa - world.reservoir_kPa,
         time.process_time() - began,
+        world.recording,
     )
 
 

@@ -13,6 +13,7 @@ from cycles_left_flights import told
 
 from flying_vines.calibration.calibrator import BY, LATE_S, Calibrator, OperatorRequest, Out, Question, Work
 from flying_vines.calibration.plan import CalibrationPlan
+from flying_vines.calibration.work import StageRecording
 from flying_vines.core.core import TICK_S
 from flying_vines.core.events import Decision, Measured, Snapshot
 from flying_vines.core.motion_planner import MotionPlanner
@@ -35,6 +36,8 @@ class CompiledWorld:
         self.calibrator = Calibrator(plan)
         self.now = 0.0
         self.asked: list[Intent] = []
+        self.recording: StageRecording | None = None
+        """Of the last stage that was evaluated."""
         self._rig = rig
         self._seed = seed
         self._step_ms = step_ms
@@ -97,6 +100,7 @@ class CompiledWorld:
                 case Question():
                     self._carry_out(self.calibrator.answer(self.now, out, ""))
                 case Work():
+                    self.recording = out.do.__self__  # type: ignore[attr-defined]
                     self._carry_out(self.calibrator.worked(self.now, out, out.do()))
 
     def _ask(self, intent: Intent) -> None:
