@@ -32,9 +32,9 @@ import numpy as np
 from calibrate_world import CompiledWorld
 from cycles_left_rigs import Case, draw
 
+from flying_vines.calibration.evaluation import StageRecording
 from flying_vines.calibration.findings import Findings
 from flying_vines.calibration.plan import CalibrationRequest, plan
-from flying_vines.calibration.work import StageRecording
 from flying_vines.config import config
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.coil import current_A
@@ -128,8 +128,8 @@ def calibrated(seed: int, step_ms: int = 1) -> Outcome:
     """One rig, from whatever its bottle holds."""
     case = draw(seed)
     believed = msgspec.structs.replace(config.default(), pneumatics=case.believed)
-    wish = CalibrationRequest(eye=False, bottle_volume_L=case.plant.rig.reservoir.volume_L)
-    done = plan(believed, wish)
+    request = CalibrationRequest(asks_angles=False, bottle_volume_L=case.plant.rig.reservoir.volume_L)
+    done = plan(believed, request)
     rig = Setup(case.plant, case.cv_sensor, case.reservoir_sensor)
     world = CompiledWorld(done, rig, case.fill_kPa, seed, step_ms)
     began = time.process_time()

@@ -11,9 +11,17 @@ import math
 
 from cycles_left_flights import told
 
-from flying_vines.calibration.calibrator import BY, LATE_S, Calibrator, OperatorRequest, Out, Question, Work
+from flying_vines.calibration.calibrator import (
+    BY,
+    LATE_S,
+    Calibrator,
+    EvaluationTask,
+    OperatorRequest,
+    Output,
+    Question,
+)
+from flying_vines.calibration.evaluation import StageRecording
 from flying_vines.calibration.plan import CalibrationPlan
-from flying_vines.calibration.work import StageRecording
 from flying_vines.core.core import TICK_S
 from flying_vines.core.events import Decision, Measured, Snapshot
 from flying_vines.core.motion_planner import MotionPlanner
@@ -92,16 +100,16 @@ class CompiledWorld:
                 self._carry_out(self.calibrator.tick(self.now, self._snapshot()))
         self.now = begun_s + seconds
 
-    def _carry_out(self, outs: list[Out]) -> None:
+    def _carry_out(self, outs: list[Output]) -> None:
         for out in outs:
             match out:
                 case OperatorRequest(intent):
                     self._ask(intent)
                 case Question():
                     self._carry_out(self.calibrator.answer(self.now, out, ""))
-                case Work():
-                    self.recording = out.do.__self__  # type: ignore[attr-defined]
-                    self._carry_out(self.calibrator.worked(self.now, out, out.do()))
+                case EvaluationTask():
+                    self.recording = out.run.__self__  # type: ignore[attr-defined]
+                    self._carry_out(self.calibrator.evaluated(self.now, out, out.run()))
 
     def _ask(self, intent: Intent) -> None:
         self.asked.append(intent)

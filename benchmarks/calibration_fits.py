@@ -26,8 +26,8 @@ from pathlib import Path
 
 import numpy as np
 
+from flying_vines.calibration.evaluation import StageRecording
 from flying_vines.calibration.findings import Findings
-from flying_vines.calibration.work import StageRecording
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 from flying_vines.supply.belief import nominal_rig
 
@@ -77,7 +77,7 @@ def plant(recording: StageRecording, started: Findings | None) -> Found:
     from flying_vines.physics.rig import with_numbers
 
     plan, read = recording.plan, recording.readings
-    numbers = {"reservoir.volume_L": plan.wish.bottle_volume_L}
+    numbers = {"reservoir.volume_L": plan.request.bottle_volume_L}
     for name, key in (("cv_volume_L", "cv.volume_L"), (EVP, "evp.flow_resistance_kPa_s_per_SL")):
         if started and (found := started.estimate(name)):
             numbers[key] = found.value

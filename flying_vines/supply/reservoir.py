@@ -6,7 +6,7 @@ warmth back, and the air outside gives it to the wall. So a bottle that recovers
 air, and a cold one has not lost what it seems to have lost:
 
     dx = −out                    out = a rise + b flat + v p_abs u_d dt + λ x dt + c P_cv dt
-    dg = (γ−1) T/p_abs · out − (g − w) h hA/(m c_v) dt      dw = (g − w) h hA/C_w dt − w h h_oA_o/C_w dt
+    dg = (γ−1) T/p_abs · out − a (g − w) dt      dw = b (g − w) dt − c w dt      (a, b, c: `Wall.rates`)
 
 What is learned is in kPa of this very bottle: `a` for every kPa that the control volume rises, `b` for every
 inflation from flat (a pouch), `v` for the Venturi while its valve is open, `λ` for the reservoir's leak, `c`
@@ -19,11 +19,9 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from flying_vines.physics.constants import GAMMA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
+from flying_vines.physics.plant.wall import COOLING_K, heat_capacity_J_per_K
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
-
-PER_AIR_K = (GAMMA - 1.0) * STANDARD_TEMPERATURE_K
-"""What p V is divided by for the gas's m c_v, in J/K."""
 
 X, GAS, WALL, RISE, FLAT, VENTURI, LEAK, CV_LEAK, WARMTH = range(9)
 """Places in the state, as x, g, w, a, b, v, λ, c, ln h above."""
@@ -73,9 +71,8 @@ class Spent(NamedTuple):
 def colder_K(belief: Belief, heat_W: float, supply_kPa_abs: float, warmth: float) -> float:
     """How much colder the gas is while it takes this much heat constantly."""
     pet = belief.wall
-    gas_J_per_K = supply_kPa_abs * belief.pneumatics.reservoir_volume_L / PER_AIR_K
-    inner_W_per_K = warmth * pet.conductance_W_per_K + gas_J_per_K / pet.time_constant_s
-    colder = heat_W / max(LEAST_W_PER_K, inner_W_per_K)
+    gas_J_per_K = heat_capacity_J_per_K(supply_kPa_abs, belief.pneumatics.reservoir_volume_L)
+    colder = heat_W / max(LEAST_W_PER_K, pet.inner_W_per_K(gas_J_per_K, warmth))
     if math.isfinite(pet.capacity_J_per_K):
         colder += heat_W / max(LEAST_W_PER_K, warmth * pet.outer_conductance_W_per_K)
     return colder
@@ -125,13 +122,12 @@ class Bottle:
         )
         out = sum(rate * amount for rate, amount in zip(m[RISE:WARMTH], per, strict=True))
         pet, warmth = self._belief.wall, math.exp(m[WARMTH])
-        gas_J_per_K = p_abs * self._belief.pneumatics.reservoir_volume_L / PER_AIR_K
+        gas_J_per_K = heat_capacity_J_per_K(p_abs, self._belief.pneumatics.reservoir_volume_L)
         learned_J_per_K = warmth * pet.conductance_W_per_K * dt
-        inner_J_per_K = learned_J_per_K + gas_J_per_K * dt / pet.time_constant_s
-        inner = min(0.9, inner_J_per_K / gas_J_per_K)
-        wall = min(0.5, inner_J_per_K / pet.capacity_J_per_K)
-        outer = min(0.5, warmth * pet.outer_conductance_W_per_K * dt / pet.capacity_J_per_K)
-        cooling = PER_AIR_K / p_abs
+        heat = pet.rates(gas_J_per_K, warmth)
+        inner = min(0.9, heat.gas_per_s * dt)
+        wall, outer = min(0.5, heat.wall_per_s * dt), min(0.5, heat.outer_per_s * dt)
+        cooling = COOLING_K / p_abs
         apart, below = m[GAS] - m[WALL], m[WALL]
         learned_K = apart * min(0.9, learned_J_per_K / gas_J_per_K)
         self._spread(

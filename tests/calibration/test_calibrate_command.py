@@ -20,7 +20,6 @@ from ports import free_port
 from real_time import real_time
 from service_bench import between
 
-from flying_vines.calibration.findings import from_json
 from flying_vines.config import config as configuration
 from flying_vines.record.reader import FlightLog
 from flying_vines.record.restore import start_of
@@ -62,12 +61,10 @@ def test_the_profile_that_it_writes_is_what_run_reads(
     status, out, err = run(capsys, "config", "check", written)
     assert (status, err) == (0, "")
     assert "good" in out
-    findings = from_json(json.loads((written.parent / "findings.json").read_text()))
-    found = findings.get("cv_volume_L")
-    assert found is not None
-    assert found.value is not None
+    findings = json.loads((written.parent / "findings.json").read_text())["findings"]
+    (volume_L,) = (finding["value"] for finding in findings if finding["name"] == "cv_volume_L")
     numbers = configuration.load(written).pneumatics
-    assert numbers.cv_volume_L == pytest.approx(found.value, rel=0.02)
+    assert numbers.cv_volume_L == pytest.approx(volume_L, rel=0.02)
     assert "was 0.3, measured" in written.read_text()
     assert configuration.load(folder / "vine.toml").pneumatics.cv_volume_L == 0.3
     assert (written.parent / "believed.toml").read_text() == (folder / "vine.toml").read_text()
@@ -225,7 +222,7 @@ def test_ctrl_c_ends_it_vented_and_sets_the_telemetry_back(
     bench: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     terminal = Terminal("calibrate", "--config", "vine.toml", "--only", "levels", cwd=bench)
-    terminal.shows("Enter begins")
+    terminal.shows("Press Enter")
     terminal.types("\n")
     terminal.shows("Vine's volume")
     _wait_for_pressure(bench, 5.0)
@@ -256,7 +253,7 @@ def _wait_for_pressure(bench: Path, kPa: float) -> None:
 
 def test_ctrl_c_before_it_begins_moves_nothing(bench: Path) -> None:
     terminal = Terminal("calibrate", "--config", "vine.toml", cwd=bench)
-    terminal.shows("Enter begins")
+    terminal.shows("Press Enter")
     terminal.types("\x03")
     assert terminal.ends() == 130
     assert not (bench / "flights").exists()

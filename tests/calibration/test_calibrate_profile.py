@@ -16,7 +16,7 @@ from flying_vines.calibration.profile import (
     with_changes,
     with_numbers,
 )
-from flying_vines.calibration.rig_file import rig_text
+from flying_vines.calibration.results import rig_text
 from flying_vines.config import config as configuration
 from flying_vines.config.config import ConfigError
 from flying_vines.physics.plant.true_rig import true_rig_from
@@ -82,7 +82,7 @@ def test_a_curve_that_the_profile_contradicts_is_a_comment() -> None:
     text, left_out = calibrated(TEXT, "vine.toml", list(changes(found, MAX_KPA)), DAY)
     assert "bend-full" in left_out
     assert "45" in left_out
-    assert "[vine]\n# Measured 2026-11-22, but not in force, for profiles.bend-full: 60°" in text
+    assert "[vine]\n# Measured 2026-11-22, but not used: profiles.bend-full: 60°" in text
     assert "# curve = [[0, 0], [20, 45]]" in text
     config = configuration.parse(text, "vine.toml")
     assert config.vine == configuration.default().vine

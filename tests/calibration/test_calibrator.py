@@ -9,7 +9,7 @@ from calibration_worlds import CoreWorld, PaperWorld
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flying_vines.calibration.calibrator import Calibrator, Question, StageBegan, StageResult, Work
+from flying_vines.calibration.calibrator import Calibrator, EvaluationTask, Question, StageBegan, StageResult
 from flying_vines.calibration.plan import STAGES, CalibrationRequest, plan
 from flying_vines.config import config
 from flying_vines.core.events import Decision
@@ -19,7 +19,7 @@ from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.vine.intent import SetPressure, StartBench, StartProfile, VentVine
 
 CONFIG = config.default()
-BLIND = CalibrationRequest(eye=False)
+BLIND = CalibrationRequest(asks_angles=False)
 
 
 def phlosar(**given: object) -> SimulatedPhlosar:
@@ -44,7 +44,7 @@ def test_every_movement_is_followed_by_a_vent_before_anything_is_evaluated() -> 
     world.run()
     bent = False
     for out in world.said:
-        if isinstance(out, Work | Question):
+        if isinstance(out, EvaluationTask | Question):
             assert not bent
         intent = getattr(out, "intent", None)
         bent = isinstance(intent, StartProfile) if intent else bent
@@ -61,7 +61,7 @@ def test_repeats_a_movement_that_did_not_say_enough_but_not_forever() -> None:
     world.run()
     stage = world.calibrator.plan.stages[-1]
     moves = [intent for intent in world.asked if isinstance(intent, StartProfile)]
-    assert len(moves) == len(stage.movements) + stage.most_again * len(stage.again)
+    assert len(moves) == len(stage.movements) + stage.max_repeats * len(stage.again)
 
 
 @settings(max_examples=40, deadline=None)
@@ -150,12 +150,12 @@ def test_angles_are_kept_and_what_is_no_angle_is_asked_for_again() -> None:
     )
     world.run()
     assert [deg for _, deg in world.calibrator.findings.pairs] == [0.0, 10.0, 12.5]
-    assert "'abc' is no angle in degrees" in world.sentences()
+    assert "'abc' is not an angle in degrees" in world.sentences()
 
 
 def test_what_cannot_be_evaluated_is_said_and_the_rest_goes_on() -> None:
     class Broken(PaperWorld):
-        def work(self, work: Work) -> object:
+        def evaluate(self, task: EvaluationTask) -> object:
             return ZeroDivisionError("nothing there")
 
     world = Broken(plan(CONFIG, replace(BLIND, only=("bottle_leak",))))
@@ -168,7 +168,7 @@ def test_answers_and_results_that_were_not_asked_for_change_nothing() -> None:
     calibrator = Calibrator(plan(CONFIG, BLIND))
     calibrator.begin(0.0)
     assert calibrator.answer(1.0, Question(7, "enter", "?"), "") == []
-    assert calibrator.worked(1.0, Work(calibrator.plan.stages[0], lambda: None), None) == []  # type: ignore[arg-type,return-value]
+    assert calibrator.evaluated(1.0, EvaluationTask(calibrator.plan.stages[0], lambda: None), None) == []  # type: ignore[arg-type,return-value]
 
 
 # With the core, its safety and its checks.
@@ -193,7 +193,7 @@ def test_interrupted_while_the_vine_is_bent_it_is_vented() -> None:
     world.run(60.0, until=lambda: world.phlosar.cv_kPa > 20.0)
     assert world.phlosar.cv_kPa > 20.0
     world.carry_out(world.calibrator.stop(world.now, "interrupted"))
-    world.settle()
+    world.fit_balance()
     assert world.vented
     assert world.ended is not None and world.ended.outcome == "stopped"
     assert world.ended.sentence == "Vine's leak: interrupted"
@@ -219,7 +219,7 @@ def test_a_fault_ends_it_vented_with_its_sentence(stage: str, mishap: Mishap, sa
     assert world.ended is not None and world.ended.outcome in ("stopped", "refused")
     assert says in world.ended.sentence
     assert world.asked[-1] == VentVine()
-    world.settle()
+    world.fit_balance()
     assert world.phlosar.drive.evp == 0.0 and world.phlosar.drive.solenoid
 
 
