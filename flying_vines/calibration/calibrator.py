@@ -93,11 +93,7 @@ Output = OperatorRequest | Question | Message | StageBegan | EvaluationTask | St
 
 
 @dataclass(frozen=True)
-class StageProgress:
-    stage: str
-    title: str
-    index: int
-    of: int
+class CalibrationProgress:
     share: float
     """Of the whole calibration, 0…1."""
     left_s: float
@@ -141,18 +137,15 @@ class Calibrator:
         return tuple(self._charts.values())
 
     @property
-    def progress(self) -> StageProgress:
-        stages = self.plan.stages
-        stage = self._stage or stages[0]
-        into_s = min(stage.seconds, max(0.0, self._t - self._began_at)) if self._stage else 0.0
-        done_s = sum(each.seconds for each in stages[: self._index]) + into_s
+    def progress(self) -> CalibrationProgress:
+        done_s = sum(stage.seconds for stage in self.plan.stages[: self._index])
+        if self._stage:
+            done_s += min(self._stage.seconds, max(0.0, self._t - self._began_at))
         total_s = max(self.plan.seconds, 1e-9)
         over = self.ended is not None and self.ended.outcome == "done"
         share = 1.0 if over else min(1.0, done_s / total_s)
         left_s = 0.0 if self.ended else max(0.0, total_s - done_s)
-        return StageProgress(
-            stage.name, stage.title, self._index + 1, len(stages), share, left_s, self._doing
-        )
+        return CalibrationProgress(share, left_s, self._doing)
 
     # Inputs.
 
@@ -333,7 +326,7 @@ class Calibrator:
             if self._t > until:
                 raise _Stopped(f"the vine is vented and still reads {self._cv_kPa():.1f} kPa")
             yield
-        yield from self._wait(self.plan.vented_s)
+        yield from self._wait(self.plan.hold_s)
 
     def _cv_kPa(self) -> float:
         zero = self.findings.estimate("cv_zero_kPa")

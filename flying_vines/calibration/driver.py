@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import msgspec
 
@@ -14,16 +14,13 @@ from flying_vines.calibration.calibrator import (
     Calibrator,
     Ended,
     EvaluationTask,
-    Message,
     OperatorRequest,
     Output,
     Question,
-    StageBegan,
-    StageProgress,
-    StageResult,
 )
 from flying_vines.calibration.findings import Chart, Findings
 from flying_vines.calibration.plan import CalibrationPlan, CalibrationRequest, plan
+from flying_vines.calibration.terminal import CalibrationTerminal
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config, PneumaticsConfig
 from flying_vines.config.config_text import profile_text
@@ -100,16 +97,6 @@ def planned(config: Config, request: CalibrationRequest) -> CalibrationPlan:
         raise CalibrateError(str(error)) from None
 
 
-class CalibrationView(Protocol):
-    """Shows a calibration."""
-
-    def show(self, output: StageBegan | Message | StageResult | Ended) -> None:
-        """Something happened."""
-
-    def progress(self, progress: StageProgress) -> None:
-        """Called about fifty times a second of the rig's time."""
-
-
 class CalibrationOutcome(NamedTuple):
     folder: Path
     """Of its flight."""
@@ -143,7 +130,7 @@ class CalibrationDriver:
     """`actions`: those of the core, in order, that the calibrator has not taken yet."""
 
     calibrator: Calibrator
-    view: CalibrationView
+    terminal: CalibrationTerminal
     ask: Callable[[Intent], None]
     question: Callable[[Question], None]
     evaluate: Callable[[EvaluationTask], None]
@@ -156,7 +143,7 @@ class CalibrationDriver:
         self._take_actions()
         self.carry_out(self.calibrator.tick(t, snapshot))
         self._take_actions()
-        self.view.progress(self.calibrator.progress)
+        self.terminal.progress(self.calibrator.progress)
 
     def carry_out(self, outputs: Sequence[Output]) -> None:
         """In order; outputs that result from them come after them."""
@@ -172,7 +159,7 @@ class CalibrationDriver:
                 case EvaluationTask() as task:
                     self.evaluate(task)
                 case shown:
-                    self.view.show(shown)
+                    self.terminal.show(shown)
             self._outputs.popleft()
 
     def outcome(self, folder: Path, log_problem: str) -> CalibrationOutcome:

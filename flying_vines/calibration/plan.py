@@ -67,8 +67,6 @@ class CalibrationRequest:
     angles: Pairs | None = None
     asks_angles: bool = True
     """True if somebody sees the vine and answers questions."""
-    telemetry_Hz: int = 1000
-    """Telemetry rate of the board."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +106,7 @@ class CalibrationPlan:
     believed: Config
     request: CalibrationRequest
     hold_s: float
+    """Time at each level, and vented time after each movement."""
     top_kPa: float
 
     @property
@@ -122,7 +121,7 @@ class CalibrationPlan:
     def max_seconds(self) -> float:
         """If every movement has to be repeated."""
         return self.seconds + sum(
-            stage.max_repeats * sum(move.seconds + self.vented_s for move in stage.again)
+            stage.max_repeats * sum(move.seconds + self.hold_s for move in stage.again)
             for stage in self.stages
         )
 
@@ -131,11 +130,6 @@ class CalibrationPlan:
         return self.air_kPa + sum(
             stage.max_repeats * sum(move.air_kPa for move in stage.again) for stage in self.stages
         )
-
-    @property
-    def vented_s(self) -> float:
-        """Vented time after each movement."""
-        return self.hold_s
 
     @property
     def settling_s(self) -> float:

@@ -47,9 +47,6 @@ class Readings:
         since_s = np.where(last >= 0, self.t_s - opened_s[np.maximum(last, 0)], np.inf)
         return since_s > OUTLET_LAG_S if len(opened_s) else np.ones(len(self), bool)
 
-    def rows(self, where: slice | BoolArray) -> Readings:
-        return Readings(*(getattr(self, name)[where] for name in _COLUMNS))
-
     def less_zero(self, cv_zero_kPa: float) -> Readings:
         """With the zero of the vine's sensor subtracted."""
         return replace(self, cv_kPa=self.cv_kPa - cv_zero_kPa)

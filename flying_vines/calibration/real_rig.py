@@ -10,7 +10,6 @@ import asyncio
 import signal
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 
 from firmware_link.protocol import Setting
@@ -66,15 +65,13 @@ async def calibrate(
         save: save the proposed settings in the firmware.
     """
     believed, context = load_context(profile)
-    planned(believed, request)
+    plan = planned(believed, request)
     address = parse_address(profile.config.firmware.link)
     stopped = asyncio.Event()
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         asyncio.get_running_loop().add_signal_handler(name, stopped.set)
     with terminal.typed():
         async with every_step(address, stopped, terminal.warn) as settings:
-            rate_Hz = round(next(setting.value for setting in settings if setting.name == RATE))
-            plan = planned(believed, replace(request, telemetry_Hz=rate_Hz))
             terminal.introduce(plan)
             if not await terminal.confirmed(READY, stopped):
                 return None

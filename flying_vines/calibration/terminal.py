@@ -15,11 +15,11 @@ from rich.table import Table
 from rich.text import Text
 
 from flying_vines.calibration.calibrator import (
+    CalibrationProgress,
     Ended,
     Message,
     Question,
     StageBegan,
-    StageProgress,
     StageResult,
 )
 from flying_vines.calibration.findings import Findings, MeasuredQuantity
@@ -120,7 +120,7 @@ class CalibrationTerminal:
                 word, style = OUTCOMES[outcome]
                 say(Text(f"{word}: {sentence}", style=style), soft_wrap=True)
 
-    def progress(self, progress: StageProgress) -> None:
+    def progress(self, progress: CalibrationProgress) -> None:
         """Update the bar."""
         left = _duration(progress.left_s)
         self._bar.update(self._task, completed=progress.share, left=left, description=progress.doing)
