@@ -1,4 +1,4 @@
-"""What a calibrator is tried on: a core over a simulated phloSAR, and a stage without any physics."""
+"""Worlds for a calibrator: a core with a simulated phloSAR, and one without any physics."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def presses_enter(_: Question) -> str:
 
 
 class _Stage:
-    """Carries out what a calibrator wants, and keeps what it said."""
+    """Carries out the outputs of a calibrator, and keeps them."""
 
     def __init__(self, plan: CalibrationPlan, person: Person = presses_enter) -> None:
         self.calibrator = Calibrator(plan)

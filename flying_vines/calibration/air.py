@@ -188,8 +188,7 @@ def given_volume(reservoir_L: float, believed_L: float) -> MeasuredQuantity:
 def believed_volume(believed_L: float) -> MeasuredQuantity:
     """Not measured: the profile's number is used."""
     return _reservoir_volume(believed_L).unknown(
-        "from the profile; if it is wrong, all volumes are wrong by the same factor, and all resistances by "
-        "its inverse"
+        "from the profile; an error scales all volumes, and all resistances inversely"
     )
 
 
@@ -259,7 +258,10 @@ def volumes(vine: VineAir) -> Result:
         found = [volume.measured(litres, f"mean of 0 to {known.top_kPa:g} kPa, with the tube")]
     else:
         found = [volume.unknown(TOO_LITTLE)]
-    for name, what in (("pouch", "the first inflation, from flat"), ("refill", "a later one, from vented")):
+    for name, what in (
+        ("pouch", "the first inflation, from flat"),
+        ("refill", "later inflations, from vented"),
+    ):
         finding = MeasuredQuantity(f"{name}_air_SL", f"air of {what}", "SL")
         if name in vine.unseen:
             found.append(finding.unknown("none seen: the vented vine stays full"))

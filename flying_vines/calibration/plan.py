@@ -280,14 +280,14 @@ def _stages(
         vessel = movement("calibrate-vessel", request.vessel_L / config.pneumatics.cv_volume_L)
         yield moving("vessel", "Bottle's volume", does, [vessel] * ROUNDS, rest_s=SETTLE_S + ZERO_S)
     if wanted("levels"):
-        does = "up a staircase several times: the air that each pressure takes"
+        does = "up a staircase several times: air for each pressure"
         step = movement("calibrate-levels")
         yield moving("levels", "Vine's volume", does, [step] * ROUNDS, [step] * ROUNDS_AGAIN, LEVELS_AGAIN)
     if wanted("vine_leak"):
-        does = f"hold the vine at {config.limits.max_kPa:g} kPa: the air that this takes"
+        does = f"hold the vine at {config.limits.max_kPa:g} kPa: air that leaks"
         yield moving("vine_leak", "Vine's leak", does, [movement("calibrate-vine-leak")])
     if wanted("valve"):
-        does = "inflate at several rates: where the valve starts and how much it passes"
+        does = "inflate at several rates: start and flow of the valve"
         ramps = [movement(_valve_profile(rate)) for rate in RATES_KPA_PER_S]
         down = movement("calibrate-venturi")
         yield moving("valve", "Valves", does, [*ramps, down], ramps[:3], VALVE_AGAIN)
@@ -302,5 +302,5 @@ def _angle(config: Config, request: CalibrationRequest, kPa_per_kPa: float, hold
     up = [top_kPa * step / ANGLES for step in range(ANGLES + 1)]
     levels = (*up, *reversed(up[:-1]))
     seconds = len(levels) * (hold_s + ANGLE_S)
-    does = "up and down in steps: you type the angle that you see"
+    does = "up and down in steps: you type each angle"
     return Stage("angle", "Bend", does, seconds, 2.0 * kPa_per_kPa * top_kPa, levels_kPa=levels)

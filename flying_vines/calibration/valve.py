@@ -200,7 +200,7 @@ def _refined(
 def inflation_valve(readings: Readings, vine: VineAir) -> Result:
     """Start, gain and resistance of the valve, and the dead band to set in the firmware."""
     p, known = vine.known.pneumatics, vine.known
-    start = MeasuredQuantity("evp_start", "inflation valve passes air from", "opening")
+    start = MeasuredQuantity("evp_start", "inflation valve, start", "opening")
     gain = MeasuredQuantity("evp_gain_SL_per_s", "inflation valve's gain, full bottle", "SL/s per opening")
     full = MeasuredQuantity(
         "evp_flow_resistance_kPa_s_per_SL",
@@ -219,7 +219,7 @@ def inflation_valve(readings: Readings, vine: VineAir) -> Result:
     litres = vine.volume()
     relative_sd = hypot(litres.sd / litres.value, known.flow_sd(at_kPa))
     found = (
-        start.measured(fit.start, f"from shut; play {fit.play.value:.2f}"),
+        start.measured(fit.start, f"opening from shut; play {fit.play.value:.2f}"),
         gain.measured(fit.gain.times(supply_kPa, relative_sd)),
         inverse(full, p.full_kPa, fit.full.times(supply_kPa, relative_sd), note),
     )
