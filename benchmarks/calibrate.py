@@ -134,7 +134,7 @@ def calibrated(seed: int, step_ms: int = 1) -> Outcome:
     world = CompiledWorld(done, rig, case.fill_kPa, seed, step_ms)
     began = time.process_time()
     calibrator = world.run()
-    assert calibrator.ended is not None
+    assert calibrator.ended is not None and world.recording is not None
     return Outcome(
         seed,
         case.kind,

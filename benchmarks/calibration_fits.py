@@ -91,7 +91,8 @@ def plant(recording: StageRecording, started: Findings) -> Found:
     kept = is_reading | np.append(True, np.any(np.diff(valves) != 0.0, axis=0))
     cv, reservoir = (np.where(is_reading, kPa, np.nan)[kept] for kPa in (read.cv_kPa, read.reservoir_kPa))
     command = np.where(read.regulating, read.setpoint_kPa, np.nan)[kept]
-    run = RecordedRun("", read.t_s[kept], command, *valves[:, kept], cv, reservoir, None, None, False)
+    evp, dvp, solenoid = valves[:, kept]
+    run = RecordedRun("", read.t_s[kept], command, evp, dvp, solenoid, cv, reservoir, None, None, False)
     noise = [recording.findings.get(f"{name}_noise_kPa").value for name in ("cv", "reservoir")]  # type: ignore[union-attr]
     with threadpool_limits(1):
         problem = FitProblem(Case(Path(), rig, (run,), ()), (noise[0], noise[1]))  # type: ignore[arg-type]

@@ -30,7 +30,7 @@ SMOOTHED_S = 0.05
 FLAT_KPA = 1.0
 """A vine below this is vented; a pouch above it is full."""
 MIN_RISE_KPA = 2.0
-"""Of an inflation that has filled a pouch."""
+"""An inflation that rises less may not have filled the pouch."""
 MAX_COMPLIANCE_PER_KPA = 0.02
 LEAK_OFFSET_KPA_PER_S = 0.05
 """Prior: how far a leak may differ from proportional to gauge pressure, by a sensor's zero or by choking."""
@@ -40,19 +40,19 @@ VENTURI_OFFSET_KPA = 100.0
 NO_EFFECT_SD = 1e-9
 """Prior standard deviation that removes a parameter."""
 GAIN_SD = 0.01
-"""Relative, of the ratio of both sensors' gains."""
+"""Ratio of both sensors' gains, relative."""
 RESERVOIR_ZERO_SD_KPA = 8.0
-"""Of the reservoir's sensor, if its zero was not measured."""
+"""Zero of the reservoir's sensor, if it was not measured."""
 VINE_LEAK_SD = 0.03
-"""Relative: pressure at the leak against pressure at the valves, and how the regulator holds it."""
+"""Difference of pressure between leak and valves, and the error of the regulator; relative."""
 MIN_LEAK_SDS = 3.0
 """A leak is reported if it is this many standard deviations above zero."""
 TOO_LITTLE = "too few inflations to measure the vine's volume"
 RESERVOIR_KEY = "pneumatics.reservoir_volume_L"
 GIVEN_VOLUME_SD = 0.005
-"""Relative, of a reservoir that was weighed with water."""
+"""Volume of a reservoir that was weighed with water, relative."""
 VESSEL_SD = 0.01
-"""Relative, of the vessel's volume."""
+"""Volume of the vessel, relative."""
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,11 @@ class AirInputs:
 
     @property
     def relative_sd(self) -> float:
-        """Of air that is calculated from the fall of the reservoir's pressure."""
+        """Relative standard deviation of air that is calculated from the fall of the reservoir's pressure."""
         return hypot(self.reservoir_L.sd / self.reservoir_L.value, GAIN_SD)
 
     def flow_sd(self, at_kPa: float) -> float:
-        """Relative, of a flow that is proportional to the reservoir's pressure."""
+        """Relative standard deviation of a flow that is proportional to the reservoir's pressure."""
         return hypot(self.relative_sd, RESERVOIR_ZERO_SD_KPA / (at_kPa + self.ambient_kPa))
 
     def share_at_full(self, at_kPa: float) -> float:
@@ -87,7 +87,7 @@ class VineAir:
     known: AirInputs
     balance: Balance
     unseen: tuple[str, ...] = ()
-    """Of growth and refill: parameters of which the readings show nothing."""
+    """Parameters (growth, refill) that the readings do not show."""
 
     def volume(self) -> Estimate:
         """Effective volume in litres, mean from 0 to the top pressure."""
@@ -215,7 +215,7 @@ def bottle_leak(vine: VineAir) -> Result:
     resistance = MeasuredQuantity("bottle_leak_kPa_s_per_SL", "bottle's leak, as a resistance", "kPa·s/SL")
     flow = rate.times(vine.SL_per_kPa, vine.known.flow_sd(at_kPa))
     findings = (
-        speed.measured(rate, f"at {at_kPa:.0f} kPa", least=0.0),
+        speed.measured(rate, f"at {at_kPa:.0f} kPa", minimum=0.0),
         _resistance(resistance, at_kPa, flow),
     )
     read = bins.reservoir_kPa - vine.balance.cold_kPa
@@ -267,7 +267,7 @@ def volumes(vine: VineAir) -> Result:
             found.append(finding.unknown("none seen: the vented vine stays full"))
         elif vine.balance.bins.columns[name].any():
             air = values[name].times(vine.SL_per_kPa, known.relative_sd)
-            found.append(finding.measured(air, "before its pressure rises", least=0.0))
+            found.append(finding.measured(air, "before its pressure rises", minimum=0.0))
         else:
             found.append(finding.unknown("there was no such inflation"))
     found.append(_compliance(vine))
@@ -318,7 +318,7 @@ def _compliance(vine: VineAir) -> MeasuredQuantity:
     rigid = mean - growth.value * (top + ambient) / 2.0
     if "growth" in vine.unseen or rigid <= 0.0:
         return finding.unknown("none seen: its volume does not change with pressure")
-    return finding.measured(growth.times(0.5 / rigid), "the effective volume contains it", least=0.0)
+    return finding.measured(growth.times(0.5 / rigid), "the effective volume contains it", minimum=0.0)
 
 
 def _staircase(vine: VineAir) -> Chart:

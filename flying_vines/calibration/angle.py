@@ -30,7 +30,7 @@ def curve(pairs: tuple[tuple[float, float], ...]) -> Result:
     hysteresis = width.unknown("no angle was seen on the way down")
     if found.hysteresis_kPa is not None:
         h = found.hysteresis_kPa
-        hysteresis = width.measured(Estimate.of_interval(h.value, h.low, h.high), least=0.0)
+        hysteresis = width.measured(Estimate.of_interval(h.value, h.low, h.high), minimum=0.0)
     line_kPa, line_deg = np.array(found.curve).T
     shift = found.written_hysteresis_kPa
     chart = Chart(

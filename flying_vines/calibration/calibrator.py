@@ -95,7 +95,7 @@ Output = OperatorRequest | Question | Message | StageBegan | EvaluationTask | St
 @dataclass(frozen=True)
 class CalibrationProgress:
     share: float
-    """Of the whole calibration, 0…1."""
+    """Done share of the whole calibration, 0…1."""
     left_s: float
     """As planned, without repeats."""
     doing: str

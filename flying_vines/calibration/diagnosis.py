@@ -23,7 +23,7 @@ from flying_vines.physics.plant.true_rig import true_rig_text
 from flying_vines.supply.known_rig import load_calibration
 
 BEGINNING_S = 20.0
-"""Of the movements. On a rig with many effects a diagnosis of some minutes would take an hour."""
+"""Diagnosed part of the movements. With many effects a diagnosis of some minutes of data takes an hour."""
 EXTENDED, REPORT = "rig.toml", "diagnosis"
 
 

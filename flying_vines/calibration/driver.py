@@ -63,7 +63,7 @@ class CalibrationContext:
 
     belief: Belief | None = None
     rig_text: str = ""
-    """Of the rig file of the belief."""
+    """Content of the rig file."""
     disarmed: bool = False
     """True if the pneumatics are disarmed."""
     signing: Signing | None = None
@@ -99,7 +99,7 @@ def planned(config: Config, request: CalibrationRequest) -> CalibrationPlan:
 
 class CalibrationOutcome(NamedTuple):
     folder: Path
-    """Of its flight."""
+    """Folder of the flight."""
     ended: Ended
     findings: Findings
     charts: tuple[Chart, ...]
@@ -109,11 +109,11 @@ class CalibrationOutcome(NamedTuple):
 
 @dataclass(frozen=True)
 class CalibrationRun:
-    """The outcome, and what remains to be told to the user."""
+    """The outcome, and the proposed settings of the firmware."""
 
     outcome: CalibrationOutcome
     believed: PneumaticsConfig
-    """Of the rig file if the profile names one."""
+    """From the rig file if the profile names one."""
     interrupted: bool
     firmware: Mapping[str, float]
     """Proposed settings."""
@@ -163,7 +163,7 @@ class CalibrationDriver:
             self._outputs.popleft()
 
     def outcome(self, folder: Path, log_problem: str) -> CalibrationOutcome:
-        """Of a calibration that has ended."""
+        """Call it after the end."""
         calibrator = self.calibrator
         assert calibrator.ended is not None
         return CalibrationOutcome(

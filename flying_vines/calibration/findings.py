@@ -11,7 +11,7 @@ from flying_vines.physics.arrays import Array
 
 SD_95 = 1.96
 MAX_POINTS = 2000
-"""In a series of a chart."""
+"""Maximum for one series of a chart."""
 
 
 class Estimate(NamedTuple):
@@ -82,12 +82,12 @@ class MeasuredQuantity:
     note: str = ""
     """A qualification, or the reason why it was not measured."""
     key: str | None = None
-    """Of the profile, for example `pneumatics.cv_volume_L`."""
+    """Key of the profile, for example `pneumatics.cv_volume_L`."""
 
-    def measured(self, estimate: Estimate, note: str = "", least: float | None = None) -> MeasuredQuantity:
-        """With a value. Value and interval do not go below `least`."""
-        low = estimate.low if least is None else max(least, estimate.low)
-        value = estimate.value if least is None else max(least, estimate.value)
+    def measured(self, estimate: Estimate, note: str = "", minimum: float | None = None) -> MeasuredQuantity:
+        """With a value. Value and interval do not go below `minimum`."""
+        low = estimate.low if minimum is None else max(minimum, estimate.low)
+        value = estimate.value if minimum is None else max(minimum, estimate.value)
         return replace(self, value=value, low=low, high=max(value, estimate.high), note=note)
 
     def unknown(self, why: str) -> MeasuredQuantity:

@@ -34,9 +34,9 @@ LEVELS_AGAIN, VALVE_AGAIN = 3, 1
 STEP_S = 0.5
 """From one level to the next."""
 RATES_KPA_PER_S = (4.0, 60.0, 15.0, 60.0, 30.0)
-"""Of inflations. Slow ones show where the valve starts, fast ones how much it passes."""
+"""Rates of inflation. Slow ones show where the valve starts, fast ones how much it passes."""
 LOW_SHARE = 0.25
-"""Of the top pressure. At this pressure a pouch (the bending chamber of the vine) is full."""
+"""Share of the top pressure at which a pouch (the bending chamber of the vine) is full."""
 ANGLES = 6
 """Steps up, and as many down."""
 ANSWER_S = 60.0
@@ -47,7 +47,7 @@ HOLD_S = 2.5
 HOLD_S_PER_L = 5.0
 MAX_HOLD_S = 10.0
 SETTLED_SHARE = 0.65
-"""Share of a hold after which compressed gas has cooled. A larger vine takes longer."""
+"""Share of a hold after which compressed gas has cooled; the hold grows with the vine's volume."""
 VOLUME_FACTOR = 4.0
 """How much larger or smaller than believed the vine may be."""
 MAX_VOLUME_FACTOR = 10.0
@@ -88,7 +88,7 @@ class Stage:
     seconds: float
     air_kPa: float = 0.0
     rest_s: float = 0.0
-    """Vented, before the first movement."""
+    """Vented time before the first movement."""
     movements: tuple[Movement, ...] = ()
     again: tuple[Movement, ...] = ()
     """Repeated up to `max_repeats` times until the result is precise enough."""

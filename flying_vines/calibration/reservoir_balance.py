@@ -81,7 +81,7 @@ class Balance:
     """p ϑ: change of the reading by the gas temperature; negative if the gas is cold."""
 
     covariance: Array
-    """Of the columns' parameters, in their order."""
+    """Of all parameters, in the order of the columns."""
 
     def weighted_sum(self, weights: Mapping[str, float]) -> Estimate:
         names = list(self.bins.columns)
@@ -180,7 +180,7 @@ class _BalanceFit:
         return best, np.concatenate([self._target - design @ best, unusual])
 
     def chi2(self, heat: Array | None) -> float:
-        """Of readings and priors."""
+        """With the priors."""
         residual = self.solved(heat)[1]
         return float(residual @ residual)
 

@@ -41,7 +41,7 @@ from flying_vines.vine.intent import Intent
 
 STEPS_PER_SNAPSHOT = 5
 CURVE = ((0.0, 0.0), (3.0, 0.0), (6.0, 17.0), (9.0, 30.0), (12.0, 40.0), (16.0, 50.0), (21.0, 58.0))
-"""Of the simulated vine; it differs from the profile's."""
+"""Bend curve of the simulated vine; it differs from the profile's."""
 HYSTERESIS_KPA = 1.2
 READING_SD_DEG = 1.0
 

@@ -42,9 +42,9 @@ PLAYS = np.arange(0.0, 0.26, 0.01)
 PLAY_PRIOR = (0.07, 0.06)
 """Mean and standard deviation."""
 AIR_SD = 0.01
-"""Relative, of an inflation's air."""
+"""Air of an inflation, relative."""
 PRESSURE_SD_KPA = 0.03
-"""Of a settled pressure."""
+"""A settled pressure."""
 START_SD = 0.001
 """Change of the start by the warming of the coil."""
 MAX_START_SD = 0.1
