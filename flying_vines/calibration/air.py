@@ -226,7 +226,7 @@ def bottle_leak(vine: VineAir) -> Result:
         "time, s",
         "bottle, kPa",
         (
-            Series("read", "points", bins.t_s, bins.reservoir_kPa),
+            Series("readings", "points", bins.t_s, bins.reservoir_kPa),
             Series("fitted", "line", bins.t_s, vine.balance.fitted_kPa),
             Series("at ambient temperature", "line", bins.t_s, read - (kept - np.mean(kept))),
         ),
@@ -331,12 +331,15 @@ def _staircase(vine: VineAir) -> Chart:
     rests: list[float] = []
     base_kPa = float("nan")
     pouch, refill = bins.columns["pouch"], bins.columns["refill"]
-    holding = np.diff(bins.columns["vine_leak"], prepend=0.0)
+    holding = np.diff(bins.columns["vine_leak"], prepend=0.0) > 0.0
+    # In a bin in which a vent begins or goes on, the pressure is a mean of before and after.
+    falls = np.diff(bins.cv_kPa) < -0.05 * bins.cv_kPa[:-1]
+    holding &= ~(np.append(falls, False) | np.append(False, falls))
     for k in np.flatnonzero(bins.counts):
         if bins.cv_kPa[k] < FLAT_KPA:
             rests = [*rests[-24:], kept_kPa[k]]
             base_kPa = float(np.mean(rests))
-        elif np.isfinite(base_kPa) and holding[k] > 0.0:
+        elif np.isfinite(base_kPa) and holding[k]:
             rests = []
             inflation = first if pouch[k] > 0.5 and refill[k] < 0.5 else later
             inflation.append((bins.cv_kPa[k], (base_kPa - kept_kPa[k]) * vine.SL_per_kPa))

@@ -38,14 +38,14 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--bottle-empty",
         action="store_true",
-        help="first measure the zero of the bottle's sensor",
+        help="the bottle is empty and open: first measure its sensor's zero",
     )
     parser.add_argument(
         "--bottle-volume-L",
         type=float,
         dest="bottle_volume_L",
         metavar="L",
-        help="volume of the bottle",
+        help="volume of the bottle, as weighed with water",
     )
     parser.add_argument(
         "--vessel-L",

@@ -6,7 +6,7 @@ warmth back, and the air outside gives it to the wall. So a bottle that recovers
 air, and a cold one has not lost what it seems to have lost:
 
     dx = −out                    out = a rise + b flat + v p_abs u_d dt + λ x dt + c P_cv dt
-    dg = (γ−1) T/p_abs · out − a (g − w) dt      dw = b (g − w) dt − c w dt      (a, b, c: `Wall.rates`)
+    dg = (γ−1) T/p_abs · out − r_g (g − w) dt    dw = r_w (g − w) dt − r_o w dt    (r: `Wall.rates`)
 
 What is learned is in kPa of this very bottle: `a` for every kPa that the control volume rises, `b` for every
 inflation from flat (a pouch), `v` for the Venturi while its valve is open, `λ` for the reservoir's leak, `c`

@@ -90,7 +90,7 @@ class Wall:
             raise ValueError("a wall's conductances are not negative")
 
     def inner_W_per_K(self, gas_J_per_K: float, scale: float = 1.0) -> float:
-        """Between gas of this heat capacity and the wall. `scale` multiplies the conductances."""
+        """Conductance between the wall and gas of this heat capacity. `scale` multiplies hA."""
         return scale * self.conductance_W_per_K + gas_J_per_K / self.time_constant_s
 
     def rates(self, gas_J_per_K: float, scale: float = 1.0) -> HeatRates:
