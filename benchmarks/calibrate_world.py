@@ -1,8 +1,7 @@
-"""A rig that a calibration moves, compiled: some hundred times real time, telemetry with every step.
+"""A simulated rig for a calibration, compiled: some hundred times real time, telemetry with every step.
 
-What stands between the calibrator and the valves is as short as it can be: what is asked for is accepted, and
-goes to the firmware's regulator as the core would send it. Safety and serial line are the service's affair,
-and its tests'.
+Each request is accepted and goes to the firmware's regulator as the core would send it. Safety and serial line
+are not simulated; the tests of the service cover them.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from flying_vines.vine.intent import Intent, SetPressure, StartProfile
 from flying_vines.vine.motion import Motion
 
 LOOKS_S = 0.1
-"""How often the calibrator is told the time."""
+"""Time between ticks of the calibrator."""
 
 
 class CompiledWorld:
@@ -45,7 +44,7 @@ class CompiledWorld:
         self.now = 0.0
         self.asked: list[Intent] = []
         self.recording: StageRecording | None = None
-        """Of the last stage that was evaluated."""
+        """Data of the last evaluated stage."""
         self._rig = rig
         self._seed = seed
         self._step_ms = step_ms
@@ -58,11 +57,11 @@ class CompiledWorld:
 
     @property
     def reservoir_kPa(self) -> float:
-        """True."""
+        """True pressure."""
         return self._reservoir_true_kPa
 
     def run(self) -> Calibrator:
-        """Until it has ended."""
+        """Run the calibration to its end."""
         self._carry_out(self.calibrator.begin(self.now))
         while self.calibrator.ended is None:
             motion = self._motion
@@ -71,7 +70,7 @@ class CompiledWorld:
         return self.calibrator
 
     def _live(self, seconds: float) -> None:
-        """Until then, or until something else is asked for."""
+        """Simulate the present motion for this time."""
         begun_s, motion = self.now, self._motion
         ticks = round(seconds / TICK_S)
         setpoints = [SetpointChange(0.0, math.nan, 1.0)]

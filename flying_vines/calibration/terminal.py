@@ -159,7 +159,9 @@ class CalibrationTerminal:
             f"the range before, {unseen.nrmse_after:.2%} after; noise alone {unseen.noise_floor:.2%}"
         )
         if found.rig is not None and not found.helps:
-            say("     The named causes do not change the cycles left, so the profile does not name rig.toml.")
+            say(
+                "     The named causes do not improve the cycles left, so the profile does not name rig.toml."
+            )
         self.line("Diagnosis", found.report)
 
     def firmware(self, wanted: Mapping[str, float], link: str, is_set: bool) -> None:
