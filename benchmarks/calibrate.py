@@ -2,8 +2,8 @@
 
     .venv/bin/python benchmarks/calibrate.py --rigs 40 --jobs 2 [--markdown FILE]
 
-The rigs are those of the benchmark of the cycles left, with believed and true numbers. Some quantities have no
-single true number. They are defined as:
+The rigs are those of the benchmark of the cycles left, with believed and true numbers. Some quantities have
+no single true number. They are defined as:
 
 - volume: 101.325 kPa · (air at the top − air at 0 kPa) / top, vine and tube at ambient temperature
 - pouch: air of the full vine at 0 kPa less that of the flat one

@@ -116,14 +116,10 @@ def calibrated(text: str, source: str, found: Sequence[ProfileChange], day: str)
 def with_numbers(config: Config, found: Sequence[ProfileChange]) -> Config:
     """The configuration with these values; not validated."""
     for change in found:
-        config = _replaced(config, change)
+        table = getattr(config, change.table)
+        values = {**msgspec.to_builtins(table), change.name: change.value}
+        config = msgspec.structs.replace(config, **{change.table: msgspec.convert(values, type(table))})
     return config
-
-
-def _replaced(config: Config, change: ProfileChange) -> Config:
-    table = getattr(config, change.table)
-    values = {**msgspec.to_builtins(table), change.name: change.value}
-    return msgspec.structs.replace(config, **{change.table: msgspec.convert(values, type(table))})
 
 
 def proposed(proposals: Sequence[SettingProposal], settings: Sequence[Setting]) -> Mapping[str, float]:
