@@ -22,10 +22,9 @@ from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_from
-from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.plant.wall import Wall, heat_capacity_J_per_K
 from flying_vines.physics.rig import Rig, RigError, read_rig
 from flying_vines.supply.belief import AMBIENT_KPA, MIN_RISE_SHARE, Belief, Prior, nominal
-from flying_vines.supply.reservoir import PER_AIR_K
 
 # Relative standard deviations: a rig changes between its calibration and its flight.
 CHANGED = 0.1
@@ -172,8 +171,8 @@ def _air_SL_per_kPa(p: PneumaticsConfig, plant: Plant, top_kPa: float) -> float:
     volume_L = p.cv_volume_L * (1.0 + plant.shape.per_kPa * (AMBIENT_KPA + top_kPa))
     rise_s = p.cycle_swing_kPa / p.cycle_rate_kPa_per_s
     if (wall := plant.effects.cv_wall) is not None:
-        gas_J_per_K = (AMBIENT_KPA + 0.5 * top_kPa) * p.cv_volume_L / PER_AIR_K
-        cools_per_s = (1.0 / wall.time_constant_s + wall.conductance_W_per_K / gas_J_per_K) / GAMMA
+        gas_J_per_K = heat_capacity_J_per_K(AMBIENT_KPA + 0.5 * top_kPa, p.cv_volume_L)
+        cools_per_s = wall.rates(gas_J_per_K).gas_per_s / GAMMA
         lost = (1.0 - math.exp(-cools_per_s * rise_s)) / (cools_per_s * rise_s) if cools_per_s else 1.0
         warm_share = (GAMMA - 1.0) / GAMMA * lost * math.exp(-cools_per_s * TOP_SHARE * rise_s)
         volume_L *= 1.0 - warm_share

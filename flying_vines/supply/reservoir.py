@@ -6,7 +6,7 @@ air warms the wall. So a pressure that recovers after a fast outflow is no gain 
 has lost less air than its reading shows:
 
     dx = −out                    out = a rise + b flat + v p_abs u_d dt + λ x dt + c P_cv dt
-    dg = (γ−1) T/p_abs · out − (g − w) h hA/(m c_v) dt      dw = (g − w) h hA/C_w dt − w h h_oA_o/C_w dt
+    dg = (γ−1) T/p_abs · out − r_g (g − w) dt    dw = r_w (g − w) dt − r_o w dt    (r: `Wall.rates`)
 
 The learned rates are in kPa of this reservoir: `a` for each kPa of rise of the control volume, `b` for each
 inflation from flat (of the actuator's bending pouch), `v` for the Venturi while its valve is open, `λ` for
@@ -20,11 +20,9 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from flying_vines.physics.constants import GAMMA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
+from flying_vines.physics.plant.wall import COOLING_K, heat_capacity_J_per_K
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
-
-PER_AIR_K = (GAMMA - 1.0) * STANDARD_TEMPERATURE_K
-"""m c_v of the gas, in J/K, is p V divided by this."""
 
 X, GAS, WALL, RISE, FLAT, VENTURI, LEAK, CV_LEAK, WARMTH = range(9)
 """Indices of x, g, w, a, b, v, λ, c and ln h in the state."""
@@ -74,9 +72,8 @@ class Spent(NamedTuple):
 def colder_K(belief: Belief, heat_W: float, supply_kPa_abs: float, warmth: float) -> float:
     """The difference of the gas temperature to ambient at a constant heat flow."""
     wall = belief.wall
-    gas_J_per_K = supply_kPa_abs * belief.pneumatics.reservoir_volume_L / PER_AIR_K
-    inner_W_per_K = warmth * wall.conductance_W_per_K + gas_J_per_K / wall.time_constant_s
-    colder = heat_W / max(MIN_W_PER_K, inner_W_per_K)
+    gas_J_per_K = heat_capacity_J_per_K(supply_kPa_abs, belief.pneumatics.reservoir_volume_L)
+    colder = heat_W / max(MIN_W_PER_K, wall.inner_W_per_K(gas_J_per_K, warmth))
     if math.isfinite(wall.capacity_J_per_K):
         colder += heat_W / max(MIN_W_PER_K, warmth * wall.outer_conductance_W_per_K)
     return colder
@@ -126,13 +123,12 @@ class Bottle:
         )
         out = sum(rate * amount for rate, amount in zip(m[RISE:WARMTH], per, strict=True))
         walls, warmth = self._belief.wall, math.exp(m[WARMTH])
-        gas_J_per_K = p_abs * self._belief.pneumatics.reservoir_volume_L / PER_AIR_K
+        gas_J_per_K = heat_capacity_J_per_K(p_abs, self._belief.pneumatics.reservoir_volume_L)
         learned_J_per_K = warmth * walls.conductance_W_per_K * dt
-        inner_J_per_K = learned_J_per_K + gas_J_per_K * dt / walls.time_constant_s
-        inner = min(0.9, inner_J_per_K / gas_J_per_K)
-        wall = min(0.5, inner_J_per_K / walls.capacity_J_per_K)
-        outer = min(0.5, warmth * walls.outer_conductance_W_per_K * dt / walls.capacity_J_per_K)
-        cooling = PER_AIR_K / p_abs
+        heat = walls.rates(gas_J_per_K, warmth)
+        inner = min(0.9, heat.gas_per_s * dt)
+        wall, outer = min(0.5, heat.wall_per_s * dt), min(0.5, heat.outer_per_s * dt)
+        cooling = COOLING_K / p_abs
         apart, below = m[GAS] - m[WALL], m[WALL]
         learned_K = apart * min(0.9, learned_J_per_K / gas_J_per_K)
         self._spread(

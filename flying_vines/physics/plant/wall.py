@@ -10,13 +10,34 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_TEMPERATURE_K
 
+if TYPE_CHECKING:
+    from flying_vines.physics.arrays import Array
+
+Number = TypeVar("Number", float, "Array")
 _G1 = GAMMA - 1.0
 _PER_G1 = 1.0 / _G1
 _PER_K = 1.0 / STANDARD_TEMPERATURE_K
+
+
+COOLING_K = _G1 * STANDARD_TEMPERATURE_K
+"""(γ−1) T: how far gas cools for each share of it that flows out."""
+
+
+def heat_capacity_J_per_K(kPa_abs: Number, volume_L: float) -> Number:
+    """m c_v = p V / ((γ−1) T) of gas near ambient temperature."""
+    return kPa_abs * volume_L / COOLING_K
+
+
+class HeatRates(NamedTuple):
+    """dg/dt = −gas (g − w), dw/dt = wall (g − w) − outer w: gas and wall are g and w below ambient."""
+
+    gas_per_s: float
+    wall_per_s: float
+    outer_per_s: float
 
 
 class Heat(NamedTuple):
@@ -67,6 +88,19 @@ class Wall:
             raise ValueError("a wall's time constant and capacity must be positive")
         if not (self.conductance_W_per_K >= 0.0 and self.outer_conductance_W_per_K >= 0.0):
             raise ValueError("a wall's conductances must not be negative")
+
+    def inner_W_per_K(self, gas_J_per_K: float, scale: float = 1.0) -> float:
+        """Conductance between the wall and gas of this heat capacity. `scale` multiplies hA."""
+        return scale * self.conductance_W_per_K + gas_J_per_K / self.time_constant_s
+
+    def rates(self, gas_J_per_K: float, scale: float = 1.0) -> HeatRates:
+        """How quickly gas of this heat capacity and the wall exchange heat."""
+        inner_W_per_K = self.inner_W_per_K(gas_J_per_K, scale)
+        return HeatRates(
+            inner_W_per_K / gas_J_per_K,
+            inner_W_per_K / self.capacity_J_per_K,
+            scale * self.outer_conductance_W_per_K / self.capacity_J_per_K,
+        )
 
     def numbers(self) -> Heat:
         return Heat(
