@@ -109,7 +109,7 @@ def plant(recording: StageRecording, started: Findings) -> Found:
     def quantities(place: np.ndarray) -> dict[str, float]:
         """As the benchmark `calibrate.py` defines them; `place` as the fit moves it."""
         moved = problem.moved(replace(fit.point, deviation=dict(zip(keys, place, strict=False))))
-        value = {c.name: c.parameters[0].outer(x) for c, x in zip(causes, place[len(keys) :], strict=True)}
+        value = {c.name: c.parameters[0].to_model(x) for c, x in zip(causes, place[len(keys) :], strict=True)}
         full_kPa, ambient_kPa = plan.believed.pneumatics.full_kPa, STANDARD_PRESSURE_KPA
         growth = value.get("cv_compliance", 0.0) * (plan.top_kPa + ambient_kPa)
         start = value["evp_dead_zone"] + 0.5 * value["evp_hysteresis"]
@@ -124,7 +124,7 @@ def plant(recording: StageRecording, started: Findings) -> Found:
             "vine_leak_kPa_s_per_SL": value.get("cv_leak", NO_LEAK),
         }
 
-    values = [c.parameters[0].inner(v[0]) for c, v in zip(causes, fit.point.values, strict=True)]
+    values = [c.parameters[0].to_search(v[0]) for c, v in zip(causes, fit.point.values, strict=True)]
     place = np.array([*fit.point.deviation.values(), *values])
     best = quantities(place)
     beside = [quantities(place + step) for step in 1e-5 * np.eye(len(place))]

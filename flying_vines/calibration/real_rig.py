@@ -146,7 +146,7 @@ async def _run(
             with suppress(SigningKeyError):
                 TimestampFile(context.state.signing_timestamp).save(context.signing.memory)
         recorder.close()
-    return driver.outcome(recorder.folder, recorder.told)
+    return driver.outcome(recorder.folder, recorder.news)
 
 
 async def _pass(serving: asyncio.Task[None], tasks: set[asyncio.Task[None]]) -> None:
