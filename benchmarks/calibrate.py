@@ -40,8 +40,8 @@ from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.coil import current_A
 from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.setup import Setup
-from flying_vines.physics.plant.shape import Compliant, Pouch
 from flying_vines.physics.plant.venturi import outlet_SL_per_s
+from flying_vines.physics.plant.volume import Compliant, Pouch
 
 FIRST_SEED = 8000
 """The method was developed with seeds up to 42, and its intervals were checked with 7000 to 7033."""

@@ -20,8 +20,8 @@ from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
 from flying_vines.physics.plant.plant import Held
 from flying_vines.physics.plant.rates import Floats, conditions, edges
 from flying_vines.physics.plant.sensors import SensorMemory, Transfer, reading
-from flying_vines.physics.plant.shape import volume_and_work
 from flying_vines.physics.plant.tick import runge_kutta
+from flying_vines.physics.plant.volume import volume_and_work
 
 SETTLED = 1e-3
 """A valve has arrived if its opening (0…1) is nearer than this to its target."""

@@ -21,11 +21,11 @@ from flying_vines.physics.plant.commands import Commands, followed, steps_of, to
 from flying_vines.physics.plant.compiled import weather_at
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Opening
-from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.numbers import PlantNumbers, heat_per_s, numbers_of
 from flying_vines.physics.plant.sensors import Sensor
 from flying_vines.physics.plant.setup import Setup, perfect
 from flying_vines.physics.plant.simulator import TICK_S
+from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.rig import ControlVolume, Rig, with_numbers
 
 MAX_STEP_S = 0.05

@@ -17,11 +17,11 @@ import msgspec
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, flow_SL_per_s
-from flying_vines.physics.plant.motion import ValveMotion
 from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.setup import Setup
-from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_from
+from flying_vines.physics.plant.valve_response import ValveMotion
+from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.plant.wall import Wall, heat_capacity_J_per_K
 from flying_vines.physics.rig import Rig, RigError, read_rig
 from flying_vines.supply.belief import AMBIENT_KPA, MIN_RISE_SHARE, Belief, Prior, nominal

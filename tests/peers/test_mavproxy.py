@@ -27,7 +27,7 @@ from flying_vines.service.service import Service
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
-from flying_vines.vehicle.component.settings import SETTINGS
+from flying_vines.vehicle.component.parameter_table import SETTINGS
 from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vehicle.mavlink.signing_key import read_key
 from flying_vines.vehicle.mission.storage import AutopilotKind

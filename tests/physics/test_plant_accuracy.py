@@ -16,9 +16,9 @@ from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.likely import likely_effects
 from flying_vines.physics.plant.plant import Conditions, Held, Plant
 from flying_vines.physics.plant.rates import conditions, rates
-from flying_vines.physics.plant.shape import Compliant
 from flying_vines.physics.plant.simulator import Simulator
 from flying_vines.physics.plant.venturi import Ejector
+from flying_vines.physics.plant.volume import Compliant
 from flying_vines.physics.rig import ControlVolume, Rig
 
 STEADY_COIL = Coil(thermal_resistance_K_per_W=0.0)

@@ -15,15 +15,15 @@ from flying_vines.physics.plant.ambient import Climb, Recorded, Steady
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.likely import likely_effects
-from flying_vines.physics.plant.motion import ValveMotion, dead_zone
 from flying_vines.physics.plant.numbers import PlantNumbers, numbers_of
 from flying_vines.physics.plant.plant import Conditions, Plant, State, at_rest
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, read, rested
-from flying_vines.physics.plant.shape import Compliant, Pouch
 from flying_vines.physics.plant.simulator import SHUT, Simulator
 from flying_vines.physics.plant.tick import tick
 from flying_vines.physics.plant.tubing import Tubing
+from flying_vines.physics.plant.valve_response import ValveMotion, dead_zone
 from flying_vines.physics.plant.venturi import Ejector
+from flying_vines.physics.plant.volume import Compliant, Pouch
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 

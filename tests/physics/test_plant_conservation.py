@@ -12,14 +12,14 @@ from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.ambient import Climb, Recorded, Steady, air_at
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
-from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.numbers import numbers_of
 from flying_vines.physics.plant.plant import Held, Plant, State, at_rest
 from flying_vines.physics.plant.rates import conditions, flows, rates
-from flying_vines.physics.plant.shape import Compliant, Pouch
 from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.plant.tubing import Tubing
+from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.venturi import Ejector
+from flying_vines.physics.plant.volume import Compliant, Pouch
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 

@@ -23,8 +23,8 @@ from flying_vines.physics.plant.gas import (
     polytropic_temperature_K,
 )
 from flying_vines.physics.plant.plant import Plant, at_rest
-from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.simulator import Simulator
+from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Evp, Reservoir, Rig
 

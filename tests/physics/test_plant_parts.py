@@ -30,19 +30,19 @@ from flying_vines.physics.plant.flow import (
     iso6358_matching,
 )
 from flying_vines.physics.plant.likely import DVP, likely_effects
-from flying_vines.physics.plant.motion import (
+from flying_vines.physics.plant.plant import Plant, at_rest
+from flying_vines.physics.plant.rates import flows
+from flying_vines.physics.plant.simulator import Simulator
+from flying_vines.physics.plant.tubing import Tubing, tubing_of
+from flying_vines.physics.plant.valve_response import (
     SolenoidTiming,
     ValveMotion,
     backlash,
     dead_zone,
     solenoid_after,
 )
-from flying_vines.physics.plant.plant import Plant, at_rest
-from flying_vines.physics.plant.rates import flows
-from flying_vines.physics.plant.shape import Compliant, Pouch, pressure_and_volume, volume_and_work
-from flying_vines.physics.plant.simulator import Simulator
-from flying_vines.physics.plant.tubing import Tubing, tubing_of
 from flying_vines.physics.plant.venturi import Ejector, nozzle_supply, outlet_SL_per_s
+from flying_vines.physics.plant.volume import Compliant, Pouch, pressure_and_volume, volume_and_work
 from flying_vines.physics.rig import Rig
 
 pressures = st.floats(20.0, 900.0)

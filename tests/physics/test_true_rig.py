@@ -12,8 +12,6 @@ from flying_vines.physics.effects import catalogue, setup
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.likely import likely_effects
-from flying_vines.physics.plant.motion import ValveMotion
-from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.true_rig import (
     TrueRig,
     likely_sensors,
@@ -21,6 +19,8 @@ from flying_vines.physics.plant.true_rig import (
     true_rig_from,
     true_rig_text,
 )
+from flying_vines.physics.plant.valve_response import ValveMotion
+from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig, RigError, load_rig
 
 EVERY_CAUSE = {

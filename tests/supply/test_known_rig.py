@@ -23,8 +23,8 @@ from flying_vines.identification.extended import extended_rig
 from flying_vines.physics.effects import catalogue
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.plant import at_rest
-from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.true_rig import TrueRig, load_true_rig, true_rig_text
+from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig, RigError
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop

@@ -15,7 +15,7 @@ import flying_vines
 from flying_vines.config import config
 from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.clash import REPORT_AGAIN_S, WITHIN_S, Clash
-from flying_vines.vehicle.component.settings import SETTINGS
+from flying_vines.vehicle.component.parameter_table import SETTINGS
 from flying_vines.vehicle.component.texts import MAX_TEXT_LENGTH, harmless
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from flying_vines.config import config
 from flying_vines.vehicle.component.parameter_file import ParameterFileError, read, write
+from flying_vines.vehicle.component.parameter_table import SETTINGS, ParameterRefused, bounds
 from flying_vines.vehicle.component.parameters import Parameters
-from flying_vines.vehicle.component.settings import SETTINGS, ParameterRefused, bounds
 
 PROFILE = config.default()
 VALUES = {"VINE_MAX_KPA": 18.1, "VINE_RC_ACTION": 1.0}

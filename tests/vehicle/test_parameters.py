@@ -15,8 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
 from flying_vines.config.config import Config
-from flying_vines.vehicle.component.parameters import LIST_SPACING_S, Changed, Parameters
-from flying_vines.vehicle.component.settings import (
+from flying_vines.vehicle.component.parameter_table import (
     BY_NAME,
     SETTINGS,
     ParameterRefused,
@@ -24,6 +23,7 @@ from flying_vines.vehicle.component.settings import (
     decimal,
     value_of,
 )
+from flying_vines.vehicle.component.parameters import LIST_SPACING_S, Changed, Parameters
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 

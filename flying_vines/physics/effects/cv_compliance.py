@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.setup import Setup
-from flying_vines.physics.plant.shape import Compliant
+from flying_vines.physics.plant.volume import Compliant
 
 
 def apply(base: Setup, per_kPa: float) -> Setup:

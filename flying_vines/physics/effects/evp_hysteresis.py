@@ -5,8 +5,8 @@ only moves when it must. A command of 0 shuts it and resets the backlash.
 from __future__ import annotations
 
 from flying_vines.physics.cause import Cause, Parameter
-from flying_vines.physics.plant.motion import ValveMotion
 from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.valve_response import ValveMotion
 
 
 def apply(base: Setup, width: float) -> Setup:

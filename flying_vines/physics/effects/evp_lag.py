@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from flying_vines.physics.cause import Cause, Parameter
-from flying_vines.physics.plant.motion import ValveMotion
 from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.valve_response import ValveMotion
 
 
 def apply(base: Setup, time_constant_s: float) -> Setup:

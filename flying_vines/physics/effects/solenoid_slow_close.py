@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from flying_vines.physics.cause import Cause, Parameter
-from flying_vines.physics.plant.motion import SolenoidTiming
 from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.valve_response import SolenoidTiming
 
 
 def apply(base: Setup, delay_s: float) -> Setup:

@@ -8,7 +8,7 @@ import numpy as np
 
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.compiler import compiled
-from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion, backlash, dead_zone
+from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion, backlash, dead_zone
 
 
 class Steps(NamedTuple):

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from flying_vines.physics.plant.ambient import Ambient
 from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.flow import FlowLaw, Iso6358
-from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion
-from flying_vines.physics.plant.shape import Shape
 from flying_vines.physics.plant.tubing import Tubing
+from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.venturi import Ejector
+from flying_vines.physics.plant.volume import Shape
 from flying_vines.physics.plant.wall import Wall
 
 

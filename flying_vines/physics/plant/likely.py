@@ -5,10 +5,10 @@ from __future__ import annotations
 from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm, conductance_from_rating_SL_per_s_kPa
-from flying_vines.physics.plant.motion import CLIPPARD_DVP, CLIPPARD_EVP, HUAMEI_12V
-from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.tubing import Tubing
+from flying_vines.physics.plant.valve_response import CLIPPARD_DVP, CLIPPARD_EVP, HUAMEI_12V
 from flying_vines.physics.plant.venturi import COVAL_VR09
+from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.plant.wall import PET_BOTTLE_2L, Wall
 
 EVP = Iso6358(conductance_from_rating_SL_per_s_kPa(23.5, 690.0))

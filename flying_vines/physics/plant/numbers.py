@@ -11,10 +11,10 @@ from typing import NamedTuple
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA
 from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, Opening
-from flying_vines.physics.plant.motion import ValveMotion, ticks
 from flying_vines.physics.plant.plant import Plant
-from flying_vines.physics.plant.shape import Chamber
+from flying_vines.physics.plant.valve_response import ValveMotion, ticks
 from flying_vines.physics.plant.venturi import Ejector, Suction
+from flying_vines.physics.plant.volume import Chamber
 from flying_vines.physics.plant.wall import Heat
 
 

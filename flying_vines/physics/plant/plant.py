@@ -9,7 +9,7 @@ from flying_vines.physics.constants import GAMMA
 from flying_vines.physics.plant.ambient import Ambient, Steady
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.gas import air_SL
-from flying_vines.physics.plant.shape import Compliant, Shape, volume_and_work
+from flying_vines.physics.plant.volume import Compliant, Shape, volume_and_work
 from flying_vines.physics.rig import Rig
 
 

@@ -22,8 +22,8 @@ from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.flow import flow_SL_per_s
 from flying_vines.physics.plant.numbers import PlantNumbers
 from flying_vines.physics.plant.plant import Conditions, Held
-from flying_vines.physics.plant.shape import pressure_and_volume
 from flying_vines.physics.plant.venturi import outlet_SL_per_s, supply
+from flying_vines.physics.plant.volume import pressure_and_volume
 from flying_vines.physics.plant.wall import heat_kPa_L_per_s, wall_K_per_s
 
 Floats = tuple[float, ...]

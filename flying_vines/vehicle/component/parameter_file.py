@@ -14,7 +14,13 @@ from typing import Any
 from flying_vines.config import on_disk
 from flying_vines.config.config import Config
 from flying_vines.config.toml_text import one_line, parsed, place, read_text
-from flying_vines.vehicle.component.settings import BY_NAME, SETTINGS, ParameterRefused, changed, value_of
+from flying_vines.vehicle.component.parameter_table import (
+    BY_NAME,
+    SETTINGS,
+    ParameterRefused,
+    changed,
+    value_of,
+)
 
 HEADING = """\
 # Vine parameters set from a ground station. They override the profile.

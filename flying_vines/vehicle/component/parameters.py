@@ -1,4 +1,4 @@
-"""The settings of `settings.py` as a MAVLink parameter set, which any ground station can list, read and set.
+"""The parameters as a MAVLink parameter set: listed, read and set by any ground station.
 
 All are 32-bit floats, which ground stations encode in the same way for both autopilots. The answer is always
 the value in force. A parameter that we do not have (QGroundControl's `_HASH_CHECK`) is not answered.
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config.config import Config
-from flying_vines.vehicle.component.settings import (
+from flying_vines.vehicle.component.parameter_table import (
     BY_NAME,
     SETTINGS,
     ParameterRefused,
