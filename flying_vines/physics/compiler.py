@@ -38,8 +38,7 @@ def compiled(function: F, apart: tuple[Callable[..., Any], ...] = ()) -> F:
     """The function, compiled at its first call (some seconds; less than a second from the cache).
 
     It takes numbers, tuples of numbers, arrays, and `record`s. The functions that it calls are inlined,
-    except
-    `apart`: large ones that are called from several places. NoCompiler without numba.
+    except `apart`: large ones that are called from several places. Raises NoCompiler without numba.
     """
     try:
         import numba
@@ -130,7 +129,9 @@ def _globals(function: Callable[..., Any]) -> dict[str, Any]:
 def _content(function: Callable[..., Any]) -> Iterator[object]:
     """Everything that determines the machine code of a function and its callees."""
     code = function.__code__
-    yield code.co_code, code.co_consts, code.co_names, code.co_varnames
+    constants = tuple(constant for constant in code.co_consts if constant != function.__doc__)
+    # The cached code imports its modules by name.
+    yield function.__module__, code.co_code, constants, code.co_names, code.co_varnames
     for name, value in _globals(function).items():
         if not callable(value) or hasattr(value, "_fields"):
             yield name, getattr(value, "_fields", value)

@@ -273,6 +273,9 @@ def test_what_was_compiled_is_kept_under_the_name_of_its_sources(
     before = compiler._cache_folder(tick)
     monkeypatch.setattr("flying_vines.physics.plant.wall._PER_K", 0.0)
     assert compiler._cache_folder(tick) != before
+    # So is a module's name: the cached code of a renamed one cannot be loaded.
+    monkeypatch.setattr(dead_zone, "__module__", "flying_vines.physics.plant.motion")
+    assert compiler._cache_folder(dead_zone) != folder
 
 
 def test_where_nothing_can_be_kept_it_is_compiled_all_the_same(
