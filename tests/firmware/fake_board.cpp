@@ -2,9 +2,9 @@
 
 #include <string.h>
 
-#include "../../firmware_link/firmware/phlosar/src/board/board.h"
-#include "../../firmware_link/firmware/phlosar/src/run.h"
-#include "../../firmware_link/firmware/phlosar/src/status_light.h"
+#include "board/board.h"
+#include "run.h"
+#include "status_light.h"
 
 extern "C" {
 

@@ -446,13 +446,30 @@ MUTANTS = {
     ),
     "the watchdog's reset not told": ("run.cpp", "board::reset_by_watchdog()", "false"),
     "settings not stored": ("run.cpp", "        settings_memory::store(image);\n", ""),
+    "LC: the usual hook, which ends the watchdog": (
+        "board/teensy_lc.cpp",
+        "    PHLOSAR_VENT(PORT_PCR_MUX(1));\n}\n\nextern",
+        "    PHLOSAR_VENT(PORT_PCR_MUX(1));\n    SIM_COPC = 0;\n}\n\nextern",
+    ),
+    "LC: the watchdog left at a second": ("board/teensy_lc.cpp", "    SIM_COPC = kCop_256_ms;\n", ""),
+    "LC: a crash that keeps the valves": (
+        "board/teensy_lc.cpp",
+        "    PHLOSAR_VENT(PORT_PCR_MUX(1));\n    SIM_SRVCOP",
+        "    SIM_SRVCOP",
+    ),
+    "LC: nothing fed while storing": (
+        "board/teensy_lc.cpp",
+        "void begin_slow_work() { feed_watchdog(); }\nvoid end_slow_work() { feed_watchdog(); }",
+        "void begin_slow_work() {}\nvoid end_slow_work() {}",
+    ),
+    "LC: a lockup that is not told": ("board/teensy_lc.cpp", "(RCM_SRS0 & RCM_SRS0_WDOG) != 0 || ", ""),
 }
-"""Mistakes in the layer that a lab would not see: file, what is right, what is wrong."""
+"""Mistakes in the layer that a lab would not see: file, what is right, what is wrong. LC: on a Teensy LC."""
 
 
 @pytest.mark.parametrize("what", MUTANTS)
 def test_a_mistake_in_the_layer_is_found(what: str, tmp_path: Path) -> None:
-    """By at least one of the tests above, on a Teensy 4.0."""
+    """By at least one of the tests above, on a Teensy 4.0 or LC."""
     name, right, wrong = MUTANTS[what]
     sketch = tmp_path / "phlosar"
     shutil.copytree(SKETCH, sketch)
@@ -460,7 +477,7 @@ def test_a_mistake_in_the_layer_is_found(what: str, tmp_path: Path) -> None:
     text = source.read_text()
     assert right in text
     source.write_text(text.replace(right, wrong, 1))
-    model = BOARDS[0]
+    model = BOARDS[2 if what.startswith("LC") else 0]
     made = compiled(model, tmp_path, sketch)
     tests = (
         test_the_valves_are_off_before_anything_else,

@@ -126,10 +126,10 @@ class Running:
         return bool(self._built.run_light(int(mode), int(faults), now_ms))
 
 
-def build(folder: Path, copies: int) -> Path:
-    core = sorted((SOURCE / "core").glob("*.cpp"))
+def build(folder: Path, copies: int, source: Path = SOURCE) -> Path:
+    files = [*sorted(source.glob("*.cpp")), *sorted((source / "core").glob("*.cpp"))]
     here = Path(__file__).with_name("fake_board.cpp")
-    library(folder, here, *sorted(SOURCE.glob("*.cpp")), *core, flags=(f"-DFAKE_COPIES={copies}",))
+    library(folder, here, *files, flags=("-I", str(source), f"-DFAKE_COPIES={copies}"))
     return folder / LIBRARY
 
 
@@ -386,10 +386,13 @@ def test_what_no_host_takes_is_lost_frame_by_frame(running: Running) -> None:
     """A port that takes 7 bytes now and then: no frame comes in parts, or mixed with another."""
     running.room = 7
     received = running.run(3000)
-    running.room = 0
-    running.run(1000)
-    running.room = 64
-    received += running.run(100)
+    for stall_ms in (1000, 333, 777):
+        running.room = 0
+        running.run(50)
+        running.say(Ping(0))  # a frame of another length
+        running.run(stall_ms)
+        running.room = 64
+        received += running.run(100)
     assert len(received) > 300
     assert running.codec.bad_frames == 0
 
@@ -405,3 +408,61 @@ def test_the_light(running: Running) -> None:
         assert flashes(Mode.FAULT, fault, 384 * place + 1280) == place
     both = Fault.CV_OVERPRESSURE | Fault.SETTINGS
     assert flashes(Mode.FAULT, both, 384 * 2 + 1280) == 2
+
+
+MISTAKES = {
+    "copies that nobody checks": (
+        "settings_memory.cpp",
+        "if (tail.u16() != crc16(bytes, kCrcAt))",
+        "if (false)",
+    ),
+    "always the first copy": ("settings_memory.cpp", "newest.copy == 0 && board", "false && board"),
+    "the older copy is loaded": (
+        "settings_memory.cpp",
+        "(number - newest.number)) > 0",
+        "(number - newest.number)) < 0",
+    ),
+    "copies side by side": (
+        "settings_memory.cpp",
+        "(i / layout.share) * layout.row + copy * size_t{layout.share} + i % layout.share",
+        "copy * 100u + i + 0u * layout.row",
+    ),
+    "the newest is written over": ("settings_memory.cpp", "newest.copy == 0 &&", "newest.copy == 1 &&"),
+    "storing while regulating": ("run.cpp", "firmware().mode() != Mode::kRegulate && ", ""),
+    "storing on a failing supply": ("run.cpp", "(firmware().faults() & kSupply) == 0", "true"),
+    "setpoints while storing": ("run.cpp", "if (!storing) firmware().receive", "firmware().receive"),
+    "a step that is not on time feeds": ("step_monitor.h", "on_time_ == kInARow && ", ""),
+    "one step on time is enough": ("step_monitor.h", "kInARow = 8", "kInARow = 1"),
+    "lateness that is forgiven each time": ("step_monitor.h", "due_us_ += kPeriod_us;", "due_us_ = now_us;"),
+    "a ring without an end": ("byte_ring.h", "kSize - 1 - used(begin_, end_)", "kSize"),
+}
+"""In what the board layer does not know: file, what is right, what is wrong."""
+
+
+@pytest.mark.parametrize("what", MISTAKES)
+def test_a_mistake_is_found(what: str, tmp_path: Path) -> None:
+    name, right, wrong = MISTAKES[what]
+    source = tmp_path / "src"
+    shutil.copytree(SOURCE, source)
+    text = (source / name).read_text()
+    assert right in text
+    (source / name).write_text(text.replace(right, wrong, 1))
+    made = build(tmp_path, 2, source)
+    tests = (
+        test_a_step_each_millisecond_and_telemetry_in_between,
+        test_what_is_set_is_stored_once_and_not_while_regulating,
+        test_a_setpoint_waits_until_the_settings_are_stored,
+        test_nothing_is_stored_on_a_failing_supply,
+        test_late_steps_do_not_feed_the_watchdog,
+        lambda running: test_an_overloaded_board_starves_the_watchdog(running, 1100),
+        test_what_no_host_takes_is_lost_frame_by_frame,
+        lambda _: test_settings_are_kept_over_many_power_cycles(made, tmp_path),
+        lambda _: test_a_power_cut_while_storing_keeps_the_older_settings(made, tmp_path, 84),
+        lambda _: test_no_two_copies_have_bytes_in_one_sector(made, tmp_path),
+    )
+    for test in tests:
+        try:
+            test(started(made, tmp_path))
+        except (AssertionError, StopIteration, IndexError, ValueError):
+            return
+    pytest.fail(f"no test sees: {what}")
