@@ -50,7 +50,7 @@ class Outcome(NamedTuple):
     """Mean distance from the target in the last second of holding."""
     air_NL: float
     """Out of the reservoir."""
-    strokes: int
+    strokes: float
     """How often the EVP opens, and the solenoid."""
     venting_s: float
     """From the command until the vine is below 1 kPa."""
