@@ -23,7 +23,9 @@ from pathlib import Path
 
 _CROSS = "arm-none-eabi-"
 _PROGRAM = ("phlosar::setup()", "phlosar::loop()")
-_INTERRUPTS = ("pit_isr", "usb_isr", "systick_isr")
+_INTERRUPTS = ("pit_isr", "usb_isr")
+_SYSTICK = ("(anonymous namespace)::guard()", "systick_isr")
+"""The first of these that there is: a Teensy 4's calls the other."""
 _SAVED = {"v6S-M": 36, "v7E-M": 108}
 """Bytes of registers that an interrupt saves, with the gap to a multiple of 8, by architecture (M0+, M7)."""
 _THROUGH_A_REGISTER = {
@@ -161,6 +163,8 @@ def needs_of(elf: Path) -> Needs:
     attributes = re.search(r"Tag_CPU_arch: (\S+)", _run("readelf", "-A", elf))
     if attributes is None or attributes[1] not in _SAVED or "_estack" not in symbols:
         raise ImageError(f"{elf} is not a sketch for a Teensy")
+    names = {function.name for function in image.functions.values()}
+    systick = next((name for name in _SYSTICK if name in names), _SYSTICK[-1])
     return Needs(
         board=elf.parent.name,
         flash=sum(size for name, size in sizes.items() if name.startswith((".text", ".data"))),
@@ -170,7 +174,7 @@ def needs_of(elf: Path) -> Needs:
         - (0 if ".text.itcm" in sizes else sizes[".text"]),
         room=symbols["_estack"] - symbols["_ebss"],
         program=max((image.named(name) for name in _PROGRAM), key=lambda chain: chain.size),
-        interrupts=tuple(image.named(name) for name in _INTERRUPTS),
+        interrupts=tuple(image.named(name) for name in (*_INTERRUPTS, systick)),
         saved=_SAVED[attributes[1]],
     )
 

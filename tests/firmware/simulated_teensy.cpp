@@ -30,7 +30,11 @@ struct SimulatedTeensy {
     uint8_t memory[1080];
     uint32_t memory_writes, memory_us;
     uint32_t timer_us;
-    uint8_t priority;
+    uint8_t priority, step_hangs;
+    uint32_t systicks;
+    // Whether EVP and DVP were off 5 ms after the firmware began to wait for a bootloader or a reset.
+    uint32_t idles;
+    uint8_t off_while_idle;
     uint8_t dtr, usb_stalled;
     uint32_t baud;
     uint32_t waited_for_host_us;
@@ -61,7 +65,7 @@ void reset() {
 }
 
 void interrupt() {
-    if (timer_function == nullptr || in_interrupt || !interrupts) return;
+    if (timer_function == nullptr || in_interrupt || !interrupts || sim.step_hangs != 0) return;
     if (static_cast<int32_t>(sim.now_us - next_us) < 0) return;
     next_us += (sim.now_us - next_us) / sim.timer_us * sim.timer_us + sim.timer_us;
     in_interrupt = true;
@@ -69,11 +73,22 @@ void interrupt() {
     in_interrupt = false;
 }
 
+// Of a higher priority than the step.
+void systick() {
+#if defined(__MKL26Z64__)
+    systick_isr();
+#else
+    (_VectorsRam[15] != nullptr ? _VectorsRam[15] : systick_isr)();
+#endif
+}
+
 void pass(uint32_t us) {
     while (us > 0) {
         const uint32_t part = us < 50 ? us : 50;
+        const bool tick = (sim.now_us + part) / 1000 != sim.now_us / 1000;
         sim.now_us += part;
         us -= part;
+        if (tick && interrupts) systick();
         if (sim.watchdog_on != 0 && sim.now_us - sim.fed_us >= sim.watchdog_us) reset();
         interrupt();
     }
@@ -177,7 +192,13 @@ void sim_interrupts(bool on) {
     interrupt();
 }
 
-void sim_idle() { pass(50); }
+void sim_idle() {
+    pass(50);
+    if (++sim.idles != 100) return;
+    const SimulatedPin& dvp = sim.pins[6];
+    const SimulatedPin& evp = sim.pins[9];
+    sim.off_while_idle = evp.pwm == 0 && evp.level == 0 && dvp.pwm == 0 && dvp.level == 0;
+}
 
 void pinMode(uint8_t pin, uint8_t mode) {
     sim.pins[pin].output = mode == OUTPUT;
@@ -228,6 +249,8 @@ void analogWrite(uint8_t pin, int value) {
 #endif
     one.pwm = 1;
 }
+
+extern "C" void systick_isr() { ++sim.systicks; }
 
 uint32_t micros() { return sim.now_us; }
 uint32_t millis() { return sim.now_us / 1000; }

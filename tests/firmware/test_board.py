@@ -80,6 +80,10 @@ class State(ctypes.Structure):
         ("memory_us", ctypes.c_uint32),
         ("timer_us", ctypes.c_uint32),
         ("priority", ctypes.c_uint8),
+        ("step_hangs", ctypes.c_uint8),
+        ("systicks", ctypes.c_uint32),
+        ("idles", ctypes.c_uint32),
+        ("off_while_idle", ctypes.c_uint8),
         ("dtr", ctypes.c_uint8),
         ("usb_stalled", ctypes.c_uint8),
         ("baud", ctypes.c_uint32),
@@ -283,9 +287,28 @@ def test_steps_come_from_a_timer_below_the_clocks_interrupt(teensy: Teensy) -> N
 def test_a_main_loop_that_hangs_is_vented_and_then_reset(teensy: Teensy) -> None:
     teensy.start()
     teensy.regulate()
-    assert not teensy.hang(305, with_interrupts=True)
+    assert not teensy.hang(250, with_interrupts=True)  # beside the steps' own time
     assert teensy.vented
     assert teensy.hang(400, with_interrupts=True)
+
+
+def test_a_step_that_hangs_is_vented_or_reset_within_0p26_s(teensy: Teensy) -> None:
+    """With its interrupts on: a Teensy 4 vents then, and its watchdog resets it later."""
+    teensy.start()
+    teensy.regulate()
+    begin_us, ticks = teensy.state.now_us, teensy.state.systicks
+    teensy.state.step_hangs = 1
+    if teensy.model.name == "teensylc":
+        assert teensy.run_until_reset(300)
+        assert teensy.state.now_us - begin_us < 260_000
+        return
+    assert not teensy.run_until_reset(240)
+    assert not teensy.vented
+    assert teensy.state.systicks - ticks >= 239
+    # Venting ends in waiting for the watchdog.
+    assert teensy.run_until_reset(2000)
+    assert teensy.vented
+    assert teensy.state.now_us - begin_us < 510_000
 
 
 def test_a_processor_that_hangs_is_reset_in_the_watchdogs_time(teensy: Teensy) -> None:
@@ -380,10 +403,9 @@ def test_a_request_to_flash_vents_first_and_leaves_the_bootloader_its_time(teens
     teensy.start()
     teensy.regulate()
     teensy.state.baud = 134
-    # Teensyduino starts the bootloader after 10 ms (Teensy 4) or 15 ms.
-    assert not teensy.run_until_reset(0)
-    teensy.state.fed_us = teensy.state.now_us
     assert teensy.run_until_reset(5000)  # no bootloader came
+    # Teensyduino starts it after 10 ms (Teensy 4) or 15 ms.
+    assert teensy.state.off_while_idle
     assert teensy.vented
 
 
@@ -446,6 +468,13 @@ MUTANTS = {
     ),
     "the watchdog's reset not told": ("run.cpp", "board::reset_by_watchdog()", "false"),
     "settings not stored": ("run.cpp", "        settings_memory::store(image);\n", ""),
+    "no guard behind the watchdog": (
+        "board/teensy4.cpp",
+        "    _VectorsRam[kSysTick] = guard;\n",
+        "    (void)guard;\n",
+    ),
+    "a guard that nobody feeds": ("board/teensy4.cpp", "    unfed_ms = 0;\n", ""),
+    "a guard that stops the clock": ("board/teensy4.cpp", "    systick_isr();\n    if", "    if"),
     "LC: the usual hook, which ends the watchdog": (
         "board/teensy_lc.cpp",
         "    PHLOSAR_VENT(PORT_PCR_MUX(1));\n}\n\nextern",
@@ -486,6 +515,7 @@ def test_a_mistake_in_the_layer_is_found(what: str, tmp_path: Path) -> None:
         test_the_largest_duty_cycle_is_not_taken_for_none,
         lambda teensy: test_the_converter_has_sixteen_bits(teensy, 5958),
         test_a_main_loop_that_hangs_is_vented_and_then_reset,
+        test_a_step_that_hangs_is_vented_or_reset_within_0p26_s,
         test_a_processor_that_hangs_is_reset_in_the_watchdogs_time,
         test_a_crash_vents_at_once_and_resets,
         test_the_next_start_says_that_the_watchdog_ended_the_last,

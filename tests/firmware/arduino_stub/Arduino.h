@@ -85,5 +85,6 @@ public:
 extern usb_serial_class Serial;
 
 extern "C" void startup_early_hook();
+extern "C" void systick_isr();
 void setup();
 void loop();

@@ -6,6 +6,8 @@
 #include "board.h"
 #include "chip.h"
 
+extern "C" void systick_isr();
+
 namespace {
 
 // Half a second each, from half a second: 0.5 s, 2 s, 20 s.
@@ -19,7 +21,13 @@ constexpr uint32_t kGpio = 5;
 #define PHLOSAR_WATCHDOG(halves)                                                                              \
     static_cast<uint16_t>(WDOG_WCR_WT(halves) | WDOG_WCR_SRS | WDOG_WCR_WDA | WDOG_WCR_WDE | WDOG_WCR_WDBG)
 
+// The watchdog's shortest time is half a second. This vents after half of it, if the step hangs or is too slow.
+constexpr uint32_t kMaxUnfed_ms = 250;
+volatile uint32_t unfed_ms = 0;
+volatile bool guarding = false;
+
 void set_watchdog(unsigned halves) {
+    guarding = halves == kRunning;
     WDOG1_WCR = PHLOSAR_WATCHDOG(halves);
     board::chip::feed_watchdog();
 }
@@ -29,6 +37,16 @@ void crash() {
     __disable_irq();
     PHLOSAR_VENT(kGpio);
     board::wait_for_reset();
+}
+
+// SysTick's interrupt, which interrupts the step.
+void guard() {
+    systick_isr();
+    if (unfed_ms <= kMaxUnfed_ms) {
+        unfed_ms = unfed_ms + 1;
+    } else if (guarding) {
+        crash();
+    }
 }
 
 }  // namespace
@@ -62,6 +80,7 @@ namespace {
 constexpr int kConversions = 16;
 constexpr unsigned kFirstFault = 3;
 constexpr unsigned kLastFault = 6;
+constexpr unsigned kSysTick = 15;
 
 bool by_watchdog = false;
 
@@ -71,6 +90,7 @@ void begin() {
     PHLOSAR_VENT(kGpio);
     // Hard, memory, bus and usage fault.
     for (unsigned fault = kFirstFault; fault <= kLastFault; ++fault) _VectorsRam[fault] = crash;
+    _VectorsRam[kSysTick] = guard;
     by_watchdog = (SRC_SRSR & SRC_SRSR_WDOG_RST_B) != 0;
     SRC_SRSR = SRC_SRSR_WDOG_RST_B;  // writing 1 clears it
     analogReadResolution(12);
@@ -93,6 +113,7 @@ uint32_t noise() { return SNVS_LPSRTCLR ^ ARM_DWT_CYCCNT ^ HW_OCOTP_MAC0; }
 bool reset_by_watchdog() { return by_watchdog; }
 
 void feed_watchdog() {
+    unfed_ms = 0;
     __disable_irq();
     WDOG1_WSR = 0x5555;
     WDOG1_WSR = 0xAAAA;
