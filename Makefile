@@ -8,7 +8,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 
 AS_ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
-TOOLS := g++ gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm chromium mosquitto faketime systemd
+TOOLS := g++ gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-arm-none-eabi-newlib clang-tidy qemu-system-arm \
+  chromium mosquitto faketime systemd
 # One more than there are cores: some tests wait most of the time.
 WORKERS = $$(($$(nproc) + 1))
 

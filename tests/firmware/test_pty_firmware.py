@@ -115,7 +115,7 @@ async def test_it_greets_fills_the_bag_and_vents_it(program: Path, tmp_path: Pat
         assert str(link.readlink()) == path
         async with talking(str(link)) as host:
             assert host.ready is not None
-            assert (host.ready.welcome.boot_id, host.ready.welcome.firmware_build) == (77, "1.0 pty")
+            assert (host.ready.welcome.boot_id, host.ready.welcome.firmware_build) == (77, "1.1 pty")
             await host.hold(15.0, 30)
             assert host.telemetry[-1].reservoir_kPa < 690.0
         # The link's end has vented.

@@ -275,15 +275,6 @@ def test_the_rule_names_the_board_as_udev_writes_it() -> None:
     assert rule[-2] == f'{which}, ENV{{ID_MM_DEVICE_IGNORE}}="1", ENV{{ID_MM_PORT_IGNORE}}="1"'
 
 
-def test_the_firmware_has_the_ids_that_the_rule_looks_for() -> None:
-    source = Path(__file__).parents[2] / "firmware_link/firmware/boards/kl26/usb_control.cpp"
-    vendor = f"0x{files.TEENSY.vendor_id & 0xFF:02X}, 0x{files.TEENSY.vendor_id >> 8:02X}"
-    product = f"0x{files.TEENSY.product_id & 0xFF:02X}, 0x{files.TEENSY.product_id >> 8:02X}"
-    device = source.read_text(encoding="utf-8").partition("kDeviceDescriptor[] = {")[2].partition("};")[0]
-    assert f"{vendor}," in device
-    assert f"{product}," in device
-
-
 class TestReachable:
     """Files of root's under /usr stand for an installation that everybody may read."""
 

@@ -1,4 +1,4 @@
-"""The chip's object code on QEMU's Cortex-M0: told what a golden run tells, its instructions counted."""
+"""The core's object code on QEMU's processors: a golden run, with its instructions counted."""
 
 from __future__ import annotations
 
@@ -12,16 +12,32 @@ from typing import NamedTuple
 from .golden_run import Done, PowerUp, Told
 
 _PROGRAM = Path(__file__).parents[2] / "firmware_link" / "firmware" / "qemu"
-_MACHINE = (
-    *("qemu-system-arm", "-M", "microbit", "-nographic", "-monitor", "none", "-serial", "none"),
+_EMULATOR = (
+    *("qemu-system-arm", "-nographic", "-monitor", "none", "-serial", "none"),
     *("-semihosting-config", "enable=on,target=native"),
 )
 _COUNTING = ("-icount", "shift=8")
 """256 ns an instruction: see firmware_link/firmware/qemu/instructions.h."""
-_TICKS_PER_INSTRUCTION = 4.096
-"""Of SysTick, at the machine's 16 MHz."""
 _HANGS_S = 120
 _RECORD = struct.Struct("<IIIHHBBHHHH")
+
+
+class Chip(NamedTuple):
+    """A processor that QEMU emulates."""
+
+    name: str
+    machine: str
+    ticks_per_instruction: float
+    """Of SysTick, which counts at the machine's clock."""
+
+
+CHIPS = (Chip("m0plus", "microbit", 4.096), Chip("m7", "mps2-an500", 6.4))
+"""A Teensy LC's and a Teensy 4's. QEMU's microbit has a Cortex-M0, which has the same instructions."""
+
+
+class Program(NamedTuple):
+    chip: Chip
+    path: Path
 
 
 class Instructions(NamedTuple):
@@ -41,16 +57,16 @@ class Ticked(NamedTuple):
     instructions: Instructions
 
 
-def build(folder: Path) -> Path:
+def build(chip: Chip, folder: Path) -> Program:
     """The program for the chip, made in `folder`."""
     subprocess.run(
-        ["make", "--silent", "-C", str(_PROGRAM), f"BUILD={folder}"],
+        ["make", "--silent", "-C", str(_PROGRAM), f"CHIP={chip.name}", f"BUILD={folder}"],
         check=True,
         capture_output=True,
         text=True,
         env={**os.environ, "MAKEFLAGS": ""},
     )
-    return folder / "emulated.elf"
+    return Program(chip, folder / "emulated.elf")
 
 
 class Run(NamedTuple):
@@ -59,14 +75,14 @@ class Run(NamedTuple):
     ticked: list[Ticked]
 
 
-def run(program: Path, told: Iterable[Told], folder: Path) -> Run:
+def run(program: Program, told: Iterable[Told], folder: Path) -> Run:
     """What the chip does, step by step; the first of `told` is a power-up. `folder` is for its files."""
     _prepare(told, folder)
     subprocess.run([*_command(program), *_COUNTING], cwd=folder, check=True, timeout=_HANGS_S)
-    return results(folder)
+    return results(program.chip, folder)
 
 
-def trace(program: Path, told: Iterable[Told], folder: Path) -> Iterator[tuple[str, list[int]]]:
+def trace(program: Program, told: Iterable[Told], folder: Path) -> Iterator[tuple[str, list[int]]]:
     """The same at a crawl: each operation that is counted, by its name, with its instructions' addresses."""
     _prepare(told, folder)
     options = ("-singlestep", "-d", "exec,nochain", "-D", "/dev/stdout")
@@ -93,16 +109,16 @@ def trace(program: Path, told: Iterable[Told], folder: Path) -> Iterator[tuple[s
         raise subprocess.CalledProcessError(emulator.returncode, emulator.args)
 
 
-def results(folder: Path) -> Run:
+def results(chip: Chip, folder: Path) -> Run:
     """What a run left behind; counts mean nothing unless it was a counting one."""
     data = (folder / "outputs").read_bytes()
     one, two = struct.unpack_from("<II", data)
-    return Run(_instructions(two - one), list(_read(data, 8)))
+    return Run(_instructions(chip, two - one), list(_read(chip, data, 8)))
 
 
-def _command(program: Path) -> list[str]:
+def _command(program: Program) -> list[str]:
     """To be run in the folder of its files."""
-    return [*_MACHINE, "-kernel", str(program)]
+    return [*_EMULATOR, "-M", program.chip.machine, "-kernel", str(program.path)]
 
 
 def _prepare(told: Iterable[Told], folder: Path) -> None:
@@ -116,15 +132,15 @@ def _record(one: Told) -> bytes:
     return b"S" + struct.pack("<IHHHHH", *one[:5], len(one.received)) + one.received
 
 
-def _read(data: bytes, at: int) -> Iterator[Ticked]:
+def _read(chip: Chip, data: bytes, at: int) -> Iterator[Ticked]:
     while at < len(data):
         *ticks, evp, dvp, solenoid, mode, faults, number, kept, sent = _RECORD.unpack_from(data, at)
         at += _RECORD.size
         between, end = at + kept, at + kept + sent
         done = Done(evp, dvp, solenoid == 1, mode, faults, number, data[at:between], data[between:end])
         at = end
-        yield Ticked(done, Instructions(*map(_instructions, ticks)))
+        yield Ticked(done, Instructions(*(_instructions(chip, count) for count in ticks)))
 
 
-def _instructions(ticks: int) -> int:
-    return round(ticks / _TICKS_PER_INSTRUCTION)
+def _instructions(chip: Chip, ticks: int) -> int:
+    return round(ticks / chip.ticks_per_instruction)
