@@ -78,6 +78,9 @@ SPEAK_FIRST_S = 1.5
 CYCLES_EVERY_S = 2.0
 """The cycles left are predicted at this interval. A prediction takes milliseconds of the loop."""
 
+NO_FAULT = "no fault was latched"
+"""The reason of a request to clear faults that changes nothing."""
+
 AIR_UNKNOWN = AirNeeded(math.inf, math.inf)
 """No reservoir has so much: nothing bends after the estimate has failed."""
 
@@ -428,7 +431,8 @@ class Core:
             case ClearLatchedFaults() | ArmPneumatics() | StartBench() if not trigger.by_person:
                 return Ruling("refused", "only a person may do that")
             case ClearLatchedFaults():
-                return self._clear_faults(t, trigger.seen_at)
+                had_faults = self._clear_faults(t, trigger.seen_at)
+                return Ruling("accepted", "" if had_faults else NO_FAULT)
             case ArmPneumatics():
                 self._pneumatics_armed = True
                 self._actions.append(KeepDisarmed(t, False))
@@ -475,18 +479,22 @@ class Core:
         self._motion = replace(self._plan(t, SetPressure(self._setpoint_kPa(t))), name="hold")
         self._drive(t)
 
-    def _clear_faults(self, t: float, seen_at: float = math.inf) -> Ruling:
+    def _clear_faults(self, t: float, seen_at: float = math.inf) -> bool:
+        """Clear what a person may clear. Returns True if there was a fault, cleared or not."""
         now = self._conditions(t)
+        had_faults = bool(self._safety.reasons or now.faults)
         cleared = self._safety.clear(now, seen_at)
         if now.faults and self._safety.firmware_faults_seen(seen_at):
             self._to_firmware(self._firmware.clear_faults(t, now.faults))
         if cleared:
             self._notice(t, Severity.NOTICE, f"cleared {', '.join(cleared)}")
-        return Ruling("accepted")
+        return had_faults
 
     def _record(self, t: float, trigger: Trigger, ruling: Ruling) -> Decision:
         motion = self._motion
-        if ruling.verdict != "refused":
+        # A switch move that waits for its confirmation stays valid if nothing has happened since.
+        is_newer = ruling.verdict != "refused" and ruling.reason != NO_FAULT
+        if is_newer:
             self._requested_at = max(self._requested_at, t - trigger.age_s)
         decision = Decision(
             t=t,
@@ -498,7 +506,7 @@ class Core:
             setpoint_kPa=round(motion.aim_kPa, 3) if motion else 0.0,
         )
         self._actions.append(decision)
-        if ruling.verdict != "refused" and trigger.kind not in _BY_PILOT_OR_SAFETY:
+        if is_newer and trigger.kind not in _BY_PILOT_OR_SAFETY:
             self._vehicle.pilot.others_asked(straightened=motion is None or motion.only_deflates)
         if ruling.verdict == "refused":
             request = decision.intent or trigger.kind.replace("_", " ")

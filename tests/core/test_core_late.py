@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import pytest
 from mission_storm import SCRIPT, WP
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
+from flying_vines.core.core import NO_FAULT
 from flying_vines.core.events import Action, Decision
 from flying_vines.simulation.autopilot import FakeAutopilot
+from flying_vines.simulation.phlosar.mishaps import Reset
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.notice import Notice
@@ -23,6 +26,8 @@ from flying_vines.vine.intent import (
     StartProfile,
     VentVine,
 )
+
+from .flights import HIGH, airborne, decisions, ground_command, run_for
 
 TAKEOFF, DELAY, LAND = 22, 93, 21
 
@@ -153,3 +158,27 @@ def test_a_trigger_of_which_nothing_can_be_made_is_refused() -> None:
     flight = flying(2.0)
     t = flight.world.now
     assert flight.core._decide(t, Trigger(t, "command", {}, None)).safety == "refused"
+
+
+def test_clearing_no_fault_does_not_overtake_a_move_that_waits_for_its_confirmation() -> None:
+    flight = airborne(autopilot=FakeAutopilot("px4", receiver="sbus"))
+    flight.autopilot.set_rc(9, HIGH)
+    actions = run_for(flight, 0.5)
+    assert decisions(actions) == []
+    (cleared,) = decisions(ground_command(flight, mavlink.MAV_CMD_USER_5, 1.0))
+    assert (cleared.safety, cleared.reason) == ("accepted", NO_FAULT)
+    assert [d.trigger for d in decisions(run_for(flight, 2.5))] == ["switch"]
+    assert flight.phlosar.cv_kPa > 15.0
+
+
+def test_clearing_a_fault_overtakes_it() -> None:
+    flight = airborne(autopilot=FakeAutopilot("px4", receiver="sbus"))
+    flight.phlosar.befall("board", Reset())
+    run_for(flight, 2.0)
+    assert flight.core.snapshot(flight.world.now).safe_state
+    flight.autopilot.set_rc(9, HIGH)
+    run_for(flight, 0.5)
+    (cleared,) = decisions(ground_command(flight, mavlink.MAV_CMD_USER_5, 1.0))
+    assert (cleared.safety, cleared.reason) == ("accepted", "")
+    assert decisions(run_for(flight, 2.5)) == []
+    assert flight.core.snapshot(flight.world.now).safe_state == {}

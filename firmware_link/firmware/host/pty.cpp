@@ -199,7 +199,7 @@ public:
     void link_as(const char* link) const {
         struct stat there;
         if (lstat(link, &there) == 0) {
-            if (!S_ISLNK(there.st_mode)) give_up(kBadUsage, link, "is not a link and stays as it is", "");
+            if (!S_ISLNK(there.st_mode)) give_up(kBadUsage, link, "is not a link and is not replaced", "");
             unlink(link);
         }
         if (symlink(path_, link) != 0) give_up(kBadUsage, "cannot make the link", link, strerror(errno));
