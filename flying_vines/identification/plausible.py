@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from flying_vines.identification.importing.units import parse_unit
 from flying_vines.identification.recording import CaseError, RecordedRun
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
@@ -63,7 +64,7 @@ class _Unit(NamedTuple):
 
 
 _LARGE = (_Unit("hPa (mbar)", 10.0, np.inf, ""), _Unit("Pa", 1000.0, np.inf, ""))
-_PSI = _Unit("psi", 0.145038, 1.33)
+_PSI = _Unit("psi", 1.0 / parse_unit("psi").factor, 1.33)
 _SMALL = (_PSI, _Unit("bar", 0.01, 3.0), _Unit("MPa", 0.001, 3.0))
 
 
@@ -219,7 +220,7 @@ def _check_cv_absolute(rig: Rig, runs: Mapping[Path, RecordedRun]) -> None:
         low_kPa = _bottom(readings)
         vented = run.cv_kPa[_held_for(run, (run.solenoid > 0.0) & (run.dvp_opening == 0.0), settled_s)]
         vented = vented[np.isfinite(vented)]
-        if low_kPa > 20.0 and len(vented) > _GLITCHES and _is_ambient(float(np.median(vented))):
+        if low_kPa > 20.0 and len(vented) > _GLITCHES and is_ambient(float(np.median(vented))):
             raise _absolute(path, _CV, f"rests at {np.median(vented):.4g} when it is vented")
         begins[path] = begin_kPa = float(np.min(readings[:5]))
         ambient_kPa = (
@@ -249,7 +250,7 @@ def _check_reservoir_absolute(path: Path, run: RecordedRun, rig: Rig) -> None:
         rate_per_s = ALPHA_KPA / rig.reservoir.volume_L * float(np.median(per_R[tail]))
         lost_kPa = -before_kPa * np.expm1(-rate_per_s * (run.time_s[tail[-2]] - run.time_s[tail[1]]))
         rests = lost_kPa > 30.0 and before_kPa - end_kPa < 0.3 * lost_kPa
-        if rests and begin_kPa - end_kPa > 60.0 and _is_ambient(end_kPa):
+        if rests and begin_kPa - end_kPa > 60.0 and is_ambient(end_kPa):
             raise _absolute(path, _RESERVOIR, f"comes to rest at {end_kPa:.4g} although a valve is open")
 
 
@@ -313,7 +314,7 @@ def _absolute(path: Path, channel: _Channel, what: str) -> CaseError:
     )
 
 
-def _is_ambient(kPa: float) -> bool:
+def is_ambient(kPa: float) -> bool:
     """Absolute, from 5 km above the sea down, with a sensor's offset."""
     return 50.0 < kPa < 127.0
 
