@@ -74,6 +74,7 @@ def _proposal(
         answers_path,
         missing_line,
         read_answers,
+        same_answers,
         with_answer,
         with_column,
     )
@@ -96,7 +97,8 @@ def _proposal(
         for question in proposal.questions:
             while True:
                 try:
-                    with_answer(said, question.key, input(f"{path.name}: {question.text}: "))
+                    given = input(f"{path.name}: {question.text}{question.guess and f' [{question.guess}]'}: ")
+                    with_answer(said, question.key, given.strip() or question.guess)
                     break
                 except CaseError as error:
                     print(error)
@@ -104,9 +106,10 @@ def _proposal(
                     fail(missing_line(path, question, kept))
         proposal = propose(path, said)
         show(proposal, Console())
-    kept = _keep(proposal, kept, folder)
-    if proposal.questions:
-        fail(missing_line(path, proposal.questions[0], kept))
+    if not kept.exists() or not same_answers(proposal.answers, read_answers(kept)):
+        kept = _keep(proposal, kept, folder)
+    if proposal.missing:
+        fail(missing_line(path, proposal.missing[0], kept))
     print(f"Answers  {kept}")
     return proposal
 

@@ -22,6 +22,7 @@ from flying_vines.identification.importing.units import parse_unit
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.rig import RigError, rig_from
 
+ENDING = ".import.toml"
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 
 
@@ -29,7 +30,8 @@ class Setup(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     """What drives what; None is guessed or asked."""
 
     outlet: Literal["shut", "open", "opens"] | float | None = None
-    """Of a vessel alone: shut; open from the start; opens when the pressure begins to fall; or opens at a time."""
+    """Of a vessel alone: shut, and what falls is a leak; open from the start; opens when the pressure begins to
+    fall; or opens at a time in s."""
     source: Literal["pump", "reservoir"] | None = None
     """What the inflation signal lets in, if no reservoir pressure was recorded."""
     sample_Hz: Positive | None = None
@@ -53,6 +55,8 @@ class Question(NamedTuple):
     key: str
     text: str
     option: str
+    guess: str = ""
+    """Used if nobody answers; empty if the answer is necessary."""
 
 
 def missing_line(recording: Path, question: Question, kept: Path) -> str:
@@ -62,7 +66,15 @@ def missing_line(recording: Path, question: Question, kept: Path) -> str:
 
 
 def answers_path(recording: Path) -> Path:
-    return recording.with_name(f"{recording.stem}.import.toml")
+    return recording.with_name(recording.stem + ENDING)
+
+
+def same_answers(one: Answers, other: Answers) -> bool:
+    """True if two answers say the same, whatever the reasons."""
+    a, b = msgspec.to_builtins((one, other))
+    for column in [*a.get("columns", ()), *b.get("columns", ())]:
+        column["why"] = ""
+    return bool(a == b)
 
 
 def read_answers(path: Path) -> Answers:
@@ -109,7 +121,7 @@ def with_answer(answers: Answers, key: str, said: str) -> None:
         answers.rig.setdefault(vessel, {})["volume_L"] = volume_L(said)
     else:
         value: object = said.strip()
-        if last == "sample_Hz":
+        if last == "sample_Hz" or re.fullmatch(r"\d*\.?\d+", said.strip()):
             value = _number(said)
         try:
             answers.setup = msgspec.convert({**msgspec.structs.asdict(answers.setup), last: value}, Setup)
@@ -138,15 +150,16 @@ def _number(said: str) -> float:
 
 def write_answers(path: Path, answers: Answers, missing: Sequence[Question]) -> None:
     """Write the answers file; missing answers are comments in it. OSError if that fails."""
-    lines = [f"# How `flying-vines import` reads {one_line(path.stem)}. Edit what is wrong, and import again."]
-    lines += [f"# Missing: {question.key}: {one_line(question.text)}" for question in missing]
+    lines = [f"# How `flying-vines import` reads {one_line(path.name.removesuffix(ENDING))}. Edit what is wrong, and import again."]
+    lines += [f"# Missing: {question.key}: {one_line(question.text)}" for question in missing if not question.guess]
     if answers.text:
         lines += _table("text", msgspec.structs.asdict(answers.text))
     lines += _table("setup", msgspec.structs.asdict(answers.setup))
     for name, table in answers.rig.items():
         lines += _table(f"rig.{name}", table if isinstance(table, Mapping) else {})
-    for column in answers.columns:
-        lines += _table("[columns]", msgspec.structs.asdict(column))
+    for column in sorted(answers.columns, key=lambda column: column.number):
+        lines += ["", *([f"# {one_line(column.why)}"] if column.why else [])]
+        lines += _table("[columns]", {**msgspec.structs.asdict(column), "why": None})[1:]
     put(path, "\n".join([*lines, ""]))
 
 

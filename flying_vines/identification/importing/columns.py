@@ -128,7 +128,7 @@ EVIDENCE: tuple[tuple[str, _Test, Mapping[str, float]], ...] = (
     ("rises all the time", _Signal.is_rising, dict.fromkeys((m for m in WORDS if m != "time"), -4.0)),
     ("the first column", lambda s: s.number == 1, {"time": 1}),
     ("changes seldom", _Signal.is_held, {"command_kPa": 1, "run": 0.5, "solenoid": 0.5}),
-    ("always the same", lambda s: s.levels <= 1, {"evp_opening": -2, "dvp_opening": -3, "solenoid": -3,
+    ("always the same", lambda s: s.levels <= 1, {"evp_opening": -6, "dvp_opening": -12, "solenoid": -12,
                                                   "cv_pressure": -3, "reservoir_pressure": -3}),
     ("only two values", lambda s: s.levels == 2, {"solenoid": 1.5}),
     ("more than two values", lambda s: s.levels > 2, {"solenoid": -8, "evp_opening": 0.5}),
@@ -169,7 +169,7 @@ def guess_columns(table: ForeignTable, given: Sequence[ImportedColumn] = ()) -> 
     for signal in signals:
         known = fixed.get(signal.number) or ImportedColumn(signal.number, "")
         meaning = known.meaning or meanings.get(signal.number, IGNORED)
-        why = "said" if known.meaning else reasons.get((signal.number, meaning), "")
+        why = "as answered" if known.meaning else reasons.get((signal.number, meaning), "")
         if signal.number in copies and not known.meaning:
             why = f"the same signal as column {copies[signal.number]}"
         unit, reason = (known.unit, "") if known.unit else _unit(signal, meaning)
@@ -222,7 +222,7 @@ def _copies(signals: Sequence[_Signal]) -> dict[int, int]:
                 continue
             slope, offset = np.polyfit(x, y, 1)
             step = max(abs(slope) * _step(x), _step(y))
-            if np.max(np.abs(y - slope * x - offset)) <= 1.01 * step and abs(np.corrcoef(x, y)[0, 1]) > 0.99999:
+            if np.max(np.abs(y - slope * x - offset)) <= 1.1 * step and abs(np.corrcoef(x, y)[0, 1]) > 0.98:
                 copies[one.number] = other.number
     return copies
 
@@ -238,7 +238,11 @@ def _compare_pressures(signals: Sequence[_Signal], scores: dict[tuple[int, str],
     maybe = [s for s in signals if any(scores.get((s.number, meaning), 0.0) > 0.0 for meaning in pairs)]
     maybe = [s for s in maybe if scores.get((s.number, "command_kPa"), 0.0) < max(
         scores.get((s.number, meaning), 0.0) for meaning in pairs)]  # fmt: skip
-    driven = driven or any(points > 2.5 and m in ("command_kPa", "evp_opening") for (_, m), points in scores.items())
+    pressures = {s.number for s in maybe}
+    driven = driven or any(
+        points > 2.5 and meaning in ("command_kPa", "evp_opening") and number not in pressures
+        for (number, meaning), points in scores.items()
+    )
     level = {s.number: float(np.median(s.readings)) * (s.unit.factor if s.unit else 1.0) for s in maybe}
     for number in level:
         higher = level[number] == max(level.values()) and len(level) > 1

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -111,10 +111,8 @@ def read_foreign(path: Path, layout: TextLayout | None = None) -> ForeignTable:
     remarks = []
     kept = {at: row for at, row in data_rows.items() if _fits(row, width)}
     last = next(reversed(data_rows), -1)
-    if last in kept and len(kept[last]) < width and not lines[-1]:
-        pass
-    elif last in kept and len(kept[last]) < width:
-        del kept[last]
+    if last in kept and len(kept[last]) < width and lines[-1]:
+        del kept[last]  # the recording broke off in this line
     if len(kept) < _MIN_ROWS or width == 0:
         raise CaseError(f"{path}: there are no {_MIN_ROWS} rows of numbers in it; save the recording as CSV")
     if width > _MAX_COLUMNS:
@@ -138,9 +136,9 @@ def _decoded(path: Path, data: bytes, encoding: str | None) -> tuple[str, str]:
         raise CaseError(f"{path}: is {kind}, not text; save the recording as CSV")
     if encoding is None and data.startswith((b"\xff\xfe", b"\xfe\xff")):
         encoding = "utf-16"
-    for tried in (encoding,) if encoding else ("utf-8-sig", "cp1252", "latin-1"):
+    for tried in (encoding,) if encoding else ("utf-8", "cp1252", "latin-1"):
         try:
-            text = data.decode(tried)
+            text = data.decode("utf-8-sig" if tried == "utf-8" else tried)
         except (UnicodeError, LookupError):
             continue
         strange = sum(not c.isprintable() and c not in "\t\r\n\x0c\x1a" for c in text[:10_000])
@@ -172,8 +170,8 @@ def _score(lines: Sequence[str], separator: Separator, decimal: Decimal) -> floa
     return score
 
 
-def _width(rows: object) -> int:
-    assert hasattr(rows, "__iter__")
+def _width(rows: Iterable[Sequence[str]]) -> int:
+    """The most common number of cells."""
     counts = Counter(len(row) for row in rows)
     return max(counts, key=lambda width: (counts[width], width), default=0)
 

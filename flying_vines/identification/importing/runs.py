@@ -1,7 +1,7 @@
 """From a foreign table to recorded runs and a rig: the guess, what is missing, and the case folder.
 
     proposal = propose(path, read_answers(answers_path(path)))
-    if not proposal.questions:
+    if not proposal.missing:
         write_case([proposal], folder)
 """
 
@@ -46,6 +46,8 @@ _PUMP_VOLUME_L = 1000.0
 """Of the vessel that stands for a pump: its pressure hardly changes."""
 _RESISTANCE_TOLERANCE_PERCENT = 30.0
 """Of an outlet's flow resistance that was estimated from the time in which the pressure falls."""
+_MAX_VALVE_S = 3.0
+"""Time constant up to which a fall is taken for an outlet that was opened; slower ones are leaks."""
 _EPOCH_S = 1e8
 """A time that begins later is a date; runs then begin at zero."""
 
@@ -62,9 +64,15 @@ class Proposal:
     answers: Answers
     """Complete, but for the questions."""
     questions: tuple[Question, ...]
+    """What a person should say; some have a guess."""
     notes: tuple[str, ...]
     runs: Mapping[str, Run]
     """By name."""
+
+    @property
+    def missing(self) -> tuple[Question, ...]:
+        """Questions without a guess."""
+        return tuple(question for question in self.questions if not question.guess)
 
 
 def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = None) -> Proposal:
@@ -101,7 +109,7 @@ def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = No
         questions += _doubtful_units(answers, said, runs)
         runs = _drives(path, answers, runs, notes)
         _volumes(answers, runs, volume_L or {})
-        questions += _missing_volumes(answers, runs)
+        questions += [*_missing_volumes(answers, runs), *_guessed_setup(said, answers)]
     return Proposal(path, table, answers, tuple(questions), tuple(notes), runs)
 
 
@@ -127,8 +135,8 @@ def read_imported(path: Path, rig: Path | str | None = None) -> Case:
     """The case in a file of any layout, by its kept answers. CaseError if an answer is missing."""
     kept = answers_path(path)
     proposal = propose(path, read_answers(kept))
-    if proposal.questions:
-        raise CaseError(missing_line(path, proposal.questions[0]._replace(option=f"import {path}"), kept))
+    if proposal.missing:
+        raise CaseError(missing_line(path, proposal.missing[0]._replace(option=f"import {path}"), kept))
     with TemporaryDirectory() as folder:
         write_case([proposal], Path(folder))
         try:
@@ -240,7 +248,7 @@ def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]
             setup.source = setup.source or "pump"
             if setup.source == "pump":
                 notes.append(f"{name}: a pump is written as an inflation valve at a {_PUMP_VOLUME_L:g} L reservoir "
-                             "of unknown pressure; setup.source = \"reservoir\" if it is a valve")  # fmt: skip
+                             "of unknown pressure, the nearest that a rig file can say today")  # fmt: skip
                 answers.rig.setdefault("reservoir", {"volume_L": _PUMP_VOLUME_L})
         return runs
     if "reservoir_pressure" in has and "cv_pressure" in has:
@@ -268,20 +276,25 @@ def _alone(run: Run, answers: Answers, notes: list[str], name: str) -> Run:
     time_s, p = run["time"], run["reservoir_pressure"]
     opens_s = _opening_time(time_s, p)
     if answers.setup.outlet is None:
-        answers.setup.outlet = "shut" if opens_s is None else "opens"
-        notes.append(f"outlet: {answers.setup.outlet}, a guess from the pressure; else write open, shut, opens or "
-                     "the time in s as setup.outlet")  # fmt: skip
+        fall_s = _fall_s({**run, "evp_opening": np.where(time_s >= (opens_s or 0.0), 1.0, 0.0)})
+        leaks = opens_s is None or fall_s is None or fall_s > _MAX_VALVE_S
+        answers.setup.outlet = "shut" if leaks else "opens"
     outlet = answers.setup.outlet
+    shut = np.zeros_like(time_s)
     if outlet == "open":
         return run
+    if outlet == "shut" and opens_s is not None:
+        notes.append(f"{name}: the pressure is held by a supply until {opens_s:.6g} s; these rows are left out")
+        later = time_s >= opens_s
+        run, shut = {meaning: column[later] for meaning, column in run.items()}, shut[later]
     if outlet == "opens" and opens_s is None:
         opens_s = float(time_s[0])
     if isinstance(outlet, float | int):
         opens_s = float(outlet)
-    opening = np.zeros_like(time_s) if outlet == "shut" or opens_s is None else (time_s >= opens_s).astype(float)
+    opening = shut if outlet == "shut" or opens_s is None else (time_s >= opens_s).astype(float)
     if opening.any():
         notes.append(f"{name}: the outlet (written as evp_opening) opens at {opens_s:.6g} s")
-    return {**run, "evp_opening": opening, "dvp_opening": np.zeros_like(time_s), "solenoid": np.zeros_like(time_s)}
+    return {**run, "evp_opening": opening, "dvp_opening": shut, "solenoid": shut}
 
 
 def _opening_time(time_s: Array, pressure_kPa: Array) -> float | None:
@@ -314,6 +327,16 @@ def _missing_volumes(answers: Answers, runs: Mapping[str, Run]) -> Iterator[Ques
             if "cv_pressure" not in measured:
                 what = "vessel"
             yield Question(f"rig.{vessel}.volume_L", f"the volume of the {what} in litres", f"--volume-L {vessel}=L")
+
+
+def _guessed_setup(said: Answers, answers: Answers) -> Iterator[Question]:
+    """What drives what, as far as it is a guess."""
+    if said.setup.outlet is None and answers.setup.outlet is not None:
+        text = "its outlet: shut (it leaks), open, opens (when the pressure begins to fall), or the time in s"
+        yield Question("setup.outlet", text, "", str(answers.setup.outlet))
+    if said.setup.source is None and answers.setup.source is not None:
+        text = "what fills the chamber: pump, or reservoir (through a valve)"
+        yield Question("setup.source", text, "", answers.setup.source)
 
 
 def _rig_tables(proposal: Proposal) -> dict[str, Any]:

@@ -39,6 +39,9 @@ def show(proposal: Proposal, console: Console) -> None:
         console.print(f"Run   {name}: {len(run['time'])} rows, {np.ptp(run['time']):.4g} s", highlight=False)
     for note in proposal.notes:
         console.print(f"Note  {note}", highlight=False, markup=False)
+    for question in proposal.questions:
+        if question.guess:
+            console.print(f"Guess {question.key} = {question.guess}: {question.text}", highlight=False, markup=False)
 
 
 def draw(proposal: Proposal, path: Path) -> None:
