@@ -41,7 +41,6 @@ def add(commands: Any) -> None:
 def _import(arguments: argparse.Namespace) -> int:
     with needs_analysis():
         from flying_vines.identification.case import read_case
-        from flying_vines.identification.importing.answers import answers_path
         from flying_vines.identification.importing.runs import write_case
         from flying_vines.identification.recording import CaseError
     files: list[Path] = arguments.files
@@ -53,7 +52,7 @@ def _import(arguments: argparse.Namespace) -> int:
             proposals.append(_proposal(path, proposals[-1] if proposals else None, columns, volumes, folder))
         runs = write_case(proposals, folder)
         for proposal in proposals:
-            _draw(proposal, answers_path(proposal.path).with_suffix(".png"), folder)
+            _draw(proposal, folder)
         for run in runs:
             print(f"Run      {run}")
         try:
@@ -65,7 +64,11 @@ def _import(arguments: argparse.Namespace) -> int:
 
 
 def _proposal(
-    path: Path, before: Proposal | None, columns: list[ImportedColumn], volumes: dict[str, float], folder: Path
+    path: Path,
+    before: Proposal | None,
+    columns: list[ImportedColumn],
+    volumes: dict[str, float],
+    folder: Path,
 ) -> Proposal:
     """How a file is imported: by its kept answers, the options, and what a person says on the terminal."""
     from rich.console import Console
@@ -97,7 +100,9 @@ def _proposal(
         for question in proposal.questions:
             while True:
                 try:
-                    given = input(f"{path.name}: {question.text}{question.guess and f' [{question.guess}]'}: ")
+                    given = input(
+                        f"{path.name}: {question.text}{question.guess and f' [{question.guess}]'}: "
+                    )
                     with_answer(said, question.key, given.strip() or question.guess)
                     break
                 except CaseError as error:
@@ -126,16 +131,15 @@ def _keep(proposal: Proposal, path: Path, folder: Path) -> Path:
     return path
 
 
-def _draw(proposal: Proposal, path: Path, folder: Path) -> None:
+def _draw(proposal: Proposal, folder: Path) -> None:
     if find_spec("matplotlib") is None:
         return
     from flying_vines.identification.importing.show import draw
 
     try:
-        draw(proposal, path)
+        path = draw(proposal, proposal.path.parent)
     except OSError:
-        path = folder / path.name
-        draw(proposal, path)
+        path = draw(proposal, folder)
     print(f"Picture  {path}")
 
 

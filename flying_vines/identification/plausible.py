@@ -125,8 +125,10 @@ def _check_levels(path: Path, run: RecordedRun, rig: Rig) -> None:
     for channel in _CHANNELS:
         time_s, readings = _readings(run, channel)
         highest_kPa = channel.highest_kPa
-        if channel is _CV and _noise(run, _CV).std < 3.0 * rig.sensors.cv_noise_std_kPa and (
-            highest_kPa < _top(readings) <= _RESERVOIR.highest_kPa
+        if (
+            channel is _CV
+            and _noise(run, _CV).std < 3.0 * rig.sensors.cv_noise_std_kPa
+            and (highest_kPa < _top(readings) <= _RESERVOIR.highest_kPa)
         ):
             # A chamber at 300 kPa. In hPa the noise would be ten times as large.
             highest_kPa = _RESERVOIR.highest_kPa

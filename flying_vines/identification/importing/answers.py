@@ -1,6 +1,6 @@
-"""The answers file `NAME.import.toml` beside a recording: how the file is read and what was said about the rig.
+"""The answers file `NAME.import.toml` beside a recording: how it is read, and what was said about the rig.
 
-It holds all guesses and all answers. What a person edits there is used as it stands; what is missing is
+It holds all guesses and answers. What a person edits there is used as it stands; what is missing is
 guessed or asked.
 """
 
@@ -30,8 +30,8 @@ class Setup(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     """What drives what; None is guessed or asked."""
 
     outlet: Literal["shut", "open", "opens"] | float | None = None
-    """Of a vessel alone: shut, and what falls is a leak; open from the start; opens when the pressure begins to
-    fall; or opens at a time in s."""
+    """Of a vessel alone: shut (it leaks), open from the start, opens when the pressure begins to fall, or the
+    time in s."""
     source: Literal["pump", "reservoir"] | None = None
     """What the inflation signal lets in, if no reservoir pressure was recorded."""
     sample_Hz: Positive | None = None
@@ -78,7 +78,7 @@ def same_answers(one: Answers, other: Answers) -> bool:
 
 
 def read_answers(path: Path) -> Answers:
-    """The answers in a file; none if there is no such file. CaseError with file, line and key if it is wrong."""
+    """The answers in a file; empty if there is no such file. CaseError if it is wrong."""
     if not path.exists():
         return Answers()
     text = read_text(path, CaseError)
@@ -150,8 +150,11 @@ def _number(said: str) -> float:
 
 def write_answers(path: Path, answers: Answers, missing: Sequence[Question]) -> None:
     """Write the answers file; missing answers are comments in it. OSError if that fails."""
-    lines = [f"# How `flying-vines import` reads {one_line(path.name.removesuffix(ENDING))}. Edit what is wrong, and import again."]
-    lines += [f"# Missing: {question.key}: {one_line(question.text)}" for question in missing if not question.guess]
+    name = one_line(path.name.removesuffix(ENDING))
+    lines = [f"# How `flying-vines import` reads {name}. Edit what is wrong, and import again."]
+    lines += [
+        f"# Missing: {question.key}: {one_line(question.text)}" for question in missing if not question.guess
+    ]
     if answers.text:
         lines += _table("text", msgspec.structs.asdict(answers.text))
     lines += _table("setup", msgspec.structs.asdict(answers.setup))

@@ -32,9 +32,9 @@ IGNORED = "ignored"
 WORDS: Mapping[str, Mapping[str, float]] = {
     "time": {"time": 4, "timestamp": 4, "t": 3, "zeit": 4, "temps": 4, "tiempo": 4, "tempo": 4, "elapsed": 3,
              "clock": 2, "date": 1, "millis": 3, "micros": 3, "index": -3, "sample": -3},
-    "run": {"run": 4, "trial": 4, "test": 3, "experiment": 3, "rep": 3, "repeat": 3, "cycle": 2, "versuch": 3},
+    "run": {"run": 4, "trial": 4, "test": 3, "experiment": 3, "rep": 3, "repeat": 3, "cycle": 2},
     "command_kPa": {"target": 5, "setpoint": 5, "set": 2, "sp": 3, "reference": 4, "ref": 4, "desired": 5,
-                    "command": 4, "cmd": 4, "goal": 4, "soll": 5, "sollwert": 5, "sollruck": 5, "consigne": 5,
+                    "command": 4, "cmd": 4, "goal": 4, "soll": 5, "sollwert": 5, "consigne": 5,
                     "demand": 4, "wanted": 4, "pressure": 1},
     "cv_pressure": {"cv": 6, "chamber": 4, "actuator": 4, "vine": 4, "feedback": 4, "bladder": 4, "muscle": 4,
                     "finger": 4, "gripper": 4, "balloon": 4, "soft": 3, "volume": 1, "output": 2, "out": 2,
@@ -45,8 +45,8 @@ WORDS: Mapping[str, Mapping[str, float]] = {
                            "accumulator": 5, "cylinder": 4, "vessel": 4, "inlet": 3, "upstream": 4, "line": 2,
                            "p1": 2, "in": 1, "pressure": 3, "press": 3, "p": 2, "druck": 3, "pression": 3,
                            "presion": 3, "presión": 3, "behälter": 5, "behälterdruck": 5, "pressione": 3},
-    "evp_opening": {"evp": 7, "inflation": 4, "inflate": 4, "fill": 4, "pump": 4, "pwm": 3, "duty": 3, "valve": 3,
-                    "opening": 3, "inlet": 3, "main": 1, "ventil": 3, "vanne": 3, "proportional": 3, "drive": 2,
+    "evp_opening": {"evp": 7, "inflation": 4, "inflate": 4, "fill": 4, "pump": 4, "pwm": 3, "duty": 3,
+                    "valve": 3, "opening": 3, "inlet": 3, "main": 1, "ventil": 3, "vanne": 3, "drive": 2,
                     "motor": 2, "control": 1, "u": 1, "in": 1},
     "dvp_opening": {"dvp": 7, "venturi": 6, "vacuum": 4, "ejector": 5, "suction": 4, "pwm": 1, "valve": 2,
                     "opening": 2, "duty": 1},
@@ -57,8 +57,8 @@ WORDS: Mapping[str, Mapping[str, float]] = {
     "ambient_temperature": {"temperature": 5, "temp": 5, "temperatur": 5, "ambient": 1, "room": 1},
 }  # fmt: skip
 """Points that a word of a column's name gives to a meaning."""
-_NOT_READ = frozenset({"error", "err", "norm", "integral", "derivative", "flow", "current", "angle", "force",
-                       "position", "displacement", "length", "kp", "ki", "kd", "gain", "std", "noise"})  # fmt: skip
+_NOT_READ = frozenset({"error", "err", "norm", "integral", "derivative", "flow", "current", "angle",
+                       "force", "position", "displacement", "kp", "ki", "kd", "std", "noise"})  # fmt: skip
 """A name with such a word is of none of these meanings."""
 QUANTITIES: Mapping[str, Quantity] = {
     "time": "time",
@@ -106,8 +106,10 @@ class _Signal:
     def is_rising(self) -> bool:
         """True for time: nearly all steps go up, but for the start of another run."""
         steps = np.diff(self.readings)
-        return len(steps) > 0 and bool(np.mean(steps > 0.0) > 0.9 or np.mean(steps >= 0.0) > 0.98) and (
-            self.levels > 0.2 * len(steps)
+        return (
+            len(steps) > 0
+            and bool(np.mean(steps > 0.0) > 0.9 or np.mean(steps >= 0.0) > 0.98)
+            and (self.levels > 0.2 * len(steps))
         )
 
     def is_count(self) -> bool:
@@ -145,7 +147,7 @@ _UNNAMED = {"cv_pressure": 1.0, "reservoir_pressure": 1.0}
 
 
 def guess_columns(table: ForeignTable, given: Sequence[ImportedColumn] = ()) -> list[ImportedColumn]:
-    """What each column is. `given` columns stay as they are; a meaning or unit that is empty there is guessed."""
+    """What each column is; meanings and units of `given` columns stay."""
     fixed = {column.number: column for column in given}
     if unknown := sorted(n for n in fixed if not 1 <= n <= len(table.cells)):
         raise CaseError(f"{table.path}: there is no column {unknown[0]}; it has {len(table.cells)} columns")
@@ -164,7 +166,9 @@ def guess_columns(table: ForeignTable, given: Sequence[ImportedColumn] = ()) -> 
     meanings: dict[int, str] = {}
     while scores and scores[best := max(scores, key=lambda pair: scores[pair])] > 0.0:
         number, meanings[number] = best[0], best[1]
-        scores = {pair: points for pair, points in scores.items() if pair[0] != best[0] and pair[1] != best[1]}
+        scores = {
+            pair: points for pair, points in scores.items() if pair[0] != best[0] and pair[1] != best[1]
+        }
     found = []
     for signal in signals:
         known = fixed.get(signal.number) or ImportedColumn(signal.number, "")
@@ -232,8 +236,10 @@ def _step(values: Array) -> float:
     return float(np.min(np.diff(np.unique(values)), initial=np.inf))
 
 
-def _compare_pressures(signals: Sequence[_Signal], scores: dict[tuple[int, str], float], driven: bool) -> None:
-    """Of two pressures the higher is the reservoir's; a single one is the chamber's if something drives it."""
+def _compare_pressures(
+    signals: Sequence[_Signal], scores: dict[tuple[int, str], float], driven: bool
+) -> None:
+    """The higher of two pressures is the reservoir's; a single one is the chamber's if it is driven."""
     pairs = ("cv_pressure", "reservoir_pressure")
     maybe = [s for s in signals if any(scores.get((s.number, meaning), 0.0) > 0.0 for meaning in pairs)]
     maybe = [s for s in maybe if scores.get((s.number, "command_kPa"), 0.0) < max(

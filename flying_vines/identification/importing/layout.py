@@ -44,7 +44,11 @@ _WITH_UNIT = re.compile(r"([+-]?[\d.,]*\d)\s*([a-zA-Z%°µ]{1,5})")
 _DATE = re.compile(r"(\d{4})-(\d\d?)-(\d\d?)|(\d\d?)\.(\d\d?)\.(\d{4})|(\d\d?)/(\d\d?)/(\d{4})")
 _CLOCK = re.compile(r"(?:(\d{1,2}):)?(\d{1,2}):(\d{2}(?:[.,]\d{1,9})?)\s*([aApP][mM])?(?:Z|[+-]\d\d:?\d\d)?")
 _COMMENT = re.compile(r"^\s*(#+|%+|//+|!+)\s*")
-_BINARY = {b"PK\x03\x04": "a spreadsheet or an archive", b"\x89HDF": "an HDF5 file", b"MATLAB": "a MATLAB file"}
+_BINARY = {
+    b"PK\x03\x04": "a spreadsheet or an archive",
+    b"\x89HDF": "an HDF5 file",
+    b"MATLAB": "a MATLAB file",
+}
 
 
 class TextLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -157,7 +161,7 @@ def _marks(path: Path, lines: Sequence[str]) -> tuple[Separator, Decimal]:
 
 
 def _score(lines: Sequence[str], separator: Separator, decimal: Decimal) -> float:
-    """Number of cells that are values; a cell that is not, and a number with grouped digits, count against."""
+    """Number of cells that are values; other cells and numbers with grouped digits count against."""
     rows = [row for line in lines if _share(row := _split(line, separator), decimal) >= 0.5]
     width = _width(rows)
     score = 0.0
@@ -165,7 +169,9 @@ def _score(lines: Sequence[str], separator: Separator, decimal: Decimal) -> floa
         if _fits(row, width):
             cells = [cell.strip() for cell in row if cell.strip().casefold() not in _MISSING]
             values = [cell for cell in cells if _value(cell, decimal) == _value(cell, decimal)]
-            grouped = sum(_GROUPED.fullmatch(cell) is not None for cell in values if not _plain(cell, decimal))
+            grouped = sum(
+                _GROUPED.fullmatch(cell) is not None for cell in values if not _plain(cell, decimal)
+            )
             score += len(values) - 2.0 * (len(cells) - len(values)) - 0.6 * grouped
     return score
 
@@ -207,11 +213,11 @@ def _value(cell: str, decimal: Decimal) -> float:
         return float(plain)
     if (clock := _clock(cell)) is not None:
         return clock
-    if _GROUPED.fullmatch(cell):
-        # Of 1.003.000 the last dot is taken as the decimal point: 1003.000 ms and 1003000 µs are the same time.
-        head, mark, tail = cell.rpartition(decimal)
-        digits = re.sub(r"[^\d+-]", "", head or tail)
-        return float(f"{digits}.{tail}") if mark else float(digits)
+    if grouped := _GROUPED.fullmatch(cell):
+        # The last dot of 1.003.000 counts as the decimal point: 1003.000 ms and 1003000 µs are the same time.
+        head, tail = cell.rpartition(decimal)[::2] if grouped[1] == decimal else (cell, "")
+        digits = _plain(head.replace(grouped[1], ""), decimal)
+        return float(f"{digits}.{tail}" if tail.isdecimal() else digits) if digits else float("nan")
     if with_unit := _WITH_UNIT.fullmatch(cell):
         plain = _plain(with_unit[1], decimal)
         return float(plain) if plain else float("nan")

@@ -1,8 +1,8 @@
 """From a foreign table to recorded runs and a rig: the guess, what is missing, and the case folder.
 
-    proposal = propose(path, read_answers(answers_path(path)))
-    if not proposal.missing:
-        write_case([proposal], folder)
+proposal = propose(path, read_answers(answers_path(path)))
+if not proposal.missing:
+    write_case([proposal], folder)
 """
 
 from __future__ import annotations
@@ -20,7 +20,13 @@ import numpy as np
 
 from flying_vines.config.toml_edit import value_text
 from flying_vines.identification.case import FEWEST_SAMPLES, RIG, SHORTEST_S, Case, read_case
-from flying_vines.identification.importing.answers import Answers, Question, answers_path, missing_line, read_answers
+from flying_vines.identification.importing.answers import (
+    Answers,
+    Question,
+    answers_path,
+    missing_line,
+    read_answers,
+)
 from flying_vines.identification.importing.columns import IGNORED, QUANTITIES, guess_columns
 from flying_vines.identification.importing.layout import ForeignTable, read_foreign
 from flying_vines.identification.importing.units import parse_unit, psi_instead
@@ -155,7 +161,9 @@ def write_case(proposals: Sequence[Proposal], folder: Path) -> list[Path]:
     for proposal, rig in zip(proposals, rigs, strict=True):
         for vessel in ("cv", "reservoir"):
             if rig.get(vessel) != rigs[0].get(vessel):
-                raise CaseError(f"{proposal.path}: its {vessel} is not that of {proposals[0].path}; import it alone")
+                raise CaseError(
+                    f"{proposal.path}: its {vessel} is not that of {proposals[0].path}; import it alone"
+                )
     texts = {f"{name}.csv": _csv(run) for p in proposals for name, run in p.runs.items()}
     if len(texts) < sum(len(p.runs) for p in proposals):
         raise CaseError(f"{folder}: two runs have the same name; rename one of the files")
@@ -217,7 +225,7 @@ def _in_order(run: Run, notes: list[str]) -> Array:
     if len(time_s) - len(stamps) > 0.2 * len(time_s) and len(stamps) > 2:
         notes.append("several rows have the same time stamp; they are spread evenly until the next one")
         end = len(time_s), stamps[-1] + float(np.median(np.diff(stamps)))
-        return np.interp(np.arange(len(time_s)), [*first, end[0]], [*stamps, end[1]])
+        time_s = np.interp(np.arange(len(time_s)), [*first, end[0]], [*stamps, end[1]])
     return time_s
 
 
@@ -231,7 +239,9 @@ def _doubtful_units(answers: Answers, said: Answers, runs: Mapping[str, Run]) ->
         if all(reasons):
             column.unit = ""
             text = f"psi or kPa? Its heading says kPa, but {reasons[0]}"
-            yield Question(f"columns.{column.number}.unit", text, f"--column {column.number}={column.meaning}:psi")
+            yield Question(
+                f"columns.{column.number}.unit", text, f"--column {column.number}={column.meaning}:psi"
+            )
 
 
 def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]) -> dict[str, Run]:
@@ -247,26 +257,33 @@ def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]
         if "reservoir_pressure" not in has:
             setup.source = setup.source or "pump"
             if setup.source == "pump":
-                notes.append(f"{name}: a pump is written as an inflation valve at a {_PUMP_VOLUME_L:g} L reservoir "
-                             "of unknown pressure, the nearest that a rig file can say today")  # fmt: skip
+                notes.append(
+                    f"{name}: a pump is written as an inflation valve at a {_PUMP_VOLUME_L:g} L reservoir of "
+                    "unknown pressure, the nearest that a rig file can say today"
+                )
                 answers.rig.setdefault("reservoir", {"volume_L": _PUMP_VOLUME_L})
         return runs
     if "reservoir_pressure" in has and "cv_pressure" in has:
         raise CaseError(f"{path}: no column is the inflation valve; say which is: --column N=evp_opening")
     if "cv_pressure" in has:
         if any(_rises(run["cv_pressure"]) for run in runs.values()):
-            raise CaseError(f"{path}: the chamber is filled, but no column looks like its pump or valve; say which "
-                            "is: --column N=evp_opening")  # fmt: skip
-        notes.append(f"{name}: a chamber alone is written as a reservoir; the rig file has no other vessel for it")
+            raise CaseError(
+                f"{path}: the chamber is filled, but no column looks like its pump or valve; say which is: "
+                "--column N=evp_opening"
+            )
+        notes.append(
+            f"{name}: a chamber alone is written as a reservoir; the rig file has no other vessel for it"
+        )
         for column in answers.columns:
             column.meaning = "reservoir_pressure" if column.meaning == "cv_pressure" else column.meaning
-    found = {run_name: _alone(run, answers, notes, run_name) for run_name, run in runs.items()}
-    return found
+    return {run_name: _alone(run, answers, notes, run_name) for run_name, run in runs.items()}
 
 
 def _rises(pressure_kPa: Array) -> bool:
     p = pressure_kPa[np.isfinite(pressure_kPa)]
-    return bool(len(p)) and float(np.median(np.sort(p)[-5:]) - np.median(p[:5])) > 0.15 * float(np.ptp(p)) + 1.0
+    return (
+        bool(len(p)) and float(np.median(np.sort(p)[-5:]) - np.median(p[:5])) > 0.15 * float(np.ptp(p)) + 1.0
+    )
 
 
 def _alone(run: Run, answers: Answers, notes: list[str], name: str) -> Run:
@@ -284,7 +301,9 @@ def _alone(run: Run, answers: Answers, notes: list[str], name: str) -> Run:
     if outlet == "open":
         return run
     if outlet == "shut" and opens_s is not None:
-        notes.append(f"{name}: the pressure is held by a supply until {opens_s:.6g} s; these rows are left out")
+        notes.append(
+            f"{name}: the pressure is held by a supply until {opens_s:.6g} s; these rows are left out"
+        )
         later = time_s >= opens_s
         run, shut = {meaning: column[later] for meaning, column in run.items()}, shut[later]
     if outlet == "opens" and opens_s is None:
@@ -298,7 +317,7 @@ def _alone(run: Run, answers: Answers, notes: list[str], name: str) -> Run:
 
 
 def _opening_time(time_s: Array, pressure_kPa: Array) -> float | None:
-    """When a pressure that was held begins to fall; None if it never does, or falls from its first reading."""
+    """When a held pressure begins to fall; None if it never does, or falls from its first reading."""
     there = np.isfinite(pressure_kPa)
     t, p = time_s[there], pressure_kPa[there]
     if len(p) < FEWEST_SAMPLES or float(p[0] - np.min(p)) < 0.5 * abs(float(p[0])):
@@ -326,7 +345,9 @@ def _missing_volumes(answers: Answers, runs: Mapping[str, Run]) -> Iterator[Ques
             what = {"cv": "chamber that is inflated", "reservoir": "vessel that supplies the air"}[vessel]
             if "cv_pressure" not in measured:
                 what = "vessel"
-            yield Question(f"rig.{vessel}.volume_L", f"the volume of the {what} in litres", f"--volume-L {vessel}=L")
+            yield Question(
+                f"rig.{vessel}.volume_L", f"the volume of the {what} in litres", f"--volume-L {vessel}=L"
+            )
 
 
 def _guessed_setup(said: Answers, answers: Answers) -> Iterator[Question]:

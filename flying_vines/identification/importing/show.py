@@ -41,12 +41,16 @@ def show(proposal: Proposal, console: Console) -> None:
         console.print(f"Note  {note}", highlight=False, markup=False)
     for question in proposal.questions:
         if question.guess:
-            console.print(f"Guess {question.key} = {question.guess}: {question.text}", highlight=False, markup=False)
+            console.print(
+                f"Guess {question.key} = {question.guess}: {question.text}", highlight=False, markup=False
+            )
 
 
-def draw(proposal: Proposal, path: Path) -> None:
-    """Draw pressures and valve signals of all runs, converted. Needs matplotlib."""
-    from flying_vines.plots.style import BLUE, GREEN, GREY, ORANGE, PURPLE, finish, plt
+def draw(proposal: Proposal, folder: Path) -> Path:
+    """Draw pressures and valve signals of all runs, converted: where the picture is. Needs matplotlib."""
+    from matplotlib import pyplot as plt
+
+    from flying_vines.plots.style import BLUE, GREEN, GREY, ORANGE, PURPLE, finish, save
 
     figure, axes = plt.subplots(2, 1, figsize=(8, 5), sharex=True, layout="constrained", height_ratios=(2, 1))
     kinds = (
@@ -58,10 +62,12 @@ def draw(proposal: Proposal, path: Path) -> None:
         for run in proposal.runs.values():
             for meaning, colour in colours.items():
                 if meaning in run:
-                    axes[row].plot(run["time"], run[meaning], color=colour, lw=1, label=meaning.removesuffix("_kPa"))
+                    axes[row].plot(
+                        run["time"], run[meaning], color=colour, lw=1, label=meaning.removesuffix("_kPa")
+                    )
         handles = dict(zip(*reversed(axes[row].get_legend_handles_labels()), strict=True))
         if handles:
             axes[row].legend(handles.values(), handles.keys(), fontsize=8)
     axes[1].set_xlabel("time, s")
-    finish(figure, f"{proposal.path.name} as it is imported").savefig(path, dpi=100)
-    plt.close(figure)
+    finish(figure, f"{proposal.path.name} as it is imported")
+    return save({"import": figure}, folder, proposal.path.stem)[0]

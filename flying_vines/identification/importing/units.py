@@ -66,7 +66,9 @@ _LETTERS = frozenset({"s", "v", "h", "c", "k", "f", "l", "min", "atm", "raw", "a
 """Units that are also letters or words in names: they count in brackets or at the end of a name only."""
 _GAUGE = re.compile(r"[ (]*(gauge|gage|rel|g)\)?$")
 _ABSOLUTE = re.compile(r"[ (]*(absolute|abs|a)\)?$")
-_POINTS = re.compile(r"\s*(\w+)\s*\(?\s*([-+.\d]+)\s*=\s*([-+.\d]+)(?: kpa)?\s*,\s*([-+.\d]+)\s*=\s*([-+.\d]+)(?: kpa)?\s*\)?")
+_POINTS = re.compile(
+    r"\s*(\w+)\s*\(?\s*([-+.\d]+)\s*=\s*([-+.\d]+)(?: kpa)?\s*,\s*([-+.\d]+)\s*=\s*([-+.\d]+)(?: kpa)?\s*\)?"
+)
 _FULL_SCALE = re.compile(r"0\s*(?:-|–|…|\.\.+|to)\s*(\d+)")
 FULL_SCALES = (1.0, 100.0, 255.0, 1023.0, 4095.0, 65535.0)
 _TYPICAL = {"reservoir_pressure": (600.0, 1.0), "ambient_pressure": (100.0, 0.1)}
@@ -97,10 +99,10 @@ def _spelled(text: str) -> Unit | None:
         factor = (y1 - y0) / (x1 - x0)
         name = f"{unit.name} ({x0:g}={y0:g}, {x1:g}={y1:g})"
         return Unit(name, "pressure", factor, offset=y0 - factor * x0)
-    if (scale := _FULL_SCALE.fullmatch(plain)) and int(scale[1]) > 1:
-        return Unit(f"0-{int(scale[1])}", "opening", 1.0 / int(scale[1]))
     if plain in _BY_WORD:
         return _BY_WORD[plain]
+    if (scale := _FULL_SCALE.fullmatch(plain)) and 1 < int(scale[1]) < 1 << 32:
+        return Unit(f"0-{int(scale[1])}", "opening", 1.0 / int(scale[1]))
     unit = _BY_WORD.get(_GAUGE.sub("", plain).strip())
     if unit and unit.quantity == "pressure":
         return unit
@@ -197,7 +199,9 @@ def psi_instead(time_s: Array, values: Array) -> str:
     if fit is not None:
         in_kPa, in_psi, ohm = fit
         if in_psi < 0.012 and in_psi < 0.5 * min(in_kPa, ohm):
-            return f"the pressure falls as gas does in psi: misfit {in_psi:.1%} of the time, in kPa {in_kPa:.1%}"
+            return (
+                f"the pressure falls as gas does in psi: misfit {in_psi:.1%} of the time, in kPa {in_kPa:.1%}"
+            )
         if in_kPa < 0.5 * in_psi:
             return ""
     readings = values[np.isfinite(values)]
@@ -209,7 +213,7 @@ def psi_instead(time_s: Array, values: Array) -> str:
 
 
 def _discharge(time_s: Array, values: Array) -> tuple[float, float, float] | None:
-    """Misfit of a fall of pressure by the three laws, as a share of its duration; None if there is no fall."""
+    """Misfit of a fall of pressure by the three laws, as a share of its time; None if there is no fall."""
     there = np.isfinite(values) & np.isfinite(time_s)
     t, x = time_s[there], values[there]
     if len(x) < 12:
