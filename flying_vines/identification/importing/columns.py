@@ -34,8 +34,8 @@ WORDS: Mapping[str, Mapping[str, float]] = {
              "clock": 2, "date": 1, "millis": 3, "micros": 3, "index": -3, "sample": -3},
     "run": {"run": 4, "trial": 4, "test": 3, "experiment": 3, "rep": 3, "repeat": 3, "cycle": 2},
     "command_kPa": {"target": 5, "setpoint": 5, "set": 2, "sp": 3, "reference": 4, "ref": 4, "desired": 5,
-                    "command": 4, "cmd": 4, "goal": 4, "soll": 5, "sollwert": 5, "consigne": 5,
-                    "demand": 4, "wanted": 4, "pressure": 1},
+                    "command": 4, "cmd": 4, "goal": 4, "soll": 5, "sollwert": 5, "consigne": 5, "demand": 4,
+                    "wanted": 4, "pressure": 1},
     "cv_pressure": {"cv": 6, "chamber": 4, "actuator": 4, "vine": 4, "feedback": 4, "bladder": 4, "muscle": 4,
                     "finger": 4, "gripper": 4, "balloon": 4, "soft": 3, "volume": 1, "output": 2, "out": 2,
                     "downstream": 3, "measured": 2, "actual": 2, "ist": 2, "istwert": 2, "p2": 2,
@@ -45,13 +45,13 @@ WORDS: Mapping[str, Mapping[str, float]] = {
                            "accumulator": 5, "cylinder": 4, "vessel": 4, "inlet": 3, "upstream": 4, "line": 2,
                            "p1": 2, "in": 1, "pressure": 3, "press": 3, "p": 2, "druck": 3, "pression": 3,
                            "presion": 3, "presión": 3, "behälter": 5, "behälterdruck": 5, "pressione": 3},
-    "evp_opening": {"evp": 7, "inflation": 4, "inflate": 4, "fill": 4, "pump": 4, "pwm": 3, "duty": 3,
-                    "valve": 3, "opening": 3, "inlet": 3, "main": 1, "ventil": 3, "vanne": 3, "drive": 2,
-                    "motor": 2, "control": 1, "u": 1, "in": 1},
+    "evp_opening": {"evp": 7, "ev": 5, "inflation": 4, "inflate": 4, "fill": 4, "pump": 4, "pwm": 3, "duty": 3,
+                    "valve": 3, "opening": 3, "inlet": 3, "main": 1, "ventil": 3, "vanne": 3, "motor": 2,
+                    "proportional": 3, "control": 1, "u": 1, "in": 1},
     "dvp_opening": {"dvp": 7, "venturi": 6, "vacuum": 4, "ejector": 5, "suction": 4, "pwm": 1, "valve": 2,
                     "opening": 2, "duty": 1},
-    "solenoid": {"solenoid": 7, "outlet": 5, "vent": 5, "exhaust": 5, "release": 4, "deflate": 4, "out": 2,
-                 "valve": 2, "state": 1, "open": 1},
+    "solenoid": {"solenoid": 7, "sv": 4, "outlet": 5, "vent": 5, "exhaust": 5, "release": 4, "deflate": 4,
+                 "out": 2, "valve": 1, "state": 1, "open": 1},
     "ambient_pressure": {"ambient": 5, "atmospheric": 5, "atmosphere": 5, "barometric": 5, "baro": 5,
                          "barometer": 5, "atm": 3, "pressure": 1},
     "ambient_temperature": {"temperature": 5, "temp": 5, "temperatur": 5, "ambient": 1, "room": 1},
@@ -116,9 +116,23 @@ class _Signal:
         """True for 0, 1, 2, …: the numbers of the rows."""
         return bool(np.all(np.diff(self.readings) == 1.0))
 
+    def is_switched(self) -> bool:
+        """True for whole numbers between 0 and a full scale that are often at one of these two."""
+        x = self.readings
+        top = float(np.max(x, initial=0.0))
+        ends = np.mean((x == 0.0) | (x == top)) if len(x) else 0.0
+        return top in (1.0, 100.0, 255.0, 1023.0, 4095.0) and bool(
+            ends > 0.3 and np.all(x >= 0.0) and np.all(x % 1 == 0)
+        )
+
     def is_held(self) -> bool:
         """True for a signal that changes seldom, as a target does."""
         return bool(np.mean(np.diff(self.readings) == 0.0) > 0.9) if len(self.readings) > 1 else False
+
+
+def _known(name: str) -> bool:
+    """True if a word of a name is a word of a meaning."""
+    return any(word in words for word in words_of(name) for words in WORDS.values())
 
 
 _Test = Callable[[_Signal], bool]
@@ -132,11 +146,13 @@ EVIDENCE: tuple[tuple[str, _Test, Mapping[str, float]], ...] = (
     ("changes seldom", _Signal.is_held, {"command_kPa": 1, "run": 0.5, "solenoid": 0.5}),
     ("always the same", lambda s: s.levels <= 1, {"evp_opening": -6, "dvp_opening": -12, "solenoid": -12,
                                                   "cv_pressure": -3, "reservoir_pressure": -3}),
-    ("only two values", lambda s: s.levels == 2, {"solenoid": 1.5}),
+    ("only two values", lambda s: s.levels == 2, {"solenoid": 1}),
     ("more than two values", lambda s: s.levels > 2, {"solenoid": -8, "evp_opening": 0.5}),
     ("negative values", lambda s: bool(np.any(s.readings < 0.0)),
      {"evp_opening": -8, "dvp_opening": -8, "solenoid": -8}),
-    ("whole numbers", lambda s: bool(np.all(s.readings % 1.0 == 0.0)) and s.levels < 0.05 * len(s.values) + 2,
+    ("no known word, but on and off", lambda s: s.is_switched() and not _known(s.name),
+     {"evp_opening": 3, "cv_pressure": -6, "reservoir_pressure": -6}),
+    ("whole numbers", lambda s: s.name and bool(np.all(s.readings % 1.0 == 0.0)) and s.levels < 0.05 * len(s.values) + 2,
      {"run": 0.5}),
     ("not a whole number", lambda s: bool(np.any(s.readings % 1.0 != 0.0)), {"run": -9}),
 )  # fmt: skip
@@ -208,8 +224,12 @@ def _score(signal: _Signal, meaning: str) -> tuple[float, str]:
         points["no name"] = _UNNAMED.get(meaning, 0.0)
     named = any(value > 0.0 for value in points.values())
     for text, test, worth in EVIDENCE:
-        # Values alone make a time or an unnamed pressure; a valve or a target needs a name or a unit.
-        if meaning in worth and (named or meaning == "time" or worth[meaning] < 0.0) and test(signal):
+        # Without a known word or unit, only strong evidence counts.
+        if (
+            meaning in worth
+            and (named or meaning == "time" or not -3.0 < worth[meaning] < 3.0)
+            and test(signal)
+        ):
             points[text] = points.get(text, 0.0) + worth[meaning]
     reasons = sorted((text for text in points if points[text] > 0.0), key=lambda text: -points[text])
     return sum(points.values()), ", ".join(reasons[:3])
@@ -241,19 +261,16 @@ def _compare_pressures(
 ) -> None:
     """The higher of two pressures is the reservoir's; a single one is the chamber's if it is driven."""
     pairs = ("cv_pressure", "reservoir_pressure")
-    maybe = [s for s in signals if any(scores.get((s.number, meaning), 0.0) > 0.0 for meaning in pairs)]
-    maybe = [s for s in maybe if scores.get((s.number, "command_kPa"), 0.0) < max(
-        scores.get((s.number, meaning), 0.0) for meaning in pairs)]  # fmt: skip
-    pressures = {s.number for s in maybe}
-    driven = driven or any(
-        points > 2.5 and meaning in ("command_kPa", "evp_opening") and number not in pressures
-        for (number, meaning), points in scores.items()
-    )
-    level = {s.number: float(np.median(s.readings)) * (s.unit.factor if s.unit else 1.0) for s in maybe}
+    best = {s.number: max(WORDS, key=lambda meaning: scores.get((s.number, meaning), -1.0)) for s in signals}
+    best = {number: meaning for number, meaning in best.items() if scores.get((number, meaning), 0.0) > 0.0}
+    driven = driven or not {"command_kPa", "evp_opening"}.isdisjoint(best.values())
+    level = {s.number: float(np.median(s.readings)) * (s.unit.factor if s.unit else 1.0) for s in signals
+             if best.get(s.number) in pairs}  # fmt: skip
     for number in level:
-        higher = level[number] == max(level.values()) and len(level) > 1
-        likely = pairs[int(higher if len(level) > 1 else not driven)]
-        scores[number, likely] = scores.get((number, likely), 0.0) + 1.5
+        p = signals[number - 1].readings
+        falls = float(np.median(p[-len(p) // 10 :])) < 0.5 * float(np.median(p[: len(p) // 10 + 1]))
+        reservoir = level[number] == max(level.values()) if len(level) > 1 else falls or not driven
+        scores[number, pairs[int(reservoir)]] += 1.5
 
 
 def _unit(signal: _Signal, meaning: str) -> tuple[str, str]:

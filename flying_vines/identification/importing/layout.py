@@ -113,7 +113,8 @@ def read_foreign(path: Path, layout: TextLayout | None = None) -> ForeignTable:
         data_rows = {at: row for at, row in data_rows.items() if at >= layout.header_line}
     width = _width(data_rows.values())
     remarks = []
-    kept = {at: row for at, row in data_rows.items() if _fits(row, width)}
+    first = next((at for at, row in data_rows.items() if len(row) == width), 0)
+    kept = {at: row for at, row in data_rows.items() if at >= first and _fits(row, width)}
     last = next(reversed(data_rows), -1)
     if last in kept and len(kept[last]) < width and lines[-1]:
         del kept[last]  # the recording broke off in this line
@@ -121,7 +122,6 @@ def read_foreign(path: Path, layout: TextLayout | None = None) -> ForeignTable:
         raise CaseError(f"{path}: there are no {_MIN_ROWS} rows of numbers in it; save the recording as CSV")
     if width > _MAX_COLUMNS:
         raise CaseError(f"{path}: has {width} columns; at most {_MAX_COLUMNS} can be read")
-    first = next(iter(kept))
     if skipped := sum(at > first for at in rows) + 1 - len(kept):
         remarks.append(f"{path.name}: {skipped} lines below the first row are not rows of numbers; left out")
     header, names = _header(lines, first, width, separator, layout.header_line if layout else None)
@@ -295,6 +295,8 @@ def _names(line: str, width: int, separator: Separator) -> list[str] | None:
         words = sum(bool(re.search(r"[^\W\d_]|[%°]", name)) for name in names)
         if len(names) == width and words and 2 * words >= len([n for n in names if n]):
             return names
+        if len(names) > width > 1 and words == len(names) and separator != " ":
+            return names[:width]
         if width > 1 and len(names) == width - 1 and words == len(names) and separator != " ":
             return [*names, ""]
     return None

@@ -45,7 +45,7 @@ UNITS = (
     Unit("s", "time", 1.0, ("sec", "secs", "second", "seconds", "sek", "seg"), cost=0.0),
     Unit("ms", "time", 1e-3, ("msec", "millis", "millisecond", "milliseconds"), cost=1.0),
     Unit("us", "time", 1e-6, ("µs", "μs", "usec", "micros", "microsecond", "microseconds"), cost=2.0),
-    Unit("ns", "time", 1e-9, ("nsec", "nanoseconds")),
+    Unit("ns", "time", 1e-9, ("nsec", "nanoseconds"), cost=6.0),
     Unit("min", "time", 60.0, ("mins", "minute", "minutes"), cost=3.0),
     Unit("h", "time", 3600.0, ("hr", "hour", "hours"), cost=5.0),
     Unit("clock", "time", 1.0),
