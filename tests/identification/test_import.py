@@ -377,7 +377,7 @@ def test_questions_on_a_terminal(
         (["--column", "3=cv_pressure:psi"], "no column 3"),
         (["--column", "2=pressure"], "not a meaning"),
         (["--column", "2=cv_pressure:stone"], "not a unit"),
-        (["--column", "x"], "--column x"),
+        (["--column", "x"], "column 'x'"),
         (["--volume-L", "0"], "positive"),
         (["--volume-L", "tank=1"], "no vessel"),
     ],

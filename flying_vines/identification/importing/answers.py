@@ -104,6 +104,23 @@ def check_column(column: ImportedColumn) -> None:
         column.unit = parse_unit(column.unit).name
 
 
+def column_said(text: str) -> ImportedColumn:
+    """The column in `3=cv_pressure:psi`."""
+    number, _, rest = text.partition("=")
+    meaning, _, unit = rest.partition(":")
+    if not number.isdecimal() or not meaning:
+        raise CaseError(f"column {text!r}: write its number, meaning and unit, as 3=cv_pressure:psi")
+    return ImportedColumn(int(number), meaning.strip(), unit.strip())
+
+
+def volume_said(text: str) -> tuple[str, float]:
+    """The vessel and the litres in `cv=0.5`, or in `0.5` without a vessel."""
+    vessel, _, litres = text.rpartition("=")
+    if vessel not in ("", "cv", "reservoir"):
+        raise CaseError(f"volume {text!r}: there is no vessel {vessel!r}; it is cv or reservoir")
+    return vessel, volume_L(litres)
+
+
 def with_column(answers: Answers, column: ImportedColumn) -> None:
     """Replace or add one column."""
     check_column(column)

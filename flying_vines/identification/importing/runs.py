@@ -34,6 +34,7 @@ from flying_vines.identification.noise import noise_kPa
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.rig import rig_from
 
 _CASE_COLUMNS = {
     "time": "time_s",
@@ -134,7 +135,10 @@ def is_foreign(path: Path) -> bool:
     """True for a file that is not a run of a case as it stands, or was imported before."""
     if not path.is_file() or path.suffix.casefold() == ".toml":
         return False
-    return answers_path(path).exists() or b"time_s" not in path.read_bytes()
+    try:
+        return answers_path(path).exists() or b"time_s" not in path.read_bytes()
+    except OSError:
+        return False
 
 
 def read_imported(path: Path, rig: Path | str | None = None) -> Case:
@@ -363,6 +367,8 @@ def _guessed_setup(said: Answers, answers: Answers) -> Iterator[Question]:
 def _rig_tables(proposal: Proposal) -> dict[str, Any]:
     """The tables of rig.toml: what was said, the noise of the readings, and the resistance of an outlet."""
     tables: dict[str, Any] = {name: dict(table) for name, table in proposal.answers.rig.items()}
+    if "tolerance_percent" in tables:
+        tables["tolerance_percent"] = dict(rig_from(proposal.answers.rig).tolerance_percent)
     sensors = tables.setdefault("sensors", {})
     for pressure, vessel in _PRESSURES.items():
         readings = [run[pressure] for run in proposal.runs.values() if pressure in run]
