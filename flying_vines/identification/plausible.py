@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.identification.importing.units import parse_unit
+from flying_vines.identification.noise import resolution
 from flying_vines.identification.recording import CaseError, RecordedRun
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
@@ -389,7 +390,7 @@ def _noise(run: RecordedRun, channel: _Channel, *, only_quiet: bool = False) -> 
     off = (x[1:-1] - x[:-2] * (1.0 - later) - x[2:] * later) / np.sqrt(1.0 + later**2 + (1.0 - later) ** 2)
     busy = (run.evp_opening + run.dvp_opening + run.solenoid)[np.isfinite(getattr(run, channel.field))] > 0.0
     quiet = off[~(busy[:-2] | busy[1:-1])]
-    step = float(np.min(np.diff(np.unique(x)), initial=np.inf))
+    step = resolution(x)
     parts = (quiet,) if only_quiet else (quiet, off)
     noises = (_spread(part, step) for part in parts if len(part) >= _ENOUGH)
     return min(noises, key=lambda noise: noise.at_most, default=_Noise(np.nan, np.nan))

@@ -229,7 +229,8 @@ def fall(start_kPa: float, dt_s: float = 0.05, rows: int = 200) -> tuple[Array, 
     for _ in range(20 * (rows - 1)):
         over = max(0.0, 101.325 / (p[-1] + 101.325) - 0.4) / 0.6
         p.append(p[-1] - dt_s / 20.0 * 1.2 * (p[-1] + 101.325) * max(0.0, 1.0 - over**2) ** 0.5)
-    return t, np.round(np.array(p[::20], dtype=np.float64), 1)
+    kPa: Array = np.round(np.array(p[::20], dtype=np.float64), 1)
+    return t, kPa
 
 
 @pytest.mark.parametrize("start_kPa", [80.0, 100.0, 300.0, 690.0])

@@ -24,6 +24,7 @@ from flying_vines.identification.importing.units import (
     unit_in,
     words_of,
 )
+from flying_vines.identification.noise import resolution
 from flying_vines.identification.plausible import is_ambient
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
@@ -243,15 +244,10 @@ def _copies(signals: Sequence[_Signal]) -> dict[int, int]:
             if len(x) < 8 or one.levels < 8 or one.is_rising() or np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
                 continue
             slope, offset = np.polyfit(x, y, 1)
-            step = max(abs(slope) * _step(x), _step(y))
+            step = max(abs(slope) * resolution(x), resolution(y))
             if np.max(np.abs(y - slope * x - offset)) <= 1.1 * step and abs(np.corrcoef(x, y)[0, 1]) > 0.98:
                 copies[one.number] = other.number
     return copies
-
-
-def _step(values: Array) -> float:
-    """Resolution of readings."""
-    return float(np.min(np.diff(np.unique(values)), initial=np.inf))
 
 
 def _compare_pressures(

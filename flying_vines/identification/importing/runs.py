@@ -30,7 +30,7 @@ from flying_vines.identification.importing.answers import (
 from flying_vines.identification.importing.columns import IGNORED, QUANTITIES, guess_columns
 from flying_vines.identification.importing.layout import ForeignTable, read_foreign
 from flying_vines.identification.importing.units import parse_unit, psi_instead
-from flying_vines.identification.noise import noise_kPa
+from flying_vines.identification.noise import LEAST_KPA, noise_kPa, resolution
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
@@ -115,7 +115,10 @@ def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = No
     if runs:
         questions += _doubtful_units(answers, said, runs)
         runs = _drives(path, answers, runs, notes)
-        _volumes(answers, runs, volume_L or {})
+        measured = "cv" if "cv_pressure" in next(iter(runs.values())) else "reservoir"
+        for vessel, litres in (volume_L or {}).items():
+            table_of = answers.rig.get(vessel or measured, {})
+            answers.rig[vessel or measured] = {**table_of, "volume_L": litres}
         questions += [*_missing_volumes(answers, runs), *_guessed_setup(said, answers)]
     return Proposal(path, table, answers, tuple(questions), tuple(notes), runs)
 
@@ -332,13 +335,6 @@ def _opening_time(time_s: Array, pressure_kPa: Array) -> float | None:
     return float(t[first]) if first >= 3 and np.median(rates[:first]) > 0.1 * steepest else None
 
 
-def _volumes(answers: Answers, runs: Mapping[str, Run], volume_L: Mapping[str, float]) -> None:
-    """Put volumes of the command line into the rig."""
-    measured = "cv" if "cv_pressure" in next(iter(runs.values())) else "reservoir"
-    for vessel, litres in volume_L.items():
-        answers.rig[vessel or measured] = {**answers.rig.get(vessel or measured, {}), "volume_L": litres}
-
-
 def _missing_volumes(answers: Answers, runs: Mapping[str, Run]) -> Iterator[Question]:
     measured = set(next(iter(runs.values())))
     needed = {vessel for pressure, vessel in _PRESSURES.items() if pressure in measured}
@@ -388,9 +384,8 @@ def _rig_tables(proposal: Proposal) -> dict[str, Any]:
 
 def _noise_kPa(readings: Sequence[Array]) -> float:
     """Standard deviation of a sensor's noise, at least that of its resolution."""
-    steps = [float(np.min(np.diff(np.unique(x[np.isfinite(x)])), initial=np.inf)) for x in readings]
-    step = min(steps) if np.isfinite(min(steps)) else 0.0
-    return max(noise_kPa(readings, 0.0), step / sqrt(12.0), 1e-3)
+    steps = [step for x in readings if np.isfinite(step := resolution(x[np.isfinite(x)]))]
+    return max(noise_kPa(readings, 0.0), min(steps, default=0.0) / sqrt(12.0), LEAST_KPA)
 
 
 def _fall_s(run: Run) -> float | None:
