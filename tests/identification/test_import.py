@@ -229,8 +229,7 @@ def fall(start_kPa: float, dt_s: float = 0.05, rows: int = 200) -> tuple[Array, 
     for _ in range(20 * (rows - 1)):
         over = max(0.0, 101.325 / (p[-1] + 101.325) - 0.4) / 0.6
         p.append(p[-1] - dt_s / 20.0 * 1.2 * (p[-1] + 101.325) * max(0.0, 1.0 - over**2) ** 0.5)
-    kPa: Array = np.round(np.array(p[::20], dtype=np.float64), 1)
-    return t, kPa
+    return t, np.array([round(kPa, 1) for kPa in p[::20]])
 
 
 @pytest.mark.parametrize("start_kPa", [80.0, 100.0, 300.0, 690.0])
@@ -295,6 +294,22 @@ def test_several_runs_in_a_file(tmp_path: Path) -> None:
     assert [len(r["time"]) for r in proposed(tmp_path / "a.csv", back).runs.values()] == [50, 50, 50]
     column = "trial,t (s),tank kPa\n" + "\n".join(f"{i // 60},{i / 10},{600 - i % 60}" for i in range(120))
     assert list(proposed(tmp_path / "b.csv", column).runs) == ["b_1", "b_2"]
+
+
+def test_a_valve_needs_the_volume_of_its_reservoir(tmp_path: Path) -> None:
+    path = copied(tmp_path, "pump_and_chamber.csv")
+    pump = propose(path, Answers(), {"cv": 0.1})
+    assert pump.missing == () and [question.key for question in pump.questions] == ["setup.source"]
+    with_answer(pump.answers, "setup.source", "reservoir")
+    assert [question.key for question in propose(path, pump.answers).missing] == ["rig.reservoir.volume_L"]
+
+
+def test_the_outlet_of_a_vessel_alone(tmp_path: Path) -> None:
+    t, p = fall(600.0)
+    rows = "\n".join(f"{a:.2f},{b},1" for a, b in zip(t, p, strict=True))
+    found = proposed(tmp_path / "a.csv", f"t (s),tank kPa,vent\n{rows[:-1]}0")
+    write_case([found], tmp_path / "case")
+    assert read_case(tmp_path / "case").runs[0].evp_opening[0] == 1.0
 
 
 def test_voltage_needs_a_calibration(tmp_path: Path) -> None:

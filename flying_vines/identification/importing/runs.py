@@ -258,17 +258,21 @@ def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]
     if setup.gas and setup.gas.casefold() != "air":
         notes.append(f"{name}: the rig file cannot say {setup.gas} yet; the simulation takes air")
     if has & set(_VALVES) and "cv_pressure" not in has:
-        # A valve beside a single vessel lets its gas out.
+        if "evp_opening" not in has and "solenoid" in has:
+            notes.append(f"{name}: the outlet of the vessel is written as evp_opening")
+            return {
+                k: {"evp_opening" if m == "solenoid" else m: v for m, v in run.items()}
+                for k, run in runs.items()
+            }
         return runs
     if has & set(_VALVES):
         if "reservoir_pressure" not in has:
             setup.source = setup.source or "pump"
-            if setup.source == "pump":
-                notes.append(
-                    f"{name}: a pump is written as an inflation valve at a {_PUMP_VOLUME_L:g} L reservoir of "
-                    "unknown pressure, the nearest that a rig file can say today"
-                )
-                answers.rig.setdefault("reservoir", {"volume_L": _PUMP_VOLUME_L})
+        if setup.source == "pump":
+            notes.append(
+                f"{name}: a pump is written as an inflation valve at a {_PUMP_VOLUME_L:g} L reservoir of "
+                "unknown pressure, the nearest that a rig file can say today"
+            )
         return runs
     if "reservoir_pressure" in has and "cv_pressure" in has:
         raise CaseError(f"{path}: no column is the inflation valve; say which is: --column N=evp_opening")
@@ -288,9 +292,8 @@ def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]
 
 def _rises(pressure_kPa: Array) -> bool:
     p = pressure_kPa[np.isfinite(pressure_kPa)]
-    return (
-        bool(len(p)) and float(np.median(np.sort(p)[-5:]) - np.median(p[:5])) > 0.15 * float(np.ptp(p)) + 1.0
-    )
+    gain_kPa = float(np.median(np.sort(p)[-5:]) - np.median(p[:5])) if len(p) else 0.0
+    return gain_kPa > 1.0 + 0.15 * float(np.ptp(p))
 
 
 def _alone(run: Run, answers: Answers, notes: list[str], name: str) -> Run:
@@ -365,6 +368,8 @@ def _rig_tables(proposal: Proposal) -> dict[str, Any]:
     tables: dict[str, Any] = {name: dict(table) for name, table in proposal.answers.rig.items()}
     if "tolerance_percent" in tables:
         tables["tolerance_percent"] = dict(rig_from(proposal.answers.rig).tolerance_percent)
+    if proposal.answers.setup.source == "pump":
+        tables.setdefault("reservoir", {"volume_L": _PUMP_VOLUME_L})
     sensors = tables.setdefault("sensors", {})
     for pressure, vessel in _PRESSURES.items():
         readings = [run[pressure] for run in proposal.runs.values() if pressure in run]
