@@ -312,6 +312,14 @@ def test_the_outlet_of_a_vessel_alone(tmp_path: Path) -> None:
     assert read_case(tmp_path / "case").runs[0].evp_opening[0] == 1.0
 
 
+def test_a_column_that_repeats_another(tmp_path: Path) -> None:
+    rows = "\n".join(f"{i / 10},{600 - i}.5,{i / 100},{20 - i / 2},{i / 2}" for i in range(20))
+    text = "t,tank (kPa),raw tank (V),error,chamber kPa,pump\n" + rows.replace("\n", ",1\n") + ",0"
+    found = {c.name: c.meaning for c in proposed(tmp_path / "a.csv", text).answers.columns}
+    assert found["tank (kPa)"] == "reservoir_pressure" and found["chamber kPa"] == "cv_pressure"
+    assert found["raw tank (V)"] == found["error"] == "ignored"
+
+
 def test_voltage_needs_a_calibration(tmp_path: Path) -> None:
     text = "t,tank (V)\n" + "\n".join(f"{i / 10},{4.5 - i / 50}" for i in range(60))
     proposal = proposed(tmp_path / "a.csv", text)

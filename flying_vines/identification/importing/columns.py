@@ -235,18 +235,24 @@ def _score(signal: _Signal, meaning: str) -> tuple[float, str]:
 
 
 def _copies(signals: Sequence[_Signal]) -> dict[int, int]:
-    """Columns that a later column repeats in another unit, as a sensor's voltage before its pressure."""
+    """Columns that another column repeats in another unit, as a sensor's voltage beside its pressure."""
     copies = {}
     for at, one in enumerate(signals):
         for other in signals[at + 1 :]:
+            if _NOT_READ & {*words_of(one.name), *words_of(other.name)}:
+                continue  # an error is the reading with another sign while its target is constant
             both = np.isfinite(one.values) & np.isfinite(other.values)
             x, y = one.values[both], other.values[both]
             if len(x) < 8 or one.levels < 8 or one.is_rising() or np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
                 continue
             slope, offset = np.polyfit(x, y, 1)
             step = max(abs(slope) * resolution(x), resolution(y))
-            if np.max(np.abs(y - slope * x - offset)) <= 1.1 * step and abs(np.corrcoef(x, y)[0, 1]) > 0.98:
-                copies[one.number] = other.number
+            if np.max(np.abs(y - slope * x - offset)) <= 1.1 * step and np.corrcoef(x, y)[0, 1] > 0.98:
+                first_is_pressure = one.unit is not None and one.unit.quantity == "pressure"
+                if first_is_pressure and (other.unit is None or other.unit.quantity != "pressure"):
+                    copies[other.number] = one.number
+                else:
+                    copies[one.number] = other.number
     return copies
 
 
