@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from flying_vines.cli.common import fail, file_errors, needs_analysis
 
 if TYPE_CHECKING:
-    from flying_vines.identification.importing.answers import Answers, Question
+    from flying_vines.identification.importing.answers import Answers, ImportQuestion
     from flying_vines.identification.importing.runs import Proposal
 
 
@@ -84,7 +84,7 @@ def _proposal(path: Path, first: Proposal | None, options: argparse.Namespace, f
     return proposal
 
 
-def _ask(path: Path, question: Question, answers: Answers) -> None:
+def _ask(path: Path, question: ImportQuestion, answers: Answers) -> None:
     """Ask until the answer can be used."""
     from flying_vines.identification.importing.answers import with_answer
     from flying_vines.identification.recording import CaseError

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from flying_vines.identification.case import read_case
 from flying_vines.identification.importing.answers import (
     Answers,
-    Setup,
+    ImportSetup,
     answers_path,
     read_answers,
     volume_L,
@@ -332,7 +332,7 @@ def test_voltage_needs_a_calibration(tmp_path: Path) -> None:
 def test_a_file_without_time_needs_a_rate(tmp_path: Path) -> None:
     text = "tank kPa\n" + "\n".join(f"{600 - i / 3:.3f}" for i in range(60))
     assert [q.key for q in proposed(tmp_path / "a.csv", text).missing] == ["setup.sample_Hz"]
-    found = one_run(proposed(tmp_path / "a.csv", text, Answers(setup=Setup(sample_Hz=20.0))))
+    found = one_run(proposed(tmp_path / "a.csv", text, Answers(setup=ImportSetup(sample_Hz=20.0))))
     assert found["time"][-1] == pytest.approx(59 / 20)
 
 

@@ -26,7 +26,7 @@ ENDING = ".import.toml"
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 
 
-class Setup(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
+class ImportSetup(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     """What drives what; None is guessed or asked."""
 
     outlet: Literal["shut", "open", "opens"] | float | None = None
@@ -43,13 +43,13 @@ class Answers(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     """The content of an answers file."""
 
     text: TextLayout | None = None
-    setup: Setup = msgspec.field(default_factory=Setup)
+    setup: ImportSetup = msgspec.field(default_factory=ImportSetup)
     rig: dict[str, Any] = msgspec.field(default_factory=dict)
     """Tables of a rig.toml, as far as they are known."""
     columns: list[ImportedColumn] = msgspec.field(default_factory=list)
 
 
-class Question(NamedTuple):
+class ImportQuestion(NamedTuple):
     """Something that the file does not say, the key of its answer, and the option that gives it."""
 
     key: str
@@ -59,7 +59,7 @@ class Question(NamedTuple):
     """Used if nobody answers; empty if the answer is necessary."""
 
 
-def missing_line(recording: Path, question: Question, kept: Path) -> str:
+def missing_line(recording: Path, question: ImportQuestion, kept: Path) -> str:
     """What is missing, and where to write it, on one line."""
     where = f"write {question.key} in {kept}, or give {question.option}"
     return one_line(f"{recording}: missing: {question.text}; {where}")
@@ -141,7 +141,9 @@ def with_answer(answers: Answers, key: str, said: str) -> None:
         if last == "sample_Hz" or re.fullmatch(r"\d*\.?\d+", said.strip()):
             value = _number(said)
         try:
-            answers.setup = msgspec.convert({**msgspec.structs.asdict(answers.setup), last: value}, Setup)
+            answers.setup = msgspec.convert(
+                {**msgspec.structs.asdict(answers.setup), last: value}, ImportSetup
+            )
         except msgspec.ValidationError as error:
             raise CaseError(f"{last}: {said!r} cannot be used: {error}") from None
 
@@ -165,7 +167,7 @@ def _number(said: str) -> float:
     return value
 
 
-def write_answers(path: Path, answers: Answers, missing: Sequence[Question]) -> None:
+def write_answers(path: Path, answers: Answers, missing: Sequence[ImportQuestion]) -> None:
     """Write the answers file; missing answers are comments in it. OSError if that fails."""
     name = one_line(path.name.removesuffix(ENDING))
     lines = [f"# How `flying-vines import` reads {name}. Edit what is wrong, and import again."]

@@ -188,7 +188,7 @@ def guess_columns(table: ForeignTable, given: Sequence[ImportedColumn] = ()) -> 
     for signal in signals:
         known = fixed.get(signal.number) or ImportedColumn(signal.number, "")
         meaning = known.meaning or meanings.get(signal.number, IGNORED)
-        why = "as answered" if known.meaning else reasons.get((signal.number, meaning), "")
+        why = (known.why or "as answered") if known.meaning else reasons.get((signal.number, meaning), "")
         if signal.number in copies and not known.meaning:
             why = f"the same signal as column {copies[signal.number]}"
         unit, reason = (known.unit, "") if known.unit else _unit(signal, meaning)

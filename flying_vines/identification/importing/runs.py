@@ -22,7 +22,7 @@ from flying_vines.config.toml_edit import value_text
 from flying_vines.identification.case import FEWEST_SAMPLES, RIG, SHORTEST_S, Case, read_case
 from flying_vines.identification.importing.answers import (
     Answers,
-    Question,
+    ImportQuestion,
     answers_path,
     missing_line,
     read_answers,
@@ -70,14 +70,14 @@ class Proposal:
     table: ForeignTable
     answers: Answers
     """Complete, but for the questions."""
-    questions: tuple[Question, ...]
+    questions: tuple[ImportQuestion, ...]
     """What a person should say; some have a guess."""
     notes: tuple[str, ...]
     runs: Mapping[str, Run]
     """By name."""
 
     @property
-    def missing(self) -> tuple[Question, ...]:
+    def missing(self) -> tuple[ImportQuestion, ...]:
         """Questions without a guess."""
         return tuple(question for question in self.questions if not question.guess)
 
@@ -103,14 +103,14 @@ def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = No
         raise CaseError(f"{path}: no column looks like a pressure; say which is: --column N=cv_pressure:kPa")
     notes = list(table.remarks)
     questions = [
-        Question(f"columns.{c.number}.unit", f"two points of its calibration, as {c.unit} (0.5=0, 4.5=1000): "
+        ImportQuestion(f"columns.{c.number}.unit", f"two points of its calibration, as {c.unit} (0.5=0, 4.5=1000): "
                  "readings and kPa gauge", f"--column {c.number}={c.meaning}:'{c.unit} (0.5=0, 4.5=1000)'")
         for c in columns
         if c.unit and parse_unit(c.unit).quantity == "raw" and QUANTITIES.get(c.meaning) == "pressure"
     ]  # fmt: skip
     if "time" not in meanings and said.setup.sample_Hz is None:
         text = "there is no time column: how many rows were recorded in a second?"
-        questions.append(Question("setup.sample_Hz", text, "--column N=time:s"))
+        questions.append(ImportQuestion("setup.sample_Hz", text, "--column N=time:s"))
     runs = {} if questions else dict(_runs(table, answers, notes))
     if runs:
         questions += _doubtful_units(answers, said, runs)
@@ -236,7 +236,7 @@ def _in_order(run: Run, notes: list[str]) -> Array:
     return time_s
 
 
-def _doubtful_units(answers: Answers, said: Answers, runs: Mapping[str, Run]) -> Iterator[Question]:
+def _doubtful_units(answers: Answers, said: Answers, runs: Mapping[str, Run]) -> Iterator[ImportQuestion]:
     """Pressures in kPa by the file's own words that behave like psi. What a person said is not doubted."""
     sure = {column.number for column in said.columns if column.unit}
     for column in answers.columns:
@@ -246,7 +246,7 @@ def _doubtful_units(answers: Answers, said: Answers, runs: Mapping[str, Run]) ->
         if all(reasons):
             column.unit = ""
             text = f"psi or kPa? Its heading says kPa, but {reasons[0]}"
-            yield Question(
+            yield ImportQuestion(
                 f"columns.{column.number}.unit", text, f"--column {column.number}={column.meaning}:psi"
             )
 
@@ -338,7 +338,7 @@ def _opening_time(time_s: Array, pressure_kPa: Array) -> float | None:
     return float(t[first]) if first >= 3 and np.median(rates[:first]) > 0.1 * steepest else None
 
 
-def _missing_volumes(answers: Answers, runs: Mapping[str, Run]) -> Iterator[Question]:
+def _missing_volumes(answers: Answers, runs: Mapping[str, Run]) -> Iterator[ImportQuestion]:
     measured = set(next(iter(runs.values())))
     needed = {vessel for pressure, vessel in _PRESSURES.items() if pressure in measured}
     if answers.setup.source == "reservoir":
@@ -348,19 +348,19 @@ def _missing_volumes(answers: Answers, runs: Mapping[str, Run]) -> Iterator[Ques
             what = {"cv": "chamber that is inflated", "reservoir": "vessel that supplies the air"}[vessel]
             if "cv_pressure" not in measured:
                 what = "vessel"
-            yield Question(
+            yield ImportQuestion(
                 f"rig.{vessel}.volume_L", f"the volume of the {what} in litres", f"--volume-L {vessel}=L"
             )
 
 
-def _guessed_setup(said: Answers, answers: Answers) -> Iterator[Question]:
+def _guessed_setup(said: Answers, answers: Answers) -> Iterator[ImportQuestion]:
     """What drives what, as far as it is a guess."""
     if said.setup.outlet is None and answers.setup.outlet is not None:
         text = "its outlet: shut (it leaks), open, opens (when the pressure begins to fall), or the time in s"
-        yield Question("setup.outlet", text, "", str(answers.setup.outlet))
+        yield ImportQuestion("setup.outlet", text, "", str(answers.setup.outlet))
     if said.setup.source is None and answers.setup.source is not None:
         text = "what fills the chamber: pump, or reservoir (through a valve)"
-        yield Question("setup.source", text, "", answers.setup.source)
+        yield ImportQuestion("setup.source", text, "", answers.setup.source)
 
 
 def _rig_tables(proposal: Proposal) -> dict[str, Any]:

@@ -140,7 +140,7 @@ def unit_in(name: str) -> Unit | None:
     return found
 
 
-class Doubt(NamedTuple):
+class UnitGuess(NamedTuple):
     """A guessed unit, why, and the next best if it is nearly as likely."""
 
     unit: Unit
@@ -148,7 +148,7 @@ class Doubt(NamedTuple):
     other: str = ""
 
 
-def guess_pressure(values: Array, meaning: str) -> Doubt:
+def guess_pressure(values: Array, meaning: str) -> UnitGuess:
     """The unit of a pressure column by the size of its readings."""
     top = float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
     center_kPa, width = _TYPICAL.get(meaning, _TYPICAL_KPA)
@@ -159,10 +159,10 @@ def guess_pressure(values: Array, meaning: str) -> Doubt:
     }
     best, second = sorted(costs, key=lambda unit: costs[unit])[:2]
     why = f"readings up to {top:.4g} are usual in {best.name}"
-    return Doubt(best, why, second.name if costs[second] - costs[best] < 1.5 else "")
+    return UnitGuess(best, why, second.name if costs[second] - costs[best] < 1.5 else "")
 
 
-def guess_time(values: Array) -> Doubt:
+def guess_time(values: Array) -> UnitGuess:
     """The unit of a time column by its step and its length, or by the present year for seconds since 1970."""
     steps = np.diff(values[np.isfinite(values)])
     step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 1.0
@@ -175,17 +175,17 @@ def guess_time(values: Array) -> Doubt:
             costs[unit] = cost - 20.0 * (1e9 < start * unit.factor < 4e9)
     best, second = sorted(costs, key=lambda unit: costs[unit])[:2]
     why = f"a step of {step * best.factor:.3g} s, {length * best.factor:.4g} s in all"
-    return Doubt(best, why, second.name if costs[second] - costs[best] < 1.0 else "")
+    return UnitGuess(best, why, second.name if costs[second] - costs[best] < 1.0 else "")
 
 
-def guess_opening(values: Array, name: str) -> Doubt:
+def guess_opening(values: Array, name: str) -> UnitGuess:
     """The full scale of a valve or pump signal by its largest value; PWM is 0 to 255 at least."""
     top = float(np.nanmax(values, initial=0.0))
     is_pwm = "pwm" in words_of(name) and bool(np.all(values[np.isfinite(values)] % 1.0 == 0.0))
     smallest = 255.0 if is_pwm and top > 1.0 else 1.0
     scale = next((scale for scale in FULL_SCALES if scale >= max(top, smallest)), max(top, 1.0))
     unit = parse_unit("%") if scale == 100.0 else parse_unit(f"0-{scale:.0f}")
-    return Doubt(unit, f"values up to {top:g}")
+    return UnitGuess(unit, f"values up to {top:g}")
 
 
 def psi_instead(time_s: Array, values: Array) -> str:
