@@ -102,12 +102,13 @@ def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = No
     if not set(_PRESSURES) & set(meanings):
         raise CaseError(f"{path}: no column looks like a pressure; say which is: --column N=cv_pressure:kPa")
     notes = list(table.remarks)
-    questions = [
-        ImportQuestion(f"columns.{c.number}.unit", f"two points of its calibration, as {c.unit} (0.5=0, 4.5=1000): "
-                 "readings and kPa gauge", f"--column {c.number}={c.meaning}:'{c.unit} (0.5=0, 4.5=1000)'")
-        for c in columns
-        if c.unit and parse_unit(c.unit).quantity == "raw" and QUANTITIES.get(c.meaning) == "pressure"
-    ]  # fmt: skip
+    questions = []
+    for c in columns:
+        if c.unit and parse_unit(c.unit).quantity == "raw" and QUANTITIES.get(c.meaning) == "pressure":
+            points = f"{c.unit} (0.5=0, 4.5=1000)"
+            text = f"two points of its calibration, as {points}: readings and kPa gauge"
+            option = f"--column {c.number}={c.meaning}:'{points}'"
+            questions.append(ImportQuestion(f"columns.{c.number}.unit", text, option))
     if "time" not in meanings and said.setup.sample_Hz is None:
         text = "there is no time column: how many rows were recorded in a second?"
         questions.append(ImportQuestion("setup.sample_Hz", text, "--column N=time:s"))
