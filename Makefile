@@ -1,5 +1,6 @@
 # make demo   flies a scripted flight on embedded fakes, over real sockets and a real serial port path
-# make test   style, types and tests
+# make test   style, types and tests: four minutes on two cores
+# make test-all   and the long tests: whole flights, other programs, every command of the guides
 # make tools  what tests need beside Python: compilers, a chip to emulate, a browser (else they skip)
 
 PYTHON ?= python3
@@ -7,20 +8,22 @@ VENV := .venv
 BIN := $(VENV)/bin
 
 AS_ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
-TOOLS := g++ gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm chromium mosquitto faketime systemd
+TOOLS := g++ gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-arm-none-eabi-newlib clang-tidy qemu-system-arm \
+  chromium mosquitto faketime systemd
 # One more than there are cores: some tests wait most of the time.
 WORKERS = $$(($$(nproc) + 1))
 
-.PHONY: demo test tools clean
+.PHONY: demo test test-all tools clean
 
 demo: $(VENV)/.demo
 	$(BIN)/flying-vines demo
 
-test: $(VENV)/.dev
+test: LONG = -m "not long"
+test test-all: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest -n $(WORKERS)
+	$(BIN)/python -m pytest -n $(WORKERS) $(LONG)
 
 tools:
 	@dpkg -s $(TOOLS) >/dev/null 2>&1 || { \

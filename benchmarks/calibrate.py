@@ -1,18 +1,18 @@
-"""How well a calibration measures: random true rigs, each calibrated as a person would, against its truth.
+"""Errors of a calibration: random rigs are calibrated in simulation and compared with their true values.
 
     .venv/bin/python benchmarks/calibrate.py --rigs 40 --jobs 2 [--markdown FILE]
 
-Rigs are those of the benchmark of the cycles left: believed numbers, and what is really there. What has no
-single true number has one by definition:
+The rigs are those of the benchmark of the cycles left, with believed and true numbers. Some quantities have
+no single true number. They are defined as:
 
 - volume: 101.325 kPa · (air at the top − air at 0 kPa) / top, vine and tube at ambient temperature
 - pouch: air of the full vine at 0 kPa less that of the flat one
-- inflation valve: told fully open from shut, a choked flow from the full bottle into the open (690 kPa)
-- start: the opening told from which air flows, half the play included, its coil at ambient temperature
-- leaks: Ohm's law; the bottle's error is counted where there is one
-- outlet: ∫ P/Q(P) dP / P from the top to 0 kPa, through solenoid and the ejector at rest, isothermal
+- inflation valve: commanded fully open from shut, choked flow from the full reservoir (690 kPa) to ambient
+- start: the commanded opening from which air flows, with half the play, the coil at ambient temperature
+- leaks: Ohm's law; errors are counted only for rigs with a leak
+- outlet: ∫ P/Q(P) dP / P from the top to 0 kPa, through solenoid and ejector at rest, isothermal
 
-Volumes are relative to the bottle's, which is given to 0.5 %, as a person weighs it.
+Volumes are relative to the reservoir's, which is given with 0.5 %, as a person weighs it.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ import numpy as np
 from calibrate_world import CompiledWorld
 from cycles_left_rigs import Case, draw
 
+from flying_vines.calibration.evaluation import StageRecording
 from flying_vines.calibration.findings import Findings
 from flying_vines.calibration.plan import CalibrationRequest, plan
 from flying_vines.config import config
@@ -39,11 +40,11 @@ from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.coil import current_A
 from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.setup import Setup
-from flying_vines.physics.plant.shape import Compliant, Pouch
 from flying_vines.physics.plant.venturi import outlet_SL_per_s
+from flying_vines.physics.plant.volume import Compliant, Pouch
 
 FIRST_SEED = 8000
-"""The method was developed on seeds up to 42, its intervals looked at on 7000 to 7033."""
+"""The method was developed with seeds up to 42, and its intervals were checked with 7000 to 7033."""
 ROWS = {
     "cv_zero_kPa": ("vine's sensor, zero", "kPa"),
     "cv_volume_L": ("vine's volume", "%"),
@@ -58,8 +59,6 @@ ROWS = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of one rig."""
-
     seed: int
     kind: str
     truth: dict[str, float]
@@ -69,10 +68,12 @@ class Outcome:
     seconds: float
     air_kPa: float
     cpu_s: float
+    recording: StageRecording
+    """Recording of the whole calibration."""
 
 
 def truth(case: Case, top_kPa: float) -> dict[str, float]:
-    """What the rig has, by the findings' names; a leak that is not there is missing."""
+    """True values by the findings' names; without leaks that do not exist."""
     plant, effects = case.plant, case.plant.effects
     ambient_kPa, ambient_K, _ = plant.ambient.at(0.0)
     assert isinstance(effects.evp_law, Iso6358) and effects.evp_motion and effects.evp_coil
@@ -122,16 +123,16 @@ def _outlet(case: Case, top_kPa: float, ambient_kPa: float, ratio: float) -> flo
 
 
 def calibrated(seed: int, step_ms: int = 1) -> Outcome:
-    """One rig, from whatever its bottle holds."""
+    """Calibrate one rig, at the pressure that its reservoir has."""
     case = draw(seed)
     believed = msgspec.structs.replace(config.default(), pneumatics=case.believed)
-    wish = CalibrationRequest(eye=False, bottle_volume_L=case.plant.rig.reservoir.volume_L)
-    done = plan(believed, wish)
+    request = CalibrationRequest(asks_angles=False, bottle_volume_L=case.plant.rig.reservoir.volume_L)
+    done = plan(believed, request)
     rig = Setup(case.plant, case.cv_sensor, case.reservoir_sensor)
     world = CompiledWorld(done, rig, case.fill_kPa, seed, step_ms)
     began = time.process_time()
     calibrator = world.run()
-    assert calibrator.ended is not None
+    assert calibrator.ended is not None and world.recording is not None
     return Outcome(
         seed,
         case.kind,
@@ -142,6 +143,7 @@ def calibrated(seed: int, step_ms: int = 1) -> Outcome:
         world.now,
         case.fill_kPa - world.reservoir_kPa,
         time.process_time() - began,
+        world.recording,
     )
 
 
@@ -168,7 +170,7 @@ def table(outcomes: Sequence[Outcome]) -> Iterator[str]:
 
 
 def summary(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """What it took, and what was found that is not there."""
+    """Time and air, and leaks that were found but do not exist."""
     done = [each for each in outcomes if each.outcome == "done"]
     minutes = np.array([each.seconds / 60.0 for each in done])
     air = np.array([each.air_kPa for each in done])

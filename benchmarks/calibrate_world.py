@@ -1,8 +1,7 @@
-"""A rig that a calibration moves, compiled: some hundred times real time, telemetry with every step.
+"""A simulated rig for a calibration, compiled: some hundred times real time, telemetry with every step.
 
-What stands between the calibrator and the valves is as short as it can be: what is asked for is accepted, and
-goes to the firmware's regulator as the core would send it. Safety and serial line are the service's affair,
-and its tests'.
+Each request is accepted and goes to the firmware's regulator as the core would send it. Safety and serial
+line are not simulated; the tests of the service cover them.
 """
 
 from __future__ import annotations
@@ -11,7 +10,16 @@ import math
 
 from cycles_left_flights import told
 
-from flying_vines.calibration.calibrator import BY, LATE_S, Calibrator, OperatorRequest, Out, Question, Work
+from flying_vines.calibration.calibrator import (
+    BY,
+    LATE_S,
+    Calibrator,
+    EvaluationTask,
+    OperatorRequest,
+    Output,
+    Question,
+)
+from flying_vines.calibration.evaluation import StageRecording
 from flying_vines.calibration.plan import CalibrationPlan
 from flying_vines.core.core import TICK_S
 from flying_vines.core.events import Decision, Measured, Snapshot
@@ -23,7 +31,7 @@ from flying_vines.vine.intent import Intent, SetPressure, StartProfile
 from flying_vines.vine.motion import Motion
 
 LOOKS_S = 0.1
-"""How often the calibrator is told the time."""
+"""Time between ticks of the calibrator."""
 
 
 class CompiledWorld:
@@ -35,6 +43,8 @@ class CompiledWorld:
         self.calibrator = Calibrator(plan)
         self.now = 0.0
         self.asked: list[Intent] = []
+        self.recording: StageRecording | None = None
+        """Data of the last evaluated stage."""
         self._rig = rig
         self._seed = seed
         self._step_ms = step_ms
@@ -47,11 +57,11 @@ class CompiledWorld:
 
     @property
     def reservoir_kPa(self) -> float:
-        """True."""
+        """True pressure."""
         return self._reservoir_true_kPa
 
     def run(self) -> Calibrator:
-        """Until it has ended."""
+        """Run the calibration to its end."""
         self._carry_out(self.calibrator.begin(self.now))
         while self.calibrator.ended is None:
             motion = self._motion
@@ -60,7 +70,7 @@ class CompiledWorld:
         return self.calibrator
 
     def _live(self, seconds: float) -> None:
-        """Until then, or until something else is asked for."""
+        """Simulate the present motion for this time."""
         begun_s, motion = self.now, self._motion
         ticks = round(seconds / TICK_S)
         setpoints = [SetpointChange(0.0, math.nan, 1.0)]
@@ -89,15 +99,16 @@ class CompiledWorld:
                 self._carry_out(self.calibrator.tick(self.now, self._snapshot()))
         self.now = begun_s + seconds
 
-    def _carry_out(self, outs: list[Out]) -> None:
+    def _carry_out(self, outs: list[Output]) -> None:
         for out in outs:
             match out:
                 case OperatorRequest(intent):
                     self._ask(intent)
                 case Question():
                     self._carry_out(self.calibrator.answer(self.now, out, ""))
-                case Work():
-                    self._carry_out(self.calibrator.worked(self.now, out, out.do()))
+                case EvaluationTask():
+                    self.recording = out.run.__self__  # type: ignore[attr-defined]
+                    self._carry_out(self.calibrator.evaluated(self.now, out, out.run()))
 
     def _ask(self, intent: Intent) -> None:
         self.asked.append(intent)

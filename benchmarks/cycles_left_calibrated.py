@@ -29,7 +29,7 @@ from flying_vines.physics.plant.true_rig import TrueRig, load_true_rig, true_rig
 from flying_vines.physics.rig import ControlVolume, Dvp, Evp, Reservoir, Rig, Solenoid
 from flying_vines.simulation.scenario import parse_scenario, simulate_scenario, write_case
 from flying_vines.supply import ReservoirEstimate, TelemetryReader, n_cycles
-from flying_vines.supply.known_rig import TOP_SHARE, believed
+from flying_vines.supply.known_rig import TOP_SHARE, belief_of
 
 Causes = Mapping[str, Mapping[str, float]]
 MOMENTS = {"before the first": 0.0, "after 2 cycles": 2.0, "after 5 cycles": 5.0, "after 15 cycles": 15.0}
@@ -187,7 +187,7 @@ def judge(seed: int) -> Outcome | None:
     if flight is None or flight.total_cycles < FEWEST_CYCLES:
         return None
     extended, named = diagnosed(rigged)
-    beliefs = [believed(rigged.flight.believed, rig) for rig in (TrueRig(rigged.believed), extended)]
+    beliefs = [belief_of(rigged.flight.believed, rig) for rig in (TrueRig(rigged.believed), extended)]
     readers = [TelemetryReader(belief) for belief in beliefs]
     estimates = [ReservoirEstimate(belief) for belief in beliefs]
     guesses: tuple[list[Guess], list[Guess]] = ([], [])

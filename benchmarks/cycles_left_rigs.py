@@ -15,11 +15,11 @@ from flying_vines.physics.plant.ambient import Steady
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.likely import DVP, EVP, SOLENOID, likely_effects
-from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, Sensor
-from flying_vines.physics.plant.shape import Compliant, Pouch, Shape
 from flying_vines.physics.plant.tubing import Tubing
+from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
+from flying_vines.physics.plant.volume import Compliant, Pouch, Shape
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 from flying_vines.simulation.phlosar.regulator import Tuning

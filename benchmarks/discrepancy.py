@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         extra = "benchmarks" if error.name in ("pysindy", "sklearn") else "analysis"
         parser.exit(
             BAD_INPUT,
-            f"{parser.prog}: {error.name} is missing; pip install 'flying-vines[{extra}]' brings it\n",
+            f"{parser.prog}: {error.name} is missing: pip install 'flying-vines[{extra}]'\n",
         )
     except KeyboardInterrupt:
         return 130

@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from flying_vines.identification.case import Case, RecordedRun
 from flying_vines.identification.fit import FitPoint, FitProblem
 from flying_vines.identification.noise import stated_noise_kPa
-from flying_vines.identification.simulate import believed_keys
+from flying_vines.identification.simulate import rig_number_keys
 from flying_vines.identification.verdict import NONE, UNEXPLAINED
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.baseline import BaselineState, Inputs, step
@@ -80,7 +80,7 @@ Lacks = tuple[Lack, Lack]
 def look(case: Case) -> dict[str, Any]:
     problem = FitProblem(case, stated_noise_kPa(case.rig))
     with threadpool_limits(1):
-        null = problem.fit(problem.start().freed(believed_keys(case.rig))).point
+        null = problem.fit(problem.start().freed(rig_number_keys(case.rig))).point
         rows = _rows(problem, null)
         every = [_stack(rows, channel) for channel in (0, 1)]
         lacks = Lack(*every[0]), Lack(*every[1])

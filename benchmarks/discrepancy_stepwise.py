@@ -87,14 +87,14 @@ def _parameters(point: FitPoint) -> int:
 def _fit(problem: FitProblem, start: FitPoint) -> Fit:
     """χ² over the parameters alone."""
     parameters = [parameter for cause in start.causes for parameter in cause.parameters]
-    low = np.array([p.inner(p.low) for p in parameters])
-    high = np.array([p.inner(p.high) for p in parameters])
+    low = np.array([p.to_search(p.low) for p in parameters])
+    high = np.array([p.to_search(p.high) for p in parameters])
     values = [value for values in start.values for value in values]
-    inner = np.array([p.inner(value) for p, value in zip(parameters, values, strict=True)])
+    searched = np.array([p.to_search(value) for p, value in zip(parameters, values, strict=True)])
     nudges = OF_RANGE * (high - low)
 
     def outer(place: Array) -> FitPoint:
-        every = iter(p.outer(x) for p, x in zip(parameters, place.tolist(), strict=True))
+        every = iter(p.to_model(x) for p, x in zip(parameters, place.tolist(), strict=True))
         grouped: list[Values] = [tuple(next(every) for _ in cause.parameters) for cause in start.causes]
         return replace(start, values=tuple(grouped))
 
@@ -113,7 +113,7 @@ def _fit(problem: FitProblem, start: FitPoint) -> Fit:
         return np.stack(columns, axis=1)
 
     # Strictly within the bounds, as its method asks for.
-    begin = np.clip(inner, low + nudges, high - nudges)
+    begin = np.clip(searched, low + nudges, high - nudges)
     found = least_squares(
         residuals, begin, slopes, (low, high), x_scale="jac", ftol=1e-6, max_nfev=MOST_STEPS
     )

@@ -10,12 +10,17 @@ from __future__ import annotations
 import dataclasses
 import math
 import random
+import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+
 from referee import DEAD_MAN_S, LONGEST_HANG_S, Foul, Referee, RefereedBoard, Rules
 
 from flying_vines.config import config

@@ -91,7 +91,7 @@ def true_rig(case: Case) -> TrueRig:
     """The rig that really is there, behind converters of 12 bits."""
     plant = case.plant
     missing = tuple(f.name for f in fields(plant.effects) if getattr(plant.effects, f.name) is None)
-    return TrueRig(believed=plant.rig, effects=plant.effects, likely=True, without=missing)
+    return TrueRig(nominal=plant.rig, effects=plant.effects, likely=True, without=missing)
 
 
 def fly(name: str, seed: int) -> Noticed:

@@ -16,7 +16,7 @@ from cycles_left_rigs import HOST_TICK_S, Case, Manoeuvre, draw
 from firmware_link.protocol import Telemetry
 from flying_vines.config.config import InterlocksConfig
 from flying_vines.physics.plant.plant import Plant, at_rest
-from flying_vines.physics.plant.shape import Compliant, Pouch
+from flying_vines.physics.plant.volume import Compliant, Pouch
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Rig
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop

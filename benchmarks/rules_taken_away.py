@@ -72,7 +72,7 @@ MODULES = (
         "flying_vines/core/core.py",
         CORE_TESTS,
         (
-            *("_trigger_of", "_request_problem", "_decide", "_outdated", "_without_air", "_hold"),
+            *("_trigger_of", "_request_problem", "_decide", "_outdated", "_carry_out_without_air", "_hold"),
             *("_clear_faults", "_note_mode", "_on_firmware_link", "_note_rc_use", "_conditions"),
             *("_enter", "_leave", "_drive"),
         ),
@@ -83,7 +83,7 @@ MODULES = (
     Module(
         "flying_vines/vehicle/commands.py",
         ("tests/vehicle/test_commands.py", "tests/vehicle/test_vehicle.py", *CORE_TESTS),
-        ("handle", "_does_no_harm_again"),
+        ("handle", "_only_deflates"),
     ),
     Module(
         "flying_vines/vehicle/clock.py",

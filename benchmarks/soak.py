@@ -31,12 +31,12 @@ from pathlib import Path
 from time import monotonic
 from typing import NamedTuple
 
-from ports import free_port
 from process_cost import memory
 from soak_day import LOOK_S, World, flights
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
+from ports import free_port
 from service_bench import between
 
 from flying_vines.config import config

@@ -74,11 +74,19 @@ class Flown:
 class Whole:
     """A service that runs, and whoever flies it and looks on."""
 
-    def __init__(self, folder: Path, process: subprocess.Popen[bytes], switched: Switched, port: int) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        process: subprocess.Popen[bytes],
+        switched: Switched,
+        port: int,
+        board: SerialBoard,
+    ) -> None:
         self.port = port
         """Of the page; 0 without one."""
         self.pid = process.pid
         self.viewers: Viewers | None = None
+        self.board = board
         self._process = process
         self._folder = folder
         self._switched = switched
@@ -154,7 +162,7 @@ def running(
             cores=cores,
         )
         stack.enter_context(ended(process))
-        whole = Whole(folder, process, switched, port)
+        whole = Whole(folder, process, switched, port, board)
         if switched.page:
             _until_it_listens(whole)
         if switched.viewers:

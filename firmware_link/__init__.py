@@ -1,1 +1,1 @@
-"""The serial link between a host and the phloSAR's microcontroller. Usable by itself."""
+"""The serial link between a host and the phloSAR's microcontroller. It is usable without flying_vines."""

@@ -1,7 +1,7 @@
-"""Which telemetry is new, by the clock that the board writes into each message.
+"""Finds out if telemetry is new, by the board's clock in each message.
 
-That something came says nothing: a board that hangs or a line that loops may repeat one frame for ever. The
-sequence number of a frame adds nothing to this clock: a repeat has the same of both.
+An arrival alone is no proof: a board that hangs, or a loop in the line, may repeat one frame for ever. The
+sequence number does not help, because a repeat has the same number and the same clock.
 """
 
 from __future__ import annotations
@@ -9,29 +9,29 @@ from __future__ import annotations
 import math
 from enum import Enum
 
-OVERTAKEN_MS = 100
-"""Telemetry that is older than what came before it by no more than this was overtaken on its way. A board
-that restarted is that near only if it was silent for as long as it had run before."""
+REORDERED_MS = 100
+"""A message that is older than the one before by at most this was only reordered. After a restart the board's
+clock is that near only if the board was silent for as long as it had run before."""
 FORGETS = 0.25
-"""Of each second of ours, the share by which a difference between the clocks is forgotten. A clock that is
-slower than three quarters of ours is therefore stale for ever; a board that stood still once is not."""
-MOST_BEHIND_S = 1.0
-"""More than waits in a serial port's buffer."""
+"""A difference between the clocks decays by this much in each second. So a board that stalled once becomes
+current again. A clock slower than three quarters of ours stays stale for ever."""
+MAX_BEHIND_S = 1.0
+"""More than the delay in a serial port's buffer."""
 LEAP_S = 1.0
-SURE_S = 0.05
-"""After a leap the next message must go on from there, this well."""
+AGREES_S = 0.05
+"""After a leap the next message must continue from there within this tolerance."""
 FULL_MS = 1 << 32
 _HALF_MS = 1 << 31
 
 
 class ClockVerdict(Enum):
-    """What a message's clock says of it."""
+    """The verdict on a message by its clock."""
 
     NEW = "new"
     OLD = "old"
-    """A repeat, or overtaken on its way."""
+    """A repeat, or reordered."""
     LEAPT = "leapt"
-    """Too far ahead to be believed before the next message agrees."""
+    """Too far ahead. It counts only if the next message agrees."""
     BACK = "back"
     """The board restarted."""
 
@@ -41,7 +41,7 @@ class DeviceClock:
 
     def __init__(self) -> None:
         self.passed_ms = 0
-        """Between the last two new messages; 0 over a leap."""
+        """Time between the last two new messages; 0 after a leap."""
         self.restart()
 
     def restart(self) -> None:
@@ -49,20 +49,20 @@ class DeviceClock:
         self._last: tuple[float, int] | None = None
         self._leapt: tuple[float, int] | None = None
         self._ahead_s = 0.0
-        """What this clock has gained on ours."""
+        """The lead of the board's clock over ours."""
 
     @property
     def behind_s(self) -> float:
-        """How old the latest new message was when it came, at least."""
+        """Minimum age of the latest new message at its arrival."""
         return max(0.0, -self._ahead_s)
 
     def take(self, t: float, device_time_ms: int) -> ClockVerdict:
-        """A message that came at `t`."""
+        """Take in a message that arrived at `t`."""
         now = t, device_time_ms
         if self._last is None:
-            return self._believe(now, 0, 0.0)
+            return self._accept(now, 0, 0.0)
         passed_ms = _passed_ms(self._last, now)
-        if passed_ms < 0 and not -passed_ms <= OVERTAKEN_MS <= device_time_ms:
+        if passed_ms < 0 and not -passed_ms <= REORDERED_MS <= device_time_ms:
             return ClockVerdict.BACK
         if passed_ms <= 0:
             return ClockVerdict.OLD
@@ -70,19 +70,19 @@ class DeviceClock:
         ahead_s = self._ahead_s + passed_ms / 1e3 - ours_s
         ahead_s -= math.copysign(min(abs(ahead_s), FORGETS * ours_s), ahead_s)
         if ahead_s <= LEAP_S:
-            return self._believe(now, passed_ms, max(-MOST_BEHIND_S, ahead_s))
+            return self._accept(now, passed_ms, max(-MAX_BEHIND_S, ahead_s))
         before, self._leapt = self._leapt, now
-        if before is None or not 0 < _passed_ms(before, now) <= 1e3 * (t - before[0] + SURE_S):
+        if before is None or not 0 < _passed_ms(before, now) <= 1e3 * (t - before[0] + AGREES_S):
             return ClockVerdict.LEAPT
-        return self._believe(now, 0, 0.0)
+        return self._accept(now, 0, 0.0)
 
-    def _believe(self, now: tuple[float, int], passed_ms: int, ahead_s: float) -> ClockVerdict:
+    def _accept(self, now: tuple[float, int], passed_ms: int, ahead_s: float) -> ClockVerdict:
         self._last, self._leapt = now, None
         self.passed_ms, self._ahead_s = passed_ms, ahead_s
         return ClockVerdict.NEW
 
 
 def _passed_ms(before: tuple[float, int], now: tuple[float, int]) -> int:
-    """By the board's clock; negative when it ran backwards, but for a wrap."""
+    """Time by the board's clock; negative if it went back. A wrap does not count as back."""
     passed_ms = (now[1] - before[1]) % FULL_MS
     return passed_ms if passed_ms < _HALF_MS else passed_ms - FULL_MS

@@ -1,7 +1,8 @@
-"""A board by what it says of itself on USB, whatever its port is called today.
+"""Finds a board by its USB ids, independent of the name of its port.
 
-A port's name follows the order in which boards were plugged in: a board that restarts while its old port is
-still held comes back as another one. The ids, and among equal boards the serial number, do not change.
+A port's name depends on the order in which boards were plugged in. A board that restarts while a program
+still has its old port open gets another name. The ids do not change, nor does the serial number, which
+distinguishes equal boards.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ _TEXT = re.compile(r"usb:([0-9a-f]{4}):([0-9a-f]{4})(?::([^\s:]+))?", re.IGNOREC
 
 
 class BoardNotFoundError(LinkError):
-    """No board fits, or several do; the text says which ports there are instead."""
+    """No board matches, or several do. The text lists the present ports."""
 
 
 @dataclass(frozen=True, slots=True)
 class UsbBoard:
-    """A board on USB; without a serial number, the only one of its kind."""
+    """A board on USB. Without a serial number it must be the only one with these ids."""
 
     vendor_id: int
     product_id: int
@@ -36,10 +37,12 @@ class UsbBoard:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """`usb:16c0:0483` or `usb:16c0:0483:1234560`; ValueError with a sentence for anything else."""
+        """`usb:16c0:0483` or `usb:16c0:0483:1234560`. Raises ValueError with a sentence for anything else."""
         found = _TEXT.fullmatch(text)
         if found is None:
-            raise ValueError(f"'{text}' is no board: give {FORM}, ids of four hexadecimal digits as in lsusb")
+            raise ValueError(
+                f"'{text}' is not a USB board: give {FORM}, with ids of four hexadecimal digits as in lsusb"
+            )
         return cls(int(found[1], 16), int(found[2], 16), found[3])
 
     def __str__(self) -> str:
@@ -47,16 +50,16 @@ class UsbBoard:
         return kind if self.serial_number is None else f"{kind}:{self.serial_number}"
 
     def find(self, ports: Ports | None = None) -> str:
-        """The port that the board has now, of `ports` (this machine's); BoardNotFoundError."""
-        there = sorted((ports or _ports_of_this_machine)(), key=lambda port: port.device)
-        found = [port for port in there if self._is(port)]
+        """The board's present port among `ports` (default: this machine's). Raises BoardNotFoundError."""
+        present = sorted((ports or _ports_of_this_machine)(), key=lambda port: port.device)
+        found = [port for port in present if self._is(port)]
         if len(found) == 1:
             return str(found[0].device)
         if found:
             raise BoardNotFoundError(self._too_many(found))
-        instead = ", ".join(map(_described, there)) or "no serial port at all"
+        others = ", ".join(map(_described, present)) or "no serial port at all"
         raise BoardNotFoundError(
-            f"{self} is not there: is the board plugged in, powered and flashed? There is {instead}"
+            f"{self} is not there: is the board plugged in, powered and flashed? There is {others}"
         )
 
     def _is(self, port: ListPortInfo) -> bool:
@@ -75,7 +78,7 @@ def _ports_of_this_machine() -> Iterable[ListPortInfo]:
     try:
         return comports()
     except (OSError, TypeError, ValueError):
-        # pyserial stumbles over a board that is pulled out while it reads what the board is.
+        # pyserial raises these if a board is unplugged while it reads the board's description.
         return []
 
 

@@ -2,9 +2,9 @@
 
     frame = COBS(payload + CRC-16 of the payload, high byte first) + 0x00
 
-The CRC is CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF); of b"123456789" it is 0x29B1. High byte
-first, so that the CRC over payload and CRC together is zero. COBS keeps the zero byte for the end of a
-frame alone: whoever joins in the middle is in step again at the next zero.
+The CRC is CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF); that of b"123456789" is 0x29B1. Its high byte
+comes first, so the CRC over payload and CRC together is zero. With COBS a zero byte occurs only at the end of
+a frame. So a receiver that starts in the middle of a frame is synchronised at the next zero.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from __future__ import annotations
 import binascii
 
 FRAME_END = b"\x00"
-"""Alone it is idle line; after half a frame it ends that, so that the next one is read."""
+"""Alone it has no effect. After an incomplete frame it ends that frame, so that the next one can be read."""
 MAX_PAYLOAD = 128
-"""Bytes. The longest message is less than half of this; the rest is room for later ones."""
+"""Bytes. The longest message has less than half of this. The rest is reserved for later messages."""
 
 _CRC_START = 0xFFFF
 _CRC_SIZE = 2
@@ -42,7 +42,7 @@ def cobs_encode(data: bytes) -> bytes:
 
 
 def cobs_decode(encoded: bytes) -> bytes | None:
-    """What `cobs_encode` was given, or None when no data encodes to this."""
+    """The inverse of `cobs_encode`; None if `encoded` is not valid."""
     data = bytearray()
     at = 0
     while at < len(encoded):
@@ -58,19 +58,17 @@ def cobs_decode(encoded: bytes) -> bytes | None:
 
 
 def encode_frame(payload: bytes) -> bytes:
-    """One whole frame, its final zero byte included. ValueError above `MAX_PAYLOAD` bytes."""
+    """A complete frame with its final zero byte. Raises ValueError above `MAX_PAYLOAD` bytes."""
     if len(payload) > MAX_PAYLOAD:
-        raise ValueError(
-            f"a payload of {len(payload)} bytes is longer than the {MAX_PAYLOAD} that fit a frame"
-        )
+        raise ValueError(f"a payload of {len(payload)} bytes is too long: the maximum is {MAX_PAYLOAD}")
     return cobs_encode(payload + crc16(payload).to_bytes(_CRC_SIZE, "big")) + FRAME_END
 
 
 class FrameDecoder:
-    """Bytes in, payloads out; holds at most one frame's worth of bytes whatever it is fed.
+    """Bytes in, payloads out. Stores at most one frame. Never raises.
 
-    Never raises. After any garbage the first frame that follows a zero byte is read. Zero bytes in a
-    row are idle line, not frames.
+    After invalid bytes it reads the first frame that follows a zero byte. Consecutive zero bytes are not
+    frames.
     """
 
     def __init__(self) -> None:
@@ -80,13 +78,13 @@ class FrameDecoder:
         self._oversize = False
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The payloads of the frames that end within `data` and whose CRC is right, in order."""
+        """The payloads of the frames that end within `data` and have a correct CRC, in order."""
         return [payload for _, payload in self.frames(data) if payload is not None]
 
     def frames(self, data: bytes) -> list[tuple[bytes, bytes | None]]:
-        """What ends within `data`, in order: the bytes on the wire, and the payload unless they are no frame.
+        """(bytes on the wire, payload) of everything that ends within `data`, in order.
 
-        Of what is too long to be a frame there are no bytes.
+        The payload is None if the bytes are not a frame. The bytes are empty if there are too many for one.
         """
         ended: list[tuple[bytes, bytes | None]] = []
         *ends, rest = data.split(FRAME_END)

@@ -1,8 +1,7 @@
-"""The host's side of the conversation, as a state machine over time: no port, no clock.
+"""The host's session with the firmware: a pure state machine without port and clock.
 
-Whatever interrupts the conversation (a closed port, a firmware that restarted, a refusal), the session
-falls back to venting, and only a new command ends that: hardware must not resume what nobody asks for
-any more.
+After any interruption (a closed port, a restarted firmware, a refusal) the session vents. Only a new command
+ends this: the hardware must not resume an old command.
 """
 
 from __future__ import annotations
@@ -34,24 +33,24 @@ from firmware_link.protocol import (
 
 
 class SessionState(Enum):
-    """Where the conversation stands."""
+    """The state of the session."""
 
     CLOSED = "closed"
-    """There is no port."""
+    """The port is closed."""
     GREETING = "greeting"
-    """There is a port; nobody with our protocol has answered yet."""
+    """The port is open. No firmware with our protocol has answered yet."""
     READY = "ready"
-    """Commands are repeated, telemetry is believed."""
+    """Commands are repeated and telemetry is used."""
     INCOMPATIBLE = "incompatible"
-    """Someone answered whom we must not command. Greeting goes on: new firmware may be flashed."""
+    """A firmware answered that we must not command. Greeting continues: new firmware may be flashed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Regulate:
-    """A command: go to `target_kPa`, slewing at most `rate_kPa_per_s`.
+    """A command: go to `target_kPa` at `rate_kPa_per_s` or slower.
 
-    ValueError for what is not a number or absurdly large, a rate that is not positive, or a time-to-live
-    beyond 1…65535. What the rig can do is for the firmware to say.
+    Raises ValueError if a value is not a number or absurdly large, if the rate is not positive, or if the
+    time-to-live is outside 1…65535. The firmware checks the limits of the rig.
     """
 
     target_kPa: float
@@ -78,40 +77,40 @@ HostCommand = Regulate | Venting
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """The handshake is done; the session vents until it is commanded otherwise."""
+    """The handshake is done. The session vents until the next command."""
 
     welcome: Welcome
 
 
 @dataclass(frozen=True, slots=True)
 class FirmwareReset:
-    """The firmware restarted. The command is forgotten; the session greets (or has greeted) anew."""
+    """The firmware restarted. The command is dropped, and the session greets again."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class Incompatible:
-    """The firmware must not be commanded by this host; `reason` is a sentence for people."""
+    """This host must not command the firmware; `reason` is a sentence for people."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class TelemetryReceived:
-    """Telemetry of a READY session, whose every pressure is one that a sensor can have."""
+    """Telemetry of a READY session with plausible pressures."""
 
     telemetry: Telemetry
 
 
 @dataclass(frozen=True, slots=True)
 class ImplausibleTelemetry:
-    """Telemetry says twice in a row what no sensor can; `HostSession.implausible` holds until it is over."""
+    """Two messages in a row had an implausible pressure: see `HostSession.implausible`."""
 
 
 @dataclass(frozen=True, slots=True)
 class CommandRefused:
-    """The firmware refused a command. When it was the current one, the session vents from here on."""
+    """The firmware refused a command. If it was the current one, the session vents from now on."""
 
     refusal: Refusal
 
@@ -119,29 +118,29 @@ class CommandRefused:
 HostEvent = Ready | FirmwareReset | Incompatible | TelemetryReceived | ImplausibleTelemetry | CommandRefused
 
 _ABSURD = 1e6
-"""kPa and kPa/s. Keeps a float that does not fit the wire's out of a session that is running."""
+"""kPa and kPa/s. Larger numbers do not fit the 32-bit floats of the protocol."""
 PLAUSIBLE_KPA = {
     "cv_kPa": (-54.7, 474.7),
     "reservoir_kPa": (-262.6, 2262.6),
     "setpoint_kPa": (-54.7, 474.7),
 }
-"""What the firmware can say at the widest settings of its sensors: the span, 10.625 % on both sides and the
-zero. A setpoint begins at the reading."""
+"""Minimum and maximum that the firmware can report at the widest settings of its sensors: the span, 10.625 %
+on both sides, and the zero. A setpoint starts at the reading."""
 IMPLAUSIBLE_IN_A_ROW = 2
-"""One in 65536 corrupted frames passes the CRC by chance."""
+"""One in 65536 corrupted frames passes the CRC by chance. So one frame alone is no fault."""
 _HELLO_PERIOD_S = 0.5
 _PING_PERIOD_S = 1.0
-_LATEST_PONG_S = 5.0
+_MAX_ROUND_TRIP_S = 5.0
 _CLOCK_SAMPLES = 16
 _DRIFT_OVER_S = 60.0
-"""From this long on the millisecond of the device's clock makes less than 20 ppm of drift."""
+"""After this time, 1 ms of resolution of the device's clock is less than 20 ppm of drift."""
 _FULL_DEVICE_CLOCK_S = FULL_MS / 1e3
-# A timer that ticks a hair early still counts as due; otherwise a 10 ms timer repeats every 30 ms.
+# A timer that ticks slightly early still counts as due. Otherwise a 10 ms timer would repeat every 30 ms.
 _EARLY_S = 1e-4
 
 
 class _ClockSample(NamedTuple):
-    """A ping: the quicker, the better."""
+    """A ping. Samples sort by round trip: the shortest is the most precise."""
 
     round_trip_s: float
     at_s: float
@@ -149,7 +148,7 @@ class _ClockSample(NamedTuple):
 
 
 class _Every:
-    """Says when a period has passed; never in bursts to catch up."""
+    """A periodic timer that does not catch up in bursts."""
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
@@ -170,37 +169,37 @@ class _Every:
 
 
 class HostSession:
-    """One firmware, as seen from the host. All times are seconds of one monotonic clock, not negative.
+    """The session with one firmware. All times are seconds of one monotonic clock, not negative.
 
-    Feed it `opened`, `closed`, every message received, and a tick at least every `repeat_s`; send what
-    `tick`, `command` and `clear_faults` return, in order. It never raises on anything received.
+    Call `opened`, `closed`, `receive` for every message, and `tick` at least every `repeat_s`. Send the
+    messages that `tick`, `command` and `clear_faults` return, in order. No received message makes it raise.
     """
 
     def __init__(self, repeat_s: float = 0.02, first_nonce: int = 1) -> None:
         self.state = SessionState.CLOSED
         self.welcome: Welcome | None = None
-        """Of the firmware that is (or was last) READY."""
+        """That of the firmware that is (or was last) READY."""
         self.telemetry: Telemetry | None = None
-        """The latest since the port was opened."""
+        """The latest telemetry since the port was opened."""
         self.telemetry_gaps = 0
-        """Telemetry frames that did not come, or came with a pressure that no sensor can have."""
+        """The number of telemetry frames that are missing or implausible."""
         self.implausible: tuple[str, float] | None = None
-        """The field of the latest telemetry, and its value, while each one has such a pressure."""
+        """Field and value of the implausible pressure in the latest telemetry; None if there is none."""
         self._implausible_frames = 0
         self.round_trip_s: float | None = None
-        """Of the latest ping."""
+        """Round trip of the latest ping."""
         self.clock_offset_s: float | None = None
-        """Device clock minus host clock, from the quickest of the last pings. Off by half of its round trip
-        and a millisecond at most, however the time is shared between the two ways."""
+        """Device clock minus host clock, from the recent ping with the shortest round trip. The error is at
+        most half of that round trip plus 1 ms."""
         self.clock_drift_ppm: float | None = None
-        """By how much the device's clock gains on the host's, from a minute after the handshake on."""
+        """Gain of the device's clock on the host's. Known from a minute after the handshake."""
         self._hello = _Every(_HELLO_PERIOD_S)
         self._repeat = _Every(repeat_s)
         self._ping = _Every(_PING_PERIOD_S)
         self._nonce = (first_nonce - 1) & 0xFFFFFFFF
         self._number = 0
         self._command: HostCommand = VENTING
-        self._first_vent_owed = True
+        self._first_vent_due = True
         self._telemetry_s: float | None = None
         self._device_clock = DeviceClock()
         self._ready_s = 0.0
@@ -211,64 +210,61 @@ class HostSession:
 
     @property
     def current_command(self) -> HostCommand:
-        """What is being repeated while READY."""
+        """The command that is repeated while READY."""
         return self._command
 
     @property
     def number(self) -> int:
-        """Of the current command; the firmware has accepted it when telemetry carries the same."""
+        """Number of the current command. If telemetry has the same number, the firmware has accepted it."""
         return self._number
 
     def telemetry_age(self, t: float) -> float:
-        """Seconds since the board made its latest telemetry, by its clock; infinite when there was none."""
+        """Seconds since the board made its latest telemetry, by its clock; infinite without telemetry."""
         return math.inf if self._telemetry_s is None else t - self._telemetry_s
 
     def opened(self, t: float) -> None:
-        """The port is open (again)."""
         self.telemetry = None
         self._telemetry_s = None
         self._incompatible_because = None
         self._greet()
 
     def closed(self, t: float) -> None:
-        """The port is gone."""
         self._forget_command()
         self.state = SessionState.CLOSED
 
     def command(self, t: float, command: HostCommand) -> list[HostMessage]:
-        """From now on repeat `command`; what is returned must be sent at once.
+        """Repeat `command` from now on. Send the returned messages at once.
 
-        While not READY the command is forgotten and nothing is sent: give it again when READY. A command
-        equal to the current one changes nothing.
+        While not READY the command is dropped: give it again when READY. A command equal to the current one
+        changes nothing.
         """
         if self.state is not SessionState.READY:
             return []
-        owed = self._pay_first_vent()
+        first = self._take_first_vent()
         if command == self._command:
-            return owed
-        self._adopt(command)
+            return first
+        self._set_command(command)
         self._repeat.start(t)
-        return [*owed, self._current_message()]
+        return [*first, self._current_message()]
 
     def clear_faults(self, t: float, mask: Fault) -> list[HostMessage]:
-        """Ask to unlatch the faults in `mask`; nothing while not READY. Does not end venting."""
+        """Request to unlatch the faults in `mask`; empty while not READY. The session still vents."""
         return [ClearFaults(int(mask) & 0xFFFF)] if self.state is SessionState.READY else []
 
     def tick(self, t: float) -> list[HostMessage]:
-        """What is due to be sent at `t`."""
         if self.state is SessionState.CLOSED:
             return []
         if self.state is not SessionState.READY:
             return [Hello(PROTOCOL_VERSION, self._nonce)] if self._hello.due(t) else []
         due: list[HostMessage] = []
         if self._repeat.due(t):
-            due = self._pay_first_vent() or [self._current_message()]
+            due = self._take_first_vent() or [self._current_message()]
         if self._ping.due(t):
             due.append(Ping(round(t * 1e6)))
         return due
 
     def receive(self, t: float, message: Message) -> list[HostEvent]:
-        """What a message from the firmware means. A host's messages (an echo on the line) mean nothing."""
+        """The events that follow from a message of the firmware. A host's message (an echo) is ignored."""
         if self.state is SessionState.CLOSED:
             return []
         match message:
@@ -339,13 +335,13 @@ class HostSession:
         if refusal.reason in (RefusalReason.NO_HANDSHAKE, RefusalReason.VERSION):
             return self._reset("it no longer knows this session")
         if refusal.reason is RefusalReason.OVERTAKEN:
-            # Of an old command it is as it should be.
+            # For an old command this refusal is normal.
             current = isinstance(self._command, Regulate) and refusal.number == self._number
-            return self._reset("it has heard newer commands than ours") if current else []
+            return self._reset("it has received newer commands than ours") if current else []
         if isinstance(self._command, Regulate) and refusal.number == self._number:
-            self._adopt(VENTING)
+            self._set_command(VENTING)
             self._repeat.now()
-        # What was on its way is refused as well: once is enough to know.
+        # Repeats of a refused command are refused as well. Report only the first refusal.
         if refusal == self._reported:
             return []
         self._reported = refusal
@@ -354,8 +350,8 @@ class HostSession:
     def _on_pong(self, t: float, pong: Pong) -> None:
         sent_s = pong.host_time_us / 1e6
         round_trip_s = t - sent_s
-        # Microseconds are rounded, so an instant answer may seem to come before the question.
-        if self.state is not SessionState.READY or not -1e-6 <= round_trip_s <= _LATEST_PONG_S:
+        # Rounding to microseconds may make the round trip of an instant answer negative.
+        if self.state is not SessionState.READY or not -1e-6 <= round_trip_s <= _MAX_ROUND_TRIP_S:
             return
         if sent_s < self._ready_s - 1e-6:
             return
@@ -401,19 +397,20 @@ class HostSession:
 
     def _forget_command(self) -> None:
         self._command = VENTING
-        self._first_vent_owed = True
+        self._first_vent_due = True
         self._reported = None
 
-    def _pay_first_vent(self) -> list[HostMessage]:
-        if not self._first_vent_owed:
+    def _take_first_vent(self) -> list[HostMessage]:
+        """The vent that every session sends first, once."""
+        if not self._first_vent_due:
             return []
-        self._first_vent_owed = False
-        self._adopt(VENTING)
+        self._first_vent_due = False
+        self._set_command(VENTING)
         return [self._current_message()]
 
-    def _adopt(self, command: HostCommand) -> None:
+    def _set_command(self, command: HostCommand) -> None:
         self._command = command
-        # 0 is what telemetry says before the first command.
+        # 0 is reserved: telemetry has it before the first command.
         self._number = self._number % 0xFFFF + 1
 
     def _current_message(self) -> HostMessage:
@@ -424,16 +421,16 @@ class HostSession:
 
 
 def _implausible(telemetry: Telemetry) -> tuple[str, float] | None:
-    """The first pressure that no sensor can have, by field and value. NaN is one."""
-    for field, (least_kPa, most_kPa) in PLAUSIBLE_KPA.items():
+    """Field and value of the first implausible pressure, or None. NaN is implausible."""
+    for field, (min_kPa, max_kPa) in PLAUSIBLE_KPA.items():
         value: float = getattr(telemetry, field)
-        if not least_kPa <= value <= most_kPa:
+        if not min_kPa <= value <= max_kPa:
             return field, value
     return None
 
 
 def _why_incompatible(welcome: Welcome) -> str | None:
-    """A sentence, or None when this host may command the firmware."""
+    """Why this host must not command the firmware; None if it may."""
     who = f"The firmware {welcome.firmware_build!r}"
     if welcome.protocol_version != PROTOCOL_VERSION:
         return (
@@ -441,7 +438,7 @@ def _why_incompatible(welcome: Welcome) -> str | None:
             f"update the {'host' if welcome.protocol_version > PROTOCOL_VERSION else 'firmware'}."
         )
     if welcome.units != Units.KPA_GAUGE:
-        return f"{who} counts in units of code {welcome.units}, not in kPa gauge (1)."
+        return f"{who} uses units of code {welcome.units}, not kPa gauge (1)."
     limits = (
         welcome.cv_limit_kPa,
         welcome.setpoint_limit_kPa,
@@ -449,7 +446,7 @@ def _why_incompatible(welcome: Welcome) -> str | None:
         welcome.rate_limit_kPa_per_s,
     )
     if not all(math.isfinite(limit) and limit > 0 for limit in limits):
-        return f"{who} names limits that are not positive numbers: {limits}."
+        return f"{who} reports limits that are not positive numbers: {limits}."
     if welcome.dead_man_ms == 0 or welcome.telemetry_Hz == 0:
         return f"{who} has no dead-man or no telemetry."
     return None

@@ -1,4 +1,4 @@
-"""The host side of the link, ready to use: a port, the codec and the session."""
+"""The complete host side of the link: port, codec and session."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _TICK_S = 0.01
 
 
 class FirmwareLink:
-    """Talks to the firmware at `where`, a port or a board, reconnecting for as long as `run` runs.
+    """Communicates with the firmware at `where`, a port or a board. `run` reconnects after every loss.
 
-    Events arrive on `on_event`. `on_state` is told when the port comes or goes, with the reason, and when
-    nobody answers on it. Both are called from the event loop. When `run` is cancelled the actuator is
-    vented. Example:
+    `on_event` gets the events. `on_state(up, why)` is called when the port opens or closes, and when nobody
+    answers on it. Both are called from the event loop. When `run` is cancelled it vents the actuator.
+    Example:
 
         async def bend() -> None:
             def on_event(event: HostEvent) -> None:
@@ -59,22 +59,21 @@ class FirmwareLink:
         return self._traffic.statistics(time.monotonic(), self.codec, self.session, self.port.dropped_bytes)
 
     def command(self, command: HostCommand) -> None:
-        """From now on hold `command`; forgotten while the session is not READY."""
+        """Repeat `command` from now on. It is dropped while the session is not READY."""
         self._send(self.session.command(time.monotonic(), command))
 
     def clear_faults(self, mask: Fault) -> None:
-        """Ask the firmware to unlatch the faults in `mask` that are over."""
+        """Request the firmware to unlatch the faults in `mask` that are no longer present."""
         self._send(self.session.clear_faults(time.monotonic(), mask))
 
     async def run(self) -> None:
-        """Until cancelled."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self.port.run())
             try:
                 while True:
                     now = time.monotonic()
                     self._send(self.session.tick(now))
-                    self._tell_silence(now)
+                    self._report_silence(now)
                     await asyncio.sleep(_TICK_S)
             finally:
                 self.command(VENTING)
@@ -98,14 +97,14 @@ class FirmwareLink:
             self._answer.closed()
         self._on_state(up, why)
 
-    def _tell_silence(self, t: float) -> None:
+    def _report_silence(self, t: float) -> None:
         problem = self._answer.news(t)
         if problem is not None:
             self._on_state(True, problem or "the firmware answers")
 
     def _send(self, messages: Iterable[HostMessage]) -> None:
         for message in messages:
-            # Half a frame before ours, of anyone, must not cost us a greeting.
+            # End any incomplete frame on the line, so that it does not spoil ours.
             data = FRAME_END + self.codec.encode(message)
             self._traffic.written(time.monotonic(), data)
             self.port.write(data)

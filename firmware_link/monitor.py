@@ -1,7 +1,7 @@
-"""A host that only looks: it greets, asks for the time, and shows every frame that goes over the line.
+"""A host that only monitors: it greets, requests the time, and shows every frame on the line.
 
-It never commands: a greeting already vents, and whoever is to command opens the port after us. It keeps no
-other program from its work, for a port is opened by one alone.
+It never commands. Its greeting vents the vine. Only one program can open a port, so it does not disturb
+another one: that one opens the port afterwards.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from firmware_link.protocol import (
 from firmware_link.settings import SettingsTalk
 from firmware_link.statistics import LinkStatistics, Traffic
 
-_SAID = (Hello, Ping, GetSetting, SetSetting)
-"""All that a monitor says."""
+_ALLOWED = (Hello, Ping, GetSetting, SetSetting)
+"""The only messages that a monitor sends."""
 
 
 class SeenFrame(NamedTuple):
-    """One frame, or what should have been one."""
+    """One frame, or bytes that should have been one."""
 
     t: float
     sent: bool
-    """By us; else by the device."""
+    """True: sent by us; False: by the device."""
     wire: bytes
-    """As it went over the line, without the zero byte that ends it."""
+    """The bytes on the line, without the final zero byte."""
     message: Message | None
     problem: str = ""
-    """Why it is no message."""
+    """Why it is not a message."""
 
 
 class Tap:
-    """The bytes of one direction, as frames. Never raises."""
+    """Splits the bytes of one direction into frames. Never raises."""
 
     def __init__(self, sent: bool) -> None:
         self._sent = sent
@@ -55,7 +55,7 @@ class Tap:
 
     def _seen(self, t: float, wire: bytes, payload: bytes | None) -> SeenFrame:
         if payload is None:
-            return SeenFrame(t, self._sent, wire, None, "no frame, or one that was spoilt on its way")
+            return SeenFrame(t, self._sent, wire, None, "not a frame, or a damaged one")
         try:
             return SeenFrame(t, self._sent, wire, protocol.decode(payload)[0])
         except ProtocolError as error:
@@ -63,9 +63,9 @@ class Tap:
 
 
 class Monitor:
-    """One line that is looked at. All times are seconds of one monotonic clock.
+    """Monitors one line. All times are seconds of one monotonic clock.
 
-    Feed it `opened`, `closed` and every byte received; write what `tick` returns. `settings` are read as soon
+    Call `opened`, `closed` and `receive`, and write the bytes of `tick`. `settings` are read as soon
     as the firmware has answered.
     """
 
@@ -89,7 +89,7 @@ class Monitor:
         self.answer.closed()
 
     def receive(self, t: float, data: bytes) -> tuple[list[SeenFrame], list[HostEvent]]:
-        """What came, and what it means."""
+        """The received frames, and the session's events."""
         messages = self._codec.decode(data)
         self._traffic.received(t, data)
         self.answer.received(data, messages)
@@ -100,8 +100,10 @@ class Monitor:
         return self._from_device.read(t, data), events
 
     def tick(self, t: float) -> tuple[bytes, list[SeenFrame]]:
-        """The bytes to be written at `t`, and what they are."""
-        due: list[HostMessage] = [message for message in self.session.tick(t) if isinstance(message, _SAID)]
+        """The bytes to write at `t`, and their frames."""
+        due: list[HostMessage] = [
+            message for message in self.session.tick(t) if isinstance(message, _ALLOWED)
+        ]
         if self._settings is not None and self.session.state is SessionState.READY:
             due += self._settings.due(t)
         data = b"".join(FRAME_END + self._codec.encode(message) for message in due)

@@ -1,7 +1,7 @@
-"""What host and firmware say to each other: one definition for both sides.
+"""The messages between host and firmware: one definition for both sides.
 
-A frame's payload is type (u8), sequence (u8, per direction, wraps), body; everything little-endian.
-Pressures are kPa gauge. `docs/serial-protocol.md` is the same in prose, with golden vectors.
+A frame's payload is type (u8), sequence (u8, per direction, wraps), body; everything is little-endian.
+Pressures are kPa gauge. `docs/serial-protocol.md` describes the same, with golden vectors.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ PROTOCOL_VERSION = 2
 
 
 class LinkError(Exception):
-    """Anything that this package raises."""
+    """Base of all errors of this package."""
 
 
 class ProtocolError(LinkError):
-    """Bytes that are no message, or a message that does not fit its bytes."""
+    """Bytes that are not a message, or a message that cannot be encoded."""
 
 
 class UnknownMessageError(ProtocolError):
@@ -41,7 +41,7 @@ class MalformedMessageError(ProtocolError):
 
 
 class Mode(IntEnum):
-    """What the firmware is doing."""
+    """The firmware's mode."""
 
     VENT = 0
     REGULATE = 1
@@ -63,14 +63,14 @@ class Fault(IntFlag):
 
 
 def fault_names(faults: Fault) -> str:
-    """Those that this host knows by name, the others by number."""
+    """The names of known faults, and the number of the others."""
     names = [fault.name or "" for fault in Fault if fault in faults and fault]
     unknown = int(faults) & ~sum(Fault)
     return ", ".join([*names, f"0x{unknown:04X}"] if unknown else names)
 
 
 class RefusalReason(IntEnum):
-    """Why the firmware did not do what it was told."""
+    """Why the firmware refused a command."""
 
     NO_HANDSHAKE = 1
     VERSION = 2
@@ -82,7 +82,7 @@ class RefusalReason(IntEnum):
 
 
 class Units(IntEnum):
-    """What the firmware's pressures are in."""
+    """The unit of the firmware's pressures."""
 
     KPA_GAUGE = 1
 
@@ -95,7 +95,7 @@ class _Body:
     LAYOUT: ClassVar[struct.Struct]
 
     def pack(self) -> bytes:
-        """The body's bytes; MalformedMessageError when a value does not fit its field."""
+        """The body's bytes. Raises MalformedMessageError if a value does not fit its field."""
         try:
             return self.LAYOUT.pack(*self._to_wire())
         except (struct.error, OverflowError) as error:
@@ -103,10 +103,10 @@ class _Body:
 
     @classmethod
     def unpack(cls, body: bytes) -> Self:
-        """The message; MalformedMessageError when the body's length or contents are wrong."""
+        """The message. Raises MalformedMessageError if the body's length or contents are wrong."""
         if len(body) != cls.LAYOUT.size:
             raise MalformedMessageError(
-                f"{cls.__name__} has a body of {cls.LAYOUT.size} bytes, but {len(body)} came"
+                f"{cls.__name__} has a body of {cls.LAYOUT.size} bytes, not of {len(body)}"
             )
         return cls._from_wire(cls.LAYOUT.unpack(body))
 
@@ -120,7 +120,7 @@ class _Body:
 
 @dataclass(frozen=True, slots=True)
 class Hello(_Body):
-    """Host to device: who is there? Ends any regulation. `nonce` comes back in `Welcome`."""
+    """Host to device: greeting. Ends any regulation. `Welcome` returns the same `nonce`."""
 
     TYPE: ClassVar[int] = 0x01
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BI")
@@ -131,9 +131,9 @@ class Hello(_Body):
 
 @dataclass(frozen=True, slots=True)
 class Setpoint(_Body):
-    """Host to device: regulate towards `target_kPa`, slewing at most `rate_kPa_per_s`, for `ttl_ms`.
+    """Host to device: regulate to `target_kPa` at `rate_kPa_per_s` or slower, for `ttl_ms`.
 
-    `number` is the host's running number of commands; telemetry carries the last one accepted.
+    `number` counts the host's commands. Telemetry has the number of the last accepted one.
     """
 
     TYPE: ClassVar[int] = 0x02
@@ -167,7 +167,7 @@ class ClearFaults(_Body):
 
 @dataclass(frozen=True, slots=True)
 class Ping(_Body):
-    """Host to device: how long is the way, and what time is it there?"""
+    """Host to device: measures the round trip and requests the device's time."""
 
     TYPE: ClassVar[int] = 0x05
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<Q")
@@ -177,7 +177,7 @@ class Ping(_Body):
 
 @dataclass(frozen=True, slots=True)
 class GetSetting(_Body):
-    """Host to device: what is setting `id`? Answered by `Setting`, or refused when there is none."""
+    """Host to device: request for setting `id`. Answered by `Setting`; refused if there is no such id."""
 
     TYPE: ClassVar[int] = 0x06
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<B")
@@ -187,9 +187,10 @@ class GetSetting(_Body):
 
 @dataclass(frozen=True, slots=True)
 class SetSetting(_Body):
-    """Host to device: keep `value` as setting `id`, over power cycles, too. Not while regulating.
+    """Host to device: store `value` as setting `id`, permanently. Refused while regulating.
 
-    Answered by `Setting`. The frame ends with a number that one whose CRC is right by chance does not have.
+    Answered by `Setting`. The frame ends with a fixed number, which a damaged frame with a CRC that is right
+    by chance does not have.
     """
 
     TYPE: ClassVar[int] = 0x07
@@ -227,10 +228,10 @@ def _text_from_wire(data: bytes, what: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Welcome(_Body):
-    """Device to host, in answer to `Hello`: what the firmware is and what it will not exceed.
+    """Device to host, in answer to `Hello`: the firmware's identity and limits.
 
-    `boot_id` differs after every reset. Later versions may only append to this message, so that every
-    host can read from every firmware which version it speaks.
+    `boot_id` differs after every reset. Later versions may only append to this message, so that every host
+    can read the version of every firmware.
     """
 
     TYPE: ClassVar[int] = 0x81
@@ -250,10 +251,10 @@ class Welcome(_Body):
 
     @classmethod
     def unpack(cls, body: bytes) -> Self:
-        """As every message; of another version's the part that this version knows."""
+        """Like every message. Of another protocol version only the part that this version knows."""
         if body and body[0] != PROTOCOL_VERSION:
             body = body[: cls.LAYOUT.size]
-        # Spelled out: zero-argument super() does not survive the class copy that slots=True makes.
+        # super() without arguments fails here, because slots=True makes a copy of the class.
         return super(Welcome, cls).unpack(body)
 
     def _to_wire(self) -> Sequence[Any]:
@@ -281,9 +282,10 @@ def _opening_to_wire(opening: float) -> int:
 class Telemetry(_Body):
     """Device to host, `telemetry_Hz` times a second, from power-up on.
 
-    `number` is the last setpoint or vent accepted, 0 before the first. `setpoint_kPa` is what the
-    regulator holds now (on its way to the target), 0 outside REGULATE. While `faults` names a sensor,
-    its pressure is the last reading that was believed. Openings travel as 0…65535.
+    `number` is that of the last accepted setpoint or vent, 0 before the first. `setpoint_kPa` is the
+    regulator's present setpoint on its way to the target, 0 outside REGULATE. While `faults` has a sensor's
+    fault, its pressure is the last valid reading. Openings are 0…65535 on the wire. EVP: inflation valve.
+    DVP: valve that supplies the Venturi.
     """
 
     TYPE: ClassVar[int] = 0x82
@@ -339,9 +341,9 @@ class Telemetry(_Body):
 
 @dataclass(frozen=True, slots=True)
 class Refusal(_Body):
-    """Device to host: command `number` (0 for a message without one) was not carried out.
+    """Device to host: command `number` (0 for a message without number) was not carried out.
 
-    This layout and that of `Hello` are the same in every protocol version.
+    The layouts of this message and of `Hello` are the same in every protocol version.
     """
 
     TYPE: ClassVar[int] = 0x83
@@ -374,7 +376,7 @@ class Pong(_Body):
 class Setting(_Body):
     """Device to host, in answer to `GetSetting` and `SetSetting`: one of `count` settings.
 
-    `name` ends with its unit; the device takes no value outside `least` … `most`.
+    `name` ends with the unit. The device refuses values outside `least` … `most`. `standard` is the default.
     """
 
     TYPE: ClassVar[int] = 0x85
@@ -414,12 +416,12 @@ _HEADER_SIZE = 2
 
 
 def encode(message: Message, sequence: int) -> bytes:
-    """One whole frame; MalformedMessageError when a value does not fit its field."""
+    """A complete frame. Raises MalformedMessageError if a value does not fit its field."""
     return encode_frame(bytes((message.TYPE, sequence & 0xFF)) + message.pack())
 
 
 def decode(payload: bytes) -> tuple[Message, int]:
-    """The message and its sequence number from a frame's payload; ProtocolError when it is none."""
+    """The message and sequence number in a frame's payload. Raises ProtocolError if it is not a message."""
     if len(payload) < _HEADER_SIZE:
         raise MalformedMessageError(f"a payload of {len(payload)} bytes has no room for type and sequence")
     kind = _TYPES.get(payload[0])
@@ -431,13 +433,13 @@ def decode(payload: bytes) -> tuple[Message, int]:
 
 
 class Codec:
-    """Bytes and messages of one end of one link. `decode` never raises, whatever the bytes."""
+    """Converts between bytes and messages at one end of a link. `decode` never raises."""
 
     def __init__(self) -> None:
         self.lost_frames = 0
-        """By the sequence numbers; a jump of half the circle or more is a restart, not a loss."""
+        """Frames missing by the sequence numbers. A jump of 128 or more is a restart, not a loss."""
         self.unknown_messages = 0
-        """Frames with a good CRC that are no message of this version."""
+        """Frames with a good CRC that are not a message of this version."""
         self._frames = FrameDecoder()
         self._sequence_out = 0
         self._sequence_in: int | None = None
@@ -448,18 +450,18 @@ class Codec:
 
     @property
     def bad_frames(self) -> int:
-        """Frames with a wrong CRC, and runs of bytes that are no frame."""
+        """The number of frames with a wrong CRC and of byte sequences that are not frames."""
         return self._frames.bad_frames
 
     def restart(self) -> None:
-        """For a line that was opened anew: forget half a frame and the sequence, keep the counts."""
+        """The line was opened again: forget the incomplete frame and the sequence, keep the counts."""
         frames = FrameDecoder()
         frames.good_frames, frames.bad_frames = self._frames.good_frames, self._frames.bad_frames
         self._frames = frames
         self._sequence_in = None
 
     def encode(self, message: Message) -> bytes:
-        """One whole frame with the next sequence number; MalformedMessageError as `pack`."""
+        """A complete frame with the next sequence number. Raises MalformedMessageError like `pack`."""
         frame = encode(message, self._sequence_out)
         self._sequence_out = (self._sequence_out + 1) & 0xFF
         return frame

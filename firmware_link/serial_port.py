@@ -1,4 +1,4 @@
-"""A serial port that comes back by itself."""
+"""A serial port that reopens by itself."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from serial_asyncio_fast import SerialTransport, create_serial_connection
 from firmware_link.find import BoardNotFoundError, Ports, UsbBoard
 
 RETRY_S = 0.2
-"""A try takes about a millisecond of processor time, and a lost board is to be back within a second."""
+"""A try takes about 1 ms of processor time. A lost board must be back within a second."""
 _CLOSING_S = 0.5
 STALE_S = 0.25
-"""What could not leave within this is thrown away: a setpoint lives no longer."""
+"""Data that waits longer is dropped: a setpoint is valid for this time."""
 MAX_QUEUED_BYTES = 16 * 1024
-"""More in one go than any line takes within `STALE_S`."""
+"""More than any line sends within `STALE_S`."""
 
 
 class SerialPort:
-    """Opens a port, hands over what arrives, and opens it again whenever it is lost, until cancelled.
+    """Opens a port, passes on the received bytes, and reopens it after every loss, until cancelled.
 
-    `where` is a device's path, or a board that is looked for anew each time among `ports` (this machine's).
-    `on_bytes` is called from the event loop with what arrived. `on_state(up, why)` is called when the port
-    goes up or down, and when the reason why it is down changes; `why` is a sentence for people. Opened
-    exclusively where the operating system allows it. Logs nothing.
+    `where` is a device's path, or a board, which is searched each time among `ports` (default: this
+    machine's). `on_bytes` is called from the event loop with received bytes. `on_state(up, why)` is called
+    when the port goes up or down, and when the reason for being down changes. `why` is a sentence for people.
+    The port is opened exclusively if the operating system supports it.
     """
 
     def __init__(
@@ -55,14 +55,14 @@ class SerialPort:
 
     @property
     def dropped_bytes(self) -> int:
-        """Written while the port was down, or thrown away because the port took them too late."""
+        """Bytes that were not sent, because the port was down or too slow."""
         return self._dropped_bytes + (self._connection.dropped_bytes if self._connection else 0)
 
     def write(self, data: bytes) -> bool:
-        """Send `data`, a whole message, as soon as the port takes it; never blocks. False when it is dropped.
+        """Send `data`, a complete message, as soon as the port accepts it. Never blocks. False: dropped.
 
-        What waits for longer than `STALE_S` is thrown away message by message, the oldest first, so that a
-        peer that reads again is told what holds now.
+        A message that waits longer than `STALE_S` is dropped, the oldest first. So a peer that reads again
+        gets only current messages.
         """
         if self._connection is None or not self._connection.write(data):
             self._dropped_bytes += len(data)
@@ -70,7 +70,7 @@ class SerialPort:
         return True
 
     async def run(self) -> None:
-        """Keep the port open until cancelled; it is closed when this returns."""
+        """Keep the port open until cancelled. It is closed when this returns."""
         while True:
             name = str(self.where)
             try:
@@ -88,7 +88,7 @@ class SerialPort:
     async def _find(self) -> str:
         if isinstance(self.where, str):
             return self.where
-        # The list of ports is read from files, which may take its time.
+        # The list of ports is read from files, which may be slow.
         return await asyncio.to_thread(self.where.find, self._ports)
 
     async def _open(self, path: str, name: str) -> _Connection:
@@ -104,7 +104,7 @@ class SerialPort:
         try:
             _, connection = await asyncio.shield(opening)
         except asyncio.CancelledError:
-            # The thread that opens the port cannot be stopped; what it opens must not stay open.
+            # The thread that opens the port cannot be stopped. Close the port when it is open.
             opening.add_done_callback(_close_again)
             raise
         assert isinstance(connection, _Connection)
@@ -117,7 +117,7 @@ class SerialPort:
             self._report(False, f"{name} was lost: {why}")
         finally:
             self._end(connection)
-            # A driver may keep a port that was pulled out for long; nobody is to wait for it.
+            # A driver may keep an unplugged port for a long time. Do not wait for it.
             await asyncio.wait([connection.gone], timeout=_CLOSING_S)
 
     def _came_up(self, connection: _Connection, name: str) -> None:
@@ -136,14 +136,14 @@ class SerialPort:
 
 
 class _Connection(asyncio.Protocol):
-    """One opening of the port."""
+    """One connection, from the opening of the port to its loss."""
 
     def __init__(self, on_bytes: Callable[[bytes], None], on_up: Callable[[_Connection], None]) -> None:
         loop = asyncio.get_running_loop()
         self.lost: asyncio.Future[str] = loop.create_future()
-        """Why, as soon as the connection is of no more use."""
+        """The reason, as soon as the connection is lost."""
         self.gone: asyncio.Future[None] = loop.create_future()
-        """When the port is closed."""
+        """Done when the port is closed."""
         self._on_bytes = on_bytes
         self._on_up = on_up
         self._transport: SerialTransport | None = None
@@ -184,7 +184,7 @@ class _Connection(asyncio.Protocol):
         return True
 
     def close(self) -> None:
-        """Close now, whatever is still to be sent."""
+        """Close now, without sending queued data."""
         self._lose("it was closed")
         if self._queue is not None:
             self._queue.close()
@@ -200,26 +200,26 @@ class _Connection(asyncio.Protocol):
 
 
 class _WriteQueue:
-    """Writes to a port without ever blocking, and nothing that is out of date.
+    """Writes to a port without blocking, and drops data that is out of date.
 
-    The transport's own writing ends in pyserial, which on a full port spins until there is room: a device
-    that stops reading would stop this whole process. And the kernel would take kilobytes that nobody can
-    take back. It calls a terminal writable only while less than 256 bytes wait to be sent, so it is asked
-    before each write: what waits, waits here.
+    The transport's own writing ends in pyserial, which loops on a full port until there is room: a device
+    that stops reading would stop this whole process. The kernel would also accept kilobytes that we could not
+    drop later. It reports a terminal as writable only while less than 256 bytes wait in it. So we poll it
+    before each write and keep the rest in this queue.
     """
 
     def __init__(self, port_fd: int, on_error: Callable[[OSError], None]) -> None:
         self.dropped_bytes = 0
-        # A descriptor of our own: the transport closes its one before it says so.
+        # Our own descriptor, because the transport closes its descriptor before it reports this.
         self._fd = os.dup(port_fd)
         self._on_error = on_error
         self._loop = asyncio.get_running_loop()
         self._writable = select.poll()
         self._writable.register(self._fd, select.POLLOUT)
         self._begun = b""
-        """The rest of a message of which a part has left."""
+        """The rest of a partly sent message."""
         self._queued: deque[tuple[float, bytes]] = deque()
-        """When each was written."""
+        """(time of the write, message)."""
         self._queued_bytes = 0
         self._waiting = False
         self._closed = False

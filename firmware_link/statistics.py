@@ -1,4 +1,4 @@
-"""What a link knows of itself: how much goes over it, what is lost on it, how far away the device is."""
+"""Statistics of a link: traffic, losses, round trip and clock."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from firmware_link.protocol import Codec
 
 
 class LinkStatistics(NamedTuple):
-    """Counts since the link was made; the rest as of now, None where it is not known."""
+    """Counts since the link was made. The other values are present ones; None if unknown."""
 
     good_frames: int
     bad_frames: int
-    """With a wrong CRC, or bytes that are no frame."""
+    """Frames with a wrong CRC, or bytes that are not a frame."""
     lost_frames: int
-    """By their sequence numbers."""
+    """Frames that are missing by the sequence numbers."""
     unknown_messages: int
     telemetry_gaps: int
-    """Telemetry that should have come by the device's own clock, and did not."""
+    """Telemetry frames that are missing by the device's clock."""
     reconnects: int
     received_bytes: int
     sent_bytes: int
     dropped_bytes: int
-    """To be sent, but the port was down or did not take them in time."""
+    """Bytes that were not sent, because the port was down or too slow."""
     received_bytes_per_s: int
-    """In the last whole second; the port may have dropped some of those to be sent."""
+    """In the last whole second."""
     sent_bytes_per_s: int
+    """In the last whole second. The port may have dropped some of them."""
     round_trip_s: float | None
     clock_offset_s: float | None
     """Device clock minus host clock."""
@@ -35,7 +36,7 @@ class LinkStatistics(NamedTuple):
 
 
 class Traffic:
-    """Counts what goes over one link. Times are seconds of one clock."""
+    """Counts the traffic of one link. Times are seconds of one clock."""
 
     def __init__(self) -> None:
         self._openings = 0
@@ -49,11 +50,10 @@ class Traffic:
         self._received.add(t, len(data))
 
     def written(self, t: float, data: bytes) -> None:
-        """Handed to the port, which may still drop it."""
+        """Data was passed to the port, which may still drop it."""
         self._written.add(t, len(data))
 
     def statistics(self, t: float, codec: Codec, session: HostSession, dropped_bytes: int) -> LinkStatistics:
-        """As of `t`."""
         return LinkStatistics(
             good_frames=codec.good_frames,
             bad_frames=codec.bad_frames,
@@ -73,7 +73,7 @@ class Traffic:
 
 
 class _Flow:
-    """A count, and how much of it came in the last whole second."""
+    """A total count, and the count in the last whole second."""
 
     def __init__(self) -> None:
         self.total = 0
@@ -82,15 +82,15 @@ class _Flow:
         self._of_last_second = 0
 
     def add(self, t: float, count: int) -> None:
-        self._turn(t)
+        self._advance(t)
         self.total += count
         self._of_this_second += count
 
     def per_s(self, t: float) -> int:
-        self._turn(t)
+        self._advance(t)
         return self._of_last_second
 
-    def _turn(self, t: float) -> None:
+    def _advance(self, t: float) -> None:
         second = math.floor(t)
         if second != self._second:
             self._of_last_second = self._of_this_second if second == self._second + 1 else 0

@@ -1,1 +1,1 @@
-"""Missions with vine items: built, checked, budgeted, put on a vehicle and followed."""
+"""Missions with vine items: build, check, budget, upload and follow them."""

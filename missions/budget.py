@@ -1,7 +1,7 @@
-"""Pressure and air along a mission: what each vine item takes, and whether safety would let it.
+"""Pressure and air along a mission: the cost of each vine item, and safety's ruling on it.
 
-Nothing here is a model of its own: motions are planned, intents judged and air counted by what flies. The
-bottle is the service's own estimate, which runs ahead through what is planned instead of through telemetry.
+It has no model of its own. The flight code plans the motions, judges the intents and counts the air. The
+service's reservoir estimator runs on the planned motions instead of telemetry.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from flying_vines.vine.motion import Motion
 from missions.timeline import ENDS, Timeline, TimelineStep
 
 WATCHED_S = 60.0
-"""For so long, before take-off, the service has read the bottle and found it as believed."""
+"""Assumption: before take-off the service has watched a normal bottle for this time."""
 STILL_S = 5.0
-"""In such pieces time goes by while the vine stays as it is."""
+"""Time step while the vine is at rest."""
 
 
 class Range(NamedTuple):
-    """Gauge kPa, expected and the 90 % interval."""
+    """Gauge kPa: expected value and 90 % interval."""
 
     expected: float
     low: float
@@ -40,48 +40,48 @@ class Range(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PlannedBend:
-    """One vine item of the mission and what it takes."""
+    """One vine item of the mission, and its cost."""
 
     step: TimelineStep
     intent: Intent | None
     ruling: Ruling
-    """What safety makes of it with the bottle as expected; refused too where no intent can be made of it."""
+    """Safety's ruling at the expected bottle pressure; "refused" also if the item has no valid intent."""
     doubt: str
-    """Why it would be refused with the bottle at the low end of its interval; empty if it would not."""
+    """Why it would be refused at the low end of the bottle's interval; empty if it would not."""
     motion: Motion | None
     ends_s: float
-    """When the vine has come to rest, or the next one begins, or the landing vents it."""
+    """End of the motion: vine at rest, next item, or landing, whichever is first."""
     bent_s: float
-    """How long it keeps the vine under pressure."""
+    """Time under pressure."""
     before: Range
     after: Range
     air_kPa: float
-    """What it takes from the bottle, expected."""
+    """Expected pressure loss of the bottle."""
     cycles: CyclesLeft | None
-    """After it."""
+    """Cycles left after it."""
     low_at_s: float | None = None
-    """When the bottle falls below the reserve while the vine is bent by this, which vents it."""
+    """When the bottle falls below the reserve during this bend; safety then vents the vine."""
 
 
 @dataclass(frozen=True, slots=True)
 class AirBudget:
-    """The whole mission's."""
+    """The air budget of the whole mission."""
 
     bends: tuple[PlannedBend, ...]
     begins: Range
     ends: Range
     length_s: float
     bent_at_end: PlannedBend | None
-    """What the vine is still bent by when the landing begins, or the mission ends."""
+    """The bend that still lasts when the landing begins or the mission ends; None if the vine is straight."""
 
 
 def budget(plan: Timeline, config: Config, belief: Belief, reservoir_kPa: float) -> AirBudget:
-    """Go through the mission with a bottle at `reservoir_kPa` (gauge) at take-off."""
-    return _Walk(plan, config, belief, reservoir_kPa).walk()
+    """The budget for a bottle at `reservoir_kPa` (gauge) at take-off."""
+    return _MissionRun(plan, config, belief, reservoir_kPa).run()
 
 
 class _Air:
-    """The bottle, ahead of time."""
+    """Predicts the bottle's pressure."""
 
     def __init__(self, belief: Belief, reservoir_kPa: float) -> None:
         self._belief = belief
@@ -101,20 +101,20 @@ class _Air:
         return Range(expected, max(0.0, expected - Z90 * sd), expected + Z90 * sd)
 
     def estimate(self) -> ReservoirEstimate:
-        """As the service would have it now."""
+        """The estimate that the service would have now."""
         estimate = ReservoirEstimate(self._belief)
         estimate.bottle = self._bottle
         return estimate
 
     def _reading(self) -> float:
-        """What the gauge shows: cold gas reads low."""
+        """The gauge reading, which is lower for cold gas."""
         return self._bottle.mean[X] - self._share() * self._bottle.mean[GAS]
 
     def _share(self) -> float:
         return self._bottle.absolute_kPa / STANDARD_TEMPERATURE_K
 
 
-class _Walk:
+class _MissionRun:
     def __init__(self, plan: Timeline, config: Config, belief: Belief, reservoir_kPa: float) -> None:
         self._plan = plan
         self._config = config
@@ -128,7 +128,7 @@ class _Walk:
         self._bent_kPa = 0.0
         self._low_at_s: float | None = None
 
-    def walk(self) -> AirBudget:
+    def run(self) -> AirBudget:
         begins = self._air.range_kPa()
         steps = [step for step in self._plan.steps if step.item.command in self._rules.commands]
         landing_s = self._landing_s()
@@ -136,18 +136,18 @@ class _Walk:
         held: int | None = None
         for i, step in enumerate(steps):
             until_s = min(landing_s, steps[i + 1].t_s if i + 1 < len(steps) else math.inf)
-            self._pass(step.t_s)
+            self._advance(step.t_s)
             bends.append(self._bend(step, until_s))
             if bends[i].ruling.verdict != "refused":
                 held = i
-            self._pass(until_s)
+            self._advance(until_s)
             if held is not None and self._low_at_s is not None:
                 bends[held] = replace(bends[held], low_at_s=self._low_at_s)
                 self._low_at_s = None
                 self._vent()
         bent = self._motion is not None and self._motion.stays_bent
         self._vent()
-        self._pass(self._plan.length_s)
+        self._advance(self._plan.length_s)
         return AirBudget(
             tuple(bends),
             begins,
@@ -157,7 +157,7 @@ class _Walk:
         )
 
     def _landing_s(self) -> float:
-        """When the vehicle begins to land; the altitude interlock vents the vine then."""
+        """Start of the landing, when the altitude interlock vents the vine."""
         last = self._plan.steps[-1] if self._plan.steps else None
         return self._plan.length_s if last is None or last.item.command not in ENDS else last.t_s
 
@@ -182,7 +182,7 @@ class _Walk:
         length_s = motion.duration_s if ruling.verdict != "refused" else 0.0
         ends_s = min(step.t_s + length_s, max(until_s, step.t_s))
         bent_s = max(0.0, until_s - step.t_s) if motion.stays_bent else ends_s - step.t_s
-        self._pass(ends_s)
+        self._advance(ends_s)
         after = self._air.range_kPa()
         return PlannedBend(
             step,
@@ -215,7 +215,7 @@ class _Walk:
         return self._safety.judge(motion, air, now)
 
     def _pressure_kPa(self, t_s: float | None = None) -> float:
-        """Of the vine, as its setpoint is."""
+        """The vine's setpoint at a time; default: now."""
         return 0.0 if self._motion is None else self._motion.setpoint_kPa(self._t_s if t_s is None else t_s)
 
     def _vent(self) -> None:
@@ -228,8 +228,8 @@ class _Walk:
     def _venturi_s(self, fall_kPa: float) -> float:
         return self._belief.cycle_venturi_s * fall_kPa / self._belief.pneumatics.cycle_swing_kPa
 
-    def _pass(self, to_s: float) -> None:
-        """Let time go on, and count what it costs."""
+    def _advance(self, to_s: float) -> None:
+        """Advance the time, and count the air."""
         for spent in self._spent(to_s):
             self._air.spend(spent)
             reading = self._air.range_kPa().expected
@@ -238,7 +238,7 @@ class _Walk:
                 self._low_at_s = self._t_s
 
     def _spent(self, to_s: float) -> Iterator[Spent]:
-        """What goes on until then, in pieces: short ones while the vine moves, as the estimate takes them."""
+        """The air used until `to_s`, in the estimator's time steps: short ones while the vine moves."""
         while self._t_s < to_s - 1e-9:
             moves = self._motion is not None and self._t_s < self._motion.started_at + self._motion.duration_s
             time_s = min(to_s - self._t_s, BLOCK_S if moves else STILL_S)

@@ -1,4 +1,4 @@
-"""From a mission as a person writes it to the items that one kind of autopilot flies."""
+"""Builds the items of a mission for one kind of autopilot."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ WAYPOINT, RETURN, LAND, TAKEOFF, DELAY, SPEED = 16, 20, 21, 22, 93, 178
 GLOBAL_FRAME, ABOVE_HOME_FRAME = 0, 3
 BEND_LESS = "calibrate further, or bend less"
 REST_S = 0.5
-"""How long the vine takes to follow its setpoint; holds that nobody gave are whole multiples of it."""
+"""Time for the vine to reach its setpoint. Default holds are multiples of it."""
 
 
 def build(
     mission: Mission, config: Config, kind: AutopilotKind, home: Home, source: str, text: str = ""
 ) -> list[MissionItem]:
-    """The items, ready to be sent; on ArduPilot item 0 is home.
+    """The items to send; on ArduPilot item 0 is home.
 
     Args:
-        source: what errors call the mission's file.
-        text: of that file, in which they find the line.
+        source: name of the mission's file in errors.
+        text: the file's text, for line numbers in errors.
 
-    MissionError, of one line for each, names every action that the vine or this autopilot cannot do.
+    Raises `MissionError` with one line for each action that the vine or this autopilot cannot do.
     """
     builder = _Builder(config, kind, source, text)
     with_home = AUTOPILOTS[kind].begins_with_home
-    yaw = 0.0 if with_home else math.nan  # not a number: as the vehicle likes; ArduPilot refuses it
+    yaw = 0.0 if with_home else math.nan  # NaN: the vehicle chooses its yaw; ArduPilot refuses NaN
     latitude, longitude = home.latitude_deg, home.longitude_deg
     if with_home:
         builder.add(WAYPOINT, (0, 0, 0, 0, latitude, longitude, home.altitude_amsl_m), GLOBAL_FRAME)
@@ -44,7 +44,7 @@ def build(
     builder.add(TAKEOFF, (0, 0, 0, yaw, latitude, longitude, height), ABOVE_HOME_FRAME)
     builder.act(mission.takeoff.vine, ("takeoff", "vine"))
     if mission.speed_m_s is not None:
-        # On the ground, in m/s, throttle as it is.
+        # Type 1: ground speed, m/s; -1: throttle unchanged.
         builder.add(SPEED, (1, mission.speed_m_s, -1, 0, 0, 0, 0), MISSION_FRAME)
     for index, waypoint in enumerate(mission.waypoints):
         latitude, longitude = _place(waypoint, home)
@@ -62,7 +62,7 @@ def build(
 
 
 def _place(waypoint: Waypoint, home: Home) -> tuple[float, float]:
-    """Latitude and longitude, as whole 1e-7 degrees: so they travel."""
+    """Latitude and longitude, rounded to 1e-7 degrees as in MISSION_ITEM_INT."""
     if waypoint.at is not None:
         return waypoint.at
     latitude, longitude = home.global_deg(waypoint.north_m or 0.0, waypoint.east_m or 0.0)
@@ -70,7 +70,7 @@ def _place(waypoint: Waypoint, home: Home) -> tuple[float, float]:
 
 
 class _Builder:
-    """Appends items, and follows the vine to know when it will have come to rest."""
+    """Appends items, and plans the vine's motions to know when it is at rest."""
 
     def __init__(self, config: Config, kind: AutopilotKind, source: str, text: str) -> None:
         self.items: list[MissionItem] = []
@@ -90,7 +90,7 @@ class _Builder:
         self.items.append(MissionItem(seq, command, (p1, p2, p3, p4, x, y, z), frame, current=seq == 0))
 
     def act(self, actions: tuple[VineAction, ...], key: Key) -> None:
-        """The items of one place: each of the vine's followed by the time that the vehicle stays for it."""
+        """Add the vine items of one place, each followed by a wait."""
         for index, action in enumerate(actions):
             intent: Intent = (
                 StartProfile(action.profile) if action.profile is not None else BendTo(action.bend_deg or 0.0)
@@ -116,7 +116,7 @@ class _Builder:
             wanted = f"profile '{intent.name}'" if isinstance(intent, StartProfile) else str(intent)
             add = suggestion(intent, self._config, self._kind)
             name = AUTOPILOTS[self._kind].title
-            self._complain(key, f"no item that {name} takes means {wanted}; add to the configuration: {add}")
+            self._complain(key, f"no item that {name} accepts means {wanted}; add to the profile: {add}")
         return item
 
     def _complain(self, key: Key, reason: str) -> None:

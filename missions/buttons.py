@@ -1,8 +1,8 @@
-"""QGroundControl's buttons for the vine: its custom actions, made from a profile.
+"""Makes QGroundControl's buttons for the vine (custom actions) from a profile.
 
-QGroundControl offers the actions of one such file in the Fly View and to joystick buttons. It sends at once,
-without asking. Its joystick list also holds the flight modes, and the first of a name counts: PX4 has a mode
-"Hold", so every label here begins with "Vine".
+QGroundControl shows the actions of one file in the Fly View and for joystick buttons. It sends them at once,
+without a question. Its joystick list also contains the flight modes, and the first entry of a name wins: PX4
+has a mode "Hold", so all labels here begin with "Vine".
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from flying_vines.vine.intent import (
 )
 
 ANGLES = 4
-"""Buttons between one end of the bend curve and the other: few enough to be found in a hurry."""
+"""Number of angle steps over the bend curve; few, so that a button is found quickly."""
 
 USER_1 = mavlink.MAV_CMD_USER_1
 PARAMS = 7
 
 _WORDS: dict[Intent, tuple[str, str]] = {
-    VentVine(): ("Vine vent", "Let the air out of the vine"),
+    VentVine(): ("Vine vent", "Vent the vine"),
     Hold(): ("Vine hold", "Keep the vine as it is"),
-    ClearLatchedFaults(): ("Vine clear faults", "Forget faults whose cause is gone"),
-    DisarmPneumatics(): ("Vine disarm pneumatics", "Let the air out and bend for nobody"),
+    ClearLatchedFaults(): ("Vine clear faults", "Clear faults whose cause is gone"),
+    DisarmPneumatics(): ("Vine disarm pneumatics", "Vent the vine and refuse all bends"),
     ArmPneumatics(): ("Vine arm pneumatics", "Allow the vine to bend"),
 }
 
 
 class Button(NamedTuple):
-    """What a button is called, and the command that it sends to our component."""
+    """A button, and the command that it sends to our component."""
 
     label: str
     description: str
@@ -51,7 +51,7 @@ class Button(NamedTuple):
 
 
 def buttons(config: Config) -> list[Button]:
-    """Letting air out comes first, what is needed on the ground last."""
+    """Vent first, buttons for the ground last."""
     first = (VentVine(), Hold())
     rest = [intent for intent in _WORDS if intent not in first]
     return [
@@ -88,11 +88,11 @@ def _choice(intent: Intent) -> Button:
         for number, (_, offered) in enumerate(choices):
             if offered == intent:
                 return Button(*_WORDS[intent], command, (number,))
-    raise LookupError(f"no command asks for: {intent}")
+    raise LookupError(f"no command means: {intent}")
 
 
 def _profiles(config: Config) -> Iterator[Button]:
-    """One for each profile that a rule for USER_1 starts; where an earlier rule takes its numbers, none."""
+    """A button for each profile that a rule for USER_1 starts; none if an earlier rule matches its params."""
     rules = Rules(config)
     offered = set()
     for item in config.items:
@@ -119,5 +119,5 @@ def _angles(config: Config) -> Iterator[Button]:
 
 
 def _plain(number: float) -> float:
-    """Written without a point where it needs none."""
+    """An integer if the value is whole."""
     return int(number) if float(number).is_integer() else number

@@ -1,7 +1,6 @@
-"""Which mission item carries what the vine shall do: the profile's `[[items]]`, read backwards.
+"""Finds the mission item for an intent: the reverse of the profile's `[[items]]` rules.
 
-An item counts only if the autopilot takes it, and if what it keeps of the numbers still means the same to
-the rules that the service goes by.
+An item is used only if the autopilot accepts it, and if its stored numbers still mean the same intent.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind, M
 from flying_vines.vehicle.triggers import NAME_OF_COMMAND, Rules
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
 
-ANGLE_KEPT_DEG = 0.01
-"""What becomes of an angle on its way through 32-bit floats and a scale."""
+ANGLE_TOLERANCE_DEG = 0.01
+"""Rounding error of an angle in 32-bit floats with a scale."""
 
 
 def carrier(intent: Intent, config: Config, kind: AutopilotKind) -> MissionItem | None:
-    """An item (numbered 0) that brings `intent` about on this autopilot, or None."""
+    """An item (with seq 0) that means `intent` on this autopilot, or None."""
     rules = Rules(config)
     for command, rule in _by_preference(config, kind):
         item = MissionItem(0, command, _numbers(rule, intent), MISSION_FRAME)
@@ -33,16 +32,16 @@ def carrier(intent: Intent, config: Config, kind: AutopilotKind) -> MissionItem 
 
 
 def survives(item: MissionItem, intent: Intent, rules: Rules, kind: AutopilotKind) -> bool:
-    """Whether the item means `intent` also after the wire and the autopilot's storage."""
+    """True if the item still means `intent` after the transfer and the autopilot's storage."""
     try:
-        kept = AUTOPILOTS[kind].store(over_the_wire(item))
+        stored = AUTOPILOTS[kind].store(over_the_wire(item))
     except MissionRefused:
         return False
-    return _same(rules.for_command(kept.command, kept.params)[0], intent)
+    return _same(rules.for_command(stored.command, stored.params)[0], intent)
 
 
 def over_the_wire(item: MissionItem) -> MissionItem:
-    """The item as MISSION_ITEM_INT carries it: 32-bit floats, and x and y whole numbers."""
+    """The item after a transfer as MISSION_ITEM_INT: 32-bit floats, x and y as integers."""
     p1, p2, p3, p4, x, y, z = item.params
     scale = 1e7 if has_place(item.command, item.frame) else 1.0
     x, y = (round(value * scale) / scale if math.isfinite(value) else value for value in (x, y))
@@ -50,7 +49,7 @@ def over_the_wire(item: MissionItem) -> MissionItem:
 
 
 def suggestion(intent: Intent, config: Config, kind: AutopilotKind) -> str:
-    """The `[[items]]` entry that would carry `intent`, on one line."""
+    """One line with the `[[items]]` entry that would add an item for `intent`."""
     autopilot = AUTOPILOTS[kind]
     name = autopilot.carriers[0]
     used = {rule.match.get("param1") for rule in config.items if CARRIERS[name] in rule.command_ids}
@@ -60,7 +59,7 @@ def suggestion(intent: Intent, config: Config, kind: AutopilotKind) -> str:
 
 
 def described(item: MissionItem) -> str:
-    """An item in words: the carrier's name and the numbers that are not 0 at its end."""
+    """An item as text: the command's name and its params, without trailing zeros."""
     name = NAME_OF_COMMAND.get(item.command, f"MAV_CMD {item.command}").replace("_", " ")
     numbers = list(item.params)
     while len(numbers) > 1 and numbers[-1] == 0.0:
@@ -69,7 +68,7 @@ def described(item: MissionItem) -> str:
 
 
 def _by_preference(config: Config, kind: AutopilotKind) -> Iterator[tuple[int, ItemConfig]]:
-    """Commands with a rule each; of an actuator first those that move no output of the autopilot's."""
+    """Pairs of command and rule, the best first; actuators that move no autopilot output come first."""
     pairs = [(command, rule) for rule in config.items for command in rule.command_ids if not is_nav(command)]
     ranks = {CARRIERS[name]: rank for rank, name in enumerate(AUTOPILOTS[kind].carriers)}
 
@@ -96,7 +95,7 @@ def _index(key: str) -> int:
 
 def _same(found: Intent | None, wanted: Intent) -> bool:
     if isinstance(found, BendTo) and isinstance(wanted, BendTo):
-        return abs(found.angle_deg - wanted.angle_deg) <= ANGLE_KEPT_DEG
+        return abs(found.angle_deg - wanted.angle_deg) <= ANGLE_TOLERANCE_DEG
     return found == wanted
 
 

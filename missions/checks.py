@@ -1,7 +1,6 @@
-"""What is wrong with a mission, in sentences: what the autopilot, its storage, safety or the air would spoil.
+"""Finds problems of a mission with the autopilot, its storage, safety, or the air.
 
-An error is something that the mission says and that would not happen; a warning is something that may not
-be meant. A check is one function here.
+Error: an item would not be executed as written. Warning: it may be a mistake. Each check is one function.
 """
 
 from __future__ import annotations
@@ -42,12 +41,12 @@ from missions.build import (
 )
 from missions.carriers import carrier, described, over_the_wire, suggestion
 from missions.files import on_earth
-from missions.timeline import ENDS, LONGEST_S, MOST_STEPS, Timeline
+from missions.timeline import ENDS, MAX_LENGTH_S, MAX_STEPS, Timeline
 
 BURST = 8
-"""So many items beside the flight, one after another, PX4 hands on; of more it loses the first."""
+"""PX4 executes at most this many non-navigation items in a row. Of a longer row it loses the first ones."""
 TOGETHER_S = 0.5
-"""The vine has not moved to speak of before the next item has it go elsewhere."""
+"""If the next item comes within this time, the vine has hardly moved."""
 FAR_M = 2000.0
 CENTIMETRE_M = 0.011
 ROUNDING_S = 1e-6
@@ -67,7 +66,7 @@ _YAW_MAY_BE_NAN = {WAYPOINT, LAND, TAKEOFF, 84, 85}
 
 @dataclass(frozen=True, slots=True)
 class MissionFinding:
-    """One thing that is wrong; `seq` is the item's."""
+    """One problem; `seq` is the item's."""
 
     severity: Literal["error", "warning"]
     seq: int
@@ -76,7 +75,7 @@ class MissionFinding:
 
 @dataclass(frozen=True)
 class CheckedMission:
-    """What a check may look at."""
+    """The input of a check."""
 
     items: Sequence[MissionItem]
     kind: AutopilotKind
@@ -90,7 +89,7 @@ class CheckedMission:
 
     @property
     def name(self) -> str:
-        """The autopilot's."""
+        """The autopilot's name."""
         return AUTOPILOTS[self.kind].title
 
     def is_vine(self, item: MissionItem) -> bool:
@@ -103,20 +102,20 @@ class CheckedMission:
         return MissionFinding("warning", item.seq, f"{self._where(item)}: {text}")
 
     def _where(self, item: MissionItem) -> str:
-        """An item, for people: its number, what it is and behind which waypoint."""
+        """An item as text: its number, its name, and the last waypoint before it."""
         waypoint = next((step.waypoint for step in self.timeline.steps if step.item.seq == item.seq), None)
         place = f", waypoint {waypoint}" if waypoint else ""
         return f"item {item.seq} ({name_of(item)}{place})"
 
 
 def check(case: CheckedMission) -> list[MissionFinding]:
-    """Everything that is wrong, errors first, each in the mission's order."""
+    """All problems, errors first, each in the mission's order."""
     found = [finding for look in CHECKS for finding in look(case)]
     return sorted(found, key=lambda finding: (finding.severity, finding.seq))
 
 
 def name_of(item: MissionItem) -> str:
-    """What an item does, in a word or two."""
+    """What an item does, as a short text."""
     return _NAMES.get(item.command) or described(item)
 
 
@@ -126,11 +125,11 @@ def name_of(item: MissionItem) -> str:
 def _refused(case: CheckedMission) -> Iterator[MissionFinding]:
     for item in case.items:
         try:
-            kept = AUTOPILOTS[case.kind].store(over_the_wire(item))
+            stored = AUTOPILOTS[case.kind].store(over_the_wire(item))
         except MissionRefused as refused:
             yield case.error(item, _why_refused(case, item, refused.result))
         else:
-            yield from _altered(case, item, kept)
+            yield from _altered(case, item, stored)
 
 
 def _why_refused(case: CheckedMission, item: MissionItem, result: int) -> str:
@@ -142,16 +141,16 @@ def _why_refused(case: CheckedMission, item: MissionItem, result: int) -> str:
     refuses = f"{case.name} refuses MAV_CMD {item.command}"
     intent, _ = case.rules.for_command(item.command, item.params)
     if intent is None:
-        return f"{refuses}; leave it out"
+        return f"{refuses}; remove it"
     instead = carrier(intent, case.config, case.kind)
     if instead is None:
         add = suggestion(intent, case.config, case.kind)
-        return f"{refuses}; for '{intent}' add to the configuration: {add}"
+        return f"{refuses}; for '{intent}' add to the profile: {add}"
     return f"{refuses}; for '{intent}' use {described(instead)}"
 
 
 def _altered(case: CheckedMission, item: MissionItem, kept: MissionItem) -> Iterator[MissionFinding]:
-    """What storage makes of the numbers."""
+    """Numbers that the autopilot's storage changes."""
     sent = list(item.params)
     if item.command in _YAW_MAY_BE_NAN and math.isnan(sent[3]):
         sent[3] = kept.params[3]
@@ -179,27 +178,25 @@ def _home(case: CheckedMission) -> Iterator[MissionFinding]:
     first = case.items[0]
     if case.kind == "ardupilot":
         if first.command != WAYPOINT:
-            yield case.error(first, "ArduPilot takes item 0 for home and never flies it; put home in front")
+            yield case.error(first, "ArduPilot uses item 0 as home and skips it; insert home before it")
         return
     starts = len(case.items) > 1 and case.items[1].command == TAKEOFF
     if starts and first.command == WAYPOINT and first.frame in (GLOBAL_FRAME, 5):
-        yield case.error(
-            first, "looks like home, which is no item on PX4: it would be flown to; leave it out"
-        )
+        yield case.error(first, "looks like home. PX4 has no home item and would fly there; remove it")
 
 
 def _capacity(case: CheckedMission) -> Iterator[MissionFinding]:
     if len(case.items) > CAPACITY:
         last = case.items[-1]
-        yield case.error(last, f"there are {len(case.items)} items, and {case.name} holds {CAPACITY}")
+        yield case.error(last, f"there are {len(case.items)} items; {case.name} stores at most {CAPACITY}")
 
 
 def _burst(case: CheckedMission) -> Iterator[MissionFinding]:
     for flown, group in itertools.groupby(case.items, AUTOPILOTS["px4"].waits_for):
         burst = [] if flown or case.kind != "px4" else list(group)
         for item in filter(case.is_vine, burst[:-BURST]):
-            row = f"one of {len(burst)} items in a row that are not flown"
-            yield case.error(item, f"{row}, of which PX4 hands on the last {BURST}; put a NAV_DELAY between")
+            row = f"one of {len(burst)} items in a row without a waypoint"
+            yield case.error(item, f"{row}; PX4 executes only the last {BURST}; insert a NAV_DELAY")
 
 
 def _places(case: CheckedMission) -> Iterator[MissionFinding]:
@@ -209,9 +206,9 @@ def _places(case: CheckedMission) -> Iterator[MissionFinding]:
             continue
         distance_m = math.hypot(*case.timeline.home.local_m(latitude, longitude))
         if not on_earth(item):
-            yield case.error(item, f"{latitude:g}, {longitude:g} is no place on earth")
+            yield case.error(item, f"{latitude:g}, {longitude:g} is not a place on earth")
         elif distance_m > FAR_M:
-            yield case.warning(item, f"{distance_m / 1000:.1f} km from home: is it meant?")
+            yield case.warning(item, f"{distance_m / 1000:.1f} km from home: is that intended?")
 
 
 # Checks of what runs when.
@@ -222,33 +219,33 @@ def _never(case: CheckedMission) -> Iterator[MissionFinding]:
     for item in filter(case.is_vine, case.timeline.never):
         if end is not None and item.seq > end.seq:
             after = f"item {end.seq} ({name_of(end)})"
-            yield case.error(item, f"never runs: nothing does after {after}; put it in front of that")
+            yield case.error(item, f"never runs: no item runs after {after}; move it before that item")
         else:
-            last = "of the items after the last one that is flown, ArduPilot runs the first alone"
-            yield case.error(item, f"never runs: {last}; put a NAV_DELAY or a waypoint behind each")
+            last = "after the last waypoint ArduPilot runs only one more item"
+            yield case.error(item, f"never runs: {last}; add a NAV_DELAY or a waypoint after each")
 
 
 def _on_the_ground(case: CheckedMission) -> Iterator[MissionFinding]:
     first = case.timeline.steps[0] if case.timeline.steps else None
     if first is not None and not first.flown and case.is_vine(first.item):
         again = ", before arming and again after landing" if case.kind == "ardupilot" else ""
-        runs = f"comes first, so that {case.name} runs it on the ground{again}"
-        yield case.error(first.item, f"{runs}; put it behind the take-off")
+        runs = f"is the first item, so {case.name} runs it on the ground{again}"
+        yield case.error(first.item, f"{runs}; move it after the take-off")
 
 
 def _too_long(case: CheckedMission) -> Iterator[MissionFinding]:
     if case.timeline.cut:
         last = case.timeline.steps[-1].item if case.timeline.steps else case.items[-1]
-        longest = f"more than {LONGEST_S / 3600:.0f} h or {MOST_STEPS} items"
-        yield case.error(last, f"the mission goes on after it for {longest}, which nobody checks; shorten it")
+        longest = f"more than {MAX_LENGTH_S / 3600:.0f} h or {MAX_STEPS} items"
+        yield case.error(last, f"the mission has {longest}; the rest is not checked; shorten it")
 
 
 def _jumps(case: CheckedMission) -> Iterator[MissionFinding]:
     for item in case.items:
         if item.command == JUMP and item.params[1] == FOR_EVER:
-            yield case.warning(item, "goes on for ever; the budget is of the first time round")
+            yield case.warning(item, "endless loop: the budget counts only the first pass")
         if item.command in _CONDITIONS:
-            yield case.warning(item, "what comes behind it may run later than shown, or not at all")
+            yield case.warning(item, "items after it may run later than shown, or never")
 
 
 # Checks of what the vine does.
@@ -256,27 +253,27 @@ def _jumps(case: CheckedMission) -> Iterator[MissionFinding]:
 
 def _no_vine(case: CheckedMission) -> Iterator[MissionFinding]:
     if not any(map(case.is_vine, case.items)):
-        yield case.warning(case.items[0], "no item of this mission means anything to the vine by [[items]]")
+        yield case.warning(case.items[0], "no item matches a rule in [[items]]: the vine will not move")
 
 
 def _disarmed(case: CheckedMission) -> Iterator[MissionFinding]:
     bends = case.budget.bends
     if bends and not case.config.interlocks.armed_at_start:
-        first = "the pneumatics start disarmed (interlocks.armed_at_start), which refuses it"
-        yield case.warning(bends[0].step.item, f"{first}; have a person arm them before")
+        first = "refused while the pneumatics are disarmed, as at the start (interlocks.armed_at_start)"
+        yield case.warning(bends[0].step.item, f"{first}; arm them before the flight")
 
 
 def _ruled(case: CheckedMission) -> Iterator[MissionFinding]:
     for bend in case.budget.bends:
         item, ruling = bend.step.item, bend.ruling
         if ruling.verdict == "refused" and bend.step is not case.timeline.steps[0]:
-            # Many a mission has a gripper or a servo that is none of the vine's business.
-            say = case.warning if bend.intent is None else case.error
-            yield say(item, f"refused: {ruling.reason}{_advice(case, bend)}")
+            # An item without a rule may be for a real gripper or servo: only a warning.
+            make = case.warning if bend.intent is None else case.error
+            yield make(item, f"refused: {ruling.reason}{_advice(case, bend)}")
         elif ruling.verdict == "limited":
             yield case.warning(item, f"limited {ruling.reason}")
         if bend.doubt:
-            yield case.warning(item, f"may be refused: {bend.doubt}, at the low end of what is known")
+            yield case.warning(item, f"may be refused, if the bottle has its low estimate: {bend.doubt}")
 
 
 def _advice(case: CheckedMission, bend: PlannedBend) -> str:
@@ -284,7 +281,7 @@ def _advice(case: CheckedMission, bend: PlannedBend) -> str:
         return f"; {BEND_LESS}" if isinstance(bend.intent, BendTo) else ""
     if bend.step.height_m < case.config.interlocks.min_altitude_m:
         return "; fly higher there (interlocks.min_altitude_m)"
-    return "; fill the bottle further, or leave out bends before it"
+    return "; fill the bottle more, or remove earlier bends"
 
 
 def _overtaken(case: CheckedMission) -> Iterator[MissionFinding]:
@@ -295,11 +292,9 @@ def _overtaken(case: CheckedMission) -> Iterator[MissionFinding]:
         takes_s = bend.motion.duration_s
         item, then = bend.step.item, f"item {after.step.item.seq}"
         if gap_s < TOGETHER_S and gap_s < takes_s:
-            yield case.error(
-                item, f"{then} follows at once: only that one counts; put a wait (hold_s) between"
-            )
+            yield case.error(item, f"{then} follows at once and replaces it; insert a wait (hold_s)")
         elif gap_s < takes_s - ROUNDING_S:
-            cut = f"takes {takes_s:.1f} s, and {then} breaks it off after {gap_s:.1f} s"
+            cut = f"takes {takes_s:.1f} s, but {then} replaces it after {gap_s:.1f} s"
             yield case.warning(item, f"{cut}; hold longer")
 
 
@@ -307,10 +302,10 @@ def _bent(case: CheckedMission) -> Iterator[MissionFinding]:
     limit_s = case.config.limits.max_bent_s
     for bend in case.budget.bends:
         if bend.bent_s > limit_s:
-            stays = f"stays bent for {bend.bent_s:.0f} s, and safety vents it after {limit_s:g} s"
-            yield case.error(bend.step.item, f"{stays} (limits.max_bent_s); let it straighten before")
+            stays = f"stays bent for {bend.bent_s:.0f} s, but safety vents it after {limit_s:g} s"
+            yield case.error(bend.step.item, f"{stays} (limits.max_bent_s); straighten it earlier")
     if case.budget.bent_at_end is not None:
-        ends = "still bent when the mission ends; landing vents it: let it straighten before"
+        ends = "still bent when the mission ends, and vented by the landing; straighten it before"
         yield case.warning(case.budget.bent_at_end.step.item, ends)
 
 
@@ -318,7 +313,7 @@ def _reserve(case: CheckedMission) -> Iterator[MissionFinding]:
     for bend in case.budget.bends:
         if bend.low_at_s is not None:
             low = f"the bottle falls below the reserve {bend.low_at_s:.0f} s after take-off, and safety vents"
-            yield case.error(bend.step.item, f"{low}; fill it further, or bend less")
+            yield case.error(bend.step.item, f"{low}; fill it more, or bend less")
 
 
 CHECKS: tuple[Callable[[CheckedMission], Iterator[MissionFinding]], ...] = (

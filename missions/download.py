@@ -1,4 +1,4 @@
-"""Get the mission that a vehicle holds, as a file that ground stations open."""
+"""Writes a vehicle's mission to a file for ground stations."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ async def download(path: Path, link: str, console: Console) -> int:
     """Write the vehicle's mission to `path`, a .plan or .waypoints file.
 
     Raises:
-        MissionError: there is no mission, or no such file can be written.
-        LinkError: no vehicle, or it does not answer.
+        MissionError: there is no mission, or the file cannot be written.
+        VehicleLinkError: no vehicle, or it does not answer.
     """
     if path.suffix not in (".plan", ".waypoints"):
-        raise MissionError(f"{path}: a mission is written as .plan or .waypoints")
+        raise MissionError(f"{path}: the file must be a .plan or .waypoints")
     async with vehicle(link) as peer:
         items = await peer.download()
     if not items:
-        raise MissionError(f"{AUTOPILOTS[peer.kind].title} holds no mission")
+        raise MissionError(f"{AUTOPILOTS[peer.kind].title} has no mission")
     try:
         if path.suffix == ".plan":
             write_plan(path, items, peer.kind)

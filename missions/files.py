@@ -1,4 +1,4 @@
-"""A mission that is already made of items, from whichever file it is in."""
+"""Reads the items of a mission from a .plan or .waypoints file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ABOVE_SEA_FRAMES = (0, 5)
 
 @dataclass(frozen=True, slots=True)
 class Items:
-    """Items as they are sent, home in front on ArduPilot."""
+    """Items as they are sent; on ArduPilot item 0 is home."""
 
     items: tuple[MissionItem, ...]
     kind: AutopilotKind
@@ -28,9 +28,9 @@ class Items:
 
 
 def load_items(path: Path, kind: AutopilotKind | None = None) -> Items:
-    """The mission in a .plan or .waypoints file, for `kind` or else the autopilot that the file names.
+    """The mission in a .plan or .waypoints file, for `kind`; default: the autopilot that the file names.
 
-    MissionError when it cannot be read, is empty, or does not say for which autopilot it is.
+    Raises `MissionError` if the file cannot be read, has no items, or names no autopilot.
     """
     try:
         if path.suffix == ".plan":
@@ -43,18 +43,18 @@ def load_items(path: Path, kind: AutopilotKind | None = None) -> Items:
     except OSError as error:
         raise MissionError(f"{path}: cannot be read: {error.strerror}") from None
     if not items:
-        raise MissionError(f"{path}: there is no item in it")
+        raise MissionError(f"{path}: it contains no items")
     return Items(items, kind, home_of(items))
 
 
 def _known(kind: AutopilotKind | None, path: Path) -> AutopilotKind:
     if kind is None:
-        raise MissionError(f"{path}: does not say for which autopilot: give --autopilot ardupilot or px4")
+        raise MissionError(f"{path}: names no autopilot: give --autopilot ardupilot or px4")
     return kind
 
 
 def home_of(items: Sequence[MissionItem]) -> Home:
-    """Item 0 of an ArduPilot mission; otherwise the first place, whose height above the sea nobody knows."""
+    """Item 0 of an ArduPilot mission; otherwise the first place, with an unknown altitude (0)."""
     for item in items:
         latitude, longitude, z = item.params[4:]
         if has_place(item.command, item.frame) and (latitude, longitude) != (0.0, 0.0) and on_earth(item):
@@ -64,6 +64,6 @@ def home_of(items: Sequence[MissionItem]) -> Home:
 
 
 def on_earth(item: MissionItem) -> bool:
-    """Whether its place, if it is one, is a latitude and a longitude."""
+    """True if x and y are a valid latitude and longitude."""
     latitude, longitude = item.params[4:6]
     return abs(latitude) <= 90.0 and abs(longitude) <= 180.0

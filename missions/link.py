@@ -1,4 +1,4 @@
-"""A vehicle by mavsdk: found on a link, asked for its mission, listened to with bounded queues."""
+"""A vehicle by mavsdk: finds it on a link, transfers its mission, and queues its messages."""
 
 from __future__ import annotations
 
@@ -20,45 +20,45 @@ from flying_vines.vehicle.mission.storage import AutopilotKind
 
 FOUND_WITHIN_S = 10.0
 HEARTBEAT_WITHIN_S = 3.0
-LOOK_S = 0.05
+POLL_S = 0.05
 ANSWER_WITHIN_S = 15.0
-"""For a command or a step of a transfer; mavsdk itself repeats it for some seconds before it gives up."""
+"""Timeout of a command or of one transfer step; mavsdk itself repeats for some seconds before it fails."""
 DOWNLOADED_WITHIN_S = 300.0
-"""Several hundred items over a slow radio; mavsdk itself gives up when the vehicle falls silent."""
-MOST_WAITING = 500
-"""Messages kept for a listener that is slow; then the oldest go."""
+"""Long enough for several hundred items over a slow radio; mavsdk fails earlier if the vehicle is silent."""
+MAX_WAITING = 500
+"""Maximum messages stored for a slow listener; the oldest are dropped."""
 
-_KEPT: list[Any] = []
-"""What mavsdk calls back. It lets go of it when it is destroyed, and a call that runs then would have its
-code freed under it (4.1.0): the process crashes."""
+_CALLBACKS: list[Any] = []
+"""Keeps mavsdk's callbacks alive. mavsdk 4.1.0 frees them when it is destroyed; a callback that runs at this
+moment would crash the process."""
 
-_EXTRA = "pip install 'flying-vines[missions]' brings it"
+_EXTRA = "pip install 'flying-vines[missions]'"
 _RESULTS = {
-    1: "the vehicle says: error",
-    2: "the vehicle does not take its frame",
+    1: "the vehicle reports an error",
+    2: "the vehicle does not accept its frame",
     3: "the vehicle does not know this command in a mission",
     4: "the vehicle has no room for it",
-    5: "the vehicle finds a number in it invalid",
+    5: "the vehicle reports an invalid number in it",
     **{
-        6 + n: f"the vehicle does not take its {name}"
+        6 + n: f"the vehicle does not accept its {name}"
         for n, name in enumerate(("param1", "param2", "param3"))
     },
-    9: "the vehicle does not take its param4",
-    10: "the vehicle does not take its x (latitude)",
-    11: "the vehicle does not take its y (longitude)",
-    12: "the vehicle does not take its z (altitude)",
-    13: "the vehicle says: out of sequence",
-    14: "the vehicle takes no missions just now",
-    15: "the vehicle called it off",
+    9: "the vehicle does not accept its param4",
+    10: "the vehicle does not accept its x (latitude)",
+    11: "the vehicle does not accept its y (longitude)",
+    12: "the vehicle does not accept its z (altitude)",
+    13: "the vehicle reports: out of sequence",
+    14: "the vehicle accepts no mission now",
+    15: "the vehicle cancelled the upload",
 }
 
 
 class VehicleLinkError(Exception):
-    """The vehicle cannot be reached, or does not answer; one sentence says why and what to do."""
+    """The vehicle cannot be reached or does not answer; the text is one sentence: why, and what to do."""
 
 
 class UploadRefused(Exception):
-    """The vehicle did not take the mission; `seq` is the item it stopped at, None when it took none."""
+    """The vehicle refused the mission. `seq` is the refused item; None if it requested no item."""
 
     def __init__(self, seq: int | None, why: str) -> None:
         super().__init__(why)
@@ -67,8 +67,8 @@ class UploadRefused(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class HeardMessage:
-    """A message of anyone on the vehicle's network, with its fields by name."""
+class ReceivedMessage:
+    """A message of any sender on the vehicle's network, with its fields by name."""
 
     name: str
     component: int
@@ -76,8 +76,7 @@ class HeardMessage:
 
 
 def mavsdk_url(link: str) -> str:
-    """A link as this project writes it, in mavsdk's words; ValueError with a sentence when it is none, or a
-    board that is not there."""
+    """A link in mavsdk's notation. Raises `ValueError` if it is invalid, or if its board is missing."""
     address = parse_address(link)
     if isinstance(address, UsbBoard):
         try:
@@ -87,14 +86,14 @@ def mavsdk_url(link: str) -> str:
     if isinstance(address, SerialAddress):
         return f"serial://{address.path}:{address.baud}"
     if address.peer:
-        raise ValueError(f"'{link}': ?peer= is for the service's links; leave it out here")
+        raise ValueError(f"'{link}': ?peer= is only for the service; remove it")
     scheme = "tcpout" if address.kind == "tcp" else address.kind
     return f"{scheme}://{address.host}:{address.port}"
 
 
 @asynccontextmanager
 async def vehicle(link: str, within_s: float = FOUND_WITHIN_S) -> AsyncIterator[MissionVehicle]:
-    """The first autopilot that is heard on `link`; LinkError when there is none in time."""
+    """The first autopilot found on `link`. Raises `VehicleLinkError` if there is none within the time."""
     try:
         url = mavsdk_url(link)
     except ValueError as error:
@@ -107,14 +106,14 @@ async def vehicle(link: str, within_s: float = FOUND_WITHIN_S) -> AsyncIterator[
                 await client.add_any_connection(url)
         except (mavsdk.MavsdkConnectionError, TimeoutError):
             raise VehicleLinkError(
-                f"{link}: cannot be opened: is there such a port, and is it free?"
+                f"{link}: cannot be opened: does the port exist, and is it free?"
             ) from None
         system = await client.first_autopilot(within_s)
         if system is None:
-            raise VehicleLinkError(f"{link}: no vehicle heard within {within_s:g} s")
+            raise VehicleLinkError(f"{link}: no vehicle found within {within_s:g} s")
         kind = await _kind(system)
         if kind is None:
-            raise VehicleLinkError(f"{link}: the vehicle there is neither ArduPilot nor PX4")
+            raise VehicleLinkError(f"{link}: the vehicle is neither ArduPilot nor PX4")
         found = MissionVehicle(system._system, kind, await system.get_system_id())
         try:
             yield found
@@ -123,68 +122,68 @@ async def vehicle(link: str, within_s: float = FOUND_WITHIN_S) -> AsyncIterator[
 
 
 _KINDS = {kind.upper(): kind for kind in AUTOPILOTS}
-"""What mavsdk calls them."""
+"""By mavsdk's names."""
 
 
 async def _kind(system: Any) -> AutopilotKind | None:
-    """What the autopilot's next heartbeat says it is; mavsdk finds it by any message."""
-    for _ in range(round(HEARTBEAT_WITHIN_S / LOOK_S)):
+    """The kind in the autopilot's next heartbeat; mavsdk finds an autopilot by any message."""
+    for _ in range(round(HEARTBEAT_WITHIN_S / POLL_S)):
         kind = _KINDS.get((await system.autopilot_type()).name)
         if kind is not None:
             return kind
-        await asyncio.sleep(LOOK_S)
+        await asyncio.sleep(POLL_S)
     return None
 
 
 def _mavsdk() -> Any:
-    """mavsdk, quiet; LinkError where it is not installed or has no library for this machine."""
+    """mavsdk without log output. Raises `VehicleLinkError` if it is missing or does not run here."""
     try:
         import mavsdk.asyncio
         from mavsdk.logging import log_subscribe
     except ModuleNotFoundError:
-        raise VehicleLinkError(f"mavsdk is missing; {_EXTRA}, on 64-bit systems") from None
-    except Exception as error:  # it loads its library on import, and its base class comes with it
-        raise VehicleLinkError(f"mavsdk does not run on this machine: {str(error).splitlines()[0]}") from None
+        raise VehicleLinkError(f"mavsdk is missing: {_EXTRA}, on 64-bit systems") from None
+    except Exception as error:  # its own exception class is in the library that failed to load
+        raise VehicleLinkError(f"mavsdk does not run here: {str(error).splitlines()[0]}") from None
 
     log_subscribe(lambda level, message, file, line: True)
     return mavsdk.asyncio
 
 
-class Ears:
-    """Hears messages of the given names; at most MOST_WAITING wait for whoever reads them."""
+class MessageQueue:
+    """Receives messages of the given names. At most MAX_WAITING wait for the reader."""
 
     def __init__(self, direct: Any, names: Sequence[str]) -> None:
         self._direct = direct
         self._loop = asyncio.get_running_loop()
-        self._waiting: deque[Any] = deque(maxlen=MOST_WAITING)
+        self._waiting: deque[Any] = deque(maxlen=MAX_WAITING)
         self._arrived = asyncio.Event()
         self._called = False
         self._handles = [direct.subscribe_message(name, self._take) for name in names]
 
     def _take(self, message: Any, _: object) -> None:
-        """On a thread of mavsdk's; one call of the loop is enough for all that have come by then."""
+        """Runs in a thread of mavsdk. One call of the loop serves all messages that have arrived by then."""
         self._waiting.append(message)
         if not self._called:
             self._called = True
-            with suppress(RuntimeError):  # the loop has ended, and nobody reads any more
+            with suppress(RuntimeError):  # the loop has ended
                 self._loop.call_soon_threadsafe(self._wake)
 
     def _wake(self) -> None:
         self._called = False
         self._arrived.set()
 
-    def waiting(self) -> list[HeardMessage]:
-        """What has come since the last call."""
+    def waiting(self) -> list[ReceivedMessage]:
+        """The messages since the last call."""
         found = []
         while self._waiting:
             message = self._waiting.popleft()
             with suppress(json.JSONDecodeError):
                 fields = json.loads(message.fields_json)
-                found.append(HeardMessage(message.message_name, message.component_id, fields))
+                found.append(ReceivedMessage(message.message_name, message.component_id, fields))
         return found
 
-    async def hear(self, within_s: float) -> list[HeardMessage]:
-        """What has come, after waiting for the first of it; empty when nothing does in time."""
+    async def receive(self, within_s: float) -> list[ReceivedMessage]:
+        """Waits for a message. Returns all that have arrived; empty if none came within the time."""
         with suppress(TimeoutError):
             async with asyncio.timeout(within_s):
                 while not self._waiting:
@@ -209,30 +208,30 @@ class MissionVehicle:
         self.system_id = system_id
         self._direct = MavlinkDirect(system)
         self._mission = MissionRaw(system)
-        self._listening: list[Ears] = []
+        self._queues: list[MessageQueue] = []
 
-    def listen(self, *names: str) -> Ears:
-        """From now on, until `close`."""
-        ears = Ears(self._direct, names)
-        self._listening.append(ears)
-        return ears
+    def listen(self, *names: str) -> MessageQueue:
+        """Receive messages from now on, until `close`."""
+        queue = MessageQueue(self._direct, names)
+        self._queues.append(queue)
+        return queue
 
     def close(self) -> None:
-        for ears in self._listening:
-            ears.close()
+        for queue in self._queues:
+            queue.close()
         for plugin in (self._direct, self._mission):
-            _KEPT.extend(getattr(plugin, "_callbacks", ()))
+            _CALLBACKS.extend(getattr(plugin, "_callbacks", ()))
 
     async def upload(self, items: Sequence[MissionItem], progress: Callable[[float], None]) -> None:
-        """Send a whole mission; `progress` is told how much of it is there, 0 to 1.
+        """Send a whole mission; `progress` gets the transferred share, 0 to 1.
 
         Raises:
-            UploadRefused: the vehicle did not take it.
-            LinkError: the vehicle fell silent.
+            UploadRefused: the vehicle refused it.
+            VehicleLinkError: the vehicle stopped answering.
         """
         from mavsdk.plugins.mission_raw import MissionPlan, MissionRawResult
 
-        ears = self.listen("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK")
+        queue = self.listen("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK")
         steps: asyncio.Queue[tuple[Any, float]] = asyncio.Queue()  # one step an item
         loop = asyncio.get_running_loop()
 
@@ -247,7 +246,7 @@ class MissionVehicle:
                     result, done = await steps.get()
             except TimeoutError:
                 raise VehicleLinkError(
-                    "the vehicle fell silent during the upload; what it holds now is unknown"
+                    "the vehicle stopped answering during the upload; its mission is now unknown"
                 ) from None
             if result == MissionRawResult.NEXT:
                 progress(done)
@@ -256,13 +255,13 @@ class MissionVehicle:
                 return
             elif result == MissionRawResult.TIMEOUT:
                 raise VehicleLinkError(
-                    "the vehicle fell silent during the upload; what it holds now is unknown"
+                    "the vehicle stopped answering during the upload; its mission is now unknown"
                 )
             else:
-                raise await _refusal(ears, result)
+                raise await _refusal(queue, result)
 
     async def download(self) -> list[MissionItem]:
-        """The mission that the vehicle holds; LinkError when it does not come."""
+        """The vehicle's mission. Raises `VehicleLinkError` if it cannot be read."""
         from mavsdk.plugins.mission_raw import MissionRawResult
 
         result, raw = await _answer(self._mission.download_mission_async, DOWNLOADED_WITHIN_S)
@@ -272,7 +271,7 @@ class MissionVehicle:
         return [_from_raw(item) for item in raw]
 
     async def command(self, command: int, *params: float, component: int = 1) -> int | None:
-        """Send a COMMAND_LONG; its MAV_RESULT, or None when nobody answers."""
+        """Send a COMMAND_LONG. Returns its MAV_RESULT, or None without an answer."""
         from mavsdk.plugins.mavlink_direct import MavlinkDirectResult, MavlinkMessage
 
         fields: dict[str, Any] = {"target_system": self.system_id, "target_component": component}
@@ -287,9 +286,9 @@ class MissionVehicle:
 
 
 async def _answer(start: Callable[[Callable[..., None]], None], within_s: float) -> tuple[Any, Any]:
-    """What one of mavsdk's asynchronous calls ends with; (None, None) when it does not end in time.
+    """The result of an asynchronous mavsdk call; (None, None) after a timeout.
 
-    Its blocking calls are of no use here: one that is under way when mavsdk is destroyed never returns.
+    mavsdk's blocking calls cannot be used: a call that runs when mavsdk is destroyed never returns.
     """
     loop = asyncio.get_running_loop()
     ended: asyncio.Future[tuple[Any, Any]] = loop.create_future()
@@ -310,16 +309,16 @@ async def _answer(start: Callable[[Callable[..., None]], None], within_s: float)
         return None, None
 
 
-async def _refusal(ears: Ears, result: Any) -> UploadRefused:
-    """Which item it was and why, as the vehicle itself said; mavsdk tells neither."""
-    asked: int | None = None
+async def _refusal(queue: MessageQueue, result: Any) -> UploadRefused:
+    """The refused item and the reason, from the vehicle's own messages; mavsdk reports neither."""
+    requested: int | None = None
     for _ in range(10):
-        for heard in await ears.hear(0.1):
-            if heard.name == "MISSION_ACK":
-                why = _RESULTS.get(heard.fields["type"], f"MAV_MISSION_RESULT {heard.fields['type']}")
-                return UploadRefused(asked, why)
-            asked = heard.fields["seq"]
-    return UploadRefused(asked, result.name.lower().replace("_", " "))
+        for message in await queue.receive(0.1):
+            if message.name == "MISSION_ACK":
+                why = _RESULTS.get(message.fields["type"], f"MAV_MISSION_RESULT {message.fields['type']}")
+                return UploadRefused(requested, why)
+            requested = message.fields["seq"]
+    return UploadRefused(requested, result.name.lower().replace("_", " "))
 
 
 def _to_raw(item: MissionItem) -> Any:

@@ -1,4 +1,4 @@
-"""A mission as a person writes it: a short TOML file of places and of what the vine does there."""
+"""Reads a mission as a person writes it: a short TOML file of places and vine actions."""
 
 from __future__ import annotations
 
@@ -28,11 +28,9 @@ Latitude = Annotated[float, Meta(ge=-90, le=90)]
 Longitude = Annotated[float, Meta(ge=-180, le=180)]
 At = tuple[Latitude, Longitude]
 
-"""Where each autopilot's own simulator starts unless it is told otherwise."""
-
 
 class MissionError(ValueError):
-    """A mission that cannot be read or built; each line of its text names file, line and key."""
+    """A mission cannot be read or built; each line of the text names file, line and key."""
 
     def __init__(self, *problems: str) -> None:
         super().__init__("\n".join(one_line(problem) for problem in problems))
@@ -43,19 +41,19 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PlannedHome(_Table, frozen=True):
-    """Where the vehicle takes off; the altitude is above mean sea level."""
+    """The place of the take-off; the altitude is above mean sea level."""
 
     at: At
     altitude_m: Annotated[float, Meta(ge=-500, le=9000)]
 
 
 class VineAction(_Table, frozen=True):
-    """What the vine does at a place, and how long the vehicle then stays for it."""
+    """What the vine does at a place, and how long the vehicle waits for it."""
 
     profile: str | None = None
     bend_deg: float | None = None
     hold_s: Annotated[float, Meta(ge=0, le=3600)] | None = None
-    """From the action's start; left out, until the vine has come to rest."""
+    """Wait from the action's start. Default: until the vine is at rest."""
 
     def __post_init__(self) -> None:
         if (self.profile is None) == (self.bend_deg is None):
@@ -63,22 +61,22 @@ class VineAction(_Table, frozen=True):
 
 
 class Takeoff(_Table, frozen=True):
-    """The height above home, and what the vine does before the first waypoint."""
+    """Height above home, and vine actions before the first waypoint."""
 
     altitude_m: Height
     vine: tuple[VineAction, ...] = ()
 
 
 class Waypoint(_Table, frozen=True):
-    """A place, as latitude and longitude or as metres from home; the height is above home."""
+    """A place as latitude and longitude, or as metres from home. The height is above home."""
 
     at: At | None = None
     north_m: float | None = None
     east_m: float | None = None
     altitude_m: Height | None = None
-    """Left out, as high as before."""
+    """Default: the height of the previous place."""
     stay_s: Annotated[int, Meta(ge=0, le=3600)] = 0
-    """Whole seconds, for ArduPilot stores no others; before the vine's first action."""
+    """Wait before the first vine action. Whole seconds, because ArduPilot stores no fractions."""
     vine: tuple[VineAction, ...] = ()
 
     def __post_init__(self) -> None:
@@ -96,21 +94,18 @@ class Mission(_Table, frozen=True):
     autopilot: AutopilotKind | None = None
     home: PlannedHome | Literal["simulator"] | None = None
     speed_m_s: Annotated[float, Meta(gt=0, le=30)] | None = None
-    """Left out, the autopilot's own."""
+    """Default: the autopilot's own."""
     end: Literal["land", "return"] = "land"
 
 
 def load(path: Path) -> tuple[Mission, str]:
-    """The mission in a file, and its text, in which later errors find their line.
-
-    MissionError when it cannot be read, or holds what no mission can.
-    """
+    """The mission in a file, and its text, for line numbers in errors. Raises `MissionError`."""
     text = read_text(path, MissionError)
     return parse(text, str(path)), text
 
 
 def parse(text: str, source: str) -> Mission:
-    """Check a mission's text; `source` is what errors call it."""
+    """Check a mission's text; errors name it as `source`."""
     try:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -129,11 +124,11 @@ def parse(text: str, source: str) -> Mission:
 
 
 def planned_home(mission: Mission, kind: AutopilotKind, source: str) -> Home:
-    """Where the mission begins on this kind of autopilot."""
+    """The home of the mission on this kind of autopilot. Raises `MissionError` if it is missing."""
     if mission.home is None:
         raise MissionError(
             f"{source}: home: is missing: home = {{ at = [latitude, longitude], altitude_m = ... }}, or "
-            'home = "simulator" for where the autopilot\'s own simulator starts'
+            'home = "simulator" for the start of the autopilot\'s own simulator'
         )
     if mission.home == "simulator":
         return AUTOPILOTS[kind].simulator_home

@@ -1,8 +1,7 @@
 """Read and write QGroundControl's .plan files (JSON).
 
-Home is no item there but `plannedHomePosition`; the ground station puts it in front of the items where the
-autopilot wants it (ArduPilot). A number that is not given (NaN) is null. Jumps name the `doJumpId` of another
-item, which counts from 1.
+Home is not an item but `plannedHomePosition`; the ground station makes it item 0 for ArduPilot. NaN is null.
+A jump names the `doJumpId` of its target; doJumpId counts from 1.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from flying_vines.vehicle.mission.storage import AutopilotKind
 _KINDS = {autopilot.mav_autopilot: kind for kind, autopilot in AUTOPILOTS.items()}
 _MULTIROTOR = 2
 _CRUISE_SPEED_M_S = 15
-"""Of a fixed wing: every plan has one."""
+"""For fixed wings; QGroundControl writes it into every plan."""
 _JUMP, _WAYPOINT = 177, 16
 _MISSION_FRAME = 2
 _ABOVE_HOME, _ABOVE_SEA = 1, 2
@@ -34,7 +33,7 @@ _ALTITUDE_MODES = {3: _ABOVE_HOME, 6: _ABOVE_HOME, 0: _ABOVE_SEA, 5: _ABOVE_SEA}
 
 
 class PlanFileError(ValueError):
-    """A plan file that cannot be read; its text is one line."""
+    """A plan file cannot be read; the text is one line."""
 
     def __init__(self, text: str) -> None:
         super().__init__(one_line(text))
@@ -42,11 +41,11 @@ class PlanFileError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class PlanFile:
-    """What a plan file says of the mission. The items are as they are sent, home in front on ArduPilot."""
+    """The mission in a plan file. The items are as they are sent; on ArduPilot item 0 is home."""
 
     items: tuple[MissionItem, ...]
     kind: AutopilotKind | None
-    """None where it is for another autopilot, or for none in particular."""
+    """None if the plan names another autopilot, or none."""
     home: Home
 
 
@@ -75,9 +74,9 @@ class _File(msgspec.Struct):
 
 
 def read_plan(path: Path, kind: AutopilotKind | None = None) -> PlanFile:
-    """The mission in a plan file, for `kind` or else for the autopilot that the file names.
+    """The mission in a plan file, for `kind`, or by default for the autopilot that the file names.
 
-    PlanError when it cannot be read, or holds items that only QGroundControl can draw.
+    Raises `PlanFileError` if it cannot be read, or contains items that only QGroundControl can convert.
     """
     text = read_text(path, PlanFileError)
     try:
@@ -103,23 +102,23 @@ def read_plan(path: Path, kind: AutopilotKind | None = None) -> PlanFile:
 def write_plan(
     path: Path, items: Sequence[MissionItem], kind: AutopilotKind, home: Home | None = None
 ) -> None:
-    """Write items that are as they are sent, on ArduPilot with home in front; `home` is PX4's.
+    """Write items as they are sent; on ArduPilot item 0 is home. `home` is for PX4.
 
     Raises:
-        ValueError: a PX4 mission without a home and without a place.
+        ValueError: a PX4 mission without `home` and without any place.
         OSError: the file cannot be written.
     """
     path.write_text(plan_text(items, kind, home), encoding="utf-8")
 
 
 def plan_text(items: Sequence[MissionItem], kind: AutopilotKind, home: Home | None = None) -> str:
-    """What `write_plan` writes."""
+    """The text that `write_plan` writes."""
     flown = list(items)
     if AUTOPILOTS[kind].begins_with_home and flown:
         first = flown.pop(0)
         home = home or Home(*first.params[4:])
     home = home or _first_place(flown)
-    # Keys in the order of the alphabet, as QGroundControl itself writes them.
+    # QGroundControl itself writes the keys in alphabetical order.
     content = {
         "fileType": "Plan",
         "geoFence": {"circles": [], "polygons": [], "version": 2},
@@ -147,7 +146,7 @@ def plan_text(items: Sequence[MissionItem], kind: AutopilotKind, home: Home | No
 def _json(item: MissionItem, number: int, kind: AutopilotKind) -> dict[str, object]:
     params = list(item.params)
     if item.command == _JUMP and not AUTOPILOTS[kind].begins_with_home:
-        params[0] += 1.0  # seq counts from 0 there, doJumpId from 1
+        params[0] += 1.0  # seq counts from 0, doJumpId from 1
     entry: dict[str, object] = {
         "autoContinue": item.autocontinue,
         "command": item.command,
@@ -174,7 +173,7 @@ def _first_place(items: Sequence[MissionItem]) -> Home:
         latitude, longitude = item.params[4:6]
         if item.frame in _ALTITUDE_MODES and (latitude, longitude) != (0.0, 0.0):
             return Home(latitude, longitude, 0.0)
-    raise ValueError("the mission names no place that a plan could call home")
+    raise ValueError("the mission has no place that could be home")
 
 
 def _home_item(home: Home) -> MissionItem:
@@ -183,7 +182,7 @@ def _home_item(home: Home) -> MissionItem:
 
 
 def _simple_items(path: Path, items: Sequence[_Item]) -> Iterator[_Item]:
-    """All that are flown; a survey holds its own list of them."""
+    """All simple items; a survey contains its own list of them."""
     for index, item in enumerate(items):
         if item.type == "SimpleItem":
             yield item
@@ -192,8 +191,8 @@ def _simple_items(path: Path, items: Sequence[_Item]) -> Iterator[_Item]:
         if not isinstance(inner, list):
             what = item.complexItemType or item.type
             raise PlanFileError(
-                f"{path}: mission.items[{index}]: a '{what}' is drawn by the ground station alone; "
-                "upload the plan to the vehicle, and save what it downloads"
+                f"{path}: mission.items[{index}]: only the ground station can convert a '{what}'; "
+                "upload the plan to the vehicle, download it again, and use the saved file"
             )
         try:
             yield from msgspec.convert(inner, list[_Item])
@@ -204,7 +203,7 @@ def _simple_items(path: Path, items: Sequence[_Item]) -> Iterator[_Item]:
 def _item(path: Path, item: _Item, seq: int, numbers: dict[int, int]) -> MissionItem:
     values = [math.nan if value is None else value for value in item.params]
     if not has_place(item.command, item.frame):
-        # No place: there null is 0, as the ground station sends it in whole numbers.
+        # Not a place: null is 0, because the ground station sends x and y as integers.
         values[4:6] = [0.0 if math.isnan(value) else value for value in values[4:6]]
     if item.command == _JUMP:
         target = numbers.get(int(values[0])) if math.isfinite(values[0]) else None

@@ -1,4 +1,4 @@
-"""A checked mission for people, as a table, and as plain data."""
+"""Shows a checked mission as a table, or as JSON."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from missions.timeline import Timeline, TimelineStep
 from missions.trial import Trial
 
 WIDE = 100
-"""Columns of a terminal that leave room between those of the table."""
+"""From this terminal width on, the table has wider column gaps."""
 
 _HEADINGS = (
     "at\ns",
@@ -38,7 +38,7 @@ _HEADINGS = (
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """All that is known of a mission."""
+    """A mission with timeline, budget, findings, and a simulated flight if there was one."""
 
     name: str
     items: Sequence[MissionItem]
@@ -55,7 +55,7 @@ class Report:
 
     @property
     def differences(self) -> list[str]:
-        """What the trial, if there was one, did otherwise than planned."""
+        """Differences between the simulated flight and the plan."""
         if self.trial is None:
             return []
         return list(_differences(self.budget, self.trial))
@@ -69,7 +69,7 @@ class _Row(NamedTuple):
 
 
 def show(report: Report, console: Console) -> None:
-    """Print the mission, its budget, what came of a trial, and warnings."""
+    """Print the mission, its budget, the simulated flight, and warnings."""
     what = f"{AUTOPILOTS[report.kind].title}, {len(report.items)} items, {report.timeline.length_s:.0f} s"
     home = f"home {report.home.latitude_deg:.7f}, {report.home.longitude_deg:.7f}"
     name = report.name or "Mission"
@@ -84,7 +84,7 @@ def show(report: Report, console: Console) -> None:
 
 
 def as_json(report: Report) -> dict[str, Any]:
-    """Everything as plain lists, numbers and texts; units are in the keys, pressures are gauge."""
+    """The report as JSON data; units are in the keys, pressures are gauge."""
     budget, trial = report.budget, report.trial
     found: dict[str, Any] = {
         "name": report.name,
@@ -116,14 +116,14 @@ def as_json(report: Report) -> dict[str, Any]:
 
 
 def _rows(timeline: Timeline, budget: AirBudget) -> Iterator[_Row]:
-    """A row for each step, but a wait behind a vine item belongs to it."""
+    """One row per step. A wait after a vine item belongs to the item's row."""
     bends = {(bend.step.t_s, bend.step.item.seq): bend for bend in budget.bends}
     steps = list(timeline.steps)
     before: PlannedBend | None = None
     for i, step in enumerate(steps):
         bend = bends.get((step.t_s, step.item.seq))
-        waited, before = before, bend
-        if waited is not None and step.item.command == DELAY:
+        previous, before = before, bend
+        if previous is not None and step.item.command == DELAY:
             continue
         if bend is None:
             yield _Row(step, _flight(step), step.takes_s)
@@ -174,22 +174,20 @@ def _cells(row: _Row) -> Iterator[str | Text]:
 
 def _summary(budget: AirBudget) -> Text:
     begins, ends = budget.begins, budget.ends
-    said = f"Bottle {begins.expected:.0f} → {ends.expected:.0f} kPa gauge ({ends.low:.0f}…{ends.high:.0f})"
+    text = f"Bottle {begins.expected:.0f} → {ends.expected:.0f} kPa gauge ({ends.low:.0f}…{ends.high:.0f})"
     cycles = budget.bends[-1].cycles if budget.bends else None
     if cycles is not None:
-        said += f"; {cycles.expected:.0f} cycles left ({cycles.low:.0f}…{cycles.high:.0f})"
-    return Text(said + ".")
+        text += f"; {cycles.expected:.0f} cycles left ({cycles.low:.0f}…{cycles.high:.0f})"
+    return Text(text + ".")
 
 
 def _flown(trial: Trial, differences: Sequence[str]) -> Text:
     air = f"bottle {trial.begins_kPa:.0f} → {trial.ends_kPa:.0f} kPa"
-    said = f"Flown in simulation: {len(trial.decisions)} vine items in {trial.length_s:.0f} s, {air}"
-    said += f"; {trial.speed:.0f} times real time."
+    text = f"Flown in simulation: {len(trial.decisions)} vine items in {trial.length_s:.0f} s, {air}"
+    text += f"; {trial.speed:.0f} times real time."
     if not differences:
-        return Text(said + " As planned.", style="green")
-    return Text(
-        "\n".join([said, *(f"otherwise than planned: {text}" for text in differences)]), style="yellow"
-    )
+        return Text(text + " As planned.", style="green")
+    return Text("\n".join([text, *(f"not as planned: {each}" for each in differences)]), style="yellow")
 
 
 def _differences(budget: AirBudget, trial: Trial) -> Iterator[str]:

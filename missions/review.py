@@ -1,4 +1,4 @@
-"""All that can be said of a mission before it flies."""
+"""Reviews a mission: timeline, air budget and checks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def review(
     belief: Belief,
     reservoir_kPa: float,
 ) -> Report:
-    """Check the items, with a bottle at `reservoir_kPa` (gauge)."""
+    """Review the items, with the bottle at `reservoir_kPa` (gauge)."""
     plan = timeline(items, kind, home)
     air = budget(plan, config, belief, reservoir_kPa)
     findings = check(CheckedMission(items, kind, config, plan, air))

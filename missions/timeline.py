@@ -1,8 +1,8 @@
-"""When a mission's items run, where, and for how long: what an autopilot does with them, on straight lines.
+"""Predicts when and where a mission's items run, and for how long, with straight flight paths.
 
-What each kind does with items that run beside the flight was seen on the real ones: ArduPilot runs them when
-the item flown before them is done, and on the ground if they come first; of those after the last item that
-is flown it runs one; after the landing none. PX4 counts through all items one by one.
+Non-navigation items (vine items too) run as seen on real autopilots. ArduPilot runs them when the previous
+navigation item is done; before the first one it runs them on the ground. After the last navigation item it
+runs only one of them, after the landing none. PX4 goes through all items one by one.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from flying_vines.vehicle.mission.reference_vehicle import (
 from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.build import DELAY, GLOBAL_FRAME, LAND, RETURN, SPEED, TAKEOFF, WAYPOINT
 
-MOST_STEPS = 1000
-LONGEST_S = 6 * 3600.0
-"""Beyond either, nobody looks any further."""
+MAX_STEPS = 1000
+MAX_LENGTH_S = 6 * 3600.0
+"""Limits of the prediction: the rest of a longer mission is not checked."""
 
 _LOITER_UNLIMITED, _LOITER_TURNS, _LOITER_TIME, _SPLINE, _VTOL_TAKEOFF, _VTOL_LAND = 17, 18, 19, 82, 84, 85
 _TURN_S = 10.0
@@ -37,18 +37,18 @@ ENDS = (LAND, RETURN, _VTOL_LAND)
 
 @dataclass(frozen=True, slots=True)
 class TimelineStep:
-    """One item while it is flown, or at the moment when it runs."""
+    """One flown or executed item."""
 
     item: MissionItem
     flown: bool
     t_s: float
-    """When it begins, after the take-off began."""
+    """Its start, since the start of the take-off."""
     takes_s: float
     distance_m: float
     height_m: float
     """Above home, at its end."""
     waypoint: int
-    """How many waypoints have been begun, this one included; 0 before the first."""
+    """Number of waypoints begun so far, including this one."""
 
     @property
     def ends_s(self) -> float:
@@ -57,13 +57,13 @@ class TimelineStep:
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """What runs, in order, and what never does."""
+    """The items that run, in order, and those that never run."""
 
     steps: tuple[TimelineStep, ...]
     never: tuple[MissionItem, ...]
-    """Items that this autopilot does not get to."""
+    """Items that this autopilot never runs."""
     cut: bool
-    """It is longer than anybody looks; the steps are its beginning."""
+    """True if the mission exceeds the limits; the steps are only its beginning."""
     home: Home
 
     @property
@@ -72,7 +72,7 @@ class Timeline:
 
 
 def timeline(items: Sequence[MissionItem], kind: AutopilotKind, home: Home) -> Timeline:
-    """Fly the items on paper."""
+    """Predict the flight of the items."""
     return _Flight(items, kind, home).fly()
 
 
@@ -96,7 +96,7 @@ class _Flight:
         while seq < len(self._items) and not ended and not self._cut:
             item = self._items[seq]
             if item.command == JUMP:
-                # Of one that goes on for ever, the first time round.
+                # Of an endless loop, only the first pass.
                 seq = seq + 1 if item.params[1] == FOR_EVER else jumps.take(item)
                 self._turns += 1
                 continue
@@ -118,7 +118,7 @@ class _Flight:
 
     @property
     def _cut(self) -> bool:
-        return self._t_s > LONGEST_S or len(self._steps) + self._turns > MOST_STEPS
+        return self._t_s > MAX_LENGTH_S or len(self._steps) + self._turns > MAX_STEPS
 
     def _run(self, item: MissionItem) -> None:
         if item.command == SPEED and item.params[1] > 0.0:
@@ -138,7 +138,7 @@ class _Flight:
         self._add(item, flown=True, takes_s=takes_s + _stays_s(item), distance_m=distance_m)
 
     def _goal(self, item: MissionItem) -> tuple[float, float, float]:
-        """North, east and height to which the item flies; where it says nothing, as it is."""
+        """North, east and height of the item's goal; missing values stay as they are."""
         x, y, z = item.params[4:]
         if item.command == RETURN:
             return 0.0, 0.0, self._height_m

@@ -1,4 +1,4 @@
-"""What came of a mission that was flown in simulation."""
+"""The result of a simulated flight of a mission."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from flying_vines.vehicle.mission.item import MissionItem
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What came of it. Gauge kPa."""
+    """The result. Pressures are gauge."""
 
     ran: tuple[MissionItem, ...]
     """The vine items that the autopilot ran, in order."""
     decisions: tuple[Decision, ...]
-    """What the service decided about them."""
+    """The service's decisions about them."""
     begins_kPa: float
     ends_kPa: float
     length_s: float
     landed: bool
     flown_s: float
-    """Simulated, with the time on the ground."""
+    """Simulated time, including time on the ground."""
     took_s: float
-    """Of this machine's time."""
+    """Real time on this computer."""
 
     @property
     def speed(self) -> float:
-        """How many times real time."""
+        """Simulated time divided by real time."""
         return self.flown_s / max(1e-9, self.took_s)

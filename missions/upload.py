@@ -1,4 +1,4 @@
-"""Put a mission on a vehicle, read it back, and say what became of it on the way."""
+"""Uploads a mission, reads it back, and reports the differences."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ _WAYPOINT, _RETURN, _LAND, _TAKEOFF, _ABOVE_SEA = 16, 20, 21, 22, 0
 
 @dataclass(frozen=True, slots=True)
 class MissionComparison:
-    """A mission that was sent and the one that is held, item by item; each a sentence."""
+    """Differences between the sent and the stored mission, one sentence each."""
 
     changed: tuple[str, ...]
-    """What the autopilot's storage was known to change."""
+    """Known changes by the autopilot's storage."""
     unexpected: tuple[str, ...]
-    """What it holds otherwise than it was expected to."""
+    """Differences from the expected storage."""
 
 
 async def upload(path: Path, link: str, console: Console) -> int:
-    """Upload the mission in a .plan or .waypoints file, and compare what the vehicle then holds.
+    """Upload the mission in a .plan or .waypoints file, and compare the stored mission with it.
 
-    0 when it holds what it was expected to hold, 1 when something else, 2 when it took the mission not at all
-    or in part; the console says which.
+    Returns 0 if the vehicle stores what was expected, 1 if it stores something else, 2 if it refused a part.
+    The console shows details.
 
     Raises:
         MissionError: the file cannot be read, or is for another autopilot.
-        LinkError: no vehicle, or it fell silent.
+        VehicleLinkError: no vehicle, or it does not answer.
     """
     found = load_items(path, None if path.suffix == ".plan" else "ardupilot")
     async with vehicle(link) as peer:
@@ -70,18 +70,18 @@ async def upload(path: Path, link: str, console: Console) -> int:
     if comparison.unexpected:
         return DIFFERS
     console.print(
-        f"Uploaded. Read back: {name} holds what it was expected to hold.", style="green", soft_wrap=True
+        f"Uploaded and read back: {name} stores the mission as expected.", style="green", soft_wrap=True
     )
     return DONE
 
 
 def refuse_wrong_home(path: Path, items: Sequence[MissionItem], kind: AutopilotKind) -> None:
-    """ArduPilot would lose the first item of a mission for PX4, which would fly to the home of the other."""
+    """Refuses a mission for the other autopilot: ArduPilot would skip item 0, PX4 would fly to home."""
     looks_like_home = items[0].command == _WAYPOINT and items[0].frame == _ABOVE_SEA
     if kind == "ardupilot" and not looks_like_home:
-        what = f"begins with {name_of(items[0])}, which ArduPilot would take for home"
+        what = f"begins with {name_of(items[0])}, which ArduPilot would use as home"
     elif kind == "px4" and looks_like_home and len(items) > 1 and items[1].command == _TAKEOFF:
-        what = "begins with a home, which PX4 would fly to"
+        what = "begins with a home item, to which PX4 would fly"
     else:
         return
     raise MissionError(f"{path}: {what}: build it for {AUTOPILOTS[kind].title}")
@@ -102,21 +102,23 @@ def _sentence(items: Sequence[MissionItem], refused: UploadRefused) -> str:
 
 
 async def _left_behind(peer: MissionVehicle, sent: Sequence[MissionItem], refused_seq: int) -> list[str]:
-    """What the vehicle holds after a refusal, read from it: ArduPilot's missions are mixed then."""
+    """Reads the vehicle's mission after a refusal: on ArduPilot it may be a mix of old and new items."""
     try:
         held = await peer.download()
     except VehicleLinkError as error:
-        return [f"What it holds now is not known: {error}"]
+        return [f"The vehicle's mission is now unknown: {error}"]
     if peer.kind == "px4":
-        return [f"The vehicle still holds the mission from before, {len(held)} items."]
-    new = {item.seq for item in held if item.seq < refused_seq and _is_kept(peer.kind, sent[item.seq], item)}
+        return [f"The vehicle still has its old mission of {len(held)} items."]
+    new = {
+        item.seq for item in held if item.seq < refused_seq and _is_stored(peer.kind, sent[item.seq], item)
+    }
     if not new - {_HOME}:
-        return [f"The vehicle still holds the mission from before, {len(held)} items."]
-    lines = [f"{item.seq:5}  {'new' if item.seq in new else 'before':6}  {name_of(item)}" for item in held]
-    return ["The vehicle now holds a mixture. Do not fly it: upload a mission that it takes.", *lines]
+        return [f"The vehicle still has its old mission of {len(held)} items."]
+    lines = [f"{item.seq:5}  {'new' if item.seq in new else 'old':6}  {name_of(item)}" for item in held]
+    return ["The vehicle now has a mix of old and new items. Do not fly: upload a valid mission.", *lines]
 
 
-def _is_kept(kind: AutopilotKind, sent: MissionItem, held: MissionItem) -> bool:
+def _is_stored(kind: AutopilotKind, sent: MissionItem, held: MissionItem) -> bool:
     if AUTOPILOTS[kind].begins_with_home and sent.seq == _HOME:
         return True
     try:
@@ -128,11 +130,11 @@ def _is_kept(kind: AutopilotKind, sent: MissionItem, held: MissionItem) -> bool:
 def compare(
     kind: AutopilotKind, sent: Sequence[MissionItem], held: Sequence[MissionItem]
 ) -> MissionComparison:
-    """What became of a mission; ArduPilot's item 0 is its home, which it sets itself."""
+    """Compare the sent with the stored mission, without ArduPilot's item 0, which is its own home."""
     changed: list[str] = []
     unexpected: list[str] = []
     if len(held) != len(sent):
-        unexpected.append(f"The vehicle holds {len(held)} items, {len(sent)} were sent.")
+        unexpected.append(f"The vehicle has {len(held)} items, but {len(sent)} were sent.")
     for before, after in zip(sent, held, strict=False):
         if AUTOPILOTS[kind].begins_with_home and before.seq == _HOME:
             continue
@@ -141,13 +143,13 @@ def compare(
         except MissionRefused:
             name = AUTOPILOTS[kind].title
             unexpected.append(
-                f"item {before.seq} ({name_of(before)}): taken, which {name} was not known to do."
+                f"item {before.seq} ({name_of(before)}): accepted, although {name} was expected to refuse it."
             )
             continue
         if not _same(kind, expected, after):
             unexpected.append(
-                f"item {before.seq} ({name_of(before)}): the vehicle holds {_in_full(after)}, "
-                f"expected was {_in_full(expected)}."
+                f"item {before.seq} ({name_of(before)}): the vehicle has {_in_full(after)}, "
+                f"expected {_in_full(expected)}."
             )
         else:
             changed.extend(_changes(_meant(kind, before), _meant(kind, after)))
@@ -156,14 +158,14 @@ def compare(
 
 def _changes(before: MissionItem, after: MissionItem) -> list[str]:
     return [
-        f"item {before.seq} ({name_of(before)}): {name} {sent:g} is kept as {kept:g}."
-        for name, sent, kept in zip(_NUMBERS, before.params, after.params, strict=True)
-        if not math.isnan(sent) and not _close(sent, kept)
+        f"item {before.seq} ({name_of(before)}): {name} {sent:g} is stored as {stored:g}."
+        for name, sent, stored in zip(_NUMBERS, before.params, after.params, strict=True)
+        if not math.isnan(sent) and not _close(sent, stored)
     ]
 
 
 def _meant(kind: AutopilotKind, item: MissionItem) -> MissionItem:
-    """Without what the autopilot fills in whatever was sent, and what says nothing to the flight."""
+    """The item without values that the autopilot always replaces, and without values that do not matter."""
     if kind == "ardupilot" and item.command == _RETURN:
         return replace(item, params=(0.0,) * 7, frame=0)
     if kind == "ardupilot" and item.command == _LAND:
@@ -172,7 +174,7 @@ def _meant(kind: AutopilotKind, item: MissionItem) -> MissionItem:
 
 
 def _same(kind: AutopilotKind, one: MissionItem, other: MissionItem) -> bool:
-    """Whether two items make the same flight and the same vine."""
+    """True if both items have the same effect on flight and vine."""
     one, other = _meant(kind, one), _meant(kind, other)
     numbers = zip(one.params, other.params, strict=True)
     is_same = (one.command, one.frame) == (other.command, other.frame)
@@ -180,7 +182,7 @@ def _same(kind: AutopilotKind, one: MissionItem, other: MissionItem) -> bool:
 
 
 def _close(a: float, b: float) -> bool:
-    """The same 32-bit float, or the same ten-millionth of a degree."""
+    """True for the same 32-bit float, or the same 1e-7 degrees."""
     return math.isclose(a, b, rel_tol=1e-6, abs_tol=2e-7) or (math.isnan(a) and math.isnan(b))
 
 

@@ -1,9 +1,9 @@
 """Read and write QGC WPL files, the plain-text plan format that every ground station knows.
 
 A header line, then one line per item: seq, current, frame, command, param1…4, x (latitude), y (longitude), z,
-autocontinue, separated by tabs. The items are those of the autopilot: on ArduPilot the first is home, on PX4
-none is. (QGroundControl takes the first of any such file for home, and a plan it has as `.plan` anyway; its
-files without home are of version 120, which MAVProxy refuses.)
+autocontinue, separated by tabs. The items are the autopilot's: on ArduPilot the first is home, on PX4 none.
+(QGroundControl takes the first item of such a file for home; for PX4 use a `.plan`. Its files without home
+have version 120, which MAVProxy refuses.)
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _UINT8 = 255
 
 
 class WaypointsError(ValueError):
-    """A plan file that cannot be read, or items that no file can hold; says which line and why."""
+    """A file cannot be read, or items cannot be written; the text says which line, and why."""
 
 
 def read_waypoints(path: str | Path) -> list[MissionItem]:
@@ -30,7 +30,7 @@ def read_waypoints(path: str | Path) -> list[MissionItem]:
     Blank lines are skipped, columns may be separated by any white space, and `nan` is a number.
 
     Raises:
-        WaypointsError: wrong header, column count, not a number, a number out of range, or seq out of order.
+        WaypointsError: wrong header or column count, not a number, number out of range, or seq out of order.
         OSError: the file cannot be opened.
     """
     path = Path(path)
@@ -50,7 +50,7 @@ def read_waypoints(path: str | Path) -> list[MissionItem]:
 
 
 def write_waypoints(path: str | Path, items: Sequence[MissionItem]) -> None:
-    """Write the items; what `read_waypoints` reads back is equal to them, number by number.
+    """Write the items; `read_waypoints` reads back exactly the same numbers.
 
     Raises:
         WaypointsError: the items' seq does not count up from 0.
@@ -68,12 +68,12 @@ def write_waypoints(path: str | Path, items: Sequence[MissionItem]) -> None:
 
 
 def _number(value: float) -> str:
-    # repr is the shortest text that reads back as the same float.
+    # repr gives the shortest text that reads back as the same float.
     return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
 
 
 class _Line:
-    """One line's columns, and where it stands for the error messages."""
+    """One line's columns, and its place for error texts."""
 
     def __init__(self, where: str, columns: list[str]) -> None:
         if len(columns) != _COLUMNS:

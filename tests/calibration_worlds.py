@@ -1,4 +1,4 @@
-"""What a calibrator is tried on: a core over a simulated phloSAR, and a stage without any physics."""
+"""Worlds for a calibrator: a core with a simulated phloSAR, and one without any physics."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from flying_vines.calibration.calibrator import (
     BY,
     Calibrator,
     Ended,
+    EvaluationTask,
+    Message,
     OperatorRequest,
-    Out,
+    Output,
     Question,
-    Say,
-    Work,
 )
+from flying_vines.calibration.driver import result_of
 from flying_vines.calibration.findings import Result
 from flying_vines.calibration.plan import CalibrationPlan
 from flying_vines.core.events import Action, Asked, Decision, Measured, Snapshot
@@ -33,12 +34,12 @@ def presses_enter(_: Question) -> str:
 
 
 class _Stage:
-    """Carries out what a calibrator wants, and keeps what it said."""
+    """Carries out the outputs of a calibrator, and keeps them."""
 
     def __init__(self, plan: CalibrationPlan, person: Person = presses_enter) -> None:
         self.calibrator = Calibrator(plan)
         self.person = person
-        self.said: list[Out] = []
+        self.said: list[Output] = []
         self.now = 0.0
 
     @property
@@ -49,27 +50,24 @@ class _Stage:
     def ended(self) -> Ended | None:
         return self.calibrator.ended
 
-    def carry_out(self, outs: Iterable[Out]) -> None:
+    def carry_out(self, outs: Iterable[Output]) -> None:
         for out in outs:
             self.said.append(out)
             if isinstance(out, OperatorRequest):
                 self.ask(out.intent)
             elif isinstance(out, Question):
                 self.carry_out(self.calibrator.answer(self.now, out, self.person(out)))
-            elif isinstance(out, Work):
-                self.carry_out(self.calibrator.worked(self.now, out, self.work(out)))
+            elif isinstance(out, EvaluationTask):
+                self.carry_out(self.calibrator.evaluated(self.now, out, self.evaluate(out)))
 
     def ask(self, intent: Intent) -> None:
         raise NotImplementedError
 
-    def work(self, work: Work) -> object:
-        try:
-            return work.do()
-        except Exception as error:
-            return error
+    def evaluate(self, task: EvaluationTask) -> object:
+        return result_of(task)
 
     def sentences(self) -> list[str]:
-        return [out.text for out in self.said if isinstance(out, Say)]
+        return [out.text for out in self.said if isinstance(out, Message)]
 
 
 class CoreWorld(_Stage):
@@ -92,7 +90,7 @@ class CoreWorld(_Stage):
             self._hear(self.world.advance(self.now))
             self.carry_out(self.calibrator.tick(self.now, self.world.core.snapshot(self.now)))
 
-    def settle(self, seconds: float = 3.0) -> None:
+    def fit_balance(self, seconds: float = 3.0) -> None:
         """Time for what was asked for last."""
         self.now += seconds
         list(self.world.advance(self.now))
@@ -143,7 +141,7 @@ class PaperWorld(_Stage):
         ruling = Decision(self.now, BY, {}, str(intent), "refused" if why else "accepted", why, 0.0)
         self.carry_out(self.calibrator.take(ruling))
 
-    def work(self, work: Work) -> object:
+    def evaluate(self, task: EvaluationTask) -> object:
         return Result()
 
     def _telemetry(self) -> Telemetry:

@@ -8,7 +8,10 @@ import pytest
 
 from flying_vines.simulation.phlosar.core_library import WHAT_TO_INSTALL, compiler
 
-ARM_TOOLS = "sudo apt install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm make"
+ARM_TOOLS = (
+    "sudo apt install gcc-arm-none-eabi libnewlib-arm-none-eabi libstdc++-arm-none-eabi-newlib "
+    "qemu-system-arm make"
+)
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason=f"needs {WHAT_TO_INSTALL}")
 

@@ -1,4 +1,4 @@
-"""The vine in a flight's picture and beside the live view."""
+"""The vine in a flight's picture and in the live view."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from flying_vines.record.mcap_file import McapFile
 from flying_vines.record.picture import DRAWN_WIDTH, _side_by_side, draw_flight
 from flying_vines.record.reader import FlightLog
 from flying_vines.record.topics import NUMBERS, TOPICS
-from flying_vines.simulation.demo import ROOM_FOR_VINE, _with_vine
+from flying_vines.simulation.demo import MIN_WIDTH_FOR_VINE, _with_vine
 from flying_vines.vine.shape import tip
 
 shares = st.lists(st.floats(0.0, 1.0), max_size=int(1 / DRAWN_WIDTH)).map(sorted)
@@ -62,7 +62,7 @@ def decision(t: float) -> dict[str, Any]:
 
 
 def written(said: list[dict[str, Any]], path: Path) -> FlightLog:
-    """A log that says so, without what is unknown."""
+    """A log with these values, without unknown ones."""
     with path.open("wb") as file:
         log = McapFile(file, TOPICS, "test")
         for entry in said:
@@ -111,7 +111,7 @@ def test_the_drawn_tip_is_the_computed_one(angle_deg: float) -> None:
     plt.close(figure)
 
 
-@pytest.mark.parametrize(("width", "beside"), [(ROOM_FOR_VINE, True), (ROOM_FOR_VINE - 1, False)])
+@pytest.mark.parametrize(("width", "beside"), [(MIN_WIDTH_FOR_VINE, True), (MIN_WIDTH_FOR_VINE - 1, False)])
 def test_the_live_view_has_the_vine_where_there_is_room(width: int, beside: bool) -> None:
     console = Console(width=width, record=True, force_terminal=True, quiet=True)
     assert isinstance(_with_vine(Text("view"), 40.0, console), Text) != beside
@@ -121,7 +121,7 @@ def test_a_terminal_that_knows_ascii_only_gets_ascii() -> None:
     class Ascii(Console):
         encoding = "ascii"
 
-    console = Ascii(width=ROOM_FOR_VINE)
+    console = Ascii(width=MIN_WIDTH_FOR_VINE)
     with console.capture() as shown:
         console.print(_with_vine(Text("view"), 40.0, console))
     assert "##" in shown.get()

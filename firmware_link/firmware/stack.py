@@ -1,15 +1,14 @@
-"""What an image needs of the chip: flash, and memory with the deepest stack that can come to be.
+"""What the sketch needs of each board: flash, memory, and the deepest stack.
 
-    stack.py [--json] phlosar.elf
+    stack.py [--json] teensy40/phlosar.elf ...
 
-The stack is found in the machine code itself, so that it holds for the compiler's library of floating-point
-routines as for our own: each function's frame is all that it ever pushes, its calls are its branches out
-of itself, and the deepest chain of frames from the reset vector is what the program needs. An interrupt puts
-eight registers and perhaps a gap on top, and then its handler's own chain; each handler is taken to interrupt
-the one before. What would make such a bound wrong is refused: recursion, calls through a register, frames of
-a size that is not known before.
+The stack's bound comes from the machine code, so it holds for the maker's core and the compiler's library
+as for our own code. A function's frame is all that it pushes. The deepest chain of frames from `setup` or
+`loop` is what the program needs. Each interrupt adds the registers that the processor saves and its own
+chain; every interrupt is assumed to interrupt the one before. Code without a bound is refused: recursion,
+frames of unknown size, and calls through a register to anything but the functions that are listed here.
 
-Nothing but the standard library and the cross compiler's binutils is needed.
+Needs the standard library and the cross compiler's binutils.
 """
 
 from __future__ import annotations
@@ -17,20 +16,32 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import struct
 import subprocess
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
-FLASH_LIMIT = 48 * 1024
-RAM_LIMIT = 6 * 1024
-
 _CROSS = "arm-none-eabi-"
-_VECTORS = 48
-_EXCEPTION_FRAME = 8 * 4 + 4
-_IN_FLASH = (".text", ".init_array", ".data")
-_IN_RAM = (".usb_table", ".data", ".bss")
+_PROGRAM = ("phlosar::setup()", "phlosar::loop()")
+_INTERRUPTS = ("pit_isr", "usb_isr")
+_SYSTICK = ("(anonymous namespace)::guard()", "systick_isr")
+"""The first of these that there is: a Teensy 4's calls the other."""
+_SAVED = {"v6S-M": 36, "v7E-M": 108}
+"""Bytes of registers that an interrupt saves, with the gap to a multiple of 8, by architecture (M0+, M7)."""
+_THROUGH_A_REGISTER = {
+    r"^pit_isr|every_millisecond|beginCycles|^teensy::inplace_function<": (r"vtable<void>.*_FUN",),
+    r"vtable<void>.*_FUN": (r"::step\(\)$",),
+    r"^usb_isr|^run_callbacks": ("^rx_event$", "^usb_serial_flush_callback$"),
+    r"EventResponder::runFromInterrupt": (),  # the sketch has no events
+    r"^flash_write|^eeprom_write_byte": (),  # seven instructions on the stack itself, without a frame
+    r"^__aeabi_|^__gnu_": (),  # jumps within the routine
+}
+"""Which functions a call through a register can reach (patterns of names), by the name of the caller."""
+
+_LAST = "_reboot_Teensyduino_"
+"""Starts the bootloader and never returns: what it does to the stack does not matter."""
+_ONCE = ("usb_rx_memory", "usb_free")
+"""The first calls the second, which calls it: once, for before that it clears what leads there."""
 
 _FUNCTION = re.compile(r"^([0-9a-f]{8}) <(.+)>:$")
 _INSTRUCTION = re.compile(r"^\s*([0-9a-f]+):\t(\S+)(?:\t(.*))?$")
@@ -39,7 +50,7 @@ _VENEER = re.compile(r"_veneer$")
 
 
 class ImageError(Exception):
-    """The image cannot be bounded, or is no image; a sentence for people."""
+    """The stack has no bound, or the file is not a sketch for a Teensy. One sentence for the user."""
 
 
 @dataclass
@@ -48,26 +59,33 @@ class ImageFunction:
     address: int
     frame: int = 0
     calls: set[int] = field(default_factory=set)
-    """Of functions from their beginning."""
     branches: set[int] = field(default_factory=set)
-    """To anywhere: within the function, or out of it as its last deed."""
+    """Within the function, or out of it as a tail call."""
+    through_register: bool = False
+    unknown_frame: bool = False
     end: int = 0
 
 
 @dataclass(frozen=True)
 class Chain:
-    """The deepest chain of frames from one function on, in bytes, and the functions on it."""
+    """The deepest chain of frames from one function on, in bytes, and the functions in it."""
 
     size: int
     names: tuple[str, ...]
 
 
 class Image:
-    """The functions of an image."""
+    """The functions of a program."""
 
     def __init__(self, listing: str) -> None:
         self.functions = _functions(listing)
         self._chains: dict[int, Chain] = {}
+
+    def named(self, name: str) -> Chain:
+        for function in self.functions.values():
+            if function.name in (name, f"{name}()"):
+                return self.chain(function.address)
+        raise ImageError(f"no function {name}: is this the sketch for a Teensy?")
 
     def chain(self, address: int) -> Chain:
         return self._chain(address & ~1, ())
@@ -78,19 +96,38 @@ class Image:
             loop = (*above[above.index(function) :], function)
             names = " → ".join(one.name for one in loop)
             raise ImageError(f"recursion, so that the stack has no bound: {names}")
+        if function.name == _LAST:
+            return Chain(0, (function.name,))
+        if function.unknown_frame:
+            raise ImageError(f"the frame of {function.name} has a size that is not known before")
         known = self._chains.get(function.address)
         if known is not None:
             return known
         above = (*above, function)
-        called = [
-            self._chain(target, above)
-            for target in sorted(function.calls | function.branches)
-            if target in function.calls or not function.address <= target < function.end
-        ]
+        targets = {t for t in function.branches if not function.address <= t < function.end}
+        targets |= function.calls
+        once = 0
+        if function.name == _ONCE[0]:
+            again = {target for target in targets if self._holding(target).name == _ONCE[1]}
+            once = sum(self._holding(target).frame for target in again)
+            targets -= again
+        if function.through_register:
+            targets |= self._through_register(function)
+        called = [self._chain(target, above) for target in sorted(targets)]
         deepest = max(called, key=lambda chain: chain.size, default=Chain(0, ()))
-        chain = Chain(function.frame + deepest.size, (function.name, *deepest.names))
+        chain = Chain(function.frame + once + deepest.size, (function.name, *deepest.names))
         self._chains[function.address] = chain
         return chain
+
+    def _through_register(self, caller: ImageFunction) -> set[int]:
+        for pattern, names in _THROUGH_A_REGISTER.items():
+            if re.search(pattern, caller.name):
+                return {
+                    function.address
+                    for function in self.functions.values()
+                    if any(re.search(name, function.name) for name in names)
+                }
+        raise ImageError(f"{caller.name} calls through a register, so that the stack has no bound")
 
     def _holding(self, address: int) -> ImageFunction:
         if address in self.functions:
@@ -104,45 +141,41 @@ class Image:
 
 @dataclass(frozen=True)
 class Needs:
+    board: str
     flash: int
     static: int
+    """Variables, buffers, and on a Teensy 4 the code that runs from memory."""
+    room: int
+    """Bytes between the variables and the end of their memory, for the stack."""
     program: Chain
     interrupts: tuple[Chain, ...]
-    reserved: int
+    saved: int
 
     @property
     def stack(self) -> int:
-        return self.program.size + sum(_EXCEPTION_FRAME + chain.size for chain in self.interrupts)
-
-    @property
-    def ram(self) -> int:
-        return self.static + self.stack
-
-    def complaints(self) -> list[str]:
-        found = []
-        if self.flash > FLASH_LIMIT:
-            found.append(f"{self.flash} bytes of flash are more than the {FLASH_LIMIT} that are to be used")
-        if self.ram > RAM_LIMIT:
-            found.append(f"{self.ram} bytes of memory are more than the {RAM_LIMIT} that are to be used")
-        if self.stack > self.reserved:
-            found.append(f"a stack of {self.stack} bytes outgrows the {self.reserved} that kl26.ld reserves")
-        return found
+        return self.program.size + sum(self.saved + chain.size for chain in self.interrupts)
 
 
 def needs_of(elf: Path) -> Needs:
-    program = Image(_run("objdump", "-d", "-C", "--no-show-raw-insn", elf).decode())
-    stack_top, reset, *others = _vectors(elf)
+    image = Image(_run("objdump", "-d", "-C", "--no-show-raw-insn", elf))
     sizes = _section_sizes(elf)
-    reserved = sizes.get(".stack", 0)
-    if reserved == 0 or stack_top == 0:
-        raise ImageError(f"{elf} reserves no stack: is it a complete image?")
-    handlers = sorted(set(others) - {0})
+    symbols = _symbols(elf)
+    attributes = re.search(r"Tag_CPU_arch: (\S+)", _run("readelf", "-A", elf))
+    if attributes is None or attributes[1] not in _SAVED or "_estack" not in symbols:
+        raise ImageError(f"{elf} is not a sketch for a Teensy")
+    names = {function.name for function in image.functions.values()}
+    systick = next((name for name in _SYSTICK if name in names), _SYSTICK[-1])
     return Needs(
-        flash=sum(sizes.get(name, 0) for name in _IN_FLASH),
-        static=sum(sizes.get(name, 0) for name in _IN_RAM),
-        program=program.chain(reset),
-        interrupts=tuple(program.chain(handler) for handler in handlers),
-        reserved=reserved,
+        board=elf.parent.name,
+        flash=sum(size for name, size in sizes.items() if name.startswith((".text", ".data"))),
+        static=sum(
+            size for name, size in sizes.items() if not name.startswith((".text.c", ".text.h", ".text.p"))
+        )
+        - (0 if ".text.itcm" in sizes else sizes[".text"]),
+        room=symbols["_estack"] - symbols["_ebss"],
+        program=max((image.named(name) for name in _PROGRAM), key=lambda chain: chain.size),
+        interrupts=tuple(image.named(name) for name in (*_INTERRUPTS, systick)),
+        saved=_SAVED[attributes[1]],
     )
 
 
@@ -162,81 +195,90 @@ def _functions(listing: str) -> dict[int, ImageFunction]:
 def _read(function: ImageFunction, mnemonic: str, operands: str) -> None:
     """What one instruction adds to a function's frame and branches."""
     veneer = _VENEER.search(function.name) is not None
-    if mnemonic == "push":
-        function.frame += 4 * _registers(operands)
-    elif mnemonic == "sub" and (size := re.match(r"sp, #(\d+)", operands)):
+    stem = mnemonic.removesuffix(".w")
+    if stem in ("push", "vpush") or (stem in ("stmdb", "vstmdb") and operands.startswith("sp!")):
+        function.frame += _pushed(operands[operands.index("{") :])
+    elif size := re.match(r"(?:strd? .*\[sp, #-|subw? sp, (?:sp, )?#)(\d+)", f"{stem} {operands}"):
         function.frame += int(size[1])
-    elif re.match(r"sp, (r\d|ip|sl|fp)", operands) and mnemonic in ("add", "sub", "mov"):
-        raise ImageError(f"the frame of {function.name} has a size that is not known before")
+    elif stem in ("add", "sub", "mov") and re.match(r"sp, (r\d|ip|sl|fp)", operands):
+        function.unknown_frame = True
     elif _BRANCH.match(mnemonic):
         target = int(operands.split()[0], 16)
-        # A call into the middle of a function is how this processor goes far.
+        # A call into the middle of a function is how an M0+ branches far.
         begins = "+0x" not in operands
         (function.calls if mnemonic == "bl" and begins else function.branches).add(target)
     elif veneer and mnemonic == ".word":
-        # Where the linker's way from flash to memory leads.
+        # Where the linker's way from one memory to another leads.
         function.branches.add(int(operands.split()[0], 16) & ~1)
     elif mnemonic == "blx" or (mnemonic == "bx" and operands != "lr" and not veneer):
-        raise ImageError(f"{function.name} calls through a register, so that the stack has no bound")
+        function.through_register = True
 
 
-def _registers(operands: str) -> int:
-    """How many a list like {r4, r5, lr} or {r4-r7, lr} has."""
-    count = 0
-    for part in operands.strip("{}").split(","):
+def _pushed(registers: str) -> int:
+    """The bytes of a list like {r4, r5, lr}, {r4-r7, lr} or {d8-d9}."""
+    size = 0
+    for part in registers.strip("{}").split(","):
         first, _, last = part.strip().partition("-")
-        count += int(last[1:]) - int(first[1:]) + 1 if last else 1
-    return count
-
-
-def _vectors(elf: Path) -> tuple[int, ...]:
-    code = _run("objcopy", "-O", "binary", "-j", ".text", elf, "/dev/stdout")
-    return struct.unpack_from(f"<{_VECTORS}I", code)
+        count = int(last[1:]) - int(first[1:]) + 1 if last else 1
+        size += count * (8 if first.startswith("d") else 4)
+    return size
 
 
 def _section_sizes(elf: Path) -> dict[str, int]:
-    lines = _run("size", "-A", elf).decode().splitlines()
+    """Of what takes flash or the memory of the variables."""
+    lines = _run("size", "-A", elf).splitlines()
     fields = [line.split() for line in lines if line.startswith(".")]
-    return {name: int(size) for name, size, *_ in fields}
+    without = (".debug", ".ARM.attributes", ".comment", ".bss.dma", ".bss.extram")
+    return {name: int(size) for name, size, *_ in fields if not name.startswith(without)}
 
 
-def _run(tool: str, *arguments: str | Path) -> bytes:
+def _symbols(elf: Path) -> dict[str, int]:
+    fields = [line.split() for line in _run("nm", elf).splitlines()]
+    return {name: int(value, 16) for value, _, name in (f for f in fields if len(f) == 3)}
+
+
+def _run(tool: str, *arguments: str | Path) -> str:
     try:
-        return subprocess.run([_CROSS + tool, *arguments], check=True, capture_output=True).stdout
+        done = subprocess.run([_CROSS + tool, *arguments], check=True, capture_output=True, text=True)
     except FileNotFoundError:
         raise ImageError(
             f"{_CROSS}{tool} is not installed; Debian's package is binutils-arm-none-eabi"
         ) from None
     except subprocess.CalledProcessError as error:
-        raise ImageError(error.stderr.decode().strip()) from None
+        raise ImageError(error.stderr.strip()) from None
+    return done.stdout
 
 
 def _show(needs: Needs) -> None:
-    print(f"flash   {needs.flash:6d} of {FLASH_LIMIT} bytes")
-    print(f"memory  {needs.ram:6d} of {RAM_LIMIT} bytes: {needs.static} of variables, {needs.stack} of stack")
+    print(
+        f"{needs.board}: flash {needs.flash}, variables {needs.static}, stack {needs.stack} of {needs.room}"
+    )
     print(f"  program      {needs.program.size:5d}  {' → '.join(needs.program.names)}")
     for chain in needs.interrupts:
-        print(f"  + interrupt  {_EXCEPTION_FRAME + chain.size:5d}  {' → '.join(chain.names)}")
+        print(f"  + interrupt  {needs.saved + chain.size:5d}  {' → '.join(chain.names)}")
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="What a firmware image needs of the chip.")
-    parser.add_argument("elf", type=Path)
-    parser.add_argument("--json", action="store_true", help="as one object, for programs")
+    parser = argparse.ArgumentParser(description="What the sketch needs of each board.")
+    parser.add_argument("elf", type=Path, nargs="+")
+    parser.add_argument("--json", action="store_true", help="one JSON object, for programs")
     arguments = parser.parse_args()
     try:
-        needs = needs_of(arguments.elf)
+        every = [needs_of(elf) for elf in arguments.elf]
     except ImageError as error:
         print(f"stack.py: {error}", file=sys.stderr)
         return 1
     if arguments.json:
-        summary = {"flash": needs.flash, "static": needs.static, "stack": needs.stack, "ram": needs.ram}
-        print(json.dumps(summary))
+        fields = ("flash", "static", "room", "stack")
+        print(json.dumps({one.board: {name: getattr(one, name) for name in fields} for one in every}))
     else:
-        _show(needs)
-    for complaint in needs.complaints():
-        print(f"stack.py: {complaint}", file=sys.stderr)
-    return 1 if needs.complaints() else 0
+        for one in every:
+            _show(one)
+    # Half of the room: what this tool does not see must not matter.
+    outgrown = [one for one in every if 2 * one.stack > one.room]
+    for one in outgrown:
+        print(f"stack.py: {one.board}: {one.stack} bytes of stack are too much", file=sys.stderr)
+    return 1 if outgrown else 0
 
 
 if __name__ == "__main__":

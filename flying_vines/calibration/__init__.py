@@ -1,6 +1,6 @@
-"""The calibration of a rig on the ground: what its pressures tell of its volumes, valves, leaks and sensors.
+"""The calibration of a rig on the ground: its sensors, volumes, valves, leaks and bend curve.
 
-`plan` says which stages there are, what they take, and with which profile they move the vine; `calibrator`
-is the machine that goes through them, without a clock, a port or a person of its own; each stage's telemetry
-(`readings`) is made into `findings` by a function of its own. Needs numpy.
+`plan` lists the stages, `calibrator` is the state machine that runs them, `driver` connects it to a real or a
+simulated rig. `evaluation` makes the `readings` of a stage into `findings`. Needs numpy only; page, curve and
+diagnosis need the extra `analysis`.
 """

@@ -1,12 +1,14 @@
-"""Where the bottle's air went: volume of the vine, pouch, leaks and Venturi, all from one account.
+"""Volumes, pouch, leaks and Venturi, from one balance of the reservoir.
 
-While the outlet is shut, the vine's pressure tells its air. A rise dP takes, in kPa of the bottle,
+While the outlet is shut, the vine's pressure tells how much air is in it. A rise dP takes, in kPa of the
+reservoir,
 
     dF = V_cv/V_r dP        V_cv = V (1 + k p_a + 2 k P)  of a volume V (1 + k P)
 
-so what is measured is the *volume as pressure feels it*, the tube's included, as a mean from 0 to the top;
-and how much it grows with pressure. An inflation from vented takes as much again as a pouch has to be filled
-before its pressure rises: the first one from flat, later ones from what venting left.
+so the result is the effective volume V_cv, with the tube, as a mean from 0 to the top pressure, and its
+growth with pressure. A pouch (the bending chamber of the vine) takes air before its pressure rises: the first
+inflation fills it from flat, later ones replace what venting has let out. With a rigid vessel of known volume
+in place of the vine the same ratio gives the reservoir's volume V_r.
 """
 
 from __future__ import annotations
@@ -16,11 +18,9 @@ from math import hypot
 
 import numpy as np
 
-from flying_vines.calibration.account import AccountPrior, Balance, binned, settle
-from flying_vines.calibration.charts import Chart, Series
-from flying_vines.calibration.estimate import SD_95, Estimate
-from flying_vines.calibration.findings import MeasuredQuantity, Result
-from flying_vines.calibration.readings import Readings
+from flying_vines.calibration.findings import SD_95, Chart, Estimate, MeasuredQuantity, Result, Series
+from flying_vines.calibration.readings import Readings, smooth
+from flying_vines.calibration.reservoir_balance import Balance, BalancePrior, binned, fit_balance
 from flying_vines.calibration.zero import noise_kPa
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.arrays import Array
@@ -28,125 +28,140 @@ from flying_vines.physics.constants import ALPHA_KPA
 
 SMOOTHED_S = 0.05
 FLAT_KPA = 1.0
-"""A vine that has less is vented; a pouch that has more is full."""
-RISEN_KPA = 2.0
-SOFTEST_PER_KPA = 0.02
+"""A vine below this is vented; a pouch above it is full."""
+MIN_RISE_KPA = 2.0
+"""An inflation that rises less may not have filled the pouch."""
+MAX_COMPLIANCE_PER_KPA = 0.02
 LEAK_OFFSET_KPA_PER_S = 0.05
-"""By how much a leak may differ from what goes with the gauge reading: a sensor's zero, or choking."""
-LEAST_VENTURI_S = 0.15
+"""Prior: how far a leak may differ from proportional to gauge pressure, by a sensor's zero or by choking."""
+MIN_VENTURI_S = 0.15
 VENTURI_OFFSET_KPA = 100.0
-"""As for a leak: what chokes goes with the absolute pressure."""
-NOTHING = 1e-9
-SENSORS = 0.01
-"""To which both sensors' gains are known, as a ratio."""
+"""The same for the Venturi: a choked flow is proportional to the absolute pressure."""
+NO_EFFECT_SD = 1e-9
+"""Prior standard deviation that removes a parameter."""
+GAIN_SD = 0.01
+"""Ratio of both sensors' gains, relative."""
 RESERVOIR_ZERO_SD_KPA = 8.0
-"""Of the bottle's sensor, where nobody has looked at it with an empty bottle."""
-VINE_LEAK_SURE = 0.03
-"""To which the pressure at the leak is known by that at the valves, and how the regulator holds it."""
-TOO_LITTLE = "too few inflations to tell the vine's volume"
-SEEN_SD = 3.0
-"""So many standard deviations above none, and a leak is there."""
+"""Zero of the reservoir's sensor, if it was not measured."""
+VINE_LEAK_SD = 0.03
+"""Difference of pressure between leak and valves, and the error of the regulator; relative."""
+MIN_LEAK_SDS = 3.0
+"""A leak is reported if it is this many standard deviations above zero."""
+TOO_LITTLE = "too few inflations to measure the vine's volume"
+RESERVOIR_KEY = "pneumatics.reservoir_volume_L"
+GIVEN_VOLUME_SD = 0.005
+"""Volume of a reservoir that was weighed with water, relative."""
+VESSEL_SD = 0.01
+"""Volume of the vessel, relative."""
 
 
 @dataclass(frozen=True)
 class AirInputs:
-    """What the account is read with. Pressures of the vine are without its zero."""
+    """What the balance is evaluated with. Pressures of the vine are without its sensor's zero."""
 
     pneumatics: PneumaticsConfig
-    bottle: Estimate
-    """Litres."""
+    reservoir_L: Estimate
     top_kPa: float
     settling_s: float
-    """After which the gas of a vine that was inflated is at ambient temperature again."""
+    """Time after an inflation until the gas of the vine is at ambient temperature again."""
     ambient_kPa: float
 
     @property
-    def sure(self) -> float:
-        """Relative standard deviation of the air that the bottle's fall tells."""
-        return hypot(self.bottle.sd / self.bottle.value, SENSORS)
+    def relative_sd(self) -> float:
+        """Relative standard deviation of air that is calculated from the fall of the reservoir's pressure."""
+        return hypot(self.reservoir_L.sd / self.reservoir_L.value, GAIN_SD)
 
-    def supply_sure(self, at_kPa: float) -> float:
-        """Of a flow that goes with the bottle's pressure."""
-        return hypot(self.sure, RESERVOIR_ZERO_SD_KPA / (at_kPa + self.ambient_kPa))
+    def flow_sd(self, at_kPa: float) -> float:
+        """Relative standard deviation of a flow that is proportional to the reservoir's pressure."""
+        return hypot(self.relative_sd, RESERVOIR_ZERO_SD_KPA / (at_kPa + self.ambient_kPa))
+
+    def share_at_full(self, at_kPa: float) -> float:
+        """Choked flow from the full reservoir, relative to that at a lower pressure."""
+        return (self.pneumatics.full_kPa + self.ambient_kPa) / (at_kPa + self.ambient_kPa)
 
 
 @dataclass(frozen=True)
 class VineAir:
-    """Its air as pressure tells it, in kPa of the bottle."""
+    """The fitted balance of the vine's air, in kPa of the reservoir."""
 
     known: AirInputs
     balance: Balance
     unseen: tuple[str, ...] = ()
-    """Of growth and refill: what the readings show nothing of."""
+    """Parameters (growth, refill) that the readings do not show."""
 
     def volume(self) -> Estimate:
-        """As pressure feels it, mean from 0 to the top, litres."""
-        return self.balance.values["volume"].times(self.known.bottle.value, self.known.sure)
+        """Effective volume in litres, mean from 0 to the top pressure."""
+        return self.balance.values["volume"].times(self.known.reservoir_L.value, self.known.relative_sd)
+
+    @property
+    def SL_per_kPa(self) -> float:
+        """Air for a kPa of the reservoir."""
+        return self.known.reservoir_L.value / ALPHA_KPA
 
     def air_SL(self, from_kPa: float, to_kPa: float) -> float:
-        """That a rise takes, at ambient temperature."""
+        """Air that a rise of pressure takes, at ambient temperature."""
         values, top = self.balance.values, self.known.top_kPa
         mean = values["volume"].value + values["growth"].value * ((from_kPa + to_kPa) - top) / 2.0
-        return mean * (to_kPa - from_kPa) * self.known.bottle.value / ALPHA_KPA
+        return mean * (to_kPa - from_kPa) * self.SL_per_kPa
 
     @property
     def leak_SL_per_s_kPa(self) -> float:
-        return max(0.0, self.balance.values["vine_leak"].value) * self.known.bottle.value / ALPHA_KPA
+        return max(0.0, self.balance.values["vine_leak"].value) * self.SL_per_kPa
 
 
-def read_air(readings: Readings, known: AirInputs) -> VineAir:
-    """The account of all that was recorded; pressures of the vine without its zero."""
+def vine_air(readings: Readings, known: AirInputs) -> VineAir:
+    """Fit the balance of a whole recording. The zero of the vine's sensor is already subtracted."""
     columns = _columns(readings, known.top_kPa)
     ratio = known.pneumatics.cv_volume_L / known.pneumatics.reservoir_volume_L
-    venturi = ALPHA_KPA / known.bottle.value / known.pneumatics.dvp_flow_resistance_kPa_s_per_SL
+    venturi = ALPHA_KPA / known.reservoir_L.value / known.pneumatics.dvp_flow_resistance_kPa_s_per_SL
     priors = {
-        "growth": AccountPrior(0.0, 4.0 * SOFTEST_PER_KPA * ratio),
-        "leak_offset": AccountPrior(0.0, LEAK_OFFSET_KPA_PER_S),
-        "venturi_offset": AccountPrior(0.0, VENTURI_OFFSET_KPA * venturi),
+        "growth": BalancePrior(0.0, 4.0 * MAX_COMPLIANCE_PER_KPA * ratio),
+        "leak_offset": BalancePrior(0.0, LEAK_OFFSET_KPA_PER_S),
+        "venturi_offset": BalancePrior(0.0, VENTURI_OFFSET_KPA * venturi),
     }
-    # What never happened is not known, and holds nothing up.
-    priors |= {name: AccountPrior(0.0, 1.0) for name, column in columns.items() if not column.any()}
+    # A column of zeros would make the equations singular.
+    priors |= {name: BalancePrior(0.0, 1.0) for name, column in columns.items() if not column.any()}
     noise = noise_kPa(readings.reservoir_kPa)
     moved = np.concatenate([[False], np.diff(readings.setpoint_kPa) > 1e-6]) | (readings.dvp > 0.0)
     last_s = np.maximum.accumulate(np.where(moved, readings.t_s, -np.inf))
     settled = readings.t_s - last_s > known.settling_s
     bins = binned(readings, columns, settled, noise)
-    balance = settle(bins, priors, known.bottle.value, known.ambient_kPa)
-    # What was not seen is not there: else it would leave the volume less sure than the readings do.
+    balance = fit_balance(bins, priors, known.reservoir_L.value, known.ambient_kPa)
+    # Without evidence these are set to zero: they would make the volume uncertain for no reason.
     unseen = [name for name in ("growth", "refill") if balance.values[name].low <= 0.0]
     if unseen:
-        priors |= {name: AccountPrior(0.0, NOTHING) for name in unseen}
-        balance = settle(bins, priors, known.bottle.value, known.ambient_kPa)
+        priors |= {name: BalancePrior(0.0, NO_EFFECT_SD) for name in unseen}
+        balance = fit_balance(bins, priors, known.reservoir_L.value, known.ambient_kPa)
     return VineAir(known, balance, tuple(unseen))
 
 
 def _columns(readings: Readings, top_kPa: float) -> dict[str, Array]:
-    """What took air, as the account has it: kPa of the bottle per unit, cumulative."""
+    """The consumers of air: cumulative kPa of the reservoir per unit of their parameter."""
     n, dt_s = len(readings), np.diff(readings.t_s, prepend=readings.t_s[0])
     steps = {name: np.zeros(n) for name in ("volume", "growth", "pouch", "refill", "vine_leak")}
-    seen = False
+    inflated_before = False
     rows = max(1, round(SMOOTHED_S / readings.step_s))
     for shut in readings.stretches(~readings.solenoid & readings.regulating):
-        told = np.flatnonzero(readings.evp[shut] > 0.0)
-        if not len(told):
-            # Gas that was let out a little warms again, and its pressure rises without any air.
+        opened = np.flatnonzero(readings.evp[shut] > 0.0)
+        if not len(opened):
+            # After a short vent the gas warms and its pressure rises without any air.
             continue
         before_kPa = float(np.mean(readings.cv_kPa[max(0, shut.start - rows) : shut.start + 1]))
         vented = before_kPa < FLAT_KPA
         if not vented:
-            before_kPa = float(np.mean(readings.cv_kPa[shut][max(0, told[0] - rows) : told[0] + 1]))
-        fill = slice(shut.start + (0 if vented else int(told[0])), shut.stop)
+            before_kPa = float(np.mean(readings.cv_kPa[shut][max(0, opened[0] - rows) : opened[0] + 1]))
+        fill = slice(shut.start + (0 if vented else int(opened[0])), shut.stop)
         kPa = smooth(readings.cv_kPa[fill], rows)
-        # Once air flows the tube's resistance is in the reading.
+        # Before any flow, because the pressure drop of the tube is in later readings.
         kPa[0] = before_kPa
         steps["volume"][fill] = np.diff(kPa, prepend=kPa[0])
         steps["growth"][fill] = 0.5 * np.diff(kPa * (kPa - top_kPa), prepend=kPa[0] * (kPa[0] - top_kPa))
         steps["vine_leak"][fill] = kPa * dt_s[fill]
-        if vented and kPa.max() > RISEN_KPA:
-            opened = readings.evp[fill][: max(int(np.argmax(kPa > FLAT_KPA)), int(told[0])) + 1]
-            name = "refill" if seen else "pouch"
-            steps[name][fill.start : fill.start + len(opened)] = opened / opened.sum()
-            seen = True
+        if vented and kPa.max() > MIN_RISE_KPA:
+            filling = readings.evp[fill][: max(int(np.argmax(kPa > FLAT_KPA)), int(opened[0])) + 1]
+            name = "refill" if inflated_before else "pouch"
+            steps[name][fill.start : fill.start + len(filling)] = filling / filling.sum()
+            inflated_before = True
     steps["bottle_leak"] = np.maximum(readings.reservoir_kPa, 0.0) * dt_s
     steps["leak_offset"] = dt_s
     if np.any(readings.dvp > 0.0):
@@ -155,41 +170,65 @@ def _columns(readings: Readings, top_kPa: float) -> dict[str, Array]:
     return {name: np.cumsum(step) for name, step in steps.items()}
 
 
-def smooth(column: Array, rows: int) -> Array:
-    """Means over so many neighbours, none from outside."""
-    sums = np.concatenate([[0.0], np.cumsum(column)])
-    at = np.arange(len(column))
-    begin, end = np.maximum(at - rows // 2, 0), np.minimum(at + rows // 2 + 1, len(column))
-    return np.asarray((sums[end] - sums[begin]) / (end - begin))
+# The reservoir's volume.
+
+
+def _reservoir_volume(believed_L: float) -> MeasuredQuantity:
+    return MeasuredQuantity(
+        "reservoir_volume_L", "bottle's volume", "L", believed=believed_L, key=RESERVOIR_KEY
+    )
+
+
+def given_volume(reservoir_L: float, believed_L: float) -> MeasuredQuantity:
+    """As a person weighed it."""
+    estimate = Estimate(reservoir_L, GIVEN_VOLUME_SD * reservoir_L)
+    return _reservoir_volume(believed_L).measured(estimate, "as you gave it")
+
+
+def believed_volume(believed_L: float) -> MeasuredQuantity:
+    """Not measured: the profile's number is used."""
+    return _reservoir_volume(believed_L).unknown(
+        "from the profile; an error scales all volumes, and all resistances inversely"
+    )
+
+
+def vessel_volume(vessel: VineAir, vessel_L: float, believed_L: float) -> Result:
+    """From a rigid vessel of known volume with its hose."""
+    found = _reservoir_volume(believed_L)
+    ratio = vessel.balance.values["volume"]
+    if ratio.low <= 0.0:
+        return Result((found.unknown("the bottle's pressure did not fall when the vessel was filled"),))
+    value = vessel_L / ratio.value
+    sd = value * hypot(ratio.sd / ratio.value, GAIN_SD, VESSEL_SD)
+    return Result((found.measured(Estimate(value, sd), f"with a vessel of {vessel_L:g} L"),))
 
 
 # Findings.
 
 
 def bottle_leak(vine: VineAir) -> Result:
-    """Of the bottle by itself, at its mean pressure."""
+    """Leak of the reservoir, at its mean pressure."""
     bins = vine.balance.bins
     at_kPa = float(np.mean(bins.reservoir_kPa))
-    rate = vine.balance.of({"bottle_leak": at_kPa, "leak_offset": 1.0})
+    rate = vine.balance.weighted_sum({"bottle_leak": at_kPa, "leak_offset": 1.0})
     speed = MeasuredQuantity("bottle_leak_kPa_per_s", "bottle's leak", "kPa/s")
     resistance = MeasuredQuantity("bottle_leak_kPa_s_per_SL", "bottle's leak, as a resistance", "kPa·s/SL")
-    known = vine.known
-    flow = rate.times(known.bottle.value / ALPHA_KPA, known.supply_sure(at_kPa))
+    flow = rate.times(vine.SL_per_kPa, vine.known.flow_sd(at_kPa))
     findings = (
-        speed.measured(rate, f"at {at_kPa:.0f} kPa", least=0.0),
+        speed.measured(rate, f"at {at_kPa:.0f} kPa", minimum=0.0),
         _resistance(resistance, at_kPa, flow),
     )
     read = bins.reservoir_kPa - vine.balance.cold_kPa
     kept = vine.balance.without(*bins.columns)
     chart = Chart(
         "bottle",
-        "The bottle's account",
+        "The bottle's pressure",
         "time, s",
         "bottle, kPa",
         (
-            Series("read", "points", bins.t_s, bins.reservoir_kPa),
-            Series("explained", "line", bins.t_s, vine.balance.fitted_kPa),
-            Series("were it at ambient temperature", "line", bins.t_s, read - (kept - np.mean(kept))),
+            Series("readings", "points", bins.t_s, bins.reservoir_kPa),
+            Series("fitted", "line", bins.t_s, vine.balance.fitted_kPa),
+            Series("at ambient temperature", "line", bins.t_s, read - (kept - np.mean(kept))),
         ),
         f"leak {rate.value:.3f} kPa/s ({rate.low:.3f} … {rate.high:.3f})",
     )
@@ -197,45 +236,46 @@ def bottle_leak(vine: VineAir) -> Result:
 
 
 def vine_leak(vine: VineAir) -> Result:
-    """Of the vine, by what holding it took beyond what the bottle loses anyway."""
-    per_kPa = vine.balance.values["vine_leak"].times(
-        vine.known.bottle.value / ALPHA_KPA, hypot(vine.known.sure, VINE_LEAK_SURE)
-    )
+    """Leak of the vine, from the air that a held pressure takes beyond the reservoir's own leak."""
+    relative_sd = hypot(vine.known.relative_sd, VINE_LEAK_SD)
+    per_kPa = vine.balance.values["vine_leak"].times(vine.SL_per_kPa, relative_sd)
     finding = MeasuredQuantity("vine_leak_kPa_s_per_SL", "vine's leak, as a resistance", "kPa·s/SL")
     return Result((_resistance(finding, 1.0, per_kPa),))
 
 
 def volumes(vine: VineAir) -> Result:
-    """Of the vine: its volume as pressure feels it, how soft it is, and what a pouch takes before."""
+    """Effective volume and compliance of the vine, and the air of its pouch."""
     known, values = vine.known, vine.balance.values
     litres = vine.volume()
-    per_kPa = known.bottle.value / ALPHA_KPA
     volume = MeasuredQuantity(
         "cv_volume_L",
-        "vine's volume, as pressure feels it",
+        "vine's effective volume",
         "L",
         believed=known.pneumatics.cv_volume_L,
         key="pneumatics.cv_volume_L",
     )
     if litres.low > 0.0:
-        found = [volume.measured(litres, f"mean of 0 to {known.top_kPa:g} kPa, the tube's included")]
+        found = [volume.measured(litres, f"mean of 0 to {known.top_kPa:g} kPa, with the tube")]
     else:
         found = [volume.unknown(TOO_LITTLE)]
-    for name, what in (("pouch", "the first inflation, from flat"), ("refill", "a later one, from vented")):
+    for name, what in (
+        ("pouch", "the first inflation, from flat"),
+        ("refill", "later inflations, from vented"),
+    ):
         finding = MeasuredQuantity(f"{name}_air_SL", f"air of {what}", "SL")
         if name in vine.unseen:
-            found.append(finding.unknown("none seen: venting leaves the vine full"))
+            found.append(finding.unknown("none seen: the vented vine stays full"))
         elif vine.balance.bins.columns[name].any():
-            air = values[name].times(per_kPa, known.sure)
-            found.append(finding.measured(air, "before its pressure rises", least=0.0))
+            air = values[name].times(vine.SL_per_kPa, known.relative_sd)
+            found.append(finding.measured(air, "before its pressure rises", minimum=0.0))
         else:
-            found.append(finding.unknown("there was none"))
-    found.append(_softness(vine))
+            found.append(finding.unknown("there was no such inflation"))
+    found.append(_compliance(vine))
     return Result(tuple(found), charts=(_staircase(vine),))
 
 
 def venturi(vine: VineAir, ran_s: float) -> MeasuredQuantity:
-    """The Venturi's supply valve, told fully open, at the full bottle's pressure."""
+    """Resistance of the fully open supply valve, at the full reservoir's pressure."""
     p = vine.known.pneumatics
     finding = MeasuredQuantity(
         "dvp_flow_resistance_kPa_s_per_SL",
@@ -244,88 +284,80 @@ def venturi(vine: VineAir, ran_s: float) -> MeasuredQuantity:
         believed=p.dvp_flow_resistance_kPa_s_per_SL,
         key="pneumatics.dvp_flow_resistance_kPa_s_per_SL",
     )
-    if ran_s < LEAST_VENTURI_S:
-        return finding.unknown("the Venturi hardly ran: this vine vents quickly enough by itself")
+    if ran_s < MIN_VENTURI_S:
+        return finding.unknown("the Venturi hardly ran: this vine vents fast enough without it")
     bins = vine.balance.bins
     took = np.diff(bins.columns["venturi_offset"], prepend=0.0)
     at_kPa = float(np.sum(took * bins.reservoir_kPa) / np.sum(took))
-    rate = vine.balance.of({"venturi": at_kPa, "venturi_offset": 1.0})
-    flow = rate.times(
-        vine.known.bottle.value / ALPHA_KPA * share_at_full(at_kPa, vine.known),
-        vine.known.supply_sure(at_kPa),
-    )
-    return inverse(finding, p.full_kPa, flow, f"nozzle included; measured at {at_kPa:.0f} kPa")
-
-
-def share_at_full(at_kPa: float, known: AirInputs) -> float:
-    """By how much more a choked valve passes from a full bottle."""
-    return (known.pneumatics.full_kPa + known.ambient_kPa) / (at_kPa + known.ambient_kPa)
+    rate = vine.balance.weighted_sum({"venturi": at_kPa, "venturi_offset": 1.0})
+    flow = rate.times(vine.SL_per_kPa * vine.known.share_at_full(at_kPa), vine.known.flow_sd(at_kPa))
+    return inverse(finding, p.full_kPa, flow, f"with the nozzle; measured at {at_kPa:.0f} kPa")
 
 
 def inverse(finding: MeasuredQuantity, kPa: float, flow: Estimate, note: str) -> MeasuredQuantity:
-    """A resistance, of what flows at a pressure."""
+    """The resistance kPa / flow, with its interval."""
     if flow.low <= 0.0:
-        return finding.unknown("too little flowed to tell")
+        return finding.unknown("too little air flowed to measure it")
     value, low, high = kPa / flow.value, kPa / flow.high, kPa / flow.low
     return replace(finding, value=value, low=low, high=high, note=note)
 
 
 def _resistance(finding: MeasuredQuantity, at_kPa: float, flow: Estimate) -> MeasuredQuantity:
-    """Of a leak, which there need not be."""
-    if flow.value <= SEEN_SD * flow.sd:
-        most = max(flow.high, 1e-9)
-        return finding.unknown(f"none seen: more than {float(f'{at_kPa / most:.2g}'):g} kPa·s/SL")
+    """The resistance of a leak, if there is one."""
+    if flow.value <= MIN_LEAK_SDS * flow.sd:
+        min_resistance = float(f"{at_kPa / max(flow.high, 1e-9):.2g}")
+        return finding.unknown(f"none seen: more than {min_resistance:g} kPa·s/SL")
     return inverse(finding, at_kPa, flow, "")
 
 
-def _softness(vine: VineAir) -> MeasuredQuantity:
+def _compliance(vine: VineAir) -> MeasuredQuantity:
     """k of V (1 + k P)."""
     finding = MeasuredQuantity("cv_compliance_per_kPa", "vine's growth with pressure", "1/kPa")
     top, ambient = vine.known.top_kPa, vine.known.ambient_kPa
     growth, mean = vine.balance.values["growth"], vine.balance.values["volume"].value
     rigid = mean - growth.value * (top + ambient) / 2.0
     if "growth" in vine.unseen or rigid <= 0.0:
-        return finding.unknown("none seen: its volume is as good as the same at every pressure")
-    return finding.measured(growth.times(0.5 / rigid), "its volume above is larger for it", least=0.0)
+        return finding.unknown("none seen: its volume does not change with pressure")
+    return finding.measured(growth.times(0.5 / rigid), "the effective volume contains it", minimum=0.0)
 
 
 def _staircase(vine: VineAir) -> Chart:
-    """Air that each inflation had taken by then against the pressure that it had made."""
+    """Air that each inflation has taken against its pressure."""
     known, bins = vine.known, vine.balance.bins
     others = [name for name in bins.columns if name not in ("volume", "growth", "pouch", "refill")]
     kept_kPa = vine.balance.without(*others)
-    x: list[float] = []
-    y: list[float] = []
-    pouch_x: list[float] = []
-    pouch_y: list[float] = []
+    first: list[tuple[float, float]] = []
+    later: list[tuple[float, float]] = []
     rests: list[float] = []
     base_kPa = float("nan")
-    first = vine.balance.bins.columns["pouch"]
-    refilled = vine.balance.bins.columns["refill"]
-    holding = np.diff(bins.columns["vine_leak"], prepend=0.0)
+    pouch, refill = bins.columns["pouch"], bins.columns["refill"]
+    holding = np.diff(bins.columns["vine_leak"], prepend=0.0) > 0.0
+    # In a bin in which a vent begins or goes on, the pressure is a mean of before and after.
+    falls = np.diff(bins.cv_kPa) < -0.05 * bins.cv_kPa[:-1]
+    holding &= ~(np.append(falls, False) | np.append(False, falls))
     for k in np.flatnonzero(bins.counts):
         if bins.cv_kPa[k] < FLAT_KPA:
             rests = [*rests[-24:], kept_kPa[k]]
             base_kPa = float(np.mean(rests))
-        elif base_kPa == base_kPa and holding[k] > 0.0:
+        elif np.isfinite(base_kPa) and holding[k]:
             rests = []
-            air = (base_kPa - kept_kPa[k]) * known.bottle.value / ALPHA_KPA
-            ahead = (pouch_x, pouch_y) if first[k] > 0.5 and refilled[k] < 0.5 else (x, y)
-            ahead[0].append(bins.cv_kPa[k])
-            ahead[1].append(air)
+            inflation = first if pouch[k] > 0.5 and refill[k] < 0.5 else later
+            inflation.append((bins.cv_kPa[k], (base_kPa - kept_kPa[k]) * vine.SL_per_kPa))
     line = np.linspace(0.0, known.top_kPa, 50)
     air = np.array([vine.air_SL(0.0, float(kPa)) for kPa in line])
-    values = vine.balance.values
-    pouch, refill = (values[name].value * known.bottle.value / ALPHA_KPA for name in ("pouch", "refill"))
+    pouch_SL, refill_SL = (vine.balance.values[name].value * vine.SL_per_kPa for name in ("pouch", "refill"))
     litres = vine.volume()
-    series = [Series("first inflation", "points", np.array(pouch_x), np.array(pouch_y))] if pouch_x else []
-    series.append(Series("later inflations", "points", np.array(x), np.array(y)))
-    series.append(Series("fitted", "line", line, air + (refill if x else pouch)))
-    if pouch_x and x:
-        series.append(Series("fitted, from flat", "line", line, air + pouch))
-    reach = SD_95 * litres.sd / ALPHA_KPA * line
-    lifted = air + (refill if x else pouch)
-    series.append(Series("95 % of the slope", "band", line, lifted - reach, lifted + reach))
+    fitted = air + (refill_SL if later else pouch_SL)
+    half_width = SD_95 * litres.sd / ALPHA_KPA * line
+    series = [
+        Series(label, "points", *np.array(points).T)
+        for label, points in (("first inflation", first), ("later inflations", later))
+        if points
+    ]
+    series.append(Series("fitted", "line", line, fitted))
+    if first and later:
+        series.append(Series("fitted, from flat", "line", line, air + pouch_SL))
+    series.append(Series("95 % of the slope", "band", line, fitted - half_width, fitted + half_width))
     return Chart(
         "levels",
         "Air against pressure",

@@ -1,26 +1,24 @@
-"""Angle against pressure: what a person saw, as the bend curve of the profile."""
+"""Bend curve and hysteresis, from the angles that a person saw."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from flying_vines.calibration.charts import Chart, Series
-from flying_vines.calibration.estimate import Estimate
-from flying_vines.calibration.findings import MeasuredQuantity, Result
+from flying_vines.calibration.findings import Chart, Estimate, MeasuredQuantity, Result, Series
 
 
 def curve(pairs: tuple[tuple[float, float], ...]) -> Result:
-    """The curve and hysteresis of pairs (gauge kPa, degrees) in the order in which they were seen."""
+    """Fit pairs (gauge kPa, degrees), which are in the order of the movement."""
     top = MeasuredQuantity("bend_top_deg", "bend at the highest pressure", "deg", key="vine.curve")
     width = MeasuredQuantity("hysteresis_kPa", "bend's hysteresis", "kPa", key="vine.hysteresis_kPa")
     try:
         from flying_vines.identification.bend_curve import Pairs, PairsError, fit
-        from flying_vines.identification.bend_curve.pairs import LEAST_PAIRS
+        from flying_vines.identification.bend_curve.pairs import MIN_PAIRS
     except ImportError:
-        why = "needs pip install 'flying-vines[analysis]'; the pairs are kept for `flying-vines vine fit`"
+        why = "needs pip install 'flying-vines[analysis]'; findings.json has the pairs for `vine fit`"
         return Result((top.unknown(why), width.unknown(why)))
-    if len(pairs) < LEAST_PAIRS:
-        why = f"{len(pairs)} angles were seen; a curve needs at least {LEAST_PAIRS}, up and down"
+    if len(pairs) < MIN_PAIRS:
+        why = f"{len(pairs)} angles were seen; a curve needs at least {MIN_PAIRS}, up and down"
         return Result((top.unknown(why), width.unknown(why)))
     kPa, deg = np.array(pairs).T
     try:
@@ -29,10 +27,10 @@ def curve(pairs: tuple[tuple[float, float], ...]) -> Result:
         return Result((top.unknown(str(error)), width.unknown(str(error))))
     last = found.curve[-1]
     sd = found.rms_deg / float(np.sqrt(len(pairs)))
-    hysteresis = width.unknown("no way down was seen")
+    hysteresis = width.unknown("no angle was seen on the way down")
     if found.hysteresis_kPa is not None:
         h = found.hysteresis_kPa
-        hysteresis = width.measured(Estimate.of_interval(h.value, h.low, h.high), least=0.0)
+        hysteresis = width.measured(Estimate.of_interval(h.value, h.low, h.high), minimum=0.0)
     line_kPa, line_deg = np.array(found.curve).T
     shift = found.written_hysteresis_kPa
     chart = Chart(

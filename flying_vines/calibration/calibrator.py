@@ -1,7 +1,7 @@
-"""The machine that goes through a calibration: what happens comes in, what is to be asked and said goes out.
+"""The state machine of a calibration: events come in, requests and messages go out.
 
-It reads no clock and opens nothing. It asks for movements as a person would, so the core's safety rules on
-each of them; whatever ends it, the last thing that it asks for is to vent.
+It reads no clock and opens no port. It asks the core for movements as a person would, so the core's safety
+rules apply to each of them. Its last request is always to vent.
 """
 
 from __future__ import annotations
@@ -11,27 +11,26 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from flying_vines.calibration.charts import Chart
-from flying_vines.calibration.findings import Findings, MeasuredQuantity, Result
+from flying_vines.calibration.evaluation import StageRecording
+from flying_vines.calibration.findings import Chart, Findings, MeasuredQuantity, Result
 from flying_vines.calibration.plan import ANSWER_S, SETTLE_S, CalibrationPlan, Movement, Stage
-from flying_vines.calibration.readings import Notebook
-from flying_vines.calibration.work import StageRecording
+from flying_vines.calibration.readings import ReadingsBuffer
 from flying_vines.core.events import Action, Decision, Measured, Snapshot
 from flying_vines.vine.intent import Asker, Intent, SetPressure, StartBench, StartProfile, VentVine
 
 BY: Asker = "calibration"
-BOARD_WITHIN_S = 15.0
-"""It answers and tells its pressures, or there is nothing to calibrate."""
-DECIDED_WITHIN_S = 2.0
+BOARD_TIMEOUT_S = 15.0
+"""Until the board answers and sends pressures."""
+DECISION_TIMEOUT_S = 2.0
 LATE_S = 1.0
-"""After a movement's time it is vented, whatever it does."""
-DOWN_WITHIN_S = 15.0
-DOWN_KPA = 1.0
-"""Above the sensor's zero; less is vented."""
-PERSON_WITHIN_S = 900.0
-"""To swap a hose or to fill a bottle."""
-SURE = {"levels": ("cv_volume_L", 0.04), "valve": ("evp_flow_resistance_kPa_s_per_SL", 0.05)}
-"""A movement is repeated until half the interval of this is so small a share of it."""
+"""Added to a movement's time before the vine is vented."""
+VENT_TIMEOUT_S = 15.0
+VENTED_KPA = 1.0
+"""Above the sensor's zero."""
+PERSON_TIMEOUT_S = 900.0
+"""To change a hose or to fill a reservoir."""
+PRECISION = {"levels": ("cv_volume_L", 0.04), "valve": ("evp_flow_resistance_kPa_s_per_SL", 0.05)}
+"""A stage repeats its movements until half the 95 % interval of this quantity is this share of it."""
 _VENTED_STAGES = ("empty", "zero")
 
 _ZERO_FAULT = "vine_zero"
@@ -46,7 +45,7 @@ class OperatorRequest:
 
 @dataclass(frozen=True)
 class Question:
-    """To be asked of the person: to press Enter, or for an angle in degrees (Enter skips)."""
+    """For the person: to press Enter, or to type an angle in degrees (Enter alone skips it)."""
 
     number: int
     kind: Literal["enter", "angle"]
@@ -54,8 +53,8 @@ class Question:
 
 
 @dataclass(frozen=True)
-class Say:
-    """A line for the person."""
+class Message:
+    """One line for the person."""
 
     text: str
 
@@ -68,17 +67,15 @@ class StageBegan:
 
 
 @dataclass(frozen=True)
-class Work:
-    """To be done aside, for it takes CPU time; its value (or its exception) comes back by `worked`."""
+class EvaluationTask:
+    """To be run in the background, because it takes CPU time; `evaluated` takes its result or exception."""
 
     stage: Stage
-    do: Callable[[], Result]
+    run: Callable[[], Result]
 
 
 @dataclass(frozen=True)
 class StageResult:
-    """What a stage gave."""
-
     stage: Stage
     findings: tuple[MeasuredQuantity, ...]
     charts: tuple[Chart, ...]
@@ -86,47 +83,41 @@ class StageResult:
 
 @dataclass(frozen=True)
 class Ended:
-    """The last of all. "refused": nothing was moved."""
+    """The last output. "refused": nothing was moved."""
 
     outcome: Literal["done", "stopped", "refused"]
     sentence: str
 
 
-Out = OperatorRequest | Question | Say | StageBegan | Work | StageResult | Ended
+Output = OperatorRequest | Question | Message | StageBegan | EvaluationTask | StageResult | Ended
 
 
 @dataclass(frozen=True)
-class StageProgress:
-    """How far it is."""
-
-    stage: str
-    title: str
-    index: int
-    of: int
+class CalibrationProgress:
     share: float
-    """Of the whole, 0…1."""
+    """Done share of the whole calibration, 0…1."""
     left_s: float
     """As planned, without repeats."""
     doing: str
 
 
 class _Stopped(Exception):
-    """It cannot go on; the text is for people."""
+    """Raised to end the calibration; the text is for the person."""
 
 
 class Calibrator:
-    """Feed it all that the core does, the time, and what the person says; do what it gives back, in order."""
+    """Feed it all actions of the core, the time and the answers; carry out its outputs in order."""
 
     def __init__(self, plan: CalibrationPlan) -> None:
         self.plan = plan
         self.findings = Findings()
         self.ended: Ended | None = None
         self._charts: dict[str, Chart] = {}
-        self._notebook = Notebook()
-        self._out: list[Out] = []
+        self._buffer = ReadingsBuffer()
+        self._out: list[Output] = []
         self._t = 0.0
         self._snapshot: Snapshot | None = None
-        self._script: Generator[None] | None = None
+        self._steps: Generator[None] | None = None
         self._stage: Stage | None = None
         self._index = 0
         self._began_at = 0.0
@@ -135,46 +126,41 @@ class Calibrator:
         self._question: Question | None = None
         self._answered = False
         self._answer: str | None = None
-        self._work: Work | None = None
+        self._task: EvaluationTask | None = None
         self._first_row = 0
-        """Of what is recorded of the bottle and the vine as they are now."""
+        """First row since the reservoir or the vine was last changed."""
         self._moved = False
         self._ready = False
 
     @property
     def charts(self) -> tuple[Chart, ...]:
-        """Of all stages so far."""
         return tuple(self._charts.values())
 
     @property
-    def progress(self) -> StageProgress:
-        """For a bar."""
-        stages = self.plan.stages
-        stage = self._stage or stages[0]
-        into_s = min(stage.seconds, max(0.0, self._t - self._began_at)) if self._stage else 0.0
-        done_s = sum(each.seconds for each in stages[: self._index]) + into_s
+    def progress(self) -> CalibrationProgress:
+        done_s = sum(stage.seconds for stage in self.plan.stages[: self._index])
+        if self._stage:
+            done_s += min(self._stage.seconds, max(0.0, self._t - self._began_at))
         total_s = max(self.plan.seconds, 1e-9)
         over = self.ended is not None and self.ended.outcome == "done"
         share = 1.0 if over else min(1.0, done_s / total_s)
         left_s = 0.0 if self.ended else max(0.0, total_s - done_s)
-        return StageProgress(
-            stage.name, stage.title, self._index + 1, len(stages), share, left_s, self._doing
-        )
+        return CalibrationProgress(share, left_s, self._doing)
 
-    # What happens.
+    # Inputs.
 
-    def begin(self, t: float) -> list[Out]:
-        """The core is up."""
+    def begin(self, t: float) -> list[Output]:
+        """The core runs."""
         self._t = t
-        self._script = self._go()
-        return self._poke()
+        self._steps = self._procedure()
+        return self._advance()
 
-    def take(self, action: Action) -> list[Out]:
-        """Anything that the core does."""
+    def take(self, action: Action) -> list[Output]:
+        """Any action of the core."""
         if self.ended is not None:
             return []
         if isinstance(action, Measured):
-            self._notebook.take(action.telemetry)
+            self._buffer.append(action.telemetry)
         elif isinstance(action, Decision):
             self._t = max(self._t, action.t)
             if action.trigger == BY:
@@ -182,118 +168,118 @@ class Calibrator:
             elif action.trigger == "failsafe":
                 return self._end("stopped", action.reason)
             elif action.safety != "refused" and self._stage is not None:
-                return self._end("stopped", f"somebody else asked for {action.intent} ({action.trigger})")
+                return self._end("stopped", f"another source asked for {action.intent} ({action.trigger})")
         return []
 
-    def tick(self, t: float, snapshot: Snapshot) -> list[Out]:
-        """Time passed; how the core stands."""
+    def tick(self, t: float, snapshot: Snapshot) -> list[Output]:
+        """Time has passed; `snapshot` is the core's present state."""
         if self.ended is not None:
             return []
         self._t, self._snapshot = t, snapshot
         if self._ready and (problem := self._problem(snapshot)):
             return self._end("stopped", problem)
-        return self._poke()
+        return self._advance()
 
-    def answer(self, t: float, question: Question, text: str | None) -> list[Out]:
-        """What the person says; None when nobody will say anything."""
+    def answer(self, t: float, question: Question, text: str | None) -> list[Output]:
+        """The person's answer; None if nobody answers."""
         self._t = max(self._t, t)
         if self.ended is not None or question != self._question or self._answered:
             return []
         self._answered, self._answer = True, text
-        return self._poke()
+        return self._advance()
 
-    def worked(self, t: float, work: Work, result: object) -> list[Out]:
-        """What a piece of work came to: its value, or its exception."""
+    def evaluated(self, t: float, task: EvaluationTask, result: object) -> list[Output]:
+        """The result of an evaluation, or its exception."""
         self._t = max(self._t, t)
-        if self.ended is not None or work is not self._work:
+        if self.ended is not None or task is not self._task:
             return []
-        self._work = None
+        self._task = None
         if not isinstance(result, Result):
-            what = f"{work.stage.title}: what was recorded could not be evaluated: {result}"
+            what = f"{task.stage.title}: the recording could not be evaluated: {result}"
             result = Result(remarks=(what,))
-            self._out.append(Say(what))
+            self._out.append(Message(what))
         self.findings = self.findings.with_result(result)
         self._charts |= {chart.name: chart for chart in result.charts}
-        self._out.append(StageResult(work.stage, result.findings, result.charts))
-        return self._poke()
+        self._out.append(StageResult(task.stage, result.findings, result.charts))
+        return self._advance()
 
-    def stop(self, t: float, why: str) -> list[Out]:
-        """A person, or a loss outside the core, ends it."""
+    def stop(self, t: float, why: str) -> list[Output]:
+        """End it, for a reason outside the core."""
         self._t = max(self._t, t)
         return [] if self.ended is not None else self._end("stopped", why)
 
-    # The script, which waits wherever it yields.
+    # The procedure: a generator that yields wherever it has to wait.
 
-    def _go(self) -> Generator[None]:
-        yield from self._meet_board()
+    def _procedure(self) -> Generator[None]:
+        yield from self._wait_for_board()
         for index, stage in enumerate(self.plan.stages):
             yield from self._ask(StartBench())
             self._index, self._stage, self._began_at = index, stage, self._t
             self._doing = stage.does
             self._out.append(StageBegan(stage, index, len(self.plan.stages)))
-            yield from self._do(stage)
+            yield from self._run_stage(stage)
         self._out.append(OperatorRequest(VentVine()))
         self._finish("done", "calibrated")
 
-    def _do(self, stage: Stage) -> Generator[None]:
+    def _run_stage(self, stage: Stage) -> Generator[None]:
         match stage.name:
             case "empty":
                 yield from self._enter("Let all air out of the bottle, leave it open, and press Enter")
                 yield from self._rest_and_read(stage)
                 yield from self._enter("Close the bottle, fill it, and press Enter")
-                self._first_row = len(self._notebook)
+                self._first_row = len(self._buffer)
             case "zero":
                 yield from self._wait(SETTLE_S)
                 yield from self._rest_and_read(replace(stage, rest_s=stage.rest_s - SETTLE_S))
                 self._need_zero()
                 self._need_air(self.plan.air_kPa)
             case "vessel":
-                litres = self.plan.wish.vessel_L
+                litres = self.plan.request.vessel_L
                 yield from self._enter(f"Put the vessel ({litres:g} L) in place of the vine, and press Enter")
-                self._first_row = len(self._notebook)
+                self._first_row = len(self._buffer)
                 yield from self._wait(stage.rest_s)
                 yield from self._move(stage.movements)
                 yield from self._evaluate(stage)
                 yield from self._enter("Put the vine back, and press Enter")
-                self._first_row = len(self._notebook)
+                self._first_row = len(self._buffer)
                 yield from self._wait(stage.rest_s)
             case "angle" if stage.levels_kPa:
-                yield from self._look_at_angles(stage)
+                yield from self._ask_angles(stage)
                 yield from self._evaluate(stage)
             case _:
                 yield from self._wait(stage.rest_s)
                 if not stage.movements:
                     yield from self._evaluate(stage)
                 else:
-                    yield from self._move_until_sure(stage)
+                    yield from self._move_until_precise(stage)
 
-    def _meet_board(self) -> Generator[None]:
-        until = self._t + BOARD_WITHIN_S
-        while not self._there():
+    def _wait_for_board(self) -> Generator[None]:
+        until = self._t + BOARD_TIMEOUT_S
+        while not self._board_ready():
             if self._t > until:
                 problem = self._snapshot.firmware if self._snapshot else "does not answer"
                 raise _Stopped(f"phloSAR {problem}")
             yield
         assert self._snapshot is not None
         if self._snapshot.armed:
-            raise _Stopped("the vehicle is armed: disarm it, for this is done on the ground")
+            raise _Stopped("the vehicle is armed; disarm it, and calibrate on the ground")
         if problem := self._problem(self._snapshot):
             raise _Stopped(problem)
         self._ready = True
 
-    def _there(self) -> bool:
+    def _board_ready(self) -> bool:
         now = self._snapshot
         return now is not None and now.firmware == "ready" and math.isfinite(now.cv_kPa)
 
     def _ask(self, intent: Intent) -> Generator[None]:
-        """Ask the core, and wait for its ruling."""
+        """Ask the core, and wait for its decision."""
         self._decision = None
         self._out.append(OperatorRequest(intent))
-        until = self._t + DECIDED_WITHIN_S
+        until = self._t + DECISION_TIMEOUT_S
         while self._decision is None:
             yield
             if self._t > until:
-                raise _Stopped(f"nobody decided on {intent}")
+                raise _Stopped(f"the core did not decide on {intent}")
         if self._decision.safety == "refused":
             raise _Stopped(f"{intent} was refused: {self._decision.reason}")
 
@@ -303,19 +289,23 @@ class Calibrator:
             yield
 
     def _rest_and_read(self, stage: Stage) -> Generator[None]:
-        """What is read of a rest alone."""
-        first = len(self._notebook)
+        """Evaluate a rest by itself."""
+        first = len(self._buffer)
         yield from self._wait(stage.rest_s)
         yield from self._evaluate(stage, first)
 
-    def _move_until_sure(self, stage: Stage) -> Generator[None]:
+    def _move_until_precise(self, stage: Stage) -> Generator[None]:
         yield from self._move(stage.movements)
         yield from self._evaluate(stage)
-        for _ in range(stage.most_again):
-            if self._sure(stage):
+        for _ in range(stage.max_repeats):
+            if self._precise(stage):
                 return
-            if not self._holds(sum(move.air_kPa for move in stage.again)):
-                self._out.append(Say(f"{stage.title}: not sure enough, but the bottle holds no more of it"))
+            if not self._air_lasts(sum(move.air_kPa for move in stage.again)):
+                self._out.append(
+                    Message(
+                        f"{stage.title}: not precise enough, but the bottle has too little air to repeat it"
+                    )
+                )
                 return
             self._doing = f"{stage.does}, again"
             yield from self._move(stage.again)
@@ -331,12 +321,12 @@ class Calibrator:
 
     def _vent(self) -> Generator[None]:
         yield from self._ask(VentVine())
-        until = self._t + DOWN_WITHIN_S
-        while self._cv_kPa() > DOWN_KPA:
+        until = self._t + VENT_TIMEOUT_S
+        while self._cv_kPa() > VENTED_KPA:
             if self._t > until:
                 raise _Stopped(f"the vine is vented and still reads {self._cv_kPa():.1f} kPa")
             yield
-        yield from self._wait(self.plan.vented_s)
+        yield from self._wait(self.plan.hold_s)
 
     def _cv_kPa(self) -> float:
         zero = self.findings.estimate("cv_zero_kPa")
@@ -344,21 +334,21 @@ class Calibrator:
         return self._snapshot.cv_kPa - (zero.value if zero else 0.0)
 
     def _enter(self, text: str) -> Generator[None]:
-        yield from self._ask_person("enter", text, PERSON_WITHIN_S)
+        yield from self._ask_person("enter", text, PERSON_TIMEOUT_S)
         if self._answer is None:
             raise _Stopped("nobody answered")
 
-    def _ask_person(self, kind: Literal["enter", "angle"], text: str, within_s: float) -> Generator[None]:
-        """Ask, and wait; `_answer` is None when nobody answered."""
+    def _ask_person(self, kind: Literal["enter", "angle"], text: str, timeout_s: float) -> Generator[None]:
+        """Ask, and wait; then `_answer` is None if nobody has answered."""
         self._question = Question(self._question.number + 1 if self._question else 1, kind, text)
         self._answered, self._answer = False, None
         self._out.append(self._question)
-        until = self._t + within_s
+        until = self._t + timeout_s
         while not self._answered and self._t < until:
             yield
         self._answered = True
 
-    def _look_at_angles(self, stage: Stage) -> Generator[None]:
+    def _ask_angles(self, stage: Stage) -> Generator[None]:
         self._need_air(stage.air_kPa)
         self._moved = True
         for level in stage.levels_kPa:
@@ -369,11 +359,11 @@ class Calibrator:
                 text = f"{held_kPa:.1f} kPa: which angle, in degrees?"
                 yield from self._ask_person("angle", text, ANSWER_S)
                 if self._answer is None:
-                    self._out.append(Say("Bend: nobody says what is seen; the vine is vented"))
+                    self._out.append(Message("Bend: no answer; the vine is vented"))
                     yield from self._vent()
                     return
                 if (angle := _angle_deg(self._answer)) is None:
-                    self._out.append(Say(f"'{self._answer.strip()}' is no angle in degrees"))
+                    self._out.append(Message(f"'{self._answer.strip()}' is not an angle in degrees"))
                     continue
                 break
             if not math.isnan(angle):
@@ -381,29 +371,29 @@ class Calibrator:
         yield from self._vent()
 
     def _evaluate(self, stage: Stage, first: int | None = None) -> Generator[None]:
-        """Let what was recorded be evaluated, and wait for it."""
+        """Have the recording evaluated, and wait for the result."""
         assert self._snapshot is not None
         recorded = StageRecording(
             self.plan,
             stage.name,
-            self._notebook.readings(self._first_row if first is None else first),
+            self._buffer.readings(self._first_row if first is None else first),
             self.findings,
             self._snapshot.ambient_kPa,
         )
-        work = self._work = Work(stage, recorded.result)
-        self._out.append(work)
-        while self._work is not None:
+        task = self._task = EvaluationTask(stage, recorded.result)
+        self._out.append(task)
+        while self._task is not None:
             yield
 
-    def _sure(self, stage: Stage) -> bool:
-        if stage.name not in SURE:
+    def _precise(self, stage: Stage) -> bool:
+        if stage.name not in PRECISION:
             return True
-        name, share = SURE[stage.name]
+        name, share = PRECISION[stage.name]
         found = self.findings.estimate(name)
         return found is not None and found.high - found.value <= share * found.value
 
     def _need_zero(self) -> None:
-        """Beyond what a sound sensor may be off, the limits mean nothing."""
+        """With a larger zero the pressure limits would not protect the vine."""
         zero = self.findings.estimate("cv_zero_kPa")
         if zero is not None and abs(zero.value) > self.plan.believed.checks.zero_kPa:
             raise _Stopped(
@@ -413,23 +403,23 @@ class Calibrator:
 
     # Air.
 
-    def _holds(self, air_kPa: float) -> bool:
+    def _air_lasts(self, air_kPa: float) -> bool:
         assert self._snapshot is not None
-        return self._snapshot.reservoir_kPa >= self._least_kPa(air_kPa)
+        return self._snapshot.reservoir_kPa >= self._needed_kPa(air_kPa)
 
-    def _least_kPa(self, air_kPa: float) -> float:
+    def _needed_kPa(self, air_kPa: float) -> float:
         return air_kPa + self.plan.top_kPa + self.plan.believed.interlocks.reserve_kPa
 
     def _need_air(self, air_kPa: float) -> None:
-        if not self._holds(air_kPa):
+        if not self._air_lasts(air_kPa):
             assert self._snapshot is not None
-            has_kPa, needs_kPa = self._snapshot.reservoir_kPa, self._least_kPa(air_kPa)
+            has_kPa, needs_kPa = self._snapshot.reservoir_kPa, self._needed_kPa(air_kPa)
             raise _Stopped(f"the bottle holds {has_kPa:.0f} kPa, and this needs {needs_kPa:.0f}: fill it")
 
     # Ending.
 
     def _problem(self, now: Snapshot) -> str:
-        """Why it cannot go on, or nothing. A sensor's zero is what the first stages are for."""
+        """Why it cannot go on, or an empty text. In the first stages the zero may still be wrong."""
         if now.firmware != "ready":
             return f"phloSAR {now.firmware}"
         wrong = dict(now.safe_state)
@@ -437,34 +427,34 @@ class Calibrator:
             wrong.pop(_ZERO_FAULT, None)
         return "; ".join(wrong.values())
 
-    def _poke(self) -> list[Out]:
-        """Let the script go on as far as it can."""
-        assert self._script is not None
+    def _advance(self) -> list[Output]:
+        """Continue the procedure until it has to wait."""
+        assert self._steps is not None
         try:
-            next(self._script)
+            next(self._steps)
         except StopIteration:
             pass
         except _Stopped as stopped:
             return self._end("stopped", str(stopped))
-        return self._given()
+        return self._collected()
 
-    def _end(self, outcome: Literal["stopped"], why: str) -> list[Out]:
+    def _end(self, outcome: Literal["stopped"], why: str) -> list[Output]:
         stage = f"{self._stage.title}: " if self._stage else ""
         self._out.append(OperatorRequest(VentVine()))
         self._finish(outcome if self._moved else "refused", f"{stage}{why}")
-        return self._given()
+        return self._collected()
 
     def _finish(self, outcome: Literal["done", "stopped", "refused"], sentence: str) -> None:
         self.ended = Ended(outcome, sentence)
         self._out.append(self.ended)
 
-    def _given(self) -> list[Out]:
+    def _collected(self) -> list[Output]:
         out, self._out = self._out, []
         return out
 
 
 def _angle_deg(text: str) -> float | None:
-    """NaN for one that is skipped; None for what is no angle."""
+    """NaN if it is skipped; None if the text is not an angle."""
     if not text.strip():
         return math.nan
     try:

@@ -1,4 +1,7 @@
-"""A calibration's flight, diagnosed with its own numbers as the believed rig. Needs the analysis extra."""
+"""The diagnosis of a calibration's flight, with the measured numbers as the believed rig.
+
+Needs the extra `analysis`.
+"""
 
 from __future__ import annotations
 
@@ -20,40 +23,40 @@ from flying_vines.physics.plant.true_rig import true_rig_text
 from flying_vines.supply.known_rig import load_calibration
 
 BEGINNING_S = 20.0
-"""Of the recorded movements: on a rig of many effects much is tried, and minutes of it would take an hour."""
+"""Diagnosed part of the movements. With many effects a diagnosis of some minutes of data takes an hour."""
 EXTENDED, REPORT = "rig.toml", "diagnosis"
 
 
 @dataclass(frozen=True)
-class Diagnosis:
-    """What came of it."""
-
+class CalibrationDiagnosis:
     verdict: Verdict
     report: Path
     rig: Path | None
-    """The file of the rig with the named causes in it; None where none is named."""
+    """The rig file with the named causes; None if there are none."""
     helps: bool
-    """Whether it makes the cycles left better: its causes predict data that they never saw, and cost air."""
+    """True if the causes improve the cycles left: they predict unseen data, and they use air."""
 
 
-def diagnosed(flight: Path, believed: Path, numbers: PneumaticsConfig, progress: Progress) -> Diagnosis:
-    """Diagnose a calibration's flight; report and rig go beside the file of the `believed` rig.
+def diagnosed(
+    flight: Path, believed: Path, numbers: PneumaticsConfig, progress: Progress
+) -> CalibrationDiagnosis:
+    """Report and rig are written to the folder of the `believed` rig file.
 
-    Raises `CaseError` where the flight holds nothing to be diagnosed.
+    Raises `CaseError` if nothing in the flight can be diagnosed.
     """
     case = _beginning(read_flight(flight, believed))
     verdict = diagnose(case, progress=progress)
     report = write_report(verdict, case, believed.parent / REPORT)[0]
     if not verdict.named:
-        return Diagnosis(verdict, report, None, False)
+        return CalibrationDiagnosis(verdict, report, None, False)
     rig = believed.parent / EXTENDED
     rig.write_text(true_rig_text(extended_rig(case.rig, verdict)), encoding="utf-8")
     predicts = verdict.held_out.gain[0] > 0.0
-    return Diagnosis(verdict, report, rig, predicts and bool(load_calibration(rig, numbers).used))
+    return CalibrationDiagnosis(verdict, report, rig, predicts and bool(load_calibration(rig, numbers).used))
 
 
 def _beginning(case: Case) -> Case:
-    """The first run's first part, with a remark."""
+    """The first part of the first run, with a remark."""
     run = case.runs[0]
     rows = int(np.searchsorted(run.time_s, BEGINNING_S))
     columns: dict[str, Any] = {
@@ -61,5 +64,5 @@ def _beginning(case: Case) -> Case:
         for field in fields(run)
         if isinstance(value := getattr(run, field.name), np.ndarray)
     }
-    remark = f"of what was recorded the first {BEGINNING_S:g} s of movement are diagnosed"
+    remark = f"only the first {BEGINNING_S:g} s of movement are diagnosed"
     return replace(case, runs=(replace(run, **columns),), remarks=(*case.remarks, remark))

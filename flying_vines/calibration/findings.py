@@ -1,18 +1,76 @@
-"""All that a calibration found, and what it proposes."""
+"""The results of a calibration: measured quantities, proposals for the firmware, and charts as plain data."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
-from flying_vines.calibration.charts import Chart
-from flying_vines.calibration.estimate import Estimate
+from flying_vines.physics.arrays import Array
+
+SD_95 = 1.96
+MAX_POINTS = 2000
+"""Maximum for one series of a chart."""
+
+
+class Estimate(NamedTuple):
+    """A value and its standard deviation."""
+
+    value: float
+    sd: float
+
+    @property
+    def low(self) -> float:
+        """Lower end of the 95 % interval."""
+        return self.value - SD_95 * self.sd
+
+    @property
+    def high(self) -> float:
+        """Upper end of the 95 % interval."""
+        return self.value + SD_95 * self.sd
+
+    def times(self, factor: float, relative_sd: float = 0.0) -> Estimate:
+        """The product with a factor that has its own relative standard deviation."""
+        return Estimate(self.value * factor, abs(factor) * math.hypot(self.sd, self.value * relative_sd))
+
+    @staticmethod
+    def of_interval(value: float, low: float, high: float) -> Estimate:
+        """From a 95 % interval; the wider side counts."""
+        return Estimate(value, max(value - low, high - value) / SD_95)
+
+
+@dataclass(frozen=True)
+class Series:
+    """Points, a line, or a band between `y` and `y2`, all (n,)."""
+
+    label: str
+    kind: Literal["points", "line", "band"]
+    x: Array
+    y: Array
+    y2: Array | None = None
+
+
+@dataclass(frozen=True)
+class Chart:
+    """One picture. `name` is the stem of its file names."""
+
+    name: str
+    title: str
+    x_label: str
+    y_label: str
+    series: tuple[Series, ...]
+    note: str = ""
+
+
+def thinned(column: Array) -> Array:
+    """At most `MAX_POINTS` evenly spaced elements."""
+    return column[:: max(1, -(-len(column) // MAX_POINTS))]
 
 
 @dataclass(frozen=True)
 class MeasuredQuantity:
-    """A quantity: what it was believed to be, and what was measured, with its 95 % interval."""
+    """A quantity: the believed value, and the measured value with its 95 % interval."""
 
     name: str
     what: str
@@ -22,34 +80,55 @@ class MeasuredQuantity:
     high: float | None = None
     believed: float | None = None
     note: str = ""
-    """What qualifies it, or why it was not measured."""
+    """A qualification, or the reason why it was not measured."""
     key: str | None = None
-    """Where it belongs in the profile."""
+    """Key of the profile, for example `pneumatics.cv_volume_L`."""
 
-    def measured(self, estimate: Estimate, note: str = "", least: float | None = None) -> MeasuredQuantity:
-        """With a value; an interval does not reach below `least`."""
-        low = estimate.low if least is None else max(least, estimate.low)
-        value = estimate.value if least is None else max(least, estimate.value)
+    def measured(self, estimate: Estimate, note: str = "", minimum: float | None = None) -> MeasuredQuantity:
+        """With a value. Value and interval do not go below `minimum`."""
+        low = estimate.low if minimum is None else max(minimum, estimate.low)
+        value = estimate.value if minimum is None else max(minimum, estimate.value)
         return replace(self, value=value, low=low, high=max(value, estimate.high), note=note)
 
     def unknown(self, why: str) -> MeasuredQuantity:
         return replace(self, value=None, low=None, high=None, note=why)
 
+    def texts(self) -> tuple[str, str]:
+        """Value and interval. The width of the interval decides how many digits are shown."""
+        if self.value is None:
+            return "–", ""
+        if self.low is None or self.high is None:
+            return f"{self.value:.4g}", ""
+        half_width = 0.5 * (self.high - self.low)
+        known = 0.0 < half_width < math.inf
+        digits = min(9, max(0, 1 - math.floor(math.log10(half_width)))) if known else 3
+        return f"{self.value:.{digits}f}", f"{self.low:.{digits}f} … {self.high:.{digits}f}"
+
+    def change(self) -> str:
+        """Measured against believed, as text."""
+        if self.value is None or self.believed is None:
+            return ""
+        if self.low is not None and self.high is not None and self.low <= self.believed <= self.high:
+            return "as believed"
+        if self.believed == 0.0:
+            return f"{self.value:+.3g}"
+        return f"{self.value / self.believed - 1.0:+.1%}"
+
 
 @dataclass(frozen=True)
 class SettingProposal:
-    """A setting of the firmware that would suit this rig better."""
+    """A better value for a firmware setting."""
 
     setting: str
     value: float
     relative: bool
-    """To be added to what is set, rather than in its place."""
+    """The value is added to the present setting."""
     why: str
 
 
 @dataclass(frozen=True)
 class Result:
-    """What one stage gave."""
+    """The results of one stage."""
 
     findings: tuple[MeasuredQuantity, ...] = ()
     proposals: tuple[SettingProposal, ...] = ()
@@ -61,29 +140,33 @@ class Result:
 
 @dataclass(frozen=True)
 class Findings:
-    """What all stages gave so far. Pairs and curve: gauge kPa, degrees."""
+    """The results of all stages so far. Pairs and curve: gauge kPa, degrees."""
 
     findings: tuple[MeasuredQuantity, ...] = ()
     proposals: tuple[SettingProposal, ...] = ()
     remarks: tuple[str, ...] = ()
     pairs: tuple[tuple[float, float], ...] = ()
     curve: tuple[tuple[float, float], ...] = ()
-    """Empty: not measured."""
+    """Empty if it was not measured."""
     hysteresis_kPa: float | None = None
 
     def get(self, name: str) -> MeasuredQuantity | None:
-        """What is known of a quantity; None when no stage looked for it."""
+        """The quantity; None if no stage has evaluated it."""
         return next((finding for finding in self.findings if finding.name == name), None)
 
     def estimate(self, name: str) -> Estimate | None:
-        """The value and standard deviation of a quantity; None when it was not measured."""
+        """Value and standard deviation; None if the quantity was not measured."""
         found = self.get(name)
         if found is None or found.value is None or found.low is None or found.high is None:
             return None
         return Estimate.of_interval(found.value, found.low, found.high)
 
+    def notes(self) -> Sequence[str]:
+        """All notes and remarks, one line each."""
+        return (*(f"{f.what}: {f.note}" for f in self.findings if f.note), *self.remarks)
+
     def with_result(self, result: Result) -> Findings:
-        """With what another stage gave: what it measured anew takes the place of what was there."""
+        """With the results of another stage. A newer result replaces an older one of the same name."""
         return replace(
             self,
             findings=_renewed(self.findings, result.findings, "name"),
@@ -99,21 +182,5 @@ class Findings:
 
 
 def _renewed(before: Iterable[Any], now: Iterable[Any], name: str) -> tuple[Any, ...]:
-    """By this attribute, in the order in which they first came."""
+    """The newest of each name; the order of the first appearance is kept."""
     return tuple(({getattr(x, name): x for x in before} | {getattr(x, name): x for x in now}).values())
-
-
-def from_json(content: Mapping[str, Any]) -> Findings:
-    """What `as_json` made."""
-    return Findings(
-        tuple(MeasuredQuantity(**finding) for finding in content["findings"]),
-        tuple(SettingProposal(**proposal) for proposal in content["proposals"]),
-        tuple(content["remarks"]),
-        _pairs(content["pairs"]),
-        _pairs(content["curve"]),
-        content["hysteresis_kPa"],
-    )
-
-
-def _pairs(content: Iterable[Iterable[float]]) -> tuple[tuple[float, float], ...]:
-    return tuple((kPa, deg) for kPa, deg in content)

@@ -1,9 +1,9 @@
-"""How easily air leaves: the outlet's resistance, from how the vine's pressure falls when it opens.
+"""Resistance of the outlet, from the fall of the vine's pressure after it opens.
 
-    R = ∫ P dt / n        n = V_cv P_0 / α: all that was in it above ambient pressure
+    R = ∫ P dt / n        n = V_cv P_0 / α: the air in the vine above ambient pressure
 
-over a vent from P_0 to nothing, without the Venturi: a mean over the way down. The time that the outlet takes
-to open is left out.
+over a vent from P_0 to zero without the Venturi: a mean over the whole fall. The time that the outlet takes
+to open does not count.
 """
 
 from __future__ import annotations
@@ -12,27 +12,25 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from flying_vines.calibration.air import SMOOTHED_S, TOO_LITTLE, VineAir, smooth
-from flying_vines.calibration.charts import Chart, Series, thinned
-from flying_vines.calibration.estimate import Estimate
-from flying_vines.calibration.findings import MeasuredQuantity, Result
-from flying_vines.calibration.readings import Readings
+from flying_vines.calibration.air import SMOOTHED_S, TOO_LITTLE, VineAir
+from flying_vines.calibration.findings import Chart, Estimate, MeasuredQuantity, Result, Series, thinned
+from flying_vines.calibration.readings import Readings, smooth
 from flying_vines.physics.arrays import Array
 
-LEAST_KPA = 8.0
+MIN_KPA = 8.0
 EMPTY = 0.01
-"""Of the pressure at the start: what is left then is in the noise."""
-LONGEST_S = 10.0
+"""Share of the pressure at the start below which the rest is noise."""
+MAX_S = 10.0
 QUICK_S = 0.005
 COLD = 0.15
-"""Air that is let out quickly leaves cold air behind: up to twice this share of it leaves only later, as it
-warms, at next to no pressure. Half of that is added, and all and nothing are in the interval."""
+"""A fast vent cools the air: up to twice this share stays, and leaves at almost no pressure while it warms.
+This share is added to the result, and the interval contains 0 and twice this share."""
 DETECTED = (0.95, 0.85)
-"""Of the pressure at the start: a line through these two is where the fall begins."""
+"""Shares of the pressure at the start. A line through both points gives the time when the fall begins."""
 
 
 def vents(readings: Readings) -> Iterator[tuple[Array, Array]]:
-    """Time since the outlet opened and pressure, of each vent from a vine that was held."""
+    """Time since the outlet opened and pressure, for each vent of a vine that held its pressure."""
     venting = readings.solenoid & (readings.evp == 0.0) & (readings.dvp == 0.0) & ~readings.regulating
     for rows in readings.stretches(venting):
         begin, t_s = rows.start, readings.t_s
@@ -40,9 +38,9 @@ def vents(readings: Readings) -> Iterator[tuple[Array, Array]]:
         if not readings.shut[before].all() or before.stop == before.start:
             continue
         start_kPa = float(np.mean(readings.cv_kPa[before]))
-        end = min(rows.stop, int(np.searchsorted(t_s, t_s[begin] + LONGEST_S)))
+        end = min(rows.stop, int(np.searchsorted(t_s, t_s[begin] + MAX_S)))
         kPa = readings.cv_kPa[begin:end]
-        if start_kPa < LEAST_KPA or end - begin < 0.5 / readings.step_s:
+        if start_kPa < MIN_KPA or end - begin < 0.5 / readings.step_s:
             continue
         quick = smooth(kPa, max(1, round(QUICK_S / readings.step_s)))
         high, low = (int(np.argmax(quick < share * start_kPa)) for share in DETECTED)
@@ -56,29 +54,30 @@ def vents(readings: Readings) -> Iterator[tuple[Array, Array]]:
 
 
 def outlet(readings: Readings, vine: VineAir) -> Result:
-    """The outlet's resistance, the Venturi at rest."""
+    """The outlet's resistance while the Venturi is off."""
     finding = MeasuredQuantity(
         "outlet_flow_resistance_kPa_s_per_SL", "outlet, the Venturi at rest", "kPa·s/SL"
     )
     falls = list(vents(readings))
     if not falls:
-        return Result((finding.unknown("no vent from a held pressure was seen at once and whole"),))
+        return Result((finding.unknown("no complete vent from a held pressure without the Venturi"),))
     litres = vine.volume()
     if litres.low <= 0.0:
         return Result((finding.unknown(TOO_LITTLE),))
-    found = []
+    resistances = []
     for t_s, kPa in falls:
         open_ = t_s > 0.0
         start_kPa = float(np.mean(kPa[~open_])) if np.any(~open_) else float(kPa[0])
-        found.append(float(np.sum(kPa[open_])) * readings.step_s / vine.air_SL(0.0, start_kPa))
-    spread = float(np.std(found, ddof=1)) / np.sqrt(len(found)) if len(found) > 1 else 0.05 * found[0]
-    mean = float(np.mean(found)) * (1.0 + COLD)
+        resistances.append(float(np.sum(kPa[open_])) * readings.step_s / vine.air_SL(0.0, start_kPa))
+    n = len(resistances)
+    spread = float(np.std(resistances, ddof=1)) / np.sqrt(n) if n > 1 else 0.05 * resistances[0]
+    mean = float(np.mean(resistances)) * (1.0 + COLD)
     sd = float(np.hypot(spread, mean * np.hypot(litres.sd / litres.value, COLD / np.sqrt(3.0))))
     t_s, kPa = falls[-1]
     chart = Chart(
         "vent", "Venting", "time since it opened, s", "vine, kPa",
-        (Series("read", "points", thinned(t_s), thinned(kPa)),),
-        f"{mean:.3g} kPa·s/SL, mean of {len(found)} vents",
+        (Series("readings", "points", thinned(t_s), thinned(kPa)),),
+        f"{mean:.3g} kPa·s/SL, mean of {n} vents",
     )  # fmt: skip
-    note = f"mean of the way down from {kPa[0]:.0f} kPa"
+    note = f"mean of the fall from {kPa[0]:.0f} kPa"
     return Result((finding.measured(Estimate(mean, sd), note),), charts=(chart,))

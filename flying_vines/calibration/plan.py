@@ -1,14 +1,15 @@
-"""What a calibration does, as data: stages with their movements, the time and the air that they take."""
+"""The plan of a calibration as data: its stages and movements, and the time and air that they take."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil
 from typing import TYPE_CHECKING
 
-from flying_vines.calibration.derived import derived
+from msgspec.structs import replace
+
 from flying_vines.config.config import Config
 from flying_vines.supply import nominal
 from flying_vines.vine.motion import Motion
@@ -19,55 +20,58 @@ if TYPE_CHECKING:
     from flying_vines.identification.bend_curve import Pairs
 
 STAGES = ("empty", "zero", "bottle_leak", "vessel", "levels", "vine_leak", "valve", "angle")
-"""In their order."""
+"""In this order."""
 SETTLE_S = 1.0
 ZERO_S = 5.0
 EMPTY_S = 3.0
 BOTTLE_LEAK_S = 30.0
 VINE_LEAK_S = 30.0
 LEVELS = 3
+# The staircase is climbed ROUNDS times. A stage repeats its movements until its result is precise enough, at
+# most LEVELS_AGAIN or VALVE_AGAIN times.
 ROUNDS, ROUNDS_AGAIN = 3, 2
-"""Of the staircase, at first and each time that it is not sure enough."""
 LEVELS_AGAIN, VALVE_AGAIN = 3, 1
-"""So often at most more is done, until what is measured is sure enough."""
 STEP_S = 0.5
 """From one level to the next."""
 RATES_KPA_PER_S = (4.0, 60.0, 15.0, 60.0, 30.0)
-"""Of inflations: the slow ones tell where the valve starts, the quick ones what it passes."""
+"""Rates of inflation. Slow ones show where the valve starts, fast ones how much it passes."""
 LOW_SHARE = 0.25
-"""Of the top: a vine that has so much is full, and its pressure tells its air."""
+"""Share of the top pressure at which a pouch (the bending chamber of the vine) is full."""
 ANGLES = 6
 """Steps up, and as many down."""
 ANSWER_S = 60.0
-"""So long the vine is held while nobody answers."""
+"""Time for an answer before the vine is vented."""
 ANGLE_S = 8.0
-"""Until somebody has read one and typed it."""
-HELD_S = 2.5
-HELD_S_PER_L = 5.0
+"""Usual time to read and type an angle."""
+HOLD_S = 2.5
+HOLD_S_PER_L = 5.0
+MAX_HOLD_S = 10.0
 SETTLED_SHARE = 0.65
-"""Of a hold, after which gas that was compressed has cooled; a larger vine takes longer."""
-MOST_HELD_S = 10.0
+"""Share of a hold after which compressed gas has cooled; the hold grows with the vine's volume."""
+VOLUME_FACTOR = 4.0
+"""How much larger or smaller than believed the vine may be."""
+MAX_VOLUME_FACTOR = 10.0
+BENT_MARGIN_S = 30.0
+"""Added to the longest movement for `max_bent_s`."""
 
 
 @dataclass(frozen=True)
 class CalibrationRequest:
-    """What the person wants."""
+    """What the user wants to calibrate."""
 
     only: tuple[str, ...] = ()
-    """Names of stages; none means all that apply."""
+    """Names of stages; empty: all that apply."""
     bottle_empty: bool = False
     bottle_volume_L: float | None = None
     vessel_L: float | None = None
     angles: Pairs | None = None
-    eye: bool = True
-    """Whether somebody answers which angle is seen."""
-    telemetry_Hz: int = 1000
-    """That the board will send."""
+    asks_angles: bool = True
+    """True if somebody sees the vine and answers questions."""
 
 
 @dataclass(frozen=True)
 class Movement:
-    """A profile of the derived configuration; the vine is vented after it. Air in kPa of the bottle."""
+    """A profile of the derived configuration; then the vine is vented. Air in kPa of the reservoir."""
 
     profile: str
     seconds: float
@@ -76,7 +80,7 @@ class Movement:
 
 @dataclass(frozen=True)
 class Stage:
-    """One step of the calibration. Air in kPa of the bottle, as believed."""
+    """One stage of the calibration. Air in kPa of the reservoir, as expected."""
 
     name: str
     title: str
@@ -84,24 +88,25 @@ class Stage:
     seconds: float
     air_kPa: float = 0.0
     rest_s: float = 0.0
-    """Vented, at first."""
+    """Vented time before the first movement."""
     movements: tuple[Movement, ...] = ()
     again: tuple[Movement, ...] = ()
-    """Where it is not sure enough after them, up to `most_again` times."""
-    most_again: int = 0
+    """Repeated up to `max_repeats` times until the result is precise enough."""
+    max_repeats: int = 0
     levels_kPa: tuple[float, ...] = ()
-    """At which somebody looks."""
+    """Pressures at which the person is asked for the angle."""
 
 
 @dataclass(frozen=True)
 class CalibrationPlan:
-    """All of it. `config` is the derived profile, `believed` the user's own."""
+    """`config` is the derived profile that moves the vine, `believed` the user's own."""
 
     stages: tuple[Stage, ...]
     config: Config
     believed: Config
-    wish: CalibrationRequest
+    request: CalibrationRequest
     hold_s: float
+    """Time at each level, and vented time after each movement."""
     top_kPa: float
 
     @property
@@ -113,87 +118,102 @@ class CalibrationPlan:
         return sum(stage.air_kPa for stage in self.stages)
 
     @property
-    def most_seconds(self) -> float:
-        """Where every movement has to be repeated."""
+    def max_seconds(self) -> float:
+        """If every movement has to be repeated."""
         return self.seconds + sum(
-            stage.most_again * sum(move.seconds + self.vented_s for move in stage.again)
+            stage.max_repeats * sum(move.seconds + self.hold_s for move in stage.again)
             for stage in self.stages
         )
 
     @property
-    def most_air_kPa(self) -> float:
+    def max_air_kPa(self) -> float:
         return self.air_kPa + sum(
-            stage.most_again * sum(move.air_kPa for move in stage.again) for stage in self.stages
+            stage.max_repeats * sum(move.air_kPa for move in stage.again) for stage in self.stages
         )
 
     @property
-    def vented_s(self) -> float:
-        """Vented, after each movement."""
-        return self.hold_s
-
-    @property
     def settling_s(self) -> float:
-        """After which a reading of a vine that was inflated tells its air."""
+        """Time after an inflation until the pressure tells how much air is in the vine."""
         return SETTLED_SHARE * self.hold_s
 
     def summary(self) -> str:
-        """What it takes, for people."""
-        least, most = ceil(self.seconds / 60.0), ceil(self.most_seconds / 60.0)
-        minutes = f"{least} min" if least == most else f"{least} to {most} min"
+        """Time and air, as text."""
+        usual, longest = ceil(self.seconds / 60.0), ceil(self.max_seconds / 60.0)
+        minutes = f"{usual} min" if usual == longest else f"{usual} to {longest} min"
         air = f"{self.air_kPa:.0f}"
-        if self.most_air_kPa > 1.2 * self.air_kPa:
-            air += f" to {self.most_air_kPa:.0f}"
+        if self.max_air_kPa > 1.2 * self.air_kPa:
+            air += f" to {self.max_air_kPa:.0f}"
         return f"takes {minutes} and about {air} kPa of the bottle"
 
 
-def plan(config: Config, wish: CalibrationRequest) -> CalibrationPlan:
-    """What is to be done, with the profile for it. ValueError, a sentence, where the wish cannot be met."""
-    _check(wish)
+def plan(config: Config, request: CalibrationRequest) -> CalibrationPlan:
+    """Raises ValueError, one sentence, if the request cannot be met."""
+    _check(request)
     top_kPa = config.limits.max_kPa
     hold_s = _hold_s(config.pneumatics.cv_volume_L)
-    most_kPa_per_s = config.limits.max_rate_kPa_per_s
+    max_kPa_per_s = config.limits.max_rate_kPa_per_s
     low_kPa = LOW_SHARE * top_kPa
     profiles = {
         "calibrate-levels": _profile(_staircase(top_kPa, hold_s)),
         "calibrate-vine-leak": _profile((Ramp(to_kPa=top_kPa, over_s=1.0), HoldFor(for_s=VINE_LEAK_S))),
-        # Down at once, so that the Venturi helps where it does.
+        # A step down makes the firmware use the Venturi.
         "calibrate-venturi": _profile((*_to(top_kPa, 1.0, hold_s), Step(to_kPa=0.0), HoldFor(for_s=hold_s))),
     }
     for rate in set(RATES_KPA_PER_S):
-        over_s = (top_kPa - low_kPa) / min(rate, most_kPa_per_s)
+        over_s = (top_kPa - low_kPa) / min(rate, max_kPa_per_s)
         ramp = (*_to(low_kPa, STEP_S, hold_s), *_to(top_kPa, over_s, hold_s))
         profiles[_valve_profile(rate)] = _profile(ramp)
-    if wish.vessel_L is not None:
-        profiles["calibrate-vessel"] = _profile(_staircase(top_kPa, _hold_s(wish.vessel_L)))
+    if request.vessel_L is not None:
+        profiles["calibrate-vessel"] = _profile(_staircase(top_kPa, _hold_s(request.vessel_L)))
     moves = {name: _motion(config, profiles, name) for name in profiles}
     longest_s = max(*(move.duration_s for move in moves.values()), ANSWER_S)
-    stages = tuple(_stages(config, wish, moves, hold_s))
-    changed = derived(config, profiles, longest_s, wish.vessel_L or 0.0)
-    return CalibrationPlan(stages, changed, config, wish, hold_s, top_kPa)
+    stages = tuple(_stages(config, request, moves, hold_s))
+    changed = _derived(config, profiles, longest_s, request.vessel_L or 0.0)
+    return CalibrationPlan(stages, changed, config, request, hold_s, top_kPa)
 
 
-def _check(wish: CalibrationRequest) -> None:
-    for name in wish.only:
+def _derived(
+    config: Config, profiles: Mapping[str, PressureProfile], longest_s: float, vessel_L: float = 0.0
+) -> Config:
+    """The profile for the calibration: the user's with these movements.
+
+    Limits, losses and interlocks are the user's. Volume and leak of the vine are still unknown, so physics
+    checks of the volume accept a factor of `VOLUME_FACTOR`, and `vine_leak` only warns. All other checks
+    vent the vine as in flight.
+    """
+    checks = config.checks
+    cv_L = config.pneumatics.cv_volume_L
+    factor = max(checks.volume_factor, VOLUME_FACTOR, 2.0 * vessel_L / cv_L)
+    return replace(
+        config,
+        profiles={**config.profiles, **profiles},
+        limits=replace(config.limits, max_bent_s=max(config.limits.max_bent_s, longest_s + BENT_MARGIN_S)),
+        checks=replace(checks, volume_factor=min(factor, MAX_VOLUME_FACTOR), vine_leak="warn"),
+    )
+
+
+def _check(request: CalibrationRequest) -> None:
+    for name in request.only:
         if name not in STAGES:
             near = difflib.get_close_matches(name, STAGES, n=1)
             did = f"; did you mean '{near[0]}'?" if near else f": give some of {', '.join(STAGES)}"
             raise ValueError(f"there is no stage '{name}'{did}")
-    for what, litres in (("bottle", wish.bottle_volume_L), ("vessel", wish.vessel_L)):
+    for what, litres in (("bottle", request.bottle_volume_L), ("vessel", request.vessel_L)):
         if litres is not None and not 0.01 <= litres <= 50.0:
             raise ValueError(f"a {what} of {litres:g} L: give its volume in litres, 0.01 to 50")
-    if wish.bottle_volume_L is not None and wish.vessel_L is not None:
+    if request.bottle_volume_L is not None and request.vessel_L is not None:
         raise ValueError("give the bottle's volume or a vessel's, not both")
-    if "vessel" in wish.only and wish.vessel_L is None:
-        raise ValueError("the stage 'vessel' needs the vessel's volume")
-    if "empty" in wish.only and not wish.bottle_empty:
-        raise ValueError("the stage 'empty' needs a bottle that is empty and open")
-    if "angle" in wish.only and wish.angles is None and not wish.eye:
-        raise ValueError("the stage 'angle' needs somebody who answers, or pairs measured before")
+    if "vessel" in request.only and request.vessel_L is None:
+        raise ValueError("the stage 'vessel' needs the vessel's volume (--vessel-L)")
+    if "empty" in request.only and not request.bottle_empty:
+        raise ValueError("the stage 'empty' needs an empty, open bottle (--bottle-empty)")
+    if "angle" in request.only and request.angles is None and not request.asks_angles:
+        raise ValueError("the stage 'angle' needs a person who answers, or earlier pairs (--angles)")
 
 
 def _hold_s(litres: float) -> float:
-    """So long a level is held."""
-    return min(MOST_HELD_S, HELD_S + HELD_S_PER_L * litres)
+    """Hold of a level."""
+    return min(MAX_HOLD_S, HOLD_S + HOLD_S_PER_L * litres)
 
 
 def _profile(segments: Iterable[Segment]) -> PressureProfile:
@@ -221,17 +241,17 @@ def _motion(config: Config, profiles: dict[str, PressureProfile], name: str) -> 
 
 
 def _stages(
-    config: Config, wish: CalibrationRequest, moves: dict[str, Motion], hold_s: float
+    config: Config, request: CalibrationRequest, moves: dict[str, Motion], hold_s: float
 ) -> Iterator[Stage]:
     belief = nominal(config.pneumatics)
 
     def wanted(name: str) -> bool:
-        return not wish.only or name in wish.only
+        return not request.only or name in request.only
 
-    def movement(profile: str, vine: float = 1.0) -> Movement:
-        """`vine`: how much larger what is filled is."""
+    def movement(profile: str, volume: float = 1.0) -> Movement:
+        """`volume`: of the filled vessel, relative to the vine."""
         move = moves[profile]
-        air_kPa = vine * belief.rise.mean * move.rise_kPa + belief.flat.mean
+        air_kPa = volume * belief.rise.mean * move.rise_kPa + belief.flat.mean
         return Movement(profile, move.duration_s, air_kPa)
 
     def moving(
@@ -240,47 +260,47 @@ def _stages(
         does: str,
         movements: Sequence[Movement],
         again: Sequence[Movement] = (),
-        most_again: int = 0,
+        max_repeats: int = 0,
         rest_s: float = 0.0,
     ) -> Stage:
         seconds = rest_s + sum(move.seconds + hold_s for move in movements)
         air_kPa = sum(move.air_kPa for move in movements)
-        return Stage(name, title, does, seconds, air_kPa, rest_s, tuple(movements), tuple(again), most_again)
+        return Stage(name, title, does, seconds, air_kPa, rest_s, tuple(movements), tuple(again), max_repeats)
 
-    if wish.bottle_empty and wanted("empty"):
+    if request.bottle_empty and wanted("empty"):
         does = "read the bottle's sensor while it is empty and open; then you fill it"
         yield Stage("empty", "Bottle's zero", does, EMPTY_S, rest_s=EMPTY_S)
-    # Without it no pressure of the vine means anything.
+    # All other stages need the zero.
     yield Stage("zero", "Zero", "read the vented vine's sensor", SETTLE_S + ZERO_S, rest_s=SETTLE_S + ZERO_S)
     if wanted("bottle_leak"):
-        does = "watch the bottle while nothing takes air"
+        does = "watch the bottle while no air is used"
         yield Stage("bottle_leak", "Bottle's leak", does, BOTTLE_LEAK_S, rest_s=BOTTLE_LEAK_S)
-    if wish.vessel_L is not None and wanted("vessel"):
-        does = f"fill a vessel of {wish.vessel_L:g} L in place of the vine: the bottle's volume"
-        vessel = movement("calibrate-vessel", wish.vessel_L / config.pneumatics.cv_volume_L)
+    if request.vessel_L is not None and wanted("vessel"):
+        does = f"fill a vessel of {request.vessel_L:g} L in place of the vine: the bottle's volume"
+        vessel = movement("calibrate-vessel", request.vessel_L / config.pneumatics.cv_volume_L)
         yield moving("vessel", "Bottle's volume", does, [vessel] * ROUNDS, rest_s=SETTLE_S + ZERO_S)
     if wanted("levels"):
-        does = "up a staircase, again and again: the air that each pressure takes"
+        does = "up a staircase several times: air for each pressure"
         step = movement("calibrate-levels")
         yield moving("levels", "Vine's volume", does, [step] * ROUNDS, [step] * ROUNDS_AGAIN, LEVELS_AGAIN)
     if wanted("vine_leak"):
-        does = f"hold the vine at {config.limits.max_kPa:g} kPa: what holding takes"
+        does = f"hold the vine at {config.limits.max_kPa:g} kPa: air that leaks"
         yield moving("vine_leak", "Vine's leak", does, [movement("calibrate-vine-leak")])
     if wanted("valve"):
-        does = "inflate at several rates: where the valve starts and what it passes"
+        does = "inflate at several rates: start and flow of the valve"
         ramps = [movement(_valve_profile(rate)) for rate in RATES_KPA_PER_S]
         down = movement("calibrate-venturi")
         yield moving("valve", "Valves", does, [*ramps, down], ramps[:3], VALVE_AGAIN)
-    if wanted("angle") and (wish.eye or wish.angles is not None):
-        yield _angle(config, wish, belief.rise.mean, hold_s)
+    if wanted("angle") and (request.asks_angles or request.angles is not None):
+        yield _angle(config, request, belief.rise.mean, hold_s)
 
 
-def _angle(config: Config, wish: CalibrationRequest, kPa_per_kPa: float, hold_s: float) -> Stage:
-    if wish.angles is not None:
+def _angle(config: Config, request: CalibrationRequest, kPa_per_kPa: float, hold_s: float) -> Stage:
+    if request.angles is not None:
         return Stage("angle", "Bend", "fit the angles that were measured before", 0.0)
     top_kPa = config.limits.max_kPa
     up = [top_kPa * step / ANGLES for step in range(ANGLES + 1)]
     levels = (*up, *reversed(up[:-1]))
     seconds = len(levels) * (hold_s + ANGLE_S)
-    does = "up and down in steps: you say which angle you see"
+    does = "up and down in steps: you type each angle"
     return Stage("angle", "Bend", does, seconds, 2.0 * kPa_per_kPa * top_kPa, levels_kPa=levels)

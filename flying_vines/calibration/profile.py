@@ -1,4 +1,4 @@
-"""A person's profile with what was measured in it: the same text but for the lines of these keys."""
+"""The user's profile with the measured values: the same text except for the lines of these keys."""
 
 from __future__ import annotations
 
@@ -11,45 +11,44 @@ import msgspec
 
 from firmware_link.protocol import Setting
 from flying_vines.calibration.findings import Findings, MeasuredQuantity, SettingProposal
-from flying_vines.calibration.procedure import measured
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config, ConfigError
 from flying_vines.config.toml_edit import value_text, with_value
 from flying_vines.config.toml_text import lines_of_keys
 from flying_vines.vine.curve import BendCurve
 
-LEAST_SURE = 0.25
-"""Half an interval, as a share of the value: what is less sure is told, and changes no profile."""
+MAX_RELATIVE_WIDTH = 0.25
+"""Half an interval, as a share of the value. A wider result is shown, but does not change the profile."""
 
 
 @dataclass(frozen=True)
 class ProfileChange:
-    """Of one key of the profile."""
+    """A new value for one key of the profile."""
 
     table: str
     name: str
     value: Any
     why: str
-    """A clause: how well it is known."""
+    """For the comment, for example the interval."""
 
 
 def changes(findings: Findings, max_kPa: float) -> Iterator[ProfileChange]:
-    """What of the findings belongs into a profile, with as many digits as are known.
+    """The findings that go into a profile, with as many digits as are known.
 
-    A curve goes as a whole, up to the profile's limit, which a held pressure may be a little above.
+    A curve is cut at the profile's limit, because a held pressure may be slightly above it.
     """
     for finding in findings.findings:
-        if finding.key is not None and is_sure(finding):
+        if finding.key is not None and is_precise(finding):
             table, name = finding.key.split(".")
             if table != "vine":
-                value, interval = measured(finding)
+                value, interval = finding.texts()
                 yield ProfileChange(table, name, float(value), interval)
-    seen = f"{len(findings.pairs)} angles" if findings.pairs else "fitted to a file of pairs"
+    source = f"{len(findings.pairs)} angles" if findings.pairs else "fitted to a file of pairs"
     if findings.curve:
         pairs = [[round(kPa, 3), round(deg, 2)] for kPa, deg in _up_to(max_kPa, findings.curve)]
-        yield ProfileChange("vine", "curve", pairs, seen)
+        yield ProfileChange("vine", "curve", pairs, source)
     if findings.hysteresis_kPa is not None:
-        yield ProfileChange("vine", "hysteresis_kPa", findings.hysteresis_kPa, seen)
+        yield ProfileChange("vine", "hysteresis_kPa", findings.hysteresis_kPa, source)
 
 
 def _up_to(max_kPa: float, curve: Sequence[tuple[float, float]]) -> Sequence[tuple[float, float]]:
@@ -59,19 +58,19 @@ def _up_to(max_kPa: float, curve: Sequence[tuple[float, float]]) -> Sequence[tup
     return [*within, (max_kPa, BendCurve(curve).angle_deg(max_kPa))]
 
 
-def is_sure(finding: MeasuredQuantity) -> bool:
-    """Whether it is known well enough to take the place of what was believed."""
+def is_precise(finding: MeasuredQuantity) -> bool:
+    """True if it may replace the believed value."""
     value, low, high = finding.value, finding.low, finding.high
     if value is None or low is None or high is None:
         return False
-    return low > 0.0 and high - low <= 2.0 * LEAST_SURE * value
+    return low > 0.0 and high - low <= 2.0 * MAX_RELATIVE_WIDTH * value
 
 
 def with_changes(text: str, source: str, changed: Sequence[ProfileChange], day: str) -> str:
-    """The profile's text with these values; each line says what it was, and on which `day` it was measured.
+    """The profile's text with these values. A comment gives the old value and the `day` of the measurement.
 
-    Raises `ConfigError` where the profile is not written so that single lines can be replaced, or where what
-    was measured contradicts the rest of it.
+    Raises `ConfigError` if single lines of the profile cannot be replaced, or if the measured values
+    contradict the rest of it.
     """
     before = configuration.parse(text, source)
     edited = text
@@ -80,14 +79,14 @@ def with_changes(text: str, source: str, changed: Sequence[ProfileChange], day: 
         was = value_text(msgspec.to_builtins(getattr(table, change.name)))
         remark = f"was {was}, measured {day}: {change.why}".replace(";", ",")
         edited = with_value(edited, change.table, change.name, value_text(change.value), remark)
-    if not _says(edited, with_numbers(before, changed)):
+    if not _holds(edited, with_numbers(before, changed)):
         names = ", ".join(f"{change.table}.{change.name}" for change in changed)
-        raise ConfigError(f"{source}: it is not written a key a line: set {names} by hand")
+        raise ConfigError(f"{source}: not one key in each line: set {names} by hand")
     configuration.parse(edited, f"{source}, calibrated")
     return edited
 
 
-def _says(text: str, config: Config) -> bool:
+def _holds(text: str, config: Config) -> bool:
     try:
         return msgspec.convert(tomllib.loads(text), Config) == config
     except tomllib.TOMLDecodeError:
@@ -95,9 +94,9 @@ def _says(text: str, config: Config) -> bool:
 
 
 def calibrated(text: str, source: str, found: Sequence[ProfileChange], day: str) -> tuple[str, str]:
-    """As `with_changes`, and a sentence where the measured curve stands there only as a comment.
+    """As `with_changes`, and a sentence if the measured curve is only a comment.
 
-    The rest of a profile may ask for angles that the vine does not reach, and would not be read with it.
+    The rest of the profile may ask for angles that the vine cannot reach. With the curve it would be invalid.
     """
     try:
         return with_changes(text, source, found, day), ""
@@ -108,27 +107,23 @@ def calibrated(text: str, source: str, found: Sequence[ProfileChange], day: str)
         rest = [change for change in found if change.table != "vine"]
         why = str(error).partition(": ")[2]
     lines = with_changes(text, source, rest, day).split("\n")
-    told = [f"# {change.name} = {value_text(change.value)}" for change in curve]
+    comments = [f"# {change.name} = {value_text(change.value)}" for change in curve]
     place = lines_of_keys(text).get(("vine",), len(lines))
-    lines[place:place] = [f"# Measured {day}, but not in force, for {why}", *told]
-    return "\n".join(lines), f"The measured curve is in the profile as a comment only, for {why}"
+    lines[place:place] = [f"# Measured {day}, but not used: {why}", *comments]
+    return "\n".join(lines), f"The measured curve is only a comment in the profile: {why}"
 
 
 def with_numbers(config: Config, found: Sequence[ProfileChange]) -> Config:
-    """The configuration with these values, whatever else it says."""
+    """The configuration with these values; not validated."""
     for change in found:
-        config = _replaced(config, change)
+        table = getattr(config, change.table)
+        values = {**msgspec.to_builtins(table), change.name: change.value}
+        config = msgspec.structs.replace(config, **{change.table: msgspec.convert(values, type(table))})
     return config
 
 
-def _replaced(config: Config, change: ProfileChange) -> Config:
-    table = getattr(config, change.table)
-    values = {**msgspec.to_builtins(table), change.name: change.value}
-    return msgspec.structs.replace(config, **{change.table: msgspec.convert(values, type(table))})
-
-
 def proposed(proposals: Sequence[SettingProposal], settings: Sequence[Setting]) -> Mapping[str, float]:
-    """What is to be set in the firmware, whose settings are known, within what it takes."""
+    """The proposed values of settings that the firmware has, within its limits."""
     now = {setting.name: setting for setting in settings}
     wanted = {}
     for proposal in proposals:

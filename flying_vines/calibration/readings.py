@@ -1,4 +1,4 @@
-"""The telemetry of a stretch as arrays."""
+"""The telemetry of a calibration as arrays."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from firmware_link.protocol import Mode, Telemetry
 from flying_vines.physics.arrays import Array, BoolArray
 
 OUTLET_LAG_S = 0.06
-"""After it is told to shut an outlet may still let air out."""
+"""Maximum time that an outlet needs to close."""
 _CLOCK_MS = 1 << 32
 
 
 @dataclass(frozen=True)
 class Readings:
-    """A row for each telemetry message; kPa gauge, openings 0…1 as the valves were told."""
+    """One row for each telemetry message. Pressures are gauge; openings are commands, 0…1."""
 
     t_s: Array
-    """Of the board's clock, from where it was first heard."""
+    """Time of the board's clock since the first message."""
     regulating: BoolArray
     setpoint_kPa: Array
     cv_kPa: Array
@@ -36,28 +36,24 @@ class Readings:
 
     @cached_property
     def step_s(self) -> float:
-        """From one row to the next."""
+        """Usual time between rows."""
         return float(np.median(np.diff(self.t_s)))
 
     @cached_property
     def shut(self) -> BoolArray:
-        """Whether the outlet has been told shut for so long that it is."""
-        told_open = self.t_s[self.solenoid]
-        last = np.searchsorted(told_open, self.t_s, "right") - 1
-        since_s = np.where(last >= 0, self.t_s - told_open[np.maximum(last, 0)], np.inf)
-        return since_s > OUTLET_LAG_S if len(told_open) else np.ones(len(self), bool)
-
-    def rows(self, where: slice | BoolArray) -> Readings:
-        """Some of them."""
-        return Readings(*(getattr(self, name)[where] for name in _COLUMNS))
+        """True where the outlet has been commanded shut for long enough to be shut."""
+        opened_s = self.t_s[self.solenoid]
+        last = np.searchsorted(opened_s, self.t_s, "right") - 1
+        since_s = np.where(last >= 0, self.t_s - opened_s[np.maximum(last, 0)], np.inf)
+        return since_s > OUTLET_LAG_S if len(opened_s) else np.ones(len(self), bool)
 
     def less_zero(self, cv_zero_kPa: float) -> Readings:
-        """With the vine's pressures as they are once its sensor's zero is taken out."""
+        """With the zero of the vine's sensor subtracted."""
         return replace(self, cv_kPa=self.cv_kPa - cv_zero_kPa)
 
-    def stretches(self, so: BoolArray) -> Iterator[slice]:
-        """Each run of rows for which it is so, in order."""
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], so.astype(np.int8), [0]])))
+    def stretches(self, where: BoolArray) -> Iterator[slice]:
+        """Each run of consecutive rows that are True, in order."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], where.astype(np.int8), [0]])))
         for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
             yield slice(begin, end)
 
@@ -65,8 +61,8 @@ class Readings:
 _COLUMNS = tuple(Readings.__dataclass_fields__)
 
 
-class Notebook:
-    """Writes telemetry down, message by message."""
+class ReadingsBuffer:
+    """Collects telemetry messages."""
 
     def __init__(self) -> None:
         self._columns = [array("d") for _ in _COLUMNS]
@@ -75,8 +71,8 @@ class Notebook:
     def __len__(self) -> int:
         return len(self._columns[0])
 
-    def take(self, telemetry: Telemetry) -> None:
-        """The next message. Its clock may wrap."""
+    def append(self, telemetry: Telemetry) -> None:
+        """Add a message. The board's clock may wrap."""
         if self._first_ms is None:
             self._first_ms = telemetry.device_time_ms
         values = (
@@ -93,8 +89,16 @@ class Notebook:
             column.append(value)
 
     def readings(self, first: int = 0) -> Readings:
-        """What was written from a row on."""
+        """All rows from `first` on."""
         t, regulating, setpoint, cv, reservoir, evp, dvp, solenoid = (
             np.array(column[first:], np.float64) for column in self._columns
         )
         return Readings(t, regulating > 0.5, setpoint, cv, reservoir, evp, dvp, solenoid > 0.5)
+
+
+def smooth(column: Array, rows: int) -> Array:
+    """Centred means over this many rows, fewer at the ends."""
+    sums = np.concatenate([[0.0], np.cumsum(column)])
+    at = np.arange(len(column))
+    begin, end = np.maximum(at - rows // 2, 0), np.minimum(at + rows // 2 + 1, len(column))
+    return np.asarray((sums[end] - sums[begin]) / (end - begin))

@@ -1,4 +1,4 @@
-"""What a sensor says of no pressure, and how noisy it is."""
+"""Zero and noise of the pressure sensors."""
 
 from __future__ import annotations
 
@@ -6,40 +6,46 @@ from math import sqrt
 
 import numpy as np
 
-from flying_vines.calibration.charts import Chart, Series, thinned
-from flying_vines.calibration.estimate import Estimate
-from flying_vines.calibration.findings import MeasuredQuantity, Result, SettingProposal
+from flying_vines.calibration.findings import (
+    Chart,
+    Estimate,
+    MeasuredQuantity,
+    Result,
+    Series,
+    SettingProposal,
+    thinned,
+)
 from flying_vines.calibration.readings import Readings
 from flying_vines.physics.arrays import Array
 
-DISTURBED = 4.0
-"""So many times the noise of a block's mean apart, and the pressure was not at rest."""
+MAX_WANDER = 4.0
+"""Standard deviation of the block means, in units of what the noise explains, of a pressure at rest."""
 BLOCKS = 10
-WORTH_KPA = 0.05
-"""A smaller zero is left alone."""
-RESERVOIR_WORTH_KPA = 1.0
-UNSTEADY = "the reading wandered: was the vine touched, or the bottle open only a little?"
+MIN_CV_ZERO_KPA = 0.05
+"""Smaller zeros are not proposed."""
+MIN_RESERVOIR_ZERO_KPA = 1.0
+UNSTEADY = "the reading changed: do not touch the vine, and open the bottle fully"
 
 
 def noise_kPa(column: Array) -> float:
-    """Standard deviation from one reading to the next, whatever the pressure does meanwhile."""
+    """Standard deviation of a reading, from differences of neighbours: slow changes do not count."""
     return float(np.std(np.diff(column))) / sqrt(2.0)
 
 
 def mean_at_rest(column: Array) -> tuple[Estimate, bool]:
-    """The mean of a stretch, and whether it was steady: the blocks' means differ as noise makes them."""
+    """The mean, and True if the pressure was steady: the means of blocks differ only by the noise."""
     parts = np.array([np.mean(part) for part in np.array_split(column, BLOCKS)])
-    apart = float(np.std(parts, ddof=1))
-    steady = apart <= DISTURBED * max(noise_kPa(column), 1e-3) / sqrt(len(column) / BLOCKS)
-    return Estimate(float(np.mean(column)), apart / sqrt(BLOCKS)), steady
+    spread = float(np.std(parts, ddof=1))
+    steady = spread <= MAX_WANDER * max(noise_kPa(column), 1e-3) / sqrt(len(column) / BLOCKS)
+    return Estimate(float(np.mean(column)), spread / sqrt(BLOCKS)), steady
 
 
 def cv_zero(vented: Readings) -> Result:
-    """Of the vine's sensor, and the noise of both."""
+    """Zero of the vine's sensor, and the noise of both sensors."""
     zero, steady = mean_at_rest(vented.cv_kPa)
     finding = MeasuredQuantity("cv_zero_kPa", "vine's sensor at no pressure", "kPa", believed=0.0)
     proposals: tuple[SettingProposal, ...] = ()
-    if steady and abs(zero.value) > max(WORTH_KPA, 2.0 * zero.sd):
+    if steady and abs(zero.value) > max(MIN_CV_ZERO_KPA, 2.0 * zero.sd):
         why = f"the vented vine reads {zero.value:+z.2f} kPa"
         proposals = (SettingProposal("cv_zero_kPa", round(-zero.value, 3), True, why),)
     return Result(
@@ -55,13 +61,13 @@ def cv_zero(vented: Readings) -> Result:
 
 
 def reservoir_zero(empty: Readings) -> Result:
-    """Of the bottle's sensor, while the bottle is open and empty."""
+    """Zero of the reservoir's sensor, from readings of the open, empty reservoir."""
     zero, steady = mean_at_rest(empty.reservoir_kPa)
     finding = MeasuredQuantity("reservoir_zero_kPa", "bottle's sensor at no pressure", "kPa", believed=0.0)
     if not steady:
         return Result((finding.unknown(UNSTEADY),))
     proposals: tuple[SettingProposal, ...] = ()
-    if abs(zero.value) > max(RESERVOIR_WORTH_KPA, 2.0 * zero.sd):
+    if abs(zero.value) > max(MIN_RESERVOIR_ZERO_KPA, 2.0 * zero.sd):
         why = f"the empty bottle reads {zero.value:+.1f} kPa"
         proposals = (SettingProposal("reservoir_zero_kPa", round(-zero.value, 2), True, why),)
     return Result((finding.measured(zero),), proposals)

@@ -1,1 +1,1 @@
-"""The command line: each module parses, calls and prints one command."""
+"""The command line, one module per command: it parses, calls and prints."""

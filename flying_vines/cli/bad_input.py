@@ -1,4 +1,4 @@
-"""How a command says that it cannot: one line on standard error, and exit status 2."""
+"""Bad input: one line on standard error, and exit status 2."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ BAD_INPUT = 2
 
 
 def bad_input(sentence: str) -> int:
-    """Say it; returns the exit status."""
+    """Print the sentence; returns the exit status."""
     sys.stdout.flush()
     print(f"flying-vines: {sentence}", file=sys.stderr)
     return BAD_INPUT

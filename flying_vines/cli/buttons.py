@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from flying_vines.cli.common import (
     file_errors,
 )
 from flying_vines.config import config as configuration
-
-if TYPE_CHECKING:
-    pass
 
 
 def add(commands: Any) -> None:
@@ -22,7 +19,7 @@ def add(commands: Any) -> None:
         "--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)"
     )
     file = Path("FlyingVines.json")
-    buttons.add_argument("--out", type=Path, default=file, metavar="FILE.json", help=f"where to ({file})")
+    buttons.add_argument("--out", type=Path, default=file, metavar="FILE.json", help=f"the new file ({file})")
     buttons.set_defaults(run=_buttons)
 
 
@@ -32,5 +29,5 @@ def _buttons(arguments: argparse.Namespace) -> int:
     config = configuration.load_or_default(arguments.config)
     with file_errors(arguments.out):
         write_buttons(config, arguments.out)
-    print(f"{arguments.out}: for QGroundControl's folder MavlinkActions; choose it in the Fly View settings")
+    print(f"{arguments.out}: put it in QGroundControl's MavlinkActions; choose it in the Fly View settings")
     return 0

@@ -1,4 +1,4 @@
-"""`flying-vines calibrate`: what it is given, and with which status it ends."""
+"""`flying-vines calibrate`: options and exit status."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from flying_vines.config import config as configuration
 NOT_DONE = 1
 INTERRUPTED = 130
 LIKELY = Path()
-"""What stands for a likely vine, where a rig file may."""
+"""Value of `--fake` without a file: a likely vine."""
 
 
 def add(commands: Any) -> None:
@@ -31,30 +31,36 @@ def add(commands: Any) -> None:
         help="a simulated rig instead, in simulated time (default: a likely vine)",
     )
     parser.add_argument(
-        "--out", type=Path, default=FLIGHTS, metavar="DIR", help=f"where the log goes ({FLIGHTS})"
+        "--out", type=Path, default=FLIGHTS, metavar="DIR", help=f"folder for the log ({FLIGHTS})"
     )
-    parser.add_argument("--only", type=_names, default=(), metavar="STAGE,…", help="these stages alone")
-    parser.add_argument("--yes", action="store_true", help="ask nothing: no angles are typed, either")
+    parser.add_argument("--only", type=_names, default=(), metavar="STAGE,…", help="only these stages")
+    parser.add_argument("--yes", action="store_true", help="ask nothing; then no angles are measured")
     parser.add_argument(
-        "--bottle-empty", action="store_true", help="it is empty and open: its sensor's zero first"
+        "--bottle-empty",
+        action="store_true",
+        help="the bottle is empty and open: first measure its sensor's zero",
     )
     parser.add_argument(
-        "--bottle-volume-L", type=float, dest="bottle_volume_L", metavar="L", help="as weighed with water"
+        "--bottle-volume-L",
+        type=float,
+        dest="bottle_volume_L",
+        metavar="L",
+        help="volume of the bottle, as weighed with water",
     )
     parser.add_argument(
         "--vessel-L",
         type=float,
         dest="vessel_L",
         metavar="L",
-        help="a rigid vessel that is first put in the vine's place: it measures the bottle",
+        help="volume of a rigid vessel that first takes the vine's place, to measure the bottle",
     )
     parser.add_argument(
-        "--angles", type=Path, metavar="PAIRS.csv", help="measured before, as `vine fit` reads them"
+        "--angles", type=Path, metavar="PAIRS.csv", help="angles measured before, in the format of `vine fit`"
     )
     parser.add_argument(
-        "--set-firmware", action="store_true", help="keep in the firmware what is proposed for it"
+        "--set-firmware", action="store_true", help="save the proposed settings in the firmware"
     )
-    parser.add_argument("--in-place", action="store_true", help="change the profile itself, too")
+    parser.add_argument("--in-place", action="store_true", help="also change the profile itself")
     parser.add_argument("--no-diagnosis", action="store_true", help="do not look for hidden causes")
     parser.set_defaults(run=run)
 
@@ -64,9 +70,9 @@ def _names(text: str) -> tuple[str, ...]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """0 where all was measured, 1 where it ended before; `ConfigError` where the profile cannot be read."""
+    """0: everything was measured; 1: it ended before. Raises `ConfigError` if the profile cannot be read."""
     with needs_analysis():
-        from flying_vines.calibration.course import CalibrateError
+        from flying_vines.calibration.driver import CalibrateError
         from flying_vines.physics.rig import RigError
         from flying_vines.service.link_settings import SettingsError, SettingsInterruptedError
         from flying_vines.vehicle.component.parameter_file import ParameterFileError
@@ -84,52 +90,52 @@ def run(arguments: argparse.Namespace) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
-    from flying_vines.calibration.conclude import UserProfile, conclude
-    from flying_vines.calibration.course import CalibrateError, on_a_fake, on_a_rig
+    from flying_vines.calibration import real_rig, simulated_rig
+    from flying_vines.calibration.driver import CalibrateError, UserProfile
     from flying_vines.calibration.plan import CalibrationRequest
-    from flying_vines.calibration.procedure import Walk
+    from flying_vines.calibration.results import write_results
+    from flying_vines.calibration.terminal import CalibrationTerminal
 
     path: Path | None = arguments.config
     fake = arguments.fake is not None
     if path is None and (arguments.in_place or not fake):
-        needs = "--in-place changes a profile: " if fake else "for a simulated rig --fake, for yours "
+        needs = "--in-place changes a profile: " if fake else "give --fake for a simulated rig; for yours "
         raise CalibrateError(f"{needs}give --config FILE")
     if fake and arguments.set_firmware:
-        raise CalibrateError("--set-firmware is for a board that is there, not for --fake")
+        raise CalibrateError("--set-firmware needs a real board; it does not work with --fake")
     text = configuration.text_of(path) if path else configuration.default_text()
     profile = UserProfile(text, path, configuration.parse(text, str(path or "the built-in profile")))
-    asked = not (fake or arguments.yes)
-    if asked and not sys.stdin.isatty():
-        raise CalibrateError("nobody is at the terminal to say that the vine may bend: give --yes")
-    wish = CalibrationRequest(
+    interactive = not (fake or arguments.yes)
+    if interactive and not sys.stdin.isatty():
+        raise CalibrateError("no terminal to ask whether the vine may bend: give --yes")
+    request = CalibrationRequest(
         only=arguments.only,
         bottle_empty=arguments.bottle_empty,
         bottle_volume_L=arguments.bottle_volume_L,
         vessel_L=arguments.vessel_L,
         angles=_pairs(arguments.angles) if arguments.angles else None,
-        eye=asked or fake,
+        asks_angles=interactive or fake,
     )
-    walk = Walk(Console(highlight=False), asked)
+    terminal = CalibrationTerminal(Console(highlight=False), interactive)
     if fake:
         rig = None if arguments.fake == LIKELY else arguments.fake
-        carried = on_a_fake(profile, wish, arguments.out, walk, rig)
+        done = simulated_rig.calibrate(profile, request, arguments.out, terminal, rig)
     else:
-        going = on_a_rig(profile, wish, arguments.out, walk, arguments.set_firmware)
-        begun = asyncio.run(going)
+        calibration = real_rig.calibrate(profile, request, arguments.out, terminal, arguments.set_firmware)
+        begun = asyncio.run(calibration)
         if begun is None:
             return INTERRUPTED
-        carried = begun
-    diagnose = not (arguments.no_diagnosis or carried.interrupted)
-    in_place = arguments.in_place and carried.done
-    conclude(carried.conducted, profile, carried.believed, walk, diagnose, in_place)
-    walk.firmware(carried.firmware, profile.config.firmware.link, carried.is_set)
-    if carried.interrupted:
+        done = begun
+    diagnose = not (arguments.no_diagnosis or done.interrupted)
+    write_results(done, profile, terminal, diagnose, arguments.in_place and done.done)
+    terminal.firmware(done.firmware, profile.config.firmware.link, done.is_set)
+    if done.interrupted:
         return INTERRUPTED
-    return 0 if carried.done else NOT_DONE
+    return 0 if done.done else NOT_DONE
 
 
 def _pairs(path: Path) -> Any:
-    from flying_vines.calibration.course import CalibrateError
+    from flying_vines.calibration.driver import CalibrateError
     from flying_vines.identification.bend_curve import PairsError, load_pairs
 
     try:

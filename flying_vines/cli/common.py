@@ -1,4 +1,4 @@
-"""What several commands share."""
+"""Functions that several commands share."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def fail(sentence: str) -> NoReturn:
 
 @contextmanager
 def needs_analysis() -> Iterator[None]:
-    """Turn an import error of the block into one line that says which package to install."""
+    """Turn an import error of the block into one line that names the package to install."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -40,8 +40,7 @@ def needs_analysis() -> Iterator[None]:
 
 @contextmanager
 def file_errors(where: Path | None, *kinds: type[Exception]) -> Iterator[None]:
-    """Turn errors of the block into one line: those of `kinds`, and of files. `where` is the file if the
-    system does not name it."""
+    """Turn file errors and errors of `kinds` into one line. `where`: the file, if the error names none."""
     try:
         yield
     except kinds as error:
@@ -52,7 +51,7 @@ def file_errors(where: Path | None, *kinds: type[Exception]) -> Iterator[None]:
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """A progress bar on the terminal. Call it with the present step and the share that is done, 0…1."""
+    """A progress bar on the terminal. Call it with the current step and the fraction that is done, 0…1."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -69,7 +68,7 @@ def show_found(
     show: Callable[[Console], None],
     figures: Sequence[Path],
 ) -> int:
-    """What was found, as one object or on the terminal, and the figures that were drawn of it."""
+    """Print the results as one JSON object or for people, and the paths of the figures."""
     if as_json:
         print(json.dumps({**found(), "figures": [str(path) for path in figures]}, allow_nan=False))
         return 0
@@ -83,7 +82,7 @@ def show_found(
 
 
 def known_rig(config: Config, profile: Path | None, rig: Path | None = None) -> KnownRig | None:
-    """The content of the given rig file, or of the one that the profile names."""
+    """The given rig file, or the one that the profile names; None if there is none."""
     rig = rig or configuration.rig_named(config, profile)
     if rig is None:
         return None

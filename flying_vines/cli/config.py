@@ -1,19 +1,16 @@
-"""`flying-vines config`: a profile, written or checked."""
+"""`flying-vines config`: writes or checks a profile."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from flying_vines.cli.common import (
     fail,
     known_rig,
 )
 from flying_vines.config import config as configuration
-
-if TYPE_CHECKING:
-    pass
 
 
 def add(commands: Any) -> None:
@@ -23,11 +20,11 @@ def add(commands: Any) -> None:
     init = actions.add_parser("init", help="write a commented profile")
     profile = Path("flying-vines.toml")
     init.add_argument(
-        "file", type=Path, nargs="?", default=profile, metavar="FILE", help=f"where to ({profile})"
+        "file", type=Path, nargs="?", default=profile, metavar="FILE", help=f"the new file ({profile})"
     )
-    init.add_argument("--force", action="store_true", help="over a file that is there")
+    init.add_argument("--force", action="store_true", help="overwrite an existing file")
     init.set_defaults(run=_config_init)
-    check = actions.add_parser("check", help="say exactly what is wrong with a profile")
+    check = actions.add_parser("check", help="show the errors of a profile")
     check.add_argument("file", type=Path, metavar="FILE", help="the profile")
     check.set_defaults(run=_config_check)
 
@@ -38,7 +35,7 @@ def _config_init(arguments: argparse.Namespace) -> int:
         with path.open("w" if arguments.force else "x", encoding="utf-8") as file:
             file.write(configuration.default_text())
     except FileExistsError:
-        fail(f"{path} is there already; --force writes over it")
+        fail(f"{path} exists already; use --force to overwrite it")
     except OSError as error:
         fail(f"{path}: cannot be written: {error.strerror}")
     print(f"Wrote {path}. Check it with: flying-vines config check {path}")
@@ -52,7 +49,7 @@ def _config_check(arguments: argparse.Namespace) -> int:
         f"{arguments.file}: good. Switch on channel {config.switch.channel}, {len(config.profiles)} "
         f"profiles, {len(config.items)} item rules, up to {config.limits.max_kPa:g} kPa."
     )
-    print(f"Vehicle link {config.vehicle.believed}.")
+    print(f"Vehicle link {config.vehicle.who_can_command}.")
     if known:
-        print(f"{known.path}: good. {known.said[0].upper()}{known.said[1:]}.")
+        print(f"{known.path}: good. {known.summary[0].upper()}{known.summary[1:]}.")
     return 0

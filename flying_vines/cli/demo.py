@@ -5,26 +5,23 @@ from __future__ import annotations
 import argparse
 import asyncio
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from flying_vines.cli.common import (
     FLIGHTS,
     file_errors,
 )
 
-if TYPE_CHECKING:
-    pass
-
 
 def add(commands: Any) -> None:
     """Add `demo` to the parsers of the command line."""
     demo = commands.add_parser("demo", help="fly a scripted flight on embedded fakes")
     demo.add_argument(
-        "--out", type=Path, default=FLIGHTS, metavar="DIR", help="where the flight's folder goes (flights)"
+        "--out", type=Path, default=FLIGHTS, metavar="DIR", help="the folder for the flight (flights)"
     )
-    demo.add_argument("--plain", action="store_true", help="one line an event instead of the live view")
-    demo.add_argument("--rig", type=Path, metavar="RIG.toml", help="what is there (default: a likely vine)")
-    demo.add_argument("--page", action="store_true", help="serve the page, too, for a browser to look on")
+    demo.add_argument("--plain", action="store_true", help="print lines instead of the live view")
+    demo.add_argument("--rig", type=Path, metavar="RIG.toml", help="simulated rig (default: a typical vine)")
+    demo.add_argument("--page", action="store_true", help="also serve the status page for a browser")
     demo.set_defaults(run=_demo)
 
 
@@ -41,8 +38,8 @@ def _demo(arguments: argparse.Namespace) -> int:
         rig = load_true_rig(arguments.rig) if arguments.rig else None
         flight = asyncio.run(fly(arguments.out, console, live, rig, arguments.page))
     console.print(summary(flight))
-    for surprise in flight.unasked:
-        console.print(f"Not asked for: {surprise}", style="bold red")
+    for extra in flight.unasked:
+        console.print(f"Unexpected: {extra}", style="bold red")
     seen = ", ".join(f"{name} {value:.1f}" for name, value in sorted(flight.values.items()))
     console.print(f"\nThe ground station's last values: {seen}", highlight=False)
     console.print(f"Log      {flight.folder}", highlight=False, soft_wrap=True)

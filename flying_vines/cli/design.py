@@ -1,11 +1,11 @@
-"""`flying-vines design`: which phloSAR a robot needs."""
+"""`flying-vines design`: finds the phloSAR that a robot needs."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from flying_vines.cli.common import (
     file_errors,
@@ -13,14 +13,11 @@ from flying_vines.cli.common import (
     show_found,
 )
 
-if TYPE_CHECKING:
-    pass
-
 
 def add(commands: Any) -> None:
     """Add `design` to the parsers of the command line."""
-    design = commands.add_parser("design", help="which phloSAR a robot needs: the paper's design guide")
-    design.add_argument("--robot", type=Path, metavar="FILE", help="its profile (default: the paper's vine)")
+    design = commands.add_parser("design", help="find the phloSAR for a robot, by the paper's design guide")
+    design.add_argument("--robot", type=Path, metavar="FILE", help="the robot (default: the paper's vine)")
     design.add_argument(
         "--parts",
         type=Path,
@@ -28,10 +25,10 @@ def add(commands: Any) -> None:
         nargs="+",
         action="extend",
         default=[],
-        help="parts beside the catalogue's",
+        help="folders with parts, in addition to the catalogue",
     )
     design.add_argument("--out", type=Path, metavar="DIR", help="draw the figures there")
-    design.add_argument("--json", action="store_true", help="one object instead of tables")
+    design.add_argument("--json", action="store_true", help="print one JSON object instead")
     design.set_defaults(run=_design)
 
 

@@ -1,4 +1,4 @@
-"""`flying-vines diagnose`: what the simulation gets wrong about a recorded rig."""
+"""`flying-vines diagnose`: finds why a recorded rig differs from the simulation."""
 
 from __future__ import annotations
 
@@ -20,48 +20,52 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-_OF_A_PLAN = ("minutes", "air_SL", "most_kPa")
+_PLAN_OPTIONS = ("minutes", "air_SL", "most_kPa")
 
 
 def add(commands: Any) -> None:
     """Add `diagnose` to the parsers of the command line."""
-    diagnose = commands.add_parser("diagnose", help="what the simulation gets wrong about a recorded rig")
+    diagnose = commands.add_parser("diagnose", help="find why a recorded rig differs from the simulation")
     diagnose.add_argument(
         "case",
         type=Path,
         nargs="*",
         metavar="CASE",
-        help="a folder with rig.toml and runs, a run, or a flight",
+        help="a folder with rig.toml and runs; one run; or one flight",
     )
-    diagnose.add_argument("--from-log", type=Path, metavar="LOG", help="a flight log, or a flight's folder")
+    diagnose.add_argument("--from-log", type=Path, metavar="LOG", help="a flight log, or its folder")
     diagnose.add_argument(
-        "--rig", type=Path, metavar="RIG.toml", help="what is believed (default: what the case says)"
+        "--rig", type=Path, metavar="RIG.toml", help="the nominal rig (default: the case's own)"
     )
-    diagnose.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that diagnoses the cases")
-    diagnose.add_argument("--write-rig", type=Path, metavar="FILE", help="the rig with the cause in it")
-    diagnose.add_argument("--plan", action="store_true", help="CASE is a rig.toml: which runs to record")
-    diagnose.add_argument("--minutes", type=float, metavar="M", help="of recording, for a plan (3)")
+    diagnose.add_argument("--scheduler", metavar="ADDRESS", help="of the Dask cluster for the diagnoses")
+    diagnose.add_argument("--write-rig", type=Path, metavar="FILE", help="write the rig with its causes")
+    diagnose.add_argument("--plan", action="store_true", help="CASE is a rig.toml: plan which runs to record")
+    diagnose.add_argument("--minutes", type=float, metavar="M", help="with --plan: recording time (3)")
     diagnose.add_argument(
         "--air-SL",
         type=float,
         metavar="N",
         dest="air_SL",
-        help="standard litres, for a plan (a filling of the bottle)",
+        help="with --plan: air, standard litres (one full bottle)",
     )
     diagnose.add_argument(
-        "--most-kPa", type=float, metavar="P", dest="most_kPa", help="gauge, to which a plan inflates (20.7)"
+        "--most-kPa",
+        type=float,
+        metavar="P",
+        dest="most_kPa",
+        help="with --plan: peak pressure, gauge (20.7)",
     )
-    diagnose.add_argument("--out", type=Path, metavar="DIR", help="write a report there, or a plan's files")
-    diagnose.add_argument("--json", action="store_true", help="one object instead of words")
+    diagnose.add_argument("--out", type=Path, metavar="DIR", help="write the report or the plan there")
+    diagnose.add_argument("--json", action="store_true", help="print one JSON object instead")
     diagnose.set_defaults(run=_diagnose)
 
 
 def _diagnose(arguments: argparse.Namespace) -> int:
     if arguments.plan:
         return _plan(arguments)
-    for option in _OF_A_PLAN:
+    for option in _PLAN_OPTIONS:
         if getattr(arguments, option) is not None:
-            fail(f"--{option.replace('_', '-')} belongs to --plan")
+            fail(f"--{option.replace('_', '-')} needs --plan")
     if len(arguments.case) + (arguments.from_log is not None) != 1 or arguments.scheduler:
         return _diagnose_all(arguments)
     with needs_analysis():
@@ -84,7 +88,7 @@ def _diagnose(arguments: argparse.Namespace) -> int:
         else:
             case = read_any(arguments.case[0], arguments.rig)
         if arguments.out:
-            # Not only after all the work is it said that there can be no report.
+            # An unwritable folder must fail before the long computation.
             arguments.out.mkdir(parents=True, exist_ok=True)
         with needs_analysis(), progress_bar() as progress:
             verdict = diagnose(case, progress=progress)
@@ -104,9 +108,9 @@ def _diagnose(arguments: argparse.Namespace) -> int:
 def _plan(arguments: argparse.Namespace) -> int:
     for option in ("from_log", "rig", "scheduler", "write_rig"):
         if getattr(arguments, option) is not None:
-            fail(f"--{option.replace('_', '-')} does not go with --plan")
+            fail(f"--{option.replace('_', '-')} cannot be used with --plan")
     if len(arguments.case) != 1:
-        fail("--plan needs one CASE, the rig.toml of the believed rig")
+        fail("--plan needs one CASE: the rig.toml of the assumed rig")
     with needs_analysis():
         from flying_vines.identification.plan import RecordingPlanError, plan
         from flying_vines.identification.plan.picture import figures
@@ -116,7 +120,7 @@ def _plan(arguments: argparse.Namespace) -> int:
         from flying_vines.plots.style import save
 
     folder: Path | None = arguments.out
-    limits = {name: getattr(arguments, name) for name in _OF_A_PLAN}
+    limits = {name: getattr(arguments, name) for name in _PLAN_OPTIONS}
     with file_errors(folder, RecordingPlanError, RigError):
         rig = load_rig(arguments.case[0])
         with needs_analysis(), progress_bar() as progress:
@@ -136,7 +140,7 @@ def _plan(arguments: argparse.Namespace) -> int:
 def _diagnose_all(arguments: argparse.Namespace) -> int:
     for option in ("from_log", "write_rig", "out"):
         if getattr(arguments, option) is not None:
-            fail(f"--{option.replace('_', '-')} is for one case, on this machine")
+            fail(f"--{option.replace('_', '-')} needs exactly one case and no --scheduler")
     if not arguments.case:
         fail("diagnose needs a CASE, or a flight log: --from-log LOG")
     with needs_analysis():

@@ -1,4 +1,4 @@
-"""`flying-vines doctor`: what it is given, what it prints, and with which status it ends."""
+"""`flying-vines doctor`: checks whether the vehicle may fly."""
 
 from __future__ import annotations
 
@@ -13,46 +13,42 @@ from flying_vines.cli.common import FLIGHTS
 
 MAY_NOT_FLY = 1
 SECONDS = 6.0
-SHORTEST_S = 5.0
-"""A silent board is told after three; and one stream after another is asked for, some once a second."""
+MIN_SECONDS = 5.0
+"""A silent board is reported after 3 s, and streams are requested one after another, some at 1 Hz."""
 
 
 def add(commands: Any) -> None:
     """Add `doctor` to the parsers of the command line."""
-    doctor = commands.add_parser("doctor", help="may one fly? what is wrong, and what to do about it")
+    doctor = commands.add_parser("doctor", help="check whether you may fly; show problems and remedies")
     doctor.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
     doctor.add_argument(
-        "--seconds", type=_seconds, default=SECONDS, metavar="N", help=f"how long to listen ({SECONDS:g})"
+        "--seconds", type=_seconds, default=SECONDS, metavar="N", help=f"listening time ({SECONDS:g})"
     )
     doctor.add_argument(
-        "--out", type=Path, default=FLIGHTS, metavar="DIR", help=f"where the flight logs go ({FLIGHTS})"
+        "--out", type=Path, default=FLIGHTS, metavar="DIR", help=f"the folder for flight logs ({FLIGHTS})"
     )
     doctor.add_argument(
-        "--radio",
-        action="store_true",
-        help="a guided test instead: what shows when the transmitter goes off?",
+        "--radio", action="store_true", help="guided test instead: is a lost transmitter detected?"
     )
     doctor.add_argument(
         "--yes",
         action="store_true",
-        help="ask nothing: neither to move the RC switch, nor (--radio) to write to the profile",
+        help="no questions: do not ask to move the RC switch; with --radio, write the profile",
     )
-    doctor.add_argument(
-        "--fakes", action="store_true", help="look at an embedded vehicle and phloSAR instead"
-    )
-    doctor.add_argument("--json", action="store_true", help="one object instead of lines")
+    doctor.add_argument("--fakes", action="store_true", help="check a simulated vehicle and phloSAR instead")
+    doctor.add_argument("--json", action="store_true", help="print one JSON object instead")
     doctor.set_defaults(run=run)
 
 
 def _seconds(text: str) -> float:
     seconds = float(text)
-    if not SHORTEST_S <= seconds <= 3600.0:
-        raise argparse.ArgumentTypeError(f"from {SHORTEST_S:g} to 3600")
+    if not MIN_SECONDS <= seconds <= 3600.0:
+        raise argparse.ArgumentTypeError(f"from {MIN_SECONDS:g} to 3600")
     return seconds
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """0 where one may fly, 1 where not; `ConfigError` where the profile cannot be read."""
+    """Returns 0 if you may fly, else 1. Raises `ConfigError` if the profile cannot be read."""
     if arguments.radio:
         from flying_vines.cli.doctor_radio import test_radio
 
@@ -76,7 +72,7 @@ async def _run(arguments: argparse.Namespace) -> int:
 
             base = configuration.load_or_default(arguments.config)
             config = await stack.enter_async_context(healthy(base))
-            examined = profile.given(config, "the profile between two fakes")
+            examined = profile.given(config, "the profile with simulated links")
         elif arguments.config:
             examined = profile.read(arguments.config)
         else:

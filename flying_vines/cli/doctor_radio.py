@@ -1,4 +1,4 @@
-"""`flying-vines doctor --radio`: the guided test, its verdict, and what of it goes into the profile."""
+"""`flying-vines doctor --radio`: the guided test, its verdict, and the setting for the profile."""
 
 from __future__ import annotations
 
@@ -36,22 +36,22 @@ from flying_vines.simulation.autopilot import FakeAutopilot
 NOT_SAFE = 1
 SAFE = "The vine is safe with this receiver."
 UNSAFE = "The vine is not safe with this receiver."
-NOT_KNOWN = "The test did not come to its end: nothing was learned."
+NOT_KNOWN = "The test did not finish: it has no result."
 KEY = "receiver_failsafe"
 
 
 def test_radio(arguments: argparse.Namespace) -> int:
-    """0 where the vine is safe with this receiver, 1 where it is not or nobody knows, 2 for bad input."""
+    """Returns 0 if the vine is safe with this receiver, 1 if not or unknown, 2 for bad input."""
     path: Path | None = arguments.config
     examined = profile.read(path) if path else profile.given(configuration.default(), "the built-in profile")
-    # What a program reads stands alone on standard output.
+    # With --json, standard output has only the JSON object.
     console = Console(highlight=False, stderr=arguments.json)
     ports: list[DoctorFinding] = []
     try:
         learned = asyncio.run(_test(examined, arguments.fakes, console, ports))
     except NobodyThereError:
         return bad_input(
-            "nobody is at a terminal to press Enter and switch the transmitter off: use one, or --fakes"
+            "a person must press Enter and switch the transmitter off: run it in a terminal, or use --fakes"
         )
     keep_signing(examined)
     if learned is None:
@@ -75,7 +75,7 @@ def test_radio(arguments: argparse.Namespace) -> int:
 async def _test(
     examined: ServiceProfile, fakes: bool, console: Console, ports: list[DoctorFinding]
 ) -> RadioLearned | None:
-    """None where the vehicle's link cannot be opened: then `ports` says why."""
+    """The result, or None if the vehicle's link cannot be opened; then `ports` has the reason."""
     config = examined.config
     if fakes:
         autopilot = FakeAutopilot("ardupilot", unix_s=time.time())
@@ -93,7 +93,7 @@ def as_json(
     failsafe: ReceiverFailsafe | None,
     written: Path | None,
 ) -> dict[str, Any]:
-    """`receiver_failsafe` is null where nothing was learned."""
+    """The test as JSON; `receiver_failsafe` is null without a result."""
     return {
         "safe": may_fly(findings),
         "summary": _summary(findings, learned),
@@ -110,9 +110,9 @@ def as_json(
 
 
 def with_learned(text: str, source: str, failsafe: ReceiverFailsafe, day: str) -> str:
-    """The profile's text with what was learned, all else as it was.
+    """The profile's text with the new value; everything else is unchanged.
 
-    Raises `ConfigError` where it is not written so that this line can be replaced.
+    Raises `ConfigError` if the text's layout does not allow to replace this line.
     """
     before = configuration.parse(text, source)
     was = value_text(before.switch.receiver_failsafe)
@@ -125,7 +125,7 @@ def with_learned(text: str, source: str, failsafe: ReceiverFailsafe, day: str) -
             return edited
     except ConfigError:
         pass
-    raise ConfigError(f"{source}: it is not written a key a line: set switch.{KEY} by hand")
+    raise ConfigError(f"{source}: the layout does not allow an automatic edit: set switch.{KEY} by hand")
 
 
 def _summary(findings: Sequence[DoctorFinding], learned: RadioLearned) -> str:
@@ -140,20 +140,20 @@ def _last_line(findings: Sequence[DoctorFinding], learned: RadioLearned) -> Text
 
 
 def _keep(failsafe: ReceiverFailsafe | None, arguments: argparse.Namespace, console: Console) -> Path | None:
-    """Into the profile, where that is wanted; the file that was written."""
+    """Write the value to the profile if the user agrees. Returns the written file, or None."""
     if failsafe is None:
         return None
     line = f"{KEY} = {value_text(failsafe)}"
     path: Path | None = arguments.config
     if arguments.fakes:
-        console.print(Text(f"For a receiver of yours, this would go into its profile: {line}", style="dim"))
+        console.print(Text(f"With a real receiver, this line would go into the profile: {line}", style="dim"))
         return None
     if path is None:
         console.print(f"Add to your profile:\n\n[switch]\n{line}", markup=False)
         return None
     text = configuration.text_of(path)
     if configuration.parse(text, str(path)).switch.receiver_failsafe == failsafe:
-        console.print(f"{path} has it already: {line}", markup=False, soft_wrap=True)
+        console.print(f"{path} already has this line: {line}", markup=False, soft_wrap=True)
         return None
     edited = with_learned(text, str(path), failsafe, time.strftime("%Y-%m-%d"))
     if not arguments.yes and not _agreed(f"Write {line} to {path}? [y/N] ", console):

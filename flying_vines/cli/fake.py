@@ -1,4 +1,4 @@
-"""`flying-vines fake`: one end of the link, alone."""
+"""`flying-vines fake`: runs a simulated autopilot or phloSAR alone."""
 
 from __future__ import annotations
 
@@ -8,41 +8,41 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from time import time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from flying_vines.cli.common import (
     fail,
     read_mission,
 )
 
-if TYPE_CHECKING:
-    pass
-
 
 def add(commands: Any) -> None:
     """Add `fake` to the parsers of the command line."""
-    fake = commands.add_parser("fake", help="one end of the link, alone")
+    fake = commands.add_parser("fake", help="run a simulated autopilot or phloSAR alone")
     fakes = fake.add_subparsers(required=True, metavar="WHAT")
-    autopilot = fakes.add_parser("autopilot", help="a fake autopilot on UDP")
+    autopilot = fakes.add_parser("autopilot", help="simulate an autopilot on UDP")
     autopilot.add_argument(
-        "--kind", choices=("ardupilot", "px4"), default="ardupilot", help="whose habits it has (ardupilot)"
+        "--kind",
+        choices=("ardupilot", "px4"),
+        default="ardupilot",
+        help="the simulated autopilot (ardupilot)",
     )
     companion = "127.0.0.1:14540"
     autopilot.add_argument(
-        "--to", default=companion, metavar="HOST:PORT", help=f"the companion ({companion})"
+        "--to", default=companion, metavar="HOST:PORT", help=f"the companion's address ({companion})"
     )
-    autopilot.add_argument("--gcs", metavar="HOST:PORT", help="a ground station as well")
-    autopilot.add_argument("--mission", type=Path, metavar="FILE.waypoints", help="what it holds")
+    autopilot.add_argument("--gcs", metavar="HOST:PORT", help="also send to a ground station")
+    autopilot.add_argument("--mission", type=Path, metavar="FILE.waypoints", help="the stored mission")
     autopilot.add_argument("--fly", action="store_true", help="take off at once, or fly the mission")
     autopilot.add_argument(
         "--listen",
         action="append",
         default=[],
         metavar="tcpin:HOST:PORT",
-        help="clients may connect there; may be given again",
+        help="accept clients there; may be repeated",
     )
     autopilot.set_defaults(run=_fake_autopilot)
-    phlosar = fakes.add_parser("phlosar", help="a fake phloSAR on a pseudo-terminal; prints its path")
+    phlosar = fakes.add_parser("phlosar", help="simulate a phloSAR on a pseudo-terminal; prints its path")
     phlosar.add_argument("--link", type=Path, metavar="PATH", help="a stable name for the port")
     phlosar.add_argument(
         "--reservoir-kPa",
@@ -50,10 +50,10 @@ def add(commands: Any) -> None:
         default=690.0,
         dest="reservoir_kPa",
         metavar="P",
-        help="in the bottle, gauge (690)",
+        help="bottle pressure, gauge (690)",
     )
     phlosar.add_argument(
-        "--rig", type=Path, metavar="RIG.toml", help="what is there (default: a likely vine)"
+        "--rig", type=Path, metavar="RIG.toml", help="the simulated rig (default: a typical vine)"
     )
     phlosar.add_argument(
         "--telemetry-Hz",
@@ -61,7 +61,7 @@ def add(commands: Any) -> None:
         default=100,
         dest="telemetry_Hz",
         metavar="N",
-        help="1000 for a diagnosis (100)",
+        help="telemetry rate; use 1000 for a diagnosis (100)",
     )
     phlosar.set_defaults(run=_fake_phlosar)
 
@@ -117,7 +117,7 @@ def _fake_phlosar(arguments: argparse.Namespace) -> int:
             async def live() -> None:
                 print(port.path, flush=True)
                 if sys.stdin.isatty():
-                    print("Type to break it, as `hose off` or `evp stuck 1`; Ctrl-C ends it.")
+                    print("Type a failure to simulate, e.g. `hose off` or `evp stuck 1`; Ctrl-C ends it.")
                     print(MISHAPS, flush=True)
                 await asyncio.gather(port.run(), type_to(lambda line: suffer(phlosar, line)))
 

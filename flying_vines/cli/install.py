@@ -1,4 +1,4 @@
-"""`flying-vines install-service`: shows what it would write and run, asks, does it; and undoes it."""
+"""`flying-vines install-service`: installs or removes the systemd service, after showing the changes."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from flying_vines.install.changes import (
     below,
     holds_anything,
     installing,
+    remove_empty,
     removing,
-    take_away_empty,
 )
 from flying_vines.install.program import FileReader, InstalledProgram, InstallError, check_reachable
 
@@ -33,16 +33,16 @@ if TYPE_CHECKING:
 
     from flying_vines.config.config import Config
 
-NOT_ALL = 1
+INCOMPLETE = 1
 THIS_MACHINE = Path("/")
-SYSTEMD_IS_AT_WORK = Path("/run/systemd/system")
+SYSTEMD_RUNS = Path("/run/systemd/system")
 NEW_RULES = ("systemctl daemon-reload", "udevadm control --reload", "udevadm trigger --subsystem-match=tty")
-STYLES = {How.NEW: "green", How.CHANGED: "yellow", How.TAKEN_AWAY: "red", How.AS_IT_IS: "dim"}
+STYLES = {How.NEW: "green", How.CHANGED: "yellow", How.REMOVED: "red", How.UNCHANGED: "dim"}
 
 
 @dataclass(frozen=True, slots=True)
 class InstallPlan:
-    """The commands are run before and after the files are changed."""
+    """File changes, and the commands that run before and after them."""
 
     question: str
     changes: Sequence[FileChange]
@@ -55,15 +55,18 @@ def add(commands: Any) -> None:
     """Add `install-service` to the parsers of the command line."""
     parser = commands.add_parser(
         "install-service",
-        help="let systemd run it whenever the machine runs: shows what that changes, and asks",
+        help="start the service with the computer (systemd); shows all changes and asks first",
     )
-    parser.add_argument("--remove", action="store_true", help="undo it; flights and a changed profile stay")
+    parser.add_argument("--remove", action="store_true", help="uninstall; flights and a changed profile stay")
     parser.add_argument("--yes", action="store_true", help="do not ask")
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help=f"the profile, where it is (default: {files.PROFILE})"
+        "--config", type=Path, metavar="FILE", help=f"the profile, used in place (default: {files.PROFILE})"
     )
     parser.add_argument(
-        "--user", default=files.USER, metavar="NAME", help=f"who runs it (default: {files.USER}, made for it)"
+        "--user",
+        default=files.USER,
+        metavar="NAME",
+        help=f"the service's user (default: {files.USER}, created)",
     )
     parser.add_argument(
         "--port-id", default=str(files.TEENSY), metavar="BOARD", help=f"the phloSAR: {files.TEENSY}[:SERIAL]"
@@ -73,7 +76,7 @@ def add(commands: Any) -> None:
         type=Path,
         default=THIS_MACHINE,
         metavar="DIR",
-        help="write below DIR, an image; run nothing",
+        help="write into the system image at DIR; run no command",
     )
     parser.set_defaults(run=_run)
 
@@ -107,7 +110,7 @@ def _installation(arguments: argparse.Namespace) -> InstallPlan:
         config = configuration.parse(fresh.text, str(profile))
     read = [*program.places, *_named(config, profile.parent), *([profile] if written.exists() else [])]
     if root == THIS_MACHINE:
-        # Of an image neither folders nor users can be seen from here.
+        # Folders and users of an image cannot be checked from here.
         check_reachable(read, _reader(user))
     kept_in = PersistentState.of(profile, config).parameters.parent
     wanted = [
@@ -121,10 +124,10 @@ def _installation(arguments: argparse.Namespace) -> InstallPlan:
         f"The profile is {profile}. Change it, then: sudo systemctl restart flying-vines (which vents first)"
     ]
     if changes[-1].how is How.CHANGED:
-        remarks.append("A service that runs goes on as it was until it is restarted.")
-    remarks.append("What it does: systemctl status flying-vines; journalctl -fu flying-vines")
+        remarks.append("A running service keeps its old settings until it is restarted.")
+    remarks.append("To see what it does: systemctl status flying-vines; journalctl -fu flying-vines")
     return InstallPlan(
-        "Write these, and run those?",
+        "Write these files and run these commands?",
         changes,
         after=[
             *([f"systemd-sysusers {files.USERS}"] if user == files.USER else []),
@@ -136,30 +139,31 @@ def _installation(arguments: argparse.Namespace) -> InstallPlan:
 
 
 def _named(config: Config, folder: Path) -> list[Path]:
-    """What a profile in `folder` has read besides: files for all, and the folders of files for one alone.
+    """Public files that a profile in `folder` names, and the folders of its secret files.
 
-    Those can be given to the service's own user only when there is one; it says itself what it cannot read.
+    A secret file gets its owner only when the service's user exists; the service itself reports a file that
+    it cannot read.
     """
     mqtt = config.mqtt
-    for_all = (config.pneumatics.rig, mqtt.ca_file, mqtt.certificate_file)
-    for_one = (config.vehicle.signing_key, mqtt.password_file, mqtt.key_file)
-    return [folder / name for name in for_all if name] + [(folder / name).parent for name in for_one if name]
+    public = (config.pneumatics.rig, mqtt.ca_file, mqtt.certificate_file)
+    secret = (config.vehicle.signing_key, mqtt.password_file, mqtt.key_file)
+    return [folder / name for name in public if name] + [(folder / name).parent for name in secret if name]
 
 
 def _removal(root: Path) -> InstallPlan:
     changes = removing(root)
-    taken = {change.path for change in changes if change.how is How.TAKEN_AWAY}
+    taken = {change.path for change in changes if change.how is How.REMOVED}
     own_user = below(root, files.USERS) in taken
     state_stays = holds_anything(below(root, files.STATE))
     remarks = []
     if state_stays:
         remarks.append(
-            f"{files.STATE} stays, with flights and parameters. To lose them: sudo rm -r {files.STATE}"
+            f"{files.STATE} stays, with flights and parameters. To delete them: sudo rm -r {files.STATE}"
         )
         if own_user:
-            remarks.append(f"So does the user {files.USER}, whose they are. Then: sudo userdel {files.USER}")
+            remarks.append(f"Their owner {files.USER} also stays. To delete it: sudo userdel {files.USER}")
     return InstallPlan(
-        "Take these away, and run those?",
+        "Remove these files and run these commands?",
         changes,
         before=[f"systemctl disable --now {files.SERVICE}"] if below(root, files.UNIT) in taken else [],
         after=[
@@ -176,7 +180,7 @@ def _reader(user: str) -> FileReader:
     except KeyError:
         if user == files.USER:
             return FileReader(user)
-        raise InstallError(f"there is no user {user} here") from None
+        raise InstallError(f"there is no user {user} on this computer") from None
     return FileReader(user, entry.pw_uid, frozenset(os.getgrouplist(user, entry.pw_gid)))
 
 
@@ -187,27 +191,27 @@ def _carry_out(plan: InstallPlan, root: Path, agreed: bool) -> int:
     commands = [*plan.before, *plan.after]
     for change in plan.changes:
         _show(change, console)
-    if not commands and all(change.how is How.AS_IT_IS for change in plan.changes):
-        _tell(plan.remarks or ["There is nothing to take away."], console)
+    if not commands and all(change.how is How.UNCHANGED for change in plan.changes):
+        _tell(plan.remarks or ["There is nothing to remove."], console)
         return 0
-    here = root == THIS_MACHINE and SYSTEMD_IS_AT_WORK.is_dir()
-    when = "Then" if here else "Not run from here, for systemd is not at work there"
+    here = root == THIS_MACHINE and SYSTEMD_RUNS.is_dir()
+    when = "Then" if here else "Not run now, because systemd does not run there"
     console.print(f"\n{when}:", *commands, sep="\n    ", markup=False)
     if not (agreed or _asked(f"\n{plan.question} [y/N] ")):
         console.print("Nothing was changed.")
-        return NOT_ALL
+        return INCOMPLETE
     good = _ran(plan.before, console) if here else True
     for change in plan.changes:
         change.make()
     for folder in (files.PROFILE.parent, files.STATE):
-        take_away_empty(below(root, folder))
+        remove_empty(below(root, folder))
     good &= _ran(plan.after, console) if here else True
     _tell(plan.remarks, console)
-    return 0 if good else NOT_ALL
+    return 0 if good else INCOMPLETE
 
 
 def _show(change: FileChange, console: Console) -> None:
-    why = f", for {change.why}" if change.why else ""
+    why = f" ({change.why})" if change.why else ""
     console.print(
         f"\n{change.path}: {change.how.value}{why}", style=f"bold {STYLES[change.how]}", markup=False
     )
@@ -223,11 +227,11 @@ def _asked(question: str) -> bool:
     try:
         return input(question).strip().lower() in ("y", "yes")
     except EOFError:
-        raise InstallError("nobody answers; --yes does it without asking") from None
+        raise InstallError("no answer on standard input; --yes runs it without a question") from None
 
 
 def _ran(commands: Sequence[str], console: Console) -> bool:
-    """Each, whatever became of the one before; whether all ended well."""
+    """Run all commands, also after a failed one. Returns True if all succeeded."""
     good = True
     for command in commands:
         console.print(f"$ {command}", markup=False)
@@ -237,5 +241,5 @@ def _ran(commands: Sequence[str], console: Console) -> bool:
             status = 127
         if status != 0:
             good = False
-            print(f"flying-vines: that ended with status {status}: {command}", file=sys.stderr)
+            print(f"flying-vines: command failed with status {status}: {command}", file=sys.stderr)
     return good

@@ -1,4 +1,4 @@
-"""`flying-vines link`: the monitor on a screen or in a pipe, and the firmware's settings."""
+"""`flying-vines link`: monitors the phloSAR's serial line, and reads and writes the firmware's settings."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ _REFRESH_PER_S = 8
 
 def add(commands: Any) -> None:
     """Add `link` to the parsers of the command line."""
-    link = commands.add_parser("link", help="what goes over the phloSAR's line, and its settings")
+    link = commands.add_parser("link", help="monitor the phloSAR's serial line; read or write its settings")
     link.add_argument("address", nargs="?", metavar="ADDRESS", help=f"(default: the profile's) {FORMS}")
     link.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
-    link.add_argument("--seconds", type=float, metavar="N", help="then end; with status 1 if nobody answered")
-    link.add_argument("--json", action="store_true", help="one object a line")
-    link.add_argument("--raw", action="store_true", help="the bytes as well")
-    link.add_argument("--settings", action="store_true", help="what is set in the firmware")
+    link.add_argument("--seconds", type=float, metavar="N", help="then stop; exit status 1 without an answer")
+    link.add_argument("--json", action="store_true", help="print one JSON object per line")
+    link.add_argument("--raw", action="store_true", help="print the bytes, too")
+    link.add_argument("--settings", action="store_true", help="print the firmware's settings")
     link.add_argument(
         "--set",
         action="append",
         default=[],
         dest="changes",
         metavar="NAME=VALUE",
-        help="keep it in the firmware; may be given again",
+        help="store a setting in the firmware; may be repeated",
     )
     link.set_defaults(run=_link)
 
@@ -72,7 +72,7 @@ def _change(text: str) -> tuple[str, float]:
 
 
 async def monitor(address: Address, title: str, seconds: float | None, objects: bool, raw: bool) -> bool:
-    """Watch until interrupted, or for `seconds`; whether the firmware answered."""
+    """Watch until interrupted, or for `seconds`. Returns True if the firmware answered."""
     watch = LinkWatch(address)
     stopped = _stopped()
 
@@ -91,9 +91,9 @@ async def monitor(address: Address, title: str, seconds: float | None, objects: 
     with Live(view.render(watch), console=console, refresh_per_second=_REFRESH_PER_S, screen=True) as screen:
         drawn_at = 0.0
 
-        def show(heard: Sequence[LinkEvent]) -> None:
+        def show(events: Sequence[LinkEvent]) -> None:
             nonlocal drawn_at
-            view.take(heard)
+            view.take(events)
             if watch.t - drawn_at >= 1.0 / _REFRESH_PER_S:
                 drawn_at = watch.t
                 screen.update(view.render(watch))
@@ -104,7 +104,7 @@ async def monitor(address: Address, title: str, seconds: float | None, objects: 
 
 
 async def settings(address: Address, changes: Mapping[str, float], objects: bool) -> None:
-    """Change what is to be changed and print what is set then; SettingsError."""
+    """Write `changes`, then print all settings. Raises `SettingsError`."""
     known = await talk_about_settings(address, changes, _stopped())
     if objects:
         for setting in known:
@@ -123,8 +123,8 @@ def _stopped() -> asyncio.Event:
 
 
 def _printer(console: Console, objects: bool, raw: bool) -> Callable[[Sequence[LinkEvent]], None]:
-    def show(heard: Sequence[LinkEvent]) -> None:
-        for each in heard:
+    def show(events: Sequence[LinkEvent]) -> None:
+        for each in events:
             if objects:
                 print(json.dumps(as_json(each, raw), allow_nan=False))
             else:

@@ -1,4 +1,7 @@
-"""The phloSAR's line for people: lines, objects, a screen, and the table of its settings."""
+"""Shows the phloSAR's serial line as lines, JSON objects or a screen, and the table of its settings.
+
+EVP: inflation valve. DVP: the Venturi's supply valve.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ _MODE_STYLE = {Mode.VENT: "green", Mode.REGULATE: "bold yellow", Mode.FAULT: "bo
 
 
 def describe(message: Message) -> str:
-    """A message, for people."""
+    """A message as text."""
     if isinstance(message, Telemetry):
         opening = f"EVP {message.evp_opening:.0%}, DVP {message.dvp_opening:.0%}"
         solenoid = "open" if message.solenoid else "shut"
@@ -46,34 +49,34 @@ def _plain(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def line(heard: LinkEvent, raw: bool = False) -> Text:
+def line(event: LinkEvent, raw: bool = False) -> Text:
     """One line for a terminal or a pipe."""
-    if isinstance(heard, LinkNote):
-        return Text(f"{heard.t:9.3f}   {heard.text}", style="green" if heard.good else "bold red")
-    text = Text(f"{heard.t:9.3f} ", no_wrap=True, overflow="ellipsis")
-    text.append("→ " if heard.sent else "← ", style="yellow" if heard.sent else "cyan")
-    if heard.message is None:
-        text.append(f"{len(heard.wire)} bytes: {heard.problem}", style="red")
+    if isinstance(event, LinkNote):
+        return Text(f"{event.t:9.3f}   {event.text}", style="green" if event.good else "bold red")
+    text = Text(f"{event.t:9.3f} ", no_wrap=True, overflow="ellipsis")
+    text.append("→ " if event.sent else "← ", style="yellow" if event.sent else "cyan")
+    if event.message is None:
+        text.append(f"{len(event.wire)} bytes: {event.problem}", style="red")
     else:
-        text.append(f"{type(heard.message).__name__:<10} ", style="bold")
-        text.append(describe(heard.message))
-    if raw or heard.message is None:
-        text.append(f"  [{heard.wire.hex(' ')}]", style="dim")
+        text.append(f"{type(event.message).__name__:<10} ", style="bold")
+        text.append(describe(event.message))
+    if raw or event.message is None:
+        text.append(f"  [{event.wire.hex(' ')}]", style="dim")
     return text
 
 
-def as_json(heard: LinkEvent, raw: bool = False) -> dict[str, Any]:
-    """The same as an object; what is no number is null."""
-    if isinstance(heard, LinkNote):
-        return {"t": round(heard.t, 6), "told": heard.text}
-    entry: dict[str, Any] = {"t": round(heard.t, 6), "to": "device" if heard.sent else "host"}
-    if heard.message is None:
-        entry |= {"message": None, "problem": heard.problem}
+def as_json(event: LinkEvent, raw: bool = False) -> dict[str, Any]:
+    """The event as a JSON object; NaN and infinities become null."""
+    if isinstance(event, LinkNote):
+        return {"t": round(event.t, 6), "told": event.text}
+    entry: dict[str, Any] = {"t": round(event.t, 6), "to": "device" if event.sent else "host"}
+    if event.message is None:
+        entry |= {"message": None, "problem": event.problem}
     else:
-        entry["message"] = type(heard.message).__name__
-        entry |= {name: _for_json(value) for name, value in asdict(heard.message).items()}
-    if raw or heard.message is None:
-        entry["wire"] = heard.wire.hex()
+        entry["message"] = type(event.message).__name__
+        entry |= {name: _for_json(value) for name, value in asdict(event.message).items()}
+    if raw or event.message is None:
+        entry["wire"] = event.wire.hex()
     return entry
 
 
@@ -86,7 +89,7 @@ def _for_json(value: object) -> object:
 
 
 def settings_table(settings: Sequence[Setting]) -> Table:
-    """What is set, what may be, and what differs from the standard."""
+    """Values, limits and defaults; a changed setting is highlighted."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("setting")
     for name in ("value", "least", "most", "standard"):
@@ -101,11 +104,11 @@ def settings_table(settings: Sequence[Setting]) -> Table:
 
 
 def verdict(now: LinkStatistics, since: LinkStatistics | None) -> Text:
-    """Is the line clean? Counted from when the firmware answered."""
+    """The line's quality since the firmware's first answer (`since`)."""
     if since is None:
-        return Text("not known: nobody has answered yet", style="dim")
+        return Text("not known: no answer yet", style="dim")
     wrong = {
-        "spoilt": now.bad_frames - since.bad_frames,
+        "corrupt": now.bad_frames - since.bad_frames,
         "lost": now.lost_frames - since.lost_frames,
         "unknown": now.unknown_messages - since.unknown_messages,
         "gaps in telemetry": now.telemetry_gaps - since.telemetry_gaps,
@@ -113,16 +116,16 @@ def verdict(now: LinkStatistics, since: LinkStatistics | None) -> Text:
     good = now.good_frames - since.good_frames
     if not any(wrong.values()):
         return Text(f"clean: {good} frames, all good", style="green")
-    told = ", ".join(f"{count} {what}" for what, count in wrong.items() if count)
-    # A frame that was spoilt is missing among the numbers as well.
-    bad = max(wrong["spoilt"], wrong["lost"])
-    return Text(f"not clean: {told}; {bad / max(1, bad + good):.2%} of all frames", style="bold red")
+    counts = ", ".join(f"{count} {what}" for what, count in wrong.items() if count)
+    # A corrupt frame also leaves a gap in the sequence numbers and so counts as lost.
+    bad = max(wrong["corrupt"], wrong["lost"])
+    return Text(f"not clean: {counts}; {bad / max(1, bad + good):.2%} of all frames", style="bold red")
 
 
 def statistics_line(now: LinkStatistics) -> str:
-    """All counts in a line."""
+    """All counts in one line."""
     return (
-        f"{now.good_frames} good, {now.bad_frames} spoilt, {now.lost_frames} lost, "
+        f"{now.good_frames} good, {now.bad_frames} corrupt, {now.lost_frames} lost, "
         f"{now.unknown_messages} unknown frames; {now.telemetry_gaps} gaps in telemetry; "
         f"{now.reconnects} reconnects; {now.received_bytes} bytes in, {now.sent_bytes} out, "
         f"{now.dropped_bytes} dropped"
@@ -130,16 +133,16 @@ def statistics_line(now: LinkStatistics) -> str:
 
 
 class LinkView:
-    """The screen: feed it what is heard, render it as often as you like."""
+    """The live screen. Call `take` with new events and `render` to draw."""
 
     def __init__(self, title: str, lines: int = 12) -> None:
         self._title = title
         self._lines: deque[Text] = deque(maxlen=lines)
         self._telemetry: Telemetry | None = None
 
-    def take(self, heard: Sequence[LinkEvent]) -> None:
-        """Of what comes all the time, only what changes is worth a line: the rest is in the rows above."""
-        for each in heard:
+    def take(self, events: Sequence[LinkEvent]) -> None:
+        """Add lines for the events; pings and unchanged telemetry show only in the rows above."""
+        for each in events:
             message = each.message if isinstance(each, SeenFrame) else None
             if isinstance(message, (Ping, Pong)):
                 continue
@@ -174,7 +177,10 @@ class LinkView:
         grid.add_row("counts", statistics_line(now))
         return Panel(
             Group(
-                grid, Text(""), Rule("frames, but for pings and steady telemetry", style="dim"), *self._lines
+                grid,
+                Text(""),
+                Rule("frames except pings and steady telemetry", style="dim"),
+                *self._lines,
             ),
             title=f"phloSAR link   {self._title}   {watch.t:.1f} s",
         )

@@ -1,4 +1,4 @@
-"""`flying-vines log`: list, show, plot, export, bundle; each imports what it needs then."""
+"""`flying-vines log`: list, show, plot, export and bundle recorded flights."""
 
 from __future__ import annotations
 
@@ -22,46 +22,53 @@ PICTURES = (".png", ".pdf", ".svg")
 
 def add(commands: Any) -> None:
     """Add `log` to the parsers of the command line."""
-    log = commands.add_parser("log", help="the flights that were recorded: list, show, plot, export, bundle")
+    log = commands.add_parser("log", help="recorded flights: list, show, plot, export, bundle")
     actions = log.add_subparsers(required=True, metavar="ACTION")
 
-    listing = actions.add_parser("list", help="a line a flight")
+    listing = actions.add_parser("list", help="print one line per flight")
     listing.add_argument(
-        "folder", type=Path, nargs="?", default=FLIGHTS, metavar="DIR", help="where flights are (flights)"
+        "folder", type=Path, nargs="?", default=FLIGHTS, metavar="DIR", help="folder of the flights (flights)"
     )
-    listing.add_argument("--json", action="store_true", help="an array of objects instead of a table")
+    listing.add_argument("--json", action="store_true", help="print a JSON array instead")
     listing.set_defaults(run=_list)
 
-    show = _of_a_flight(actions, "show", _show, "what happened: decisions, notices, and a summary")
-    show.add_argument("--json", action="store_true", help="one object instead")
-    plot = _of_a_flight(actions, "plot", _plot, "a picture of it: .png, .pdf or .svg")
+    show = _add_action(actions, "show", _show, "print decisions, notices and a summary")
+    show.add_argument("--json", action="store_true", help="print one JSON object instead")
+    plot = _add_action(actions, "plot", _plot, "draw the flight: .png, .pdf or .svg")
     plot.add_argument(
         "-o", "--out", type=Path, metavar="FILE", help="the picture (flight.png in the flight's folder)"
     )
-    plot.add_argument("--title", metavar="TEXT", help="above the picture (the day and time of the flight)")
-    export = _of_a_flight(actions, "export", _export, "tables of it, for other programs")
-    export.add_argument("--csv", action="store_true", required=True, help="a CSV file a topic")
-    export.add_argument("-o", "--out", type=Path, metavar="DIR", help="where to (csv in the flight's folder)")
-    bundle = _of_a_flight(actions, "bundle", _bundle, "all of it in one zip file, for a report of a bug")
+    plot.add_argument("--title", metavar="TEXT", help="of the picture (date and time of the flight)")
+    export = _add_action(actions, "export", _export, "write tables for other programs")
+    export.add_argument("--csv", action="store_true", required=True, help="one CSV file per topic")
+    export.add_argument(
+        "-o", "--out", type=Path, metavar="DIR", help="new folder (csv in the flight's folder)"
+    )
+    bundle = _add_action(actions, "bundle", _bundle, "pack the flight into a zip file for a bug report")
     bundle.add_argument(
-        "-o", "--out", type=Path, metavar="FILE.zip", help="where to (here, named after the flight)"
+        "-o", "--out", type=Path, metavar="FILE.zip", help="the new file (here, named after the flight)"
     )
 
 
-def _of_a_flight(
+def _add_action(
     actions: Any, name: str, run: Callable[[FlightLog, argparse.Namespace], int], what: str
 ) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = actions.add_parser(name, help=what)
-    parser.add_argument("flight", metavar="FLIGHT", help="its folder, its flight.mcap, or: last")
+    parser.add_argument("flight", metavar="FLIGHT", help="the flight's folder or flight.mcap, or 'last'")
     parser.add_argument(
-        "--in", type=Path, default=FLIGHTS, dest="folder", metavar="DIR", help="where flights are (flights)"
+        "--in",
+        type=Path,
+        default=FLIGHTS,
+        dest="folder",
+        metavar="DIR",
+        help="folder of the flights (flights)",
     )
     parser.set_defaults(run=lambda arguments: _reading(run, arguments))
     return parser
 
 
 def _reading(run: Callable[[FlightLog, argparse.Namespace], int], arguments: argparse.Namespace) -> int:
-    """Find the flight, and say in one line what cannot be read or written."""
+    """Find the flight and run the action; a file error becomes one line."""
     from flying_vines.record.reader import LogError
     from flying_vines.record.summary import find_flight
 
@@ -81,7 +88,7 @@ def _list(arguments: argparse.Namespace) -> int:
     from flying_vines.record.summary import flights_in, summarise
 
     if not arguments.folder.is_dir():
-        return bad_input(f"{arguments.folder}: is no folder; `run` and `demo` write flights there")
+        return bad_input(f"{arguments.folder}: is not a folder; `run` and `demo` write flights there")
     summaries, unreadable = [], []
     for folder in flights_in(arguments.folder):
         try:
@@ -116,7 +123,7 @@ def _plot(log: FlightLog, arguments: argparse.Namespace) -> int:
 
     path: Path = arguments.out or log.folder / "flight.png"
     if path.suffix not in PICTURES:
-        return bad_input(f"{path}: a picture ends with {', '.join(PICTURES)}")
+        return bad_input(f"{path}: the name of a picture must end with {', '.join(PICTURES)}")
     draw_flight(log, path, arguments.title)
     print(f"Picture  {path}")
     return 0
@@ -141,15 +148,15 @@ def _bundle(log: FlightLog, arguments: argparse.Namespace) -> int:
     from flying_vines.record.bundle import bundle
 
     path: Path = arguments.out or Path(f"{log.folder.resolve().name}.zip")
-    told = io.StringIO()
-    story(log, Console(file=told, width=120))
-    names = bundle(log, told.getvalue(), path)
+    text = io.StringIO()
+    story(log, Console(file=text, width=120))
+    names = bundle(log, text.getvalue(), path)
     print(f"Wrote {path}: {', '.join(names)}")
     return 0
 
 
 def replay_again(recording: Path, config: Path | None, as_json: bool) -> int:
-    """`flying-vines replay` of a flight's own log: the status says whether the answers were the same."""
+    """`flying-vines replay` of a flight log. Exit status 1 if the core's answers differ from the flight's."""
     from rich.console import Console
 
     from flying_vines.cli.log_tables import show_again

@@ -1,4 +1,4 @@
-"""Flights on the terminal: a table of many, the story of one, and whether one came out the same again."""
+"""Flights on the terminal: the table of flights, one flight's events, and a replay's comparison."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from flying_vines.simulation.replay import Again, as_json
 from flying_vines.terminal.screen import decision_table, event_line
 from flying_vines.vehicle.notice import Notice
 
-MOST_DIFFERENCES = 10
+MAX_DIFFERENCES = 10
 _DECISION, _NOTICE, _LINK = topic_of(Decision), topic_of(Notice), topic_of(LinkChanged)
 _PARAMETERS, _DISARMED = topic_of(KeepParameters), topic_of(KeepDisarmed)
 _ERROR = topic_of(InternalError)
-TOLD = (_DECISION, _NOTICE, _LINK, _PARAMETERS, _DISARMED, _ERROR)
+STORY_TOPICS = (_DECISION, _NOTICE, _LINK, _PARAMETERS, _DISARMED, _ERROR)
 
 
 def summary_table(summaries: Sequence[Summary]) -> Table:
-    """A line a flight, the oldest first."""
+    """One line per flight, the oldest first."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("flight", no_wrap=True, overflow="fold")
     for name in ("length", "armed", "bends", "refused", "lowest, kPa"):
@@ -61,13 +61,13 @@ def summary_table(summaries: Sequence[Summary]) -> Table:
 
 
 def summary_as_json(summary: Summary) -> dict[str, object]:
-    said = asdict(summary)
+    fields = asdict(summary)
     lowest_kPa = summary.lowest_reservoir_kPa
-    return {**said, "folder": str(summary.folder), "lowest_reservoir_kPa": _or_none(lowest_kPa)}
+    return {**fields, "folder": str(summary.folder), "lowest_reservoir_kPa": _or_none(lowest_kPa)}
 
 
 def story(log: FlightLog, console: Console) -> None:
-    """What happened, in order, and what it came to."""
+    """The flight's events in order, and its summary."""
     summary = summarise(log)
     began = time.strftime("%A %Y-%m-%d %H:%M:%S", time.localtime(summary.began_s))
     console.print(Text(f"{log.folder.name}: {began}", style="bold"), highlight=False)
@@ -76,10 +76,10 @@ def story(log: FlightLog, console: Console) -> None:
         board = f"firmware {firmware['build']}" if firmware else "no phloSAR answered"
         console.print(f"flying-vines {about['flying_vines']} on {about['machine']}, {board}", highlight=False)
         if about["continues"]:
-            console.print(f"The same service flew {about['continues']} before.", highlight=False)
+            console.print(f"The same service run also made {about['continues']}.", highlight=False)
     console.print()
     first: float | None = None
-    for entry in log.entries(TOLD):
+    for entry in log.entries(STORY_TOPICS):
         t = entry.fields["t"]
         first = t if first is None else first
         for line in _lines(entry, first):
@@ -89,18 +89,18 @@ def story(log: FlightLog, console: Console) -> None:
 
 
 def story_as_json(log: FlightLog) -> dict[str, object]:
-    told = [{"topic": entry.topic, **entry.fields} for entry in log.entries(TOLD)]
-    return {**summary_as_json(summarise(log)), "about": _about(log), "story": told}
+    events = [{"topic": entry.topic, **entry.fields} for entry in log.entries(STORY_TOPICS)]
+    return {**summary_as_json(summarise(log)), "about": _about(log), "story": events}
 
 
 def show_again(again: Again, json_wanted: bool, console: Console) -> None:
-    """The decisions as they come out now, and whether they and all else did so in the flight."""
+    """The replay's decisions, and its differences from the flight."""
     if json_wanted:
-        said = [as_json(decision) for decision in again.decisions]
-        print(json.dumps({"decisions": said, "same": again.compared, "differences": again.differences}))
+        decisions = [as_json(decision) for decision in again.decisions]
+        print(json.dumps({"decisions": decisions, "same": again.compared, "differences": again.differences}))
         return
     console.print(decision_table([replace(d, t=d.t - again.began) for d in again.decisions]))
-    for difference in again.differences[:MOST_DIFFERENCES]:
+    for difference in again.differences[:MAX_DIFFERENCES]:
         console.print(difference, style="red", highlight=False, soft_wrap=True)
     same = ", ".join(f"{count} {topic}" for topic, count in sorted(again.compared.items()))
     if again.differences:
@@ -110,27 +110,27 @@ def show_again(again: Again, json_wanted: bool, console: Console) -> None:
 
 
 def _lines(entry: LogEntry, began: float) -> Iterator[Text]:
-    said = entry.fields
-    at = f"{said['t'] - began:7.2f}  "
+    fields = entry.fields
+    at = f"{fields['t'] - began:7.2f}  "
     if entry.topic in (_DECISION, _NOTICE):
         kind: type[Decision | Notice] = Decision if entry.topic == _DECISION else Notice
-        line = event_line(restored(kind, said), began)
+        line = event_line(restored(kind, fields), began)
         if line is not None:
             yield line
     elif entry.topic == _LINK:
-        state = "open" if said["up"] else f"down: {said['why']}"
-        yield Text(f"{at}{said['link']} link {state}", style="dim")
+        state = "open" if fields["up"] else f"down: {fields['why']}"
+        yield Text(f"{at}{fields['link']} link {state}", style="dim")
     elif entry.topic == _ERROR:
-        yield Text(f"{at}{said['part']}: {said['trace'].rstrip()}", style="red")
+        yield Text(f"{at}{fields['part']}: {fields['trace'].rstrip()}", style="red")
     elif entry.topic == _PARAMETERS:
-        values = ", ".join(f"{name} = {value:g}" for name, value in said["values"].items())
+        values = ", ".join(f"{name} = {value:g}" for name, value in fields["values"].items())
         yield Text(f"{at}parameters: {values or 'as in the profile'}")
     else:
-        yield Text(f"{at}pneumatics {'disarmed' if said['disarmed'] else 'armed'}")
+        yield Text(f"{at}pneumatics {'disarmed' if fields['disarmed'] else 'armed'}")
 
 
 def _about(log: FlightLog) -> dict[str, Any] | None:
-    """Of the flight; None where there is no such file."""
+    """The content of the flight's about file; None if it is missing."""
     try:
         about: dict[str, Any] = json.loads((log.folder / ABOUT).read_text(encoding="utf-8"))
     except (OSError, ValueError):

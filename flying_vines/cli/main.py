@@ -1,4 +1,4 @@
-"""The `flying-vines` command: the parser of all commands. What each needs is imported when it runs."""
+"""The `flying-vines` command: the parser of all commands. A command imports what it needs when it runs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ COMMANDS = (
     *(demo, run, replay, buttons, config, paper, simulate, import_, diagnose, design, vine),
     *(doctor, calibrate, mission, log, watch, install, link, fake),
 )
-"""In the order of the help."""
+"""In the order of the help page."""
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
@@ -50,14 +50,14 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     except KeyboardInterrupt:
         status = 130
     except BrokenPipeError:
-        # Whoever read our output has seen enough; Python's own flush at exit must not complain.
+        # The reader of our output has closed the pipe; Python's flush at exit must not raise again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 0
     sys.exit(status)
 
 
 class _Version(argparse.Action):
-    """Looked up when asked for: it takes longer than the rest of the parser."""
+    """Looks the version up only on request: that takes longer than the rest of the parser."""
 
     def __call__(self, parser: argparse.ArgumentParser, *what: object) -> NoReturn:
         from importlib.metadata import version
@@ -68,7 +68,7 @@ class _Version(argparse.Action):
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="flying-vines", description="A soft robot arm on a drone.")
-    parser.add_argument("--version", action=_Version, nargs=0, help="print it and end")
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in COMMANDS:
         command.add(commands)

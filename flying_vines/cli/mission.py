@@ -1,4 +1,4 @@
-"""`flying-vines mission`: build, check, upload, watch, download, script; each imports what it needs then."""
+"""`flying-vines mission`: build, check, upload, watch, download, script."""
 
 from __future__ import annotations
 
@@ -34,32 +34,32 @@ def add(commands: Any) -> None:
     mission = commands.add_parser("mission", help="missions with vine items: build, check, upload, watch")
     actions = mission.add_subparsers(required=True, metavar="ACTION")
 
-    build = actions.add_parser("build", help="a .plan and a .waypoints for one autopilot out of a TOML file")
-    build.add_argument("mission", type=Path, metavar="MISSION.toml", help="the text")
+    build = actions.add_parser("build", help="make a .plan and a .waypoints for one autopilot from a text")
+    build.add_argument("mission", type=Path, metavar="MISSION.toml", help="the mission as text")
     build.add_argument(
-        "--out", type=Path, metavar="PATH", help="a folder, or one file (default: beside the mission)"
+        "--out", type=Path, metavar="PATH", help="a folder, or one file (default: the mission's folder)"
     )
     _common(build)
     build.set_defaults(run=_build)
 
-    check = actions.add_parser("check", help="what is wrong with a mission, and the air that it takes")
+    check = actions.add_parser("check", help="find errors in a mission, and the air that it needs")
     check.add_argument("mission", type=Path, metavar="FILE", help="a .toml, .plan or .waypoints")
-    check.add_argument("--fly", action="store_true", help="fly it in simulation as well")
+    check.add_argument("--fly", action="store_true", help="also fly it in simulation")
     _common(check)
     check.set_defaults(run=_check)
 
-    upload = actions.add_parser("upload", help="put a mission on the vehicle, and read it back")
+    upload = actions.add_parser("upload", help="write a mission to the vehicle, and read it back")
     upload.add_argument("mission", type=Path, metavar="FILE", help="a .plan or .waypoints")
     _vehicle(upload, _upload)
-    watch = actions.add_parser("watch", help="follow the mission that the vehicle flies, to its end")
-    watch.add_argument("--plain", action="store_true", help="one line an event instead of a live view")
+    watch = actions.add_parser("watch", help="follow the flown mission to its end")
+    watch.add_argument("--plain", action="store_true", help="print lines instead of the live view")
     _vehicle(watch, _watch)
-    download = actions.add_parser("download", help="get the mission that the vehicle holds")
+    download = actions.add_parser("download", help="read the mission from the vehicle")
     download.add_argument("mission", type=Path, metavar="FILE", help="a .plan or .waypoints to write")
     _vehicle(download, _download)
-    script = actions.add_parser("script", help="write the script that hands items over on ArduPilot")
+    script = actions.add_parser("script", help="write the Lua script that sends vine items on ArduPilot")
     script.add_argument(
-        "--out", type=Path, default=Path(SCRIPT), metavar="FILE.lua", help=f"where to ({SCRIPT})"
+        "--out", type=Path, default=Path(SCRIPT), metavar="FILE.lua", help=f"the file ({SCRIPT})"
     )
     script.set_defaults(run=_script)
 
@@ -68,30 +68,27 @@ def _common(parser: argparse.ArgumentParser) -> None:
     # Before Python 3.14 a place in the south or west ("-35.36,149.16,584") was taken for an option.
     parser._negative_number_matcher = _NEGATIVE
     parser.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
-    parser.add_argument("--autopilot", choices=("ardupilot", "px4"), help="(default: what the mission says)")
+    parser.add_argument("--autopilot", choices=("ardupilot", "px4"), help="(default: the mission's own)")
     parser.add_argument(
         "--home",
         type=_home,
         metavar="LAT,LON,ALT",
-        help="degrees, and metres above the sea: instead of the file's",
+        help="degrees, and metres above sea level; replaces the file's home",
     )
     parser.add_argument(
         "--reservoir-kPa",
         type=_pressure,
         dest="reservoir_kPa",
         metavar="P",
-        help="in the bottle at the start, gauge (default: full)",
+        help="bottle pressure at the start, gauge (default: full)",
     )
-    parser.add_argument("--rig", type=Path, metavar="RIG.toml", help="what is known (default: the profile's)")
-    parser.add_argument("--json", action="store_true", help="one object instead of a table")
+    parser.add_argument("--rig", type=Path, metavar="RIG.toml", help="the rig (default: the profile's)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
 
 
 def _vehicle(parser: argparse.ArgumentParser, run: Callable[[argparse.Namespace], int]) -> None:
     parser.add_argument(
-        "--link",
-        default=GROUND_STATION_LINK,
-        metavar="LINK",
-        help=f"{FORMS} ({GROUND_STATION_LINK})",
+        "--link", default=GROUND_STATION_LINK, metavar="LINK", help=f"{FORMS} ({GROUND_STATION_LINK})"
     )
     parser.set_defaults(run=run)
 
@@ -150,7 +147,7 @@ def _home(text: str) -> Home:
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not LAT,LON,ALT") from None
     if not (abs(latitude) <= 90 and abs(longitude) <= 180 and -500 <= altitude_m <= 9000):
-        raise argparse.ArgumentTypeError(f"{text!r} is no place on earth")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a place on earth")
     return Home(latitude, longitude, altitude_m)
 
 
@@ -171,7 +168,7 @@ def _build(arguments: argparse.Namespace) -> int:
 
     path: Path = arguments.mission
     if path.suffix in (".plan", ".waypoints"):
-        return _fail(f"{path}: is built already; `flying-vines mission check` looks at it")
+        return _fail(f"{path}: is already a built mission; check it with `flying-vines mission check`")
     try:
         report = _report(arguments)
     except MissionError as error:
@@ -240,7 +237,7 @@ def _report(arguments: argparse.Namespace, flies: bool = False) -> Report:
 def _items(
     arguments: argparse.Namespace, config: Config
 ) -> tuple[str, list[MissionItem], AutopilotKind, Home]:
-    """Name, items, autopilot and home, from whichever file."""
+    """Name, items, autopilot and home, from a mission text or a built mission."""
     from missions.build import build
     from missions.files import SUFFIXES, load_items
     from missions.mission import MissionError, load, planned_home
@@ -248,7 +245,7 @@ def _items(
     path: Path = arguments.mission
     if path.suffix in SUFFIXES:
         if arguments.home:
-            raise MissionError(f"{path}: --home is for missions that are built; this one has its places")
+            raise MissionError(f"{path}: --home is for a .toml; this file already contains positions")
         found = load_items(path, arguments.autopilot)
         return path.stem, list(found.items), found.kind, found.home
     mission, text = load(path)

@@ -1,10 +1,10 @@
-"""`flying-vines paper`: the paper's every number beside ours."""
+"""`flying-vines paper`: every number of the paper beside ours."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from flying_vines.cli.common import (
     file_errors,
@@ -12,16 +12,13 @@ from flying_vines.cli.common import (
     show_found,
 )
 
-if TYPE_CHECKING:
-    pass
-
 
 def add(commands: Any) -> None:
     """Add `paper` to the parsers of the command line."""
-    paper = commands.add_parser("paper", help="reproduce the phloSAR paper: its every number beside ours")
+    paper = commands.add_parser("paper", help="reproduce the phloSAR paper: all its numbers beside ours")
     paper.add_argument("--out", type=Path, metavar="DIR", help="draw the figures there")
-    paper.add_argument("--diagnose", action="store_true", help="why its measurements depart from its model")
-    paper.add_argument("--json", action="store_true", help="one object instead of a table")
+    paper.add_argument("--diagnose", action="store_true", help="why its measurements differ from its model")
+    paper.add_argument("--json", action="store_true", help="print one JSON object instead")
     paper.set_defaults(run=_paper)
 
 

@@ -1,4 +1,4 @@
-"""`flying-vines replay`: what the service would have done about a recording."""
+"""`flying-vines replay`: runs the core on a recording and prints its decisions."""
 
 from __future__ import annotations
 
@@ -24,15 +24,19 @@ if TYPE_CHECKING:
 
 def add(commands: Any) -> None:
     """Add `replay` to the parsers of the command line."""
-    replay = commands.add_parser("replay", help="what the service would have done about a recording")
+    replay = commands.add_parser("replay", help="run the service's logic on a recording")
     replay.add_argument("recording", type=Path, metavar="FILE", help="a .tlog, or a flight's folder or .mcap")
     replay.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
-    replay.add_argument("--mission", type=Path, metavar="FILE.waypoints", help="where the stream has none")
-    replay.add_argument("--parameters", type=Path, metavar="FILE.toml", help="those a pilot had set")
     replay.add_argument(
-        "--pace", type=float, default=0.0, metavar="N", help="1: as recorded; 0: as fast as it goes"
+        "--mission", type=Path, metavar="FILE.waypoints", help="the mission, if the recording has none"
     )
-    replay.add_argument("--json", action="store_true", help="an array of objects instead of a table")
+    replay.add_argument(
+        "--parameters", type=Path, metavar="FILE.toml", help="the parameters that a pilot had set"
+    )
+    replay.add_argument(
+        "--pace", type=float, default=0.0, metavar="N", help="1: as recorded; 0: as fast as possible (0)"
+    )
+    replay.add_argument("--json", action="store_true", help="print a JSON array instead")
     replay.set_defaults(run=_replay)
 
 
@@ -46,7 +50,7 @@ def _replay(arguments: argparse.Namespace) -> int:
     recording: Path = arguments.recording
     if recording.is_dir() or recording.suffix == ".mcap":
         if arguments.mission or arguments.parameters or arguments.pace:
-            fail("--mission, --parameters and --pace are for a .tlog: a flight's log holds all of its own")
+            fail("--mission, --parameters and --pace are for a .tlog; a flight log contains its own")
         return log_command.replay_again(recording, arguments.config, arguments.json)
     config = configuration.load_or_default(arguments.config)
     known = known_rig(config, arguments.config)
@@ -81,14 +85,14 @@ def _replay(arguments: argparse.Namespace) -> int:
         Console().print(decision_table(decisions))
     if reader.skipped_bytes:
         print(
-            f"flying-vines: {recording}: {reader.skipped_bytes} bytes of it are no MAVLink frame",
+            f"flying-vines: {recording}: {reader.skipped_bytes} bytes are not part of a MAVLink frame",
             file=sys.stderr,
         )
     return 0
 
 
 def _shower(live: bool) -> Callable[[Action], None]:
-    """Prints what happens as it happens, for those who replay at the recorded pace."""
+    """Prints each action at once if `live`; otherwise prints nothing."""
     if not live:
         return lambda action: None
     from rich.console import Console

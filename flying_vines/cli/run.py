@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 def add(commands: Any) -> None:
     """Add `run` to the parsers of the command line."""
-    run = commands.add_parser("run", help="serve a vehicle and a phloSAR")
+    run = commands.add_parser("run", help="run the service for a vehicle and a phloSAR")
     run.add_argument("--config", type=Path, required=True, metavar="FILE", help="the profile")
-    run.add_argument("--rig", type=Path, metavar="RIG.toml", help="what is known (default: the profile's)")
+    run.add_argument("--rig", type=Path, metavar="RIG.toml", help="the rig (default: the profile's)")
     run.add_argument(
-        "--out", type=Path, default=FLIGHTS, metavar="DIR", help="where the flight log goes (flights)"
+        "--out", type=Path, default=FLIGHTS, metavar="DIR", help="the folder for flight logs (flights)"
     )
-    run.add_argument("--plain", action="store_true", help="one line an event instead of the live view")
+    run.add_argument("--plain", action="store_true", help="print lines instead of the live view")
     run.set_defaults(run=_run)
 
 
@@ -34,7 +34,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from flying_vines.record.recorder import FlightStart, Recorder
     from flying_vines.service.persistent_state import PersistentState
     from flying_vines.service.runner import Remembered, serve
-    from flying_vines.terminal.screen import PatientOutput
+    from flying_vines.terminal.screen import NonBlockingOutput
     from flying_vines.vehicle.component.parameter_file import ParameterFileError
     from flying_vines.vehicle.mavlink.signing_key import SigningKeyError
 
@@ -54,20 +54,20 @@ def _run(arguments: argparse.Namespace) -> int:
         log = Recorder(arguments.out, began, config.log.least_free_MB)
     except OSError as error:
         fail(f"{arguments.out}: no flight log can be written there: {error.strerror}")
-    output = PatientOutput()
+    output = NonBlockingOutput()
     console = output.console()
     links = f"Vehicle {config.vehicle.link}, phloSAR {config.firmware.link}"
     console.print(f"{links}, log {log.folder}", soft_wrap=True)
-    said = [f"Vehicle link {config.vehicle.believed}"]
+    lines = [f"Vehicle link {config.vehicle.who_can_command}"]
     if known:
-        said.append(f"Rig {known.path}: {known.said}")
-    said += [f"Parameter {parameter} = {value:g}" for parameter, value in remembered.parameters.items()]
+        lines.append(f"Rig {known.path}: {known.summary}")
+    lines += [f"Parameter {parameter} = {value:g}" for parameter, value in remembered.parameters.items()]
     if clock_problem:
-        said.append(clock_problem)
-    page = _page_said(config, kept, remembered.page_token, console) if config.page.port else ""
+        lines.append(clock_problem)
+    page = _page_line(config, kept, remembered.page_token, console) if config.page.port else ""
     if page:
-        said.append(page)
-    for line in said:
+        lines.append(page)
+    for line in lines:
         console.print(line, highlight=False, soft_wrap=True)
     belief = known.belief if known else None
     asyncio.run(serve(config, belief, remembered, log, console, live=not arguments.plain, page=page))
@@ -78,8 +78,8 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _page_said(config: Config, kept: PersistentState, page_token: str, console: Console) -> str:
-    """Where the page is. Its token is for those at the terminal, not for a log that others read."""
+def _page_line(config: Config, kept: PersistentState, page_token: str, console: Console) -> str:
+    """The page's address. Its token is shown only on a terminal, because others may read a log."""
     from flying_vines.gateway.page_token import address, watching
 
     if page_token and not console.is_terminal:

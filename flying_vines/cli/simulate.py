@@ -1,11 +1,11 @@
-"""`flying-vines simulate`: the simulated rig through a scenario."""
+"""`flying-vines simulate`: simulates a rig in a scenario."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from flying_vines.cli.common import (
     fail,
@@ -13,19 +13,16 @@ from flying_vines.cli.common import (
     needs_analysis,
 )
 
-if TYPE_CHECKING:
-    pass
-
 
 def add(commands: Any) -> None:
     """Add `simulate` to the parsers of the command line."""
-    simulate = commands.add_parser("simulate", help="the simulated rig through a scenario, as recorded runs")
-    simulate.add_argument("--rig", type=Path, required=True, metavar="RIG.toml", help="what is there")
-    simulate.add_argument("--scenario", required=True, metavar="FILE", help="or an example: case, discharge")
-    simulate.add_argument("--out", type=Path, required=True, metavar="DIR", help="the case folder")
+    simulate = commands.add_parser("simulate", help="simulate a rig in a scenario, and write recorded runs")
+    simulate.add_argument("--rig", type=Path, required=True, metavar="RIG.toml", help="the simulated rig")
     simulate.add_argument(
-        "--seed", type=int, default=1, metavar="N", help="of the noise and what is drawn at random (1)"
+        "--scenario", required=True, metavar="FILE", help="file, or an example: case, discharge"
     )
+    simulate.add_argument("--out", type=Path, required=True, metavar="DIR", help="the case folder")
+    simulate.add_argument("--seed", type=int, default=1, metavar="N", help="of all random numbers (1)")
     simulate.set_defaults(run=_simulate)
 
 
@@ -57,7 +54,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
             load_rig(arguments.rig)
             paths = write_case(runs, given, folder)
         except RigError:
-            paths = write_case(runs, true_rig_text(TrueRig(rig.believed)).encode(), folder, given)
+            paths = write_case(runs, true_rig_text(TrueRig(rig.nominal)).encode(), folder, given)
         picture = folder / "picture.png"
         draw_runs(runs, picture, scenario.name or str(arguments.scenario))
     for path, run in zip(paths, runs, strict=True):

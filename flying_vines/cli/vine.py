@@ -1,4 +1,4 @@
-"""`flying-vines vine`: how far a pressure bends a vine."""
+"""`flying-vines vine`: the bend angle of a vine by pressure."""
 
 from __future__ import annotations
 
@@ -19,23 +19,25 @@ if TYPE_CHECKING:
 
 def add(commands: Any) -> None:
     """Add `vine` to the parsers of the command line."""
-    vine = commands.add_parser("vine", help="how far a pressure bends a vine, and what limits it")
+    vine = commands.add_parser("vine", help="the bend angle of a vine by pressure, and its limits")
     vine.add_argument(
         "--vine",
         metavar="FILE",
         nargs="+",
         action="extend",
-        help="or an example: pouch, cpam, fpam (default: all three)",
+        help="files, or examples: pouch, cpam, fpam (default: all three)",
     )
     vine.add_argument("--out", type=Path, metavar="DIR", help="draw the figures there")
-    vine.add_argument("--json", action="store_true", help="one object instead of tables")
+    vine.add_argument("--json", action="store_true", help="print JSON instead")
     vine.set_defaults(run=_vine)
-    fit = vine.add_subparsers(metavar="ACTION").add_parser("fit", help="a bend curve out of measured pairs")
-    fit.add_argument("pairs", type=Path, metavar="PAIRS.csv", help="pressure_kPa, angle_deg, up and down")
+    fit = vine.add_subparsers(metavar="ACTION").add_parser("fit", help="fit a bend curve to measured pairs")
+    fit.add_argument(
+        "pairs", type=Path, metavar="PAIRS.csv", help="pressure_kPa, angle_deg of inflation and deflation"
+    )
     fit.add_argument(
         "--out", type=Path, metavar="DIR", default=argparse.SUPPRESS, help="draw the figure there"
     )
-    fit.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="one object instead")
+    fit.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print JSON instead")
     fit.set_defaults(run=_vine_fit)
 
 

@@ -1,4 +1,4 @@
-"""`flying-vines watch`: what it is given, and with which status it ends."""
+"""`flying-vines watch`: shows a running service on this terminal."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ URL_HERE = "http://127.0.0.1:8017"
 
 
 class WatchError(Exception):
-    """It cannot be watched; the text is one line that says why and what to do."""
+    """The service cannot be watched; the text is one line: why, and what to do."""
 
 
 def add(commands: Any) -> None:
     """Add `watch` to the parsers of the command line."""
-    watch = commands.add_parser("watch", help="a running service on this terminal, by its page")
-    watch.add_argument("--url", default=URL_HERE, help=f"of its page ({URL_HERE})")
-    watch.add_argument("--token-file", type=Path, metavar="FILE", help="where the page needs its token")
-    watch.add_argument("--seconds", type=float, metavar="N", help="then end; with status 1 if it was silent")
-    watch.add_argument("--plain", action="store_true", help="one line an event instead of the live view")
-    watch.add_argument("--json", action="store_true", help="one object a line: all that the page is told")
+    watch = commands.add_parser("watch", help="show a running service on this terminal")
+    watch.add_argument("--url", default=URL_HERE, help=f"of the service's page ({URL_HERE})")
+    watch.add_argument("--token-file", type=Path, metavar="FILE", help="the page's token, if it needs one")
+    watch.add_argument("--seconds", type=float, metavar="N", help="then stop; exit status 1 without data")
+    watch.add_argument("--plain", action="store_true", help="print lines instead of the live view")
+    watch.add_argument("--json", action="store_true", help="print each message of the page as a JSON object")
     watch.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """0 where the service was heard, 1 where not; `WatchError` where going on is of no use."""
+    """Returns 0 if the service sent data, else 1. Raises `WatchError` if a retry cannot help."""
     from flying_vines.gateway import page_token
     from flying_vines.terminal.line import NotAdmittedError, socket_of
     from flying_vines.terminal.watching import Watching

@@ -1,1 +1,1 @@
-"""The configuration file, read into frozen structures."""
+"""Reads the configuration file into frozen structures."""

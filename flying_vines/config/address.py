@@ -1,4 +1,4 @@
-"""Where a link goes, in MAVLink's customary notation."""
+"""Addresses of links, in MAVLink's usual notation."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class NetworkAddress:
     host: str
     port: int
     peer: str = ""
-    """Only this address is read, where one is named (udpin)."""
+    """Only datagrams from this address are read (udpin); empty: from all."""
 
     @property
     def on_loopback(self) -> bool:
-        """Whether only programs of this computer can be at the other end."""
+        """True if only programs on this computer can be at the other end."""
         try:
             return self.host == "localhost" or ipaddress.ip_address(self.host).is_loopback
         except ValueError:
@@ -49,11 +49,11 @@ class NetworkAddress:
 
     @property
     def is_open(self) -> bool:
-        """Whether anybody on the network can send to us."""
+        """True if anybody on the network can send to us."""
         return self.kind == "udpin" and not self.peer and not self.on_loopback
 
     def reads(self, sender: str) -> bool:
-        """Whether what comes from this IP address is read at all."""
+        """True if datagrams from this IP address are read."""
         return not self.peer or same_address(sender, self.peer)
 
 
@@ -70,7 +70,7 @@ Address = SerialAddress | UsbBoard | NetworkAddress
 
 
 def same_address(one: str, other: str) -> bool:
-    """Whether two texts are one IP address; IPv6 sockets write IPv4 addresses as ::ffff:192.0.2.1."""
+    """True if both texts are the same IP address; IPv6 sockets write IPv4 addresses as ::ffff:192.0.2.1."""
     return _plain(one) == _plain(other)
 
 
@@ -79,22 +79,22 @@ def _plain(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
     return getattr(address, "ipv4_mapped", None) or address
 
 
-def believed(address: Address, signed: bool) -> str:
-    """Who is believed on the vehicle link, in one line."""
+def who_can_command(address: Address, signed: bool) -> str:
+    """One line on who can command the vine over the vehicle link."""
     if signed:
-        return "signed: only those who have the key are believed"
+        return "signed: only those who have the key can command the vine"
     if not isinstance(address, NetworkAddress):
-        return "unsigned: whoever sends over this port can command the vine"
+        return "unsigned: every sender on this port can command the vine"
     if address.on_loopback:
         return "unsigned: every program on this computer can command the vine"
     if address.is_open:
         return "unsigned: anybody on the network can command the vine"
     peer = address.peer or address.host
-    return f"unsigned: whoever sends from {peer}, or forges this address, can command the vine"
+    return f"unsigned: everybody who sends from {peer} or forges this address can command the vine"
 
 
 def parse_address(text: str) -> Address:
-    """Raises `ValueError` with a sentence when `text` is none of the forms."""
+    """Raises `ValueError` with a sentence if `text` has none of the valid forms."""
     kind, _, rest = text.partition(":")
     if kind == "serial" and rest:
         path, _, baud = rest.rpartition(":")
@@ -111,7 +111,7 @@ def parse_address(text: str) -> Address:
                 return NetworkAddress("udpin", host, int(port), _peer(query) if asks else "")
             case "udpout" | "tcp" if not asks:
                 return NetworkAddress(kind, host, int(port))
-    raise ValueError(f"'{text}' is no link: give {FORMS}")
+    raise ValueError(f"'{text}' is not a link: give {FORMS}")
 
 
 def _peer(query: str) -> str:
@@ -121,18 +121,18 @@ def _peer(query: str) -> str:
     except ValueError:
         address = None
     if key != "peer" or address is None or address.is_unspecified or address.is_multicast:
-        raise ValueError(f"'?{query}' is no peer: give its IP address, as in ?peer=192.168.4.1")
+        raise ValueError(f"'?{query}' is not a peer: give its IP address, as in ?peer=192.168.4.1")
     return peer
 
 
 def parse_broker(text: str) -> BrokerAddress:
-    """Raises `ValueError` with a sentence when `text` is none of the forms."""
+    """Raises `ValueError` with a sentence if `text` has none of the valid forms."""
     if "@" in text:
-        raise ValueError("user and password do not belong into the address: give username and password_file")
+        raise ValueError("remove user and password from the address: set username and password_file")
     with contextlib.suppress(ValueError):
         url = urlsplit(text)
         usual_port = {"mqtt": 1883, "mqtts": 8883}.get(url.scheme)
         port = url.port if url.port is not None else usual_port
         if usual_port and port and url.hostname and not (url.path or url.query or url.fragment):
             return BrokerAddress(url.hostname, port, url.scheme == "mqtts")
-    raise ValueError(f"'{text}' is no broker: give {BROKER_FORMS}")
+    raise ValueError(f"'{text}' is not a broker: give {BROKER_FORMS}")

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import msgspec
 from msgspec import Meta
 
-from flying_vines.config.address import NetworkAddress, believed, parse_address, parse_broker
+from flying_vines.config.address import NetworkAddress, parse_address, parse_broker, who_can_command
 from flying_vines.config.toml_text import (
     Key,
     dotted,
@@ -48,11 +48,11 @@ _TOPIC_LEVEL = re.compile(r"[\w.-]{1,64}", re.ASCII)
 CheckLevel = Literal["fault", "warn"]
 
 Param = Literal["param1", "param2", "param3", "param4", "param5", "param6", "param7"]
-"""Of a mission item or command; the last three are an item's x, y and z."""
+"""A parameter of a mission item or command; param5 … param7 are an item's x, y and z."""
 
 
 class ConfigError(Exception):
-    """The configuration cannot be used; the text says which file, key and line, and what to do."""
+    """The configuration is invalid; the text names file, key and line, and what to do."""
 
     def __init__(self, text: str) -> None:
         super().__init__(one_line(text))
@@ -70,9 +70,9 @@ class VehicleConfig(_Table, frozen=True):
     signing_key: str = ""
 
     @property
-    def believed(self) -> str:
-        """Who can command the vine over the link, in one line."""
-        return believed(parse_address(self.link), bool(self.signing_key))
+    def who_can_command(self) -> str:
+        """One line on who can command the vine over the link."""
+        return who_can_command(parse_address(self.link), bool(self.signing_key))
 
 
 class FirmwareConfig(_Table, frozen=True):
@@ -80,7 +80,7 @@ class FirmwareConfig(_Table, frozen=True):
 
 
 ReceiverFailsafe = Literal["unknown", "hold", "hidden"] | Annotated[int, Meta(ge=800, le=2200)]
-"""What the switch's channel reads while the transmitter is lost, as `flying-vines doctor --radio` saw it."""
+"""The switch channel's value while the transmitter is lost; `flying-vines doctor --radio` measures it."""
 
 
 class SwitchConfig(_Table, frozen=True):
@@ -101,7 +101,7 @@ class SwitchConfig(_Table, frozen=True):
 
 
 class ItemConfig(_Table, frozen=True):
-    """What a mission item or command of the vehicle means for the vine."""
+    """Rule: what a mission item or command does with the vine."""
 
     command: str | int | tuple[str | int, ...]
     match: dict[Param, float] = {}
@@ -160,7 +160,7 @@ class InterlocksConfig(_Table, frozen=True):
 
 
 class LossesConfig(_Table, frozen=True):
-    """How long each thing may be silent, and what the vine does then."""
+    """Timeouts of the inputs, and the response to RC loss."""
 
     rc_s: Annotated[float, Meta(ge=0.3, le=10)] = 1.0
     autopilot_s: Annotated[float, Meta(ge=1.5, le=30)] = 3.0
@@ -170,7 +170,10 @@ class LossesConfig(_Table, frozen=True):
 
 
 class PneumaticsConfig(_Table, frozen=True):
-    """What is known of the rig, for the reservoir estimate (as in the paper's demonstration)."""
+    """The rig's numbers for the reservoir estimate. Defaults: the paper's demonstration.
+
+    EVP: inflation valve. DVP: the Venturi's supply valve.
+    """
 
     rig: str = ""
     reservoir_volume_L: Positive = 2.0
@@ -184,7 +187,7 @@ class PneumaticsConfig(_Table, frozen=True):
 
 
 class ChecksConfig(_Table, frozen=True):
-    """What follows when the physics does not answer as predicted, and how far the rig may be from belief."""
+    """Response to each failed physics check, and the rig's tolerances."""
 
     volume_factor: Annotated[float, Meta(ge=1, le=10)] = 2.0
     zero_kPa: Annotated[float, Meta(ge=1, le=50)] = 4.0
@@ -207,7 +210,7 @@ class TelemetryConfig(_Table, frozen=True):
 
 
 class PageConfig(_Table, frozen=True):
-    """The page that `run` serves."""
+    """The status page that `run` serves."""
 
     host: str = "127.0.0.1"
     port: Annotated[int, Meta(ge=0, le=65535)] = 8017
@@ -215,12 +218,12 @@ class PageConfig(_Table, frozen=True):
 
     @property
     def needs_token(self) -> bool:
-        """Whether anybody but this machine can reach it."""
+        """True if other computers can reach the page."""
         return self.port != 0 and not ipaddress.ip_address(self.host).is_loopback
 
 
 class MqttConfig(_Table, frozen=True):
-    """A broker that is told what happens, and what may be asked for over it."""
+    """The MQTT broker: connection, reports, and permitted requests."""
 
     broker: str = ""
     prefix: str = "flying-vines"
@@ -240,13 +243,13 @@ class MqttConfig(_Table, frozen=True):
 
 
 class LogConfig(_Table, frozen=True):
-    """The flight recorder's."""
+    """The flight recorder."""
 
     least_free_MB: NotNegative = 200.0
 
 
 class StateConfig(_Table, frozen=True):
-    """Where the service keeps what must survive it."""
+    """Where the service stores its persistent state."""
 
     folder: str = ""
 
@@ -273,7 +276,7 @@ class Config(_Table, frozen=True):
 
 
 def default_text() -> str:
-    """The commented profile that `config init` writes."""
+    """The built-in profile, which `config init` writes."""
     return resources.files("flying_vines.config").joinpath("default.toml").read_text(encoding="utf-8")
 
 
@@ -282,35 +285,32 @@ def default() -> Config:
 
 
 def load_or_default(path: Path | None) -> Config:
-    """The profile in a file, or the built-in one. Raises `ConfigError`."""
+    """The profile in a file, or the built-in profile. Raises `ConfigError`."""
     return load(path) if path else default()
 
 
 def load(path: Path) -> Config:
-    """Read and check a profile.
-
-    Raises `ConfigError` with one line that names the file, the key and the line.
-    """
+    """Read and check a profile. Raises `ConfigError` with one line: file, key and line number."""
     return parse(text_of(path), str(path))
 
 
 def rig_named(config: Config, profile: Path | None) -> Path | None:
-    """The rig file that a profile names, if any; paths in it start from where it is."""
+    """The rig file that a profile names, or None. Relative paths start from the profile's folder."""
     return profile.parent / config.pneumatics.rig if profile and config.pneumatics.rig else None
 
 
 def text_of(path: Path) -> str:
-    """What is in the file of a profile; `ConfigError` when it cannot be read."""
+    """The text of a profile's file. Raises `ConfigError` if it cannot be read."""
     return read_text(path, ConfigError, f"; `flying-vines config init {path}` writes one")
 
 
 def parse(text: str, source: str, recorded: bool = False) -> Config:
-    """Check the text of a profile; `source` is what errors call it.
+    """Check the text of a profile; errors name it as `source`.
 
-    The links of a `recorded` one are not opened again: earlier versions let them be open to anybody.
+    In a `recorded` profile open links are accepted: earlier versions allowed them, and replay opens no link.
     """
     raw = parsed(text, source, ConfigError)
-    _leave_out_what_is_gone(raw, text, source)
+    _drop_old_settings(raw, text, source)
     try:
         inside: Key = ()
         for name, profile in _profiles_of(raw):
@@ -320,30 +320,30 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
         config = msgspec.convert(raw, Config)
     except msgspec.ValidationError as error:
         raise _explain(text, source, str(error), inside) from None
-    for key, reason in _contradictions(config) or ([] if recorded else _open_doors(config)):
+    for key, reason in _contradictions(config) or ([] if recorded else _open_links(config)):
         raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
     return config
 
 
-def _leave_out_what_is_gone(raw: dict[str, Any], text: str, source: str) -> None:
-    """Settings of earlier versions are ignored if they ask for what is done anyway or is gone."""
+def _drop_old_settings(raw: dict[str, Any], text: str, source: str) -> None:
+    """Ignores settings of earlier versions, unless they request what is no longer possible."""
     raw.pop("calibration", None)
     losses = raw.get("losses")
     wanted = losses.pop("on_autopilot_loss", "vent") if isinstance(losses, dict) else "vent"
     if wanted != "vent":
         key = ("losses", "on_autopilot_loss")
-        reason = "take this line out: a lost autopilot always vents, as the altitude is lost with it"
+        reason = "remove this line: a lost autopilot always vents, because the altitude is then unknown"
         raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
 
 
 def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:
-    """The profiles one by one: decoded together, an error in one would not say in which."""
+    """Names and raw profiles. Each is decoded alone, so that an error names its profile."""
     profiles = raw.get("profiles")
     return list(profiles.items()) if isinstance(profiles, dict) else []
 
 
 def _contradictions(config: Config) -> list[tuple[Key, str]]:
-    """What no single table can know: keys that do not fit each other, and why."""
+    """Keys that contradict other keys, with the reason."""
     found: list[tuple[Key, str]] = []
     for table, link in (("vehicle", config.vehicle.link), ("firmware", config.firmware.link)):
         try:
@@ -353,7 +353,7 @@ def _contradictions(config: Config) -> list[tuple[Key, str]]:
     try:
         ipaddress.ip_address(config.page.host)
     except ValueError:
-        reason = f"'{config.page.host}' is no address of this machine: give 127.0.0.1, or 0.0.0.0 for all"
+        reason = f"'{config.page.host}' is not an IP address: give 127.0.0.1, or 0.0.0.0 for all"
         found.append((("page", "host"), reason))
     found.extend((key, "is not a finite number") for key in not_finite(msgspec.to_builtins(config)))
     found.extend((("mqtt", key), reason) for key, reason in _broker_contradictions(config.mqtt))
@@ -394,8 +394,8 @@ def _contradictions(config: Config) -> list[tuple[Key, str]]:
     return found
 
 
-def _open_doors(config: Config) -> list[tuple[Key, str]]:
-    """Links over which anybody on the network could command the vine, or tell lies about it."""
+def _open_links(config: Config) -> list[tuple[Key, str]]:
+    """Links over which anybody on the network could command the vine or send false telemetry."""
     found: list[tuple[Key, str]] = []
     for table, link, signed in (
         ("vehicle", config.vehicle.link, bool(config.vehicle.signing_key)),
@@ -403,7 +403,7 @@ def _open_doors(config: Config) -> list[tuple[Key, str]]:
     ):
         address = parse_address(link)
         if isinstance(address, NetworkAddress) and address.is_open and not signed:
-            way = f"name who sends ({link}?peer=ADDRESS)"
+            way = f"name the sender ({link}?peer=ADDRESS)"
             way += ", listen on 127.0.0.1, or set vehicle.signing_key" if table == "vehicle" else ""
             found.append(((table, "link"), f"anybody on the network could command the vine: {way}"))
     return found
@@ -421,23 +421,21 @@ def _broker_contradictions(mqtt: MqttConfig) -> list[tuple[str, str]]:
         value = getattr(mqtt, key)
         levels = value.split("/") if "prefix" in key else [value]
         if value and not all(_TOPIC_LEVEL.fullmatch(level) for level in levels):
-            found.append(
-                (key, f"'{value}' is none: letters, digits, '-', '_' and '.' make a name in a topic")
-            )
+            found.append((key, f"'{value}' is not a valid topic name: use letters, digits, '-', '_' and '.'"))
     if not mqtt.prefix:
-        found.append(("prefix", "is empty: give the first word of the topics"))
+        found.append(("prefix", "is empty: give the first level of the topics"))
     for key in ("password_file", "ca_file", "certificate_file", "key_file"):
         if (file := getattr(mqtt, key)) and not file.startswith("/"):
-            found.append((key, f"'{file}': give the whole path, from / on"))
+            found.append((key, f"'{file}': give an absolute path, from / on"))
         if file and key != "password_file" and mqtt.broker and not tls:
-            found.append((key, "is for TLS: the broker's address must begin with mqtts://"))
+            found.append((key, "needs TLS: the broker's address must begin with mqtts://"))
     if mqtt.password_file and not mqtt.username:
         found.append(("password_file", "needs a username"))
     if bool(mqtt.certificate_file) != bool(mqtt.key_file):
         found.append(
             (
                 "certificate_file" if mqtt.certificate_file else "key_file",
-                "certificate and key belong together",
+                "set both certificate_file and key_file",
             )
         )
     return found
@@ -455,7 +453,7 @@ def _too_fast(
 
 
 def no_profile(config: Config, name: str) -> str:
-    """What to say of a profile that is not there."""
+    """The error text for a profile that does not exist."""
     near = difflib.get_close_matches(name, config.profiles, n=1)
     return f"there is no profile '{name}'" + (f"; did you mean '{near[0]}'?" if near else "")
 
@@ -479,7 +477,7 @@ def _known_keys(path: Key) -> list[str]:
 
 
 def _choices(key: Key) -> list[str]:
-    """What the value at `key` may be, where that is one of a few words."""
+    """The words that the value at `key` may be, if it is a choice."""
     if key[-1] == "kind":
         return [str(segment.__struct_config__.tag) for segment in get_args(Segment)]
     hint = get_type_hints(_TABLES.get(str(key[0]), Config)).get(str(key[-1]))

@@ -1,4 +1,4 @@
-"""A configuration as the text of a profile, for those that no person wrote."""
+"""Writes a configuration as the text of a profile, for profiles that a program makes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from flying_vines.config.toml_edit import value_text
 
 
 def profile_text(config: Config) -> str:
-    """What `config.parse` makes the same configuration of."""
+    """The TOML text that `config.parse` reads as this configuration."""
     return "\n".join(_tables(msgspec.to_builtins(config))) + "\n"
 
 

@@ -4,5 +4,5 @@ from __future__ import annotations
 
 
 def lacks(error: ImportError) -> str:
-    """Which package of the extra is not installed, and what brings it."""
-    return f"{error.name} is missing; pip install 'flying-vines[analysis]' brings it"
+    """The text for a missing package of an extra, with the command that installs it."""
+    return f"{error.name} is missing: pip install 'flying-vines[analysis]'"

@@ -1,4 +1,4 @@
-"""Small files that outlive a power cut: after it there is the old one or the new one, never half of it."""
+"""Atomic writes of small files: after a power cut there is the old file or the new one, never a part."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from tempfile import mkstemp
 
 
 def put(path: Path, text: str) -> None:
-    """Write beside the file, and let it take the file's place only when it is safe on the disk.
+    """Write to a temporary file, sync it to the disk, and then replace `path` with it.
 
-    Makes the folder where there is none. `OSError` where any of it fails; then the old file is still there.
+    Creates a missing folder. Raises `OSError` if any step fails; then the old file is unchanged.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     number, beside = mkstemp(dir=path.parent, prefix=f".{path.name}.")
@@ -28,7 +28,7 @@ def put(path: Path, text: str) -> None:
 
 
 def take_away(path: Path) -> None:
-    """For good; nothing where there is none. `OSError` where that fails."""
+    """Remove the file, if it exists, so that it stays removed after a power cut. Raises `OSError`."""
     try:
         path.unlink()
     except FileNotFoundError:
@@ -37,7 +37,7 @@ def take_away(path: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """What was made in it, or taken away, is so after a power cut."""
+    """Make new and removed entries of the folder survive a power cut."""
     number = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(number)

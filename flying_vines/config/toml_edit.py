@@ -1,4 +1,4 @@
-"""One value of a TOML text that a person wrote, replaced: all else stays as it is, comments too."""
+"""Replaces one value in a TOML text that a person wrote; everything else stays, comments too."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Any
 
 from flying_vines.config.toml_text import ASSIGNMENT, HEADER, lines_of_keys
 
-_WAS = re.compile(r"\s*was [^;]*, measured [^;]*(; |$)")
-"""What a remark says, which the next one need not keep."""
+_OLD_REMARK = re.compile(r"\s*was [^;]*, measured [^;]*(; |$)")
+"""A remark of an earlier replacement; the next remark replaces it."""
 
 
 def with_value(text: str, table: str, name: str, value: str, remark: str = "") -> str:
-    """The text with another value of a key, as TOML writes it, and a remark on its line.
+    """The text with a new value of a key (written as TOML), and a remark on its line.
 
-    A key that is missing is put first into its table, and a missing table at the end. A remark, as "was 0.1,
-    measured today", goes before the line's own comment, in the place of an earlier one.
+    A missing key becomes the first of its table; a missing table is added at the end. A remark ("was 0.1,
+    measured today") stands before the line's own comment and replaces an earlier remark.
     """
     lines = text.split("\n")
     places = lines_of_keys(text)
@@ -34,7 +34,7 @@ def with_value(text: str, table: str, name: str, value: str, remark: str = "") -
 
 
 def value_text(value: Any) -> str:
-    """A value as TOML writes it on one line; of a table, what is None is left out."""
+    """A value as TOML on one line; a table's None values are left out."""
     match value:
         case bool():
             return "true" if value else "false"
@@ -51,22 +51,22 @@ def value_text(value: Any) -> str:
 
 
 def _replaced(lines: list[str], value: str, remark: str) -> list[str]:
-    """Lines that begin with the key's; its value may go on over several, and a comment follows."""
+    """The lines from the key's line on, with the new value. The old value may span several lines."""
     assignment = ASSIGNMENT.match(lines[0])
     assert assignment is not None
     head = lines[0][: assignment.end()]
-    told, count = lines[0][assignment.end() :], 1
-    while not _is_value(told) and count < len(lines):
-        told = f"{told}\n{lines[count]}"
+    rest, count = lines[0][assignment.end() :], 1
+    while not _is_value(rest) and count < len(lines):
+        rest = f"{rest}\n{lines[count]}"
         count += 1
     comment = ""
-    ends = [place.start() for place in re.finditer("#", told) if _is_value(told[: place.start()])]
-    # What is commented within a value of several lines belongs to what it was.
-    if ends and "\n" not in told[ends[0] :]:
-        comment = _WAS.sub("", told[ends[0] + 1 :], count=1).strip()
+    ends = [place.start() for place in re.finditer("#", rest) if _is_value(rest[: place.start()])]
+    # Comments inside an old value of several lines describe that value: drop them.
+    if ends and "\n" not in rest[ends[0] :]:
+        comment = _OLD_REMARK.sub("", rest[ends[0] + 1 :], count=1).strip()
     column = len(head) + ends[0] if ends and count == 1 else 0
-    said = "; ".join(part for part in (remark, comment) if part)
-    return [_line(f"{head} {value}", said, column), *lines[count:]]
+    new_comment = "; ".join(part for part in (remark, comment) if part)
+    return [_line(f"{head} {value}", new_comment, column), *lines[count:]]
 
 
 def _is_value(text: str) -> bool:
@@ -78,5 +78,5 @@ def _is_value(text: str) -> bool:
 
 
 def _line(assignment: str, comment: str, column: int) -> str:
-    """With the comment where it was, or two spaces on."""
+    """The assignment with its comment at `column`, or two spaces behind the value."""
     return f"{assignment.ljust(column - 2)}  # {comment}" if comment else assignment

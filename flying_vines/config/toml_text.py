@@ -1,4 +1,4 @@
-"""Texts that people wrote, and where TOML keys stand in them: an error is one line that names both."""
+"""Reads TOML files. An error is one line that names file, line and key."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 Key = tuple[str | int, ...]
-"""The way to a value: table and key names, and indexes of arrays."""
+"""The path to a value: names of tables and keys, and array indexes."""
 
 
 def read_text(path: Path, error: Callable[[str], Exception], absent: str = "") -> str:
-    """The text of a file; raises `error` of one line where it cannot be read.
+    """The text of a file; raises `error` with one line if it cannot be read.
 
-    `absent` goes on after "no such file" and says what to do.
+    `absent` is added after "no such file"; it says what to do.
     """
     try:
         return path.read_text(encoding="utf-8-sig")
@@ -31,7 +31,7 @@ def read_text(path: Path, error: Callable[[str], Exception], absent: str = "") -
 
 
 def parsed(text: str, source: str, error: Callable[[str], Exception]) -> dict[str, Any]:
-    """The tables of a TOML text; raises `error` of one line with the line number if it is not TOML."""
+    """The tables of a TOML text; raises `error` with one line, with line number, if it is not TOML."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as problem:
@@ -44,18 +44,18 @@ def parsed(text: str, source: str, error: Callable[[str], Exception]) -> dict[st
 
 
 def one_line(text: str) -> str:
-    """Errors quote keys and values, which may hold anything: what it is shown as stays one line."""
+    """Escapes unprintable characters: errors quote keys and values, which may contain line breaks."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def key_of(path: str) -> Key:
-    """The key that msgspec writes as `$.a.b[1]`."""
+    """Parses a path that msgspec writes as `$.a.b[1]`."""
     parts = re.findall(r"\.[^.\[\]]+|\[\d+\]", path.strip("`").removeprefix("key in "))
     return tuple(int(part[1:-1]) if part.startswith("[") else part.strip(".") for part in parts)
 
 
 def dotted(key: Key) -> str:
-    """A key as people write it: `a.b[1].c`."""
+    """A key as text: `a.b[1].c`."""
     text = ""
     for part in key:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
@@ -63,7 +63,7 @@ def dotted(key: Key) -> str:
 
 
 def not_finite(value: object, at: Key = ()) -> Iterator[Key]:
-    """Where in tables and arrays a number is nan or infinite."""
+    """The keys of numbers that are nan or infinite."""
     inner: Any = ()
     if isinstance(value, dict):
         inner = value.items()
@@ -76,12 +76,12 @@ def not_finite(value: object, at: Key = ()) -> Iterator[Key]:
 
 
 def explained(error: str, known: Callable[[Key], Sequence[str]], inside: Key = ()) -> tuple[Key, str]:
-    """Which key msgspec's `... - at `$.a.b[1]`` is about, and in plain words why.
+    """The key that msgspec's error `... - at `$.a.b[1]`` is about, and the reason in plain words.
 
     Args:
-        error: as msgspec says it.
-        known: the keys that a table may have, of which a mistyped one may have meant one.
-        inside: what was decoded is the table at this key.
+        error: the text of msgspec's error.
+        known: returns the keys that a table may have, to suggest one for a mistyped key.
+        inside: the key of the table that was decoded.
     """
     message, _, path = error.partition(" - at ")
     key = (*inside, *key_of(path))
@@ -94,12 +94,12 @@ def explained(error: str, known: Callable[[Key], Sequence[str]], inside: Key = (
 
 
 def located(text: str, source: str, key: Key, reason: str) -> str:
-    """The line that says where a key stands and what is wrong with it."""
+    """The error line for a key: place, key and reason."""
     return f"{place(text, source, key)}: {dotted(key) + ': ' if key else ''}{reason}"
 
 
 def place(text: str, source: str, key: Key) -> str:
-    """`source:line` of a key, or of the nearest table around it."""
+    """`source:line` of a key, or of the innermost table that contains it."""
     lines = lines_of_keys(text)
     for length in range(len(key), 0, -1):
         if key[:length] in lines:
@@ -108,7 +108,7 @@ def place(text: str, source: str, key: Key) -> str:
 
 
 def lines_of_keys(text: str) -> dict[Key, int]:
-    """Where each table and each key stands; tomllib does not say."""
+    """The line number of each table and key; tomllib does not report them."""
     lines: dict[Key, int] = {}
     elements: dict[Key, int] = {}
     table: Key = ()

@@ -1,1 +1,1 @@
-"""What decides: time-stamped events in, actions out. No clock, port or await."""
+"""The core decides: time-stamped events in, actions out. No clock, port or await."""

@@ -1,7 +1,7 @@
-"""A core for which every unexpected error is a commanded shutdown, not the end of the process.
+"""A core that turns every unexpected error into a commanded shutdown; the process continues.
 
 After an error the vine is vented and bends are refused, until a person restarts the service. Heartbeat and
-values go on as far as they can. Pure like the core, and nothing here needs a core that still works.
+values continue as far as possible. This class does no I/O, and it works with a broken core.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vine.intent import VentVine as VentIntent
 
 SHUTDOWN_TEXT = f"Vine: {INTERNAL_ERROR}, vented"
-"""The pilot reads it once."""
+"""The pilot gets it once."""
 SENT_WITHIN_S = 0.5
-"""If the core has not sent the text by then, it is sent without the core."""
+"""If the core has not sent the text within this time, this class sends it."""
 HEARTBEAT_WITHIN_S = 1.2
-MOST_LOGGED = 20
-"""Errors, each from another place in the code."""
+MAX_LOGGED = 20
+"""At most this many errors are logged, one for each place in the code."""
 
 
-class Contained:
+class CrashSafeCore:
     """A core whose `handle` and `snapshot` never raise.
 
-    `display_failed` is called with the error of a snapshot, which is no reason to vent.
+    `display_failed` is called with the error of a snapshot. Such an error does not vent the vine.
     """
 
     def __init__(self, core: Core, display_failed: Callable[[Exception], None] = lambda error: None) -> None:
@@ -54,15 +54,17 @@ class Contained:
         self._display_failed = display_failed
         self._down_at: float | None = None
         """When the shutdown began."""
-        self._noticed = self._sent = False
-        """Whether the text is on the screen here, and on its way to the pilot."""
+        self._noticed = False
+        """The local screen shows the text."""
+        self._sent = False
+        """The text went out over MAVLink."""
         self._send_at = math.inf
         self._heartbeat_at = -math.inf
         self._number = 0
-        """Of the latest command to the firmware."""
+        """Sequence number of the latest command to the firmware."""
         self._system_id = core.config.vehicle.system_id or 1
         self._seen: set[str] = set()
-        """Where errors came from: each place is logged once."""
+        """The places in the code that raised an error. Each is logged once."""
 
     @property
     def config(self) -> Config:
@@ -70,19 +72,19 @@ class Contained:
         return self._core.config
 
     def handle(self, event: Event) -> list[Action]:
-        """What is to be done about `event`."""
+        """The actions that follow from `event`."""
         actions = self._attempt(event)
         for action in actions:
             self._note(event.t, action)
         if self._core.internal_error and self._down_at is None:
             self._down_at, self._send_at = event.t, event.t + SENT_WITHIN_S
-            # If the core said so itself, one of the two is dropped.
+            # The core may have sent the same notice; `_while_down` drops the duplicate.
             actions.append(Notice(event.t, Severity.WARNING, SHUTDOWN_TEXT))
             return self._while_down(event, actions, at_once=True)
         return actions if self._down_at is None else self._while_down(event, actions)
 
     def snapshot(self, t: float) -> Snapshot:
-        """What a display shows; almost nothing if the core fails."""
+        """The state for displays; almost all unknown if the core fails."""
         try:
             return self._core.snapshot(t)
         except Exception as error:
@@ -93,7 +95,7 @@ class Contained:
         try:
             return self._core.handle(event)
         except Exception as error:
-            # Decisions before the error hold, but nothing may move the vine.
+            # Keep the actions made before the error, except commands to the firmware.
             actions = self._decided()
             actions.extend(self._shut_down(event.t, error))
             if isinstance(event, Tick):
@@ -102,7 +104,7 @@ class Contained:
 
     def _shut_down(self, t: float, error: Exception) -> list[Action]:
         place = repr((type(error), traceback.extract_tb(error.__traceback__)[-1]))
-        is_new = place not in self._seen and len(self._seen) < MOST_LOGGED
+        is_new = place not in self._seen and len(self._seen) < MAX_LOGGED
         if is_new:
             self._seen.add(place)
         elif self._core.internal_error:
@@ -134,10 +136,10 @@ class Contained:
                 self._number = number
 
     def _while_down(self, event: Event, actions: list[Action], at_once: bool = False) -> list[Action]:
-        """The actions without setpoints and repeated texts, and with what the core has not sent."""
+        """Remove setpoints and duplicate texts. Add vent, heartbeat and text if they are missing."""
         t = event.t
         if isinstance(event, LinkChanged) and event.link == "vehicle" and event.up:
-            # Nobody has read what was sent while the link was down.
+            # A text that was sent while the link was down is lost: send it again.
             self._sent, self._send_at = False, t + SENT_WITHIN_S
         allowed: list[Action] = []
         for action in actions:
@@ -186,7 +188,7 @@ def _is_shutdown_text(message: MavlinkMessage) -> bool:
 
 
 def _answer(asked: Asked, actions: Sequence[Action]) -> Iterator[Decision]:
-    """A request is answered, whatever has failed."""
+    """The decision on a request that the core has not answered."""
     if any(isinstance(action, Decision) and action.trigger == asked.by for action in actions):
         return
     vents = isinstance(asked.intent, VentIntent)

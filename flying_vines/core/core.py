@@ -1,8 +1,8 @@
-"""The machine that decides: time-stamped events in, actions out. No clock, no port, no await.
+"""The core: time-stamped events in, actions out. It reads no clock, opens no port and awaits nothing.
 
 One bend, from end to end: a MAVLink message -> vehicle state -> trigger -> intent -> safety -> motion ->
-setpoint -> firmware; and back: telemetry -> reservoir estimate -> named values. `run`, `replay` and `demo`
-feed the same machine, so the same events always give the same decisions.
+setpoint -> firmware. Back: telemetry -> reservoir estimate -> named values. `run`, `replay` and `demo`
+use the same core, so the same events always give the same decisions.
 """
 
 from __future__ import annotations
@@ -39,8 +39,9 @@ from flying_vines.core.events import (
 from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.parts import IsolatedParts
 from flying_vines.core.restarts import Restarts
-from flying_vines.core.safety import INTERNAL_ERROR, Entered, Left, Ruling, Safety, SafetyInputs
+from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
 from flying_vines.supply import Belief, CyclesLeft, Features, ReservoirEstimate, TelemetryReader, nominal
+from flying_vines.supply.estimate import AirNeeded
 from flying_vines.supply.physics_checks import PhysicsChecks
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.parameters import Changed
@@ -49,7 +50,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.radio.pilot import Straightened
-from flying_vines.vehicle.triggers import Trigger, only_lets_out
+from flying_vines.vehicle.triggers import Trigger, only_deflates
 from flying_vines.vehicle.vehicle import Vehicle, VehicleOutput
 from flying_vines.vine.intent import (
     ACTS_WITHIN_S,
@@ -69,16 +70,19 @@ from flying_vines.vine.intent import (
 from flying_vines.vine.motion import Motion
 
 TICK_S = 0.02
-"""How often `Tick` is due, and how far a setpoint looks ahead."""
+"""Period of `Tick`. Each setpoint is the one at the end of its period."""
 
 SPEAK_FIRST_S = 1.5
-"""How long we listen for an autopilot before we send anything."""
+"""We listen for an autopilot this long before we send anything."""
 
-CYCLES_EVERY_S = 0.5
-"""How often the cycles left are predicted anew."""
+CYCLES_EVERY_S = 2.0
+"""The cycles left are predicted at this interval. A prediction takes milliseconds of the loop."""
+
+AIR_UNKNOWN = AirNeeded(math.inf, math.inf)
+"""No reservoir has so much: nothing bends after the estimate has failed."""
 
 BENCH_S = 300.0
-"""Bench mode ends this long after the last request."""
+"""Bench mode ends this long after the last request of a person."""
 
 AT_ONCE_S = 0.05
 """Requests within this time of each other count as simultaneous."""
@@ -86,37 +90,37 @@ AT_ONCE_S = 0.05
 VENTING = (VentVine, DisarmPneumatics, StopBench)
 MOVING = (StartProfile, BendTo, SetPressure)
 _BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
-"""Triggers that come from neither another person nor the mission."""
+"""Triggers of the pilot's own switch and of safety. All others come from another person or the mission."""
 
 PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
-"""The page may request these in flight too, besides letting air out. Bench mode needs a disarmed vehicle."""
+"""The page may send these without bench mode, besides vents. Bench mode itself needs a disarmed vehicle."""
 
 _SENSOR_TEXTS = {
     "cv_kPa": "vine sensor reads",
     "reservoir_kPa": "bottle sensor reads",
-    "setpoint_kPa": "phloSAR holds",
+    "setpoint_kPa": "phloSAR setpoint is",
 }
-"""By field of telemetry, for a value that no sensor can have."""
+"""The text for each telemetry field whose value no sensor can have."""
 
 _RESPONSE_TEXTS = {
     "serial": "its dead-man vents",
-    "telemetry": "told to vent",
-    "venting": "outlet told open",
-    "regulates": "told to vent",
+    "telemetry": "vent commanded",
+    "venting": "outlet commanded open",
+    "regulates": "vent commanded",
 }
 """For these faults the core cannot see whether the vine is vented. The text says what the core did."""
 
 _BOARD_FAULTS = ("serial", "telemetry", "firmware_fault", "refused_by_firmware")
-"""A restart of the board causes these too."""
+"""A board restart causes these too. So a series of restarts shows each of their texts only once."""
 
 
 class Core:
-    """One vine on one vehicle. `handle` takes every event, in time order, and returns what to do, in order.
+    """One vine on one vehicle. `handle` takes every event, in time order, and returns the actions, in order.
 
-    `mission` is the vehicle's mission if it is known beforehand; otherwise it is read from the autopilot.
-    `belief` is what is known of the rig, if that is more than the configuration's numbers. `parameters` are
-    the stored ones that a pilot has set. `disarmed`: the pneumatics were disarmed when the last core ended.
-    They stay disarmed until a person arms them.
+    `mission` is the vehicle's mission if it is already known; otherwise it is read from the autopilot.
+    `belief` holds the rig's identified numbers; without it, those of the configuration are used. `parameters`
+    are the stored ones that a pilot has set. `disarmed`: the pneumatics were disarmed when the last core
+    ended. They stay disarmed until a person arms them.
     """
 
     def __init__(
@@ -154,10 +158,10 @@ class Core:
         self._bench_until = -math.inf
         self._requested_at = -math.inf
         self._mode_mismatch: tuple[protocol.Mode, float, float] | None = None
-        """The commanded mode that the board is not in, since when and until when, by the board's clock."""
+        """(commanded mode, begin, end) while the board is in another mode. Times by the board's clock."""
         self._restarts = Restarts()
         self._restart_noted = False
-        """The restart is handled, and the board has not been ready since."""
+        """True from a board restart until the board is ready again."""
         self._stopped = False
         self._parts = IsolatedParts(self._on_failed)
         self.internal_error = False
@@ -177,7 +181,7 @@ class Core:
         """The actions that follow from `event`."""
         self._actions = []
         match event:
-            case VehicleMessage():  # most events are; a pattern that names its fields takes twice as long
+            case VehicleMessage():  # the most frequent event; a pattern with fields takes twice as long
                 self._handle_outputs(event.t, self._vehicle.handle(event.t, event.message, self._vented))
             case FirmwareMessage(t, message):
                 self._on_firmware(t, message)
@@ -202,16 +206,16 @@ class Core:
 
     @property
     def decided(self) -> list[Action]:
-        """The actions of the latest event, as far as it was handled."""
+        """The actions of the latest event; after an error, those from before the error."""
         return self._actions
 
     def report(self, t: float) -> list[Action]:
-        """The part of a tick that sends what is due: heartbeat, texts and named values."""
+        """The part of a tick that sends heartbeat, texts and named values."""
         self._actions = []
         self._report(t)
         return self._actions
 
-    # The vehicle's side.
+    # The vehicle.
 
     def _handle_outputs(self, t: float, outputs: Sequence[VehicleOutput]) -> None:
         for output in outputs:
@@ -233,7 +237,7 @@ class Core:
         self._vehicle.configure()
         self._actions.append(KeepParameters(change.t, dict(self._vehicle.component.parameters.values)))
 
-    # The firmware's side.
+    # The firmware.
 
     def _on_firmware_link(self, t: float, up: bool) -> None:
         self._mode_mismatch = None
@@ -254,8 +258,8 @@ class Core:
                     self._restart_noted = False
                     self._firmware_limit_kPa = welcome.setpoint_limit_kPa
                     ready = f"phloSAR ready ({welcome.firmware_build})"
-                    news = self._restarts.say_once(ready)
-                    self._notice(t, Severity.INFO if news else Severity.DEBUG, ready)
+                    is_new = self._restarts.is_new_text(ready)
+                    self._notice(t, Severity.INFO if is_new else Severity.DEBUG, ready)
                 case fw.TelemetryReceived(telemetry):
                     self._actions.append(Measured(t, telemetry))
                     features = self._features = self._reader.read(t, telemetry)
@@ -271,12 +275,14 @@ class Core:
                     self._firmware_problem = reason
                     self._notice(t, Severity.ERROR, f"{reason}")
                 case fw.CommandRefused(refusal):
-                    said = refusal.reason.name.lower().replace("_", " ")
-                    self._enter(t, Entered("refused_by_firmware", f"phloSAR refused: {said}", "vent"))
+                    reason = refusal.reason.name.lower().replace("_", " ")
+                    self._enter(
+                        t, ResponseNeeded("refused_by_firmware", f"phloSAR refused: {reason}", "vent")
+                    )
 
     def _restarted(self, t: float, reason: str) -> None:
         if self._restart_noted:
-            return  # the new boot id of a restart that its clock has already shown
+            return  # telemetry's clock has already shown this restart; this is its new boot id
         self._restart_noted = True
         self._firmware_problem = "restarted"
         self._mode_mismatch = None
@@ -285,19 +291,18 @@ class Core:
         self._enter(t, self._safety.latch(t, "firmware_reset", why))
 
     def _estimate(self, t: float, features: Features) -> None:
-        """Update what is estimated, after safety has seen the telemetry."""
+        """Update the estimates, after safety has seen the telemetry."""
         run, bent_kPa, cv_kPa = self._parts.run, self._planner.curve.bent_kPa, features.telemetry.cv_kPa
         self._bent_kPa = run(t, "bend", lambda: bent_kPa(cv_kPa, self._bent_kPa), self._bent_kPa, needed=True)
         run(t, "bottle estimate", lambda: self._reservoir.update(features), None, needed=True)
         run(t, "physics checks", lambda: self._check(t, features), None, needed=True)
 
     def _check(self, t: float, features: Features) -> None:
-        """Compare the physics with the prediction: a deviation is a fault or a warning."""
-        found = self._checks.take(features)
-        for finding in found:
+        findings = self._checks.take(features)
+        for finding in findings:
             if finding.level == "warn":
                 self._notice(t, Severity.WARNING, finding.sentence)
-        if any(finding.level == "fault" for finding in found):
+        if any(finding.level == "fault" for finding in findings):
             self._check_safety(t)
 
     def _on_failed(self, failed: Failed) -> None:
@@ -309,16 +314,16 @@ class Core:
             self._notice(failed.t, Severity.WARNING, f"{failed.part} failed, flight goes on")
 
     def _note_mode(self, t: float, telemetry: protocol.Telemetry) -> None:
-        """Compare the board's mode with the command. In a fault it vents by itself."""
+        """Compare the board's mode with the command. In FAULT mode the board vents by itself."""
         mode, commanded = telemetry.mode, self._commanded_mode
         if mode is commanded or (mode is protocol.Mode.FAULT and commanded is protocol.Mode.VENT):
             self._mode_mismatch = None
             return
-        made_s = t - self._firmware.telemetry_age(t)
-        began = (
-            self._mode_mismatch[1] if self._mode_mismatch and self._mode_mismatch[0] is commanded else made_s
+        made_at = t - self._firmware.telemetry_age(t)
+        began_at = (
+            self._mode_mismatch[1] if self._mode_mismatch and self._mode_mismatch[0] is commanded else made_at
         )
-        self._mode_mismatch = commanded, began, made_s
+        self._mode_mismatch = commanded, began_at, made_at
 
     @property
     def _commanded_mode(self) -> protocol.Mode:
@@ -333,35 +338,35 @@ class Core:
     # Deciding.
 
     def _trigger_of(self, asked: Asked) -> Trigger:
-        """The trigger of a request that did not come over MAVLink, with the reason if it is refused."""
+        """The trigger for a request that did not come over MAVLink. `problem` is why it is refused, if so."""
         t, by, intent = asked.t, asked.by, asked.intent
-        problem = "" if only_lets_out(self.config, intent) else self._request_problem(asked)
+        problem = "" if only_deflates(self.config, intent) else self._request_problem(asked)
         seen_at = asked.seen_at
         if by == "calibration":
             seen_at = t
         elif seen_at is None or seen_at > t:
-            # From before the computer was started: the person has seen nothing of this run.
+            # Unknown, or from before this computer started: the person has seen no fault of this run.
             seen_at = -math.inf
         if isinstance(intent, ClearLatchedFaults) and seen_at == -math.inf:
-            problem = problem or "it does not say which state was seen"
+            problem = problem or "the request does not say which state the person saw"
         return Trigger(t, by, {}, intent, problem, by_person=not problem, seen_at=seen_at)
 
     def _request_problem(self, asked: Asked) -> str:
         age_s = 0.0 if asked.made_at is None else asked.t - asked.made_at
         if age_s > ACTS_WITHIN_S:
-            return f"too late: asked {age_s:.1f} s ago"
+            return f"too late: requested {age_s:.1f} s ago"
         command = COMMAND_OF[type(asked.intent)]
         if asked.by == "broker" and command not in self.config.mqtt.commands:
             return f"mqtt.commands does not list {command}"
         if asked.by == "page" and command not in PAGE_COMMANDS:
             if self._vehicle.state.armed:
-                return "the page bends nothing while the vehicle is armed"
+                return "the page cannot bend the vine while the vehicle is armed"
             if not (self._on_bench or self.config.interlocks.bench_mode):
-                return "the page bends in bench mode only"
+                return "the page can bend the vine only in bench mode"
         return ""
 
     def _decide(self, t: float, trigger: Trigger) -> Decision:
-        """Let safety judge a trigger. Carry out its intent, or say why not."""
+        """Let safety judge a trigger. Carry out its intent, or refuse it with a reason."""
         now = self._check_safety(t)
         intent = trigger.intent
         if trigger.by_person and self._on_bench:
@@ -372,27 +377,25 @@ class Core:
             return self._record(t, trigger, Ruling("refused", "the service is stopping"))
         if problem := self._outdated(t, trigger, intent):
             return self._record(t, trigger, Ruling("refused", problem))
-        settled = self._without_air(t, intent, trigger)
-        if settled is not None:
-            return self._record(t, trigger, settled)
+        without_air = self._carry_out_without_air(t, intent, trigger)
+        if without_air is not None:
+            return self._record(t, trigger, without_air)
         if problem := self._planner.problem(intent):
             return self._record(t, trigger, Ruling("refused", problem))
         motion = self._plan(t, intent)
         rise_kPa, rate_kPa_per_s = motion.rise_kPa, motion.rate_kPa_per_s
         air = self._parts.run(
-            *(t, "bottle estimate", lambda: self._reservoir.air_needed(rise_kPa, rate_kPa_per_s), None),
-            needed=True,
+            *(t, "bottle estimate", lambda: self._reservoir.air_needed(rise_kPa, rate_kPa_per_s)),
+            *(AIR_UNKNOWN, True),
         )
-        if air is None:
-            return self._record(t, trigger, Ruling("refused", INTERNAL_ERROR))
-        if trigger.by_person and motion.only_lets_out:
+        if trigger.by_person and motion.only_deflates:
             self._clear_faults(t, trigger.seen_at)
         ruling = self._safety.judge(motion, air, now)
         if ruling.verdict == "refused":
             return self._record(t, trigger, ruling)
         if ruling.rate_scale < 1.0:
             motion = self._plan(t, intent, ruling.rate_scale)
-        if motion.only_lets_out and self._motion is None:
+        if motion.only_deflates and self._motion is None:
             self._stop_moving(t)
         else:
             self._note_trigger(t)
@@ -401,22 +404,26 @@ class Core:
         return self._record(t, trigger, ruling)
 
     def _outdated(self, t: float, trigger: Trigger, intent: Intent) -> str:
-        """Why a request is too late. One that lets air out is too late only after a newer request."""
+        """Why a request is too late; empty if it is not.
+
+        A vent, disarm or end of bench mode is never too late. Another motion that only deflates is too late
+        only after a newer request.
+        """
         late = trigger.age_s > LATE_S
         overtaken = self._requested_at > t - trigger.age_s + AT_ONCE_S
         if isinstance(intent, VENTING) or not (late or overtaken):
             return ""
         moves = isinstance(intent, MOVING) and not self._planner.problem(intent)
-        if moves and not overtaken and self._plan(t, intent).only_lets_out:
+        if moves and not overtaken and self._plan(t, intent).only_deflates:
             return ""
-        return f"came {trigger.age_s:.1f} s late" if late else "something newer was asked"
+        return f"came {trigger.age_s:.1f} s late" if late else "a newer request came first"
 
     def _note_trigger(self, t: float) -> None:
         self._triggered_at = t
         self._safety.triggered()
 
-    def _without_air(self, t: float, intent: Intent, trigger: Trigger) -> Ruling | None:
-        """Carry out an intent that takes no air, or say why not; None for one that takes air."""
+    def _carry_out_without_air(self, t: float, intent: Intent, trigger: Trigger) -> Ruling | None:
+        """Carry out or refuse an intent that takes no air. None: it takes air."""
         match intent:
             case ClearLatchedFaults() | ArmPneumatics() | StartBench() if not trigger.by_person:
                 return Ruling("refused", "only a person may do that")
@@ -444,7 +451,7 @@ class Core:
                 self._bench_until = t + BENCH_S
                 return Ruling("accepted")
             case StopBench():
-                self._leave_bench(t, "left")
+                self._leave_bench(t, "requested")
                 return Ruling("accepted")
         return None
 
@@ -464,7 +471,7 @@ class Core:
         return Ruling("accepted")
 
     def _freeze(self, t: float) -> None:
-        """Stay at the present setpoint. `limits.max_bent_s` runs on: a loss that holds is no request."""
+        """Stay at the present setpoint. This does not restart the time limit `limits.max_bent_s`."""
         self._motion = replace(self._plan(t, SetPressure(self._setpoint_kPa(t))), name="hold")
         self._drive(t)
 
@@ -492,27 +499,27 @@ class Core:
         )
         self._actions.append(decision)
         if ruling.verdict != "refused" and trigger.kind not in _BY_PILOT_OR_SAFETY:
-            self._vehicle.pilot.others_asked(straightened=motion is None or motion.only_lets_out)
+            self._vehicle.pilot.others_asked(straightened=motion is None or motion.only_deflates)
         if ruling.verdict == "refused":
-            asked = decision.intent or trigger.kind.replace("_", " ")
+            request = decision.intent or trigger.kind.replace("_", " ")
             if (seq := trigger.what.get("seq")) is not None:
-                asked = f"item {seq}" + (f", {decision.intent}" if decision.intent else "")
-            self._notice(t, Severity.WARNING, f"refused {asked}: {ruling.reason}", True)
+                request = f"item {seq}" + (f", {decision.intent}" if decision.intent else "")
+            self._notice(t, Severity.WARNING, f"refused {request}: {ruling.reason}", True)
         elif ruling.verdict == "limited":
             self._notice(t, Severity.NOTICE, f"{decision.intent} limited {ruling.reason}", True)
         return decision
 
-    # Moving.
+    # Motions.
 
     def _setpoint_kPa(self, t: float) -> float:
-        """The present setpoint; the measured pressure if there is none."""
+        """The present setpoint; without a motion, the measured pressure."""
         if self._motion is not None:
             return self._motion.setpoint_kPa(t)
         telemetry = self._firmware.telemetry
         return min(max(0.0, telemetry.cv_kPa), self._max_kPa) if telemetry else 0.0
 
     def _drive(self, t: float) -> None:
-        """Send the firmware the command that holds until the next tick."""
+        """Send the firmware the command for the time until the next tick."""
         motion = self._motion
         if motion is not None and motion.is_over(t) and motion.final_kPa <= 0.0 and self._near_zero():
             self._motion = None
@@ -533,41 +540,40 @@ class Core:
         self._motion = None
         self._to_firmware(self._firmware.command(t, fw.VENTING))
 
-    # On the bench.
+    # Bench mode.
 
     @property
     def _on_bench(self) -> bool:
         return self._bench_until > -math.inf
 
     def _leave_bench(self, t: float, why: str) -> None:
-        """Vent what only bench mode allowed to bend."""
         if self._on_bench:
             self._bench_until = -math.inf
             self._stop_moving(t)
             self._notice(t, Severity.NOTICE, f"bench mode over, {why}: vented")
 
-    # Watching.
+    # Ticks and safety.
 
     def _on_tick(self, t: float) -> None:
         self._handle_outputs(t, self._vehicle.tick(t))
         if self._vehicle.state.armed:
             self._leave_bench(t, "the vehicle is armed")
         elif t > self._bench_until:
-            self._leave_bench(t, "nobody asked for anything")
+            self._leave_bench(t, "no more requests")
         self._check_safety(t)
         if not self._stopped:
             self._drive(t)
         self._to_firmware(self._firmware.tick(t))
-        if told := self._link_loss.back(t, self._safety.reasons):
-            self._notice(t, Severity.NOTICE, told)
-        if told := self._restarts.tick(t):
-            self._notice(t, Severity.WARNING, told)
+        if text := self._link_loss.back(t, self._safety.reasons):
+            self._notice(t, Severity.NOTICE, text)
+        if text := self._restarts.tick(t):
+            self._notice(t, Severity.WARNING, text)
         self._update_cycles_left(t)
         self._warn_of_low_reservoir(t)
         self._report(t)
 
     def _note_rc_use(self, t: float) -> None:
-        """Note whether RC is in use: only then its loss counts."""
+        """Note if RC is in use. Only then a loss of RC counts."""
         armed = self._vehicle.state.armed
         if self._vehicle.rc.problem(t) is None:
             self._rc_in_use |= armed or self._on_bench or self.config.interlocks.bench_mode
@@ -605,18 +611,17 @@ class Core:
         if self._firmware.implausible is None:
             return None
         field, value_kPa = self._firmware.implausible
-        # A log cannot hold infinity, and the flight replayed must give the same text.
-        return f"{_SENSOR_TEXTS[field]} " + (
-            f"{value_kPa:g} kPa" if math.isfinite(value_kPa) else "no number"
-        )
+        # The log cannot hold infinity. A replayed flight must give the same text.
+        value = f"{value_kPa:g} kPa" if math.isfinite(value_kPa) else "not a number"
+        return f"{_SENSOR_TEXTS[field]} {value}"
 
     def _check_safety(self, t: float) -> SafetyInputs:
-        """Let safety check the conditions, and do what it says. Returns the conditions after that."""
+        """Let safety check the conditions and carry out its response. Returns the conditions after that."""
         self._note_rc_use(t)
         now = self._conditions(t)
         changes = self._safety.watch(t, now)
         for change in changes:
-            if isinstance(change, Entered):
+            if isinstance(change, ResponseNeeded):
                 self._enter(t, change)
             else:
                 self._leave(t, change)
@@ -625,15 +630,14 @@ class Core:
             now = self._conditions(t)
         return now
 
-    def _enter(self, t: float, change: Entered) -> None:
-        # A vine that is being straightened is not held.
-        straightened = self._motion is None or self._motion.only_lets_out
-        hold = change.response == "hold" and not straightened
+    def _enter(self, t: float, change: ResponseNeeded) -> None:
+        deflates = self._motion is None or self._motion.only_deflates
+        hold = change.response == "hold" and not deflates
         moved = self._motion is not None
-        done = "holding" if hold else _RESPONSE_TEXTS.get(change.name, "vented")
-        told = self._link_loss.entered(t, change.name, change.reason, done) or ""
-        quiet = not self._say_once(t, change.name, told)
-        mattered = moved or (self._vehicle.state.armed and not quiet)
+        response = "holding" if hold else _RESPONSE_TEXTS.get(change.name, "vented")
+        text = self._link_loss.entered(t, change.name, change.reason, response) or ""
+        is_new = self._is_new_text(t, change.name, text)
+        relevant = moved or (self._vehicle.state.armed and is_new)
         self._vehicle.pilot.overtaken()
         if hold:
             self._freeze(t)
@@ -641,35 +645,35 @@ class Core:
             self._stop_moving(t)
         if change.name == "autopilot" and not self._vehicle.state.heartbeat_missing:
             self._vehicle.forget_radio()
-        if mattered:
+        if relevant:
             trigger = Trigger(t, "failsafe", {"loss": change.name}, Hold() if hold else VentVine())
             self._record(t, trigger, Ruling("accepted", change.reason))
-        if told:
-            self._notice(t, Severity.DEBUG if quiet else Severity.WARNING, told, mattered)
+        if text:
+            self._notice(t, Severity.WARNING if is_new else Severity.DEBUG, text, relevant)
 
-    def _say_once(self, t: float, name: str, text: str) -> bool:
-        """Note a text. Returns whether the pilot should read it: not with each of a series of restarts."""
+    def _is_new_text(self, t: float, name: str, text: str) -> bool:
+        """Note a text. Returns True if the pilot should see it: each text once in a series of restarts."""
         if name == "firmware_reset":
             return not self._restarts.looping(t)
-        return name not in _BOARD_FAULTS or self._restarts.say_once(text)
+        return name not in _BOARD_FAULTS or self._restarts.is_new_text(text)
 
-    def _leave(self, t: float, change: Left) -> None:
+    def _leave(self, t: float, change: LossEnded) -> None:
         if not self._link_loss.left(change.name):
             return
         rc_is_off = self._vehicle.rc.problem(t) is not None
-        over = {
+        texts = {
             "rc": f"{'going on without RC' if rc_is_off else 'RC is back'}, waiting for a fresh move",
             "autopilot": "autopilot is back",
             "serial": "phloSAR is back",
             "telemetry": "phloSAR telemetry is back",
             "firmware_fault": "firmware fault cleared",
         }
-        text = over.get(change.name, change.name)
-        news = self._say_once(t, change.name, text)
-        self._notice(t, Severity.NOTICE if news else Severity.DEBUG, text)
+        text = texts.get(change.name, change.name)
+        is_new = self._is_new_text(t, change.name, text)
+        self._notice(t, Severity.NOTICE if is_new else Severity.DEBUG, text)
 
     def _update_cycles_left(self, t: float) -> None:
-        """At every flown cycle, and every half second."""
+        """Predict the cycles left after every flown cycle, and every `CYCLES_EVERY_S`."""
         reservoir, cycles = self._reservoir, self._cycles
         flown = cycles is None or cycles.measured_cycles != reservoir.measured_cycles
         if flown or abs(reservoir.read_at - self._cycles_at) >= CYCLES_EVERY_S:
@@ -699,14 +703,14 @@ class Core:
         else:
             if self._silent_since is None:
                 self._silent_since = t
-            # Some peers send nothing before they have received something: a port that waits for its client.
+            # Some peers send nothing before they have received something, such as a server's UDP port.
             if t - self._silent_since < SPEAK_FIRST_S:
                 return
         boot_ms = self._vehicle.state.time_boot_ms(t)
         self._transmit(self._vehicle.component.due(t, boot_ms, values, status))
 
     def _fresh_telemetry(self, t: float) -> protocol.Telemetry | None:
-        """The latest telemetry, unless it is too old to be shown."""
+        """The latest telemetry; None if it is too old to be shown."""
         fresh = self._firmware.telemetry_age(t) <= self.config.losses.telemetry_s
         return self._firmware.telemetry if fresh else None
 

@@ -13,7 +13,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vine.intent import Asker, Intent
 
-MOST_OF_A_TRACE = 8000
+MAX_TRACE_LENGTH = 8000
 """Characters; the traceback of an endless recursion is long."""
 
 # Events.
@@ -21,7 +21,7 @@ MOST_OF_A_TRACE = 8000
 
 @dataclass(frozen=True, slots=True)
 class VehicleMessage:
-    """A MAVLink message of anyone on the vehicle's link."""
+    """A MAVLink message of any sender on the vehicle's link."""
 
     t: float
     message: MavlinkMessage
@@ -54,7 +54,7 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """A text for people from outside the core: a file cannot be written, messages are forged."""
+    """A notice from outside the core, such as "cannot write the log" or "forged messages arrive"."""
 
     t: float
     severity: Severity
@@ -63,15 +63,15 @@ class Said:
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """A person requests something that did not come over MAVLink."""
+    """A request by page, broker or calibration, not over MAVLink."""
 
     t: float
     by: Asker
     intent: Intent
     made_at: float | None = None
-    """When it was requested, by the clock of `t`; None: now."""
+    """When it was requested, on the same clock as `t`; None: at `t`."""
     seen_at: float | None = None
-    """The `t` of the snapshot that the person saw: page and broker clear no fault that came later."""
+    """The `t` of the snapshot that the person saw. Page and broker do not clear faults newer than this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,13 +90,13 @@ class Failed:
     trace: str
     """The traceback."""
     needed: bool
-    """Whether the vine must not bend without it."""
+    """The vine must not bend without this part."""
 
     @classmethod
     def by(cls, t: float, part: str, error: BaseException, needed: bool) -> Failed:
-        """By this exception."""
+        """Make a `Failed` from an exception."""
         trace = "".join(traceback.format_exception(error))
-        return cls(t, part, trace[-MOST_OF_A_TRACE:], needed)
+        return cls(t, part, trace[-MAX_TRACE_LENGTH:], needed)
 
 
 Event = VehicleMessage | FirmwareMessage | LinkChanged | Tick | Said | Asked | Stop | Failed
@@ -127,7 +127,7 @@ class Decision:
     safety: Literal["accepted", "limited", "refused"]
     reason: str
     setpoint_kPa: float
-    """Where the motion goes first (gauge); if refused, that of the motion under way, or 0."""
+    """First target of the new motion (gauge). After a refusal: that of the running motion; 0 without one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,22 +179,24 @@ class Snapshot:
     switch_position: int | None
     firmware: str
     round_trip_s: float | None
-    """Of the latest ping to the firmware."""
+    """Round trip of the latest ping to the firmware."""
     telemetry_gaps: int
     reservoir_kPa: float
     cv_kPa: float
     command_kPa: float
     bend_deg: float
     evp_opening: float
+    """Opening of the inflation valve, 0…1."""
     dvp_opening: float
+    """Opening of the Venturi's supply valve, 0…1."""
     solenoid: bool | None
     cycles: CyclesLeft | None
     doing: str
     safe_state: dict[str, str] = field(default_factory=dict)
     findings: dict[str, int] = field(default_factory=dict)
-    """How often each of the physics checks has found something."""
+    """The number of findings of each physics check."""
     ambient_kPa: float = math.nan
-    """Absolute, as the autopilot's barometer has it."""
+    """Absolute, from the autopilot's barometer."""
     pneumatics_armed: bool = True
     bench: bool = False
-    """Whether the vine may be tried on the ground."""
+    """Bench mode is on: the vine may bend on the ground."""

@@ -1,4 +1,4 @@
-"""From an intent to a motion: for the core in flight, and for a mission's budget and builder before it."""
+"""Plans the motion for an intent: for the core in flight, and for a mission's budget and builder."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MIN_RATE_KPA_PER_S = 1.0
 
 
 class MotionPlanner:
-    """Plans motions within one configuration."""
+    """Plans motions with the profiles, limits and bend curve of one configuration."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
@@ -22,7 +22,7 @@ class MotionPlanner:
         self.curve = config.vine.bend_curve()
 
     def problem(self, intent: Intent) -> str:
-        """Why the vine cannot do it at all, or an empty text."""
+        """Why the intent is invalid (unknown profile, angle out of range, negative pressure); else empty."""
         match intent:
             case StartProfile(name) if name not in self._profiles:
                 return no_profile(self._config, name)
@@ -45,12 +45,12 @@ class MotionPlanner:
         """The motion that carries out an intent for which `problem` is empty.
 
         Args:
-            intent: one that takes air.
-            start_kPa: from where, gauge.
-            bent_kPa: how far the vine is bent, as `BendCurve.bent_kPa` names bends.
-            limit_kPa: the firmware's, where it is below the configuration's.
-            rate_scale: share of the highest rate, 0…1.
-            started_at: when it starts.
+            intent: `StartProfile`, `BendTo` or `SetPressure`.
+            start_kPa: pressure at the start, gauge.
+            bent_kPa: the present bend, as the pressure that gives it during inflation (`BendCurve.bent_kPa`).
+            limit_kPa: the firmware's pressure limit. The lower of it and `limits.max_kPa` applies.
+            rate_scale: share of the maximum rate, 0…1.
+            started_at: start time of the motion.
         """
         rate_kPa_per_s = self._rate_kPa_per_s(intent)
         if rate_scale < 1.0:

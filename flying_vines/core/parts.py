@@ -1,6 +1,6 @@
-"""Parts of the core that no setpoint waits for: estimates, checks, values for displays.
+"""Parts of the core that no setpoint depends on: estimates, checks, values for displays.
 
-A part that raises is switched off for good, and its caller goes on without it.
+A part that raises is switched off until the service restarts. Its caller continues without it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class IsolatedParts:
         self._off: set[str] = set()
 
     def run(self, t: float, name: str, part: Callable[[], _T], otherwise: _T, needed: bool = False) -> _T:
-        """What `part` returns, or `otherwise` if it is off.
+        """Returns the result of `part`, or `otherwise` if the part is off.
 
         `needed`: without this part the vine must not bend. Other parts only serve displays.
         """

@@ -1,58 +1,58 @@
-"""A board that restarts again and again: the pilot reads of the first restart at once, then how often."""
+"""A board that restarts repeatedly: the pilot gets a text at the first restart, then a count every 10 s."""
 
 from __future__ import annotations
 
 import math
 
-OVER_S = 10.0
-"""A series of restarts is over when none came for so long."""
-TELLS_EVERY_S = 10.0
+SERIES_ENDS_AFTER_S = 10.0
+"""A series ends after this time without a restart."""
+COUNT_EVERY_S = 10.0
 
 
 class Restarts:
-    """One series: each restart comes within `OVER_S` of the one before."""
+    """One series: each restart comes within `SERIES_ENDS_AFTER_S` of the one before."""
 
     def __init__(self) -> None:
         self._end()
 
     def _end(self) -> None:
-        self._count = self._told_count = 0
-        self._first_at = self._last_at = self._told_at = -math.inf
-        self._said: set[str] = set()
+        self._count = self._reported_count = 0
+        self._first_at = self._last_at = self._reported_at = -math.inf
+        self._texts: set[str] = set()
 
     def note(self, t: float) -> bool:
-        """Note a restart of the board. Returns whether to tell it at once: it is the first of a series."""
-        if self._count and t - self._last_at >= OVER_S:
+        """Note a restart of the board. Returns True for the first one of a series: tell the pilot now."""
+        if self._count and t - self._last_at >= SERIES_ENDS_AFTER_S:
             self._end()
         self._count += 1
         self._last_at = t
         if self._count > 1:
             return False
-        self._first_at = self._told_at = t
-        self._told_count = 1
+        self._first_at = self._reported_at = t
+        self._reported_count = 1
         return True
 
-    def say_once(self, text: str) -> bool:
-        """Note a text about the board. Returns whether to tell it: each is told once in a series."""
+    def is_new_text(self, text: str) -> bool:
+        """Note a text about the board. Returns False if the present series has shown it already."""
         if not self._count:
             return True
-        new = text not in self._said
-        self._said.add(text)
+        new = text not in self._texts
+        self._texts.add(text)
         return new
 
     def looping(self, t: float) -> str:
-        """How often in how long; empty after fewer than two restarts, or when the series is over."""
-        if self._count < 2 or t - self._last_at >= OVER_S:
+        """The text "phloSAR restarted N times in M s"; empty unless a series of two or more is present."""
+        if self._count < 2 or t - self._last_at >= SERIES_ENDS_AFTER_S:
             return ""
         lasts_s = max(1, round(self._last_at - self._first_at))
         return f"phloSAR restarted {self._count} times in {lasts_s} s"
 
     def tick(self, t: float) -> str:
-        """Let time pass. Returns what to tell now, if anything."""
-        told = ""
-        if self._count > self._told_count and t - self._told_at >= TELLS_EVERY_S:
-            told = self.looping(t)
-            self._told_count, self._told_at = self._count, t
-        if self._count and t - self._last_at >= OVER_S:
+        """Let time pass. Returns the text that is due now, or an empty one."""
+        text = ""
+        if self._count > self._reported_count and t - self._reported_at >= COUNT_EVERY_S:
+            text = self.looping(t)
+            self._reported_count, self._reported_at = self._count, t
+        if self._count and t - self._last_at >= SERIES_ENDS_AFTER_S:
             self._end()
-        return told
+        return text

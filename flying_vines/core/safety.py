@@ -1,8 +1,8 @@
-"""Which motions are allowed, and what happens after a loss or fault: one pure state machine.
+"""Judges motions, and responds to losses, faults and limits: one pure state machine.
 
-A loss lasts until it ends, a latched fault until a person clears it, and a limit acts once. During a loss or
-fault the vine vents and nothing bends; if the configuration says so, the vine is held for a while first.
-After it the vine stays as it is: only a new trigger moves it.
+A loss ends by itself. A latched fault lasts until a person clears it. A limit vents the vine once, at the
+moment it is crossed. During a loss or fault the vine is vented and cannot bend. The configuration may have
+the vine held for some time after a loss of RC. After a loss only a new trigger moves the vine.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from flying_vines.vine.motion import Motion
 MODE_FOLLOWS_WITHIN_S = 0.3
 """The board's mode follows its commands within this time, even if eleven in a row are lost."""
 LANDING_MARGIN_M = 0.5
-"""A bent vine is vented this much below the altitude from which it may bend."""
+"""A bent vine is vented this far below `interlocks.min_altitude_m`, above which bends are allowed."""
 
 INTERNAL_ERROR = "internal error: restart the service"
 
@@ -41,43 +41,44 @@ class SafetyInputs:
     """The inputs of safety at one moment. Pressures are gauge kPa, NaN when unknown."""
 
     pneumatics_armed: bool = True
-    """Whether a person allows the vine to bend; `armed` is the vehicle."""
+    """A person allows the vine to bend."""
     armed: bool = False
+    """The vehicle is armed."""
     altitude_m: float | None = None
     rc_problem: str | None = None
     """Why RC cannot be trusted; None if it can, or if RC is not in use."""
     autopilot_age_s: float | None = None
-    """Since its last frame; None if it never sent one."""
+    """Time since the autopilot's last frame; None before the first one."""
     heartbeat_missing: bool = False
-    """The autopilot sends other messages, but no HEARTBEAT: armed or not is unknown."""
+    """The autopilot sends other messages, but no HEARTBEAT. So `armed` is unknown."""
     firmware_ready: bool = False
     firmware_was_ready: bool = False
     firmware_problem: str = "not connected"
     telemetry_age_s: float = math.inf
     faults: Fault = Fault.NONE
     sensor_problem: str | None = None
-    """The telemetry value that no sensor can have, as a sentence."""
+    """A sentence about a telemetry value that no sensor can have."""
     cv_kPa: float = math.nan
     reservoir_kPa: float = math.nan
     mode_mismatch_s: float = 0.0
-    """For how long the board's mode has not been the commanded one."""
+    """The board's mode has differed from the commanded one for this time."""
     restarting: str = ""
-    """How often the board restarted lately, in words; empty after fewer than two restarts."""
+    """A sentence about a series of board restarts; empty after fewer than two restarts."""
     bench: bool = False
-    """Whether bench mode is on: the vine may bend on the ground."""
+    """Bench mode is on: the vine may bend on the ground."""
     moving: bool = False
-    """Whether the vine is held or moved under pressure."""
+    """The vine is held or moved under pressure."""
     moving_s: float = 0.0
-    """Since a person or the mission requested the present motion; a loss requests nothing."""
+    """Time since a person or the mission requested the present motion. A hold by safety is no request."""
     physics: Mapping[str, str] = field(default_factory=dict)
-    """The physics checks that found a fault, by name, with a sentence each."""
+    """A sentence for each physics check that found a fault."""
     internal_error: bool = False
     """A part of the service that the vine needs has failed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ruling:
-    """Safety's answer: whether a motion may be carried out, and at which share of its rate."""
+    """Safety's answer to a motion. `rate_scale` is the allowed share of its rate, 0…1."""
 
     verdict: Literal["accepted", "limited", "refused"]
     reason: str = ""
@@ -85,7 +86,7 @@ class Ruling:
 
 
 @dataclass(frozen=True, slots=True)
-class Entered:
+class ResponseNeeded:
     """A loss, fault or limit began, and the vine's response."""
 
     name: str
@@ -94,8 +95,8 @@ class Entered:
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
-    """It is over. Nothing moves until a new trigger."""
+class LossEnded:
+    """The loss `name` ended. The vine stays as it is until a new trigger."""
 
     name: str
 
@@ -108,39 +109,40 @@ class Safety:
         self._present: dict[str, str] = {}
         self._latched: dict[str, str] = {}
         self._latched_at: dict[str, float] = {}
-        """When the cause of each last appeared."""
+        """When the cause of each latched fault last appeared."""
         self._causes: set[str] = set()
         self._faults = Fault.NONE
         self._faults_at = -math.inf
         """When the firmware last reported a new fault."""
         self._held_s = 0.0
-        """For how long the vine was held since the last trigger, in all losses together."""
+        """Total time that the vine was held since the last trigger, over all losses."""
         self._held_at: float | None = None
-        """The time up to which that is counted; None while the vine is not held."""
-        self._tripped: set[str] = set()
+        """When `_held_s` was last updated; None while the vine is not held."""
+        self._crossed: set[str] = set()
+        """The limits that are crossed now."""
 
     def configure(self, config: Config) -> None:
-        """Use other limits from now on. Present losses and latched faults remain."""
+        """Use these limits from now on. Present losses and latched faults remain."""
         self._limits = config.limits
         self._interlocks = config.interlocks
         self._losses = config.losses
 
     @property
     def reasons(self) -> dict[str, str]:
-        """Losses and latched faults that hold now, by name, with a sentence each."""
+        """A sentence for each present loss and latched fault, by name."""
         return {**self._present, **self._latched}
 
     def triggered(self) -> None:
-        """A request was carried out: the next loss may be held for the whole time again.
+        """A request was carried out. The next loss may hold the vine for the full time again.
 
-        This does not apply to a loss that holds the vine now.
+        A loss that holds the vine now gets no extra time.
         """
         if self._held_at is None:
             self._held_s = 0.0
 
-    def watch(self, t: float, now: SafetyInputs) -> list[Entered | Left]:
-        """What began and what ended at time `t`."""
-        changes: list[Entered | Left] = []
+    def watch(self, t: float, now: SafetyInputs) -> list[ResponseNeeded | LossEnded]:
+        """The losses, faults and limits that began, and the losses that ended, at time `t`."""
+        changes: list[ResponseNeeded | LossEnded] = []
         causes = self._latching(now)
         for name, cause in causes.items():
             if name not in self._latched:
@@ -154,39 +156,39 @@ class Safety:
         if self._held_at is not None:
             self._held_s += t - self._held_at
             self._held_at = t
-        for name, look in _LOSSES.items():
-            reason = look(self, now)
+        for name, check in _LOSSES.items():
+            reason = check(self, now)
             if reason and name not in self._present:
                 self._present[name] = reason
                 response = self._response(name)
                 if response == "hold":
                     self._held_at = t
-                changes.append(Entered(name, reason, response))
+                changes.append(ResponseNeeded(name, reason, response))
             elif not reason and name in self._present:
                 del self._present[name]
                 if name == "rc":
                     self._held_at = None
-                changes.append(Left(name))
+                changes.append(LossEnded(name))
         if self._held_at is not None and self._held_s >= self._losses.hold_at_most_s:
             self._held_at = None
-            changes.append(Entered("rc", f"{self._present['rc']}, held long enough", "vent"))
-        for name, look in _LIMITS.items():
-            reason = look(self, now) if now.moving else None
+            changes.append(ResponseNeeded("rc", f"{self._present['rc']}, hold time is over", "vent"))
+        for name, check in _LIMITS.items():
+            reason = check(self, now) if now.moving else None
             if not reason:
-                self._tripped.discard(name)
-            elif name not in self._tripped:
-                self._tripped.add(name)
-                changes.append(Entered(name, reason, "vent"))
+                self._crossed.discard(name)
+            elif name not in self._crossed:
+                self._crossed.add(name)
+                changes.append(ResponseNeeded(name, reason, "vent"))
         return changes
 
     def _response(self, name: str) -> Literal["vent", "hold"]:
-        """Only a lost RC is held: without autopilot or board, altitude or pressure are unknown."""
+        """Only a loss of RC may hold the vine. After other losses altitude or pressure is unknown: vent."""
         if name == "rc" and self._held_s < self._losses.hold_at_most_s:
             return self._losses.on_rc_loss
         return "vent"
 
     def _latching(self, now: SafetyInputs) -> dict[str, str]:
-        """The causes of latched faults that are present now."""
+        """A sentence for each cause of a latched fault that is present now."""
         causes = {
             "internal_error": INTERNAL_ERROR if now.internal_error else None,
             "sensor": now.sensor_problem,
@@ -196,16 +198,15 @@ class Safety:
         }
         return {**{name: cause for name, cause in causes.items() if cause}, **now.physics}
 
-    def latch(self, t: float, name: str, reason: str) -> Entered:
-        """A fault that is an event, not a condition."""
+    def latch(self, t: float, name: str, reason: str) -> ResponseNeeded:
         self._latched[name] = reason
         self._latched_at[name] = t
-        return Entered(name, reason, "vent")
+        return ResponseNeeded(name, reason, "vent")
 
     def clear(self, now: SafetyInputs, seen_at: float = math.inf) -> list[str]:
-        """A person clears latched faults. Returns those that were cleared.
+        """A person clears latched faults. Returns the names of those that were cleared.
 
-        A fault stays if its cause is still present, or if it came after `seen_at`, unseen by the person.
+        A fault stays if its cause is present, or if it came after `seen_at`: the person has not seen it.
         """
         present = self._latching(now)
         cleared = [
@@ -216,12 +217,12 @@ class Safety:
         return cleared
 
     def firmware_faults_seen(self, seen_at: float) -> bool:
-        """Whether all faults that the firmware reports now were present at `seen_at`."""
+        """True if all faults that the firmware reports now were present at `seen_at`."""
         return self._faults_at <= seen_at
 
     def judge(self, motion: Motion, air: AirNeeded, now: SafetyInputs) -> Ruling:
-        """Whether a motion may be carried out. Letting air out always may."""
-        if motion.only_lets_out:
+        """Accept, limit or refuse a motion. One that only deflates is always accepted."""
+        if motion.only_deflates:
             return Ruling("accepted")
         problem = self._problem(motion, air, now)
         if problem:
@@ -246,7 +247,7 @@ class Safety:
             return "no telemetry from the phloSAR"
         if not self._on_bench(now):
             if now.autopilot_age_s is None:
-                return "no autopilot heard"
+                return "no autopilot"
             if not now.armed:
                 return "not armed"
             if now.altitude_m is None:
@@ -261,7 +262,7 @@ class Safety:
     def _on_bench(self, now: SafetyInputs) -> bool:
         return now.bench or self._interlocks.bench_mode
 
-    # One sentence each, or None.
+    # Each check returns a sentence about its loss, fault or limit, or None.
 
     def _overpressure(self, now: SafetyInputs) -> str | None:
         if now.cv_kPa > self._limits.overpressure_kPa:
@@ -269,9 +270,9 @@ class Safety:
         return None
 
     def _regulates(self, now: SafetyInputs) -> str | None:
-        """The board regulates after the command to vent. The command is repeated; no setpoint is renewed."""
+        """The board regulates after a vent command. The host repeats the command and sends no setpoint."""
         mismatch = not now.moving and now.mode_mismatch_s > MODE_FOLLOWS_WITHIN_S
-        return "phloSAR goes on regulating" if mismatch else None
+        return "phloSAR still regulates" if mismatch else None
 
     def _rc(self, now: SafetyInputs) -> str | None:
         return f"RC lost: {now.rc_problem}" if now.rc_problem else None
@@ -279,7 +280,7 @@ class Safety:
     def _autopilot(self, now: SafetyInputs) -> str | None:
         if now.autopilot_age_s is not None and now.autopilot_age_s > self._losses.autopilot_s:
             return f"autopilot silent for {self._losses.autopilot_s:g} s"
-        return "no HEARTBEAT, armed or not is unknown" if now.heartbeat_missing else None
+        return "no HEARTBEAT: arm state unknown" if now.heartbeat_missing else None
 
     def _serial(self, now: SafetyInputs) -> str | None:
         if now.firmware_was_ready and not now.firmware_ready:
@@ -303,8 +304,12 @@ class Safety:
         return None
 
     def _deaf(self, now: SafetyInputs) -> str | None:
-        """If the wire to the board breaks while it rests, no dead-man runs out, and telemetry goes on."""
-        return "phloSAR does not hear us" if now.mode_mismatch_s > MODE_FOLLOWS_WITHIN_S else None
+        """The wire to the board is broken: it stays in VENT after a setpoint.
+
+        A vented board has no running dead-man timer and still sends telemetry. Only its mode shows the break.
+        """
+        mismatch = now.mode_mismatch_s > MODE_FOLLOWS_WITHIN_S
+        return "phloSAR gets no commands" if mismatch else None
 
     def _disarmed(self, now: SafetyInputs) -> str | None:
         return "disarmed" if not now.armed and not self._on_bench(now) else None
@@ -323,15 +328,15 @@ class Safety:
         return None
 
 
-_Look = Callable[[Safety, SafetyInputs], str | None]
-_LOSSES: dict[str, _Look] = {
+_Check = Callable[[Safety, SafetyInputs], str | None]
+_LOSSES: dict[str, _Check] = {
     "rc": Safety._rc,
     "autopilot": Safety._autopilot,
     "serial": Safety._serial,
     "telemetry": Safety._telemetry,
     "firmware_fault": Safety._firmware_fault,
 }
-_LIMITS: dict[str, _Look] = {
+_LIMITS: dict[str, _Check] = {
     "reservoir": Safety._reservoir,
     "deaf": Safety._deaf,
     "disarmed": Safety._disarmed,

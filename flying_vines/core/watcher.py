@@ -8,23 +8,23 @@ from flying_vines.core.events import Action, Event, Snapshot
 
 
 class Watcher:
-    """Called in the service's loop, some milliseconds later. It must return soon and never raise.
+    """Called in the service's loop, some milliseconds after the core. It must return soon and never raise.
 
-    The order is the core's: each event, then its actions. Override the methods that you need.
+    Calls come in the core's order: each event, then its actions. Override the methods that you need.
     """
 
     def event(self, event: Event) -> None:
         """An event was handled."""
 
     def action(self, action: Action) -> None:
-        """One action of the latest event. Its message is packed."""
+        """One action of the latest event. A message in it is already packed."""
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """The state, about ten times a second."""
 
 
 class EachAction(Watcher):
-    """Passes on the actions only."""
+    """Passes on only the actions."""
 
     def __init__(self, take: Callable[[Action], None]) -> None:
         self._take = take

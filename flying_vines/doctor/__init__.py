@@ -1,9 +1,9 @@
-"""`flying-vines doctor`: may one fly, and if not, what is wrong and what is to be done about it?
+"""`flying-vines doctor`: checks whether you may fly, and shows what is wrong and how to correct it.
 
-`look/` and the two probes gather facts of this machine, the vehicle and the phloSAR; `checks/` are pure and
-make findings of them; `examine` does both in order; `show` prints. Nothing here moves anything: the phloSAR
-is greeted, asked for the time and for its settings; the vehicle for its messages, version and mission.
+`look/` and the two probes gather facts about this computer, the vehicle and the phloSAR. `checks/` are
+pure and turn facts into findings. `examine` runs all in order; `show` prints. The doctor moves nothing: it
+requests time and settings from the phloSAR, and messages, version and mission from the vehicle.
 
-`radio_test` is another examination, `doctor --radio`: what shows when the transmitter goes off. `radio_guide`
-leads through it, `checks/receiver` judges, `radio_command` prints and writes what was learned.
+`radio_test` is a separate test, `doctor --radio`: is a lost transmitter detected? `radio_guide` leads the
+user through it, `checks/receiver` judges the result, and `cli/doctor_radio` prints it and edits the profile.
 """

@@ -1,4 +1,4 @@
-"""All checks in order: first those that open no link, then both links at once."""
+"""Runs all checks in order: first those that open no link, then both links at the same time."""
 
 from __future__ import annotations
 
@@ -39,39 +39,39 @@ from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampF
 MOVING_S = 20.0
 """Time for the user to move the switch through all its positions."""
 
-Tell = Callable[[Sequence[DoctorFinding]], None]
+Report = Callable[[Sequence[DoctorFinding]], None]
 RadioQuestion = Callable[[Radio], None]
 """Asks the user to move the switch and shows its state; called repeatedly."""
 
 
 async def examine(
-    examined: ServiceProfile, logs: Path, seconds: float, tell: Tell, ask: RadioQuestion | None = None
+    examined: ServiceProfile, logs: Path, seconds: float, report: Report, ask: RadioQuestion | None = None
 ) -> list[DoctorFinding]:
-    """All findings in order; `tell` gets them as they come.
+    """All findings in order.
 
     Args:
         examined: what the service would start with.
-        logs: where its flight logs go.
-        seconds: for how long to listen to both links.
-        tell: is called with what was found.
-        ask: has the switch moved; None where nobody is there to do so.
+        logs: folder of the service's flight logs.
+        seconds: time to listen to both links.
+        report: gets new findings as they come.
+        ask: prompts the user to move the switch; None if there is no user.
     """
     found: list[DoctorFinding] = []
 
-    def say(findings: Sequence[DoctorFinding]) -> None:
+    def add(findings: Sequence[DoctorFinding]) -> None:
         found.extend(findings)
-        tell(findings)
+        report(findings)
 
     config, clock = examined.config, Clock()
-    say(profile.check(examined.facts))
-    say(machine.check(computer.facts()))
-    say(_disks(examined, logs))
+    add(profile.check(examined.facts))
+    add(machine.check(computer.facts()))
+    add(_disks(examined, logs))
     running, holders = processes.services(), list[Process]()
-    phlosar = link_to("phloSAR", config.firmware.link, say, running, holders)
-    vehicle = link_to("vehicle", config.vehicle.link, say, running, holders)
-    say([_service(running, holders)])
-    say([await asyncio.to_thread(_page, config, bool(running))])
-    say([network.check_broker(await broker.facts(config.mqtt))])
+    phlosar = link_to("phloSAR", config.firmware.link, add, running, holders)
+    vehicle = link_to("vehicle", config.vehicle.link, add, running, holders)
+    add([_service(running, holders)])
+    add([await asyncio.to_thread(_page, config, bool(running))])
+    add([network.check_broker(await broker.facts(config.mqtt))])
 
     board = None if phlosar is None else FirmwareProbe(phlosar, examined.belief)
     watch = None if vehicle is None else VehicleWatch(vehicle, config, examined.signing)
@@ -82,21 +82,21 @@ async def examine(
                 tasks.create_task(probe.run(over.is_set))
         if board or watch:
             await asyncio.sleep(seconds)
-        say(firmware.check(board.facts if board else None, config))
-        heard = watch.facts if watch else None
-        say(vehicles.check(heard, config, seconds, running))
-        there = heard if heard and heard.found else None
-        switch = there.radio if there else None
+        add(firmware.check(board.facts if board else None, config))
+        facts = watch.facts if watch else None
+        add(vehicles.check(facts, config, seconds, running))
+        autopilot = facts if facts and facts.found else None
+        switch = autopilot.radio if autopilot else None
         if watch and ask and switch and switch.problem is None and vehicles.uses_switch(config):
             asked = True
-            switch = await _moved(watch, len(config.switch.positions), ask)
+            switch = await _move_switch(watch, len(config.switch.positions), ask)
         over.set()
-    say([radio.check(switch, config, asked)])
-    say(mission.check(there.mission if there else None, there is not None, config))
-    facts = clock.facts(there.ahead_s if there else None, examined.signing is not None)
-    say(clocks.check(facts, when(facts.unix_s)))
-    if there:
-        say([clocks.against_vehicle(facts)])
+    add([radio.check(switch, config, asked)])
+    add(mission.check(autopilot.mission if autopilot else None, autopilot is not None, config))
+    times = clock.facts(autopilot.ahead_s if autopilot else None, examined.signing is not None)
+    add(clocks.check(times, when(times.unix_s)))
+    if autopilot:
+        add([clocks.against_vehicle(times)])
     keep_signing(examined)
     return found
 
@@ -115,9 +115,9 @@ def _page(config: Config, service_runs: bool) -> DoctorFinding:
 
 
 def link_to(
-    which: Which, where: str, say: Tell, running: Sequence[Process], holders: list[Process]
+    which: Which, where: str, add: Report, running: Sequence[Process], holders: list[Process]
 ) -> Address | None:
-    """Look at a link's port; its address, if there is any sense in opening it. Adds who holds it."""
+    """Checks a link's port. Returns its address, or None if it cannot be opened. Appends to `holders`."""
 
     def served(held_by: Sequence[Process]) -> bool:
         pids = {process.pid for process in running}
@@ -127,12 +127,12 @@ def link_to(
     if isinstance(address, NetworkAddress):
         listens = address.kind == "udpin"
         held_by = ports.udp_port(address) if listens else None
-        say([port.check_network(which, where, listens, held_by, served(held_by or ()))])
+        add([port.check_network(which, where, listens, held_by, served(held_by or ()))])
         holders += held_by or ()
         return address if held_by is None else None
     facts = ports.serial_port(which, where, address)
     facts = replace(facts, served=served(facts.held_by))
-    say(port.check(facts))
+    add(port.check(facts))
     holders += facts.held_by
     return address if facts.may_open and not facts.missing and not facts.held_by else None
 
@@ -142,8 +142,8 @@ def _service(running: Sequence[Process], holders: Sequence[Process]) -> DoctorFi
     return service.check(running, [p for p in running if p.pid in holding or processes.secretive(p)])
 
 
-async def _moved(watch: VehicleWatch, positions: int, ask: RadioQuestion) -> Radio:
-    """The switch, after all its positions were seen or the time is over."""
+async def _move_switch(watch: VehicleWatch, positions: int, ask: RadioQuestion) -> Radio:
+    """Ask the user to move the switch until all positions were seen, or for `MOVING_S`. Returns its state."""
     ends_s = watch.t + MOVING_S
     while True:
         seen = watch.probe.radio(watch.t)
@@ -159,5 +159,5 @@ def keep_signing(examined: ServiceProfile) -> None:
         try:
             TimestampFile(examined.signing_timestamp).save(examined.signing.memory)
         except SigningKeyError:
-            # That the folder cannot be written was found already.
+            # An earlier check has already reported the unwritable folder.
             return

@@ -1,4 +1,4 @@
-"""A healthy vehicle and phloSAR that are not there: to see that an installation works."""
+"""A simulated healthy vehicle and phloSAR, to test an installation."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 @asynccontextmanager
 async def healthy(config: Config) -> AsyncIterator[Config]:
-    """The profile with links to the two."""
+    """The profile, linked to a simulated vehicle and phloSAR."""
     autopilot = FakeAutopilot("ardupilot", unix_s=time.time())
     autopilot.set_rc(config.switch.channel, 1000)
     phlosar = SimulatedPhlosar(reservoir_kPa=config.pneumatics.full_kPa)
@@ -30,7 +30,7 @@ async def healthy(config: Config) -> AsyncIterator[Config]:
 async def between(
     config: Config, autopilot: FakeAutopilot, phlosar: SimulatedPhlosar | None
 ) -> AsyncIterator[Config]:
-    """The profile with links to these two, which live until the end; without a phloSAR its link stays."""
+    """The profile, linked to these two, which run until the block ends. Without `phlosar` its link stays."""
     companion_port = _free_udp_port()
     vehicle = f"udpin:127.0.0.1:{companion_port}"
     server = AutopilotServer(autopilot, ("127.0.0.1", companion_port))
@@ -60,7 +60,7 @@ def linked(config: Config, vehicle: str, firmware: str) -> Config:
 
 
 async def _ended(tasks: Sequence[asyncio.Task[None]]) -> None:
-    """Tells of whatever ended one of them before it was cancelled."""
+    """Raises the error of a task that failed before it was cancelled."""
     for ended in await asyncio.gather(*tasks, return_exceptions=True):
         if isinstance(ended, BaseException) and not isinstance(ended, asyncio.CancelledError):
             raise ended

@@ -1,4 +1,4 @@
-"""Findings, and the lines that a check can print. All lines are made here, so that the page lists all."""
+"""Findings, and the lines that a check can print. docs/doctor.md lists all lines."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 FindingLevel = Literal["good", "warning", "bad", "skipped"]
-"""Only "bad" means: do not fly."""
+"""Only "bad" means "do not fly"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +40,11 @@ def may_fly(findings: Iterable[DoctorFinding]) -> bool:
 
 
 def summary(findings: Iterable[DoctorFinding]) -> str:
-    """The last line."""
+    """The doctor's last line."""
     verdicts = [finding.verdict for finding in findings]
     bad, warnings = verdicts.count("bad"), verdicts.count("warning")
-    looked_over = f"{warnings} {'thing' if warnings == 1 else 'things'} to look at"
+    to_check = f"{warnings} {'thing' if warnings == 1 else 'things'} to check"
     if bad:
-        rest = f", and {looked_over}" if warnings else ""
-        return f"Do not fly: {bad} {'thing' if bad == 1 else 'things'} to mend{rest}."
-    return f"You may fly; {looked_over}." if warnings else "You may fly."
+        rest = f", and {to_check}" if warnings else ""
+        return f"Do not fly: {bad} {'thing' if bad == 1 else 'things'} to correct{rest}."
+    return f"You may fly; {to_check}." if warnings else "You may fly."

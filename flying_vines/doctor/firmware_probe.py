@@ -1,6 +1,6 @@
-"""What a phloSAR says at rest: who it is, how it is set, what its sensors read, how well its line carries.
+"""Reads from a phloSAR at rest: firmware, settings, sensor readings, and the line's quality.
 
-It is a monitor's conversation (`firmware_link.monitor`), which says Hello, Ping and GetSetting, and no more.
+It sends only Hello, Ping and GetSetting, like `firmware_link.monitor`.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from flying_vines.service.link_watch import LinkEvent, LinkWatch
 from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate, TelemetryReader
 
 REST_S = 1.0
-"""The greeting vents; how the vine reads at rest is averaged over the last of this."""
+"""Hello vents the vine. Readings at rest are averaged over the last REST_S."""
 
 
 @dataclass(frozen=True, slots=True)
 class FirmwareFacts:
-    """What was heard on the phloSAR's line. Pressures are gauge."""
+    """Facts from the phloSAR's line. Pressures are gauge."""
 
     port: str = ""
     """The problem with the port or with its device: a sentence."""
@@ -54,20 +54,20 @@ class FirmwareProbe:
         self._watch = LinkWatch(address, self._talk)
         self._reader = TelemetryReader(belief)
         self._reservoir = ReservoirEstimate(belief)
-        self._heard: list[tuple[float, Telemetry]] = []
+        self._readings: list[tuple[float, Telemetry]] = []
         self._boots: set[int] = set()
 
     async def run(self, over: Callable[[], bool]) -> None:
         await self._watch.run(self._take, over)
 
-    def _take(self, heard: Sequence[LinkEvent]) -> None:
-        for seen in heard:
+    def _take(self, events: Sequence[LinkEvent]) -> None:
+        for seen in events:
             if not isinstance(seen, SeenFrame) or seen.sent:
                 continue
             if isinstance(seen.message, Welcome):
                 self._boots.add(seen.message.boot_id)
             elif isinstance(seen.message, Telemetry) and self._watch.answered:
-                self._heard.append((seen.t, seen.message))
+                self._readings.append((seen.t, seen.message))
                 self._reservoir.update(self._reader.read(seen.t, seen.message))
 
     @property
@@ -83,33 +83,33 @@ class FirmwareProbe:
             settings=tuple(self._talk.settings),
             settings_problem=self._talk.problem,
             gaps=now.telemetry_gaps - before.telemetry_gaps,
-            # A frame that was spoilt is missing among the numbers as well.
+            # A corrupt frame also leaves a gap in the sequence numbers and so counts as lost.
             bad_frames=max(bad) + now.unknown_messages - before.unknown_messages,
             good_frames=now.good_frames - before.good_frames,
             round_trip_s=session.round_trip_s,
             restarts=max(0, len(self._boots) - 1),
         )
-        return with_readings(facts, self._heard, self._reservoir.cycles_left())
+        return with_readings(facts, self._readings, self._reservoir.cycles_left())
 
 
 def with_readings(
-    facts: FirmwareFacts, heard: Sequence[tuple[float, Telemetry]], left: CyclesLeft | None
+    facts: FirmwareFacts, readings: Sequence[tuple[float, Telemetry]], left: CyclesLeft | None
 ) -> FirmwareFacts:
-    """The facts with what telemetry, each with its time, says of the pressures."""
-    if len(heard) < 2:
+    """The facts with rates and pressures from `readings`: (time, telemetry)."""
+    if len(readings) < 2:
         return facts
-    began_s, ended_s = heard[0][0], heard[-1][0]
-    first = [telemetry.reservoir_kPa for t, telemetry in heard if t <= began_s + REST_S]
-    last = [telemetry for t, telemetry in heard if t >= ended_s - REST_S]
+    began_s, ended_s = readings[0][0], readings[-1][0]
+    first = [telemetry.reservoir_kPa for t, telemetry in readings if t <= began_s + REST_S]
+    last = [telemetry for t, telemetry in readings if t >= ended_s - REST_S]
     reservoir_kPa = fmean(telemetry.reservoir_kPa for telemetry in last)
     apart_s = ended_s - began_s - REST_S
     return replace(
         facts,
-        telemetry_Hz=(len(heard) - 1) / max(1e-6, ended_s - began_s),
-        faults=heard[-1][1].faults,
+        telemetry_Hz=(len(readings) - 1) / max(1e-6, ended_s - began_s),
+        faults=readings[-1][1].faults,
         cv_kPa=fmean(telemetry.cv_kPa for telemetry in last),
         reservoir_kPa=reservoir_kPa,
-        # What is averaged at both ends must not be the same.
+        # The averaged intervals at both ends must not overlap.
         reservoir_falls_kPa_per_s=(fmean(first) - reservoir_kPa) / apart_s if apart_s > REST_S else 0.0,
         cycles_left=left,
     )

@@ -1,4 +1,4 @@
-"""The radio test on a link: it leads a person, or the hand of a fake, through the steps."""
+"""Runs the radio test on a link and guides a person, or a simulated one, through its steps."""
 
 from __future__ import annotations
 
@@ -23,22 +23,20 @@ from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mavlink.signing import Signing
 
-BEGIN = (
-    "Props off, and the vine disconnected or the bottle shut. The test itself moves nothing. Ctrl-C ends it."
-)
-FAKE = "The fake moves its own transmitter: this is how the test goes."
+BEGIN = "Take the props off. Disconnect the vine or shut the bottle. The test moves nothing. Ctrl-C ends it."
+FAKE = "The simulated vehicle moves its own transmitter, to show the test."
 STEPS = 1 + 2 * LOSSES
 MARK_WIDTH = 4
 FAKE_HAND_S = 0.5
-"""After each prompt."""
+"""Delay of the simulated person after each prompt."""
 
 
 class NobodyThereError(Exception):
-    """Nobody can press Enter."""
+    """There is no person to press Enter."""
 
 
 class RadioProbe(VehicleProbe):
-    """Asks for what the doctor always asks for, and passes on to the test what the autopilot says."""
+    """Sends the doctor's usual requests, and forwards the autopilot's messages to the test."""
 
     def __init__(self, config: Config) -> None:
         super().__init__(config)
@@ -55,7 +53,7 @@ class RadioProbe(VehicleProbe):
 
 
 class FakeHand:
-    """Does with the fake's transmitter what a person is asked to do."""
+    """Simulates the person: moves the simulated transmitter as the prompts say."""
 
     def __init__(self, autopilot: FakeAutopilot, test: RadioTest, channel: int, positions: int) -> None:
         self._autopilot, self._test = autopilot, test
@@ -87,7 +85,7 @@ class FakeHand:
 
 
 class Guide:
-    """Says what to do and what shows."""
+    """Prints prompts and the observed signs."""
 
     def __init__(self, test: RadioTest, config: Config, console: Console) -> None:
         self._test, self._console = test, console
@@ -98,7 +96,7 @@ class Guide:
         self._told_early = False
 
     def follow(self, t: float) -> str:
-        """Print what is new; what to show meanwhile."""
+        """Print what is new. Returns the status line."""
         test = self._test
         self._show_signs(test.signs)
         losses = test.learned.losses
@@ -150,7 +148,7 @@ class Guide:
         if test.step == "off":
             return "waiting for Enter"
         if test.step == "lost":
-            return "keep it off: waiting for what shows"
+            return "keep it off: waiting for signs of the loss"
         trouble = test.trouble(t)
         position = "–" if test.position is None else test.position + 1
         return trouble or f"channel {self._channel}: {test.switch_us} µs, position {position}"
@@ -162,7 +160,7 @@ class Guide:
 
     def _show_loss(self, loss: TransmitterLoss) -> None:
         if not loss.seen:
-            self._note("nothing showed", "yellow")
+            self._note("no sign of the loss", "yellow")
             return
         said = f"channel {self._channel} stays at" if loss.held else f"channel {self._channel} now reads"
         others = f"; channels {', '.join(map(str, loss.jumped))} jumped, too" if loss.jumped else ""
@@ -174,7 +172,7 @@ class Guide:
         said = f"✓ back, channel {self._channel} at {back.switch_us} µs"
         if back.good_after_s is not None:
             when = "before" if back.good_after_s >= 0.0 else "after"
-            said += f", {abs(back.good_after_s):.1f} s {when} the autopilot called RC good"
+            said += f", {abs(back.good_after_s):.1f} s {when} the autopilot reported good RC"
         self._note(said, "green")
 
     def _ask(self, number: int | None, text: str) -> None:
@@ -184,7 +182,7 @@ class Guide:
         self._line(Text(), Text(text, style=style))
 
     def _line(self, mark: Text, text: Text) -> None:
-        """On a terminal wrapped within its column; in a pipe one line, however long."""
+        """On a terminal wrapped within its column; in a pipe one line of any length."""
         if not self._console.is_terminal:
             self._console.print(Text(f"{mark.plain:<{MARK_WIDTH}} {text.plain}"), soft_wrap=True)
             return
@@ -202,10 +200,7 @@ async def guided(
     console: Console,
     autopilot: FakeAutopilot | None = None,
 ) -> RadioLearned:
-    """The whole test; `autopilot` is the fake whose transmitter is at hand, None where a person has it.
-
-    Raises `NobodyThereError` where Enter is needed and standard input is at its end.
-    """
+    """Runs the whole test. `autopilot`: the simulated one, or None. Raises `NobodyThereError`."""
     probe = RadioProbe(config)
     test = probe.test
     watch = VehicleWatch(address, config, signing, probe)
@@ -234,7 +229,7 @@ async def guided(
 
 @contextmanager
 def _live(console: Console) -> Iterator[Callable[[str], None]]:
-    """Shows on a terminal what is waited for."""
+    """On a terminal: returns a function that shows the status line."""
     if not console.is_terminal:
         yield lambda text: None
         return
@@ -245,7 +240,7 @@ def _live(console: Console) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def _enters(pressed: Callable[[], None], ended: Callable[[], None], wanted: bool) -> Iterator[None]:
-    """Within it each line that is typed is an Enter."""
+    """In this block each typed line counts as Enter."""
     if not wanted:
         yield
         return
@@ -264,7 +259,7 @@ def _enters(pressed: Callable[[], None], ended: Callable[[], None], wanted: bool
         number = sys.stdin.fileno()
         loop.add_reader(number, read)
     except OSError:
-        # None, or a file: nobody types there.
+        # No standard input, or a file: nobody types there.
         ended()
     try:
         with _without_echo(number):
@@ -276,7 +271,7 @@ def _enters(pressed: Callable[[], None], ended: Callable[[], None], wanted: bool
 
 @contextmanager
 def _without_echo(number: int) -> Iterator[None]:
-    """An Enter that is echoed would break what is shown."""
+    """An echoed Enter would break the screen."""
     if number < 0 or not os.isatty(number):
         yield
         return

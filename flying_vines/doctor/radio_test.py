@@ -1,10 +1,10 @@
-"""The guided test of the radio: the transmitter is switched off and on twice, and every sign of it is noted.
+"""The guided radio test: the transmitter is switched off and on twice, and each sign of the loss is recorded.
 
-Sans-IO: feed it the autopilot's messages and the moments of Enter; times are seconds of one clock. A stream
-that goes on with the last values shows nothing when the transmitter goes off, so a person presses Enter at
-that moment: latencies from there are right within a second, those between two signs are exact.
+Sans-IO: give it the autopilot's messages and the times of Enter; times are seconds of one clock. A receiver
+that repeats its last values does not show when the transmitter goes off, so a person presses Enter at this
+moment. Delays since Enter are right within 1 s; delays between two signs are exact.
 
-Two losses, from two positions of the switch, tell a receiver that holds from one with a preset value.
+Two losses from two switch positions tell a receiver that holds its values from one with preset values.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.radio.radio_parameters import RadioParameters
 from flying_vines.vehicle.radio.rc import (
     CHANNELS,
-    HIGHEST_US,
     JUMP_US,
-    LOWEST_US,
+    MAX_US,
+    MIN_US,
     NO_RSSI,
     NO_SIGNAL,
     RC_BIT,
@@ -31,35 +31,35 @@ from flying_vines.vehicle.radio.rc import (
 from flying_vines.vehicle.radio.switch import BOUNDARIES_US
 
 RadioStep = Literal["ready", "off", "lost", "on", "done"]
-"""Get ready; press Enter and switch off; note what shows; switch on again."""
+"""Get ready; press Enter and switch off; record the signs of loss; switch on again; done."""
 SignKind = Literal["channels", "rssi", "RC status", "text", "no RC_CHANNELS", "throttle", "mode"]
 RadioProblem = Literal[
     "", "armed", "no autopilot", "no RC", "RC not good", "position", "ground station", "not back"
 ]
-"""Why the test ended before its end."""
+"""Why the test ended early."""
 
 READY_WITHIN_S = 30.0
 """A transmitter takes some seconds to start."""
-SHOWS_WITHIN_S = 15.0
+SIGN_WITHIN_S = 15.0
 BACK_WITHIN_S = 45.0
-"""A transmitter that starts with a switch out of place waits until its warning is confirmed."""
+"""A transmitter that starts with a switch in a wrong position waits until its warning is confirmed."""
 REST_S = 1.0
 QUIET_S = 1.5
 """No new sign for this long: all signs of the loss have been seen."""
 EARLY_S = 1.6
-"""A jump up to this long before a sign of loss belongs to the loss: Enter was pressed late or not at all."""
+"""A jump up to this time before a sign of loss belongs to the loss: Enter came late or not at all."""
 STATUS_WITHIN_S = 3.0
 """An autopilot with a receiver reports it within this time."""
 SAME_US = 30
-"""A held channel jitters less."""
+"""A held channel changes by less than this."""
 LOSSES = 2
-TELLING: frozenset[SignKind] = frozenset({"rssi", "RC status", "text", "no RC_CHANNELS", "throttle"})
+LOSS_SIGNS: frozenset[SignKind] = frozenset({"rssi", "RC status", "text", "no RC_CHANNELS", "throttle"})
 """The signs by which the service detects a loss of RC."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sign:
-    """One thing that changed."""
+    """One change that was observed."""
 
     kind: SignKind
     after_s: float
@@ -68,8 +68,8 @@ class Sign:
 
     @property
     def telling(self) -> bool:
-        """Whether the service detects the loss by it."""
-        return self.kind in TELLING
+        """True if the service detects the loss by this sign."""
+        return self.kind in LOSS_SIGNS
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class Return:
 
     switch_us: int
     good_after_s: float | None
-    """From the switch's move to the report that RC is good; None if it did not move."""
+    """Time from the switch's move to the report that RC is good; None if it did not move."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class TransmitterLoss:
     """One loss of the transmitter."""
 
     pressed: bool
-    """Whether the latencies count from Enter."""
+    """True if the delays count from Enter."""
     before_us: int
     """Pulse width of the switch's channel."""
     lost_us: int
@@ -97,7 +97,7 @@ class TransmitterLoss:
 
     @property
     def seen(self) -> bool:
-        """Whether there was any sign, or a jump."""
+        """True if there was any sign of loss, or a jump."""
         return any(sign.kind != "mode" for sign in self.signs)
 
     @property
@@ -107,7 +107,7 @@ class TransmitterLoss:
 
     @property
     def told_after_jump_s(self) -> float | None:
-        """Time from the receiver's preset to the detection of the loss; None without either of them."""
+        """Time from the jump to the receiver's preset until the loss is detected; None without both."""
         jump = next((sign.after_s for sign in self.signs if sign.kind == "channels"), None)
         shown = self.shown_after_s
         return None if jump is None or shown is None else max(0.0, shown - jump)
@@ -123,17 +123,16 @@ def position_of(pulse_us: int, positions: int) -> int:
 
 
 def failsafe_of(losses: tuple[TransmitterLoss, ...]) -> ReceiverFailsafe:
-    """What the switch's channel reads when the transmitter is lost.
+    """What the switch's channel reads during RC loss.
 
-    Where it stayed in one position, and was never lost in another, it may be held or preset there: then the
-    pulse width is returned, which is true of both.
+    If all losses read the same pulse width, the receiver holds or presets it. The pulse width fits both.
     """
     seen = [loss for loss in losses if loss.seen]
     if not seen:
         return "unknown"
     read_us = [loss.lost_us for loss in seen]
     if max(read_us) - min(read_us) <= SAME_US:
-        return read_us[-1] if LOWEST_US <= read_us[-1] <= HIGHEST_US else "unknown"
+        return read_us[-1] if MIN_US <= read_us[-1] <= MAX_US else "unknown"
     return "hold" if all(loss.held for loss in seen) else "unknown"
 
 
@@ -145,25 +144,25 @@ class RadioLearned:
     problem: RadioProblem = ""
     detail: str = ""
     target: int = 0
-    """The position in which the switch should have been at last, counted from 0."""
+    """The last requested switch position, counted from 0."""
     losses: tuple[TransmitterLoss, ...] = ()
     parameters: dict[str, float] = field(default_factory=dict)
     hidden_by: str = ""
     """The parameter that lets the autopilot hide a loss."""
     shows_within_s: float = 0.0
-    """On PX4: how long the service waits for the RC status after a move that may be the receiver's preset."""
+    """On PX4: after a move that may be the receiver's preset, a bend waits this long for the RC status."""
 
 
 @dataclass(slots=True)
-class _Under:
-    """A loss that is going on."""
+class _PresentLoss:
+    """The loss that is in progress."""
 
     pressed: bool
     off_at: float
     before_us: int
     signs: list[Sign] = field(default_factory=list)
     jumped: dict[int, int] = field(default_factory=dict)
-    """Channel, and what it was before."""
+    """Jumped channels, and their value before, µs."""
     jumped_switch: bool = False
     last_sign_at: float = 0.0
 
@@ -187,10 +186,10 @@ class RadioTest:
         self._problem: RadioProblem = ""
         self._detail = ""
         self._losses: list[TransmitterLoss] = []
-        self._under: _Under | None = None
+        self._loss_now: _PresentLoss | None = None
         self._autopilot = ""
         self._mode: int | None = None
-        self._heard_at: float | None = None
+        self._channels_at: float | None = None
         self._channels_us: tuple[int, ...] = ()
         self._chancount = 0
         self._rssi = NO_RSSI
@@ -203,10 +202,10 @@ class RadioTest:
         self._moved_at: float | None = None
         self._good_at: float | None = None
 
-    # What comes in
+    # Input
 
     def take(self, t: float, message: MavlinkMessage) -> None:
-        """A message of our autopilot."""
+        """Take in a message of our autopilot."""
         kind = message.get_type()
         self._radio.handle(t, message)
         if kind == "HEARTBEAT":
@@ -223,7 +222,7 @@ class RadioTest:
         self.advance(t)
 
     def press(self, t: float) -> None:
-        """Somebody switches the transmitter off now."""
+        """The user pressed Enter and switches the transmitter off."""
         if self.step == "off":
             jumped = self._jump_at is not None
             self._begin_loss(t if self._jump_at is None else self._jump_at, pressed=not jumped)
@@ -233,7 +232,7 @@ class RadioTest:
         return self._parameters.requests(t, system_id, self._radio.autopilot)
 
     def advance(self, t: float) -> None:
-        """Time passes."""
+        """Advance the test to time `t`."""
         if self._began_at is None:
             self._began_at = self._step_at = t
         if self._silent(t):
@@ -249,7 +248,7 @@ class RadioTest:
             case "on":
                 self._advance_on(t, waited_s)
 
-    # What is known
+    # Results
 
     @property
     def learned(self) -> RadioLearned:
@@ -271,7 +270,7 @@ class RadioTest:
     @property
     def signs(self) -> tuple[Sign, ...]:
         """The signs of the present loss, in order."""
-        return tuple(self._under.signs) if self._under else ()
+        return tuple(self._loss_now.signs) if self._loss_now else ()
 
     @property
     def position(self) -> int | None:
@@ -283,7 +282,7 @@ class RadioTest:
         return self._channels_us[self._switch.channel - 1] if self._channels_us else 0
 
     def trouble(self, t: float) -> str:
-        """Why RC is not good now; empty if it is good."""
+        """Why RC is not good now; empty if it is."""
         if not self._autopilot:
             return "no autopilot yet"
         if (problem := self._radio.problem(t)) is not None:
@@ -302,7 +301,7 @@ class RadioTest:
             return
         if trouble:
             if waited_s >= READY_WITHIN_S:
-                no_rc = self._heard_at is None or self._chancount == 0
+                no_rc = self._channels_at is None or self._chancount == 0
                 early: RadioProblem = "no RC" if no_rc else "RC not good"
                 self._end("no autopilot" if not self._autopilot else early, trouble)
             return
@@ -324,32 +323,30 @@ class RadioTest:
             self._go(t, "ready")
 
     def _begin_loss(self, off_at: float, *, pressed: bool) -> None:
-        under = self._under = _Under(pressed, off_at, self._rest_us[self._switch.channel - 1])
+        loss = self._loss_now = _PresentLoss(pressed, off_at, self._rest_us[self._switch.channel - 1])
         self._go(off_at, "lost")
         self.came_back_early = False
         if self._jump_at is not None:
             number = self._switch.channel
-            under.jumped[number] = under.before_us
-            under.jumped_switch = True
-            self._note(
-                under, off_at, "channels", f"channel {number}: {under.before_us} → {self.switch_us} µs"
-            )
+            loss.jumped[number] = loss.before_us
+            loss.jumped_switch = True
+            self._note(loss, off_at, "channels", f"channel {number}: {loss.before_us} → {self.switch_us} µs")
 
     def _advance_lost(self, t: float, waited_s: float) -> None:
-        under = self._under
-        assert under is not None
-        told = any(sign.telling for sign in under.signs)
-        if told and (not self.trouble(t) or (under.jumped_switch and self._reads(under.before_us))):
-            # What the channel read meanwhile is not known well enough.
-            self.came_back_early, self._under = True, None
+        loss = self._loss_now
+        assert loss is not None
+        detected = any(sign.telling for sign in loss.signs)
+        if detected and (not self.trouble(t) or (loss.jumped_switch and self._reads(loss.before_us))):
+            # RC returned too early: the channel's value during the loss is not certain.
+            self.came_back_early, self._loss_now = True, None
             self._go(t, "ready")
-        elif told and t - under.last_sign_at >= QUIET_S:
-            self._losses.append(self._loss(under))
+        elif detected and t - loss.last_sign_at >= QUIET_S:
+            self._losses.append(self._loss(loss))
             self._moved_at = self._good_at = None
             self.target = self._next_target()
             self._go(t, "on")
-        elif not told and waited_s >= SHOWS_WITHIN_S:
-            self._losses.append(self._loss(under))
+        elif not detected and waited_s >= SIGN_WITHIN_S:
+            self._losses.append(self._loss(loss))
             self._end()
 
     def _next_target(self) -> int:
@@ -370,7 +367,7 @@ class RadioTest:
             return
         after_s = None if self._moved_at is None else self._good_at - self._moved_at
         self._losses[-1] = replace(self._losses[-1], back=Return(self.switch_us, after_s))
-        self._under = None
+        self._loss_now = None
         self.round += 1
         if self.round == LOSSES:
             self._end()
@@ -383,30 +380,30 @@ class RadioTest:
     def _end(self, problem: RadioProblem = "", detail: str = "") -> None:
         self.step, self._problem, self._detail = "done", problem, detail
 
-    def _loss(self, under: _Under) -> TransmitterLoss:
+    def _loss(self, loss: _PresentLoss) -> TransmitterLoss:
         others = tuple(
             number
-            for number, before_us in sorted(under.jumped.items())
+            for number, before_us in sorted(loss.jumped.items())
             if number != self._switch.channel and abs(self._channels_us[number - 1] - before_us) > SAME_US
         )
-        signs = tuple(sorted(under.signs, key=lambda sign: sign.after_s))
-        return TransmitterLoss(under.pressed, under.before_us, self.switch_us, signs, others)
+        signs = tuple(sorted(loss.signs, key=lambda sign: sign.after_s))
+        return TransmitterLoss(loss.pressed, loss.before_us, self.switch_us, signs, others)
 
     # The signs
 
     def _sign(self, t: float, kind: SignKind, said: str, *, once: bool = False) -> None:
-        if self.step == "off" and kind in TELLING:
+        if self.step == "off" and kind in LOSS_SIGNS:
             self._begin_loss(t if self._jump_at is None else self._jump_at, pressed=False)
-        under = self._under
-        if self.step != "lost" or under is None:
+        loss = self._loss_now
+        if self.step != "lost" or loss is None:
             return
-        if not (once and any(sign.kind == kind for sign in under.signs)):
-            self._note(under, t, kind, said)
+        if not (once and any(sign.kind == kind for sign in loss.signs)):
+            self._note(loss, t, kind, said)
 
     @staticmethod
-    def _note(under: _Under, t: float, kind: SignKind, said: str) -> None:
-        under.signs.append(Sign(kind, round(t - under.off_at, 3), said))
-        under.last_sign_at = max(t, under.last_sign_at)
+    def _note(loss: _PresentLoss, t: float, kind: SignKind, said: str) -> None:
+        loss.signs.append(Sign(kind, round(t - loss.off_at, 3), said))
+        loss.last_sign_at = max(t, loss.last_sign_at)
 
     def _reads(self, pulse_us: int) -> bool:
         return abs(self.switch_us - pulse_us) <= SAME_US
@@ -423,7 +420,7 @@ class RadioTest:
     def _rc_channels(self, t: float, message: MavlinkMessage) -> None:
         before_us = self._channels_us
         self._channels_us = tuple(getattr(message, f"chan{number}_raw") for number in range(1, CHANNELS + 1))
-        self._heard_at, self._chancount = t, message.chancount
+        self._channels_at, self._chancount = t, message.chancount
         position = position_of(self.switch_us, len(self._switch.positions))
         if position != self._position:
             self._position, self._position_at = position, t
@@ -455,12 +452,12 @@ class RadioTest:
             for channel, (was_us, is_us) in enumerate(zip(before_us, now_us, strict=True), 1)
             if abs(is_us - was_us) >= JUMP_US and was_us
         }
-        if self.step != "lost" or self._under is None or not jumped:
+        if self.step != "lost" or self._loss_now is None or not jumped:
             return
         for channel, was_us in jumped.items():
-            self._under.jumped.setdefault(channel, was_us)
+            self._loss_now.jumped.setdefault(channel, was_us)
         if number in jumped:
-            self._under.jumped_switch = True
+            self._loss_now.jumped_switch = True
             self._sign(t, "channels", f"channel {number}: {jumped[number]} → {self.switch_us} µs")
         elif len(jumped) > 1:
             self._sign(t, "channels", f"channels {', '.join(map(str, jumped))} jump")
@@ -477,7 +474,7 @@ class RadioTest:
             self._sign(t, "RC status", f"RC status (present, enabled, health) {was} → {now}")
 
     def _silent(self, t: float) -> bool:
-        return self._heard_at is not None and t - self._heard_at > self._silent_after_s
+        return self._channels_at is not None and t - self._channels_at > self._silent_after_s
 
     def _throttle_low(self) -> bool:
         number = self._switch.throttle_channel

@@ -1,4 +1,4 @@
-"""Findings for people: one line each, and what to do; readable without colours as well."""
+"""Prints findings: one line each, and what to do. Readable without colours, too."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SYMBOLS: dict[FindingLevel, tuple[str, str, str]] = {
     "bad": ("✗", "BAD", "bold red"),
     "skipped": ("–", "-", "dim"),
 }
-"""On a terminal, in a pipe, and how it is coloured."""
+"""The symbol on a terminal, the word in a pipe, and the style."""
 
 
 def show(findings: Sequence[DoctorFinding], console: Console) -> None:
@@ -29,7 +29,7 @@ def show(findings: Sequence[DoctorFinding], console: Console) -> None:
 
 
 def row(finding: DoctorFinding, terminal: bool) -> Table | Text:
-    """One finding; in a pipe a line of its own for each of the two, however long."""
+    """One finding. In a pipe, finding and remedy are one line each, of any length."""
     symbol, word, style = _SYMBOLS[finding.verdict]
     if not terminal:
         text = f"{word:<5}{finding.check + ':':<{LABEL_WIDTH + 1}} {finding.what}"
@@ -55,7 +55,7 @@ def as_json(findings: Sequence[DoctorFinding]) -> dict[str, Any]:
 
 
 def asking(radio: Radio, channel: int, positions: Sequence[str]) -> str:
-    """What is said while the switch is to be moved."""
+    """The prompt while the user moves the switch."""
     if radio.problem is not None:
         now = radio.problem
     else:

@@ -1,7 +1,7 @@
 """A companion that only requests and listens: which messages arrive from the vehicle, and how often.
 
-Sans-IO; all times are seconds of one clock. It asks for the streams and the mission by the very machines that
-the service asks by, so what comes to the one comes to the other. It answers nothing and obeys nothing.
+Sans-IO; all times are seconds of one clock. It requests streams and mission with the service's own code, so
+the service will receive the same messages. It answers no request and obeys no command.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ ENOUGH = 4
 """Minimum number of messages for a rate."""
 VERSION_AGAIN_S = 1.0
 _SIGNED = 1
-"""An incompatibility flag of a MAVLink 2 frame."""
+"""Incompatibility flag of a signed MAVLink 2 frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +61,9 @@ class Radio:
     seen: frozenset[int] = frozenset()
     """All positions in which it came to rest."""
     hides_loss: str = ""
-    """Which parameter lets the autopilot hide a lost transmitter."""
+    """The parameter that lets the autopilot hide RC loss; empty if none does."""
     bends_late: bool = False
-    """PX4, and the receiver's behaviour in a loss is not known: bends wait."""
+    """True on PX4 with an unknown receiver failsafe: bends wait."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ class VehicleFacts:
     others: tuple[tuple[int, int], ...] = ()
     """System and component of the other senders."""
     rivals: tuple[int, int] | None = None
-    """Two autopilots, of which neither was chosen."""
+    """Two autopilots on the link; neither was chosen."""
     system_id: int = 0
     """The autopilot that the service would serve; 0 if none was found."""
     kind: str = "unknown"
@@ -90,7 +90,7 @@ class VehicleFacts:
     armed: bool = False
     mode: str = ""
     longest_silence_s: float = 0.0
-    """Between two messages of the autopilot, or since the last one."""
+    """Between two messages of the autopilot, or since its last message."""
     heartbeat_Hz: float = 0.0
     heartbeat_missing: bool = False
     """Other messages of the autopilot arrive, but no heartbeat."""
@@ -98,9 +98,9 @@ class VehicleFacts:
     clash: bool = False
     """Another program uses our system and component id."""
     signs: bool = False
-    """Whether the autopilot signs its messages."""
+    """The autopilot signs its messages."""
     answers: bool = False
-    """Whether the autopilot has answered a request of ours."""
+    """The autopilot has answered a request of ours."""
     radio: Radio = Radio("no RC_CHANNELS yet")
     mission: Mapping[int, MissionItem] | None = None
     """None if it was not read."""
@@ -109,7 +109,7 @@ class VehicleFacts:
 
     @property
     def found(self) -> bool:
-        """Whether there is an autopilot to serve."""
+        """True if there is an autopilot to serve."""
         return self.system_id != 0
 
 
@@ -127,7 +127,7 @@ class _Rate:
         if t - self.last_at > max(2.0, 3.0 / wanted_Hz):
             return 0.0
         if self.count < ENOUGH:
-            # Too few for a rate: take the highest possible one.
+            # Too few messages for a rate: take the maximum possible rate.
             return min(wanted_Hz, (self.count + 1) / max(1e-6, t - self.settled_at))
         return (self.count - 1) / max(1e-6, self.last_at - self.first_at)
 
@@ -225,7 +225,7 @@ class VehicleProbe:
         """The messages to send at `t`: our heartbeat and our requests."""
         self._began_at = t if self._began_at is None else self._began_at
         if not self._state.found:
-            # Some peers send nothing before they have heard something.
+            # Some peers send only after they have received a message.
             may_speak = t - self._began_at >= SPEAK_FIRST_S and self._rivals is None
             return self._heartbeat.due(t, mavlink.MAV_STATE_STANDBY) if may_speak else []
         system_id = self._state.system_id

@@ -1,4 +1,4 @@
-"""The vehicle's link, with the probe on it. No logic of its own."""
+"""Connects the probe to the vehicle's link."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The way out to people: a page and a broker, in a process of their own."""
+"""The status page and the MQTT client, in a separate process."""

@@ -1,4 +1,4 @@
-"""The gateway's process: `python -m flying_vines.gateway FD`, FD a socket to the service that started it."""
+"""The gateway's process: `python -m flying_vines.gateway FD`. FD is a socket to the service."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ from flying_vines.gateway.messages import (
     read_to_gateway,
 )
 
-LONGEST_PACKET = 1024 * 1024
+MAX_PACKET = 1024 * 1024
 NICE = 5
 """Lower priority than the service."""
 
 
 async def serve(service: socket.socket) -> None:
-    """Until the service closes its end or sends an invalid message."""
+    """Run until the service closes its end or sends an invalid message."""
     loop = asyncio.get_running_loop()
 
     def send(message: FromGateway) -> None:
         try:
             service.send(packet(message))
         except OSError:
-            # It does not read or has ended: then it does not answer either, and people are told that.
+            # The service does not read, or has ended. The missing answer is reported to the user.
             return
 
-    profile = read_to_gateway(await loop.sock_recv(service, LONGEST_PACKET))
+    profile = read_to_gateway(await loop.sock_recv(service, MAX_PACKET))
     if not isinstance(profile, GatewayStart):
-        raise msgspec.DecodeError("the profile comes first")
+        raise msgspec.DecodeError("the first message must be the profile")
     feed = Feed(profile, send)
     parts = [_beat(send)]
     if profile.config.page.port:
@@ -52,16 +52,16 @@ async def serve(service: socket.socket) -> None:
     tasks = [asyncio.create_task(part) for part in parts]
     try:
         with contextlib.suppress(ConnectionResetError):
-            # It may have died with unread messages.
-            while told := await loop.sock_recv(service, LONGEST_PACKET):
-                feed.take(read_to_gateway(told))
+            # Reset: the service died while messages were unread.
+            while data := await loop.sock_recv(service, MAX_PACKET):
+                feed.take(read_to_gateway(data))
     finally:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-# Each is imported only if the profile asks for it. If that fails, the other still serves.
+# Imported only if the profile needs it. If one import fails, the other part still runs.
 
 
 async def _page(feed: Feed) -> str:
@@ -79,7 +79,7 @@ async def _mqtt(feed: Feed) -> str:
 
 
 async def _beat(send: Callable[[FromGateway], None]) -> None:
-    # The imports block the loop, so the first comes after them: until then the service allows more time.
+    # Let the imports finish first: they block the loop, and the service waits longer for the first Alive.
     await asyncio.sleep(0.0)
     await asyncio.sleep(0.0)
     while True:

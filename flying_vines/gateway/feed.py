@@ -1,4 +1,4 @@
-"""What page and MQTT client know of the service, and how they send it commands. No socket."""
+"""The service's state and events for page and MQTT client, and their way to send commands. No socket."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from flying_vines.gateway.messages import (
 )
 from flying_vines.vine.intent import ACTS_WITHIN_S, Asker, CommandName
 
-REMEMBERED = 500
-"""Events kept for viewers that come later."""
-MOST_BEHIND = 200
-"""Unread events of one reader. Beyond that it loses the oldest."""
+STORED_EVENTS = 500
+"""Events stored for later viewers."""
+MAX_UNREAD = 200
+"""Maximum unread events of one reader. Above this it loses the oldest."""
 ANSWERED_WITHIN_S = ACTS_WITHIN_S + 0.2
 """After this time the service no longer executes the command."""
 
@@ -32,17 +32,17 @@ class NoAnswerError(Exception):
 
 
 class FeedReader:
-    """Follows the feed at its own speed: the latest snapshot, and every event unless it is far behind."""
+    """Reads the feed at its own speed: the latest snapshot, and all events unless it is too slow."""
 
     def __init__(self) -> None:
         self.missed = 0
-        """Events lost because it was too slow."""
+        """Events lost because the reader was too slow."""
         self._events: deque[Happened] = deque()
         self._latest: SnapshotMessage | None = None
         self._news = asyncio.Event()
 
     async def next(self) -> list[Happened | SnapshotMessage]:
-        """The news, at least one; the snapshot last."""
+        """Waits for at least one message. Returns all new ones, the snapshot last."""
         await self._news.wait()
         self._news.clear()
         news: list[Happened | SnapshotMessage] = list(self._events)
@@ -56,7 +56,7 @@ class FeedReader:
         if isinstance(message, SnapshotMessage):
             self._latest = message
         else:
-            if len(self._events) == MOST_BEHIND:
+            if len(self._events) == MAX_UNREAD:
                 self._events.popleft()
                 self.missed += 1
             self._events.append(message)
@@ -64,12 +64,12 @@ class FeedReader:
 
 
 class Feed:
-    """The feed of one service. `send` sends it a message."""
+    """The feed of one service. `send` sends a message to the service."""
 
     def __init__(self, profile: GatewayStart, send: Callable[[FromGateway], None]) -> None:
         self.profile = profile
         self.latest: SnapshotMessage | None = None
-        self.happened: deque[Happened] = deque(maxlen=REMEMBERED)
+        self.happened: deque[Happened] = deque(maxlen=STORED_EVENTS)
         self._send = send
         self._readers: set[FeedReader] = set()
         self._number = 0
@@ -77,7 +77,7 @@ class Feed:
 
     @contextmanager
     def reader(self) -> Iterator[FeedReader]:
-        """A reader of what comes from now on; `latest` and `happened` hold what came before."""
+        """A reader of all messages from now on. `latest` and `happened` have the earlier ones."""
         reader = FeedReader()
         self._readers.add(reader)
         try:
@@ -94,9 +94,9 @@ class Feed:
         made_at: float | None = None,
         seen_at: float | None = None,
     ) -> Answered:
-        """What safety made of it; raises ValueError for an impossible ask, and `NoAnswerError`.
+        """Sends a request; returns safety's ruling. Raises `ValueError` (invalid request) or `NoAnswerError`.
 
-        `made_at` and `seen_at` are those of `Request`. Nothing was made later than it came here.
+        `made_at`, `seen_at`: see `Request`. A `made_at` in the future counts as now.
         """
         self._number += 1
         now = asyncio.get_running_loop().time()
@@ -114,11 +114,11 @@ class Feed:
             del self._waiting[ask.number]
 
     def trouble(self, text: str) -> None:
-        """Tells the crew, once when something fails and once when it works again."""
+        """Sends a text to the crew. Call it once at a failure, and once when it works again."""
         self._send(Trouble(text))
 
     def take(self, message: ToGateway) -> None:
-        """A message from the service."""
+        """Take in a message from the service."""
         match message:
             case SnapshotMessage():
                 self.latest = message

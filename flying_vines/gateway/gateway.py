@@ -1,7 +1,7 @@
 """The service's end of the gateway: sends state and events, receives commands, and never waits.
 
 Page and MQTT client run in their own process, so that the network cannot delay the control loop. If that
-process dies or hangs, it is restarted and the service goes on.
+process dies or hangs, it is restarted and the service continues.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vine.intent import Asker, Intent, VentVine
 
 COMMAND = (sys.executable, "-m", "flying_vines.gateway")
-LONGEST_PACKET = 64 * 1024
-MOST_BEHIND = 500
-"""Events that wait for a gateway that is starting or slow."""
-LOOK_S = 0.25
+MAX_PACKET = 64 * 1024
+MAX_UNREAD = 500
+"""Maximum number of events that wait while the gateway starts or is slow."""
+POLL_S = 0.25
 HANGS_S = 2.0
 """A gateway that is silent for this long is killed: it should send `Alive` twice a second."""
 STARTS_S = 20.0
-"""Loading it from a worn card can take this long."""
-MOST_ASKED_PER_S = 20.0
+"""Time limit of its start, which can be slow from a worn card."""
+MAX_REQUESTS_PER_S = 20.0
 VENTED_EVERY_S = 0.05
-"""More frequent vents wait, and the next one answers all of them."""
+"""At most one vent per interval goes to the core. It answers all vent requests of this interval."""
 
 
 class Gateway(Watcher):
@@ -65,12 +65,12 @@ class Gateway(Watcher):
         self._ask = ask
         self._say = say
         self._socket: socket.socket | None = None
-        self._unsent: deque[bytes] = deque(maxlen=MOST_BEHIND)
-        self._spoke = False
-        """Since the last look."""
-        self._bucket = TokenBucket(0.0, MOST_ASKED_PER_S, MOST_ASKED_PER_S)
+        self._unsent: deque[bytes] = deque(maxlen=MAX_UNREAD)
+        self._alive = False
+        """A message came since the last poll."""
+        self._bucket = TokenBucket(0.0, MAX_REQUESTS_PER_S, MAX_REQUESTS_PER_S)
         self._vents: dict[Asker, list[Request]] = {}
-        """Those that wait."""
+        """Requests that wait for the next vent."""
         self._next_vents: asyncio.TimerHandle | None = None
 
     @staticmethod
@@ -84,7 +84,7 @@ class Gateway(Watcher):
             self._unsent.append(packet(Happened(type(action).__name__.lower(), raw(action))))
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        """Sends the events since the last snapshot, then this one, which is dropped if it cannot be sent."""
+        """Sends the waiting events, then the snapshot. An unsent snapshot is dropped; unsent events stay."""
         if self._socket is None:
             return
         while self._unsent:
@@ -94,7 +94,7 @@ class Gateway(Watcher):
         self._send(packet(SnapshotMessage(raw(snapshot))))
 
     async def run(self) -> None:
-        """Runs until cancelled; then the gateway ends too."""
+        """Runs until cancelled; then the gateway process ends, too."""
         await keep_alive("page and broker", self._serve_once, self._say)
 
     async def _serve_once(self) -> str:
@@ -129,18 +129,18 @@ class Gateway(Watcher):
                 await process.wait()
 
     async def _hangs(self, *ends: asyncio.Task[str]) -> bool:
-        """Waits until it is silent for too long (True) or ends by itself.
+        """Waits until the process hangs (True) or ends (False).
 
-        It counts polls instead of seconds, so that a pause of this process does not count.
+        Counts polls instead of seconds, so that a pause of our own process does not count as silence.
         """
         allowed_s, silent_s = STARTS_S, 0.0
         while silent_s < allowed_s:
-            self._spoke = False
-            done, _ = await asyncio.wait(ends, timeout=LOOK_S, return_when=asyncio.FIRST_COMPLETED)
+            self._alive = False
+            done, _ = await asyncio.wait(ends, timeout=POLL_S, return_when=asyncio.FIRST_COMPLETED)
             if done:
                 return False
-            silent_s = 0.0 if self._spoke else silent_s + LOOK_S
-            if self._spoke:
+            silent_s = 0.0 if self._alive else silent_s + POLL_S
+            if self._alive:
                 allowed_s = HANGS_S
         return True
 
@@ -149,26 +149,26 @@ class Gateway(Watcher):
             return why
         with contextlib.suppress(TimeoutError):
             return await asyncio.wait_for(asyncio.shield(last_words), 1.0) or "it ended"
-        return "it does not listen"
+        return "it closed its socket"
 
     async def _listen(self, ours: socket.socket) -> str:
-        """Until the gateway closes its end or sends an invalid message, which is returned."""
+        """Reads until the gateway closes its end, or until an invalid message, whose error it returns."""
         loop = asyncio.get_running_loop()
         try:
-            while said := await loop.sock_recv(ours, LONGEST_PACKET):
-                self._handle(said)
-                # The control loop has priority over whatever waits here.
+            while data := await loop.sock_recv(ours, MAX_PACKET):
+                self._handle(data)
+                # Let the control loop run before the next message.
                 await asyncio.sleep(0)
         except msgspec.DecodeError as error:
             return f"it sent an invalid message: {error}"
         except OSError:
-            # It died with unread messages.
+            # It died while messages were unread.
             return ""
         return ""
 
-    def _handle(self, said: bytes) -> None:
-        message = read_from_gateway(said)
-        self._spoke = True
+    def _handle(self, data: bytes) -> None:
+        message = read_from_gateway(data)
+        self._alive = True
         if isinstance(message, Alive):
             return
         if isinstance(message, Trouble):
@@ -183,22 +183,22 @@ class Gateway(Watcher):
             decision = self._ask(message.by, message.intent, message.made_at, message.seen_at)
             self._answer(message.number, decision)
         else:
-            self._send(packet(Answered(message.number, "refused", "asked too often")))
+            self._send(packet(Answered(message.number, "refused", "too many requests")))
 
     def _vent(self) -> None:
-        """One vent for all that wait. The next comes after `VENTED_EVERY_S`, or before another command."""
+        """One vent for all waiting requests; the next after `VENTED_EVERY_S`, or before another command."""
         if self._next_vents is not None:
             self._next_vents.cancel()
             self._next_vents = None
         if not self._vents:
             return
         vents, self._vents = self._vents, {}
-        for by, asked in vents.items():
-            # As if each were executed: the latest snapshot seen decides which faults are cleared.
-            seen = [ask.seen_at for ask in asked if ask.seen_at is not None]
+        for by, requests in vents.items():
+            # The newest snapshot that was seen decides which faults are cleared.
+            seen = [request.seen_at for request in requests if request.seen_at is not None]
             decision = self._ask(by, VentVine(), None, max(seen, default=None))
-            for ask in asked:
-                self._answer(ask.number, decision)
+            for request in requests:
+                self._answer(request.number, decision)
         self._next_vents = asyncio.get_running_loop().call_later(VENTED_EVERY_S, self._vent)
 
     def _answer(self, number: int, decision: Decision) -> None:
@@ -212,7 +212,7 @@ class Gateway(Watcher):
         except BlockingIOError:
             return False
         except OSError:
-            # It has ended, which `_listen` notices.
+            # The process has ended; `_listen` handles that.
             return False
         return True
 
@@ -222,9 +222,9 @@ class Gateway(Watcher):
 
 
 async def _last_line(stream: asyncio.StreamReader) -> str:
-    """The last line that a process writes."""
+    """The last line that the process writes to standard error."""
     last = ""
-    while said := await stream.read(4096):
-        lines = (last + said.decode(errors="replace")).split("\n")
+    while data := await stream.read(4096):
+        lines = (last + data.decode(errors="replace")).split("\n")
         last = "\n".join(lines[-2:])[-500:]
     return last.strip().split("\n")[-1]

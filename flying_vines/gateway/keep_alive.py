@@ -1,42 +1,42 @@
-"""Runs something, and restarts it whenever it ends."""
+"""Runs a part of the gateway and restarts it when it ends."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine
 
-FIRST_WAIT_S, LONGEST_WAIT_S = 0.2, 1.5
-"""Before the next start. Short, as a pilot may need the page for a vent."""
-WELL_S = 5.0
-"""After this run time it counts as running again."""
+FIRST_WAIT_S, MAX_WAIT_S = 0.2, 1.5
+"""Wait before the next start. Short, because a pilot may need the page for a vent."""
+STABLE_S = 5.0
+"""After this run time the part counts as running again."""
 
 
 async def keep_alive(
-    name: str, run: Callable[[], Coroutine[None, None, str]], tell: Callable[[str], None]
+    name: str, run: Callable[[], Coroutine[None, None, str]], report: Callable[[str], None]
 ) -> None:
-    """Until cancelled. `run` returns why it ended, or raises.
+    """Runs until cancelled. `run` returns why it ended, or raises.
 
-    `tell` is called when it ends and when it runs again, not for the attempts in between.
+    `report` is called when the part ends and when it runs again, not for attempts in between.
     """
-    wait_s, told = FIRST_WAIT_S, False
+    wait_s, reported = FIRST_WAIT_S, False
     while True:
         running = asyncio.create_task(run())
         try:
-            await asyncio.wait({running}, timeout=WELL_S)
+            await asyncio.wait({running}, timeout=STABLE_S)
             if not running.done():
                 wait_s = FIRST_WAIT_S
-                if told:
-                    told = False
-                    tell(f"{name} running again")
+                if reported:
+                    reported = False
+                    report(f"{name} running again")
                 await asyncio.wait({running})
         finally:
             running.cancel()
             await asyncio.wait({running})
-        if not told:
-            told = True
-            tell(f"{name} stopped ({_why(running)}), starting again")
+        if not reported:
+            reported = True
+            report(f"{name} stopped ({_why(running)}), starting again")
         await asyncio.sleep(wait_s)
-        wait_s = min(2.0 * wait_s, LONGEST_WAIT_S)
+        wait_s = min(2.0 * wait_s, MAX_WAIT_S)
 
 
 def _why(ended: asyncio.Task[str]) -> str:

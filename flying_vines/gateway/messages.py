@@ -1,4 +1,4 @@
-"""What service and gateway tell each other: JSON objects, each a packet of a pair of sockets."""
+"""Messages between service and gateway: one JSON object per packet of a socket pair."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from flying_vines.config.config import Config
 from flying_vines.vine.intent import COMMAND_OF, Asker, BendTo, CommandName, Intent, SetPressure, StartProfile
 
 if TYPE_CHECKING:
-    # What these need is not needed by the gateway: it is to be light.
+    # Imported only for type checks, because the gateway must start fast.
     from flying_vines.core.events import Action, Snapshot
 
 COMMANDS: tuple[CommandName, ...] = get_args(CommandName)
@@ -27,29 +27,29 @@ class _Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_fiel
 
 
 class GatewayStart(_Message, frozen=True, tag="profile"):
-    """The first: what the gateway is to serve, and on which vehicle's configuration."""
+    """The first message: the vehicle's configuration."""
 
     config: Config
     version: str
     page_token: str = ""
-    """Who has it may open the page from the network."""
+    """The token that opens the page from the network."""
 
 
 class SnapshotMessage(_Message, frozen=True, tag="snapshot"):
-    """A `Snapshot`; null is unknown. Its `t` is the machine's monotonic clock, in seconds."""
+    """A `Snapshot`; null is unknown. Its `t` is this computer's monotonic clock, in seconds."""
 
     snapshot: msgspec.Raw
 
 
 class Happened(_Message, frozen=True, tag="happened"):
-    """A `Decision`, `Notice` or the like, for people: its type's name and its fields."""
+    """An event, such as `Decision` or `Notice`: the name of its type, and its fields."""
 
     what: str
     fields: msgspec.Raw
 
 
 class Answered(_Message, frozen=True, tag="answered"):
-    """What came of an `Request`."""
+    """The result of a `Request`."""
 
     number: int
     safety: Literal["accepted", "limited", "refused"]
@@ -63,7 +63,7 @@ ToGateway = GatewayStart | SnapshotMessage | Happened | Answered
 
 
 class Request(_Message, frozen=True, tag="ask"):
-    """A person wants something. `value` is an angle or a pressure, `name` a profile's."""
+    """A person's request. `value` is an angle or a pressure, `name` a profile's name."""
 
     number: int
     by: Asker
@@ -71,14 +71,14 @@ class Request(_Message, frozen=True, tag="ask"):
     value: float | None = None
     name: str | None = None
     made_at: float | None = None
-    """When, by the machine's monotonic clock; None: now."""
+    """Time of the request, on the monotonic clock; None: now."""
     seen_at: float | None = None
     """The `t` of the snapshot that the person saw."""
 
     def __post_init__(self) -> None:
         needs_value, needs_name = self.command in ("bend", "pressure"), self.command == "profile"
         if needs_value != (self.value is not None) or needs_name != (self.name is not None):
-            raise ValueError(f"'{self.command}' {_NEEDS.get(self.command, 'takes nothing')}")
+            raise ValueError(f"'{self.command}' {_NEEDS.get(self.command, 'takes no value and no name')}")
         if self.value is not None and not math.isfinite(self.value):
             raise ValueError("the value is not a finite number")
 
@@ -95,13 +95,13 @@ class Request(_Message, frozen=True, tag="ask"):
 
 
 class Trouble(_Message, frozen=True, tag="trouble"):
-    """Something that people on board should read: a port that is taken, a broker that refuses."""
+    """A text for the crew, e.g. a port in use or a broker that refuses the connection."""
 
     text: str
 
 
 class Alive(_Message, frozen=True, tag="alive"):
-    """The gateway's loop runs. Said `ALIVE_EVERY_S`, whatever else is said."""
+    """The gateway's loop runs. Sent every `ALIVE_EVERY_S`."""
 
 
 FromGateway = Request | Trouble | Alive
@@ -111,12 +111,12 @@ _PLAIN: dict[str, Callable[[], Intent]] = {name: kind for kind, name in COMMAND_
 
 
 def raw(thing: Snapshot | Action) -> msgspec.Raw:
-    """As JSON: what is not a number is null."""
+    """As JSON; NaN becomes null."""
     return msgspec.Raw(msgspec.json.encode(thing))
 
 
 def packet(message: ToGateway | FromGateway) -> bytes:
-    """One message, ready to be sent."""
+    """A message as bytes."""
     return msgspec.json.encode(message)
 
 

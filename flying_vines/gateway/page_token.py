@@ -1,4 +1,4 @@
-"""The token that opens the page from the network, its file, and the token for watching only."""
+"""The token that opens the page from the network, its file, and the watch-only token."""
 
 from __future__ import annotations
 
@@ -16,21 +16,18 @@ from pathlib import Path
 from flying_vines.config.config import PageConfig
 
 RANDOM_BYTES = 10
-"""Long enough that nobody can guess it over a network, short enough to type on a phone."""
-SHORTEST, LONGEST = 12, 128
+"""Too long to guess over a network, short enough to type on a phone."""
+MIN_LENGTH, MAX_LENGTH = 12, 128
 _GROUP = 4
-_FORM = re.compile(rf"[a-z2-7]{{{SHORTEST},{LONGEST}}}")
+_FORM = re.compile(rf"[a-z2-7]{{{MIN_LENGTH},{MAX_LENGTH}}}")
 
 
 class PageTokenError(Exception):
-    """The file of the token cannot be used. The text is one line: which file, why, and what to do."""
+    """The token's file cannot be used. The text is one line: the file, why, and what to do."""
 
 
 def read_or_make(path: Path) -> str:
-    """The token in a private file; a new one if there is no file.
-
-    Raises `PageTokenError`.
-    """
+    """The token in a private file; a new one if there is no file. Raises `PageTokenError`."""
     if path.exists():
         return read(path)
     try:
@@ -54,13 +51,13 @@ def read(path: Path) -> str:
         raise PageTokenError(f"{path}: the page's token cannot be read: {error.strerror}") from None
     if not _FORM.fullmatch(_plain(token)):
         raise PageTokenError(
-            f"{path}: contains no valid page token: delete the file, and the service makes a new one"
+            f"{path}: contains no valid page token: delete the file; the service then creates a new one"
         )
     return token.strip()
 
 
 def address(page: PageConfig, token: str = "") -> str:
-    """The URL for a browser, on this machine or in the network."""
+    """The URL for a browser, on this computer or in the network."""
     host = page.host
     if ip_address(host).is_unspecified:
         host = f"{socket.gethostname()}.local"

@@ -1,4 +1,4 @@
-"""A limit on a rate."""
+"""A rate limit."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class TokenBucket:
         self._left, self._at = at_once, t
 
     def take(self, t: float) -> bool:
-        """Whether one more is allowed at time `t`."""
+        """True if one more is allowed at time `t`."""
         self._left = min(self._at_once, self._left + self._per_s * (t - self._at))
         self._at = t
         if self._left < 1.0:

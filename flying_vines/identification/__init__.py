@@ -1,1 +1,1 @@
-"""Recorded runs of a rig against the baseline simulation: what differs in the rig, and how surely."""
+"""Compares recorded runs of a rig with the baseline simulation and finds the cause of the difference."""

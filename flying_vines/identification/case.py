@@ -1,10 +1,9 @@
-"""A case: a folder of recorded runs of a rig and what the rig is believed to be.
+"""A case: a folder of recorded runs of a rig, and its nominal rig file.
 
     case = read_case("cases/workshop")                  every CSV of the folder, and its rig.toml
-    case = read_case("run.csv", rig="believed.toml")    one run, and a rig from elsewhere
+    case = read_case("run.csv", rig="nominal.toml")     one run, and a rig from elsewhere
 
-What is read is what was recorded; where the reader had to assume something, a remark says so. What cannot
-be a recording of this rig is refused with a `CaseError`: a verdict from it would be nonsense.
+Each assumption of the reader is a remark. Data that cannot be a recording of this rig raise a `CaseError`.
 """
 
 from __future__ import annotations
@@ -29,9 +28,9 @@ __all__ = ["Case", "CaseError", "RecordedRun", "read_case"]
 Rows = NDArray[np.intp]
 
 RIG = "rig.toml"
-FEWEST_SAMPLES = 8
-"""Of a run. The shortest discharge that the paper prints has nine."""
-SHORTEST_S = 1.0
+MIN_SAMPLES = 8
+"""Minimum of a run. The shortest discharge that the paper prints has nine."""
+MIN_S = 1.0
 _CV, _RESERVOIR = "cv_pressure_kPa", "reservoir_pressure_kPa"
 _INPUTS = ("evp_opening", "dvp_opening", "solenoid")
 _PRESSURES = (_CV, _RESERVOIR)
@@ -54,18 +53,18 @@ _ALSO_CALLED = {
     "ambient_pressure_kPa": "ambient" + _PRESSURE,
     "ambient_temperature_C": r"ambient_temperature\w*",
 }
-"""What people call a column: to ignore it would be a verdict from less than was recorded."""
+"""Other common names of a column. They raise an error, because a recorded column must not be ignored."""
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Recorded runs, in the order of their files' names, and the rig as it is believed to be."""
+    """Recorded runs, in the order of their file names, and the nominal rig."""
 
     path: Path
     rig: Rig
     runs: tuple[RecordedRun, ...]
     remarks: tuple[str, ...]
-    """What was assumed or left out, a line each; none of a case that keeps to the format."""
+    """Assumptions and ignored data, one line each; empty for a case that follows the format."""
 
 
 def read_case(path: Path | str, rig: Path | str | None = None) -> Case:
@@ -73,17 +72,17 @@ def read_case(path: Path | str, rig: Path | str | None = None) -> Case:
 
     Args:
         path: the folder, or the file.
-        rig: a rig file; unless given, the `rig.toml` in the folder or beside the file.
+        rig: a rig file; default: the `rig.toml` in the folder or beside the file.
 
-    Raises CaseError when something cannot be read, or cannot be what it is named.
+    Raises CaseError if a file cannot be read, or a column cannot be what its name says.
     """
     path = Path(path)
     files = _files_of(path)
-    believed = _rig(Path(rig) if rig is not None else (path if path.is_dir() else path.parent) / RIG)
+    nominal = _rig(Path(rig) if rig is not None else (path if path.is_dir() else path.parent) / RIG)
     remarks: list[str] = []
-    runs = {file: _read_run(file, believed, remarks) for file in files}
-    remarks += plausible.check(believed, runs)
-    return Case(path, believed, tuple(runs.values()), tuple(remarks))
+    runs = {file: _read_run(file, nominal, remarks) for file in files}
+    remarks += plausible.check(nominal, runs)
+    return Case(path, nominal, tuple(runs.values()), tuple(remarks))
 
 
 def _files_of(path: Path) -> list[Path]:
@@ -92,7 +91,7 @@ def _files_of(path: Path) -> list[Path]:
             raise CaseError(f"{path}: no such folder or file")
         if not path.is_dir():
             if path.suffix.casefold() == ".toml":
-                raise CaseError(f"{path}: is no recording; give the folder that holds rig.toml and the runs")
+                raise CaseError(f"{path}: is not a recording; give the folder with rig.toml and the runs")
             return [path]
         found = [
             file
@@ -102,19 +101,19 @@ def _files_of(path: Path) -> list[Path]:
     except OSError as error:
         raise CaseError(f"{path}: cannot be read: {error.strerror}") from None
     if not found:
-        raise CaseError(f"{path}: holds no recorded run; put each run there as a .csv file")
+        raise CaseError(f"{path}: contains no recorded run; put each run there as a .csv file")
     return sorted(found, key=_by_number)
 
 
 def _by_number(file: Path) -> list[tuple[int, str]]:
-    """run_2 goes before run_10."""
+    """Sort key that puts run_2 before run_10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", file.name)]
 
 
 def _rig(path: Path) -> Rig:
     try:
         if not path.exists():
-            raise CaseError(f"{path}: no such file; it has to say what the rig is believed to be")
+            raise CaseError(f"{path}: no such file; it must describe the nominal rig")
         return load_rig(path)
     except OSError as error:
         raise CaseError(f"{path}: cannot be read: {error.strerror}") from None
@@ -125,11 +124,11 @@ def _rig(path: Path) -> Rig:
 def _read_run(path: Path, rig: Rig, remarks: list[str]) -> RecordedRun:
     table = read_table(path)
     remarks += table.remarks
-    remarks += _strangers(table)
+    remarks += _unknown_columns(table)
     rows = _rows_in_time(table, remarks)
 
     def column(name: str) -> Array | None:
-        """None where there is not one number in it, or no such column."""
+        """None if there is no such column, or no number in it."""
         if name not in table.columns:
             return None
         values = table.numbers(name)[rows]
@@ -151,8 +150,8 @@ def _read_run(path: Path, rig: Rig, remarks: list[str]) -> RecordedRun:
     discharge = not inputs
     if discharge and (cv_kPa is not None or command_kPa is not None):
         raise CaseError(
-            f"{table.header}: what the valves were told was not recorded; all but a discharge of "
-            f"the reservoir needs {', '.join(_INPUTS)}"
+            f"{table.header}: the valve commands were not recorded; only a discharge of the reservoir can do "
+            f"without {', '.join(_INPUTS)}"
         )
     shut, opened, unread = np.zeros_like(time_s), np.ones_like(time_s), np.full_like(time_s, np.nan)
     run = RecordedRun(
@@ -175,17 +174,17 @@ def _read_run(path: Path, rig: Rig, remarks: list[str]) -> RecordedRun:
         plausible.check_discharge(path, run, rig)
     if discharge and rig.cv is not None:
         remarks.append(
-            f"{path.name}: no valve was recorded; taken as a discharge of the reservoir to atmosphere"
+            f"{path.name}: no valve was recorded; assumed to be a discharge of the reservoir to atmosphere"
         )
     for name in _INPUTS:
         if not discharge and name not in inputs and not (run.to_atmosphere and name == "solenoid"):
             plausible.check_shut(path, name, run, rig)
-            remarks.append(f"{path.name}: {name} was not recorded; taken as shut throughout")
+            remarks.append(f"{path.name}: {name} was not recorded; assumed shut throughout")
     return run
 
 
 def _rows_in_time(table: RunTable, remarks: list[str]) -> Rows:
-    """Which rows count: those with a time, and of one time the last."""
+    """The rows that are used: those with a time; of several rows with the same time, the last."""
     time_s = table.numbers(TIME)
     rows = np.flatnonzero(~np.isnan(time_s))
     if len(rows) < len(time_s):
@@ -195,16 +194,16 @@ def _rows_in_time(table: RunTable, remarks: list[str]) -> Rows:
         before, after = rows[np.argmax(steps_s < 0.0) :][:2]
         raise CaseError(
             f"{table.place(int(after), TIME)}: time runs backwards, from {time_s[before]:.6g} to "
-            f"{time_s[after]:.6g} s; each run needs a file of its own, its rows in order of time"
+            f"{time_s[after]:.6g} s; save each run in its own file, with its rows in order of time"
         )
     again = int((steps_s == 0.0).sum())
     if 2 * again > len(steps_s):
         raise CaseError(
-            f"{table.path}: {TIME}: time stands still: {again} of {len(rows)} rows have the time of the row "
-            "before; write the time with more digits"
+            f"{table.path}: {TIME}: {again} of {len(rows)} rows have the time of the previous row; "
+            "write the time with more digits"
         )
     if again:
-        remarks.append(f"{table.path.name}: {_rows(again)} with the time of the next left out")
+        remarks.append(f"{table.path.name}: {_rows(again)} with the time of the next row left out")
     return rows[np.append(steps_s > 0.0, True)] if len(rows) else rows
 
 
@@ -213,26 +212,26 @@ def _long_enough(table: RunTable, time_s: Array, pressures: Sequence[Array]) -> 
         raise CaseError(f"{table.header}: no pressure was recorded; a run needs {_CV} or {_RESERVOIR}")
     readings = np.isfinite(pressures).any(axis=0) if len(time_s) else np.zeros(0, dtype=bool)
     span_s = float(np.ptp(time_s[readings])) if readings.any() else 0.0
-    if readings.sum() < FEWEST_SAMPLES or span_s < SHORTEST_S:
+    if readings.sum() < MIN_SAMPLES or span_s < MIN_S:
         raise CaseError(
-            f"{table.path}: {readings.sum()} samples in {span_s:.3g} s are too few for a run, which needs "
-            f"{FEWEST_SAMPLES} in {SHORTEST_S:g} s; record longer, or remove the file"
+            f"{table.path}: {readings.sum()} samples in {span_s:.3g} s are too few; a run needs at least "
+            f"{MIN_SAMPLES} in {MIN_S:g} s; record longer, or remove the file"
         )
 
 
 def _held(table: RunTable, name: str, rows: Rows, remarks: list[str]) -> Array | None:
-    """An input: where its cell is empty what it was before, shut at first. None without a value."""
+    """An input; an empty cell repeats the value before it (0 at the start). None if all cells are empty."""
     if name not in table.columns:
         return None
     values = table.switches(name) if name == "solenoid" else table.numbers(name)
     odd = (values < 0.0) | (values > 1.0)
-    table.refuse(name, odd, "is outside 0…1; an opening is a share: divide percent by 100")
+    table.refuse(name, odd, "is outside 0…1; divide a percentage by 100")
     empty = np.isnan(values)
     if empty[rows].all():
         return None
     if count := int(empty[rows].sum()):
         cells = f"{count} empty cell{'s' if count > 1 else ''}"
-        remarks.append(f"{table.path.name}: {name}: {cells}, where the value before is taken to hold")
+        remarks.append(f"{table.path.name}: {name}: {cells}, filled with the value before")
     last = np.maximum.accumulate(np.where(empty, -1, np.arange(len(values))))
     return np.where(last < 0, 0.0, values[last])[rows]
 
@@ -244,15 +243,16 @@ def _without_holes(time_s: Array, values: Array | None) -> Array | None:
     return np.interp(time_s, time_s[there], values[there])
 
 
-def _strangers(table: RunTable) -> Iterator[str]:
-    """Remarks on columns that are none of a run; CaseError where one is a known column under another name."""
+def _unknown_columns(table: RunTable) -> Iterator[str]:
+    """Remarks on unknown columns; CaseError if one is a known column under another name."""
     absent = [name for name in _COLUMNS if name not in table.columns]
     for name in table.columns:
         if name in _COLUMNS:
             continue
         if meant := _meant(name, absent):
             raise CaseError(
-                f"{table.header}: column {name!r}: did you mean {meant}? Name it so, in its unit, or drop it"
+                f"{table.header}: column {name!r}: did you mean {meant}? Rename it and use its unit, "
+                "or remove the column"
             )
         called = f"column {name!r}" if name else "a column without a name"
         yield f"{table.path.name}: {called} is ignored"

@@ -1,4 +1,4 @@
-"""Work on all cores: most of the time is spent in compiled code, which lets other threads work meanwhile."""
+"""Runs work in threads on all cores: compiled code takes most of the time, and it releases the GIL."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 THREADS: ContextVar[int] = ContextVar("THREADS", default=0)
-"""Threads of one case; 0 is one a core. Many cases at once have a process each, and share the cores."""
+"""Threads for one case; 0 means one for each core. With many cases, each process gets its share of cores."""
 
 
 def cores() -> int:
-    """That this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def mapped(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
-    """The function of each item, in their order."""
+    """The function of each item, in the order of the items."""
     return batch(function, items, threads=THREADS.get() or cores())

@@ -1,4 +1,4 @@
-"""From a case to its verdict."""
+"""Diagnoses a case: searches for the cause and builds the verdict."""
 
 from __future__ import annotations
 
@@ -22,40 +22,40 @@ from flying_vines.identification.verdict import NONE, UNEXPLAINED, Named, Parame
 from flying_vines.physics.cause import Cause
 from flying_vines.physics.effects import catalogue
 
-ALIKE = 9.2
-"""A candidate whose evidence is within a factor of 100 of the best cannot be told apart from it."""
-_SURPRISE = 0.02
-"""How often, before any data, something is there that the catalogue does not hold, and looks like noise."""
-_SURPRISE_UNEXPLAINED = 0.1
-"""How often what is left after all is a cause of the catalogue after all, that no fit has found."""
+INDISTINGUISHABLE = 9.2
+"""Maximum score difference (an evidence ratio of 100) of candidates that the data cannot tell apart."""
+_UNKNOWN_CAUSE = 0.02
+"""Prior probability of a cause that is not in the catalogue and looks like noise."""
+_MISSED_CAUSE = 0.1
+"""Probability that an unexplained remainder is a cause of the catalogue that the search has missed."""
 _SCORED = 4
-"""So many of the best candidates are held against unseen data."""
+"""Number of best candidates that are tested on unseen data."""
 _ON_BOUND = 1e-6
-"""Of a parameter's range."""
+"""A parameter nearer than this share of its range to a bound is on the bound."""
 
 
 def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progress = silent) -> Verdict:
-    """Where the baseline simulation departs from a rig's data, why, and what the cause is worth.
+    """Finds the cause of the difference between simulation and data, and measures it.
 
     Args:
-        case: the recorded runs and the believed rig.
-        causes: to be considered; the whole catalogue if not given.
-        progress: is told what is being done, and which share of all is done.
+        case: the recorded runs and the nominal rig.
+        causes: causes to test; default: the whole catalogue.
+        progress: called with the current step, and the share of the work that is done.
     """
     every = catalogue() if causes is None else causes
-    # The fits themselves run on all cores; small matrices on several more would only wait for each other.
+    # The fits already use all cores: more BLAS threads would only slow the small matrices down.
     with threadpool_limits(1):
         stated = stated_noise_kPa(case.rig)
         found = Search(FitProblem(case, stated), every).best(progress)
         noise = _noise_left(found.chosen)
         if noise != stated:
-            progress("again, with the noise that the data have", 0.0)
+            progress("again, with the noise of the data", 0.0)
             found = Search(FitProblem(case, noise), every).best(progress)
         return _verdict(found, progress)
 
 
 def _noise_left(chosen: Candidate) -> tuple[float, float]:
-    """The sensors' noise, as stated, or as what the fit leaves tells where that contradicts."""
+    """Stated noise of the sensors; if the residuals contradict it, the noise estimated from them."""
     problem = chosen.problem
     found = []
     for row, stated_kPa in enumerate(problem.noise_kPa):
@@ -79,7 +79,7 @@ def _verdict(found: SearchResult, progress: Progress) -> Verdict:
     left = None if chosen.adequate else chosen.patterns[0]
     unexplained = Verdict(
         cause=UNEXPLAINED,
-        confidence=1.0 - _SURPRISE_UNEXPLAINED,
+        confidence=1.0 - _MISSED_CAUSE,
         indistinguishable=(),
         parameters={},
         also=(),
@@ -97,32 +97,32 @@ def _verdict(found: SearchResult, progress: Progress) -> Verdict:
     if not chosen.causes:
         others = [c.score - chosen.score for c in found.tried if c.causes]
         doubt = sum(exp(-0.5 * max(0.0, d)) for d in others[:5]) * 0.05
-        return replace(known, cause=NONE, confidence=1.0 / (1.0 + doubt + _SURPRISE))
+        return replace(known, cause=NONE, confidence=1.0 / (1.0 + doubt + _UNKNOWN_CAUSE))
     main, further = _main_first(chosen, found)
     doubts = _doubts(chosen, (main, *further), found)
     named = {cause.name: _measured(cause.name, profiles) for cause in chosen.causes}
     return replace(
         known,
         cause=main,
-        confidence=_sureness(chosen, main, found),
+        confidence=_confidence(chosen, main, found),
         indistinguishable=tuple(dict.fromkeys(name for others in doubts.values() for name in others)),
         parameters=named[main],
         also=tuple(Named(name, named[name]) for name in further),
-        next_experiment=_settling(problem.case, doubts),
+        next_experiment=_next_experiment(problem.case, doubts),
     )
 
 
 def _noise_remarks(problem: FitProblem) -> list[str]:
-    """Where the data contradict what the rig states."""
+    """Remarks where the data contradict the stated noise."""
     sensors = problem.case.rig.sensors
     stated = {
         "cv_noise_std_kPa": sensors.cv_noise_std_kPa,
         "reservoir_noise_std_kPa": sensors.reservoir_noise_std_kPa,
     }
     return [
-        f"{key} is stated as {said:g}; the data say {used:.3g}"
-        for (key, said), used in zip(stated.items(), problem.noise_kPa, strict=True)
-        if used != said
+        f"{key} is {value:g} in the rig file; the data give {used:.3g}, which is used"
+        for (key, value), used in zip(stated.items(), problem.noise_kPa, strict=True)
+        if used != value
     ]
 
 
@@ -152,16 +152,16 @@ def _ranking(found: SearchResult, splits: Sequence[Split], errors: HeldOut) -> t
 
 
 def _roughly(candidate: Candidate, cause: Cause) -> dict[str, ParameterEstimate]:
-    """Parameters of one of the causes, with intervals as if χ² were a parabola."""
+    """Parameters of one cause, with intervals from the curvature of χ²."""
     point = candidate.fit.point
     index = point.causes.index(cause)
     at = len(point.deviation) + sum(len(c.parameters) for c in point.causes[:index])
     estimates = {}
     for number, (parameter, value) in enumerate(zip(cause.parameters, point.values[index], strict=True)):
         reach = 1.96 * sqrt(max(0.0, candidate.covariance[at + number, at + number]))
-        inner = parameter.inner(value)
+        searched = parameter.to_search(value)
         estimates[parameter.name] = ParameterEstimate(
-            value, parameter.within(inner - reach), parameter.within(inner + reach)
+            value, parameter.within(searched - reach), parameter.within(searched + reach)
         )
     return estimates
 
@@ -177,14 +177,14 @@ def _on_bound(candidate: Candidate) -> tuple[str, ...]:
 
 
 def _main_first(chosen: Candidate, found: SearchResult) -> tuple[str, list[str]]:
-    """The cause that explains most by itself, and the others."""
+    """The cause that alone gives the lowest χ², and the others."""
     alone = {c.names[0]: c.fit.chi2 for c in found.tried if len(c.names) == 1}
     names = sorted(chosen.names, key=lambda name: alone[name])
     return names[0], names[1:]
 
 
 def _instead(chosen: Candidate, cause: str, found: SearchResult) -> dict[str, float]:
-    """How much worse the evidence is with another cause in place of one of the chosen, by its name."""
+    """Score increase if `cause` is replaced by another cause; key: the name of the other cause."""
     rest = set(chosen.names) - {cause}
     worse: dict[str, float] = {}
     for candidate in found.tried:
@@ -196,28 +196,30 @@ def _instead(chosen: Candidate, cause: str, found: SearchResult) -> dict[str, fl
 
 
 def _doubts(chosen: Candidate, names: Sequence[str], found: SearchResult) -> dict[str, tuple[str, ...]]:
-    """What could as well stand in place of each cause, the likeliest first; of those for which something
-    could."""
+    """For each cause, the causes that explain the data equally well, the most likely first.
+
+    Causes without such an alternative are left out.
+    """
     doubts = {}
     for cause in names:
         worse = _instead(chosen, cause, found)
-        alike = [name for name in sorted(worse, key=worse.__getitem__) if worse[name] < ALIKE]
-        if others := tuple(name for name in alike if name not in names):
+        near = [name for name in sorted(worse, key=worse.__getitem__) if worse[name] < INDISTINGUISHABLE]
+        if others := tuple(name for name in near if name not in names):
             doubts[cause] = others
     return doubts
 
 
-def _sureness(chosen: Candidate, main: str, found: SearchResult) -> float:
-    """How probable it is that the main cause, or what is like it, is the cause."""
+def _confidence(chosen: Candidate, main: str, found: SearchResult) -> float:
+    """Probability that the true cause is the main cause or one that the data cannot tell apart from it."""
     worse = _instead(chosen, main, found)
     worse[NONE] = max(0.0, found.search.null.score - CLAIM - chosen.score)
     weight = {name: exp(-0.5 * by) for name, by in worse.items()}
-    inside = sum(weight[name] for name, by in worse.items() if name != NONE and by < ALIKE)
-    return inside / sum(weight.values()) * (1.0 - _SURPRISE)
+    inside = sum(weight[name] for name, by in worse.items() if name != NONE and by < INDISTINGUISHABLE)
+    return inside / sum(weight.values()) * (1.0 - _UNKNOWN_CAUSE)
 
 
-def _settling(case: Case, doubts: Mapping[str, Sequence[str]]) -> str:
-    """What to record next, for the first of the doubts."""
+def _next_experiment(case: Case, doubts: Mapping[str, Sequence[str]]) -> str:
+    """The recording that separates the first of the doubts."""
     if not doubts:
         return ""
     cause, others = next(iter(doubts.items()))

@@ -1,4 +1,4 @@
-"""The arrays behind a verdict, as pictures and notebooks want them."""
+"""The arrays behind a verdict, for figures and notebooks."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from flying_vines.identification.intervals import LikelihoodProfile
-from flying_vines.identification.likeness import Likeness, likeness
 from flying_vines.identification.residuals import Pattern
 from flying_vines.identification.search import SearchResult
+from flying_vines.identification.similarity import Similarity, similarity
 from flying_vines.physics.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A run: measured, and simulated twice. Gauge pressures, kPa; (2, n), control volume then reservoir."""
+    """A run, measured and simulated. Pressures are (2, n), kPa gauge: control volume, then reservoir."""
 
     run: str
     time_s: Array
@@ -24,32 +24,32 @@ class Compared:
     measured_kPa: Array
     """NaN where nothing was read."""
     baseline_kPa: Array
-    """With the believed numbers refitted within their tolerances: the null."""
+    """The null model: the baseline, with its rig numbers refitted within their tolerances."""
     extended_kPa: Array
-    """With the causes that explain the data best; the baseline again if there are none."""
+    """With the causes that explain the data best; the null model again if there are none."""
     openings: Array
-    """(3, n) what the valves were told: inflation valve, Venturi's valve (0…1), solenoid (0 or 1)."""
+    """(3, n) valve commands: inflation valve, Venturi's valve (0…1), solenoid (0 or 1)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What a verdict rests on."""
+    """The data on which a verdict is based."""
 
     runs: tuple[Compared, ...]
     noise_kPa: tuple[float, float]
-    """Of control volume's and reservoir's readings, as used."""
+    """Standard deviations for control volume and reservoir that the fit used."""
     before: tuple[Pattern, ...]
-    """What the baseline's residuals depend on, the strongest first."""
+    """Residual patterns of the null model, the strongest first."""
     after: tuple[Pattern, ...]
-    """What is left of it with the causes."""
+    """Residual patterns with the causes."""
     profiles: tuple[LikelihoodProfile, ...]
-    """Of the named causes' parameters."""
-    likeness: Likeness
-    """Of the whole catalogue, around what fits best."""
+    """One for each parameter of the named causes."""
+    similarity: Similarity
+    """For the whole catalogue, around the best fit."""
 
 
 def evidence(found: SearchResult, profiles: Sequence[LikelihoodProfile]) -> Evidence:
-    """Of a search that has ended."""
+    """The evidence of a finished search."""
     null, chosen = found.search.null, found.chosen
     problem = chosen.problem
     simulated = zip(problem.simulated(null.fit.point), problem.simulated(chosen.fit.point), strict=True)
@@ -65,5 +65,5 @@ def evidence(found: SearchResult, profiles: Sequence[LikelihoodProfile]) -> Evid
         before=tuple(null.patterns),
         after=tuple(chosen.patterns),
         profiles=tuple(profiles),
-        likeness=likeness(problem, chosen.fit, found.search.catalogue, found.search.keys),
+        similarity=similarity(problem, chosen.fit, found.search.catalogue, found.search.keys),
     )

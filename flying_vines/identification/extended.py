@@ -1,4 +1,4 @@
-"""The model, extended by a verdict: a rig file that `simulate` and the fakes take."""
+"""The rig extended by a verdict: `simulate` and the fakes read it as a rig file."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from flying_vines.physics.rig import Rig, with_numbers
 
 
 def extended_rig(rig: Rig, verdict: Verdict) -> TrueRig:
-    """The believed rig with what the verdict found: numbers as fitted, and the named causes in it.
+    """The nominal rig with the fitted numbers and the named causes of the verdict.
 
-    What is found to have none says so; what stays unexplained is as it was believed.
+    An `unexplained` verdict leaves the rig nominal. `none_found` records a verdict of `none`.
     """
     return TrueRig(
-        believed=with_numbers(rig, verdict.numbers),
+        nominal=with_numbers(rig, verdict.numbers),
         causes={
             named.cause: {name: estimate.estimate for name, estimate in named.parameters.items()}
             for named in verdict.named

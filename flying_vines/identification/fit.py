@@ -1,13 +1,16 @@
-"""Fitting by simulation error: over all runs at once, initial states included, inputs as recorded.
+"""Fits the simulation to the readings of all runs at once; the valve inputs are as recorded.
 
-What is minimised is χ², the sum of squared residuals in units of the sensors' noise, over the parameters of
-the causes, the believed numbers that are set free, and two initial pressures a run (two more after each gap
-in its record). A believed number stays within its tolerance, where all places are equally likely; of that a
-Gaussian of the same variance stands in the sum, so that what the data do not say is left where it was
-believed; likewise what is typical of a parameter. Each step of Gauss and Newton is solved exactly within the
-bounds (Stark & Parker 1995), damped by Levenberg and Marquardt where it would not help; the initial
-pressures, which have no bounds and may be many, are eliminated from it, and each goes only as far as its own
-stretch of the record gets better.
+The fit minimises χ², the sum of squared residuals in units of the sensors' noise. It moves the parameters of
+the causes, the free rig numbers, and two initial pressures for each run (two more after each gap in its
+record).
+
+A rig number stays within its tolerance, with a uniform prior there. χ² uses a Gaussian prior of the same
+variance, so numbers that the data do not fix stay nominal. The typical value of a parameter is a prior too.
+
+Each Gauss-Newton step is solved exactly within the bounds (Stark & Parker 1995), with Levenberg-Marquardt
+damping if a step does not reduce the cost. The initial pressures have no bounds and may be many: they are
+eliminated from the linear system. A step of initial pressures is shortened if it makes its own stretch of the
+record worse.
 """
 
 from __future__ import annotations
@@ -21,59 +24,63 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from flying_vines.identification.case import Case
-from flying_vines.identification.simulate import Simulation, believed_spread
-from flying_vines.identification.slopes import RunSlopes, Slopes
+from flying_vines.identification.jacobian import Jacobian, RunJacobian
+from flying_vines.identification.simulate import Simulation, prior_std
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Values
 from flying_vines.physics.rig import number
 
 Bools = NDArray[np.bool_]
 
-MOST_STEPS = 30
-FIRST_STEPS, THEN_STEPS = 3, 2
-"""That tell which seed leads on, and how far."""
-FEW_SEEDS = 3
-"""Of more, the nearest."""
-ENOUGH = 0.02
+MAX_STEPS = 30
+FIRST_STEPS = 3
+"""Steps from each seed, to choose the best one."""
+THEN_STEPS = 2
+"""Steps from the best seed, to compare causes."""
+MAX_SEEDS = 3
+"""If there are more seeds, only those with the lowest χ² are used."""
+MIN_GAIN = 0.02
 """A step that lowers χ² by less ends the fit."""
-LESS_TRUST = 0.3
-"""Factor for a step of initial pressures that increases χ² on its own segment."""
+SHORTER = 0.3
+"""Factor for a step of initial pressures that increases χ² on its own stretch."""
 _DEVIATION = 1e-5
+"""Finite-difference step of a rig number, as a share of it."""
 _OF_RANGE = 1e-4
+"""Finite-difference step of a parameter, as a share of its range on the search scale."""
 _INITIAL_KPA = (0.1, 0.01)
-"""How far numbers are moved for a derivative: believed ones by this share, parameters by this share of their
-range (along the logarithm where that is moved), initial pressures by this."""
-STEEPEST = 1e12
-"""Steeper is no derivative: a simulation has broken down."""
+"""Finite-difference steps of the initial pressures of reservoir and control volume."""
+MAX_DERIVATIVE = 1e12
+"""A larger derivative means that the simulation has diverged."""
 UNREAD_RESERVOIR_KPA = 600.0
-"""Where a fit begins if nobody recorded the reservoir."""
+"""Initial guess if the reservoir was not recorded."""
 _READINGS = 3
-"""The first so many say where a run begins."""
+"""Number of first readings whose mean is the initial guess of a pressure."""
 
 
 @dataclass(frozen=True)
 class FitPoint:
-    """Where a fit is. `deviation` of believed numbers, in shares of them, by key; `values` of the causes."""
+    """A point in parameter space."""
 
     causes: tuple[Cause, ...]
     values: tuple[Values, ...]
+    """Parameter values of each cause."""
     deviation: dict[str, float]
-    """Its keys are what is free; the rest is as believed."""
+    """Relative change of each free rig number, by key. All other rig numbers are nominal."""
     initial: Array
     """(starts, 2) gauge pressures of reservoir and control volume, kPa, run by run."""
 
     def with_cause(self, cause: Cause, values: Values) -> FitPoint:
-        """The same place with another cause, where it begins."""
+        """This point with a further cause."""
         return replace(self, causes=(*self.causes, cause), values=(*self.values, values))
 
     def without(self, index: int) -> FitPoint:
-        """The same place without one of the causes."""
+        """This point without one of the causes."""
         causes, values = list(self.causes), list(self.values)
         del causes[index], values[index]
         return replace(self, causes=tuple(causes), values=tuple(values))
 
     def pinned(self, index: int, number: int, value: float) -> FitPoint:
-        """The same place, with one parameter of one cause held at a value."""
+        """This point, with one parameter of one cause fixed at a value."""
         cause, values = self.causes[index], list(self.values[index])
         values[number] = value
         parameters = list(cause.parameters)
@@ -83,55 +90,54 @@ class FitPoint:
         return replace(self, causes=tuple(causes), values=tuple(every))
 
     def freed(self, keys: Sequence[str]) -> FitPoint:
-        """The same place, with these believed numbers free and no others."""
+        """This point, with these rig numbers free and no others."""
         return replace(self, deviation={key: self.deviation.get(key, 0.0) for key in keys})
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Where a fit ended."""
+    """The result of a fit."""
 
     point: FitPoint
     chi2: float
-    """Of the residuals alone."""
+    """Without the prior terms."""
     cost: float
-    """With what is believed."""
+    """χ² plus the prior terms."""
     residuals: tuple[Array, ...]
-    """A run's: (2, n), control volume then reservoir, measured less simulated in units of noise; 0 where
+    """For each run (2, n), control volume then reservoir: measured minus simulated in units of noise; 0 where
     nothing was measured."""
 
 
 class Tangents:
-    """Directions in which a fit is free, and what is left of the residuals."""
+    """The directions in which a fit can step its residuals, and the residuals orthogonal to them."""
 
-    def __init__(self, slopes: Slopes, residuals: Sequence[Array]) -> None:
-        self._slopes = slopes
-        free = slopes.free.T
+    def __init__(self, jacobian: Jacobian, residuals: Sequence[Array]) -> None:
+        self._jacobian = jacobian
+        free = jacobian.reduced.T
         scale = np.linalg.norm(free, axis=0)
         self._basis, _ = np.linalg.qr(free / np.where(scale > 0.0, scale, 1.0))
-        self._residual = self.beside(residuals)
+        self._residual = self.orthogonal_part(residuals)
 
     def gain(self, trace: Sequence[Array]) -> float:
-        """By how much χ² would fall if the residuals could be changed along this trace, too."""
-        own = self.beside(trace)
+        """Reduction of χ² if the residuals could also be changed along this trace."""
+        own = self.orthogonal_part(trace)
         length = float(own @ own)
         whole = sum(float(np.vdot(t, t)) for t in trace)
         return float(own @ self._residual) ** 2 / length if length > 1e-9 * whole else 0.0
 
-    def beside(self, trace: Sequence[Array]) -> Array:
-        """What is left of a trace, (2, n) a run, beside all that the fit can do itself; in one row."""
-        left = self._slopes.beside(trace)
-        beside: Array = left - self._basis @ (self._basis.T @ left)
-        return beside
+    def orthogonal_part(self, trace: Sequence[Array]) -> Array:
+        """The part of a trace, (2, n) for each run, orthogonal to all fitted directions; flattened."""
+        left = self._jacobian.orthogonal_part(trace)
+        orthogonal: Array = left - self._basis @ (self._basis.T @ left)
+        return orthogonal
 
 
 class FitProblem:
     """A case to be fitted.
 
     Args:
-        case: the data.
         noise_kPa: standard deviations of control volume's and reservoir's readings.
-        used: a boolean (n,) for each run: which samples count; all if not given.
+        used: for each run a boolean (n,), the samples that count; default: all.
     """
 
     def __init__(
@@ -149,31 +155,31 @@ class FitProblem:
         self.starts = [
             slice(end - len(run.start), end) for end, run in zip(ends, self.simulation.runs, strict=True)
         ]
-        """Of each run, in `FitPoint.initial`."""
+        """Rows of each run in `FitPoint.initial`."""
         self._read = self.start().initial
         self.readings = int(sum(np.count_nonzero(weight) for weight in self.weights))
 
     def start(self) -> FitPoint:
-        """The believed rig, at rest where the first readings are."""
+        """The nominal rig, with the first readings as initial pressures."""
         initial = []
         for data, weight, run in zip(self.data, self.weights, self.simulation.runs, strict=True):
             for i in run.start:
-                # A run begins at rest; where it begins again it may be on its way.
+                # A run starts at rest, but after a gap the pressure may be changing.
                 few = _READINGS if i == 0 else 1
                 reservoir_kPa = _first(data[1, i:], weight[1, i:], few, UNREAD_RESERVOIR_KPA)
                 initial.append((reservoir_kPa, _first(data[0, i:], weight[0, i:], few, 0.0)))
         return FitPoint((), (), {}, np.array(initial))
 
     def tolerance(self, key: str) -> float:
-        """How well a number is believed, as a share."""
+        """Tolerance of a rig number, as a share of it."""
         return self.case.rig.tolerance(key) / 100.0
 
-    def spread(self, key: str) -> float:
-        """As `believed_spread`."""
-        return believed_spread(self.case.rig, key)
+    def prior_std(self, key: str) -> float:
+        """See `prior_std`."""
+        return prior_std(self.case.rig, key)
 
     def simulated(self, point: FitPoint, runs: Sequence[int] | None = None) -> list[Array]:
-        """Readings of these runs (all if not given): (2, n), control volume then reservoir, kPa."""
+        """Simulated readings of these runs (default: all): (2, n), control volume then reservoir, kPa."""
         moved = self.moved(point)
         causes = list(zip(point.causes, point.values, strict=True))
         every = range(len(self.data)) if runs is None else runs
@@ -182,85 +188,89 @@ class FitProblem:
         ]
 
     def residuals(self, point: FitPoint, runs: Sequence[int] | None = None) -> list[Array]:
-        """Of these runs (all if not given), as in `Fit`."""
+        """Residuals of these runs (default: all), as in `Fit`."""
         every = range(len(self.data)) if runs is None else runs
         simulated = self.simulated(point, runs)
         return [(self.data[i] - s) * self.weights[i] for i, s in zip(every, simulated, strict=True)]
 
     def chi2(self, point: FitPoint) -> float:
-        """The sum of squared residuals at a place."""
+        """The sum of squared residuals at a point."""
         return _chi2(self.residuals(point))
 
     def moved(self, point: FitPoint) -> dict[str, float]:
-        """The believed numbers that are free, by their keys, where the fit has them."""
+        """Fitted values of the free rig numbers, by key."""
         rig = self.case.rig
         return {key: number(rig, key) * (1.0 + deviation) for key, deviation in point.deviation.items()}
 
     def tangents(self, fit: Fit) -> Tangents:
-        """What small changes of all that is fitted do to the residuals."""
-        return Tangents(self.slopes(fit), fit.residuals)
+        """The directions in which this fit can step its residuals."""
+        return Tangents(self.jacobian(fit), fit.residuals)
 
-    def slopes(self, fit: Fit) -> Slopes:
-        """The residuals' derivatives by all that is free, at a fit."""
+    def jacobian(self, fit: Fit) -> Jacobian:
+        """Derivatives of the residuals by everything that is free, at a fit."""
         space = _Space(self, fit.point)
-        return space.slopes(space.inner(fit.point), fit.residuals)
+        return space.jacobian(space.to_search(fit.point), fit.residuals)
 
     def covariance(self, fit: Fit) -> Array:
-        """Of deviations and causes' parameters as the fit moves them, with what is believed of them, the
-        initial pressures moved along; where the data say anything, without the bounds."""
+        """Posterior covariance of deviations and parameters, on the search scale.
+
+        Priors are included, initial pressures are marginalised, bounds are ignored.
+        """
         space = _Space(self, fit.point)
-        information, _ = space.believed_too(self.slopes(fit), space.inner(fit.point))
+        information, _ = space.normal_equations(self.jacobian(fit), space.to_search(fit.point))
         scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
         inverse = np.linalg.pinv(information / np.outer(scale, scale), rcond=1e-12, hermitian=True)
         covariance: Array = inverse / np.outer(scale, scale)
         return covariance
 
     def begun(self, base: FitPoint, cause: Cause) -> Fit:
-        """The first steps of a fit with a further cause: of it alone from each seed, of all from the best."""
+        """The first steps of a fit with a further cause: its own parameters from each seed, then all."""
         starts = [self._well_begun(base.with_cause(cause, values)) for values in cause.seeds()]
-        nearest = sorted(starts, key=lambda start: start[0])[:FEW_SEEDS]
+        nearest = sorted(starts, key=lambda start: start[0])[:MAX_SEEDS]
         alone = (self.fit(start, FIRST_STEPS, moving=len(cause.parameters)) for _, start in nearest)
         return self.fit(min(alone, key=lambda fit: fit.chi2).point, THEN_STEPS)
 
-    def fit(self, start: FitPoint, most_steps: int = MOST_STEPS, moving: int | None = None) -> Fit:
-        """The least χ² near `start`.
+    def fit(self, start: FitPoint, max_steps: int = MAX_STEPS, moving: int | None = None) -> Fit:
+        """The local minimum of the cost near `start`.
 
         Args:
-            most_steps: after which it ends wherever it is.
-            moving: so many of the last parameters are moved, and no others; all that are free unless given.
+            max_steps: maximum number of steps.
+            moving: only this many of the last parameters are moved; default: everything that is free.
         """
         space = _Space(self, start, moving)
-        place = space.clipped(space.inner(start))
-        residuals = self.residuals(space.outer(place))
-        cost = _chi2(residuals) + space.believed(place)
+        place = space.clipped(space.to_search(start))
+        residuals = self.residuals(space.to_model(place))
+        cost = _chi2(residuals) + space.prior(place)
         if not np.isfinite(cost):
             return Fit(start, inf, inf, tuple(residuals))
-        damping, trust = 1e-7, np.ones(len(start.initial))
-        for _ in range(most_steps):
-            slopes, own = space.slopes(place, residuals), self._by_start(residuals)
+        damping, shares = 1e-7, np.ones(len(start.initial))
+        for _ in range(max_steps):
+            jacobian, own = space.jacobian(place, residuals), self._by_start(residuals)
             for _ in range(10):
-                move = space.best_move(place, slopes, damping)
-                there = space.clipped(place + space.trusted(move, trust))
-                point = space.outer(there)
+                step = space.best_step(place, jacobian, damping)
+                there = space.clipped(place + space.shortened(step, shares))
+                point = space.to_model(there)
                 tried = self.residuals(point)
-                lower = _chi2(tried) + space.believed(there)
+                lower = _chi2(tried) + space.prior(there)
                 if lower <= cost:
                     break
                 damping = max(10.0 * damping, 1e-5)
-                trust[~(self._by_start(tried) <= own)] *= LESS_TRUST
+                shares[~(self._by_start(tried) <= own)] *= SHORTER
             else:
                 break
-            trust = np.minimum(2.0 * trust, 1.0)
+            shares = np.minimum(2.0 * shares, 1.0)
             gained, cost = cost - lower, lower
             place, residuals = there, tried
             damping *= 0.1
-            if gained < ENOUGH:
+            if gained < MIN_GAIN:
                 break
-        return Fit(space.outer(place), _chi2(residuals), cost, tuple(residuals))
+        return Fit(space.to_model(place), _chi2(residuals), cost, tuple(residuals))
 
     def _well_begun(self, point: FitPoint) -> tuple[float, FitPoint]:
-        """The same place, with each pair of initial pressures as it is or as first read, whichever is nearer:
-        where a cause was missing a fit may have moved them far away to do its work. Its χ² is first."""
+        """Reset each pair of initial pressures to the first readings if that lowers χ²; (χ², point).
+
+        A fit without the true cause may have distorted them.
+        """
         there = self._by_start(self.residuals(point))
         read = self._by_start(self.residuals(replace(point, initial=self._read)))
         chi2 = float(np.where(read < there, read, there).sum())
@@ -268,13 +278,13 @@ class FitProblem:
         return chi2 if np.isfinite(chi2) else inf, replace(point, initial=initial)
 
     def _by_start(self, residuals: Sequence[Array]) -> Array:
-        """(starts,) χ² of what each pair of initial pressures bears on."""
+        """(starts,) χ² of each stretch, which has one pair of initial pressures."""
         runs = zip(residuals, self.simulation.runs, strict=True)
         return np.concatenate([np.add.reduceat(np.sum(r**2, axis=0), run.start) for r, run in runs])
 
 
 class _Space:
-    """The numbers that a fit moves, in one row: deviations, parameters, initial pressures run by run."""
+    """The search space of a fit. Its vector: deviations, parameters, initial pressures run by run."""
 
     def __init__(self, problem: FitProblem, start: FitPoint, moving: int | None = None) -> None:
         self._problem = problem
@@ -284,8 +294,8 @@ class _Space:
         self._common = len(self._keys) + len(self._parameters)
         self._starts = problem.starts
         tolerances = [problem.tolerance(key) for key in self._keys]
-        low = [-t for t in tolerances] + [p.inner(p.low) for p in self._parameters]
-        high = [*tolerances] + [p.inner(p.high) for p in self._parameters]
+        low = [-t for t in tolerances] + [p.to_search(p.low) for p in self._parameters]
+        high = [*tolerances] + [p.to_search(p.high) for p in self._parameters]
         self._nudges = [_DEVIATION] * len(self._keys)
         self._nudges += [_OF_RANGE * p.range for p in self._parameters]
         unbounded = np.full(start.initial.size, np.inf)
@@ -293,22 +303,22 @@ class _Space:
         if moving is not None:
             held = self._common - moving
             self._nudges[:held] = [0.0] * held
-            self._low[:held] = self._high[:held] = self.inner(start)[:held]
-        typical = [(0.0, problem.spread(key)) for key in self._keys]
+            self._low[:held] = self._high[:held] = self.to_search(start)[:held]
+        typical = [(0.0, problem.prior_std(key)) for key in self._keys]
         typical += [p.typical or (0.0, inf) for p in self._parameters]
         self._typical = np.array([mean for mean, _ in typical])
-        self._sureness = np.array([sd**-2.0 for _, sd in typical])
-        """What is believed of deviations and parameters: mean, and one over the variance."""
+        self._precision = np.array([sd**-2.0 for _, sd in typical])
+        """Inverse prior variances of deviations and parameters; `_typical` are their means."""
 
-    def inner(self, point: FitPoint) -> Array:
+    def to_search(self, point: FitPoint) -> Array:
         values = [value for values in point.values for value in values]
-        inner = [p.inner(value) for p, value in zip(self._parameters, values, strict=True)]
-        return np.concatenate(([point.deviation[key] for key in self._keys], inner, point.initial.ravel()))
+        searched = [p.to_search(value) for p, value in zip(self._parameters, values, strict=True)]
+        return np.concatenate(([point.deviation[key] for key in self._keys], searched, point.initial.ravel()))
 
-    def outer(self, place: Array) -> FitPoint:
+    def to_model(self, place: Array) -> FitPoint:
         keys = len(self._keys)
         values = [
-            p.outer(x) for p, x in zip(self._parameters, place[keys : self._common].tolist(), strict=True)
+            p.to_model(x) for p, x in zip(self._parameters, place[keys : self._common].tolist(), strict=True)
         ]
         grouped = []
         for cause in self._start.causes:
@@ -321,20 +331,20 @@ class _Space:
             initial=place[self._common :].reshape(-1, 2),
         )
 
-    def believed(self, place: Array) -> float:
-        """What it costs to be elsewhere than believed."""
-        return float(self._sureness @ (place[: self._common] - self._typical) ** 2)
+    def prior(self, place: Array) -> float:
+        """The prior term of the cost."""
+        return float(self._precision @ (place[: self._common] - self._typical) ** 2)
 
-    def trusted(self, move: Array, trust: Array) -> Array:
-        """A move that goes only this share of its way in each pair of initial pressures."""
-        shorter = move.copy()
-        shorter[self._common :] *= np.repeat(trust, 2)
+    def shortened(self, step: Array, shares: Array) -> Array:
+        """The step, shortened by this factor in each pair of initial pressures."""
+        shorter = step.copy()
+        shorter[self._common :] *= np.repeat(shares, 2)
         return shorter
 
     def clipped(self, place: Array) -> Array:
         return np.clip(place, self._low, self._high)
 
-    def slopes(self, place: Array, residuals: Sequence[Array]) -> Slopes:
+    def jacobian(self, place: Array, residuals: Sequence[Array]) -> Jacobian:
         """The residuals' derivatives."""
         columns = [self._columns(place, residuals, k) for k in range(self._common)]
         runs = []
@@ -343,18 +353,21 @@ class _Space:
             for column, nudge in enumerate(_INITIAL_KPA):
                 moved = place.copy()
                 moved[self._common + 2 * starts.start + column : self._common + 2 * starts.stop : 2] += nudge
-                (there,) = self._problem.residuals(self.outer(moved), [run])
-                initial.append(_slope(there, residuals[run], nudge))
+                (there,) = self._problem.residuals(self.to_model(moved), [run])
+                initial.append(_derivative(there, residuals[run], nudge))
             common = [column[run] for column in columns]
             begins = self._problem.simulation.runs[run].start
-            runs.append(RunSlopes(np.array(initial), residuals[run], np.array(common), begins))
-        return Slopes(runs)
+            runs.append(RunJacobian(np.array(initial), residuals[run], np.array(common), begins))
+        return Jacobian(runs)
 
-    def believed_too(self, slopes: Slopes, place: Array) -> tuple[Array, Array]:
-        """JᵀJ and Jᵀr of what is common to the runs, with what is believed of it."""
-        information, slope = slopes.free @ slopes.free.T, slopes.free @ slopes.left
-        information[np.diag_indices_from(information)] += self._sureness
-        return information, slope + self._sureness * (place[: self._common] - self._typical)
+    def normal_equations(self, jacobian: Jacobian, place: Array) -> tuple[Array, Array]:
+        """JᵀJ and Jᵀr of the numbers that all runs share, with their priors."""
+        information, gradient = (
+            jacobian.reduced @ jacobian.reduced.T,
+            jacobian.reduced @ jacobian.reduced_residuals,
+        )
+        information[np.diag_indices_from(information)] += self._precision
+        return information, gradient + self._precision * (place[: self._common] - self._typical)
 
     def _columns(self, place: Array, residuals: Sequence[Array], k: int) -> list[Array]:
         nudge = self._nudges[k]
@@ -364,32 +377,32 @@ class _Space:
             nudge = -nudge
         moved = place.copy()
         moved[k] += nudge
-        there = self._problem.residuals(self.outer(moved))
-        return [_slope(a, b, nudge) for a, b in zip(there, residuals, strict=True)]
+        there = self._problem.residuals(self.to_model(moved))
+        return [_derivative(a, b, nudge) for a, b in zip(there, residuals, strict=True)]
 
-    def best_move(self, place: Array, slopes: Slopes, damping: float) -> Array:
-        """The least of the quadratic model within the bounds."""
+    def best_step(self, place: Array, jacobian: Jacobian, damping: float) -> Array:
+        """The step to the minimum of the quadratic model within the bounds."""
         if not self._common:
-            return slopes.initial_move(np.zeros(0))
-        information, slope = self.believed_too(slopes, place)
+            return jacobian.initial_step(np.zeros(0))
+        information, gradient = self.normal_equations(jacobian, place)
         scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
         scaled = information / np.outer(scale, scale)
         scaled[np.diag_indices_from(scaled)] += damping + 1e-12
         lower = np.linalg.cholesky(scaled)
-        target = np.linalg.solve(lower, -slope / scale)
+        target = np.linalg.solve(lower, -gradient / scale)
         here = place[: self._common]
         low, high = (self._low[: self._common] - here) * scale, (self._high[: self._common] - here) * scale
         solved = lsq_linear(
             lower.T, target, (np.minimum(low, -1e-12), np.maximum(high, 1e-12)), method="bvls"
         )
-        move = np.asarray(solved.x / scale)
-        return np.concatenate((move, slopes.initial_move(move)))
+        step = np.asarray(solved.x / scale)
+        return np.concatenate((step, jacobian.initial_step(step)))
 
 
-def _slope(there: Array, here: Array, nudge: float) -> Array:
-    """A derivative; 0 where a simulation breaks down, for nothing is learned of the way there."""
-    slope = (there - here) / nudge
-    return np.where(np.abs(slope) < STEEPEST, slope, 0.0)
+def _derivative(there: Array, here: Array, nudge: float) -> Array:
+    """A finite difference; 0 where the simulation has diverged."""
+    gradient = (there - here) / nudge
+    return np.where(np.abs(gradient) < MAX_DERIVATIVE, gradient, 0.0)
 
 
 def _chi2(residuals: Sequence[Array]) -> float:
@@ -398,6 +411,6 @@ def _chi2(residuals: Sequence[Array]) -> float:
 
 
 def _first(data: Array, weight: Array, few: int, guess: float) -> float:
-    """The mean of the first readings, or a guess where there are none."""
+    """The mean of the first readings, or `guess` if there are none."""
     measured = data[weight > 0.0][:few]
     return float(measured.mean()) if len(measured) else guess

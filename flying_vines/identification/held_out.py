@@ -1,14 +1,16 @@
-"""How well a model predicts what its fit never saw.
+"""Tests a model on data that its fit has not seen.
 
-Each run is predicted from all others. Its first half second, and that after each gap in its record, is shown
-to the fit, because where the pressures are then can be known from nothing else; it is not scored. Where the
-others do not fix a parameter (only one run comes down to where the Venturi stalls), and where there is only
-one run, every other stretch of two seconds is predicted from all the rest. Every such fit starts from what
-was believed and from the causes' seeds: a number that the shown data do not fix must not be where the unseen
-data have put it.
+Each run is predicted from a fit to all other runs. This fit also sees the first 0.5 s of the run and the
+first 0.5 s after each gap, to find the initial pressures. These parts are not scored.
 
-How sure the gain is follows from drawing blocks of a few seconds again and again (Künsch 1989): errors of a
-simulation are alike from sample to sample, but hardly from block to block.
+Alternate blocks of 2 s are held out instead if there is only one run, or if the other runs do not determine a
+parameter (for example, only one run reaches the pressure at which the Venturi stalls).
+
+Every such fit starts from the nominal rig and from the seeds of the causes. Otherwise information from the
+held-out data would leak into the fit.
+
+The interval of the gain is from a block bootstrap (Künsch 1989): errors of a simulation are correlated from
+sample to sample, but hardly from block to block.
 """
 
 from __future__ import annotations
@@ -26,45 +28,43 @@ from flying_vines.physics.arrays import Array
 
 SHOWN_S = 0.5
 STRETCH_S = 2.0
-
-
 BLOCK_S = 4.0
 FAR = 3.0
-"""Half widths of its interval: a parameter that might as well be so far off is not fixed."""
-ANYWHERE = 4.0
-"""By so little χ²."""
+"""Distance, in half widths of its interval, at which a parameter is tested."""
+MIN_RISE = 4.0
+"""A parameter is not determined if χ² rises by less at this distance."""
 STEPS = 4
 _DRAWS = 1000
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Root mean square errors over the range of what was measured (both channels alike), on unseen data."""
+    """Root mean square errors on unseen data, relative to the measured range; both channels count equally."""
 
     nrmse_before: float
-    """Of the null."""
+    """Error of the null model."""
     nrmse_after: float
-    """Of the chosen causes."""
+    """Error with the chosen causes."""
     noise_floor: float
-    """Of noise alone."""
+    """Error from noise alone."""
     gain: tuple[float, float]
-    """95 % interval of the share of the error that the causes take away; (0, 0) where there are none."""
+    """95 % interval of the relative error reduction by the causes; (0, 0) without causes."""
 
 
 @dataclass(frozen=True)
 class Split:
-    """What a fit is shown, and what it is scored on."""
+    """The data that a fit sees, and the data on which it is scored."""
 
     shown: FitProblem
     scored: tuple[Bools, ...]
-    """Run by run, (n,)."""
+    """For each run, (n,)."""
     fitted: FitPoint
-    """The chosen causes, fitted from nothing to what is shown."""
+    """The chosen causes, fitted to the shown data only."""
 
 
 @dataclass(frozen=True)
 class _Errors:
-    """Of what was predicted, block by block and channel by channel."""
+    """Prediction errors for each block and channel."""
 
     squares: Array
     """(blocks, 2) sums of squared residuals, in units of noise."""
@@ -73,10 +73,10 @@ class _Errors:
 
 
 def held_out(problem: FitProblem, splits: Sequence[Split], null: FitPoint | None) -> HeldOut:
-    """Errors of the null and of the chosen causes, both refitted without what they predict.
+    """Errors of the null model and of the chosen causes, both refitted without the data that they predict.
 
     Args:
-        null: the baseline, if it was not chosen itself.
+        null: the null model; None if it was itself chosen.
     """
     after = _errors(problem, splits, lambda split: split.fitted)
     before = after
@@ -89,18 +89,15 @@ def held_out(problem: FitProblem, splits: Sequence[Split], null: FitPoint | None
 
 
 def unseen_error(problem: FitProblem, splits: Sequence[Split], point: FitPoint) -> float:
-    """The error of some causes alone, as in `HeldOut`, but after two steps from where all data have put
-    them: for a table of those that were not chosen."""
+    """A quick estimate of a candidate's error: two iterations from its fit to all data.
+
+    It is only used for the table of candidates that were not chosen.
+    """
     return float(_nrmse(problem, _errors(problem, splits, lambda split: split.shown.fit(point, 2).point)))
 
 
 def splits_for(problem: FitProblem, chosen: FitPoint, profiles: Sequence[LikelihoodProfile]) -> list[Split]:
-    """What is predicted from what.
-
-    Args:
-        chosen: the causes that are to be judged.
-        profiles: of their parameters.
-    """
+    """All splits for testing the chosen causes, whose parameters have these profiles."""
     every = mapped(lambda i: _of_run(problem, chosen, profiles, i), range(len(problem.case.runs)))
     return [split for splits in every for split in splits]
 
@@ -119,7 +116,7 @@ def _of_run(
 
 
 def _beginnings(time_s: Array, start: NDArray[np.intp]) -> Bools:
-    """The first half second from each start on; of shorter stretches, the first half."""
+    """The first half second after each start; of shorter stretches, the first half."""
     ends = np.append(start[1:], len(time_s)) - 1
     shown_s = np.minimum(SHOWN_S, (time_s[ends] - time_s[start]) / 2.0)
     stretch = np.repeat(np.arange(len(start)), np.diff(np.append(start, len(time_s))))
@@ -128,7 +125,7 @@ def _beginnings(time_s: Array, start: NDArray[np.intp]) -> Bools:
 
 
 def _split(problem: FitProblem, chosen: FitPoint, i: int, unseen: Bools) -> Split:
-    """These samples of a run, from all the rest."""
+    """The split that predicts these samples of a run from all other samples."""
     used = [np.ones(len(run.time_s), dtype=np.bool_) for run in problem.case.runs]
     used[i] = ~unseen
     shown = FitProblem(problem.case, problem.noise_kPa, used)
@@ -136,7 +133,7 @@ def _split(problem: FitProblem, chosen: FitPoint, i: int, unseen: Bools) -> Spli
 
 
 def _fixed(split: Split, profiles: Sequence[LikelihoodProfile]) -> bool:
-    """Whether no parameter can lie far outside its interval, for all that is shown."""
+    """True if the shown data alone determine every parameter."""
     shown, point = split.shown, split.fitted
     least = shown.fit(point, 1).cost
     names = [cause.name for cause in point.causes]
@@ -149,7 +146,7 @@ def _fixed(split: Split, profiles: Sequence[LikelihoodProfile]) -> bool:
             if moved == value:
                 continue
             held = shown.fit(point.pinned(index, number, moved), STEPS)
-            if held.cost + parameter.surprise(parameter.inner(moved)) - least < ANYWHERE:
+            if held.cost + parameter.prior_penalty(parameter.to_search(moved)) - least < MIN_RISE:
                 return False
     return True
 
@@ -170,7 +167,7 @@ def _errors(problem: FitProblem, splits: Sequence[Split], refit: Callable[[Split
 
 
 def _refitted(problem: FitProblem, point: FitPoint) -> FitPoint:
-    """The same causes and free numbers, fitted from nothing."""
+    """The same causes and free numbers, fitted from their starting values."""
     fit = problem.fit(problem.start().freed(tuple(point.deviation)))
     for cause in point.causes:
         fit = problem.begun(fit.point, cause)
@@ -187,7 +184,7 @@ def _gain(problem: FitProblem, before: _Errors, after: _Errors) -> tuple[float, 
 
 
 def _nrmse(problem: FitProblem, errors: _Errors, drawn: NDArray[np.intp] | None = None) -> Array:
-    """Of all blocks; or of each draw of blocks, (draws, blocks)."""
+    """The error over all blocks; or for each draw, if `drawn` (draws, blocks) is given."""
     squares, count = (
         values.sum(axis=0) if drawn is None else values[drawn].sum(axis=1)
         for values in (errors.squares, errors.count)

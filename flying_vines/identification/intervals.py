@@ -1,7 +1,7 @@
-"""How well the data fix a parameter: the profile of χ², all else refitted.
+"""Confidence intervals of parameters, from the profile of χ² with everything else refitted.
 
-The 95 % interval is where χ² (with what is believed) lies less than 3.84 above its least (Wilks 1938). The
-curvature at the least says where to look; where the profile is no parabola, the interval is not symmetric.
+In the 95 % interval the cost (χ² plus priors) is less than 3.84 above its minimum (Wilks 1938). The curvature
+at the minimum gives the first guess. The interval is not symmetric if the profile is not a parabola.
 """
 
 from __future__ import annotations
@@ -18,17 +18,19 @@ from flying_vines.physics.cause import Parameter
 
 ABOVE = 3.84
 NEAR_ENOUGH = 0.25
-MOST_FITS = 8
+MAX_FITS = 8
 STEPS = 6
-FLAT, WALL = 0.04, 10.0
-"""A profile that has risen so little says nothing of where it will; one whose root is so high is a wall."""
+FLAT = 0.04
+"""From a smaller rise of the profile the crossing cannot be extrapolated."""
+WALL = 10.0
+"""If the root of the rise is larger, the search bisects."""
 BLIND = 1e-4
-"""Of a parameter's range: where it is looked first if the curvature does not tell."""
+"""First step if the curvature is zero, as a share of the parameter's range."""
 
 
 @dataclass(frozen=True)
 class LikelihoodProfile:
-    """Of one parameter of a fit."""
+    """The profile of one parameter of a fit, and its 95 % interval."""
 
     cause: str
     parameter: Parameter
@@ -36,29 +38,31 @@ class LikelihoodProfile:
     low: float
     high: float
     value: Array
-    """(n,) rising, where it was looked."""
+    """(n,) rising values at which the profile was computed."""
     above: Array
-    """(n,) how far χ² is above its least there."""
+    """(n,) rise of the cost above its minimum."""
 
 
 def profile(candidate: Candidate, index: int, number: int) -> LikelihoodProfile:
-    """Of the parameter `number` of the cause `index`."""
+    """The profile of the parameter `number` of the cause `index`."""
     problem, point = candidate.problem, candidate.fit.point
     cause = point.causes[index]
     parameter, best = cause.parameters[number], point.values[index][number]
     at = len(point.deviation) + sum(len(c.parameters) for c in point.causes[:index]) + number
-    # Where only jumps move the data, the curvature says nothing.
+    # The curvature is zero if the parameter only changes the data in jumps.
     sd = float(np.sqrt(candidate.covariance[at, at])) or BLIND * parameter.range
     seen = {best: 0.0}
 
-    def above(inner: float) -> float:
-        held = problem.fit(point.pinned(index, number, parameter.outer(inner)), STEPS)
-        seen[parameter.outer(inner)] = difference = held.cost + parameter.surprise(inner) - least
+    def above(x: float) -> float:
+        held = problem.fit(point.pinned(index, number, parameter.to_model(x)), STEPS)
+        seen[parameter.to_model(x)] = difference = held.cost + parameter.prior_penalty(x) - least
         return difference
 
     least = candidate.fit.cost
     low, high = (
-        parameter.outer(_crossing(above, parameter.inner(best), side * 1.96 * sd, parameter.inner(bound)))
+        parameter.to_model(
+            _crossing(above, parameter.to_search(best), side * 1.96 * sd, parameter.to_search(bound))
+        )
         for side, bound in ((-1.0, parameter.low), (1.0, parameter.high))
     )
     values = sorted(seen)
@@ -68,16 +72,15 @@ def profile(candidate: Candidate, index: int, number: int) -> LikelihoodProfile:
 
 
 def _crossing(above: Callable[[float], float], best: float, step: float, bound: float) -> float:
-    """Where a profile comes to `ABOVE`, or its bound if that is nearer.
+    """The value at which a profile rises to `ABOVE`, or the bound if that is nearer.
 
-    √χ² rises straight from the best where the profile is a parabola; where it is none, the crossing is closed
-    in on from both sides.
+    If the profile is a parabola, √χ² is linear. If not, the crossing is bracketed.
     """
     outward = 1.0 if step > 0.0 else -1.0
     under, under_root = best, 0.0
     over = over_root = inf
     where = best + step
-    for _ in range(MOST_FITS):
+    for _ in range(MAX_FITS):
         where = min(where, bound) if outward > 0.0 else max(where, bound)
         height = above(where)
         if where == bound and height < ABOVE:

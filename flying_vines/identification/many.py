@@ -1,9 +1,9 @@
-"""Many cases at once: on all cores of this machine, or on a Dask cluster.
+"""Diagnoses many cases in parallel: on all cores of this machine, or on a Dask cluster.
 
     for path, outcome in diagnose_all(sorted(Path("season").iterdir())): ...
 
-Each case is diagnosed in another process, as many at once as there are cores, each on its share of them.
-A case that cannot be read or diagnosed stops no other.
+There is one process for each core, and the processes share the cores. A case that cannot be read or diagnosed
+does not stop the others.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from flying_vines.identification.recording import CaseError
 from flying_vines.identification.verdict import Verdict
 
 AHEAD = 2
-"""So many cases a process are handed out at once: none waits for work, and no season has to be in memory."""
+"""Queued cases for each process: no process waits for work, and not all cases must be in memory."""
 ANSWER_S = 5.0
-"""Within this a cluster has to answer."""
+"""Timeout of a cluster."""
 CaseOutcome = Verdict | CaseError
 Job = tuple[Path, Case | Path | CaseError]
-"""Where a case is, and the case, or where it is still to be read from, or why it could not be."""
+"""The path of a case, and the case itself, or the path to read it from, or the error from reading it."""
 
 
 class ClusterError(ValueError):
-    """A cluster that cannot be used; its text is one sentence for people."""
+    """A cluster cannot be used; its text is one sentence for people."""
 
 
 def read_any(path: Path | str, rig: Path | str | None = None) -> Case:
-    """The case of a folder of runs, a CSV file, a flight log or its folder; as `read_case`, `read_flight`."""
+    """The case in a folder of runs, a CSV file of any layout, or a flight log."""
     path = Path(path)
     if is_flight(path):
         return read_flight(path, rig)
@@ -50,15 +50,15 @@ def diagnose_all(
     scheduler: str | None = None,
     rig: Path | str | None = None,
 ) -> Iterator[tuple[Path, CaseOutcome]]:
-    """The verdicts as they come, each with its case's path; a CaseError for a case that has none.
+    """The verdicts as they arrive, each with the path of its case; a CaseError if there is no verdict.
 
     Args:
-        cases: what was read, or where it is.
-        workers: how many processes; unless given, as many as this process may use cores.
-        scheduler: the address of a Dask scheduler, whose workers diagnose instead. Files are read here.
-        rig: a rig file for all that are still to be read; unless given, each has its own.
+        cases: cases, or their paths.
+        workers: number of processes; default: the number of cores that this process may use.
+        scheduler: address of a Dask scheduler, whose workers diagnose instead. Files are read here.
+        rig: a rig file for all cases that are given as paths; default: each case has its own.
 
-    Raises ClusterError when there is no such cluster.
+    Raises ClusterError if the cluster cannot be used.
     """
     jobs: Iterable[Job] = [(c.path, c) if isinstance(c, Case) else (Path(c), Path(c)) for c in cases]
     if scheduler is not None:
@@ -70,7 +70,7 @@ def diagnose_all(
         for job in jobs:
             yield job[0], _outcome(job, 0, rig)
         return
-    # Spawned, for a fork would take over locks that threads of numerical libraries hold.
+    # Spawned, because a fork would copy locks that threads of numerical libraries hold.
     with ProcessPoolExecutor(workers, get_context("spawn"), _ignore_interrupts) as pool:
         try:
             yield from _as_they_come(pool, jobs, workers, max(1, cores() // workers), rig)
@@ -93,7 +93,7 @@ def _as_they_come(
 def _handed_out(pool: Executor, job: Job, threads: int, rig: Path | str | None) -> Future[CaseOutcome]:
     try:
         return pool.submit(_outcome, job, threads, rig)
-    except RuntimeError as error:  # a pool that lost a process takes nothing any more
+    except RuntimeError as error:  # a pool that has lost a process accepts no jobs
         lost: Future[CaseOutcome] = Future()
         lost.set_exception(error)
         return lost
@@ -105,7 +105,7 @@ def _finished(waiting: dict[Future[CaseOutcome], Path]) -> Iterator[tuple[Path, 
         try:
             yield path, future.result()
         except Exception as error:
-            yield path, CaseError(f"{path}: no process brought a verdict: {type(error).__name__}: {error}")
+            yield path, CaseError(f"{path}: the process gave no verdict: {type(error).__name__}: {error}")
 
 
 def _read(job: Job, rig: Path | str | None) -> Job:
@@ -117,7 +117,7 @@ def _read(job: Job, rig: Path | str | None) -> Job:
 
 
 def _outcome(job: Job, threads: int, rig: Path | str | None) -> CaseOutcome:
-    """Of one case, in whatever process and thread it is handed out to."""
+    """Diagnose one case in this process."""
     path, what = _read(job, rig)
     if not isinstance(what, Case):
         assert isinstance(what, CaseError)
@@ -125,20 +125,20 @@ def _outcome(job: Job, threads: int, rig: Path | str | None) -> CaseOutcome:
     before = THREADS.set(threads)
     try:
         return diagnose(what)
-    except Exception as error:  # no fault of ours may cost the others their verdicts
+    except Exception as error:  # an error in one case must not stop the others
         return CaseError(f"{path}: could not be diagnosed: {type(error).__name__}: {error}")
     finally:
         THREADS.reset(before)
 
 
 def _ignore_interrupts() -> None:
-    """Whoever started this process ends it."""
+    """Ctrl-C reaches all processes; the parent process ends this one."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
 def _cluster(address: str) -> Iterator[tuple[Executor, int]]:
-    """A cluster's workers, and how many cases they can take at once."""
+    """The workers of a cluster, and the number of cases that they can run in parallel."""
     try:
         from distributed import Client
         from distributed.comm import get_address_host_port
@@ -147,11 +147,11 @@ def _cluster(address: str) -> Iterator[tuple[Executor, int]]:
             f"a scheduler needs {error.name}, which is missing: pip install 'flying-vines[cluster]'"
         ) from None
     try:
-        # A client that is given no address at all would wait for itself when it ends.
+        # A client with an empty address would hang when it closes.
         get_address_host_port(address)
         client = Client(address, timeout=ANSWER_S, set_as_default=False)
     except ValueError as error:
-        raise ClusterError(f"{address}: is no address of a scheduler, as HOST:8786 is: {error}") from None
+        raise ClusterError(f"{address}: is not a scheduler's address such as HOST:8786: {error}") from None
     except OSError:
         raise ClusterError(f"{address}: no Dask scheduler answers there within {ANSWER_S:g} s") from None
     with client:

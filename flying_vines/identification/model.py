@@ -1,9 +1,9 @@
-"""A recorded run, lived by the plant: the gas between samples in as few steps as it takes.
+"""Simulates a recorded run with the plant, in as few steps as the gas allows.
 
-The plant's own right-hand side and its step (`physics.plant.tick.runge_kutta`) do the work. What is different
-from a tick of the firmware: samples may lie anywhere, steps are as long as the gas allows, and a step that
-crosses an edge (the Venturi stalls, the control volume begins to stretch) is divided there. Everything here
-is in the part of Python that numba compiles.
+It uses the plant's right-hand side and its step (`physics.plant.tick.runge_kutta`). Three things differ from
+a tick of the firmware: samples may lie anywhere, steps are as long as the gas allows, and a step that crosses
+an edge (the Venturi stalls, the control volume begins to stretch) is divided there. numba compiles this file.
+EVP is the inflation valve, DVP the valve that supplies the Venturi.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
 from flying_vines.physics.plant.plant import Held
 from flying_vines.physics.plant.rates import Floats, conditions, edges
 from flying_vines.physics.plant.sensors import SensorMemory, Transfer, reading
-from flying_vines.physics.plant.shape import volume_and_work
 from flying_vines.physics.plant.tick import runge_kutta
+from flying_vines.physics.plant.volume import volume_and_work
 
 SETTLED = 1e-3
-"""Of its opening: so near to what it was told, a valve is there."""
+"""A valve has arrived if its opening (0…1) is nearer than this to its target."""
 _ON_EDGE = 1e-7
-"""So near to an edge (kPa, kPa·L) is on it."""
+"""A state nearer than this to an edge (kPa, kPa·L) is on the edge."""
 
 
 def pressurised(
@@ -53,7 +53,7 @@ def pressurised(
 
 
 def step(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held, h: float) -> Floats:
-    """The state `h` seconds on; where an edge lies between, it is stepped to and from."""
+    """The state `h` seconds later. A step over an edge is divided there."""
     if not numbers.has_edges:
         return runge_kutta(numbers, air, at_s, state, held, h)
     seen = edges(numbers, air, at_s, state)
@@ -64,7 +64,7 @@ def step(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held
         over, under, part = seen[edge], found[edge], h
         if (over < 0.0) == (under < 0.0):
             continue
-        # Regula falsi; what has passed an edge is not to be trusted, so it is come to from this side.
+        # Regula falsi, always from this side: a step over the edge is inaccurate.
         for _ in range(4):
             part *= over / (over - under)
             end = runge_kutta(numbers, air, at_s, state, held, part)
@@ -79,14 +79,14 @@ def step(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held
 
 
 def _allowed(valve: ValveNumbers, opening: float, target: float, h: float) -> float:
-    """A step of at most `h` that resolves a valve on its way."""
+    """A step of at most `h` that resolves a moving valve."""
     if h * valve.lag_per_s > 1.0 and abs(opening - target) > SETTLED:
         return 1.0 / valve.lag_per_s
     return h
 
 
 APART = (runge_kutta,)
-"""Called from several places: what the compiler is to keep in one."""
+"""Not inlined by the compiler, because they are called from several places."""
 
 
 def run(
@@ -105,14 +105,14 @@ def run(
     """Simulate one run.
 
     Args:
-        time_s: (n,) when readings are taken; the first is the beginning.
-        switch_s: (m,) rising, when the openings change; the first is at or before the beginning.
-        openings: (m, 3) of EVP, DVP and solenoid, each row from its switching until the next.
-        weather: (n, 2) absolute pressure in kPa and temperature ratio; straight from reading to reading.
-        start: (s,) at which samples the pressures are set anew; the first is 0.
-        initial: (s, 2) to which gauge pressures of reservoir and control volume.
-        longest_s: the longest step with the solenoid shut, and open.
-        out: (n, 2) receives what the sensors of control volume and reservoir would read, kPa gauge.
+        time_s: (n,) times of the readings; the run starts at the first.
+        switch_s: (m,) rising times at which the openings change; the first is not after the start.
+        openings: (m, 3) EVP, DVP and solenoid; a row holds until the next switching time.
+        weather: (n, 2) ambient pressure in kPa absolute, and temperature ratio; linear between readings.
+        start: (s,) indices of the samples at which the pressures are set; the first is 0.
+        initial: (s, 2) gauge pressures of reservoir and control volume that are set there, kPa.
+        longest_s: maximum step with the solenoid shut, and with it open.
+        out: (n, 2) receives the readings of control volume and reservoir, kPa gauge.
     """
     now = time_s[0]
     air = Air(weather[0, 0], 0.0, weather[0, 1], 0.0)
@@ -133,7 +133,7 @@ def run(
                 numbers, air, state, initial[started, 0], initial[started, 1], reservoir_K, cv_K
             )
             found = conditions(numbers, air, state)
-            # A sensor that lags goes on lagging.
+            # The lag of a sensor stays as it was.
             cv_late = cv_seen.lagged_kPa - cv_seen.true_kPa
             reservoir_late = reservoir_seen.lagged_kPa - reservoir_seen.true_kPa
             cv_seen = SensorMemory(found.line_kPa, found.line_kPa + cv_late)
@@ -170,7 +170,7 @@ def run(
                 done += h
                 left = left - h if left - h > 1e-12 else 0.0
                 then = Air(air.kPa + climb * done, climb, air.ratio + warming * done, warming)
-                # A sensor without a lag is asked at the samples only.
+                # A sensor without a lag is only read at the samples.
                 if lagging or (left <= 0.0 and until >= time_s[i + 1]):
                     found = conditions(numbers, then, state)
                     cv_seen, cv_reads = reading(cv_sensor, cv_seen, found.line_kPa, h, 0.0)

@@ -1,9 +1,10 @@
-"""Whether what was recorded can be what its columns say, before anybody fits anything to it.
+"""Checks before any fit that the recorded columns can be what their names say.
 
-Refused is only what no rig gives, however worn: reservoirs of 20 to 900 kPa and control volumes of -60 to
-210 kPa, read with offsets of 25 and 5 kPa, gains off by a fifth, at any altitude, through valves that may be
-blocked, with noise other than believed. Where a level alone does not tell a unit, the noise has to agree, and
-what the baseline lets flow.
+Only recordings that no rig can give are refused, not even a worn one. Such a rig has a reservoir of 20 to
+900 kPa and a control volume of -60 to 210 kPa. Its sensors have offsets up to 25 and 5 kPa, gains wrong by a
+fifth, and another noise than the rig file says. It is at any altitude, and its valves may be blocked. Where
+the level alone does not show the unit, the noise and the flow of the baseline must agree as well. EVP is the
+inflation valve, DVP the valve that supplies the Venturi.
 """
 
 from __future__ import annotations
@@ -23,25 +24,26 @@ from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.rig import Rig
 
-_MOST_OFFSET_KPA = 25.0
+_MAX_OFFSET_KPA = 25.0
 _GLITCHES = 3
-"""As many readings beyond all reason are taken for slips of the recorder, more for another unit."""
-_FEW = 8
-_ENOUGH = 30
-"""Readings, for a noise."""
+"""Up to this many impossible readings are recording errors; more mean another unit."""
+_MIN_READINGS = 8
+_MIN_FOR_NOISE = 30
+"""Minimum readings to estimate the noise."""
 _WIDE = 0.9
-"""An opening that no dead zone or backlash shuts."""
+"""A valve with this command is open, whatever its dead zone or backlash."""
 
 
 class _Channel(NamedTuple):
-    """A pressure column, and between what bounds its readings are."""
+    """A pressure column, and the range of its readings."""
 
     column: str
     field: str
     lowest_kPa: float
     highest_kPa: float
-    least_top_kPa: float
-    """Hardly anybody records a whole run below in another unit, and a weak one in kPa looks like it."""
+    min_top_kPa: float
+    """A run whose highest pressure is lower is not tested for psi, bar and MPa: it is probably a weak run in
+    kPa."""
 
 
 _CV = _Channel("cv_pressure_kPa", "cv_kPa", -130.0, 280.0, 0.0)
@@ -50,17 +52,17 @@ _CHANNELS = (_CV, _RESERVOIR)
 
 
 class _Noise(NamedTuple):
-    """A standard deviation as estimated, in whatever unit the readings are, and what it hardly exceeds."""
+    """Estimated standard deviation, in the unit of the readings, and an upper bound for it."""
 
     std: float
-    at_most: float
+    upper: float
 
 
 class _Unit(NamedTuple):
     name: str
     per_kPa: float
     noise_within: float
-    """How close the noise has to be to what it would be in this unit, as a factor."""
+    """Maximum factor between the measured noise and the noise expected in this unit."""
     otherwise: str = ", or correct the noise in the rig file if this is kPa"
 
 
@@ -70,7 +72,7 @@ _SMALL = (_PSI, _Unit("bar", 0.01, 3.0), _Unit("MPa", 0.001, 3.0))
 
 
 def check(rig: Rig, runs: Mapping[Path, RecordedRun]) -> list[str]:
-    """Remarks. CaseError for the first run that is no recording of a rig like this."""
+    """Remarks about the runs. CaseError for the first run that cannot be from such a rig."""
     for path, run in runs.items():
         _check_swapped(path, run)
         _check_levels(path, run, rig)
@@ -85,28 +87,28 @@ def check(rig: Rig, runs: Mapping[Path, RecordedRun]) -> list[str]:
 
 
 def check_shut(path: Path, name: str, run: RecordedRun, rig: Rig) -> None:
-    """CaseError where a valve that was not recorded cannot have been shut."""
+    """CaseError if a valve that was not recorded must have been open."""
     time_s, cv_kPa = _readings(run, _CV)
     if len(time_s) == 0 or rig.cv is None:
         return
     if name == "evp_opening":
-        # Up to ambient pressure it may fill through the solenoid or a leak.
+        # Below ambient pressure it may also fill through the solenoid or a leak.
         seen = bool(np.any(cv_kPa - np.maximum(np.minimum.accumulate(cv_kPa), 0.0) > 15.0))
         what = "the control volume fills"
     elif name == "dvp_opening":
         seen = bool((cv_kPa < -15.0).sum() > _GLITCHES)
         what = "the control volume is sucked below ambient pressure"
     else:
-        # Nothing else empties it as fast: a leak of the solenoid's size would be a hole.
+        # Nothing else empties it as fast.
         soon = np.searchsorted(time_s, time_s + 3.0 * _vent_s(rig, rig.cv.volume_L), side="right") - 1
         seen = bool(((cv_kPa > 20.0) & (cv_kPa[soon] < 0.25 * cv_kPa)).sum() > _GLITCHES)
-        what = "the control volume empties at once"
+        what = "the control volume empties as fast as through the open solenoid"
     if seen:
         raise CaseError(f"{path}: {what}, but {name} was not recorded; add the column")
 
 
 def _check_swapped(path: Path, run: RecordedRun) -> None:
-    """The reservoir is the higher one, and falls while the other one fills."""
+    """The reservoir has the higher pressure, and its pressure falls while the control volume fills."""
     both = np.isfinite(run.cv_kPa) & np.isfinite(run.reservoir_kPa)
     if not both.any() or np.median((run.cv_kPa - run.reservoir_kPa)[both]) < 40.0:
         return
@@ -117,8 +119,8 @@ def _check_swapped(path: Path, run: RecordedRun) -> None:
     falls = _change(run.cv_kPa, fills) < 0.0 and _change(run.reservoir_kPa, fills) > slack_kPa
     if falls or (exchanged and _top(run.reservoir_kPa) <= _CV.highest_kPa):
         raise CaseError(
-            f"{path}: {_CV.column} and {_RESERVOIR.column} look swapped: the second is to be the higher one, "
-            "which falls when the inflation valve opens; exchange their names"
+            f"{path}: {_CV.column} and {_RESERVOIR.column} look swapped: the reservoir's pressure is the "
+            "higher one, and it falls when the inflation valve opens; exchange the two names"
         )
 
 
@@ -140,34 +142,34 @@ def _check_levels(path: Path, run: RecordedRun, rig: Rig) -> None:
         if beyond.sum() <= _GLITCHES and len(readings) > 4 * _GLITCHES:
             at = int(np.argmax(beyond))
             raise CaseError(
-                f"{where}: reads {readings[at]:g} at {time_s[at]:.6g} s, which no such sensor gives; "
-                "leave the cell empty if it is a slip"
+                f"{where}: reads {readings[at]:g} at {time_s[at]:.6g} s, which such a sensor cannot give; "
+                "leave the cell empty if it is a recording error"
             )
         top, bottom = _top(readings), _bottom(readings)
         for unit in _LARGE:
             if channel.highest_kPa < top <= channel.highest_kPa * unit.per_kPa:
                 raise _other_unit(where, f"reads up to {top:.4g}", unit)
         raise CaseError(
-            f"{where}: reads {bottom:.4g} to {top:.4g}, which is no gauge pressure in kPa of such a rig "
-            f"({channel.lowest_kPa:g} to {channel.highest_kPa:g}); check the unit and the column's name"
+            f"{where}: reads {bottom:.4g} to {top:.4g}; gauge pressures of such a rig are "
+            f"{channel.lowest_kPa:g} to {channel.highest_kPa:g} kPa; check the unit and the column's name"
         )
 
 
 def _check_ambient(path: Path, run: RecordedRun) -> None:
     if run.ambient_kPa is not None and not 40.0 <= (level := float(np.nanmedian(run.ambient_kPa))) <= 115.0:
         raise CaseError(
-            f"{path}: ambient_pressure_kPa: is about {level:.4g}, and the air has 40 to 115 kPa absolute; "
+            f"{path}: ambient_pressure_kPa: is about {level:.4g}; real values are 40 to 115 kPa absolute; "
             "check the unit, or remove the column"
         )
     if run.ambient_C is not None and not -60.0 <= (level := float(np.nanmedian(run.ambient_C))) <= 80.0:
         raise CaseError(
-            f"{path}: ambient_temperature_C: is about {level:.4g}, and the air has -60 to 80 °C; "
+            f"{path}: ambient_temperature_C: is about {level:.4g}; real values are -60 to 80 °C; "
             "check the unit, or remove the column"
         )
 
 
 def check_discharge(path: Path, run: RecordedRun, rig: Rig) -> None:
-    """CaseError where a reservoir of which only the pressure was recorded has no open outlet."""
+    """CaseError if only the reservoir's pressure was recorded and it does not fall as in a discharge."""
     time_s, readings = _readings(run, _RESERVOIR)
     tau_s = rig.evp.flow_resistance_kPa_s_per_SL * rig.reservoir.volume_L / ALPHA_KPA
     expected_kPa = readings[0] * -np.expm1((time_s[0] - time_s[-1]) / tau_s)
@@ -179,19 +181,19 @@ def check_discharge(path: Path, run: RecordedRun, rig: Rig) -> None:
 
 
 def _check_small_units(rig: Rig, runs: Mapping[Path, RecordedRun]) -> None:
-    """psi, bar and MPa give numbers that a weak reservoir could give in kPa, but with too little noise."""
-    believed_kPa = {_CV: rig.sensors.cv_noise_std_kPa, _RESERVOIR: rig.sensors.reservoir_noise_std_kPa}
+    """Numbers in psi, bar or MPa look like low pressures in kPa, but with too little noise."""
+    noise_kPa = {_CV: rig.sensors.cv_noise_std_kPa, _RESERVOIR: rig.sensors.reservoir_noise_std_kPa}
     for channel in _CHANNELS:
-        # Runs with readings too high for psi know the noise better than the rig file does, unless they bend.
+        # Runs with readings too high for psi give a better noise than the rig file (valves shut).
         level = channel.highest_kPa * _PSI.per_kPa
         sure = [run for run in runs.values() if _top(getattr(run, channel.field)) > level]
         seen_kPa = [_noise(run, channel, only_quiet=True).std for run in sure]
         if np.isfinite(seen_kPa).any():
-            believed_kPa[channel] = float(np.nanmedian(seen_kPa))
+            noise_kPa[channel] = float(np.nanmedian(seen_kPa))
     for path, run in runs.items():
-        cv, reservoir = (_small_unit(run, channel, believed_kPa[channel]) for channel in _CHANNELS)
+        cv, reservoir = (_small_unit(run, channel, noise_kPa[channel]) for channel in _CHANNELS)
         if np.isfinite(run.cv_kPa).any() and (cv is None) != (reservoir is None):
-            # With one wrong column the air that flows is wrong by the unit as well.
+            # If only one column has the wrong unit, the air balance is wrong by the same factor.
             flow = _flow_ratio(run, rig)
             reservoir = reservoir if flow > 3.5 else None
             cv = cv if flow < 1.0 / 3.5 else None
@@ -208,14 +210,14 @@ def _small_unit(run: RecordedRun, channel: _Channel, noise_kPa: float) -> _Unit 
         return None
     for unit in _SMALL:
         expected = noise_kPa * unit.per_kPa
-        close = expected / unit.noise_within < noise.std and noise.at_most < expected * unit.noise_within
-        if close and channel.least_top_kPa * unit.per_kPa < top <= channel.highest_kPa * unit.per_kPa:
+        close = expected / unit.noise_within < noise.std and noise.upper < expected * unit.noise_within
+        if close and channel.min_top_kPa * unit.per_kPa < top <= channel.highest_kPa * unit.per_kPa:
             return unit
     return None
 
 
 def _check_cv_absolute(rig: Rig, runs: Mapping[Path, RecordedRun]) -> None:
-    """An absolute sensor rests at ambient pressure, not at zero."""
+    """An absolute sensor reads ambient pressure when the vine is vented; a gauge sensor reads zero."""
     if rig.cv is None:
         return
     settled_s = 0.2 + 3.0 * _vent_s(rig, rig.cv.volume_L)
@@ -224,7 +226,7 @@ def _check_cv_absolute(rig: Rig, runs: Mapping[Path, RecordedRun]) -> None:
     rises = False
     for path, run in runs.items():
         _, readings = _readings(run, _CV)
-        if len(readings) < _FEW:
+        if len(readings) < _MIN_READINGS:
             continue
         low_kPa = _bottom(readings)
         vented = run.cv_kPa[_held_for(run, (run.solenoid > 0.0) & (run.dvp_opening == 0.0), settled_s)]
@@ -235,8 +237,8 @@ def _check_cv_absolute(rig: Rig, runs: Mapping[Path, RecordedRun]) -> None:
         ambient_kPa = (
             STANDARD_PRESSURE_KPA if run.ambient_kPa is None else float(np.nanmedian(run.ambient_kPa))
         )
-        least_kPa = 20.0 if run.dvp_opening.any() else begin_kPa - 4.0
-        never_below &= abs(begin_kPa - ambient_kPa) < 6.0 and low_kPa > least_kPa
+        min_kPa = 20.0 if run.dvp_opening.any() else begin_kPa - 4.0
+        never_below &= abs(begin_kPa - ambient_kPa) < 6.0 and low_kPa > min_kPa
         rises |= _top(readings) > begin_kPa + 5.0
     if begins and never_below and rises:
         path, begin_kPa = next(iter(begins.items()))
@@ -244,7 +246,7 @@ def _check_cv_absolute(rig: Rig, runs: Mapping[Path, RecordedRun]) -> None:
 
 
 def _check_reservoir_absolute(path: Path, run: RecordedRun, rig: Rig) -> None:
-    """It empties to zero, not to ambient pressure, through a valve so far open that nothing blocks it."""
+    """Through an open valve a gauge reading falls to zero, an absolute one to ambient pressure."""
     outlet = (run.to_atmosphere | (run.solenoid > 0.0)) & (run.evp_opening >= _WIDE)
     per_R = np.where(outlet, 1.0 / rig.evp.flow_resistance_kPa_s_per_SL, 0.0)
     per_R += np.where(run.dvp_opening >= _WIDE, 1.0 / rig.dvp.flow_resistance_kPa_s_per_SL, 0.0)
@@ -264,13 +266,13 @@ def _check_reservoir_absolute(path: Path, run: RecordedRun, rig: Rig) -> None:
 
 
 def _check_time_unit(path: Path, run: RecordedRun, rig: Rig) -> None:
-    """In milliseconds the valves would have let out far more air than is missing."""
+    """If times in milliseconds are read as seconds, the valves would have let out far too much air."""
     step_s = float(np.median(np.diff(run.time_s)))
     _, readings = _readings(run, _RESERVOIR)
-    if step_s < 0.5 or len(readings) < _FEW:
+    if step_s < 0.5 or len(readings) < _MIN_READINGS:
         return
-    # What an offset alone may read of an empty bottle lets nothing out.
-    surely_there = replace(run, reservoir_kPa=run.reservoir_kPa - _MOST_OFFSET_KPA)
+    # The sensor of an empty reservoir may read its offset, but no air flows out of it.
+    surely_there = replace(run, reservoir_kPa=run.reservoir_kPa - _MAX_OFFSET_KPA)
     ratio = _lost_through_valves(surely_there, rig) / max(_lost(readings), 5.0)
     if ratio > 30.0:
         unit = "microseconds" if ratio > 30_000.0 else "milliseconds"
@@ -281,7 +283,7 @@ def _check_time_unit(path: Path, run: RecordedRun, rig: Rig) -> None:
 
 
 def _check_stuck(path: Path, run: RecordedRun, rig: Rig) -> None:
-    """The same to the last digit, although the valves move, or one is so far open that it has to move."""
+    """A stuck reading is exactly constant although the valves move, or although the pressure must change."""
     wide = run.evp_opening >= _WIDE
     has_to_move = {
         _CV: _filled_through_evp(run, rig, wide) > 20.0,
@@ -324,7 +326,7 @@ def _absolute(path: Path, channel: _Channel, what: str) -> CaseError:
 
 
 def is_ambient(kPa: float) -> bool:
-    """Absolute, from 5 km above the sea down, with a sensor's offset."""
+    """True if this can be the absolute ambient pressure below 5 km, read with a sensor's offset."""
     return 50.0 < kPa < 127.0
 
 
@@ -336,12 +338,16 @@ def _readings(run: RecordedRun, channel: _Channel) -> tuple[Array, Array]:
 
 
 def _all_readings(run: RecordedRun) -> dict[_Channel, Array]:
-    """Of the pressures that were recorded."""
-    return {channel: readings for channel in _CHANNELS if len(readings := _readings(run, channel)[1]) >= _FEW}
+    """Readings of each recorded pressure."""
+    return {
+        channel: readings
+        for channel in _CHANNELS
+        if len(readings := _readings(run, channel)[1]) >= _MIN_READINGS
+    }
 
 
 def _top(values: Array) -> float:
-    """The highest but for slips; NaN where there are hardly any readings."""
+    """Highest reading without recording errors; NaN if there are too few readings."""
     readings = np.sort(values[np.isfinite(values)])
     return float(readings[-1 - _GLITCHES]) if len(readings) > _GLITCHES else np.nan
 
@@ -351,7 +357,7 @@ def _bottom(values: Array) -> float:
 
 
 def _lost(readings: Array) -> float:
-    """From the beginning to the end."""
+    """Fall of the readings from start to end."""
     part = max(3, len(readings) // 20)
     return float(np.median(readings[:part]) - np.median(readings[-part:]))
 
@@ -361,29 +367,29 @@ def _moves(run: RecordedRun) -> bool:
 
 
 def _spells(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Where a mask is true on end: from, and up to but without."""
+    """Intervals [first, last) in which the mask is true."""
     edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
     return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
 
 
-def _held_for(run: RecordedRun, mask: NDArray[np.bool_], least_s: float) -> NDArray[np.bool_]:
-    """Where a mask has been true for so long."""
+def _held_for(run: RecordedRun, mask: NDArray[np.bool_], min_s: float) -> NDArray[np.bool_]:
+    """Samples at which the mask has been true for `min_s`."""
     held = np.zeros_like(mask)
     for first, last in _spells(mask):
-        held[first:last] = run.time_s[first:last] - run.time_s[first] >= least_s
+        held[first:last] = run.time_s[first:last] - run.time_s[first] >= min_s
     return held
 
 
 def _change(values: Array, mask: NDArray[np.bool_]) -> float:
-    """What a pressure rises by, summed over the intervals that begin where the mask is true."""
+    """Rise of a pressure, summed over the sample intervals that begin where the mask is true."""
     return float(np.nansum(np.diff(values)[mask[:-1]]))
 
 
 def _noise(run: RecordedRun, channel: _Channel, *, only_quiet: bool = False) -> _Noise:
-    """Of the readings about a straight line through their neighbours; NaN of too few.
+    """Noise of the readings about a straight line through their neighbours; NaN if there are too few.
 
-    Nothing bends while all valves are shut. Over all readings bends only add to it, but so many more may
-    still bound it lower.
+    While all valves are shut, the pressure curve is straight. The estimate from all readings also includes
+    the curvature, but it has more readings, so its upper bound may still be lower: the lower bound is used.
     """
     t, x = _readings(run, channel)
     later = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
@@ -392,17 +398,17 @@ def _noise(run: RecordedRun, channel: _Channel, *, only_quiet: bool = False) -> 
     quiet = off[~(busy[:-2] | busy[1:-1])]
     step = resolution(x)
     parts = (quiet,) if only_quiet else (quiet, off)
-    noises = (_spread(part, step) for part in parts if len(part) >= _ENOUGH)
-    return min(noises, key=lambda noise: noise.at_most, default=_Noise(np.nan, np.nan))
+    noises = (_spread(part, step) for part in parts if len(part) >= _MIN_FOR_NOISE)
+    return min(noises, key=lambda noise: noise.upper, default=_Noise(np.nan, np.nan))
 
 
 def _spread(off: Array, step: float) -> _Noise:
-    """Of deviations between readings that are whole steps."""
+    """Noise from deviations; `step` is the resolution of the readings."""
     size = np.abs(off)
-    # The median alone needs twice as many to be as sure.
+    # The median alone would need twice as many readings for the same accuracy.
     std = float(np.sqrt(np.mean(np.minimum(size, 3.0 * 1.4826 * np.median(size)) ** 2)))
-    # Neighbours share readings: the estimate is good to 1 / sqrt(n), not to 1 / sqrt(2 n). And what is less
-    # than half a step may not show at all.
+    # Neighbours share readings, so the relative error is 1 / sqrt(n), not 1 / sqrt(2 n). Noise below half a
+    # step may not show at all.
     return _Noise(std, max(std * float(np.exp(2.0 / np.sqrt(len(off)))), 0.5 * step))
 
 
@@ -412,13 +418,13 @@ def _vent_s(rig: Rig, cv_L: float) -> float:
 
 
 def _filled(run: RecordedRun, channel: _Channel) -> Array:
-    """A pressure at every sample, straight between readings; zero where it was not recorded."""
+    """A pressure at every sample, linear between readings; zero if it was not recorded."""
     t, x = _readings(run, channel)
     return np.interp(run.time_s, t, x) if len(t) else np.zeros_like(run.time_s)
 
 
 def _through_evp(run: RecordedRun, rig: Rig, where: NDArray[np.bool_]) -> Array:
-    """Standard litres that the baseline lets through the inflation valve from each sample to the next."""
+    """Standard litres through the inflation valve in the baseline, from each sample to the next."""
     drop_kPa = np.maximum(_filled(run, _RESERVOIR) - _filled(run, _CV), 0.0)
     flow = np.where(where, run.evp_opening, 0.0) * drop_kPa / rig.evp.flow_resistance_kPa_s_per_SL
     volume: Array = flow * np.diff(run.time_s, append=run.time_s[-1])
@@ -426,7 +432,7 @@ def _through_evp(run: RecordedRun, rig: Rig, where: NDArray[np.bool_]) -> Array:
 
 
 def _lost_through_valves(run: RecordedRun, rig: Rig, where: NDArray[np.bool_] | None = None) -> float:
-    """What the reservoir loses in the baseline at the pressures that were recorded, kPa."""
+    """Pressure loss of the reservoir in the baseline at the recorded pressures, kPa."""
     everywhere = np.ones(len(run.time_s), dtype=bool) if where is None else where
     motive = np.where(everywhere, run.dvp_opening, 0.0) * np.maximum(_filled(run, _RESERVOIR), 0.0)
     motive *= np.diff(run.time_s, append=run.time_s[-1]) / rig.dvp.flow_resistance_kPa_s_per_SL
@@ -434,14 +440,14 @@ def _lost_through_valves(run: RecordedRun, rig: Rig, where: NDArray[np.bool_] | 
 
 
 def _filled_through_evp(run: RecordedRun, rig: Rig, where: NDArray[np.bool_]) -> float:
-    """What the control volume gains in the baseline while the solenoid is shut, likewise."""
+    """Pressure gain of the control volume in the baseline while the solenoid is shut, kPa."""
     if rig.cv is None:
         return 0.0
     return float(ALPHA_KPA / rig.cv.volume_L * _through_evp(run, rig, where & (run.solenoid == 0.0)).sum())
 
 
 def _flow_ratio(run: RecordedRun, rig: Rig) -> float:
-    """What the control volume gained over what it gains in the baseline; NaN where neither is much."""
+    """Measured over simulated gain of the control volume's pressure; NaN if both are small."""
     fills = (run.evp_opening > 0.0) & (run.solenoid == 0.0)
     gained, expected = _change(run.cv_kPa, fills), _filled_through_evp(run, rig, fills)
     if not np.isfinite(run.reservoir_kPa).any() or max(gained, expected) < 20.0:

@@ -1,4 +1,4 @@
-"""What was recorded of a rig, and the error that says why it cannot be used."""
+"""A recorded run of a rig, and the error of a recording that cannot be used."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from flying_vines.physics.arrays import Array
 
 
 class CaseError(ValueError):
-    """A case that cannot be read; its text is one line that says what is wrong, where, and what to do."""
+    """A case cannot be read. Its text is one line: where, what is wrong, and what to do."""
 
     def __init__(self, text: str) -> None:
         super().__init__(one_line(text))
@@ -17,17 +17,18 @@ class CaseError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class RecordedRun:
-    """One recorded run, an element a sample; gauge pressures. The arrays are of one length and read-only.
+    """One recorded run. All arrays have one element for each sample and are read-only; pressures are gauge.
 
-    Time rises strictly. Inputs hold from their sample until the next. A pressure is NaN where there is no
-    reading, all NaN where it was not recorded; at least one pressure was.
+    Time rises strictly. An input holds until the next sample. A pressure is NaN where there is no reading,
+    and all NaN if it was not recorded; at least one pressure was recorded. EVP is the inflation valve, DVP
+    the valve that supplies the Venturi.
     """
 
     name: str
-    """The file's, without its ending."""
+    """File name without its ending."""
     time_s: Array
     command_kPa: Array | None
-    """NaN where nothing regulated, None where nothing is known to have."""
+    """NaN while the regulator was off; None if it was not recorded."""
     evp_opening: Array
     dvp_opening: Array
     solenoid: Array
@@ -35,7 +36,8 @@ class RecordedRun:
     cv_kPa: Array
     reservoir_kPa: Array
     ambient_kPa: Array | None
-    """Absolute. Of the air around, what was not read is on a straight line between readings."""
+    """Absolute; linear between readings."""
     ambient_C: Array | None
+    """Linear between readings."""
     to_atmosphere: bool
-    """No control volume: what passes the inflation valve is gone."""
+    """No control volume: the inflation valve discharges to atmosphere."""

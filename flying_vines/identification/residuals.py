@@ -1,11 +1,12 @@
-"""What is left after a fit: is it noise, and if not, what does it depend on?
+"""Tests whether the residuals of a fit are noise. If not, finds the quantity on which they depend.
 
-Residuals of a simulation that lacks something are alike from sample to sample, and small where their sign
-changes; their sum of squares alone says little. So they are looked at in groups of samples that have
-something in common (a stretch of time, a time since a valve turned, a pressure, an opening): of noise alone
-the mean of n residuals has the variance 1/n, and the sum of n·mean² over g groups is χ² with g degrees of
-freedom. A regulator acts on what it reads: a low reading opens a valve. So a sample is put into its group by
-what the valves did before it, not by what they did because of it.
+If the model lacks an effect, successive residuals are correlated, and their sum of squares alone does not
+show it. So samples are put into groups by one feature: an interval of time, the time since a valve moved, a
+pressure, an opening. With noise alone, the mean of n residuals has the variance 1/n, and the sum of n·mean²
+over g groups is χ² with g degrees of freedom.
+
+A low reading makes the regulator open a valve. So the feature of a sample only uses valve movements before
+it: a movement that the sample's own noise has caused would make noise look like an effect.
 """
 
 from __future__ import annotations
@@ -23,41 +24,42 @@ from flying_vines.physics.arrays import Array
 CHANNELS = ("control volume", "reservoir")
 STRETCHES_S = (0.1, 0.5, 2.5, 10.0)
 SINCE_S = (0.0, 0.025, 0.05, 0.08, 0.15, 0.3, 0.7, 1.5, 5.0, np.inf)
-FEWEST = 4
-"""Samples in a group."""
+MIN_SAMPLES = 4
+"""Minimum samples in a group."""
 CLASSES = 8
 LN10 = log(10.0)
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """What the residuals of one channel do with one thing that they may depend on."""
+    """Mean residuals of one channel, grouped by one feature."""
 
     channel: str
     feature: str
     unit: str
     centre: Array
-    """(groups,) of the feature."""
+    """(groups,) mean of the feature."""
     mean: Array
-    """(groups,) residual in units of noise."""
+    """(groups,) mean residual in units of noise."""
     count: Array
-    surprise: float
-    """−log₁₀ of how often noise alone makes means as large as these."""
+    """(groups,) samples."""
+    log_p: float
+    """−log₁₀ p: p is the probability that noise alone gives means as large as these."""
 
 
 def patterns(problem: FitProblem, fit: Fit) -> list[Pattern]:
-    """All that are looked for, the strongest first."""
+    """Patterns of all channels and features, the strongest first."""
     found = []
     for row, channel in enumerate(CHANNELS):
         residual = np.concatenate([r[row] for r in fit.residuals])
         measured = np.concatenate([w[row] > 0.0 for w in problem.weights])
-        if np.count_nonzero(measured) < 2 * FEWEST:
+        if np.count_nonzero(measured) < 2 * MIN_SAMPLES:
             continue
         for feature, unit, value, group in _features(problem, fit):
             pattern = _pattern(channel, feature, unit, residual, value, np.where(measured, group, -1))
             if pattern is not None:
                 found.append(pattern)
-    return sorted(found, key=lambda pattern: -pattern.surprise)
+    return sorted(found, key=lambda pattern: -pattern.log_p)
 
 
 def _pattern(
@@ -66,18 +68,18 @@ def _pattern(
     kept = group >= 0
     _, index = np.unique(group[kept], return_inverse=True)
     count = np.bincount(index).astype(float)
-    enough = count >= FEWEST
+    enough = count >= MIN_SAMPLES
     if np.count_nonzero(enough) < 1:
         return None
     mean = np.bincount(index, residual[kept])[enough] / count[enough]
     centre = np.bincount(index, value[kept])[enough] / count[enough]
     count = count[enough]
-    surprise = -float(stats.chi2.logsf(float(count @ mean**2), len(count))) / LN10
-    return Pattern(channel, feature, unit, centre, mean, count, surprise)
+    log_p = -float(stats.chi2.logsf(float(count @ mean**2), len(count))) / LN10
+    return Pattern(channel, feature, unit, centre, mean, count, log_p)
 
 
 def _features(problem: FitProblem, fit: Fit) -> Iterator[tuple[str, str, Array, Array]]:
-    """Each: its name and unit, its value and its group (negative: none), over all samples of all runs."""
+    """Name, unit, value and group (negative: none) of each feature, for all samples of all runs."""
     case = problem.case
     times = [run.time_s - run.time_s[0] for run in case.runs]
     since_start = np.concatenate(times)
@@ -97,7 +99,7 @@ def _features(problem: FitProblem, fit: Fit) -> Iterator[tuple[str, str, Array, 
     if all(run.ambient_C is not None for run in case.runs):
         ambient_C = np.concatenate([run.ambient_C for run in case.runs if run.ambient_C is not None])
         yield "temperature around", "°C", ambient_C, _classes(ambient_C)
-    # As simulated: what was measured shares its noise with the residual.
+    # Simulated, because a measured pressure has the same noise as the residual.
     simulated = problem.simulated(fit.point)
     for row, label in enumerate(("control volume's pressure", "reservoir's pressure")):
         value = np.concatenate([pressures[row] for pressures in simulated])
@@ -111,18 +113,18 @@ def _features(problem: FitProblem, fit: Fit) -> Iterator[tuple[str, str, Array, 
 
 
 def _classes(value: Array) -> Array:
-    """Groups of about equally many samples."""
+    """Groups of about equal size."""
     edges = np.unique(np.quantile(value, np.linspace(0.0, 1.0, CLASSES + 1)[1:-1]))
     return np.digitize(value, edges).astype(float)
 
 
 def _before(value: Array) -> Array:
-    """What held until each sample."""
+    """The value just before each sample."""
     return np.concatenate((value[:1], value[:-1]))
 
 
 def _since(time_s: Array, value: Array, sign: float) -> Array:
-    """Seconds since a valve was last told to move this way, before this sample; infinite if never."""
+    """Seconds since the valve's last command in this direction, before this sample; infinite if none."""
     moved = np.flatnonzero(sign * np.diff(value) > 1e-9) + 1
     last = np.searchsorted(moved, np.arange(len(time_s)), side="left") - 1
     since = np.full(len(time_s), np.inf)

@@ -1,4 +1,4 @@
-"""A verdict on a terminal."""
+"""Prints a verdict on a terminal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ RANKED = 8
 
 
 def show(verdict: Verdict, console: Console) -> None:
-    """Print the verdict in plain words, its evidence, and what was tried."""
+    """Print the verdict in words, its evidence, and all candidates."""
     facts = Table.grid(padding=(0, 2))
     facts.add_column(style="bold")
     facts.add_column(overflow="fold")
@@ -20,9 +20,9 @@ def show(verdict: Verdict, console: Console) -> None:
     for named in verdict.named:
         for parameter, estimate in named.parameters.items():
             facts.add_row(named.cause, f"{parameter}  {_estimate(estimate)}")
-    facts.add_row("Sure", f"{verdict.confidence:.0%}")
+    facts.add_row("Confidence", f"{verdict.confidence:.0%}")
     if verdict.indistinguishable:
-        facts.add_row("As well", ", ".join(verdict.indistinguishable))
+        facts.add_row("Or", ", ".join(verdict.indistinguishable))
     errors = verdict.held_out
     facts.add_row(
         "Unseen data",
@@ -30,7 +30,7 @@ def show(verdict: Verdict, console: Console) -> None:
         f"noise alone {errors.noise_floor:.2%}",
     )
     if verdict.remainder:
-        facts.add_row("What is left", f"depends most on {verdict.remainder}")
+        facts.add_row("Residuals", f"depend most on {verdict.remainder}")
     if verdict.next_experiment:
         facts.add_row("Next", verdict.next_experiment)
     for cause in catalogue():
@@ -43,24 +43,25 @@ def show(verdict: Verdict, console: Console) -> None:
 
 
 def in_words(verdict: Verdict) -> str:
-    """One or two sentences."""
+    """The verdict in one or two sentences."""
     if verdict.cause == NONE:
         return "The baseline explains the data to within noise and tolerances."
     if verdict.cause == UNEXPLAINED:
-        return "Something is there that no known cause accounts for." + _nearest(verdict)
+        return "No known cause explains the difference between data and simulation." + _nearest(verdict)
     what = {cause.name: cause.what for cause in catalogue()}
     return " And: ".join(what[named.cause] for named in verdict.named)
 
 
 def _nearest(verdict: Verdict) -> str:
-    """What accounts for a part of it, as far as that can be said."""
+    """The candidate that explains the largest part; empty if there is none."""
     best = verdict.ranking[0]
     (baseline,) = (tried for tried in verdict.ranking if not tried.causes)
     over_noise = baseline.chi2_per_reading - 1.0
     if not best.causes or over_noise <= 0.0:
         return ""
     share = (baseline.chi2_per_reading - best.chi2_per_reading) / over_noise
-    return f" Nearest comes {' with '.join(best.causes)}, with {min(share, 1.0):.1%} of what is above noise."
+    causes = " with ".join(best.causes)
+    return f" The best candidate, {causes}, explains {min(share, 1.0):.1%} of the error above noise."
 
 
 def _estimate(estimate: ParameterEstimate) -> str:
@@ -69,9 +70,9 @@ def _estimate(estimate: ParameterEstimate) -> str:
 
 def _ranking(verdict: Verdict) -> Table:
     table = Table(
-        box=None, padding=(0, 2, 0, 0), title="What was tried, the best first", title_justify="left"
+        box=None, padding=(0, 2, 0, 0), title="All candidates, the best first", title_justify="left"
     )
-    table.add_column("cause, and what it measures", overflow="fold")
+    table.add_column("cause and parameters", overflow="fold")
     table.add_column("χ²/n", justify="right")
     table.add_column("unseen", justify="right")
     table.add_column("evidence", justify="right")
@@ -88,7 +89,7 @@ def _ranking(verdict: Verdict) -> Table:
             f"{-tried.score / 2.0:,.1f}" if tried.score else "best",
         )
     table.caption = (
-        "evidence: its natural logarithm, under the best; unseen: error on data that the fit never saw"
+        "evidence: natural logarithm, relative to the best; unseen: error on data that the fit has not seen"
     )
     table.caption_justify = "left"
     return table

@@ -1,4 +1,4 @@
-"""The verdicts of many cases: a line each as they come, and how often each cause was named."""
+"""Prints the verdicts of many cases, one line each, and how often each cause was named."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ FAILED = "no verdict"
 def show_all(
     outcomes: Iterable[tuple[Path, CaseOutcome]], total: int, as_json: bool, console: Console
 ) -> bool:
-    """Print outcomes as they come. Whether every case has a verdict."""
+    """Print outcomes as they arrive. True if every case has a verdict."""
     seen: list[tuple[Path, CaseOutcome]] = []
-    # What is written elsewhere must stay clean, whatever the terminal shows.
+    # A redirected output must not contain the progress bar.
     screen = console if console.is_terminal else Console(stderr=True)
     bar = Progress(
         BarColumn(),
@@ -49,7 +49,7 @@ def show_all(
 
 
 def as_object(path: Path, outcome: CaseOutcome) -> dict[str, object]:
-    """As a verdict of the rig-data format, with the case's path; `error` instead where there is none."""
+    """The verdict in the rig-data format with the path of the case; or `error` if there is no verdict."""
     if isinstance(outcome, CaseError):
         return {"case": str(path), "error": str(outcome)}
     return {"case": str(path), **outcome.as_json()}
@@ -58,8 +58,8 @@ def as_object(path: Path, outcome: CaseOutcome) -> dict[str, object]:
 def line(path: Path, outcome: CaseOutcome) -> Text:
     """One case in one line."""
     if isinstance(outcome, CaseError):
-        said = str(outcome)
-        return Text.assemble((f"{FAILED}  ", "bold red"), said if str(path) in said else f"{path}: {said}")
+        error = str(outcome)
+        return Text.assemble((f"{FAILED}  ", "bold red"), error if str(path) in error else f"{path}: {error}")
     style = {NONE: "green", UNEXPLAINED: "yellow"}.get(outcome.cause, "bold")
     text = Text.assemble(f"{path}  ", (_causes(outcome), style), f"  {outcome.confidence:.0%}")
     for name, value in outcome.parameters.items():
@@ -70,7 +70,7 @@ def line(path: Path, outcome: CaseOutcome) -> Text:
 
 
 def summary(outcomes: Sequence[tuple[Path, CaseOutcome]]) -> Table:
-    """How often each answer was given."""
+    """A table of the number of cases for each verdict."""
     counts = Counter(FAILED if isinstance(o, CaseError) else _causes(o) for _, o in outcomes)
     table = Table(box=None, padding=(0, 2, 0, 0), title=f"{len(outcomes)} cases", title_justify="left")
     table.add_column("verdict")

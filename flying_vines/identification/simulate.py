@@ -1,4 +1,4 @@
-"""A case's runs, simulated with some causes in the rig."""
+"""Simulates the runs of a case with some causes in the rig."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ from flying_vines.physics.plant.commands import Commands, followed, steps_of, to
 from flying_vines.physics.plant.compiled import weather_at
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Opening
-from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.numbers import PlantNumbers, heat_per_s, numbers_of
 from flying_vines.physics.plant.sensors import Sensor
 from flying_vines.physics.plant.setup import Setup, perfect
 from flying_vines.physics.plant.simulator import TICK_S
+from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.rig import ControlVolume, Rig, with_numbers
 
-LONGEST_STEP_S = 0.05
+MAX_STEP_S = 0.05
 QUICK_WALL_S = 0.002
 _STEP = 0.25
-"""Of the quickest time constant: there Runge–Kutta of fourth order errs by 1e-5 of what is left to settle."""
+"""Step over the fastest time constant. Fourth-order Runge-Kutta then errs by 1e-5 of the remaining change."""
 
 GAP = 8.0
-"""Of the usual time between samples: what is longer is a gap."""
+"""A longer time between samples, in median sampling intervals, is a gap."""
 MISSING = 1.7
-"""Likewise: in between a row is missing, if the others come on time."""
+"""A longer time between samples, in median sampling intervals, means a missing row if sampling is regular."""
 BUSY = 3
-"""Valves are busy if one was moved within so many samples."""
+"""The valves are busy if one has moved within this many samples."""
 ON_TIME, ON_TIME_SHARE = 0.1, 0.8
-"""They do if so many of the times between samples are as usual, but for this share."""
+"""Sampling is regular if 80 % of the intervals differ from the median by less than 10 %."""
 
-BELIEVED = (
+RIG_NUMBERS = (
     "reservoir.volume_L",
     "cv.volume_L",
     "evp.flow_resistance_kPa_s_per_SL",
@@ -51,16 +51,16 @@ BELIEVED = (
     "venturi.full_vacuum_kPa",
     "venturi.rated_supply_kPa",
 )
-"""What a rig file believes and a fit may move, by its key there."""
+"""Keys of the rig file's numbers that a fit may move within their tolerances."""
 
 
-def believed_keys(rig: Rig) -> tuple[str, ...]:
-    """Of the numbers that a rig has."""
-    return tuple(key for key in BELIEVED if rig.cv is not None or key != "cv.volume_L")
+def rig_number_keys(rig: Rig) -> tuple[str, ...]:
+    """Keys of the numbers that this rig has."""
+    return tuple(key for key in RIG_NUMBERS if rig.cv is not None or key != "cv.volume_L")
 
 
-def believed_spread(rig: Rig, key: str) -> float:
-    """Standard deviation of a number that is anywhere within its tolerance, as a share."""
+def prior_std(rig: Rig, key: str) -> float:
+    """Relative standard deviation of a rig number: that of a uniform distribution within its tolerance."""
     return rig.tolerance(key) / 100.0 / sqrt(3.0)
 
 
@@ -72,8 +72,7 @@ class Prepared(NamedTuple):
     weather: Array
     to_atmosphere: bool
     start: NDArray[np.intp]
-    """Samples from which on the pressures are unknown: the first, and each after a gap in the record, in
-    which nobody knows what the valves did."""
+    """Samples with unknown initial pressures: the first, and each one after a gap in the record."""
 
 
 class Made(NamedTuple):
@@ -84,7 +83,7 @@ class Made(NamedTuple):
     reservoir_sensor: np.void
     effects: Effects
     longest_s: tuple[float, float]
-    """Steps with the solenoid shut, and open."""
+    """Maximum step with the solenoid shut, and with it open."""
 
 
 class Simulation:
@@ -93,7 +92,7 @@ class Simulation:
     def __init__(self, case: Case) -> None:
         self.rig = case.rig
         self.runs = tuple(_prepared(run) for run in case.runs)
-        # Derivatives by initial pressures ask for the same rig again and again.
+        # Derivatives by initial pressures use the same rig many times.
         self._made = lru_cache(64)(self._make)
         self._switchings = lru_cache(64)(self._switch)
 
@@ -104,13 +103,13 @@ class Simulation:
         causes: Sequence[tuple[Cause, Values]],
         initial: Array,
     ) -> ModelReadings:
-        """What the sensors would have read in a run.
+        """Simulated readings of a run.
 
         Args:
-            index: of the run.
-            moved: numbers of the rig that are not as believed, by their keys.
-            causes: what is in the rig, with their parameters' values.
-            initial: (starts, 2) gauge pressures of reservoir and CV at each of the run's starts, kPa.
+            index: number of the run.
+            moved: rig numbers that are not nominal, by key.
+            causes: causes in the rig, with their parameter values.
+            initial: (starts, 2) gauge pressures of reservoir and CV at each start of the run, kPa.
         """
         run = self.runs[index]
         made = self._made(tuple(moved.items()), tuple(causes), run.to_atmosphere)
@@ -149,7 +148,7 @@ class Simulation:
         solenoid: SolenoidTiming | None,
         own: tuple[tuple[Callable[[Commands, Values], Commands], Values], ...],
     ) -> tuple[Array, Array]:
-        """When the valves of a run switch, and what they then do."""
+        """Switching times of a run's valves, and the openings from each time on."""
         commands = followed(self.runs[index].commands, evp, dvp, solenoid)
         for change, values in own:
             commands = change(commands, values)
@@ -162,7 +161,7 @@ class Simulation:
         to_atmosphere: bool,
     ) -> Made:
         rig = with_numbers(self.rig, dict(moved))
-        # Causes of a control volume do nothing where there is none.
+        # A discharge has no control volume: causes that need one get a default, which has no effect.
         setup = perfect(rig if rig.cv is not None else replace(rig, cv=ControlVolume()))
         for cause, values in causes:
             names = [parameter.name for parameter in cause.parameters]
@@ -174,7 +173,7 @@ class Simulation:
             raise ValueError("a fit takes openings as recorded, and cannot simulate a coil")
         numbers = numbers_of(setup.plant, TICK_S)
         shut_s, open_s = (
-            min(LONGEST_STEP_S, _STEP / _quickest_per_s(numbers, setup, law))
+            min(MAX_STEP_S, _STEP / _quickest_per_s(numbers, setup, law))
             for law in (Opening(), numbers.solenoid)
         )
         sensors = (_sensor(setup.cv_sensor), _sensor(setup.reservoir_sensor))
@@ -188,7 +187,7 @@ def _compiled() -> Callable[..., None]:
 
 
 def _sensor(sensor: Sensor) -> np.void:
-    # A converter's steps have no derivative, and noise covers them.
+    # Converter steps have no derivative, and the noise hides them.
     return record(replace(sensor, adc=None).numbers)
 
 
@@ -205,8 +204,10 @@ def _prepared(run: RecordedRun) -> Prepared:
 
 
 def _starts(run: RecordedRun) -> NDArray[np.intp]:
-    """Where a run begins, and where it begins again: after a gap, and after a missing row in which valves may
-    have been moved unseen: if they were busy, or a regulator was at work, which may open one for a row."""
+    """Indices at which the pressures are unknown: the first sample, and those after a gap or a missing row.
+
+    A missing row only counts if a valve may have moved in it: the valves were busy, or a regulator was on.
+    """
     between = np.diff(run.time_s)
     usual = np.median(between)
     again = between > GAP * usual
@@ -221,7 +222,7 @@ def _starts(run: RecordedRun) -> NDArray[np.intp]:
 
 
 def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> float:
-    """The inverse of the quickest time constant that an explicit integrator has to resolve."""
+    """The inverse of the fastest time constant that an explicit integrator must resolve."""
     n = numbers
     lagging = max(setup.cv_sensor.time_constant_s, setup.reservoir_sensor.time_constant_s) > 0.0
     evp = n.evp.law.conductance_SL_per_s_kPa
@@ -234,12 +235,12 @@ def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> f
     elif n.has_cv:
         rates.append(GAMMA * ALPHA_KPA * at_the_valves / n.cv.flat_L)
     if lagging:
-        # A straight line over a step has to be near what the pressure does there.
+        # The sensor model takes the pressure as linear over a step, so steps must be short.
         rates.append(10.0 * max(rates))
     walls = ((n.reservoir_heat, 1.0 / n.reservoir_per_L), (n.cv_heat, n.cv.flat_L))
     for wall_per_s in (heat_per_s(heat, volume_L) for heat, volume_L in walls):
         if wall_per_s > 0.0:
-            # Where heat comes and goes within milliseconds, gas hardly leaves the ambient temperature.
+            # If heat exchange takes milliseconds, the gas stays near ambient temperature.
             wall_s = 1.0 / wall_per_s
             rates.append(_STEP / max(_STEP * wall_s, min(wall_s, QUICK_WALL_S)))
     return max(rates)

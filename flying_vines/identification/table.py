@@ -1,7 +1,7 @@
-"""A CSV file as columns of numbers. What cannot be read is said with file, line and column.
+"""Reads a CSV file as columns of numbers. Errors name file, line and column.
 
-The line that names the columns is the first with `time_s` in it, commented out or not. Commas, semicolons or
-tabs separate; numbers have a decimal point. Empty lines and lines that start with `#` are passed over.
+The header is the first line with `time_s` in it; it may be a comment. Separators are commas, semicolons or
+tabs; numbers have a decimal point. Empty lines and lines that start with `#` are skipped.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
 @dataclass(frozen=True)
 class RunTable:
-    """The cells of a file, by the name of their column."""
+    """The cells of a file, by column name."""
 
     path: Path
     header: str
-    """`file:line` of the names."""
+    """`file:line` of the header."""
     columns: Mapping[str, Sequence[str]]
     lines: Sequence[int]
-    """Where each row stands in the file."""
+    """Line number of each row in the file."""
     remarks: Sequence[str]
 
     def numbers(self, name: str) -> Array:
@@ -46,7 +46,7 @@ class RunTable:
         except ValueError:
             values = np.array([self._number(row, name) for row in range(len(cells))], dtype=np.float64)
         self.refuse(name, np.isinf(values), "is not a finite number; leave the cell empty")
-        # Python reads 1_0 as ten, and nobody writes ten like this.
+        # Python reads 1_0 as ten.
         self.refuse(name, np.array(["_" in cell for cell in cells], dtype=bool), "is not a number")
         return values
 
@@ -55,7 +55,7 @@ class RunTable:
         words = [_WORDS.get(cell.strip().casefold(), cell) for cell in self.columns[name]]
         values = replace(self, columns={name: words}).numbers(name)
         odd = ~np.isnan(values) & (values != 0.0) & (values != 1.0)
-        self.refuse(name, odd, "is neither 0 (shut) nor 1 (open); check which column is which")
+        self.refuse(name, odd, "is neither 0 (shut) nor 1 (open); check the column names")
         return values
 
     def refuse(self, name: str, odd: NDArray[np.bool_], why: str) -> None:
@@ -65,7 +65,7 @@ class RunTable:
             raise CaseError(f"{self.place(row, name)}: {_short(self.columns[name][row])} {why}")
 
     def place(self, row: int, name: str) -> str:
-        """What an error about a cell begins with."""
+        """The place of a cell, for error texts."""
         return f"{self.path}:{self.lines[row]}: {name}"
 
     def _number(self, row: int, name: str) -> float:
@@ -84,7 +84,7 @@ class RunTable:
 
 
 def read_table(path: Path) -> RunTable:
-    """The cells of a CSV file. CaseError where it is none."""
+    """The cells of a CSV file. CaseError if it is not one."""
     lines = _lines_of(path)
     at, separator, names = _names(path, lines)
     header = f"{path}:{at + 1}"
@@ -95,17 +95,17 @@ def read_table(path: Path) -> RunTable:
             raise CaseError(f"{header}: two columns are named {name}; remove one")
     remarks = []
     if any(_is_content(line) for line in lines[:at]):
-        remarks.append(f"{path.name}: what stands above the line of column names is ignored")
+        remarks.append(f"{path.name}: the lines above the column names are ignored")
     kept = [number for number in range(at + 1, len(lines)) if _is_content(lines[number])]
     rows = list(_rows(path, lines, kept, separator))
     if rows and (len(rows[-1]) < len(names) or (lines[-1] and _is_cut_off(rows))):
-        remarks.append(f"{path.name}: the last line is cut off, and left out")
+        remarks.append(f"{path.name}: the last line is incomplete and left out")
         del rows[-1], kept[-1]
     for number, row in zip(kept, rows, strict=True):
         if len(row) < len(names) or any(cell.strip() for cell in row[len(names) :]):
             raise CaseError(
-                f"{path}:{number + 1}: has {len(row)} cells where there are {len(names)} columns; "
-                "each row needs one cell a column, and numbers a decimal point"
+                f"{path}:{number + 1}: has {len(row)} cells, but there are {len(names)} columns; "
+                "write one cell for each column, and numbers with a decimal point"
             )
     cells = list(zip(*rows, strict=False)) or [()] * len(names)
     columns = dict(zip(names, cells, strict=False))
@@ -119,20 +119,20 @@ def _rows(path: Path, lines: Sequence[str], kept: Sequence[int], separator: str)
         try:
             row = next(reader)
         except csv.Error as error:
-            raise CaseError(f"{path}:{number + 1}: is no line of a CSV: {error}") from None
+            raise CaseError(f"{path}:{number + 1}: is not a CSV line: {error}") from None
         if reader.line_num != index + 1:
             raise CaseError(f"{path}:{number + 1}: a quotation mark is not closed; remove it")
         yield row
 
 
 def _is_cut_off(rows: Sequence[Sequence[str]]) -> bool:
-    """Whether the last number lacks decimals that all others have: the power failed while it was written."""
+    """True if the last number has fewer decimals than all others: the power failed while it was written."""
     *others, last = (len(row[-1].strip().partition(".")[2]) for row in rows)
     return len(set(others)) == 1 and len(rows[-1][-1].strip()) > 0 and last < others[0]
 
 
 def _names(path: Path, lines: Sequence[str]) -> tuple[int, str, list[str]]:
-    """The column names: on which line (from 0) they stand, and what separates them."""
+    """Line number of the header (from 0), separator, and column names."""
     for comment in (False, True):
         for at, line in enumerate(lines):
             if TIME not in line or (comment and _COMMENT.match(line) is None):
@@ -166,7 +166,7 @@ def _lines_of(path: Path) -> list[str]:
 
 
 def _is_content(line: str) -> bool:
-    """Neither a comment nor empty, nor what a spreadsheet writes for an empty row."""
+    """False for a comment, an empty line, and an empty spreadsheet row (separators only)."""
     bare = line.strip(" \t,;")
     return bool(bare) and not bare.startswith("#")
 
@@ -179,13 +179,13 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _no_names(path: Path, lines: Sequence[str]) -> str:
-    """Why there is no line of column names."""
+    """The error text if there is no header."""
     contents = [(number, line) for number, line in enumerate(lines, start=1) if _is_content(line)]
     if not contents:
         return f"{path}: is empty; remove it, or record again"
     number, line = contents[0]
     names = _cells(line, _separator(line))
-    need = "the first line has to name the columns: time_s, evp_opening, cv_pressure_kPa and so on"
+    need = "the first line must name the columns: time_s, evp_opening, cv_pressure_kPa and so on"
     try:
         float(names[0].strip().replace(",", "."))
     except ValueError:
@@ -193,5 +193,5 @@ def _no_names(path: Path, lines: Sequence[str]) -> str:
     return f"{path}:{number}: the columns have no names; {need}"
 
 
-def _short(text: str, most: int = 30) -> str:
-    return repr(text if len(text) <= most else text[: most - 1] + "…")
+def _short(text: str, max_length: int = 30) -> str:
+    return repr(text if len(text) <= max_length else text[: max_length - 1] + "…")

@@ -1,4 +1,4 @@
-"""What the evidence says, for people and machines."""
+"""The verdict of a diagnosis, and its JSON."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class ParameterEstimate:
 
 @dataclass(frozen=True)
 class Named:
-    """A cause and what it measures."""
+    """A cause and its fitted parameters."""
 
     cause: str
     parameters: dict[str, ParameterEstimate]
@@ -32,59 +32,58 @@ class Named:
 
 @dataclass(frozen=True)
 class Tried:
-    """A candidate that was fitted: what its causes measure, and how well it explains the data."""
+    """A fitted candidate: the parameters of its causes, and how well it explains the data."""
 
     named: tuple[Named, ...]
-    """Empty for the baseline alone; intervals by the curvature at the fit."""
+    """Empty for the baseline alone. Intervals are from the curvature at the fit."""
     on_bound: tuple[str, ...]
-    """Parameters that would be where no rig is: evidence against."""
+    """Parameters on the bound of their physical range, which is evidence against the cause."""
     chi2_per_reading: float
     score: float
-    """−2 ln of the evidence, above the best candidate's."""
+    """−2 ln of the evidence, relative to the best candidate."""
     unseen_nrmse: float | None
-    """As in `HeldOut`; of the best candidates only."""
+    """See `HeldOut`; only for the best candidates."""
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """Their names."""
+        """Names of the causes."""
         return tuple(named.cause for named in self.named)
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The answer to: what does the baseline simulation get wrong about this rig?"""
+    """The cause of the difference between a rig and its baseline simulation."""
 
     cause: str
     """A name from the catalogue, `none` or `unexplained`."""
     confidence: float
-    """Probability that `cause` and `indistinguishable` hold the cause."""
+    """Probability that the true cause is `cause` or one of `indistinguishable`."""
     indistinguishable: tuple[str, ...]
-    """Others that these data cannot tell apart from it, or from one that is in `also`."""
+    """Other causes that these data cannot tell apart from `cause`, or from one in `also`."""
     parameters: dict[str, ParameterEstimate]
     also: tuple[Named, ...]
     """Further causes that still improve held-out data."""
     numbers: dict[str, float]
-    """Believed numbers that the data move within their tolerances, by their keys; all of them, or none."""
+    """Fitted rig numbers within their tolerances, by key; empty if nominal numbers explain the data."""
     held_out: HeldOut
     ranking: tuple[Tried, ...]
-    """All that was tried, the best evidence first."""
+    """All candidates, the best evidence first."""
     next_experiment: str
-    """What to record to settle what is open; empty when nothing is."""
+    """What to record to answer the open question; empty if there is none."""
     remainder: str
-    """What is left depends most on this; empty when nothing but noise is left."""
+    """The feature on which the residuals depend most; empty if they are noise."""
     remarks: tuple[str, ...]
     evidence: Evidence
-    """The arrays behind it."""
 
     @property
     def named(self) -> tuple[Named, ...]:
-        """The main cause and the further ones; empty where there is none to name."""
+        """The main cause and the further ones; empty if no cause is named."""
         if self.cause in (NONE, UNEXPLAINED):
             return ()
         return (Named(self.cause, self.parameters), *self.also)
 
     def as_json(self) -> dict[str, Any]:
-        """As the rig-data format fixes it."""
+        """The verdict in the rig-data format."""
         return {
             "cause": self.cause,
             "confidence": round(self.confidence, 4),
@@ -106,7 +105,7 @@ class Verdict:
 
 
 def parameters_json(parameters: Mapping[str, ParameterEstimate]) -> dict[str, dict[str, float]]:
-    """Each with the ends of its interval."""
+    """Estimate and interval of each parameter."""
     return {name: {"estimate": e.estimate, "low": e.low, "high": e.high} for name, e in parameters.items()}
 
 

@@ -1,1 +1,1 @@
-"""The service on a drone: what systemd and udev must know of it, shown, put there and undone."""
+"""Installs and removes the service on a drone: files for systemd and udev."""

@@ -1,4 +1,4 @@
-"""The changes of an installation or removal below a root folder: first found and shown, then made."""
+"""The file changes of an installation or removal below a root folder: found and shown, then made."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from flying_vines.install.files import File
 class How(Enum):
     NEW = "new"
     CHANGED = "changed"
-    TAKEN_AWAY = "taken away"
-    AS_IT_IS = "as it is"
+    REMOVED = "removed"
+    UNCHANGED = "unchanged"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,10 +29,10 @@ class FileChange:
     before: str = ""
     after: str = ""
     why: str = ""
-    """Why it stays as it is."""
+    """Why the file is not changed."""
 
     def lines(self) -> Iterator[str]:
-        """What a person reads before agreeing: the new text, or the difference."""
+        """The lines to show before the change: the new text, or the difference."""
         if self.how is How.NEW:
             yield from self.after.splitlines()
         elif self.how is How.CHANGED:
@@ -41,19 +41,19 @@ class FileChange:
 
     def make(self) -> None:
         """Raises `OSError` if it fails."""
-        if self.how is How.TAKEN_AWAY:
+        if self.how is How.REMOVED:
             on_disk.take_away(self.path)
-        elif self.how is not How.AS_IT_IS:
+        elif self.how is not How.UNCHANGED:
             on_disk.put(self.path, self.after)
 
 
 def below(root: Path, path: Path) -> Path:
-    """A path of the machine, below `root`."""
+    """An absolute path, moved below `root`."""
     return root / path.relative_to("/")
 
 
 def installing(wanted: Iterable[File], root: Path) -> list[FileChange]:
-    """The change of each file. Raises `OSError` for one that cannot be read."""
+    """The change of each file. Raises `OSError` if an old file cannot be read."""
     return [_installed(file, below(root, file.path)) for file in wanted]
 
 
@@ -77,7 +77,7 @@ def holds_anything(folder: Path) -> bool:
     return folder.is_dir() and any(folder.iterdir())
 
 
-def take_away_empty(folder: Path) -> None:
+def remove_empty(folder: Path) -> None:
     if folder.is_dir() and not holds_anything(folder):
         folder.rmdir()
 
@@ -86,17 +86,16 @@ def _installed(file: File, path: Path) -> FileChange:
     if not path.exists():
         return FileChange(path, How.NEW, after=file.text)
     if file.of_people:
-        return FileChange(path, How.AS_IT_IS, why="an existing profile stays")
+        return FileChange(path, How.UNCHANGED, why="an existing profile stays")
     before = _read(path)
     if before == file.text:
-        return FileChange(path, How.AS_IT_IS, why="it is already installed")
+        return FileChange(path, How.UNCHANGED, why="it is already installed")
     return FileChange(path, How.CHANGED, before, file.text)
 
 
 def _removed(path: Path, why_not: str) -> FileChange:
-    return FileChange(path, How.AS_IT_IS, why=why_not) if why_not else FileChange(path, How.TAKEN_AWAY)
+    return FileChange(path, How.UNCHANGED, why=why_not) if why_not else FileChange(path, How.REMOVED)
 
 
 def _read(path: Path) -> str:
-    # Any content can be compared and shown.
     return path.read_text(encoding="utf-8", errors="replace")

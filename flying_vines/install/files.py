@@ -1,4 +1,4 @@
-"""The files of the service and their contents. Reads only its own templates."""
+"""The files to install, and their contents from templates."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PROFILE = Path("/etc/flying-vines/vine.toml")
 STATE = Path("/var/lib/flying-vines")
 FLIGHTS = STATE / "flights"
 
-HEAD = "# Written by `flying-vines install-service`; `flying-vines install-service --remove` takes it away.\n"
+HEAD = "# Written by `flying-vines install-service`; `flying-vines install-service --remove` deletes it.\n"
 """The first line of each file that we write."""
 
 PORT = "serial:/dev/phlosar"
@@ -35,7 +35,7 @@ _PLAIN_SERIAL_NUMBER = re.compile(r"[\w.-]+", re.ASCII)
 
 @dataclass(frozen=True, slots=True)
 class File:
-    """A file to install. If it is `of_people`, an existing one stays as it is."""
+    """A file to install. `of_people`: an existing file is not changed."""
 
     path: Path
     text: str
@@ -43,7 +43,7 @@ class File:
 
 
 def unit(command: Iterable[str], user: str, profile: Path, read: Iterable[Path], write: Path) -> File:
-    """The systemd unit. The service must `read` these paths and `write` into this folder."""
+    """The systemd unit. The service needs access to `read` (paths) and `write` (folder)."""
     if not _USER_NAME.fullmatch(user):
         raise InstallError(f"{user!r} is not a valid user name: use a-z, 0-9, _ and -")
     words = [*command, "run", "--config", str(profile), "--out", str(FLIGHTS)]
@@ -62,13 +62,13 @@ def rule(board: UsbBoard) -> File:
     which = f'ATTRS{{idVendor}}=="{board.vendor_id:04x}", ATTRS{{idProduct}}=="{board.product_id:04x}"'
     if board.serial_number is not None:
         if not _PLAIN_SERIAL_NUMBER.fullmatch(board.serial_number):
-            raise InstallError(f"{board}: udev cannot match such a serial number; leave it out")
+            raise InstallError(f"{board}: udev cannot match this serial number; remove it from the id")
         which += f', ATTRS{{serial}}=="{board.serial_number}"'
     return _filled(RULE, board=which)
 
 
 def users() -> File:
-    """The user of the service, without a login."""
+    """The service's user, without a login."""
     return _filled(USERS, user=USER, state=str(STATE))
 
 

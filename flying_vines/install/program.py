@@ -1,4 +1,4 @@
-"""Where the running flying-vines is installed, and whether the user of the service can run it from there."""
+"""Where this flying-vines is installed, and whether the service's user can run it there."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from pathlib import Path
 
 import flying_vines
 
-GONE_AFTER_A_START = tuple(map(Path, ("/tmp", "/var/tmp", "/run", "/dev/shm")))
+VOLATILE_FOLDERS = tuple(map(Path, ("/tmp", "/var/tmp", "/run", "/dev/shm")))
 
 
 class InstallError(Exception):
-    """It cannot be installed. The text is one line that says why, and what to do."""
+    """The service cannot be installed. The text is one line: why, and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class InstalledProgram:
-    """Its command, and the paths that must be readable for it to run."""
+    """The command, and the paths that must be readable to run it."""
 
     command: tuple[str, ...]
     places: tuple[Path, ...]
 
     @classmethod
     def here(cls) -> InstalledProgram:
-        """The running program; without a command of its own, `python -m flying_vines`."""
+        """The running program; `python -m flying_vines` if there is no `flying-vines` command."""
         schemes = (sysconfig.get_default_scheme(), sysconfig.get_preferred_scheme("user"))
         scripts = (Path(sysconfig.get_path("scripts", scheme)) / "flying-vines" for scheme in schemes)
         script = next((path for path in scripts if os.access(path, os.X_OK)), None)
@@ -40,14 +40,14 @@ class InstalledProgram:
 
 @dataclass(frozen=True, slots=True)
 class FileReader:
-    """The user that reads files. One that does not exist yet has no number and no groups."""
+    """The user that reads files. A user that does not exist yet has no uid and no groups."""
 
     name: str
     uid: int = -1
     groups: frozenset[int] = frozenset()
 
     def may(self, path: Path, bits: int) -> bool:
-        """Whether all of `bits` (4 read, 1 pass through) are granted."""
+        """True if the user has all permission `bits`: 4 read, 1 enter a folder."""
         if self.uid == 0:
             return True
         status = path.stat()
@@ -62,10 +62,10 @@ class FileReader:
 def check_reachable(places: Iterable[Path], reader: FileReader) -> None:
     """Raises `InstallError` if `reader` cannot read one of these places, now or after a restart."""
     for place in places:
-        # The link and its target must both be readable.
+        # A link and its target must both be readable.
         for path in dict.fromkeys((place.absolute(), place.resolve())):
-            if any(path.is_relative_to(folder) for folder in GONE_AFTER_A_START):
-                raise InstallError(f"{path} is deleted when the machine restarts: {_ELSEWHERE}")
+            if any(path.is_relative_to(folder) for folder in VOLATILE_FOLDERS):
+                raise InstallError(f"{path} is deleted when the computer restarts: {_ELSEWHERE}")
             if ".cache" in path.parts:
                 raise InstallError(f"{path} is in a cache, which can be emptied at any time: {_ELSEWHERE}")
             closed = _closed(path, reader)

@@ -8,7 +8,7 @@
     dP_r/dt  = −α (Q_e + Q_m) / V_r
     dP_cv/dt =  α (Q_e − Q_o) / V_cv
 
-Pressures in kPa gauge, flows in standard litres per second. Plain floats, for a thousand steps a second.
+Pressures in kPa gauge, flows in standard litres per second. Plain floats, for 1000 steps a second.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from flying_vines.physics.rig import Rig
 
 
 class BaselineState(NamedTuple):
-    """kPa gauge."""
+    """Pressures, kPa gauge."""
 
     reservoir_kPa: float
     cv_kPa: float
 
 
 class Inputs(NamedTuple):
-    """Openings 0…1; the solenoid open or closed."""
+    """Openings 0…1 of EVP (inflation valve) and DVP (Venturi's supply valve); solenoid: True if open."""
 
     evp: float
     dvp: float
@@ -35,7 +35,7 @@ class Inputs(NamedTuple):
 
 
 class BaselineFlows(NamedTuple):
-    """Standard litres per second."""
+    """Flows, standard litres per second."""
 
     evp_SL_per_s: float
     motive_SL_per_s: float
@@ -43,7 +43,7 @@ class BaselineFlows(NamedTuple):
 
 
 def flows(rig: Rig, state: BaselineState, inputs: Inputs) -> BaselineFlows:
-    """What flows through each valve. Without a control volume the inflation valve opens to atmosphere."""
+    """The flow through each valve. Without a control volume the inflation valve opens to atmosphere."""
     reservoir_kPa, cv_kPa = state
     evp, dvp, solenoid = inputs
     inflation = evp * (reservoir_kPa - cv_kPa) / rig.evp.flow_resistance_kPa_s_per_SL
@@ -53,7 +53,7 @@ def flows(rig: Rig, state: BaselineState, inputs: Inputs) -> BaselineFlows:
     venturi = rig.venturi
     vacuum_kPa = venturi.full_vacuum_kPa * dvp * min(1.0, reservoir_kPa / venturi.rated_supply_kPa)
     outlet = (cv_kPa + vacuum_kPa) / rig.solenoid.flow_resistance_kPa_s_per_SL
-    # A running Venturi lets nothing back in; a Venturi at rest is an open pipe.
+    # No backflow while the Venturi runs; free flow both ways while it is off.
     if dvp > 0.0 and outlet < 0.0:
         outlet = 0.0
     return BaselineFlows(inflation, motive, outlet)
@@ -69,9 +69,9 @@ def derivatives(rig: Rig, state: BaselineState, inputs: Inputs) -> tuple[float, 
 
 
 def step(rig: Rig, state: BaselineState, inputs: Inputs, dt_s: float) -> BaselineState:
-    """The state `dt_s` later, inputs held (Runge-Kutta of fourth order, one step).
+    """The state `dt_s` later with constant inputs: one fourth-order Runge-Kutta step.
 
-    Good while `dt_s` is short against the quickest time constant, R_sol V_cv / α: 69 ms for the vine.
+    Accurate if `dt_s` is short against the fastest time constant, R_sol V_cv / α: 69 ms for the vine.
     """
     reservoir, cv = state
     half = dt_s / 2.0

@@ -1,8 +1,7 @@
-"""What a cause is: a named effect that the baseline lacks, its parameters, and what it does to a rig.
+"""A cause: a named effect that the baseline lacks, its parameters, and its change of a rig.
 
-`apply` takes a plant with its sensors, and the parameters by their names, and gives the plant with the
-effect in it. The simulation and the fit both run that plant. To add a cause, add a file to `effects` with one
-`CAUSE` in it.
+`apply` takes a plant with its sensors, and the parameters by name, and returns the plant with the effect. The
+simulation and the fit both run that plant. To add a cause, add a file to `effects` with one `CAUSE` in it.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ Values = tuple[float, ...]
 
 
 class ModelReadings(NamedTuple):
-    """(n,) kPa gauge."""
+    """Simulated readings, each (n,) kPa gauge."""
 
     cv_kPa: NDArray[np.float64]
     reservoir_kPa: NDArray[np.float64]
@@ -32,51 +31,51 @@ class ModelReadings(NamedTuple):
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number that a fit may choose."""
+    """A fitted number of a cause."""
 
     name: str
     """With its unit."""
     low: float
+    """Lower bound of real rigs."""
     high: float
-    """Beyond these no rig is; a fit that ends here is evidence against the cause."""
+    """Upper bound of real rigs. A fit that ends on a bound is evidence against the cause."""
     seeds: tuple[float, ...]
-    """Where fits begin: far enough apart that one of them finds the way."""
+    """Starting values of fits, far enough apart that one of them converges."""
     neutral: float | None
-    """Where the cause does nothing; may be infinite. None where it always does something."""
+    """The value without effect; may be infinite. None if every value has an effect."""
     source: str
-    """Of the range."""
+    """Source of the range."""
     logarithmic: bool = False
-    """Whether the fit moves along its logarithm."""
+    """True if the search scale is the logarithm."""
     typical: tuple[float, float] | None = None
-    """Mean and standard deviation over rigs (of the logarithm, if that is moved): what stands where the data
-    say nothing."""
+    """Prior: mean and standard deviation over rigs, on the search scale."""
 
-    def inner(self, value: float) -> float:
-        """What the fit moves."""
+    def to_search(self, value: float) -> float:
+        """The value on the search scale."""
         return log(value) if self.logarithmic else value
 
     @property
     def range(self) -> float:
-        """Of what the fit moves."""
-        return self.inner(self.high) - self.inner(self.low)
+        """Width of the range on the search scale."""
+        return self.to_search(self.high) - self.to_search(self.low)
 
-    def within(self, inner: float) -> float:
-        """The value there, or the bound if that is nearer."""
-        return self.outer(min(max(inner, self.inner(self.low)), self.inner(self.high)))
+    def within(self, searched: float) -> float:
+        """The value at a point of the search scale, clipped to the bounds."""
+        return self.to_model(min(max(searched, self.to_search(self.low)), self.to_search(self.high)))
 
     def share(self, value: float) -> float:
-        """How far along its range a value is, 0…1."""
-        return (self.inner(value) - self.inner(self.low)) / self.range if self.range > 0.0 else 0.5
+        """Position of a value within its range, 0…1."""
+        return (self.to_search(value) - self.to_search(self.low)) / self.range if self.range > 0.0 else 0.5
 
-    def surprise(self, inner: float) -> float:
-        """How far from typical a value is: squared, in standard deviations."""
+    def prior_penalty(self, searched: float) -> float:
+        """Squared distance from the prior's mean, in standard deviations."""
         if self.typical is None:
             return 0.0
         mean, sd = self.typical
-        return ((inner - mean) / sd) ** 2
+        return ((searched - mean) / sd) ** 2
 
-    def outer(self, inner: float) -> float:
-        return exp(inner) if self.logarithmic else inner
+    def to_model(self, searched: float) -> float:
+        return exp(searched) if self.logarithmic else searched
 
 
 @dataclass(frozen=True)
@@ -85,20 +84,21 @@ class Cause:
 
     name: str
     what: str
-    """In plain words, what is different in the rig."""
+    """The difference in the rig, in plain words."""
     parameters: tuple[Parameter, ...]
     experiment: str
-    """A minute's recording that shows it best."""
+    """A recording of about a minute that shows it best."""
     apply: Callable[..., Setup] | None = None
     commands: Callable[[Commands, Values], Commands] | None = None
-    """What a bench's valves do beside: only a fit knows it, as the next."""
+    """A further change of the valve commands; only used in fits."""
     readings: Callable[[ModelReadings, Values], ModelReadings] | None = None
+    """A further change of the readings; only used in fits."""
 
     def put_into(self, setup: Setup, parameters: Mapping[str, float]) -> Setup:
         """The setup with this cause."""
         return self.apply(setup, **parameters) if self.apply else setup
 
     def seeds(self) -> list[Values]:
-        """Where fits begin: the first parameter's seeds, the others where they begin first."""
+        """Starting values of fits: each seed of the first parameter, with the first seed of the others."""
         rest = tuple(parameter.seeds[0] for parameter in self.parameters[1:])
         return [(seed, *rest) for seed in self.parameters[0].seeds]

@@ -1,8 +1,9 @@
-"""Plain functions over numbers, compiled: the same source, about ninety times as fast.
+"""Compiles plain functions over numbers with numba: the same source, about 90 times as fast.
 
-Numba compiles the functions as they stand, with everything that they call: each is rebuilt with globals in
-which the names of other functions are the compiled ones, so that no source knows of it. What was compiled is
-kept on disk, under a name that changes with any of the sources.
+A function is compiled with everything that it calls. Each function is rebuilt with globals in which the other
+functions are compiled, so the sources need no decorator and run without numba. The machine code is cached on
+disk. The cache key covers all functions, because numba's own cache only sees changes in the file of the
+entry.
 """
 
 from __future__ import annotations
@@ -29,15 +30,15 @@ _TYPES = {float: "f8", int: "i8", bool: "?"}
 
 
 class NoCompiler(ImportError):
-    """Its text is one sentence for people."""
+    """numba is missing; the text is one sentence for people."""
 
 
 @cache
 def compiled(function: F, apart: tuple[Callable[..., Any], ...] = ()) -> F:
-    """The function, compiled when it is first called (some seconds, or a fraction of one from disk).
+    """The function, compiled at its first call (some seconds; less than a second from the cache).
 
-    It takes numbers, tuples of numbers, arrays, and `record`s. What it calls becomes a part of it, but for
-    large functions that are called from several places: those are named `apart`. NoCompiler without numba.
+    It takes numbers, tuples of numbers, arrays, and `record`s. The functions that it calls are inlined,
+    except `apart`: large ones that are called from several places. Raises NoCompiler without numba.
     """
     try:
         import numba
@@ -48,7 +49,7 @@ def compiled(function: F, apart: tuple[Callable[..., Any], ...] = ()) -> F:
     with _CONFIG_LOCK:
         before = config.CACHE_DIR
         try:
-            # Asked for only here, when the function is made.
+            # numba reads this setting only here.
             config.CACHE_DIR = str(folder or before)
             entry = numba.njit(
                 _rebuilt(function, apart), error_model="numpy", nogil=True, cache=folder is not None
@@ -59,7 +60,7 @@ def compiled(function: F, apart: tuple[Callable[..., Any], ...] = ()) -> F:
 
 
 def external(function: Any, signature: str) -> Any:
-    """A library's function for compiled ones to call, by numba's `signature`; None without numba."""
+    """A library function that compiled functions can call, with numba's `signature`; None without numba."""
     try:
         from llvmlite.binding import add_symbol
         from numba.core import sigutils
@@ -74,15 +75,14 @@ def external(function: Any, signature: str) -> Any:
 
 
 def record(numbers: Any) -> np.void:
-    """A tuple or dataclass of numbers, in which others may be, as a compiled function takes it: by its
-    names."""
+    """A tuple or dataclass of numbers, possibly nested, as a record for compiled functions."""
     kind: Any = type(numbers)
     return cast(np.void, np.array([_values(numbers)], _layout(kind))[0])
 
 
 @cache
 def _layout(kind: type) -> np.dtype[np.void]:
-    """Of the types that the names are declared to have, so that it never changes."""
+    """The record type, from the declared types, so that it does not depend on the values."""
     hints = get_type_hints(kind)
     return np.dtype([(name, _TYPES.get(hint) or _layout(hint)) for name, hint in hints.items()], align=True)
 
@@ -97,7 +97,7 @@ def _values(numbers: Any) -> Any:
 
 
 def _rebuilt(function: Callable[..., Any], apart: tuple[Callable[..., Any], ...]) -> FunctionType:
-    """The function, calling compiled ones."""
+    """The function with its callees replaced by compiled ones."""
     parts = {name: _part(called, apart) for name, called in _called(function).items()}
     return FunctionType(
         function.__code__, {**function.__globals__, **parts}, function.__name__, function.__defaults__
@@ -112,7 +112,7 @@ def _part(function: FunctionType, apart: tuple[Callable[..., Any], ...]) -> Any:
 
 
 def _called(function: Callable[..., Any]) -> dict[str, FunctionType]:
-    """Our own functions that this one calls, by the names by which it knows them."""
+    """This project's functions that the function calls, by their names in it."""
     return {
         name: value
         for name, value in _globals(function).items()
@@ -121,15 +121,17 @@ def _called(function: Callable[..., Any]) -> dict[str, FunctionType]:
 
 
 def _globals(function: Callable[..., Any]) -> dict[str, Any]:
-    """What a function looks up by name, but for what is built in."""
+    """The globals that a function uses, without built-ins."""
     names = sorted({i.argval for i in dis.get_instructions(function) if i.opname == "LOAD_GLOBAL"})
     return {name: function.__globals__[name] for name in names if name in function.__globals__}
 
 
 def _content(function: Callable[..., Any]) -> Iterator[object]:
-    """All that a function and those that it calls become machine code of."""
+    """Everything that determines the machine code of a function and its callees."""
     code = function.__code__
-    yield code.co_code, code.co_consts, code.co_names, code.co_varnames
+    constants = tuple(constant for constant in code.co_consts if constant != function.__doc__)
+    # The cached code imports its modules by name.
+    yield function.__module__, code.co_code, constants, code.co_names, code.co_varnames
     for name, value in _globals(function).items():
         if not callable(value) or hasattr(value, "_fields"):
             yield name, getattr(value, "_fields", value)
@@ -138,7 +140,7 @@ def _content(function: Callable[..., Any]) -> Iterator[object]:
 
 
 def _cache_folder(function: Callable[..., Any]) -> Path | None:
-    """Where to keep what this becomes: another place for other sources; None when there is none."""
+    """Cache folder of a function, by the hash of its sources; None if no folder can be written."""
     digest = hashlib.sha256(repr(list(_content(function))).encode())
     try:
         root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
@@ -146,5 +148,5 @@ def _cache_folder(function: Callable[..., Any]) -> Path | None:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             return folder
-    except (OSError, RuntimeError):  # the latter where nobody is at home
+    except (OSError, RuntimeError):  # RuntimeError: the user has no home directory
         return None

@@ -1,4 +1,4 @@
-"""Constants of air and of its standard state, each here and nowhere else."""
+"""Constants of air and of its standard state."""
 
 from __future__ import annotations
 
@@ -7,5 +7,5 @@ GAMMA = 1.4
 STANDARD_PRESSURE_KPA = 101.325
 STANDARD_TEMPERATURE_K = 293.15
 ALPHA_KPA = STANDARD_PRESSURE_KPA
-"""α = ρ Rᵤ T / M: kPa of a litre into which a standard litre went. By the gas law it is the pressure of the
-standard state."""
+"""α = ρ Rᵤ T / M: the pressure that a standard litre of air adds to a volume of one litre. By the gas law it
+is the pressure of the standard state."""

@@ -1,10 +1,10 @@
-"""The models of the paper "phloSAR", equation by equation, and nothing beyond them.
+"""The models of the paper "phloSAR", equation by equation.
 
-Equations are numbered as the paper prints them, (1) to (8). Pressures are kPa gauge unless named otherwise,
-volumes litres, flows standard litres per second, flow resistances kPa·s/SL.
+Equations have the paper's numbers, (1) to (8). Pressures are kPa gauge unless named otherwise, volumes
+litres, flows standard litres per second, flow resistances kPa·s/SL.
 
-The first argument of a function may be an array wherever its type says so. Importing this module does not
-import numpy: the companion computer, which needs Eq. 4 and 8 only, can go without.
+The first argument of a function may be an array if its type says so. This module does not import numpy: the
+companion computer, which only needs Eq. 4 and 8, works without it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Value = TypeVar("Value", float, "NDArray[np.float64]")
 GAS_CONSTANT_J_PER_MOL_K = 8.314462618
 AIR_MOLAR_MASS_KG_PER_MOL = 0.0289652
 STANDARD_DENSITY_KG_PER_M3 = 1.2041
-"""Of air at 101.325 kPa and 20 °C, the standard state that flows in SLPM most often mean."""
+"""Density of air at 101.325 kPa and 20 °C, the usual standard state of flows in SLPM."""
 
 
 def alpha_kPa(
@@ -32,9 +32,9 @@ def alpha_kPa(
     temperature_K: float = STANDARD_TEMPERATURE_K,
     molar_mass_kg_per_mol: float = AIR_MOLAR_MASS_KG_PER_MOL,
 ) -> float:
-    """α = ρ Rᵤ T / M, kPa (paper, below Eq. 1 and 3): what a standard litre adds to the pressure of a litre.
+    """α = ρ Rᵤ T / M, kPa (paper, below Eq. 1 and 3): the pressure that a standard litre adds to one litre.
 
-    By the gas law it is the pressure of the standard state, whatever that state is.
+    By the gas law it is the pressure of the standard state.
 
     Args:
         density_kg_per_m3: ρ, of air at standard conditions, kg/m³.
@@ -56,7 +56,7 @@ def pressure_rate_kPa_per_s(flow_SL_per_s: Value, volume_L: float, alpha_kPa: fl
 
 
 def flow_for_rate_SL_per_s(rate_kPa_per_s: Value, volume_L: float, alpha_kPa: float = ALPHA_KPA) -> Value:
-    """Q = V dP/dt / α, standard litres per second (paper, Eq. 1 the other way round).
+    """Q = V dP/dt / α, standard litres per second (paper, Eq. 1, solved for Q).
 
     Args:
         rate_kPa_per_s: dP/dt, kPa/s.
@@ -131,13 +131,13 @@ def inflation_rate_kPa_per_s(
     return alpha_kPa * reservoir_kPa / (flow_resistance_kPa_s_per_SL * cv_volume_L)
 
 
-def least_reservoir_kPa(
+def min_reservoir_kPa(
     rate_kPa_per_s: Value,
     flow_resistance_kPa_s_per_SL: float,
     cv_volume_L: float,
     alpha_kPa: float = ALPHA_KPA,
 ) -> Value:
-    """P_r = R_v V_cv dP_cv/dt / α, kPa gauge: below it a rate is out of reach (paper, Eq. 4, Sec. VI-B).
+    """P_r = R_v V_cv dP_cv/dt / α, kPa gauge: the minimum for a rate (paper, Eq. 4, Sec. VI-B).
 
     Args:
         rate_kPa_per_s: the wanted dP_cv/dt, kPa/s.
@@ -202,10 +202,10 @@ def n_cycles(
     flow_resistance_kPa_s_per_SL: float,
     alpha_kPa: float = ALPHA_KPA,
 ) -> Value:
-    """n = ½ (P_r0 / V_cv − R_v dP_cv/dt / α) V_r / ΔP_cv (paper, Eq. 8): inflations and deflations left.
+    """n = ½ (P_r0 / V_cv − R_v dP_cv/dt / α) V_r / ΔP_cv (paper, Eq. 8): cycles left.
 
-    Below the pressure that `least_reservoir_kPa` names it is negative: there the rate is out of reach.
-    The control volume is rigid, and the Venturi takes as much air as the inflation.
+    It is negative below `min_reservoir_kPa`, where the reservoir cannot give the wanted rate. The control
+    volume is rigid, and the Venturi uses as much air as the inflation.
 
     Args:
         reservoir_kPa: P_r0, kPa gauge.
@@ -213,7 +213,7 @@ def n_cycles(
         cv_volume_L: V_cv, litres.
         swing_kPa: ΔP_cv, of one inflation, kPa.
         rate_kPa_per_s: the wanted dP_cv/dt, kPa/s.
-        flow_resistance_kPa_s_per_SL: the least R_v of the inflation valve, kPa·s/SL.
+        flow_resistance_kPa_s_per_SL: minimum R_v of the inflation valve, kPa·s/SL.
         alpha_kPa: α, kPa.
     """
     spare = reservoir_kPa / cv_volume_L - flow_resistance_kPa_s_per_SL * rate_kPa_per_s / alpha_kPa
@@ -237,9 +237,10 @@ def pouch_fill_SL(
     ambient_kPa: float = STANDARD_PRESSURE_KPA,
     alpha_kPa: float = ALPHA_KPA,
 ) -> float:
-    """V_cv (P_a + ΔP) / α, standard litres: the air for a pouch that lies flat before each inflation.
+    """V_cv (P_a + ΔP) / α, standard litres: the air for a pouch that is flat before each inflation.
 
-    Not in the paper, whose Sec. VI-B takes the control volume as rigid.
+    A pouch is a bending pouch of the actuator. It is not in the paper: Sec. VI-B assumes a rigid control
+    volume.
 
     Args:
         swing_kPa: ΔP_cv, kPa gauge at the end of the inflation.

@@ -1,4 +1,4 @@
-"""What a rig is believed to be: the numbers of a `rig.toml`."""
+"""The nominal rig: the numbers of a `rig.toml`."""
 
 from __future__ import annotations
 
@@ -17,47 +17,47 @@ NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 
 
 class RigError(ValueError):
-    """A rig file that cannot be used; its text is one sentence for people."""
+    """A rig file cannot be used; the text is one sentence for people."""
 
 
 @dataclass(frozen=True)
 class Reservoir:
-    """The bottle."""
+    """The compressed-air reservoir."""
 
     volume_L: Positive = 2.0
 
 
 @dataclass(frozen=True)
 class ControlVolume:
-    """The actuator that is inflated. The default is the vine's."""
+    """The inflated actuator. The default is the vine's."""
 
     volume_L: Positive = 0.1
 
 
 @dataclass(frozen=True)
 class Evp:
-    """The inflation valve, fully open. The default is 20.3 SLPM at 690 kPa, behind the paper's discharges."""
+    """EVP, the inflation valve, fully open. The default is 20.3 SLPM at 690 kPa: the paper's discharges."""
 
     flow_resistance_kPa_s_per_SL: Positive = 2042.0
 
 
 @dataclass(frozen=True)
 class Dvp:
-    """The Venturi's supply valve, fully open."""
+    """DVP, the valve that supplies the Venturi, fully open."""
 
     flow_resistance_kPa_s_per_SL: Positive = 618.0
 
 
 @dataclass(frozen=True)
 class Solenoid:
-    """The outlet to the vacuum port, open."""
+    """The valve from the control volume to the vacuum port, open."""
 
     flow_resistance_kPa_s_per_SL: Positive = 70.0
 
 
 @dataclass(frozen=True)
 class Venturi:
-    """The vacuum pump: `full_vacuum_kPa` below ambient from `rated_supply_kPa` on."""
+    """The vacuum pump: `full_vacuum_kPa` below ambient, from a supply of `rated_supply_kPa` (gauge) on."""
 
     full_vacuum_kPa: NotNegative = 55.0
     rated_supply_kPa: Positive = 600.0
@@ -65,7 +65,7 @@ class Venturi:
 
 @dataclass(frozen=True)
 class Sensors:
-    """Standard deviations of the readings' noise."""
+    """Standard deviations of the sensor noise."""
 
     cv_noise_std_kPa: NotNegative = 0.15
     reservoir_noise_std_kPa: NotNegative = 1.2
@@ -73,10 +73,10 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Rig:
-    """A rig. `cv` is None when the reservoir discharges to atmosphere.
+    """A rig. `cv` is None if the reservoir discharges to atmosphere.
 
-    `tolerance_percent` says, for keys such as `reservoir.volume_L`, how well a number is believed;
-    ask `tolerance`, which knows what holds for the rest.
+    `tolerance_percent` has the tolerances of some keys such as `reservoir.volume_L`; `tolerance` has them
+    all.
     """
 
     reservoir: Reservoir = Reservoir()
@@ -89,18 +89,18 @@ class Rig:
     tolerance_percent: dict[str, NotNegative] = field(default_factory=dict)
 
     def tolerance(self, key: str) -> float:
-        """Percent to which the number at `key` is believed: 1 unless the rig says otherwise."""
+        """Tolerance of the number at `key` in percent; default 1."""
         return self.tolerance_percent.get(key, 1.0)
 
 
 def number(rig: Rig, key: str) -> float:
-    """The number at a key, as `cv.volume_L`."""
+    """The number at a key such as `cv.volume_L`."""
     table, name = key.split(".")
     return float(getattr(getattr(rig, table), name))
 
 
 def with_numbers(rig: Rig, numbers: Mapping[str, float]) -> Rig:
-    """The rig with other numbers, by their keys, as `cv.volume_L`."""
+    """The rig with other numbers at keys such as `cv.volume_L`."""
     for key, value in numbers.items():
         table, name = key.split(".")
         rig = replace(rig, **{table: replace(getattr(rig, table), **{name: value})})
@@ -108,15 +108,15 @@ def with_numbers(rig: Rig, numbers: Mapping[str, float]) -> Rig:
 
 
 def load_rig(path: Path | str) -> Rig:
-    """The rig in a TOML file; a table that is missing has its nominal values, but no `[cv]` means none.
+    """The rig in a TOML file. A missing table has default values; without `[cv]` there is no control volume.
 
-    RigError when the file cannot be read, names something unknown, or holds an impossible number.
+    RigError if the file cannot be read, or has an unknown key or an impossible number.
     """
     return read_rig(path, rig_from)
 
 
 def read_rig(path: Path | str, made_of: Callable[[Mapping[str, Any]], R]) -> R:
-    """What is made of a rig file's tables; RigErrors name the file."""
+    """The tables of a rig file, converted by `made_of`; RigErrors name the file."""
     try:
         content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -128,13 +128,13 @@ def read_rig(path: Path | str, made_of: Callable[[Mapping[str, Any]], R]) -> R:
 
 
 def rig_from(content: Mapping[str, Any]) -> Rig:
-    """The rig in a decoded TOML file, as `load_rig`."""
+    """The rig in a decoded TOML file; see `load_rig`."""
     for table in content:
         if table not in _TABLES:
-            raise RigError(f"there is no table {table!r} in a rig: the tables are {', '.join(_TABLES)}.")
+            raise RigError(f"unknown table {table!r} of a rig: the tables are {', '.join(_TABLES)}.")
     for key, value in _flat(content):
         if key.removeprefix("tolerance_percent.") not in _KEYS:
-            raise RigError(f"{key!r} is no number of a rig: the numbers are {', '.join(_KEYS)}.")
+            raise RigError(f"unknown key {key!r} of a rig: the keys are {', '.join(_KEYS)}.")
         if isinstance(value, float) and not math.isfinite(value):
             raise RigError(f"{key} is {value}, which is not a number.")
     tolerances = content.get("tolerance_percent", {})
@@ -147,7 +147,7 @@ def rig_from(content: Mapping[str, Any]) -> Rig:
 
 
 def _flat(tables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted keys and values: `a.b = 1` under a table and `"a.b" = 1` are the same."""
+    """Dotted keys and values; `a.b = 1` and `"a.b" = 1` are the same."""
     for key, value in tables.items():
         if isinstance(value, Mapping):
             yield from _flat(value, f"{prefix}{key}.")

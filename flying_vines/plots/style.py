@@ -1,4 +1,4 @@
-"""How all pictures look."""
+"""The style of all figures."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import matplotlib
 
 if "MPLBACKEND" not in os.environ:
-    # A notebook has set it, and draws by itself; elsewhere pictures become files, with no window to open.
+    # A notebook sets its own backend. Elsewhere figures become files and need no window.
     matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
@@ -19,7 +19,7 @@ LABEL_BOX = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.8
 
 
 def plain(axis: Any) -> None:
-    """A quiet grid, and no box around."""
+    """Give an axis a light grid and no box."""
     axis.grid(color="#e6e8eb", lw=0.6)
     axis.set_axisbelow(True)
     axis.spines[["top", "right"]].set_visible(False)
@@ -34,7 +34,7 @@ def finish(figure: Any, title: str) -> Any:
 
 
 def save(figures: Mapping[str, Any], folder: Path, prefix: str) -> list[Path]:
-    """Write each figure as `prefix-name.png` into a folder that exists, and close it: where they are."""
+    """Write each figure as `prefix-name.png` into an existing folder, and close it. Returns the paths."""
     paths = []
     for name, figure in figures.items():
         path = folder / f"{prefix}-{name}.png"

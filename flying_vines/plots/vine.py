@@ -1,4 +1,4 @@
-"""A bent vine under its drone, drawn to scale into a picture's axes."""
+"""Draws a bent vine under its drone, to scale."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from flying_vines.plots.style import GREY
 from flying_vines.vine.shape import sides
 
 DRONE_M = 0.22
-"""Between the rotors' axes: a frame for 13 cm propellers, whatever the vine."""
+"""Distance between the rotor axes: a frame for 13 cm propellers."""
 ROTOR_M = 0.13
 
 
 def draw_drone(axis: Any) -> None:
-    """From the front, its belly at 0, 0."""
+    """Draw a drone from the front, with its underside at (0, 0)."""
     half = 0.5 * DRONE_M
     axis.plot([-half, half], [0.02, 0.02], color=GREY, lw=2.2, solid_capstyle="round")
     axis.add_patch(
@@ -29,7 +29,7 @@ def draw_drone(axis: Any) -> None:
 def draw_vine(
     axis: Any, angle_deg: float, length_m: float, diameter_m: float, color: str, **line: Any
 ) -> tuple[float, float]:
-    """Hang a vine under 0, 0, bent to the right, where its actuator lies; where its tip is, in metres."""
+    """Draw a vine that hangs from (0, 0), bent to the right. Returns the tip's position in metres."""
     inner, outer = sides(angle_deg, length_m, diameter_m)
     outline = [(x, -y) for x, y in (*inner, *reversed(outer))]
     axis.add_patch(Polygon(outline, closed=True, facecolor=color, edgecolor="none", alpha=0.16))
@@ -40,7 +40,7 @@ def draw_vine(
 
 
 def frame(axis: Any, length_m: float, diameter_m: float) -> None:
-    """Room for any bend, and nothing else but the drawing; to scale."""
+    """Set the limits of an axis to scale, with room for any bend, and hide the axis."""
     axis.set_xlim(-0.5 * (DRONE_M + ROTOR_M) - 0.02, max(0.5 * (DRONE_M + ROTOR_M), length_m * 0.8))
     axis.set_ylim(-length_m - diameter_m, 0.08)
     axis.set_aspect("equal")

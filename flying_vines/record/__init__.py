@@ -1,1 +1,1 @@
-"""What happened, for people: the flight log and its picture."""
+"""The flight log: its recorder, its reader, tables and pictures."""

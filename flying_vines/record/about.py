@@ -1,4 +1,4 @@
-"""What a flight was recorded with: versions, machine, firmware. For the reader of the log."""
+"""Versions, machine and firmware of a recorded flight, for the reader of the log."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _BOARD = Path("/proc/device-tree/model")
 
 @dataclass(frozen=True)
 class FirmwareIdentity:
-    """As the board reported it."""
+    """The firmware's identity, as reported by the board."""
 
     build: str
     protocol_version: int
@@ -39,7 +39,7 @@ class About:
     kernel: str
     machine: str
     firmware: FirmwareIdentity | None = None
-    """Of the board that answered last."""
+    """That of the board that answered last."""
 
     @classmethod
     def of_this_machine(cls, began_s: float, continues: str) -> About:
@@ -61,7 +61,6 @@ class About:
 
 @cache
 def version_of(package: str) -> str:
-    """The installed version."""
     try:
         return version(package)
     except PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""One flight in one file, to find out what went wrong. It never contains keys."""
+"""One flight in one zip file, for the search of a fault. It never contains keys."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from flying_vines.record.folders import ABOUT, MCAP, PROFILE, RIG, TLOG
 from flying_vines.record.reader import FlightLog
 
 PARTS = (MCAP, TLOG, PROFILE, RIG, ABOUT)
-"""Nothing else from the folder: a person may have put anything there."""
+"""Only these files, because a person may have put anything else into the folder."""
 
 
 def bundle(log: FlightLog, story: str, path: Path) -> list[str]:
-    """Write a zip file about the flight and this machine, and return the names in it.
+    """Write a zip file about the flight and this machine. Returns the names in it.
 
-    `story` is the flight for people, as `log show` tells it.
+    `story` is the flight as text, as `log show` prints it.
     """
     names = []
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
@@ -38,10 +38,10 @@ def bundle(log: FlightLog, story: str, path: Path) -> list[str]:
 def _this_machine(folder: Path) -> str:
     """The machine that made the bundle. The flight may have been recorded on another."""
     disk = shutil.disk_usage(folder)
-    told = {
+    facts = {
         **msgspec.to_builtins(About.of_this_machine(time.time(), "")),
         "disk_free_MB": round(disk.free / 1e6),
         "disk_total_MB": round(disk.total / 1e6),
     }
-    del told["continues"], told["firmware"]
-    return msgspec.json.format(msgspec.json.encode(told), indent=2).decode() + "\n"
+    del facts["continues"], facts["firmware"]
+    return msgspec.json.format(msgspec.json.encode(facts), indent=2).decode() + "\n"

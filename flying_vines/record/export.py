@@ -17,8 +17,6 @@ _SCHEMAS = {topic.name: topic.schema for topic in TOPICS}
 
 
 class _Table:
-    """One CSV file."""
-
     def __init__(self, path: Path, schema: Schema, opened: ExitStack) -> None:
         columns = dict(_columns(schema))
         self._keys = list(columns)
@@ -26,8 +24,8 @@ class _Table:
         self._writer = csv.writer(file)
         self._writer.writerow(["unix_s", *columns.values()])
 
-    def write(self, unix_ns: int, said: Mapping[str, Any]) -> None:
-        cells = [_cell(said, key) for key in self._keys]
+    def write(self, unix_ns: int, message: Mapping[str, Any]) -> None:
+        cells = [_cell(message, key) for key in self._keys]
         self._writer.writerow([f"{unix_ns // 10**9}.{unix_ns % 10**9:09}", *cells])
 
 
@@ -40,45 +38,45 @@ def export_csv(log: FlightLog, folder: Path) -> list[Path]:
     paths = []
     with ExitStack() as opened:
         for entry in log.entries():
-            said = entry.fields
+            message = entry.fields
             schema = _SCHEMAS.get(entry.topic, {"properties": {"t": {}}})
             name = entry.topic
             if entry.topic in (MAVLINK_IN, MAVLINK_OUT):
-                name = f"{name}/{said['name']}"
-                schema = _of_one_kind(schema, said["name"])
+                name = f"{name}/{message['name']}"
+                schema = _of_one_kind(schema, message["name"])
             if name not in tables:
                 path = folder / f"{name.replace('/', '_')}.csv"
                 tables[name] = _Table(path, schema, opened)
                 paths.append(path)
-            tables[name].write(entry.unix_ns, said)
+            tables[name].write(entry.unix_ns, message)
     return sorted(paths)
 
 
 def _of_one_kind(schema: Schema, kind: str) -> Schema:
     """A MAVLink topic's schema, without the fields of other message types."""
-    kept = {
+    properties = {
         name: of for name, of in schema["properties"].items() if of.get("type") != "object" or name == kind
     }
-    return {**schema, "properties": kept}
+    return {**schema, "properties": properties}
 
 
 def _columns(schema: Schema, within: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
     """The path to each value, and the name of its column."""
     for name, of in schema["properties"].items():
-        way = (*within, name)
+        path = (*within, name)
         if of.get("properties"):
-            yield from _columns(of, way)
+            yield from _columns(of, path)
             continue
-        column = ".".join(way)
-        if way == ("t",):
+        column = ".".join(path)
+        if path == ("t",):
             column = "t_s"
         elif unit := of.get("description", ""):
             column += f" [{unit}]"
-        yield way, column
+        yield path, column
 
 
-def _cell(said: Mapping[str, Any], way: tuple[str, ...]) -> object:
-    value: Any = said
-    for name in way:
+def _cell(message: Mapping[str, Any], path: tuple[str, ...]) -> object:
+    value: Any = message
+    for name in path:
         value = value.get(name) if isinstance(value, Mapping) else None
     return json.dumps(value, ensure_ascii=False) if isinstance(value, dict | list) else value

@@ -1,11 +1,11 @@
-"""The folders of the flights, and their files, as the recorder's thread writes them.
+"""The flights' folders and files, which the recorder's thread writes.
 
     flight.mcap     everything: see `topics`
-    flight.tlog     the MAVLink of both directions, for ground stations
-    profile.toml    the configuration as it was read; rig.toml, where a rig file was given
+    flight.tlog     MAVLink of both directions, for ground stations
+    profile.toml    the configuration as read; rig.toml, if a rig file was given
     about.json      versions, machine, firmware
 
-The files are synced to the disk twice a second, so a power cut costs less than a second.
+The files are synced to the disk twice a second. So a power cut loses less than a second.
 """
 
 from __future__ import annotations
@@ -42,59 +42,59 @@ from flying_vines.vehicle.mavlink.tlog import TlogWriter
 MCAP, TLOG = "flight.mcap", "flight.tlog"
 PROFILE, RIG, ABOUT = "profile.toml", "rig.toml", "about.json"
 SYNC_S = 0.5
-LOOK_AT_DISK_S = 1.0
+CHECK_DISK_S = 1.0
 TRY_AGAIN_S = 2.0
 MORE_ROOM_MB = 10.0
-"""Free space above `least_free_MB` before an ended log continues: the disk must not fill again at once."""
+"""A stopped log continues only with this much free space above `least_free_MB` (hysteresis)."""
 MAX_CHUNKS = 36_000
-"""Of a log: five hours, 50 MB of memory for its summary. Then another folder begins, in flight too."""
+"""Per log: about five hours, 50 MB of memory for its summary. Then a new folder starts, even in flight."""
 _MAVLINK = (NUMBERS[MAVLINK_IN], NUMBERS[MAVLINK_OUT])
 
 
 @dataclass(frozen=True, slots=True)
 class FlightStart:
-    """The state with which the service started its core; the first entry of every log."""
+    """The state with which the service started its core. It is the first entry of every log."""
 
     profile: str
     """The configuration's text."""
     pneumatics: PneumaticsConfig
-    """The believed values."""
+    """The rig's numbers in the configuration."""
     rig: str = ""
     """The rig file's text, if there is one."""
     parameters: dict[str, float] = field(default_factory=dict)
-    """Parameters that a pilot has set and that were saved."""
+    """Saved parameters that a pilot has set."""
     disarmed: bool = False
-    """Whether the pneumatics were disarmed when the last service ended."""
+    """The pneumatics were disarmed when the last service ended."""
 
 
 class LogEnded(OSError):
-    """A reason to end the log that is not an error of the disk."""
+    """The log ended for a reason other than a disk error."""
 
     def __init__(self, why: str) -> None:
         super().__init__(0, why)
 
 
 class Folders:
-    """One folder after another; works in the recorder's thread."""
+    """Writes one folder after another, in the recorder's thread."""
 
     def __init__(self, parent: Path, began: FlightStart, least_free_MB: float, t: float) -> None:
-        """`t` is now. The first folder and its beginning are on the disk when this returns."""
+        """`t` is now. Writes the first folder and the start of its log to the disk."""
         self._parent = parent
         self._began = began
         self._least_free_MB = least_free_MB
         self._zero_unix_ns = time.time_ns() - round(t * 1e9)
         self._firmware: protocol.Welcome | None = None
-        self._looked_at = self._synced_at = t - LOOK_AT_DISK_S
+        self._checked_at = self._synced_at = t - CHECK_DISK_S
         self.problem = ""
-        """Why nothing can be written now."""
-        self.goes_on = ""
+        """Why nothing can be written now; empty if it can."""
+        self.continued_in = ""
         """The folder in which the log continued after the last problem."""
         self._try_again_at = 0.0
         self.folder = self._make_folder()
         self._files: Files | None = self._begin(t, "")
 
     def write(self, batches: Sequence[Sequence[RawEntry | None]]) -> None:
-        """None among the entries begins another folder. Raises `LogEnded` if trying again cannot help."""
+        """Write entries. An entry None starts a new folder. Raises `LogEnded` if a retry cannot help."""
         for batch in batches:
             for entry in batch:
                 try:
@@ -103,7 +103,7 @@ class Folders:
                     else:
                         self._write_entry(entry)
                 except OSError as error:
-                    self._fail(error, self._looked_at if entry is None else entry[1])
+                    self._fail(error, self._checked_at if entry is None else entry[1])
                 except Exception as error:
                     raise LogEnded(f"{type(error).__name__}: {error}") from error
 
@@ -114,7 +114,7 @@ class Folders:
         self.problem = error.strerror or str(error)
 
     def close(self, whole: bool) -> None:
-        """Write the summary only if the log is `whole`."""
+        """Close the files. Write the summary if the log is `whole`."""
         files, self._files = self._files, None
         if files is None:
             return
@@ -129,22 +129,22 @@ class Folders:
         if self._files is None:
             if t < self._try_again_at:
                 return
-            self._files = self._go_on(t)
+            self._files = self._continue(t)
         self._files.add(entry)
         if isinstance(entry[2], protocol.Welcome):
-            self._files.tell_about(entry[2])
+            self._files.add_firmware(entry[2])
         if t - self._synced_at >= SYNC_S:
             self._synced_at = t
             self._files.sync()
             if self._files.chunks > MAX_CHUNKS:
                 self._next_folder()
-        if t - self._looked_at >= LOOK_AT_DISK_S:
-            self._looked_at = t
-            if not self._files.are_there:
-                raise LogEnded("its folder has vanished")
-            self._look_at_room(self.folder)
+        if t - self._checked_at >= CHECK_DISK_S:
+            self._checked_at = t
+            if not self._files.exist:
+                raise LogEnded("its folder was deleted")
+            self._check_room(self.folder)
 
-    def _look_at_room(self, folder: Path, more_MB: float = 0.0) -> None:
+    def _check_room(self, folder: Path, more_MB: float = 0.0) -> None:
         free_MB = shutil.disk_usage(folder).free / 1e6
         if free_MB < self._least_free_MB + more_MB:
             self.close(whole=True)
@@ -152,12 +152,12 @@ class Folders:
                 f"the disk has {free_MB:.0f} MB left, and log.least_free_MB is {self._least_free_MB:g}"
             )
 
-    def _go_on(self, t: float) -> Files:
-        """Continue in another folder. Raises `OSError` or `LogEnded` while that is not possible."""
+    def _continue(self, t: float) -> Files:
+        """Continue in a new folder. Raises `OSError` or `LogEnded` while that is not possible."""
         with contextlib.suppress(FileNotFoundError):
-            self._look_at_room(self._parent, MORE_ROOM_MB)
+            self._check_room(self._parent, MORE_ROOM_MB)
         files = self._open_next(t)
-        self.goes_on, self.problem = self.folder.name, ""
+        self.continued_in, self.problem = self.folder.name, ""
         return files
 
     def _next_folder(self) -> None:
@@ -180,11 +180,11 @@ class Folders:
     def _begin(self, t: float, continues: str) -> Files:
         files = Files(self.folder, self._zero_unix_ns, self._began, t, continues)
         if self._firmware is not None:
-            files.tell_about(self._firmware)
+            files.add_firmware(self._firmware)
         return files
 
     def _make_folder(self) -> Path:
-        """Named by the local time; the clock may have been set since the service began."""
+        """Make a folder named by the present local time."""
         stamp = time.strftime("%Y-%m-%d_%H-%M-%S")
         for suffix in ("", *(f"_{n}" for n in range(2, 1000))):
             folder = self._parent / (stamp + suffix)
@@ -202,8 +202,6 @@ class Folders:
 
 
 class Files:
-    """The files of one flight."""
-
     def __init__(self, folder: Path, zero_unix_ns: int, began: FlightStart, t: float, continues: str) -> None:
         self.latest = t
         self._folder = folder
@@ -214,7 +212,7 @@ class Files:
         try:
             self._begin(began, t, continues)
         except OSError:
-            # Otherwise the garbage collector flushes its buffers, which fails again and prints a warning.
+            # Without this the garbage collector flushes the buffers, which fails again and prints a warning.
             with contextlib.suppress(OSError):
                 self._opened.close()
             raise
@@ -249,26 +247,24 @@ class Files:
             self._tlog.write(time_ns // 1000, bytes(what))
 
     def sync(self) -> None:
-        """Write everything to the disk."""
         self._mcap.flush()
         os.fsync(self._file.fileno())
         self._tlog.sync()
 
     @property
-    def are_there(self) -> bool:
-        """Whether the folder still holds the files: one can write to a deleted file without an error."""
+    def exist(self) -> bool:
+        """True if the files are still in the folder. Writing to a deleted file gives no error."""
         try:
             return os.path.samestat((self._folder / MCAP).stat(), os.fstat(self._file.fileno()))
         except FileNotFoundError:
             return False
 
     def finish(self) -> None:
-        """Write the summary."""
         self._mcap.finish()
         os.fsync(self._file.fileno())
         self._tlog.sync()
 
-    def tell_about(self, firmware: protocol.Welcome) -> None:
+    def add_firmware(self, firmware: protocol.Welcome) -> None:
         self._about = self._about.with_firmware(firmware)
         self._write_about()
 

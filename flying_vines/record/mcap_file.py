@@ -1,7 +1,7 @@
-"""The MCAP file of a flight: written while it grows, and read however it was cut off or damaged.
+"""The MCAP file of a flight. It is readable while it grows, and if it is cut off or damaged.
 
-Messages go into chunks, each compressed, each with a checksum. Schemas and channels are in the first chunk
-and in the summary at the end, so that one damaged place leaves one of the two.
+Messages are in compressed chunks, each with a checksum. Schemas and channels are both in the first chunk and
+in the summary at the end, so one damaged place leaves a copy.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from flying_vines.record.topics import Topic
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 256 * 1024 * 1024
-"""Unpacked; a chunk that claims more is damaged."""
+"""Size after decompression. A chunk that claims more is damaged."""
 _SEQUENCES = 1 << 32
 _LENGTH_OF_RECORD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<BQQQQI")
@@ -38,11 +38,11 @@ _CRC_BYTES = 4
 
 
 class McapFile:
-    """Writes to a binary file. Each `flush` ends a chunk. Times are unix time in ns and need no order."""
+    """Writes to a binary file. Each `flush` ends a chunk. Times are unix time in ns, in any order."""
 
     def __init__(self, file: BinaryIO, topics: Sequence[Topic], library: str) -> None:
         self.chunks = 0
-        """Each takes memory until the summary is written."""
+        """Number of chunks. Each takes memory until the summary is written."""
         self._sequence = 0
         self._writer = Writer(file, compression=CompressionType.ZSTD)
         self._writer.start(library=library)
@@ -52,7 +52,7 @@ class McapFile:
             self._writer.register_channel(topic.name, MessageEncoding.JSON, schema)
 
     def add(self, channel: int, time_ns: int, data: bytes) -> None:
-        """`channel` is the topic's place among the topics, counted from 1."""
+        """`channel` is the topic's number, counted from 1."""
         self._writer.add_message(channel, time_ns, data, time_ns, self._sequence % _SEQUENCES)
         self._sequence += 1
 
@@ -61,12 +61,12 @@ class McapFile:
         self.chunks += 1
 
     def finish(self) -> None:
-        """Write the summary; after that nothing can be added."""
+        """Write the summary. After that nothing can be added."""
         self._writer.finish()  # type: ignore[no-untyped-call]
 
 
 def read_chunks(data: mmap.mmap) -> Iterator[list[McapRecord]]:
-    """The records of each chunk whose checksum is right, wherever in the file it is."""
+    """The records of each chunk with a correct checksum, at any place in the file."""
     for found in _COMPRESSION.finditer(data):
         at = found.start() - _CHUNK_HEAD.size
         if at < 0:
@@ -84,7 +84,7 @@ def read_chunks(data: mmap.mmap) -> Iterator[list[McapRecord]]:
 
 
 def read_summary(data: mmap.mmap) -> list[McapRecord]:
-    """The records of the summary; none if the file has no summary, or a damaged one."""
+    """The records of the summary; empty if it is missing or damaged."""
     footer_at = len(data) - len(MAGIC) - _FOOTER.size
     if footer_at < 0:
         return []

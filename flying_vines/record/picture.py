@@ -1,4 +1,7 @@
-"""A flight as a picture: what was asked, how the vine was bent, what the bottle had left."""
+"""A flight as a picture: setpoint and pressure, bend angle, openings, reservoir, decisions.
+
+EVP: inflation valve. DVP: valve that supplies the Venturi.
+"""
 
 from __future__ import annotations
 
@@ -17,37 +20,37 @@ from flying_vines.record.reader import FlightLog, LogError
 from flying_vines.record.topics import DECISION, SNAPSHOT, TELEMETRY
 
 MARKS = {"accepted": GREEN, "limited": ORANGE, "refused": RED}
-ROW, MOST_ROWS = 0.13, 5
-"""Of labels: how high, as a share of the pressures' range, and how many."""
+ROW, MAX_ROWS = 0.13, 5
+"""Height of a row of labels, as a share of the pressure range, and the number of rows."""
 DPI = 200
-MOST_POINTS = 20_000
-"""Of a curve: more than any picture shows, and few enough for one in a paper."""
+MAX_POINTS = 20_000
+"""Points of a curve: more than a picture shows, and few enough for a vector file."""
 DRAWN_LENGTH_M, DRAWN_DIAMETER_M = 0.315, 0.05
-"""A log does not say how long its vine is: it is drawn as the example `pouch` of `flying-vines vine`."""
+"""A log does not have the vine's length. It is drawn as the example `pouch` of `flying-vines vine`."""
 DRAWN_WIDTH = 0.085
-"""Of the picture, that a drawn vine takes."""
-LEAST_CHANGE_DEG = 3.0
-"""Of a bend, to be drawn again."""
+"""Width of a drawn vine, as a share of the picture."""
+MIN_CHANGE_DEG = 3.0
+"""The vine is drawn again after a change of this size."""
 SETTLED = 5
-"""Snapshots whose median is drawn."""
+"""The median of this many snapshots is drawn."""
 
 
 def draw_flight(log: FlightLog, path: Path, title: str | None = None) -> None:
     """Draw a flight: pressures, bend angle, openings, reservoir, triggers over time.
 
-    Into a PNG, or what else the path's ending says: PDF, SVG. Raises `LogError` when nothing can be drawn.
+    The suffix of `path` selects the format: PNG, PDF or SVG. Raises `LogError` if there is nothing to draw.
     """
-    said: dict[str, list[dict[str, Any]]] = {SNAPSHOT: [], DECISION: [], TELEMETRY: []}
+    messages: dict[str, list[dict[str, Any]]] = {SNAPSHOT: [], DECISION: [], TELEMETRY: []}
     began_ns = 0
-    for entry in log.entries(said):
+    for entry in log.entries(messages):
         began_ns = began_ns or entry.unix_ns
-        said[entry.topic].append(entry.fields)
-    snapshots, decisions, telemetry = said.values()
+        messages[entry.topic].append(entry.fields)
+    snapshots, decisions, telemetry = messages.values()
     if len(snapshots) < 2:
-        raise LogError(f"{log.path}: holds no snapshots to draw")
+        raise LogError(f"{log.path}: has no snapshots to draw")
     start = snapshots[0]["t"]
     t = [s["t"] - start for s in snapshots]
-    quick = _Columns(telemetry[:: 1 + len(telemetry) // MOST_POINTS], start)
+    quick = _Columns(telemetry[:: 1 + len(telemetry) // MAX_POINTS], start)
 
     def column(name: str) -> list[float]:
         return [s.get(name, math.nan) for s in snapshots]
@@ -110,7 +113,7 @@ def draw_flight(log: FlightLog, path: Path, title: str | None = None) -> None:
 
 
 class _Columns:
-    """Entries of a topic by their fields; NaN where one is unknown."""
+    """The columns of a topic's entries; NaN for an unknown value."""
 
     def __init__(self, entries: Sequence[dict[str, Any]], start: float) -> None:
         self.t = [entry["t"] - start for entry in entries]
@@ -121,13 +124,13 @@ class _Columns:
 
 
 def _draw_vines(axis: Any, t: list[float], bend_deg: list[float], decided: list[float]) -> None:
-    """The vine where each decision had brought it: just before the next one, and at the end."""
+    """Draw the vine after each decision: just before the next decision, and at the end."""
     width = max(t[-1] - t[0], 1e-9)
     drawn: list[tuple[float, float]] = []
     for moment in (*decided, t[-1]):
         known = [deg for x, deg in zip(t, bend_deg, strict=True) if x < moment and deg == deg]
         settled = median(known[-SETTLED:]) if known else math.nan
-        if known and not (drawn and abs(settled - drawn[-1][1]) < LEAST_CHANGE_DEG):
+        if known and not (drawn and abs(settled - drawn[-1][1]) < MIN_CHANGE_DEG):
             drawn.append(((moment - t[0]) / width, settled))
     drawn = drawn[:: 1 + int(len(drawn) * DRAWN_WIDTH)]
     for (moment, deg), place in zip(drawn, _side_by_side([x for x, _ in drawn]), strict=True):
@@ -142,7 +145,7 @@ def _draw_vines(axis: Any, t: list[float], bend_deg: list[float], decided: list[
 
 
 def _side_by_side(wanted: list[float]) -> list[float]:
-    """Places as near to the wanted ones as their width allows, 0…1."""
+    """Positions near the wanted ones, without overlap, 0…1."""
     places: list[float] = []
     for x in wanted:
         places.append(max(x, places[-1] + DRAWN_WIDTH if places else 0.5 * DRAWN_WIDTH))
@@ -156,19 +159,19 @@ def _side_by_side(wanted: list[float]) -> list[float]:
 def _mark_decisions(
     axis: Any, decisions: list[dict[str, Any]], start: float, width: float, top: float
 ) -> None:
-    """Label each, and make room for the labels above."""
+    """Label each decision, and make room for the labels above the curves."""
     rows: list[float] = []
     for decision in decisions:
         x = decision["t"] - start
         color = MARKS[decision["safety"]]
-        # Each label goes to the lowest row whose last label ended before it.
+        # Each label goes to the lowest row with room for it.
         text = f"{decision['trigger'].replace('_', ' ')}: {decision.get('intent', '?')}"
         if decision["safety"] != "accepted" or decision["trigger"] == "failsafe":
             text += f"\n{decision['reason'][:34]}"
         longest = max(len(line) for line in text.split("\n"))
         row = next((i for i, end in enumerate(rows) if end < x), len(rows))
         rows[row : row + 1] = [x + width * 0.0068 * longest]
-        y = top * (1.05 + ROW * (row % MOST_ROWS))
+        y = top * (1.05 + ROW * (row % MAX_ROWS))
         axis.plot([x, x], [-1.0, y], color=color, lw=0.9, alpha=0.8)
         axis.text(
             x + width * 0.003,
@@ -180,7 +183,7 @@ def _mark_decisions(
             linespacing=0.95,
             bbox=LABEL_BOX,
         )
-    axis.set_ylim(-1.0, top * (1.2 + ROW * min(len(rows), MOST_ROWS)))
+    axis.set_ylim(-1.0, top * (1.2 + ROW * min(len(rows), MAX_ROWS)))
 
 
 def _shade_safe_states(axis: Any, t: list[float], snapshots: list[dict[str, Any]]) -> None:

@@ -1,4 +1,4 @@
-"""Reads flight logs. Of a log that was cut off or damaged it reads the whole parts, and says what is lost."""
+"""Reads flight logs. In a damaged log it reads all intact parts, and reports the losses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _decode = msgspec.json.Decoder(dict[str, Any]).decode
 
 
 class LogError(Exception):
-    """A log that cannot be read; the text is one line that says which, and why."""
+    """A log that cannot be read; the text is one line with its path and the reason."""
 
 
 class LogEntry(NamedTuple):
@@ -43,9 +43,9 @@ class FlightLog:
     def __init__(self, path: Path) -> None:
         self.path = path / MCAP if path.is_dir() else path
         self.lost = 0
-        """Messages that are missing between those that were read."""
+        """The number of missing messages."""
         self.cut_off = False
-        """The log has no end, as after a power cut."""
+        """The log's end is missing, for example after a power cut."""
         self._last_ns = 0
 
     @property
@@ -54,19 +54,19 @@ class FlightLog:
 
     @property
     def damage(self) -> str:
-        """A sentence for people; empty for a whole log."""
-        said = []
+        """A sentence for people; empty for an intact log."""
+        damages = []
         if self.lost:
-            said.append(f"{self.lost} damaged messages are left out")
+            damages.append(f"{self.lost} damaged messages are left out")
         if self.cut_off:
             last = datetime.fromtimestamp(self._last_ns / 1e9).strftime("%H:%M:%S")
-            said.append(f"it is incomplete and ends at {last}")
-        return f"{self.path.name}: {'; '.join(said)}" if said else ""
+            damages.append(f"it is incomplete and ends at {last}")
+        return f"{self.path.name}: {'; '.join(damages)}" if damages else ""
 
     def entries(self, topics: Collection[str] | None = None) -> Iterator[LogEntry]:
-        """All, or those of some topics, in the order in which they happened.
+        """All entries, or those of some topics, in time order.
 
-        Raises `LogError` when there is nothing to read.
+        Raises `LogError` if there is nothing to read.
         """
         try:
             with self.path.open("rb") as file:

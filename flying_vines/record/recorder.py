@@ -1,8 +1,8 @@
-"""The flight recorder: a folder per flight, with all that went into the core and all that came out of it.
+"""The flight recorder: a folder per flight, with all inputs and outputs of the core.
 
-The loop that flies does no more than put things into a list. A thread of the recorder makes JSON of them and
-puts it on the disk. A disk that fails, fills or vanishes interrupts the log, one that hangs ends it, and none
-ends the flight.
+The service's loop only appends to a list. A thread of the recorder encodes the entries as JSON and writes
+them to the disk. A disk that fails, is full or was removed interrupts the log. A disk that hangs ends the
+log. Neither affects the flight.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from flying_vines.record.topics import RawEntry, entry_of_action, entry_of_event
 __all__ = ["FlightStart", "Recorder"]
 
 HAND_OVER_S = 0.1
-"""How long entries wait in the loop's list. Short, as the thread shares the interpreter with the loop."""
-MOST_WAITING = 150_000
-"""Entries that wait for a disk that hangs: about six minutes of flight, 32 MB."""
+"""Entries wait this long in the list. Short, because the thread shares the interpreter with the loop."""
+MAX_WAITING = 150_000
+"""Entries in the queue while the disk hangs: about six minutes of flight, 32 MB."""
 LAST_WRITES_S = 5.0
 
 
@@ -31,13 +31,13 @@ class Recorder(Watcher):
     def __init__(
         self, parent: Path, began: FlightStart, least_free_MB: float = 0.0, t: float | None = None
     ) -> None:
-        """`t` is now by the service's clock, which is asyncio's unless it is given.
+        """`t` is now by the service's clock; default: asyncio's clock.
 
-        Raises `OSError` when nothing can be written there.
+        Raises `OSError` if `parent` cannot be written.
         """
         self._folders = Folders(parent, began, least_free_MB, time.monotonic() if t is None else t)
         self._writer: BackgroundWriter[list[RawEntry | None]] = BackgroundWriter(
-            self._folders.write, MOST_WAITING
+            self._folders.write, MAX_WAITING
         )
         self._waiting: list[RawEntry | None] = []
         self._due = 0.0
@@ -47,22 +47,21 @@ class Recorder(Watcher):
 
     @property
     def folder(self) -> Path:
-        """The folder of the current flight."""
         return self._folders.folder
 
     @property
     def failed(self) -> str:
-        """A sentence for people, while nothing is written."""
+        """A sentence for people while nothing is written; else empty."""
         if self._over:
             return self._over
         problem = self._folders.problem
         return f"the flight log ends here: {problem}" if problem else ""
 
     @property
-    def told(self) -> str:
-        """To be shown whenever it changes: that the log ends, or where it continues."""
-        goes_on = self._folders.goes_on
-        return self.failed or (f"the flight log goes on in {goes_on}" if goes_on else "")
+    def news(self) -> str:
+        """A sentence to show whenever it changes: why the log ended, or where it continues."""
+        folder = self._folders.continued_in
+        return self.failed or (f"the flight log continues in {folder}" if folder else "")
 
     @property
     def _over(self) -> str:
@@ -80,12 +79,12 @@ class Recorder(Watcher):
             self._take(entry)
 
     def snapshot(self, snapshot: Snapshot) -> None:
-        if self._armings.another(snapshot.armed):
+        if self._armings.starts_flight(snapshot.armed):
             self._waiting.append(None)
         self._take(entry_of_state(snapshot))
 
     def close(self) -> None:
-        """Write the rest, within `LAST_WRITES_S`."""
+        """Write the rest within `LAST_WRITES_S`."""
         self._hand_over()
         if not self._writer.close(LAST_WRITES_S):
             self._ended = "the end of the flight log is lost: the disk hangs"
@@ -108,15 +107,15 @@ class Recorder(Watcher):
 
 
 class _Armings:
-    """Notices a second arming, which begins another flight."""
+    """Detects a second arming, which starts another flight."""
 
     def __init__(self) -> None:
-        self._armed = self._before = False
+        self._armed = self._has_flown = False
 
-    def another(self, armed: bool) -> bool:
-        """Whether this snapshot begins a flight that is not the first."""
+    def starts_flight(self, armed: bool) -> bool:
+        """True if this snapshot starts another flight after a first one."""
         began, ended = armed and not self._armed, self._armed and not armed
         self._armed = armed
-        another = began and self._before
-        self._before = (self._before or ended) and not another
-        return another
+        starts = began and self._has_flown
+        self._has_flown = (self._has_flown or ended) and not starts
+        return starts

@@ -1,6 +1,6 @@
-"""The core's events from a log, equal to the last bit.
+"""The core's events from a log, bit for bit.
 
-A log leaves out NaN and infinities; they are restored as NaN.
+A log leaves out NaN and infinities. They are restored as NaN.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _INTENTS: dict[str, type] = {name_of(kind): kind for kind in get_args(Intent)}
 
 
 def start_of(log: FlightLog) -> Start:
-    """The state with which the service started. Raises `LogError` if that part is damaged."""
+    """The state with which the service started. Raises `LogError` if this part is damaged."""
     for entry in log.entries((START,)):
         return restored(Start, entry.fields)
     raise LogError(f"{log.path}: its beginning is damaged")
@@ -52,26 +52,26 @@ def start_of(log: FlightLog) -> Start:
 
 def event_of(entry: LogEntry) -> Event:
     """The event of an entry from one of the `EVENT_TOPICS`."""
-    said = entry.fields
+    message = entry.fields
     if entry.topic == MAVLINK_IN:
-        return VehicleMessage(said["t"], message_in(binascii.a2b_base64(said["frame"])))
+        return VehicleMessage(message["t"], message_in(binascii.a2b_base64(message["frame"])))
     if entry.topic == topic_of(Asked):
-        kind = _INTENTS.get(said["intent"]["kind"])
+        kind = _INTENTS.get(message["intent"]["kind"])
         if kind is None:
-            raise LogError(f"the log holds a request of an earlier version, {said['intent']['kind']}")
-        intent: Intent = restored(kind, said["intent"])
-        return Asked(said["t"], said["by"], intent, said.get("made_at"), said.get("seen_at"))
-    happened: Any = restored(_KINDS[entry.topic], said)
-    if isinstance(happened, Tick | LinkChanged | Said | Stop | Failed):
-        return happened
-    return FirmwareMessage(said["t"], happened)
+            raise LogError(f"the log has a request of an earlier version, {message['intent']['kind']}")
+        intent: Intent = restored(kind, message["intent"])
+        return Asked(message["t"], message["by"], intent, message.get("made_at"), message.get("seen_at"))
+    event: Any = restored(_KINDS[entry.topic], message)
+    if isinstance(event, Tick | LinkChanged | Said | Stop | Failed):
+        return event
+    return FirmwareMessage(message["t"], event)
 
 
-def restored(kind: type[T], said: Mapping[str, Any]) -> T:
+def restored(kind: type[T], values: Mapping[str, Any]) -> T:
     """A dataclass from its fields; a missing field is unknown."""
     return kind(**{
-        name: hint(said[name]) if name in said and _is_enum(hint) else said.get(name, unknown)
-        for name, (hint, unknown) in _hints(kind).items()  # type: ignore[arg-type]  # as if a type had no hash
+        name: hint(values[name]) if name in values and _is_enum(hint) else values.get(name, unknown)
+        for name, (hint, unknown) in _hints(kind).items()  # type: ignore[arg-type]  # mypy: a type is hashable
     })  # fmt: skip
 
 

@@ -1,7 +1,7 @@
-"""JSON schemas of what is recorded, made from the dataclasses themselves.
+"""JSON schemas of the recorded messages, made from their dataclasses.
 
-A field has one plain type, as Foxglove needs it, and an unknown value is left out of its message. The schemas
-of msgspec have references, and alternatives with null.
+Foxglove needs one plain type per field, so an unknown value is left out of its message. The schemas of
+msgspec do not fit: they have references, and alternatives with null.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _PLAIN: dict[type, str] = {bool: "boolean", int: "integer", float: "number", str
 
 
 def obj(properties: Mapping[str, Schema], description: str = "") -> Schema:
-    """The schema of an object with these properties, and perhaps others."""
+    """The schema of an object with these properties; it may have others."""
     schema: Schema = {"type": "object", "properties": dict(properties)}
     if description:
         schema["description"] = description
@@ -26,14 +26,13 @@ def obj(properties: Mapping[str, Schema], description: str = "") -> Schema:
 
 
 def of_dataclass(kind: type) -> Schema:
-    """The schema of a dataclass or a named tuple: its fields in order, and its docstring's summary."""
+    """The schema of a dataclass or named tuple: its fields in order, and the summary of its docstring."""
     hints = get_type_hints(kind)
     names = [field.name for field in fields(kind)] if is_dataclass(kind) else list(kind.__annotations__)
     return obj({name: of_type(hints[name]) for name in names}, (getdoc(kind) or "").split("\n\n")[0])
 
 
 def of_type(hint: Any) -> Schema:
-    """The schema of a type hint."""
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         known = [argument for argument in arguments if argument is not type(None)]

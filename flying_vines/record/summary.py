@@ -13,7 +13,7 @@ from flying_vines.record.topics import DECISION, SNAPSHOT
 
 @dataclass(frozen=True)
 class Summary:
-    """What `log list` shows of a flight."""
+    """The data of a flight for `log list`."""
 
     folder: Path
     began_s: float
@@ -21,22 +21,22 @@ class Summary:
     length_s: float
     armed_s: float
     bends: int
-    """How often a trigger bent the vine."""
+    """The number of triggers that bent the vine."""
     refused: int
     lowest_reservoir_kPa: float
-    """Gauge; NaN where no phloSAR answered."""
+    """Gauge; NaN if no phloSAR answered."""
     findings: dict[str, int]
-    """How often each of the physics checks found something."""
+    """The number of findings of each physics check."""
     size_MB: float
-    """Of all files in the folder."""
+    """Total size of the files in the folder."""
     lost: int
-    """Damaged messages."""
+    """The number of damaged messages."""
     damage: str
     """A sentence; empty for a complete log. A log that is still being written is incomplete."""
 
 
 def summarise(log: FlightLog) -> Summary:
-    """Raises `LogError` when there is nothing to read."""
+    """Raises `LogError` if there is nothing to read."""
     began_ns = ended_ns = 0
     armed_s = 0.0
     before_t: float | None = None
@@ -45,18 +45,16 @@ def summarise(log: FlightLog) -> Summary:
     bends = refused = 0
     for entry in log.entries((SNAPSHOT, DECISION)):
         began_ns, ended_ns = began_ns or entry.unix_ns, entry.unix_ns
-        said = entry.fields
+        f = entry.fields
         if entry.topic == DECISION:
-            refused += said["safety"] == "refused"
-            bends += (
-                said["safety"] != "refused" and said["setpoint_kPa"] > 0.0 and said["trigger"] != "failsafe"
-            )
+            refused += f["safety"] == "refused"
+            bends += f["safety"] != "refused" and f["setpoint_kPa"] > 0.0 and f["trigger"] != "failsafe"
             continue
-        if said["armed"] and before_t is not None:
-            armed_s += said["t"] - before_t
-        before_t = said["t"]
-        lowest_kPa = min(lowest_kPa, said.get("reservoir_kPa", math.inf))
-        findings = said["findings"]
+        if f["armed"] and before_t is not None:
+            armed_s += f["t"] - before_t
+        before_t = f["t"]
+        lowest_kPa = min(lowest_kPa, f.get("reservoir_kPa", math.inf))
+        findings = f["findings"]
     return Summary(
         folder=log.folder,
         began_s=began_ns / 1e9,
@@ -73,20 +71,20 @@ def summarise(log: FlightLog) -> Summary:
 
 
 def flights_in(parent: Path) -> list[Path]:
-    """The folders of flights, the oldest first."""
+    """The folders of flights, oldest first."""
     if not parent.is_dir():
         return []
     return sorted(folder for folder in parent.iterdir() if (folder / MCAP).is_file())
 
 
-def find_flight(said: str, parent: Path) -> FlightLog:
-    """`said` is "last", the name of its folder, a folder or a file. Raises `LogError`."""
-    if said == "last":
+def find_flight(name: str, parent: Path) -> FlightLog:
+    """`name` is "last", a folder's name in `parent`, or the path of a folder or file. Raises `LogError`."""
+    if name == "last":
         flights = flights_in(parent)
         if not flights:
             raise LogError(f"{parent}: contains no flight")
         return FlightLog(max(flights, key=lambda folder: (folder / MCAP).stat().st_mtime))
-    for path in (Path(said), parent / said):
+    for path in (Path(name), parent / name):
         if path.is_file() or (path / MCAP).is_file():
             return FlightLog(path)
-    raise LogError(f"{said}: is not a flight: give a flight's folder, its {MCAP}, or last")
+    raise LogError(f"{name}: is not a flight: give a flight's folder, its {MCAP}, or last")

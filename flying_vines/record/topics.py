@@ -1,7 +1,8 @@
-"""The topics of a flight's log, and how events and actions become messages.
+"""The topics of a flight's log, and the conversion of events and actions to messages.
 
 Pressures are gauge kPa, times `t` seconds of the service's monotonic clock. Unknown values are left out. A
-MAVLink message is its whole frame and, if anything here acts on its type, its fields under the type's name.
+MAVLink message is logged as its whole frame. If this project uses its type, its fields are logged, too, under
+the type's name.
 """
 
 from __future__ import annotations
@@ -48,31 +49,31 @@ _encode = msgspec.json.Encoder().encode
 _decode = msgspec.json.Decoder().decode
 
 DECODED = handled.ALL | {"NAMED_VALUE_FLOAT"}
-"""MAVLink messages whose fields are logged beside their frames."""
+"""MAVLink messages whose fields are logged in addition to their frames."""
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """With what the core began: it and the events after it give every decision again."""
+    """The start state of the core. With the events after it, a replay gives the same decisions."""
 
     t: float
     profile: str
     """The configuration's text."""
     rig: str
-    """The rig file's text; empty where there was none."""
+    """The rig file's text; empty if there was none."""
     parameters: dict[str, float]
-    """Those of a pilot that were kept."""
+    """Saved parameters that a pilot has set."""
     disarmed: bool
-    """The pneumatics were when the last service ended."""
+    """The pneumatics were disarmed when the last service ended."""
     believed: dict[str, Any]
-    """What the rig is taken to be, as the tables of a rig file."""
+    """The configuration's numbers of the rig, as the tables of a rig file."""
     continues: str
-    """The folder of the same service's flight before, whose end this one's beginning is; or empty."""
+    """The folder of this service's previous flight, which this one continues; or empty."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mavlink:
-    """A MAVLink message: its frame and, of those that are acted on, its fields under the name of its kind."""
+    """A MAVLink message: its frame, and for used types its fields under the type's name."""
 
     t: float
     name: str
@@ -83,7 +84,7 @@ class Mavlink:
 
 
 class Topic(NamedTuple):
-    """A channel of the log; its number is its place in `TOPICS`, counted from 1."""
+    """A channel of the log. Its number is its position in `TOPICS`, counted from 1."""
 
     name: str
     schema_name: str
@@ -129,7 +130,7 @@ _ANSWERS: dict[type, str] = {
     KeepDisarmed: "disarmed",
 }
 _STATES: dict[type, str] = {Start: "start", Snapshot: "snapshot", InternalError: "internal_error"}
-"""Not fed to the core, and not compared in a replay: a traceback names lines of a program."""
+"""Not fed to the core, and not compared in a replay: a traceback contains line numbers."""
 MAVLINK_IN, MAVLINK_OUT = "mavlink/in", "mavlink/out"
 
 
@@ -159,30 +160,29 @@ EVENT_TOPICS = frozenset({
     MAVLINK_IN, *_EVENTS.values(),
     *(_SERIAL[kind] for kind in get_args(protocol.DeviceMessage)),
 })  # fmt: skip
-"""What went into the core."""
+"""Inputs of the core."""
 ANSWER_TOPICS = frozenset({
     MAVLINK_OUT, *_ANSWERS.values(),
     *(_SERIAL[kind] for kind in get_args(protocol.HostMessage)),
 })  # fmt: skip
-"""What came out of it."""
+"""Outputs of the core."""
 START, SNAPSHOT = _STATES[Start], _STATES[Snapshot]
 DECISION, NOTICE = _ANSWERS[Decision], _ANSWERS[Notice]
 TELEMETRY = _SERIAL[protocol.Telemetry]
 
 RawEntry = tuple[int, float, Any]
-"""A topic's number, the time, and what is to be written there: a dataclass, or a MAVLink frame."""
+"""A topic's number, the time, and the content: a dataclass, or a MAVLink frame."""
 
 _IN, _OUT = NUMBERS[MAVLINK_IN], NUMBERS[MAVLINK_OUT]
 _NUMBER_OF = {kind: NUMBERS[name] for kind, name in (_SERIAL | _EVENTS | _ANSWERS | _STATES).items()}
 
 
 def topic_of(kind: type) -> str:
-    """The topic of this type."""
     return TOPICS[_NUMBER_OF[kind] - 1].name
 
 
 def entry_of_event(event: Event) -> RawEntry:
-    """Runs in the loop that flies, so it only finds the topic."""
+    """Runs in the service's loop, so it only finds the topic."""
     if isinstance(event, VehicleMessage):
         return _IN, event.t, event.message.get_msgbuf()
     if isinstance(event, FirmwareMessage):
@@ -191,7 +191,7 @@ def entry_of_event(event: Event) -> RawEntry:
 
 
 def entry_of_action(t: float, action: Action) -> RawEntry | None:
-    """At time `t` of the event that caused it; None for what only repeats an event."""
+    """`t` is the time of the event that caused the action. None: the action only repeats an event."""
     if isinstance(action, ToVehicle):
         return _OUT, t, action.message.get_msgbuf()
     if isinstance(action, ToFirmware):
@@ -206,12 +206,11 @@ def entry_of_state(state: Snapshot | Start) -> RawEntry:
 
 
 def encoded(entry: RawEntry) -> bytes:
-    """The message's JSON."""
     number, t, what = entry
     if number in (_IN, _OUT):
         return _mavlink(t, bytes(what))
     if isinstance(what, Asked):
-        return _without_nulls(_encode(_shaped(what)))
+        return _without_nulls(_encode(_with_kind(what)))
     data = _encode(what)
     if not hasattr(what, "t"):
         rest = data[1:]
@@ -219,8 +218,8 @@ def encoded(entry: RawEntry) -> bytes:
     return _without_nulls(data)
 
 
-def _shaped(what: Asked) -> dict[str, Any]:
-    """Names what plain encoding would not name."""
+def _with_kind(what: Asked) -> dict[str, Any]:
+    """The fields of a request, with the kind of its intent."""
     plain: dict[str, Any] = msgspec.to_builtins(what)
     plain["intent"] = {"kind": name_of(type(what.intent)), **plain["intent"]}
     return plain
@@ -256,12 +255,11 @@ def _mavlink(t: float, raw: bytes) -> bytes:
 
 
 def frame_of(raw: bytes) -> Frame:
-    """A frame that was valid when it was received, or that we have sent."""
-    # A frame of a type that the dialect lacks is complete only when another frame follows.
+    """The frame in `raw`, which was valid when it was received or sent."""
+    # `Frames` returns a frame of an unknown type only if another frame follows.
     (frame,) = Frames().take(raw + _ANOTHER)
     return frame
 
 
 def message_in(raw: bytes) -> MavlinkMessage:
-    """The message in a received frame."""
     return message_of(frame_of(raw))

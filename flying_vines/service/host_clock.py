@@ -1,4 +1,4 @@
-"""What the kernel knows of this computer's clock."""
+"""Reads from the kernel whether this computer's clock is synchronised."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import sys
 from pathlib import Path
 
 _TIMEX_BYTES = 256
-"""A `struct timex`, and some: all zeros only asks."""
+"""At least the size of `struct timex`. All zeros: read only, change nothing."""
 _TIME_ERROR = 5
-"""What `adjtimex` answers when the clock is not synchronised."""
+"""Result of `adjtimex` if the clock is not synchronised."""
 _BY_TIMESYNCD = Path("/run/systemd/timesync/synchronized")
-"""The sandbox of our systemd service refuses `adjtimex`, because it can set clocks. It shows this file."""
+"""Used instead of `adjtimex`, which the sandbox of our systemd service forbids because it can set clocks."""
 
 
 def synchronised() -> bool | None:
-    """What every daemon that keeps the clock (chrony, timesyncd, ntpd) tells the kernel; None elsewhere."""
+    """True if a time daemon (chrony, timesyncd, ntpd) has synchronised the clock; None if unknown."""
     if not sys.platform.startswith("linux"):
         return None
     try:

@@ -1,4 +1,4 @@
-"""The settings of the firmware, read and changed over a real port."""
+"""Reads and changes the firmware's settings over a real port."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from flying_vines.config.address import Address
 from flying_vines.service.link_watch import LinkWatch
 
 ANSWERS_WITHIN_S = 5.0
-"""Time for a board to start, two greetings and the text about a silent port. A board that disappears has the
-same time to come back."""
+"""Time for a board to start or return, for two Hellos, and for the text about a silent port."""
 
 
 class SettingsError(Exception):
@@ -21,25 +20,25 @@ class SettingsError(Exception):
 
 
 class SettingsInterruptedError(SettingsError):
-    """The person has stopped it."""
+    """The user has stopped it."""
 
 
 async def talk_about_settings(
     address: Address, changes: Mapping[str, float], stopped: asyncio.Event
 ) -> Sequence[Setting]:
-    """Make the changes and return all settings. Raises SettingsError, also if `stopped`."""
+    """Make the changes and return all settings. Raises `SettingsError`, also if `stopped` is set."""
     talk = SettingsTalk(changes)
     watch = LinkWatch(address, talk)
-    there_s = 0.0
+    ready_s = 0.0
 
     def over() -> bool:
-        nonlocal there_s
+        nonlocal ready_s
         if watch.monitor.session.state is SessionState.READY:
-            there_s = watch.t
-        gone = watch.t - there_s >= ANSWERS_WITHIN_S
+            ready_s = watch.t
+        gone = watch.t - ready_s >= ANSWERS_WITHIN_S
         return talk.done or bool(talk.problem) or gone or stopped.is_set()
 
-    await watch.run(lambda heard: None, over)
+    await watch.run(lambda events: None, over)
     if not talk.done:
         if stopped.is_set() and not talk.problem:
             raise SettingsInterruptedError("interrupted")

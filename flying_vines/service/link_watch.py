@@ -1,4 +1,4 @@
-"""The monitor of the phloSAR's line on a real port. No logic of its own."""
+"""Runs the monitor of the phloSAR's line on a real port."""
 
 from __future__ import annotations
 
@@ -28,15 +28,12 @@ LinkEvent = SeenFrame | LinkNote
 
 
 class LinkWatch:
-    """Greets the board at `address` and collects what it sends until `run` passes it on.
-
-    Times are those of the event loop's clock since the watch began.
-    """
+    """Monitors the board at `address`. Times are seconds since the watch began."""
 
     def __init__(self, address: Address, settings: SettingsTalk | None = None) -> None:
         self.monitor = Monitor(settings)
         self.answered = False
-        """Whether a firmware of our version has been there."""
+        """A firmware of our version has answered."""
         self.port = LinkNote(0.0, "opening", False)
         """The state of the port, and of the board on it."""
         self._opened = self.port
@@ -76,8 +73,8 @@ class LinkWatch:
             opening.result()
 
     def _take_received(self) -> list[LinkEvent]:
-        heard, self._received = self._received, []
-        return heard
+        received, self._received = self._received, []
+        return received
 
     def _bytes(self, data: bytes) -> None:
         seen, events = self.monitor.receive(self.t, data)

@@ -1,6 +1,6 @@
-"""The persistent state: a pilot's parameters, disarmed pneumatics, the signing clock, the page's token.
+"""Persistent state: the pilot's parameters, disarmed pneumatics, the signing clock, the page's token.
 
-Each is a file of one folder, named after the profile, so that several rigs can share it.
+All are files of one folder. Their names begin with the profile's, so several rigs can share the folder.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vehicle.mavlink.signing_key import TimestampFile, read_key
 
 DISARMED = """\
-The pneumatics were disarmed: as long as this file is there nothing bends.
-Arm them from a ground station (command USER_4, 3), or take the file away and start the service again.
+The pneumatics were disarmed: the vine does not bend while this file exists.
+Arm them from a ground station (command USER_4, 3), or delete the file and restart the service.
 """
 
 
@@ -32,13 +32,13 @@ class PersistentState:
     profile: Path
     parameters: Path
     disarming: Path
-    """Exists while the pneumatics are disarmed. Its content does not matter: half a file is enough."""
+    """Exists while the pneumatics are disarmed. Its content is not read: an incomplete file is enough."""
     signing_timestamp: Path
     page_token: Path
 
     @classmethod
     def of(cls, profile: Path, config: Config) -> PersistentState:
-        """`state.folder` of the profile may be relative to it; by default it is the profile's own."""
+        """The files in `state.folder`, which is relative to the profile's folder; default: that folder."""
         folder = profile.parent / config.state.folder
         token_file = config.page.token_file
         stem = profile.name.removesuffix(".toml")
@@ -51,12 +51,12 @@ class PersistentState:
         )
 
     def read_parameters(self, config: Config) -> dict[str, float]:
-        """Raises `ParameterFileError`, one line."""
+        """Raises `ParameterFileError` with one line."""
         return parameter_file.read(self.parameters, config)
 
     @property
     def disarmed(self) -> bool:
-        """Whether the pneumatics were disarmed and not armed again; `OSError` if that cannot be read."""
+        """True if the pneumatics were disarmed and not armed again. Raises `OSError` if it is unreadable."""
         return self.disarming.exists()
 
     def store_disarmed(self, disarmed: bool) -> None:
@@ -67,18 +67,15 @@ class PersistentState:
             else:
                 on_disk.take_away(self.disarming)
         except OSError as error:
-            change = "written" if disarmed else "taken away"
+            change = "written" if disarmed else "deleted"
             raise PersistentStateError(f"{self.disarming}: cannot be {change}: {error.strerror}") from None
 
     def read_page_token(self, config: Config) -> str:
-        """Made if there is none; empty if the page needs none. Raises `PageTokenError`, one line."""
+        """The token; a new one if there is none, empty if the page needs none. Raises `PageTokenError`."""
         return page_token.read_or_make(self.page_token) if config.page.needs_token else ""
 
     def read_signing(self, config: Config) -> tuple[Signing | None, str]:
-        """The signing that the profile asks for, if any, and a sentence if its clock was not stored.
-
-        Raises `SigningKeyError`, one line.
-        """
+        """The profile's signing, and a sentence if its clock was not stored. Raises `SigningKeyError`."""
         if not config.vehicle.signing_key:
             return None, ""
         key = read_key(self.profile.parent / config.vehicle.signing_key)

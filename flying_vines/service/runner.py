@@ -1,4 +1,4 @@
-"""The service with its watchers: recorder, screen, gateway and systemd."""
+"""Runs the service with its watchers: recorder, screen, gateway and systemd."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SNAPSHOT_S = 0.05
 
 @dataclass(frozen=True)
 class Remembered:
-    """The persistent state, as it was read at the start."""
+    """The persistent state, as read at the start."""
 
     kept: PersistentState
     parameters: dict[str, float]
@@ -46,14 +46,14 @@ async def serve(
     live: bool,
     page: str,
 ) -> None:
-    """Serve until a signal says stop, or the service ends. `page` is the sentence that says where it is."""
+    """Serve until a stop signal, or until the service ends. `page` is a line with the page's address."""
     loop = asyncio.get_running_loop()
     view = LiveView(loop.time(), config.limits.max_kPa, config.pneumatics.full_kPa)
     live = live and console.is_terminal
     shown = EachAction(view.take if live else plain_printer(console, loop.time()))
     gateway = Gateway(
         config,
-        ask=lambda *asked: service.ask(*asked),
+        ask=lambda *request: service.ask(*request),
         say=lambda text: service.say(Severity.WARNING, text),
         page_token=remembered.page_token,
     )
@@ -67,7 +67,7 @@ async def serve(
         remembered.signing,
         remembered.kept,
     )
-    # What was imported lives as long as we do; the collector need not walk it in flight.
+    # Modules stay until the end: exclude them from garbage collection, which would pause the loop in flight.
     gc.collect()
     gc.freeze()
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -75,7 +75,7 @@ async def serve(
     if page:
         view.say(Text(page))
     serving = asyncio.create_task(service.run())
-    tending = asyncio.create_task(gateway.run()) if Gateway.wanted(config) else None
+    gateway_task = asyncio.create_task(gateway.run()) if Gateway.wanted(config) else None
     screen = Live(console=console, refresh_per_second=5, screen=True) if live else None
     problems: dict[str, str] = {}
     log_reported = ""
@@ -84,8 +84,8 @@ async def serve(
     try:
         while not serving.done():
             snapshot = service.core.snapshot(service.now)
-            if log_reported != log.told:
-                log_reported = log.told
+            if log_reported != log.news:
+                log_reported = log.news
                 service.say(Severity.WARNING, log_reported)
             if screen:
                 try:
@@ -103,7 +103,7 @@ async def serve(
     finally:
         if screen:
             screen.stop()
-        if tending:
-            tending.cancel()
-            await asyncio.wait([tending])
+        if gateway_task:
+            gateway_task.cancel()
+            await asyncio.wait([gateway_task])
         log.close()

@@ -1,4 +1,4 @@
-"""The edge: one task group that feeds the core from sockets, serial port and clock. No logic of its own."""
+"""The edge: one task group that feeds the core from sockets, serial port and clock."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from firmware_link.answer import Answer
 from firmware_link.framing import FRAME_END
 from flying_vines.config.address import parse_address
 from flying_vines.config.config import Config
-from flying_vines.core.contained import Contained
+from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import TICK_S, Core
 from flying_vines.core.events import (
     Action,
@@ -53,18 +53,18 @@ SNAPSHOT_S = 0.1
 RESTART_S = 1.0
 """Wait before a failed task is started again."""
 BARE_VENT = FRAME_END + protocol.encode(protocol.Vent(1), 0)
-"""Sent if no message can be made for the firmware: a vent is accepted under every number."""
-ONLY_SHOWN = ("NAMED_VALUE_FLOAT", "FUEL_STATUS")
-"""Messages that only serve displays."""
+"""Sent if a message to the firmware cannot be encoded. The firmware accepts a vent with any number."""
+DISPLAY_MESSAGES = ("NAMED_VALUE_FLOAT", "FUEL_STATUS")
+"""Messages that are only displayed."""
 _LINKS = ("flying_vines.vehicle.mavlink.link", "firmware_link.serial_port")
-"""Modules whose callbacks the vine needs."""
+"""Modules whose callbacks are needed to move the vine."""
 
 
 class Service:
-    """A core between two real links. The `watchers` see every event and action after it was carried out.
+    """A core between two real links. The `watchers` get each event and action after it was carried out.
 
-    `parameters`, `disarmed` and `signing` are the persistent state of the last service. `kept` holds the
-    files for the next one; without it nothing is stored.
+    `parameters`, `disarmed` and `signing` are the stored state of the last run. `kept` has the files for the
+    next run; without it nothing is stored.
     """
 
     def __init__(
@@ -77,18 +77,18 @@ class Service:
         signing: Signing | None = None,
         kept: PersistentState | None = None,
     ) -> None:
-        self.core = Contained(
+        self.core = CrashSafeCore(
             Core(config, belief=belief, parameters=parameters, disarmed=disarmed),
             lambda error: self.failed("display", error),
         )
         self._failed: set[str] = set()
-        """Parts whose failure is reported."""
+        """Parts whose failure was already reported."""
         self.link_problems: dict[str, str] = {}
         self._profile = config
         self._disarmed_before = disarmed
         self._persistent = kept
         self._unwritten: dict[str, Callable[[], None]] = {}
-        """For each state that has changed, how to write it."""
+        """Functions that write the changed states, by state."""
         self._changed = asyncio.Event()
         self._signing = signing
         self._synchronised = bool(synchronised())
@@ -111,20 +111,19 @@ class Service:
 
     @property
     def now(self) -> float:
-        """The clock that all events are stamped with, in seconds."""
+        """The time in seconds, on the clock of all events."""
         return asyncio.get_running_loop().time()
 
     def stop(self) -> None:
-        """Vent, say so, and end."""
+        """Vent, send a notice, and end."""
         self._stopping.set()
 
     def say(self, severity: Severity, text: str) -> None:
-        """Show a text here and on the ground station."""
+        """Show a text on this screen and on the ground station."""
         self._feed(Said(self.now, severity, text))
 
     def failed(self, part: str, error: BaseException, needed: bool = False) -> None:
-        """Report and log, once, the failure of a part: `needed` by the vine, or only for displays."""
-        # Each part once: it may fail at every tick.
+        """Report a part's failure once: it may fail at every tick. `needed`: to move the vine."""
         if part not in self._failed:
             self._failed.add(part)
             self._feed(Failed.by(self.now, part, error, needed))
@@ -132,19 +131,16 @@ class Service:
     def ask(
         self, by: Asker, intent: Intent, made_at: float | None = None, seen_at: float | None = None
     ) -> Decision:
-        """Handle a person's request that did not come over MAVLink.
-
-        `made_at` and `seen_at` are those of `Asked`.
-        """
+        """Handle a request that did not come over MAVLink. `made_at`, `seen_at`: see `Asked`."""
         actions = self._feed(Asked(self.now, by, intent, made_at, seen_at))
         return next(action for action in actions if isinstance(action, Decision) and action.trigger == by)
 
     async def run(self) -> None:
-        """Serve until `stop`; cancelling it does not vent, but then the firmware's dead-man does."""
+        """Serve until `stop`. If it is cancelled, the firmware's dead-man vents the vine."""
         if self._disarmed_before:
             self.say(Severity.WARNING, "pneumatics disarmed before restart: arm them")
         loop = asyncio.get_running_loop()
-        handled_before = loop.get_exception_handler()
+        previous_handler = loop.get_exception_handler()
         loop.set_exception_handler(self._callback_failed)
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -165,11 +161,11 @@ class Service:
                 for edge in edges:
                     edge.cancel()
         finally:
-            loop.set_exception_handler(handled_before)
+            loop.set_exception_handler(previous_handler)
             self.notify_watchers()
 
     async def _restarted(self, part: str, run: Callable[[], Awaitable[None]], needed: bool) -> None:
-        """Run a task until it is done. If it fails, report that and start it again."""
+        """Run a task until it is done. A failed task is reported and started again."""
         while True:
             with self._contained(part, needed):
                 return await run()
@@ -177,7 +173,7 @@ class Service:
 
     @contextmanager
     def _contained(self, part: str, needed: bool = False) -> Iterator[None]:
-        """Report an unexpected error of a part to the core, and go on."""
+        """Report an unexpected error of a part to the core, and continue."""
         try:
             yield
         except Exception as error:
@@ -190,7 +186,7 @@ class Service:
         self.failed("event loop", error, needed=not modules.isdisjoint(_LINKS))
 
     async def _write_changes(self) -> None:
-        """Write the latest state; a slow disk delays nothing else."""
+        """Write changed states in a thread, so that a slow disk delays nothing else."""
         while True:
             await self._changed.wait()
             self._changed.clear()
@@ -199,7 +195,7 @@ class Service:
                 try:
                     await asyncio.to_thread(write)
                 except (parameter_file.ParameterFileError, PersistentStateError) as error:
-                    self.say(Severity.WARNING, f"{what} not kept: {error}")
+                    self.say(Severity.WARNING, f"{what} not saved: {error}")
 
     def _store(self, what: str, write: Callable[[], None]) -> None:
         self._unwritten[what] = write
@@ -210,7 +206,7 @@ class Service:
         if self._signing is None:
             return
         file = TimestampFile(self._persistent.signing_timestamp) if self._persistent else None
-        told, told_at = self._signing.refused.total, -REFUSALS_EVERY_S
+        reported, reported_at = self._signing.refused.total, -REFUSALS_EVERY_S
         try:
             while True:
                 self._synchronised = bool(synchronised())
@@ -222,12 +218,12 @@ class Service:
                 while self._signing.news:
                     self.say(Severity.WARNING, self._signing.news.pop(0))
                 refused = self._signing.refused
-                if refused.total > told and self.now - told_at >= REFUSALS_EVERY_S:
+                if refused.total > reported and self.now - reported_at >= REFUSALS_EVERY_S:
                     self.say(Severity.WARNING, f"refused messages: {refused}")
-                    told, told_at = refused.total, self.now
+                    reported, reported_at = refused.total, self.now
                 await asyncio.sleep(1.0)
         finally:
-            # The exact time, so that no message recorded in this run is accepted in the next one.
+            # Save the exact time, so that the next run refuses messages recorded in this run.
             if file is not None:
                 with suppress(SigningKeyError):
                     file.save(self._signing.memory)
@@ -292,14 +288,14 @@ class Service:
         self._feed(LinkChanged(self.now, "firmware", up, why))
 
     def _report_unread(self) -> None:
-        """Report it once: a stranger could fill the log, and the sender may be the autopilot itself."""
+        """Report an ignored sender, which may be the autopilot. Once: strangers must not fill the log."""
         sender = unread_from(self._vehicle)
         if sender and not self._unread_reported:
             self._unread_reported = True
             self.say(Severity.WARNING, f"not read: {sender} is not vehicle.link's peer")
 
     def _report_silence(self, t: float) -> None:
-        """An open port is not enough: it may be another device's, or the board may not run."""
+        """Report an open port without answer: it may belong to another device, or the board does not run."""
         problem = self._answer.news(t)
         if problem is None:
             return
@@ -318,18 +314,18 @@ class Service:
         return actions
 
     def notify_watchers(self) -> None:
-        """Pass on what happened since the last tick, so that no setpoint waits for a watcher."""
-        untold, self._unpublished = self._unpublished, []
+        """Give the watchers the events since the last tick. No setpoint waits for a watcher."""
+        unpublished, self._unpublished = self._unpublished, []
         for watcher in tuple(self._watchers):
             with self._contained_watcher(watcher):
-                for event, actions in untold:
+                for event, actions in unpublished:
                     watcher.event(event)
                     for action in actions:
                         watcher.action(action)
 
     @contextmanager
     def _contained_watcher(self, watcher: Watcher) -> Iterator[None]:
-        """A watcher that fails is removed; the service goes on."""
+        """Remove a watcher that fails; the service continues."""
         try:
             yield
         except Exception as error:
@@ -342,7 +338,7 @@ class Service:
                 with self._contained("phloSAR vent", needed=True):
                     self._firmware.write(BARE_VENT)
                 self.failed("phloSAR messages", error, needed=True)
-            case ToVehicle(message) if message.get_type() not in ONLY_SHOWN:
+            case ToVehicle(message) if message.get_type() not in DISPLAY_MESSAGES:
                 self.failed("vehicle messages", error, needed=True)
             case ToVehicle():
                 self.failed("named values", error)
@@ -352,7 +348,7 @@ class Service:
     def _carry_out(self, action: Action) -> None:
         match action:
             case ToFirmware(message):
-                # Half a frame on the line must not spoil ours.
+                # FRAME_END first: an incomplete frame on the line must not damage ours.
                 self._firmware.write(FRAME_END + self._serial.encode(message))
             case ToVehicle(message, system_id):
                 self._vehicle.write(self._mavlink.encode(message, system_id))

@@ -1,7 +1,7 @@
-"""Notifications to systemd: the service is ready, its loop runs, its status, it stops.
+"""Notifies systemd: the service is ready, its loop runs, its status, it stops.
 
-The service's loop sends them at its own ticks. If it hangs, systemd's watchdog starts the service again.
-Without a listener nothing is sent.
+The service's loop sends the notifications at its ticks. If it hangs, systemd's watchdog restarts the service.
+Nothing is sent if systemd did not start the service.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from flying_vines.core.events import Event, Snapshot, Stop, Tick
 from flying_vines.core.watcher import Watcher
 
 PER_WATCHDOG = 4
-"""Messages within the watchdog's time, so that one or two may be late."""
+"""Messages per watchdog time; one or two may be late."""
 STATUS_S = 1.0
 
 
 def service_manager(environment: MutableMapping[str, str] = os.environ) -> tuple[Watcher, ...]:
-    """The service manager that started us, if it wants notifications. Our children do not get its address."""
+    """The service manager that started us, if any. Hides its address from our child processes."""
     address = environment.pop("NOTIFY_SOCKET", "")
     watchdog_us = float(environment.pop("WATCHDOG_USEC", "inf"))
     if environment.pop("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
@@ -29,10 +29,10 @@ def service_manager(environment: MutableMapping[str, str] = os.environ) -> tuple
 
 
 class ServiceManager(Watcher):
-    """Sends datagrams without waiting; one that was not accepted is sent again at the next tick."""
+    """Sends datagrams without waiting. A datagram that was not accepted is sent again at the next tick."""
 
     def __init__(self, address: str, watchdog_s: float) -> None:
-        # An abstract socket's name begins with a zero byte, which the environment writes as @.
+        # The name of an abstract socket begins with a zero byte; the environment has @ instead.
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self._every_s = watchdog_s / PER_WATCHDOG
         self._ready = False
@@ -64,15 +64,15 @@ class ServiceManager(Watcher):
 
 
 def status_line(snapshot: Snapshot) -> str:
-    """What `systemctl status` shows."""
-    said = [
+    """The status line in `systemctl status`."""
+    parts = [
         f"vehicle {snapshot.vehicle}" + (" armed" if snapshot.armed else ""),
         f"RC {snapshot.rc}",
         f"phloSAR {snapshot.firmware}",
     ]
     if math.isfinite(snapshot.reservoir_kPa):
-        said.append(f"bottle {snapshot.reservoir_kPa:.0f} kPa")
+        parts.append(f"bottle {snapshot.reservoir_kPa:.0f} kPa")
     if snapshot.safe_state:
-        said.append(f"SAFE: {', '.join(snapshot.safe_state.values())}")
-    # Texts of a board or vehicle must not add lines.
-    return " ".join("; ".join([*said, snapshot.doing]).split())
+        parts.append(f"SAFE: {', '.join(snapshot.safe_state.values())}")
+    # Texts from board or vehicle must not add lines.
+    return " ".join("; ".join([*parts, snapshot.doing]).split())

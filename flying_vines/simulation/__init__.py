@@ -1,1 +1,1 @@
-"""A fake autopilot and a fake phloSAR: shipped, and used by the demo, the replay and the tests."""
+"""Simulated autopilot and phloSAR, for users, the demo, the replay and the tests."""

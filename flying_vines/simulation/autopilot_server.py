@@ -1,4 +1,4 @@
-"""A fake autopilot on UDP and TCP: the edge that has the sockets and the clock."""
+"""Runs a simulated autopilot on UDP and TCP."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ SocketAddress = tuple[str, int]
 Script = Sequence[tuple[float, Callable[[FakeAutopilot], None]]]
 
 PACE_S = 0.01
-MOST_CLIENTS = 8
-"""On all TCP ports together; an autopilot has no more ports than that."""
+MAX_CLIENTS = 8
+"""Maximum TCP clients on all ports together, like the ports of an autopilot."""
 MAX_QUEUED_BYTES = 64 * 1024
 
 _COMPANION, _GCS = "companion", "gcs"
 
 
 class AutopilotServer:
-    """Connects an autopilot with a companion and a ground station on UDP, and with whoever comes by TCP.
+    """Connects an autopilot with a companion and a ground station on UDP, and with TCP clients.
 
-    Each has a port of the autopilot of its own, as serial ports are on a real one. UDP peers answer to where
-    the frames come from, and need not listen yet: frames to a closed port are lost. A TCP client that goes
-    leaves its port to the next. The autopilot must be a fresh one, and `run` is for once.
+    Each has its own port of the autopilot, like the serial ports of a real one. UDP peers answer to the
+    sender's address. They need not listen yet: frames to a closed port are lost. The next TCP client gets the
+    port of one that has left. The autopilot must be new; call `run` only once.
     """
 
     def __init__(
@@ -38,11 +38,10 @@ class AutopilotServer:
         listen: Sequence[str | SocketAddress] = (),
         speed: float = 1.0,
     ) -> None:
-        """`companion` and `gcs` are (host, port) or "udpout:host:port"; ValueError for anything else.
+        """`companion` and `gcs` are (host, port) or "udpout:host:port"; otherwise raises `ValueError`.
 
-        `script` holds stimuli and when to apply them, in seconds since `run` started, in any order. `listen`
-        are TCP ports, "tcpin:host:port" or (host, port), where port 0 is any free one. At `speed` 10 the
-        vehicle lives ten seconds in one.
+        `script`: times (s since the start of `run`) and stimuli, in any order. `listen`: TCP ports as
+        "tcpin:host:port" or (host, port); port 0 is any free port. `speed`: 10 is ten times real time.
         """
         self.autopilot = autopilot
         self._peers: dict[str, SocketAddress] = {}
@@ -56,18 +55,18 @@ class AutopilotServer:
         self._start_s = 0.0
         self._ends: dict[str, _UdpPeer | _TcpClient] = {}
         self.ports: list[int] = []
-        """The TCP ports, in the order of `listen`, once `ready`."""
+        """The TCP ports, in the order of `listen`; valid once `ready`."""
         self.ready = asyncio.Event()
         self.frames_sent = 0
         self.frames_unsent = 0
 
     @property
     def now_s(self) -> float:
-        """Seconds of the vehicle's time since `run` started."""
+        """The vehicle's time since the start of `run`, s."""
         return (asyncio.get_running_loop().time() - self._start_s) * self._speed
 
     async def run(self) -> None:
-        """Serve until cancelled. A taken TCP port ends it, and what a stimulus of the script raises."""
+        """Serve until cancelled. Raises the error of a TCP port in use, or of a stimulus."""
         loop = asyncio.get_running_loop()
         self._start_s = loop.time()
         servers: list[asyncio.Server] = []
@@ -81,7 +80,7 @@ class AutopilotServer:
             slot = 0
             while True:
                 self._step(self.now_s)
-                # Slots of the clock, not pauses: a late one does not delay those after it.
+                # Fixed slots instead of pauses, so that a late step does not delay later ones.
                 slot = max(slot + 1, int((loop.time() - self._start_s) / PACE_S))
                 await asyncio.sleep(self._start_s + slot * PACE_S - loop.time())
         finally:
@@ -95,12 +94,12 @@ class AutopilotServer:
         self.autopilot.add_link(link)
         await asyncio.get_running_loop().create_datagram_endpoint(lambda: peer, remote_addr=address)
 
-    def hear(self, link: str, data: bytes) -> None:
+    def receive(self, link: str, data: bytes) -> None:
         self.autopilot.receive(self.now_s, link, data)
 
-    def seat(self, client: _TcpClient) -> str | None:
-        """A port of the autopilot for a TCP client; None when all are taken."""
-        for number in range(1, MOST_CLIENTS + 1):
+    def add_client(self, client: _TcpClient) -> str | None:
+        """The autopilot's port for a TCP client; None if none is free."""
+        for number in range(1, MAX_CLIENTS + 1):
             link = f"tcp{number}"
             if link not in self._ends:
                 self._ends[link] = client
@@ -108,7 +107,7 @@ class AutopilotServer:
                 return link
         return None
 
-    def leave(self, link: str) -> None:
+    def remove_client(self, link: str) -> None:
         self._ends.pop(link, None)
 
     def _step(self, t_s: float) -> None:
@@ -128,7 +127,7 @@ class AutopilotServer:
 
 
 class _UdpPeer(asyncio.DatagramProtocol):
-    """One peer, who is sent to whether or not somebody is there."""
+    """One UDP peer. Frames are sent even if nobody listens."""
 
     def __init__(self, server: AutopilotServer, link: str) -> None:
         self._server = server
@@ -136,14 +135,14 @@ class _UdpPeer(asyncio.DatagramProtocol):
         self._transport: asyncio.DatagramTransport | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        # Before Python 3.12 the transport does not say so by its class.
+        # Before Python 3.12 the transport's class is not a DatagramTransport.
         self._transport = cast("asyncio.DatagramTransport", transport)
 
     def datagram_received(self, data: bytes, addr: object) -> None:
-        self._server.hear(self._link, data)
+        self._server.receive(self._link, data)
 
     def error_received(self, exc: Exception) -> None:
-        """Nobody listens (yet); what was sent is lost, as on a serial line with nothing at its end."""
+        """Nobody listens yet: the frame is lost, as on an open serial line."""
 
     def send(self, frame: bytes) -> bool:
         if self._transport is None or self._transport.is_closing():
@@ -157,7 +156,7 @@ class _UdpPeer(asyncio.DatagramProtocol):
 
 
 class _TcpClient(asyncio.Protocol):
-    """One client, on a port of the autopilot for as long as it stays."""
+    """One TCP client on a port of the autopilot."""
 
     def __init__(self, server: AutopilotServer) -> None:
         self._server = server
@@ -166,17 +165,17 @@ class _TcpClient(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast("asyncio.Transport", transport)
-        self._link = self._server.seat(self)
+        self._link = self._server.add_client(self)
         if self._link is None:
             self._transport.close()
 
     def data_received(self, data: bytes) -> None:
         if self._link is not None:
-            self._server.hear(self._link, data)
+            self._server.receive(self._link, data)
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._link is not None:
-            self._server.leave(self._link)
+            self._server.remove_client(self._link)
 
     def send(self, frame: bytes) -> bool:
         transport = self._transport
@@ -199,7 +198,7 @@ def _host_and_port(peer: str | SocketAddress) -> SocketAddress:
         return peer
     address = parse_address(peer)
     if not isinstance(address, NetworkAddress) or address.kind != "udpout":
-        raise ValueError(f"a fake autopilot sends to udpout:HOST:PORT, not to {peer!r}")
+        raise ValueError(f"a simulated autopilot sends to udpout:HOST:PORT, not to {peer!r}")
     return address.host, address.port
 
 
@@ -208,7 +207,7 @@ def _listening(at: str | SocketAddress) -> SocketAddress:
         return at
     kind, _, place = at.partition(":")
     if kind != "tcpin":
-        raise ValueError(f"a fake autopilot listens at tcpin:HOST:PORT, not at {at!r}")
+        raise ValueError(f"a simulated autopilot listens at tcpin:HOST:PORT, not at {at!r}")
     address = parse_address(f"tcp:{place}")
     assert isinstance(address, NetworkAddress)
     return address.host, address.port

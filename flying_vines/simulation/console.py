@@ -1,4 +1,4 @@
-"""A fake autopilot flown, and a fake phloSAR broken, by typing."""
+"""Typed commands for the simulated autopilot, and typed failures for the simulated phloSAR."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ COMMANDS: dict[str, tuple[int, Callable[..., None]]] = {
 
 
 def obey(autopilot: FakeAutopilot, line: str) -> str:
-    """Do what a line says; what to tell the person who typed it, or nothing."""
+    """Carry out a typed line. Returns a text for the user, or an empty text."""
     words = line.split()
     if not words:
         return ""
@@ -60,7 +60,7 @@ MISHAPS = "\n".join(
 
 
 def suffer(phlosar: SimulatedPhlosar, line: str) -> str:
-    """Let happen what a line says; what to tell the person who typed it, or nothing."""
+    """Apply the failure in a typed line. Returns a text for the user, or an empty text."""
     words = line.split()
     if not words:
         return ""
@@ -78,7 +78,7 @@ def suffer(phlosar: SimulatedPhlosar, line: str) -> str:
 
 
 async def type_to(obeyed: Callable[[str], str]) -> None:
-    """Obey standard input, line by line, until it ends; where nobody can type there (a service), at once."""
+    """Pass typed lines to `obeyed` until the end. Returns at once if nobody can type (a service)."""
     kind = os.fstat(sys.stdin.fileno()).st_mode
     if not (sys.stdin.isatty() or stat.S_ISFIFO(kind) or stat.S_ISSOCK(kind)):
         return

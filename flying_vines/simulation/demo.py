@@ -1,7 +1,7 @@
-"""A scripted flight: the real service between a fake autopilot and a fake phloSAR, step by step, checked.
+"""A scripted and checked flight: the real service between a simulated autopilot and phloSAR.
 
-Each step does one thing to the world and says what must come of it, and by when. The flight has passed when
-every expectation was met, and each kind of trigger came as often as the script asked for.
+Each step acts on the world and has expectations with a time limit. The flight passes if all expectations are
+met and each kind of trigger occurs exactly as often as the script causes it.
 """
 
 from __future__ import annotations
@@ -40,19 +40,19 @@ from flying_vines.vehicle.notice import Notice, Severity
 
 HOME = (-35.363262, 149.165237)
 NORTH_DEG_PER_M = 1 / 111_320
-LOOK_S = 0.05
+POLL_S = 0.05
 SWITCH_CHANNEL = 9
 LOW, MIDDLE, HIGH = 1000, 1500, 2000
 CRUISE_M = 6.0
 LEAK = Hole(bore_mm=4.0)
 EMPTY_KPA = 30.0
-ROOM_FOR_VINE = 110
-"""Columns of a terminal from which on the vine is drawn beside the live view."""
+MIN_WIDTH_FOR_VINE = 110
+"""From this terminal width on, the vine is drawn beside the live view."""
 
 
 @dataclass
 class World:
-    """What a step can act on and look at."""
+    """What a step can act on and check."""
 
     config: Config
     autopilot: FakeAutopilot
@@ -63,7 +63,7 @@ class World:
     snapshot: Snapshot | None = None
 
     def decided(self, since: float, trigger: str, safety: str, reason: str = "", **what: object) -> bool:
-        """Whether a trigger was decided like this since a time."""
+        """True if there was such a decision about a trigger since this time."""
         return any(
             d.t >= since
             and (d.trigger, d.safety) == (trigger, safety)
@@ -81,20 +81,20 @@ class World:
 
     @property
     def vented(self) -> bool:
-        """As the plant itself knows it, not as telemetry says."""
+        """The plant's true state, not telemetry."""
         return self.phlosar.cv_kPa < 1.0 and self.phlosar.drive.evp == 0.0
 
 
 @dataclass(frozen=True)
 class Expectation:
-    """What must become true after a step, within a time."""
+    """A condition that must become true within a time after a step."""
 
     what: str
     within_s: float
     met: Callable[[World, float], bool]
-    """Of the world and of the time at which the step began."""
+    """Arguments: the world, and the start time of the step."""
     lasts: bool = False
-    """It must be true all the time until then."""
+    """The condition must hold during the whole `within_s`."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class DemoStep:
 
 @dataclass
 class DemoOutcome:
-    """An expectation and when, after its step, it was met; None while it was not."""
+    """The result of an expectation. `met_after_s` is None until it is met."""
 
     step: DemoStep
     expectation: Expectation
@@ -115,8 +115,8 @@ class DemoOutcome:
     met_after_s: float | None = None
     failed: bool = False
 
-    def look(self, world: World, now: float) -> None:
-        """Whether it is decided now."""
+    def update(self, world: World, now: float) -> None:
+        """Check the condition; set `met_after_s` or `failed`."""
         if self.failed or self.met_after_s is not None:
             return
         late = now - self.began > self.expectation.within_s
@@ -128,7 +128,7 @@ class DemoOutcome:
 
 
 def demo_mission() -> list[MissionItem]:
-    """Home, take-off, a waypoint, the vine item, a waypoint far enough away to last the flight."""
+    """Home, take-off, a waypoint, the vine item, and a far waypoint that lasts the flight."""
     return [
         _position(0, 16, 0.0, 584.0, frame=0),
         _position(1, 22, 0.0, CRUISE_M),
@@ -148,9 +148,9 @@ def _switch(pulse_us: int) -> Callable[[World], None]:
 
 
 def _switched(position: int, safety: str = "accepted", reason: str = "") -> Expectation:
-    said = f"switch seen in position {position}, bend {safety}"
+    text = f"switch seen in position {position}, bend {safety}"
     return Expectation(
-        said, 1.0, lambda w, since: w.decided(since, "switch", safety, reason, position=position)
+        text, 1.0, lambda w, since: w.decided(since, "switch", safety, reason, position=position)
     )
 
 
@@ -175,7 +175,7 @@ def _lost(loss: str, within_s: float) -> Expectation:
 
 
 def _told(text: str, within_s: float) -> Expectation:
-    return Expectation(f"pilot told: “{text}”", within_s, lambda w, since: w.noticed(since, text))
+    return Expectation(f"pilot reads: “{text}”", within_s, lambda w, since: w.noticed(since, text))
 
 
 def _open_leak(w: World) -> None:
@@ -197,7 +197,7 @@ SCRIPT = (
             Expectation(
                 "phloSAR answers", 3.0, lambda w, _: bool(w.snapshot and w.snapshot.firmware == "ready")
             ),
-            Expectation("RC heard", 4.0, lambda w, _: bool(w.snapshot and w.snapshot.rc == "good")),
+            Expectation("RC received", 4.0, lambda w, _: bool(w.snapshot and w.snapshot.rc == "good")),
             Expectation(
                 "ground station sees all five values", 5.0, lambda w, _: w.ground.values.keys() >= FIVE_VALUES
             ),
@@ -239,7 +239,7 @@ SCRIPT = (
     DemoStep(19.5, "A fresh move of the switch", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
     DemoStep(
         21.0,
-        "The bottle is holed, and runs low",
+        "The bottle leaks and runs low",
         _open_leak,
         (_lost("bottle_loss", 2.0), _vented(2.5), _told("bottle low", 4.0)),
     ),
@@ -265,13 +265,13 @@ SCRIPT = (
     ),
 )
 
-ASKED_FOR = {"switch": 5, "mission_item": 1, "command": 0}
-"""How many triggers of each kind the script makes; the move while RC is lost is none."""
+EXPECTED_TRIGGERS = {"switch": 5, "mission_item": 1, "command": 0}
+"""Number of triggers by kind. The switch move during RC loss is not a trigger."""
 
 
 @dataclass(frozen=True)
 class DemoFlight:
-    """What came of a scripted flight."""
+    """The result of a scripted flight."""
 
     outcomes: list[DemoOutcome]
     unasked: list[str]
@@ -287,10 +287,7 @@ class DemoFlight:
 async def fly(
     out: Path, console: Console, live: bool, rig: TrueRig | None = None, page: bool = False
 ) -> DemoFlight:
-    """Fly the script in real time; the log and its picture go to a new folder under `out`.
-
-    With `page`, a browser may look on.
-    """
+    """Fly the script in real time; log and picture go to `out`. `page`: serve the status page."""
     ground = GroundStation()
     ground_port = await ground.listen()
     companion_port = _free_udp_port()
@@ -321,7 +318,7 @@ async def fly(
 
         gateway = Gateway(
             config,
-            ask=lambda *asked: service.ask(*asked),
+            ask=lambda *request: service.ask(*request),
             say=lambda text: service.say(Severity.WARNING, text),
         )
         service = Service(config, (log, EachAction(take), gateway))
@@ -345,7 +342,7 @@ async def fly(
 async def _direct(
     world: World, service: Service, view: LiveView, console: Console, live: bool
 ) -> list[DemoOutcome]:
-    """Do the steps in time, and look whether what they say comes true."""
+    """Run the steps at their times, and check their expectations."""
     began = service.now
     waiting = list(SCRIPT)
     outcomes: list[DemoOutcome] = []
@@ -367,21 +364,21 @@ async def _direct(
             if world.phlosar.reservoir_kPa < EMPTY_KPA:
                 world.phlosar.mishaps.bottle = None
             for outcome in outcomes:
-                outcome.look(world, now)
+                outcome.update(world, now)
             if screen:
                 panel = view.render(world.snapshot, "Flying Vines demo")
                 screen.update(_with_vine(panel, world.bend_deg, console))
             if not waiting and all(o.failed or o.met_after_s is not None for o in outcomes):
                 return outcomes
-            await asyncio.sleep(LOOK_S)
+            await asyncio.sleep(POLL_S)
     finally:
         if screen:
             screen.stop()
 
 
 def _with_vine(view: RenderableType, bend_deg: float, console: Console) -> RenderableType:
-    """The live view and, where there is room, the vine as it is bent now."""
-    if console.width < ROOM_FOR_VINE:
+    """The live view, with the bent vine if the terminal is wide enough."""
+    if console.width < MIN_WIDTH_FOR_VINE:
         return view
     both = Table.grid(padding=(0, 1), expand=True)
     both.add_column(ratio=1)
@@ -392,12 +389,12 @@ def _with_vine(view: RenderableType, bend_deg: float, console: Console) -> Rende
 
 
 def _unasked(world: World) -> list[str]:
-    """Kinds of trigger that came more or less often than the script asked for."""
+    """A text for each kind of trigger with an unexpected number."""
     found = []
-    for kind, asked in ASKED_FOR.items():
+    for kind, expected in EXPECTED_TRIGGERS.items():
         times = sum(d.trigger == kind for d in world.decisions)
-        if times != asked:
-            found.append(f"{times} triggers of kind {kind}, the script makes {asked}")
+        if times != expected:
+            found.append(f"{times} triggers of kind {kind} instead of {expected}")
     return found
 
 
@@ -413,7 +410,7 @@ def _draw(log: Recorder, console: Console) -> Path | None:
 
 
 def summary(flight: DemoFlight) -> Table:
-    """The script's steps, what each had to bring about, and whether it did."""
+    """A table of the script's steps with their expectations and results."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("at, s", justify="right")
     table.add_column("step")

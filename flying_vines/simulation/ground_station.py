@@ -1,4 +1,4 @@
-"""A fake ground station: says that it is there, and writes down what it hears of the vine."""
+"""A simulated ground station: sends heartbeats and stores the vine's values and texts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SYSTEM_ID, COMPONENT_ID = 255, 190
 
 
 class GroundStation(asyncio.DatagramProtocol):
-    """Listens on a UDP port of this machine; `values` and `texts` are what companions sent."""
+    """Listens on a UDP port of this computer; `values` and `texts` come from companions."""
 
     def __init__(self) -> None:
         self.values: dict[str, float] = {}
@@ -31,7 +31,7 @@ class GroundStation(asyncio.DatagramProtocol):
         return port
 
     async def run(self) -> None:
-        """Send a heartbeat a second to whoever sends to us, until cancelled."""
+        """Send one heartbeat per second to the last sender, until cancelled."""
         try:
             while True:
                 self.send(
@@ -45,7 +45,7 @@ class GroundStation(asyncio.DatagramProtocol):
                 self._transport.close()
 
     def send(self, message: MavlinkMessage) -> None:
-        """Send it to whoever sends to us; nobody yet: it is lost."""
+        """Send a message to the last sender; it is lost if there was none."""
         if self._transport is not None and self._autopilot is not None:
             self._transport.sendto(self._codec.encode(message, SYSTEM_ID), self._autopilot)
 

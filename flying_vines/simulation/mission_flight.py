@@ -1,4 +1,4 @@
-"""Fly a mission in simulation: the service itself between a fake autopilot and a simulated phloSAR."""
+"""Flies a mission in simulation: the core between a simulated autopilot and phloSAR."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from missions.report import Report
 from missions.trial import Trial
 
 GROUND_S = 8.0
-"""Before take-off: the service finds the autopilot and reads the mission."""
+"""Time before take-off, in which the service finds the autopilot and reads the mission."""
 LATE_S = 60.0
-"""After the planned end the flight is given up."""
+"""The flight is stopped this long after its planned end."""
 TURN_S = 1.0
 
 
@@ -37,13 +37,13 @@ def fly(
     planned_s: float,
     rig: TrueRig | None = None,
 ) -> Trial:
-    """Fly the items until the vehicle has landed, or `planned_s` is long over.
+    """Fly the items until the vehicle has landed, or until `LATE_S` after `planned_s`.
 
-    MissionRefused if the autopilot does not take them. `rig` is what is there; by default a likely
+    Raises `MissionRefused` if the autopilot refuses an item. `rig` is the simulated rig; default: a typical
     one with the profile's numbers.
     """
     began = perf_counter()
-    # In a trial nobody stands by to arm the pneumatics.
+    # There is no person to arm the pneumatics.
     interlocks = msgspec.structs.replace(config.interlocks, armed_at_start=True)
     config = msgspec.structs.replace(config, interlocks=interlocks)
     autopilot = FakeAutopilot(kind, mission=items, home=home)
@@ -73,7 +73,7 @@ def fly(
 
 
 def with_flight(report: Report, config: Config, reservoir_kPa: float, rig: TrueRig | None = None) -> Report:
-    """The report and what a simulated flight of its mission shows; unchanged if the mission has errors."""
+    """The report with a simulated flight of its mission; unchanged if the mission has errors."""
     if any(finding.severity == "error" for finding in report.findings):
         return report
     trial = fly(report.items, config, report.kind, report.home, reservoir_kPa, report.timeline.length_s, rig)

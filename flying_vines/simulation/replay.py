@@ -1,7 +1,7 @@
-"""What was recorded, fed through the same core that flies.
+"""Feeds recordings to the core.
 
-`replay` takes a recorded MAVLink stream, of anyone, and a simulated phloSAR answers. `replay_flight` takes a
-flight's own log, with all that the core was told, and compares every answer with the one of the flight.
+`replay` feeds any recorded MAVLink stream; a simulated phloSAR answers. `replay_flight` feeds a flight log,
+which contains all input of the core, and compares all answers with those of the flight.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
-from flying_vines.core.contained import Contained
+from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Decision, ToVehicle, VehicleMessage
 from flying_vines.record.reader import FlightLog, LogEntry, LogError
@@ -41,7 +41,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 
 GAP_S = 0.5
-"""A log goes on in the next folder at once, unless its disk failed in between."""
+"""A log continues in the next folder within this time, unless the disk failed between them."""
 
 
 def replay(
@@ -53,11 +53,11 @@ def replay(
     belief: Belief | None = None,
     parameters: Mapping[str, float] | None = None,
 ) -> Iterator[Action]:
-    """Everything that the core does about a recording: (unix time in s, frame) in order.
+    """All actions of the core for a recording. `frames`: (unix time in s, frame) in order.
 
-    The times of the actions count from the first frame. `pace` 1 plays at the recorded speed, 2 twice as
-    fast, 0 as fast as it goes. A frame whose time lies before its predecessor's is taken at its
-    predecessor's. Where the core asks for a mission item, it gets the one that the recording showed last.
+    Times of actions count from the first frame. `pace`: 1 is the recorded speed, 2 twice as fast, 0 as fast
+    as possible. A frame with an earlier time than its predecessor gets the predecessor's time. If the core
+    requests a mission item, it gets the last one in the recording.
     """
     world = SimulatedWorld(config, mission=mission, belief=belief, parameters=parameters)
     codec = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id)
@@ -81,7 +81,7 @@ def replay(
                 sleep(ahead_s)
         yield from live(world.advance(t))
         for message in codec.decode(frame):
-            # A ground station's recording holds what we said then, which is not to be heard as another's.
+            # A ground station's recording contains our own messages: the core must not receive them.
             if message.get_srcComponent() == config.vehicle.component_id:
                 continue
             if message.get_type() in ("MISSION_ITEM_INT", "MISSION_ITEM") and message.mission_type == 0:
@@ -91,30 +91,30 @@ def replay(
 
 @dataclass
 class Again:
-    """A flight whose core was asked again."""
+    """The result of a replayed flight."""
 
     decisions: list[Decision] = field(default_factory=list)
-    """As they come out now."""
+    """The replay's decisions."""
     compared: Counter[str] = field(default_factory=Counter)
-    """How many answers of each topic were the same."""
+    """Number of equal answers, by topic."""
     began: float = 0.0
-    """Of the service's clock."""
+    """The start on the service's clock."""
     differences: list[str] = field(default_factory=list)
-    """A sentence each."""
+    """The differences, one sentence each."""
     damage: str = ""
-    """Where the log ends before the flight did."""
+    """Why the log ends before the flight; else empty."""
 
 
 def replay_flight(log: FlightLog, config: Config | None = None) -> Again:
-    """Ask a new core all that the flight's was asked, and compare its answers.
+    """Feed a flight's input to a new core, and compare the answers.
 
-    `config` instead of the flight's own profile shows what would have been different. Raises `LogError` when
-    the log does not say how the core began.
+    `config` replaces the flight's own profile, to show its effect. Raises `LogError` if the log does not
+    contain the start of the core.
     """
     again = Again()
-    core: Contained | None = None
-    ours: list[tuple[str, object]] = []
-    theirs: list[tuple[str, object]] = []
+    core: CrashSafeCore | None = None
+    replayed: list[tuple[str, object]] = []
+    recorded: list[tuple[str, object]] = []
     t = 0.0
     for part in _since_the_service_began(log):
         for entry in part.entries():
@@ -130,33 +130,33 @@ def replay_flight(log: FlightLog, config: Config | None = None) -> Again:
             elif entry.topic in EVENT_TOPICS:
                 if core is None:
                     raise LogError(f"{part.path}: its beginning is damaged")
-                _compare(again, t, ours, theirs)
+                _compare(again, t, replayed, recorded)
                 event = event_of(entry)
                 t, actions = event.t, core.handle(event)
                 again.decisions.extend(action for action in actions if isinstance(action, Decision))
-                ours = [answer for action in actions for answer in _ours(t, action)]
-                theirs = []
+                replayed = [answer for action in actions for answer in _answers(t, action)]
+                recorded = []
             elif entry.topic in ANSWER_TOPICS:
-                theirs.append(_theirs(entry))
+                recorded.append(_recorded_answer(entry))
         if part.damage:
             again.damage = part.damage
             return again
-    _compare(again, t, ours, theirs)
+    _compare(again, t, replayed, recorded)
     return again
 
 
 def _since_the_service_began(log: FlightLog) -> list[FlightLog]:
-    """The logs of one service up to this one: what came before it is how the core came to where it was."""
+    """All logs of one service run up to this one: the core's state depends on the earlier ones."""
     logs = [log]
     while before := start_of(logs[0]).continues:
         earlier = FlightLog(logs[0].folder.parent / before)
         if not earlier.path.exists():
-            raise LogError(f"{log.path}: continues {before}, which is not beside it")
+            raise LogError(f"{log.path}: continues {before}, which is not in the same folder")
         logs.insert(0, earlier)
     return logs
 
 
-def _core(log: FlightLog, start: Start, config: Config | None) -> Contained:
+def _core(log: FlightLog, start: Start, config: Config | None) -> CrashSafeCore:
     config = config or configuration.parse(start.profile, f"{log.path}: the profile in it", recorded=True)
     belief = None
     if start.rig:
@@ -166,11 +166,11 @@ def _core(log: FlightLog, start: Start, config: Config | None) -> Contained:
             path = Path(folder) / "rig.toml"
             path.write_text(start.rig, encoding="utf-8")
             belief = load_calibration(path, config.pneumatics).belief
-    return Contained(Core(config, belief=belief, parameters=start.parameters, disarmed=start.disarmed))
+    return CrashSafeCore(Core(config, belief=belief, parameters=start.parameters, disarmed=start.disarmed))
 
 
-def _ours(t: float, action: Action) -> list[tuple[str, object]]:
-    """What the log says of an action, where it says anything."""
+def _answers(t: float, action: Action) -> list[tuple[str, object]]:
+    """The log entries that an action makes, if any."""
     if isinstance(action, ToVehicle):
         action.message.pack(mavlink.MAVLink(None, srcSystem=action.system_id))
     entry = entry_of_action(t, action)
@@ -180,33 +180,33 @@ def _ours(t: float, action: Action) -> list[tuple[str, object]]:
     name = TOPICS[number - 1].name
     if name not in ANSWER_TOPICS:
         return []
-    return [(name, _spoken(what) if name == MAVLINK_OUT else encoded(entry))]
+    return [(name, _content(what) if name == MAVLINK_OUT else encoded(entry))]
 
 
-def _theirs(entry: LogEntry) -> tuple[str, object]:
+def _recorded_answer(entry: LogEntry) -> tuple[str, object]:
     if entry.topic == MAVLINK_OUT:
-        return entry.topic, _spoken(binascii.a2b_base64(entry.fields["frame"]))
+        return entry.topic, _content(binascii.a2b_base64(entry.fields["frame"]))
     return entry.topic, entry.data
 
 
-def _spoken(raw: bytes) -> tuple[int, int, bytes]:
-    """What a MAVLink frame says, apart from its running number and signature: system, kind, payload."""
+def _content(raw: bytes) -> tuple[int, int, bytes]:
+    """The content of a MAVLink frame, without sequence number and signature: system, message id, payload."""
     frame = frame_of(raw)
     return frame.system, frame.message_id, frame.payload
 
 
 def _compare(
-    again: Again, t: float, ours: list[tuple[str, object]], theirs: list[tuple[str, object]]
+    again: Again, t: float, replayed: list[tuple[str, object]], recorded: list[tuple[str, object]]
 ) -> None:
-    if ours == theirs:
-        again.compared.update(topic for topic, _ in ours)
+    if replayed == recorded:
+        again.compared.update(topic for topic, _ in replayed)
         return
-    for mine, his in zip_longest(ours, theirs):
-        if mine == his:
-            again.compared[mine[0]] += 1
+    for now, before in zip_longest(replayed, recorded):
+        if now == before:
+            again.compared[now[0]] += 1
             continue
-        said = [f"{what[0]} {_readable(what[1])}" if what else "nothing" for what in (his, mine)]
-        again.differences.append(f"at {t - again.began:.3f} s: {said[0]} in the flight, {said[1]} now")
+        texts = [f"{what[0]} {_readable(what[1])}" if what else "nothing" for what in (before, now)]
+        again.differences.append(f"at {t - again.began:.3f} s: {texts[0]} in the flight, {texts[1]} now")
 
 
 def _readable(what: object) -> str:

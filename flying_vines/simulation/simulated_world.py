@@ -1,4 +1,4 @@
-"""The core in simulated time: as fast as the machine goes, and the same every time."""
+"""Runs the core in simulated time: as fast as possible and deterministic."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from flying_vines.vehicle.mission.item import MissionItem
 
 COMPANION = "companion"
 BUFFER_BYTES = 4095
-"""Of a serial port on Linux: what comes in while nobody reads, and does not fit, is lost."""
+"""Size of a serial port's input buffer on Linux. Bytes that do not fit are lost."""
 
 Wire = Callable[[bytes], bytes]
-"""What becomes of bytes on their way."""
+"""A function that may drop or change bytes in transit."""
 
 
 def perfect(data: bytes) -> bytes:
-    """A wire that loses nothing."""
+    """A wire without errors."""
     return data
 
 
 class SimulatedWorld:
     """A core whose serial link ends at a simulated phloSAR, in simulated time that starts at 0.
 
-    `to_phlosar` and `from_phlosar` are the two wires of that link; exchange them for worse ones.
+    `to_phlosar` and `from_phlosar` are the wires of this link; replace them to simulate errors.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class SimulatedWorld:
         disarmed: bool = False,
     ) -> None:
         self.core = Core(config, mission, belief, parameters, disarmed)
-        # The ideal plant, for it is quick; whoever wants another hands it over.
+        # By default the ideal plant, because it is fast.
         self.phlosar = phlosar or SimulatedPhlosar(
             effects=Effects(), reservoir_kPa=config.pneumatics.full_kPa
         )
@@ -66,7 +66,7 @@ class SimulatedWorld:
         self._opened = False
 
     def advance(self, to_t: float) -> Iterator[Action]:
-        """Let time pass, tick by tick; actions come out as they happen."""
+        """Advance the time tick by tick. Yields the core's actions."""
         if not self._opened:
             self._opened = True
             yield from self.feed(LinkChanged(0.0, "firmware", True))
@@ -78,14 +78,14 @@ class SimulatedWorld:
         yield from self._live_until(to_t)
 
     def feed(self, event: Event) -> Iterator[Action]:
-        """One event, and what the core does about it."""
+        """Feed one event. Yields the core's actions."""
         for action in self.core.handle(event):
             if isinstance(action, ToFirmware):
                 self.phlosar.receive(self.to_phlosar(self._codec.encode(action.message)))
             yield action
 
     def stall(self, until_t: float) -> Iterator[Action]:
-        """The core's computer stands still until then, while the phloSAR lives on."""
+        """The core's computer pauses until `until_t`; the phloSAR continues."""
         self._next_tick = math.ceil(until_t / TICK_S)
         yield from self._live_until(until_t, BUFFER_BYTES)
 
@@ -96,9 +96,9 @@ class SimulatedWorld:
 
 
 class SimulatedFlight:
-    """A core between a fake autopilot and a simulated phloSAR: act on either between two runs.
+    """A core between a simulated autopilot and phloSAR. Between two `run` calls you may act on either.
 
-    `from_autopilot` is the wire on which each frame of the autopilot comes.
+    `from_autopilot` is the wire for the autopilot's frames; replace it to simulate errors.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class SimulatedFlight:
         return self.world.core
 
     def run(self, until_t: float, step_s: float = 0.01) -> list[Action]:
-        """Live until `until_t`; every action on the way, in order."""
+        """Run until `until_t`. Returns the core's actions in order."""
         done: list[Action] = []
         while self.world.now < until_t - 1e-9:
             t = min(until_t, self.world.now + step_s)
@@ -131,12 +131,12 @@ class SimulatedFlight:
         return done
 
     def stall(self, until_t: float) -> list[Action]:
-        """The companion's computer stands still until then; what it was sent meanwhile, it hears at once."""
+        """The companion computer pauses until `until_t`; then it receives all delayed messages together."""
         return self._exchange(until_t, self.world.stall(until_t))
 
-    def _exchange(self, t: float, lived: Iterator[Action]) -> list[Action]:
-        """What the core did on its way to `t` and about what the autopilot sent, told to the autopilot."""
-        actions = list(lived)
+    def _exchange(self, t: float, core_actions: Iterator[Action]) -> list[Action]:
+        """Run core and autopilot until `t`, and pass messages both ways. Returns the core's actions."""
+        actions = list(core_actions)
         for link, frame in self.autopilot.advance(t):
             if link == COMPANION:
                 for message in self._codec.decode(self.from_autopilot(frame)):
@@ -148,5 +148,5 @@ class SimulatedFlight:
         return actions
 
     def feed(self, event: Event) -> list[Action]:
-        """One event from outside, now."""
+        """Feed one event now. Returns the core's actions."""
         return list(self.world.feed(event))

@@ -1,1 +1,1 @@
-"""The paper reproduced, the design guide, bending models. Nothing else imports them."""
+"""The paper reproduced, the design guide, and bending models."""

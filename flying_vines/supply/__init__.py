@@ -1,8 +1,8 @@
-"""How much air is left, and how many cycles it buys: learned from telemetry, with an interval.
+"""The air left and the cycles that it is enough for: learned from telemetry, with an interval.
 
-`belief` is where the estimate starts, `known_rig` where it starts for a diagnosed rig. `features` reads
-telemetry once. `reservoir` follows air and heat; `flying` finds what was flown; `supply` finds the pressure
-below which it can no longer be flown; `estimate` puts them together. `formula` is the paper's.
+`belief` is the prior of a rig, `known_rig` that of a diagnosed rig. `features` reads telemetry once.
+`reservoir` models air and heat. `flying` detects inflations. `supply` finds the minimum pressure for them.
+`estimate` combines these. `formula` has the paper's equations.
 """
 
 from flying_vines.supply.belief import Belief, nominal, nominal_rig

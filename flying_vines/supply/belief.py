@@ -1,7 +1,7 @@
-"""What is believed of a rig before it flies: where the estimate starts, and how certain that is.
+"""The prior of a rig before it flies: the estimate's start values and their standard deviations.
 
-`nominal` knows only the numbers of `[pneumatics]`; all else may be as on any rig. `known_rig` reads what a
-diagnosed rig file says beyond them.
+`nominal` uses the numbers of `[pneumatics]`, and wide priors for all others. `known_rig` uses a diagnosed rig
+file. Pouch: the bending pouch of the actuator (the control volume, CV).
 """
 
 from __future__ import annotations
@@ -17,18 +17,20 @@ from flying_vines.physics.rig import ControlVolume, Dvp, Evp, Reservoir, Rig
 
 AMBIENT_KPA = STANDARD_PRESSURE_KPA
 CRITICAL_RATIO = 0.3
-"""b of a valve with fittings."""
-LEAST_RISE = 0.65
-"""The least that any control volume takes, as a share of what a rigid one of the believed size takes."""
+"""b of ISO 6358 for a valve with fittings."""
+MIN_RISE_SHARE = 0.65
+"""Minimum air of any control volume for a rise, as a share of the air for a rigid one of the assumed size.
+
+A warm vine takes less: gas that was compressed quickly has not cooled yet."""
 PACKED_SHARE = 1.2
-"""How far the first inflation may differ, as a share of what a flat pouch takes."""
+"""Uncertainty of the first inflation, as a share of the air for a flat pouch."""
 VENTURI_SHARE = 0.7
+"""The Venturi's flow as a share of its supply valve's flow: the nozzle restricts it, too."""
 VENTURI_SHARE_SD = 0.2
-"""Of its supply valve's flow, because the nozzle restricts it too."""
 
 
 def nominal_rig(numbers: PneumaticsConfig) -> Rig:
-    """What `[pneumatics]` says of a rig, as a rig file has it."""
+    """The numbers of `[pneumatics]` as a rig."""
     return Rig(
         reservoir=Reservoir(numbers.reservoir_volume_L),
         cv=ControlVolume(numbers.cv_volume_L),
@@ -46,44 +48,46 @@ class Prior(NamedTuple):
 
 @dataclass(frozen=True)
 class Belief:
-    """Of one rig. Air is counted in kPa of its reservoir; gauge pressures are true ones."""
+    """The prior of one rig. Air is in kPa of its reservoir. Pressures are gauge, without sensor errors."""
 
     pneumatics: PneumaticsConfig
-    """The numbers that the formulas take, the rig file's where there is one."""
+    """The numbers for the formulas: those of the rig file, if there is one."""
     rise: Prior
-    """For every kPa that the control volume's reading rises."""
-    least_rise: float
+    """Air for each kPa that the control volume's reading rises."""
+    min_rise: float
+    """Lower bound of `rise`."""
     flat: Prior
-    """For an inflation from flat."""
+    """Additional air for an inflation from flat."""
     packed_kPa: float
-    """By how much the first inflation may differ from later ones."""
+    """The first inflation may take this much more or less air than later ones."""
     venturi: Prior
-    """For each second with its valve open, per kPa of absolute supply."""
+    """Air for each second with the Venturi's supply valve open, per kPa of absolute supply."""
     leak: Prior
-    """Of the reservoir, per second and kPa."""
+    """Leak of the reservoir, per second and kPa."""
     cv_leak: Prior
-    """Of the control volume, per second and kPa."""
+    """Leak of the control volume, per second and kPa."""
     wall: Wall
-    """Of the bottle."""
+    """The reservoir's wall."""
     warmth_sd: float
-    """Of ln of its conductances."""
+    """Standard deviation of ln(the wall's conductances)."""
     evp_law: FlowLaw
+    """The inflation valve (EVP)."""
     rating_sd: float
-    """Of ln of what the valve passes for what the bottle holds."""
+    """Standard deviation of ln(the valve's flow / the reservoir's volume)."""
     dead_opening: float
     """Opening up to which the inflation valve stays shut."""
     partly_open_sd: float
-    """Of the flow through a valve that is just open, relative to it."""
+    """Relative standard deviation of the flow through a slightly open valve."""
     response_s: float
     """Response time of regulator, valve and sensor together."""
     cycle_rise_kPa: float
-    """By how much the reading rises in a cycle of `[pneumatics]`."""
+    """Rise of the reading in a cycle of `[pneumatics]`."""
     cycle_venturi_s: float
-    """How long the Venturi's valve is open in it."""
+    """Time for which the Venturi's valve is open in such a cycle."""
     reservoir_gain: float
     reservoir_offset_kPa: float
     zero_sd_kPa: float
-    """Of the zero of the reservoir's sensor, and of the ambient pressure, which is not measured."""
+    """Standard deviation of the reservoir sensor's zero and of the unmeasured ambient pressure."""
 
     def reservoir_kPa(self, reading_kPa: float) -> float:
         """The true pressure for a reading of the sensor."""
@@ -91,14 +95,14 @@ class Belief:
 
 
 def conductance_SL_per_s_kPa(flow_resistance_kPa_s_per_SL: float, at_kPa: float) -> float:
-    """Of a choked valve, per kPa of absolute supply, that passes at gauge `at_kPa` what Ohm's law gives."""
+    """Conductance of a choked valve with the same flow at gauge `at_kPa` as Ohm's law, per absolute kPa."""
     return at_kPa / flow_resistance_kPa_s_per_SL / (at_kPa + AMBIENT_KPA)
 
 
 def bottle_wall(volume_L: float) -> Wall:
-    """Of a PET bottle of this size.
+    """The wall of a PET bottle of this size.
 
-    Natural convection inside gives 0.6 to 1.4 W/K for 2 L, 45 to 70 g of PET hold 65 J/K.
+    For 2 L, natural convection inside gives 0.6 to 1.4 W/K, and 45 to 70 g of PET store 65 J/K.
     """
     size = (volume_L / 2.0) ** (2.0 / 3.0)
     return Wall(
@@ -107,7 +111,7 @@ def bottle_wall(volume_L: float) -> Wall:
 
 
 def nominal(p: PneumaticsConfig) -> Belief:
-    """Of a rig of which only these numbers are known."""
+    """The prior of a rig of which only these numbers are known."""
     rigid = p.cv_volume_L / p.reservoir_volume_L
     pouch_kPa = rigid * AMBIENT_KPA
     dvp = conductance_SL_per_s_kPa(p.dvp_flow_resistance_kPa_s_per_SL, p.full_kPa)
@@ -117,7 +121,7 @@ def nominal(p: PneumaticsConfig) -> Belief:
     return Belief(
         pneumatics=p,
         rise=Prior(1.3 * rigid, 0.7 * rigid),
-        least_rise=LEAST_RISE * rigid,
+        min_rise=MIN_RISE_SHARE * rigid,
         flat=Prior(0.3 * pouch_kPa, 0.5 * pouch_kPa),
         packed_kPa=PACKED_SHARE * pouch_kPa,
         venturi=Prior(VENTURI_SHARE * venturi, VENTURI_SHARE_SD * venturi),

@@ -1,13 +1,13 @@
-"""How much air is left and for how many cycles it lasts, learned from use.
+"""The air left and the cycles that it is enough for, learned in flight.
 
-A cycle takes A + B x kPa of the bottle at pressure x: air for the inflation whatever the pressure; leak over
-the time that a cycle takes at the present rhythm, and Venturi, as x goes. From here down to where the bottle
-no longer fills the control volume in time that makes
+One cycle costs A + B x kPa at reservoir pressure x. A: air for the inflation. B x: leak during one cycle at
+the present rate of cycles, and the Venturi. From the present pressure x₀ down to x₁, below which the
+reservoir no longer fills the control volume (CV) in time, this gives
 
     n = ∫ dx / (A + B x) = ln((A + B x₀) / (A + B x₁)) / B
 
-in two parts where the Venturi is left off below some pressure. What is uncertain in any of it makes the
-interval, in ln n.
+cycles. If the Venturi is off below some pressure, n has two parts. The uncertainty of all these numbers gives
+the interval of ln n. Pouch: the bending pouch of the actuator.
 """
 
 from __future__ import annotations
@@ -36,32 +36,32 @@ from flying_vines.supply.reservoir import (
     X,
     colder_K,
 )
-from flying_vines.supply.supply import SupplyCost, least_supply_kPa
+from flying_vines.supply.supply import SupplyCost, min_supply_kPa
 
 READING_SD_KPA = 1.3
-"""Of one reading: sensor noise and a converter of 10 bits."""
+"""Standard deviation of one reading: sensor noise and a converter of 10 bits."""
 REGULATOR_SD = 0.07
-"""Of the least absolute supply: how the regulator lives with it."""
+"""Relative standard deviation of the minimum absolute supply, because regulators differ."""
 MODEL_SD = 0.02
 UNFLOWN_SD = 0.1
-"""Of a cycle that has not been flown yet: how long it takes, and how the firmware vents it."""
+"""For a cycle that has not been flown yet: its duration and its vent are uncertain."""
 COUNT_SD = 0.4
-"""In cycles: it ends within one."""
-FEWEST = 1e-3
+"""In cycles: the number is rounded to whole cycles."""
+MIN_CYCLES = 1e-3
 """Keeps the logarithm finite."""
-FLAT_KEPT = 0.5
+FLAT_COUNTED = 0.5
 """At low supply the Venturi is off, and the pouch does not go flat between cycles. The additional air of an
 inflation may fill the pouch, or stretch it. So half of it is counted."""
 VENTURI_USED_S = 0.01
-"""In a cycle; less is none."""
+"""A shorter Venturi time in a cycle counts as none."""
 VENTURI_TREND = 0.3
+"""Growth of the Venturi's time as its supply falls. 0: constant time. 1: constant air per cycle."""
 VENTURI_TREND_SD = 0.35
-"""How the Venturi's time grows as its supply falls: 0 not at all, 1 so that it always takes the same air."""
 MEMORY_CYCLES = 15.0
-"""Averaging length for what is flown."""
+"""Averaging length over flown cycles."""
 PRIOR_CYCLES = 0.05
-"""The profile's own cycle counts for so many flown ones."""
-KEPT_INFLATIONS = 10
+"""Weight of the assumed cycle, in flown cycles."""
+RECENT_INFLATIONS = 10
 Z90 = 1.645
 
 
@@ -73,29 +73,29 @@ class CyclesLeft:
     low: float
     high: float
     measured_cycles: float
-    """Cycles flown so far that the cost was measured on."""
+    """The number of flown cycles behind `cost_kPa`."""
     cost_kPa: float
-    """What one cycle is expected to take from the reservoir now."""
+    """The expected cost of one cycle at the present pressure, in kPa of the reservoir."""
     floor_kPa: float
-    """The gauge pressure of the reservoir below which it is expected that cycles are no longer completed."""
+    """The expected gauge pressure of the reservoir below which cycles are not completed in time."""
 
 
 class AirNeeded(NamedTuple):
-    """What a motion needs of the reservoir, gauge kPa."""
+    """The air that a motion needs, in kPa of the reservoir."""
 
     spending_kPa: float
-    """What it is expected to take."""
+    """The expected cost."""
     floor_kPa: float
-    """What must be left above the vine's pressure for the wanted rate."""
+    """Minimum difference between reservoir and vine for the requested rate."""
 
 
 class _Mix:
-    """What is flown, per cycle: sums in which older cycles count less."""
+    """The flown cycles on average: sums in which older cycles count less."""
 
     def __init__(self, belief: Belief) -> None:
         p = belief.pneumatics
         self._cycle_kPa = p.cycle_swing_kPa
-        self.cycles = self._believed_cycles = PRIOR_CYCLES
+        self.cycles = self._assumed_cycles = PRIOR_CYCLES
         time_s = 2.0 * p.cycle_swing_kPa / p.cycle_rate_kPa_per_s
         held = 0.5 * p.cycle_swing_kPa * time_s
         cycle = (time_s, belief.cycle_rise_kPa, 1.0, belief.cycle_venturi_s, held)
@@ -106,20 +106,20 @@ class _Mix:
         cycles = inflation.swing_kPa / self._cycle_kPa
         keep = math.exp(-cycles / MEMORY_CYCLES)
         self.cycles = keep * self.cycles + cycles
-        self._believed_cycles *= keep
+        self._assumed_cycles *= keep
         self._sums = [keep * a + b for a, b in zip(self._sums, inflation.spent, strict=True)]
         self._venturi_kPa_s = keep * self._venturi_kPa_s + inflation.spent.venturi_s * supply_kPa_abs
 
     @property
-    def believed_share(self) -> float:
-        """The share that is believed, not flown."""
-        return self._believed_cycles / self.cycles
+    def assumed_share(self) -> float:
+        """The share of the assumed cycle, which was not flown."""
+        return self._assumed_cycles / self.cycles
 
     def per_cycle(self) -> Spent:
         return Spent(*(amount / self.cycles for amount in self._sums))
 
     def venturi_supply_kPa(self) -> float:
-        """Gauge, mean while the Venturi's valve was open."""
+        """Mean gauge supply while the Venturi's valve was open."""
         return self._venturi_kPa_s / max(1e-9, self._sums[3]) - AMBIENT_KPA
 
     def venturi_kPa_s(self) -> float:
@@ -127,13 +127,13 @@ class _Mix:
 
 
 class ReservoirEstimate:
-    """Learns from telemetry what a cycle costs, what leaks, and where the cycles end."""
+    """Learns from telemetry the cost of a cycle, the leaks, and the minimum pressure for a cycle."""
 
     def __init__(self, belief: Belief) -> None:
         self._belief = belief
         self._p = belief.pneumatics
         self.reservoir_kPa = math.nan
-        """What the smoothed reading means; NaN before the first."""
+        """Smoothed reading, with the sensor's gain and offset corrected; NaN before the first one."""
         self.read_at = 0.0
         self._flying = Flying(belief)
         self.bottle: Bottle | None = None
@@ -142,7 +142,7 @@ class ReservoirEstimate:
         self._inflations: list[ObservedInflation] = []
         self._warmed_up = belief.packed_kPa == 0.0
         self.measured_cycles = 0.0
-        """Cycles flown so far that the cost was measured on."""
+        """The number of flown cycles from which the cost was learned."""
 
     def update(self, features: Features) -> None:
         """Take in one telemetry message."""
@@ -167,20 +167,20 @@ class ReservoirEstimate:
 
     def _add(self, inflation: ObservedInflation, bottle: Bottle) -> None:
         if not self._warmed_up:
-            # A pouch that has lain flat since it was packed: no other cycle is like the first.
+            # The pouch was packed flat. No later cycle is like the first.
             self._warmed_up = True
             return
         self.measured_cycles += inflation.swing_kPa / self._p.cycle_swing_kPa
         self._mix.add(inflation, bottle.absolute_kPa)
         self._demand.learn(inflation, self._air_kPa(bottle.possible_mean(), inflation))
-        self._inflations = [*self._inflations[1 - KEPT_INFLATIONS :], inflation]
+        self._inflations = [*self._inflations[1 - RECENT_INFLATIONS :], inflation]
 
     @staticmethod
     def _air_kPa(mean: Sequence[float], inflation: ObservedInflation) -> float:
         return mean[RISE] * inflation.swing_kPa + mean[FLAT] * inflation.spent.flat
 
     def air_needed(self, rise_kPa: float, rate_kPa_per_s: float) -> AirNeeded:
-        """What raising the CV by `rise_kPa` in all, so fast, takes and needs."""
+        """Air for raises of the CV by `rise_kPa` in total, and the supply that `rate_kPa_per_s` needs."""
         return AirNeeded(self.spending_kPa(rise_kPa), floor_kPa(self._p, rate_kPa_per_s))
 
     def spending_kPa(self, rise_kPa: float) -> float:
@@ -203,50 +203,50 @@ class ReservoirEstimate:
         return CyclesLeft(
             expected=expected,
             low=expected / spread,
-            high=min(expected * spread, max(expected, mean[X] / _least_cost_kPa(self._p))),
+            high=min(expected * spread, max(expected, mean[X] / _min_cost_kPa(self._p))),
             measured_cycles=self.measured_cycles,
             cost_kPa=forecast.cost_kPa(),
             floor_kPa=floor.kPa,
         )
 
     def _floor(self, mean: Sequence[float]) -> _Floor:
-        """Where the inflation that needs the most, of those flown lately, is no longer done in time."""
-        inflations = self._inflations or [self._believed_inflation()]
+        """The supply below which the hardest recent inflation is no longer completed in time."""
+        inflations = self._inflations or [self._assumed_inflation()]
         kappa = math.exp(self._demand.ln)
         worst = max(inflations, key=lambda i: self._air_kPa(mean, i) / i.given_s)
         air = self._air_kPa(mean, worst)
-        kPa = least_supply_kPa(self._belief, worst, air, kappa * air)
+        kPa = min_supply_kPa(self._belief, worst, air, kappa * air)
         if worst.spent.venturi_s > VENTURI_USED_S and kPa < self._p.venturi_least_supply_kPa:
-            air = mean[RISE] * worst.swing_kPa + FLAT_KEPT * mean[FLAT] * worst.spent.flat
-            kPa = least_supply_kPa(self._belief, worst, air, kappa * air)
-        # What was done with less is proof.
+            air = mean[RISE] * worst.swing_kPa + FLAT_COUNTED * mean[FLAT] * worst.spent.flat
+            kPa = min_supply_kPa(self._belief, worst, air, kappa * air)
+        # An equally hard inflation that was completed with a lower supply is an upper bound of the floor.
         proven = [i.supply_kPa_abs for i in inflations if i.reached and i.as_hard_as(worst)]
         kPa = min([kPa, *(supply - AMBIENT_KPA for supply in proven)])
-        more_kPa = least_supply_kPa(self._belief, worst, air * 1.1, kappa * air * 1.1)
+        more_kPa = min_supply_kPa(self._belief, worst, air * 1.1, kappa * air * 1.1)
         return _Floor(kPa, (more_kPa - kPa) / math.log(1.1), worst, air)
 
     def _variance(self, bottle: Bottle, mean: Sequence[float], floor: _Floor, expected: float) -> float:
-        """Of ln n: what it moves by with each thing that is uncertain."""
-        slopes = [self._slope(bottle, mean, floor, i) for i in range(SIZE)]
+        """Variance of ln n, from all uncertain numbers."""
+        jacobian = [self._derivative(bottle, mean, floor, i) for i in range(SIZE)]
         variance = sum(
-            slopes[i] * slopes[k] * bottle.covariance[i][k] for i in range(SIZE) for k in range(SIZE)
+            jacobian[i] * jacobian[k] * bottle.covariance[i][k] for i in range(SIZE) for k in range(SIZE)
         )
         floor_sd = math.hypot(
             self._belief.zero_sd_kPa,
             REGULATOR_SD * (floor.kPa + AMBIENT_KPA),
             floor.kPa_per_ln * math.sqrt(self._demand.variance),
         )
-        for otherwise in (
+        for forecast in (
             _Forecast(self._belief, self._mix, mean, floor.kPa + floor_sd),
             _Forecast(self._belief, self._mix, mean, floor.kPa, trend=VENTURI_TREND + VENTURI_TREND_SD),
-            _Forecast(self._belief, self._mix, mean, floor.kPa, kept=0.0),
+            _Forecast(self._belief, self._mix, mean, floor.kPa, flat_counted=0.0),
         ):
-            variance += math.log(otherwise.cycles() / expected) ** 2
-        unflown = UNFLOWN_SD * self._mix.believed_share
+            variance += math.log(forecast.cycles() / expected) ** 2
+        unflown = UNFLOWN_SD * self._mix.assumed_share
         return variance + unflown**2 + MODEL_SD**2 + (COUNT_SD / max(COUNT_SD, expected)) ** 2
 
-    def _slope(self, bottle: Bottle, mean: Sequence[float], floor: _Floor, i: int) -> float:
-        """d ln n / d of one of the bottle's states."""
+    def _derivative(self, bottle: Bottle, mean: Sequence[float], floor: _Floor, i: int) -> float:
+        """The derivative of ln n with respect to state i of the reservoir."""
         half_sd = 0.5 * math.sqrt(bottle.covariance[i][i])
         ends = []
         for end in (-half_sd, half_sd):
@@ -261,8 +261,8 @@ class ReservoirEstimate:
         (a, ln_a), (b, ln_b) = ends
         return (ln_b - ln_a) / (b - a) if b > a else 0.0
 
-    def _believed_inflation(self) -> ObservedInflation:
-        """The profile's own cycle, before there is another: up evenly, and a little time at the top."""
+    def _assumed_inflation(self) -> ObservedInflation:
+        """The cycle of `[pneumatics]`, used before the first flown one: a linear rise and a short hold."""
         swing = self._p.cycle_swing_kPa
         return ObservedInflation(
             low_kPa=0.0,
@@ -277,22 +277,24 @@ class ReservoirEstimate:
         )
 
 
-def _least_cost_kPa(p: PneumaticsConfig) -> float:
-    """A cycle never takes less: a fifth of what the believed volume takes if it is rigid."""
+def _min_cost_kPa(p: PneumaticsConfig) -> float:
+    """Lower bound of a cycle's cost: a fifth of that of a rigid CV with the configured volume."""
     return 0.2 * p.cv_volume_L * p.cycle_swing_kPa / p.reservoir_volume_L
 
 
 class _Floor(NamedTuple):
-    """The least supply (gauge), what it grows by with ln of the air, and the inflation that needs it."""
+    """The minimum supply (gauge) for cycles."""
 
     kPa: float
     kPa_per_ln: float
+    """Its derivative with respect to ln(air of the inflation)."""
     worst: ObservedInflation
+    """The inflation that needs it."""
     air_kPa: float
 
 
 class _Cost(NamedTuple):
-    """What a cycle takes at pressure x: fixed + per_kPa · x."""
+    """Cost of a cycle at pressure x: fixed + per_kPa · x."""
 
     fixed_kPa: float
     per_kPa: float
@@ -301,7 +303,7 @@ class _Cost(NamedTuple):
         return self.fixed_kPa + self.per_kPa * max(0.0, x_kPa)
 
     def cycles(self, from_kPa: float, to_kPa: float) -> float:
-        """How many there are on the way down."""
+        """The number of cycles from one pressure down to another."""
         fall = from_kPa - to_kPa
         if self.per_kPa * fall < 1e-6 * self.fixed_kPa:
             return fall / self.fixed_kPa
@@ -309,7 +311,7 @@ class _Cost(NamedTuple):
 
 
 class _Forecast:
-    """What a cycle of the present flying takes, and how many there are down to a floor."""
+    """The cost of a cycle as flown at present, and the number of cycles down to a floor."""
 
     def __init__(
         self,
@@ -318,7 +320,7 @@ class _Forecast:
         mean: Sequence[float],
         floor_kPa: float,
         trend: float = VENTURI_TREND,
-        kept: float = FLAT_KEPT,
+        flat_counted: float = FLAT_COUNTED,
     ) -> None:
         cycle, p = mix.per_cycle(), belief.pneumatics
         self._belief = belief
@@ -327,27 +329,27 @@ class _Forecast:
         self._time_s = cycle.time_s
         self._volume_L = p.reservoir_volume_L
         self._warmth = math.exp(mean[WARMTH])
-        sucked = cycle.venturi_s > VENTURI_USED_S
-        self._venturi_stops = p.venturi_least_supply_kPa if sucked else 0.0
-        least = _least_cost_kPa(p)
-        rigid = max(least, mean[RISE] * cycle.rise_kPa + mean[CV_LEAK] * cycle.held_kPa_s)
+        with_venturi = cycle.venturi_s > VENTURI_USED_S
+        self._venturi_stops = p.venturi_least_supply_kPa if with_venturi else 0.0
+        min_kPa = _min_cost_kPa(p)
+        rigid = max(min_kPa, mean[RISE] * cycle.rise_kPa + mean[CV_LEAK] * cycle.held_kPa_s)
         leak = mean[LEAK] * cycle.time_s
         flat = mean[FLAT] * cycle.flat
-        self._without = _Cost(rigid + (kept if sucked else 1.0) * flat, leak)
+        self._without = _Cost(rigid + (flat_counted if with_venturi else 1.0) * flat, leak)
         slope = mean[VENTURI] * cycle.venturi_s * (1.0 - trend)
         venturi = mean[VENTURI] * mix.venturi_kPa_s() - slope * mix.venturi_supply_kPa()
-        self._with = _Cost(max(least, rigid + flat + venturi), leak + slope)
+        self._with = _Cost(max(min_kPa, rigid + flat + venturi), leak + slope)
 
     def cost_kPa(self) -> float:
         return (self._with if self._x > self._venturi_stops else self._without).at(self._x)
 
     def cycles(self) -> float:
         end = self._floor
-        # The gas is as cold then as the flying makes it.
+        # At the end the gas is cold from the present rate of cycles: correct the pressure for it.
         heat_W = self._volume_L * self._without.at(end) / max(0.1, self._time_s)
         colder = colder_K(self._belief, heat_W, end + AMBIENT_KPA, self._warmth)
         end += (end + AMBIENT_KPA) / STANDARD_TEMPERATURE_K * colder
         if self._x <= end:
-            return FEWEST
+            return MIN_CYCLES
         stops = min(max(self._venturi_stops, end), self._x)
-        return FEWEST + self._with.cycles(self._x, stops) + self._without.cycles(stops, end)
+        return MIN_CYCLES + self._with.cycles(self._x, stops) + self._without.cycles(stops, end)

@@ -1,4 +1,7 @@
-"""Telemetry, read once: what the estimate, the physics checks and safety share."""
+"""Features of telemetry that the estimate, the physics checks and safety share.
+
+EVP: inflation valve (proportional). DVP: valve that supplies the Venturi. CV: control volume, the vine.
+"""
 
 from __future__ import annotations
 
@@ -12,91 +15,91 @@ from flying_vines.supply.belief import Belief
 RESERVOIR_FILTER_S = 0.3
 CV_FILTER_S = 0.02
 VALVE_LAG_S = 0.06
-"""Delay and lag of a valve, and of the sensor behind its tube."""
+"""Total delay from a valve command to the sensor's reading."""
 JUST_S = 0.001
-"""Least duration of a state that has just been seen."""
-LONGEST_GAP_S = 0.11
-"""By the board's clock. After a longer gap nobody knows what the valves did. At 10 Hz telemetry comes each
-0.1 s, give or take a step of the board's loop."""
-LONGEST_BRIDGED_S = 0.5
-"""After a longer gap nothing at all is known."""
+"""Duration of a state that was first seen after a gap; above 0, so that it counts as present."""
+MAX_GAP_S = 0.11
+"""After a longer gap, by the board's clock, the valve commands in between are unknown. At 10 Hz a message
+comes every 0.1 s, plus or minus one step of the board's loop."""
+MAX_BRIDGED_S = 0.5
+"""After a longer gap all state is reset."""
 REPEATS = Fault.CV_SENSOR | Fault.RESERVOIR_SENSOR
-"""With one of these faults the firmware repeats the last reading that it believed."""
+"""With one of these faults the firmware repeats the last valid reading."""
 _CLOCK_MS = 1 << 32
 
 Continuity = Literal["none", "broken", "gap", "follows"]
 
 
 class Features(NamedTuple):
-    """One telemetry message, and what follows from it and those before. Gauge kPa.
+    """One telemetry message, and features of it and the messages before. Gauge kPa.
 
-    Times of the board's clock are for the checks: messages come in bursts, readings do not.
+    The checks use the board's clock, because messages may arrive in bursts.
     """
 
     t: float
-    """When the message came."""
+    """Arrival time of the message."""
     telemetry: Telemetry
     reservoir_kPa: float | None
-    """What the sensor's reading means; None if it is not to be believed."""
+    """The reading with the sensor's gain and offset corrected; None if it is not valid."""
     reservoir_smooth_kPa: float | None
-    """The same, smoothed; None before the first."""
+    """`reservoir_kPa`, smoothed; None before the first one."""
     cv_lower_kPa: float
-    """The lower one of the last two readings: one that is too high may be a glitch. NaN after the first."""
+    """Minimum of the last two readings, which removes one high glitch. NaN until there are two."""
     cv_smooth_kPa: float
-    """Smoothed by little; valid where `complete`."""
+    """Lightly filtered (20 ms); valid only if `complete`."""
     complete: bool
     """Both pressures are known."""
     dt_s: float
-    """Since the complete message before, by the host's clock."""
+    """Time since the last complete message, by the host's clock."""
     continuity: Continuity
-    """By the board's clock. "none": the first message, or one of the same moment; "broken": nothing is known
-    of the time before; "gap": the valves are not known since the message before."""
+    """By the board's clock. "none": the first message, or the same time again. "broken": the state before is
+    unknown. "gap": a message is missing, so the valve commands in between are unknown."""
     device_dt_s: float
-    """Since the message before, by the board's clock."""
+    """Time since the last message, by the board's clock."""
     cv_median_kPa: float
-    """The middle one of three readings, which leaves a single glitch out."""
-    least_evp: float
-    most_evp: float
-    most_dvp: float
-    """Commanded openings within `VALVE_LAG_S`."""
+    """Median of three readings, which removes one glitch."""
+    # Commanded openings within `VALVE_LAG_S`.
+    min_evp: float
+    max_evp: float
+    max_dvp: float
     regulating: bool
+    # The time for which each state has lasted, as far as telemetry shows.
     venting_s: float
-    """How long, as far as telemetry shows: outlet commanded open and inflation valve shut."""
+    """Outlet commanded open and inflation valve shut."""
     sealed_s: float
-    """How long every valve was commanded shut."""
+    """Every valve commanded shut."""
     outlet_shut_s: float
-    """How long the outlet was commanded shut."""
+    """Outlet commanded shut."""
     resting_s: float
-    """How long the vine was vented, with no setpoint and the Venturi off."""
+    """Vine vented, no setpoint, Venturi off."""
     holding_s: float
-    """How long it was regulated at a setpoint that does not move."""
+    """Regulated at a constant setpoint."""
 
 
 class _States:
-    """How long each state of the valves has lasted, by the board's clock."""
+    """The time for which each state of the valves has lasted, by the board's clock."""
 
     def __init__(self) -> None:
         self.cv_kPa: deque[float] = deque(maxlen=3)
         self.openings: deque[tuple[float, float, float]] = deque()
-        """When, EVP, DVP: of the last `VALVE_LAG_S`."""
+        """(time, EVP, DVP) of the last `VALVE_LAG_S`."""
         self.t = 0.0
         self.setpoint_kPa = 0.0
         self.venting_s = self.sealed_s = self.outlet_shut_s = self.resting_s = self.holding_s = 0.0
 
     def update(self, dt_s: float, telemetry: Telemetry, gap: bool) -> None:
-        """After a gap nobody knows what lasted. An outlet that is shut again is an exception: either the vine
-        still has its air, or its pressure shows that it has not."""
+        """After a gap all times restart, except `outlet_shut_s`: the pressure would show a short opening."""
         evp, dvp = telemetry.evp_opening, telemetry.dvp_opening
         self.cv_kPa.append(telemetry.cv_kPa)
         self.t += dt_s
-        # The command before is in force until this message, whenever it was sent.
+        # The previous command is valid until this message.
         earliest_s = min(self.t - VALVE_LAG_S, self.openings[-1][0] if self.openings else self.t)
         self.openings.append((self.t, evp, dvp))
         while self.openings[0][0] < earliest_s:
             self.openings.popleft()
 
-        def lasting(seconds: float, so: bool, bridged: bool = False) -> float:
-            if not so:
+        def lasting(seconds: float, present: bool, bridged: bool = False) -> float:
+            if not present:
                 return 0.0
             return JUST_S if gap and not (bridged and seconds > 0.0) else seconds + dt_s
 
@@ -112,7 +115,7 @@ class _States:
 
 
 class TelemetryReader:
-    """Makes features of telemetry, message by message."""
+    """Computes the features of each telemetry message."""
 
     def __init__(self, belief: Belief) -> None:
         self._belief = belief
@@ -125,7 +128,7 @@ class TelemetryReader:
         self._states = _States()
 
     def read(self, t: float, telemetry: Telemetry) -> Features:
-        """The features of a message that came at time `t`."""
+        """The features of a message that arrived at time `t`."""
         reservoir_kPa = self._read_reservoir(t, telemetry)
         lower_kPa, self._cv_kPa = min(self._cv_kPa, telemetry.cv_kPa), telemetry.cv_kPa
         complete = self._reservoir_smooth_kPa is not None and math.isfinite(telemetry.cv_kPa)
@@ -153,9 +156,9 @@ class TelemetryReader:
             continuity=continuity,
             device_dt_s=device_dt_s,
             cv_median_kPa=sorted(states.cv_kPa)[len(states.cv_kPa) // 2] if states.cv_kPa else math.nan,
-            least_evp=min(evps) if states.t >= VALVE_LAG_S else 0.0,
-            most_evp=max(evps),
-            most_dvp=max(dvps),
+            min_evp=min(evps) if states.t >= VALVE_LAG_S else 0.0,
+            max_evp=max(evps),
+            max_dvp=max(dvps),
             regulating=telemetry.mode is Mode.REGULATE,
             venting_s=states.venting_s,
             sealed_s=states.sealed_s,
@@ -180,9 +183,9 @@ class TelemetryReader:
         if before_ms is None:
             return "none", 0.0
         dt_s = (telemetry.device_time_ms - before_ms) % _CLOCK_MS / 1000.0
-        if dt_s > LONGEST_BRIDGED_S or telemetry.faults & REPEATS:
+        if dt_s > MAX_BRIDGED_S or telemetry.faults & REPEATS:
             self._states = _States()
             return "broken", dt_s
         if dt_s == 0.0:
             return "none", 0.0
-        return "gap" if dt_s > LONGEST_GAP_S else "follows", dt_s
+        return "gap" if dt_s > MAX_GAP_S else "follows", dt_s

@@ -1,4 +1,7 @@
-"""From telemetry to what was flown: what cost air, when the reservoir may be read, each inflation."""
+"""Finds in telemetry everything that cost air, the times at which the reservoir may be read, each inflation.
+
+Pouch: the bending pouch of the actuator.
+"""
 
 from __future__ import annotations
 
@@ -12,35 +15,35 @@ from flying_vines.supply.features import Features
 from flying_vines.supply.reservoir import Spent
 
 BLOCK_S = 0.1
-"""What a reading of the bottle is averaged over."""
+"""Averaging time of a reading of the reservoir."""
 SETPOINT_TURN_KPA = 1.0
 CV_TURN_KPA = 1.5
 """A smaller change is noise, not a turn."""
 RESTED_S = 0.5
-"""A control volume that has been vented for so long is at ambient: its reading is the sensor's zero."""
+"""A control volume that was vented for this time is at ambient. Its reading is the sensor's zero."""
 FLAT_KPA = 0.8
-"""So near to its zero a pouch may be flat."""
+"""Nearer than this to its zero a pouch may be flat."""
 NEAR_KPA = 1.0
 WORKING_OPENING = 0.6
 CALM_S = 0.1
-SHORTEST_S = 0.01
-"""Of an inflation; a clock that steps back would make it none."""
-LONGEST_GAP_S = 0.5
-"""After a longer gap in telemetry it is not known what the valves did."""
+MIN_INFLATION_S = 0.01
+"""Avoids a duration of zero or less if the clock steps back."""
+MAX_GAP_S = 0.5
+"""After a longer gap in telemetry the valve commands in between are unknown."""
 WIDE_OPEN = 0.95
 TRACE = 24
-"""Setpoints that are kept of an inflation."""
-LONGEST_TRACE = 20_000
-"""Some minutes; a longer rise is a hold."""
+"""Setpoints that are stored of an inflation."""
+MAX_TRACE = 20_000
+"""Setpoints of some minutes. A longer rise is a hold."""
 
 
 def tolerance_kPa(swing_kPa: float) -> float:
-    """How near to its top an inflation comes that meets its profile."""
+    """An inflation has reached its top if it is nearer than this."""
     return max(1.5, 0.1 * swing_kPa)
 
 
 def driving_kPa(law: Opening, supply_kPa_abs: float, downstream_kPa_abs: float) -> float:
-    """What the conductance of a valve is multiplied with for its flow, inwards and at ambient temperature."""
+    """Effective driving pressure: inward flow at ambient temperature = conductance × this."""
     if downstream_kPa_abs >= supply_kPa_abs:
         return 0.0
     if law.ohmic:
@@ -50,20 +53,20 @@ def driving_kPa(law: Opening, supply_kPa_abs: float, downstream_kPa_abs: float) 
 
 @dataclass(frozen=True, slots=True)
 class ObservedInflation:
-    """One rise of the setpoint, and everything until the next one began. Gauge kPa."""
+    """One rise of the setpoint, and everything until the next rise. Gauge kPa."""
 
     low_kPa: float
     top_kPa: float
     given_s: float
-    """From the start of the rise until the setpoint leaves the top again."""
+    """Time from the start of the rise until the setpoint leaves the top again."""
     valve_kPa_s: float
-    """∫ driving pressure · effective opening until it was there."""
+    """∫ driving pressure · effective opening, until the CV reached its top."""
     partly: float
-    """The share of that for which the valve was not wide open."""
+    """The share of `valve_kPa_s` with an opening below `WIDE_OPEN`."""
     supply_kPa_abs: float
     reached: bool
     setpoints_kPa: tuple[float, ...]
-    """At even steps over the time given."""
+    """Evenly spaced over `given_s`."""
     spent: Spent
 
     @property
@@ -71,21 +74,21 @@ class ObservedInflation:
         return self.top_kPa - self.low_kPa
 
     def as_hard_as(self, other: ObservedInflation) -> bool:
-        """At least as far, and in no more time, within a twentieth."""
+        """True if the swing is at least as large and the time at most as long, within 5 %."""
         return self.swing_kPa > 0.95 * other.swing_kPa and self.given_s < 1.05 * other.given_s
 
 
 class Flying:
-    """Follows telemetry. After `take`, what has become complete is in `block`, `reading_kPa`, `inflation`."""
+    """Follows telemetry. `take` sets `block`, `reading_kPa` and `inflation` when they are complete."""
 
     def __init__(self, belief: Belief) -> None:
         self._evp_law = belief.evp_law.numbers()
         self._dead_opening = belief.dead_opening
         self.block: Spent | None = None
         self.unseen_s = 0.0
-        """Of the block."""
+        """Time in the block that was a gap in telemetry."""
         self.reading_kPa: float | None = None
-        """The mean over the block, if the bottle may be read."""
+        """The mean over the block; None if the reservoir could not be read."""
         self.readings = 0
         self.inflation: ObservedInflation | None = None
         self._begun = False
@@ -104,14 +107,14 @@ class Flying:
         self._begin_inflation()
 
     def take(self, features: Features, supply_kPa: float) -> None:
-        """One telemetry message, with the reservoir's smoothed gauge pressure."""
+        """Take in one telemetry message. `supply_kPa`: the reservoir's smoothed gauge pressure."""
         self.block = self.reading_kPa = self.inflation = None
         telemetry, dt, self._cv = features.telemetry, features.dt_s, features.cv_smooth_kPa
         if not self._begun:
             self._begun = True
             self._cv_low = telemetry.cv_kPa
         seen_s = dt
-        if dt > LONGEST_GAP_S:
+        if dt > MAX_GAP_S:
             self._unseen_s += dt
             seen_s = 0.0
         rise, flat = self._follow_cv(dt, telemetry)
@@ -146,7 +149,7 @@ class Flying:
         self._all_calm = True
 
     def _judge_calm(self, dt: float, telemetry: Telemetry) -> None:
-        """Calm: no air is on its way that is already counted, or will be."""
+        """Calm: valves at rest and no rise commanded, so reservoir reading and counted air agree."""
         setpoint = telemetry.setpoint_kPa
         busy = (
             telemetry.dvp_opening > 0.0
@@ -160,7 +163,7 @@ class Flying:
             self._all_calm = False
 
     def _follow_cv(self, dt: float, telemetry: Telemetry) -> tuple[float, float]:
-        """By how much the control volume rose, and 1 if that began from flat."""
+        """The rise of the control volume, and 1 if it began from flat."""
         cv = self._cv
         if telemetry.setpoint_kPa <= 0.0 and telemetry.solenoid and telemetry.dvp_opening == 0.0:
             self._rested_s += dt
@@ -186,7 +189,7 @@ class Flying:
         t, telemetry, regulating = features.t, features.telemetry, features.regulating
         setpoint = telemetry.setpoint_kPa
         if regulating and not self._regulating and not self._rising:
-            # Regulation begins at the measured pressure: up to there no rise was requested.
+            # Regulation starts at the measured pressure, so the rise is counted from there.
             self._low, self._low_at = setpoint, t
         self._regulating = regulating
         if not self._rising:
@@ -199,12 +202,12 @@ class Flying:
                 self._supply_kPa_abs = supply_kPa + AMBIENT_KPA
             return
         self._top = max(self._top, setpoint)
-        if len(self._trace) < LONGEST_TRACE:
+        if len(self._trace) < MAX_TRACE:
             self._trace.append(setpoint)
         near_kPa = tolerance_kPa(self._top - self._from)
         if setpoint < self._top - near_kPa:
             self._rising = False
-            self._given_s = max(SHORTEST_S, t - (self._began_at or 0.0))
+            self._given_s = max(MIN_INFLATION_S, t - (self._began_at or 0.0))
             self._low, self._low_at = setpoint, t
             return
         opening = telemetry.evp_opening

@@ -7,7 +7,7 @@ from flying_vines.physics import paper
 
 
 def n_cycles(p: PneumaticsConfig, reservoir_kPa: float) -> float:
-    """Cycles left by the paper's equation (Eq. 8), for gauge reservoir pressure; not below 0."""
+    """Cycles left by the paper's Eq. 8, for gauge reservoir pressure; not below 0."""
     by_paper = paper.n_cycles(
         reservoir_kPa,
         reservoir_volume_L=p.reservoir_volume_L,
@@ -20,5 +20,5 @@ def n_cycles(p: PneumaticsConfig, reservoir_kPa: float) -> float:
 
 
 def floor_kPa(p: PneumaticsConfig, rate_kPa_per_s: float) -> float:
-    """Below this gauge pressure the reservoir no longer fills a CV at `rate_kPa_per_s`."""
-    return paper.least_reservoir_kPa(rate_kPa_per_s, p.evp_flow_resistance_kPa_s_per_SL, p.cv_volume_L)
+    """Minimum gauge pressure of a reservoir that fills a CV at `rate_kPa_per_s`."""
+    return paper.min_reservoir_kPa(rate_kPa_per_s, p.evp_flow_resistance_kPa_s_per_SL, p.cv_volume_L)

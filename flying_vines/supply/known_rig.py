@@ -1,8 +1,9 @@
-"""What a diagnosed rig says of its air before it has flown: numbers as fitted, and what causes do to them.
+"""The prior of a diagnosed rig before it has flown, from its fitted numbers and causes.
 
-`flying-vines diagnose --write-rig` writes such a file. What counts is the plant that it describes, whatever
-the names of the causes: its leaks, shapes, walls, valves and the reservoir's sensor. What moves no air, as a
-delay, changes nothing here.
+`flying-vines diagnose --write-rig` writes such a file. This module uses the plant that it describes: leaks,
+shapes, walls, valves and the reservoir's sensor. A cause that does not change the air, such as a delay,
+changes nothing here. EVP: inflation valve. DVP: valve that supplies the Venturi. Pouch: the bending pouch of
+the actuator.
 """
 
 from __future__ import annotations
@@ -16,94 +17,95 @@ import msgspec
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, flow_SL_per_s
-from flying_vines.physics.plant.motion import ValveMotion
 from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.setup import Setup
-from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_from
-from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.plant.valve_response import ValveMotion
+from flying_vines.physics.plant.volume import Pouch
+from flying_vines.physics.plant.wall import Wall, heat_capacity_J_per_K
 from flying_vines.physics.rig import Rig, RigError, read_rig
-from flying_vines.supply.belief import AMBIENT_KPA, LEAST_RISE, Belief, Prior, nominal
-from flying_vines.supply.reservoir import PER_AIR_K
+from flying_vines.supply.belief import AMBIENT_KPA, MIN_RISE_SHARE, Belief, Prior, nominal
 
+# Relative standard deviations: a rig changes between its calibration and its flight.
 CHANGED = 0.1
-"""One standard deviation, of what a rig is from its calibration to its flight: of what a rise takes …"""
+"""Air for a rise."""
 LEAK_CHANGED = 0.2
-"""… of a leak …"""
 POUCH_CHANGED = 0.5
-"""… and of how flat a pouch is when it is filled."""
+"""Flatness of a pouch before an inflation."""
 NO_LEAK_PER_S = 1e-4
-"""What passes for none in a minute's recording."""
+"""A leak that a recording of one minute does not show."""
 ZERO_SD_KPA = 3.0
-"""Of the reservoir's sensor, and of the ambient pressure."""
-LEAST_KPA = 1.0
-"""To which a cycle goes, whatever the sensor of the control volume makes of it."""
+"""Standard deviation of the reservoir sensor's zero and of the ambient pressure."""
+MIN_KPA = 1.0
+"""Minimum top pressure of a cycle, with any error of the control volume's sensor."""
 PARTLY_OPEN_SD = 0.2
 VENTURI_STARTS_KPA = 3.0
+"""The firmware starts the Venturi if the control volume is this far above its setpoint …"""
 VENTURI_ENDS_KPA = 1.0
-"""How far the control volume is behind when the firmware calls the Venturi, and when it stops it."""
+"""… and stops it at this difference."""
 REGULATOR_S = 0.05
+"""Reaction time of the regulator."""
 OPENING_S = 0.12
-"""What the regulator takes to act, and to go through the whole opening of the inflation valve."""
+"""Time in which the regulator opens the inflation valve fully."""
 TOP_SHARE = 0.2
-"""For how much of its rise's time the cycle of `[pneumatics]` stays at the top."""
+"""A cycle of `[pneumatics]` stays at the top for this share of its rise time."""
 ISOTHERMAL = Wall(time_constant_s=1e-3)
 
 
 @dataclass(frozen=True)
 class KnownRig:
-    """What a rig file gives."""
+    """The prior from a rig file."""
 
     path: Path
     belief: Belief
     used: tuple[str, ...]
-    """The causes that it rests on."""
+    """The causes that affect the prior."""
     unused: tuple[str, ...]
-    """Those that say nothing of the bottle's air."""
+    """The causes that do not affect the air."""
 
     @property
-    def said(self) -> str:
-        """What the cycles left rest on, in a line."""
+    def summary(self) -> str:
+        """The basis of the cycles left, in one line."""
         p = self.belief.pneumatics
-        said = f"bottle {p.reservoir_volume_L:.3g} L, vine {p.cv_volume_L:.3g} L"
-        for what, names in (("in the cycles left", self.used), ("of no use there", self.unused)):
-            said += f"; {what}: {', '.join(names)}" if names else ""
-        return said
+        text = f"bottle {p.reservoir_volume_L:.3g} L, vine {p.cv_volume_L:.3g} L"
+        for what, names in (("used for cycles left", self.used), ("unused", self.unused)):
+            text += f"; {what}: {', '.join(names)}" if names else ""
+        return text
 
 
 def load_calibration(path: Path, p: PneumaticsConfig) -> KnownRig:
-    """What a rig file makes of the numbers of `[pneumatics]`.
+    """The prior from a rig file and the numbers of `[pneumatics]`.
 
-    RigError when the file cannot be read, names something unknown, or has nothing to inflate.
+    Raises `RigError` if the file cannot be read, has an unknown name, or has no control volume.
     """
     return read_rig(path, lambda content: _calibration(path, p, true_rig_from(content)))
 
 
 def _calibration(path: Path, p: PneumaticsConfig, rig: TrueRig) -> KnownRig:
-    belief = believed(p, rig)
+    belief = belief_of(p, rig)
     without = {
         name: replace(rig, causes={other: rig.causes[other] for other in rig.causes if other != name})
         for name in rig.causes
     }
-    used = tuple(name for name, less in without.items() if believed(p, less, rig.complete) != belief)
+    used = tuple(name for name, less in without.items() if belief_of(p, less, rig.complete) != belief)
     return KnownRig(path, belief, used, tuple(name for name in rig.causes if name not in used))
 
 
-def believed(p: PneumaticsConfig, rig: TrueRig, complete: bool | None = None) -> Belief:
-    """What a rig makes of the numbers of `[pneumatics]`, for one that flies it.
+def belief_of(p: PneumaticsConfig, rig: TrueRig, complete: bool | None = None) -> Belief:
+    """The prior of a rig with the cycle of `[pneumatics]`.
 
-    A rig of which only the numbers are told is as any rig in all else, unless it is said to be `complete`.
+    If the rig is not `complete`, only its numbers are used, with the wide priors of `nominal` for all others.
     """
-    there = rig.setup
-    numbers = _numbers(p, there.plant.rig)
+    setup = rig.setup
+    numbers = _numbers(p, setup.plant.rig)
     if not (rig.complete if complete is None else complete):
         return nominal(numbers)
-    return _known(numbers, there)
+    return _known(numbers, setup)
 
 
 def _numbers(p: PneumaticsConfig, rig: Rig) -> PneumaticsConfig:
     if rig.cv is None:
-        raise RigError("the rig has no [cv], so that there is nothing to inflate.")
+        raise RigError("the rig has no [cv], so there is nothing to inflate.")
     return msgspec.structs.replace(
         p,
         reservoir_volume_L=rig.reservoir.volume_L,
@@ -113,12 +115,12 @@ def _numbers(p: PneumaticsConfig, rig: Rig) -> PneumaticsConfig:
     )
 
 
-def _known(p: PneumaticsConfig, there: Setup) -> Belief:
-    plant, effects = there.plant, there.plant.effects
+def _known(p: PneumaticsConfig, setup: Setup) -> Belief:
+    plant, effects = setup.plant, setup.plant.effects
     motion = effects.evp_motion or ValveMotion()
     kPa_per_SL = ALPHA_KPA / p.reservoir_volume_L
-    gain, offset_kPa = there.cv_sensor.gain, there.cv_sensor.offset_kPa
-    top_kPa = max(LEAST_KPA, p.cycle_swing_kPa / gain - offset_kPa)
+    gain, offset_kPa = setup.cv_sensor.gain, setup.cv_sensor.offset_kPa
+    top_kPa = max(MIN_KPA, p.cycle_swing_kPa / gain - offset_kPa)
     rise = _air_SL_per_kPa(p, plant, top_kPa) * kPa_per_SL / gain
     pouch_kPa = 0.0
     if isinstance(plant.shape, Pouch):
@@ -135,7 +137,7 @@ def _known(p: PneumaticsConfig, there: Setup) -> Belief:
     return Belief(
         pneumatics=p,
         rise=Prior(rise, CHANGED * rise),
-        least_rise=LEAST_RISE * rise,
+        min_rise=MIN_RISE_SHARE * rise,
         flat=Prior(pouch_kPa, POUCH_CHANGED * pouch_kPa + CHANGED * rise),
         packed_kPa=pouch_kPa,
         venturi=Prior(motive, CHANGED * motive),
@@ -151,26 +153,26 @@ def _known(p: PneumaticsConfig, there: Setup) -> Belief:
         + OPENING_S * (motion.dead_opening + 0.5 * motion.backlash_width)
         + motion.delay_s
         + motion.time_constant_s
-        + there.cv_sensor.time_constant_s,
+        + setup.cv_sensor.time_constant_s,
         cycle_rise_kPa=rise_kPa,
         cycle_venturi_s=venturi_s,
-        reservoir_gain=there.reservoir_sensor.gain,
-        reservoir_offset_kPa=there.reservoir_sensor.offset_kPa,
+        reservoir_gain=setup.reservoir_sensor.gain,
+        reservoir_offset_kPa=setup.reservoir_sensor.offset_kPa,
         zero_sd_kPa=ZERO_SD_KPA,
     )
 
 
 def _air_SL_per_kPa(p: PneumaticsConfig, plant: Plant, top_kPa: float) -> float:
-    """What fills the control volume and its tube to a pressure, for each kPa; once it is full, of a pouch.
+    """Air per kPa that fills the control volume and its tube; for a pouch, once it is not flat.
 
-    V (1 + k P) at P + p_a for V at p_a; less, where the gas is still warm when the inflation ends, for warm
-    gas fills more: with p_a (θ − 1) = e and a rise of P over T, γ de/dt = (γ − 1) P/T − e/τ.
+    A volume V at p_a becomes V (1 + k P) at P + p_a. It takes less air if the gas is still warm at the end of
+    the inflation: with p_a (θ − 1) = e and a rise of P over T, γ de/dt = (γ − 1) P/T − e/τ.
     """
     volume_L = p.cv_volume_L * (1.0 + plant.shape.per_kPa * (AMBIENT_KPA + top_kPa))
     rise_s = p.cycle_swing_kPa / p.cycle_rate_kPa_per_s
     if (wall := plant.effects.cv_wall) is not None:
-        gas_J_per_K = (AMBIENT_KPA + 0.5 * top_kPa) * p.cv_volume_L / PER_AIR_K
-        cools_per_s = (1.0 / wall.time_constant_s + wall.conductance_W_per_K / gas_J_per_K) / GAMMA
+        gas_J_per_K = heat_capacity_J_per_K(AMBIENT_KPA + 0.5 * top_kPa, p.cv_volume_L)
+        cools_per_s = wall.rates(gas_J_per_K).gas_per_s / GAMMA
         lost = (1.0 - math.exp(-cools_per_s * rise_s)) / (cools_per_s * rise_s) if cools_per_s else 1.0
         warm_share = (GAMMA - 1.0) / GAMMA * lost * math.exp(-cools_per_s * TOP_SHARE * rise_s)
         volume_L *= 1.0 - warm_share
@@ -180,7 +182,7 @@ def _air_SL_per_kPa(p: PneumaticsConfig, plant: Plant, top_kPa: float) -> float:
 
 
 def _motive_SL_per_s(p: PneumaticsConfig, plant: Plant, supply_kPa: float) -> float:
-    """Through the Venturi and its supply valve, in series where the rig says so."""
+    """Flow through the Venturi's supply valve, in series with the nozzle if the rig has one."""
     law = plant.effects.dvp_law or Ohm(p.dvp_flow_resistance_kPa_s_per_SL)
     motive = _flow_SL_per_s(law, supply_kPa)
     ejector = plant.effects.ejector
@@ -190,11 +192,11 @@ def _motive_SL_per_s(p: PneumaticsConfig, plant: Plant, supply_kPa: float) -> fl
 
 
 def _venturi_s(p: PneumaticsConfig, plant: Plant, offset_kPa: float) -> float:
-    """How long the Venturi helps in a cycle of `[pneumatics]`, where what leaves by itself is too slow.
+    """Time for which the Venturi runs in a cycle of `[pneumatics]`; 0 if the outlet alone is fast enough.
 
-    Air leaves at P/τ; with the Venturi at (P + P_vac)/τ. On the way down at a rate r that is too slow from
-    P = r τ on, and farthest behind when the setpoint is down: by r τ/e, at that pressure, and by what the
-    sensor reads too much.
+    The pressure falls at P/τ; with the Venturi at (P + P_vac)/τ. A fall at rate r is too fast for the outlet
+    below P = r τ. The vine is farthest behind when the setpoint reaches 0: at P = r τ/e. The sensor's offset
+    adds to this difference.
     """
     law = plant.effects.solenoid_law or Ohm(plant.rig.solenoid.flow_resistance_kPa_s_per_SL)
     leaves_per_s = _leak_SL_per_s_kPa(law, p.cycle_swing_kPa) * ALPHA_KPA / p.cv_volume_L
@@ -202,12 +204,12 @@ def _venturi_s(p: PneumaticsConfig, plant: Plant, offset_kPa: float) -> float:
     if behind_kPa + offset_kPa < VENTURI_STARTS_KPA:
         return 0.0
     vacuum_kPa = plant.rig.venturi.full_vacuum_kPa
-    stops_kPa = max(LEAST_KPA, VENTURI_ENDS_KPA - offset_kPa + vacuum_kPa)
+    stops_kPa = max(MIN_KPA, VENTURI_ENDS_KPA - offset_kPa + vacuum_kPa)
     return math.log(max(1.0, (behind_kPa + vacuum_kPa) / stops_kPa)) / leaves_per_s
 
 
 def _leak_SL_per_s_kPa(law: FlowLaw | None, at_kPa: float) -> float:
-    """Of an opening to ambient, per kPa of gauge pressure."""
+    """Flow through an opening to ambient, per kPa of gauge pressure."""
     return _flow_SL_per_s(law, at_kPa) / at_kPa if law else 0.0
 
 

@@ -1,10 +1,11 @@
-"""The lowest supply pressure with which an inflation is still done in its profile's time.
+"""The minimum supply pressure with which an inflation is completed in its profile's time.
 
-A valve that is wide open and chokes passes C p, p the absolute supply; one that does not, C p φ (ISO 6358).
-What an inflation needs is therefore a product of pressure and time, D = ∫ p φ u dt, the same at every supply;
-p φ is the drop where a valve follows Ohm's law. D goes with the air, D = κ · air: κ is believed from the
-valve's rating, and learned from how far and how long the valve had to open. The floor is where a regulator
-that opens wide only when it is well behind its setpoint just gets near the top before the setpoint falls.
+A fully open, choked valve passes C p, with the absolute supply p; an unchoked one C p φ (ISO 6358). So an
+inflation needs a product of pressure and time, D = ∫ p φ u dt, which is the same at every supply. For a valve
+by Ohm's law, p φ is the pressure drop. D is proportional to the air, D = κ · air. The prior of κ comes from
+the valve's rating. κ is learned from the openings of the valve over time. At the minimum supply the control
+volume just gets near the top before the setpoint falls; the regulator opens the valve in proportion to the
+error.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from flying_vines.supply.flying import ObservedInflation, driving_kPa, tolerance
 
 WIDE_OPEN_SD = 0.05
 SLUGGISH_S = 0.04
-"""Of the time of the open command, during which valve and sensor had not responded yet."""
+"""Uncertainty of the open time: valve and sensor respond late."""
 WIDE_OPEN_ERROR_KPA = 2.0
-"""How far the control volume is below its setpoint when the valve is fully open."""
-MOST_KPA = 2000.0
+"""The regulator opens the valve fully if the control volume is this far below its setpoint."""
+MAX_KPA = 2000.0
 
 
 class SupplyCost:
-    """Learns κ, in seconds · kPa absolute of supply per kPa of bottle."""
+    """Learns κ, in seconds · kPa of absolute supply per kPa of the reservoir."""
 
     def __init__(self, belief: Belief) -> None:
         volume_L, law = belief.pneumatics.reservoir_volume_L, belief.evp_law.numbers()
@@ -47,41 +48,41 @@ class SupplyCost:
         self.variance = max((1.0 - gain) * self.variance, min(self.variance, 0.3 * variance))
 
 
-def least_supply_kPa(
+def min_supply_kPa(
     belief: Belief, inflation: ObservedInflation, air_kPa: float, demand_kPa_s: float
 ) -> float:
-    """Gauge, at the start of an inflation like this one, which takes `air_kPa` and needs `demand_kPa_s`.
+    """Minimum gauge supply at the start of an inflation that takes `air_kPa` and needs `demand_kPa_s` (D).
 
-    At most the pressure with which this one was done.
+    If this inflation reached its top, the result is not above its own supply.
     """
     low = AMBIENT_KPA + inflation.low_kPa
-    high = max(low, inflation.supply_kPa_abs) if inflation.reached else MOST_KPA
+    high = max(low, inflation.supply_kPa_abs) if inflation.reached else MAX_KPA
     for _ in range(12):
         middle = 0.5 * (low + high)
         if _filled(belief, inflation, demand_kPa_s, middle):
             high = middle
         else:
             low = middle
-    # The supply falls meanwhile.
+    # The supply falls during the inflation.
     return high - AMBIENT_KPA + 0.5 * air_kPa
 
 
 def _filled(belief: Belief, inflation: ObservedInflation, demand_kPa_s: float, supply_kPa_abs: float) -> bool:
-    """Whether the control volume gets near the top before the setpoint falls.
+    """True if the control volume gets near the top before the setpoint falls.
 
-    The regulator opens in proportion to the error, and adds no air on the way down.
+    The regulator opens the valve in proportion to the error, and adds no air while the setpoint falls.
     """
     law = belief.evp_law.numbers()
     swing, setpoints = inflation.swing_kPa, inflation.setpoints_kPa
     step_s = inflation.given_s / len(setpoints)
     late = math.ceil(belief.response_s / step_s)
-    most_per_kPa = swing * step_s / max(1e-9, demand_kPa_s)
+    max_per_kPa = swing * step_s / max(1e-9, demand_kPa_s)
     cv = inflation.low_kPa
     for i, now in enumerate(setpoints):
         if i and now < setpoints[i - 1]:
             break
         setpoint = setpoints[i - late] if i >= late else inflation.low_kPa
         if setpoint > cv:
-            most_kPa = most_per_kPa * driving_kPa(law, supply_kPa_abs, AMBIENT_KPA + cv)
-            cv = min(setpoint, cv + most_kPa * min(1.0, (setpoint - cv) / WIDE_OPEN_ERROR_KPA))
+            max_rise_kPa = max_per_kPa * driving_kPa(law, supply_kPa_abs, AMBIENT_KPA + cv)
+            cv = min(setpoint, cv + max_rise_kPa * min(1.0, (setpoint - cv) / WIDE_OPEN_ERROR_KPA))
     return cv >= inflation.top_kPa - tolerance_kPa(swing)

@@ -1,5 +1,5 @@
-"""A service that runs elsewhere or under systemd, shown on a terminal through its page's socket.
+"""The terminal view: `screen` shows our own service; the other modules show another one by its page.
 
-`story` makes of its messages what the service's own terminal shows; it knows no socket and no clock. `line`
-is the socket, opened again whenever it is lost; `keys` is the keyboard; `watching` puts them together.
+`story` converts the page's messages to snapshots and events; it has no socket and no clock. `line` is the
+socket, which reconnects; `keys` reads the keyboard; `watching` connects them.
 """

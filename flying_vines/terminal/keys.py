@@ -1,4 +1,4 @@
-"""Single keys of a terminal, while a screen is shown on it."""
+"""Reads single keys from a terminal while it shows a screen."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def pressed(take: Callable[[str], None]) -> Iterator[None]:
-    """`take` gets each key that is pressed; none if standard input is no terminal."""
+    """`take` gets each pressed key, if standard input is a terminal."""
     if not sys.stdin.isatty():
         yield
         return

@@ -1,4 +1,4 @@
-"""The socket of a service's page, reopened after each loss. No logic of its own."""
+"""The WebSocket of a service's page; reconnects after each loss."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from yarl import URL
 from flying_vines.terminal.story import LATE_S
 
 OPENS_WITHIN_S = 3.0
-FIRST_BACKOFF_S, LONGEST_BACKOFF_S = 0.25, 4.0
-LONGEST_MESSAGE = 1024 * 1024
+FIRST_BACKOFF_S, MAX_BACKOFF_S = 0.25, 4.0
+MAX_MESSAGE_BYTES = 1024 * 1024
 
 
 class NotAdmittedError(Exception):
-    """The page refuses us for good; the text is a sentence."""
+    """The page refuses us permanently; the text is a sentence."""
 
 
 def socket_of(page: str) -> URL:
-    """The socket of a page's address, as the service prints it. `ValueError` says what is wrong."""
+    """The WebSocket's URL for the page's URL. Raises `ValueError` if that is invalid."""
     url = URL(page if "://" in page else f"http://{page}")
     if url.scheme not in ("http", "https") or not url.host:
         raise ValueError("give http://HOST:PORT")
@@ -46,7 +46,7 @@ class PageSocket:
         self._to_send: asyncio.Queue[str] = asyncio.Queue(maxsize=1)
 
     def send(self, text: str) -> None:
-        """Send while there is a link; otherwise drop it, since it would come late."""
+        """Send if there is a link; otherwise drop the text, because it would be late."""
         if not self.problem and not self._to_send.full():
             self._to_send.put_nowait(text)
 
@@ -63,7 +63,7 @@ class PageSocket:
                 except WSServerHandshakeError as refused:
                     self.problem = _why(refused.status)
                 except TimeoutError:
-                    self.problem = "the page says nothing"
+                    self.problem = "no data from the page"
                 except ClientConnectorError as error:
                     self.problem = f"{error.host}:{error.port}: {os.strerror(error.errno or 0)}"
                 except (ClientError, OSError) as error:
@@ -71,11 +71,11 @@ class PageSocket:
                 else:
                     backoff_s = FIRST_BACKOFF_S
                 await asyncio.sleep(backoff_s)
-                backoff_s = min(2.0 * backoff_s, LONGEST_BACKOFF_S)
+                backoff_s = min(2.0 * backoff_s, MAX_BACKOFF_S)
 
     async def _talk(self, session: ClientSession) -> None:
         async with asyncio.timeout(OPENS_WITHIN_S):
-            viewing = await session.ws_connect(self._url, max_msg_size=LONGEST_MESSAGE)
+            viewing = await session.ws_connect(self._url, max_msg_size=MAX_MESSAGE_BYTES)
         async with viewing:
             self.problem = ""
             while not self._to_send.empty():
@@ -96,11 +96,11 @@ class PageSocket:
 
 
 def _why(status: int) -> str:
-    """Raises `NotAdmittedError` if the page refuses us for good."""
+    """The problem for an HTTP status. Raises `NotAdmittedError` if a retry cannot help."""
     if status == 401:
-        raise NotAdmittedError("it needs its token: --token-file FILE, as [page] token_file of its profile")
+        raise NotAdmittedError("it needs its token: --token-file FILE ([page] token_file of its profile)")
     if status in (403, 404, 421):
-        raise NotAdmittedError("that is not a page of Flying Vines, or not by this name: give its address")
+        raise NotAdmittedError("not a Flying Vines page, or a host name that it refuses: give its IP address")
     if status == 503:
-        return "too many viewers are there already"
+        return "too many viewers"
     return f"HTTP status {status}"

@@ -1,4 +1,7 @@
-"""The service on a terminal: a live view to watch, or one line for each event to log."""
+"""The service on a terminal: a live view, or one line per event.
+
+EVP: inflation valve. DVP: the Venturi's supply valve.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +25,13 @@ from flying_vines.vehicle.notice import Notice, Severity
 VERDICT_STYLE = {"accepted": "green", "limited": "yellow", "refused": "red"}
 SEVERITY_STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTICE: "cyan"}
 BAR_WIDTH = 24
-MOST_BEHIND = 64 * 1024
-"""Characters queued for a terminal that accepts none: some seconds of screens. Later ones are dropped."""
-LAST_WORDS_S = 0.5
+MAX_QUEUED = 64 * 1024
+"""Maximum characters queued for a blocked terminal: some seconds of screens. Later ones are dropped."""
+CLOSING_S = 0.5
 
 
 def describe(what: dict[str, object]) -> str:
-    """A trigger's source, for people."""
+    """A trigger's source as text."""
     if "channel" in what:
         return f"ch{what['channel']} position {what['position']}"
     if "loss" in what:
@@ -47,7 +50,7 @@ def describe(what: dict[str, object]) -> str:
 
 
 def decision_table(decisions: Sequence[Decision]) -> Table:
-    """One row for each decision."""
+    """A table with one row per decision."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("t, s", "trigger", "what", "intent", "safety", "setpoint, kPa", "why"):
         table.add_column(name, justify="right" if "," in name else "left")
@@ -66,7 +69,7 @@ def decision_table(decisions: Sequence[Decision]) -> Table:
 
 
 def event_line(action: Action, began: float) -> Text | None:
-    """One line for a decision or a notice; None for one that is not shown."""
+    """The line for an action; None if it is not shown."""
     if isinstance(action, Decision):
         line = Text(f"{action.t - began:7.2f}  ")
         line.append(f"{action.trigger.replace('_', ' ')} ", style="bold")
@@ -85,7 +88,7 @@ def event_line(action: Action, began: float) -> Text | None:
 
 
 class LiveView:
-    """The live view: give it actions, and render it with a snapshot."""
+    """The live view. Call `take` with actions and `render` with a snapshot."""
 
     def __init__(self, began: float, max_kPa: float, full_kPa: float, lines: int = 12) -> None:
         self._began = began
@@ -94,7 +97,7 @@ class LiveView:
         self._events: deque[Text] = deque(maxlen=lines)
 
     def take(self, action: Action) -> None:
-        # Tracebacks are only for the log and the line-by-line print.
+        # Tracebacks appear only in the log and in the line output.
         line = None if isinstance(action, InternalError) else event_line(action, self._began)
         if line is not None:
             self._events.append(line)
@@ -105,7 +108,7 @@ class LiveView:
     def render(
         self, s: Snapshot, title: str = "Flying Vines", problems: Mapping[str, str] | None = None
     ) -> Panel:
-        """The whole screen. `problems` are those of the links themselves, a sentence each."""
+        """The whole screen. `problems`: a sentence for each link with a problem."""
         grid = Table.grid(padding=(0, 2))
         grid.add_column(style="dim", no_wrap=True)
         grid.add_column(no_wrap=True)
@@ -152,24 +155,24 @@ def _cycles(s: Snapshot) -> str:
 
 
 def number(value: float, digits: int = 1) -> str:
-    """For people: "–" if it is not known."""
+    """The number as text; "–" if it is NaN."""
     return "–" if math.isnan(value) else f"{value:.{digits}f}"
 
 
 def bar(value: float, full: float, style: str) -> Text:
-    """A bar that shows the share of `full`."""
+    """A bar of length `value / full`."""
     share = 0.0 if math.isnan(value) else min(max(value / full, 0.0), 1.0)
     filled = round(share * BAR_WIDTH)
     return Text("█" * filled, style=style).append("░" * (BAR_WIDTH - filled), style="dim")
 
 
-class PatientOutput(io.TextIOBase):
-    """Standard output that never blocks: a terminal may stand still, by its network or by Ctrl-S."""
+class NonBlockingOutput(io.TextIOBase):
+    """Standard output that never blocks, even if the terminal does (network, Ctrl-S)."""
 
     def __init__(self) -> None:
         # A live view replaces `sys.stdout`.
         self._stdout = sys.stdout
-        self._aside: BackgroundWriter[str] = BackgroundWriter(self._print, MOST_BEHIND)
+        self._writer: BackgroundWriter[str] = BackgroundWriter(self._print, MAX_QUEUED)
 
     def console(self) -> Console:
         return Console(file=cast(IO[str], self))
@@ -182,22 +185,22 @@ class PatientOutput(io.TextIOBase):
         return self._stdout.isatty()
 
     def write(self, text: str) -> int:
-        self._aside.write(text, len(text))
+        self._writer.write(text, len(text))
         return len(text)
 
     def close(self) -> None:
-        """Write what is queued, if the terminal accepts it."""
-        self._aside.close(LAST_WORDS_S)
+        """Write the queued text, if the terminal accepts it in time."""
+        self._writer.close(CLOSING_S)
 
     def _print(self, texts: list[str]) -> None:
-        """Bypass the stream: the interpreter waits for its lock at exit."""
+        """Write without the stream, because the interpreter waits for the stream's lock at exit."""
         data = "".join(texts).encode(self.encoding, "replace")
         while data:
             data = data[os.write(self._stdout.fileno(), data) :]
 
 
 def plain_printer(console: Console, began: float) -> Callable[[Action], None]:
-    """Prints one line for each event, for terminals without a screen."""
+    """Returns a function that prints one line per event."""
 
     def show(action: Action) -> None:
         line = event_line(action, began)

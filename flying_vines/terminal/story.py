@@ -1,4 +1,4 @@
-"""From the page's messages to what the service's own terminal shows: snapshots, decisions and notices."""
+"""Converts the page's messages to snapshots, decisions and notices."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from flying_vines.vehicle.notice import Notice
 
 VENT_AGAIN_S = 0.5
 LATE_S = 2.0
-"""Messages come every second; after so long without one the link is cut."""
+"""Messages come every second. After this time without one, the link counts as lost."""
 
 _ACTIONS: dict[str, type[Decision] | type[Notice]] = {"decision": Decision, "notice": Notice}
 _NUMBERS = [field.name for field in fields(Snapshot) if field.type == "float"]
@@ -28,11 +28,11 @@ class VineScale(NamedTuple):
 
 
 class StrangeMessageError(Exception):
-    """The message is not one of a page of this version."""
+    """The message is not valid for a page of this version."""
 
 
 class Story:
-    """The events of one service, over all losses of the link. Times are those of the service's clock."""
+    """The events of one service, also over link losses. Times are on the service's clock."""
 
     def __init__(self) -> None:
         self.vine: VineScale | None = None
@@ -43,15 +43,12 @@ class Story:
         self._latest_t = -math.inf
 
     def take(self, t: float, text: str) -> list[Decision | Notice]:
-        """What is new to whoever has followed the story; `t` is now, by our clock.
-
-        Raises `StrangeMessageError`.
-        """
+        """Take in a message at `t`; returns the new events. Raises `StrangeMessageError`."""
         try:
             message = msgspec.json.decode(text)
             return self._take(t, message)
         except (msgspec.DecodeError, LookupError, TypeError, ValueError) as error:
-            raise StrangeMessageError(f"not understood: {error}") from None
+            raise StrangeMessageError(f"invalid message from the page: {error}") from None
 
     def _take(self, t: float, message: Any) -> list[Decision | Notice]:
         match message["kind"]:
@@ -65,10 +62,10 @@ class Story:
         return []
 
     def _welcome(self, hello: dict[str, Any]) -> list[Decision | Notice]:
-        """A hello repeats the past: only events from the time without a link are new."""
+        """A hello contains past events. Only events from the time without a link are new."""
         past = _actions(hello["happened"])
         if self.vine is None or hello["t"] < self._latest_t:
-            # The first hello, or one of a service that was restarted.
+            # The first hello, or the hello of a restarted service.
             self.began = min([hello["t"], *(action.t for action in past)])
             self._latest_t = -math.inf
         self.vine = VineScale(hello["vine"]["max_kPa"], hello["vine"]["full_kPa"])
@@ -83,23 +80,23 @@ class Story:
 
 
 class VentRequest:
-    """A request to vent. It is repeated until it is confirmed or refused, over any loss of the link."""
+    """A vent request. It is repeated until it is confirmed or refused, also after a link loss."""
 
     def __init__(self) -> None:
-        self.wanted_at: float | None = None
+        self.pressed_at: float | None = None
         self._seen_at: float | None = None
         self._sent_at = -math.inf
         self._number = 0
 
     def press(self, t: float, seen: Snapshot | None) -> None:
-        """`seen`: the snapshot shown now; no later fault is cleared."""
-        self.wanted_at = t
+        """`seen`: the snapshot on the screen; newer faults are not cleared."""
+        self.pressed_at = t
         self._seen_at = seen.t if seen else None
         self._sent_at = -math.inf
 
     def pop_message(self, t: float) -> str | None:
-        """The message to send at time `t`, if any; it then counts as sent."""
-        if self.wanted_at is None or t - self._sent_at < VENT_AGAIN_S:
+        """The message to send at time `t`, or None. It then counts as sent."""
+        if self.pressed_at is None or t - self._sent_at < VENT_AGAIN_S:
             return None
         self._sent_at = t
         self._number += 1
@@ -107,12 +104,12 @@ class VentRequest:
         return msgspec.json.encode(request).decode()
 
     def take(self, t: float, text: str) -> str | None:
-        """The page's answer to it as a sentence, if the message is one."""
+        """The page's answer to the request as a sentence; None for other messages."""
         message = msgspec.json.decode(text)
-        if self.wanted_at is None or message.get("kind") != "answer" or message["safety"] == "unanswered":
+        if self.pressed_at is None or message.get("kind") != "answer" or message["safety"] == "unanswered":
             return None
-        after_s = t - self.wanted_at
-        self.wanted_at = None
+        after_s = t - self.pressed_at
+        self.pressed_at = None
         if message["safety"] == "refused":
             return f"VENT refused: {message['reason']}"
         return f"VENT confirmed after {after_s:.2f} s"
@@ -127,6 +124,6 @@ def _actions(happened: Sequence[dict[str, Any]]) -> list[Decision | Notice]:
 
 
 def _snapshot(shown: dict[str, Any]) -> Snapshot:
-    """NaN is null there."""
+    """The snapshot; null becomes NaN."""
     known = {name: math.nan if shown.get(name) is None else shown[name] for name in _NUMBERS}
     return msgspec.convert({**shown, **known}, Snapshot)

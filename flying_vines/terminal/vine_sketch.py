@@ -1,4 +1,4 @@
-"""A bent vine in a few lines of text, for terminals: dots of braille, or plain ASCII."""
+"""Draws a bent vine in a few lines of text: braille dots, or plain ASCII."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ COLUMNS, LINES = 18, 7
 _WIDE, _HIGH = 2 * COLUMNS, 4 * LINES
 """A braille character is two dots wide and four high."""
 _BASE = (13, 5)
-"""Where the vine leaves the drone, in dots from the left and the top. It bends to the right."""
+"""The vine's base at the drone, in dots from the left and the top. It bends to the right."""
 _LENGTH = 21
 _HALF_WIDTH = 1.5
 _DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 
 
 def sketch(angle_deg: float, unicode: bool = True) -> list[str]:
-    """Lines of one width: a drone with the vine under it; the drone alone if the bend is not known."""
+    """Lines of equal width: a drone with the vine under it; only the drone if the bend is unknown."""
     dots = {(x, 3) for x in range(4, 24)} | {(x, 4) for x in range(11, 17)}
     dots |= {(x, 0) for x in (*range(1, 9), *range(19, 27))} | {
         (x, y) for x in (4, 5, 22, 23) for y in (1, 2)

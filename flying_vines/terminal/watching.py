@@ -1,4 +1,4 @@
-"""A service shown on a screen, as lines or as JSON; and a key that vents."""
+"""Shows another service on a screen, as lines or as JSON, with a key that vents."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from flying_vines.terminal.line import PageSocket
 from flying_vines.terminal.screen import LiveView, event_line
 from flying_vines.terminal.story import LATE_S, Story, StrangeMessageError, VentRequest
 
-LOOK_S = 0.1
-SURE_S = 3.0
-"""Longest time between the first press of the key and the second."""
+POLL_S = 0.1
+SECOND_PRESS_S = 3.0
+"""Maximum time between the first and the second press of the key."""
 KEYS = "v v vents · q ends"
 
 
 class Watching:
-    """Shows the service whose page's socket is at `url`."""
+    """Shows the service with its page's WebSocket at `url`."""
 
     def __init__(self, url: URL, token: str, plain: bool, as_json: bool) -> None:
         self._page = url.origin()
@@ -35,11 +35,11 @@ class Watching:
         self._vent = VentRequest()
         self._pressed_at: float | None = None
         self._line = PageSocket(url, token, self._take)
-        self._told = "connecting"
+        self._shown_problem = "connecting"
         self._over = False
 
     async def run(self, seconds: float | None) -> bool:
-        """Returns whether the service answered. Raises `NotAdmittedError`."""
+        """Returns True if the service answered. Raises `NotAdmittedError`."""
         ends_at = None if seconds is None else self._now + seconds
         following = asyncio.create_task(self._line.run())
         with ExitStack() as stack:
@@ -48,12 +48,12 @@ class Watching:
                 stack.enter_context(keys.pressed(self._press))
                 screen = stack.enter_context(Live(console=self._console, refresh_per_second=10, screen=True))
             while not self._over and (ends_at is None or self._now < ends_at):
-                await asyncio.wait([following], timeout=LOOK_S)
+                await asyncio.wait([following], timeout=POLL_S)
                 if following.done():
                     break
-                if asked := self._vent.pop_message(self._now):
-                    self._line.send(asked)
-                self._tell_of_link()
+                if request := self._vent.pop_message(self._now):
+                    self._line.send(request)
+                self._show_link()
                 if screen:
                     screen.update(self._rendered())
         following.cancel()
@@ -81,10 +81,10 @@ class Watching:
         if vented:
             self._say(Text(vented, style="bold green" if "confirmed" in vented else "bold red"))
 
-    def _tell_of_link(self) -> None:
+    def _show_link(self) -> None:
         problem = self._problem
-        if problem != self._told:
-            self._told = problem
+        if problem != self._shown_problem:
+            self._shown_problem = problem
             self._say(Text(f"link: {problem or 'open'}", style="bold red" if problem else "green"))
 
     @property
@@ -106,23 +106,23 @@ class Watching:
     def _rendered(self) -> RenderableType:
         if self._view is None or self._story.snapshot is None:
             return Panel(
-                Text(f"{self._page}: {self._problem or 'no news of the service yet'}"), title="Flying Vines"
+                Text(f"{self._page}: {self._problem or 'no data from the service yet'}"), title="Flying Vines"
             )
         panel = self._view.render(self._story.snapshot, f"Flying Vines   {self._page}")
         panel.subtitle = self._hint
         if problem := self._problem:
             age_s = self._story.snapshot_age_s(self._now)
-            panel.title = f"{problem}: all this is {age_s:.0f} s old"
+            panel.title = f"{problem}: these data are {age_s:.0f} s old"
             panel.border_style, panel.style = "bold red not dim", "dim"
         return panel
 
     @property
     def _hint(self) -> Text:
-        if self._vent.wanted_at is not None:
+        if self._vent.pressed_at is not None:
             return Text(
-                f"VENT not confirmed, trying for {self._now - self._vent.wanted_at:.0f} s", style="bold red"
+                f"VENT not confirmed, trying for {self._now - self._vent.pressed_at:.0f} s", style="bold red"
             )
-        if self._pressed_at is not None and self._now - self._pressed_at < SURE_S:
+        if self._pressed_at is not None and self._now - self._pressed_at < SECOND_PRESS_S:
             return Text("press v again to vent", style="bold yellow not dim")
         return Text(KEYS, style="dim")
 
@@ -131,7 +131,7 @@ class Watching:
     def _press(self, key: str) -> None:
         if key == "q":
             self._over = True
-        elif key == "v" and self._pressed_at is not None and self._now - self._pressed_at < SURE_S:
+        elif key == "v" and self._pressed_at is not None and self._now - self._pressed_at < SECOND_PRESS_S:
             self._pressed_at = None
             self._vent.press(self._now, self._story.snapshot)
         else:

@@ -1,7 +1,7 @@
 """The autopilot's clock, and the age of a message at its arrival.
 
 After a stall of the link or of our process, all delayed messages arrive at once. A text or a command has no
-time stamp: its age follows from the `time_boot_ms` of the messages around it.
+time stamp, so its age follows from the `time_boot_ms` of the messages around it.
 """
 
 from __future__ import annotations
@@ -13,29 +13,31 @@ from dataclasses import dataclass
 from flying_vines.vine.intent import ACTS_WITHIN_S
 
 LATE_S = ACTS_WITHIN_S
-"""A request over the link that is older than this may only let air out. The page has the same limit."""
+"""A request over the link that is older than this may only deflate the vine. The page has the same limit."""
 
 WAIT_FOR_STAMP_S = 0.3
-"""How long a message that may be late waits for the next time stamp."""
-SLOWEST_STREAM_S = 1.0
+"""A message that may be late waits this long for the next time stamp."""
+MAX_STAMP_PERIOD_S = 1.0
 SILENCE_S = 1.2
-"""HEARTBEAT comes at 1 Hz: a longer silence is a link, or a process, that stood still."""
+"""HEARTBEAT comes at 1 Hz: a longer silence is a stall of the link or of our process."""
 BACKLOG_S = 2.0
 """After a stall, the delayed messages arrive within this time."""
 
 CLOCK_PERIOD_S = 2**32 / 1000
-FASTEST_DRIFT = 0.03
-"""A simulated PX4 on a busy computer was 1.4 % slow. Faster than this is a delay of the link."""
-LONGEST_STEP_S = 1.0
+MAX_DRIFT = 0.03
+"""A simulated PX4 on a busy computer was 1.4 % slow. A faster change of the offset is a delay of the link."""
+MAX_DRIFT_STEP_S = 1.0
+"""Drift is counted for at most this time between two stamps."""
 
-LONGEST_DELAY_S = 20.0
-YOUNG_DELAY_S = 2.0
+# A clock that lags by more than its limit may have rebooted. The limit is lower after a short uptime.
+MAX_DELAY_S = 20.0
+YOUNG_MAX_DELAY_S = 2.0
 YOUNG_S = 60.0
-"""A clock that lags can be a long delay of the link. If the uptime is short as well, it is a reboot."""
-OVERTAKEN_S = 1.0
+REORDERED_S = 1.0
+"""A stamp may be this much older than the one before, because messages were reordered."""
 CONTINUOUS_S = 2.0
-"""After a stall the clock goes on where it was, after a reboot it does not."""
-MOST_MARKS = 64
+"""A stamp at most this much newer than the one before is a stall, not a reboot."""
+MAX_MARKS = 64
 
 
 @dataclass(slots=True)
@@ -44,13 +46,13 @@ class Mark:
 
     t: float
     suspected_s: float = 0.0
-    """The delay of the last stamp before it, plus the autopilot's silence since then."""
+    """Upper estimate of the delay: that of the last stamp before it, plus the silence since then."""
     continuous: bool = True
     """No frame was lost between the last stamp and the message."""
     first_stamps: bool = False
-    """The clock has been known for too short a time: the first stamps may be delayed themselves."""
+    """The clock was not known for long yet. The first stamps may be delayed, too."""
     boot_s: float = math.inf
-    """The autopilot's time at the first stamp after the message, which was not sent later."""
+    """Autopilot time of the first stamp after the message. The message was sent no later than that."""
 
 
 class AutopilotClock:
@@ -65,14 +67,14 @@ class AutopilotClock:
         self.forget()
 
     def forget(self) -> None:
-        """The autopilot has started anew."""
+        """The autopilot rebooted."""
         self._offset_s = None
         self._known_since = math.inf
         self._newest_s = -math.inf
         self._stamped_at = -math.inf
         self._delay_s = self._silence_s = 0.0
         self._lost = False
-        self._open: deque[Mark] = deque(maxlen=MOST_MARKS)
+        self._open: deque[Mark] = deque(maxlen=MAX_MARKS)
 
     def time_boot_ms(self, t: float) -> int:
         """Our time `t` on the autopilot's clock; 0 before that clock is known."""
@@ -81,7 +83,7 @@ class AutopilotClock:
         return max(0, int((t - self._offset_s) * 1000)) & 0xFFFFFFFF
 
     def frame(self, t: float, sequence: int) -> None:
-        """Any frame of the autopilot."""
+        """Take in the sequence number of any frame of the autopilot."""
         if self._sequence is not None and (sequence - self._sequence) & 0xFF > 1:
             self._lost, self.lost_at = True, t
         self._sequence = sequence
@@ -91,9 +93,9 @@ class AutopilotClock:
         self._heard_at = t
 
     def stamp(self, t: float, time_boot_ms: int, is_measured: bool = False) -> bool:
-        """A message that carries `time_boot_ms`; whether the autopilot has started anew.
+        """Take in a message with `time_boot_ms`. Returns True if the autopilot rebooted.
 
-        `is_measured` says that it may be the time of a measurement, which stands still when that stops.
+        `is_measured`: it is the time of a measurement. It may freeze, so it does not prove a reboot.
         """
         boot_s = time_boot_ms / 1000.0
         offset_s = t - boot_s
@@ -102,13 +104,13 @@ class AutopilotClock:
             known, self._known_since = offset_s, t
         else:
             # The minimum delay so far; the two clocks may drift apart.
-            known += FASTEST_DRIFT * min(t - self._stamped_at, LONGEST_STEP_S)
-        if abs(offset_s - known - CLOCK_PERIOD_S) < LONGEST_DELAY_S:
+            known += MAX_DRIFT * min(t - self._stamped_at, MAX_DRIFT_STEP_S)
+        if abs(offset_s - known - CLOCK_PERIOD_S) < MAX_DELAY_S:
             known += CLOCK_PERIOD_S
             self._newest_s -= CLOCK_PERIOD_S
         step_s = boot_s - self._newest_s
-        lags = offset_s - known > (YOUNG_DELAY_S if boot_s <= YOUNG_S else LONGEST_DELAY_S)
-        rebooted = lags and not -OVERTAKEN_S <= step_s <= CONTINUOUS_S
+        lags = offset_s - known > (YOUNG_MAX_DELAY_S if boot_s <= YOUNG_S else MAX_DELAY_S)
+        rebooted = lags and not -REORDERED_S <= step_s <= CONTINUOUS_S
         if rebooted and is_measured:
             return False
         if rebooted:
@@ -129,29 +131,29 @@ class AutopilotClock:
             mark = Mark(t, first_stamps=True)
             self._open.append(mark)
             return mark
-        # A stream that has stopped tells nothing of what comes later.
+        # If the stamps have stopped, the last known delay is no longer valid.
         delay_s = self._delay_s if t - self._stamped_at < BACKLOG_S + self._silence_s else 0.0
         if self._silence_s and t - self._silence_over_at > BACKLOG_S:
             self._silence_s = 0.0
         silence_s = self._silence_s
         if self._heard_at is not None and t - self._heard_at > SILENCE_S:
-            silence_s += t - self._heard_at  # somebody else's message comes first after it
+            silence_s += t - self._heard_at  # the first message after the silence is another sender's
         mark = Mark(t, delay_s + silence_s, not self._lost)
         self._open.append(mark)
         return mark
 
     def age_s(self, mark: Mark, t: float) -> float | None:
-        """How long ago the marked message was sent, at least; None if that is not clear yet."""
+        """The minimum time since the marked message was sent; None if it is not known yet."""
         waited_s = t - mark.t
         if mark.suspected_s <= LATE_S and not mark.first_stamps:
             return waited_s
-        least_s = None
+        min_delay_s = None
         if self._offset_s is not None and mark.boot_s < math.inf:
-            least_s = mark.t - self._offset_s - mark.boot_s
-        if waited_s < WAIT_FOR_STAMP_S and (mark.first_stamps or least_s is None):
+            min_delay_s = mark.t - self._offset_s - mark.boot_s
+        if waited_s < WAIT_FOR_STAMP_S and (mark.first_stamps or min_delay_s is None):
             return None
         if mark.continuous:
-            least_s = max(least_s or 0.0, mark.suspected_s - SLOWEST_STREAM_S)
-        elif least_s is None:
-            least_s = mark.suspected_s
-        return max(0.0, least_s) + waited_s
+            min_delay_s = max(min_delay_s or 0.0, mark.suspected_s - MAX_STAMP_PERIOD_S)
+        elif min_delay_s is None:
+            min_delay_s = mark.suspected_s
+        return max(0.0, min_delay_s) + waited_s

@@ -1,4 +1,4 @@
-"""Commands: which are for us, which are repeats, what they ask for, and the acknowledgements."""
+"""Commands to us: new or repeated, their intents, and the acknowledgements."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _Key = tuple[object, ...]
 
 
 class CommandReceiver:
-    """Turns COMMAND_LONG and COMMAND_INT into triggers, each once, and answers every repeat."""
+    """Turns each COMMAND_LONG and COMMAND_INT into one trigger, and acknowledges every repeat."""
 
     def __init__(self, rules: Rules, component_id: int) -> None:
         self._rules = rules
@@ -27,7 +27,7 @@ class CommandReceiver:
         self._repeats = Repeats()
 
     def _for_us(self, message: MavlinkMessage, system_id: int) -> bool:
-        """Whether it is for us, and nobody else."""
+        """True if target system and component are ours; a broadcast is not."""
         return bool(message.target_system == system_id and message.target_component == self._component_id)
 
     def handle(
@@ -40,11 +40,11 @@ class CommandReceiver:
         from_station: bool,
         age_s: float = 0.0,
     ) -> list[Trigger | MavlinkMessage]:
-        """A trigger, or the answer if there is nothing to decide. `age_s`: how long ago it was sent.
+        """A trigger, or the acknowledgement if there is nothing to decide. `age_s`: time since it was sent.
 
-        Only a ground station and the autopilot may bend the vine. Everybody may let air out.
+        Only a ground station and the autopilot may bend the vine. Every sender may deflate it.
 
-        A mission item that the autopilot sends is addressed to no component (PX4) or to us (a script).
+        PX4 sends mission items to component 0. A script on an ArduPilot sends them to our component id.
         """
         to_us = self._for_us(message, system_id)
         to_all = message.target_system in (0, system_id) and message.target_component == 0
@@ -55,7 +55,7 @@ class CommandReceiver:
         repeat_s = PX4_REPEAT_S if from_autopilot else STATION_REPEAT_S
         repeat = self._repeats.is_repeat(t, _key(message), confirmation, message.get_seq(), repeat_s)
         params = _params(message)
-        if repeat and (is_item or not self._does_no_harm_again(message.command, params)):
+        if repeat and (is_item or not self._only_deflates(message.command, params)):
             result = self._repeats.answered(_key(message))
             return [acknowledgement(message, mavlink.MAV_RESULT_ACCEPTED if result is None else result)]
         if is_item:
@@ -64,33 +64,33 @@ class CommandReceiver:
                 return [acknowledgement(message, mavlink.MAV_RESULT_ACCEPTED)]
             execution = replace(execution, age_s=execution.age_s + age_s)
             return [self._rules.item_trigger(t, execution, message)]
-        found = self._intent(message.command, params)
-        if found is None:
+        intent_or_problem = self._intent(message.command, params)
+        if intent_or_problem is None:
             self._repeats.answer(_key(message), mavlink.MAV_RESULT_UNSUPPORTED)
             return [acknowledgement(message, mavlink.MAV_RESULT_UNSUPPORTED)]
         what = {"command": message.command, "params": list(params[:4]), "from": _sender(message)}
         if age_s > LATE_S:
             what["late_s"] = round(age_s, 1)
-        intent, problem = found
+        intent, problem = intent_or_problem
         if not from_station and not from_autopilot and not problem:
-            lets_out = self._rules.only_lets_out(intent)
-            problem = "" if lets_out else f"{_sender(message)} is no ground station"
-        # A repeat may come late. Its sender may not know of faults since the first command.
+            deflates = self._rules.only_deflates(intent)
+            problem = "" if deflates else f"{_sender(message)} is not a ground station"
+        # A repeat may be old: it must not clear faults that its sender has not seen.
         by_person = from_station and not repeat
         trigger = Trigger(t, "command", what, intent, problem, by_person, message, age_s, seen_at=t - age_s)
         return [trigger]
 
     def _intent(self, command: int, params: tuple[float, ...]) -> tuple[Intent | None, str] | None:
-        """None: this is not a command of ours."""
+        """The intent, or None and the problem. None alone: this is not a command of ours."""
         found = direct_intent(command, params)
         if found is None and command in self._rules.commands:
             found = self._rules.for_command(command, params)
         return found
 
-    def _does_no_harm_again(self, command: int, params: tuple[float, ...]) -> bool:
-        """Commands that let air out are always carried out: one may be a new request, not a repeat."""
+    def _only_deflates(self, command: int, params: tuple[float, ...]) -> bool:
+        """True if the command only deflates. It always runs: it may be a new request, not a repeat."""
         intent, _ = self._intent(command, params) or (None, "")
-        return self._rules.only_lets_out(intent)
+        return self._rules.only_deflates(intent)
 
     def acknowledge(self, trigger: Trigger, accepted: bool) -> list[MavlinkMessage]:
         """The COMMAND_ACK for the command behind a trigger, if there is one."""

@@ -7,14 +7,14 @@ from enum import IntEnum
 
 
 class Severity(IntEnum):
-    """As in MAVLink's MAV_SEVERITY."""
+    """Values of MAVLink's MAV_SEVERITY."""
 
     ERROR = 3
     WARNING = 4
     NOTICE = 5
     INFO = 6
     DEBUG = 7
-    """Only for the log: these can be very many."""
+    """Only for the log; there may be very many."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,4 +25,4 @@ class Notice:
     severity: Severity
     text: str
     of_decision: bool = False
-    """It repeats a decision of the same moment, for displays that do not show decisions."""
+    """It repeats a decision, for displays that do not show decisions."""

@@ -14,14 +14,14 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 _AUTOPILOT: int = mavlink.MAV_COMP_ID_AUTOPILOT1
 ALTITUDE_FRESH_S = 2.0
 HEARTBEAT_FRESH_S = 5.0
-"""Only HEARTBEAT says whether the vehicle is armed, once a second. Five in a row are not lost by chance, and
-a disarmed vehicle must not count as armed for longer than this."""
+"""Only HEARTBEAT, at 1 Hz, carries the arm state. Five lost in a row are no chance. A disarmed vehicle must
+not count as armed for longer than this."""
 
 CHOOSING_S = 2.0
 """A second autopilot within this time after the first makes the choice ambiguous."""
 
-LONGEST_BOOT_MS = 15_000
-"""An autopilot that reports "ready" with a longer uptime than this has booted again."""
+MAX_BOOT_MS = 15_000
+"""If "ArduPilot Ready" arrives at a longer uptime on the old clock, the autopilot has rebooted."""
 
 NO_VEHICLE = {
     mavlink.MAV_TYPE_GCS,
@@ -31,12 +31,12 @@ NO_VEHICLE = {
     mavlink.MAV_TYPE_CAMERA,
     mavlink.MAV_TYPE_ADSB,
 }
-"""Components with heartbeats of their own, some even as an autopilot, that carry no vine."""
+"""Types of HEARTBEAT senders that carry no vine. Some of them claim to be an autopilot."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rebooted:
-    """The autopilot has booted again: its streams and routes are gone."""
+    """The autopilot rebooted. It has lost our stream requests and its route to us."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class AutopilotFound:
 
 @dataclass(frozen=True, slots=True)
 class Ambiguous:
-    """Two autopilots on the link and none configured: neither is served."""
+    """Two autopilots are on the link and none is configured. Neither is served."""
 
     system_ids: tuple[int, int]
 
@@ -59,8 +59,8 @@ VehicleEvent = Rebooted | AutopilotFound | Ambiguous
 class VehicleState:
     """The state of one vehicle, from the messages of its autopilot only.
 
-    With `system_id` 0 it is the only autopilot on the link: never a ground station, a gimbal, another
-    companion or a second vehicle.
+    With `system_id` 0 it is the vehicle of the only autopilot on the link. Ground stations, gimbals and other
+    companions do not count.
     """
 
     def __init__(self, system_id: int = 0) -> None:
@@ -89,7 +89,7 @@ class VehicleState:
 
     @property
     def heartbeat_missing(self) -> bool:
-        """Whether frames of the autopilot arrive, but no HEARTBEAT: then arming is not known."""
+        """True if frames of the autopilot arrive, but no HEARTBEAT. Then the arm state is unknown."""
         if self.heartbeat_at is None or self.heard_at is None:
             return False
         return self.heard_at - self.heartbeat_at > HEARTBEAT_FRESH_S
@@ -119,14 +119,14 @@ class VehicleState:
         return self.clock.time_boot_ms(t)
 
     def is_ours(self, message: MavlinkMessage) -> bool:
-        """Whether a message comes from the autopilot that we serve."""
+        """True if the message comes from the autopilot that we serve."""
         header = message.get_header()
         return bool(
             header.srcComponent == _AUTOPILOT and header.srcSystem == self.system_id and self.system_id
         )
 
     def handle(self, t: float, message: MavlinkMessage) -> list[VehicleEvent]:
-        """Take in one message of anyone."""
+        """Take in one message of any sender."""
         kind = message.get_type()
         events: list[VehicleEvent] = []
         if kind == "HEARTBEAT":
@@ -151,8 +151,8 @@ class VehicleState:
             self._ambient_kPa = message.press_abs / 10.0
             self._ambient_at = t
         elif kind == "STATUSTEXT" and message.text.startswith("ArduPilot Ready"):
-            # No stream runs after a reboot, so this text may arrive long before a time stamp.
-            if self.time_boot_ms(t) > LONGEST_BOOT_MS:
+            # After a reboot no stream runs, so this text may arrive long before the next time stamp.
+            if self.time_boot_ms(t) > MAX_BOOT_MS:
                 self._altitude_at = None
                 events.append(Rebooted())
             self.clock.forget()

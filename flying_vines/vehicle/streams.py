@@ -13,12 +13,12 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 ASK_SPACING_S = 0.1
 ASK_AGAIN_S = 3.0
 REFUSED_S = 30.0
-"""A refused stream is not requested again for this long: ArduPilot shows each refusal to the pilot."""
+"""A refused stream is requested again after this time. ArduPilot shows each refusal to the pilot."""
 ANSWER_WITHIN_S = 0.5
-"""An answer does not name the stream, so only one request is open at a time."""
+"""Only one request is open at a time, because an answer does not name the stream."""
 MISSING_AFTER_S = 5.0
 SILENT_S = 2.5
-"""Without any message for this long the link is silent, and no single stream counts as missing."""
+"""After this time without any message the whole link is silent, and no single stream counts as missing."""
 
 
 _REFUSALS = {mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_UNSUPPORTED, mavlink.MAV_RESULT_FAILED}
@@ -36,18 +36,18 @@ class _Stream:
 
 
 class Wanted(NamedTuple):
-    """A message stream that is asked for."""
+    """A requested message stream."""
 
     rate_Hz: float
     essential: bool
     refused: bool
-    """The autopilot has refused it recently."""
+    """The autopilot refused it recently."""
 
 
 class Streams:
     """Watches the streams, and requests them by SET_MESSAGE_INTERVAL.
 
-    Rates belong to the link and are lost when the autopilot reboots. So a silent stream is requested again.
+    The autopilot forgets the rates when it reboots. So a stream that stops is requested again.
     """
 
     def __init__(self, rc_rate_Hz: float) -> None:
@@ -78,14 +78,14 @@ class Streams:
             self._asked = None
 
     def forget(self) -> None:
-        """The autopilot rebooted: everything must be asked for again, now."""
+        """The autopilot rebooted: request all streams again, now."""
         for stream in self._streams.values():
             stream.asked_at = stream.wanted_since = stream.heard_at = None
             stream.refused_at = -math.inf
         self._asked = None
 
     def requests(self, t: float, system_id: int) -> list[MavlinkMessage]:
-        """At most one request a call, spaced so that small buffers do not overflow."""
+        """At most one request a call. They are spaced, so that small buffers do not overflow."""
         if t - self._asked_at < ASK_SPACING_S or self._awaited(t):
             return []
         for stream in self._streams.values():
@@ -106,22 +106,22 @@ class Streams:
         return []
 
     def _awaited(self, t: float) -> bool:
-        """Whether the answer to the last request may still come."""
+        """True if the answer to the last request may still come."""
         return self._asked is not None and t - self._asked_at < ANSWER_WITHIN_S
 
     def wanted(self, t: float) -> dict[str, Wanted]:
-        """All that are asked for, by message."""
+        """All requested streams, by message name."""
         return {
             name: Wanted(stream.rate_Hz, stream.essential, t - stream.refused_at < REFUSED_S)
             for name, stream in self._streams.items()
         }
 
     def missing(self, t: float) -> list[str]:
-        """The essential messages that were asked for and do not come, while others do."""
+        """The essential messages that were requested and do not arrive, although other messages do."""
         if t - self._heard_at > SILENT_S:
             return []
         essential = {name: stream for name, stream in self._streams.items() if stream.essential}
-        # Counted from the last request, so that one sentence names all missing streams.
+        # Count from the last request, so that one text names all missing streams.
         asked = max(t if s.wanted_since is None else s.wanted_since for s in essential.values())
         since = max(asked, self._heard_since)
         return [

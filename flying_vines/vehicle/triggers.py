@@ -1,4 +1,4 @@
-"""From triggers (switch, mission items, commands) to intents, by the tables of the profile."""
+"""Turns triggers (switch, mission items, commands) into intents, by the tables of the profile."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from flying_vines.vine.intent import (
 from flying_vines.vine.profile import flatten, top_kPa
 
 FLOAT32 = 1e-6
-"""The relative error of a number of the profile after MAVLink's 32-bit floats."""
+"""Relative error of a 32-bit float, in which MAVLink carries the profile's numbers."""
 
 NAME_OF_COMMAND = {number: name for name, number in CARRIERS.items()}
 
@@ -44,16 +44,16 @@ CHOICES: dict[int, tuple[tuple[str, Intent | None], ...]] = {
         ("clear faults", ClearLatchedFaults()),
     ),
 }
-"""What param1 = 0, 1, 2, 3 of a command asks for. No autopilot carries out these commands itself: ArduPilot
-executes commands to us until it has received our heartbeat."""
+"""The name and intent of param1 = 0, 1, 2, 3 of each command. We use only commands that no autopilot
+implements, because ArduPilot executes commands to us until it has received our heartbeat."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trigger:
     """A request to move the vine: its source and its intent.
 
-    `problem` says why it is refused, if that is known already. `intent` is None if the request has no meaning
-    for the vine.
+    `problem` is why it must be refused, if that is already known. `intent` is None if the request has no
+    meaning for the vine.
     """
 
     t: float
@@ -67,14 +67,14 @@ class Trigger:
     age_s: float = 0.0
     """The minimum age of the request."""
     seen_at: float = math.inf
-    """What the person had seen: faults that latched later are not cleared."""
+    """Time of the state that the person saw. Faults that latched later are not cleared."""
 
     def __str__(self) -> str:
         return self.kind + " " + " ".join(f"{key}={value}" for key, value in self.what.items())
 
 
-def only_lets_out(config: Config, intent: Intent | None) -> bool:
-    """Whether an intent can only let air out, wherever the vine is. That is always safe."""
+def only_deflates(config: Config, intent: Intent | None) -> bool:
+    """True if the intent deflates the vine from any present pressure. That is always safe."""
     curve = config.vine.bend_curve()
     match intent:
         case VentVine() | DisarmPneumatics() | StopBench():
@@ -89,7 +89,7 @@ def only_lets_out(config: Config, intent: Intent | None) -> bool:
 
 
 class Rules:
-    """The `[switch]` and `[[items]]` tables."""
+    """Finds the intent of a switch position, a mission item or a command in `[switch]` and `[[items]]`."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
@@ -97,25 +97,24 @@ class Rules:
         self._positions = config.switch.positions
         self.commands = {command for item in config.items for command in item.command_ids}
 
-    def only_lets_out(self, intent: Intent | None) -> bool:
-        """Whether this intent can only let air out."""
-        return only_lets_out(self._config, intent)
+    def only_deflates(self, intent: Intent | None) -> bool:
+        return only_deflates(self._config, intent)
 
     def for_position(self, position: int) -> Intent | None:
-        """The intent of a switch position; None if the profile leaves it empty."""
+        """The intent of a switch position; None if its name in the configuration is empty."""
         name = self._positions[position]
         return StartProfile(name) if name else None
 
     def bends(self, position: int) -> bool:
-        """Whether a switch position takes air, that is, does more than let air out."""
+        """True if a switch position takes air."""
         intent = self.for_position(position)
-        return intent is not None and not self.only_lets_out(intent)
+        return intent is not None and not self.only_deflates(intent)
 
     def for_command(self, command: int, params: Sequence[float] | None) -> tuple[Intent | None, str]:
         """The intent of a mission item or command, or None and the reason."""
         name = NAME_OF_COMMAND.get(command, str(command))
         if params is None:
-            return None, "numbers not confirmed"
+            return None, "params not confirmed"
         for item in self._items:
             if command not in item.command_ids or not _matches(item.match, params):
                 continue
@@ -129,7 +128,7 @@ class Rules:
         return None, f"no rule for {name} ({numbers})"
 
     def item_trigger(self, t: float, execution: Execution, command: MavlinkMessage | None = None) -> Trigger:
-        """The trigger of a mission item that ran, and of the command that published it."""
+        """The trigger of a mission item that ran. `command` is the COMMAND_LONG that announced it, if any."""
         intent, problem = self.for_command(execution.command, execution.params)
         what: dict[str, object] = {"seq": execution.seq, "command": execution.command}
         if execution.params is not None:

@@ -25,17 +25,16 @@ from flying_vines.vehicle.triggers import Rules, Trigger
 from flying_vines.vine.intent import VentVine
 
 VehicleOutput = Trigger | Notice | Straightened | Changed | MavlinkMessage
-"""What the core gets: requests to decide on, notices, changed parameters and messages to send."""
+"""Outputs to the core: requests to decide on, notices, changed parameters and messages to send."""
 
-
-MOST_HELD = 50
-"""Maximum number of commands that wait until their age is known, at most for 0.3 s."""
+MAX_WAITING = 50
+"""Queue length for commands of unknown age. A command waits 0.3 s at most."""
 
 
 class Vehicle:
     """The MAVLink side of one vehicle. Sans-IO; all times are seconds of one clock.
 
-    `mission` is the vehicle's mission if it is known beforehand; `parameters` are the saved ones.
+    `mission` is the vehicle's mission if it is already known; `parameters` are the saved ones.
     """
 
     def __init__(
@@ -54,7 +53,7 @@ class Vehicle:
         self.link_closed = False
         self._book = MissionBook(mission)
         self._take_autopilot(0.0)
-        self._held: deque[tuple[Mark, MavlinkMessage]] = deque(maxlen=MOST_HELD)
+        self._waiting: deque[tuple[Mark, MavlinkMessage]] = deque(maxlen=MAX_WAITING)
         self._commands = CommandReceiver(self._rules, config.vehicle.component_id)
 
     def _take_autopilot(self, t: float) -> None:
@@ -76,13 +75,12 @@ class Vehicle:
         return self.pilot.switch
 
     def configure(self) -> None:
-        """A parameter has changed."""
         self.pilot.configure(self.config)
 
     def handle(self, t: float, message: MavlinkMessage, vented: bool = True) -> list[VehicleOutput]:
         """Take in a message of any sender on the link.
 
-        `vented`: the vine is straight and nothing moves it, so parameters that affect it may be changed.
+        `vented`: the vine is vented and no motion runs. Only then parameters that affect it may change.
         """
         kind = message.get_type()
         state = self.state
@@ -101,10 +99,10 @@ class Vehicle:
         if kind == "HEARTBEAT" or kind in handled.QUESTIONS:
             answers = self.component.handle(t, message, state, vented)
             out.extend(answers or ())
-            from_autopilot = state.is_ours(message)  # it may have been the first
+            from_autopilot = state.is_ours(message)  # this HEARTBEAT may have made its sender our autopilot
         if kind in handled.COMMANDS and answers is None and state.found:
-            self._held.append((state.clock.mark(t), message))
-        if self._held and (kind in handled.CLOCK or kind in handled.COMMANDS):
+            self._waiting.append((state.clock.mark(t), message))
+        if self._waiting and (kind in handled.CLOCK or kind in handled.COMMANDS):
             out.extend(self._command_triggers(t))
         if from_autopilot:
             self._streams.handle(t, message)
@@ -124,8 +122,8 @@ class Vehicle:
         self._book.handle(t, message)
         self._watch.handle(t, message)
         out = [*self._book.acknowledgement(self.state.system_id), *self._items(t)]
-        if self._book.tell_anew():
-            out.append(Notice(t, Severity.NOTICE, "Vine: mission read anew"))
+        if self._book.take_change():
+            out.append(Notice(t, Severity.NOTICE, "Vine: mission changed, read again"))
         return out
 
     def _on_heartbeat(self, t: float, message: MavlinkMessage) -> list[VehicleOutput]:
@@ -173,7 +171,7 @@ class Vehicle:
             self.forget_radio()
 
     def forget_radio(self) -> None:
-        """Forget the state of the radio: the switch waits for a fresh move."""
+        """Forget the state of the radio. The switch acts only after a new move."""
         self.pilot.forget()
 
     def acknowledge(self, trigger: Trigger, accepted: bool) -> list[MavlinkMessage]:
@@ -185,7 +183,7 @@ class Vehicle:
         self._streams.forget()
         self.pilot.restarted()
         self._watch.restarted()
-        self._book.doubt(t)
+        self._book.mark_outdated(t)
         return [
             Notice(t, Severity.WARNING, "Vine: autopilot rebooted, vented"),
             Trigger(t, "link", {"event": "autopilot rebooted"}, VentVine()),
@@ -194,21 +192,22 @@ class Vehicle:
     def _command_triggers(self, t: float) -> list[VehicleOutput]:
         """The outputs of the waiting commands whose age is known."""
         out: list[VehicleOutput] = []
-        while self._held:
-            mark, message = self._held[0]
-            age_s = self.state.clock.age_s(mark, t)
+        state = self.state
+        while self._waiting:
+            mark, message = self._waiting[0]
+            age_s = state.clock.age_s(mark, t)
             if age_s is None:
                 break
-            self._held.popleft()
-            theirs = self.state.is_ours(message)
-            from_station = self.component.is_station(message, self.state)
-            system_id = self.state.system_id
-            watch = self._watch
-            out.extend(self._commands.handle(t, message, system_id, theirs, watch, from_station, age_s))
+            self._waiting.popleft()
+            from_autopilot, system_id = state.is_ours(message), state.system_id
+            from_station = self.component.is_station(message, state)
+            out.extend(
+                self._commands.handle(t, message, system_id, from_autopilot, self._watch, from_station, age_s)
+            )
         return out
 
     def _items(self, t: float) -> list[VehicleOutput]:
-        """The triggers of mission items that ran, and requests for items whose numbers are not certain."""
+        """The triggers of mission items that ran, and requests for items whose params may be outdated."""
         watch = self._watch
         out = self._item_triggers(t, watch.due(t))
         out.extend(self._book.ask(seq, self.state.system_id) for seq in watch.asks(t))
@@ -218,9 +217,9 @@ class Vehicle:
         out: list[VehicleOutput] = []
         for execution in executions:
             trigger = self._rules.item_trigger(t, execution)
-            if execution.anew:
-                self._book.told_anew()
-                text = f"Vine: mission read anew, item {execution.seq}: {trigger.intent or trigger.problem}"
+            if execution.changed:
+                self._book.note_change_reported()
+                text = f"Vine: mission changed, item {execution.seq}: {trigger.intent or trigger.problem}"
                 out.append(Notice(t, Severity.NOTICE, text))
             out.append(trigger)
         return out

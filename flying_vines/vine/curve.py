@@ -1,10 +1,9 @@
 """Bend angle against actuator pressure, as calibrated, with hysteresis.
 
-Film and fabric rub: on the way down a bend outlasts the pressure that made it. The model is a play
-(backlash), the simplest of the Prandtl-Ishlinskii kind: a bend is named by the pressure that gives it on
-the way up, `bent_kPa`. A pressure above that bends the vine further, one within the hysteresis below it
-changes nothing, and only then the vine straightens. The inverse is exact: an angle that lies further is
-reached at its own pressure, one that lies back at a pressure lower by the hysteresis.
+Film and fabric rub, so an angle has a lower pressure during deflation than during inflation. The model is a
+play operator (backlash), the simplest Prandtl-Ishlinskii operator. A bend is given as the pressure that
+makes it during inflation: `bent_kPa`. A higher pressure bends the vine further. A lower pressure, down to
+`hysteresis_kPa` below it, changes nothing. Below that the vine straightens.
 """
 
 from __future__ import annotations
@@ -17,12 +16,12 @@ from collections.abc import Callable, Sequence
 class BendCurve:
     """A rising, piecewise linear curve through calibrated pairs (gauge kPa, degrees).
 
-    Below the first pair and above the last the curve stays flat. Where several pressures give one angle
-    (a dead zone), the angle maps to the lowest of them. The pairs are those of the way up; on the way down
-    each angle is at a pressure lower by `hysteresis_kPa`.
+    Below the first pair and above the last the curve is flat. If several pressures give one angle
+    (a dead zone), the angle maps to the lowest of them. The pairs are those of an inflation; during a
+    deflation each angle has a pressure lower by `hysteresis_kPa`.
 
-    Raises `ValueError` with a sentence when there are fewer than two pairs, when they do not rise, or when
-    the hysteresis leaves nothing of them.
+    Raises `ValueError` with a sentence if there are fewer than two pairs, if they do not rise, or if
+    the hysteresis is not narrower than the curve.
     """
 
     def __init__(self, pairs: Sequence[tuple[float, float]], hysteresis_kPa: float = 0.0) -> None:
@@ -31,7 +30,7 @@ class BendCurve:
         self._pressures_kPa = [float(pressure) for pressure, _ in pairs]
         self._angles_deg = [float(angle) for _, angle in pairs]
         if not all(math.isfinite(x) for x in (*self._pressures_kPa, *self._angles_deg)):
-            raise ValueError("the bend curve holds a value that is not a number")
+            raise ValueError("every value of the bend curve must be a finite number")
         if any(b <= a for a, b in zip(self._pressures_kPa, self._pressures_kPa[1:], strict=False)):
             raise ValueError("the pressures of the bend curve must rise from pair to pair")
         if any(b < a for a, b in zip(self._angles_deg, self._angles_deg[1:], strict=False)):
@@ -50,31 +49,30 @@ class BendCurve:
 
     @property
     def max_kPa(self) -> float:
-        """The highest calibrated pressure."""
         return self._pressures_kPa[-1]
 
     def bent_kPa(self, pressure_kPa: float, before_kPa: float) -> float:
-        """How far the vine is bent at a pressure, as the pressure that bends it so far on the way up.
+        """The bend at a pressure, as the pressure that makes this bend during inflation.
 
         Args:
-            pressure_kPa: gauge, now.
-            before_kPa: how far it was bent before.
+            pressure_kPa: present gauge pressure.
+            before_kPa: the bend before, in the same form.
         """
         return min(max(before_kPa, pressure_kPa), pressure_kPa + self.hysteresis_kPa)
 
     def toward_kPa(self, wanted_kPa: float, bent_kPa: float) -> float:
-        """The gauge pressure that brings the vine from one bend to another, both named as by `bent_kPa`.
+        """The gauge pressure that brings the vine from bend `bent_kPa` to bend `wanted_kPa`.
 
-        Not below 0: what a wide hysteresis then leaves of the bend, only the vine's own stiffness takes back.
+        At least 0: with a wide hysteresis some bend remains, and only the vine's stiffness removes it.
         """
         return wanted_kPa if wanted_kPa > bent_kPa else max(0.0, wanted_kPa - self.hysteresis_kPa)
 
     def angle_deg(self, pressure_kPa: float) -> float:
-        """Bend angle at a gauge pressure on the way up."""
+        """Bend angle at a gauge pressure during inflation."""
         return _interpolate(self._pressures_kPa, self._angles_deg, pressure_kPa, bisect_right)
 
     def pressure_kPa(self, angle_deg: float) -> float:
-        """Gauge pressure for an angle on the way up, clipped to the calibrated range."""
+        """Gauge pressure for an angle during inflation, clipped to the calibrated range."""
         return _interpolate(self._angles_deg, self._pressures_kPa, angle_deg, bisect_left)
 
 

@@ -1,4 +1,4 @@
-"""What the pilot or the mission requests, before safety judges it."""
+"""Intents: requests of the pilot or the mission, before safety judges them."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ CommandName = Literal[
 """The name of an intent in requests that do not come over MAVLink."""
 
 Asker = Literal["page", "broker", "calibration"]
-"""Where a request that does not come over MAVLink comes from."""
+"""The source of a request that does not come over MAVLink."""
 
 ACTS_WITHIN_S = 1.0
-"""An older request of page or broker may only let air out, which is never too late."""
+"""A request older than this may only deflate the vine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Hold:
 
 @dataclass(frozen=True, slots=True)
 class VentVine:
-    """Let the air out, now: always allowed."""
+    """Vent the vine now. Always allowed."""
 
     def __str__(self) -> str:
         return "vent"
@@ -90,7 +90,7 @@ class ArmPneumatics:
 
 @dataclass(frozen=True, slots=True)
 class DisarmPneumatics:
-    """Let the air out, and do not bend until a person arms."""
+    """Vent the vine. It cannot bend until a person arms the pneumatics."""
 
     def __str__(self) -> str:
         return "disarm the pneumatics"

@@ -10,40 +10,39 @@ from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.profile import HoldFor, Ramp, Segment, Sine, Step, ends_kPa, top_kPa
 
 AT_REST_KPA = 0.5
-"""Gauge; a vine with less is straight."""
+"""Gauge; below it a vine is straight."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
     """A pressure over time, continuous and never steeper than its rate limit. Gauge kPa.
 
-    The core follows it from `started_at`; what plans ahead leaves that at 0.
+    The core follows it from `started_at`. Mission planning leaves `started_at` at 0.
     """
 
     name: str
     started_at: float
     pieces: tuple[tuple[float, float, Callable[[float], float]], ...]
-    """Begin and end, in seconds after the start, and the pressure over the seconds after the begin."""
+    """(begin_s, end_s, pressure as a function of the seconds since begin_s)."""
     start_kPa: float
     aim_kPa: float
-    """The first segment's value; for a sine its far end."""
+    """Target of the first segment; for a sine, its second value."""
     final_kPa: float
     """Held after `duration_s`."""
     peak_kPa: float
-    """The highest pressure on the way, the start included."""
+    """The highest pressure of the motion, including its start."""
     top_kPa: float
-    """The highest pressure that the segments ask for, within the pressure limit."""
+    """The highest target of the segments, clipped to the pressure limit."""
     wanted_kPa: float
-    """The same without the limit."""
+    """`top_kPa` before clipping."""
     rise_kPa: float
-    """The sum of all rises: what the air is needed for."""
+    """The sum of all rises. They cost air."""
     duration_s: float
     rate_kPa_per_s: float
     bent_kPa: float
-    """How far the vine is bent at the end, as `BendCurve.bent_kPa` names bends."""
+    """The bend at the end, as the pressure that makes it during inflation (`BendCurve.bent_kPa`)."""
 
     def setpoint_kPa(self, t: float) -> float:
-        """The pressure wanted at time `t`."""
         since_s = t - self.started_at
         if since_s <= 0.0:
             return self.start_kPa
@@ -56,7 +55,7 @@ class Motion:
         return t - self.started_at >= self.duration_s
 
     @property
-    def only_lets_out(self) -> bool:
+    def only_deflates(self) -> bool:
         return self.rise_kPa <= 0.0 and self.final_kPa <= 0.0
 
     @property
@@ -77,9 +76,9 @@ def plan(
 ) -> Motion:
     """The motion through `segments` from `start_kPa` (gauge), within the rate and pressure limits.
 
-    A swing that is too fast for the rate limit is slowed down; a value above `max_kPa` is clipped to it.
-    With hysteresis an angle has one pressure for inflation and one for deflation. The present bend selects
-    which: `bent_kPa` (see `BendCurve.bent_kPa`; by default the bend of `start_kPa` on the way up).
+    A sine that is too fast for the rate limit is slowed down. A value above `max_kPa` is clipped to it.
+    With hysteresis an angle has one pressure for inflation and one for deflation. The present bend `bent_kPa`
+    selects which (see `BendCurve.bent_kPa`). Its default is the bend of `start_kPa` during inflation.
     """
     bent = start_kPa if bent_kPa is None else bent_kPa
 
@@ -96,9 +95,9 @@ def plan(
     t, at, peak, rise = 0.0, start_kPa, start_kPa, 0.0
     aims: list[float] = []
 
-    def move(to: float, least_s: float) -> None:
+    def move(to: float, min_s: float) -> None:
         nonlocal t, at, peak, rise
-        takes = max(abs(to - at) / rate_kPa_per_s, least_s)
+        takes = max(abs(to - at) / rate_kPa_per_s, min_s)
         if takes > 0.0:
             pieces.append((t, t + takes, _line(at, to, takes)))
             t += takes
@@ -124,7 +123,7 @@ def plan(
             swing = _swing(low, high, frequency_Hz)
             pieces.append((t, t + takes, swing))
             t += takes
-            rise += _risen(low, high, segment.cycles)
+            rise += _sine_rise(low, high, segment.cycles)
             at, peak = swing(takes), max(peak, low, high)
             halves = math.floor(2.0 * segment.cycles)
             for turn in range(max(0, halves - 1), halves + 1):
@@ -156,10 +155,10 @@ def _swing(low: float, high: float, frequency_Hz: float) -> Callable[[float], fl
     return lambda t: low + (high - low) * 0.5 * (1.0 - math.cos(2.0 * math.pi * frequency_Hz * t))
 
 
-def _risen(low: float, high: float, cycles: float) -> float:
-    """The sum of all rises of a swing; one that starts at its upper end falls first."""
+def _sine_rise(low: float, high: float, cycles: float) -> float:
+    """The sum of all rises of a sine. A sine that starts high falls first."""
     whole, part = divmod(cycles, 1.0)
-    gone = 0.5 * (1.0 - math.cos(2.0 * math.pi * part))
-    up_first = gone if part <= 0.5 else 1.0
-    down_first = 0.0 if part <= 0.5 else 1.0 - gone
+    moved = 0.5 * (1.0 - math.cos(2.0 * math.pi * part))
+    up_first = moved if part <= 0.5 else 1.0
+    down_first = 0.0 if part <= 0.5 else 1.0 - moved
     return abs(high - low) * (whole + (up_first if high > low else down_first))

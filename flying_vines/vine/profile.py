@@ -1,4 +1,4 @@
-"""Pressure profiles as the configuration holds them: segments, repeats, profiles inside profiles."""
+"""Pressure profiles of the configuration: segments, repeats, profiles inside profiles."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import msgspec
 
 from flying_vines.vine.curve import BendCurve
 
-DEEPEST_NESTING = 8
-MOST_PIECES = 10_000
-LARGEST = 1e6
-"""Of every duration and count; above it the arithmetic over time loses precision."""
+MAX_NESTING = 8
+MAX_PIECES = 10_000
+MAX_VALUE = 1e6
+"""Upper limit of every duration and count. Above it the arithmetic over time loses precision."""
 
 
 class _Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
@@ -29,7 +29,7 @@ class Step(_Segment, tag="step", frozen=True):
 
 
 class Ramp(_Segment, tag="ramp", frozen=True):
-    """Go to a value evenly, in `over_s` seconds or longer if the rate limit asks for it."""
+    """Ramp linearly to a value in `over_s` seconds; longer if the rate limit requires it."""
 
     over_s: float
     to_deg: float | None = None
@@ -85,12 +85,12 @@ Segment = Step | Ramp | HoldFor | Sine | Sub
 
 
 class PressureProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A named sequence of segments; after the last one its value is held."""
+    """A named sequence of segments. The value of the last one is held."""
 
     segments: tuple[Segment, ...]
     repeat: int = 1
     rate_kPa_per_s: float | None = None
-    """Slower than the general limit, if given."""
+    """Optional rate limit of this profile. The lower of it and the general limit applies."""
 
     def __post_init__(self) -> None:
         if not self.segments:
@@ -107,8 +107,8 @@ def _exactly_one(a: float | None, b: float | None, name_a: str, name_b: str) -> 
 
 
 def _positive(value: float, name: str) -> None:
-    if not 0 < value <= LARGEST:
-        raise ValueError(f"{name} must be above 0 and at most {LARGEST:.0f}")
+    if not 0 < value <= MAX_VALUE:
+        raise ValueError(f"{name} must be above 0 and at most {MAX_VALUE:.0f}")
 
 
 def flatten(
@@ -116,15 +116,15 @@ def flatten(
 ) -> Iterator[Segment]:
     """The segments of a profile in order, repeats and sub-profiles unrolled.
 
-    Raises `ValueError` naming the profile when one contains itself, is missing, or grows beyond
-    `MOST_PIECES` segments.
+    Raises `ValueError` with the profile's name if it contains itself, is missing, or has more than
+    `MAX_PIECES` segments.
     """
     if name not in profiles:
         raise ValueError(f"there is no profile '{name}'")
     if name in _inside:
         raise ValueError(f"profile '{name}' contains itself")
-    if len(_inside) >= DEEPEST_NESTING:
-        raise ValueError(f"profile '{name}' is nested more than {DEEPEST_NESTING} deep")
+    if len(_inside) >= MAX_NESTING:
+        raise ValueError(f"profile '{name}' is nested more than {MAX_NESTING} deep")
     pieces = 0
     for _ in range(profiles[name].repeat):
         for segment in profiles[name].segments:
@@ -135,16 +135,16 @@ def flatten(
             )
             for piece in inner:
                 pieces += 1
-                if pieces > MOST_PIECES:
-                    raise ValueError(f"profile '{name}' unrolls to more than {MOST_PIECES} segments")
+                if pieces > MAX_PIECES:
+                    raise ValueError(f"profile '{name}' unrolls to more than {MAX_PIECES} segments")
                 yield piece
 
 
 def ends_kPa(sine: Sine, curve: BendCurve) -> tuple[float, float]:
-    """The gauge pressures between which a swing goes, its first end first.
+    """The two gauge pressures of a sine, the first one first.
 
-    The greater angle uses the inflation curve, the smaller one the deflation curve. Its pressure is lower by
-    the hysteresis. The vine reaches both angles, only later.
+    The larger angle uses the inflation curve. The smaller angle uses the deflation curve, whose pressure is
+    lower by the hysteresis. So the vine reaches both angles.
     """
     if sine.from_deg is None or sine.to_deg is None:
         return sine.from_kPa or 0.0, sine.to_kPa or 0.0
@@ -157,7 +157,7 @@ def ends_kPa(sine: Sine, curve: BendCurve) -> tuple[float, float]:
 
 
 def top_kPa(segments: Sequence[Segment], curve: BendCurve, max_kPa: float) -> float:
-    """The highest gauge pressure that the segments go to, clipped to `max_kPa`."""
+    """The highest gauge pressure among the segments' targets, clipped to `max_kPa`."""
     highest = 0.0
     for segment in segments:
         for end in ("to", "from"):

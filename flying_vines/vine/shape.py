@@ -1,19 +1,19 @@
-"""The shape of a bent vine: an arc of even curvature in a plane, from its base straight down to its tip."""
+"""The shape of a bent vine: a plane arc of constant curvature, from base to tip."""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
-SMALLEST_RAD = 1e-6
-"""Below it an arc is a line, to the rounding of a float."""
+STRAIGHT_RAD = 1e-6
+"""Below it an arc is a line within the rounding of a float."""
 
 
 class AxisPoint(NamedTuple):
     """A point on the vine's axis. The base is at 0, 0."""
 
     x_m: float
-    """To the side that it bends to."""
+    """Towards the side to which the vine bends."""
     y_m: float
     """Along the base's direction."""
     heading_rad: float
@@ -21,21 +21,21 @@ class AxisPoint(NamedTuple):
 
 
 def tip(angle_deg: float, length_m: float) -> AxisPoint:
-    """Where the tip is: x = (1 − cos θ) L/θ, y = sin θ L/θ.
+    """The position of the tip: x = (1 − cos θ) L/θ, y = sin θ L/θ.
 
     Args:
-        angle_deg: θ, by which the tip is turned from the base.
-        length_m: L, of the axis.
+        angle_deg: θ, the angle between tip and base.
+        length_m: L, the length of the axis.
     """
     angle = math.radians(angle_deg)
-    if abs(angle) < SMALLEST_RAD:
+    if abs(angle) < STRAIGHT_RAD:
         return AxisPoint(0.5 * angle * length_m, length_m, angle)
     radius_m = length_m / angle
     return AxisPoint((1.0 - math.cos(angle)) * radius_m, math.sin(angle) * radius_m, angle)
 
 
 def axis(angle_deg: float, length_m: float, pieces: int = 40) -> list[AxisPoint]:
-    """Points along the vine, evenly from base to tip."""
+    """Evenly spaced points along the vine, from base to tip."""
     shares = (i / pieces for i in range(pieces + 1))
     return [tip(share * angle_deg, share * length_m) for share in shares]
 

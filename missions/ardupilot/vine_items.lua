@@ -1,12 +1,12 @@
 --[[
 Hands the numbers of DO_SEND_SCRIPT_MESSAGE mission items to the companion computer that moves the vine.
 
-ArduPilot tells a companion of such an item by the status text "Mission: 3 Scripting" only. This script sends
-its four numbers as well, exactly, as COMMAND_LONG MAV_CMD_USER_1 to one component of this vehicle, and repeats
-that until it is acknowledged. ArduPilot 4.5 or newer. README.md beside it says how to install it.
+ArduPilot reports such an item to a companion only by the status text "Mission: 3 Scripting". This script also
+sends its four numbers exactly, as COMMAND_LONG MAV_CMD_USER_1 to one component of this vehicle, and repeats
+the command until it is acknowledged. Needs ArduPilot 4.5 or newer. README.md describes the installation.
 
   VINE_COMP  component id of the companion (vehicle.component_id of its profile)
-  VINE_CHAN  MAVLink channel to send on; -1: the one on which that component is heard
+  VINE_CHAN  MAVLink channel to send on; -1: the channel on which that component sends
 --]]
 
 local TABLE_KEY = 93
@@ -27,7 +27,7 @@ assert(param:add_param(TABLE_KEY, 2, "CHAN", -1), "Vine: cannot add VINE_CHAN")
 local component = Parameter("VINE_COMP")
 local channel = Parameter("VINE_CHAN")
 
--- Both arguments alike: which is which has changed between releases.
+-- Both arguments are equal, because their order has changed between releases.
 mavlink:init(10, 10)
 mavlink:register_rx_msgid(HEARTBEAT)
 mavlink:register_rx_msgid(COMMAND_ACK)
@@ -40,7 +40,7 @@ local function own_system()
   return math.floor(param:get("MAV_SYSID") or param:get("SYSID_THISMAV") or 1)
 end
 
--- What the companion says: where it is heard, and that it has got the item.
+-- Handles the companion's messages: its channel, and its acknowledgement of an item.
 local function listen()
   for _ = 1, 10 do
     local message, chan = mavlink:receive_chan()
@@ -67,7 +67,7 @@ local function collect()
       return
     end
     if #waiting < MOST_WAITING then
-      -- The running number makes two items with the same numbers two commands.
+      -- The count makes two items with the same numbers different commands.
       count = count % 65535 + 1
       waiting[#waiting + 1] = { started_ms = started_ms, numbers = { p1, p2, p3, p4, count }, sends = 0 }
     end
@@ -77,12 +77,12 @@ end
 local function send(item)
   local chan = channel:get() >= 0 and math.floor(channel:get()) or heard_on
   if not chan then
-    return -- it was never heard, and sending on a channel that does not exist can crash older releases
+    return -- channel unknown; sending on a channel that does not exist can crash older releases
   end
   local n = item.numbers
   local payload = string.pack("<fffffffI2BBB", n[1], n[2], n[3], n[4], n[5], 0, 0,
     USER_1, own_system(), math.floor(component:get()), item.sends)
-  if mavlink:send_chan(chan, COMMAND_LONG, payload) then -- false: no room just now
+  if mavlink:send_chan(chan, COMMAND_LONG, payload) then -- false: transmit buffer full
     item.sends = item.sends + 1
     item.sent_ms = millis()
   end
@@ -109,7 +109,7 @@ local function update()
   deliver()
 end
 
--- An error is told, and the script goes on.
+-- Reports an error and continues.
 local function protected_update()
   local good, problem = pcall(update)
   if not good then

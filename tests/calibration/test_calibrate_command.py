@@ -1,4 +1,4 @@
-"""`flying-vines calibrate` as a person types it: what it prints, what it leaves behind, and how it ends."""
+"""`flying-vines calibrate`: its output, files and exit status."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from ports import free_port
 from real_time import real_time
 from service_bench import between
 
-from flying_vines.calibration.findings import from_json
 from flying_vines.config import config as configuration
 from flying_vines.record.reader import FlightLog
 from flying_vines.record.restore import start_of
@@ -34,7 +33,7 @@ COMMAND = (sys.executable, "-m", "flying_vines")
 
 @pytest.fixture(scope="module")
 def fake(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
-    """One of two stages on a simulated rig, with the folder in which it ran."""
+    """A calibration of two stages on a simulated rig, and the folder in which it ran."""
     folder = tmp_path_factory.mktemp("calibrated")
     profile = folder / "vine.toml"
     profile.write_text(configuration.default_text().replace("cv_volume_L = 0.1 ", "cv_volume_L = 0.3 "))
@@ -45,16 +44,16 @@ def fake(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.Completed
     return ended, folder
 
 
-def test_it_walks_through_and_says_what_it_found(
+def test_it_shows_stages_and_results(
     fake: tuple[subprocess.CompletedProcess[str], Path],
 ) -> None:
     ended, _ = fake
     assert (ended.returncode, ended.stderr) == (0, "")
-    for said in ("It takes", "1/2  Zero", "2/2  Vine's volume", "Done", "95 % interval", "calibrated.toml"):
-        assert said in ended.stdout
+    for text in ("It takes", "1/2  Zero", "2/2  Vine's volume", "Done", "95 % interval", "calibrated.toml"):
+        assert text in ended.stdout
 
 
-def test_the_profile_that_it_writes_is_what_run_reads(
+def test_the_written_profile_is_valid(
     fake: tuple[subprocess.CompletedProcess[str], Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     _, folder = fake
@@ -62,18 +61,16 @@ def test_the_profile_that_it_writes_is_what_run_reads(
     status, out, err = run(capsys, "config", "check", written)
     assert (status, err) == (0, "")
     assert "good" in out
-    findings = from_json(json.loads((written.parent / "findings.json").read_text()))
-    found = findings.get("cv_volume_L")
-    assert found is not None
-    assert found.value is not None
+    findings = json.loads((written.parent / "findings.json").read_text())["findings"]
+    (volume_L,) = (finding["value"] for finding in findings if finding["name"] == "cv_volume_L")
     numbers = configuration.load(written).pneumatics
-    assert numbers.cv_volume_L == pytest.approx(found.value, rel=0.02)
+    assert numbers.cv_volume_L == pytest.approx(volume_L, rel=0.02)
     assert "was 0.3, measured" in written.read_text()
     assert configuration.load(folder / "vine.toml").pneumatics.cv_volume_L == 0.3
     assert (written.parent / "believed.toml").read_text() == (folder / "vine.toml").read_text()
 
 
-def test_what_it_leaves_is_a_flight(
+def test_it_writes_a_flight(
     fake: tuple[subprocess.CompletedProcess[str], Path],
 ) -> None:
     _, folder = fake
@@ -87,7 +84,7 @@ def test_what_it_leaves_is_a_flight(
     assert last.fields["solenoid"]
 
 
-def test_it_can_be_seen(fake: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+def test_it_writes_a_page_with_pictures(fake: tuple[subprocess.CompletedProcess[str], Path]) -> None:
     _, folder = fake
     (page,) = folder.glob("flights/*/calibration/calibration.html")
     pictures = {path.stem for path in page.parent.glob("*.png")}
@@ -121,13 +118,13 @@ def test_bad_input_is_one_line_and_status_2(
     assert says in err
 
 
-def test_a_volume_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_impossible_volume_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     status, _, err = run(capsys, "calibrate", "--fake", "--bottle-volume-L", "-2")
     assert status == 2
     assert "litres" in err
 
 
-def test_where_nobody_is_at_the_terminal_nothing_moves(
+def test_without_a_terminal_nothing_moves(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(sys.stdin, "isatty", lambda: False, raising=False)
@@ -139,7 +136,7 @@ def test_where_nobody_is_at_the_terminal_nothing_moves(
 
 
 def without(tmp_path: Path, *packages: str) -> subprocess.CompletedProcess[str]:
-    """The shortest calibration where these are not installed."""
+    """The shortest calibration without these packages."""
     program = (
         f"import sys; sys.modules.update(dict.fromkeys({packages})); from flying_vines.cli.main import main;"
         "main(['calibrate', '--fake', '--only', 'zero'])"
@@ -149,11 +146,11 @@ def without(tmp_path: Path, *packages: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_without_the_extra_but_numpy_it_measures_and_tells_what_is_left(tmp_path: Path) -> None:
+def test_with_numpy_alone_it_measures_and_tells_what_is_missing(tmp_path: Path) -> None:
     ended = without(tmp_path, "scipy", "matplotlib", "numba", "threadpoolctl")
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "No pictures: " in ended.stdout
-    assert "is missing; pip install 'flying-vines[analysis]' brings it" in ended.stdout
+    assert "is missing: pip install 'flying-vines[analysis]'" in ended.stdout
     assert "Then: flying-vines diagnose --from-log flights/" in ended.stdout
     assert len(list(tmp_path.glob("flights/*/calibration/findings.json"))) == 1
 
@@ -161,14 +158,14 @@ def test_without_the_extra_but_numpy_it_measures_and_tells_what_is_left(tmp_path
 def test_without_numpy_it_is_one_line(tmp_path: Path) -> None:
     ended = without(tmp_path, "numpy", "numba")
     assert ended.returncode == 2
-    assert ended.stderr == "flying-vines: numpy is missing; pip install 'flying-vines[analysis]' brings it\n"
+    assert ended.stderr == "flying-vines: numpy is missing: pip install 'flying-vines[analysis]'\n"
 
 
 # On a terminal, in real time.
 
 
 class Terminal:
-    """A command on a terminal of its own, whose person types."""
+    """A command on its own pseudo-terminal, with a person who types."""
 
     def __init__(self, *arguments: object, cwd: Path) -> None:
         self.seen = ""
@@ -178,7 +175,7 @@ class Terminal:
             os.execv(COMMAND[0], [str(argument) for argument in (*COMMAND, *arguments)])
 
     def shows(self, text: str) -> None:
-        """Wait until it does."""
+        """Wait for this text."""
         until = time.monotonic() + PATIENCE_S
         while text not in self.seen:
             assert time.monotonic() < until, self.seen
@@ -190,7 +187,7 @@ class Terminal:
         os.write(self._screen, text.encode())
 
     def ends(self) -> int:
-        """With which status."""
+        """Its exit status."""
         until = time.monotonic() + PATIENCE_S
         while self._read(0.1):
             assert time.monotonic() < until, self.seen
@@ -198,7 +195,7 @@ class Terminal:
         return os.waitstatus_to_exitcode(os.waitpid(self._pid, 0)[1])
 
     def _read(self, timeout_s: float) -> bool:
-        """Whether there may be more."""
+        """True if there may be more output."""
         try:
             if select.select([self._screen], [], [], timeout_s)[0]:
                 self.seen += os.read(self._screen, 65536).decode(errors="replace")
@@ -209,7 +206,7 @@ class Terminal:
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Path]:
-    """A folder with a profile of a fake phloSAR that lives in a process of its own."""
+    """A folder with a profile for a simulated phloSAR in its own process."""
     port = tmp_path / "port"
     arguments = (*COMMAND, "fake", "phlosar", "--link", port)
     with subprocess.Popen(arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as phlosar:
@@ -221,11 +218,12 @@ def bench(tmp_path: Path) -> Iterator[Path]:
         phlosar.send_signal(signal.SIGTERM)
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_it_vented_and_sets_the_telemetry_back(
     bench: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     terminal = Terminal("calibrate", "--config", "vine.toml", "--only", "levels", cwd=bench)
-    terminal.shows("Enter begins")
+    terminal.shows("Press Enter")
     terminal.types("\n")
     terminal.shows("Vine's volume")
     _wait_for_pressure(bench, 5.0)
@@ -245,7 +243,7 @@ def test_ctrl_c_ends_it_vented_and_sets_the_telemetry_back(
 
 
 def _wait_for_pressure(bench: Path, kPa: float) -> None:
-    """Until the flight's log, which is on the disk within a second, has seen it."""
+    """Until it is in the flight's log, which is on the disk within a second."""
     until = time.monotonic() + PATIENCE_S
     while time.monotonic() < until:
         for flight in (bench / "flights").glob("*"):
@@ -256,7 +254,7 @@ def _wait_for_pressure(bench: Path, kPa: float) -> None:
 
 def test_ctrl_c_before_it_begins_moves_nothing(bench: Path) -> None:
     terminal = Terminal("calibrate", "--config", "vine.toml", cwd=bench)
-    terminal.shows("Enter begins")
+    terminal.shows("Press Enter")
     terminal.types("\x03")
     assert terminal.ends() == 130
     assert not (bench / "flights").exists()

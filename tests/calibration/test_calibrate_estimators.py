@@ -11,20 +11,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_link.protocol import Fault, Mode, Telemetry
-from flying_vines.calibration import angle, outlet, valve, vessel, zero
-from flying_vines.calibration.account import AccountPrior, Bins, settle
-from flying_vines.calibration.air import AirInputs, VineAir, read_air, volumes
-from flying_vines.calibration.estimate import Estimate
-from flying_vines.calibration.eye import CURVE, HYSTERESIS_KPA, SimulatedEye
-from flying_vines.calibration.findings import Findings, MeasuredQuantity, Result, SettingProposal, from_json
-from flying_vines.calibration.readings import Notebook, Readings
+from flying_vines.calibration import air, angle, outlet, valve, zero
+from flying_vines.calibration.air import AirInputs, VineAir, vine_air, volumes
+from flying_vines.calibration.findings import (
+    Estimate,
+    Findings,
+    MeasuredQuantity,
+    Result,
+    SettingProposal,
+)
+from flying_vines.calibration.readings import Readings, ReadingsBuffer
+from flying_vines.calibration.reservoir_balance import BalancePrior, Bins, fit_balance
+from flying_vines.calibration.simulated_rig import CURVE, HYSTERESIS_KPA, SimulatedAngleReader
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.vine.curve import BendCurve
 
 TOP_KPA = 20.0
-BOTTLE_L = 2.0
-KNOWN = AirInputs(PneumaticsConfig(), Estimate(BOTTLE_L, 0.0), TOP_KPA, 0.5, 101.325)
+RESERVOIR_L = 2.0
+KNOWN = AirInputs(PneumaticsConfig(), Estimate(RESERVOIR_L, 0.0), TOP_KPA, 0.5, 101.325)
 
 
 def times(n: int, step_s: float) -> Array:
@@ -76,11 +81,11 @@ def test_a_good_zero_is_left_alone() -> None:
     assert zero.cv_zero(resting(5.0, 0.01, 3)).proposals == ()
 
 
-# The account.
+# The balance.
 
 
-def bottle_kPa(taken_kPa: Array, dt_s: float, heat_W_per_K: float) -> Array:
-    """What a bottle of 2 L at 600 kPa reads that loses this air, its wall at ambient temperature.
+def reservoir_kPa(taken_kPa: Array, dt_s: float, heat_W_per_K: float) -> Array:
+    """The pressure of a reservoir of 2 L at 600 kPa that loses this air; its wall is at ambient temperature.
 
     By the first law, in SI and with small steps: m c_v dT = h (T_a − T) dt + R T dm.
     """
@@ -99,53 +104,51 @@ def bottle_kPa(taken_kPa: Array, dt_s: float, heat_W_per_K: float) -> Array:
 
 @pytest.mark.parametrize("heat_W_per_K", [0.7, 1.0, 1.5, 1000.0])
 @pytest.mark.parametrize(("volume", "leak"), [(0.05, 0.0), (0.05, 1e-3), (0.3, 3e-4)])
-def test_the_account_tells_the_vine_from_leak_and_cold(
-    volume: float, leak: float, heat_W_per_K: float
-) -> None:
+def test_the_balance_separates_volume_leak_and_cold(volume: float, leak: float, heat_W_per_K: float) -> None:
     rng = np.random.default_rng(7)
     dt_s, n, noise_kPa = 0.2, 600, 0.03
-    # Rests at first, then inflations with pauses that are not all alike.
+    # A rest, then inflations with unequal pauses.
     begins = np.cumsum([200, 45, 35, 60, 50, 40, 70])
     rises = 20.0 * np.searchsorted(begins, np.arange(n), "right").astype(np.float64)
     held = np.cumsum(np.full(n, dt_s)) * 600.0
-    kPa = bottle_kPa(volume * rises + leak * held, dt_s, heat_W_per_K)
+    kPa = reservoir_kPa(volume * rises + leak * held, dt_s, heat_W_per_K)
     read = kPa + noise_kPa * rng.standard_normal(n)
     columns = {"volume": rises, "leak": held}
     bins = Bins(times(n, dt_s), np.zeros(n), read, columns, np.ones(n, bool), noise_kPa)
-    found = settle(bins, {}, BOTTLE_L)
+    found = fit_balance(bins, {}, RESERVOIR_L)
     assert found.values["volume"].value == pytest.approx(volume, rel=0.05)
     assert found.values["leak"].value == pytest.approx(leak, abs=5e-5 + 0.05 * leak)
-    # What is left, once both are given back, is the bottle as it was.
+    # Without both consumers the pressure is constant.
     assert np.std(found.without("volume", "leak")) < 0.1 + 0.01 * np.ptp(kPa)
 
 
-def test_what_is_known_of_a_column_that_says_nothing_is_its_prior() -> None:
+def test_a_parameter_without_data_keeps_its_prior() -> None:
     t = times(200, 0.2)
     flat = {"never": np.zeros(200)}
-    found = settle(
-        Bins(t, t, np.full(200, 500.0), flat, np.ones(200, bool), 0.1), {"never": AccountPrior(3.0, 2.0)}, 2.0
+    found = fit_balance(
+        Bins(t, t, np.full(200, 500.0), flat, np.ones(200, bool), 0.1), {"never": BalancePrior(3.0, 2.0)}, 2.0
     )
     assert found.values["never"].value == pytest.approx(3.0) and found.values["never"].sd >= 2.0
 
 
-# Inflations of a vine that is filled by a valve with a start, a gain and a play.
+# Inflations through a valve with a start, a gain and a play.
 
 
 def filled(litres: float, start: float, gain: float, play: float, seed: int = 1) -> Readings:
-    """Inflations at several openings from 5 to 20 kPa, without heat or leak; the bottle tells their air.
+    """Inflations at several openings from 5 to 20 kPa, without heat or leak.
 
-    The valve passes `gain` SL/s per opening, whatever the bottle holds.
+    The valve passes `gain` SL/s per opening at any supply pressure.
     """
     rng = np.random.default_rng(seed)
     step_s = 0.001
-    told: list[Array] = []
+    command: list[Array] = []
     setpoint: list[Array] = []
     regulating: list[BoolArray] = []
     solenoid: list[BoolArray] = []
 
     def add(seconds: float, u: float, kPa: float, held: bool) -> None:
         n = round(seconds / step_s)
-        told.append(np.full(n, u))
+        command.append(np.full(n, u))
         setpoint.append(np.full(n, kPa))
         regulating.append(np.full(n, held))
         solenoid.append(np.full(n, not held))
@@ -157,15 +160,15 @@ def filled(litres: float, start: float, gain: float, play: float, seed: int = 1)
             add(seconds, start + over, high, True)
             add(1.5, 0.0, high, True)
         add(1.5, 0.0, 0.0, False)
-    u, held, is_open = np.concatenate(told), np.concatenate(regulating), np.concatenate(solenoid)
+    u, held, is_open = np.concatenate(command), np.concatenate(regulating), np.concatenate(solenoid)
     n = len(u)
     passed = np.zeros(n)
     on = np.flatnonzero(u > 0.0)
-    passed[on] = gain * np.maximum(0.0, valve.played(u, np.array([play]))[:, 0] - start)
+    passed[on] = gain * np.maximum(0.0, valve.after_play(u, np.array([play]))[:, 0] - start)
     cv = np.zeros(n)
     for k in range(1, n):
         cv[k] = 0.0 if is_open[k] else cv[k - 1] + passed[k - 1] * step_s * 101.325 / litres
-    taken = np.cumsum(passed) * step_s * 101.325 / BOTTLE_L
+    taken = np.cumsum(passed) * step_s * 101.325 / RESERVOIR_L
     return Readings(
         times(n, step_s),
         held,
@@ -181,10 +184,10 @@ def filled(litres: float, start: float, gain: float, play: float, seed: int = 1)
 @pytest.fixture(scope="module")
 def seen() -> tuple[Readings, VineAir]:
     readings = filled(0.15, 0.35, 0.5, 0.06)
-    return readings, read_air(readings, KNOWN)
+    return readings, vine_air(readings, KNOWN)
 
 
-def test_the_volume_is_what_the_bottle_lost_for_the_pressure(seen: tuple[Readings, VineAir]) -> None:
+def test_the_volume_is_found(seen: tuple[Readings, VineAir]) -> None:
     _, vine = seen
     found = vine.volume()
     assert found.value == pytest.approx(0.15, rel=0.04)
@@ -196,37 +199,41 @@ def test_the_volume_is_what_the_bottle_lost_for_the_pressure(seen: tuple[Reading
 
 def test_start_and_gain_of_the_valve(seen: tuple[Readings, VineAir]) -> None:
     readings, vine = seen
-    opened = valve.open_valve(readings, vine)
+    opened = valve.fit_valve(readings, vine)
     assert not isinstance(opened, str)
     assert opened.start.value == pytest.approx(0.35, abs=0.003)
     supply_kPa = float(np.mean(readings.reservoir_kPa)) + 101.325
     assert opened.gain.value * supply_kPa == pytest.approx(0.5, rel=0.06)
 
 
-def test_telemetry_that_leaves_steps_out_does_not_tell_of_the_valve(seen: tuple[Readings, VineAir]) -> None:
+def every_tenth(readings: Readings) -> Readings:
+    return Readings(*(getattr(readings, name)[::10] for name in Readings.__dataclass_fields__))
+
+
+def test_slow_telemetry_does_not_measure_the_valve(seen: tuple[Readings, VineAir]) -> None:
     readings, vine = seen
-    said = valve.open_valve(readings.rows(slice(None, None, 10)), vine)
-    assert isinstance(said, str) and "100 Hz" in said
-    result = valve.inflation_valve(readings.rows(slice(None, None, 10)), vine)
-    assert all(finding.value is None and finding.note == said for finding in result.findings)
+    reason = valve.fit_valve(every_tenth(readings), vine)
+    assert isinstance(reason, str) and "100 Hz" in reason
+    result = valve.inflation_valve(every_tenth(readings), vine)
+    assert all(finding.value is None and finding.note == reason for finding in result.findings)
     assert result.proposals == ()
 
 
-def test_a_vessel_of_known_volume_tells_the_bottles(seen: tuple[Readings, VineAir]) -> None:
+def test_a_vessel_of_known_volume_measures_the_reservoir(seen: tuple[Readings, VineAir]) -> None:
     _, vine = seen
-    (found,) = vessel.bottle_volume(vine, 0.15, 1.7).findings
-    assert found.value == pytest.approx(BOTTLE_L, rel=0.04) and found.believed == 1.7
+    (found,) = air.vessel_volume(vine, 0.15, 1.7).findings
+    assert found.value == pytest.approx(RESERVOIR_L, rel=0.04) and found.believed == 1.7
 
 
-@given(width=st.floats(0.0, 0.2), told=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30))
-def test_a_play_keeps_within_its_width_of_what_is_told(width: float, told: list[float]) -> None:
-    u = np.array(told)
-    passed = valve.played(u, np.array([width]))[:, 0]
+@given(width=st.floats(0.0, 0.2), commands=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30))
+def test_a_play_stays_within_its_width(width: float, commands: list[float]) -> None:
+    u = np.array(commands)
+    passed = valve.after_play(u, np.array([width]))[:, 0]
     open_ = u[u > 0.0]
     assert np.all(passed >= open_ - 1e-12) and np.all(passed <= open_ + width + 1e-12)
 
 
-def test_the_outlets_resistance_is_that_of_its_decay(seen: tuple[Readings, VineAir]) -> None:
+def test_the_outlets_resistance_is_found_from_the_decay(seen: tuple[Readings, VineAir]) -> None:
     _, vine = seen
     resistance, litres, delay_s = 60.0, vine.volume().value, 0.015
     n, held = 4000, 1000
@@ -242,17 +249,16 @@ def test_the_outlets_resistance_is_that_of_its_decay(seen: tuple[Readings, VineA
     assert found.value == pytest.approx(resistance * (1.0 + outlet.COLD), rel=0.05)
 
 
-def test_an_outlet_that_was_never_seen_to_open_is_not_known(seen: tuple[Readings, VineAir]) -> None:
+def test_without_a_vent_the_outlet_is_unknown(seen: tuple[Readings, VineAir]) -> None:
     (found,) = outlet.outlet(resting(2.0, 0.0, 1), seen[1]).findings
     assert found.value is None and found.note
 
 
-def test_where_the_volume_is_not_known_nothing_that_rests_on_it_is(seen: tuple[Readings, VineAir]) -> None:
+def test_without_a_volume_what_depends_on_it_is_unknown(seen: tuple[Readings, VineAir]) -> None:
     readings, vine = seen
     vague = replace(vine.balance, values={**vine.balance.values, "volume": Estimate(-0.03, 0.05)})
     unsure = replace(vine, balance=vague)
-    vent = readings.rows(slice(None))
-    for result in (volumes(unsure), valve.inflation_valve(readings, unsure), outlet.outlet(vent, unsure)):
+    for result in (volumes(unsure), valve.inflation_valve(readings, unsure), outlet.outlet(readings, unsure)):
         for finding in result.findings:
             if finding.name.startswith(("cv_volume", "evp", "outlet")):
                 assert finding.value is None and finding.note
@@ -262,10 +268,10 @@ def test_where_the_volume_is_not_known_nothing_that_rests_on_it_is(seen: tuple[R
 # Angles.
 
 
-def test_a_curve_is_found_from_what_an_eye_saw() -> None:
-    eye = SimulatedEye(seed=3)
+def test_a_curve_is_found_from_read_angles() -> None:
+    reader = SimulatedAngleReader(seed=3)
     levels = [*np.linspace(0.0, 20.0, 13), *np.linspace(20.0, 0.0, 13)[1:]]
-    pairs = tuple((float(kPa), eye.sees(float(kPa))) for kPa in levels)
+    pairs = tuple((float(kPa), reader.read(float(kPa))) for kPa in levels)
     result = angle.curve(pairs)
     truth = BendCurve(CURVE, HYSTERESIS_KPA)
     found = BendCurve(result.curve)
@@ -274,7 +280,7 @@ def test_a_curve_is_found_from_what_an_eye_saw() -> None:
     assert result.hysteresis_kPa == pytest.approx(HYSTERESIS_KPA, abs=0.5)
 
 
-def test_too_few_angles_are_no_curve() -> None:
+def test_too_few_angles_give_no_curve() -> None:
     result = angle.curve(((0.0, 0.0), (10.0, 30.0)))
     assert result.curve == () and "2 angles" in result.findings[0].note
 
@@ -283,16 +289,16 @@ def test_too_few_angles_are_no_curve() -> None:
 
 
 def test_a_clock_that_wraps_goes_on() -> None:
-    notebook = Notebook()
+    buffer = ReadingsBuffer()
     for ms in (2**32 - 2, 2**32 - 1, 0, 1):
-        notebook.take(Telemetry(ms, Mode.VENT, Fault.NONE, 0, 0.0, 0.1, 600.0, 0.0, 0.0, True))
-    readings = notebook.readings()
+        buffer.append(Telemetry(ms, Mode.VENT, Fault.NONE, 0, 0.0, 0.1, 600.0, 0.0, 0.0, True))
+    readings = buffer.readings()
     assert readings.t_s.tolist() == [0.0, 0.001, 0.002, 0.003]
     assert readings.solenoid.all() and not readings.regulating.any()
-    assert len(notebook.readings(2)) == 2
+    assert len(buffer.readings(2)) == 2
 
 
-def test_findings_survive_json_and_the_newest_counts() -> None:
+def test_the_newest_finding_counts_and_is_plain_json() -> None:
     first = Result((MeasuredQuantity("a", "what", "kPa", 1.0, 0.5, 1.5), MeasuredQuantity("b", "b", "")))
     second = Result(
         (MeasuredQuantity("a", "what", "kPa").unknown("gone"),),
@@ -302,4 +308,4 @@ def test_findings_survive_json_and_the_newest_counts() -> None:
     findings = Findings(pairs=((1.0, 2.0),)).with_result(first).with_result(second).with_result(second)
     assert [finding.name for finding in findings.findings] == ["a", "b"]
     assert findings.estimate("a") is None and findings.remarks == ("said",)
-    assert from_json(json.loads(json.dumps(findings.as_json()))) == findings
+    assert json.loads(json.dumps(findings.as_json()))["pairs"] == [[1.0, 2.0]]

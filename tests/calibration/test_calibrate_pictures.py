@@ -9,11 +9,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from flying_vines.calibration.calibrator import Ended
-from flying_vines.calibration.charts import Chart, Series
-from flying_vines.calibration.conductor import Conducted
-from flying_vines.calibration.findings import Findings, MeasuredQuantity
-from flying_vines.calibration.page import page
-from flying_vines.calibration.pictures import pictures
+from flying_vines.calibration.driver import CalibrationOutcome
+from flying_vines.calibration.findings import Chart, Findings, MeasuredQuantity, Series
+from flying_vines.calibration.page import page, pictures
 
 X = np.linspace(0.0, 20.0, 40)
 CHART = Chart(
@@ -51,8 +49,8 @@ def test_the_page_holds_every_quantity_and_asks_nobody(tmp_path: Path) -> None:
             ),
         )
     )
-    conducted = Conducted(tmp_path, Ended("done", "calibrated"), findings, (CHART,), "")
-    text = page("Calibration of today", conducted, pictures((CHART,), tmp_path))
+    outcome = CalibrationOutcome(tmp_path, Ended("done", "calibrated"), findings, (CHART,), "")
+    text = page("Calibration of today", outcome, pictures((CHART,), tmp_path))
     HTMLParser().feed(text)
     assert "vine&#39;s &lt;volume&gt;" in text
     assert "0.1043" in text

@@ -1,4 +1,4 @@
-"""What was measured, in a person's profile."""
+"""The measured values in the user's profile."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from flying_vines.calibration.profile import (
     with_changes,
     with_numbers,
 )
-from flying_vines.calibration.rig_file import rig_text
+from flying_vines.calibration.results import rig_text
 from flying_vines.config import config as configuration
 from flying_vines.config.config import ConfigError
 from flying_vines.physics.plant.true_rig import true_rig_from
@@ -55,7 +55,7 @@ FOUND = Findings(
 )
 
 
-def test_lines_say_what_they_were_and_all_else_stays() -> None:
+def test_changed_lines_name_the_old_value_and_all_else_stays() -> None:
     text = with_changes(TEXT, "vine.toml", list(changes(FOUND, MAX_KPA)), DAY)
     before, after = TEXT.split("\n"), text.split("\n")
     assert len(before) == len(after)
@@ -68,7 +68,7 @@ def test_lines_say_what_they_were_and_all_else_stays() -> None:
     assert config == with_numbers(configuration.parse(TEXT, "vine.toml"), list(changes(FOUND, MAX_KPA)))
 
 
-def test_again_the_next_day_it_says_only_the_latest() -> None:
+def test_a_second_calibration_replaces_the_comment() -> None:
     once = with_changes(TEXT, "vine.toml", list(changes(FOUND, MAX_KPA)), DAY)
     later = ProfileChange("pneumatics", "cv_volume_L", 0.11, "0.108 … 0.112")
     twice = with_changes(once, "vine.toml", [later], "2026-11-23")
@@ -82,7 +82,7 @@ def test_a_curve_that_the_profile_contradicts_is_a_comment() -> None:
     text, left_out = calibrated(TEXT, "vine.toml", list(changes(found, MAX_KPA)), DAY)
     assert "bend-full" in left_out
     assert "45" in left_out
-    assert "[vine]\n# Measured 2026-11-22, but not in force, for profiles.bend-full: 60°" in text
+    assert "[vine]\n# Measured 2026-11-22, but not used: profiles.bend-full: 60°" in text
     assert "# curve = [[0, 0], [20, 45]]" in text
     config = configuration.parse(text, "vine.toml")
     assert config.vine == configuration.default().vine
@@ -95,16 +95,16 @@ def test_a_curve_ends_at_the_limit() -> None:
     configuration.parse(with_changes(TEXT, "vine.toml", [curve], DAY), "vine.toml")
 
 
-def test_a_profile_in_one_line_is_left_to_its_person() -> None:
+def test_a_profile_in_one_line_is_not_changed() -> None:
     text = "pneumatics = { full_kPa = 600 }\n[switch]\npositions = ['', '']\n[profiles]\n"
     configuration.parse(text, "vine.toml")
     with pytest.raises(ConfigError, match=r"set pneumatics\.cv_volume_L by hand"):
         with_changes(text, "vine.toml", [ProfileChange("pneumatics", "cv_volume_L", 0.1, "")], DAY)
 
 
-def test_the_rig_is_believed_as_well_as_it_was_measured() -> None:
+def test_the_rig_files_tolerances_are_the_intervals() -> None:
     numbers = with_numbers(configuration.default(), list(changes(FOUND, MAX_KPA))).pneumatics
-    rig = true_rig_from(tomllib.loads(rig_text(numbers, FOUND))).believed
+    rig = true_rig_from(tomllib.loads(rig_text(numbers, FOUND))).nominal
     assert rig.cv is not None
     assert rig.cv.volume_L == 0.1043
     assert rig.tolerance("cv.volume_L") == pytest.approx(2.2, abs=0.05)
@@ -112,7 +112,7 @@ def test_the_rig_is_believed_as_well_as_it_was_measured() -> None:
     assert rig.sensors.cv_noise_std_kPa == 0.123
 
 
-def test_proposals_for_the_firmware_stay_within_what_it_takes() -> None:
+def test_proposals_stay_within_the_firmwares_limits() -> None:
     settings = [
         Setting(0, 2, "cv_zero_kPa", 0.5, -10.0, 10.0, 0.0),
         Setting(1, 2, "evp_dead_band", 0.0, 0.0, 0.6, 0.0),

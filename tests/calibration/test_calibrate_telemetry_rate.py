@@ -10,7 +10,7 @@ import pytest
 from real_time import real_time
 
 from firmware_link.protocol import Setting
-from flying_vines.calibration.telemetry_rate import carries_every_step, every_step
+from flying_vines.calibration.real_rig import carries_every_step, every_step
 from flying_vines.config.address import SerialAddress, parse_address
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.service import link_settings
@@ -46,22 +46,22 @@ class Boom(Exception):
 
 
 async def test_it_is_set_back_whatever_happens() -> None:
-    told: list[str] = []
+    warnings: list[str] = []
     async with board() as address:
         with pytest.raises(Boom):
-            async with every_step(address, asyncio.Event(), told.append) as settings:
+            async with every_step(address, asyncio.Event(), warnings.append) as settings:
                 assert of(settings) == 1000.0
                 assert await rate_Hz(address) == 1000.0
                 raise Boom
         assert await rate_Hz(address) == USUAL_HZ
-    assert told == []
+    assert warnings == []
 
 
 async def test_it_is_set_back_when_it_is_cancelled() -> None:
     inside = asyncio.Event()
 
     async def calibrate(address: SerialAddress) -> None:
-        async with every_step(address, asyncio.Event(), lambda said: None):
+        async with every_step(address, asyncio.Event(), lambda warning: None):
             inside.set()
             await asyncio.Event().wait()
 
@@ -74,22 +74,24 @@ async def test_it_is_set_back_when_it_is_cancelled() -> None:
         assert await rate_Hz(address) == USUAL_HZ
 
 
-async def test_a_board_that_goes_away_is_told_of_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_board_that_goes_away_gives_a_warning_with_what_to_do(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(link_settings, "ANSWERS_WITHIN_S", 0.5)
-    told: list[str] = []
+    warnings: list[str] = []
     with PtyPhlosar(SimulatedPhlosar(effects=Effects())) as port:
         living = asyncio.create_task(port.run())
-        async with every_step(SerialAddress(port.path), asyncio.Event(), told.append):
+        async with every_step(SerialAddress(port.path), asyncio.Event(), warnings.append):
             living.cancel()
             await asyncio.wait([living])
-    assert len(told) == 1
-    assert "--set telemetry_Hz=100" in told[0]
+    assert len(warnings) == 1
+    assert "--set telemetry_Hz=100" in warnings[0]
 
 
-async def test_where_nobody_answers_nothing_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_without_an_answer_nothing_begins(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(link_settings, "ANSWERS_WITHIN_S", 0.5)
     with PtyPhlosar(SimulatedPhlosar(effects=Effects())) as port, pytest.raises(SettingsError):
-        async with every_step(SerialAddress(port.path), asyncio.Event(), lambda said: None):
+        async with every_step(SerialAddress(port.path), asyncio.Event(), lambda warning: None):
             pytest.fail("there is nobody")
 
 

@@ -1,4 +1,4 @@
-"""The machine: what it asks for, when it ends, and that whatever happens the vine is vented."""
+"""The state machine: its requests, when it ends, and that it always vents the vine."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from calibration_worlds import CoreWorld, PaperWorld
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flying_vines.calibration.calibrator import Calibrator, Question, StageBegan, StageResult, Work
+from flying_vines.calibration.calibrator import Calibrator, EvaluationTask, Question, StageBegan, StageResult
 from flying_vines.calibration.plan import STAGES, CalibrationRequest, plan
 from flying_vines.config import config
 from flying_vines.core.events import Decision
@@ -19,7 +19,7 @@ from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.vine.intent import SetPressure, StartBench, StartProfile, VentVine
 
 CONFIG = config.default()
-BLIND = CalibrationRequest(eye=False)
+BLIND = CalibrationRequest(asks_angles=False)
 
 
 def phlosar(**given: object) -> SimulatedPhlosar:
@@ -44,24 +44,24 @@ def test_every_movement_is_followed_by_a_vent_before_anything_is_evaluated() -> 
     world.run()
     bent = False
     for out in world.said:
-        if isinstance(out, Work | Question):
+        if isinstance(out, EvaluationTask | Question):
             assert not bent
         intent = getattr(out, "intent", None)
         bent = isinstance(intent, StartProfile) if intent else bent
 
 
-def test_only_the_stages_that_are_wanted_and_the_zero_that_all_of_them_need() -> None:
+def test_only_the_requested_stages_and_the_zero() -> None:
     world = PaperWorld(plan(CONFIG, replace(BLIND, only=("vine_leak",))))
     world.run()
     assert stages_of(world) == ["zero", "vine_leak"]
 
 
-def test_repeats_a_movement_that_did_not_say_enough_but_not_forever() -> None:
+def test_repeats_an_imprecise_movement_but_not_forever() -> None:
     world = PaperWorld(plan(CONFIG, replace(BLIND, only=("levels",))))
     world.run()
     stage = world.calibrator.plan.stages[-1]
     moves = [intent for intent in world.asked if isinstance(intent, StartProfile)]
-    assert len(moves) == len(stage.movements) + stage.most_again * len(stage.again)
+    assert len(moves) == len(stage.movements) + stage.max_repeats * len(stage.again)
 
 
 @settings(max_examples=40, deadline=None)
@@ -69,7 +69,7 @@ def test_repeats_a_movement_that_did_not_say_enough_but_not_forever() -> None:
     after=st.integers(0, 700),
     how=st.sampled_from(["ctrl-c", "serial", "fault", "failsafe", "page", "refused"]),
 )
-def test_whatever_happens_the_last_that_is_asked_for_is_to_vent(after: int, how: str) -> None:
+def test_the_last_request_is_always_to_vent(after: int, how: str) -> None:
     world = PaperWorld(plan(CONFIG, CalibrationRequest()), person=lambda question: "10")
     world.run(after / 2.0)
     calibrator = world.calibrator
@@ -91,11 +91,11 @@ def test_whatever_happens_the_last_that_is_asked_for_is_to_vent(after: int, how:
     assert world.ended is not None
     assert world.ended.outcome in ("done", "stopped", "refused") and world.ended.sentence
     assert world.asked[-1] == VentVine() and not world.bent
-    # And nothing comes after.
+    # Nothing comes after it.
     assert calibrator.tick(world.now + 1.0, world.snapshot) == calibrator.stop(world.now, "again") == []
 
 
-def test_a_bottle_that_holds_too_little_is_refused_before_anything_moves() -> None:
+def test_too_little_air_is_refused_before_anything_moves() -> None:
     world = PaperWorld(plan(CONFIG, BLIND), reservoir_kPa=70.0)
     world.run()
     assert world.ended is not None and world.ended.outcome == "refused"
@@ -103,7 +103,7 @@ def test_a_bottle_that_holds_too_little_is_refused_before_anything_moves() -> No
     assert not any(isinstance(intent, StartProfile) for intent in world.asked)
 
 
-def test_a_board_that_never_answers_is_given_up() -> None:
+def test_a_board_that_never_answers_ends_it() -> None:
     world = PaperWorld(plan(CONFIG, BLIND))
     world.snapshot = replace(world.snapshot, firmware="does not answer")
     world.run(60.0)
@@ -124,7 +124,7 @@ def test_nobody_to_swap_the_hose_ends_it() -> None:
     assert world.ended is not None and world.ended.sentence == "Bottle's volume: nobody answered"
 
 
-def test_nobody_to_say_an_angle_vents_the_vine_and_keeps_the_rest() -> None:
+def test_without_an_answer_for_the_angle_the_vine_is_vented() -> None:
     world = PaperWorld(plan(CONFIG, CalibrationRequest(only=("angle",))), person=lambda question: None)
     world.run()
     assert world.ended is not None and world.ended.outcome == "done"
@@ -132,7 +132,7 @@ def test_nobody_to_say_an_angle_vents_the_vine_and_keeps_the_rest() -> None:
     assert not world.bent
 
 
-def test_a_person_who_never_answers_is_not_waited_for_with_a_bent_vine() -> None:
+def test_a_person_who_never_answers_does_not_keep_the_vine_bent() -> None:
     class Silent(PaperWorld):
         def carry_out(self, outs):  # type: ignore[no-untyped-def]
             super().carry_out(out for out in outs if not isinstance(out, Question))
@@ -143,19 +143,19 @@ def test_a_person_who_never_answers_is_not_waited_for_with_a_bent_vine() -> None
     assert world.now < 120.0
 
 
-def test_angles_are_kept_and_what_is_no_angle_is_asked_for_again() -> None:
+def test_angles_are_collected_and_a_bad_answer_is_asked_again() -> None:
     answers = iter(["0", "abc", "10°", "", "12,5"])
     world = PaperWorld(
         plan(CONFIG, CalibrationRequest(only=("angle",))), person=lambda question: next(answers, None)
     )
     world.run()
     assert [deg for _, deg in world.calibrator.findings.pairs] == [0.0, 10.0, 12.5]
-    assert "'abc' is no angle in degrees" in world.sentences()
+    assert "'abc' is not an angle in degrees" in world.sentences()
 
 
-def test_what_cannot_be_evaluated_is_said_and_the_rest_goes_on() -> None:
+def test_a_failed_evaluation_ends_only_its_stage() -> None:
     class Broken(PaperWorld):
-        def work(self, work: Work) -> object:
+        def evaluate(self, task: EvaluationTask) -> object:
             return ZeroDivisionError("nothing there")
 
     world = Broken(plan(CONFIG, replace(BLIND, only=("bottle_leak",))))
@@ -164,11 +164,11 @@ def test_what_cannot_be_evaluated_is_said_and_the_rest_goes_on() -> None:
     assert any("could not be evaluated: nothing there" in text for text in world.sentences())
 
 
-def test_answers_and_results_that_were_not_asked_for_change_nothing() -> None:
+def test_unexpected_answers_and_results_change_nothing() -> None:
     calibrator = Calibrator(plan(CONFIG, BLIND))
     calibrator.begin(0.0)
     assert calibrator.answer(1.0, Question(7, "enter", "?"), "") == []
-    assert calibrator.worked(1.0, Work(calibrator.plan.stages[0], lambda: None), None) == []  # type: ignore[arg-type,return-value]
+    assert calibrator.evaluated(1.0, EvaluationTask(calibrator.plan.stages[0], lambda: None), None) == []  # type: ignore[arg-type,return-value]
 
 
 # With the core, its safety and its checks.
@@ -181,7 +181,7 @@ def measured() -> CoreWorld:
     return world
 
 
-def test_the_core_carries_out_what_it_asks_for(measured: CoreWorld) -> None:
+def test_the_core_carries_out_its_requests(measured: CoreWorld) -> None:
     volume = measured.calibrator.findings.get("cv_volume_L")
     assert volume is not None and volume.value is not None and volume.low is not None
     assert volume.value == pytest.approx(0.1, rel=0.35)
@@ -193,7 +193,7 @@ def test_interrupted_while_the_vine_is_bent_it_is_vented() -> None:
     world.run(60.0, until=lambda: world.phlosar.cv_kPa > 20.0)
     assert world.phlosar.cv_kPa > 20.0
     world.carry_out(world.calibrator.stop(world.now, "interrupted"))
-    world.settle()
+    world.fit_balance()
     assert world.vented
     assert world.ended is not None and world.ended.outcome == "stopped"
     assert world.ended.sentence == "Vine's leak: interrupted"
@@ -219,11 +219,11 @@ def test_a_fault_ends_it_vented_with_its_sentence(stage: str, mishap: Mishap, sa
     assert world.ended is not None and world.ended.outcome in ("stopped", "refused")
     assert says in world.ended.sentence
     assert world.asked[-1] == VentVine()
-    world.settle()
+    world.fit_balance()
     assert world.phlosar.drive.evp == 0.0 and world.phlosar.drive.solenoid
 
 
-def test_a_zero_that_is_far_off_is_measured_and_then_nothing_is_moved() -> None:
+def test_with_a_large_zero_nothing_is_moved() -> None:
     rig = phlosar(firmware={"cv_zero_kPa": 6.0})
     world = CoreWorld(plan(CONFIG, replace(BLIND, only=("levels",))), rig)
     world.run(60.0)

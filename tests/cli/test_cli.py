@@ -46,7 +46,7 @@ def test_a_link_that_anybody_can_reach_is_refused(
         assert run(*command) == 2
         assert complaint(capsys) == (
             f"flying-vines: {profile}:6: vehicle.link: anybody on the network could command the vine: "
-            f"name who sends (udpin:{host}:14540?peer=ADDRESS), listen on 127.0.0.1, "
+            f"name the sender (udpin:{host}:14540?peer=ADDRESS), listen on 127.0.0.1, "
             "or set vehicle.signing_key\n"
         )
 
@@ -107,4 +107,4 @@ def test_a_truncated_recording_is_replayed_as_far_as_it_goes(
     assert run("replay", cut, "--json") == 0
     out, err = capsys.readouterr()
     assert 1 <= len(json.loads(out)) < 4
-    assert "no MAVLink frame" in err
+    assert "not part of a MAVLink frame" in err

@@ -81,7 +81,7 @@ def test_in_a_pipe_it_is_a_line_a_frame(board: str, capsys: pytest.CaptureFixtur
     assert out.count("← Telemetry") > 10
     assert "answers" in out
     assert "Vent" not in out
-    assert " 0 spoilt" in out.splitlines()[-1]
+    assert " 0 corrupt" in out.splitlines()[-1]
 
 
 def test_as_objects_with_the_bytes(board: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -144,8 +144,8 @@ async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settin
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("nonsense",), "is no link"),
-        (("usb:nonsense",), "is no board"),
+        (("nonsense",), "is not a link"),
+        (("usb:nonsense",), "is not a USB board"),
         (("serial:/nowhere", "--seconds", "0"), "--seconds"),
         (("serial:/nowhere", "--set", "x"), "NAME=VALUE"),
         (("serial:/nowhere", "--set", "x=y"), "NAME=VALUE"),
@@ -249,4 +249,4 @@ def test_the_verdict_counts_from_the_first_answer() -> None:
 
     assert str(verdict(began, None)).startswith("not known")
     assert counted(100, 1, 0) == "clean: 100 frames, all good"
-    assert counted(98, 3, 2) == "not clean: 2 spoilt, 2 lost; 2.00% of all frames"
+    assert counted(98, 3, 2) == "not clean: 2 corrupt, 2 lost; 2.00% of all frames"

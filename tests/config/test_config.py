@@ -175,7 +175,7 @@ def test_a_key_like_no_other_is_named_without_a_guess() -> None:
         ("[switch]\npositions = 'straight'", 2, "switch.positions", "expected array, got str"),
         ("[switch]\npositions = ['straight', 5]", 2, "switch.positions[1]", "expected str, got int"),
         ("[losses]\non_rc_loss = 'land'", 2, "losses.on_rc_loss", "'land': give one of vent, hold"),
-        ("[losses]\non_autopilot_loss = 'hold'", 2, "losses.on_autopilot_loss", "take this line out"),
+        ("[losses]\non_autopilot_loss = 'hold'", 2, "losses.on_autopilot_loss", "remove this line"),
         ("[losses]\nrc_s = 20", 2, "losses.rc_s", "expected float <= 10.0"),
         ("[interlocks]\nbench_mode = 1", 2, "interlocks.bench_mode", "expected bool, got int"),
         ("[[items]]\nprofile = 'straight'", 1, "items[0]", "'command' is missing"),
@@ -259,17 +259,17 @@ def test_a_switch_has_two_three_or_six_positions(count: int) -> None:
 @pytest.mark.parametrize(
     ("text", "line", "key", "reason"),
     [
-        ("[vehicle]\nlink = 'tcp:host'", 2, "vehicle.link", "'tcp:host' is no link: give serial:"),
+        ("[vehicle]\nlink = 'tcp:host'", 2, "vehicle.link", "'tcp:host' is not a link: give serial:"),
         (
             "[vehicle]\nlink = 'udpin:0.0.0.0:14540'",
-            2, "vehicle.link", "anybody on the network could command the vine: name who sends "
+            2, "vehicle.link", "anybody on the network could command the vine: name the sender "
             "(udpin:0.0.0.0:14540?peer=ADDRESS), listen on 127.0.0.1, or set vehicle.signing_key",
         ),
         ("[vehicle]\nlink = 'udpin:192.168.4.2:14540'", 2, "vehicle.link", "anybody on the network could"),
         ("[vehicle]\nlink = 'udpin:0.0.0.0:14540?peer=192.168.4.1'\n", 0, "", ""),
         ("[vehicle]\nlink = 'udpin:0.0.0.0:14540'\nsigning_key = 'key'\n", 0, "", ""),
         ("[firmware]\nlink = 'udpin:0.0.0.0:3000'", 2, "firmware.link", "anybody on the network could"),
-        ("[firmware]\nlink = '/dev/ttyACM0'", 2, "firmware.link", "is no link: give serial:"),
+        ("[firmware]\nlink = '/dev/ttyACM0'", 2, "firmware.link", "is not a link: give serial:"),
         (
             "[switch]\npositions = ['straight', 'bend-ful']",
             2, "switch.positions[1]", "there is no profile 'bend-ful'; did you mean 'bend-full'?",

@@ -23,7 +23,7 @@ ABSURD = [1e30, 1e20, 1e12, 1e9, 5e3, -1e3, -1e9, -1e30, math.nan, math.inf, -ma
 SAID = {
     "cv_kPa": "Vine: vine sensor reads ",
     "reservoir_kPa": "Vine: bottle sensor reads ",
-    "setpoint_kPa": "Vine: phloSAR holds ",
+    "setpoint_kPa": "Vine: phloSAR setpoint is ",
 }
 
 

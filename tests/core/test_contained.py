@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link.host import HostSession
 from firmware_link.protocol import Vent
-from flying_vines.core.contained import SHUTDOWN_TEXT, Contained
+from flying_vines.core.contained import SHUTDOWN_TEXT, CrashSafeCore
 from flying_vines.core.core import Core
 from flying_vines.core.events import (
     Action,
@@ -42,7 +42,7 @@ class Broken:
     def __init__(self, method: Method, after_s: float, seldom: int = 1) -> None:
         self.flight = airborne()
         self.core = self.flight.core
-        self.contained = Contained(self.core)
+        self.contained = CrashSafeCore(self.core)
         self.flight.world.core = self.contained  # type: ignore[assignment]
         self.method = method
         self.seldom = seldom
@@ -170,7 +170,7 @@ def test_what_is_only_shown_is_switched_off_and_the_flight_goes_on(method: Metho
 def test_a_display_that_fails_is_blank_and_told() -> None:
     told: list[Exception] = []
     flight = bent()
-    contained = Contained(flight.core, told.append)
+    contained = CrashSafeCore(flight.core, told.append)
     with breakable((Core, "snapshot"), lambda: True):
         snapshot = contained.snapshot(flight.world.now)
     assert snapshot.doing == "display failed" and math.isnan(snapshot.cv_kPa)

@@ -256,7 +256,7 @@ def test_an_empty_bottle_vents_refuses_and_tells() -> None:
     flight = bent(conf=configured(checks=config.ChecksConfig(bottle_loss="warn")))
     flight.phlosar.mishaps.bottle = Hole(bore_mm=4.0)
     actions = run_for(flight, 4.0)
-    assert any("kPa/s unasked" in text for text in notices(actions))
+    assert any("kPa/s too much" in text for text in notices(actions))
     assert [d.what for d in decisions(actions)] == [{"loss": "reservoir"}]
     assert any("bottle low" in text and "cycles left" in text for text in notices(actions))
     assert_vented(flight)
@@ -271,7 +271,7 @@ def test_a_valve_that_stays_shut_vents_latches_and_is_cleared_by_a_person() -> N
     flight.autopilot.set_rc(9, HIGH)
     actions = run_for(flight, 3.0)
     assert [d.what.get("loss") for d in decisions(actions)] == [None, "filling"]
-    assert "Vine: not filling, bottle keeps its air: valve, vented" in notices(actions)
+    assert "Vine: not filling, bottle loses no air: valve, vented" in notices(actions)
     assert_vented(flight)
     flight.phlosar.mishaps.evp = None
     assert decisions(run_for(flight, 3.0)) == []
@@ -291,7 +291,7 @@ def test_a_vine_that_does_not_vent_cannot_be_cleared() -> None:
     flight.phlosar.mishaps.solenoid = StuckAt(0.0)
     flight.autopilot.set_rc(9, LOW)
     told = notices(run_for(flight, 3.0))
-    assert "Vine: not venting: outlet, line, valve or sensor, outlet told open" in told
+    assert "Vine: not venting: outlet, line, valve or sensor, outlet commanded open" in told
     ground_command(flight, mavlink.MAV_CMD_USER_5, 1.0)
     assert "venting" in flight.core.snapshot(flight.world.now).safe_state
     flight.phlosar.mishaps.solenoid = None

@@ -84,7 +84,7 @@ def on_the_bench() -> SimulatedFlight:
 def test_what_is_late_is_refused_and_its_age_is_told(by: Asker) -> None:
     flight = on_the_bench()
     late = ask(flight, by, BendTo(30.0), age_s=9.04)
-    assert (late.safety, late.reason) == ("refused", "too late: asked 9.0 s ago")
+    assert (late.safety, late.reason) == ("refused", "too late: requested 9.0 s ago")
     run_for(flight, 1.0)
     assert_vented(flight)
 
@@ -97,14 +97,14 @@ def test_what_is_late_is_refused_and_its_age_is_told(by: Asker) -> None:
 def test_nothing_but_letting_air_out_is_done_late(intent: Intent) -> None:
     flight = on_the_bench()
     late = ask(flight, "page", intent, age_s=1.1)
-    assert (late.safety, late.reason) == ("refused", "too late: asked 1.1 s ago")
+    assert (late.safety, late.reason) == ("refused", "too late: requested 1.1 s ago")
     run_for(flight, 0.5)
     assert_vented(flight)
 
 
 def test_of_two_reasons_the_age_is_told() -> None:
     late = ask(on_the_bench(), "page", ClearLatchedFaults(), age_s=1.1, seen_s=None)
-    assert (late.safety, late.reason) == ("refused", "too late: asked 1.1 s ago")
+    assert (late.safety, late.reason) == ("refused", "too late: requested 1.1 s ago")
 
 
 @pytest.mark.parametrize("age_s", [0.0, 0.95, -3.0, None])
@@ -130,7 +130,7 @@ def test_what_a_process_that_stood_still_hears_late_is_not_done() -> None:
         for action in flight.feed(Asked(flight.world.now, "page", BendTo(30.0), asked_at))
         if isinstance(action, Decision)
     )
-    assert "too late: asked 9.0 s ago" in late.reason
+    assert "too late: requested 9.0 s ago" in late.reason
     run_for(flight, 1.0)
     assert_vented(flight)
 
@@ -144,7 +144,7 @@ def test_the_page_takes_no_air_in_flight(intent: Intent) -> None:
     refused = ask(flight, "page", intent)
     assert (refused.safety, refused.reason) == (
         "refused",
-        "the page bends nothing while the vehicle is armed",
+        "the page cannot bend the vine while the vehicle is armed",
     )
     run_for(flight, 1.0)
     assert_vented(flight)
@@ -163,7 +163,7 @@ def test_a_profile_for_the_bench_is_bench_mode() -> None:
 def test_the_page_takes_no_air_on_the_ground_but_in_bench_mode() -> None:
     flight = on_the_ground()
     for intent in TAKES_AIR:
-        assert ask(flight, "page", intent).reason == "the page bends in bench mode only"
+        assert ask(flight, "page", intent).reason == "the page can bend the vine only in bench mode"
     ask(flight, "page", StartBench())
     assert ask(flight, "page", BendTo(30.0)).safety == "accepted"
     assert ask(flight, "page", Hold()).safety == "accepted"
@@ -220,7 +220,7 @@ def test_a_fault_that_was_not_seen_stays(by: Asker, intent: Intent, seen_s: floa
     decision = ask(flight, by, intent, seen_s=seen_s)
     assert faults(flight) == {"firmware_reset"}
     if isinstance(intent, ClearLatchedFaults) and seen_s != 3.0:
-        assert decision.reason == "it does not say which state was seen"
+        assert decision.reason == "the request does not say which state the person saw"
     else:
         assert decision.safety == "accepted"
 

@@ -82,7 +82,7 @@ def test_a_mission_replaced_a_moment_ago_gives_its_own_numbers() -> None:
         (3, "bend 11°", "accepted"),
         (5, "bend 5.5°", "accepted"),
     ]
-    assert len([text for text in told(actions) if "mission read anew" in text]) == 1
+    assert len([text for text in told(actions) if "mission changed" in text]) == 1
 
 
 @pytest.mark.parametrize("kind", ["text lost", "answers lost"])
@@ -96,8 +96,8 @@ def test_an_item_that_is_not_confirmed_is_refused_and_told(kind: str) -> None:
         assert (decision.intent, decision.safety) == ("bend 40°", "accepted")
         assert decision.t - flight.autopilot.payload_log[0][0] < 1.0
     else:
-        assert (decision.safety, decision.reason) == ("refused", "numbers not confirmed")
-        assert "Vine: refused item 3: numbers not confirmed" in told(actions)
+        assert (decision.safety, decision.reason) == ("refused", "params not confirmed")
+        assert "Vine: refused item 3: params not confirmed" in told(actions)
 
 
 @pytest.mark.parametrize("stall_s", [3.0, 6.0])
@@ -142,8 +142,8 @@ def test_what_was_asked_for_before_something_newer_is_not_carried_out() -> None:
     flight = flying(4.0)
     assert decide(flight, BendTo(10.0), 0.0).safety == "accepted"
     flight.run(flight.world.now + 0.2)
-    assert decide(flight, BendTo(30.0), 0.5).reason == "something newer was asked"
-    assert decide(flight, StartProfile("straight"), 0.5).reason == "something newer was asked"
+    assert decide(flight, BendTo(30.0), 0.5).reason == "a newer request came first"
+    assert decide(flight, StartProfile("straight"), 0.5).reason == "a newer request came first"
     assert decide(flight, StartProfile("straight"), 5.0).reason == "came 5.0 s late"
     assert decide(flight, VentVine(), 5.0).safety == "accepted"
     assert decide(flight, BendTo(20.0), 0.1).safety == "accepted"

@@ -177,7 +177,7 @@ def test_a_gimbal_may_vent_and_nothing_else() -> None:
     for command, param in ((USER_2, 30.0), (USER_4, HOLD), (USER_4, ARM), (USER_5, 1.0)):
         actions = order(flight, command, param, sender=GIMBAL)
         assert answers(actions) == [(command, DENIED)]
-        assert any(text.endswith("1/154 is no ground station") for text in notices(actions))
+        assert any(text.endswith("1/154 is not a ground station") for text in notices(actions))
     run_for(flight, 0.5)
     assert is_bent(flight)
     assert answers(order(flight, USER_4, VENT, sender=GIMBAL)) == [(USER_4, ACCEPTED)]

@@ -141,7 +141,7 @@ def test_without_heartbeats_nobody_knows_whether_it_is_armed_and_the_vine_vents(
     began_s = flight.world.now
     without(flight, HEARTBEAT)
     actions = lives(flight, HEARTBEAT_FRESH_S + 1.5)
-    assert told(actions) == ["Vine: no HEARTBEAT, armed or not is unknown, vented"]
+    assert told(actions) == ["Vine: no HEARTBEAT: arm state unknown, vented"]
     (decision,) = (action for action in actions if isinstance(action, Decision))
     assert HEARTBEAT_FRESH_S - 1.1 < decision.t - began_s < HEARTBEAT_FRESH_S + 0.2
     flight.autopilot.set_rc(9, LOW)
@@ -149,7 +149,7 @@ def test_without_heartbeats_nobody_knows_whether_it_is_armed_and_the_vine_vents(
     flight.autopilot.set_rc(9, HIGH)
     refused = [text for text in told(lives(flight, 1.0)) if "refused" in text]
     assert len(refused) == 1
-    assert refused[0].endswith(": no HEARTBEAT, armed or not is unknown")
+    assert refused[0].endswith(": no HEARTBEAT: arm state unknown")
     assert flight.phlosar.cv_kPa < 1.0
     without(flight)
     assert told(lives(flight, 2.0)) == ["Vine: autopilot is back"]

@@ -57,7 +57,7 @@ def vented(flight: SimulatedFlight) -> bool:
 def test_on_the_ground_nothing_bends_without_it() -> None:
     flight = on_the_ground()
     refused = ask(flight, SetPressure(5.0))
-    assert (refused.safety, refused.reason) == ("refused", "the page bends in bench mode only")
+    assert (refused.safety, refused.reason) == ("refused", "the page can bend the vine only in bench mode")
 
 
 def test_an_armed_vehicle_is_on_no_bench() -> None:
@@ -93,7 +93,7 @@ def test_it_ends_when_nobody_asks_any_more(monkeypatch: pytest.MonkeyPatch) -> N
     assert not any("bench mode over" in text for text in notices(run_for(flight, 3.5)))
     assert flight.core.snapshot(flight.world.now).bench
     told = notices(run_for(flight, 1.5))
-    assert "Vine: bench mode over, nobody asked for anything: vented" in told
+    assert "Vine: bench mode over, no more requests: vented" in told
     assert vented(flight)
 
 
@@ -117,7 +117,7 @@ def test_what_no_person_asks_for_does_not_prolong_it(monkeypatch: pytest.MonkeyP
     t = flight.world.now
     item = Trigger(t, "mission_item", {"seq": 3, "command": 31010}, BendTo(30.0))
     assert flight.core._decide(t, item).safety == "accepted"
-    assert "Vine: bench mode over, nobody asked for anything: vented" in notices(run_for(flight, 1.5))
+    assert "Vine: bench mode over, no more requests: vented" in notices(run_for(flight, 1.5))
 
 
 def test_rc_that_goes_off_vents_where_the_profile_is_for_the_bench() -> None:

@@ -25,7 +25,7 @@ from firmware_link.protocol import Setpoint, Vent
 from flying_vines.config.config import Config
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Decision, Event, Tick
-from flying_vines.core.safety import Entered, Left, Ruling
+from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling
 from flying_vines.simulation.autopilot import AutopilotKind, RcSource
 from flying_vines.simulation.autopilot.receiver import LOSSES
 from flying_vines.simulation.phlosar.firmware import Firmware
@@ -45,12 +45,12 @@ from faults_script import draw, fly
 class RcBackAndOn(Core):
     """Takes up again what it did before RC was lost."""
 
-    def _enter(self, t: float, change: Entered) -> None:
+    def _enter(self, t: float, change: ResponseNeeded) -> None:
         if self._motion is not None:
             self._before = self._motion
         super()._enter(t, change)
 
-    def _leave(self, t: float, change: Left) -> None:
+    def _leave(self, t: float, change: LossEnded) -> None:
         super()._leave(t, change)
         self._motion = self._before
 
@@ -68,7 +68,7 @@ class NothingWasSaid(Core):
 class BlindToSafety(Core):
     """Goes on whatever safety says."""
 
-    def _enter(self, t: float, change: Entered) -> None:
+    def _enter(self, t: float, change: ResponseNeeded) -> None:
         pass
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from firmware_link.protocol import Fault
 from flying_vines.config import config
 from flying_vines.config.config import Config
-from flying_vines.core.safety import Entered, Left, Safety, SafetyInputs
+from flying_vines.core.safety import LossEnded, ResponseNeeded, Safety, SafetyInputs
 from flying_vines.supply import AirNeeded
 from flying_vines.vine.motion import plan
 from flying_vines.vine.profile import Step
@@ -62,7 +62,7 @@ def test_each_loss_vents_once_refuses_and_ends(name: str) -> None:
     machine = safety()
     lost = but(BENT, **LOSSES[name])
     (entered,) = machine.watch(1.0, lost)
-    assert isinstance(entered, Entered)
+    assert isinstance(entered, ResponseNeeded)
     assert (entered.name, entered.response) == (name, "vent")
     assert entered.reason
     assert machine.watch(2.0, lost) == []
@@ -70,7 +70,7 @@ def test_each_loss_vents_once_refuses_and_ends(name: str) -> None:
     assert ruling.verdict == "refused"
     assert entered.reason in ruling.reason
     assert machine.judge(RELEASE, AIR, lost).verdict == "accepted"
-    assert machine.watch(3.0, FLYING) == [Left(name)]
+    assert machine.watch(3.0, FLYING) == [LossEnded(name)]
     assert machine.judge(BEND, AIR, FLYING).verdict == "accepted"
 
 
@@ -92,7 +92,7 @@ LIMITS: dict[str, dict[str, object]] = {
 def test_each_limit_vents_a_bent_vine_once(name: str) -> None:
     machine = safety()
     (entered,) = machine.watch(1.0, but(BENT, **LIMITS[name]))
-    assert isinstance(entered, Entered)
+    assert isinstance(entered, ResponseNeeded)
     assert (entered.name, entered.response) == (name, "vent")
     vented = but(FLYING, **LIMITS[name])
     assert machine.watch(1.1, vented) == []
@@ -101,7 +101,7 @@ def test_each_limit_vents_a_bent_vine_once(name: str) -> None:
 
 def test_a_lost_altitude_vents_a_bent_vine() -> None:
     (entered,) = safety().watch(1.0, but(BENT, altitude_m=None))
-    assert isinstance(entered, Entered)
+    assert isinstance(entered, ResponseNeeded)
     assert entered.name == "altitude"
 
 
@@ -144,7 +144,7 @@ def test_overpressure_latches_until_a_person_clears_it_and_it_is_gone() -> None:
     machine = safety()
     high = but(BENT, cv_kPa=25.5)
     (entered,) = machine.watch(0.0, high)
-    assert isinstance(entered, Entered)
+    assert isinstance(entered, ResponseNeeded)
     assert entered.name == "overpressure"
     assert machine.clear(high) == []
     assert machine.watch(1.0, FLYING) == []
@@ -157,7 +157,7 @@ def test_a_physics_check_latches_until_a_person_clears_it_and_it_is_over() -> No
     machine = safety()
     wrong = but(BENT, physics={"venting": "not venting: outlet, line or sensor"})
     (entered,) = machine.watch(0.0, wrong)
-    assert entered == Entered("venting", "not venting: outlet, line or sensor", "vent")
+    assert entered == ResponseNeeded("venting", "not venting: outlet, line or sensor", "vent")
     assert machine.watch(0.1, wrong) == []
     assert machine.clear(wrong) == []
     assert machine.watch(1.0, FLYING) == []
@@ -173,13 +173,13 @@ def test_hold_ends_in_venting() -> None:
     machine = safety(losses=losses)
     lost = but(BENT, rc_problem="silent")
     (entered,) = machine.watch(0.0, lost)
-    assert isinstance(entered, Entered)
+    assert isinstance(entered, ResponseNeeded)
     assert entered.response == "hold"
     machine.watch(20.0, lost)
     machine.triggered()  # to let some of the air out: that is no reason to hold the rest for longer
     assert machine.watch(29.9, lost) == []
     (entered,) = machine.watch(30.1, lost)
-    assert isinstance(entered, Entered)
+    assert isinstance(entered, ResponseNeeded)
     assert entered.response == "vent"
     assert machine.watch(40.0, lost) == []
 
@@ -189,28 +189,28 @@ def test_losses_that_come_and_go_are_not_held_longer_than_one() -> None:
     lost = but(BENT, rc_problem="silent")
     for second in range(0, 8, 2):
         (entered,) = machine.watch(float(second), lost)
-        assert isinstance(entered, Entered) and entered.response == "hold"
+        assert isinstance(entered, ResponseNeeded) and entered.response == "hold"
         (left,) = machine.watch(second + 1.0, BENT)
-        assert left == Left("rc")
+        assert left == LossEnded("rc")
     # Four of the five seconds are used up.
     machine.watch(8.0, lost)
     assert machine.watch(8.98, lost) == []
     (entered,) = machine.watch(9.0, lost)
-    assert isinstance(entered, Entered) and entered.response == "vent"
+    assert isinstance(entered, ResponseNeeded) and entered.response == "vent"
     machine.watch(9.1, BENT)
     (entered,) = machine.watch(9.2, lost)
-    assert isinstance(entered, Entered) and entered.response == "vent", "nobody has asked for it again"
+    assert isinstance(entered, ResponseNeeded) and entered.response == "vent", "nobody has asked for it again"
     machine.watch(9.3, BENT)
     machine.triggered()
     (entered,) = machine.watch(9.4, lost)
-    assert isinstance(entered, Entered) and entered.response == "hold"
+    assert isinstance(entered, ResponseNeeded) and entered.response == "hold"
 
 
 def test_a_lost_autopilot_is_never_held() -> None:
     """Altitude and armed are lost with it."""
     machine = safety(losses=config.LossesConfig(on_rc_loss="hold"))
     (entered,) = machine.watch(0.0, but(BENT, autopilot_age_s=3.1))
-    assert isinstance(entered, Entered) and entered.response == "vent"
+    assert isinstance(entered, ResponseNeeded) and entered.response == "vent"
 
 
 def test_faults_that_came_after_what_was_seen_stay() -> None:
@@ -247,7 +247,7 @@ def test_the_firmwares_faults_are_seen_from_the_last_new_one_on() -> None:
 )
 def test_a_fault_of_the_firmware_is_told_by_its_name_or_number(faults: Fault, told: str) -> None:
     (entered,) = safety().watch(0.0, but(BENT, faults=faults))
-    assert isinstance(entered, Entered)
+    assert isinstance(entered, ResponseNeeded)
     assert entered.reason == f"firmware fault: {told}"
 
 
@@ -259,7 +259,7 @@ def test_where_a_bend_needs_no_altitude_none_ends_it(altitude_m: float | None) -
 
 def test_a_board_that_is_gone_is_one_loss() -> None:
     (entered,) = safety().watch(0.0, but(BENT, firmware_ready=False, telemetry_age_s=1.0))
-    assert isinstance(entered, Entered)
+    assert isinstance(entered, ResponseNeeded)
     assert entered.name == "serial"
 
 
@@ -267,7 +267,7 @@ def test_a_board_that_does_not_move_is_deaf_and_one_that_does_not_vent_latches()
     for moving, name in ((True, "deaf"), (False, "regulates")):
         machine = safety()
         (entered,) = machine.watch(0.0, but(BENT, moving=moving, mode_mismatch_s=0.31))
-        assert isinstance(entered, Entered)
+        assert isinstance(entered, ResponseNeeded)
         assert entered.name == name
         machine.watch(1.0, FLYING)
         assert list(machine.reasons) == ([] if moving else ["regulates"])
@@ -300,7 +300,7 @@ def test_no_losses_stretch_what_may_be_held_or_bent(history: list[tuple[str, flo
                 moving_s=t - triggered_at if bent else 0.0,
             )
             for change in machine.watch(t, now):
-                bent = bent and not (isinstance(change, Entered) and change.response == "vent")
+                bent = bent and not (isinstance(change, ResponseNeeded) and change.response == "vent")
             tick += 1
             if bent:
                 held_s += tick_s if lost else 0.0

@@ -32,7 +32,7 @@ from flying_vines.config.toml_edit import value_text
 from flying_vines.config.toml_text import lines_of_keys
 from flying_vines.doctor.checks.vehicle import USES
 from flying_vines.vehicle.autopilots.ardupilot import STREAM_GROUPS
-from flying_vines.vehicle.component.settings import SETTINGS, bounds, value_of
+from flying_vines.vehicle.component.parameter_table import SETTINGS, bounds, value_of
 from flying_vines.vehicle.radio.switch import BOUNDARIES_US
 from flying_vines.vehicle.streams import Streams
 from flying_vines.vine.profile import Segment
@@ -242,7 +242,7 @@ def parameters(name: str) -> list[str]:
         least, most = bounds(setting, profile)
         allowed = f"{least:g} … {most:g}"
         if setting.guard != "none":
-            allowed = f"at {setting.guard} the profile's ({allowed})"
+            allowed = f"at {'most' if setting.guard == 'max' else 'least'} the profile's ({allowed})"
         key = f"`{setting.table}.{setting.key}`"
         rows.append(_row(f"`{setting.name}`", key, f"{value_of(setting, profile):g}", allowed, setting.doc))
     return rows

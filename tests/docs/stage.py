@@ -263,7 +263,12 @@ def parse_only(script: list[str]) -> None:
 
     argparse.ArgumentParser.parse_args = parse_and_end  # type: ignore[method-assign]
     sys.argv = script
-    sys.path.insert(0, str(ROOT / "benchmarks"))
+    # A fresh interpreter knows neither the folder of the tests nor what they have imported.
+    tests = str(ROOT / "tests")
+    sys.path[:] = [str(ROOT / "benchmarks"), *(place for place in sys.path if place != tests)]
+    for name, module in list(sys.modules.items()):
+        if (getattr(module, "__file__", None) or "").startswith(tests):
+            del sys.modules[name]
     runpy.run_path(str(ROOT / script[0]), run_name="__main__")
 
 

@@ -140,6 +140,7 @@ def done() -> set[str]:
     return set()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_what_a_page_says_can_be_done(page: Path, tmp_path: Path, done: set[str]) -> None:
     wrong = []

@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "hazards.md").read_text(encoding="utf-8")
 TITLES = "| cause | what prevents it | test |"
-BY_HAND = re.compile(r"by hand: \[wiring\]\(wiring\.md#[a-z-]+\)")
+BY_HAND = re.compile(r"by hand: \[[a-z ]+\]\((?:wiring|first-flash)\.md#[a-z-]+\)")
 TEST = re.compile(r"`(tests/[\w/]+\.py)::(test_\w+)`")
 ROWS = [
     [cell.strip() for cell in line.strip("| ").split(" | ")]

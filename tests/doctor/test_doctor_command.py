@@ -49,7 +49,7 @@ def test_in_a_pipe_each_finding_is_a_line_and_each_remedy_another() -> None:
     assert lines[2].startswith("look clock:")
     assert lines[3] == "     → wait"
     assert lines[4].startswith("BAD  phloSAR port:")
-    assert lines[-1] == "Do not fly: 1 thing to mend, and 1 thing to look at."
+    assert lines[-1] == "Do not fly: 1 thing to correct, and 1 thing to check."
     assert len(lines) == 8
 
 
@@ -88,9 +88,9 @@ def test_what_is_bad_makes_the_status_one(capsys: pytest.CaptureFixture[str], tm
     profile.write_text(text.replace("serial:/dev/ttyACM0", "serial:/dev/none-b"))
     status, out, err = run(capsys, "doctor", "--config", profile, "--out", tmp_path)
     assert (status, err) == (1, "")
-    assert "BAD  phloSAR port:         /dev/none-b is not there" in out
-    assert "BAD  vehicle port:         /dev/none-a is not there" in out
-    assert out.splitlines()[-1].startswith("Do not fly: 2 things to mend")
+    assert "BAD  phloSAR port:         /dev/none-b does not exist" in out
+    assert "BAD  vehicle port:         /dev/none-a does not exist" in out
+    assert out.splitlines()[-1].startswith("Do not fly: 2 things to correct")
 
 
 @pytest.mark.parametrize(
@@ -135,8 +135,8 @@ async def test_a_service_that_runs_already_is_named_with_what_it_holds(
     assert status == 1
     for port in ("phloSAR", "vehicle"):
         (held,) = [line for line in out.splitlines() if f" {port} port:" in line]
-        assert held.startswith("- ") and held.endswith("is the running service's")
+        assert held.startswith("- ") and held.endswith("is used by the running service")
     (runs,) = [line for line in out.splitlines() if line.startswith("BAD  service:")]
-    assert f"flying-vines run (process {service.pid}) runs already, and holds" in runs
+    assert f"flying-vines run (process {service.pid}) already runs and uses" in runs
     assert "-    phloSAR:" in out
     assert still_runs

@@ -140,15 +140,15 @@ def test_of_a_healthy_pair_one_may_fly(seen: dict[str, Examined], world: str) ->
 @pytest.mark.parametrize(
     ("world", "check", "says"),
     [
-        ("no SYS_STATUS", "SYS_STATUS", "does not come"),
+        ("no SYS_STATUS", "SYS_STATUS", "does not arrive"),
         ("no vehicle", "vehicle link", "tcp:127.0.0.1:9: Connection refused"),
-        ("RC is lost", "RC switch", "channel 9 cannot be believed"),
-        ("switch not moved", "RC switch", "stayed in position 1 when it was to be moved"),
+        ("RC is lost", "RC switch", "channel 9 is not valid"),
+        ("switch not moved", "RC switch", "stayed in position 1 although you were asked"),
         ("id is taken", "component id", "191 is taken"),
         ("two autopilots", "vehicle link", "autopilots"),
         ("noise", "vehicle link", "but no MAVLink message"),
-        ("not signed", "signing", "nothing that came was believed: "),
-        ("no firmware", "phloSAR port", "/dev/there-is-none is not there"),
+        ("not signed", "signing", "all messages were refused: "),
+        ("no firmware", "phloSAR port", "/dev/there-is-none does not exist"),
         ("a GPS", "phloSAR", "this is another device"),
         ("silence", "phloSAR", "the port is open but silent"),
         ("next version", "phloSAR", "update the host"),
@@ -184,12 +184,12 @@ def test_the_healthy_pair_is_told_by_what_it_is(seen: dict[str, Examined]) -> No
 
 
 def test_a_switch_that_is_moved_is_seen_in_all_positions(seen: dict[str, Examined]) -> None:
-    assert "all 3 positions were seen" in seen["switch moved"].of("RC switch").what
+    assert "seen in all 3 positions" in seen["switch moved"].of("RC switch").what
     assert "position 1, “straight”" in seen["healthy"].of("RC switch").what
 
 
 def test_an_autopilot_that_signs_is_told_apart(seen: dict[str, Examined]) -> None:
-    assert seen["signed"].of("signing").what == "all that came was signed with our key"
+    assert seen["signed"].of("signing").what == "all messages were signed with our key"
     without = seen["signed, and no key"]
     assert "the profile has no key" in without.of("signing").what
     assert without.bad >= {"SYS_STATUS", "GLOBAL_POSITION_INT", "RC_CHANNELS"}, "it does not hear us"

@@ -187,9 +187,9 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (profile.BAD_RIG, of_profile(rig="rig.toml", rig_problem="rig.toml:3: no such cause")),
     (profile.KEY, of_profile(signing_key="vine.key")),
     (profile.BAD_KEY, of_profile(signing_key="vine.key", signing_problem="vine.key: others may read it")),
-    (profile.BELIEVED, of_profile()),
-    (profile.BELIEVED, of_profile(config=changed("vehicle", link="udpin:0.0.0.0:1", signing_key="key"))),
-    (profile.BELIEVED_FROM_AFAR, of_profile(config=changed("vehicle", link="tcp:10.0.0.7:5760"))),
+    (profile.VEHICLE_LINK, of_profile()),
+    (profile.VEHICLE_LINK, of_profile(config=changed("vehicle", link="udpin:0.0.0.0:1", signing_key="key"))),
+    (profile.OPEN_TO_NETWORK, of_profile(config=changed("vehicle", link="tcp:10.0.0.7:5760"))),
     (profile.NO_CLOCK, of_profile(signing_clock_problem="stamp: damaged")),
     (profile.PARAMETERS, of_profile(parameters={"FV_MAX_KPA": 15.0})),
     (profile.BAD_PARAMETERS, of_profile(parameters_problem="p.toml:1: damaged")),
@@ -218,7 +218,7 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (network.BROKER, of_broker(took_s=0.02)),
     (network.NO_PACKAGE, of_broker(problem="aiomqtt is missing", missing_package=True)),
     (network.AWAY, of_broker(problem="nothing answers there")),
-    (network.REFUSES, of_broker(problem="it does not know this user and password", needs_person=True)),
+    (network.REFUSES, of_broker(problem="it does not accept this user and password", needs_person=True)),
     (PORTS["good"], of_port()),
     (PORTS["network"], [port.check_network("phloSAR", "tcp:board:3000", False, None)]),
     (PORTS["free"], [port.check_network("phloSAR", "udpin:127.0.0.1:3000", True, None)]),
@@ -298,7 +298,7 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (vehicle.NOT_SIGNED, of_vehicle()),
     (radio.NOT_USED, of_switch(config=changed("switch", positions=("", "")))),
     (radio.NOT_HEARD, [radio.check(None, CONFIG, False)]),
-    (radio.NOT_BELIEVED, of_switch(problem="radio failsafe")),
+    (radio.NOT_TRUSTED, of_switch(problem="radio failsafe")),
     (radio.HIDES_LOSS, of_switch(hides_loss="FS_THR_ENABLE 0")),
     (radio.BENDS_LATE, of_switch(bends_late=True)),
     (radio.UNSETTLED, of_switch(position=None)),
@@ -415,9 +415,9 @@ def test_only_what_is_bad_keeps_one_on_the_ground() -> None:
     good, warning, bad = (DoctorFinding("disk", verdict, "?") for verdict in ("good", "warning", "bad"))
     assert may_fly([good, warning])
     assert not may_fly([good, bad])
-    assert summary([good, warning]) == "You may fly; 1 thing to look at."
-    assert summary([bad, good]) == "Do not fly: 1 thing to mend."
-    assert summary([bad, bad, warning, warning]) == "Do not fly: 2 things to mend, and 2 things to look at."
+    assert summary([good, warning]) == "You may fly; 1 thing to check."
+    assert summary([bad, good]) == "Do not fly: 1 thing to correct."
+    assert summary([bad, bad, warning, warning]) == "Do not fly: 2 things to correct, and 2 things to check."
 
 
 def test_a_slow_stream_is_told_with_what_to_set() -> None:

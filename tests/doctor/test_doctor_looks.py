@@ -151,7 +151,7 @@ def test_a_port_that_is_not_there_is_told_with_those_that_are(terminal: str) -> 
         "phloSAR", "serial:/dev/ttyACM7", SerialAddress("/dev/ttyACM7"), lambda: [board(terminal)]
     )
     assert facts.missing == (
-        f"/dev/ttyACM7 is not there; there is {terminal} (usb:16c0:0483, USB Serial, 1234560)"
+        f"/dev/ttyACM7 does not exist; found: {terminal} (usb:16c0:0483, USB Serial, 1234560)"
     )
     facts = ports.serial_port("phloSAR", "usb:16c0:0483", UsbBoard(0x16C0, 0x0483), list)
     assert "no serial port at all" in facts.missing
@@ -257,15 +257,15 @@ def test_a_broker_that_is_not_there_is_told_by_what_failed() -> None:
         closed = probe.getsockname()[1]
     assert of_broker("").broker == ""
     assert of_broker(f"mqtt://127.0.0.1:{closed}").problem == "nothing answers there"
-    assert "no such name" in of_broker("mqtt://broker.invalid").problem
+    assert "unknown host name" in of_broker("mqtt://broker.invalid").problem
 
 
 @pytest.mark.parametrize(
     ("answer", "says", "needs_person"),
     [
         (bytes([0x20, 3, 0, 0, 0]), "", False),
-        (bytes([0x20, 3, 0, 0x86, 0]), "it does not know this user and password", True),
-        (bytes([0x20, 3, 0, 0x87, 0]), "it does not let us in", True),
+        (bytes([0x20, 3, 0, 0x86, 0]), "it does not accept this user and password", True),
+        (bytes([0x20, 3, 0, 0x87, 0]), "it refuses the login", True),
     ],
 )
 def test_a_broker_is_asked_to_let_us_in(answer: bytes, says: str, needs_person: bool) -> None:

@@ -104,7 +104,7 @@ def test_a_profile_that_has_it_already_is_left_alone(
     profile.write_text(profile.read_text().replace('receiver_failsafe = "unknown"', LINE))
     before = profile.read_text()
     _, out, _ = run(capsys, "doctor", "--radio", "--config", profile, "--yes")
-    assert f"{profile} has it already" in out
+    assert f"{profile} already has this line" in out
     assert profile.read_text() == before
 
 
@@ -146,7 +146,7 @@ def test_a_port_that_is_not_there_is_said_and_nothing_asked(
     profile.write_text(profile.read_text().replace("udpin:127.0.0.1:14540", "serial:/dev/none-a"))
     status, out, err = run(capsys, "doctor", "--radio", "--config", profile)
     assert (status, err) == (1, "")
-    assert "BAD  vehicle port:         /dev/none-a is not there" in out
+    assert "BAD  vehicle port:         /dev/none-a does not exist" in out
     assert "1/5" not in out
 
 
@@ -159,7 +159,7 @@ def test_only_the_one_line_changes_and_its_comment_stays() -> None:
     ((_, line),) = changed
     assert line.startswith("receiver_failsafe = 1999 ")
     assert 'was "unknown", measured 2026-11-22' in line
-    assert "what doctor --radio saw" in line
+    assert "result of `doctor --radio`" in line
     again = with_learned(edited, "vine.toml", "hold", "2026-11-23")
     assert "2026-11-22" not in again
     assert "was 1999, measured 2026-11-23" in again

@@ -16,7 +16,7 @@ from flying_vines.doctor.radio_test import (
     BACK_WITHIN_S,
     QUIET_S,
     READY_WITHIN_S,
-    SHOWS_WITHIN_S,
+    SIGN_WITHIN_S,
     RadioTest,
     Sign,
     TransmitterLoss,
@@ -120,7 +120,7 @@ def test_ardupilot_that_hides_losses() -> None:
     assert (loss.signs, loss.seen) == ((), False)
     assert receiver.to_write(unseen, CONFIG) == "hidden"
     (finding,) = [f for f in receiver.check(unseen, CONFIG) if f.verdict == "bad"]
-    assert "nothing told" in finding.what
+    assert "no sign of RC loss" in finding.what
     assert "FS_THR_ENABLE = 1" in finding.do
     # The same with the parameter in the stream, at 41.59: nobody needs to switch anything off.
     test = run_on("ardupilot_hidden_rc_loss", 41, 44)
@@ -180,7 +180,7 @@ class Person:
         self.test.press(self.t)
         for name, value in (signs or {"status": (0, 1, 0)}).items():
             setattr(self, name, value)
-        self.wait(SHOWS_WITHIN_S, lambda: self.test.step != "lost")
+        self.wait(SIGN_WITHIN_S, lambda: self.test.step != "lost")
 
     def come_back(self, **signs: object) -> None:
         self.status, self.rc = (1, 1, 1), True

@@ -16,7 +16,7 @@ from flying_vines.simulation.autopilot import FakeAutopilot
 
 from .served import Served, on_bench
 
-pytestmark = real_time
+pytestmark = [real_time, pytest.mark.long]
 
 KEY = bytes(range(32))
 FAKETIME = "sudo apt install faketime"

@@ -33,7 +33,7 @@ from faults_flight import ACTUATOR, SCRIPT_MESSAGE, RefereedFlight, Setup
 
 from .catalogue import ROWS
 
-pytestmark = needs_compiler
+pytestmark = [needs_compiler, pytest.mark.long]
 
 RECEIVERS: list[RcSource] = ["sbus", "crsf"]
 BENT_KPA = 5.0
@@ -392,7 +392,7 @@ class TakesOverridesForThePilot(Core):
 
     def __init__(self, profile: Config) -> None:
         super().__init__(profile)
-        self._vehicle.pilot._not_the_pilots = lambda t, move: ""  # type: ignore[method-assign]
+        self._vehicle.pilot._why_not_the_pilots = lambda t, move: ""  # type: ignore[method-assign]
 
 
 class TrustsItsBook(Core):

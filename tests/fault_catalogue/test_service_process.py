@@ -22,7 +22,7 @@ from .black_box import STEP_S
 from .catalogue import ROWS
 from .served import Served, on_bench
 
-pytestmark = real_time
+pytestmark = [real_time, pytest.mark.long]
 
 TIME_TO_LIVE_MS = 250
 """Of a setpoint; the fault may come right behind one."""
@@ -124,11 +124,11 @@ async def test_a_flight_goes_on_whatever_happens_around_it(served: Served) -> No
     resource.prlimit(served.process.pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
     await served.told(ROWS["disk_full"].told)
     resource.prlimit(served.process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
-    await served.told("the flight log goes on in")
+    await served.told("the flight log continues in")
     assert len(list(FlightLog(log).entries())) > 10
     shutil.rmtree(served.folder / "flights")
     await served.told(ROWS["log_vanished"].told)
-    await until(lambda: _count(served, "the flight log goes on in") == 2, "it goes on again")
+    await until(lambda: _count(served, "the flight log continues in") == 2, "it goes on again")
     assert _count(served, "the flight log ends here") == 2
     (log,) = (served.folder / "flights").glob("*/flight.mcap")
 

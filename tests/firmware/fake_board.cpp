@@ -1,33 +1,81 @@
-// A board of variables, for a test in Python to be everything around the firmware's loop.
+// A board of variables, on which a test in Python runs the firmware's main loop and its timer's interrupt.
 
 #include <string.h>
 
-#include "../../firmware_link/firmware/phlosar/src/board/board.h"
-#include "../../firmware_link/firmware/phlosar/src/run.h"
-#include "../../firmware_link/firmware/phlosar/src/status_light.h"
+#include "board/board.h"
+#include "run.h"
+#include "status_light.h"
 
 extern "C" {
 
 struct FakeBoard {
     uint32_t now_us;
-    // How long one control step takes: reading the converter moves the clock.
-    uint32_t step_us;
+    // How long reading the converter takes, writing a byte of memory (no interrupt comes meanwhile), and moving
+    // bytes to or from the port.
+    uint32_t read_us, memory_us, serial_us;
+    uint8_t timer_stopped;
     uint16_t readings[3];
     uint16_t evp_duty, dvp_duty;
     uint8_t solenoid, light;
-    uint32_t steps, fed, stores, stored_size;
-    uint8_t stored[128];
-    uint8_t bootloader_asked, in_bootloader;
-    uint32_t steps_at_bootloader;
-    uint16_t outputs_at_bootloader[3];
+    uint32_t steps, fed, memory_writes;
+    uint8_t memory[1080];
+    // Power fails after this many writes of memory; 0: never.
+    uint32_t power_cut_after;
+    uint8_t regulated_while_writing;
+    uint8_t bootloader_requested, waiting_for_bootloader;
     uint32_t incoming_size, outgoing_size, outgoing_room;
     uint8_t incoming[4096], outgoing[4096];
 };
 
 FakeBoard fake_board;
 
-void run_begin() { phlosar::begin(); }
-void run_turn() { phlosar::turn(); }
+}  // extern "C"
+
+namespace {
+
+void (*timer_step)() = nullptr;
+uint32_t next_us = 0;
+bool in_interrupt = false;
+
+// The timer's interrupt, once however often it was due.
+void interrupt() {
+    if (timer_step == nullptr || fake_board.timer_stopped != 0 || in_interrupt) return;
+    if (static_cast<int32_t>(fake_board.now_us - next_us) < 0) return;
+    next_us = fake_board.now_us - (fake_board.now_us - next_us) % 1000 + 1000;
+    in_interrupt = true;
+    timer_step();
+    in_interrupt = false;
+}
+
+void pass(uint32_t us) {
+    for (; us >= 50; us -= 50) {
+        fake_board.now_us += 50;
+        interrupt();
+    }
+    fake_board.now_us += us;
+    interrupt();
+}
+
+}  // namespace
+
+extern "C" {
+
+void run_setup() { phlosar::setup(); }
+
+void run_turn(uint32_t turn_us) {
+    phlosar::loop();
+    pass(turn_us);
+}
+
+// The main loop hangs.
+void run_hang(uint32_t us) { pass(us); }
+
+// The clock goes on, without a step.
+void run_jump(uint32_t to_us) {
+    fake_board.now_us = to_us;
+    next_us = to_us;
+}
+
 bool run_light(uint8_t mode, uint16_t faults, uint32_t now_ms) {
     return phlosar::light_on(static_cast<phlosar::Mode>(mode), faults, now_ms);
 }
@@ -37,13 +85,18 @@ bool run_light(uint8_t mode, uint16_t faults, uint32_t now_ms) {
 namespace board {
 
 extern const char kBuild[] = "fake";
+extern const MemoryLayout kMemory = {60, 28, FAKE_COPIES};
 
 void begin() {}
+void every_millisecond(void (*step)()) {
+    timer_step = step;
+    next_us = fake_board.now_us + 1000;
+}
 uint32_t now_us() { return fake_board.now_us; }
 
 phlosar::Readings read() {
     ++fake_board.steps;
-    fake_board.now_us += fake_board.step_us;
+    fake_board.now_us += fake_board.read_us;
     return {fake_board.readings[0], fake_board.readings[1], fake_board.readings[2]};
 }
 
@@ -55,45 +108,44 @@ void drive(const phlosar::Outputs& outputs) {
 
 void light(bool on) { fake_board.light = on; }
 
-size_t serial_read(uint8_t* into, size_t most) {
-    const size_t size = fake_board.incoming_size < most ? fake_board.incoming_size : most;
-    memcpy(into, fake_board.incoming, size);
-    memmove(fake_board.incoming, fake_board.incoming + size, fake_board.incoming_size - size);
-    fake_board.incoming_size -= static_cast<uint32_t>(size);
-    return size;
+size_t serial_read(uint8_t* into, size_t size) {
+    const size_t count = fake_board.incoming_size < size ? fake_board.incoming_size : size;
+    memcpy(into, fake_board.incoming, count);
+    memmove(fake_board.incoming, fake_board.incoming + count, fake_board.incoming_size - count);
+    fake_board.incoming_size -= static_cast<uint32_t>(count);
+    pass(fake_board.serial_us);
+    return count;
 }
 
 size_t serial_write(const uint8_t* data, size_t size) {
-    const size_t taken = size < fake_board.outgoing_room ? size : fake_board.outgoing_room;
-    memcpy(fake_board.outgoing + fake_board.outgoing_size, data, taken);
-    fake_board.outgoing_size += static_cast<uint32_t>(taken);
-    fake_board.outgoing_room -= static_cast<uint32_t>(taken);
-    return taken;
+    pass(fake_board.serial_us);
+    const size_t count = size < fake_board.outgoing_room ? size : fake_board.outgoing_room;
+    memcpy(fake_board.outgoing + fake_board.outgoing_size, data, count);
+    fake_board.outgoing_size += static_cast<uint32_t>(count);
+    fake_board.outgoing_room -= static_cast<uint32_t>(count);
+    return count;
 }
 
-size_t load(uint8_t* into, size_t most) {
-    const size_t size = fake_board.stored_size < most ? fake_board.stored_size : most;
-    memcpy(into, fake_board.stored, size);
-    return size;
-}
+uint8_t memory_read(size_t at) { return fake_board.memory[at]; }
 
-void store(const uint8_t* data, size_t size) {
-    memcpy(fake_board.stored, data, size);
-    fake_board.stored_size = static_cast<uint32_t>(size);
-    ++fake_board.stores;
+void memory_write(size_t at, uint8_t value) {
+    if (fake_board.solenoid == 0 || fake_board.evp_duty != 0) fake_board.regulated_while_writing = 1;
+    ++fake_board.memory_writes;
+    fake_board.now_us += fake_board.memory_us;
+    if (fake_board.power_cut_after == 0 || fake_board.memory_writes <= fake_board.power_cut_after) {
+        fake_board.memory[at] = value;
+    }
+    interrupt();
 }
 
 uint32_t boot_id() { return 0xB00710; }
 bool reset_by_watchdog() { return false; }
 void feed_watchdog() { ++fake_board.fed; }
-bool bootloader_asked() { return fake_board.bootloader_asked != 0; }
+bool bootloader_requested() { return fake_board.bootloader_requested != 0; }
 
-void enter_bootloader() {
-    fake_board.in_bootloader = 1;
-    fake_board.steps_at_bootloader = fake_board.steps;
-    fake_board.outputs_at_bootloader[0] = fake_board.evp_duty;
-    fake_board.outputs_at_bootloader[1] = fake_board.dvp_duty;
-    fake_board.outputs_at_bootloader[2] = fake_board.solenoid;
+void wait_for_bootloader() {
+    fake_board.waiting_for_bootloader = 1;
+    pass(10000);
 }
 
 }  // namespace board

@@ -16,11 +16,21 @@ LIBRARY = "firmware.so"
 STRICT = ("-Wall", "-Wextra", "-Werror", "-Wconversion", "-Wshadow", "-fno-exceptions", "-fno-rtti")
 
 
-def library(folder: Path, *sources: Path) -> ctypes.CDLL:
+def library(folder: Path, *sources: Path, flags: tuple[str, ...] = ()) -> ctypes.CDLL:
     """`sources` together, compiled into `folder`."""
     made = folder / LIBRARY
-    flags = ("-std=c++17", "-O1", "-fsanitize=undefined", "-fno-sanitize-recover=undefined")
-    command = [host_compiler(), *flags, *STRICT, "-fPIC", "-shared", *map(str, sources), "-o", str(made)]
+    checked = ("-std=c++17", "-O1", "-fsanitize=undefined", "-fno-sanitize-recover=undefined")
+    command = [
+        host_compiler(),
+        *checked,
+        *flags,
+        *STRICT,
+        "-fPIC",
+        "-shared",
+        *map(str, sources),
+        "-o",
+        str(made),
+    ]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return ctypes.CDLL(str(made))

@@ -88,7 +88,7 @@ def test_a_memory_that_was_never_written_is_no_fault() -> None:
 def test_settings_reach_the_core() -> None:
     wanted = {"cv_limit_kPa": 25.0, "dead_man_ms": 120.0, "on_off_error_kPa": 1.0}
     assert Firmware(wanted).settings == Firmware().settings | wanted
-    with pytest.raises(ValueError, match="does not take dead_man_ms 301"):
+    with pytest.raises(ValueError, match="does not accept dead_man_ms 301"):
         Firmware({"dead_man_ms": 301})
     with pytest.raises(ValueError, match="no setting tolerated_kPa"):
         Firmware({"tolerated_kPa": 0.5})
@@ -126,7 +126,7 @@ def test_it_is_built_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> No
 def test_a_cache_that_cannot_be_written_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "flying-vines").write_text("in the way")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    with pytest.raises(FirmwareBuildError, match="cannot be kept in"):
+    with pytest.raises(FirmwareBuildError, match="cannot be stored in"):
         core_library.build()
 
 

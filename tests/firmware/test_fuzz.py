@@ -16,6 +16,8 @@ sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
 from fuzz import FuzzError, drive, driver, listen
 
+pytestmark = pytest.mark.long
+
 WORSE = {
     "no dead-man": ("firmware.cpp", "now_us - commanded_us_ >= holds_us_", "false"),
     "no handshake": ("firmware.cpp", "if (!greeted_) {\n        *reason", "if (false) {\n        *reason"),

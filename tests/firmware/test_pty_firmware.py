@@ -115,7 +115,7 @@ async def test_it_greets_fills_the_bag_and_vents_it(program: Path, tmp_path: Pat
         assert str(link.readlink()) == path
         async with talking(str(link)) as host:
             assert host.ready is not None
-            assert (host.ready.welcome.boot_id, host.ready.welcome.firmware_build) == (77, "1.0 pty")
+            assert (host.ready.welcome.boot_id, host.ready.welcome.firmware_build) == (77, "1.1 pty")
             await host.hold(15.0, 30)
             assert host.telemetry[-1].reservoir_kPa < 690.0
         # The link's end has vented.
@@ -172,7 +172,7 @@ async def test_sensors_that_always_read_the_same(program: Path) -> None:
     [
         (["--boot-id", "-1"], "--boot-id -1: is not within 0 to 4294967295"),
         (["--cv-kPa", "much"], "--cv-kPa much: is not a pressure"),
-        (["--link", "."], ". is not a link and stays as it is"),
+        (["--link", "."], ". is not a link and is not replaced"),
         (["--settings", "."], "cannot read"),
         (["here"], "here is no option"),
         (["--speed"], "--boot-id N"),

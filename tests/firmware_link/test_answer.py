@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from firmware_link.answer import PATIENCE_S, Answer
+from firmware_link.answer import ANSWER_WITHIN_S, Answer
 from firmware_link.protocol import (
     PROTOCOL_VERSION,
     Codec,
@@ -41,11 +41,11 @@ def heard(*pieces: bytes) -> Answer:
 )
 def test_each_silence_is_told_once_after_a_while(pieces: tuple[bytes, ...], says: str) -> None:
     answer = heard(*pieces)
-    assert answer.news(10.0 + PATIENCE_S - 0.01) is None
-    told = answer.news(10.0 + PATIENCE_S)
+    assert answer.news(10.0 + ANSWER_WITHIN_S - 0.01) is None
+    told = answer.news(10.0 + ANSWER_WITHIN_S)
     assert told is not None
     assert says in told
-    assert answer.news(10.0 + PATIENCE_S + 1.0) is None
+    assert answer.news(10.0 + ANSWER_WITHIN_S + 1.0) is None
 
 
 @pytest.mark.parametrize("message", [WELCOME, Refusal(0, RefusalReason.VERSION)])

@@ -42,7 +42,7 @@ def test_a_board_is_written_as_lsusb_writes_it(text: str, board: UsbBoard) -> No
     "text", ["usb:", "usb:16c0", "usb:16c0:", "usb:16c0:483", "usb:16c0:0483:", "16c0:0483"]
 )
 def test_what_is_no_board_gets_a_sentence(text: str) -> None:
-    with pytest.raises(ValueError, match="is no board: give usb:VENDOR:PRODUCT"):
+    with pytest.raises(ValueError, match="is not a USB board: give usb:VENDOR:PRODUCT"):
         UsbBoard.parse(text)
 
 

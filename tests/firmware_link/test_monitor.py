@@ -109,9 +109,9 @@ def test_every_frame_is_seen_good_or_not() -> None:
     assert [each.message for each in seen] == [Vent(3), None, None, None, Vent(3)]
     assert [each.problem.partition(",")[0] for each in seen] == [
         "",
-        "no frame",
+        "not a frame",
         f"message type 0x70 is not known to version {PROTOCOL_VERSION}",
-        "no frame",
+        "not a frame",
         "",
     ]
     assert seen[0].wire + FRAME_END == good

@@ -272,7 +272,7 @@ async def test_a_board_is_found_again_under_another_name() -> None:
 async def test_another_device_on_the_port_is_called_one(
     link: Path, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(answer, "PATIENCE_S", 0.2)
+    monkeypatch.setattr(answer, "ANSWER_WITHIN_S", 0.2)
     watch = Watch()
     host = FirmwareLink(str(link), watch.on_event, watch.on_state)
     async with running(host):

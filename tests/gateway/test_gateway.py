@@ -82,7 +82,7 @@ class Service:
 @pytest.fixture(autouse=True)
 def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(keep_alive, "FIRST_WAIT_S", 0.1)
-    monkeypatch.setattr(gateway, "LOOK_S", 0.1)
+    monkeypatch.setattr(gateway, "POLL_S", 0.1)
     # Scripts that play a gateway say only what the test is about.
     monkeypatch.setattr(gateway, "HANGS_S", 60.0)
 
@@ -156,7 +156,7 @@ async def test_a_stopped_gateway_is_replaced(
 ) -> None:
     monkeypatch.setattr(gateway, "HANGS_S", 2.0)
     async with Service(broker=broker.url, name="heron").living() as service:
-        await until(lambda: service.gateway._spoke, "it has started")
+        await until(lambda: service.gateway._alive, "it has started")
         await people.until(f"{BASE}/status", status="online")
         os.kill(gateway_of(os.getpid()), signal.SIGSTOP)
         await people.until(f"{BASE}/status", status="offline")
@@ -170,7 +170,7 @@ async def test_a_gateway_is_not_to_blame_where_the_service_stood_still(
     monkeypatch.setattr(gateway, "HANGS_S", 0.5)
     played("hear()\nwhile True:\n    say(Alive())\n    time.sleep(0.05)\n")
     async with Service().living() as service:
-        await until(lambda: service.gateway._spoke, "it has started")
+        await until(lambda: service.gateway._alive, "it has started")
         pid = gateway_of(os.getpid())
         for _ in range(2):
             time.sleep(0.7)  # noqa: ASYNC251
@@ -278,7 +278,7 @@ async def test_whoever_asks_too_often_may_still_vent(played: Callable[[str], Non
         "while 100 not in answers:\n"
         "    told = hear()\n"
         "    if hasattr(told, 'safety'): answers[told.number] = told.safety + told.reason\n"
-        "say(Trouble(f\"{list(answers.values()).count('refusedasked too often')} {answers[100]}\"))\n"
+        "say(Trouble(f\"{list(answers.values()).count('refusedtoo many requests')} {answers[100]}\"))\n"
         "time.sleep(3600)\n"
     )
     async with Service().living() as service:

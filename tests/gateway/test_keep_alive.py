@@ -54,8 +54,8 @@ class Part:
 @pytest.fixture(autouse=True)
 def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "FIRST_WAIT_S", 0.001)
-    monkeypatch.setattr(module, "LONGEST_WAIT_S", 0.004)
-    monkeypatch.setattr(module, "WELL_S", 0.02)
+    monkeypatch.setattr(module, "MAX_WAIT_S", 0.004)
+    monkeypatch.setattr(module, "STABLE_S", 0.02)
 
 
 @pytest.mark.parametrize("error, why", [*WHYS, ("it hung", "it hung")])

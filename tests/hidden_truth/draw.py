@@ -49,7 +49,7 @@ _FADINGS = 16
 
 @dataclass(frozen=True)
 class NotDrawn(Exception):
-    """No draw of a tier and seed shows what it hides: the ranges are at fault."""
+    """No draw of a tier and seed is visible in the data: the ranges are wrong."""
 
     tier: str
     seed: int
@@ -137,7 +137,7 @@ def _plans(tier: str, variant: str, rng: Generator) -> tuple[Plan, ...]:
 
 
 def _shown(truth: Truth) -> Truth | None:
-    """With its gap, and of two causes the one first that explains more; None if something does not show."""
+    """With its gap, and the cause that explains more first; None if a cause does not show."""
     runs = make(truth)
     if not truth.hidden:
         return replace(truth, gap=gap(truth, runs))
@@ -151,7 +151,7 @@ def _shown(truth: Truth) -> Truth | None:
 
 
 def _faded(truth: Truth, rng: Generator) -> Truth | None:
-    """At the share of its strength that has the gap at which it aims, or near enough."""
+    """At the share of its strength with about the wanted gap."""
     aim = float(np.exp(rng.uniform(*np.log(FAINT_AIM))))
     strong = truth.hidden[0]
     low, high = 1e-5, 1.0
@@ -165,7 +165,7 @@ def _faded(truth: Truth, rng: Generator) -> Truth | None:
             low = share
         else:
             high = share
-        # A gap grows about as the square of the strength; where that leads outside the bracket, halve it.
+        # A gap grows about with the square of the strength; outside the bracket, bisect.
         share *= (aim / max(found, 1.0)) ** 0.5
         if not low < share < high:
             share = (low * high) ** 0.5

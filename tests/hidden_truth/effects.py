@@ -207,7 +207,7 @@ _ALL = (
     Effect("x_outlet_check_valve", "cracking_kPa", 2.0, 10.0, _set("cracking_kPa")),
     # The solenoid follows ISO 6358, matched at 69 kPa into 0 kPa.
     Effect("x_solenoid_choked", "critical_pressure_ratio", 0.2, 0.5, _set("outlet_critical_ratio"), None),
-    # The solenoid opens late, or not at all if told to close before.
+    # The solenoid opens late, or not at all if its command ends before.
     Effect("x_solenoid_slow_open", "delay_s", 0.01, 0.08, _set("opening_s")),
     # P_vac ~ min(1, P_r / rated)^power.
     Effect("x_venturi_power", "power", 0.6, 2.0, _set("vacuum_power"), _nearer_one),
@@ -258,7 +258,7 @@ OUTSIDE = tuple(effect.name for effect in _ALL if not effect.in_table)
 
 @dataclass(frozen=True)
 class Hidden:
-    """An effect as it is in one rig."""
+    """An effect in one rig."""
 
     name: str
     value: float
@@ -268,7 +268,7 @@ class Hidden:
         return EFFECTS[self.name]
 
     def weaker(self, share: float) -> Hidden:
-        """The same at a share of its strength."""
+        """This effect at a share of its strength."""
         weaken = self.effect.weaken
         if weaken is None:
             raise ValueError(f"{self.name} is there or not: nothing in between")

@@ -48,7 +48,7 @@ def _parameters(hidden: Hidden) -> dict[str, float]:
 
 
 def write(folder: Path, truth: Truth) -> dict[str, Any]:
-    """The case in `folder`, which is made; its answer is returned and kept beside the folder."""
+    """Write the case into a new `folder`. Its answer is returned, and written beside the folder."""
     folder.mkdir(parents=True)
     text = rig_toml(truth.believed, truth.stated, truth.tolerance_percent)
     (folder / "rig.toml").write_text(text, encoding="utf-8")
@@ -62,7 +62,7 @@ def write(folder: Path, truth: Truth) -> dict[str, Any]:
 
 
 def csv_text(recording: Recording) -> str:
-    """What is on record of a run."""
+    """The recorded columns of a run."""
 
     def cell(value: float, form: str) -> str:
         return "" if np.isnan(value) else f"{value:{form}}"

@@ -35,12 +35,12 @@ _ENOUGH, _ENOUGH_SHARE = 1.0, 0.01
 
 
 def chi_square(truth: Truth, recordings: Sequence[Recording]) -> float:
-    """Of the truth itself: nothing is fitted."""
+    """Chi-square of the truth itself, without a fit."""
     return sum(float(np.sum(misfit(truth, one, one.clean) ** 2)) for one in recordings)
 
 
 def gap(truth: Truth, recordings: Sequence[Recording], known: tuple[Hidden, ...] = ()) -> float:
-    """How far the baseline's best fit lies above the truth; `known` effects are in it, as strong as fits."""
+    """Chi-square of the baseline's best fit above the truth; `known` effects are fitted as well."""
     numbers = [name for name in NUMBERS if getattr(truth.believed, name) is not None]
     runs = len(recordings)
 
@@ -108,7 +108,7 @@ class _Linear:
 
 
 def _slopes(residuals: Callable[[Array], list[Array]], at: Array, parts: list[Array], numbers: int) -> Array:
-    """By differences. A run's initial pressures bear on that run alone, so all runs' are nudged at once."""
+    """Finite differences. Initial pressures only act on their own run, so all are changed at once."""
     runs = len(parts)
     slopes = np.zeros((sum(one.size for one in parts), at.size))
     own = np.repeat(np.arange(runs), [one.size for one in parts])

@@ -48,9 +48,9 @@ AMBIENT_KPA = 101.325
 ALPHA_KPA = 101.325
 GAMMA = 1.4
 RATED_KPA = 690.0
-"""Where the ISO 6358 valve passes what Ohm's law gives."""
+"""Pressure at which the ISO 6358 valve has the flow of Ohm's law."""
 OUTLET_MATCH_KPA = 69.0
-"""Likewise for a solenoid that follows ISO 6358."""
+"""The same for a solenoid that follows ISO 6358."""
 LAMINAR = 0.999
 """Beyond this ratio of pressures an outlet's flow goes straight to zero, which a square root does not."""
 STATES = 8
@@ -114,11 +114,11 @@ class Physics(NamedTuple):
 
 
 class Control(NamedTuple):
-    """Who moves the valves. The loop is a host's: full outside a band, proportional-integral in it."""
+    """The control of the valves. The loop runs on a host: fully open outside a band, PI control in it."""
 
     closed_loop: bool
     venturi: bool = True
-    """Whether the loop uses it."""
+    """True if the loop uses it."""
     guard_kPa: float = math.inf
     """Open loop: a reading above it keeps the inflation valve shut until the plan's next move; if that would
     inflate it vents instead, as its own row says, and otherwise a move that inflates does only that."""
@@ -332,7 +332,7 @@ def _advance(
 
 
 def _active(p: Physics) -> int:
-    """How many of the states can move."""
+    """Number of states that can change."""
     if p.second_L > 0.0:
         return 8
     if p.coil_per_s > 0.0:
@@ -379,7 +379,7 @@ def _fly(
     hung = 0
     for i in range(n):
         t = time_s[i]
-        # Readings, with the inputs that held until now.
+        # Readings, with the previous inputs.
         q_e, q_m, q_o = flows(p, t, y, target, d, is_open)
         cv = y[3] if p.cv_sensor_lag_s > 0.0 else y[1]
         cv += p.tube_kPa_s_per_SL * (q_e - q_o)

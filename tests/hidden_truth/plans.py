@@ -1,4 +1,4 @@
-"""What is done in a run, sample by sample: the command for a loop, or the openings for the valves."""
+"""The inputs of a run, sample by sample: the command for a loop, or the openings of the valves."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BEND_KPA = 20.7
 INFLATIONS = (0.15, 0.3, 0.5, 0.75, 1.0)
 VENTS, VENT_SHARES = (0.0, 0.5, 1.0), (0.5, 0.25, 0.25)
 GUARD_KPA = 60.0
-"""Random openings inflate no further, by the reading."""
+"""Maximum reading up to which random openings inflate."""
 HOLD_GUARD_KPA = 100.0
 FULL_KPA = 690.0
 
@@ -32,13 +32,13 @@ class Plan:
 
 
 def steady_time(duration_s: float, period_s: float = PERIOD_S) -> Array:
-    """As it is written, in milliseconds."""
+    """Rounded as written, in milliseconds."""
     time: Array = np.arange(round(duration_s / period_s), dtype=np.float64)
     return (time * period_s).round(3)
 
 
 def uneven_time(rng: Generator, duration_s: float) -> Array:
-    """A host that is late at times: 6 to 34 ms between samples, and a hiccup of 0.1 s now and then."""
+    """A host with irregular samples: 6 to 34 ms, and sometimes 0.1 s."""
     n = round(1.2 * duration_s / PERIOD_S)
     gaps = PERIOD_S * rng.uniform(0.3, 1.7, n)
     gaps[rng.random(n) < 0.01] = 0.1
@@ -113,5 +113,5 @@ def discharge(rng: Generator) -> Plan:
 
 
 def hanging(plan: Plan, from_sample: int, samples: int) -> Plan:
-    """The same with a host that hangs, from the next moment at which nothing is being inflated."""
+    """The same with a gap, from the next time at which the inflation valve is shut."""
     return replace(plan, control=plan.control._replace(stall_from=from_sample, stall_samples=samples))

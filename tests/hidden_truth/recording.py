@@ -1,4 +1,4 @@
-"""The runs that come of a truth: flown, read with noise, rounded as written, less what is lost."""
+"""The recorded runs of a truth: simulated, with noise, rounded, without lost data."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hidden_truth.plans import Plan, hanging
 from hidden_truth.truth import Truth
 
 TOLERANCE_KPA = 1e-6
-"""Of each step of the integrator: 1e-5 kPa and less over a run."""
+"""Tolerance of each integrator step: at most 1e-5 kPa over a run."""
 HOLE_S = 2.0
 EMPTY_SHARE = 0.05
 CV_DECIMALS, RESERVOIR_DECIMALS = 3, 2
@@ -22,7 +22,7 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One run: all that happened, and what of it is on record."""
+    """One run: the truth, and its recorded part."""
 
     name: str
     time_s: Array
@@ -34,9 +34,9 @@ class Recording:
     read: Array
     """As written; NaN where a cell is empty."""
     kept: Flags
-    """Rows that are on record."""
+    """Recorded rows."""
     missing: frozenset[str]
-    """Columns that are not."""
+    """Columns that are not recorded."""
     start_kPa: tuple[float, float]
 
 
@@ -104,7 +104,7 @@ def _missing(truth: Truth) -> frozenset[str]:
 
 
 def misfit(truth: Truth, recording: Recording, model: Array) -> Array:
-    """Readings on record less a model's, in standard deviations of the noise that there was."""
+    """Recorded minus modelled readings, in standard deviations of the true noise."""
     off = (recording.read - model)[recording.kept] / (truth.noise.cv_kPa, truth.noise.reservoir_kPa)
     flat: Array = off[np.isfinite(off)]
     return flat

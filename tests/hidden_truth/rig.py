@@ -1,4 +1,4 @@
-"""A rig's numbers, as they are or as they are believed to be, and how `rig.toml` states them."""
+"""The numbers of a rig, true or nominal, and their form in `rig.toml`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.random import Generator
 from hidden_truth.kernel import Physics
 
 TOLERANCE_PERCENT = 1.0
-"""To which a number is believed where `rig.toml` says nothing."""
+"""Default tolerance of a number."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,11 @@ KEYS = {
 }
 NUMBERS = tuple(KEYS)
 WORN = NUMBERS[:-1]
-"""What is off in a worn rig: the rated supply is a maker's figure, and stays."""
+"""The numbers that are wrong in a worn rig; the rated supply is from the manufacturer and stays."""
 
 
 def draw_rig(rng: Generator) -> tuple[Rig, Noise]:
-    """Every second one of the kind that the public cases are of, the others of any kind that is flown."""
+    """Every second rig is like the public cases, the others are any flown kind."""
     if rng.random() < 0.5:
         rig = Rig(reservoir_L=float(rng.choice([2.0, 4.0])), cv_L=float(rng.choice([0.1, 0.25, 0.5, 1.0])))
         return rig, Noise()
@@ -70,7 +70,7 @@ def draw_rig(rng: Generator) -> tuple[Rig, Noise]:
 
 
 def worn(rng: Generator, rig: Rig, percent: float) -> Rig:
-    """What is believed of it after a while, as it is written: five decimals."""
+    """Its nominal numbers after some wear, rounded to five decimals."""
     off = {
         name: round(getattr(rig, name) * (1.0 + rng.uniform(-percent, percent) / 100.0), 5) for name in WORN
     }
@@ -85,7 +85,7 @@ def physics(rig: Rig) -> Physics:
 
 
 def rig_toml(believed: Rig, stated: Noise, tolerance_percent: float) -> str:
-    """The believed rig as the tool is told of it."""
+    """The nominal rig for the project's own code."""
     lines = ["# what the rig is believed to be: the simulation starts from these numbers"]
     table = ""
     for field in fields(believed):

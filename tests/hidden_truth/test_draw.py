@@ -1,4 +1,4 @@
-"""What a tier promises, it holds; and what a case claims to hide is in its data."""
+"""A tier has its defined properties, and a hidden effect is in the data of its case."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from hidden_truth.kernel import Array
 from hidden_truth.recording import WITHOUT, Flags, misfit, replay
 from hidden_truth.rig import NUMBERS, WORN, physics
 from hidden_truth.truth import Truth
+
+pytestmark = pytest.mark.long
 
 
 @cache
@@ -138,7 +140,7 @@ def test_a_third_of_an_effect_is_seen_less_and_next_to_nothing_not_at_all(name: 
 
 
 def test_the_gap_is_that_of_an_exact_fit() -> None:
-    """Scipy's least squares over the same numbers, derivatives taken anew at every step."""
+    """scipy's least squares over the same numbers, with new derivatives at every step."""
     truth = drawn("faint")[0]
     runs = make(truth)
     n = len(NUMBERS)

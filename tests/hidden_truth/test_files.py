@@ -1,4 +1,4 @@
-"""What is written is what was recorded, in the public format, and the answer is not among it."""
+"""The written files have the recorded data in the public format, without the answer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The kernel against scipy's integrators, against closed forms, and each effect against what it is to do."""
+"""The kernel agrees with scipy's integrators and closed forms, and each effect with its definition."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from hidden_truth.kernel import STATES, Array, Control, Physics, flows, fly, rat
 from hidden_truth.plans import prbs, steady_time
 from hidden_truth.recording import replay
 from hidden_truth.rig import Noise, Rig, physics
+
+pytestmark = pytest.mark.long
 
 ALPHA, AMBIENT, GAMMA = 101.325, 101.325, 1.4
 RIG = Rig(reservoir_L=1.0, cv_L=0.25)
@@ -101,7 +103,7 @@ def schedule(p: Physics, inputs: Array) -> list[tuple[float, float, float, bool]
 
 
 def by_scipy(p: Physics, inputs: Array, start: tuple[float, float], method: str) -> Array:
-    """Readings without noise at every sample, by another integrator and another list of what happens when."""
+    """Readings without noise at every sample, by another integrator and another list of events."""
 
     def rate(t: float, y: Any, *held: Any) -> Array:
         out = np.zeros(STATES)
@@ -207,7 +209,7 @@ def test_gas_that_has_no_time_cools_and_warms_adiabatically() -> None:
 
 
 def fly_states(p: Physics, inputs: Array, start: tuple[float, float]) -> dict[str, float]:
-    """The end of a run in which inputs stand still, by the rates alone."""
+    """The end of a run with constant inputs, from the rates alone."""
     y = np.array([*start, 0.0, start[1], 1.0, 1.0, 0.0, start[1]])
 
     def rate(t: float, y: Any) -> Array:

@@ -1,4 +1,4 @@
-"""Cases by another simulator: with their answers' parameters nothing but noise is left over."""
+"""Cases of another simulator: with the parameters of their answers only noise remains."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hidden_truth.truth import Truth
 CASES = Path(__file__).parents[1] / "data" / "cases"
 ANSWERS: dict[str, dict[str, Any]] = json.loads((CASES / "answers.json").read_text(encoding="utf-8"))
 IN_TABLE = sorted(name for name, answer in ANSWERS.items() if not answer["effect"].startswith("x_"))
-"""What is outside is said by name, and by no equation."""
+"""Effects outside the catalogue have a name, but no equation here."""
 NOISE = Noise()
 SIGMA = (NOISE.cv_kPa, NOISE.reservoir_kPa)
 
@@ -36,7 +36,7 @@ def true_physics(case: str) -> Physics:
 
 
 def settled(p: Physics, path: Path) -> Recording:
-    """The run, with the initial pressures that fit best, and what the truth then reads."""
+    """The run with the best initial pressures, and the readings of the truth."""
     table = np.genfromtxt(path, delimiter=",", skip_header=1)
     time_s, command, read = table[:, 0].copy(), table[:, 1], table[:, 5:7]
     inputs = table[:, 2:5].copy()
@@ -75,7 +75,7 @@ def test_only_noise_is_left(case: str) -> None:
 
 @pytest.mark.parametrize("case", IN_TABLE)
 def test_the_effect_is_needed_for_that(case: str) -> None:
-    """A fit of the baseline's numbers stays behind, but not further than the baseline as it stands."""
+    """A fit of the baseline's numbers is worse than the truth, but not worse than the nominal baseline."""
     with (CASES / case / "rig.toml").open("rb") as file:
         toml = tomllib.load(file)
     numbers = {name: toml[key.split(".")[0]][key.split(".")[1]] for name, key in KEYS.items()}

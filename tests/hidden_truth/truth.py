@@ -1,4 +1,4 @@
-"""What is hidden, in which rig, what is believed of it, how it is flown, and what is lost of the record."""
+"""The truth of a case: hidden effects, rig, nominal rig, runs, and lost data."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hidden_truth.rig import Noise, Rig
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Everything that a case follows from.
+    """Everything that determines a case.
 
     `variant` says what is special about the case within its tier:
     `cells` (5 % of the cells of either pressure and 2 s of both are empty), `held` (rows are missing:
@@ -26,7 +26,7 @@ class Truth:
     seed: int
     variant: str
     hidden: tuple[Hidden, ...]
-    """The one that explains most first."""
+    """The effect that explains most is first."""
     rig: Rig
     believed: Rig
     tolerance_percent: float
@@ -34,9 +34,9 @@ class Truth:
     stated: Noise
     plans: tuple[Plan, ...]
     stream: tuple[int, ...]
-    """Of random numbers: for the noise, and what is lost."""
+    """Seed of the random numbers for noise and lost data."""
     gap: float = 0.0
-    """How far the chi-square of the baseline's best fit lies above the truth's, on the data as recorded."""
+    """Chi-square of the baseline's best fit minus that of the truth, on the recorded data."""
 
     @property
     def physics(self) -> Physics:

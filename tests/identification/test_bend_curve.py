@@ -1,4 +1,4 @@
-"""Calibration: a hidden truth is found again, its intervals hold it, and bad files are one line."""
+"""Bend-curve fits find a known truth within their intervals; a bad file gives an error of one line."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_the_intervals_hold_the_truth_as_often_as_they_say() -> None:
 
 
 def test_the_fitted_hysteresis_is_that_by_which_the_vine_flies() -> None:
-    """Along a wandering pressure the curve that is written bends as the truth does."""
+    """For a changing pressure the written curve gives the same bend as the truth."""
     found = fit(measured(TRUTH, 3))
     curve = BendCurve(found.curve, found.written_hysteresis_kPa)
     kPa = 10.0 + 9.0 * np.sin(np.linspace(0.0, 20.0, 400)) * np.cos(np.linspace(0.0, 7.3, 400))
@@ -94,11 +94,11 @@ def test_no_hysteresis_is_told_as_none() -> None:
     assert found.hysteresis_kPa is not None
     assert found.hysteresis_kPa.low == 0.0
     assert found.written_hysteresis_kPa == 0.0
-    assert any("No hysteresis can be told" in note for note in found.notes)
+    assert any("show no hysteresis" in note for note in found.notes)
 
 
 def s_shaped(kPa: Array) -> Array:
-    """A vine that no law of a dead zone and a decay describes, with a hysteresis of 2 kPa."""
+    """A vine that does not follow the exponential law, with a hysteresis of 2 kPa."""
     return 60.0 / (1.0 + np.exp(-(bent_kPa(kPa, 2.0) - 11.0) / 2.0))
 
 
@@ -128,17 +128,17 @@ def test_a_vine_that_follows_the_law_keeps_it() -> None:
 def test_what_is_doubtful_is_said() -> None:
     rng = np.random.default_rng(1)
     rough = Pairs(LOOP, TRUTH.angles_deg(LOOP) + rng.normal(0.0, 6.0, len(LOOP)))
-    assert any("stay unexplained" in note for note in fit(rough).notes)
+    assert any("residuals are large" in note for note in fit(rough).notes)
     line = Pairs(LOOP, 2.0 * LOOP + rng.normal(0.0, 0.5, len(LOOP)))
     assert any("does not level off" in note for note in fit(line).notes)
     wide = fit(measured(TRUTH._replace(dead_kPa=0.5), 7))
     assert any("wider than the dead zone" in note for note in wide.notes)
     quick = Pairs(LOOP, TRUTH.angles_deg(LOOP), np.linspace(0.0, 5.0, len(LOOP)))
-    assert any("lag may count as hysteresis" in note for note in fit(quick).notes)
+    assert any("lag may look like hysteresis" in note for note in fit(quick).notes)
 
 
 def test_a_law_that_does_not_fit_is_not_made_certain_by_more_pairs() -> None:
-    """The S-shaped vine, measured ever more densely: the law's interval stays as wide as its misfit."""
+    """With more pairs of an S-shaped vine the law's interval stays as wide as its error."""
     widths = []
     for count in (30, 300):
         up = np.linspace(0.0, 20.7, count)
@@ -175,8 +175,8 @@ def test_a_file_with_times_blank_lines_and_more_columns_is_read() -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "p.csv:1: the header needs one column 'pressure_kPa'; it has nothing"),
-        ("pressure_psi,angle_deg\n1,2\n", "it has pressure_psi, angle_deg"),
+        ("", "p.csv:1: the header needs one column 'pressure_kPa'; it contains nothing"),
+        ("pressure_psi,angle_deg\n1,2\n", "it contains pressure_psi, angle_deg"),
         (HEAD + "1,2\n2,x\n", "p.csv:3: angle_deg: 'x' is not a number"),
         (HEAD + "1,2\n2\n", "p.csv:3: angle_deg: '' is not a number"),
         (HEAD + "1,2\nnan,4\n", "p.csv:3: pressure_kPa: 'nan' is not a finite number"),
@@ -185,13 +185,13 @@ def test_a_file_with_times_blank_lines_and_more_columns_is_read() -> None:
         (rows(101.3 + LOOP, LOOP), "looks like absolute pressure"),
         (rows(LOOP - 101.3, LOOP), "0 at ambient pressure"),
         (rows(LOOP / 100, LOOP), "looks like bar or MPa"),
-        (rows(LOOP / 30, LOOP), "span 0.69 kPa only"),
+        (rows(LOOP / 30, LOOP), "only span 0.69 kPa"),
         (rows(LOOP, np.radians(3 * LOOP)), "looks like radians"),
-        (rows(LOOP, 1000 * LOOP), "no vine bends by two turns"),
+        (rows(LOOP, 1000 * LOOP), "no vine bends that far"),
         (rows(LOOP, 0 * LOOP + 5), "the same in every pair"),
         (rows(LOOP, -3 * LOOP), "the angle falls while the pressure rises"),
-        (rows(LOOP, 20 + 1.5 * LOOP - 19.0 * (np.arange(len(LOOP)) > 24)), "begin with the straight vine"),
-        (rows(LOOP, 3 * LOOP - 60), "begin with the straight vine"),
+        (rows(LOOP, 20 + 1.5 * LOOP - 19.0 * (np.arange(len(LOOP)) > 24)), "start with the straight vine"),
+        (rows(LOOP, 3 * LOOP - 60), "start with the straight vine"),
         (
             "time_s,pressure_kPa,angle_deg\n" + "1,2,3\n" * 9,
             "time_s does not rise",

@@ -1,4 +1,4 @@
-"""Case folders and their files: what is read, what a remark is made of, and what is said about the rest."""
+"""Case folders and their files: content, remarks, and errors."""
 
 from __future__ import annotations
 
@@ -143,20 +143,20 @@ def test_empty_cells_and_missing_rows(folder: Path) -> None:
 
 
 REMARKED = {
-    "input": (changed(45, "solenoid", ""), "solenoid: 1 empty cell, where the value before is taken to hold"),
-    "first": (changed(0, "dvp_opening", ""), "dvp_opening: 1 empty cell, where the value before"),
+    "input": (changed(45, "solenoid", ""), "solenoid: 1 empty cell, filled with the value before"),
+    "first": (changed(0, "dvp_opening", ""), "dvp_opening: 1 empty cell, filled with the value before"),
     "column": (text([row + ",7" for row in ROWS], HEADER + ",motor_rpm"), "column 'motor_rpm' is ignored"),
     "index": (text([f"{i},{row}" for i, row in enumerate(ROWS)], "," + HEADER), "without a name is ignored"),
-    "above": ("logger 7;started\n" + text(), "above the line of column names is ignored"),
+    "above": ("logger 7;started\n" + text(), "the lines above the column names are ignored"),
     "time": (changed(7, "time_s", ""), "1 row without a time left out"),
-    "again": (text([*ROWS[:7], ROWS[6], *ROWS[7:]]), "1 row with the time of the next left out"),
-    "cut": (text()[:-40], "the last line is cut off, and left out"),
-    "cut number": (text()[:-3], "the last line is cut off, and left out"),
+    "again": (text([*ROWS[:7], ROWS[6], *ROWS[7:]]), "1 row with the time of the next row left out"),
+    "cut": (text()[:-40], "the last line is incomplete and left out"),
+    "cut number": (text()[:-3], "the last line is incomplete and left out"),
     "dvp": (only(*HEADER.replace(",dvp_opening", "").split(",")), "dvp_opening was not recorded"),
     "reservoir": (only(*HEADER.split(",")[:-1]), "the reservoir's pressure was not recorded"),
     "discharge": (
         only("time_s", "reservoir_pressure_kPa"),
-        "taken as a discharge of the reservoir to atmosphere",
+        "assumed to be a discharge of the reservoir to atmosphere",
     ),
 }  # fmt: skip
 
@@ -195,14 +195,14 @@ REFUSED: dict[str, tuple[str | bytes, str]] = {
     "huge": (changed(4, "reservoir_pressure_kPa", "1e999"), "'1e999' is not a finite number"),
     "underscore": (changed(4, "cv_pressure_kPa", "1_0"), ":6: cv_pressure_kPa: '1_0' is not a number"),
     "comma": (text().replace(",", ";").replace(".", ","), ":2: time_s: '0,00' has a decimal comma"),
-    "commas": (text([row.replace(".", ",") for row in ROWS]), ":2: has 11 cells where there are 7 columns"),
-    "short": (text([*ROWS[:9], "0.45,20,0.5", *ROWS[10:]]), ":11: has 3 cells where there are 7 columns"),
+    "commas": (text([row.replace(".", ",") for row in ROWS]), ":2: has 11 cells, but there are 7 columns"),
+    "short": (text([*ROWS[:9], "0.45,20,0.5", *ROWS[10:]]), ":11: has 3 cells, but there are 7 columns"),
     "percent": (text().replace(",0.5,0,", ",50,0,"), ":2: evp_opening: '50' is outside 0…1"),
     "negative": (changed(9, "dvp_opening", "-0.1"), ":11: dvp_opening: '-0.1' is outside 0…1"),
     "solenoid": (changed(9, "solenoid", "0.5"), ":11: solenoid: '0.5' is neither 0 (shut) nor 1 (open)"),
     "backwards": (text([*ROWS, *ROWS]), ":62: time_s: time runs backwards, from 2.95 to 0 s"),
-    "still": (text(["1" + row[row.index(",") :] for row in ROWS]), ": time_s: time stands still: 59 of 60"),
-    "three": (text(ROWS[:3]), ": 3 samples in 0.1 s are too few for a run"),
+    "still": (text(["1" + row[row.index(",") :] for row in ROWS]), ": time_s: 59 of 60 rows"),
+    "three": (text(ROWS[:3]), ": 3 samples in 0.1 s are too few; a run"),
     "one second": (text(["0.0" + row.replace(".", "", 1) for row in ROWS]), ": 60 samples in 0.0295 s are"),
     "no rows": (text([]), ": 0 samples in 0 s are too few"),
     "no times": (text(["" + row[row.index(",") :] for row in ROWS]), ": 0 samples in 0 s are too few"),
@@ -214,12 +214,12 @@ REFUSED: dict[str, tuple[str | bytes, str]] = {
     "case": (text(header=HEADER.replace("evp_opening", "EVP_Opening")), "did you mean evp_opening?"),
     "spelling": (text(header=HEADER.replace("reservoir_pr", "resevoir_pr")), "did you mean reservoir_"),
     "no pressure": (only(*HEADER.split(",")[:5]), ":1: no pressure was recorded"),
-    "no openings": (only("time_s", "cv_pressure_kPa", "reservoir_pressure_kPa"), "what the valves were told"),
+    "no openings": (only("time_s", "cv_pressure_kPa", "reservoir_pressure_kPa"), "valve commands were not"),
     "quotation": (text([*ROWS[:9], '"' + ROWS[9], *ROWS[10:]]), ":11: a quotation mark is not closed"),
     "latin": (text().replace("time_s", "time_s,°").encode("latin-1"), ":1: is not UTF-8 text"),
     "utf-16": (text().encode("utf-16"), ":1: is not UTF-8 text"),
     "binary": (b"time_s,\0\0\0", ": is not a text file"),
-    "field": (text([*ROWS, "9,,0,0,0,0," + "9" * 200_000]), ":62: is no line of a CSV: field larger"),
+    "field": (text([*ROWS, "9,,0,0,0,0," + "9" * 200_000]), ":62: is not a CSV line: field larger"),
 }  # fmt: skip
 
 
@@ -230,7 +230,7 @@ def test_what_cannot_be_read_is_one_line(folder: Path, what: str) -> None:
 
 
 def test_folders_that_are_no_case(folder: Path) -> None:
-    assert "holds no recorded run" in refused(folder)
+    assert "contains no recorded run" in refused(folder)
     assert "no such folder or file" in refused(folder / "C:\\cases\\one")
     with pytest.raises(CaseError, match=r"two\\nlines: no such folder"):
         read_case(folder / "two\nlines")
@@ -263,7 +263,7 @@ def test_a_single_file(folder: Path, tmp_path: Path) -> None:
     assert_same(case.runs[0], run)
     assert read_case(folder, str(other)).rig == load_rig(other)
     (folder / "rig.toml").unlink()
-    assert "no such file; it has to say what the rig is believed to be" in refused_beside(folder / "run.csv")
+    assert "no such file; it must describe the nominal rig" in refused_beside(folder / "run.csv")
 
 
 def refused_beside(path: Path) -> str:

@@ -31,7 +31,7 @@ KINDS = ("steps", "shaken", "bends", "hold")
 
 @dataclass(frozen=True)
 class Worn:
-    """A rig, and what is wrong with it and with its sensors."""
+    """A rig with errors of the rig and of its sensors."""
 
     reservoir_L: float = 2.0
     cv_L: float | None = 0.25
@@ -40,7 +40,7 @@ class Worn:
     dead_zone: float = 0.0
     leak_R: float = 1e9
     offset_kPa: tuple[float, float] = (0.0, 0.0)
-    """Of the sensors of CV and reservoir, as what follows."""
+    """For the sensors of CV and reservoir, as the next ones."""
     gain: tuple[float, float] = (1.0, 1.0)
     noise_kPa: tuple[float, float] = (0.15, 1.2)
     step_kPa: tuple[float, float] = (1e-3, 1e-2)
@@ -83,7 +83,7 @@ def told(
 
 
 def record(rig: Worn, kind: str, seed: int, reservoir_kPa: float = 600.0, seconds: float = 12.0) -> Columns:
-    """A run at 50 samples a second, as its sensors read it."""
+    """A recorded run at 50 samples a second."""
     chance = random.Random(f"{kind} {seed}")
     cv = 0.0
     reservoir = reservoir_kPa
@@ -286,7 +286,7 @@ def test_a_weak_reservoir_read_with_little_noise_is_no_psi_where_a_strong_one_is
 def test_absolute_pressure_of_the_control_volume(rig: Worn, seed: int, ambient_kPa: float) -> None:
     run = record(rig, "bends", seed)
     run[CV] = run[CV] + ambient_kPa
-    # A passive vent long enough to settle.
+    # A passive vent that is long enough to settle.
     rest = {name: np.full(200, values[-1]) for name, values in run.items()}
     rest[TIME] = run[TIME][-1] + 0.02 * np.arange(1, 201)
     rest |= {EVP: np.zeros(200), SOLENOID: np.ones(200), CV: np.full(200, ambient_kPa)}
@@ -328,8 +328,8 @@ def test_a_slip_of_the_recorder() -> None:
 
 def test_pressures_in_no_unit() -> None:
     run = record(Worn(), "bends", 1)
-    assert "is no gauge pressure in kPa" in refused(Worn(), scaled(run, 1e9, RESERVOIR))
-    assert "is no gauge pressure in kPa" in refused(Worn(), scaled(run, -1.0, RESERVOIR))
+    assert "gauge pressures of such a rig are" in refused(Worn(), scaled(run, 1e9, RESERVOIR))
+    assert "gauge pressures of such a rig are" in refused(Worn(), scaled(run, -1.0, RESERVOIR))
 
 
 @pytest.mark.parametrize(
@@ -360,7 +360,7 @@ def test_where_nothing_moves() -> None:
     assert "no valve ever opens" in refused(Worn(), still(), still())
     case = case_of(Worn(), [still(), record(Worn(), "bends", 1)])
     assert case.remarks == ("run_1.csv: no valve ever opens",)
-    # A leak shows while all is shut.
+    # A leak is visible while all valves are shut.
     assert case_of(Worn(), [still(falls_kPa=30.0)]).remarks == ("run_1.csv: no valve ever opens",)
 
 
@@ -378,4 +378,4 @@ def test_without_openings_a_reservoir_has_to_empty() -> None:
     assert read.to_atmosphere
     flat = bare | {RESERVOIR: np.full(len(run[TIME]), 600.0) + 0.5 * np.sin(run[TIME])}
     assert "hardly falls; add evp_opening" in refused(Worn(), flat)
-    assert "what the valves were told was not recorded" in refused(Worn(), bare | {CV: run[CV]})
+    assert "the valve commands were not recorded" in refused(Worn(), bare | {CV: run[CV]})

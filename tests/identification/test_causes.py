@@ -1,4 +1,4 @@
-"""The catalogue: what every cause must be."""
+"""Properties of every cause of the catalogue."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ TABLE = {
     "reservoir_sensor_gain": "gain",
     "ambient_drop": "rate_kPa_per_s",
 }
-"""Of the rig-data format."""
+"""Names of the rig-data format."""
 
 
 def test_the_catalogue_has_the_formats_names() -> None:
@@ -53,4 +53,4 @@ def test_a_cause_says_what_it_is(cause: Cause) -> None:
         assert parameter.low < parameter.high
         for seed in parameter.seeds:
             assert parameter.low <= seed <= parameter.high
-            assert parameter.outer(parameter.inner(seed)) == pytest.approx(seed)
+            assert parameter.to_model(parameter.to_search(seed)) == pytest.approx(seed)

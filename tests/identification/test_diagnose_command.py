@@ -1,4 +1,4 @@
-"""The command: a verdict for people and machines, one line for what cannot be read."""
+"""The command `diagnose`: a verdict for people and machines, one line for each error."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_the_extended_rig_can_be_simulated(
     (value,) = rig.causes[verdict["cause"]].values()
     (estimate,) = verdict["parameters"].values()
     assert value == pytest.approx(estimate["estimate"])
-    assert rig.setup.plant.effects != Effects() or rig.setup.plant.rig != rig.believed
+    assert rig.setup.plant.effects != Effects() or rig.setup.plant.rig != rig.nominal
 
 
 def test_what_cannot_be_read_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

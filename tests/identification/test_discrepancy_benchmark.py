@@ -1,4 +1,4 @@
-"""The proving ground's scores, and its tables out of a results file."""
+"""Scores of the discrepancy benchmark, and its tables from a results file."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_a_cause_is_right_or_among_its_like_or_left_open_or_wrong() -> None:
     assert judged("cv_leak", "unexplained") is Judgement.OPEN
     assert judged("cv_leak", "none") is Judgement.WRONG
     assert judged("cv_leak", "none", confidence=0.6) is Judgement.OPEN
-    # Beside another that explains more is not the answer.
+    # A cause beside another one that explains more is not the answer.
     assert judged("cv_leak", "evp_lag", also=[{"cause": "cv_leak"}]) is Judgement.WRONG
 
 
@@ -130,7 +130,7 @@ def test_errors_are_shares_of_the_distance_from_neutral(
     (found,) = measured(one.truth, one.said)
     assert off(found, neutral_values()) == pytest.approx(error)
     assert found.held
-    # What does nothing has no distance to be measured in.
+    # A parameter without effect has no distance.
     assert off(found, {(cause, name): value}) == inf
 
 
@@ -196,7 +196,7 @@ def test_another_file_is_refused_and_left_alone(text: str, tmp_path: Path) -> No
 
 
 def ran(*arguments: str) -> int:
-    """The script, by its path: a folder of the tests has the same name."""
+    """The script is loaded by its path, because a folder of the tests has the same name."""
     status: int = runpy.run_path(str(BENCHMARKS / "discrepancy.py"))["main"](arguments)
     return status
 

@@ -1,4 +1,4 @@
-"""What a verdict writes into a rig file, and what the file still says when it is read again."""
+"""The rig file of a verdict, written and read again."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BELIEVED = Rig(Reservoir(2.0), ControlVolume(0.5), tolerance_percent={"cv.volume
 
 
 def verdict(cause: str, **said: Any) -> Verdict:
-    """One that says this, and nothing else."""
+    """A verdict with only these values."""
     nothing = {field.name: () for field in fields(Verdict)}
     return Verdict(**{**nothing, "cause": cause, "parameters": {}, "numbers": {}, **said})
 
@@ -39,18 +39,18 @@ def test_causes_and_fitted_numbers_are_in_the_file() -> None:
         "cv_leak": {"flow_resistance_kPa_s_per_SL": 304.0},
         "evp_lag": {"time_constant_s": 0.02},
     }
-    assert rig.believed.cv == ControlVolume(0.507) and rig.believed.reservoir == Reservoir(1.99)
-    assert rig.believed.tolerance_percent == BELIEVED.tolerance_percent
+    assert rig.nominal.cv == ControlVolume(0.507) and rig.nominal.reservoir == Reservoir(1.99)
+    assert rig.nominal.tolerance_percent == BELIEVED.tolerance_percent
     assert rig.complete and not rig.none_found
 
 
 def test_that_nothing_else_is_there_is_in_the_file_too() -> None:
     rig = written(verdict(NONE, numbers={"cv.volume_L": 0.495}))
     assert rig.complete and not rig.causes
-    assert rig.believed.cv == ControlVolume(0.495)
+    assert rig.nominal.cv == ControlVolume(0.495)
 
 
 def test_what_is_unexplained_stays_as_it_was_believed() -> None:
     rig = written(verdict(UNEXPLAINED))
-    assert rig.believed == BELIEVED
+    assert rig.nominal == BELIEVED
     assert not rig.complete

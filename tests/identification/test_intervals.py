@@ -1,4 +1,4 @@
-"""Where a profile crosses its line, however it is bent."""
+"""The crossing of a profile with its limit, for any shape."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_the_interval_ends_where_the_profile_does(name: str, guess: float, side:
         return profile(inner - 7.0)
 
     end = _crossing(above, 7.0, side * guess, side * 1e6)
-    # A guess that is twenty times off leaves less to close in with.
+    # A guess that is wrong by a factor of 20 leaves fewer fits for the search.
     assert (end - 7.0) * side == pytest.approx(reach, rel=0.15 if guess >= 1.0 else 0.5)
     assert len(seen) <= 8
 
@@ -40,7 +40,7 @@ def test_a_bound_is_an_end() -> None:
 
 
 def test_what_jumps_is_closed_in_on() -> None:
-    """Where the Venturi stalls is known to lie between two pressures, and nothing else."""
+    """The data only show that the stall pressure is between two pressures."""
     end = _crossing(lambda x: 0.0 if x < 451.3 else 900.0, 450.0, 1.0, 900.0)
     assert 450.9 < end < 452.5
     end = _crossing(lambda x: 0.0 if x < 530.0 else 9e4, 420.0, 0.17, 900.0)

@@ -1,4 +1,4 @@
-"""Many cases at once: the same verdicts, whatever diagnoses them, and none lost because of another."""
+"""Many cases: the same verdicts in any process, and no verdict is lost because of another case."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ RIG = "[reservoir]\nvolume_L = 2.0\n[sensors]\nreservoir_noise_std_kPa = 1.2\n"
 
 
 def discharge(folder: Path, scale: float) -> Path:
-    """A bottle that empties into the open, and takes so many times as long as it should."""
+    """A reservoir that discharges to atmosphere, slower than nominal by this factor."""
     folder.mkdir(parents=True)
     (folder / "rig.toml").write_text(RIG)
     time_s = np.arange(0.0, 120.0, 0.5)
@@ -51,7 +51,7 @@ def season(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def alone(season: list[Path]) -> dict[Path, Verdict]:
-    """The verdicts of a plain loop."""
+    """The verdicts of a simple loop."""
     verdicts = {path: diagnose(read_case(path)) for path in (season[0], season[2])}
     assert [verdict.cause == "none" for verdict in verdicts.values()] == [True, False]
     return verdicts
@@ -70,6 +70,7 @@ def test_processes_find_what_a_loop_finds(season: list[Path], alone: dict[Path, 
     assert same(dict(diagnose_all(season, workers=2)), season, alone)
 
 
+@pytest.mark.long
 def test_a_cluster_finds_what_a_loop_finds(season: list[Path], alone: dict[Path, Verdict]) -> None:
     from distributed import LocalCluster
 
@@ -119,7 +120,7 @@ def test_a_fault_of_ours_costs_one_verdict(
 
 
 class Mortal(Executor):
-    """Like a pool of processes that loses one over its first job."""
+    """A pool that loses a process with its first job."""
 
     def __init__(self) -> None:
         self.jobs = 0
@@ -137,7 +138,10 @@ def test_a_process_that_dies_is_told_for_every_case_that_it_costs(season: list[P
     outcomes = dict(many._as_they_come(Mortal(), [(path, path) for path in season], 2, 1, None))
     said = [str(outcomes[path]) for path in season]
     assert "terminated abruptly" in said[0] and "not usable anymore" in said[1]
-    assert all(text.startswith(f"{path}: no process") for path, text in zip(season, said, strict=True))
+    assert all(
+        text.startswith(f"{path}: the process gave no verdict")
+        for path, text in zip(season, said, strict=True)
+    )
 
 
 def test_each_search_keeps_to_its_share_of_the_cores(
@@ -160,7 +164,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
 
 @pytest.fixture
 def canned(alone: dict[Path, Verdict], monkeypatch: pytest.MonkeyPatch) -> None:
-    """In this process, with verdicts that are known already."""
+    """Diagnoses in this process, with known verdicts."""
     monkeypatch.setattr(many, "cores", lambda: 1)
     instead(monkeypatch, lambda case: alone[case.path])
 

@@ -1,4 +1,4 @@
-"""An effect is one file: from it the plant simulates it, a diagnosis finds it, and a rig file holds it."""
+"""One file adds an effect: to the plant, to the diagnosis, and to rig files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from flying_vines.simulation.scenario import parse_scenario, simulate_scenario, 
 
 BELIEVED = replace(Rig(), reservoir=Reservoir(2.0), cv=ControlVolume(0.2))
 FILE = '''
-"""The solenoid chokes: it follows ISO 6358, and passes at 20 kPa what Ohm's law gives."""
+"""The solenoid chokes: it follows ISO 6358 with the flow of Ohm's law at 20 kPa."""
 
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.flow import iso6358_matching

@@ -1,4 +1,4 @@
-"""Plans: they keep what they promise, on runs that are then simulated and diagnosed."""
+"""Plans: their runs, simulated and diagnosed, separate the causes as predicted."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def made() -> RecordingPlan:
 
 @pytest.fixture(scope="module")
 def short() -> RecordingPlan:
-    """Of the vine, for which commands alone are not enough."""
+    """A plan for the vine, for which commands alone are not enough."""
     return plan(Rig(), minutes=0.5, air_SL=11.0)
 
 
@@ -72,8 +72,9 @@ def worst(matrix: Array, but: CausePair | None = None) -> float:
     return float(matrix[counts].min())
 
 
+@pytest.mark.long
 def test_a_plan_beats_what_one_would_record_without_it(made: RecordingPlan, layout: Layout) -> None:
-    """In the worst pair that can be told apart, at the same length, and at the same highest pressure."""
+    """For the worst separable pair, with the same length and maximum pressure."""
     seconds = made.best.seconds / 3
     bends: RunKind = BendsRun(cycles=int(seconds / 2.5), bend_kPa=20.7)
     stairs: RunKind = StepsRun(
@@ -88,8 +89,9 @@ def test_a_plan_beats_what_one_would_record_without_it(made: RecordingPlan, layo
     assert least > SETTLED
 
 
+@pytest.mark.long
 def test_it_settles_what_the_example_scenario_leaves_open(short: RecordingPlan) -> None:
-    """In a sixth of its three minutes, with a third of its pressure."""
+    """With a sixth of its three minutes, and a third of its pressure."""
     layout = layout_of(short.rig, catalogue())
     example = parts(layout, list(load_scenario("case").runs))
     assert worst(apart(layout, gram_of(layout, example))) < 1.0
@@ -98,7 +100,7 @@ def test_it_settles_what_the_example_scenario_leaves_open(short: RecordingPlan) 
 
 
 def test_a_plan_keeps_its_budgets(short: RecordingPlan) -> None:
-    """As the simulated rig does it: time, and air with what is let down between the runs."""
+    """Time and air agree with the simulated rig, including the air between the runs."""
     runs = simulate_scenario(short.rig, short.best.scenario, seed=4)
     assert {run.commanded for run in short.best.runs} == {True, False}
     assert sum(len(run.time_s) for run in runs) * 0.02 == pytest.approx(short.best.seconds, abs=0.2)
@@ -114,6 +116,7 @@ def test_a_plan_keeps_its_budgets(short: RecordingPlan) -> None:
     assert air_SL == pytest.approx(short.best.air_SL, rel=0.02)
 
 
+@pytest.mark.long
 def test_what_no_run_can_tell_is_reported(made: RecordingPlan) -> None:
     assert made.never == made.best.open == (GAINS,)
     row, column = made.names.index(GAINS.first), made.names.index(GAINS.second)
@@ -125,7 +128,7 @@ def test_what_no_run_can_tell_is_reported(made: RecordingPlan) -> None:
 
 
 def test_floors_hold_against_full_fits(made: RecordingPlan, layout: Layout) -> None:
-    """And where causes are hard to tell apart, they are near."""
+    """Pairs that are hard to separate have a low distance."""
     runs = [part for run in made.best.runs[:2] for part in parts(layout, [run.kind])]
     floors, check = apart(layout, gram_of(layout, runs)), Check(layout, runs)
     others = np.argwhere(~np.eye(*floors.shape, dtype=np.bool_))
@@ -137,7 +140,7 @@ def test_floors_hold_against_full_fits(made: RecordingPlan, layout: Layout) -> N
 
 
 def test_rehearsed_is_what_the_simulator_records() -> None:
-    """Without noise to the last bit: the same regulator, or openings that no guard ends early."""
+    """Without noise the commands are identical: same regulator, and no opening ends early."""
     quiet = replace(HALF, sensors=Sensors(0.0, 0.0))
     for candidate in library(quiet):
         if candidate.name in ("bends_low", "random_full", "pulses", "vent_venturi_half"):
@@ -206,7 +209,7 @@ def test_the_scenario_and_the_profiles_are_readable(made: RecordingPlan) -> None
 def test_planned_simulated_and_diagnosed(
     made: RecordingPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """To the right name for what is hidden in the rig."""
+    """The diagnosis names the hidden cause."""
     truth, scenario, case = tmp_path / "truth.toml", tmp_path / "scenario.toml", str(tmp_path / "case")
     truth.write_text(
         "[cv]\nvolume_L = 0.5\n[venturi]\nrated_supply_kPa = 900\n[causes.evp_lag]\ntime_constant_s = 0.02\n"
@@ -227,7 +230,7 @@ def test_planned_simulated_and_diagnosed(
 def test_the_command_on_a_rig_without_control_volume(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It can do nothing but discharge, and the service nothing at all."""
+    """Such a rig can only discharge, and the service can do nothing."""
     rig, out = tmp_path / "rig.toml", tmp_path / "plan"
     rig.write_text("[reservoir]\nvolume_L = 2\n")
     status, text, _ = run_command(

@@ -1,4 +1,4 @@
-"""The report: one page that needs nothing else, says what the verdict says, and trusts no name in a case."""
+"""The report: one self-contained page with the content of the verdict; names in a case are escaped."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def diagnosed(case: Case, *names: str) -> Diagnosed:
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
-    """One short run of a rig whose control volume is larger than believed."""
+    """One short run of a rig whose control volume is larger than nominal."""
     folder = tmp_path_factory.mktemp("short") / "workshop"
     write(folder, draw("short", 1))
     return diagnosed(read_case(folder), "dead_volume", "cv_compliance", "evp_lag")
@@ -57,7 +57,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
 
 @pytest.fixture(scope="module")
 def nothing(found: Diagnosed) -> Diagnosed:
-    """As if the baseline had explained all."""
+    """A verdict in which the baseline explains everything."""
     evidence = found.verdict.evidence
     runs = tuple(replace(run, baseline_kPa=run.extended_kPa) for run in evidence.runs)
     errors = replace(found.verdict.held_out, nrmse_before=found.verdict.held_out.nrmse_after, gain=(0.0, 0.0))
@@ -75,7 +75,7 @@ def nothing(found: Diagnosed) -> Diagnosed:
 
 @pytest.fixture(scope="module")
 def unexplained(found: Diagnosed) -> Diagnosed:
-    """As if more than noise were left."""
+    """A verdict with residuals above noise."""
     return Diagnosed(
         found.case,
         replace(
@@ -89,7 +89,7 @@ def unexplained(found: Diagnosed) -> Diagnosed:
 
 
 class Page(HTMLParser):
-    """What a browser would see: its text, what it would load, whether all that is opened is closed."""
+    """The page in a browser: its text, its requests, and unclosed tags."""
 
     def __init__(self, html: str) -> None:
         super().__init__()
@@ -129,14 +129,14 @@ def read(path: Path) -> Page:
 
 
 def page_of(diagnosed: Diagnosed, *pictures: str) -> Page:
-    """With these pictures, or every one that there is to be, made but not drawn."""
+    """The page with these pictures (default: placeholders for all of them)."""
     names = pictures or figures(diagnosed.verdict)
     return Page(page(diagnosed.verdict, diagnosed.case, dict.fromkeys(names, SVG)))
 
 
 @pytest.fixture(scope="module")
 def written(found: Diagnosed, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """What the command has written: the page of which it tells, and what lies beside it."""
+    """The files of the command: the page that it names, and the others."""
     folder = tmp_path_factory.mktemp("out") / "new" / "report"
     folder.mkdir(parents=True)
     (folder / "report.html").write_text("an older report, " * 1_000_000)
@@ -218,8 +218,8 @@ def test_a_baseline_that_explains_all_has_no_profiles_and_no_extended_model(noth
     assert in_words(nothing.verdict) in seen.text
     assert "Profiles of χ²" not in seen.pictures and "How well the data determine" not in seen.text
     assert "extended" not in seen.text
-    assert "noise alone does this" in seen.text
-    assert "(−1.00 %)" in seen.text and "as believed" in seen.text
+    assert "noise alone gives this" in seen.text
+    assert "(−1.00 %)" in seen.text and "nominal" in seen.text
 
 
 def test_what_is_left_unexplained_stands_in_front(unexplained: Diagnosed) -> None:

@@ -1,4 +1,4 @@
-"""What is left after a fit: noise is told from structure, and structure by what it depends on."""
+"""Residuals of a fit: noise, or a pattern that depends on a feature."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NOISE_KPA = (0.15, 1.2)
 
 
 def fitted(seed: int) -> tuple[FitProblem, Fit]:
-    """A clean rig, whose room warms up in the first half of the run and cools again."""
+    """A nominal rig in a room that warms in the first half of the run and cools again."""
     random = np.random.default_rng(seed)
     time_s = np.arange(0.0, 30.0, 0.02)
     phase = (time_s // 1.5) % 4
@@ -50,7 +50,7 @@ def with_left(fit: Fit, row: int, left: Array) -> Fit:
 @pytest.mark.parametrize("seed", range(10))
 def test_noise_is_noise(seed: int) -> None:
     strongest = patterns(*fitted(seed))[0]
-    assert strongest.surprise < STRUCTURE
+    assert strongest.log_p < STRUCTURE
     assert np.sum(strongest.count) > 100
 
 
@@ -61,7 +61,7 @@ def test_what_depends_on_the_temperature_is_seen_to() -> None:
     found = patterns(problem, with_left(fit, 1, 0.4 * (run.ambient_C - 22.5)))
     assert (found[0].channel, found[0].feature, found[0].unit) == ("reservoir", "temperature around", "°C")
     assert np.corrcoef(found[0].centre, found[0].mean)[0, 1] > 0.9
-    assert found[0].surprise > STRUCTURE
+    assert found[0].log_p > STRUCTURE
 
 
 def test_what_depends_on_the_opening_is_seen_to() -> None:
@@ -69,10 +69,10 @@ def test_what_depends_on_the_opening_is_seen_to() -> None:
     (run,) = problem.case.runs
     before = np.concatenate((run.evp_opening[:1], run.evp_opening[:-1]))
     found = patterns(problem, with_left(fit, 0, np.where(before == 0.5, 0.7, 0.0)))
-    # The opening makes the rate, so either may come first.
+    # The opening determines the rate, so either may be the strongest.
     strongest = [(pattern.channel, pattern.feature) for pattern in found[:3]]
     assert ("control volume", "opening of the inflation valve") in strongest
-    assert found[2].surprise > STRUCTURE
+    assert found[2].log_p > STRUCTURE
 
 
 def test_without_a_thermometer_there_is_no_such_pattern() -> None:

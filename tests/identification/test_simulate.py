@@ -1,4 +1,4 @@
-"""The extended simulation, with each cause in it, against the truth that shares no code with it."""
+"""The simulation with each cause agrees with an independent simulator."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LENGTH_S = 12.0
 
 
 def random_run(seed: int) -> RecordedRun:
-    """Openings at random, with the Venturi, down to a reservoir in which it stalls."""
+    """Random openings, with the Venturi, down to a reservoir pressure at which it stalls."""
     random = np.random.default_rng(seed)
     time_s = np.arange(0.0, LENGTH_S, 0.02)
     evp, dvp, solenoid = np.zeros((3, len(time_s)))
@@ -47,7 +47,7 @@ def case_of(run: RecordedRun, rig: Rig = RIG) -> Case:
 
 
 def strength(name: str) -> float:
-    """Between the weakest and the strongest of the clear ones."""
+    """A strength between the weakest and the strongest clear one."""
     effect = EFFECTS[name]
     if name == "venturi_stall":
         # These runs are short: their reservoirs stay full.
@@ -66,7 +66,7 @@ def test_a_cause_is_what_the_truth_says_it_is(cause: Cause, seed: int) -> None:
     )
     ours = Simulation(case_of(run)).readings(0, {}, [(cause, (value,))], STARTS)
     plain = Simulation(case_of(run)).readings(0, {}, [], STARTS)
-    # A fiftieth of the sensors' noise at most.
+    # At most 2 % of the sensor noise.
     assert ours.cv_kPa == pytest.approx(truth[:, 0], abs=0.003)
     assert ours.reservoir_kPa == pytest.approx(truth[:, 1], abs=0.003)
     moved = max(
@@ -78,7 +78,7 @@ def test_a_cause_is_what_the_truth_says_it_is(cause: Cause, seed: int) -> None:
 
 @pytest.mark.parametrize("lag_s", [0.0005, 0.0023, 0.008])
 def test_a_valve_much_quicker_than_the_samples_is_simulated_as_well(lag_s: float) -> None:
-    """Or it would be mistaken for a delay, which at such samples looks nearly the same."""
+    """Otherwise it would look like a delay, which is nearly the same at this sampling."""
     (cause,) = (cause for cause in catalogue() if cause.name == "evp_lag")
     run = random_run(6)
     # Solenoid and valve in turns, at each sample: air that comes early has more time to leave again.
@@ -93,7 +93,7 @@ def test_a_valve_much_quicker_than_the_samples_is_simulated_as_well(lag_s: float
 
 
 def without(run: RecordedRun, rows: list[int]) -> RecordedRun:
-    """The same run, of which these rows are lost."""
+    """The run without these rows."""
     left = replace(run)
     for name, values in vars(run).items():
         if isinstance(values, np.ndarray):
@@ -113,7 +113,7 @@ def test_after_a_row_that_was_lost_while_the_valves_were_busy_a_run_begins_again
     (prepared,) = Simulation(case_of(lost)).runs
     begins = [0, *(int(np.searchsorted(lost.time_s, run.time_s[row])) for row in sorted((at, beside)))]
     assert prepared.start.tolist() == begins
-    # A regulator may have opened a valve for that row alone.
+    # A regulator may have opened a valve only in that row.
     regulated = replace(lost, command_kPa=np.full(len(lost.time_s), 20.0))
     (prepared,) = Simulation(case_of(regulated)).runs
     assert len(prepared.start) == 4
@@ -135,10 +135,10 @@ def test_a_sensor_that_lags_goes_on_lagging_where_a_run_begins_again() -> None:
     moving = int(np.argmax(np.abs(whole.cv_kPa - pressures.cv_kPa)))
     simulation = Simulation(case_of(run))
     simulation.runs = (simulation.runs[0]._replace(start=np.array([0, moving])),)
-    # Begun again where it is anyway.
+    # Restarted at the same pressures.
     starts = np.array([START_KPA, (pressures.reservoir_kPa[moving], pressures.cv_kPa[moving])])
     again = simulation.readings(0, {}, [(cause, (0.2,))], starts)
-    # Steps are shorter where a sensor lags.
+    # Steps are shorter if a sensor lags.
     assert again.cv_kPa == pytest.approx(whole.cv_kPa, abs=1e-3)
 
 
@@ -167,7 +167,7 @@ def test_without_causes_it_is_the_baseline() -> None:
 
 
 def test_all_causes_together_are_what_the_truth_says_they_are() -> None:
-    """In the order in which one part's effects act on each other."""
+    """In the order in which the effects of one part act."""
     names = [cause.name for cause in catalogue() if cause.name not in ("compressible_flow", "venturi_stall")]
     run = random_run(4)
     hidden = [Hidden(name, strength(name)) for name in names]
@@ -190,6 +190,6 @@ def test_a_discharge_to_atmosphere_is_an_exponential() -> None:
     readings = Simulation(case_of(run, rig)).readings(0, {}, [], np.array([[690.0, 0.0]]))
     tau_s = rig.evp.flow_resistance_kPa_s_per_SL * rig.reservoir.volume_L / 101.325
     assert readings.reservoir_kPa == pytest.approx(690.0 * np.exp(-time_s / tau_s), rel=1e-6)
-    # Behind the valve is the air around, whatever a fit makes of a pressure that nobody recorded.
+    # The valve discharges to ambient pressure, whatever value a fit gives to the missing pressure.
     other = Simulation(case_of(run, rig)).readings(0, {}, [], np.array([[690.0, -30.0]]))
     assert other.reservoir_kPa == pytest.approx(readings.reservoir_kPa)

@@ -17,6 +17,8 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("firmware_link", "flying_vines", "missions")
 OTHERS = ("benchmarks", "docs", "tests", "LICENSE", "MANIFEST.in", "Makefile", "README.md", "pyproject.toml")

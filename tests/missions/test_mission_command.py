@@ -156,7 +156,7 @@ def test_what_is_built_already_is_checked_not_built(mission: Path, capsys: Captu
     run(capsys, "mission", "build", mission, "--autopilot", "px4")
     plan = mission.parent / "one-px4.plan"
     status, _, err = run(capsys, "mission", "build", plan)
-    assert status == 2 and "is built already" in err
+    assert status == 2 and "is already a built mission" in err
     status, _, err = run(capsys, "mission", "check", plan, "--home", "1,2,3")
     assert status == 2 and "--home" in err
     status, _, err = run(capsys, "mission", "check", plan, "--autopilot", "ardupilot")

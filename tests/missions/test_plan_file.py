@@ -106,7 +106,7 @@ def test_a_survey_is_flown_by_the_items_that_it_holds(tmp_path: Path) -> None:
     del survey["TransectStyleComplexItem"]
     path.write_text(json.dumps(plan))
     with pytest.raises(
-        PlanFileError, match=r"mission.items\[1\]: a 'survey' is drawn by the ground station alone"
+        PlanFileError, match=r"mission.items\[1\]: only the ground station can convert a 'survey'"
     ):
         read_plan(path)
 

@@ -40,19 +40,19 @@ def test_what_is_kept_is_compared_with_what_was_expected(kept: Params, changed: 
 
 def test_items_too_few_and_items_that_were_not_known_to_be_taken_are_unexpected() -> None:
     sent = held("px4", 0, 31010, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 2)
-    assert "taken, which PX4 was not known to do" in compare("px4", sent, sent).unexpected[0]
-    assert compare("px4", sent, []).unexpected == ("The vehicle holds 0 items, 1 were sent.",)
+    assert "accepted, although PX4 was expected to refuse it" in compare("px4", sent, sent).unexpected[0]
+    assert compare("px4", sent, []).unexpected == ("The vehicle has 0 items, but 1 were sent.",)
 
 
 @pytest.mark.parametrize("suffix", [".plan", ".waypoints"])
 @pytest.mark.parametrize(
     ("kind", "other", "says"),
     [
-        ("ardupilot", "px4", "begins with a home, which PX4 would fly to: build it for PX4"),
+        ("ardupilot", "px4", "begins with a home item, to which PX4 would fly: build it for PX4"),
         (
             "px4",
             "ardupilot",
-            "begins with take-off, which ArduPilot would take for home: build it for ArduPilot",
+            "begins with take-off, which ArduPilot would use as home: build it for ArduPilot",
         ),
     ],
 )

@@ -36,7 +36,7 @@ def test_without_mavsdk_it_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "mavsdk", None)
     error = said(capsys, *arguments, "--link", NOBODY)
-    assert error == "mavsdk is missing; pip install 'flying-vines[missions]' brings it, on 64-bit systems"
+    assert error == "mavsdk is missing: pip install 'flying-vines[missions]', on 64-bit systems"
 
 
 def test_where_its_library_does_not_load_the_first_line_says_so(
@@ -49,19 +49,21 @@ def test_where_its_library_does_not_load_the_first_line_says_so(
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.syspath_prepend(str(tmp_path))
     error = said(capsys, "watch", "--link", NOBODY)
-    assert error == "mavsdk does not run on this machine: Could not load cmavsdk"
+    assert error == "mavsdk does not run here: Could not load cmavsdk"
 
 
 @ACTIONS
 def test_a_link_that_is_none(arguments: tuple[object, ...], capsys: pytest.CaptureFixture[str]) -> None:
-    assert said(capsys, *arguments, "--link", "telepathy").startswith("'telepathy' is no link: give serial:")
+    assert said(capsys, *arguments, "--link", "telepathy").startswith(
+        "'telepathy' is not a link: give serial:"
+    )
 
 
 @pytest.mark.parametrize(
     ("arguments", "begins"),
     [
         (("upload", "none.waypoints"), "none.waypoints: cannot be read: No such file"),
-        (("download", "mission.pdf"), "mission.pdf: a mission is written as .plan or .waypoints"),
+        (("download", "mission.pdf"), "mission.pdf: the file must be a .plan or .waypoints"),
     ],
 )
 def test_files_are_looked_at_before_the_vehicle(
@@ -85,7 +87,7 @@ async def test_ctrl_c_ends_a_watch_that_waits() -> None:
     assert sent.returncode == 0, text
     assert text.decode().splitlines() == [
         "Uploading 12 items to ArduPilot, system 1",
-        "Uploaded. Read back: ArduPilot holds what it was expected to hold.",
+        "Uploaded and read back: ArduPilot stores the mission as expected.",
     ]
     process = await asyncio.create_subprocess_exec(*command, *link, **pipes)  # type: ignore[arg-type]
     assert process.stdout is not None

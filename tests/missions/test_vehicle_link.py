@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from missions.link import MOST_WAITING, Ears, mavsdk_url
+from missions.link import MAX_WAITING, MessageQueue, mavsdk_url
 
 
 class Direct:
@@ -41,25 +41,25 @@ class Direct:
 
 async def test_what_is_said_on_a_thread_is_heard_in_order() -> None:
     direct = Direct()
-    ears = Ears(direct, ["A", "B"])
+    ears = MessageQueue(direct, ["A", "B"])
     direct.say("A", '{"n": 1}', '{"n": 2}', "{ no json")
     direct.say("B", '{"n": 3}')
-    heard = await ears.hear(1.0)
+    heard = await ears.receive(1.0)
     assert [(each.name, each.component, each.fields["n"]) for each in heard] == [
         ("A", 191, 1),
         ("A", 191, 2),
         ("B", 191, 3),
     ]
-    assert await ears.hear(0.01) == []
+    assert await ears.receive(0.01) == []
     asyncio.get_running_loop().call_later(0.02, lambda: direct.say("A", '{"n": 4}'))
-    assert [each.fields["n"] for each in await ears.hear(5.0)] == [4]
+    assert [each.fields["n"] for each in await ears.receive(5.0)] == [4]
     ears.close()
     assert direct.subscribed == {}
 
 
 async def test_a_slow_listener_keeps_the_latest_and_no_more() -> None:
     direct = Direct()
-    ears = Ears(direct, ["A"])
+    ears = MessageQueue(direct, ["A"])
     calls = 0
     loop = asyncio.get_running_loop()
     call = loop.call_soon_threadsafe
@@ -70,17 +70,17 @@ async def test_a_slow_listener_keeps_the_latest_and_no_more() -> None:
         return call(*arguments)
 
     loop.call_soon_threadsafe = counted  # type: ignore[method-assign, assignment]
-    direct.say("A", *(json.dumps({"n": n}) for n in range(10 * MOST_WAITING)))
+    direct.say("A", *(json.dumps({"n": n}) for n in range(10 * MAX_WAITING)))
     assert calls == 1, "the loop's own queue does not grow either"
-    numbers = [each.fields["n"] for each in await ears.hear(1.0)]
-    assert numbers == list(range(9 * MOST_WAITING, 10 * MOST_WAITING))
+    numbers = [each.fields["n"] for each in await ears.receive(1.0)]
+    assert numbers == list(range(9 * MAX_WAITING, 10 * MAX_WAITING))
 
 
 def test_a_loop_that_has_ended_is_no_error() -> None:
     direct = Direct()
 
-    async def listen() -> Ears:
-        return Ears(direct, ["A"])
+    async def listen() -> MessageQueue:
+        return MessageQueue(direct, ["A"])
 
     ears = asyncio.run(listen())
     direct.say("A", "{}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from flying_vines.vehicle.mission.item import MissionItem
-from missions.link import HeardMessage
+from missions.link import ReceivedMessage
 from missions.watch import MissionView
 
 MISSION = [
@@ -27,7 +27,9 @@ class Story:
 
     def hears(self, kind: str, component: int = 1, /, **fields: Any) -> None:
         self.t += 0.1
-        self.lines += [line.text for line in self.view.handle(self.t, HeardMessage(kind, component, fields))]
+        self.lines += [
+            line.text for line in self.view.handle(self.t, ReceivedMessage(kind, component, fields))
+        ]
 
     def beat(self, armed: bool) -> None:
         self.hears("HEARTBEAT", base_mode=128 if armed else 0)
@@ -122,4 +124,4 @@ def test_a_mission_completed_before_does_not_end_the_watch() -> None:
 def test_an_item_that_nobody_knows_is_said_so() -> None:
     story = Story()
     story.current(9)
-    assert story.lines == ["item 9: not in the mission that was read"]
+    assert story.lines == ["item 9: not in the downloaded mission"]

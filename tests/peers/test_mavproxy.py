@@ -27,7 +27,7 @@ from flying_vines.service.service import Service
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
-from flying_vines.vehicle.component.settings import SETTINGS
+from flying_vines.vehicle.component.parameter_table import SETTINGS
 from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vehicle.mavlink.signing_key import read_key
 from flying_vines.vehicle.mission.storage import AutopilotKind
@@ -35,6 +35,7 @@ from peers.mavproxy import HOW_TO_INSTALL, MavProxy, installed, mavproxy
 
 pytestmark = [
     real_time,
+    pytest.mark.long,
     pytest.mark.skipif(not installed() and not os.environ.get("CI"), reason=HOW_TO_INSTALL),
     pytest.mark.asyncio(loop_scope="module"),
 ]

@@ -1,4 +1,4 @@
-"""The baseline plant against what can be computed by hand."""
+"""The baseline plant agrees with closed forms."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_inflation_loses_no_air(state: BaselineState, evp: float) -> None:
 def test_halving_the_step_changes_nothing_that_matters(state: BaselineState, inputs: Inputs) -> None:
     whole = step(RIG, state, inputs, 0.001)
     halves = step(RIG, step(RIG, state, inputs, 0.0005), inputs, 0.0005)
-    # Where the outlet shuts against backflow the law has a kink, and the order is lost.
+    # At the backflow limit the law has a kink, so the order of convergence is lower.
     assert halves == pytest.approx(whole, abs=1e-3)
 
 

@@ -1,4 +1,4 @@
-"""Hysteresis in flight: each angle has a pressure for each way, and displays show the bend that stays."""
+"""Hysteresis in flight: each angle has one pressure for each direction, and displays show the bend."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WIDTH_KPA = 3.0
 
 @pytest.fixture
 def flight() -> SimulatedFlight:
-    """In the air, nothing bent; the vine has a hysteresis."""
+    """A flying drone with a straight vine that has a hysteresis."""
     vine = config.VineConfig(curve=((0.0, 0.0), (4.0, 0.0), (20.0, 60.0)), hysteresis_kPa=WIDTH_KPA)
     conf = msgspec.structs.replace(config.default(), vine=vine)
     flight = SimulatedFlight(conf, FakeAutopilot("ardupilot", rc_failsafe_mode=None))
@@ -29,7 +29,7 @@ def flight() -> SimulatedFlight:
 
 
 def moved(flight: SimulatedFlight, pulse_us: int) -> float:
-    """The setpoint to which a position of the switch leads."""
+    """The setpoint for a position of the switch."""
     flight.autopilot.set_rc(9, pulse_us)
     actions = flight.run(flight.world.now + 3.0)
     sent = [a.message for a in actions if isinstance(a, ToFirmware) and isinstance(a.message, Setpoint)]

@@ -1,4 +1,4 @@
-"""The paper's models and printed data against the numbers that the paper publishes."""
+"""The paper's models and printed data agree with its published numbers."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_n_cycles_of_the_demonstration() -> None:
 
 
 def test_n_cycles_end_where_the_rate_is_out_of_reach() -> None:
-    least = paper.least_reservoir_kPa(22.8, LOW_RESISTANCE, 0.1)
+    least = paper.min_reservoir_kPa(22.8, LOW_RESISTANCE, 0.1)
     assert least == pytest.approx(45.9, abs=0.1)
     assert paper.n_cycles(least, rate_kPa_per_s=22.8, **DEMONSTRATION) == pytest.approx(0.0, abs=1e-9)
     assert paper.n_cycles(least - 1.0, rate_kPa_per_s=22.8, **DEMONSTRATION) < 0.0
@@ -110,7 +110,7 @@ def test_equation_4_is_1_and_2(reservoir_kPa: float, resistance: float, volume_L
     through = paper.pressure_rate_kPa_per_s(paper.flow_SL_per_s(reservoir_kPa, resistance), volume_L)
     rate = paper.inflation_rate_kPa_per_s(reservoir_kPa, resistance, volume_L)
     assert rate == pytest.approx(through, rel=1e-12)
-    assert paper.least_reservoir_kPa(rate, resistance, volume_L) == pytest.approx(reservoir_kPa, rel=1e-12)
+    assert paper.min_reservoir_kPa(rate, resistance, volume_L) == pytest.approx(reservoir_kPa, rel=1e-12)
     back = paper.pressure_rate_kPa_per_s(paper.flow_for_rate_SL_per_s(rate, volume_L), volume_L)
     assert back == pytest.approx(rate, rel=1e-12)
 

@@ -1,4 +1,4 @@
-"""The quick integrator against scipy's stiff one, against itself in small steps, and against the clock."""
+"""The fast integrator agrees with scipy's stiff one and with itself in small steps; and its speed."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.likely import likely_effects
 from flying_vines.physics.plant.plant import Conditions, Held, Plant
 from flying_vines.physics.plant.rates import conditions, rates
-from flying_vines.physics.plant.shape import Compliant
 from flying_vines.physics.plant.simulator import Simulator
 from flying_vines.physics.plant.venturi import Ejector
+from flying_vines.physics.plant.volume import Compliant
 from flying_vines.physics.rig import ControlVolume, Rig
 
 STEADY_COIL = Coil(thermal_resistance_K_per_W=0.0)
-"""Without warming what is held changes only with the command, and scipy has pieces to solve."""
+"""Without warming the targets only change with the command, so scipy can solve pieces."""
 EVERYTHING = dataclasses.replace(
     likely_effects(), evp_coil=STEADY_COIL, dvp_coil=STEADY_COIL, ambient=Climb(0.05)
 )
 
 
 def switching(seconds: float, seed: int) -> list[Inputs]:
-    """Inflate, trim, hold, vent by itself, vent by the Venturi, a second each or so."""
+    """Inflate, trim, hold, vent passively, vent with the Venturi: about a second each."""
     rng = random.Random(seed)
     told: list[Inputs] = []
     while len(told) < round(seconds * 1000):
@@ -101,10 +101,10 @@ def test_it_agrees_with_radau_to_a_hundredth_of_a_kilopascal(
 
 
 def test_finer_steps_change_less_than_a_hundredth_of_a_kilopascal() -> None:
-    """With warming coils too, and without scipy."""
+    """Also with warming coils, without scipy."""
     plant = Plant(Rig(), likely_effects())
     usual, fine = Simulator(plant), Simulator(plant)
-    fine.numbers = fine.numbers._replace(least_steps=16)
+    fine.numbers = fine.numbers._replace(min_steps=16)
     worst = 0.0
     for command in switching(3.0, 5):
         usual.advance(command)

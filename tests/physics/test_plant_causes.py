@@ -1,4 +1,4 @@
-"""Each cause of the table against its own equation, written down anew and solved by scipy."""
+"""Each cause agrees with its equation, written independently and solved by scipy."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def plain(
     leak_c: float = math.inf,
     rise: float = 0.0,
 ) -> Ode:
-    """The baseline, and what changes one number or adds one term to it."""
+    """The baseline with one changed number or one additional term."""
 
     def ode(t: float, y: Any, u_e: float, u_d: float, s: bool) -> list[float]:
         p_r, p_c = y
@@ -210,7 +210,7 @@ def slow_close(rows: list[Row], delay: float) -> list[Row]:
 
 
 def solve(ode: Ode, rows: list[Row], start: list[float]) -> dict[int, list[float]]:
-    """States at every 20 ms, by scipy, piece after piece."""
+    """States every 20 ms, solved piecewise by scipy."""
     found: dict[int, list[float]] = {}
     y = start
     for (t, u_e, u_d, s), end in zip(rows, [row[0] for row in rows[1:]] + [END_S], strict=True):

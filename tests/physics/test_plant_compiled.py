@@ -1,4 +1,4 @@
-"""The compiled plant is the plant: the same floats, tick by tick, as the Simulator's."""
+"""The compiled plant gives the same floats as the Simulator in every tick."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from flying_vines.physics.plant.ambient import Climb, Recorded, Steady
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.likely import likely_effects
-from flying_vines.physics.plant.motion import ValveMotion, dead_zone
 from flying_vines.physics.plant.numbers import PlantNumbers, numbers_of
 from flying_vines.physics.plant.plant import Conditions, Plant, State, at_rest
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, read, rested
-from flying_vines.physics.plant.shape import Compliant, Pouch
 from flying_vines.physics.plant.simulator import SHUT, Simulator
 from flying_vines.physics.plant.tick import tick
 from flying_vines.physics.plant.tubing import Tubing
+from flying_vines.physics.plant.valve_response import ValveMotion, dead_zone
 from flying_vines.physics.plant.venturi import Ejector
+from flying_vines.physics.plant.volume import Compliant, Pouch
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 
@@ -66,7 +66,7 @@ CAUSE_NUMBERS: dict[str, dict[str, float]] = {
 
 
 def told(ticks: int, seed: int) -> list[Inputs]:
-    """Inflate, trim, hold, vent by itself and by the Venturi, a while each."""
+    """Inflate, trim, hold, vent passively and with the Venturi."""
     rng = random.Random(seed)
     inputs: list[Inputs] = []
     while len(inputs) < ticks:
@@ -127,6 +127,7 @@ PLANTS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", PLANTS)
 def test_a_replay_is_the_simulators_run(name: str) -> None:
     plant, inputs = PLANTS[name], told(1500, 4)
@@ -152,7 +153,7 @@ def test_every_cause_is_the_simulators_and_so_are_its_readings(cause: str) -> No
 
 
 def random_plant(seed: int) -> Plant:
-    """Anything that a rig may have, quick and slow, with jumps and without."""
+    """Any rig, fast or slow, with or without jumps."""
     rng = random.Random(seed)
     volume_L = 10.0 ** rng.uniform(-1.3, 0.3)
 
@@ -184,14 +185,14 @@ def test_finer_steps_change_little_whatever_the_rig(monkeypatch: pytest.MonkeyPa
             fine = replay(plant, inputs).table
         worst.append(max(np.abs(usual[name] - fine[name]).max() for name in Conditions._fields[:3]))
     print(f"median {np.median(worst):.1e}, largest {max(worst):.1e} kPa")
-    # The largest is a flat pouch of 7 mL that comes back from a vacuum in three ticks.
+    # The largest: a flat pouch of 7 mL that returns from a vacuum in three ticks.
     assert max(worst) < 0.1
     assert np.quantile(worst, 0.95) < 0.01
     assert np.median(worst) < 1e-3
 
 
 def finer(plant: Plant, tick_s: float) -> PlantNumbers:
-    return numbers_of(plant, tick_s)._replace(least_steps=40)
+    return numbers_of(plant, tick_s)._replace(min_steps=40)
 
 
 def test_it_starts_where_it_is_told_and_writes_every_so_often() -> None:
@@ -210,7 +211,7 @@ def test_it_starts_where_it_is_told_and_writes_every_so_often() -> None:
 
 
 def test_half_a_run_and_the_other_half_are_the_run() -> None:
-    """Of a plant that remembers nothing but its state."""
+    """For a plant without memory except its state."""
     inputs = told(400, 3)
     whole = replay(PLANTS["walls by time constants"], inputs)
     half = replay(PLANTS["walls by time constants"], inputs[:200])
@@ -255,7 +256,7 @@ def test_a_batch_is_its_runs() -> None:
 def test_what_cannot_be_replayed() -> None:
     with pytest.raises(ValueError, match="3 columns"):
         replay(Plant(), [(0.0, 1.0)])
-    with pytest.raises(ValueError, match="every 0 ticks"):
+    with pytest.raises(ValueError, match="record_every must be"):
         replay(Plant(), [SHUT], record_every=0)
 
 
@@ -268,10 +269,13 @@ def test_what_was_compiled_is_kept_under_the_name_of_its_sources(
     assert list(folder.rglob("*.nbi"))
     assert compiler._cache_folder(dead_zone) == folder
     assert compiler._cache_folder(tick) != folder
-    # A number that a function looks up, however far down, is one of its sources.
+    # A constant of a callee is a part of the cache key.
     before = compiler._cache_folder(tick)
     monkeypatch.setattr("flying_vines.physics.plant.wall._PER_K", 0.0)
     assert compiler._cache_folder(tick) != before
+    # So is a module's name: the cached code of a renamed one cannot be loaded.
+    monkeypatch.setattr(dead_zone, "__module__", "flying_vines.physics.plant.motion")
+    assert compiler._cache_folder(dead_zone) != folder
 
 
 def test_where_nothing_can_be_kept_it_is_compiled_all_the_same(

@@ -1,4 +1,4 @@
-"""Air and energy are conserved, whatever the rig and whatever it is told."""
+"""Air and energy are conserved for any rig and any commands."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.ambient import Climb, Recorded, Steady, air_at
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
-from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.numbers import numbers_of
 from flying_vines.physics.plant.plant import Held, Plant, State, at_rest
 from flying_vines.physics.plant.rates import conditions, flows, rates
-from flying_vines.physics.plant.shape import Compliant, Pouch
 from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.plant.tubing import Tubing
+from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.venturi import Ejector
+from flying_vines.physics.plant.volume import Compliant, Pouch
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 
@@ -236,7 +236,7 @@ def test_a_closed_rig_keeps_its_energy(
     told: list[Inputs],
     conductance: float,
 ) -> None:
-    """Two volumes with walls of their own, nothing to the outside: gas and walls keep their sum."""
+    """Two volumes with walls, isolated: the energy of gas and walls is constant."""
     wall = Wall(conductance_W_per_K=conductance, capacity_J_per_K=20.0, outer_conductance_W_per_K=0.0)
     plant = Plant(Rig(reservoir, cv), Effects(evp_law=law, reservoir_wall=wall, cv_wall=wall))
     simulator = Simulator(plant, at_rest(plant, reservoir_kPa, cv_kPa))
@@ -255,7 +255,7 @@ def test_a_closed_rig_keeps_its_energy(
 @settings(max_examples=60, deadline=None)
 @given(warm_plants, st.floats(100.0, 760.0), commands)
 def test_what_is_vented_is_what_flowed(plant: Plant, reservoir_kPa: float, told: list[Inputs]) -> None:
-    """The books agree with the flows, summed up independently."""
+    """The balances agree with the independently summed flows."""
     simulator = Simulator(plant, at_rest(plant, reservoir_kPa))
     total = 0.0
     for command in told:

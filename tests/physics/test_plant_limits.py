@@ -1,4 +1,4 @@
-"""The plant where it can be computed by hand: no effects, no heat, all heat, choked flow."""
+"""The plant agrees with closed forms: no effects, adiabatic, isothermal, choked flow."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from flying_vines.physics.plant.gas import (
     polytropic_temperature_K,
 )
 from flying_vines.physics.plant.plant import Plant, at_rest
-from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.simulator import Simulator
+from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Evp, Reservoir, Rig
 
@@ -118,7 +118,7 @@ def test_choked_and_adiabatic_is_the_closed_form() -> None:
 @given(st.floats(0.05, 10.0), st.floats(50.0, 760.0), st.floats(0.05, 1.0))
 @settings(max_examples=20, deadline=None)
 def test_gas_left_behind_without_heat_is_polytropic(volume_L: float, kPa: float, opening: float) -> None:
-    """Whatever the law of flow: T = T₀ (p/p₀)^((γ−1)/γ)."""
+    """For any flow law: T = T₀ (p/p₀)^((γ−1)/γ)."""
     simulator = run(
         discharging(Effects(reservoir_wall=ADIABATIC), volume_L=volume_L, kPa=kPa),
         Inputs(opening, 0.0, False),
@@ -130,7 +130,7 @@ def test_gas_left_behind_without_heat_is_polytropic(volume_L: float, kPa: float,
 
 
 def test_filling_an_empty_rigid_volume_without_heat_warms_it_by_gamma() -> None:
-    """Air at T₀ that flows into a vacuum comes to γ T₀."""
+    """Air at T₀ that flows into a vacuum reaches γ T₀."""
     plant = Plant(Rig(cv=ControlVolume(0.5)), Effects(cv_wall=ADIABATIC))
     simulator = run(Simulator(plant, at_rest(plant, 690.0, -101.2)), OPEN, 1.0)
     entered = GAMMA * 293.15
@@ -165,7 +165,7 @@ def test_a_reservoir_that_is_shut_again_recovers_what_its_temperature_lost() -> 
 
 
 def test_a_wall_of_its_own_shares_its_heat() -> None:
-    """Shut up with warm gas and no outside, gas and wall meet at the mean by heat capacity."""
+    """Isolated warm gas and its wall reach the mean temperature, weighted by heat capacity."""
     wall = Wall(conductance_W_per_K=2.0, capacity_J_per_K=30.0, outer_conductance_W_per_K=0.0)
     plant = Plant(Rig(), Effects(reservoir_wall=wall))
     state = at_rest(plant)
@@ -194,7 +194,7 @@ def test_a_pouch_fills_at_ambient_pressure_and_holds_0_120_SL() -> None:
 
 
 def test_a_pouch_fills_without_heat_at_the_temperature_of_what_enters() -> None:
-    """At constant pressure the enthalpy that enters is what is there: T stays, a rigid one is warmed."""
+    """At constant pressure inflow does not change T; in a rigid volume it warms the gas."""
     plant = Plant(Rig(), Effects(cv_shape=Pouch(), cv_wall=ADIABATIC))
     simulator = run(Simulator(plant, at_rest(plant)), Inputs(0.3, 0.0, False), 0.5)
     found = simulator.conditions

@@ -1,4 +1,4 @@
-"""Each part of the plant by itself, against numbers worked out by hand or printed elsewhere."""
+"""Each part of the plant alone agrees with closed forms or published numbers."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ from flying_vines.physics.plant.flow import (
     iso6358_matching,
 )
 from flying_vines.physics.plant.likely import DVP, likely_effects
-from flying_vines.physics.plant.motion import (
+from flying_vines.physics.plant.plant import Plant, at_rest
+from flying_vines.physics.plant.rates import flows
+from flying_vines.physics.plant.simulator import Simulator
+from flying_vines.physics.plant.tubing import Tubing, tubing_of
+from flying_vines.physics.plant.valve_response import (
     SolenoidTiming,
     ValveMotion,
     backlash,
     dead_zone,
     solenoid_after,
 )
-from flying_vines.physics.plant.plant import Plant, at_rest
-from flying_vines.physics.plant.rates import flows
-from flying_vines.physics.plant.shape import Compliant, Pouch, pressure_and_volume, volume_and_work
-from flying_vines.physics.plant.simulator import Simulator
-from flying_vines.physics.plant.tubing import Tubing, tubing_of
 from flying_vines.physics.plant.venturi import Ejector, nozzle_supply, outlet_SL_per_s
+from flying_vines.physics.plant.volume import Compliant, Pouch, pressure_and_volume, volume_and_work
 from flying_vines.physics.rig import Rig
 
 pressures = st.floats(20.0, 900.0)
@@ -258,14 +258,14 @@ def test_valve_and_nozzle_pass_the_same(valve: float, nozzle: float, supply: flo
 
 
 def test_the_nozzle_takes_most_of_the_pressure() -> None:
-    """Worked out elsewhere with b = 0.3: 45.7 SLPM with 643 kPa before the nozzle; b = 0 gives 7 % less."""
+    """Computed elsewhere with b = 0.3: 45.7 SLPM at 643 kPa before the nozzle; b = 0 gives 7 % less."""
     flow, between = nozzle_supply(DVP.sonic_conductance_SL_per_s_kPa, 1.185e-3, 791.325, 101.325)
     assert 60.0 * flow == pytest.approx(45.7, rel=0.08)
     assert between == pytest.approx(643.0, rel=0.06)
 
 
 def drawn(ejector: Ejector, law: Ohm | Iso6358, p: float, theta: float, vacuum: float, free: float) -> float:
-    """Out of a volume at `p` into an ejector that draws `free` where there is no vacuum."""
+    """Flow from a volume at `p` into an ejector with the free suction `free`."""
     venturi = dataclasses.replace(ejector, free_suction_per_motive=1.0).numbers(Rig().venturi)
     return outlet_SL_per_s(venturi, law.numbers(), p, theta, 101.325, 1.0, vacuum, free)
 
@@ -284,7 +284,7 @@ def test_an_ejector_draws_what_its_characteristic_says(
     ejector = Ejector(passage_resistance_kPa_s_per_SL=passage)
     law = Iso6358(3e-3, b)
     quick = drawn(ejector, law, p, theta, vacuum, free)
-    # An index beside 1/2 takes the way that looks for the pressure between.
+    # With an index other than 1/2 the pressure between is found by iteration.
     slow = drawn(ejector, dataclasses.replace(law, subsonic_index=0.5 + 1e-12), p, theta, vacuum, free)
     assert quick == pytest.approx(slow, rel=1e-5, abs=1e-7)
     ohmic = drawn(ejector, Ohm(70.0), p, theta, vacuum, free)

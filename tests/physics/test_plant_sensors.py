@@ -1,4 +1,4 @@
-"""What is read of a true pressure."""
+"""Readings of a true pressure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rig files: what is read, and how the rest is refused."""
+"""Rig files: content and errors."""
 
 from __future__ import annotations
 

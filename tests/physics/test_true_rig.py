@@ -1,4 +1,4 @@
-"""Rig files that tell what is really there: read, made into a plant, written again, and found wrong."""
+"""Rig files with causes and effects: read, converted to a plant, written again, and errors."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from flying_vines.physics.effects import catalogue, setup
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.likely import likely_effects
-from flying_vines.physics.plant.motion import ValveMotion
-from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.true_rig import (
     TrueRig,
     likely_sensors,
@@ -21,6 +19,8 @@ from flying_vines.physics.plant.true_rig import (
     true_rig_from,
     true_rig_text,
 )
+from flying_vines.physics.plant.valve_response import ValveMotion
+from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig, RigError, load_rig
 
 EVERY_CAUSE = {
@@ -120,7 +120,7 @@ def test_causes_change_what_is_likely() -> None:
     assert made.evp_motion == ValveMotion(
         likely.evp_motion.delay_s, likely.evp_motion.backlash_width, 0.2, likely.evp_motion.time_constant_s
     )
-    # The pouch stays one.
+    # The shape stays a pouch.
     assert made.cv_shape == Pouch(0.01, per_kPa=0.01)
     assert isinstance(made.evp_law, Iso6358)
     assert isinstance(likely.evp_law, Iso6358)
@@ -133,7 +133,7 @@ def test_causes_change_what_is_likely() -> None:
 
 def test_everything_is_read_and_written_again() -> None:
     rig = rig_of(EVERYTHING)
-    assert rig.believed == Rig(
+    assert rig.nominal == Rig(
         Reservoir(4.0), ControlVolume(0.2), tolerance_percent={"reservoir.volume_L": 3.0}
     )
     effects = rig.setup.plant.effects
@@ -156,8 +156,8 @@ def test_a_plain_file_is_what_is_believed(tmp_path: Path) -> None:
     assert rig == TrueRig(load_rig(path))
     assert rig.setup == setup(load_rig(path))
     path.write_text(true_rig_text(rig))
-    # What is written of it is a plain file again.
-    assert load_rig(path) == rig.believed
+    # Its file is a plain rig file again.
+    assert load_rig(path) == rig.nominal
     assert rig_of("") == TrueRig(Rig(cv=None))
     assert rig_of(true_rig_text(TrueRig(Rig(cv=None)))) == TrueRig(Rig(cv=None))
 
@@ -165,41 +165,41 @@ def test_a_plain_file_is_what_is_believed(tmp_path: Path) -> None:
 def test_who_reads_what_is_believed_is_not_told_the_rest(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(EVERYTHING)
-    with pytest.raises(RigError, match="no table 'causes' in a rig"):
+    with pytest.raises(RigError, match="unknown table 'causes' of a rig"):
         load_rig(path)
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("[cv]\n[causes.cv_leek]", "causes.cv_leek is no cause: the causes are none, ambient_drop,"),
+        ("[cv]\n[causes.cv_leek]", "causes.cv_leek is not a cause: the causes are none, ambient_drop,"),
         ("[cv]\n[causes.cv_leak]", "causes.cv_leak.flow_resistance_kPa_s_per_SL is missing."),
-        ("[cv]\n[causes.cv_leak]\nR = 3", "causes.cv_leak.R is no parameter: the parameters are flow_resis"),
-        ("[cv]\n[causes.none]\nR = 3", "causes.none.R is no parameter: there are none."),
+        ("[cv]\n[causes.cv_leak]\nR = 3", "causes.cv_leak.R is not a parameter: the parameters are flow_"),
+        ("[cv]\n[causes.none]\nR = 3", "causes.none.R is not a parameter: there are none."),
         (
             "[cv]\n[causes.cv_leak]\nflow_resistance_kPa_s_per_SL = -1",
-            "causes.cv_leak: a flow resistance is positive.",
+            "causes.cv_leak: a flow resistance must be positive.",
         ),
         (
             "[cv]\n[causes.cv_leak]\nflow_resistance_kPa_s_per_SL = 'much'",
-            "causes.cv_leak.flow_resistance_kPa_s_per_SL is a number, not 'much'.",
+            "causes.cv_leak.flow_resistance_kPa_s_per_SL must be a number, not 'much'.",
         ),
         ("[causes.cv_heating]\ntime_constant_s = 1", "causes.cv_heating needs a control volume, and the rig"),
         ("[cv]\n[causes.evp_restriction]\nscale = 0", "causes.evp_restriction.scale is 0, and must be above"),
         ("[cv]\n[causes.dead_volume]\nvolume_L = -5", "causes.dead_volume makes the rig impossible: volume"),
-        ("[cv]\n[causes.evp_dead_zone]\nopening = 2", "causes.evp_dead_zone: a dead zone lies in 0…1."),
-        ("[causes]\ncv_leak = 3", "causes.cv_leak is a table."),
-        ("effects = 1", "effects is a table."),
-        ("[effects]\nlikly = true", "effects.likly is no effect: the effects are evp_law,"),
-        ("[effects]\nlikely = 1", "effects.likely is true or false."),
-        ("[effects]\nlikely = true\nwithout = ['coil']", "effects.without is a list of effects: evp_law,"),
-        ("[effects]\nlikely = true\nwithout = [[]]", "effects.without is a list of effects: evp_law,"),
-        ("[effects]\nwithout = ['tubing']", "effects.without takes away from the likely effects"),
-        ("[effects]\ntubing = 1", "effects.tubing is a table."),
-        ("[effects.tubing]\nlength_m = 1", "effects.tubing.length_m is no parameter: the parameters are vol"),
-        ("[effects.tubing]\nvolume_L = -1", "effects.tubing: a tube has volume and resistance."),
-        ("[effects.evp_law]\nC = 1", "effects.evp_law.kind is one of ohm, iso6358."),
-        ("[effects.evp_law]\nkind = []", "effects.evp_law.kind is one of ohm, iso6358."),
+        ("[cv]\n[causes.evp_dead_zone]\nopening = 2", "causes.evp_dead_zone: a dead zone must be in 0…1."),
+        ("[causes]\ncv_leak = 3", "causes.cv_leak must be a table."),
+        ("effects = 1", "effects must be a table."),
+        ("[effects]\nlikly = true", "effects.likly is not an effect: the effects are evp_law,"),
+        ("[effects]\nlikely = 1", "effects.likely must be true or false."),
+        ("[effects]\nlikely = true\nwithout = ['coil']", "effects.without must be a list of effects: evp"),
+        ("[effects]\nlikely = true\nwithout = [[]]", "effects.without must be a list of effects: evp_law,"),
+        ("[effects]\nwithout = ['tubing']", "effects.without removes likely effects"),
+        ("[effects]\ntubing = 1", "effects.tubing must be a table."),
+        ("[effects.tubing]\nlength_m = 1", "effects.tubing.length_m is not a parameter: the parameters are"),
+        ("[effects.tubing]\nvolume_L = -1", "effects.tubing: a tube's volume and resistance must be"),
+        ("[effects.evp_law]\nC = 1", "effects.evp_law.kind must be one of ohm, iso6358."),
+        ("[effects.evp_law]\nkind = []", "effects.evp_law.kind must be one of ohm, iso6358."),
         ("[effects.evp_law]\nkind = 'ohm'", "effects.evp_law.flow_resistance_kPa_s_per_SL is missing."),
         (
             "[effects.evp_law]\nkind = 'ohm'\nflow_resistance_kPa_s_per_SL = 'x'",
@@ -215,10 +215,10 @@ def test_who_reads_what_is_believed_is_not_told_the_rest(tmp_path: Path) -> None
         ),
         (
             "[cv]\nvolume_L = 0.005\n[effects]\nlikely = true",
-            "effects: a pouch's flat volume is small",
+            "effects: a pouch's flat volume must be",
         ),
         ("[reservoir]\nvolume_L = 0", "Expected `float` > 0.0 - at `$.reservoir.volume_L`."),
-        ("[bottle]", "there is no table 'bottle' in a rig"),
+        ("[bottle]", "unknown table 'bottle' of a rig"),
     ],
 )
 def test_what_is_wrong_is_one_line(text: str, says: str, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from recorded_flight import BEGAN, CONFIG, HIGH, LOW, fly, new_flight, one_bend
 
 from flying_vines.cli.main import main
 from flying_vines.config import config
-from flying_vines.core.contained import Contained
+from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import Core
 from flying_vines.core.events import Asked, Decision, InternalError
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
@@ -102,7 +102,7 @@ def test_a_shutdown_is_in_the_log_and_comes_out_the_same(
 
     monkeypatch.setattr(ReservoirEstimate, "update", failing)
     flight, recorder = new_flight(), Recorder(tmp_path, BEGAN, t=0.0)
-    flight.world.core = Contained(flight.core)  # type: ignore[assignment]
+    flight.world.core = CrashSafeCore(flight.core)  # type: ignore[assignment]
     fly(flight, recorder, ((3.0, LOW), (5.0, HIGH)))
     recorder.close()
     log = FlightLog(recorder.folder)
@@ -133,7 +133,7 @@ def test_the_second_flight_of_a_service_is_replayed_from_the_first(tmp_path: Pat
     again = replay_flight(FlightLog(second))
     assert not again.differences and len(again.decisions) >= 1
     first.rename(tmp_path / "elsewhere")
-    with pytest.raises(LogError, match=f"continues {first.name}, which is not beside it"):
+    with pytest.raises(LogError, match=f"continues {first.name}, which is not in the same folder"):
         replay_flight(FlightLog(second))
 
 

@@ -130,7 +130,7 @@ def test_what_is_not_there_is_one_line_and_status_2(run: Runner, tmp_path: Path)
     for arguments, why in (
         (("show", "nowhere"), "nowhere: is not a flight"),
         (("plot", "last", "--in", tmp_path), "contains no flight"),
-        (("list", tmp_path / "nowhere"), "is no folder"),
+        (("list", tmp_path / "nowhere"), "is not a folder"),
         (("export", tmp_path, "--csv"), "is not a flight"),
     ):
         out, err = run(*arguments, status=2)

@@ -322,10 +322,10 @@ def test_a_folder_that_vanishes_is_told_and_the_log_goes_on_in_another(tmp_path:
         (first / "flight.mcap").unlink()
     else:
         shutil.rmtree(flights if what == "all folders" else first)
-    t = write_until(recorder, t, lambda: bool(recorder.told))
-    assert recorder.told == recorder.failed == "the flight log ends here: its folder has vanished"
+    t = write_until(recorder, t, lambda: bool(recorder.news))
+    assert recorder.news == recorder.failed == "the flight log ends here: its folder was deleted"
     t = write_until(recorder, t, lambda: not recorder.failed)
-    assert recorder.told == f"the flight log goes on in {recorder.folder.name}"
+    assert recorder.news == f"the flight log continues in {recorder.folder.name}"
     for i in range(1, 101):
         recorder.event(Tick(t + 0.02 * i))
     recorder.close()
@@ -351,8 +351,8 @@ def test_a_disk_that_is_read_only_for_a_while_is_told_once_and_leaves_no_litter(
         patched.setattr(os, "fsync", read_only)
 
         def several_tries() -> bool:
-            if recorder.told not in told:
-                told.append(recorder.told)
+            if recorder.news not in told:
+                told.append(recorder.news)
             return tries[0] > 3
 
         t = write_until(recorder, 0.0, several_tries)
@@ -422,7 +422,7 @@ def test_a_disk_that_hangs_holds_up_nobody_and_loses_nothing(
 
 def test_a_disk_that_never_returns_ends_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     goes_on = threading.Event()
-    monkeypatch.setattr(recorder_module, "MOST_WAITING", 100)
+    monkeypatch.setattr(recorder_module, "MAX_WAITING", 100)
     monkeypatch.setattr(recorder_module, "LAST_WRITES_S", 0.05)
     recorder = Recorder(tmp_path, BEGAN, t=0.0)
     monkeypatch.setattr(os, "fsync", lambda descriptor: goes_on.wait(10.0))

@@ -93,9 +93,9 @@ async def test_what_cannot_be_kept_is_said_and_in_force_all_the_same(bench: Benc
         served.kept.parameters.mkdir()
         await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
         set_rate(bench, 30.0)
-        await until(lambda: any("parameters not kept" in text for text in served.texts), "it is said")
+        await until(lambda: any("parameters not saved" in text for text in served.texts), "it is said")
         assert served.service.core.config.limits.max_rate_kPa_per_s == 30.0
-        await until(lambda: any("parameters not kept" in text for text in bench.ground.texts), "to the pilot")
+        await until(lambda: any("parameters not saved" in text for text in bench.ground.texts), "to pilot")
 
 
 def command(bench: Bench, number: int, param1: float) -> None:
@@ -140,7 +140,7 @@ async def test_that_they_are_disarmed_cannot_be_kept_is_said_and_they_are(
         (tmp_path / "vine.disarmed").mkdir()
         await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
         command(bench, STOP, DISARM)
-        await until(lambda: any("disarming not kept" in text for text in served.texts), "it is said")
+        await until(lambda: any("disarming not saved" in text for text in served.texts), "it is said")
         assert doing(served) == "pneumatics disarmed"
 
 
@@ -196,7 +196,7 @@ async def test_a_kept_timestamp_of_2040_is_set_right_and_told(tmp_path: Path) ->
     (tmp_path / "vine.signing-timestamp").write_text("078890880000000 191\n255 001 001 078890880000000\n")
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
         await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
-        await until(lambda: any("set right" in text for text in served.texts), "it is said")
+        await until(lambda: any("ahead: corrected" in text for text in served.texts), "it is said")
     memory, _ = TimestampFile(served.kept.signing_timestamp).load()
     assert memory.link_id == 192
     assert memory.timestamp < (time.time() + 120 - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S

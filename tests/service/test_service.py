@@ -130,7 +130,7 @@ async def test_a_watcher_that_fails_sees_no_more_and_the_others_do(bench: Bench)
 async def test_a_silent_port_is_told_to_the_pilot_once_and_on_the_screen(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(answer, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(answer, "ANSWER_WITHIN_S", 0.3)
     silent, hosts = os.openpty()
     tty.setraw(hosts)
     seen: list[Action] = []

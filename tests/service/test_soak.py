@@ -15,6 +15,8 @@ sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 from soak import Outcome, Sample, simulated
 from soak_day import BUTTONS, Tally, bend
 
+pytestmark = pytest.mark.long
+
 
 @needs_compiler
 @pytest.mark.parametrize(

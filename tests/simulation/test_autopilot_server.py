@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
 
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot_server import MOST_CLIENTS, AutopilotServer
+from flying_vines.simulation.autopilot_server import MAX_CLIENTS, AutopilotServer
 
 pytestmark = real_time
 
@@ -208,7 +208,7 @@ async def test_tcp_clients_have_a_port_each_and_leave_it_to_the_next() -> None:
 
 async def test_one_client_too_many_is_sent_away() -> None:
     async with on_tcp(FakeAutopilot()) as server:
-        clients = [await connect(server) for _ in range(MOST_CLIENTS)]
+        clients = [await connect(server) for _ in range(MAX_CLIENTS)]
         await clients[-1].hear("HEARTBEAT")
         last = await asyncio.open_connection("127.0.0.1", server.ports[0])
         assert await asyncio.wait_for(last[0].read(), 5.0) == b""

@@ -140,5 +140,5 @@ def test_a_batch_on_two_cores_is_its_runs() -> None:
 
 
 def test_setpoints_that_go_back_in_time() -> None:
-    with pytest.raises(ValueError, match="times must rise"):
+    with pytest.raises(ValueError, match="times of setpoints must increase"):
         closed_loop(PLANTS["baseline"], [SetpointChange(1.0, 5.0, 10.0), SetpointChange(1.0, 6.0, 10.0)], 2.0)

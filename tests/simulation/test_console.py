@@ -64,12 +64,12 @@ def test_lines_fill_the_bottle() -> None:
     ("line", "said"),
     [
         ("help", MISHAPS),
-        ("evp", "evp may suffer: stuck opening"),
-        ("hose burst", "hose may suffer: off, kinked [flow_resistance_kPa_s_per_SL]"),
+        ("evp", "evp may have: stuck opening"),
+        ("hose burst", "hose may have: off, kinked [flow_resistance_kPa_s_per_SL]"),
         ("evp stuck", "evp takes: stuck opening"),
         ("hose off 3", "hose takes: off"),
-        ("evp stuck 7", "an opening lies in 0…1"),
-        ("evp stuck nan", "stuck nan: numbers are finite"),
+        ("evp stuck 7", "an opening must be in 0…1"),
+        ("evp stuck nan", "stuck nan: numbers must be finite"),
         ("evp stuck open", "stuck open: could not convert string to float: 'open'"),
     ],
 )

@@ -12,8 +12,8 @@ from firmware_link.protocol import PROTOCOL_VERSION, Codec, Fault, Hello, Mode, 
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Ohm, flow_SL_per_s
 from flying_vines.physics.plant.gas import choked_time_constant_s, isothermal_choked_discharge_kPa_abs
-from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.true_rig import TrueRig
+from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Rig, Sensors
 from flying_vines.simulation.phlosar import mishaps
@@ -545,9 +545,9 @@ def test_a_rig_without_a_vine_has_nothing_to_burst() -> None:
 @pytest.mark.parametrize(
     ("place", "kind", "sentence"),
     [
-        ("wing", Stuck(), "wing is no place"),
-        ("evp", Stuck(), r"evp cannot suffer Stuck\(\)"),
-        ("bottle", HoseOff(), r"bottle cannot suffer HoseOff\(\)"),
+        ("wing", Stuck(), "wing is not a place"),
+        ("evp", Stuck(), r"evp cannot have Stuck\(\)"),
+        ("bottle", HoseOff(), r"bottle cannot have HoseOff\(\)"),
     ],
 )
 def test_what_cannot_happen_there_is_refused(place: str, kind: MishapKind, sentence: str) -> None:

@@ -217,7 +217,7 @@ def test_a_rig_file_that_is_wrong_is_one_line(
     assert stop.value.code == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err == f"flying-vines: {rig}: causes.evp_dead_zone: a dead zone lies in 0…1.\n"
+    assert err == f"flying-vines: {rig}: causes.evp_dead_zone: a dead zone must be in 0…1.\n"
 
 
 def test_it_is_light_enough_for_real_time() -> None:

@@ -16,9 +16,9 @@ from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.likely import likely_effects
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.sensors import read, rested
-from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.plant.true_rig import likely_sensors
+from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.rig import ControlVolume, Rig
 from flying_vines.simulation.phlosar.regulator import Regulator, Tuning
 

@@ -103,6 +103,7 @@ def test_on_px4_only_what_the_pilot_holds_bends_and_every_loss_vents(
     assert sum("move it again" in text for text in told) >= len(losses_s) - 1
 
 
+@pytest.mark.long
 def test_a_receiver_that_holds_its_channels_costs_the_pilot_nothing() -> None:
     base = config.default()
     holds = msgspec.structs.replace(
@@ -122,6 +123,7 @@ def test_where_ardupilot_hides_a_loss_nothing_bends() -> None:
     assert {d.reason for d in refused} == {"FS_THR_ENABLE 0 hides a lost transmitter"}
 
 
+@pytest.mark.long
 def test_an_override_that_ends_uncovers_the_switch_and_bends_nothing() -> None:
     actions = replayed("ardupilot_override_and_late_texts")
     assert [round(t, 1) for t, _ in bends(actions)] == [49.1]
@@ -169,6 +171,7 @@ def test_the_angle_of_a_script_message_is_the_items() -> None:
     assert found[0].setpoint_kPa == pytest.approx(2.0 + 18.7 * 40 / 60, abs=0.01)
 
 
+@pytest.mark.long
 def test_px4_switch_on_the_ground_and_copies_of_commands() -> None:
     actions = replayed("px4_mission")
     moves = decisions(actions, "switch")
@@ -179,13 +182,15 @@ def test_px4_switch_on_the_ground_and_copies_of_commands() -> None:
     assert {d.safety for d in items} == {"accepted"}
 
 
+@pytest.mark.long
 def test_items_whose_numbers_are_unknown_are_seen_and_refused() -> None:
     found = decisions(replayed("mission_do_items"), "mission_item")
     assert [d.what["seq"] for d in found] == [2, 6, 7, 37, 40, 42, 44]
     assert {d.safety for d in found} == {"refused"}
-    assert {d.reason for d in found} == {"numbers not confirmed"}
+    assert {d.reason for d in found} == {"params not confirmed"}
 
 
+@pytest.mark.long
 def test_a_mission_from_a_file_gives_the_numbers() -> None:
     given = {2: (217, (1, 25.0)), 6: (211, (1, 0)), 37: (217, (0, 0)), 40: (217, (9, 0))}
     mission = [MissionItem(seq, *_item(given.get(seq, (16, (0, 0))))) for seq in range(47)]
@@ -204,6 +209,7 @@ def _item(
     return command, (one, two, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
+@pytest.mark.long
 def test_the_same_recording_gives_the_same_actions() -> None:
     def essence(actions: list[Action]) -> list[str]:
         return [str(a.message) if isinstance(a, ToVehicle | ToFirmware) else str(a) for a in actions]

@@ -127,7 +127,7 @@ PRBS = RUN + 'kind = "prbs"\nduration_s = 1\n'
         (PRBS + "levels_kPa = [0, 2]\nmin_hold_s = 0.01", "runs[0].min_hold_s: is shorter than a sample"),
         (
             RUN + 'kind = "steps"\npressures_kPa = [1, 2]\nhold_s = [1]',
-            "runs[0].hold_s: 1 times for 2 pressures; give as many, or one",
+            "runs[0].hold_s: 1 times for 2 pressures; give one time, or one per pressure",
         ),
         (
             RUN + 'kind = "openings"\nvalves = [{ for_s = 1, env = 1 }]',
@@ -142,7 +142,7 @@ PRBS = RUN + 'kind = "prbs"\nduration_s = 1\n'
         ),
         (
             RUN + 'kind = "profile"\nsegments = [{ kind = "step", to_deg = 3 }]',
-            "runs[0].segments[0].to_deg: there is no vine here that bends; give kPa",
+            "runs[0].segments[0].to_deg: a scenario has no bend curve; give kPa",
         ),
         (
             RUN

@@ -109,11 +109,11 @@ def test_cases_are_not_mixed(
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "run_3_hold.csv").touch()
     assert run("--rig", rig, "--scenario", scenario, "--out", tmp_path / "a") == 2
-    assert "holds run_3_hold.csv, which is no run of this scenario" in complaint(capsys)
+    assert "contains run_3_hold.csv, which is not a run of this scenario" in complaint(capsys)
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "rig.toml").write_text("# another")
     assert run("--rig", rig, "--scenario", scenario, "--out", tmp_path / "b") == 2
-    assert "differs from the rig" in complaint(capsys)
+    assert "differs from the simulated rig" in complaint(capsys)
     assert (tmp_path / "b" / "rig.toml").read_text() == "# another"
 
 
@@ -135,7 +135,7 @@ def test_the_answer_is_kept_apart(scenario: Path, tmp_path: Path, capsys: pytest
     capsys.readouterr()
     rig.write_text(RIG + "[causes.cv_leak]\nflow_resistance_kPa_s_per_SL = 400\n")
     assert run("--rig", rig, "--scenario", scenario, "--out", case) == 2
-    assert f"{case / 'truth.toml'}: is there already and differs" in complaint(capsys)
+    assert f"{case / 'truth.toml'}: exists already and differs" in complaint(capsys)
 
 
 def test_bad_input_is_one_line(
@@ -152,7 +152,7 @@ def test_bad_input_is_one_line(
         ((rig, bad), f"{bad}: runs[0].cycles: expected int >= 1"),
         ((rig, "casse"), "casse: no such file, nor an example; those are case, discharge"),
         ((tmp_path / "none.toml", scenario), "none.toml cannot be read"),
-        ((leek, scenario), f"{leek}: causes.cv_leek is no cause: the causes are none, "),
+        ((leek, scenario), f"{leek}: causes.cv_leek is not a cause: the causes are none, "),
         ((no_cv, scenario), f"{scenario}: runs[0]: bends needs a control volume, and the rig has no [cv]"),
     ):
         assert run("--rig", arguments[0], "--scenario", arguments[1], "--out", out) == 2
@@ -172,6 +172,4 @@ def test_without_the_extra_it_is_one_line(missing: str, tmp_path: Path) -> None:
     )
     assert done.returncode == 2
     assert done.stdout == ""
-    assert (
-        done.stderr == f"flying-vines: {missing} is missing; pip install 'flying-vines[analysis]' brings it\n"
-    )
+    assert done.stderr == f"flying-vines: {missing} is missing: pip install 'flying-vines[analysis]'\n"

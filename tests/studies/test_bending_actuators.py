@@ -1,4 +1,4 @@
-"""The actuators alone: closed forms, virtual work, and that more pressure pulls more."""
+"""The actuators alone: closed forms, virtual work, and more pull with more pressure."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from flying_vines.studies.bending.fpam import Fpam
 from flying_vines.studies.bending.pouch_motor import PouchMotor
 
 STIFF_MPa = 10_000.0
-"""With a film of 10 mm: nothing stretches."""
+"""A film of 10 mm, which does not stretch."""
 
 
 def pouch(modulus_MPa: float = STIFF_MPa, film_um: float = 10_000.0, **keys: float) -> PouchMotor:
@@ -59,7 +59,7 @@ def test_a_pouch_motors_force_is_niiyamas() -> None:
 
 
 def test_a_free_pouch_is_a_round_tube() -> None:
-    # Two arcs of 40 mm make a circle of 80 mm around.
+    # Two arcs of 40 mm are a circle with a circumference of 80 mm.
     radius_m = 0.080 / (2.0 * math.pi)
     assert float(free(pouch(), 5.0).volume_L) == pytest.approx(
         8 * 0.030 * math.pi * radius_m**2 * 1000.0, rel=1e-4
@@ -129,7 +129,7 @@ def test_a_cpams_force_vanishes_at_30_to_40_percent(width_mm: float, contraction
 @pytest.mark.parametrize("actuator", KINDS)
 @pytest.mark.parametrize("pressure_kPa", [2.0, 20.7, 60.0])
 def test_virtual_work(actuator: Actuator, pressure_kPa: float) -> None:
-    """F dL = dU − p dV along the whole stroke: nothing is won and nothing lost."""
+    """F dL = dU − p dV along the whole stroke."""
     most = float(free(actuator, pressure_kPa).contraction)
     contraction = np.linspace(0.01, 0.99, 2001) * most
     state = held_at(actuator, pressure_kPa, contraction)

@@ -1,4 +1,4 @@
-"""The body as a beam, and the bend at which it and its actuator rest."""
+"""The body as a beam, and its equilibrium with the actuator."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ bodies = st.builds(
 def test_for_any_body_the_limits_keep_their_order(body: Body, name: str, load_N: float) -> None:
     vine = msgspec.structs.replace(load_vine(name), body=body, tip_load_N=load_N)
     found = bend(vine, np.linspace(0.0, vine.max_kPa, 40))
-    # Beyond its use a film may stretch faster than it shortens.
+    # Beyond the usable range a film may stretch faster than it shortens.
     used = found.angle_deg[found.pressure_kPa <= found.usable_kPa]
     assert np.all(np.diff(used) >= 0.0)
     assert 0.0 < body.wrinkling_N < body.collapse_N < body.axial_N

@@ -20,7 +20,7 @@ def run(*arguments: str) -> int:
 def test_alone_it_says_what_the_demonstration_does(capsys: pytest.CaptureFixture[str]) -> None:
     assert run() == 0
     out = capsys.readouterr().out
-    for words in ("vine of the demonstration", "311", "0.84", "Meets every wish", "micropump"):
+    for words in ("vine of the demonstration", "311", "0.84", "Meets all requirements", "micropump"):
         assert words in out
 
 

@@ -1,4 +1,4 @@
-"""The design guide against the paper's demonstration, and how its numbers must move."""
+"""The design guide agrees with the paper's demonstration, and its numbers change in the right direction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Profiles and parts that are wrong: one line that names file and key; and the data that ship."""
+"""Wrong profiles and parts give one line with file and key; and the built-in data."""
 
 from __future__ import annotations
 
@@ -32,7 +32,11 @@ ROBOT = 'name = "r"\ncv_volume_L = 0.2\npressure_kPa = 20.0\nfrequency_Hz = 0.5\
         ("value = 30.0", "value = 0.0", ["v.toml:3: flow_SLPM", "above 0"]),
         (', source = "my scales"', "", ["v.toml:6: mass_g", "source is missing"]),
         ('source = "my scales"', "assumed = true", ["v.toml:6: mass_g", "note"]),
-        ('source = "my scales"', 'source = "s", assumed = true', ["v.toml:6: mass_g", "one or the other"]),
+        (
+            'source = "my scales"',
+            'source = "s", assumed = true',
+            ["v.toml:6: mass_g", "assumed = true: remove one"],
+        ),
         ("mass_g", "mas_g", ["v.toml", "mas_g"]),
         ("value = 50.0", "valeu = 50.0", ["v.toml:6: mass_g", "valeu"]),
         ('kind = "valve"', 'kind = "pump"', ["v.toml:1: kind", "pump"]),
@@ -84,7 +88,9 @@ def test_a_wrong_robot_is_one_line(old: str, new: str, words: list[str]) -> None
 
 def test_a_part_that_no_file_has_is_named() -> None:
     robot = profile.parse(ROBOT + '[parts]\nevp = "pet-2.0"\n', "r.toml")
-    with pytest.raises(ConfigError, match=r"r.toml: parts.evp: 'pet-2.0' is none .* clippard-evp"):
+    with pytest.raises(
+        ConfigError, match=r"r.toml: parts.evp: 'pet-2.0' is not in the catalogue.* clippard-evp"
+    ):
         catalogue().choose(robot.parts, "r.toml")
 
 

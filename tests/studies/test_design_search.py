@@ -1,4 +1,4 @@
-"""The Pareto front: nothing in it is beaten, nothing outside it beats."""
+"""The Pareto front: no choice is better in both criteria than one in it."""
 
 from __future__ import annotations
 

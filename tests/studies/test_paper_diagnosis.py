@@ -1,4 +1,4 @@
-"""The paper's own data, diagnosed: what it must find, what it must leave open, and the tools that tell."""
+"""The diagnosis of the paper's data: what it must find, what it must leave open, and its tools."""
 
 from __future__ import annotations
 
@@ -39,6 +39,8 @@ from flying_vines.studies.paper.diagnosis.rivals import RESERVOIR_WALL
 from flying_vines.studies.paper.diagnosis.show import show
 from flying_vines.studies.paper.diagnosis.verdict import as_json, findings, has_heat, has_more_air
 
+pytestmark = pytest.mark.long
+
 FAST = (
     (),
     ("evp_restriction",),
@@ -50,7 +52,7 @@ FAST = (
     CHOKED,
     *RIVALS,
 )
-"""What the findings rest on."""
+"""The basis of the findings."""
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +110,7 @@ def test_what_could_pass_for_heat_is_left_open(found: Discharges) -> None:
     possible = {c.names for c in found.open()}
     assert ("evp_restriction", "valve_settles", "sensor_line") in possible
     assert ("reservoir_leak", "reservoir_cooling") in possible
-    # Heat is likelier, and not sure; that more air leaves is.
+    # Heat is more likely but not certain; a larger flow is certain.
     assert all(1.0 < above < ALIKE for above in found.missed(has_heat))
     assert all(above > 10.0 for above in found.missed(has_more_air))
 
@@ -158,7 +160,7 @@ def test_sharing_the_air_tells_the_valve_from_the_volume(proposal: ExperimentPro
     sharing = proposal.sharing
     assert sharing.discharge_delta_chi2 < 1e-3
     assert sharing.delta_chi2_rounding > 1000.0
-    # Two litres into one: two thirds, whatever the valve does.
+    # Two litres into one litre: two thirds, for any valve.
     assert sharing.ends_kPa[0] == pytest.approx(200.0 * 2.0 / 3.0, abs=1.0)
 
 
@@ -230,7 +232,7 @@ def test_a_wall_that_conducts_much_makes_the_gas_isothermal() -> None:
     plain = start_of(problem)
     cold, warm = (kPa(plain.with_cause(RESERVOIR_WALL, (value,))) for value in (0.5, 1000.0))
     assert cold < kPa(plain) - 10.0
-    # What is left is the wall's own cooling.
+    # The rest is the cooling of the wall.
     assert warm == pytest.approx(kPa(plain), abs=5.0)
 
 

@@ -42,7 +42,7 @@ def rows(comparison: PaperComparison) -> dict[str, PaperRow]:
 
 @pytest.fixture
 def quick(comparison: PaperComparison, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command, without computing again what this module has computed."""
+    """The command, with the results that this module has already computed."""
     monkeypatch.setattr(flying_vines.studies.paper, "compare", lambda: comparison)
 
 
@@ -126,7 +126,7 @@ def test_whatever_does_not_agree_says_why(comparison: PaperComparison) -> None:
 
 
 def test_the_plant_is_where_the_equations_say(rows: dict[str, PaperRow]) -> None:
-    """What the baseline plant must do whatever the regulator's tuning."""
+    """Properties of the baseline plant for any tuning of the regulator."""
     for name in ("4L_highRv", "4L_lowRv", "2L_lowRv"):
         assert rows[f"discharge.{name}.nrmse_plant"].verdict == "agrees"
     for name in ("tc1", "tc2", "tc3"):
@@ -181,7 +181,7 @@ def test_crossings() -> None:
 
 @pytest.mark.parametrize("ratio", [0.55, 0.8, 1.25, 1.45])
 def test_window_of_two_ramps(ratio: float) -> None:
-    """What the nRMSE of two ramps over that window is, sampled."""
+    """The nRMSE of two ramps over that window, sampled."""
     window = window_s(1.0, ratio, 0.1)
     t = np.linspace(0.0, window, 200_001)
     off = np.minimum(ratio * t, 1.0) - np.minimum(t, 1.0)
@@ -191,12 +191,12 @@ def test_window_of_two_ramps(ratio: float) -> None:
 
 @pytest.mark.parametrize("duration_s", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_test_lasts_a_time(duration_s: float) -> None:
-    with pytest.raises(ValueError, match="positive time"):
+    with pytest.raises(ValueError, match="must be positive"):
         run(Bench(), lambda _: 0.0, reservoir_kPa=690.0, duration_s=duration_s)
 
 
 def test_a_sine_has_a_frequency_and_a_loop_a_volume() -> None:
-    with pytest.raises(ValueError, match="positive frequency"):
+    with pytest.raises(ValueError, match="must be positive"):
         follow_sine(Bench(), frequency_Hz=0.0, peak_to_peak_kPa=1.0, reservoir_kPa=690.0)
     with pytest.raises(ValueError, match="control volume"):
         run(Bench(rig=Rig(cv=None)), lambda _: 0.0, reservoir_kPa=690.0, duration_s=1.0)
@@ -229,7 +229,7 @@ def test_the_table_is_as_it_was(comparison: PaperComparison) -> None:
         assert mine[-1] == text[-1] == row.verdict, row.key
         if row.ours is None:
             continue
-        # Where a plant switches, another compiler's last bits may show.
+        # Where a plant switches, the last bits depend on the compiler.
         within = 0.03 if row.by in ("plant", "high-fidelity") else 0.0006
         numbers = [cell for cell in text if re.fullmatch(r"[\d.]+", cell)]
         assert any(float(n) == pytest.approx(row.ours, rel=within, abs=0.02) for n in numbers), row.key
@@ -273,7 +273,7 @@ def test_the_high_fidelity_plant_is_nearer_to_the_measured_gain(rows: dict[str, 
 
 
 def test_the_likely_bench_is_what_its_sensors_read() -> None:
-    """Air flows through a tube: at its near end, where the sensor sits, the pressure is ahead."""
+    """While air flows through a tube, the pressure at the sensor's end is higher."""
     quiet = replace(LIKELY, noise_seed=None).with_cv(0.5)
 
     def reading_kPa(bench: Bench) -> float:
@@ -341,7 +341,5 @@ def test_without_the_extra_it_is_one_line(missing: str, arguments: list[str], tm
     )
     assert done.returncode == 2
     assert done.stdout == ""
-    assert (
-        done.stderr == f"flying-vines: {missing} is missing; pip install 'flying-vines[analysis]' brings it\n"
-    )
+    assert done.stderr == f"flying-vines: {missing} is missing: pip install 'flying-vines[analysis]'\n"
     assert list(tmp_path.iterdir()) == []

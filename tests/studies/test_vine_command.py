@@ -33,7 +33,7 @@ def pairs(tmp_path: Path) -> Path:
 def test_alone_it_shows_the_three_actuators(capsys: pytest.CaptureFixture[str]) -> None:
     assert run() == 0
     out = capsys.readouterr().out
-    for words in ("series pouch motor", "cPAM", "fPAM", "wrinkling from", "collapse ends it", "tip x mm"):
+    for words in ("series pouch motor", "cPAM", "fPAM", "wrinkling from", "limited by collapse", "tip x mm"):
         assert words in out
 
 

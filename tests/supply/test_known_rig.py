@@ -23,15 +23,15 @@ from flying_vines.identification.extended import extended_rig
 from flying_vines.physics.effects import catalogue
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.plant import at_rest
-from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.true_rig import TrueRig, load_true_rig, true_rig_text
+from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig, RigError
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.simulation.scenario import parse_scenario, simulate_scenario, write_case
 from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.supply import Belief, ReservoirEstimate, TelemetryReader, nominal
-from flying_vines.supply.known_rig import believed, load_calibration
+from flying_vines.supply.known_rig import belief_of, load_calibration
 
 P = PneumaticsConfig()
 RIG = Rig(Reservoir(2.0), ControlVolume(0.1))
@@ -40,7 +40,7 @@ RESISTANCE = "flow_resistance_kPa_s_per_SL"
 
 def known(causes: dict[str, dict[str, float]] | None = None, effects: Effects | None = None) -> Belief:
     """A rig of which all is told: these causes and effects, and nothing else."""
-    return believed(P, TrueRig(RIG, causes or {}, effects or Effects(), none_found=not causes))
+    return belief_of(P, TrueRig(RIG, causes or {}, effects or Effects(), none_found=not causes))
 
 
 def test_a_rig_that_has_nothing_else_is_rigid_tight_and_isothermal() -> None:
@@ -54,7 +54,7 @@ def test_a_rig_that_has_nothing_else_is_rigid_tight_and_isothermal() -> None:
 def test_what_is_only_believed_leaves_the_rest_open() -> None:
     bigger = Rig(Reservoir(1.5), ControlVolume(0.2))
     numbers = msgspec.structs.replace(P, reservoir_volume_L=1.5, cv_volume_L=0.2)
-    assert believed(P, TrueRig(bigger)) == nominal(numbers)
+    assert belief_of(P, TrueRig(bigger)) == nominal(numbers)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_a_pouch_is_filled_from_flat() -> None:
 
 def test_a_slow_outlet_calls_the_venturi() -> None:
     slow = TrueRig(Rig(cv=ControlVolume(0.6)), none_found=True)
-    assert known().cycle_venturi_s == 0.0 < believed(P, slow).cycle_venturi_s < 0.1
+    assert known().cycle_venturi_s == 0.0 < belief_of(P, slow).cycle_venturi_s < 0.1
 
 
 EVERY = {
@@ -117,7 +117,7 @@ def test_it_says_which_causes_it_rests_on(tmp_path: Path) -> None:
     calibration = load_calibration(file, P)
     assert calibration.used == ("cv_leak", "dead_volume")
     assert calibration.unused == ("ambient_drop", "venturi_stall")
-    assert "0.12 L" in calibration.said and "cv_leak, dead_volume" in calibration.said
+    assert "0.12 L" in calibration.summary and "cv_leak, dead_volume" in calibration.summary
     file.write_text(true_rig_text(TrueRig(RIG, none_found=True)))
     assert load_calibration(file, P).belief == known()
 
@@ -202,7 +202,7 @@ BELIEVED = replace(RIG, reservoir=Reservoir(1.0), cv=ControlVolume(0.2))
 @pytest.mark.parametrize("causes", HIDDEN.values(), ids=HIDDEN)
 def test_a_known_rig_is_told_right_from_the_start(causes: dict[str, dict[str, float]]) -> None:
     there = TrueRig(BELIEVED, causes)
-    before, after = errors(there, (believed(P, TrueRig(BELIEVED)), believed(P, there)))
+    before, after = errors(there, (belief_of(P, TrueRig(BELIEVED)), belief_of(P, there)))
     assert before[1] < 0.12 and before[0] > 0.5
     assert after[1] < 0.08 and after[0] > 2.0 * after[1]
 
@@ -230,7 +230,7 @@ def test_a_diagnosis_makes_the_flight_after_it_predictable(tmp_path: Path) -> No
     (tmp_path / "extended.toml").write_text(true_rig_text(extended_rig(case.rig, verdict)))
     extended = load_true_rig(tmp_path / "extended.toml")
     assert list(extended.causes) == ["cv_leak"]
-    before, after = errors(there, (believed(P, TrueRig(BELIEVED)), believed(P, extended)))
+    before, after = errors(there, (belief_of(P, TrueRig(BELIEVED)), belief_of(P, extended)))
     assert before[1] < 0.15 < 0.5 < before[0]
     assert after[1] < 0.1 < 0.2 < after[0]
 
@@ -248,7 +248,7 @@ def test_a_profile_names_its_rig_from_where_it_is(tmp_path: Path, capsys: pytest
     (tmp_path / "extended.toml").write_text(true_rig_text(TrueRig(RIG, EVERY)))
     assert command("config", "check", profile(tmp_path, "extended.toml")) == 0
     said = capsys.readouterr().out
-    assert "in the cycles left: cv_leak, dead_volume; of no use there: ambient_drop, venturi_stall" in said
+    assert "used for cycles left: cv_leak, dead_volume; unused: ambient_drop, venturi_stall" in said
 
 
 @pytest.mark.parametrize(
@@ -280,7 +280,7 @@ def test_the_core_flies_by_what_is_known_of_its_rig() -> None:
     there = TrueRig(BELIEVED, {"reservoir_sensor_offset": {"offset_kPa": 30.0}})
     conf = config.default()
     cycles = []
-    for belief in (None, believed(conf.pneumatics, there)):
+    for belief in (None, belief_of(conf.pneumatics, there)):
         world = SimulatedWorld(conf, belief=belief)
         list(world.advance(2.0))
         left = world.core.snapshot(2.0).cycles

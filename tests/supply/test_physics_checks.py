@@ -196,7 +196,7 @@ def test_a_bottle_sensor_that_is_stuck_is_found_within_eight_bends() -> None:
 
 def test_the_sentence_says_where_the_air_went() -> None:
     for place, kind, sentence in (
-        ("evp", StuckAt(0.0), "not filling, bottle keeps its air: valve"),
+        ("evp", StuckAt(0.0), "not filling, bottle loses no air: valve"),
         ("hose", HoseOff(), "not filling, air is lost: hose or actuator"),
     ):
         flying = Flying(likely(0.3), checks_of(0.3))

@@ -15,16 +15,16 @@ from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate, TelemetryReader, n_cycles, nominal
 from flying_vines.supply.formula import floor_kPa
-from flying_vines.supply.known_rig import believed
+from flying_vines.supply.known_rig import belief_of
 
 DEMONSTRATION = PneumaticsConfig()
 BELIEFS = (
     nominal(DEMONSTRATION),
-    believed(DEMONSTRATION, TrueRig(none_found=True)),
-    believed(DEMONSTRATION, TrueRig(likely=True)),
-    believed(DEMONSTRATION, TrueRig(effects=Effects(reservoir_wall=Wall(), cv_wall=Wall()))),
-    believed(DEMONSTRATION, TrueRig(effects=Effects(reservoir_wall=Wall(1e-3, 10.0, 0.5, 0.0)))),
-    believed(
+    belief_of(DEMONSTRATION, TrueRig(none_found=True)),
+    belief_of(DEMONSTRATION, TrueRig(likely=True)),
+    belief_of(DEMONSTRATION, TrueRig(effects=Effects(reservoir_wall=Wall(), cv_wall=Wall()))),
+    belief_of(DEMONSTRATION, TrueRig(effects=Effects(reservoir_wall=Wall(1e-3, 10.0, 0.5, 0.0)))),
+    belief_of(
         DEMONSTRATION,
         TrueRig(
             causes={

@@ -19,7 +19,7 @@ from flying_vines.physics.plant.flow import Ohm
 from flying_vines.physics.plant.likely import likely_effects
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc
-from flying_vines.physics.plant.shape import Compliant, Pouch
+from flying_vines.physics.plant.volume import Compliant, Pouch
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.simulation.phlosar.regulator import Tuning

@@ -187,7 +187,7 @@ async def test_a_link_that_is_lost_is_told_and_comes_back(bench: Bench) -> None:
     async with on_terminal(bench) as terminal:
         async with showing(bench):
             await terminal.shows("bend-half")
-        await terminal.shows("the service is silent: all this is 3 s old")
+        await terminal.shows("the service is silent: these data are 3 s old")
         async with showing(bench):
             await terminal.shows("link: open")
         terminal.process.send_signal(signal.SIGINT)

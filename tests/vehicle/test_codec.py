@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.codec import (
-    MOST_SENDERS,
+    MAX_SENDERS,
     REMEMBERED_FRAMES,
     REMEMBERED_SENT,
     MavlinkCodec,
     MavlinkMessage,
 )
-from flying_vines.vehicle.mavlink.frames import LONGEST_FRAME
+from flying_vines.vehicle.mavlink.frames import MAX_FRAME_SIZE
 
 
 class Sender:
@@ -92,7 +92,7 @@ def test_random_bytes_never_raise_and_good_frames_are_read_after_them(garbage: l
     for chunk in garbage:
         codec.decode(chunk)
     # Garbage may look like the start of the longest frame, which then swallows what follows.
-    for _ in range(-(-2 * LONGEST_FRAME // len(sender.frame(clock(1))))):
+    for _ in range(-(-2 * MAX_FRAME_SIZE // len(sender.frame(clock(1))))):
         codec.decode(sender.frame(clock(2)))
     assert texts_of(codec.decode(sender.frame(text("still here")))) == ["still here"]
 
@@ -135,7 +135,7 @@ def test_reads_that_always_end_within_a_frame_do_not_fill_the_memory() -> None:
         after, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert after - before < 64 * LONGEST_FRAME
+    assert after - before < 64 * MAX_FRAME_SIZE
     assert read == 60 * len(frames)
 
 
@@ -285,4 +285,4 @@ def test_strangers_without_end_neither_fill_the_memory_nor_crowd_the_autopilot_o
             assert codec.decode(Sender(system, component).frame(clock(1)))
     assert codec.decode(frame) == []
     assert codec.repeated_frames == 1
-    assert len(codec._senders) <= MOST_SENDERS
+    assert len(codec._senders) <= MAX_SENDERS

@@ -18,7 +18,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind
-from flying_vines.vehicle.repeats import LATE_S, MOST_REMEMBERED, PX4_REPEAT_S
+from flying_vines.vehicle.repeats import LATE_S, MAX_COMMANDS, PX4_REPEAT_S
 from flying_vines.vehicle.triggers import Rules, Trigger
 from flying_vines.vine.intent import (
     ArmPneumatics,
@@ -361,7 +361,7 @@ def test_what_is_remembered_stays_bounded() -> None:
         bench.take(0.01 * i, command(USER_2, (float(i),)))
     assert len(bench.triggers) == 5000
     assert all(b.t > a.t for a, b in pairwise(bench.triggers))
-    assert len(bench.commands._repeats._commands) <= MOST_REMEMBERED
+    assert len(bench.commands._repeats._commands) <= MAX_COMMANDS
 
 
 def test_a_vent_is_done_each_time_and_a_repeat_of_it_clears_nothing() -> None:
@@ -392,7 +392,7 @@ def test_a_repeat_of_an_item_that_is_history_is_answered_and_not_carried_out() -
 @pytest.mark.parametrize(
     ("sender", "params", "problem"),
     [
-        ((1, 195), (20.0,), "1/195 is no ground station"),
+        ((1, 195), (20.0,), "1/195 is not a ground station"),
         ((1, 195), (NAN,), "the angle is not a number"),
         ((1, 195), (0.0,), ""),
         (STATION, (20.0,), ""),

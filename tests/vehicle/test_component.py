@@ -21,7 +21,7 @@ from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.telemetry import NamedValues
-from flying_vines.vehicle.component.texts import CHUNK_LENGTH, LONGEST_TEXT, SAME_AGAIN_S, SPACING_S, Texts
+from flying_vines.vehicle.component.texts import CHUNK_LENGTH, MAX_TEXT_LENGTH, SAME_AGAIN_S, SPACING_S, Texts
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mission.storage import AutopilotKind
 from flying_vines.vehicle.notice import Notice
@@ -216,7 +216,7 @@ def test_a_receiver_can_tell_where_a_text_ends(length: int, chunks: int) -> None
 
 def test_a_text_without_end_is_cut() -> None:
     (words,) = joined(said(["Vine: " + 5000 * "x"]))
-    assert len(words) == LONGEST_TEXT
+    assert len(words) == MAX_TEXT_LENGTH
     assert words.endswith("x..")
 
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.mavlink.frames import LONGEST_FRAME, Frame, Frames
+from flying_vines.vehicle.mavlink.frames import MAX_FRAME_SIZE, Frame, Frames
 
 
 def packed(count: int, version_1: bool = False) -> list[bytes]:
@@ -119,7 +119,7 @@ def test_chunking_changes_nothing(parts: list[int | bytes], cuts: list[int]) -> 
     found = [f for begin, end in zip([0, *ends], ends, strict=False) for f in split.take(stream[begin:end])]
     assert found == at_once
     assert split.bad_frames == whole.bad_frames
-    assert len(split._rest) <= LONGEST_FRAME
+    assert len(split._rest) <= MAX_FRAME_SIZE
 
 
 def test_noise_counts_once_however_it_arrives() -> None:

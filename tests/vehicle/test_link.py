@@ -21,9 +21,9 @@ from flying_vines.config.address import Address, NetworkAddress, SerialAddress
 from flying_vines.vehicle.mavlink import link as link_module
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mavlink.link import (
+    MAX_FIRST_DATAGRAM_BYTES,
+    MAX_PEERS,
     MAX_QUEUED_BYTES,
-    MOST_OF_STRANGERS,
-    MOST_PEERS,
     PEER_FORGOTTEN_S,
     Link,
     Peers,
@@ -229,7 +229,7 @@ async def test_the_autopilot_keeps_its_answers_however_many_others_speak() -> No
         for i in range(sent):
             assert (await autopilot.next())[0] == b"%d" % i
         assert isinstance(watched.link, UdpLink)
-        assert len(watched.link._peers) == MOST_PEERS
+        assert len(watched.link._peers) == MAX_PEERS
 
 
 async def test_who_is_no_autopilot_is_read_and_not_answered() -> None:
@@ -327,7 +327,7 @@ async def test_a_datagram_too_large_for_mavlink_is_not_read_from_strangers() -> 
         serving(NetworkAddress("udpin", HOST, port)) as (watched, believed),
         udp_peer((HOST, port)) as (_, to_us, _),
     ):
-        to_us.sendto(AUTOPILOT * (MOST_OF_STRANGERS // len(AUTOPILOT) + 1))
+        to_us.sendto(AUTOPILOT * (MAX_FIRST_DATAGRAM_BYTES // len(AUTOPILOT) + 1))
         to_us.sendto(frame_of(154))
         await settled(watched, 1)
         assert believed == [(1, 154)]
@@ -354,7 +354,7 @@ def test_who_speaks_often_enough_never_loses_his_place(
             peers.enter(source, t)
         present = peers.present(t)
         assert ("autopilot", 0) in present
-        assert len(present) == len(peers) <= MOST_PEERS
+        assert len(present) == len(peers) <= MAX_PEERS
         assert peers.heard(("autopilot", 0), t)
 
 
@@ -362,7 +362,7 @@ def test_a_router_that_restarts_with_another_port_is_answered_again_soon() -> No
     peers = Peers()
     for restart in range(20):
         assert peers.enter(("router", restart), 1.0 * restart)
-    assert len(peers.present(19.0)) == MOST_PEERS
+    assert len(peers.present(19.0)) == MAX_PEERS
     assert peers.present(19.0 + PEER_FORGOTTEN_S + 1.0) == []
 
 

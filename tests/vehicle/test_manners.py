@@ -14,9 +14,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 import flying_vines
 from flying_vines.config import config
 from flying_vines.vehicle.component import Component
-from flying_vines.vehicle.component.clash import AGAIN_S, WITHIN_S, Clash
-from flying_vines.vehicle.component.settings import SETTINGS
-from flying_vines.vehicle.component.texts import LONGEST_TEXT, harmless
+from flying_vines.vehicle.component.clash import REPORT_AGAIN_S, WITHIN_S, Clash
+from flying_vines.vehicle.component.parameter_table import SETTINGS
+from flying_vines.vehicle.component.texts import MAX_TEXT_LENGTH, harmless
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.state import VehicleState
@@ -74,7 +74,7 @@ def test_any_text_is_made_harmless(text: str) -> None:
     assert made.startswith("Vine:")
     assert all(" " <= sign <= "~" for sign in made)
     assert made == made.strip()
-    assert len(made) <= LONGEST_TEXT
+    assert len(made) <= MAX_TEXT_LENGTH
     assert harmless(made) == made
 
 
@@ -163,7 +163,11 @@ def test_a_second_component_with_our_id_is_told_once_a_minute() -> None:
     assert clash.heard(10.0) == []
     assert clash.heard(11.0) == [Notice(11.0, Severity.ERROR, TAKEN)]
     told = [t for t in range(12, 200) for _ in clash.heard(float(t))]
-    assert told == [11 + round(AGAIN_S), 11 + 2 * round(AGAIN_S), 11 + 3 * round(AGAIN_S)]
+    assert told == [
+        11 + round(REPORT_AGAIN_S),
+        11 + 2 * round(REPORT_AGAIN_S),
+        11 + 3 * round(REPORT_AGAIN_S),
+    ]
 
 
 def test_one_stray_message_is_no_clash() -> None:

@@ -11,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.book import MOST_ATTEMPTS, RETRY_S, TRY_AGAIN_S, MissionBook
+from flying_vines.vehicle.mission.book import MAX_ATTEMPTS, RETRY_S, TRY_AGAIN_S, MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
 
 TICK_S = 0.02
@@ -139,7 +139,7 @@ def test_replies_that_come_twice_and_late_do_no_harm() -> None:
 def test_an_autopilot_that_does_not_answer_is_asked_sparingly() -> None:
     book = MissionBook()
     asked = [i * TICK_S for i in range(6000) if book.requests(i * TICK_S, 1, True)]
-    assert len([t for t in asked if t < TRY_AGAIN_S]) == MOST_ATTEMPTS
+    assert len([t for t in asked if t < TRY_AGAIN_S]) == MAX_ATTEMPTS
     assert all(b - a >= RETRY_S - 1e-9 for a, b in itertools.pairwise(asked))
     assert 20 <= len(asked) <= 36
     assert not book.fresh

@@ -11,6 +11,8 @@ from mission_storm import RESTART_S, Link, Storm, compare, fly, in_order, missio
 
 from flying_vines.simulation.autopilot import AutopilotKind
 
+pytestmark = pytest.mark.long
+
 KINDS: tuple[AutopilotKind, AutopilotKind] = ("ardupilot", "px4")
 
 

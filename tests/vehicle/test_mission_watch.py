@@ -22,7 +22,7 @@ from flying_vines.vehicle.autopilots.ardupilot_mission import (
 from flying_vines.vehicle.autopilots.px4_mission import Px4Watch
 from flying_vines.vehicle.clock import BACKLOG_S, LATE_S, AutopilotClock
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
-from flying_vines.vehicle.mission.book import MOST_ITEMS, MissionBook
+from flying_vines.vehicle.mission.book import MAX_ITEMS, MissionBook
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem
 
@@ -482,7 +482,7 @@ def test_a_flood_of_texts_is_not_kept() -> None:
         handed_over(air, (float(number), 0.0, 0.0, 0.0))
         air.reaches(number)
     sizes = [len(kept) for kept in vars(air.watch).values() if hasattr(kept, "__len__")]
-    assert max(sizes) <= MOST_ITEMS + 1
+    assert max(sizes) <= MAX_ITEMS + 1
 
 
 def test_a_book_that_changes_meanwhile_is_not_guessed_from() -> None:
@@ -514,9 +514,9 @@ def test_a_mission_of_the_same_length_that_nobody_told_of_gives_its_own_numbers(
     air.stores(other)
     air.runs(3)
     air.runs(4)
-    assert [(e.seq, e.params, e.anew) for e in air.found] == [
+    assert [(e.seq, e.params, e.changed) for e in air.found] == [
         (3, other[3].params, True),
-        (4, other[4].params, False),  # the book is in doubt already
+        (4, other[4].params, False),  # the book is marked as outdated already
     ]
     assert not air.book.fresh
 

@@ -12,19 +12,19 @@ from hypothesis import strategies as st
 
 from flying_vines.config import config
 from flying_vines.vehicle.component.parameter_file import ParameterFileError, read, write
+from flying_vines.vehicle.component.parameter_table import SETTINGS, ParameterRefused, bounds
 from flying_vines.vehicle.component.parameters import Parameters
-from flying_vines.vehicle.component.settings import SETTINGS, ParameterRefused, bounds
 
 PROFILE = config.default()
 VALUES = {"VINE_MAX_KPA": 18.1, "VINE_RC_ACTION": 1.0}
 TEXT = """\
-# Vine parameters set from a ground station: they go before the profile.
-# Take a line out and start the service again: its parameter is the profile's once more.
+# Vine parameters set from a ground station. They override the profile.
+# To use the profile's value again, delete the line and restart the service.
 
 # RC lost: 0 vent, 1 hold (profile: 0)
 VINE_RC_ACTION = 1.0
 
-# gauge kPa: no setpoint is above it (profile: 20.7)
+# maximum setpoint, gauge kPa (profile: 20.7)
 VINE_MAX_KPA = 18.1
 """
 
@@ -81,14 +81,14 @@ def test_the_last_write_counts(tmp_path: Path) -> None:
     ("text", "error"),
     [
         ("VINE_SW_CHAN = 7\nVINE_MAX_KPA = 30\n", ":2: VINE_MAX_KPA: 30 is outside 0.5 to 20.7: correct"),
-        ("VINE_SW_CHAN = 7.5\n", ":1: VINE_SW_CHAN: 7.5 is no whole number: correct"),
+        ("VINE_SW_CHAN = 7.5\n", ":1: VINE_SW_CHAN: 7.5 is not a whole number: correct"),
         ("VINE_MAX_KPA = nan\n", ":1: VINE_MAX_KPA: it must be a number: correct"),
         ("VINE_MAX_KPA = 1e300\n", ":1: VINE_MAX_KPA: 1e+300 is outside 0.5 to 20.7: correct"),
         ("\n\nVINE_MAX_KPA = 'low'\n", ":3: VINE_MAX_KPA: it must be a number"),
         ("VINE_FUEL_STATUS = true\n", ":1: VINE_FUEL_STATUS: it must be a number"),
         ("VINE_MAX_KPB = 3\n", ":1: VINE_MAX_KPB: there is no such parameter; did you mean VINE_MAX_KPA?"),
-        ("VINE_AP_ACTION = 1\n", ":1: VINE_AP_ACTION: take the line out: a lost autopilot always vents"),
-        ("[limits]\nmax_kPa = 3\n", ":1: limits: there is no such parameter: take the line out"),
+        ("VINE_AP_ACTION = 1\n", ":1: VINE_AP_ACTION: delete the line: a lost autopilot always vents"),
+        ("[limits]\nmax_kPa = 3\n", ":1: limits: there is no such parameter: delete the line"),
         ("VINE_MAX_KPA = 18\nVINE_MAX_K", ":2: not TOML: "),
         ("VINE_MAX_KPA = 18\nVINE_MAX_KPA = 17\n", ":2: not TOML: "),
         ("\x00\x00\x00", ":1: not TOML: "),

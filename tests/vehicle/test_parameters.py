@@ -15,8 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
 from flying_vines.config.config import Config
-from flying_vines.vehicle.component.parameters import LIST_SPACING_S, Changed, Parameters
-from flying_vines.vehicle.component.settings import (
+from flying_vines.vehicle.component.parameter_table import (
     BY_NAME,
     SETTINGS,
     ParameterRefused,
@@ -24,6 +23,7 @@ from flying_vines.vehicle.component.settings import (
     decimal,
     value_of,
 )
+from flying_vines.vehicle.component.parameters import LIST_SPACING_S, Changed, Parameters
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 
@@ -244,9 +244,9 @@ REFUSED = [
     ("VINE_HOLD_MAX_S", 31.0, "31 is outside 0.5 to 30"),
     ("VINE_MAX_BENT_S", 121.0, "121 is outside 1 to 120"),
     ("VINE_SW_CHAN", 19.0, "19 is outside 1 to 18"),
-    ("VINE_SW_CHAN", 8.5, "8.5 is no whole number"),
+    ("VINE_SW_CHAN", 8.5, "8.5 is not a whole number"),
     ("VINE_RC_ACTION", 2.0, "2 is outside 0 to 1"),
-    ("VINE_RC_ACTION", 0.5, "0.5 is no whole number"),
+    ("VINE_RC_ACTION", 0.5, "0.5 is not a whole number"),
     ("VINE_RATE_HZ", 11.0, "11 is outside 0.1 to 10"),
     ("VINE_MAX_KPA", math.nan, "it must be a number"),
     ("VINE_SW_CHAN", math.inf, "it must be a number"),

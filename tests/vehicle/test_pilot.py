@@ -657,7 +657,7 @@ def test_a_straightening_that_was_the_receivers_is_no_move_to_hold() -> None:
     assert radio.told == ["Vine: switch ch9 is back where it was, move it again"]
 
 
-HOLD_ON = "Vine: hold switch ch9 1.6 s to bend"
+HOLD_ON = "Vine: hold switch ch9 for 1.6 s to bend"
 
 
 def test_a_position_that_is_left_too_soon_asks_for_nothing_and_the_pilot_reads_why() -> None:

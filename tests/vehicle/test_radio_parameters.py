@@ -7,7 +7,7 @@ from param_value import param_value
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS, OTHER
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
-from flying_vines.vehicle.radio.radio_parameters import MOST_ATTEMPTS, RadioParameters
+from flying_vines.vehicle.radio.radio_parameters import MAX_ATTEMPTS, RadioParameters
 
 ARDUPILOT = AUTOPILOTS["ardupilot"]
 
@@ -32,7 +32,7 @@ def test_each_is_asked_for_until_it_is_answered_and_then_no_more(autopilot: Auto
             if name != silent:
                 parameters.handle(autopilot, param_value(name, 1.0))
     assert [asked.count(name) for name in names[:-1]] == [1] * (len(names) - 1)
-    assert asked.count(silent) == MOST_ATTEMPTS
+    assert asked.count(silent) == MAX_ATTEMPTS
 
 
 def test_they_are_asked_for_again_after_a_reboot_and_before_a_flight() -> None:

@@ -130,7 +130,7 @@ def test_no_channels_alone() -> None:
 def test_a_pulse_that_no_receiver_makes(pulse_us: int) -> None:
     link = good()
     link.handle(0.1, channels(pulse_us))
-    assert "channel 9 is not there" in str(link.problem(0.1))
+    assert "channel 9 has no valid pulse" in str(link.problem(0.1))
     link.handle(0.2, channels(2000))
     assert link.problem(0.2) is None
 

@@ -9,7 +9,7 @@ import pytest
 from flying_vines.vehicle.repeats import (
     COPIES_WITHIN_S,
     LATE_S,
-    MOST_REMEMBERED,
+    MAX_COMMANDS,
     PX4_REPEAT_S,
     STATION_REPEAT_S,
     Repeats,
@@ -83,6 +83,6 @@ def test_only_the_latest_commands_are_remembered() -> None:
     repeats = Repeats()
     for number in range(1000):
         repeats.is_repeat(10.0, number, 0, number & 0xFF, PX4_REPEAT_S)
-    repeats.is_repeat(10.1, 1000 - MOST_REMEMBERED, 1, 1, PX4_REPEAT_S)
+    repeats.is_repeat(10.1, 1000 - MAX_COMMANDS, 1, 1, PX4_REPEAT_S)
     assert repeats.is_repeat(10.2, 999, 1, 2, PX4_REPEAT_S)
     assert not repeats.is_repeat(10.2, 5, 1, 3, PX4_REPEAT_S)

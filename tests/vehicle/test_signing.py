@@ -18,7 +18,7 @@ from flying_vines.simulation.autopilot.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mavlink.signing import (
-    MOST_STREAMS,
+    MAX_STREAMS,
     UNITS_PER_S,
     UNIX_TIME_OF_ZERO_S,
     RefusedFrames,
@@ -321,18 +321,18 @@ def test_streams_without_end_do_not_fill_the_memory_nor_take_the_autopilots_plac
     old = autopilot.say("hello")
     assert ours.hears(old) == ["hello"]
     assert ours.hears(b"".join(autopilot.say(f"{i}") for i in range(40)))
-    for number in range(3 * MOST_STREAMS):
+    for number in range(3 * MAX_STREAMS):
         ours.hears(Peer(NOW, system=2 + number % 200, link_id=number % 250).say("hello"))
-    assert len(ours.signing._streams) <= MOST_STREAMS
-    assert ours.refused.replayed == 2 * MOST_STREAMS + 1  # no room, and that they are new cannot be told
+    assert len(ours.signing._streams) <= MAX_STREAMS
+    assert ours.refused.replayed == 2 * MAX_STREAMS + 1  # no room, and that they are new cannot be told
     assert ours.hears(old) == []
     assert ours.hears(autopilot.say("still here")) == ["still here"]
 
 
 def test_streams_that_fell_silent_make_room_and_stay_refused() -> None:
     ours = Ours()
-    said = [Peer(NOW, system=2 + number).say("hello") for number in range(MOST_STREAMS)]
-    assert len(ours.hears(b"".join(said))) == MOST_STREAMS
+    said = [Peer(NOW, system=2 + number).say("hello") for number in range(MAX_STREAMS)]
+    assert len(ours.hears(b"".join(said))) == MAX_STREAMS
     ours.signing.advance(NOW_S + 120)
     assert ours.hears(Peer(NOW + 2 * MINUTE, system=200).say("new")) == ["new"]
     assert len(ours.signing._streams) == 1
@@ -377,7 +377,7 @@ def test_a_far_future_that_was_kept_is_dropped_and_the_others_hear_us_again() ->
     assert pilot.parse_buffer(codec.encode(text("in 2040"), 1))[0].get_signed()
     pilot.signing.timestamp = NOW  # it was restarted, but knows our stream, as an autopilot does
     signing.advance(NOW_S, 0.0)
-    assert signing.news == ["signing clock was 4849 days ahead: set right"]
+    assert signing.news == ["signing clock was 4849 days ahead: corrected"]
     assert signing.memory == SigningMemory(NOW, 192, (((3, 1, 1), NOW - HOUR),))
     assert pilot.parse_buffer(codec.encode(text("Vine: back"), 1))[0].get_signed()
     assert [m.text for m in codec.decode(Peer(NOW, system=255, component=190, link_id=0).say("hello"))] == [
@@ -392,7 +392,7 @@ def test_a_jump_of_our_own_clock_is_not_followed(synchronised: bool) -> None:
     for second in range(1, 6):
         signing.advance(IN_2040_S + second, 100.0 + second, synchronised)
         assert abs(signing.next_timestamp() - NOW - second * UNITS_PER_S) < 10
-    assert signing.news == ["own clock jumped +4849 days: not followed"]
+    assert signing.news == ["own clock jumped +4849 days: ignored"]
     signing.advance(NOW_S + 6, 106.0, synchronised)
     assert abs(signing.next_timestamp() - NOW - 6 * UNITS_PER_S) < 10
     assert len(signing.news) == 1 and signing.link_id == 0
@@ -412,7 +412,7 @@ def test_the_first_synchronisation_is_followed_and_sets_right_what_was_ahead() -
     year_ahead = Peer(NOW + 365 * 24 * HOUR, system=255)
     assert ours.hears(year_ahead.say("next year")) == ["next year"]
     ours.signing.advance(NOW_S, 1.0, synchronised=True)
-    assert ours.signing.news == ["signing clock was 365 days ahead: set right"]
+    assert ours.signing.news == ["signing clock was 365 days ahead: corrected"]
     assert ours.signing.timestamp == NOW
     assert ours.hears(Peer(NOW).say("hello")) == ["hello"]
     assert ours.hears(year_ahead.say("next year again")) == []

@@ -70,7 +70,7 @@ def test_what_is_no_key_is_refused_and_not_shown(tmp_path: Path, content: bytes)
     with pytest.raises(SigningKeyError) as refused:
         read_key(path)
     assert str(refused.value) == (
-        f"{path}: no signing key in it: write 64 hexadecimal digits, 32 raw bytes, or a line "
+        f"{path}: no signing key in the file: write 64 hexadecimal digits, 32 raw bytes, or a line "
         '"passphrase: ..."'
     )
 
@@ -83,7 +83,7 @@ def test_a_short_passphrase_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", [bytes(32), b"0" * 64])
 def test_a_key_of_zeros_is_refused(tmp_path: Path, content: bytes) -> None:
-    with pytest.raises(SigningKeyError, match="a key of zeros is no key"):
+    with pytest.raises(SigningKeyError, match="the key is all zeros"):
         read_key(key_file(tmp_path, content))
 
 
@@ -174,7 +174,7 @@ def test_a_damaged_file_leaves_the_clock_alone_and_says_so(file: Path, content: 
     file.write_bytes(content)
     assert TimestampFile(file).load() == (
         SigningMemory(),
-        f"{file}: damaged; the signing timestamp goes on from the clock alone",
+        f"{file}: damaged; the signing timestamp continues from the clock alone",
     )
 
 

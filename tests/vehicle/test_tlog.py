@@ -146,7 +146,7 @@ def test_any_file_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, d
 @pytest.mark.parametrize("data", [b"", b"\0" * 500, b"QGC WPL 110\n0\t1\t0\t16\n" * 30, raw(records(1))[:-1]])
 def test_what_holds_no_frame_is_no_recording(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "flight.tlog"
-    with pytest.raises(TlogError, match=r"flight\.tlog: no MAVLink frame in it") as caught:
+    with pytest.raises(TlogError, match=r"flight\.tlog: no MAVLink frame in the file") as caught:
         read(path, data)
     assert "\n" not in str(caught.value)
 

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.component.answer import acknowledgement
 from flying_vines.vehicle.component.identity import autopilot_version
-from flying_vines.vehicle.component.transmit_queue import MOST_WAITING, TransmitQueue
+from flying_vines.vehicle.component.transmit_queue import MAX_WAITING, TransmitQueue
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mavlink.fuel_status import fuel_status
 
@@ -88,14 +88,14 @@ def test_an_answer_leaves_at_once_where_nothing_else_just_did() -> None:
 
 def test_of_too_many_the_oldest_of_the_least_is_dropped() -> None:
     queue = TransmitQueue()
-    for number in range(MOST_WAITING):
+    for number in range(MAX_WAITING):
         queue.put(value(number))
     queue.put(answer())
     queue.put(HEARTBEAT)
     assert queue.dropped == 2
-    left = [message for i in range(2 * MOST_WAITING) for message in queue.due(i * TICK_S)]
+    left = [message for i in range(2 * MAX_WAITING) for message in queue.due(i * TICK_S)]
     assert [message.get_type() for message in left[:2]] == ["HEARTBEAT", "COMMAND_ACK"]
-    assert [message.time_boot_ms for message in left[2:]] == list(range(2, MOST_WAITING))
+    assert [message.time_boot_ms for message in left[2:]] == list(range(2, MAX_WAITING))
 
 
 def test_a_flood_of_commands_drops_answers_but_no_heartbeat() -> None:

@@ -283,8 +283,8 @@ def test_another_mission_of_the_same_length_is_told_with_what_was_carried_out() 
     link.hear(mavlink.MAVLink_mission_count_message(1, 191, 3, 0))
     for message in (*read[:2], mission_item(2, 217, 1.0, 44.0)):
         link.hear(message)
-    told = [notice.text for notice in link.notices if "anew" in notice.text]
-    assert told == ["Vine: mission read anew, item 2: bend 44°"]
+    told = [notice.text for notice in link.notices if "mission changed" in notice.text]
+    assert told == ["Vine: mission changed, item 2: bend 44°"]
 
 
 def mission_item(seq: int, command: int, param1: float = 0.0, param2: float = 0.0) -> MavlinkMessage:

@@ -87,10 +87,10 @@ def test_it_stays_flat_beyond_its_ends() -> None:
         ([(0, 0), (0, 10)], "pressures .* must rise"),
         ([(0, 0), (5, 10), (4, 20)], "pressures .* must rise"),
         ([(0, 0), (5, 10), (6, 9.9)], "angles .* must not fall"),
-        ([(0, 0), (math.nan, 10)], "not a number"),
-        ([(0, 0), (5, math.nan)], "not a number"),
-        ([(0, 0), (math.inf, 10)], "not a number"),
-        ([(0, -math.inf), (5, 10)], "not a number"),
+        ([(0, 0), (math.nan, 10)], "must be a finite number"),
+        ([(0, 0), (5, math.nan)], "must be a finite number"),
+        ([(0, 0), (math.inf, 10)], "must be a finite number"),
+        ([(0, -math.inf), (5, 10)], "must be a finite number"),
     ],
 )
 def test_what_is_no_curve_gives_a_sentence(curve_pairs: list[tuple[float, float]], reason: str) -> None:

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.motion import Motion, plan
 from flying_vines.vine.profile import (
-    DEEPEST_NESTING,
-    LARGEST,
-    MOST_PIECES,
+    MAX_NESTING,
+    MAX_PIECES,
+    MAX_VALUE,
     HoldFor,
     PressureProfile,
     Ramp,
@@ -178,9 +178,9 @@ def test_a_motion_begins_at_its_start() -> None:
     up = plan([Step(to_kPa=10)], CURVE, 0.0, 10.0, MAX_KPA, started_at=100.0)
     assert [up.setpoint_kPa(t) for t in (99.0, 100.5, 101.0, 500.0)] == pytest.approx([0, 5, 10, 10])
     assert (up.is_over(100.99), up.is_over(101.0)) == (False, True)
-    assert (up.only_lets_out, up.stays_bent) == (False, True)
+    assert (up.only_deflates, up.stays_bent) == (False, True)
     down = plan([Step(to_kPa=0)], CURVE, 10.0, 10.0, MAX_KPA)
-    assert (down.only_lets_out, down.stays_bent) == (True, False)
+    assert (down.only_deflates, down.stays_bent) == (True, False)
 
 
 @pytest.mark.parametrize("cycles", [1, 3, 7, 100, 1000])
@@ -275,9 +275,9 @@ def chain(length: int) -> dict[str, PressureProfile]:
 
 
 def test_nesting_has_an_end() -> None:
-    assert len(list(flatten(chain(DEEPEST_NESTING), "0"))) == 1
-    with pytest.raises(ValueError, match=f"nested more than {DEEPEST_NESTING} deep"):
-        list(flatten(chain(DEEPEST_NESTING + 1), "0"))
+    assert len(list(flatten(chain(MAX_NESTING), "0"))) == 1
+    with pytest.raises(ValueError, match=f"nested more than {MAX_NESTING} deep"):
+        list(flatten(chain(MAX_NESTING + 1), "0"))
 
 
 @pytest.mark.parametrize("around", [1, 2, 3])
@@ -299,8 +299,8 @@ def test_a_profile_that_is_not_there_is_named() -> None:
 
 def test_too_many_pieces_are_refused_before_they_are_made() -> None:
     inner = profile(Step(to_kPa=1), Step(to_kPa=2), repeat=1000)
-    assert len(list(flatten({"a": inner, "b": profile(Sub(name="a", repeat=5))}, "b"))) == MOST_PIECES
-    with pytest.raises(ValueError, match=f"unrolls to more than {MOST_PIECES} segments"):
+    assert len(list(flatten({"a": inner, "b": profile(Sub(name="a", repeat=5))}, "b"))) == MAX_PIECES
+    with pytest.raises(ValueError, match=f"unrolls to more than {MAX_PIECES} segments"):
         list(flatten({"a": inner, "b": profile(Sub(name="a", repeat=6))}, "b"))
     tower = {str(i): profile(Sub(name=str(i + 1), repeat=1000), repeat=1000) for i in range(6)}
     with pytest.raises(ValueError, match="unrolls to more than"):
@@ -317,7 +317,7 @@ BAD = [
     {"kind": "hold"},
     {"kind": "hold", "for_s": -1},
     {"kind": "hold", "for_s": math.inf},
-    {"kind": "hold", "for_s": 2 * LARGEST},
+    {"kind": "hold", "for_s": 2 * MAX_VALUE},
     {"kind": "sine", "frequency_Hz": 1},
     {"kind": "sine", "frequency_Hz": 1, "from_deg": 1, "to_kPa": 1},
     {"kind": "sine", "frequency_Hz": 1, "from_deg": 1, "to_deg": 1, "to_kPa": 1},

@@ -1,6 +1,6 @@
-// The phloSAR's firmware on a Teensy LC. How to build and flash it: docs/firmware.md; what to wire: docs/wiring.md.
-#include "src/run.h"
+// The phloSAR's firmware for Teensy 4.0, 4.1 and LC. How to flash it: docs/first-flash.md.
+#include "src/phlosar.h"
 
-void setup() { phlosar::begin(); }
+void setup() { phlosar::setup(); }
 
-void loop() { phlosar::turn(); }
+void loop() { phlosar::loop(); }

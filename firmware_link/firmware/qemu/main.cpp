@@ -1,6 +1,6 @@
-// The core on an emulated Cortex-M0: reads `inputs`, lets boards live by them, writes what they did to `outputs`.
+// The core on an emulated processor: reads `inputs`, runs boards by them, writes what they did to `outputs`.
 //
-// The two files are those of tests/firmware/emulated_chip.py, which makes the one and reads the other. All
+// The two files are those of tests/firmware/emulated.py, which makes the one and reads the other. All
 // numbers little-endian.
 
 #include <stddef.h>

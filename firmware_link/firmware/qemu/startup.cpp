@@ -17,6 +17,10 @@ extern uint32_t bss_begin[];
 extern uint32_t bss_end[];
 
 [[noreturn]] void reset() {
+#if defined(__ARM_FP)
+    *reinterpret_cast<volatile uint32_t*>(0xE000ED88) = 0x00F00000;  // the floating-point unit on
+    asm volatile("dsb\nisb" ::: "memory");
+#endif
     const uint32_t* kept = data_kept_at;
     for (uint32_t* at = data_begin; at != data_end; ++at) *at = *kept++;
     for (uint32_t* at = bss_begin; at != bss_end; ++at) *at = 0;
@@ -34,9 +38,10 @@ union Vector {
     void (*handler)();
 };
 
-// Nothing is interrupted here: only NMI and HardFault can come.
+// Nothing is interrupted here: only NMI and faults can come.
 __attribute__((section(".vectors"), used)) constexpr Vector kVectors[] = {
     {stack_top}, {.handler = reset}, {.handler = crashed}, {.handler = crashed},
+    {.handler = crashed}, {.handler = crashed}, {.handler = crashed},
 };
 
 }  // namespace

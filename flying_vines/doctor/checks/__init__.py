@@ -1,4 +1,4 @@
-"""What the doctor looks at, a file each: the facts, the lines that can be said of them, and which hold.
+"""The doctor's checks, one file per subject: the facts, all possible lines, and the check itself.
 
 All pure: facts in, findings out.
 """

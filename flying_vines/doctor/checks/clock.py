@@ -1,4 +1,4 @@
-"""This computer's clock: logs carry its time, and signed messages are believed by it."""
+"""Checks this computer's clock: it gives the logs' times and decides which signed messages are accepted."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ SIGNED_APART_S = NEW_STREAM_MAY_LAG / UNITS_PER_S
 class ClockFacts:
     unix_s: float
     synchronised: bool | None = None
-    """What the kernel says; None where it says nothing."""
+    """The kernel's answer; None if it gives none."""
     jumped_s: float = 0.0
-    """While the doctor looked."""
+    """Clock jump during the examination."""
     ahead_s: float | None = None
-    """Before the autopilot's; None where that does not tell the time."""
+    """Lead before the autopilot's clock; None if the autopilot does not know the time."""
     signing: bool = False
 
 
@@ -29,35 +29,35 @@ NOT_SYNCHRONISED = FindingText(
     "clock",
     "warning",
     "not synchronised: the logs' times may be off",
-    "let it meet a network before the flight, or have a real-time clock or GPS time (chrony)",
+    "connect it to a network before the flight, or use a real-time clock or GPS time (chrony)",
 )
 NOT_SET = FindingText(
-    "clock", "warning", "not set: it says {when}", "set it (sudo date -s …), or let it meet a network"
+    "clock", "warning", "not set: it shows {when}", "set it (sudo date -s …), or connect it to a network"
 )
 JUMPED = FindingText(
     "clock",
     "warning",
-    "it jumped by {by:+.1f} s while it was looked at",
-    "wait until it is synchronised; only then start the service",
+    "it jumped by {by:+.1f} s during this check",
+    "wait until it is synchronised, then start the service",
 )
-AGREES = FindingText("clock", "good", "{by:+.2f} s against the autopilot's")
+AGREES = FindingText("clock", "good", "{by:+.2f} s from the autopilot's")
 APART = FindingText(
     "clock",
     "warning",
-    "{by:+.1f} s against the autopilot's",
-    "set this computer's clock: logs of both do not match otherwise",
+    "{by:+.1f} s from the autopilot's",
+    "set this computer's clock, otherwise its logs do not match the autopilot's",
 )
 APART_AND_SIGNED = FindingText(
     "clock",
     "bad",
-    "{by:+.0f} s against the autopilot's, and messages are signed",
-    "set this computer's clock: signed messages more than a minute old are not believed",
+    "{by:+.0f} s from the autopilot's, and messages are signed",
+    "set this computer's clock: signed messages more than a minute old are refused",
 )
 VEHICLE_WITHOUT = FindingText("clock", "skipped", "the autopilot does not know the time yet (no GPS fix)")
 
 
 def check(facts: ClockFacts, when: str) -> list[DoctorFinding]:
-    """`when` is how people write `facts.unix_s`."""
+    """`when` is `facts.unix_s` as a date and time."""
     found = []
     if facts.unix_s < CLOCK_SET_UNIX_S:
         found.append(NOT_SET(when=when))
@@ -69,7 +69,7 @@ def check(facts: ClockFacts, when: str) -> list[DoctorFinding]:
 
 
 def against_vehicle(facts: ClockFacts) -> DoctorFinding:
-    """Once an autopilot was heard."""
+    """Compares the clock with the autopilot's, if there is one."""
     by = facts.ahead_s
     if by is None:
         return VEHICLE_WITHOUT()

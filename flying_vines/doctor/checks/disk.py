@@ -1,4 +1,4 @@
-"""Where logs and state go: can it be written, is there room, how long does the card take?"""
+"""Checks the folders of logs and state: writable, free space, speed of the card."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Literal
 from flying_vines.doctor.finding import DoctorFinding, FindingText
 
 SLOW_S = 0.5
-"""To put a few kilobytes on the disk for good. The recorder does so twice a second."""
+"""Limit for writing and syncing a few kilobytes. The recorder does this twice a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,37 +18,37 @@ class DiskFacts:
     use: Literal["flight logs", "state"]
     folder: str
     problem: str = ""
-    """Why nothing can be written there."""
+    """Why the folder cannot be written; else empty."""
     free_MB: float = 0.0
     least_free_MB: float = 0.0
-    """Below which nothing more is recorded."""
+    """The recorder stops below this."""
     took_s: float = 0.0
 
 
-GOOD = FindingText("disk", "good", "{folder} for {use}: {free:.0f} MB free, on the disk within {took:.0f} ms")
+GOOD = FindingText("disk", "good", "{folder} for {use}: {free:.0f} MB free, a write takes {took:.0f} ms")
 NO_LOGS = FindingText(
     "disk",
     "bad",
     "{folder}: no flight log can be written there: {why}",
-    "run from another folder, or give another one with --out; or mend its rights",
+    "use another folder (--out), or correct its permissions",
 )
 NO_STATE = FindingText(
     "disk",
     "warning",
-    "{folder}: parameters and disarming cannot be kept there: {why}",
-    "set state.folder to one that the service's user may write",
+    "{folder}: parameters and disarming cannot be saved there: {why}",
+    "set state.folder to a folder that the service's user may write",
 )
 FULL = FindingText(
     "disk",
     "warning",
     "{folder} for {use}: {free:.0f} MB free; below {least:.0f} nothing is recorded",
-    "take old flights away; nothing is deleted by itself",
+    "delete old flights; the recorder deletes nothing",
 )
 SLOW = FindingText(
     "disk",
     "warning",
-    "{folder} for {use}: the disk takes {took:.0f} ms for a few kilobytes",
-    "use another card: when the power goes, what has not arrived is lost",
+    "{folder} for {use}: writing a few kilobytes takes {took:.0f} ms",
+    "use a faster card: data that is not yet written is lost when the power fails",
 )
 
 

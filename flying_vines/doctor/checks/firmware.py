@@ -1,4 +1,4 @@
-"""Whoever is on the phloSAR's port: is it ours and well, does the line carry, do its sensors make sense?"""
+"""Checks the phloSAR: is it our firmware and without faults, is the line good, are its readings plausible?"""
 
 from __future__ import annotations
 
@@ -10,136 +10,136 @@ from flying_vines.core.safety import FAULT_SENTENCES
 from flying_vines.doctor.finding import DoctorFinding, FindingText
 from flying_vines.doctor.firmware_probe import FirmwareFacts
 
-LEAST_RATE_SHARE = 0.8
-"""Of the telemetry that the firmware says it sends."""
+MIN_RATE_SHARE = 0.8
+"""Telemetry below this share of the firmware's stated rate is slow."""
 SLOW_ROUND_TRIP_S = 0.1
-MOST_LOST_SHARE = 0.001
+MAX_LOST_SHARE = 0.001
 BELOW_ZERO_KPA = 15.0
-"""As a sensor of 15 bar may be off when the bottle is open."""
+"""Offset of a good 15 bar sensor at an open bottle."""
 ABOVE_FULL = 1.05
 FALLS_KPA_PER_S = 0.5
-"""Of the bottle, with all valves shut."""
+"""Limit of the bottle's pressure loss with all valves shut."""
 
-NO_PORT = FindingText("phloSAR", "skipped", "not asked: see its port")
+NO_PORT = FindingText("phloSAR", "skipped", "not checked: see its port")
 NO_ANSWER = FindingText(
     "phloSAR",
     "bad",
     "{why}",
-    "`flying-vines link` shows what comes from there; docs/link.md says what each sentence means",
+    "`flying-vines link` shows the received bytes; docs/link.md explains each sentence",
 )
 GOOD = FindingText("phloSAR", "good", "{build!r} answers, protocol {version}, boot {boot:08x}")
 FAULTS = FindingText(
     "phloSAR",
     "bad",
     "latched: {faults}",
-    "find out why; then clear it from a ground station (command USER_5, 1), or switch the board off and on",
+    "find the cause; then clear it from a ground station (command USER_5, 1), or switch the board off and on",
 )
 RESTARTED = FindingText(
     "phloSAR",
     "bad",
-    "it restarted {times} times while it was looked at",
-    "look after its supply and its USB cable",
+    "it restarted {times} times during this check",
+    "check its supply and its USB cable",
 )
 RATE = FindingText(
     "phloSAR line",
     "good",
-    "{rate:.0f} telemetry a second, round trip {trip:.0f} ms, {frames} frames, {lost} lost",
+    "{rate:.0f} telemetry messages a second, round trip {trip:.0f} ms, {frames} frames, {lost} lost",
 )
 NO_TELEMETRY = FindingText(
     "phloSAR line",
     "bad",
-    "it answers, but no telemetry comes",
+    "it answers, but sends no telemetry",
     "flash its firmware again, or try another cable",
 )
 SLOW = FindingText(
     "phloSAR line",
     "warning",
-    "{rate:.0f} telemetry a second of {wanted}",
-    "see what else loads this computer, and whether a serial line is quick enough (57600 baud at least)",
+    "{rate:.0f} telemetry messages a second, not {wanted}",
+    "check the load of this computer, and the serial line's baud rate (at least 57600)",
 )
 LOSSES = FindingText(
     "phloSAR line",
     "warning",
-    "{lost} of {frames} frames lost or spoilt, {gaps} gaps in telemetry",
+    "{lost} of {frames} frames lost or corrupt, {gaps} gaps in telemetry",
     "use a shorter, shielded cable, away from motor wires",
 )
 FAR = FindingText(
     "phloSAR line",
     "warning",
     "a round trip takes {trip:.0f} ms",
-    "see what else loads this computer; on a serial server, the network",
+    "check the load of this computer; with a serial server, also the network",
 )
-SETTINGS = FindingText("phloSAR settings", "good", "all {count} as they come")
-OWN_SETTINGS = FindingText(
-    "phloSAR settings", "good", "{count}, of which set otherwise than they come: {changed}"
-)
+SETTINGS = FindingText("phloSAR settings", "good", "all {count} have their defaults")
+OWN_SETTINGS = FindingText("phloSAR settings", "good", "{count}; not at their default: {changed}")
 NO_SETTINGS = FindingText("phloSAR settings", "warning", "{why}", "try again; then flash the firmware again")
 LIMITS = FindingText(
-    "phloSAR limits", "good", "setpoints to {most:g}, vine {vine:g}, bottle {bottle:g} kPa; {rate:g} kPa/s"
+    "phloSAR limits", "good", "setpoints up to {most:g}, vine {vine:g}, bottle {bottle:g} kPa; {rate:g} kPa/s"
 )
 LOW_SETPOINTS = FindingText(
     "phloSAR limits",
     "bad",
-    "it takes setpoints to {most:g} kPa, the profile asks for up to {wanted:g} (limits.max_kPa)",
-    "lower limits.max_kPa, or raise it: flying-vines link --set cv_limit_kPa={raised:g}",
+    "it accepts setpoints up to {most:g} kPa; the profile uses up to {wanted:g} (limits.max_kPa)",
+    "lower limits.max_kPa, or raise the firmware's limit: flying-vines link --set cv_limit_kPa={raised:g}",
 )
 VENTS_FIRST = FindingText(
     "phloSAR limits",
     "warning",
     "it vents at {vine:g} kPa, before limits.overpressure_kPa = {over:g} is reached",
-    "lower limits.overpressure_kPa below it, so that the pilot is told why",
+    "set limits.overpressure_kPa below it, so that the pilot reads why the vine is vented",
 )
 LOW_BOTTLE = FindingText(
     "phloSAR limits",
     "bad",
-    "it vents when the bottle is above {bottle:g} kPa, and a full one has {full:g} (pneumatics.full_kPa)",
-    "fill it less, and say so in pneumatics.full_kPa; raise reservoir_limit_kPa only if the bottle bears it",
+    "it vents with the bottle above {bottle:g} kPa; a full bottle has {full:g} (pneumatics.full_kPa)",
+    "fill it less and lower pneumatics.full_kPa; raise reservoir_limit_kPa only if the bottle allows it",
 )
 LOW_RATE = FindingText(
     "phloSAR limits",
     "warning",
-    "it slews at {rate:g} kPa/s at most, the profile allows {wanted:g} (limits.max_rate_kPa_per_s)",
-    "lower limits.max_rate_kPa_per_s: what is planned quicker arrives late",
+    "its maximum rate is {rate:g} kPa/s; the profile allows {wanted:g} (limits.max_rate_kPa_per_s)",
+    "lower limits.max_rate_kPa_per_s; otherwise fast motions end later than planned",
 )
 VINE = FindingText("vine sensor", "good", "{kPa:z.2f} kPa at rest")
 VINE_OFF = FindingText(
     "vine sensor",
     "bad",
-    "{kPa:.1f} kPa in a vented vine; up to {zero:g} is sound",
-    "see that the outlet is free; then zero it: flying-vines link --set cv_zero_kPa=…",
+    "{kPa:.1f} kPa in a vented vine; a good sensor is within ±{zero:g}",
+    "check that the outlet is free; then set the zero: flying-vines link --set cv_zero_kPa=…",
 )
-BOTTLE = FindingText("bottle", "good", "{kPa:.0f} kPa, for {cycles:.0f} cycles ({low:.0f} … {high:.0f})")
+BOTTLE = FindingText(
+    "bottle", "good", "{kPa:.0f} kPa, enough for {cycles:.0f} cycles ({low:.0f} … {high:.0f})"
+)
 BOTTLE_EMPTY = FindingText(
     "bottle",
     "bad",
     "{kPa:.0f} kPa; a bend to {most:g} kPa needs {needed:.0f}",
-    "fill it, and open its valve",
+    "fill the bottle, and open its valve",
 )
 BOTTLE_LOW = FindingText(
-    "bottle", "warning", "{kPa:.0f} kPa, for {cycles:.0f} cycles ({low:.0f} … {high:.0f})", "fill it"
+    "bottle", "warning", "{kPa:.0f} kPa, enough for {cycles:.0f} cycles ({low:.0f} … {high:.0f})", "fill it"
 )
 BOTTLE_SENSOR = FindingText(
     "bottle",
     "bad",
-    "its sensor reads {kPa:.0f} kPa, which no bottle has",
-    "look after the sensor and its wire; `flying-vines link --settings` has its span and zero",
+    "its sensor reads {kPa:.0f} kPa, which is impossible",
+    "check the sensor and its wire; `flying-vines link --settings` shows its span and zero",
 )
 BOTTLE_OVER = FindingText(
     "bottle",
     "warning",
-    "{kPa:.0f} kPa, more than a full one ({full:g}, pneumatics.full_kPa)",
+    "{kPa:.0f} kPa, more than a full bottle has ({full:g}, pneumatics.full_kPa)",
     "let air out, or correct pneumatics.full_kPa",
 )
 BOTTLE_LOSES = FindingText(
     "bottle",
     "bad",
-    "it loses {rate:.1f} kPa/s with all valves shut",
-    "find the leak: soapy water on hoses, fittings and the Venturi",
+    "the bottle loses {rate:.1f} kPa/s with all valves shut",
+    "find the leak with soapy water on hoses, fittings and the Venturi",
 )
 
 
 def check(facts: FirmwareFacts | None, config: Config) -> list[DoctorFinding]:
-    """`facts` are None where there was no port to open."""
+    """`facts` is None if the port could not be opened."""
     if facts is None:
         return [NO_PORT()]
     if facts.welcome is None:
@@ -167,10 +167,10 @@ def _line(facts: FirmwareFacts, welcome: Welcome) -> list[DoctorFinding]:
         return [NO_TELEMETRY()]
     found = []
     trip_ms = 1e3 * (facts.round_trip_s or 0.0)
-    if facts.telemetry_Hz < LEAST_RATE_SHARE * welcome.telemetry_Hz:
+    if facts.telemetry_Hz < MIN_RATE_SHARE * welcome.telemetry_Hz:
         found.append(SLOW(rate=facts.telemetry_Hz, wanted=welcome.telemetry_Hz))
     frames = facts.good_frames + facts.bad_frames
-    if max(facts.bad_frames, facts.gaps) > MOST_LOST_SHARE * frames:
+    if max(facts.bad_frames, facts.gaps) > MAX_LOST_SHARE * frames:
         found.append(LOSSES(lost=facts.bad_frames, frames=frames, gaps=facts.gaps))
     if trip_ms > 1e3 * SLOW_ROUND_TRIP_S:
         found.append(FAR(trip=trip_ms))
@@ -211,7 +211,7 @@ def _limits(welcome: Welcome, config: Config) -> list[DoctorFinding]:
 
 def _vine(facts: FirmwareFacts, config: Config) -> DoctorFinding:
     zero_kPa = config.checks.zero_kPa
-    # Written so that what is no number is not sound.
+    # NaN must not count as good.
     if abs(facts.cv_kPa) <= zero_kPa:
         return VINE(kPa=facts.cv_kPa)
     return VINE_OFF(kPa=facts.cv_kPa, zero=zero_kPa)

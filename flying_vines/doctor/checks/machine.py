@@ -1,4 +1,4 @@
-"""This computer: what runs on it, its memory, and on a Raspberry Pi its supply and how hot it is."""
+"""Checks this computer: system and memory; on a Raspberry Pi, its supply and temperature."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 from flying_vines.doctor.finding import DoctorFinding, FindingText
 
-LEAST_FREE_MB = 200.0
-"""The service takes less than 120."""
-HOTTEST_C = 80.0
-"""From here on a Raspberry Pi slows down."""
+MIN_FREE_MB = 200.0
+"""The service needs less than 120 MB."""
+MAX_C = 80.0
+"""A Raspberry Pi slows down from this temperature."""
 
 _NOW = {0: "under-voltage", 1: "a capped clock", 2: "throttling", 3: "the soft limit of temperature"}
-"""By the bit of the firmware's word; 16 higher: it has happened since the start."""
+"""Present state, by bit of `get_throttled`. The same bits + 16: it has happened since the start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class MachineFacts:
     machine: str
     free_MB: float | None = None
     throttled: int | None = None
-    """A Raspberry Pi's word about its supply; None on other machines."""
+    """A Raspberry Pi's `get_throttled`; None on other computers."""
     hottest_C: float | None = None
 
 
@@ -32,32 +32,32 @@ NOT_LINUX = FindingText(
     "computer",
     "warning",
     "flying-vines {version}, Python {python}, {system} on {machine}: made for Linux",
-    "fly with a Linux companion; here ports, processes and clock cannot be looked at in full",
+    "fly with a Linux companion; here ports, processes and clock cannot be checked fully",
 )
 MEMORY = FindingText("memory", "good", "{free:.0f} MB free")
 LITTLE_MEMORY = FindingText(
-    "memory", "warning", "{free:.0f} MB free, of which the service takes up to 120", "end what else runs here"
+    "memory", "warning", "{free:.0f} MB free; the service needs up to 120", "end other programs"
 )
 SUPPLY = FindingText("supply", "good", "no under-voltage and no throttling since the start")
 SUPPLY_NOW = FindingText(
     "supply",
     "bad",
     "the Raspberry Pi reports {what} now",
-    "give it 5 V at 3 A or more by a short thick wire, and cool it",
+    "supply 5 V at 3 A or more through a short thick wire, and cool it",
 )
 SUPPLY_BEFORE = FindingText(
     "supply",
     "warning",
     "the Raspberry Pi reports {what} since its start",
-    "see whether it comes when the motors or the valves draw current; a better supply, a shorter wire",
+    "check whether it happens when motors or valves draw current; use a better supply or a shorter wire",
 )
-NO_SUPPLY = FindingText("supply", "skipped", "this is no Raspberry Pi that tells of its supply")
+NO_SUPPLY = FindingText("supply", "skipped", "only a Raspberry Pi reports its supply")
 COOL = FindingText("temperature", "good", "{celsius:.0f} °C")
 HOT = FindingText(
     "temperature",
     "warning",
-    "{celsius:.0f} °C: from {limit:.0f} on it slows down",
-    "let air get to the computer",
+    "{celsius:.0f} °C; it slows down from {limit:.0f} °C",
+    "cool the computer",
 )
 
 
@@ -65,10 +65,10 @@ def check(facts: MachineFacts) -> list[DoctorFinding]:
     known = GOOD if facts.system.startswith("Linux") else NOT_LINUX
     found = [known(version=facts.version, python=facts.python, system=facts.system, machine=facts.machine)]
     if facts.free_MB is not None:
-        found.append((MEMORY if facts.free_MB >= LEAST_FREE_MB else LITTLE_MEMORY)(free=facts.free_MB))
+        found.append((MEMORY if facts.free_MB >= MIN_FREE_MB else LITTLE_MEMORY)(free=facts.free_MB))
     found.append(_supply(facts.throttled))
     if facts.hottest_C is not None:
-        found.append((COOL if facts.hottest_C < HOTTEST_C else HOT)(celsius=facts.hottest_C, limit=HOTTEST_C))
+        found.append((COOL if facts.hottest_C < MAX_C else HOT)(celsius=facts.hottest_C, limit=MAX_C))
     return found
 
 

@@ -1,4 +1,4 @@
-"""The mission that the vehicle holds: does the profile understand each item that is meant for the vine?"""
+"""Checks the vehicle's mission: does a rule of the profile match each vine item?"""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from flying_vines.vehicle.triggers import Rules
 NOT_READ = FindingText(
     "mission",
     "warning",
-    "it could not be read: its items would do nothing",
-    "try again with more --seconds; see whether a ground station is uploading",
+    "it could not be read, so its items would not move the vine",
+    "try again with more --seconds; check whether a ground station is uploading",
 )
-NOT_HEARD = FindingText("mission", "skipped", "not read: no autopilot was heard")
-NONE = FindingText("mission", "good", "the vehicle holds none")
+NOT_HEARD = FindingText("mission", "skipped", "not read: no autopilot was found")
+NONE = FindingText("mission", "good", "the vehicle has no mission")
 NO_VINE = FindingText("mission", "good", "{items} items, none for the vine")
-UNDERSTOOD = FindingText("mission", "good", "{items} items, of which for the vine: {vine}")
+UNDERSTOOD = FindingText("mission", "good", "{items} items; for the vine: {vine}")
 NOT_UNDERSTOOD = FindingText(
     "mission",
     "bad",
     "item {seq}: {why}",
-    "correct the item, or give it a rule in [[items]]; `flying-vines mission check` knows more",
+    "correct the item, or add a rule to [[items]]; `flying-vines mission check` shows details",
 )
 
 
-def check(mission: Mapping[int, MissionItem] | None, heard: bool, config: Config) -> list[DoctorFinding]:
-    """`mission` is None where it was not read, `heard` whether an autopilot was there at all."""
-    if not heard:
+def check(mission: Mapping[int, MissionItem] | None, found: bool, config: Config) -> list[DoctorFinding]:
+    """`mission` is None if it was not read; `found` is True if there is an autopilot."""
+    if not found:
         return [NOT_HEARD()]
     if mission is None:
         return [NOT_READ()]
     if not mission:
         return [NONE()]
     rules, planner = Rules(config), MotionPlanner(config)
-    found, understood = [], []
+    findings, understood = [], []
     for seq, item in sorted(mission.items()):
         if item.command not in rules.commands:
             continue
@@ -45,9 +45,9 @@ def check(mission: Mapping[int, MissionItem] | None, heard: bool, config: Config
         if intent is not None:
             problem = planner.problem(intent)
         if problem:
-            found.append(NOT_UNDERSTOOD(seq=seq, why=problem))
+            findings.append(NOT_UNDERSTOOD(seq=seq, why=problem))
         else:
             understood.append(f"{seq} ({intent})")
     if understood:
-        found.append(UNDERSTOOD(items=len(mission), vine=", ".join(understood)))
-    return found or [NO_VINE(items=len(mission))]
+        findings.append(UNDERSTOOD(items=len(mission), vine=", ".join(understood)))
+    return findings or [NO_VINE(items=len(mission))]

@@ -1,4 +1,4 @@
-"""What the service shows and tells: the port of its page, and the MQTT broker. Neither is needed to fly."""
+"""Checks the port of the status page, and the MQTT broker. Neither is needed to fly."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from flying_vines.doctor.finding import DoctorFinding, FindingText
 @dataclass(frozen=True, slots=True)
 class PageFacts:
     address: str
-    """Host and port; empty where the profile has no page."""
+    """Host and port; empty if the profile has no page."""
     problem: str = ""
-    """Why nobody can listen there."""
+    """Why the port cannot be opened; else empty."""
     held_by: tuple[Process, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class BrokerFacts:
     broker: str
-    """Its address; empty where the profile has none."""
+    """Its address; empty if the profile has none."""
     problem: str = ""
-    """Why it cannot be told anything."""
+    """Why it cannot be used; else empty."""
     needs_person: bool = False
-    """Whether waiting does not help."""
+    """True if waiting does not help."""
     missing_package: bool = False
     took_s: float = 0.0
 
@@ -32,15 +32,13 @@ class BrokerFacts:
 NO_PAGE = FindingText("page", "skipped", "the profile has none")
 PAGE = FindingText("page", "good", "{address} is free")
 PAGE_TAKEN = FindingText(
-    "page", "warning", "{address}: {why}", "end that program, or give another address in [page]"
+    "page", "warning", "{address}: {why}", "end that program, or set another address in [page]"
 )
-PAGE_SERVED = FindingText("page", "skipped", "{address} is the running service's")
+PAGE_SERVED = FindingText("page", "skipped", "{address} is used by the running service")
 NO_BROKER = FindingText("broker", "skipped", "the profile has none")
 BROKER = FindingText("broker", "good", "{broker} answers within {took:.0f} ms")
 NO_PACKAGE = FindingText("broker", "warning", "{why}", "install flying-vines again")
-AWAY = FindingText(
-    "broker", "warning", "{broker}: {why}", "see whether there is a network, and a broker there"
-)
+AWAY = FindingText("broker", "warning", "{broker}: {why}", "check the network, and that the broker runs")
 REFUSES = FindingText("broker", "warning", "{broker}: {why}", "correct [mqtt], or the broker (docs/mqtt.md)")
 
 

@@ -1,4 +1,4 @@
-"""A port before it is opened: is it there, may it be opened, who else is on it?"""
+"""Checks a port before it is opened: does it exist, may we open it, who else uses it?"""
 
 from __future__ import annotations
 
@@ -16,80 +16,78 @@ _BY_NUMBER = re.compile(r"/dev/tty(ACM|USB)\d+")
 
 @dataclass(frozen=True, slots=True)
 class PortFacts:
-    """Where a link of the profile goes."""
+    """The port of a link of the profile."""
 
     which: Which
     where: str
-    """As the profile has it."""
+    """The link as written in the profile."""
     path: str = ""
-    """The device that it is now; empty where there is none."""
+    """The present device; empty if there is none."""
     missing: str = ""
-    """Why there is none: a sentence."""
+    """Why there is no device: a sentence."""
     board: str = ""
-    """What it says of itself on USB; empty for another port."""
+    """Its USB description; empty for other ports."""
     usb: str = ""
-    """How the profile would name this very board."""
+    """The link that would name exactly this board."""
     may_open: bool = True
     group: str = ""
-    """Whose members may open it."""
+    """The group whose members may open it."""
     member_since_login: bool = False
-    """This user is in that group by now, but was not when he logged in."""
+    """The user has joined the group, but must log in again."""
     held_by: tuple[Process, ...] = ()
     served: bool = False
     """Our own service holds it."""
     console: bool = False
-    """The kernel writes its own messages there."""
+    """The kernel writes its messages to this port."""
     modem_manager: bool = False
-    """It runs, and would look for a modem on this port."""
+    """ModemManager runs and may probe this port."""
     modem_manager_kept_off: bool = False
 
 
 def lines_of(which: Which) -> dict[str, FindingText]:
-    """The lines that can be said of one of the two."""
+    """All lines for one of the two ports."""
     check, table = f"{which} port", "firmware" if which == "phloSAR" else "vehicle"
     return {
-        "good": FindingText(check, "good", "{path} ({board}): may be opened, and nobody else holds it"),
-        "network": FindingText(
-            check, "skipped", "{where} is on the network: there is nothing to look at beforehand"
-        ),
+        "good": FindingText(check, "good", "{path} ({board}): accessible and not in use"),
+        "network": FindingText(check, "skipped", "{where} is on the network: no port to check"),
         "free": FindingText(check, "good", "{where} is free"),
         "missing": FindingText(
             check,
             "bad",
             "{why}",
-            f"plug it in and switch it on, or name the right port in {table}.link",
+            f"plug it in and switch it on, or correct {table}.link",
         ),
         "not allowed": FindingText(
             check,
             "bad",
             "{path} may not be opened by this user",
-            "add yourself to its group (sudo usermod -aG {group} $USER), then log in again",
+            "join its group (sudo usermod -aG {group} $USER), then log in again",
         ),
         "log in again": FindingText(
             check,
             "bad",
-            "{path} may not be opened yet: group {group} was joined after logging in",
-            "log out and in again",
+            "{path} may not be opened yet: group {group} was joined after the login",
+            "log out and log in again",
         ),
-        "served": FindingText(check, "skipped", "{path} is the running service's"),
-        "held": FindingText(check, "bad", "{path} is held by {who}", "end that program"),
+        "served": FindingText(check, "skipped", "{path} is used by the running service"),
+        "held": FindingText(check, "bad", "{path} is used by {who}", "end that program"),
         "console": FindingText(
             check,
             "bad",
-            "{path} is the kernel's console: its messages go to whoever is there",
-            "sudo raspi-config, Interface Options, Serial Port: no login shell, but the hardware; restart",
+            "{path} is the kernel's console: the kernel's messages go to the connected device",
+            "sudo raspi-config, Interface Options, Serial Port: login shell off, hardware on; then restart",
         ),
         "modem": FindingText(
             check,
             "warning",
-            "ModemManager runs, and may take {path} for a modem: it then talks to it for seconds",
-            "keep it off by a udev rule (flying-vines install-service has one), or purge modemmanager",
+            "ModemManager runs. It may take {path} for a modem and send to it for seconds",
+            "exclude the port by a udev rule (flying-vines install-service has one), or purge modemmanager",
         ),
-        "kept off": FindingText(check, "good", "ModemManager runs, and is kept off {path} by a udev rule"),
+        "kept off": FindingText(check, "good", "ModemManager runs, but a udev rule excludes {path}"),
         "by number": FindingText(
             check,
             "warning",
-            "{path} is a name by number: the board has another one when it restarts at a bad moment",
+            "{path} is a numbered name: it may change when the board restarts",
             f'set {table}.link = "{{usb}}"',
         ),
     }
@@ -99,7 +97,7 @@ LINES: dict[Which, dict[str, FindingText]] = {"phloSAR": lines_of("phloSAR"), "v
 
 
 def check(facts: PortFacts) -> list[DoctorFinding]:
-    """Of a serial port."""
+    """The findings about a serial port."""
     lines = LINES[facts.which]
     if facts.missing:
         return [lines["missing"](why=facts.missing)]
@@ -126,14 +124,14 @@ def check(facts: PortFacts) -> list[DoctorFinding]:
 def check_network(
     which: Which, where: str, listens: bool, held_by: Sequence[Process] | None, served: bool = False
 ) -> DoctorFinding:
-    """Of a link over the network.
+    """The finding about a network link.
 
     Args:
-        which: of the two links.
-        where: it goes, as the profile has it.
-        listens: whether we wait on a port of this computer for the other end.
-        held_by: None where that port is free.
-        served: whether our own service holds it.
+        which: the link.
+        where: the link as written in the profile.
+        listens: True if the link listens on a port of this computer.
+        held_by: the processes that use this port; None if it is free.
+        served: True if our own service uses it.
     """
     lines = LINES[which]
     if not listens:
@@ -142,4 +140,4 @@ def check_network(
         return lines["free"](where=where)
     if served:
         return lines["served"](path=where)
-    return lines["held"](path=where, who=named(held_by) or "another user's program")
+    return lines["held"](path=where, who=named(held_by) or "a program of another user")

@@ -1,4 +1,4 @@
-"""The profile and the files that it names. (One that cannot be read at all ends the command before.)"""
+"""Checks the profile and the files that it names. (An unreadable profile ends the command earlier.)"""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from flying_vines.doctor.finding import DoctorFinding, FindingText
 
 @dataclass(frozen=True, slots=True)
 class ProfileFacts:
-    """A profile that was read. A problem is a sentence, empty where there is none."""
+    """A profile that was read. Each problem is a sentence, or empty."""
 
     path: str
     config: Config
-    """With the parameters in force."""
+    """Includes the pilot's parameters."""
     rig: str = ""
     """The rig file that it names."""
     rig_said: str = ""
@@ -25,10 +25,10 @@ class ProfileFacts:
     signing_problem: str = ""
     signing_clock_problem: str = ""
     parameters: Mapping[str, float] = field(default_factory=dict)
-    """Those that a pilot has set."""
+    """Set by a pilot."""
     parameters_problem: str = ""
     disarming: str = ""
-    """The file that says that the pneumatics are disarmed, where it is there."""
+    """The file that marks the pneumatics as disarmed; empty if it does not exist."""
 
 
 GOOD = FindingText(
@@ -36,36 +36,39 @@ GOOD = FindingText(
 )
 RIG = FindingText("configuration", "good", "rig {path}: {said}")
 BAD_RIG = FindingText(
-    "configuration", "bad", "{why}", "mend the file that pneumatics.rig names, or take the key out"
+    "configuration", "bad", "{why}", "correct the file that pneumatics.rig names, or remove the key"
 )
 KEY = FindingText("configuration", "good", "signing key {path}: only its owner may read it")
 BAD_KEY = FindingText(
-    "configuration", "bad", "{why}", "mend the file that vehicle.signing_key names, or take the key out"
+    "configuration", "bad", "{why}", "correct the file that vehicle.signing_key names, or remove the key"
 )
-BELIEVED = FindingText("configuration", "good", "vehicle link {who}")
-BELIEVED_FROM_AFAR = FindingText(
+VEHICLE_LINK = FindingText("configuration", "good", "vehicle link {who}")
+OPEN_TO_NETWORK = FindingText(
     "configuration",
     "warning",
     "vehicle link {who}",
     "set vehicle.signing_key, if your autopilot can sign (docs/mavlink.md)",
 )
 NO_CLOCK = FindingText(
-    "configuration", "warning", "{why}", "set this computer's clock before each flight, or the file's rights"
+    "configuration",
+    "warning",
+    "{why}",
+    "set this computer's clock before each flight, or correct the file's permissions",
 )
 PARAMETERS = FindingText("configuration", "good", "set by a pilot, in place of the profile's: {parameters}")
 BAD_PARAMETERS = FindingText(
-    "configuration", "bad", "{why}", "mend the file, or take it away: the profile then holds"
+    "configuration", "bad", "{why}", "correct the file, or delete it; then the profile's values apply"
 )
 DISARMED = FindingText(
     "configuration",
     "bad",
-    "the pneumatics are disarmed ({path}): nothing bends",
-    "arm them from a ground station (command USER_4, 3), or take the file away",
+    "the pneumatics are disarmed ({path}): the vine does not bend",
+    "arm them from a ground station (command USER_4, 3), or delete the file",
 )
 BENCH = FindingText(
     "configuration",
     "bad",
-    "bench mode: the vine bends without an armed vehicle, and at any altitude",
+    "bench mode: the vine bends with a disarmed vehicle, and at any altitude",
     "set interlocks.bench_mode = false",
 )
 
@@ -81,14 +84,14 @@ def check(facts: ProfileFacts) -> list[DoctorFinding]:
         found.append(BAD_KEY(why=facts.signing_problem))
     elif facts.signing_key:
         found.append(KEY(path=facts.signing_key))
-    found.append(_believed(config))
+    found.append(_vehicle_link(config))
     if facts.signing_clock_problem:
         found.append(NO_CLOCK(why=facts.signing_clock_problem))
     if facts.parameters_problem:
         found.append(BAD_PARAMETERS(why=facts.parameters_problem))
     elif facts.parameters:
-        told = ", ".join(f"{name} = {value:g}" for name, value in facts.parameters.items())
-        found.append(PARAMETERS(parameters=told))
+        values = ", ".join(f"{name} = {value:g}" for name, value in facts.parameters.items())
+        found.append(PARAMETERS(parameters=values))
     if facts.disarming:
         found.append(DISARMED(path=facts.disarming))
     if config.interlocks.bench_mode:
@@ -96,8 +99,8 @@ def check(facts: ProfileFacts) -> list[DoctorFinding]:
     return found
 
 
-def _believed(config: Config) -> DoctorFinding:
+def _vehicle_link(config: Config) -> DoctorFinding:
     address = parse_address(config.vehicle.link)
     unsigned = not config.vehicle.signing_key
     afar = isinstance(address, NetworkAddress) and not address.on_loopback and unsigned
-    return (BELIEVED_FROM_AFAR if afar else BELIEVED)(who=config.vehicle.believed)
+    return (OPEN_TO_NETWORK if afar else VEHICLE_LINK)(who=config.vehicle.who_can_command)

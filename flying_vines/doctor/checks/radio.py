@@ -1,4 +1,4 @@
-"""The RC switch: can it be believed, where does it stand, and was it seen to move?"""
+"""Checks the RC switch: is it trusted, where is it, and did it move?"""
 
 from __future__ import annotations
 
@@ -7,58 +7,58 @@ from flying_vines.doctor.finding import DoctorFinding, FindingText
 from flying_vines.doctor.vehicle_probe import Radio
 from flying_vines.vehicle.radio.switch import BOUNDARIES_US
 
-NOT_USED = FindingText("RC switch", "skipped", "the profile gives its positions nothing to do")
-NOT_HEARD = FindingText("RC switch", "skipped", "not looked at: no autopilot was heard")
-NOT_BELIEVED = FindingText(
+NOT_USED = FindingText("RC switch", "skipped", "no position has a profile")
+NOT_HEARD = FindingText("RC switch", "skipped", "not checked: no autopilot was found")
+NOT_TRUSTED = FindingText(
     "RC switch",
     "bad",
-    "channel {channel} cannot be believed: {why}",
-    "switch the transmitter on, bind the receiver; give the channel in switch.channel",
+    "channel {channel} is not valid: {why}",
+    "switch the transmitter on, bind the receiver, and check switch.channel",
 )
 HIDES_LOSS = FindingText(
     "RC switch",
     "bad",
-    "{why} hides a lost transmitter: the switch does not bend the vine",
+    "{why} hides RC loss from the service, so the switch does not bend the vine",
     "ArduPilot: FS_THR_ENABLE 1, RC_FS_TIMEOUT 1, RC_OPTIONS without 1 and 4; PX4: COM_RC_IN_MODE 0",
 )
 BENDS_LATE = FindingText(
     "RC switch",
     "warning",
-    "channel {channel} works, but a bend waits 1.6 s: what this receiver does in a loss is not known",
+    "channel {channel} works, but each bend waits 1.6 s: the receiver's failsafe is unknown",
     "run flying-vines doctor --radio once for this receiver",
 )
 UNSETTLED = FindingText(
     "RC switch",
     "bad",
-    "channel {channel} does not come to rest ({pulse} µs)",
-    "see what else is mixed to that channel on the transmitter",
+    "channel {channel} does not stay in one position ({pulse} µs)",
+    "check the transmitter for other inputs mixed to this channel",
 )
 STANDS = FindingText(
-    "RC switch", "good", "channel {channel} at {pulse} µs: position {position}, “{profile}”; nobody moved it"
+    "RC switch", "good", "channel {channel} at {pulse} µs: position {position}, “{profile}”; it was not moved"
 )
 STANDS_BENT = FindingText(
     "RC switch",
     "warning",
     "channel {channel} at {pulse} µs: position {position}, “{profile}”",
-    "put it to position 1 before the start: only a fresh move counts, and it would be one back",
+    "put it to position 1 before the flight: only a new move counts",
 )
-ALL_SEEN = FindingText("RC switch", "good", "channel {channel}: all {count} positions were seen")
+ALL_SEEN = FindingText("RC switch", "good", "channel {channel}: seen in all {count} positions")
 SOME_SEEN = FindingText(
     "RC switch",
     "warning",
     "channel {channel}: seen in position {seen}, never in {unseen}",
-    "look at the channel's end points on the transmitter: {bounds}",
+    "check the channel's end points on the transmitter: {bounds}",
 )
 NEVER_MOVED = FindingText(
     "RC switch",
     "bad",
-    "channel {channel} stayed in position {seen} when it was to be moved",
-    "see on the transmitter which channel the switch is on, and give it in switch.channel",
+    "channel {channel} stayed in position {seen} although you were asked to move the switch",
+    "look up the switch's channel on the transmitter, and set switch.channel to it",
 )
 
 
 def check(radio: Radio | None, config: Config, asked: bool) -> DoctorFinding:
-    """`asked` says whether somebody was asked to move it; `radio` is None where no autopilot was heard."""
+    """`asked`: the user was asked to move the switch. `radio` is None if no autopilot was found."""
     switch = config.switch
     channel, count = switch.channel, len(switch.positions)
     if not any(switch.positions):
@@ -66,7 +66,7 @@ def check(radio: Radio | None, config: Config, asked: bool) -> DoctorFinding:
     if radio is None:
         return NOT_HEARD()
     if radio.problem is not None:
-        return NOT_BELIEVED(channel=channel, why=radio.problem)
+        return NOT_TRUSTED(channel=channel, why=radio.problem)
     if radio.hides_loss:
         return HIDES_LOSS(why=radio.hides_loss)
     if radio.position is None:
@@ -89,10 +89,10 @@ def check(radio: Radio | None, config: Config, asked: bool) -> DoctorFinding:
 
 
 def _numbers(positions: frozenset[int]) -> str:
-    """As people count."""
+    """Position numbers, from 1."""
     return ", ".join(str(position + 1) for position in sorted(positions))
 
 
 def bounds(count: int) -> str:
-    """Where one position ends and the next begins."""
-    return "positions part at " + ", ".join(f"{boundary:g}" for boundary in BOUNDARIES_US[count]) + " µs"
+    """The borders between the positions."""
+    return "the borders are " + ", ".join(f"{boundary:g}" for boundary in BOUNDARIES_US[count]) + " µs"

@@ -1,4 +1,4 @@
-"""What the radio test found: does a lost transmitter show, and what does the receiver do to the switch?"""
+"""Judges the radio test: is RC loss detected, and what does the receiver do with the switch's channel?"""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from flying_vines.vehicle.autopilots.autopilot import LOSS_SHOWN_WITHIN_S, Autop
 from flying_vines.vehicle.triggers import Rules
 
 HUMAN_S = 1.0
-"""Between pressing Enter and switching off."""
+"""Uncertainty between pressing Enter and switching off."""
 
 ARMED = FindingText(
     "radio test", "bad", "the vehicle is armed", "disarm it, take the props off, and start again"
@@ -18,14 +18,14 @@ ARMED = FindingText(
 NO_AUTOPILOT = FindingText(
     "radio test",
     "bad",
-    "no autopilot was heard",
-    "see what `flying-vines doctor` says of the vehicle's link",
+    "no autopilot was found",
+    "run `flying-vines doctor` to check the vehicle's link",
 )
 NO_RC = FindingText(
     "radio test",
     "bad",
-    "no channels of a receiver come: {why}",
-    "bind the receiver; a joystick sends no RC_CHANNELS, and the switch cannot be used with one",
+    "no RC channels arrive: {why}",
+    "bind the receiver; a joystick sends no RC_CHANNELS, so it cannot be the switch",
 )
 NOT_GOOD = FindingText(
     "radio test",
@@ -36,8 +36,8 @@ NOT_GOOD = FindingText(
 NOT_THERE = FindingText(
     "radio test",
     "bad",
-    "channel {channel} did not come to rest in position {position}: it reads {now}",
-    "see on the transmitter which channel the switch is on, and give it in switch.channel",
+    "channel {channel} did not reach position {position}: it reads {now}",
+    "look up the switch's channel on the transmitter, and set switch.channel to it",
 )
 NOT_BACK = FindingText(
     "radio test",
@@ -48,65 +48,65 @@ NOT_BACK = FindingText(
 GROUND_STATION = FindingText(
     "radio test",
     "skipped",
-    "RC comes from a ground station (no receiver): nothing to learn; it can be used, and its end shows",
+    "RC comes from a ground station, not from a receiver: it can be used, and its loss is detected",
 )
 HIDDEN_BY = FindingText(
     "RC loss",
     "bad",
-    "{autopilot} hides a lost transmitter ({why}): the switch will not bend",
+    "{autopilot} hides RC loss ({why}): the switch does not bend the vine",
     "{do}",
 )
 HIDDEN = FindingText(
     "RC loss",
     "bad",
-    "nothing told that the transmitter was off: a move made meanwhile would bend the vine on its return",
+    "no sign of RC loss: a switch move during the loss would bend the vine when RC returns",
     "{do}",
 )
 SLOW = FindingText(
     "RC loss",
     "bad",
-    "it shows only {seconds} s after Enter, by {sign}: a shorter loss can hide a move of the switch",
-    "on ArduPilot RC_FS_TIMEOUT = 1, on PX4 COM_RC_LOSS_T = 0.5; on the receiver no delay of its failsafe",
+    "detected only {seconds} s after Enter, by {sign}: a shorter loss can hide a switch move",
+    "set RC_FS_TIMEOUT = 1 (ArduPilot) or COM_RC_LOSS_T = 0.5 (PX4); on the receiver, no failsafe delay",
 )
-SHOWS = FindingText("RC loss", "good", "it shows {seconds} s after Enter (± 1 s), by {sign}; then {then}")
+SHOWS = FindingText("RC loss", "good", "detected {seconds} s after Enter (± 1 s), by {sign}; then {then}")
 SHOWS_UNTIMED = FindingText(
-    "RC loss", "good", "it shows (Enter came too late to say how soon), by {sign}; then {then}"
+    "RC loss", "good", "detected by {sign}; then {then} (Enter came too late to measure the delay)"
 )
 PARAMETERS = FindingText("autopilot", "good", "{values}")
 NO_PARAMETERS = FindingText(
-    "autopilot", "skipped", "it did not say {names}: whether it can hide a loss is not known"
+    "autopilot", "skipped", "it did not report {names}, so it is unknown whether it can hide RC loss"
 )
-HELD = FindingText("receiver", "good", "it holds the switch: a bend by the switch is immediate")
+HELD = FindingText("receiver", "good", "it holds the switch's value during RC loss: bends are immediate")
 HARMLESS = FindingText(
     "receiver",
     "good",
-    "it puts the switch to position {position} ({us} µs), which does not bend: bends are immediate",
+    "during RC loss it sends position {position} ({us} µs), which does not bend: bends are immediate",
 )
 BENDS_UNSEEN = FindingText(
     "receiver",
     "warning",
-    "it puts the switch to position {position}, “{profile}” ({us} µs), and a loss shorter than {seconds} s"
-    " does not show: the switch waits {wait} s before it bends so",
+    "during RC loss it sends position {position}, “{profile}” ({us} µs). A loss shorter than {seconds} s"
+    " is not detected, so this bend waits {wait} s",
     "set the receiver's failsafe of channel {channel} to hold, or to position 1; then repeat the test",
 )
 BENDS_TOLD = FindingText(
     "receiver",
     "warning",
-    "it puts the switch to position {position}, “{profile}” ({us} µs); the autopilot tells of it in time",
+    "during RC loss it sends position {position}, “{profile}” ({us} µs); the autopilot reports it in time",
     "better set the receiver's failsafe of channel {channel} to hold, or to position 1; then repeat the test",
 )
 BENDS = FindingText(
     "receiver",
     "bad",
-    "it puts the switch to position {position}, “{profile}” ({us} µs), and the loss shows {when}:"
-    " a lost transmitter bends the vine",
+    "during RC loss it sends position {position}, “{profile}” ({us} µs), and the loss is detected {when}:"
+    " RC loss bends the vine",
     "set the receiver's failsafe of channel {channel} to hold, or to position 1; then repeat the test",
 )
 UNCLEAR = FindingText(
     "receiver",
     "warning",
-    "channel {channel} read {us} µs when it was lost: neither held nor one preset value",
-    "look at the receiver's failsafe and repeat the test; until then each bend on PX4 waits",
+    "channel {channel} read {us} µs during RC loss: neither its last value nor one preset value",
+    "check the receiver's failsafe and repeat the test; until then each bend on PX4 waits",
 )
 
 LOST = {
@@ -116,7 +116,7 @@ LOST = {
 
 
 def check(learned: RadioLearned, config: Config) -> list[DoctorFinding]:
-    """Every line that holds; all of them good, or skipped, where the vine is safe with this receiver."""
+    """The findings. All are "good" or "skipped" if the vine is safe with this receiver."""
     problem = _problem(learned, config)
     if problem is not None:
         return [problem]
@@ -131,9 +131,9 @@ def check(learned: RadioLearned, config: Config) -> list[DoctorFinding]:
 
 
 def to_write(learned: RadioLearned, config: Config) -> ReceiverFailsafe | None:
-    """What belongs into `switch.receiver_failsafe`; None where nothing was learned.
+    """The value for `switch.receiver_failsafe`; None without a result.
 
-    "hidden" takes the bends from the switch: so it is where a loss shows too late, as where it does not show.
+    "hidden" stops the switch from bending. It is also the value if a loss is detected too late.
     """
     if learned.problem or not learned.losses:
         return None
@@ -209,7 +209,7 @@ def _receiver(learned: RadioLearned, config: Config) -> DoctorFinding:
         return BENDS_UNSEEN(seconds=f"{after_s:.1f}", wait=f"{learned.shows_within_s:g}", **told)
     if not unseen and after_s <= switch.debounce_s:
         return BENDS_TOLD(**told)
-    return BENDS(when="nowhere" if unseen else f"only {after_s:.1f} s later", **told)
+    return BENDS(when="never" if unseen else f"only {after_s:.1f} s later", **told)
 
 
 def _autopilot(learned: RadioLearned) -> Autopilot:

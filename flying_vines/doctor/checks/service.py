@@ -1,4 +1,4 @@
-"""Is the service running already? Then the ports are its own."""
+"""Checks whether the service already runs; then it holds the ports."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ class Process(NamedTuple):
     pid: int
     name: str
     unit: str = ""
-    """Of systemd, where the process is our service there."""
+    """The systemd unit, if the process is our service; else empty."""
 
     def __str__(self) -> str:
         return f"{self.name} (process {self.pid}{', ' if self.unit else ''}{self.unit})"
 
     @property
     def stop(self) -> str:
-        """How to end it: either way it vents first."""
+        """The command that stops it. The service vents first."""
         return f"sudo systemctl stop {self.unit}" if self.unit else f"kill {self.pid}"
 
 
-NONE = FindingText("service", "good", "no other one runs here")
+NONE = FindingText("service", "good", "no other service runs here")
 ELSEWHERE = FindingText(
     "service",
     "warning",
-    "{who} runs already, on other ports of this computer",
-    "stop it ({stop}), unless it serves another vehicle: two services need two component ids",
+    "{who} already runs, on other ports of this computer",
+    "stop it ({stop}). If it serves another vehicle, give both services different component ids",
 )
 RUNS = FindingText(
     "service",
     "bad",
-    "{who} runs already, and holds the links: they cannot be looked at meanwhile",
-    "look at it with flying-vines watch, or stop it ({stop}) and look again",
+    "{who} already runs and uses the links, so they cannot be checked",
+    "use flying-vines watch; or stop the service ({stop}) and repeat this check",
 )
 
 
@@ -49,7 +49,7 @@ def stop(processes: Sequence[Process]) -> str:
 
 
 def check(running: Sequence[Process], holding: Sequence[Process]) -> DoctorFinding:
-    """`holding` are those of the running ones that have our links, as far as anybody can tell."""
+    """`holding`: the running services that use our links, or may use them."""
     if holding:
         return RUNS(who=named(holding), stop=stop(holding))
     return ELSEWHERE(who=named(running), stop=stop(running)) if running else NONE()

@@ -1,4 +1,4 @@
-"""The vehicle's link: who speaks there, and does all come that the service needs, often enough?"""
+"""Checks the vehicle's link: who sends, and do all needed messages arrive often enough?"""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from flying_vines.vehicle.autopilots import OTHER, of_name
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.state import ALTITUDE_FRESH_S, HEARTBEAT_FRESH_S
 
-LEAST_RATE_SHARE = 0.7
-"""Of a stream's rate; below it is slow."""
+MIN_RATE_SHARE = 0.7
+"""A stream below this share of its requested rate is slow."""
 SAMPLES_WITHIN_LOSS = 3.0
-"""Of RC_CHANNELS within losses.rc_s: with fewer a single loss looks like a lost radio."""
+"""Minimum number of RC_CHANNELS within losses.rc_s: with fewer, one lost message looks like RC loss."""
 
 USES = {
     "RC_CHANNELS": "the switch",
@@ -25,42 +25,42 @@ USES = {
     "GLOBAL_POSITION_INT": "the altitude interlock",
     "MISSION_CURRENT": "mission items",
     "SYSTEM_TIME": "reboots, and the clock",
-    "SCALED_PRESSURE": "the air around",
+    "SCALED_PRESSURE": "ambient pressure",
 }
-"""What the service needs each for."""
+"""What the service uses each message for."""
 
-NO_LINK = FindingText("vehicle link", "bad", "{why}", "see vehicle.link, and what its port says above")
+NO_LINK = FindingText("vehicle link", "bad", "{why}", "check vehicle.link, and the result for its port above")
 SERVED = FindingText(
     "vehicle link",
     "bad",
-    "no autopilot is heard{why}, and {who} runs: it may have this link",
-    "look at it with flying-vines watch, or stop it ({stop}) and look again",
+    "no autopilot is found{why}; {who} runs and may use this link",
+    "use flying-vines watch; or stop the service ({stop}) and repeat this check",
 )
-NOT_ASKED = FindingText("vehicle link", "skipped", "not listened to: see its port")
+NOT_ASKED = FindingText("vehicle link", "skipped", "not checked: see its port")
 SILENT = FindingText(
     "vehicle link",
     "bad",
-    "nothing came in {seconds:.0f} s",
+    "nothing arrived in {seconds:.0f} s",
     "set the autopilot's port: on ArduPilot SERIALn_PROTOCOL = 2 and its baud rate, on PX4 MAV_1_CONFIG; "
-    "see vehicle.link, RX and TX",
+    "check vehicle.link, RX and TX",
 )
 NOT_THE_PEER = FindingText(
     "vehicle link",
     "bad",
-    "only {other} sends, and it is not the peer that vehicle.link names",
-    "write ?peer={other} in vehicle.link, if that is your autopilot",
+    "only {other} sends, and this is not the peer in vehicle.link",
+    "if that is your autopilot, write ?peer={other} in vehicle.link",
 )
 NOISE = FindingText(
     "vehicle link",
     "bad",
-    "{bytes} bytes came, but no MAVLink message",
-    "give the autopilot's baud rate in vehicle.link, and see that nothing else is on that line",
+    "{bytes} bytes arrived, but no MAVLink message",
+    "set the autopilot's baud rate in vehicle.link, and check that no other device uses the line",
 )
 NO_AUTOPILOT = FindingText(
     "vehicle link",
     "bad",
-    "{messages} messages came from {others}, but none of an autopilot",
-    "see what a router between passes on, and vehicle.system_id = {system} (0: the one that is heard)",
+    "{messages} messages arrived from {others}, but none from an autopilot",
+    "check which messages a router forwards, and vehicle.system_id = {system} (0: the first autopilot)",
 )
 TWO_AUTOPILOTS = FindingText(
     "vehicle link",
@@ -73,10 +73,10 @@ OTHER_AUTOPILOT = FindingText(
     "autopilot",
     "warning",
     "system {system} is neither ArduPilot nor PX4",
-    "try each trigger on the ground first: nobody knows how it tells of mission items",
+    "try each trigger on the ground first: its reports of mission items are unknown",
 )
 ARMED = FindingText(
-    "autopilot", "warning", "it is armed ({mode})", "disarm it before anything is connected or mended"
+    "autopilot", "warning", "it is armed ({mode})", "disarm it before you connect or repair anything"
 )
 HEARTBEAT = FindingText(
     "heartbeat", "good", "{rate:.1f} a second; the link was silent for {silence:.1f} s at most"
@@ -84,20 +84,20 @@ HEARTBEAT = FindingText(
 HEARTBEAT_GAPS = FindingText(
     "heartbeat",
     "bad",
-    "nothing came for {silence:.1f} s; after {limit:g} s (losses.autopilot_s) the autopilot counts as lost",
-    "mend the link: cable, baud rate, a router's load",
+    "nothing arrived for {silence:.1f} s; after {limit:g} s (losses.autopilot_s) the autopilot is lost",
+    "correct the link: cable, baud rate, load of a router",
 )
 NO_HEARTBEAT = FindingText(
     "heartbeat",
     "bad",
-    "none for {limit:g} s while other messages come: whether the vehicle is armed is not known",
-    "see which messages a router between passes on",
+    "none for {limit:g} s, but other messages arrive: the arm state is unknown",
+    "check which messages a router forwards",
 )
 STREAM = FindingText("{name}", "good", "{rate:.1f} a second")
 SLOW = FindingText("{name}", "warning", "{rate:.1f} a second of {wanted:g} (for {use})", "{where}")
 TOO_SLOW = FindingText("{name}", "bad", "{rate:.1f} a second; {use} needs {least:.1f}", "{where}")
-MISSING = FindingText("{name}", "bad", "does not come: needed for {use}", "{where}")
-MISSED = FindingText("{name}", "warning", "does not come: used for {use}", "{where}")
+MISSING = FindingText("{name}", "bad", "does not arrive; needed for {use}", "{where}")
+MISSED = FindingText("{name}", "warning", "does not arrive; used for {use}", "{where}")
 CLASH = FindingText(
     "component id",
     "bad",
@@ -107,39 +107,39 @@ CLASH = FindingText(
 CLASH_WITH_SERVICE = FindingText(
     "component id",
     "warning",
-    "{id} is in use on this vehicle, and {who} runs: it is probably the one",
-    "stop it ({stop}) and look again",
+    "{id} is in use on this vehicle, probably by {who}, which runs",
+    "stop it ({stop}) and repeat this check",
 )
-FREE = FindingText("component id", "good", "{id} is ours alone; {others} heard besides the autopilot")
+FREE = FindingText("component id", "good", "{id} is free; other senders than the autopilot: {others}")
 UNSIGNED = FindingText(
     "signing",
     "bad",
-    "nothing that came was believed: {refused}",
-    "give both sides the same key (docs/mavlink.md), or take vehicle.signing_key out",
+    "all messages were refused: {refused}",
+    "give both sides the same key (docs/mavlink.md), or remove vehicle.signing_key",
 )
 DATED_AHEAD = FindingText(
     "signing",
     "bad",
-    "nothing that came was believed: it is dated too far ahead of this computer's clock",
-    "set the clock that is wrong: this computer's, or the sender's (docs/mavlink.md)",
+    "all messages were refused: their time is too far ahead of this computer's clock",
+    "set the wrong clock: this computer's, or the sender's (docs/mavlink.md)",
 )
 SOME_REFUSED = FindingText(
     "signing",
     "warning",
-    "not all that came was believed: {refused}",
-    "see who else speaks on this link, and with which key",
+    "some messages were refused: {refused}",
+    "check who else sends on this link, and with which key",
 )
-SIGNED = FindingText("signing", "good", "all that came was signed with our key")
+SIGNED = FindingText("signing", "good", "all messages were signed with our key")
 NO_KEY = FindingText(
     "signing",
     "warning",
-    "the autopilot signs its messages, and the profile has no key: it may not listen to us",
-    "put its key in a file, and name that in vehicle.signing_key",
+    "the autopilot signs its messages, but the profile has no key: it may ignore ours",
+    "write its key to a file, and set vehicle.signing_key to this file",
 )
 NO_KEY_NEEDED = FindingText(
     "signing",
     "good",
-    "the autopilot signs its messages and answers ours, which are unsigned: no key is needed",
+    "the autopilot signs its messages, and also answers our unsigned ones: no key is needed",
 )
 NOT_SIGNED = FindingText("signing", "good", "off, on both sides")
 
@@ -147,13 +147,13 @@ NOT_SIGNED = FindingText("signing", "good", "off, on both sides")
 def check(
     facts: VehicleFacts | None, config: Config, seconds: float, running: Sequence[Process] = ()
 ) -> list[DoctorFinding]:
-    """What is to be said of the link.
+    """The findings about the link.
 
     Args:
-        facts: None where the port could not be opened.
+        facts: None if the port could not be opened.
         config: the profile.
-        seconds: for how long it was listened to.
-        running: our own service, where it runs on this computer.
+        seconds: listening time.
+        running: our own services that run on this computer.
     """
     if facts is None:
         return [NOT_ASKED()]
@@ -210,16 +210,16 @@ def _stream(stream: StreamFacts, autopilot: Autopilot, config: Config) -> Doctor
     if stream.rate_Hz == 0.0:
         use += "; the autopilot refuses it" if stream.refused else ""
         return (MISSING if needed else MISSED)(name=stream.name, use=use, where=where)
-    least_Hz = least_rate_Hz(stream.name, config) if needed else 0.0
-    if stream.rate_Hz < least_Hz:
-        return TOO_SLOW(name=stream.name, rate=stream.rate_Hz, use=use, least=least_Hz, where=where)
-    if stream.rate_Hz < LEAST_RATE_SHARE * stream.wanted_Hz:
+    min_Hz = min_rate_Hz(stream.name, config) if needed else 0.0
+    if stream.rate_Hz < min_Hz:
+        return TOO_SLOW(name=stream.name, rate=stream.rate_Hz, use=use, least=min_Hz, where=where)
+    if stream.rate_Hz < MIN_RATE_SHARE * stream.wanted_Hz:
         return SLOW(name=stream.name, rate=stream.rate_Hz, wanted=stream.wanted_Hz, use=use, where=where)
     return STREAM(name=stream.name, rate=stream.rate_Hz)
 
 
-def least_rate_Hz(name: str, config: Config) -> float:
-    """Below which the service takes what it tells for lost."""
+def min_rate_Hz(name: str, config: Config) -> float:
+    """Below this rate the service would report a loss although messages arrive."""
     if name == "RC_CHANNELS":
         return SAMPLES_WITHIN_LOSS / config.losses.rc_s
     return 1.0 / ALTITUDE_FRESH_S

@@ -1,1 +1,1 @@
-"""The doctor's edge: facts of this machine, from files, sockets and the clock. Nothing is judged here."""
+"""Facts about this computer, from files, sockets and the clock. `checks/` judges them."""

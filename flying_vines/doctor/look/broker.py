@@ -1,4 +1,4 @@
-"""The MQTT broker: is it there, and does it let us in? Asked by the means of the service's own connection."""
+"""Tries the MQTT broker, with the credentials and error texts of the service's own connection."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from flying_vines.config.address import parse_broker
 from flying_vines.config.config import MqttConfig
 from flying_vines.doctor.checks.network import BrokerFacts
 
-PATIENCE_S = 5.0
+TIMEOUT_S = 5.0
 
 _SILENT = logging.getLogger(__name__)
 _SILENT.addHandler(logging.NullHandler())
@@ -19,7 +19,7 @@ _SILENT.propagate = False
 
 
 async def facts(mqtt: MqttConfig) -> BrokerFacts:
-    """Connects as somebody whom it has not met, so that a service that is connected stays so, and leaves."""
+    """Connects with a new client id, so that a running service stays connected, and disconnects."""
     if not mqtt.broker:
         return BrokerFacts("")
     try:
@@ -42,7 +42,7 @@ async def facts(mqtt: MqttConfig) -> BrokerFacts:
             username=mqtt.username or None,
             password=password,
             protocol=version,
-            timeout=PATIENCE_S,
+            timeout=TIMEOUT_S,
             tls_context=tls,
             logger=_SILENT,
         )

@@ -1,4 +1,4 @@
-"""This computer's clock while the doctor looks."""
+"""Watches this computer's clock during the examination."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from flying_vines.service.host_clock import synchronised
 
 
 class Clock:
-    """Begun when the doctor begins to look, asked when he has done."""
+    """Make it at the start of the examination; call `facts` at the end."""
 
     def __init__(self) -> None:
         self._offset_s = time.time() - time.monotonic()

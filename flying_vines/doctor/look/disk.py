@@ -1,4 +1,4 @@
-"""A folder that is to be written: tried with a small file, which is taken away again."""
+"""Tests a folder by writing a small temporary file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SOME_BYTES = 8192
 
 
 def facts(use: Literal["flight logs", "state"], folder: Path, least_free_MB: float) -> DiskFacts:
-    """A folder that is not there yet is made when it is needed, in the nearest one that is."""
+    """Tests `folder`, or its nearest existing parent, because the service creates a missing folder."""
     there = folder.absolute()
     while not there.exists() and there != there.parent:
         there = there.parent

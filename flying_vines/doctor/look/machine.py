@@ -1,4 +1,4 @@
-"""What this computer says of itself."""
+"""Facts about this computer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from flying_vines.doctor.checks.machine import MachineFacts
 MEMORY = Path("/proc/meminfo")
 THROTTLED = Path("/sys/devices/platform/soc/soc:firmware/get_throttled")
 TEMPERATURES = Path("/sys/class/thermal")
-PATIENCE_S = 2.0
+TIMEOUT_S = 2.0
 
 
 def facts() -> MachineFacts:
@@ -45,7 +45,7 @@ def _free_MB() -> float | None:
 
 
 def _throttled() -> int | None:
-    """From the kernel where it tells, else from the firmware's own program."""
+    """From the kernel if it provides the value, else from the firmware's program vcgencmd."""
     try:
         return int(THROTTLED.read_text(), 16)
     except (OSError, ValueError):
@@ -54,10 +54,10 @@ def _throttled() -> int | None:
     if program is None:
         return None
     try:
-        said = subprocess.run(
-            [program, "get_throttled"], capture_output=True, text=True, timeout=PATIENCE_S, check=True
+        answer = subprocess.run(
+            [program, "get_throttled"], capture_output=True, text=True, timeout=TIMEOUT_S, check=True
         )
-        return int(said.stdout.partition("=")[2], 16)
+        return int(answer.stdout.partition("=")[2], 16)
     except (OSError, ValueError, subprocess.SubprocessError):
         return None
 

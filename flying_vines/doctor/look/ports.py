@@ -1,4 +1,4 @@
-"""The ports that the profile names: what is there, whose it is, who holds it."""
+"""The profile's ports: device, permissions, and the processes that use them."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ _KEPT_OFF = re.compile(
 def serial_port(
     which: Which, where: str, address: SerialAddress | UsbBoard, ports: Ports = comports
 ) -> PortFacts:
-    """What can be known of a serial port without opening it."""
+    """Facts about a serial port, without opening it."""
     try:
         there = sorted(ports(), key=lambda port: str(port.device))
     except (OSError, TypeError, ValueError):
-        # pyserial stumbles over a board that is pulled out just now.
+        # pyserial raises these if a board is being unplugged.
         there = []
     try:
         path = address.find(lambda: there) if isinstance(address, UsbBoard) else address.path
     except BoardNotFoundError as error:
         return PortFacts(which, where, missing=str(error))
     if not Path(path).exists():
-        others = ", ".join(f"{port.device}{_of(port)}" for port in there) or "no serial port at all"
-        return PortFacts(which, where, missing=f"{path} is not there; there is {others}")
+        others = ", ".join(f"{port.device}{_in_brackets(port)}" for port in there) or "no serial port at all"
+        return PortFacts(which, where, missing=f"{path} does not exist; found: {others}")
     device = os.path.realpath(path)
     board = next((port for port in there if port.device == device and port.vid is not None), None)
     group, member_since_login = _group(path)
@@ -53,7 +53,7 @@ def serial_port(
         which,
         where,
         path=path if path == device else f"{path} → {device}",
-        board=_said(board) if board else "",
+        board=_description(board) if board else "",
         usb=str(UsbBoard(board.vid, board.pid, board.serial_number))
         if board and board.vid and board.pid
         else "",
@@ -68,7 +68,7 @@ def serial_port(
 
 
 def udp_port(address: NetworkAddress) -> tuple[Process, ...] | None:
-    """Who holds the port that we are to listen on; None where it is free."""
+    """The processes that use the port on which we listen; None if it is free."""
     try:
         with _bound(socket.SOCK_DGRAM, address.host, address.port):
             return None
@@ -77,7 +77,7 @@ def udp_port(address: NetworkAddress) -> tuple[Process, ...] | None:
 
 
 def tcp_port(host: str, port: int) -> tuple[str, tuple[Process, ...]]:
-    """Why nobody can listen there, empty where one can; and who does."""
+    """Why the port cannot be opened (empty if it can), and the processes that use it."""
     try:
         with _bound(socket.SOCK_STREAM, host, port):
             return "", ()
@@ -90,7 +90,7 @@ def _bound(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
     opened = socket.socket(family, kind)
     try:
         if kind is socket.SOCK_STREAM:
-            # As a server does: what closed lately holds nothing up.
+            # As servers do: a recently closed connection must not block the port.
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         opened.bind(where)
     except OSError:
@@ -99,17 +99,17 @@ def _bound(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
     return opened
 
 
-def _said(port: ListPortInfo) -> str:
+def _description(port: ListPortInfo) -> str:
     words = [f"usb:{port.vid:04x}:{port.pid:04x}", port.product, port.serial_number]
     return ", ".join(word for word in words if word)
 
 
-def _of(port: ListPortInfo) -> str:
-    return f" ({_said(port)})" if port.vid is not None else ""
+def _in_brackets(port: ListPortInfo) -> str:
+    return f" ({_description(port)})" if port.vid is not None else ""
 
 
 def _group(path: str) -> tuple[str, bool]:
-    """Whose members may open it, and whether this user has become one since logging in."""
+    """The device's group, and True if this user has joined it since the login."""
     try:
         group = grp.getgrgid(Path(path).stat().st_gid)
         user = pwd.getpwuid(os.getuid()).pw_name
@@ -119,19 +119,19 @@ def _group(path: str) -> tuple[str, bool]:
 
 
 def _consoles() -> set[str]:
-    """The devices on which the kernel speaks."""
+    """The devices to which the kernel writes messages."""
     try:
-        said = KERNEL_ARGUMENTS.read_text()
+        arguments = KERNEL_ARGUMENTS.read_text()
     except OSError:
         return set()
-    return {os.path.realpath(f"/dev/{name}") for name in _CONSOLE.findall(said)}
+    return {os.path.realpath(f"/dev/{name}") for name in _CONSOLE.findall(arguments)}
 
 
 def _kept_off(device: str) -> bool:
-    """Whether udev tells ModemManager to leave the device alone."""
+    """True if udev excludes the device from ModemManager."""
     number = Path(device).stat().st_rdev
     try:
-        said = (UDEV_DATA / f"c{os.major(number)}:{os.minor(number)}").read_text(errors="replace")
+        properties = (UDEV_DATA / f"c{os.major(number)}:{os.minor(number)}").read_text(errors="replace")
     except OSError:
         return False
-    return _KEPT_OFF.search(said) is not None
+    return _KEPT_OFF.search(properties) is not None

@@ -1,4 +1,4 @@
-"""Who else runs on this computer, and what they hold open: read from /proc, as far as this user may."""
+"""Other processes on this computer and their open files, from /proc as far as this user may read it."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ PROC = Path("/proc")
 _OUR_UNITS = re.compile(r"/(flying-vines[^/]*\.service)$", re.MULTILINE)
 _TCP_LISTENS = "0A"
 _PSEUDO = "/dev/pts/"
-_PLAYS = ("/dev/ptmx", "/dev/pts/ptmx")
-"""The other end of pseudo-terminals: who has it open keeps the end of the hosts open as well."""
+_PTY_MASTERS = ("/dev/ptmx", "/dev/pts/ptmx")
+"""The device side of pseudo-terminals. A process that has it open also keeps the host side open."""
 
 
 def _processes(proc: Path) -> Iterator[tuple[int, Path]]:
-    """All but this one."""
+    """All processes except this one."""
     try:
         folders = sorted(proc.iterdir())
     except OSError:
@@ -43,7 +43,7 @@ def _name(folder: Path) -> str:
 
 
 def services(proc: Path = PROC) -> list[Process]:
-    """Each `flying-vines run`, whoever started it."""
+    """Each running `flying-vines run`."""
     return [
         Process(pid, "flying-vines run", _unit(folder))
         for pid, folder in _processes(proc)
@@ -60,7 +60,7 @@ def _unit(folder: Path) -> str:
 
 
 def secretive(process: Process, proc: Path = PROC) -> bool:
-    """Whether this user may not know what it has open."""
+    """True if this user may not read the process's open files."""
     return not os.access(proc / str(process.pid) / "fd", os.R_OK)
 
 
@@ -74,19 +74,19 @@ def _serves(arguments: list[str]) -> bool:
 
 
 def named(name: str, proc: Path = PROC) -> bool:
-    """Whether a program of this name runs."""
+    """True if a program of this name runs."""
     return any(_name(folder) == name for _, folder in _processes(proc))
 
 
 def holders(device: str, proc: Path = PROC) -> tuple[Process, ...]:
-    """Who has a device open; of a pseudo-terminal not those who play the device."""
+    """The processes that have a device open; for a pseudo-terminal only those on the host side."""
     real = os.path.realpath(device)
-    playing = _having(_PLAYS.__contains__, proc) if real.startswith(_PSEUDO) else ()
-    return tuple(held for held in _having(real.__eq__, proc) if held not in playing)
+    device_side = _having(_PTY_MASTERS.__contains__, proc) if real.startswith(_PSEUDO) else ()
+    return tuple(held for held in _having(real.__eq__, proc) if held not in device_side)
 
 
 def port_holders(kind: str, port: int, proc: Path = PROC) -> tuple[Process, ...]:
-    """Who listens on a port of this computer; `kind` is udp or tcp."""
+    """The processes that listen on a port of this computer; `kind` is udp or tcp."""
     sockets = {f"socket:[{inode}]" for inode in _inodes(kind, port, proc)}
     return _having(sockets.__contains__, proc) if sockets else ()
 
@@ -112,7 +112,7 @@ def _having(wanted: Callable[[str], bool], proc: Path) -> tuple[Process, ...]:
 
 
 def _open(folder: Path) -> Iterator[str]:
-    """What a process has open; nothing where this user may not know."""
+    """The open files of a process; nothing if this user may not read them."""
     try:
         descriptors = list((folder / "fd").iterdir())
     except OSError:

@@ -1,4 +1,4 @@
-"""The profile, and what is kept beside it: all that the service would read when it starts."""
+"""Reads everything that the service reads at its start: the profile and its persistent state."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ServiceProfile:
     belief: Belief
     signing: Signing | None
     state: Path | None
-    """The folder where it keeps what must survive it; None for a profile that is no file."""
+    """The folder of the persistent state; None for a profile without a file."""
     signing_timestamp: Path | None
 
     @property
@@ -35,17 +35,17 @@ class ServiceProfile:
 
 
 def read(path: Path) -> ServiceProfile:
-    """Raises `ConfigError`, one line, where the profile itself cannot be read."""
+    """Raises `ConfigError` with one line if the profile itself cannot be read."""
     config = configuration.load(path)
-    kept = PersistentState.of(path, config)
+    state = PersistentState.of(path, config)
     parameters, parameters_problem = {}, ""
     try:
-        parameters = kept.read_parameters(config)
+        parameters = state.read_parameters(config)
     except ParameterFileError as error:
         parameters_problem = str(error)
     signing, signing_clock_problem, signing_problem = None, "", ""
     try:
-        signing, signing_clock_problem = kept.read_signing(config)
+        signing, signing_clock_problem = state.read_signing(config)
     except SigningKeyError as error:
         signing_problem = str(error)
     belief, rig_said, rig_problem = nominal(config.pneumatics), "", ""
@@ -53,7 +53,7 @@ def read(path: Path) -> ServiceProfile:
     if rig is not None:
         try:
             known = load_calibration(rig, config.pneumatics)
-            belief, rig_said = known.belief, known.said
+            belief, rig_said = known.belief, known.summary
         except RigError as error:
             rig_problem = str(error)
         except OSError as error:
@@ -70,13 +70,13 @@ def read(path: Path) -> ServiceProfile:
         signing_clock_problem=signing_clock_problem,
         parameters=parameters,
         parameters_problem=parameters_problem,
-        disarming=str(kept.disarming) if _exists(kept.disarming) else "",
+        disarming=str(state.disarming) if _exists(state.disarming) else "",
     )
-    return ServiceProfile(facts, belief, signing, kept.parameters.parent, kept.signing_timestamp)
+    return ServiceProfile(facts, belief, signing, state.parameters.parent, state.signing_timestamp)
 
 
 def given(config: Config, name: str) -> ServiceProfile:
-    """A profile that is no file."""
+    """A profile without a file."""
     return ServiceProfile(ProfileFacts(name, config), nominal(config.pneumatics), None, None, None)
 
 
@@ -84,5 +84,5 @@ def _exists(path: Path) -> bool:
     try:
         return path.exists()
     except OSError:
-        # Nobody can tell: the service then does not start either.
+        # Unknown: the service would not start in this case either.
         return True

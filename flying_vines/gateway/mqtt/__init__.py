@@ -1,7 +1,7 @@
-"""The vehicle on an MQTT broker: its state, what happens, and what the configuration lets people ask for.
+"""MQTT client: publishes state and events, and accepts the requests that the profile permits.
 
-`topics` and `payloads` say what is where, `teller` and `asks` decide what is told and done; of the network
-`connection` alone knows.
+`topics` and `payloads` define the messages, `teller` publishes, and `asks` checks requests. Only `connection`
+uses the network.
 """
 
 from flying_vines.gateway.mqtt.connection import serve

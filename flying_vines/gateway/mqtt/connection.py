@@ -1,4 +1,4 @@
-"""The connection to the broker, as long as the service lives: looked for again whenever it is lost."""
+"""Keeps a connection to the broker, and reconnects when it is lost."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from flying_vines.gateway.mqtt.health import Health
 from flying_vines.gateway.mqtt.home_assistant import discovery
 from flying_vines.gateway.mqtt.payloads import AnswerPayload
 from flying_vines.gateway.mqtt.problems import FileError, RefusedError, may_want_other_version, problem_of
-from flying_vines.gateway.mqtt.teller import Now, Publication, Teller
+from flying_vines.gateway.mqtt.teller import Now, Publication, Publisher
 from flying_vines.gateway.mqtt.topics import Topics
 
-LONGEST_PACKET = 4096
-"""A broker of MQTT 5 keeps anything longer to itself."""
-MOST_UNANSWERED = 50
-PATIENCE_S = 10.0
-"""With a broker that does not answer."""
-ASKED_EVERY_S = 0.05
-"""However many people ask at once, the service has other things to do."""
-FLOODS_TOLD_S = 60.0
+MAX_PACKET = 4096
+"""Bytes. An MQTT 5 broker does not send us longer packets."""
+MAX_UNANSWERED = 50
+TIMEOUT_S = 10.0
+"""Maximum wait for an answer of the broker."""
+REQUEST_INTERVAL_S = 0.05
+"""Minimum time between two requests to the service, which has other tasks."""
+FLOOD_REPORT_S = 60.0
 GOODBYE_S = 1.0
 LEAVING_S = 3.0
-"""Two goodbyes: ours, and the library's."""
+"""Time to disconnect: our own last message and the library's."""
 _OTHER_VERSION = {
     aiomqtt.ProtocolVersion.V5: aiomqtt.ProtocolVersion.V311,
     aiomqtt.ProtocolVersion.V311: aiomqtt.ProtocolVersion.V5,
@@ -48,7 +48,7 @@ _SILENT.propagate = False
 
 
 async def serve(feed: Feed) -> None:
-    """Until cancelled."""
+    """Serve until cancelled."""
     with feed.reader() as reader:
         connection = Connection(feed)
         async with asyncio.TaskGroup() as tasks:
@@ -57,19 +57,19 @@ async def serve(feed: Feed) -> None:
 
 
 class Connection:
-    """To one broker; what is told over it comes from the feed."""
+    """The connection to one broker. It publishes the feed's messages."""
 
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
         self._mqtt = feed.profile.config.mqtt
         self._broker = parse_broker(self._mqtt.broker)
         self._topics = Topics.of(self._mqtt)
-        self._teller = Teller(feed.profile, self._topics)
+        self._teller = Publisher(feed.profile, self._topics)
         self._asks = Asks(self._mqtt.commands, self._mqtt.asked_within_s)
-        self._answers: asyncio.Queue[AnswerPayload] = asyncio.Queue(MOST_UNANSWERED)
+        self._answers: asyncio.Queue[AnswerPayload] = asyncio.Queue(MAX_UNANSWERED)
         self._happened, self._asked = asyncio.Event(), asyncio.Event()
         self._protocol = aiomqtt.ProtocolVersion.V5
-        self._flood_told_at = -FLOODS_TOLD_S
+        self._flood_reported_at = -FLOOD_REPORT_S
         for happened in feed.happened:
             self._teller.take(self._now.t, happened)
 
@@ -78,7 +78,7 @@ class Connection:
         return Now(asyncio.get_running_loop().time(), round(time.time(), 3))
 
     async def listen(self, reader: FeedReader) -> None:
-        """To the service, whether there is a connection or not."""
+        """Take in the service's messages, also without a connection."""
         while True:
             for news in await reader.next():
                 self._teller.take(self._now.t, news)
@@ -92,15 +92,18 @@ class Connection:
             problem = problem_of(failure, self._broker, health.is_connected)
             if not health.is_connected and may_want_other_version(failure):
                 self._protocol = _OTHER_VERSION[self._protocol]
-            self._tell(health.failed(self._now.t, problem))
+            self._report(health.failed(self._now.t, problem))
             await asyncio.sleep(health.wait_s(random.random()))
 
-    def _tell(self, sentence: str | None) -> None:
+    def _report(self, sentence: str | None) -> None:
         if sentence is not None:
             self._feed.trouble(sentence)
 
     async def _one_connection(self, health: Health) -> Exception:
-        """That cannot outlive us: a cancellation is lost where what is waited for comes in the same turn."""
+        """Runs one connection and ends it when we are cancelled.
+
+        Cancels it repeatedly, because the library loses a cancellation that comes with an awaited result.
+        """
         connection = asyncio.create_task(self._connect(health))
         try:
             await asyncio.wait({connection})
@@ -111,7 +114,7 @@ class Connection:
         return connection.result()
 
     async def _connect(self, health: Health) -> Exception:
-        """One connection, from its beginning to why it ended."""
+        """Runs one connection. Returns why it ended."""
         failure: Exception = RefusedError("the connection ended")
         client: _Client | None = None
         try:
@@ -139,9 +142,9 @@ class Connection:
         properties = None
         if self._protocol is aiomqtt.ProtocolVersion.V5:
             properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
-            properties.MaximumPacketSize = LONGEST_PACKET
+            properties.MaximumPacketSize = MAX_PACKET
         return _Client(
-            self._hear,
+            self._receive,
             self._broker.host,
             self._broker.port,
             username=self._mqtt.username or None,
@@ -149,7 +152,7 @@ class Connection:
             identifier=self._mqtt.client_id or f"{self._topics.prefix}-{self._topics.name}".replace("/", "-"),
             protocol=self._protocol,
             will=aiomqtt.Will(will.topic, will.payload, will.qos, will.retain),
-            timeout=PATIENCE_S,
+            timeout=TIMEOUT_S,
             keepalive=self._mqtt.keepalive_s,
             properties=properties,
             tls_context=tls,
@@ -157,69 +160,69 @@ class Connection:
         )
 
     async def _greet(self, client: _Client) -> None:
-        # First of all: whoever reads what may be asked for may ask at once.
+        # Subscribe first: a reader of the permitted requests may send one at once.
         if self._mqtt.commands:
             await client.subscribe(self._topics.ask, qos=1)
         for publication in self._teller.greeting(self._now):
             await _publish(client, publication)
         if client.refused:
             raise RefusedError(
-                f"it does not let us publish to {self._topics.base}/…: see its access control list"
+                f"it does not let us publish to {self._topics.base}/…: check its access control list"
             )
         for publication in discovery(self._mqtt, self._topics, self._feed.profile.version):
             await _publish(client, publication)
 
     async def _say_goodbye(self, client: _Client) -> None:
-        """A connection that is closed in good order leaves no last will."""
+        """Publish `offline`: the broker sends no last will after a proper disconnection."""
         client.timeout = GOODBYE_S
         with contextlib.suppress(aiomqtt.MqttError):
             await _publish(client, self._teller.last_will(self._now))
 
     async def _talk(self, client: _Client, health: Health) -> None:
         async with asyncio.TaskGroup() as tasks:
-            # It notices when the connection is lost; of what is published that would take far longer.
+            # Detects a lost connection much faster than a failed publication.
             tasks.create_task(_lost(client))
             await self._greet(client)
-            tasks.create_task(self._tell_states(client, health))
-            for part in (self._tell_events, self._ask_service, self._tell_answers):
+            tasks.create_task(self._publish_states(client, health))
+            for part in (self._publish_events, self._ask_service, self._publish_answers):
                 tasks.create_task(part(client))
 
-    async def _tell_events(self, client: _Client) -> None:
+    async def _publish_events(self, client: _Client) -> None:
         while True:
-            # Cleared before looking: what comes meanwhile is looked at again.
+            # Clear first, so that events that arrive during the loop are not missed.
             self._happened.clear()
             while pending := self._teller.events.first(self._now):
                 await _publish(client, pending.publication)
-                self._teller.events.told(pending)
+                self._teller.events.published(pending)
             await self._happened.wait()
 
-    async def _tell_states(self, client: _Client, health: Health) -> None:
+    async def _publish_states(self, client: _Client, health: Health) -> None:
         period_s = 1.0 / self._mqtt.rate_Hz
         due = self._now.t
         while True:
             for publication in self._teller.due(self._now):
                 await _publish(client, publication)
-            self._tell(health.lasts(self._now.t))
+            self._report(health.lasts(self._now.t))
             due = max(due + period_s, self._now.t)
             await asyncio.sleep(due - self._now.t)
 
-    def _hear(self, payload: bytes, retained: bool) -> None:
-        for answer in self._asks.hear(self._now, payload, retained):
+    def _receive(self, payload: bytes, retained: bool) -> None:
+        for answer in self._asks.receive(self._now, payload, retained):
             self._answer(answer)
         if self._asks.waits:
             self._asked.set()
-        self._tell_of_flood()
+        self._report_flood()
 
     def _answer(self, answer: AnswerPayload) -> None:
-        # Whoever asks faster than the broker takes answers gets fewer of them.
+        # If requests come faster than the broker accepts answers, some get no answer.
         with contextlib.suppress(asyncio.QueueFull):
             self._answers.put_nowait(answer)
 
-    def _tell_of_flood(self) -> None:
+    def _report_flood(self) -> None:
         now = self._now.t
-        if self._asks.ignored and now - self._flood_told_at >= FLOODS_TOLD_S:
-            self._feed.trouble(f"MQTT: {self._topics.ask}: asked too often, not all is answered")
-            self._asks.ignored, self._flood_told_at = 0, now
+        if self._asks.ignored and now - self._flood_reported_at >= FLOOD_REPORT_S:
+            self._feed.trouble(f"MQTT: {self._topics.ask}: too many requests, some get no answer")
+            self._asks.ignored, self._flood_reported_at = 0, now
 
     async def _ask_service(self, client: _Client) -> None:
         while True:
@@ -230,7 +233,7 @@ class Connection:
                     self._answer(
                         AnswerPayload(unix_s=self._now.unix_s, id=ask.id, safety=safety, reason=reason)
                     )
-                await asyncio.sleep(ASKED_EVERY_S)
+                await asyncio.sleep(REQUEST_INTERVAL_S)
             await self._asked.wait()
 
     async def _ask(self, asks: Sequence[Waiting]) -> tuple[Any, str]:
@@ -242,32 +245,32 @@ class Connection:
             return "unknown", str(error)
         return answered.safety, answered.reason
 
-    async def _tell_answers(self, client: _Client) -> None:
+    async def _publish_answers(self, client: _Client) -> None:
         while True:
             await _publish(client, self._teller.answer(await self._answers.get()))
 
 
 class _Client(aiomqtt.Client):
-    """That remembers whether the broker took what was published, which the library does not tell.
+    """Records whether the broker refused a publication, which the library does not report.
 
-    What comes in goes to `hear` at once: the library's queue costs a flood's every message a task.
+    Received messages go directly to `receive`: the library's queue would need a task per message of a flood.
     """
 
-    def __init__(self, hear: Callable[[bytes, bool], None], *broker: Any, **how: Any) -> None:
+    def __init__(self, receive: Callable[[bytes, bool], None], *broker: Any, **how: Any) -> None:
         super().__init__(*broker, **how)
         self.refused = False
-        self._hear = hear
+        self._receive = receive
 
     def close(self) -> None:
-        """Also where the library, not let in, would leave the socket to somebody else."""
+        """Close the socket, also after a refused login, when the library leaves it open."""
         if self._client.socket() is not None:
             self._client.disconnect()
         if self._disconnected.done() and not self._disconnected.cancelled():
-            # Else asyncio complains of a failure that nobody has looked at.
+            # Otherwise asyncio logs an exception that was never retrieved.
             self._disconnected.exception()
 
     def _on_message(self, client: Any, userdata: Any, message: Any) -> None:
-        self._hear(message.payload, message.retain)
+        self._receive(message.payload, message.retain)
 
     def _on_publish(self, client: Any, userdata: Any, mid: int, reason_code: Any, properties: Any) -> None:
         self.refused = self.refused or reason_code.is_failure
@@ -275,15 +278,15 @@ class _Client(aiomqtt.Client):
 
 
 async def _lost(client: _Client) -> None:
-    """Raises `MqttError` when the connection is; what comes in goes another way."""
+    """Waits until the connection is lost; raises `MqttError`. Messages go to `receive` instead."""
     async for _ in client.messages:
         pass
 
 
 async def _publish(client: _Client, publication: Publication) -> None:
-    """Returns when the network has it, or the broker where that is asked for. Raises `MqttError`."""
+    """Returns when the message is sent; with QoS 1, when the broker has it. Raises `MqttError`."""
     await client.publish(publication.topic, publication.payload, publication.qos, publication.retain)
-    # The library loses a cancellation where what it waits for comes in the same turn.
+    # The library loses a cancellation that comes with the awaited result.
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError

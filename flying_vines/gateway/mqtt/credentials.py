@@ -1,4 +1,4 @@
-"""Who we are to the broker, and how we know that it is the right one: read anew for each connection."""
+"""Password and certificates for the broker, read again for each connection."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from flying_vines.gateway.mqtt.problems import FileError
 
 
 def password(mqtt: MqttConfig) -> str | None:
-    """The first line of its file. Raises `FileError`; blocks while the disk does."""
+    """The first line of the password file. Raises `FileError`; may block on a slow disk."""
     if not mqtt.password_file:
         return None
     lines = _read_private(mqtt.password_file, "the password").splitlines()
@@ -22,19 +22,19 @@ def password(mqtt: MqttConfig) -> str | None:
 
 
 def tls(mqtt: MqttConfig, broker: BrokerAddress) -> ssl.SSLContext | None:
-    """Raises `FileError`; blocks while the disk does."""
+    """The TLS context, or None without TLS. Raises `FileError`; may block on a slow disk."""
     if not broker.tls:
         return None
     try:
         context = ssl.create_default_context(cafile=mqtt.ca_file or None)
     except OSError as error:
-        raise FileError(f"{mqtt.ca_file}: {_why(error, 'no certificates in it')}") from None
+        raise FileError(f"{mqtt.ca_file}: {_why(error, 'it contains no certificates')}") from None
     if mqtt.certificate_file:
         _read_private(mqtt.key_file, "the key")
         try:
             context.load_cert_chain(mqtt.certificate_file, mqtt.key_file)
         except OSError as error:
-            why = _why(error, "no certificate and its key")
+            why = _why(error, "they are not a certificate and its key")
             raise FileError(f"{mqtt.certificate_file}, {mqtt.key_file}: {why}") from None
     return context
 
@@ -53,5 +53,5 @@ def _read_private(file: str, what: str) -> str:
 
 
 def _why(error: OSError, of_tls: str) -> str:
-    # Of a file that is there but holds something else, OpenSSL has words that help nobody.
+    # OpenSSL's texts about a file with wrong content do not help.
     return of_tls if isinstance(error, ssl.SSLError) else str(error.strerror)

@@ -1,6 +1,6 @@
-"""What Home Assistant wants to be told so that it shows a vehicle by itself: one retained message per entity.
+"""Home Assistant's discovery: one retained message per entity, so that the vehicle appears by itself.
 
-Its own names and templates: https://www.home-assistant.io/integrations/mqtt/#mqtt-discovery
+Names and templates: https://www.home-assistant.io/integrations/mqtt/#mqtt-discovery
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _VENT = """{"id": "{{ now().timestamp() }}-{{ range(1000000) | random }}", \
 
 
 def discovery(mqtt: MqttConfig, topics: Topics, version: str) -> list[Publication]:
-    """Nothing where it is not wanted. A button that may no longer be pressed is taken away."""
+    """The discovery messages, if they are wanted. A button that is no longer permitted is removed."""
     if not mqtt.discovery_prefix:
         return []
     name, prefix = (part.replace("/", "_").replace(".", "_") for part in (topics.name, topics.prefix))
@@ -53,12 +53,12 @@ def discovery(mqtt: MqttConfig, topics: Topics, version: str) -> list[Publicatio
     }
 
     def entity(kind: str, key: str, what: dict[str, Any] | None) -> Publication:
-        # The name is a level of its own: a broker's list of rights knows no parts of levels.
+        # The name is a whole topic level, because a broker's access list cannot match a part of a level.
         topic = f"{mqtt.discovery_prefix}/{kind}/{name}/{prefix}_{key}/config"
-        told = shared | {"unique_id": f"{prefix}_{name}_{key}"} | what if what is not None else None
-        return Publication(topic, msgspec.json.encode(told) if told else b"", qos=1, retain=True)
+        config = shared | {"unique_id": f"{prefix}_{name}_{key}"} | what if what is not None else None
+        return Publication(topic, msgspec.json.encode(config) if config else b"", qos=1, retain=True)
 
-    told = [
+    entities = [
         entity(
             "sensor",
             sensor.key,
@@ -73,5 +73,5 @@ def discovery(mqtt: MqttConfig, topics: Topics, version: str) -> list[Publicatio
         for sensor in _SENSORS
     ]
     vent = {"name": "Vent", "command_topic": topics.ask, "command_template": _VENT, "qos": 1}
-    told.append(entity("button", "vent", vent if "vent" in mqtt.commands else None))
-    return told
+    entities.append(entity("button", "vent", vent if "vent" in mqtt.commands else None))
+    return entities

@@ -1,7 +1,7 @@
-"""What is in each message on the broker. Pressures are gauge kPa, angles degrees; null is unknown.
+"""The messages on the broker. Pressures are gauge kPa, angles degrees; null is unknown.
 
-`SCHEMA_VERSION` goes up when something that is there changes or goes; what is added does not count.
-So whoever reads it ignores what is new to him.
+`SCHEMA_VERSION` increases when a field changes or disappears. New fields do not change it, so readers must
+ignore unknown fields.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from msgspec import Meta
 from flying_vines.vine.intent import CommandName
 
 SCHEMA_VERSION = 1
-LONGEST_ID = 64
+MAX_ID_LENGTH = 64
 
 RulingName = Literal["accepted", "limited", "refused"]
 SeverityName = Literal["error", "warning", "notice", "info"]
 
 
-class _Told(msgspec.Struct, frozen=True, kw_only=True):
+class _Payload(msgspec.Struct, frozen=True, kw_only=True):
     version: int = SCHEMA_VERSION
     unix_s: float
-    """By the vehicle's clock."""
+    """Time by the vehicle's clock."""
 
 
-class StatusPayload(_Told, frozen=True, kw_only=True):
-    """Whether anybody is there: retained. The last will says `offline`, with the time of its connecting."""
+class StatusPayload(_Payload, frozen=True, kw_only=True):
+    """Retained. The last will is `offline`, with the time of the connection."""
 
     status: Literal["online", "silent", "offline"]
-    """`silent`: the computer is there, the service that flies does not speak."""
+    """`silent`: the computer is connected, but the service sends nothing."""
 
 
 class LimitsPayload(msgspec.Struct, frozen=True):
-    """As the profile has them; a pilot's parameters may be tighter."""
+    """The profile's limits; a pilot's parameters may be lower."""
 
     max_kPa: float
     max_bend_deg: float
@@ -44,27 +44,27 @@ class LimitsPayload(msgspec.Struct, frozen=True):
     overpressure_kPa: float
 
 
-class AboutPayload(_Told, frozen=True, kw_only=True):
-    """What this vehicle is: retained."""
+class AboutPayload(_Payload, frozen=True, kw_only=True):
+    """Describes this vehicle. Retained."""
 
     name: str
     flying_vines: str
     """The version of the software."""
     run: str
-    """Of this start of the sender; events are numbered anew in each."""
+    """Id of this start of the sender; each starts a new numbering of events."""
     profiles: tuple[str, ...]
     limits: LimitsPayload
     commands: tuple[CommandName, ...]
-    """What may be asked for."""
+    """The permitted requests."""
     asked_within_s: float
     rate_Hz: float
 
 
-class StatePayload(_Told, frozen=True, kw_only=True):
-    """How things stand."""
+class StatePayload(_Payload, frozen=True, kw_only=True):
+    """The present state."""
 
     t: float
-    """By a clock that nobody sets, in seconds; for the `seen_at` of an ask."""
+    """Time on a monotonic clock, seconds; for `seen_at` of a request."""
     vehicle: str
     mode: str
     armed: bool
@@ -75,42 +75,42 @@ class StatePayload(_Told, frozen=True, kw_only=True):
     firmware: str
     reservoir_kPa: float | None
     cv_kPa: float | None
-    """In the vine."""
+    """Pressure in the vine."""
     command_kPa: float | None
     bend_deg: float | None
     doing: str
     safe_state: dict[str, str]
-    """Why the vine may not bend, each with a sentence; empty when it may."""
+    """Reasons why the vine may not bend, each with a sentence; empty if it may."""
     pneumatics_armed: bool
     bench: bool
 
 
 class CyclesPayload(msgspec.Struct, frozen=True):
-    """How often the vine can still be bent: a prediction, and the interval that holds nine times of ten."""
+    """Cycles left: prediction and 90 % interval."""
 
     expected: float
     low: float
     high: float
     measured_cycles: float
-    """Flown so far, that the cost was measured on."""
+    """Number of flown cycles from which the cost was measured."""
     cost_kPa: float
 
 
-class ReservoirPayload(_Told, frozen=True, kw_only=True):
+class ReservoirPayload(_Payload, frozen=True, kw_only=True):
     """The bottle."""
 
     reservoir_kPa: float | None
     cycles: CyclesPayload | None
 
 
-class _Event(_Told, frozen=True, kw_only=True, tag_field="event"):
+class _Event(_Payload, frozen=True, kw_only=True, tag_field="event"):
     run: str
     number: int
-    """From 1 on in each run. One that comes twice has the same number."""
+    """Counts from 1 in each run. A repeated event has the same number."""
 
 
 class DecisionEvent(_Event, frozen=True, kw_only=True, tag="decision"):
-    """Somebody or something wanted the vine to move, and what came of it."""
+    """A request or trigger to move the vine, and its result."""
 
     trigger: str
     what: dict[str, Any]
@@ -121,7 +121,7 @@ class DecisionEvent(_Event, frozen=True, kw_only=True, tag="decision"):
 
 
 class NoticeEvent(_Event, frozen=True, kw_only=True, tag="notice"):
-    """A sentence for people. `of_decision`: a decision of the same moment says the same."""
+    """A sentence for people. `of_decision`: a decision of the same moment has the same text."""
 
     severity: SeverityName
     text: str
@@ -129,7 +129,7 @@ class NoticeEvent(_Event, frozen=True, kw_only=True, tag="notice"):
 
 
 class LostEvent(_Event, frozen=True, kw_only=True, tag="lost"):
-    """So many events before the next were not kept while the broker was away; the last one's number."""
+    """`count` events were lost while the broker was away. `number` is that of the last lost event."""
 
     count: int
 
@@ -138,31 +138,31 @@ EventPayload = DecisionEvent | NoticeEvent | LostEvent
 
 
 class RequestPayload(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A person wants something."""
+    """A person's request."""
 
     version: Literal[1] = 1
-    id: Annotated[str, Meta(min_length=1, max_length=LONGEST_ID)]
-    """Never used before; the answer has it, too."""
+    id: Annotated[str, Meta(min_length=1, max_length=MAX_ID_LENGTH)]
+    """Must be new. The answer has the same id."""
     unix_s: float
-    """When it was asked."""
+    """Time of the request."""
     command: CommandName
     value: float | None = None
-    """Of `bend` an angle, of `pressure` a pressure."""
+    """The angle of `bend`, or the pressure of `pressure`."""
     name: str | None = None
-    """Of `profile`."""
+    """The name of `profile`."""
     seen_at: float | None = None
-    """The `t` of the latest `state` that was seen: no fault that came later is cleared."""
+    """The `t` of the latest `state` that the person saw: newer faults are not cleared."""
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.unix_s):
             raise ValueError("unix_s is not a finite number")
 
 
-class AnswerPayload(_Told, frozen=True, kw_only=True):
-    """What came of an `RequestPayload`."""
+class AnswerPayload(_Payload, frozen=True, kw_only=True):
+    """The result of a `RequestPayload`."""
 
     id: str | None
-    """Null where what was asked could not be read."""
+    """Null if the request could not be read."""
     safety: Literal["accepted", "limited", "refused", "unknown"]
     """`unknown`: the service did not answer."""
     reason: str
@@ -177,11 +177,11 @@ PAYLOADS: dict[str, Any] = {
     "ask": RequestPayload,
     "answer": AnswerPayload,
 }
-"""By the last word of the topic."""
+"""The payloads, by the last level of the topic."""
 
 
 def schemas() -> dict[str, Any]:
-    """JSON Schema (2020-12) of what is in each topic."""
+    """JSON Schema (2020-12) of the messages of each topic."""
     refs, components = msgspec.json.schema_components(PAYLOADS.values(), ref_template="#/$defs/{name}")
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

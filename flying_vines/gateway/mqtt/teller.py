@@ -1,4 +1,4 @@
-"""What the broker is told, and when: no clock. Events are kept until the broker has them, states are not."""
+"""Decides what is published, and when. Events are stored until the broker has them. No clock."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from flying_vines.gateway.mqtt.payloads import (
 from flying_vines.gateway.mqtt.topics import Topics
 
 SILENT_S = 3.0
-"""Snapshots come ten times a second: without one for so long, nobody knows how things stand."""
+"""The status becomes `silent` after this time without a snapshot. Ten snapshots a second are normal."""
 RESERVOIR_S = 2.0
 
 _KINDS = {"decision", "notice"}
@@ -31,7 +31,7 @@ SEVERITIES: dict[int, SeverityName] = {3: "error", 4: "warning", 5: "notice", 6:
 
 
 class Now(NamedTuple):
-    """One moment by two clocks: the one that events are stamped with, and the one that may be set."""
+    """One moment on two clocks: the monotonic one of the events, and the computer's, which may be set."""
 
     t: float
     unix_s: float
@@ -50,7 +50,7 @@ class Publication(NamedTuple):
 
 
 class Pending(NamedTuple):
-    """An event that waits to be told, and what to say when it was."""
+    """An event to publish. Pass it to `published` when the broker has it."""
 
     number: int
     lost: int
@@ -58,10 +58,9 @@ class Pending(NamedTuple):
 
 
 class Events:
-    """In their order, numbered; at most so many. When the oldest give way, that is told in their place.
+    """Stores up to `most` numbered events in order. A `LostEvent` replaces the oldest ones that were dropped.
 
-    Times are put in when an event is told: a computer that was switched on in the field gets its clock
-    from the network that the broker is on.
+    Times are added at the publication: in the field a computer may get its time from the broker's network.
     """
 
     def __init__(self, topic: str, run: str, most: int) -> None:
@@ -80,7 +79,7 @@ class Events:
         self._kept.append((self._number, happened))
 
     def first(self, now: Now) -> Pending | None:
-        """What is to be told next; again the same until it was `told`."""
+        """The next event to publish; the same again until it was `published`."""
         if not self._kept:
             return None
         number, happened = self._kept[0]
@@ -92,8 +91,8 @@ class Events:
             event = self._event(now, number, happened)
         return Pending(number, self._lost, Publication(self._topic, msgspec.json.encode(event), qos=1))
 
-    def told(self, pending: Pending) -> None:
-        """The broker has it. Meanwhile it may have given way to newer ones."""
+    def published(self, pending: Pending) -> None:
+        """The broker has the event. It may have been dropped for newer ones meanwhile."""
         if pending.lost:
             self._lost -= pending.lost
         elif self._kept[0][0] == pending.number:
@@ -115,8 +114,8 @@ class Events:
         return event
 
 
-class Teller:
-    """Of one vehicle."""
+class Publisher:
+    """Makes the publications of one vehicle."""
 
     def __init__(self, profile: GatewayStart, topics: Topics) -> None:
         self.topics = topics
@@ -136,34 +135,35 @@ class Teller:
             self.events.take(news)
 
     def last_will(self, now: Now) -> Publication:
-        """What the broker tells when it no longer hears of us."""
+        """The message that the broker publishes when we are gone."""
         return self._retained(self.topics.status, StatusPayload(unix_s=now.unix_s, status="offline"))
 
     def greeting(self, now: Now) -> list[Publication]:
-        """On every connection: the broker may have been started anew, and knows nothing."""
+        """The first messages of each connection: the broker may have lost the retained ones."""
         self._reservoir_at = -RESERVOIR_S
         self._status = self._present_status(now)
-        return [self._told_status(now), self._retained(self.topics.about, self.about(now))]
+        return [self._status_message(now), self._retained(self.topics.about, self.about(now))]
 
     def due(self, now: Now) -> list[Publication]:
-        """How things stand, if that is known. To be called at the rate that states are told at."""
-        told = []
+        """The state, if there is a new one. Call it at the rate of state messages."""
+        publications = []
         status = self._present_status(now)
         if status != self._status:
             self._status = status
-            told.append(self._told_status(now))
+            publications.append(self._status_message(now))
         if self._latest is not None:
             snapshot = msgspec.json.decode(self._latest.snapshot)
             t = snapshot["t"]
-            # Its own time is not rounded: a fault of a moment later is not in it.
+            # `t` is not rounded, so that a slightly newer fault does not count as seen.
             seen = _rounded(snapshot) | {"t": t, "unix_s": now.unix_of(t)}
-            told.append(self._plain(self.topics.state, msgspec.convert(seen, StatePayload)))
+            publications.append(self._plain(self.topics.state, msgspec.convert(seen, StatePayload)))
             if now.t - self._reservoir_at >= RESERVOIR_S:
                 self._reservoir_at = now.t
-                told.append(self._plain(self.topics.reservoir, msgspec.convert(seen, ReservoirPayload)))
-            # The same moment is not told twice.
+                publications.append(
+                    self._plain(self.topics.reservoir, msgspec.convert(seen, ReservoirPayload))
+                )
             self._latest = None
-        return told
+        return publications
 
     def answer(self, answer: AnswerPayload) -> Publication:
         return Publication(self.topics.answer, msgspec.json.encode(answer), qos=1)
@@ -192,7 +192,7 @@ class Teller:
     def _present_status(self, now: Now) -> Literal["online", "silent"]:
         return "online" if now.t - self._seen_at < SILENT_S else "silent"
 
-    def _told_status(self, now: Now) -> Publication:
+    def _status_message(self, now: Now) -> Publication:
         return self._retained(self.topics.status, StatusPayload(unix_s=now.unix_s, status=self._status))
 
     @staticmethod
@@ -205,7 +205,7 @@ class Teller:
 
 
 def _rounded(value: Any) -> Any:
-    """No sensor is better than that, and every digit is sent by radio, twice a second."""
+    """Rounds to three digits: no sensor is better, and each digit is sent by radio twice a second."""
     if isinstance(value, float):
         return round(value, 3)
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""Where on a broker each thing of one vehicle is. Fleets are told apart by the name in the topic."""
+"""The MQTT topics of one vehicle. The vehicle's name in the topic separates the vehicles of a fleet."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from flying_vines.config.config import MqttConfig
 
 @dataclass(frozen=True, slots=True)
 class Topics:
-    """Of one vehicle; `base` is what they begin with."""
+    """The topics of one vehicle; all begin with `base`."""
 
     prefix: str
     name: str
 
     @classmethod
     def of(cls, mqtt: MqttConfig) -> Topics:
-        """A vehicle that has no name goes by that of its computer."""
+        """A vehicle without a name has the computer's name."""
         return cls(mqtt.prefix, mqtt.name or re.sub(r"[^\w.-]", "-", socket.gethostname(), flags=re.ASCII))
 
     @property

@@ -1,8 +1,8 @@
 """A page for a phone or a laptop: the state, the events, and a button that vents.
 
-`access` says who may use the page, `connections` how many may, `request` what a browser may ask for; none of
-them knows a socket. `viewer` talks with one browser, `server` holds the port, and `static/` is what the
-browser loads.
+`access` decides who may use the page, `connections` limits their number, and `request` defines a browser's
+requests; none of them uses a socket. `viewer` serves one browser, `server` owns the port, and `static/` has
+the files that the browser loads.
 """
 
 from __future__ import annotations

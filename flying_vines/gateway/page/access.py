@@ -1,7 +1,7 @@
-"""Who may use the page, from the request alone.
+"""Decides from the HTTP request who may use the page.
 
-Another site's page can make its visitors' browsers send requests here. Such a request has another `Origin`
-or, after DNS rebinding, another `Host`. Both are refused, also where only this machine can connect.
+A page of another site can make its visitors' browsers send requests here. Such a request has another `Origin`
+or, after DNS rebinding, another `Host`. Both are refused, also if only this computer can connect.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from urllib.parse import urlsplit
 
 from flying_vines.gateway import page_token
 
-LONGEST_TOKEN = page_token.LONGEST + 64
+MAX_TOKEN_LENGTH = page_token.MAX_LENGTH + 64
 """As typed, with spaces and hyphens."""
 _HOST = re.compile(r"[A-Za-z0-9.-]+(:\d{1,5})?|\[[0-9A-Fa-f:.]+\](:\d{1,5})?")
 
 
 @dataclass(frozen=True, slots=True)
 class Admitted:
-    """Somebody who may watch and perhaps send commands. The browser stores `token` in a cookie."""
+    """May watch, and if `may_ask` also send commands. The browser stores `token` in a cookie."""
 
     may_ask: bool
     token: str = ""
@@ -37,7 +37,7 @@ class Refused:
 
 
 class Access:
-    """To a page that is served at the address `host`. Other machines need the `token`."""
+    """Access to a page at the address `host`. Other computers need the `token`."""
 
     def __init__(self, host: str, port: int, token: str) -> None:
         self._local = ipaddress.ip_address(host).is_loopback
@@ -45,7 +45,7 @@ class Access:
             raise ValueError("a page for the network needs a token")
         self._token = token
         self._watching = page_token.watching(token) if token else ""
-        # Browsers do not tell ports apart here.
+        # Browsers share cookies between ports, so the name has the port.
         self.cookie = f"flying-vines-{port}"
         name = socket.gethostname().lower()
         self._names = {"localhost"} if self._local else {"localhost", name, f"{name}.local"}
@@ -53,10 +53,10 @@ class Access:
     def check(
         self, headers: Mapping[str, str], given: str = "", cookies: Mapping[str, str] | None = None
     ) -> Admitted | Refused:
-        """`headers` are a request's, by names of any case; `given` is the token in its address."""
+        """`headers`: of the request, case-insensitive. `given`: the token in its address."""
         host = headers.get("Host", "")
         if not self._ours(host):
-            return Refused(421, "this is not the name of this page: open it by its address")
+            return Refused(421, "this host name is not accepted: open the page by its IP address")
         origin = headers.get("Origin")
         if origin is not None and origin.lower().partition("://")[2] != host.lower():
             return Refused(403, "requests from another site's page are refused")
@@ -67,7 +67,7 @@ class Access:
         if self._local:
             return Admitted(may_ask=True)
         for token in (given, self._bearer(headers), (cookies or {}).get(self.cookie, "")):
-            if not 0 < len(token) <= LONGEST_TOKEN:
+            if not 0 < len(token) <= MAX_TOKEN_LENGTH:
                 continue
             if page_token.same(token, self._token):
                 return Admitted(may_ask=True, token=self._token)
@@ -76,7 +76,7 @@ class Access:
         return Refused(401, "the token is wrong" if given else "the page needs a token")
 
     def _ours(self, host: str) -> bool:
-        """Others can point a name at this machine, but not an address."""
+        """True for our names and for IP addresses: DNS rebinding can fake a name, but not an address."""
         if not _HOST.fullmatch(host):
             return False
         try:

@@ -1,4 +1,4 @@
-"""How many connections there may be at once. A holder of the full token always gets one."""
+"""Limits the number of connections. A holder of the full token always gets one."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ MAX_NEW = 128
 """Connections that have not opened the page's socket."""
 MAX_VIEWERS = 64
 MAX_PILOTS = 16
-"""Holders of the full token. No viewer takes one of these places."""
+"""Maximum number of holders of the full token. Viewers do not take these places."""
 
 
 class Connections(Generic[K]):
-    """Connections, each under the caller's own key.
+    """The open connections, by the caller's own keys.
 
-    The caller closes the connection that a method returns: it has lost its place.
+    The caller closes the connection that a method returns, because it has lost its place.
     """
 
     def __init__(self) -> None:
         self._new: dict[K, str] = {}
-        """Their addresses, the oldest connection first."""
+        """New connections and their addresses, the oldest first."""
         self._viewers: set[K] = set()
         self._pilots: dict[K, None] = {}
         """The oldest first."""
 
     def opened(self, who: K, address: str) -> K | None:
-        """With too many new connections, the address with most of them loses its oldest."""
+        """If there are too many new connections, the address with most of them loses its oldest one."""
         self._new[who] = address
         if len(self._new) <= MAX_NEW:
             return None
-        ((crowded, _),) = Counter(self._new.values()).most_common(1)
-        oldest = next(key for key, address in self._new.items() if address == crowded)
+        ((busiest, _),) = Counter(self._new.values()).most_common(1)
+        oldest = next(key for key, address in self._new.items() if address == busiest)
         del self._new[oldest]
         return oldest
 
     def add_viewer(self, who: K) -> bool:
-        """Whether there is room for one more viewer."""
+        """Returns True if there was a place for the viewer."""
         if len(self._viewers) >= MAX_VIEWERS:
             return False
         self._new.pop(who, None)
@@ -46,7 +46,7 @@ class Connections(Generic[K]):
         return True
 
     def add_pilot(self, who: K) -> K | None:
-        """There is always room for one more pilot. With too many, the oldest loses its place."""
+        """A pilot always gets a place. If there are too many, the oldest loses its place."""
         self._new.pop(who, None)
         self._pilots[who] = None
         if len(self._pilots) <= MAX_PILOTS:

@@ -1,4 +1,4 @@
-"""The pressures of the last two minutes, for a page that is opened now."""
+"""The pressures of the last two minutes, for a newly opened page."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import msgspec
 
 from flying_vines.gateway.messages import SnapshotMessage
 
-KEPT_S = 120.0
+HISTORY_S = 120.0
 EVERY_S = 0.19
-"""Every second snapshot of ten per second."""
+"""Takes every second one of ten snapshots per second."""
 
 
 class Sample(msgspec.Struct, frozen=True, array_like=True):
-    """One snapshot: gauge kPa, None where unknown."""
+    """One snapshot: gauge kPa, None if unknown."""
 
     t: float
     cv_kPa: float | None
@@ -30,7 +30,7 @@ class _Pressures(msgspec.Struct, frozen=True):
 
 
 class History:
-    """Takes all snapshots in order."""
+    """Call `take` with all snapshots in order."""
 
     def __init__(self) -> None:
         self.samples: deque[Sample] = deque()
@@ -39,7 +39,7 @@ class History:
         now = _PRESSURES.decode(seen.snapshot)
         if self.samples and now.t - self.samples[-1].t < EVERY_S:
             return
-        while self.samples and now.t - self.samples[0].t > KEPT_S:
+        while self.samples and now.t - self.samples[0].t > HISTORY_S:
             self.samples.popleft()
         self.samples.append(
             Sample(

@@ -1,4 +1,4 @@
-"""What a browser may send: one small object, at a limited rate."""
+"""A browser's request: one small object, at a limited rate."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from flying_vines.gateway.messages import Request
 from flying_vines.vine.intent import CommandName
 
 MAX_REQUEST_BYTES = 512
-MOST_PER_S = 20.0
-MOST_AT_ONCE = 40.0
+MAX_PER_S = 20.0
+MAX_AT_ONCE = 40.0
 
 
 class PageRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -23,13 +23,13 @@ class PageRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     value: float | None = None
     name: Annotated[str, Meta(max_length=100)] | None = None
     made_at: float | None = None
-    """When it was pressed, on the clock of the snapshots."""
+    """Time of the press, on the clock of the snapshots."""
     seen_at: float | None = None
-    """The `t` of the latest snapshot shown at that time."""
+    """The `t` of the snapshot that was shown at that time."""
 
 
 def read_request(text: str) -> PageRequest:
-    """Raises `msgspec.DecodeError`, or `ValueError` for a command that does not exist."""
+    """Raises `msgspec.DecodeError`, or `ValueError` for an invalid command."""
     request = _REQUEST.decode(text)
     Request(0, "page", request.command, request.value, request.name)
     return request

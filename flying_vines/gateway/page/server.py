@@ -1,4 +1,4 @@
-"""The page's port: plain HTTP, a few files, and a socket for each viewer."""
+"""The page's port: plain HTTP, a few files, and a WebSocket for each viewer."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ from flying_vines.gateway.page.request import MAX_REQUEST_BYTES
 from flying_vines.gateway.page.viewer import Viewer
 
 KEEP_ALIVE_S = 5.0
-LAST_WORDS_S = 0.2
+CLOSING_S = 0.2
 HEARTBEAT_S = 10.0
-MOST_WAITING = 1024
-"""Connections that the system has not handed over yet."""
-NO_MORE_FILES_S = 1.0
+MAX_BACKLOG = 1024
+"""Connections that the system has accepted and we have not."""
+ACCEPT_RETRY_S = 1.0
+"""Wait if the process has no free file descriptor."""
 SEND_BUFFER = 32 * 1024
-"""In bytes, once in the system and once here. What waits there for a slow viewer arrives late."""
+"""Bytes, in the system and again in this process. Small, because buffered data reaches a slow viewer late."""
 A_YEAR_S = 365 * 24 * 3600
 
 FILES = {
@@ -52,7 +53,7 @@ HEADERS = {
 
 
 async def serve(feed: Feed) -> None:
-    """Until cancelled. Raises `OSError` where the port is not free."""
+    """Serve until cancelled. Raises `OSError` if the port is not free."""
     page = feed.profile.config.page
     access = Access(page.host, page.port, feed.profile.page_token)
     history = History()
@@ -77,9 +78,9 @@ async def _remember(feed: Feed, history: History) -> None:
 def _listener(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ipaddress.ip_address(host).version == 6 else socket.AF_INET
     listener = socket.create_server(
-        (host, port), family=family, backlog=MOST_WAITING, dualstack_ipv6=host == "::"
+        (host, port), family=family, backlog=MAX_BACKLOG, dualstack_ipv6=host == "::"
     )
-    # Connections have it from here.
+    # Accepted connections inherit this option.
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
     listener.setblocking(False)
     return listener
@@ -96,7 +97,7 @@ class PageServer(Server):
         super().__init__(
             self._answer,
             keepalive_timeout=KEEP_ALIVE_S,
-            lingering_time=LAST_WORDS_S,
+            lingering_time=CLOSING_S,
             access_log=None,
             logger=silent,
         )
@@ -110,27 +111,27 @@ class PageServer(Server):
         }
 
     async def serve(self, listener: socket.socket) -> None:
-        """Until cancelled; then all connections close at once."""
+        """Serve until cancelled; then all connections are closed at once."""
         try:
             await self._receive(listener)
         finally:
             listener.close()
             for transport in self._connections.values():
                 transport.abort()
-            await self.shutdown(LAST_WORDS_S)
+            await self.shutdown(CLOSING_S)
 
     async def _receive(self, listener: socket.socket) -> None:
-        # asyncio's own server takes all that wait in one turn of the loop: a flood would hold up a vent.
+        # asyncio's own server accepts all waiting connections in one loop turn: a flood would delay a vent.
         loop = asyncio.get_running_loop()
         while True:
             try:
                 connection, _ = await loop.sock_accept(listener)
                 await loop.connect_accepted_socket(self, connection)
             except ConnectionError:
-                # It closed before it was accepted.
+                # The client closed it before we accepted.
                 continue
             except OSError:
-                await asyncio.sleep(NO_MORE_FILES_S)
+                await asyncio.sleep(ACCEPT_RETRY_S)
 
     def connection_made(self, handler: RequestHandler, transport: asyncio.Transport) -> None:
         super().connection_made(handler, transport)
@@ -191,7 +192,7 @@ class PageServer(Server):
 
 
 def _headers(host: str) -> dict[str, str]:
-    # Some browsers do not take a socket to the same host for one to 'self'.
+    # In some browsers 'self' does not include a WebSocket to the same host.
     policy = (
         f"default-src 'self'; connect-src 'self' ws://{host}; object-src 'none'; base-uri 'none'; "
         "form-action 'self'; frame-ancestors 'none'"
@@ -207,7 +208,7 @@ _REFUSAL = """\
 _FORM = """\
 <form><p><label>Token <input name="token" autocomplete="off" autocapitalize="none" autofocus></label>
 <button>Open</button></form>
-<p>The drone's terminal shows the token. The file at [page] token_file of its profile holds it too."""
+<p>The drone's terminal shows the token. It is also in the file [page] token_file of its profile."""
 
 
 def _refusal(refused: Refused) -> Response:

@@ -1,4 +1,4 @@
-"""One browser or terminal: it gets all news, and its requests are read. It may be slow or hostile."""
+"""Serves one browser or terminal: sends all news and reads its requests. It may be slow or hostile."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from flying_vines.config.config import Config
 from flying_vines.gateway.feed import Feed, FeedReader, NoAnswerError
 from flying_vines.gateway.messages import Happened, SnapshotMessage
 from flying_vines.gateway.page.history import History, Sample
-from flying_vines.gateway.page.request import MOST_AT_ONCE, MOST_PER_S, PageRequest, read_request
+from flying_vines.gateway.page.request import MAX_AT_ONCE, MAX_PER_S, PageRequest, read_request
 from flying_vines.gateway.token_bucket import TokenBucket
 
 BEAT_S = 1.0
-"""Period of a message that says at least that nothing is new. Without it the browser sees a cut link."""
+"""A message is sent at least this often. Without one the browser reports a lost link."""
 SLOW_S = 5.0
-"""A viewer that takes nothing for this long is dropped."""
-TOLD_AT_FIRST = 200
-"""Past events."""
+"""A viewer that accepts no data for this long is disconnected."""
+PAST_EVENTS = 200
+"""Maximum number of past events that a new viewer gets."""
 
 
 class _Vine(msgspec.Struct, frozen=True):
@@ -36,7 +36,7 @@ class _Vine(msgspec.Struct, frozen=True):
 
 class _Hello(msgspec.Struct, frozen=True, tag="hello", tag_field="kind"):
     t: float
-    """Now, on the clock of all other times."""
+    """The present time, on the clock of all other times."""
     version: str
     may_ask: bool
     vine: _Vine
@@ -45,7 +45,7 @@ class _Hello(msgspec.Struct, frozen=True, tag="hello", tag_field="kind"):
 
 
 class _Answer(msgspec.Struct, frozen=True, tag="answer", tag_field="kind"):
-    """To a request."""
+    """The answer to a request."""
 
     id: int
     safety: str
@@ -66,7 +66,7 @@ _Message = _Hello | _Answer | _Missed | _Beat | Happened | SnapshotMessage
 
 
 class Viewer:
-    """The other end of an open socket."""
+    """The server side of one WebSocket."""
 
     def __init__(self, feed: Feed, history: History, socket: WebSocketResponse, may_ask: bool) -> None:
         self._feed = feed
@@ -76,14 +76,14 @@ class Viewer:
         self._asking: set[asyncio.Task[None]] = set()
 
     async def serve(self) -> None:
-        """Until it closes. Raises `TimeoutError` or `ConnectionError` if it does not take what is sent."""
+        """Serve until the socket closes. Raises `TimeoutError` or `ConnectionError` if sending fails."""
         with self._feed.reader() as reader:
             await self._send(self._hello())
             if self._feed.latest is not None:
                 await self._send(self._feed.latest)
-            telling = asyncio.create_task(self._tell(reader))
+            sending = asyncio.create_task(self._send_news(reader))
             listening = asyncio.create_task(self._listen())
-            tasks = {telling, listening}
+            tasks = {sending, listening}
             try:
                 await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             finally:
@@ -102,10 +102,10 @@ class Viewer:
             self._may_ask,
             _vine(self._feed.profile.config),
             tuple(self._history.samples),
-            tuple(self._feed.happened)[-TOLD_AT_FIRST:],
+            tuple(self._feed.happened)[-PAST_EVENTS:],
         )
 
-    async def _tell(self, reader: FeedReader) -> None:
+    async def _send_news(self, reader: FeedReader) -> None:
         missed = 0
         while True:
             try:
@@ -120,10 +120,10 @@ class Viewer:
 
     async def _listen(self) -> None:
         loop = asyncio.get_running_loop()
-        bucket = TokenBucket(loop.time(), MOST_AT_ONCE, MOST_PER_S)
+        bucket = TokenBucket(loop.time(), MAX_AT_ONCE, MAX_PER_S)
         async for message in self._socket:
             if not bucket.take(loop.time()):
-                await self._close(WSCloseCode.TRY_AGAIN_LATER, "asked too often")
+                await self._close(WSCloseCode.TRY_AGAIN_LATER, "too many requests")
                 return
             if message.type is WSMsgType.PING:
                 await self._socket.pong(message.data)
@@ -137,12 +137,12 @@ class Viewer:
             except (msgspec.DecodeError, ValueError):
                 await self._close(WSCloseCode.INVALID_TEXT, "not understood")
                 return
-            # A viewer that waits for an answer can still vent.
-            task = asyncio.create_task(self._grant(request))
+            # In a task, so that a viewer can vent while it waits for an answer.
+            task = asyncio.create_task(self._answer_request(request))
             self._asking.add(task)
             task.add_done_callback(self._asking.discard)
 
-    async def _grant(self, request: PageRequest) -> None:
+    async def _answer_request(self, request: PageRequest) -> None:
         if not self._may_ask:
             answer = _Answer(request.id, "refused", "you may only watch")
         else:

@@ -1,4 +1,4 @@
-"""A bend curve out of measured pairs of pressure and angle, up and down. Needs numpy and scipy.
+"""Fits a bend curve to measured pairs of pressure and angle, up and down. Needs numpy and scipy.
 
 pairs = load_pairs(Path("pairs.csv"))
 found = fit(pairs)

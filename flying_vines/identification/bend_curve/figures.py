@@ -1,4 +1,4 @@
-"""The calibration's picture: the pairs of both ways, the fitted loop, and what it leaves."""
+"""Draws a bend-curve fit: the measured pairs up and down, the fitted loop, and the residuals."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from flying_vines.plots.style import BLUE, GREY, ORANGE, PURPLE, finish, save
 
 
 def draw(found: BendCurveFit, folder: Path, title: str) -> list[Path]:
-    """Draw one PNG into a folder that exists: where it is."""
+    """Draw one PNG into an existing folder. Returns its path."""
     return save({"fit": _fit(found, title)}, folder, "vine")
 
 
@@ -39,20 +39,22 @@ def _fit(found: BendCurveFit, title: str) -> Any:
                     label=f"measured, {label} ({int(np.sum(which))})",
                 )
     bent, angles = np.array(found.curve).T
-    most, width = float(bent[-1]), found.hysteresis_kPa.value if found.hysteresis_kPa else 0.0
-    fine = np.linspace(0.0, most, 400)
+    top_kPa, width = float(bent[-1]), found.hysteresis_kPa.value if found.hysteresis_kPa else 0.0
+    fine = np.linspace(0.0, top_kPa, 400)
     if found.follows_law:
         bent, angles = fine, found.law.curve_deg(fine)
     else:
-        loop.plot(fine, found.law.curve_deg(fine), color=GREY, lw=1.2, ls=":", label="the law, not followed")
+        loop.plot(
+            fine, found.law.curve_deg(fine), color=GREY, lw=1.2, ls=":", label="exponential law, not used"
+        )
     loop.plot(bent, angles, color=BLUE, lw=1.8, label="fitted, way up")
     if found.hysteresis_kPa is not None:
         h = found.hysteresis_kPa
         loop.plot(np.maximum(0.0, bent - width), angles, color=ORANGE, lw=1.8, label="fitted, way down")
-        loop.plot([most - width, most], [angles[-1]] * 2, color=GREY, lw=1.2, ls="--")
+        loop.plot([top_kPa - width, top_kPa], [angles[-1]] * 2, color=GREY, lw=1.2, ls="--")
         loop.annotate(
             f"hysteresis {h.value:.2f} kPa ({h.low:.2f}…{h.high:.2f})",
-            (most - 0.5 * width, angles[-1]),
+            (top_kPa - 0.5 * width, angles[-1]),
             xytext=(0, 8),
             textcoords="offset points",
             ha="right",

@@ -1,7 +1,7 @@
-"""The bend curve and the hysteresis that explain measured pairs best, ready for the configuration.
+"""Fits bend curve and hysteresis to measured pairs, ready for the configuration.
 
-First the law of four numbers; where any rising curve explains the pairs far better, that curve instead.
-Both are behind the play by which `BendCurve` names bends, so that what is fitted here is what flies.
+An exponential law with four numbers is used, unless a free rising curve explains the pairs far better. Both
+use the backlash model of `BendCurve`, so the service flies exactly the fitted curve.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from flying_vines.physics.arrays import Array
 from flying_vines.vine.curve import BendCurve
 
 FAR_BETTER = 10.0
-"""Of the information criterion: very strong evidence, by the usual reading."""
+"""Difference of the information criterion (BIC) that counts as very strong evidence."""
 POOR = 0.05
-"""Of the span of angles: residuals beyond it are worth a look."""
+"""Larger residuals, as a share of the range of angles, give a note."""
 SLOW_KPA_PER_S = 2.0
-"""Faster, lag looks like hysteresis."""
+"""At a faster rate, lag looks like hysteresis."""
 
 
 @dataclass(frozen=True)
 class BendCurveFit:
-    """What was found of a vine."""
+    """Bend curve and hysteresis of a vine, with intervals and residuals."""
 
     pairs: Pairs
     law: Law
@@ -36,15 +36,15 @@ class BendCurveFit:
     dead_kPa: CurveEstimate
     scale_kPa: CurveEstimate
     law_rms_deg: float
-    """What the law leaves of the angles."""
+    """Residuals of the law."""
     follows_law: bool
-    """Whether the curve is the law's; else any rising curve was far better."""
+    """True if the curve is the law's; False if the free curve is far better."""
     hysteresis_kPa: CurveEstimate | None
-    """None: the pairs hold no way down."""
+    """None if no way down was measured."""
     curve: tuple[tuple[float, float], ...]
-    """Pairs [kPa, degrees] on the way up, as far as it was measured."""
+    """Pairs [kPa, degrees] on the way up, within the measured range."""
     residual_deg: Array
-    """What curve and hysteresis leave, pair by pair."""
+    """Residual of each pair."""
 
     @property
     def rms_deg(self) -> float:
@@ -52,7 +52,7 @@ class BendCurveFit:
 
     @property
     def written_hysteresis_kPa(self) -> float:
-        """What the configuration gets: none, where none was seen."""
+        """The value for the configuration: 0 if its interval includes 0."""
         found = self.hysteresis_kPa
         return round(found.value, 2) if found and found.low > 0.0 else 0.0
 
@@ -64,14 +64,14 @@ class BendCurveFit:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a person should know before using it."""
+        """Warnings for the user, before the curve is used."""
         return tuple(_notes(self))
 
 
 def fit(pairs: Pairs) -> BendCurveFit:
     """The best curve and hysteresis for measured pairs.
 
-    Raises `PairsError` when the pairs do not say how the vine bends.
+    Raises `PairsError` if no rising curve fits the pairs.
     """
     law, (bend_max_deg, dead_kPa, scale_kPa), by_law = fit_law(pairs)
     by_curve = fit_free_curve(pairs)
@@ -97,19 +97,19 @@ def _notes(found: BendCurveFit) -> Iterator[str]:
     hysteresis, curve = found.hysteresis_kPa, BendCurve(found.curve)
     if not found.follows_law:
         yield (
-            f"The law leaves {found.law_rms_deg:.1f}°, a free rising curve {found.rms_deg:.1f}° (rms): "
-            "curve and hysteresis are the free one's."
+            f"The residuals of the law are {found.law_rms_deg:.1f}°, those of a free rising curve "
+            f"{found.rms_deg:.1f}° (rms): the free curve and its hysteresis are used."
         )
     elif found.law.bend_max_deg > 2.0 * curve.max_deg:
-        yield "The bend does not level off within what was measured: its greatest angle is a guess."
+        yield "The bend does not level off within the measured range: its maximum angle is extrapolated."
     if hysteresis is None:
-        yield "No way down was measured: the hysteresis is not known, and written as 0."
+        yield "No way down was measured: the hysteresis is unknown and written as 0."
     elif found.written_hysteresis_kPa == 0.0:
-        yield "No hysteresis can be told from the residuals; it is written as 0."
+        yield "The residuals show no hysteresis; it is written as 0."
     elif (left_deg := curve.angle_deg(hysteresis.value)) > 0.01 * curve.max_deg:
-        yield f"The hysteresis is wider than the dead zone: without pressure up to {left_deg:.1f}° stay."
+        yield f"The hysteresis is wider than the dead zone: a vented vine may stay bent by {left_deg:.1f}°."
     if found.rms_deg > POOR * float(np.ptp(found.pairs.angle_deg)):
-        yield f"{found.rms_deg:.1f}° (rms) stay unexplained: look at the picture before you use it."
+        yield f"The residuals are large, {found.rms_deg:.1f}° (rms): look at the picture before you use it."
     rate = found.pairs.rate_kPa_per_s
     if rate is not None and rate > SLOW_KPA_PER_S:
-        yield f"The pressure moved by {rate:.1f} kPa/s: lag may count as hysteresis; measure slower."
+        yield f"The pressure moved by {rate:.1f} kPa/s: lag may look like hysteresis; measure more slowly."

@@ -1,9 +1,9 @@
-"""Any rising curve, for vines that do not follow the law: an S, a kink, a second dead zone.
+"""A free rising curve for vines that do not follow the law: an S, a kink, a second dead zone.
 
-Straight pieces between evenly spaced pressures, none of them falling, behind a play of width h. For each h
-the pieces are a least-squares problem of numbers that are not negative; h is what leaves least. Its 95 %
-interval is where the residuals' power stays within what F allows of the least (a profile), with
-neighbouring residuals counted for what they say.
+The curve is piecewise linear between evenly spaced pressures and never falls. A backlash of width h precedes
+it. For each h the pieces are a non-negative least-squares problem; h minimises the residuals. Its 95 %
+interval is a profile: the sum of squares stays below the limit of the F distribution. Correlated neighbouring
+residuals are counted with their effective number.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from flying_vines.identification.bend_curve.sequence import (
     CurveEstimate,
     Explanation,
     bent_kPa,
-    pairs_per_news,
+    pairs_per_independent,
     rounded,
 )
 from flying_vines.physics.arrays import Array
 
-MOST_PIECES = 12
+MAX_PIECES = 12
 PAIRS_PER_PIECE = 5
 TRIED = 24
-"""Widths from which the search for the best begins."""
+"""Number of widths on the grid at which the search for h starts."""
 
 
 def fit_free_curve(pairs: Pairs) -> Explanation:
     """The best rising curve and hysteresis."""
     kPa, deg = pairs.pressure_kPa, pairs.angle_deg
-    pieces = max(2, min(MOST_PIECES, len(kPa) // PAIRS_PER_PIECE))
+    pieces = max(2, min(MAX_PIECES, len(kPa) // PAIRS_PER_PIECE))
     knots = np.linspace(float(np.min(kPa)), float(np.max(kPa)), pieces + 1)
 
     def solve(width_kPa: float) -> tuple[Array, float]:
@@ -49,15 +49,15 @@ def fit_free_curve(pairs: Pairs) -> Explanation:
         near = int(np.argmin([power(width) for width in tried]))
         bounds = tried[max(0, near - 1)], tried[min(TRIED - 1, near + 1)]
         width_kPa = float(minimize_scalar(power, bounds=bounds, method="bounded").x)
-    rises, least = solve(width_kPa)
+    rises, lowest = solve(width_kPa)
     angles = np.cumsum(rises)
     residual = deg - np.interp(bent_kPa(kPa, width_kPa), knots, angles)
     numbers = int(np.count_nonzero(rises)) + int(pairs.unloads)
     hysteresis = CurveEstimate(width_kPa, width_kPa, width_kPa)
     if pairs.unloads:
-        shared = pairs_per_news(residual)
+        shared = pairs_per_independent(residual)
         free = max(len(kPa) / shared - numbers, 1.0)
-        allowed = least * (1.0 + float(fisher.ppf(0.95, 1, free)) / free)
+        allowed = lowest * (1.0 + float(fisher.ppf(0.95, 1, free)) / free)
 
         def beyond(width: float) -> float:
             return power(width) - allowed

@@ -1,9 +1,9 @@
-"""The law of four numbers that most vines follow.
+"""An exponential law with four numbers, which most vines follow.
 
-θ = θ_max (1 − exp(−(u − P_d)/P_s)) above the dead zone P_d and 0 below, where u is the pressure on the way
-up and a play (backlash) of width h behind it. Least squares over all pairs in their order. Intervals are
-for 95 %, from the curvature at the best fit and Student's t, wider by what neighbouring residuals have in
-common: a law that does not quite fit is not made certain by measuring more densely.
+θ = θ_max (1 − exp(−(u − P_d)/P_s)) above the dead zone P_d, and 0 below. u is the pressure after a backlash
+of width h: on the way up it is the pressure itself. The fit is least squares over all pairs in their order.
+The 95 % intervals are from the curvature at the best fit and Student's t. They are widened for correlated
+neighbouring residuals, so that denser measurements do not make a poor fit look certain.
 """
 
 from __future__ import annotations
@@ -21,39 +21,39 @@ from flying_vines.identification.bend_curve.sequence import (
     CurveEstimate,
     Explanation,
     bent_kPa,
-    pairs_per_news,
+    pairs_per_independent,
     rounded,
 )
 from flying_vines.physics.arrays import Array
 
 KNOTS = 8
-"""Straight pieces of the curve that is written: evenly by angle, off by less than 1 % of it."""
+"""Linear pieces of the written curve, evenly spaced by angle; its error is below 1 %."""
 
 
 class Law(NamedTuple):
-    """Its numbers."""
+    """The numbers of the law."""
 
     bend_max_deg: float
-    """θ_max, which the bend approaches at high pressure."""
+    """θ_max, the limit of the bend at high pressure."""
     dead_kPa: float
-    """P_d, up to which it does not bend."""
+    """P_d, the pressure up to which the vine stays straight."""
     scale_kPa: float
-    """P_s, in which what is left to bend falls by e."""
+    """P_s; over this pressure the remaining bend falls by a factor e."""
     hysteresis_kPa: float
-    """h."""
+    """h, the width of the backlash."""
 
     def curve_deg(self, bent: Array) -> Array:
-        """Angle against pressure on the way up."""
+        """Angle over pressure on the way up."""
         over = np.maximum(0.0, bent - self.dead_kPa) / self.scale_kPa
         return -self.bend_max_deg * np.expm1(-over)
 
     def angles_deg(self, pressure_kPa: Array) -> Array:
-        """Angle pair by pair; the first as on the way up."""
+        """Angle of each pair; the first pair is on the way up."""
         return self.curve_deg(bent_kPa(pressure_kPa, self.hysteresis_kPa))
 
 
 def fit_law(pairs: Pairs) -> tuple[Law, list[CurveEstimate], Explanation]:
-    """The best law, its numbers with their intervals, and what it explains."""
+    """The best law, its numbers with intervals, and the explained curve."""
     kPa, deg = pairs.pressure_kPa, pairs.angle_deg
     span, top = float(np.ptp(kPa)), float(np.ptp(deg))
     widest = 0.9 * span if pairs.unloads else 0.0
@@ -81,7 +81,7 @@ def fit_law(pairs: Pairs) -> tuple[Law, list[CurveEstimate], Explanation]:
 
 def _estimates(law: Law, jacobian: Array, residual: Array) -> list[CurveEstimate]:
     count, numbers = jacobian.shape
-    shared = pairs_per_news(residual)
+    shared = pairs_per_independent(residual)
     sigma = math.sqrt(float(residual @ residual) / max(count - numbers, 1) * shared)
     quantile = float(student.ppf(0.975, max(count / shared - numbers, 1.0)))
     reach = quantile * sigma * np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)))
@@ -91,7 +91,7 @@ def _estimates(law: Law, jacobian: Array, residual: Array) -> list[CurveEstimate
     ]
 
 
-def _curve(law: Law, most_kPa: float) -> tuple[tuple[float, float], ...]:
-    deg = float(law.curve_deg(np.array(most_kPa))) * np.arange(KNOTS + 1) / KNOTS
+def _curve(law: Law, max_kPa: float) -> tuple[tuple[float, float], ...]:
+    deg = float(law.curve_deg(np.array(max_kPa))) * np.arange(KNOTS + 1) / KNOTS
     left = np.maximum(1.0 - deg / law.bend_max_deg, 1e-9) if deg[-1] > 0.0 else np.ones(KNOTS + 1)
-    return rounded(np.minimum(law.dead_kPa - law.scale_kPa * np.log(left), most_kPa), deg)
+    return rounded(np.minimum(law.dead_kPa - law.scale_kPa * np.log(left), max_kPa), deg)

@@ -1,4 +1,4 @@
-"""What both fits share: the play along a sequence of pressures, and how much news residuals hold."""
+"""Shared by both fits: the backlash along a sequence of pressures, and the correlation of residuals."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ class CurveEstimate(NamedTuple):
 
 
 class Explanation(NamedTuple):
-    """A curve and a hysteresis, and what they leave of the measured angles."""
+    """A curve and a hysteresis, and the residuals of the measured angles."""
 
     curve: tuple[tuple[float, float], ...]
-    """Pairs [kPa, degrees] on the way up, as far as it was measured."""
+    """Pairs [kPa, degrees] on the way up, within the measured range."""
     hysteresis_kPa: CurveEstimate
     residual_deg: Array
     numbers: int
-    """That were fitted."""
+    """Count of fitted numbers."""
 
     @property
     def rms_deg(self) -> float:
@@ -33,7 +33,7 @@ class Explanation(NamedTuple):
 
     @property
     def bic(self) -> float:
-        """Bayes's information criterion of independent errors: the less the better."""
+        """Bayesian information criterion for independent errors; lower is better."""
         count = len(self.residual_deg)
         return count * float(np.log(np.mean(self.residual_deg**2) + 1e-12)) + self.numbers * float(
             np.log(count)
@@ -41,22 +41,22 @@ class Explanation(NamedTuple):
 
 
 def bent_kPa(pressure_kPa: Array, hysteresis_kPa: float) -> Array:
-    """`BendCurve.bent_kPa` along a sequence; at the first pressure as on the way up."""
+    """`BendCurve.bent_kPa` along a sequence that starts on the way up."""
     bent = pressure_kPa.tolist()
     for i in range(1, len(bent)):
         bent[i] = min(max(bent[i - 1], bent[i]), bent[i] + hysteresis_kPa)
     return np.array(bent)
 
 
-def pairs_per_news(residual: Array) -> float:
-    """By how many neighbouring residuals say the same: 1 when each is independent of the one before."""
+def pairs_per_independent(residual: Array) -> float:
+    """Number of pairs for each independent residual, from the lag-1 autocorrelation; 1 if uncorrelated."""
     power = float(residual @ residual)
-    alike = max(0.0, float(residual[1:] @ residual[:-1]) / power) if power > 0.0 else 0.0
-    return (1.0 + alike) / max(1.0 - alike, 1.0 / len(residual))
+    correlation = max(0.0, float(residual[1:] @ residual[:-1]) / power) if power > 0.0 else 0.0
+    return (1.0 + correlation) / max(1.0 - correlation, 1.0 / len(residual))
 
 
 def rounded(kPa: Array, deg: Array) -> tuple[tuple[float, float], ...]:
-    """Pairs for `BendCurve` that begin at 0, 0, as a person would write them; none when nothing bends."""
+    """Rounded pairs for `BendCurve` that start at (0, 0); empty if the vine does not bend."""
     pairs = [(0.0, 0.0)]
     for pressure, angle in zip(kPa.tolist(), deg.tolist(), strict=True):
         pair = (round(pressure, 2), round(max(angle, pairs[-1][1]), 2))

@@ -1,4 +1,4 @@
-"""A calibration on a terminal, and as plain data."""
+"""A bend-curve fit on a terminal, and as plain data."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from flying_vines.identification.bend_curve.sequence import CurveEstimate
 
 
 def show(found: BendCurveFit, console: Console) -> None:
-    """Print what was found, and the table for the configuration."""
+    """Print the fit, and the table for the configuration."""
     pairs = found.pairs
     up = int(np.sum(pairs.rising))
     console.print(f"{len(pairs.rising)} pairs, {up} on the way up, {len(pairs.rising) - up} on the way down")
@@ -38,7 +38,7 @@ def show(found: BendCurveFit, console: Console) -> None:
 
 
 def _rows(found: BendCurveFit) -> Iterator[tuple[str, str, CurveEstimate | None]]:
-    yield "greatest bend θ_max", "°", found.bend_max_deg
+    yield "maximum bend θ_max", "°", found.bend_max_deg
     yield "dead zone P_d", "kPa", found.dead_kPa
     yield "scale P_s", "kPa", found.scale_kPa
     yield "hysteresis h", "kPa", found.hysteresis_kPa

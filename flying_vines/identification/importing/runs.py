@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from flying_vines.config.toml_edit import value_text
-from flying_vines.identification.case import FEWEST_SAMPLES, RIG, SHORTEST_S, Case, read_case
+from flying_vines.identification.case import MIN_S, MIN_SAMPLES, RIG, Case, read_case
 from flying_vines.identification.importing.answers import (
     Answers,
     ImportQuestion,
@@ -30,7 +30,7 @@ from flying_vines.identification.importing.answers import (
 from flying_vines.identification.importing.columns import IGNORED, QUANTITIES, guess_columns
 from flying_vines.identification.importing.layout import ForeignTable, read_foreign
 from flying_vines.identification.importing.units import parse_unit, psi_instead
-from flying_vines.identification.noise import LEAST_KPA, noise_kPa, resolution
+from flying_vines.identification.noise import MIN_KPA, noise_kPa, resolution
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
@@ -209,7 +209,7 @@ def _runs(table: ForeignTable, answers: Answers, notes: list[str]) -> Iterator[t
     parts = [order[first:last] for first, last in pairwise(edges)]
     kept = [part for part in parts if _long_enough(values["time"][part])]
     if dropped := len(parts) - len(kept):
-        notes.append(f"{dropped} runs with less than {FEWEST_SAMPLES} rows or {SHORTEST_S:g} s are left out")
+        notes.append(f"{dropped} runs with less than {MIN_SAMPLES} rows or {MIN_S:g} s are left out")
     if not kept:
         raise CaseError(f"{table.path}: its {length} rows are too few or too short in time for a run")
     for count, rows in enumerate(kept, start=1):
@@ -219,7 +219,7 @@ def _runs(table: ForeignTable, answers: Answers, notes: list[str]) -> Iterator[t
 
 
 def _long_enough(time_s: Array) -> bool:
-    return len(time_s) >= FEWEST_SAMPLES and float(np.ptp(time_s)) >= SHORTEST_S
+    return len(time_s) >= MIN_SAMPLES and float(np.ptp(time_s)) >= MIN_S
 
 
 def _in_order(run: Run, notes: list[str]) -> Array:
@@ -331,7 +331,7 @@ def _opening_time(time_s: Array, pressure_kPa: Array) -> float | None:
     """When a held pressure begins to fall; None if it never does, or falls from its first reading."""
     there = np.isfinite(pressure_kPa)
     t, p = time_s[there], pressure_kPa[there]
-    if len(p) < FEWEST_SAMPLES or float(p[0] - np.min(p)) < 0.5 * abs(float(p[0])):
+    if len(p) < MIN_SAMPLES or float(p[0] - np.min(p)) < 0.5 * abs(float(p[0])):
         return None
     rates = np.diff(p) / np.maximum(np.diff(t), 1e-9)
     steepest = float(np.min(rates))
@@ -391,7 +391,7 @@ def _rig_tables(proposal: Proposal) -> dict[str, Any]:
 def _noise_kPa(readings: Sequence[Array]) -> float:
     """Standard deviation of a sensor's noise, at least that of its resolution."""
     steps = [step for x in readings if np.isfinite(step := resolution(x[np.isfinite(x)]))]
-    return max(noise_kPa(readings, 0.0), min(steps, default=0.0) / sqrt(12.0), LEAST_KPA)
+    return max(noise_kPa(readings, 0.0), min(steps, default=0.0) / sqrt(12.0), MIN_KPA)
 
 
 def _fall_s(run: Run) -> float | None:

@@ -1,8 +1,8 @@
-"""Which runs to record, before measuring: those that tell the causes of a discrepancy apart best.
+"""Plans which runs to record: those that best separate the causes of a discrepancy.
 
-made = plan(load_rig("rig.toml"), minutes=3.0)      the runs, and what they will tell apart
+made = plan(load_rig("rig.toml"), minutes=3.0)      the runs, and the causes that they separate
 made.best.scenario                                  for `flying_vines.simulation.scenario`
-recommend(rig, ("evp_lag", "line_delay"))           the one run that settles a doubt
+recommend(rig, ("evp_lag", "line_delay"))           the one run that separates these causes
 """
 
 from __future__ import annotations

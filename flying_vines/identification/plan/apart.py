@@ -1,14 +1,14 @@
-"""How far apart causes are on the runs of a plan: the χ² that the wrong one would leave.
+"""Distance of two causes on the runs of a plan: the χ² that remains if the wrong one is fitted.
 
-Let A be there at its typical strength. B is fitted to what is read: its strength, the believed numbers within
-their tolerances, the initial pressures. What is left, without noise, is by how much χ² prefers A; its root is
-the number of standard deviations between them. With traces instead of simulations (`traces`) that is the
-distance between A's trace and the line that B's traces draw, as much of it as the numbers ν cannot imitate:
+Cause A is in the rig at its typical strength. Cause B is fitted to the noiseless readings: its strength, the
+rig numbers within their tolerances, and the initial pressures. The remaining Δχ² is the preference for A; its
+root is the distance in standard deviations. With traces (`traces`) instead of simulations, it is the distance
+between A's trace a and the polyline b through B's traces, with the best change ν of the rig numbers:
 
-    Δχ² = min |a − b − Nν|² + |ν|²   within   |νᵢ| ≤ √3    (ν in standard deviations of a uniform belief)
+    Δχ² = min |a − b − Nν|² + |ν|²   within   |νᵢ| ≤ √3    (ν in standard deviations of a uniform prior)
 
-For any w ≥ 0 the least of |a − b − Nν|² + |ν|² + w Σ(νᵢ² − 3), with no bounds, is no greater. So the greatest
-of these over a few w is a floor under Δχ², and it takes a linear equation instead of a bounded search.
+For any w ≥ 0 the unbounded minimum of |a − b − Nν|² + |ν|² + w Σ(νᵢ² − 3) is a lower bound of Δχ² that only
+needs a linear equation. The code uses the maximum of these bounds over a few w.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from flying_vines.identification.plan.traces import Layout
 from flying_vines.physics.arrays import Array
 
 SETTLED = 25.0
-"""Δχ² from which two causes are told apart: five standard deviations, as the diagnosis asks of a claim."""
+"""Δχ² from which two causes count as separated: five standard deviations, as for a claim of the diagnosis."""
 _WEIGHTS = (0.0, 10.0, 100.0, 1000.0)
 _BOUND = 3.0
 
 
 class _Products(NamedTuple):
-    """Of traces, as far as the believed numbers cannot imitate them."""
+    """Inner products of traces, without the part that the rig numbers can imitate."""
 
     own: Array
     """(traces,) each with itself."""
     cross: Array
     """(causes, traces) those at typical strength with all."""
-    beside: Array
-    """(traces - 1,) each with its next."""
+    following: Array
+    """(traces - 1,) each with the next one."""
     slack: float
-    """What is to be taken from distances."""
+    """Subtracted from distances: the 3 w of each rig number."""
 
 
 def apart(layout: Layout, gram: Array) -> Array:
-    """(causes, causes + 1) Δχ² between what is there (rows) and what is fitted; the last column is none."""
+    """(causes, causes + 1) Δχ² between the cause in the rig (row) and the fitted one; last column: `none`."""
     left = np.full((len(layout.causes), layout.traces), -np.inf)
     alone = np.zeros(len(layout.causes))
     for products in _weighted(layout, gram):
@@ -52,7 +52,7 @@ def apart(layout: Layout, gram: Array) -> Array:
 
 
 def nearest(layout: Layout, gram: Array, there: int, fitted: int) -> float:
-    """At which of its strengths, a value of its first parameter, `fitted` looks most like `there`."""
+    """The value of its first parameter with which the cause `fitted` is most similar to the cause `there`."""
     values, first = layout.values[fitted], layout.first[fitted]
     rows = slice(first, first + len(values))
     distance = np.full(len(values), -np.inf)
@@ -60,14 +60,16 @@ def nearest(layout: Layout, gram: Array, there: int, fitted: int) -> float:
         distance = np.maximum(
             distance, own[rows] - 2.0 * cross[there, rows] + own[layout.usual[there]] - slack
         )
-    # Where a cause does nothing no fit finds the way out.
+    # A fit that starts where the cause has no effect would not move.
     idle = [value == layout.causes[fitted].parameters[0].neutral for value in values]
     return values[int(np.argmin(np.where(idle, np.inf, distance)))]
 
 
 def open_pairs(found: Array) -> float:
-    """About how many pairs are left open, of all: a pair that is settled by far counts little, one of which
-    nothing is known counts one, and one at `SETTLED` a half."""
+    """Approximate number of pairs that are not separated.
+
+    A pair counts 1 / (1 + Δχ² / SETTLED): 1 if nothing separates it, ½ at `SETTLED`.
+    """
     others = ~np.eye(*found.shape, dtype=np.bool_)
     return float((1.0 / (1.0 + found[others] / SETTLED)).sum())
 
@@ -88,12 +90,12 @@ def _weighted(layout: Layout, gram: Array) -> Iterator[_Products]:
 
 
 def _distances(layout: Layout, products: _Products) -> Array:
-    """(causes, traces) from each typical trace to each trace of all, and on from there towards its next."""
-    own, cross, beside, slack = products
-    length = own[:-1] + own[1:] - 2.0 * beside
-    along = cross[:, 1:] - cross[:, :-1] - beside + own[:-1]
+    """(causes, traces) distance from each typical trace to the line from each trace to the next one."""
+    own, cross, following, slack = products
+    length = own[:-1] + own[1:] - 2.0 * following
+    along = cross[:, 1:] - cross[:, :-1] - following + own[:-1]
     share = np.clip(along / np.maximum(length, 1e-12), 0.0, 1.0)
-    # The last strength of one cause has no line to the first of the next.
+    # There is no line from the last strength of a cause to the first of the next cause.
     share[:, layout.first[1:] - 1] = 0.0
     left = own[layout.usual, None] + own - 2.0 * cross
     left[:, :-1] += share * (share * length - 2.0 * along)

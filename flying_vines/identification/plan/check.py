@@ -1,8 +1,9 @@
-"""The same distance between two causes by a full fit of the diagnosis, to hold the traces against.
+"""The distance of two causes by a full fit of the diagnosis; checks the distance from the traces.
 
-The runs of a plan are simulated with A in the rig and no noise, with the inputs that the believed rig has.
-B is fitted to them as a diagnosis would: its strength, the believed numbers within their tolerances, all
-initial pressures, from where the traces say that B looks most like A. What is left is Δχ².
+The runs of a plan are simulated with cause A in the rig, without noise, with the inputs of the nominal rig.
+Cause B is fitted to them as in a diagnosis: its strength, the rig numbers within their tolerances, and all
+initial pressures. The fit starts at the strength at which B's trace is most similar to A's. The remaining
+cost is Δχ².
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from flying_vines.identification.simulate import Simulation
 
 
 class Check:
-    """Full fits to what the runs of one plan would read."""
+    """Full fits to the simulated readings of one plan."""
 
     def __init__(self, layout: Layout, parts: Sequence[CandidatePart]) -> None:
         self._layout = layout
@@ -31,7 +32,7 @@ class Check:
         self._gram = sum((part.gram for part in parts), start=layout.nothing)
 
     def apart(self, there: int, fitted: int) -> float:
-        """Δχ² of the cause `fitted` to what the cause `there` reads, both by their column in the matrix."""
+        """Δχ² if `there` is in the rig and `fitted` is fitted; both are column numbers of the matrix."""
         layout = self._layout
         problem = FitProblem(self._case(there), layout.noise_kPa)
         start = replace(problem.start().freed(layout.keys), initial=np.concatenate(self._initial))

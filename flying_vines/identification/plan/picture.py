@@ -1,4 +1,4 @@
-"""The matrix of a plan as a picture: what is there, what is fitted, how surely the data tell them apart."""
+"""Draws the matrix of a plan: the separation of each cause in the rig from each fitted cause."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from flying_vines.identification.plan.planning import RecordingPlan
 from flying_vines.identification.verdict import NONE
 from flying_vines.plots.style import BLUE, RED, finish
 
-_MOST = 1000.0
+_MAX_SIGMAS = 1000.0
 _DARK = 30.0
-"""Standard deviations from which a cell is so dark that its number is white."""
+"""From this number of standard deviations on, a cell is dark and its number is white."""
 
 
 def figures(plan: RecordingPlan) -> dict[str, Any]:
-    """By name."""
+    """The figures of a plan, by name."""
     return {"matrix": _matrix(plan)}
 
 
 def _matrix(plan: RecordingPlan) -> Any:
     sigmas = plan.sigmas.copy()
     np.fill_diagonal(sigmas, np.nan)
-    least = sqrt(SETTLED)
+    lowest = sqrt(SETTLED)
     figure, axis = plt.subplots(figsize=(11.0, 9.0), layout="constrained")
     shades = LinearSegmentedColormap.from_list("settled", ["#eef3fa", BLUE, "#0f2a4d"])
     colours = shades.with_extremes(under=RED)
     image = axis.imshow(
         np.maximum(sigmas, 1e-3),
         cmap=colours,
-        norm=LogNorm(least, _MOST),
+        norm=LogNorm(lowest, _MAX_SIGMAS),
         aspect="auto",
         interpolation="none",
     )
     for (row, column), value in np.ndenumerate(sigmas):
         if np.isfinite(value):
-            light = value > _DARK or value < least
+            light = value > _DARK or value < lowest
             text = f"{value:.0f}" if value < 999.5 else f"{value / 1000.0:.0f}k"
             axis.text(
                 column, row, text, ha="center", va="center", fontsize=7, color="white" if light else "black"
@@ -49,13 +49,13 @@ def _matrix(plan: RecordingPlan) -> Any:
     axis.set_xticks(range(len(fitted)), fitted, rotation=55, ha="right", rotation_mode="anchor", fontsize=8)
     axis.set_yticks(range(len(plan.names)), plan.names, fontsize=8)
     axis.set_xlabel("fitted")
-    axis.set_ylabel("what is there, at its typical strength")
+    axis.set_ylabel("cause in the rig, at its typical strength")
     bar = figure.colorbar(image, ax=axis, extend="min", pad=0.01)
-    bar.set_label(f"standard deviations; red: open, below {least:g}")
+    bar.set_label(f"standard deviations; red: not separated, below {lowest:g}")
     seconds, air_SL = plan.best.seconds, plan.best.air_SL
     finished = finish(
         figure,
-        f"What {len(plan.best.runs)} runs tell apart: {seconds:.0f} s, {air_SL:.1f} standard litres of air",
+        f"Separation by {len(plan.best.runs)} runs: {seconds:.0f} s, {air_SL:.1f} standard litres of air",
     )
     axis.grid(False)
     return finished

@@ -1,7 +1,7 @@
-"""A run on the believed rig, without noise: what its valves would be told, sample by sample.
+"""Simulates a planned run on the nominal rig, without noise, to get its valve commands sample by sample.
 
-Openings are what the scenario says. For pressures there is the firmware's own regulator, at 1 kHz, on the
-baseline; as in `simulate`, the valves take its word once a sample. Compiled: a minute in some milliseconds.
+Runs of openings give the commands directly. For pressures the firmware's regulator runs at 1 kHz on the
+baseline. As in `simulate`, the valves get a new command once a sample. Compiled: a minute takes milliseconds.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from flying_vines.simulation.scenario.run import OPENING_DIGITS
 
 
 def rehearsed(rig: Rig, kind: RunKind) -> RecordedRun:
-    """The run as it would be recorded, without readings."""
+    """The recorded run without readings."""
     samples = max(1, round(kind.length_s * kind.sample_rate_Hz))
     time_s = np.arange(samples) / kind.sample_rate_Hz
     valves = valves_of(kind, random.Random(0))
     if valves is not None:
-        # They ask for a pressure only to end early, which on the believed rig they do not.
+        # Valves only need the pressure to end early, which does not happen on the nominal rig.
         openings = np.array([valves(t, 0.0) for t in time_s.tolist()], dtype=np.float64)
     else:
         openings = _regulated(rig, kind, time_s)
@@ -73,7 +73,7 @@ def regulate_held(
     ticks: int,
     openings: Array,
 ) -> None:
-    """Fill `openings` (n, 3): from each sample on, for so many ticks, what the valves are told."""
+    """Fill `openings` (n, 3): the valve commands of each sample, which hold for `ticks` ticks."""
     air = Air(ALPHA_KPA, 0.0, 1.0, 0.0)
     drive = np.empty(4)
     for sample in range(len(wanted_kPa)):

@@ -1,4 +1,4 @@
-"""A plan on a terminal."""
+"""Prints a plan on a terminal."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _WORST = 8
 
 
 def show(plan: RecordingPlan, console: Console) -> None:
-    """Print the runs and why each is there, what is told apart worst, and what stays open."""
+    """Print the runs with their purpose, the pairs with the lowest separation, and the open pairs."""
     best = plan.best
     runs = f"{len(best.runs)} run{'s' if len(best.runs) > 1 else ''}"
     time = f"{best.seconds:.0f} of {60.0 * plan.minutes:.0f} s"
@@ -33,12 +33,12 @@ def show(plan: RecordingPlan, console: Console) -> None:
 
 
 def in_words(pairs: Sequence[CausePair]) -> str:
-    """`a from b; c does not show`."""
+    """Open pairs as text: `a / b; c does not show`."""
     hidden = [pair.first for pair in pairs if pair.second == NONE]
-    told = [f"{a} from {b}" for a, b in pairs if b != NONE]
+    texts = [f"{a} / {b}" for a, b in pairs if b != NONE]
     if hidden:
-        told.append(f"that there is {', '.join(hidden)} at all")
-    return "; ".join(told)
+        texts.append(f"{', '.join(hidden)} {'do' if len(hidden) > 1 else 'does'} not show")
+    return "; ".join(texts)
 
 
 def _runs(recording: Recording) -> Table:
@@ -50,7 +50,7 @@ def _runs(recording: Recording) -> Table:
     mixed = len({run.commanded for run in recording.runs}) > 1
     if mixed:
         table.add_column("by")
-    table.add_column("what for", overflow="fold")
+    table.add_column("purpose", overflow="fold")
     for run in recording.runs:
         table.add_row(
             run.name,
@@ -64,16 +64,17 @@ def _runs(recording: Recording) -> Table:
 
 
 def _why(run: PlannedRun) -> str:
-    told = [f"{t.pair.first} / {t.pair.second} {t.without:.0f} → {t.having:.0f} σ" for t in run.told[:_NAMED]]
-    if len(run.told) > _NAMED:
-        told.append(f"{len(run.told) - _NAMED} more")
-    return ", ".join(told)
+    found = run.separations
+    texts = [f"{s.pair.first} / {s.pair.second} {s.without:.0f} → {s.having:.0f} σ" for s in found[:_NAMED]]
+    if len(found) > _NAMED:
+        texts.append(f"{len(found) - _NAMED} more")
+    return ", ".join(texts)
 
 
 def _worst(plan: RecordingPlan) -> Table:
-    """Of the pairs in which the first shows."""
-    table = Table(box=None, padding=(0, 2, 0, 0), title="Told apart worst", title_justify="left")
-    table.add_column("there")
+    """The pairs with the lowest separation, without causes that do not show."""
+    table = Table(box=None, padding=(0, 2, 0, 0), title="Lowest separation", title_justify="left")
+    table.add_column("in the rig")
     table.add_column("fitted")
     table.add_column("σ", justify="right")
     fitted = (*plan.names, NONE)
@@ -90,18 +91,19 @@ def _worst(plan: RecordingPlan) -> Table:
 
 def _left(plan: RecordingPlan) -> list[str]:
     if not plan.best.open:
-        lines = ["Every cause is told from every other, and from none."]
+        lines = ["Every cause is separated from every other, and from none."]
     else:
         sooner = [pair for pair in plan.best.open if pair not in plan.never]
-        lines = [f"Left open for want of time or air: {in_words(sooner)}."] if sooner else []
+        lines = [f"Not separated; more time or air would help: {in_words(sooner)}."] if sooner else []
         if plan.never:
-            lines.append(f"Not told by any run of the library: {in_words(plan.never)}.")
+            lines.append(f"Not separated by any run of the library: {in_words(plan.never)}.")
     if any(not run.commanded for run in plan.best.runs):
         if plan.by_commands.runs:
+            count, seconds = len(plan.by_commands.runs), plan.by_commands.seconds
+            left = in_words(plan.by_commands.open)
             lines.append(
-                f"With the service's commands alone ({len(plan.by_commands.runs)} runs, "
-                f"{plan.by_commands.seconds:.0f} s) stays open: {in_words(plan.by_commands.open)}."
+                f"The service alone can do {count} runs, {seconds:.0f} s; not separated then: {left}."
             )
         else:
-            lines.append("Nothing of it can be done by the service's commands alone.")
+            lines.append("The service alone cannot do any of these runs.")
     return lines

@@ -1,9 +1,8 @@
-"""How strong each cause typically is, and the strengths at which its trace is taken.
+"""Typical strength of each cause, and the strengths at which its trace is computed.
 
-A plan has to tell causes apart at strengths that real rigs show: the middle of what is known of leaks,
-valves, walls and sensors (the same facts that the causes' ranges rest on). What imitates them may have any
-strength: a cause's trace is taken at a row of strengths from next to nothing to many times the typical, and
-what lies between two of them is taken to lie on the straight line between their traces.
+A plan must separate causes at the strengths of real rigs: typical leaks, valves, walls and sensors, from the
+same sources as the ranges of the parameters. A cause that imitates another may have any strength. So its
+trace is computed from almost no effect to many times the typical strength, and interpolated linearly.
 """
 
 from __future__ import annotations
@@ -36,38 +35,38 @@ TYPICAL = {
     "solenoid_slow_close": 0.03,
     "venturi_stall": 440.0,
 }
-"""In the unit of the cause's first parameter."""
+"""Typical value of each cause's first parameter, in its unit."""
 DEAD_SHARE = 0.18
-"""Of the control volume: typical tubing and fittings."""
+"""Typical dead volume of tubing and fittings, as a share of the control volume."""
 _ONE_SIDED = (0.02, 0.06, 0.15, 0.3, 0.5, 0.75, 1.0, 1.4, 2.0, 3.0, 5.0, 10.0, 25.0)
 _TWO_SIDED = (-6.0, -3.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 3.0, 6.0)
 _EVENLY = 16
 
 
 def typical(cause: Cause, rig: Rig) -> float:
-    """Of the cause's first parameter."""
+    """Typical value of the cause's first parameter."""
     if cause.name == "dead_volume" and rig.cv is not None:
         return DEAD_SHARE * rig.cv.volume_L
     if cause.name in TYPICAL:
         return TYPICAL[cause.name]
-    # A cause that nobody has said more about: where its fits begin.
+    # Unknown for this cause: use a seed of its fits.
     parameter = cause.parameters[0]
     seed = parameter.seeds[len(parameter.seeds) // 2]
     if seed != parameter.neutral:
         return seed
-    return parameter.outer(parameter.inner(seed) + 0.03 * parameter.range)
+    return parameter.to_model(parameter.to_search(seed) + 0.03 * parameter.range)
 
 
 def strengths(cause: Cause, rig: Rig) -> tuple[float, ...]:
-    """Values of the first parameter in which neighbours look alike; the typical is among them."""
+    """Values of the first parameter, near enough for linear interpolation; the typical one is among them."""
     parameter, usual = cause.parameters[0], typical(cause, rig)
     neutral = parameter.neutral
     if neutral is None or _is_threshold(parameter):
         steps = [parameter.low + i / _EVENLY * (parameter.high - parameter.low) for i in range(_EVENLY + 1)]
         return tuple(sorted({*steps, usual}))
     if parameter.low < neutral < parameter.high:
-        zero = parameter.inner(neutral)
-        values = [parameter.outer(zero + s * (parameter.inner(usual) - zero)) for s in _TWO_SIDED]
+        zero = parameter.to_search(neutral)
+        values = [parameter.to_model(zero + s * (parameter.to_search(usual) - zero)) for s in _TWO_SIDED]
         return _within(parameter, values)
     values = [usual / share if isinf(neutral) else share * usual for share in _ONE_SIDED]
     return (neutral, *_within(parameter, values))
@@ -78,5 +77,5 @@ def _within(parameter: Parameter, values: Sequence[float]) -> tuple[float, ...]:
 
 
 def _is_threshold(parameter: Parameter) -> bool:
-    """Many seeds: a place on a scale, and no size."""
+    """True if the parameter is a threshold on a scale, not a size: such parameters have many seeds."""
     return len(parameter.seeds) > 8

@@ -1,14 +1,13 @@
-"""What every cause would do to the readings of a run, and what that says about telling them apart.
+"""Traces: the effect of each cause on the readings of a run, and their inner products.
 
-Each cause is simulated by the diagnosis' own engine at a row of strengths, with the inputs of the run as
-rehearsed on the believed rig; the difference to the baseline, in units of the sensors' noise, is its trace.
-The traces' inner products are all that readings with independent noise can say, and those of a plan are the
-sums over its runs:
+Each cause is simulated by the diagnosis at several strengths, with the inputs of the run on the nominal rig.
+The difference to the baseline, in units of the sensors' noise, is its trace. The inner products of the traces
+contain everything that readings with independent noise can show. Those of a plan are sums over its runs:
 
     G = Σ traces · tracesᵀ
 
-The two initial pressures of a run are free, so what they can imitate is taken out of G run by run; the
-believed numbers are common to all runs, and are rows of G as well (each moved by its standard deviation).
+The two initial pressures of each run are free, so their effect is projected out of G run by run. The rig
+numbers are common to all runs: each one, moved by its standard deviation, has its own row in G.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from flying_vines.identification.plan.library import CandidateRun
 from flying_vines.identification.plan.rehearsal import rehearsed
 from flying_vines.identification.plan.strengths import strengths, typical
 from flying_vines.identification.recording import RecordedRun
-from flying_vines.identification.simulate import Simulation, believed_keys, believed_spread
+from flying_vines.identification.simulate import Simulation, prior_std, rig_number_keys
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Values
 from flying_vines.physics.constants import ALPHA_KPA
@@ -36,14 +35,14 @@ from flying_vines.simulation.scenario.kinds import RunKind
 
 Causes = Sequence[tuple[Cause, Values]]
 
-_AS_BELIEVED: Mapping[str, float] = {}
+_NOMINAL: Mapping[str, float] = {}
 _RESERVOIR_KPA, _CV_KPA = 1.0, 0.1
-"""How far initial pressures are moved for a derivative."""
+"""Finite-difference steps of the initial pressures."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Which row of G is what: each cause at its strengths, then the believed numbers."""
+    """The rows of G: each cause at its strengths, then the rig numbers."""
 
     rig: Rig
     causes: tuple[Cause, ...]
@@ -57,7 +56,7 @@ class Layout:
 
     @property
     def traces(self) -> int:
-        """Rows before those of the believed numbers."""
+        """Number of rows before those of the rig numbers."""
         return sum(map(len, self.values))
 
     @property
@@ -72,18 +71,18 @@ class Layout:
 
 @dataclass(frozen=True)
 class CandidatePart:
-    """The first so many parts of a candidate."""
+    """The first `count` parts of a candidate."""
 
     candidate: CandidateRun
     count: int
     seconds: float
     air_SL: float
-    """That leaves the reservoir on the believed rig."""
+    """Air that leaves the reservoir on the nominal rig."""
     gram: Array
 
     @cached_property
     def kind(self) -> RunKind:
-        """As it stands in a scenario."""
+        """The run in a scenario."""
         return self.candidate.make(self.count)
 
 
@@ -97,7 +96,7 @@ def layout_of(rig: Rig, causes: Sequence[Cause]) -> Layout:
         values=values,
         first=first,
         usual=first + np.array(usual),
-        keys=believed_keys(rig),
+        keys=rig_number_keys(rig),
         noise_kPa=stated_noise_kPa(rig),
     )
 
@@ -119,16 +118,14 @@ def parts_of(layout: Layout, candidate: CandidateRun) -> list[CandidatePart]:
 
 
 def _traces(layout: Layout, run: RecordedRun, reservoir_kPa: float) -> tuple[Array, Array]:
-    """(rows, 2, n): of G's rows, then of the two initial pressures; and the reservoir's baseline, kPa."""
+    """(rows, 2, n): traces of G's rows, then of both initial pressures; and the reservoir's baseline, kPa."""
     simulation = Simulation(Case(Path(run.name), layout.rig, (run,), ()))
     start = np.array([[reservoir_kPa, 0.0]])
     noise = np.array(layout.noise_kPa)[:, None]
     if run.to_atmosphere:
         noise[0] = np.inf
 
-    def readings(
-        moved: Mapping[str, float] = _AS_BELIEVED, causes: Causes = (), initial: Array = start
-    ) -> Array:
+    def readings(moved: Mapping[str, float] = _NOMINAL, causes: Causes = (), initial: Array = start) -> Array:
         return np.stack(simulation.readings(0, moved, causes, initial))
 
     baseline = readings()
@@ -138,7 +135,7 @@ def _traces(layout: Layout, run: RecordedRun, reservoir_kPa: float) -> tuple[Arr
         for value in values
     ]
     for key in layout.keys:
-        moved = number(layout.rig, key) * (1.0 + believed_spread(layout.rig, key))
+        moved = number(layout.rig, key) * (1.0 + prior_std(layout.rig, key))
         rows.append(readings({key: moved}))
     rows += [readings(initial=start + move) for move in ((_RESERVOIR_KPA, 0.0), (0.0, _CV_KPA))]
     traces = (np.array(rows) - baseline) / noise
@@ -146,7 +143,7 @@ def _traces(layout: Layout, run: RecordedRun, reservoir_kPa: float) -> tuple[Arr
 
 
 def _without_initial(gram: Array) -> Array:
-    """What is left when the last two rows may be anything."""
+    """G with its last two rows, the initial pressures, projected out."""
     free, shared = gram[-2:, -2:], gram[:-2, -2:]
     left: Array = gram[:-2, :-2] - shared @ np.linalg.pinv(free, hermitian=True) @ shared.T
     return left

@@ -1,4 +1,4 @@
-"""A plan as files: a scenario for the simulator, profiles for the service."""
+"""Writes a plan as files: a scenario for the simulator, profiles for the service."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from flying_vines.simulation.scenario.kinds import ProfileRun
 SCENARIO, PROFILES = "scenario.toml", "profiles.toml"
 _FIRST_NUMBER = 101
 _HEADER = """\
-# For the end of the service's configuration; check it with: flying-vines config check FILE
-# Each run begins from a vented vine, 2 s after the reservoir was filled or let down to what stands above the
-# run. The command USER_1 with its number as param1 starts it; after it vent, and touch nothing for 6 s.
+# Append this to the service's configuration, and check it: flying-vines config check FILE
+# For each run: vent the vine, bring the reservoir to the pressure above the run, and wait 2 s. Start the run
+# with the command USER_1 and its number as param1. After the run vent, and wait 6 s.
 """
 
 
 def write_plan(plan: RecordingPlan, folder: Path) -> list[Path]:
-    """Write the best runs as a scenario and what the service can do as profiles: where they are."""
+    """Write the best runs as a scenario, and those that the service can do as profiles. Returns the paths."""
     folder.mkdir(parents=True, exist_ok=True)
     texts = {SCENARIO: scenario_text(plan.best)}
     if plan.by_commands.runs:
@@ -64,8 +64,8 @@ def _lines(table: dict[str, Any]) -> list[str]:
 
 def _value(value: Any) -> str:
     if isinstance(value, dict):
-        told = [f"{key} = {_value(inner)}" for key, inner in value.items() if inner is not None]
-        return "{ " + ", ".join(told) + " }"
+        entries = [f"{key} = {_value(item)}" for key, item in value.items() if item is not None]
+        return "{ " + ", ".join(entries) + " }"
     if isinstance(value, list | tuple):
-        return "\n".join(["[", *(f"    {_value(inner)}," for inner in value), "]"])
+        return "\n".join(["[", *(f"    {_value(item)}," for item in value), "]"])
     return json.dumps(value)

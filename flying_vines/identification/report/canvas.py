@@ -1,4 +1,4 @@
-"""What all figures of a report share: width, type, colours, and the data that they compare."""
+"""Shared by all figures of a report: width, type, colours, and the data that they compare."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def blank(height_in: float) -> Figure:
 
 
 def quiet(axis: Any, title: str = "") -> None:
-    """Plain, with small ticks and perhaps a title."""
+    """Give an axis a plain style with small ticks, and a title if there is one."""
     plain(axis)
     axis.tick_params(length=2.5, width=0.7)
     if title:

@@ -12,7 +12,6 @@ from scipy.cluster.hierarchy import leaves_list, linkage
 from scipy.spatial.distance import squareform
 
 from flying_vines.identification.intervals import ABOVE, LikelihoodProfile
-from flying_vines.identification.likeness import Likeness
 from flying_vines.identification.report.canvas import (
     AFTER,
     BEFORE,
@@ -32,18 +31,19 @@ from flying_vines.identification.report.residual_figures import (
 from flying_vines.identification.report.runs import draw_run, parting
 from flying_vines.identification.report.words import label_and_unit, labelled, numbers, share
 from flying_vines.identification.search import CLAIM
+from flying_vines.identification.similarity import Similarity
 from flying_vines.identification.verdict import ParameterEstimate, Tried, Verdict
 from flying_vines.physics.arrays import Array
 from flying_vines.plots.style import GREY, PURPLE
 
-MOST_RUNS = 6
-MOST_RANKED = 16
+MAX_RUNS = 6
+MAX_RANKED = 16
 SEEN = 5.0
 """Standard deviations. A weaker trace has no reliable direction."""
 ALIKE = 0.95
 _WRITTEN = 0.5
 _DARK = 0.7
-_MOST_ACROSS = 3
+_MAX_ACROSS = 3
 _HIGHEST = 1.6 * ABOVE
 
 
@@ -73,8 +73,8 @@ def figures(verdict: Verdict) -> dict[str, Figure]:
         drawn["ranking"] = draw_ranking(verdict)
         if evidence.profiles:
             drawn["profiles"] = draw_profiles(verdict)
-        if len(by_likeness(evidence.likeness)) > 1:
-            drawn["likeness"] = draw_likeness(verdict)
+        if len(by_similarity(evidence.similarity)) > 1:
+            drawn["likeness"] = draw_similarity(verdict)
     return drawn
 
 
@@ -82,11 +82,11 @@ def shown_runs(verdict: Verdict) -> list[int]:
     """Indices of the runs to draw; of many runs, those in which the simulations differ most."""
     evidence = verdict.evidence
     parts = [float(np.mean(parting(run, evidence.noise_kPa, models(verdict)) ** 2)) for run in evidence.runs]
-    return sorted(sorted(range(len(parts)), key=lambda i: -parts[i])[:MOST_RUNS])
+    return sorted(sorted(range(len(parts)), key=lambda i: -parts[i])[:MAX_RUNS])
 
 
 def draw_unseen(verdict: Verdict) -> Figure:
-    """Root mean square error relative to the measured range: before, after, and of noise alone."""
+    """Root mean square error relative to the measured range: before, after, and from noise alone."""
     errors = verdict.held_out
     bars = [("baseline", errors.nrmse_before, BEFORE)]
     if models(verdict):
@@ -94,7 +94,7 @@ def draw_unseen(verdict: Verdict) -> Figure:
     bars.append(("noise alone", errors.noise_floor, GREY))
     figure = blank(0.5 + 0.28 * len(bars))
     axis = figure.subplots()
-    most = max(value for _, value, _ in bars)
+    longest = max(value for _, value, _ in bars)
     for y, (_, value, color) in enumerate(bars):
         axis.barh(y, 100.0 * value, height=0.62, color=color)
         axis.annotate(
@@ -103,7 +103,7 @@ def draw_unseen(verdict: Verdict) -> Figure:
     axis.axvline(100.0 * errors.noise_floor, color=GREY, lw=0.8, ls=(0, (3, 3)))
     axis.set_yticks(range(len(bars)), [label for label, _, _ in bars])
     axis.set_ylim(len(bars) - 0.5, -0.5)
-    axis.set_xlim(0.0, 115.0 * most if most > 0.0 else 1.0)
+    axis.set_xlim(0.0, 115.0 * longest if longest > 0.0 else 1.0)
     axis.set_xlabel("error on unseen data, % of the measured range")
     quiet(axis)
     axis.grid(axis="y", visible=False)
@@ -111,9 +111,9 @@ def draw_unseen(verdict: Verdict) -> Figure:
 
 
 def _ranked(verdict: Verdict) -> list[Tried]:
-    """The best candidates, and the baseline at any rank."""
+    """The best candidates, and the baseline whatever its rank is."""
     fitted = [tried for tried in verdict.ranking if isfinite(tried.score)]
-    return fitted[:MOST_RANKED] + [tried for tried in fitted[MOST_RANKED:] if not tried.causes]
+    return fitted[:MAX_RANKED] + [tried for tried in fitted[MAX_RANKED:] if not tried.causes]
 
 
 def _color(tried: Tried, verdict: Verdict) -> str:
@@ -123,7 +123,7 @@ def _color(tried: Tried, verdict: Verdict) -> str:
     named = {named.cause for named in verdict.named}
     if set(tried.causes) == named:
         return AFTER
-    # Replaces exactly one of them.
+    # Purple: it replaces exactly one named cause by an indistinguishable one.
     others = set(tried.causes) - named
     alike = len(others) == 1 and others <= set(verdict.indistinguishable)
     return PURPLE if alike and len(tried.causes) == len(named) else GREY
@@ -164,7 +164,7 @@ def draw_ranking(verdict: Verdict) -> Figure:
 def draw_profiles(verdict: Verdict) -> Figure:
     """χ² above its minimum over each parameter of the named causes, others refitted; with 95 % intervals."""
     profiles = verdict.evidence.profiles
-    across = min(_MOST_ACROSS, max(2, len(profiles)))
+    across = min(_MAX_ACROSS, max(2, len(profiles)))
     down = -(-len(profiles) // across)
     figure = blank(2.1 * down)
     axes = figure.subplots(down, across, squeeze=False)
@@ -173,7 +173,7 @@ def draw_profiles(verdict: Verdict) -> Figure:
     for profile, axis in zip(profiles, axes.flat, strict=False):
         _profile(axis, profile)
     for row in axes:
-        row[0].set_ylabel("χ² above its least")
+        row[0].set_ylabel("χ² above minimum")
     return figure
 
 
@@ -196,29 +196,29 @@ def _profile(axis: Any, profile: LikelihoodProfile) -> None:
 
 
 def curve(profile: LikelihoodProfile) -> tuple[Array, Array]:
-    """Interpolates linearly in the square root of χ², which is exact for a parabola."""
+    """The profile as a curve, linear in the square root of χ², which is exact for a parabola."""
     parameter = profile.parameter
-    inner = np.array([parameter.inner(float(value)) for value in profile.value])
-    best = parameter.inner(profile.estimate)
-    root = np.sign(inner - best) * np.sqrt(np.maximum(profile.above, 0.0))
-    fine = np.linspace(inner[0], inner[-1], 200)
-    return np.array([parameter.outer(float(x)) for x in fine]), np.interp(fine, inner, root) ** 2
+    searched = np.array([parameter.to_search(float(value)) for value in profile.value])
+    best = parameter.to_search(profile.estimate)
+    root = np.sign(searched - best) * np.sqrt(np.maximum(profile.above, 0.0))
+    fine = np.linspace(searched[0], searched[-1], 200)
+    return np.array([parameter.to_model(float(x)) for x in fine]), np.interp(fine, searched, root) ** 2
 
 
-def draw_likeness(verdict: Verdict) -> Figure:
+def draw_similarity(verdict: Verdict) -> Figure:
     """Cosine similarity of the traces of each two visible causes, and how clearly each cause shows."""
-    likeness = verdict.evidence.likeness
-    order = by_likeness(likeness)
+    similarity = verdict.evidence.similarity
+    order = by_similarity(similarity)
     count = len(order)
-    names = [likeness.causes[i] for i in order]
+    names = [similarity.causes[i] for i in order]
     figure = blank(1.6 + 0.2 * count)
     matrix, bars = figure.subplots(1, 2, width_ratios=[5.0, 1.0])
-    matrix.imshow(likeness.cosine[np.ix_(order, order)], cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    matrix.imshow(similarity.cosine[np.ix_(order, order)], cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
     for y, i in enumerate(order):
         for x, j in enumerate(order):
-            if x != y and likeness.cosine[i, j] >= _WRITTEN:
-                color = "white" if likeness.cosine[i, j] > _DARK else "black"
-                percent = f"{100.0 * likeness.cosine[i, j]:.0f}"
+            if x != y and similarity.cosine[i, j] >= _WRITTEN:
+                color = "white" if similarity.cosine[i, j] > _DARK else "black"
+                percent = f"{100.0 * similarity.cosine[i, j]:.0f}"
                 matrix.text(x, y, percent, ha="center", va="center", fontsize=6, color=color)
     matrix.set_xticks(range(count), names, rotation=90)
     matrix.set_yticks(range(count), names)
@@ -229,7 +229,7 @@ def draw_likeness(verdict: Verdict) -> Figure:
     matrix.tick_params(length=0)
     matrix.spines[:].set_visible(False)
     matrix.set_title("alike, %", pad=4)
-    bars.barh(range(count), likeness.seen[order], color=GREY, height=0.7, log=True)
+    bars.barh(range(count), similarity.seen[order], color=GREY, height=0.7, log=True)
     bars.set_xlim(left=1.0)
     bars.set_ylim(matrix.get_ylim())
     bars.set_yticks([])
@@ -237,12 +237,12 @@ def draw_likeness(verdict: Verdict) -> Figure:
     return figure
 
 
-def by_likeness(likeness: Likeness) -> NDArray[np.intp]:
-    """The causes that would show, in an order in which similar ones are neighbours."""
-    seen = np.flatnonzero(likeness.seen >= SEEN)
+def by_similarity(similarity: Similarity) -> NDArray[np.intp]:
+    """The causes with a visible trace, ordered so that similar ones are neighbours."""
+    seen = np.flatnonzero(similarity.seen >= SEEN)
     if len(seen) < 3:
         return seen
-    distance = np.clip(1.0 - likeness.cosine[np.ix_(seen, seen)], 0.0, 1.0)
+    distance = np.clip(1.0 - similarity.cosine[np.ix_(seen, seen)], 0.0, 1.0)
     np.fill_diagonal(distance, 0.0)
     order: NDArray[np.intp] = leaves_list(
         linkage(squareform(distance, checks=False), "average", optimal_ordering=True)
@@ -250,13 +250,13 @@ def by_likeness(likeness: Likeness) -> NDArray[np.intp]:
     return seen[order]
 
 
-def alike_pairs(likeness: Likeness) -> list[tuple[str, str, float]]:
+def alike_pairs(similarity: Similarity) -> list[tuple[str, str, float]]:
     """Pairs that these data hardly distinguish, the most similar first."""
-    seen = np.flatnonzero(likeness.seen >= SEEN)
+    seen = np.flatnonzero(similarity.seen >= SEEN)
     pairs = [
-        (likeness.causes[i], likeness.causes[j], float(likeness.cosine[i, j]))
+        (similarity.causes[i], similarity.causes[j], float(similarity.cosine[i, j]))
         for place, i in enumerate(seen)
         for j in seen[place + 1 :]
-        if likeness.cosine[i, j] >= ALIKE
+        if similarity.cosine[i, j] >= ALIKE
     ]
     return sorted(pairs, key=lambda pair: -pair[2])

@@ -17,11 +17,11 @@ from flying_vines.identification.report.canvas import channels, models, residual
 from flying_vines.identification.report.figures import ALIKE, SEEN, alike_pairs
 from flying_vines.identification.report.residual_figures import same, strongest
 from flying_vines.identification.report.templates import TEMPLATES, filled
-from flying_vines.identification.report.words import how_surprising, labelled, signed
+from flying_vines.identification.report.words import chance, labelled, signed
 from flying_vines.identification.residuals import CHANNELS, Pattern
 from flying_vines.identification.search import CLAIM, STRUCTURE
 from flying_vines.identification.show import in_words
-from flying_vines.identification.simulate import believed_keys
+from flying_vines.identification.simulate import rig_number_keys
 from flying_vines.identification.verdict import NONE, UNEXPLAINED, Verdict
 
 _CONSTANTS = {
@@ -45,7 +45,7 @@ def page(verdict: Verdict, case: Case, pictures: Mapping[str, bytes]) -> str:
     case_name, sentence = case.path.resolve().name, in_words(verdict)
     evidence, model = verdict.evidence, models(verdict)
     chosen = None if verdict.cause == UNEXPLAINED else {cause.cause for cause in verdict.named}
-    likeness = evidence.likeness
+    similarity = evidence.similarity
     return filled(
         TEMPLATES / "report.html",
         pictures,
@@ -61,8 +61,8 @@ def page(verdict: Verdict, case: Case, pictures: Mapping[str, bytes]) -> str:
         chi2_per_reading=_chi2_per_reading(evidence.runs, verdict),
         patterns=[(pattern, _sizes(pattern, verdict)) for pattern in strongest(verdict)],
         ranking=[(tried, set(tried.causes) == chosen) for tried in verdict.ranking],
-        alike=alike_pairs(likeness),
-        unseen=[name for name, seen in zip(likeness.causes, likeness.seen, strict=True) if seen < SEEN],
+        alike=alike_pairs(similarity),
+        unseen=[name for name, seen in zip(similarity.causes, similarity.seen, strict=True) if seen < SEEN],
         rig=[*_numbers(verdict, case), *_noise(verdict, case)],
         versions=", ".join(
             [f"Python {python_version()}", *(f"{name} {version(name)}" for name in _LIBRARIES)]
@@ -71,7 +71,7 @@ def page(verdict: Verdict, case: Case, pictures: Mapping[str, bytes]) -> str:
 
 
 def _chi2_per_reading(runs: Sequence[Compared], verdict: Verdict) -> list[float]:
-    """Of all readings of both channels: of the baseline and, where there is one, of the extended model."""
+    """χ² per reading over both channels: of the baseline and, if there is one, of the extended model."""
     noise_kPa = verdict.evidence.noise_kPa
     both = np.concatenate([residuals(run, row, noise_kPa) for run in runs for row in (0, 1)], axis=1)
     return [float(np.nanmean(of_model**2)) for of_model in both[: 1 + bool(models(verdict))]]
@@ -88,29 +88,29 @@ def _run(run: Compared, verdict: Verdict) -> dict[str, Any]:
 
 
 def _sizes(pattern: Pattern, verdict: Verdict) -> list[tuple[str, str]]:
-    """How far residuals depend on it at most, and how often noise does that; for each model."""
+    """For each model: the largest mean residual of the pattern, and how often noise alone gives it."""
     sizes = []
     for patterns in (verdict.evidence.before, verdict.evidence.after)[: 1 + bool(models(verdict))]:
         found = same(pattern, patterns)
         largest = 0.0 if found is None else float(found.mean[np.argmax(np.abs(found.mean))])
         size = signed(f"{largest:+,.0f}" if abs(largest) >= 10.0 else f"{largest:+.2g}")
-        sizes.append(("", "") if found is None else (size, how_surprising(found)))
+        sizes.append(("", "") if found is None else (size, chance(found)))
     return sizes
 
 
 def _numbers(verdict: Verdict, case: Case) -> Iterator[dict[str, str]]:
-    """Of the believed rig, and as the fit moved them within their tolerances."""
-    for key in believed_keys(case.rig):
+    """Rows of the rig numbers, nominal and fitted."""
+    for key in rig_number_keys(case.rig):
         group, name = key.split(".")
-        believed = getattr(getattr(case.rig, group), name)
-        fitted = "as believed"
+        nominal = getattr(getattr(case.rig, group), name)
+        fitted = "nominal"
         if key in verdict.numbers:
-            moved = signed(f"{100.0 * (verdict.numbers[key] / believed - 1.0):+.2f}")
+            moved = signed(f"{100.0 * (verdict.numbers[key] / nominal - 1.0):+.2f}")
             fitted = f"{verdict.numbers[key]:,.5g} ({moved} %)"
         yield {
             "group": group,
             "label": labelled(name),
-            "believed": f"{believed:,.5g}",
+            "nominal": f"{nominal:,.5g}",
             "tolerance": f"± {case.rig.tolerance(key):g} %",
             "fitted": fitted,
         }
@@ -123,7 +123,7 @@ def _noise(verdict: Verdict, case: Case) -> Iterator[dict[str, str]]:
             yield {
                 "group": group,
                 "label": "noise of its readings, kPa",
-                "believed": f"{stated:g}",
+                "nominal": f"{stated:g}",
                 "tolerance": "",
-                "fitted": "as believed" if used == stated else f"{used:.3g} in the data",
+                "fitted": "nominal" if used == stated else f"{used:.3g} in the data",
             }

@@ -1,4 +1,4 @@
-"""Figures of the residuals: are they noise, and if not, what do they depend on?"""
+"""Figures of the residuals: over time, autocorrelation, and dependence on features."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from flying_vines.identification.verdict import UNEXPLAINED, Verdict
 from flying_vines.physics.arrays import Array
 
 BAND = 2.0
-"""Standard deviations."""
-_LEAST_SPAN = 4.5
+"""Half width of the grey band, in standard deviations."""
+_MIN_SPAN = 4.5
 _BINS = 45
 _NARROW = 15.0
 """In wider panels the normal distribution would be too narrow to see."""
@@ -68,7 +68,7 @@ def _panel(verdict: Verdict, row: int, after: bool, series: Any, histogram: Any)
         begin_s = time_s[-1]
         every.append(residual[np.isfinite(residual)])
     values = np.concatenate(every)
-    span = max(_LEAST_SPAN, 1.05 * float(np.abs(values).max(initial=0.0)))
+    span = max(_MIN_SPAN, 1.05 * float(np.abs(values).max(initial=0.0)))
     for axis in (series, histogram):
         axis.axhspan(-BAND, BAND, color=INK, alpha=0.12, lw=0)
     edges = np.linspace(-span, span, _BINS + 1)
@@ -122,7 +122,7 @@ def draw_autocorrelation(verdict: Verdict) -> Figure:
 
 
 def _autocorrelation(verdict: Verdict, row: int, after: bool) -> tuple[Array, int]:
-    """(lags,) from lag 1 on, over pairs of readings of one run; and the number of readings."""
+    """(lags,) autocorrelation from lag 1 on, over pairs within a run; and the number of readings."""
     products, squares, readings = np.zeros(_LAGS), 0.0, 0
     pairs = np.zeros(_LAGS)
     for run in verdict.evidence.runs:
@@ -139,12 +139,14 @@ def _autocorrelation(verdict: Verdict, row: int, after: bool) -> tuple[Array, in
 
 
 def strongest(verdict: Verdict) -> list[Pattern]:
-    """The features on which each channel depends most: in the residuals of the baseline or, if the verdict is
-    unexplained, in those of the best fit."""
+    """The features on which the residuals of each channel depend most.
+
+    The residuals are those of the baseline; of the best fit, if the verdict is unexplained.
+    """
     evidence = verdict.evidence
     leading = evidence.after if verdict.cause == UNEXPLAINED else evidence.before
-    # If all are certain, the one with the largest means is the strongest.
-    ranked = sorted(leading, key=lambda p: (-min(p.surprise, 300.0), -float(p.count @ p.mean**2)))
+    # Beyond p = 1e-300 the pattern with the largest means is the strongest.
+    ranked = sorted(leading, key=lambda p: (-min(p.log_p, 300.0), -float(p.count @ p.mean**2)))
     kinds: dict[tuple[str, str], Pattern] = {}
     for pattern in ranked:
         if not pattern.feature.startswith(_OVER_TIME):
@@ -157,7 +159,7 @@ def strongest(verdict: Verdict) -> list[Pattern]:
 
 
 def _kind(feature: str) -> str:
-    """The times since a valve opened and since it closed are one kind, of which one is enough."""
+    """The kind of a feature. Times since a valve opened and since it closed are one kind: one is shown."""
     return feature.rsplit(maxsplit=1)[0] if feature.startswith(_SINCE) else feature
 
 

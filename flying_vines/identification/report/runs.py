@@ -24,10 +24,9 @@ from flying_vines.physics.arrays import Array
 from flying_vines.plots.style import BLUE, GREEN, GREY
 
 _ZOOM = 0.09
-"""Share of a run."""
-_SHORTEST_ZOOM_S = 1.5
-_FEWEST_ZOOMED = 25
-"""Samples."""
+"""Share of a run in the enlarged part, with at least `_MIN_ZOOM_S` and `_MIN_SAMPLES`."""
+_MIN_ZOOM_S = 1.5
+_MIN_SAMPLES = 25
 _MARKED = "#f1f2f4"
 
 
@@ -110,11 +109,11 @@ def _openings(axis: Any, run: Compared) -> None:
 
 
 def _zoom(run: Compared, noise_kPa: tuple[float, float], model: str) -> Bools:
-    """(n,) whether a sample lies in the stretch in which the simulations differ most."""
+    """(n,) True in the stretch in which the simulations differ most."""
     time_s = run.time_s
     span_s = time_s[-1] - time_s[0]
     usual_s = float(np.median(np.diff(time_s)))
-    width_s = min(span_s, max(_SHORTEST_ZOOM_S, _ZOOM * span_s, _FEWEST_ZOOMED * usual_s))
+    width_s = min(span_s, max(_MIN_ZOOM_S, _ZOOM * span_s, _MIN_SAMPLES * usual_s))
     total = np.concatenate(([0.0], np.cumsum(parting(run, noise_kPa, model) ** 2)))
     ends = np.searchsorted(time_s, time_s + width_s, side="right")
     gained = np.where(time_s <= time_s[-1] - width_s + 1e-9, total[ends] - total[:-1], -1.0)

@@ -1,4 +1,4 @@
-"""Numbers with units, and with the digits that the data determine."""
+"""Formats numbers with units, and with the digits that the data determine."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _UNITS = {
     "_L": "L",
     "_s": "s",
 }
-"""By the ending of a name, the longest first."""
+"""Unit by the ending of a name, the longest ending first."""
 _HUGE = 1e6
 _RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 _CHANCE = 1.3
-"""−log₁₀ of one in twenty."""
+"""−log₁₀ of 1 in 20."""
 
 
 def label_and_unit(name: str) -> tuple[str, str]:
-    """`volume_L` → volume, L."""
+    """Label and unit of a name: `volume_L` gives (volume, L)."""
     for ending, unit in _UNITS.items():
         if f"_{name}".endswith(ending):
             return f"_{name}".removesuffix(ending).replace("_", " ").strip() or "change", unit
@@ -38,7 +38,7 @@ def labelled(name: str) -> str:
 
 
 def numbers(estimate: ParameterEstimate) -> tuple[str, str, str]:
-    """The estimate and the ends of its interval, to the second digit of the interval's half width."""
+    """The estimate and the ends of its interval, rounded to two digits of the interval's half width."""
     half = 0.5 * (estimate.high - estimate.low)
     values = (estimate.estimate, estimate.low, estimate.high)
     if max(map(abs, values)) >= _HUGE:
@@ -57,13 +57,13 @@ def _in_powers(value: float) -> str:
     return f"{signed(mantissa)} × 10{str(int(exponent)).translate(_RAISED)}"
 
 
-def how_surprising(pattern: Pattern) -> str:
-    """How often noise alone does this."""
-    if pattern.surprise < _CHANCE:
-        return "noise alone does this"
-    if pattern.surprise < STRUCTURE:
-        return f"noise does this once in {10.0**pattern.surprise:,.0f} times"
-    return "noise practically never does this"
+def chance(pattern: Pattern) -> str:
+    """How often noise alone gives such a pattern, in words."""
+    if pattern.log_p < _CHANCE:
+        return "noise alone gives this"
+    if pattern.log_p < STRUCTURE:
+        return f"noise gives this once in {10.0**pattern.log_p:,.0f} cases"
+    return "noise practically never gives this"
 
 
 def signed(number: str) -> str:

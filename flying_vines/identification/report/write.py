@@ -1,4 +1,4 @@
-"""The files of a report."""
+"""Writes the files of a report."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from flying_vines.identification.verdict import Verdict
 
 REPORT, VERDICT = "report.html", "verdict.json"
 _DPI = 200
-"""Of the points in a picture, which are pixels; lines and letters are vectors."""
+"""Resolution of the rasterized points; lines and text are vectors."""
 
 
 def write_report(verdict: Verdict, case: Case, folder: Path) -> list[Path]:
@@ -29,7 +29,7 @@ def write_report(verdict: Verdict, case: Case, folder: Path) -> list[Path]:
             each of `figures` as an SVG file. Existing files of these names are replaced.
 
     Returns:
-        the files, the page first. The same verdict makes the same bytes.
+        the paths of the files, the page first. The same verdict gives the same bytes.
     """
     pictures = {name: svg(figure) for name, figure in figures(verdict).items()}
     content = {

@@ -1,8 +1,8 @@
 """The effects that a rig may have and a diagnosis may name: one file each, with one `CAUSE`.
 
-A file says what the effect does to a plant and its sensors, its parameters with their bounds and sources, and
-which experiment shows it. The simulation, the fit and the rig file all take it from there. Names and
-definitions are those of the table of causes in the rig-data format.
+A file has the effect on a plant and its sensors, the parameters with bounds and sources, and the experiment
+that shows the effect. The simulation, the fit and the rig file all use it. Names and definitions are those of
+the rig-data format.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def catalogue() -> tuple[Cause, ...]:
     return tuple(import_module(f"{__name__}.{name}").CAUSE for name in modules)
 
 
-NONE = Cause(name="none", what="The rig is as the baseline has it.", parameters=(), experiment="")
+NONE = Cause(name="none", what="The rig agrees with the baseline.", parameters=(), experiment="")
 
 
 def cause_named(name: str) -> Cause:

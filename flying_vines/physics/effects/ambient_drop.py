@@ -1,4 +1,4 @@
-"""Ambient pressure falls at a constant rate during the run: both gauge readings rise by as much."""
+"""Ambient pressure falls at a constant rate during the run, so both gauge readings rise at this rate."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CAUSE = Cause(
             high=2.0,
             seeds=(0.0,),
             neutral=0.0,
-            source="0.012 kPa per metre: a quick drone climbs 0.2 kPa/s",
+            source="0.012 kPa per metre: a fast climb of a drone gives 0.2 kPa/s",
         ),
     ),
     experiment="Record the ambient pressure as well; or repeat the run on the ground.",

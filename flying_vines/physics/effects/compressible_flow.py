@@ -2,8 +2,8 @@
 
     Q = u C p₁ φ(p₂/p₁),   φ = 1 for p₂/p₁ ≤ b, else √(1 − ((p₂/p₁ − b)/(1 − b))²)
 
-with absolute pressures, C such that an open valve passes at 690 kPa into 0 kPa what Ohm's law gives there
-(at 101.325 kPa ambient); nothing flows back. ISO 6358-1:2013.
+Pressures are absolute. C is chosen so that a fully open valve has the flow of Ohm's law from 690 to 0 kPa
+gauge at 101.325 kPa ambient. There is no backflow. ISO 6358-1:2013.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""The control volume stretches: V = V₀ (1 + k P) for P > 0, its air conserved."""
+"""The control volume stretches: V = V₀ (1 + k P) for P > 0 (gauge); its air is conserved."""
 
 from __future__ import annotations
 
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.setup import Setup
-from flying_vines.physics.plant.shape import Compliant
+from flying_vines.physics.plant.volume import Compliant
 
 
 def apply(base: Setup, per_kPa: float) -> Setup:
@@ -22,7 +22,7 @@ CAUSE = Cause(
             seeds=(1e-5, 1e-3, 1e-2),
             neutral=0.0,
             logarithmic=True,
-            source="from a bottle to a balloon that doubles in 2 kPa",
+            source="from a rigid bottle to a balloon whose volume doubles in 2 kPa",
         ),
     ),
     experiment="Inflate in several steps to the highest pressure, each with the same opening and duration.",

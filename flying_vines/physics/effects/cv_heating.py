@@ -31,8 +31,8 @@ CAUSE = Cause(
         ),
     ),
     experiment=(
-        "Inflate the control volume as fast as it goes, shut all valves, and record for half a minute: "
-        "warm gas lets the pressure fall to a new level."
+        "Inflate the control volume as fast as possible, shut all valves, and record for half a minute: "
+        "as the gas cools, the pressure falls to a new level."
     ),
     apply=apply,
 )

@@ -1,4 +1,4 @@
-"""The control volume leaks: it also loses P_cv / R."""
+"""The control volume leaks: a flow P_cv / R to ambient (P_cv gauge)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CAUSE = Cause(
             seeds=(3e2, 1e4, 1e6),
             neutral=float("inf"),
             logarithmic=True,
-            source="from an open outlet to a weld that holds for a week",
+            source="from an open outlet (10) to a weld that keeps its pressure for a week (1e8)",
         ),
     ),
     experiment="Inflate the control volume, shut all valves, and record its pressure for a minute.",

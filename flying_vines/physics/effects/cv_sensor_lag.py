@@ -23,7 +23,7 @@ CAUSE = Cause(
             seeds=(0.003, 0.05),
             neutral=0.0,
             logarithmic=True,
-            source="the sensor itself 1 ms; a filter or a thin hose up to a second",
+            source="sensor 1 ms; with a filter or a thin hose up to 1 s",
         ),
     ),
     experiment="Inflate quickly, shut all valves at once, and record every millisecond.",

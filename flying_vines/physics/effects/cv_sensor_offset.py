@@ -1,4 +1,4 @@
-"""The control volume's sensor reads a constant too much."""
+"""The control volume's sensor has a constant offset."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CAUSE = Cause(
             high=50.0,
             seeds=(0.0,),
             neutral=0.0,
-            source="total error band ±3.1 kPa; a wrong zero more",
+            source="total error band ±3.1 kPa; more with a wrong zero",
         ),
     ),
     experiment="Vent the control volume, wait, and read its sensor.",

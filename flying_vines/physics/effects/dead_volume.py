@@ -1,4 +1,4 @@
-"""The control volume is larger than believed: tubing, fittings, the sensor's port."""
+"""The control volume is larger than nominal: tubing, fittings, the sensor's port."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def apply(base: Setup, volume_L: float) -> Setup:
 
 CAUSE = Cause(
     name="dead_volume",
-    what="The control volume is larger than believed.",
+    what="The control volume is larger than nominal.",
     parameters=(
         Parameter(
             "volume_L",

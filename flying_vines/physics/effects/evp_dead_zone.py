@@ -1,10 +1,10 @@
-"""The inflation valve opens only beyond u₀: max(0, (u − u₀)/(1 − u₀)); a full command opens it fully."""
+"""The inflation valve (EVP) only opens above u₀: max(0, (u − u₀)/(1 − u₀)). A full command opens it fully."""
 
 from __future__ import annotations
 
 from flying_vines.physics.cause import Cause, Parameter
-from flying_vines.physics.plant.motion import ValveMotion
 from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.valve_response import ValveMotion
 
 
 def apply(base: Setup, opening: float) -> Setup:

@@ -1,12 +1,12 @@
-"""The inflation valve has play of full width w: what it does stays within w/2 of what it is told, and moves
-only when it must. A command of 0 shuts it and resets the play.
+"""The inflation valve (EVP) has backlash of full width w: its opening stays within w/2 of the command, and
+only moves when it must. A command of 0 shuts it and resets the backlash.
 """
 
 from __future__ import annotations
 
 from flying_vines.physics.cause import Cause, Parameter
-from flying_vines.physics.plant.motion import ValveMotion
 from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.valve_response import ValveMotion
 
 
 def apply(base: Setup, width: float) -> Setup:
@@ -23,7 +23,7 @@ CAUSE = Cause(
             high=0.6,
             seeds=(0.003, 0.05, 0.15),
             neutral=0.0,
-            source="makers state about 0.1; a worn valve more",
+            source="manufacturers state about 0.1; more with a worn valve",
         ),
     ),
     experiment="Raise the opening of the inflation valve in small steps and lower it again the same way.",

@@ -1,10 +1,10 @@
-"""The inflation valve's opening follows what it is told with a first-order lag."""
+"""The opening of the inflation valve (EVP) follows its command with a first-order lag."""
 
 from __future__ import annotations
 
 from flying_vines.physics.cause import Cause, Parameter
-from flying_vines.physics.plant.motion import ValveMotion
 from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.valve_response import ValveMotion
 
 
 def apply(base: Setup, time_constant_s: float) -> Setup:
@@ -22,7 +22,7 @@ CAUSE = Cause(
             seeds=(0.003, 0.05),
             neutral=0.0,
             logarithmic=True,
-            source="small proportional valves: 5 to 30 ms; with a slow driver more",
+            source="small proportional valves: 5 to 30 ms; more with a slow driver",
         ),
     ),
     experiment="Open and shut the inflation valve in pulses of 0.05 to 0.5 s.",

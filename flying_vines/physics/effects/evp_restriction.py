@@ -1,4 +1,4 @@
-"""The inflation valve, or what leads to it, resists scale times as much as believed."""
+"""The flow resistance of the inflation valve (EVP) and its supply line is scale times the nominal one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def apply(base: Setup, scale: float) -> Setup:
 
 CAUSE = Cause(
     name="evp_restriction",
-    what="The inflation valve passes more or less than believed.",
+    what="The flow through the inflation valve is larger or smaller than nominal.",
     parameters=(
         Parameter(
             "scale",
@@ -32,7 +32,7 @@ CAUSE = Cause(
             seeds=(1.0,),
             neutral=1.0,
             logarithmic=True,
-            source="from a valve without its orifice to one that is nearly clogged",
+            source="from a valve without its orifice to a nearly clogged one",
         ),
     ),
     experiment="Open the inflation valve fully into a known volume from the full reservoir.",

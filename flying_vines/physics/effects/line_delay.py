@@ -1,10 +1,10 @@
-"""The inflation valve does what it is told a while later."""
+"""The inflation valve follows its command after a constant delay."""
 
 from __future__ import annotations
 
 from flying_vines.physics.cause import Cause, Parameter
-from flying_vines.physics.plant.motion import ValveMotion
 from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.valve_response import ValveMotion
 
 
 def apply(base: Setup, delay_s: float) -> Setup:
@@ -21,7 +21,7 @@ CAUSE = Cause(
             high=1.0,
             seeds=(0.001, 0.02, 0.08),
             neutral=0.0,
-            source="valve 2 to 5 ms, drivers and buses up to some 100 ms",
+            source="valve 2 to 5 ms, drivers and buses up to about 100 ms",
         ),
     ),
     experiment="Open and shut the inflation valve in pulses of 0.05 to 0.5 s.",

@@ -1,4 +1,4 @@
-"""Gas in the reservoir cools as it leaves, and the wall warms it again:
+"""Gas in the reservoir cools as it expands, and the wall warms it again:
 
 dθ/dt = −(γ−1) θ² α ΣQ/(V P_a) + (1 − θ)/τ      dP/dt = −γ θ α ΣQ/V + (P_a/θ)(1 − θ)/τ
 """

@@ -1,4 +1,4 @@
-"""The reservoir leaks: it also loses P_r / R."""
+"""The reservoir leaks: a flow P_r / R to ambient (P_r gauge)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CAUSE = Cause(
             seeds=(3e3, 3e5),
             neutral=float("inf"),
             logarithmic=True,
-            source="from a tenth of the inflation valve to a bottle that holds for a month",
+            source="from 1/20 of the inflation valve's resistance (100) to a bottle tight for a month (1e8)",
         ),
     ),
     experiment="Fill the reservoir, shut all valves, and record its pressure for a minute.",

@@ -1,4 +1,4 @@
-"""The reservoir's sensor reads gain times what it should."""
+"""The reservoir's sensor reads gain times the true pressure."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ CAUSE = Cause(
             seeds=(1.0,),
             neutral=1.0,
             logarithmic=True,
-            source="a wrong supply or divider: some 10 %",
+            source="a wrong supply voltage or voltage divider: about 10 %",
         ),
     ),
-    experiment="Fill to a pressure that a gauge of known accuracy shows as well.",
+    experiment="Fill the reservoir, and compare the reading with a calibrated gauge.",
     apply=apply,
 )

@@ -1,4 +1,4 @@
-"""The reservoir's sensor reads a constant too much."""
+"""The reservoir's sensor has a constant offset."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CAUSE = Cause(
             high=200.0,
             seeds=(0.0,),
             neutral=0.0,
-            source="total error band ±22.5 kPa; a wrong zero more",
+            source="total error band ±22.5 kPa; more with a wrong zero",
         ),
     ),
     experiment="Empty the reservoir, wait, and read its sensor.",

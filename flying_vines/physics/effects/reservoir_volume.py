@@ -1,4 +1,4 @@
-"""The reservoir holds scale times what is believed."""
+"""The volume of the reservoir is scale times the nominal one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def apply(base: Setup, scale: float) -> Setup:
 
 CAUSE = Cause(
     name="reservoir_volume",
-    what="The reservoir is larger or smaller than believed.",
+    what="The reservoir is larger or smaller than nominal.",
     parameters=(
         Parameter(
             "scale",

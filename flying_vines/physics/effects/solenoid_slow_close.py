@@ -1,10 +1,10 @@
-"""The solenoid stays open for a while after it is told to close."""
+"""The solenoid closes some time after its command."""
 
 from __future__ import annotations
 
 from flying_vines.physics.cause import Cause, Parameter
-from flying_vines.physics.plant.motion import SolenoidTiming
 from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.valve_response import SolenoidTiming
 
 
 def apply(base: Setup, delay_s: float) -> Setup:
@@ -21,7 +21,7 @@ CAUSE = Cause(
             high=1.0,
             seeds=(0.001, 0.02, 0.08),
             neutral=0.0,
-            source="10 to 40 ms with a fly-back diode; sticky ones more",
+            source="10 to 40 ms with a fly-back diode; more if it sticks",
         ),
     ),
     experiment="Vent the inflated control volume in pulses of 0.05 to 0.5 s.",

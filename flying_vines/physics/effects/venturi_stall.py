@@ -1,4 +1,4 @@
-"""Below a supply pressure the Venturi makes no vacuum."""
+"""The Venturi gives no vacuum below a supply pressure (gauge)."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ CAUSE = Cause(
             high=900.0,
             seeds=tuple(range(60, 700, 20)),
             neutral=0.0,
-            source="ejectors: falling below about 300 kPa",
+            source="ejectors: the vacuum falls below about 300 kPa of supply",
         ),
     ),
-    experiment="Empty the control volume with the Venturi again and again until the reservoir is empty.",
+    experiment="Empty the control volume with the Venturi repeatedly, until the reservoir is empty.",
     apply=apply,
 )

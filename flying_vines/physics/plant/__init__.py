@@ -1,6 +1,7 @@
-"""The high-fidelity plant: the baseline and what it leaves out, one effect a file.
+"""The high-fidelity plant: the baseline plus the effects that it leaves out.
 
-`effects.Effects` says which effects a rig has, `plant.Plant` is the rig with them, `numbers` are what it
-comes to, `rates` is its right-hand side. `simulator.Simulator` lives it tick by tick, `compiled` many of them
-at once; `sensors` reads it, `causes` names it. With no effects it is the baseline.
+`effects.Effects` lists the effects of a rig, `plant.Plant` is the rig with them. `numbers` converts a plant
+to plain numbers, `rates` is its right-hand side, `sensors` reads it. `simulator.Simulator` runs it tick by
+tick, `compiled` whole runs at once. Without effects the plant is the baseline. EVP is the inflation valve,
+DVP the valve that supplies the Venturi.
 """

@@ -1,7 +1,6 @@
-"""The air around: pressure and temperature over time.
+"""Ambient air: pressure and temperature over time.
 
-An ambient is a description; `at(t_s)` gives absolute pressure in kPa, temperature in K, and the pressure's
-rate.
+`at(t_s)` gives absolute pressure in kPa, temperature in K, and the rate of the pressure in kPa/s.
 """
 
 from __future__ import annotations
@@ -14,18 +13,18 @@ from flying_vines.physics.constants import STANDARD_PRESSURE_KPA, STANDARD_TEMPE
 
 
 class Air(NamedTuple):
-    """The air around over a short while, in which it changes by straight lines: at its start, and rates."""
+    """Ambient air during a short time with linear changes: absolute pressure, temperature ratio, rates."""
 
     kPa: float
     kPa_per_s: float
     ratio: float
-    """Temperature, to 293.15 K."""
+    """Temperature over 293.15 K, at the start."""
     ratio_per_s: float
 
 
 @dataclass(frozen=True)
 class Steady:
-    """The same all the time."""
+    """Constant ambient air."""
 
     pressure_kPa: float = STANDARD_PRESSURE_KPA
     temperature_K: float = STANDARD_TEMPERATURE_K
@@ -48,7 +47,7 @@ class Climb:
 
 @dataclass(frozen=True)
 class Recorded:
-    """Straight lines between (time, pressure, temperature); before and after, what is first and last."""
+    """Recorded ambient air, linear between samples; constant before the first and after the last."""
 
     time_s: tuple[float, ...]
     pressure_kPa: tuple[float, ...]
@@ -56,7 +55,7 @@ class Recorded:
 
     def __post_init__(self) -> None:
         if not len(self.time_s) == len(self.pressure_kPa) == len(self.temperature_K) > 0:
-            raise ValueError("as many pressures and temperatures as times, and at least one")
+            raise ValueError("times, pressures and temperatures must have the same length, at least 1")
         if any(later <= earlier for earlier, later in zip(self.time_s, self.time_s[1:], strict=False)):
             raise ValueError("times must rise")
 

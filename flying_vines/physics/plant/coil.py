@@ -1,9 +1,9 @@
-"""From a duty cycle to the coil's current: the driver's voltage drop, and copper that grows warm.
+"""From a duty cycle to the current of a coil: voltage drop of the driver, and warming of the copper.
 
     i = u (V_s − V_d) / (R (1 + a (T − 293.15 K)) + R_d)        share of full command = i / i_full
     C dT/dt = i² R(T) − (T − T_a) / R_th
 
-The valves are affine in current (the paper), the driver switches voltage.
+The opening of a valve is affine in current (the paper), but the driver switches voltage.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from math import exp
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 
 COPPER_PER_K = 0.0039
-"""Rise of copper's resistance."""
+"""Temperature coefficient of copper's resistance."""
 
 
 @dataclass(frozen=True)
 class Coil:
-    """A valve's coil on one channel of an L298N. The defaults just open a cold 5 V coil fully.
+    """A valve's coil on one channel of an L298N. With the defaults a cold 5 V coil just opens fully.
 
-    Drop: 1.0 V and 0.8 Ω, near 1.2 V at 0.3 A and 1.8 V at 1 A (data sheet, from memory). Coil of 1.9 W,
-    thermal numbers, smooth current under PWM: assumptions.
+    The drop, 1.0 V plus 0.8 Ω, is near 1.2 V at 0.3 A and 1.8 V at 1 A (data sheet, from memory).
+    Assumptions: the coil's 1.9 W, its thermal numbers, and a smooth current under PWM.
     """
 
     supply_V: float = 6.3
@@ -35,11 +35,11 @@ class Coil:
 
     def __post_init__(self) -> None:
         if not (self.supply_V > self.drop_V >= 0.0 and self.drop_ohm >= 0.0):
-            raise ValueError("a driver's supply is above its drop, which is not negative")
+            raise ValueError("a driver's supply must be above its drop, and drops must not be negative")
         if not (self.resistance_ohm > 0.0 and self.full_current_A > 0.0):
-            raise ValueError("a coil's resistance and full current are positive")
+            raise ValueError("a coil's resistance and full current must be positive")
         if not (self.thermal_resistance_K_per_W >= 0.0 and self.heat_capacity_J_per_K > 0.0):
-            raise ValueError("a coil's thermal resistance is not negative, its capacity positive")
+            raise ValueError("a coil's heat capacity must be positive, its thermal resistance not negative")
 
 
 def resistance_ohm(coil: Coil, temperature_K: float) -> float:
@@ -55,7 +55,7 @@ def current_A(coil: Coil, duty: float, temperature_K: float) -> float:
 def temperature_after_K(
     coil: Coil, temperature_K: float, current: float, ambient_K: float, dt_s: float
 ) -> float:
-    """The coil `dt_s` later, current held and resistance as at the start: exact for the linear rest."""
+    """The coil's temperature `dt_s` later, with constant current and resistance (exact for these)."""
     warmer_K = current * current * resistance_ohm(coil, temperature_K) * coil.thermal_resistance_K_per_W
     if coil.thermal_resistance_K_per_W == 0.0:
         return ambient_K

@@ -1,8 +1,8 @@
-"""The compiled plant: whole runs as one call, for fits, benchmarks and batches of rigs.
+"""The compiled plant: a whole run in one call, for fits, benchmarks and batches of rigs.
 
-`replay` runs a plant with openings that are given; the closed loop with the firmware's regulator is
-`flying_vines.simulation.phlosar.closed_loop.closed_loop`. Both give a `CompiledRun`. Needs numba: pip install
-'flying-vines[analysis]'.
+`replay` runs a plant with given openings. The closed loop with the firmware's regulator is
+`flying_vines.simulation.phlosar.closed_loop.closed_loop`. Both return a `CompiledRun`. Needs numba: pip
+install 'flying-vines[analysis]'.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ R = TypeVar("R")
 
 
 class CompiledRun(NamedTuple):
-    """What happened: `table["cv_kPa"]` and so on for each of `loops.COLUMNS`, and the state at the end."""
+    """A table with the columns `loops.COLUMNS`, such as `table["cv_kPa"]`, and the final state."""
 
     table: NDArray[np.void]
     state: State
@@ -47,24 +47,26 @@ def replay(
     tick_s: float = TICK_S,
     record_every: int = 1,
 ) -> CompiledRun:
-    """The plant from `state` (default: `at_rest`) with the valves told `openings`.
+    """Run the plant from `state` (default: `at_rest`) with the commands `openings`.
 
-    `openings` has a row for every tick of `tick_s`: EVP 0…1, DVP 0…1, solenoid 0 or 1. Sensors are perfect
-    unless given, and without noise unless there is a `seed`. `initial` as for the Simulator, whose numbers
-    these are. A row of the table tells of the start of every `record_every`-th tick.
+    `openings` has a row for every tick of `tick_s`: EVP 0…1, DVP 0…1, solenoid 0 or 1. Sensors are perfect by
+    default, and have no noise without a `seed`. `initial` and the results are as in the Simulator. The table
+    has a row for the start of every `record_every`-th tick.
     """
-    told = np.ascontiguousarray(openings, np.float64)
-    if told.ndim != 2 or told.shape[1] != 3:
-        raise ValueError(f"openings have 3 columns (EVP, DVP, solenoid) and a row a tick, not {told.shape}")
-    table = empty_table(len(told), record_every)
+    commands = np.ascontiguousarray(openings, np.float64)
+    if commands.ndim != 2 or commands.shape[1] != 3:
+        raise ValueError(
+            f"openings need 3 columns (EVP, DVP, solenoid) and a row a tick, not {commands.shape}"
+        )
+    table = empty_table(len(commands), record_every)
     final = compiled(run_openings, APART)(
         record(numbers_of(plant, tick_s)),
         record((cv_sensor or Sensor()).numbers),
         record((reservoir_sensor or Sensor()).numbers),
-        weather_of(plant, len(told), tick_s),
-        noise_of(seed, len(told)),
+        weather_of(plant, len(commands), tick_s),
+        noise_of(seed, len(commands)),
         (float(initial.evp), float(initial.dvp), float(initial.solenoid)),
-        told,
+        commands,
         floats_of(at_rest(plant) if state is None else state),
         record_every,
         table,
@@ -73,7 +75,7 @@ def replay(
 
 
 def batch(run: Callable[[T], R], items: Iterable[T], *, threads: int = 1) -> list[R]:
-    """`run` of each, on so many cores: compiled runs let other threads work meanwhile.
+    """`run` of each item, in several threads: compiled runs release the GIL.
 
     batch(lambda plant: replay(plant, openings), plants, threads=4)
     """
@@ -84,19 +86,19 @@ def batch(run: Callable[[T], R], items: Iterable[T], *, threads: int = 1) -> lis
 
 
 def empty_table(n_ticks: int, record_every: int) -> Table:
-    """A table for so many ticks."""
+    """An empty table for `n_ticks` ticks."""
     if record_every < 1:
-        raise ValueError(f"a row every {record_every} ticks cannot be: 1 or more")
+        raise ValueError(f"record_every must be at least 1, not {record_every}")
     return np.empty((-(-n_ticks // record_every), len(COLUMNS)))
 
 
 def named(table: Table) -> NDArray[np.void]:
-    """The same numbers by the columns' names."""
+    """The table with named columns."""
     return table.view([(name, np.float64) for name in COLUMNS])[:, 0]
 
 
 def weather_of(plant: Plant, n_ticks: int, tick_s: float) -> Table:
-    """The air around at the start of each tick and at the end of the last: kPa, temperature ratio."""
+    """Ambient air at the start of each tick and at the end of the last: kPa absolute, temperature ratio."""
     ambient = plant.ambient
     if isinstance(ambient, Steady):
         return np.array([[ambient.pressure_kPa, ambient.temperature_K / STANDARD_TEMPERATURE_K]])
@@ -104,7 +106,7 @@ def weather_of(plant: Plant, n_ticks: int, tick_s: float) -> Table:
 
 
 def weather_at(ambient: Ambient, times_s: NDArray[np.floating[Any]]) -> Table:
-    """The air around at rising times: kPa, temperature ratio."""
+    """Ambient air at rising times: kPa absolute, temperature ratio."""
     corners_s = ambient.time_s if isinstance(ambient, Recorded) else (times_s[0], times_s[-1])
     kPa, kelvin, _ = np.transpose([ambient.at(corner_s) for corner_s in corners_s])
     return np.column_stack(
@@ -123,5 +125,5 @@ def noise_of(seed: int | None, n_ticks: int) -> Table:
 
 
 def floats_of(state: State) -> tuple[float, ...]:
-    """A state as a compiled function takes it."""
+    """A state for a compiled function."""
     return tuple(map(float, state))

@@ -1,4 +1,4 @@
-"""Which effects a rig has. What is None is as in the baseline."""
+"""The effects of a rig. None means: as in the baseline."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from dataclasses import dataclass
 from flying_vines.physics.plant.ambient import Ambient
 from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.flow import FlowLaw, Iso6358
-from flying_vines.physics.plant.motion import SolenoidTiming, ValveMotion
-from flying_vines.physics.plant.shape import Shape
 from flying_vines.physics.plant.tubing import Tubing
+from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.venturi import Ejector
+from flying_vines.physics.plant.volume import Shape
 from flying_vines.physics.plant.wall import Wall
 
 
 @dataclass(frozen=True)
 class Effects:
-    """Each one may be left out.
+    """Effects of a rig; each one may be left out.
 
-    `*_law`: how a fully open valve flows (None: Ohm with the rig's resistance). `*_wall`: gas with a
-    temperature of its own (None: isothermal). `*_motion`, `*_coil`: how a valve follows its command.
-    `*_leak`: an opening to ambient that is always there. `ambient`: None is 101.325 kPa and 293.15 K.
+    `*_law`: flow of a fully open valve (None: Ohm's law with the rig's resistance). `*_wall`: heat between
+    wall and gas (None: isothermal gas). `*_motion`, `*_coil`: how a valve follows its command. `*_leak`: a
+    permanent opening to ambient. `ambient`: None is 101.325 kPa absolute and 293.15 K.
     """
 
     evp_law: FlowLaw | None = None

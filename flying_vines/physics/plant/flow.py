@@ -1,6 +1,6 @@
-"""What flows through an opening: Ohm's law, or ISO 6358.
+"""Flow through an opening: Ohm's law, or ISO 6358.
 
-A law is a description; `numbers()` are what `flow_SL_per_s` calculates with, the same for every law.
+`numbers()` converts each law to the same plain numbers, with which `flow_SL_per_s` computes.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import NamedTuple
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 
 _ANR_SL = STANDARD_PRESSURE_KPA / 100.0
-"""ISO 6358 counts at 100 kPa and 20 °C what we count at 101.325 kPa and 20 °C."""
+"""ISO 6358 counts volumes at 100 kPa and 20 °C, this project at 101.325 kPa and 20 °C."""
 
 
 class Opening(NamedTuple):
-    """The numbers of a law, and those of an opening that is not there."""
+    """The numbers of a law. The defaults are no opening."""
 
     ohmic: bool = True
     conductance_SL_per_s_kPa: float = 0.0
@@ -28,13 +28,13 @@ class Opening(NamedTuple):
     temperature_dependent: bool = False
     one_way: bool = False
     laminar_share: float = 0.0
-    """φ at the laminar ratio, where nothing has to crack."""
+    """φ at the laminar ratio, without a cracking pressure."""
     steepest_SL_per_s_kPa: float = 0.0
-    """The most that the flow changes per kPa."""
+    """Maximum change of the flow per kPa."""
 
 
 def flow_SL_per_s(law: Opening, p1: float, p2: float, theta1: float, theta2: float) -> float:
-    """From 1 to 2 (negative: from 2 to 1); absolute pressures in kPa, temperatures as ratios to 293.15 K."""
+    """Flow from 1 to 2; absolute pressures in kPa, temperatures as ratios to 293.15 K."""
     if law.ohmic:
         return (p1 - p2) * law.conductance_SL_per_s_kPa
     if p1 >= p2:
@@ -50,7 +50,7 @@ def _directed(law: Opening, upstream: float, downstream: float, theta: float) ->
 
 
 def choked_share(law: Opening, upstream: float, downstream: float) -> float:
-    """φ of ISO 6358, for flow in this direction."""
+    """φ of ISO 6358."""
     if upstream <= downstream:
         return 0.0
     b = law.critical_pressure_ratio
@@ -60,7 +60,7 @@ def choked_share(law: Opening, upstream: float, downstream: float) -> float:
         return 0.0
     laminar = law.laminar_ratio * closing
     if laminar <= b:
-        # Too little pressure to choke before it cracks: what is left of the law is its last, straight piece.
+        # Near the cracking pressure the flow never chokes: only the last, linear part of the law is left.
         return min(1.0, (closing - r) / (closing - laminar)) if closing > laminar else 1.0
     if r <= b:
         return 1.0
@@ -78,7 +78,7 @@ class Ohm:
 
     def __post_init__(self) -> None:
         if not self.flow_resistance_kPa_s_per_SL > 0.0:
-            raise ValueError("a flow resistance is positive")
+            raise ValueError("a flow resistance must be positive")
 
     def numbers(self) -> Opening:
         per_kPa = 1.0 / self.flow_resistance_kPa_s_per_SL
@@ -91,10 +91,10 @@ class Iso6358:
 
         φ = 1                                    r ≤ b
         φ = [1 − ((r − b)/(r_c − b))²]^m          b < r < r_c
-        φ = φ(r_l) (r_c − r)/(r_c − r_l)          r_l = laminar_ratio · r_c < r: a straight end
+        φ = φ(r_l) (r_c − r)/(r_c − r_l)          r_l = laminar_ratio · r_c < r: a linear end
         φ = 0                                    r ≥ r_c
 
-    ISO 6358-1:2013 as in MathWorks' "Orifice ISO 6358 (G)" and MapleSim's "Air Orifice ISO6358"; the place of
+    ISO 6358-1:2013 as in MathWorks' "Orifice ISO 6358 (G)" and MapleSim's "Air Orifice ISO6358"; the role of
     the cracking pressure Δp_c is from memory of the standard. `temperature_dependent=False` leaves out √θ₁.
     """
 
@@ -108,11 +108,11 @@ class Iso6358:
 
     def __post_init__(self) -> None:
         if not self.sonic_conductance_SL_per_s_kPa > 0.0:
-            raise ValueError("a sonic conductance is positive")
+            raise ValueError("a sonic conductance must be positive")
         if not 0.0 <= self.critical_pressure_ratio < self.laminar_ratio <= 1.0:
-            raise ValueError("a critical pressure ratio lies in 0…1, below the laminar ratio")
+            raise ValueError("a critical pressure ratio must be in 0…1 and below the laminar ratio")
         if not self.subsonic_index > 0.0 or not self.cracking_kPa >= 0.0:
-            raise ValueError("a subsonic index is positive, a cracking pressure not negative")
+            raise ValueError("a subsonic index must be positive, a cracking pressure not negative")
 
     def numbers(self) -> Opening:
         b = self.critical_pressure_ratio
@@ -120,7 +120,7 @@ class Iso6358:
         def share(r: float) -> float:
             return float(max(0.0, 1.0 - ((r - b) / (1.0 - b)) ** 2) ** self.subsonic_index)
 
-        # Steepest in the laminar piece, at standard temperature.
+        # The flow is steepest in the laminar part, at standard temperature.
         laminar = min(self.laminar_ratio, 0.999)
         return Opening(
             False,
@@ -140,12 +140,12 @@ FlowLaw = Ohm | Iso6358
 
 
 def conductance_from_rating_SL_per_s_kPa(flow_SLPM: float, supply_kPa: float) -> float:
-    """C = Q / (60 p₁): from a maker's choked flow into the open at a gauge supply pressure."""
+    """C = Q / (60 p₁), from a manufacturer's choked flow to atmosphere at a gauge supply pressure."""
     return flow_SLPM / 60.0 / (supply_kPa + STANDARD_PRESSURE_KPA)
 
 
 def conductance_dm3_per_s_bar(sonic_conductance_SL_per_s_kPa: float) -> float:
-    """The same C in ISO 6358's dm³/(s·bar), which counts at 100 kPa: 1 SL/(s·kPa) = 101.325 dm³/(s·bar)."""
+    """C in the unit of ISO 6358, dm³/(s·bar) at 100 kPa: 1 SL/(s·kPa) = 101.325 dm³/(s·bar)."""
     return sonic_conductance_SL_per_s_kPa * 100.0 * _ANR_SL
 
 
@@ -159,7 +159,7 @@ def iso6358_matching(
     temperature_dependent: bool = True,
     one_way: bool = False,
 ) -> Iso6358:
-    """The ISO 6358 valve that passes from `at_kPa` (gauge) into the open what Ohm's law gives there."""
+    """The ISO 6358 valve with the flow of Ohm's law from `at_kPa` (gauge) to atmosphere."""
     shape = Iso6358(
         1.0,
         critical_pressure_ratio,

@@ -1,8 +1,7 @@
-"""The gas: what is known of air in a bottle without solving anything.
+"""Ideal-gas laws in closed form.
 
-Air is counted in standard litres (101.325 kPa, 293.15 K), so that a volume V with n SL at a temperature ratio
-θ = T / 293.15 K has the absolute pressure α n θ / V. A kPa·L is a joule, and p V / (γ − 1) is internal
-energy.
+Air is counted in standard litres (101.325 kPa, 293.15 K): a volume V with n SL at the temperature ratio
+θ = T / 293.15 K has the absolute pressure α n θ / V. A kPa·L is a joule; p V / (γ − 1) is internal energy.
 """
 
 from __future__ import annotations
@@ -18,17 +17,17 @@ def air_SL(pressure_kPa_abs: float, volume_L: float, temperature_K: float = STAN
 
 
 def choked_time_constant_s(volume_L: float, sonic_conductance_SL_per_s_kPa: float) -> float:
-    """τ = V / (α C), s: how quickly a volume empties through a choked valve, at standard temperature."""
+    """τ = V / (α C), s: time constant of a discharge through a choked valve, at standard temperature."""
     return volume_L / (ALPHA_KPA * sonic_conductance_SL_per_s_kPa)
 
 
 def isothermal_choked_discharge_kPa_abs(start_kPa_abs: float, t_s: float, time_constant_s: float) -> float:
-    """p = p₀ exp(−t/τ): absolute pressure while the flow is choked and the gas stays at its temperature."""
+    """p = p₀ exp(−t/τ): absolute pressure with choked flow and isothermal gas."""
     return start_kPa_abs * math.exp(-t_s / time_constant_s)
 
 
 def adiabatic_choked_discharge_kPa_abs(start_kPa_abs: float, t_s: float, time_constant_s: float) -> float:
-    """p = p₀ [1 + (γ−1)/2 · t/τ]^(−2γ/(γ−1)): the same without heat, the flow going with 1/√T.
+    """p = p₀ [1 + (γ−1)/2 · t/τ]^(−2γ/(γ−1)): absolute pressure with choked flow ∝ 1/√T and adiabatic gas.
 
     Textbook vessel blow-down, e.g. aefarrell.github.io/2025/01/24/vessel_blowdown_ideal_gases.
     """
@@ -39,5 +38,5 @@ def adiabatic_choked_discharge_kPa_abs(start_kPa_abs: float, t_s: float, time_co
 def polytropic_temperature_K(
     start_K: float, start_kPa_abs: float, kPa_abs: float, exponent: float = GAMMA
 ) -> float:
-    """T = T₀ (p/p₀)^((n−1)/n): gas that stays behind while a bottle empties; n = γ without heat."""
+    """T = T₀ (p/p₀)^((n−1)/n): temperature of the gas in a vessel that empties; n = γ if adiabatic."""
     return start_K * float((kPa_abs / start_kPa_abs) ** ((exponent - 1.0) / exponent))

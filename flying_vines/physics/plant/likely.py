@@ -1,25 +1,25 @@
-"""A phloSAR as it probably is: every effect on, with numbers of real parts where there are some."""
+"""A probable phloSAR: every effect is on, with numbers of real parts if they are known."""
 
 from __future__ import annotations
 
 from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm, conductance_from_rating_SL_per_s_kPa
-from flying_vines.physics.plant.motion import CLIPPARD_DVP, CLIPPARD_EVP, HUAMEI_12V
-from flying_vines.physics.plant.shape import Pouch
 from flying_vines.physics.plant.tubing import Tubing
+from flying_vines.physics.plant.valve_response import CLIPPARD_DVP, CLIPPARD_EVP, HUAMEI_12V
 from flying_vines.physics.plant.venturi import COVAL_VR09
+from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.plant.wall import PET_BOTTLE_2L, Wall
 
 EVP = Iso6358(conductance_from_rating_SL_per_s_kPa(23.5, 690.0))
-"""C from the rating; b = 0.3 as valves with fittings have it: assumption."""
+"""C from the rating; b = 0.3, usual for valves with fittings, is an assumption."""
 DVP = Iso6358(conductance_from_rating_SL_per_s_kPa(67.0, 690.0))
 SOLENOID = Iso6358(3.65e-3)
-"""C = 0.37 dm³/(s·bar), within what small solenoids have: 70 kPa·s/SL from 20 kPa. Assumption."""
+"""C = 0.37 dm³/(s·bar), usual for small solenoids: 70 kPa·s/SL from 20 kPa. Assumption."""
 
 
 def likely_effects(*, pouch: bool = True) -> Effects:
-    """All of them. A pouch fits a control volume above its flat 0.01 L; leaks let 5 % go in two minutes."""
+    """All effects. A pouch needs a control volume above its flat 0.01 L. Leaks lose 5 % in two minutes."""
     return Effects(
         evp_law=EVP,
         dvp_law=DVP,

@@ -1,6 +1,6 @@
-"""Many ticks at once, written down in a table: what `compiled` runs, and Python runs as well, slowly.
+"""Runs many ticks and fills a table. `compiled` compiles these functions; plain Python runs them slowly.
 
-One run is: read both sensors, decide what the valves are told, write a row, live for a tick.
+Each tick: read both sensors, get the valve commands, write a row, advance the plant.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from flying_vines.physics.plant.tick import memory_at_rest, runge_kutta, tick
 Table = NDArray[np.float64]
 
 APART = (rates, conditions, runge_kutta, tick)
-"""Called from several places: what the compiler is to keep in one."""
+"""Not inlined by the compiler, because they are called from several places."""
 
 COLUMNS = (
     "time_s",
@@ -35,8 +35,7 @@ COLUMNS = (
     "evp_opening",
     "dvp_opening",
 )
-"""Of a row, which tells of the start of a tick: when; where to and what is held (NaN: nothing); what the
-sensors read; what the valves are told then; what is true."""
+"""Values at the start of a tick: time, target and setpoint (NaN: none), readings, commands, true values."""
 
 
 def run_openings(
@@ -46,16 +45,16 @@ def run_openings(
     weather: Table,
     noise: Table,
     start: tuple[float, float, float],
-    told: Table,
+    commands: Table,
     state: Floats,
     every: int,
     table: Table,
 ) -> Floats:
-    """The state after as many ticks as there are rows in `told` (EVP, DVP, solenoid), from rest.
+    """The state after one tick for each row of `commands` (EVP, DVP, solenoid), from rest.
 
-    `start` is what the delays still hold of before. Every so many ticks a row of `table` is filled.
-    `weather` (kPa, temperature ratio) has a row for the start of each tick and one for the end, `noise` (CV,
-    reservoir) one for each tick; what stays as it is has one row in all.
+    `start` are the commands before the run, which the delays still contain. A row of `table` is filled every
+    `every` ticks. `weather` (kPa absolute, temperature ratio) has a row for the start of each tick and one
+    for the end, `noise` (CV, reservoir) one for each tick; if they are constant, they have a single row.
     """
     s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state
     now: Floats = (s0, s1, s2, s3, s4, s5, s6, s7, s8, s9)
@@ -65,21 +64,21 @@ def run_openings(
     cv_seen, reservoir_seen = rested(found.line_kPa), rested(found.reservoir_kPa)
     evp_delay, dvp_delay = numbers.evp.delay_ticks, numbers.dvp.delay_ticks
     due = row = 0
-    for index in range(len(told)):
+    for index in range(len(commands)):
         found = conditions(numbers, air, now)
         cv_seen, cv_kPa, reservoir_seen, reservoir_kPa = read_both(
             cv_sensor, reservoir_sensor, cv_seen, reservoir_seen, found, numbers.tick_s, noise, index
         )
-        solenoid = told[index, 2] > 0.5
+        solenoid = commands[index, 2] > 0.5
         if index == due:
             write(
                 table, row, index * numbers.tick_s, np.nan, np.nan, cv_kPa, reservoir_kPa,
-                told[index, 0], told[index, 1], solenoid, found, now,
+                commands[index, 0], commands[index, 1], solenoid, found, now,
             )  # fmt: skip
             due += every
             row += 1
-        evp = told[index - evp_delay, 0] if index >= evp_delay else start[0]
-        dvp = told[index - dvp_delay, 1] if index >= dvp_delay else start[1]
+        evp = commands[index - evp_delay, 0] if index >= evp_delay else start[0]
+        dvp = commands[index - dvp_delay, 1] if index >= dvp_delay else start[1]
         later = weather_at(weather, index + 1)
         memory, now = tick(numbers, air_between(air, later, numbers.tick_s), memory, now, evp, dvp, solenoid)
         air = later
@@ -102,7 +101,7 @@ def read_both(
     noise: Table,
     index: int,
 ) -> tuple[SensorMemory, float, SensorMemory, float]:
-    """What both sensors remember and read. That of the control volume sits at the valves."""
+    """Memory and reading of both sensors. The sensor of the control volume is at the valves."""
     row = min(index, len(noise) - 1)
     cv_seen, cv_kPa = reading(cv_sensor, cv_seen, true.line_kPa, dt_s, noise[row, 0])
     reservoir_seen, reservoir_kPa = reading(

@@ -1,8 +1,7 @@
-"""A plant as nothing but numbers: what the right-hand side calculates with.
+"""A plant as plain numbers, for the right-hand side.
 
-A description says what there is and refuses what cannot be; here every effect has its numbers, and one that
-is left out has those that change nothing. So the functions of `rates` and `tick` are the same for every
-plant, and a compiler for numbers takes them as they are.
+An effect that is left out has numbers without effect. So the functions of `rates` and `tick` are the same for
+every plant, and numba can compile them.
 """
 
 from __future__ import annotations
@@ -12,33 +11,33 @@ from typing import NamedTuple
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA
 from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, Opening
-from flying_vines.physics.plant.motion import ValveMotion, ticks
 from flying_vines.physics.plant.plant import Plant
-from flying_vines.physics.plant.shape import Chamber
+from flying_vines.physics.plant.valve_response import ValveMotion, ticks
 from flying_vines.physics.plant.venturi import Ejector, Suction
+from flying_vines.physics.plant.volume import Chamber
 from flying_vines.physics.plant.wall import Heat
 
 
 class ValveNumbers(NamedTuple):
-    """A proportional valve: how it flows when it is fully open, and how it follows its command."""
+    """A proportional valve: its flow when fully open, and its motion."""
 
     law: Opening
     motion: ValveMotion
     delay_ticks: int
     lag_per_s: float
-    """1/τ; 0: it is where it is driven to."""
+    """1/τ; 0 without a lag."""
     has_coil: bool
     coil: Coil
     stuck_opening: float = -1.0
-    """0…1: it goes there, and stays, whatever it is told. Below 0: it does as it is told."""
+    """0…1: the valve moves to this opening and stays, whatever its command is. Below 0: not stuck."""
 
 
 class PlantNumbers(NamedTuple):
     """A plant, for ticks of `tick_s`."""
 
     tick_s: float
-    least_steps: int
-    """Of a tick, however slow everything is."""
+    min_steps: int
+    """Minimum integration steps in a tick."""
     reservoir_per_L: float
     reservoir_heat: Heat
     reservoir_leak: Opening
@@ -56,11 +55,11 @@ class PlantNumbers(NamedTuple):
     line_kPa_per_SL: float
     line_SL_per_s_kPa: float
     line_hole: Opening
-    """From the tubing's near end to ambient."""
+    """A leak from the valve end of the tubing to ambient."""
     has_edges: bool
-    """Whether the right-hand side has kinks or jumps that a step must not pass."""
+    """True if the right-hand side has kinks or jumps, at which a step must end."""
     standing_per_s: float
-    """A bound on the quickest rate of what does not depend on where the valves and the volume are."""
+    """Upper bound of the rate constants that do not depend on valve openings and volume."""
 
 
 def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
@@ -92,7 +91,7 @@ def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
     )
     return PlantNumbers(
         tick_s=tick_s,
-        least_steps=1,
+        min_steps=1,
         reservoir_per_L=1.0 / rig.reservoir.volume_L,
         reservoir_heat=reservoir_heat,
         reservoir_leak=reservoir_leak,
@@ -134,5 +133,5 @@ def _valve(
 
 
 def heat_per_s(heat: Heat, volume_L: float) -> float:
-    """How quickly gas at half an atmosphere, and the wall, take the other's temperature."""
+    """Rate constant of the heat exchange between wall and gas at half an atmosphere."""
     return heat.per_air / ALPHA_KPA + heat.fixed / (0.5 * ALPHA_KPA * volume_L) + heat.wall_per_s

@@ -1,4 +1,4 @@
-"""A plant: a rig with effects, and the state that it is in."""
+"""A plant: a rig with effects, and its state."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from flying_vines.physics.constants import GAMMA
 from flying_vines.physics.plant.ambient import Ambient, Steady
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.gas import air_SL
-from flying_vines.physics.plant.shape import Compliant, Shape, volume_and_work
+from flying_vines.physics.plant.volume import Compliant, Shape, volume_and_work
 from flying_vines.physics.rig import Rig
 
 
 @dataclass(frozen=True)
 class Plant:
-    """What there is. Without effects it is the baseline."""
+    """A rig with effects. Without effects it is the baseline."""
 
     rig: Rig = field(default_factory=Rig)
     effects: Effects = field(default_factory=Effects)
@@ -30,23 +30,23 @@ class Plant:
 
     @property
     def shape(self) -> Shape:
-        """The control volume's: rigid unless an effect says otherwise, or there is none."""
+        """Shape of the control volume; rigid by default."""
         shape = self.effects.cv_shape
         return Compliant() if shape is None or self.rig.cv is None else shape
 
     @property
     def cv_volume_L(self) -> float:
-        """Believed, at ambient pressure; of one litre where there is none, which then nothing flows into."""
+        """Nominal volume at ambient pressure. Without a control volume 1 L, into which nothing flows."""
         return 1.0 if self.rig.cv is None else self.rig.cv.volume_L
 
 
 class State(NamedTuple):
-    """What is integrated. `reservoir_pV_J` is absolute pressure times volume, internal energy times (γ − 1);
-    `cv_energy_J` is that and (γ − 1) times the work done on wall and ambient (see `shape`).
+    """The integrated state.
 
-    Where an effect is left out its numbers stand still and mean nothing: pV of isothermal gas, a wall at
-    ambient temperature, the line without tubing, an opening without lag. `vented_SL` is air that has left to
-    ambient (less what came in).
+    `reservoir_pV_J` is absolute pressure times volume, which is (γ − 1) times the internal energy.
+    `cv_energy_J` is pV plus (γ − 1) times the work done on wall and ambient (see `shape`). Numbers of absent
+    effects are constant and have no meaning: pV of isothermal gas, a wall at ambient temperature, the line
+    without tubing, an opening without lag. `vented_SL` is the net air that has left to ambient.
     """
 
     reservoir_air_SL: float
@@ -62,7 +62,7 @@ class State(NamedTuple):
 
 
 class Held(NamedTuple):
-    """What holds during one tick: where the valves are driven to, and how the Venturi stands."""
+    """Constant during one tick: the targets of the valves, and the state of the Venturi."""
 
     evp_target: float
     dvp_target: float
@@ -71,7 +71,7 @@ class Held(NamedTuple):
 
 
 class Conditions(NamedTuple):
-    """What is true at an instant. Pressures in kPa gauge, temperatures in K, volume in L."""
+    """True values at an instant: kPa gauge (ambient: absolute), K, L."""
 
     reservoir_kPa: float
     cv_kPa: float
@@ -91,9 +91,9 @@ def at_rest(
     t_s: float = 0.0,
     pouch_volume_L: float | None = None,
 ) -> State:
-    """Everything shut and at ambient temperature, gauge pressures as given.
+    """The state with all valves shut, at ambient temperature, with these gauge pressures.
 
-    A pouch at 0 kPa holds `pouch_volume_L`: flat if not given.
+    `pouch_volume_L` is the volume of the actuator's bending pouch at 0 kPa; default: flat.
     """
     effects = plant.effects
     ambient_kPa, ambient_K, _ = plant.ambient.at(t_s)

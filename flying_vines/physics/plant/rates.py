@@ -1,4 +1,4 @@
-"""The right-hand side: what flows where, and how the state changes.
+"""The right-hand side: all flows, and the change of the state.
 
     dn/dt     = ΣQ                                          air of each volume, SL
     dE/dt     = γ α Σθ Q + q + (γ−1) (V − V_min) dp_a/dt    where gas has a temperature of its own, kPa·L/s
@@ -6,11 +6,11 @@
     C_w dT_w/dt = −q/(γ−1) + h_o A_o (T_a − T_w)
     dx/dt     = (target − x) / τ                            valves with lag
 
-Every flow carries the temperature of where it comes from; throttling changes none (ideal gas). E is p V, in
-the control volume with (γ−1) times the work done on wall and ambient (see `shape`): the first law, in which
-that work then appears only where ambient pressure changes.
+Every flow has the temperature of its source; throttling does not change it (ideal gas). In the reservoir
+E = p V. In the control volume E = p V + (γ−1) · (work on wall and ambient), see `shape`. So only a change of
+ambient pressure adds a work term.
 
-Plain functions over tuples of numbers: Python runs them as they stand, and `compiled` compiles them.
+These are plain functions over tuples of numbers, so that `compiled` can compile them.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.flow import flow_SL_per_s
 from flying_vines.physics.plant.numbers import PlantNumbers
 from flying_vines.physics.plant.plant import Conditions, Held
-from flying_vines.physics.plant.shape import pressure_and_volume
 from flying_vines.physics.plant.venturi import outlet_SL_per_s, supply
+from flying_vines.physics.plant.volume import pressure_and_volume
 from flying_vines.physics.plant.wall import heat_kPa_L_per_s, wall_K_per_s
 
 Floats = tuple[float, ...]
-"""A state's numbers, without their names."""
+"""The numbers of a state, without names."""
 _G1 = GAMMA - 1.0
 _GAMMA_ALPHA = GAMMA * ALPHA_KPA
 
 
 class Flows(NamedTuple):
-    """Standard litres per second, and heat into the gas in W.
+    """Flows in standard litres per second, and heat into the gas in W.
 
-    Each flow's `…_ratio` is the temperature ratio (to 293.15 K) of what flows.
+    Each `…_ratio` is the temperature of the flowing gas over 293.15 K.
     """
 
     inflation_SL_per_s: float
@@ -55,13 +55,13 @@ class Flows(NamedTuple):
 
 
 def flows(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held) -> Flows:
-    """What flows where, `at_s` after the start of what `air` tells."""
+    """All flows at time `at_s` after the start of `air`."""
     found = _balance(numbers, air, at_s, state, held)
     return Flows._make((*found[:12], found[12] / _G1, found[13] / _G1))
 
 
 def rates(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held) -> Floats:
-    """The state's change per second, `at_s` after the start of what `air` tells."""
+    """Derivative of the state at time `at_s` after the start of `air`."""
     (
         evp, evp_ratio, motive, motive_ratio, outlet, outlet_ratio,
         leak_r, leak_r_ratio, leak_c, leak_c_ratio, onward, onward_ratio,
@@ -109,8 +109,8 @@ def _balance(
     float, float, float, float, float, float, float, float, float,
     float, float, float, float, float, float, float, float,
 ]:  # fmt: skip
-    """All flows with their temperatures, the heats, what the line loses, ambient temperature, and the
-    control volume."""
+    """The first 12 numbers of `Flows`, two heats in kPa·L/s, the leak of the line, the ambient temperature
+    ratio, and the control volume in L."""
     n_r, e_r, wall_r, n_c, e_c, wall_c, n_l, x_e, x_d, _ = state
     if numbers.evp.lag_per_s == 0.0:
         x_e = held.evp_target
@@ -155,7 +155,7 @@ def _balance(
             near, ratio_near = p_c, ratio_c
         if x_e > 0.0:
             evp = x_e * flow_SL_per_s(numbers.evp.law, p_r, near, ratio_r, ratio_near)
-        # As the baseline: a running Venturi lets nothing back in, a Venturi at rest is an open pipe.
+        # As in the baseline: no backflow while the Venturi runs, free flow both ways while it is off.
         if held.solenoid_open and (near > ambient - vacuum or held.dvp_target <= 0.0):
             outlet = outlet_SL_per_s(
                 numbers.venturi, numbers.solenoid, near, ratio_near, ambient, ratio_a, vacuum, motive
@@ -173,7 +173,7 @@ def _balance(
 
 
 def conditions(numbers: PlantNumbers, air: Air, state: Floats) -> Conditions:
-    """What is true of a state, at the start of what `air` tells."""
+    """Pressures, temperatures and volume of a state, at the start of `air`."""
     n_r, e_r, _, n_c, e_c, _, n_l, _, _, _ = state
     ambient, ambient_K = air.kPa, air.ratio * STANDARD_TEMPERATURE_K
     if not numbers.reservoir_heat.own_temperature:
@@ -199,8 +199,7 @@ def conditions(numbers: PlantNumbers, air: Air, state: Floats) -> Conditions:
 
 
 def edges(numbers: PlantNumbers, air: Air, at_s: float, state: Floats) -> tuple[float, float, float]:
-    """Each changes its sign where the right-hand side has a jump or kink: the Venturi stalls; the control
-    volume becomes flat, full."""
+    """Three functions that change sign at a jump or kink: Venturi stall, control volume flat, and full."""
     ambient = air.kPa + air.kPa_per_s * at_s
     ratio = air.ratio + air.ratio_per_s * at_s
     stall = 1.0
@@ -212,7 +211,7 @@ def edges(numbers: PlantNumbers, air: Air, at_s: float, state: Floats) -> tuple[
 
 
 def quickest_per_s(numbers: PlantNumbers, air: Air, state: Floats, held: Held) -> float:
-    """A bound on the quickest rate of a tick that begins here: what an explicit integrator has to resolve."""
+    """Upper bound of the fastest rate constant (1/s) in a tick from here; it sets the step size."""
     if not numbers.has_cv:
         return numbers.standing_per_s
     through = max(state[7], held.evp_target) * numbers.evp.law.steepest_SL_per_s_kPa

@@ -1,9 +1,6 @@
-"""What is read of a true pressure: lag, offset, gain, noise, range, converter, in this order.
+"""Reading of a true pressure: lag, offset, gain, noise, range, converter (ADC), in this order.
 
-    dx/dt = (P − x) / τ        reading = gain · (x + offset) + noise, clipped to the range, in the converter's
-    steps
-
-A pure function of the true pressure, the noise, and one remembered pair; the plant knows nothing of it.
+dx/dt = (P − x) / τ        reading = gain · (x + offset) + noise, clipped to the range, in ADC steps
 """
 
 from __future__ import annotations
@@ -16,10 +13,10 @@ from typing import NamedTuple
 
 @dataclass(frozen=True)
 class Adc:
-    """A converter behind a ratiometric sensor: 10 … 90 % of its supply over the span, from 0 kPa on.
+    """A converter behind a ratiometric sensor, whose output is 10 … 90 % of its supply over the span.
 
-    code = round(V · divider / reference · 2^bits), at most 2^bits − 1; without a divider the Teensy LC's 3.3
-    V end below the sensor's 4.5 V: 145 kPa of 206.8, 1050 of 1500.
+    code = round(V · divider / reference · 2^bits), at most 2^bits − 1. Without a divider the range of the
+    Teensy LC (3.3 V) ends below that of the sensor (4.5 V): 145 of 206.8 kPa, 1050 of 1500 kPa.
     """
 
     bits: int = 10
@@ -30,18 +27,18 @@ class Adc:
 
     def __post_init__(self) -> None:
         if not (1 <= self.bits <= 24 and self.reference_V > 0.0 and self.divider > 0.0 and self.span_V > 0.0):
-            raise ValueError("a converter has 1 to 24 bits, a reference, a divider and a span above nothing")
+            raise ValueError("a converter needs 1 to 24 bits, and reference, divider and span above 0")
 
     def step_kPa(self, span_kPa: float) -> float:
         """Pressure per code."""
         return self.reference_V / self.divider / self.span_V * span_kPa / float(1 << self.bits)
 
     def code(self, pressure_kPa: float, span_kPa: float) -> int:
-        """What the converter says."""
+        """The code for a pressure."""
         return _code(self, pressure_kPa, span_kPa)
 
     def pressure_kPa(self, code: int, span_kPa: float) -> float:
-        """What the firmware makes of a code."""
+        """The pressure that the firmware computes from a code."""
         return _pressure_kPa(self, code, span_kPa)
 
 
@@ -72,10 +69,10 @@ class Transfer(NamedTuple):
 
 @dataclass(frozen=True)
 class Sensor:
-    """A gauge pressure sensor; as it stands it is perfect.
+    """A gauge pressure sensor. With the defaults it is perfect.
 
-    `span_kPa` is 10 … 90 % of its output; it follows the pressure over `lowest_share` … `highest_share` of
-    that.
+    `span_kPa` is the pressure range of 10 … 90 % output. `lowest_share` and `highest_share` of it are the
+    limits of the readings.
     """
 
     span_kPa: float = 206.84
@@ -89,7 +86,7 @@ class Sensor:
 
     def __post_init__(self) -> None:
         if not (self.span_kPa > 0.0 and self.noise_std_kPa >= 0.0 and self.time_constant_s >= 0.0):
-            raise ValueError("a sensor's span is positive, its noise and lag are not negative")
+            raise ValueError("a sensor's span must be positive, its noise and lag not negative")
 
     @cached_property
     def numbers(self) -> Transfer:
@@ -109,31 +106,31 @@ class Sensor:
 HONEYWELL_30PSI = Sensor(
     206.84, noise_std_kPa=0.15, time_constant_s=0.001, lowest_share=-0.09375, highest_share=1.09375
 )
-"""ABPDANN030PGAA5. Lag as its update time, ends at 2.5 and 97.5 % of the supply: assumptions."""
+"""ABPDANN030PGAA5. Assumptions: lag = update time; output limits at 2.5 and 97.5 % of the supply."""
 HONEYWELL_15BAR = Sensor(
     1500.0, noise_std_kPa=1.2, time_constant_s=0.001, lowest_share=-0.09375, highest_share=1.09375
 )
-"""ABPDANN015BGAA5, likewise."""
+"""ABPDANN015BGAA5, with the same assumptions."""
 
 
 class SensorMemory(NamedTuple):
-    """What a sensor remembers: the true pressure at the last reading, and where its lag is. kPa."""
+    """State of a sensor: true and lagged pressure at the last reading, kPa."""
 
     true_kPa: float
     lagged_kPa: float
 
 
 def rested(true_kPa: float) -> SensorMemory:
-    """A sensor that has seen this pressure for long."""
+    """A settled sensor at this pressure."""
     return SensorMemory(true_kPa, true_kPa)
 
 
 def read(
     sensor: Sensor, seen: SensorMemory, true_kPa: float, dt_s: float, standard_normal: float = 0.0
 ) -> tuple[SensorMemory, float]:
-    """The reading `dt_s` after the last one, and what to remember; the noise is given, for repeatability.
+    """The new state, and the reading `dt_s` after the last one, with this noise.
 
-    The lag is exact for a pressure that went straight from the last reading's to this one's.
+    The lag is exact for a pressure that is linear between the two readings.
     """
     return reading(sensor.numbers, seen, true_kPa, dt_s, standard_normal)
 
@@ -141,7 +138,7 @@ def read(
 def reading(
     sensor: Transfer, seen: SensorMemory, true_kPa: float, dt_s: float, standard_normal: float
 ) -> tuple[SensorMemory, float]:
-    """`read`, of a sensor's numbers."""
+    """`read` for the numbers of a sensor."""
     lagged_kPa = true_kPa
     tau_s = sensor.time_constant_s
     if tau_s > 0.0:

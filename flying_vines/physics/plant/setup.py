@@ -1,4 +1,4 @@
-"""A plant and its two sensors: what a rig file describes, and what an effect changes."""
+"""A plant and its two sensors. A rig file describes a setup, an effect changes it."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from flying_vines.physics.rig import Rig
 
 @dataclass(frozen=True)
 class Setup:
-    """A plant and what reads it."""
+    """A plant and its sensors."""
 
     plant: Plant
     cv_sensor: Sensor
     reservoir_sensor: Sensor
 
     def with_rig(self, **tables: Any) -> Setup:
-        """The same with other tables of the rig, as `cv`."""
+        """This setup with other tables of the rig, such as `cv`."""
         return replace(self, plant=replace(self.plant, rig=replace(self.plant.rig, **tables)))
 
     def with_effects(self, **parts: Any) -> Setup:
-        """The same with these fields of `Effects`.
+        """This setup with these fields of `Effects`.
 
-        A part that is there already keeps what the new one leaves at its defaults, if it has the same
-        parameters.
+        An existing effect keeps parameters that the new one leaves at their defaults, if it has the new one's
+        other parameters.
         """
         there = self.plant.effects
         merged = {name: _merged(getattr(there, name), part) for name, part in parts.items()}
@@ -35,7 +35,7 @@ class Setup:
 
 
 def perfect(rig: Rig, effects: Effects | None = None) -> Setup:
-    """The rig with these effects (none if not given); its sensors have the rig's noise."""
+    """The rig with these effects (default: none) and perfect sensors with the rig's noise."""
     return Setup(
         Plant(rig, effects or Effects()),
         Sensor(206.84, noise_std_kPa=rig.sensors.cv_noise_std_kPa),
@@ -44,10 +44,10 @@ def perfect(rig: Rig, effects: Effects | None = None) -> Setup:
 
 
 def changed(part: Any) -> dict[str, Any]:
-    """What of a description is not as its defaults have it."""
+    """Fields of a description that differ from their defaults."""
     return {f.name: v for f in fields(part) if (v := getattr(part, f.name)) != f.default}
 
 
 def _merged(old: Any, new: Any) -> Any:
-    says = changed(new)
-    return replace(old, **says) if old is not None and all(hasattr(old, name) for name in says) else new
+    given = changed(new)
+    return replace(old, **given) if old is not None and all(hasattr(old, name) for name in given) else new

@@ -1,4 +1,4 @@
-"""A plant that lives, one tick of the firmware after the other."""
+"""Simulates a plant tick by tick of the firmware."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ SHUT = Inputs(0.0, 0.0, False)
 
 
 class Simulator:
-    """`advance` by ticks with the firmware's commands; ask `conditions` in between.
+    """`advance` runs one tick with the firmware's commands; `conditions` are the true values.
 
-    `initial` is what the delays still hold of before; lag starts from the state, play closed, coils at the
-    ambient temperature. The same plant, state and commands give the same floats. `numbers` and `state` may be
-    exchanged between ticks.
+    `initial` are the commands before the start, which the delays still contain. Lags start from the state,
+    backlash is closed, coils are at ambient temperature. The same plant, state and commands give the same
+    floats. `numbers` and `state` may be replaced between ticks.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class Simulator:
         self._memory = memory_at_rest(bool(initial.solenoid), self._air.ratio * STANDARD_TEMPERATURE_K)
         self._evp_line = deque((initial.evp,) * self.numbers.evp.delay_ticks)
         self._dvp_line = deque((initial.dvp,) * self.numbers.dvp.delay_ticks)
-        # What the last tick was given, if it changed nothing.
+        # The inputs of the last tick, if it changed nothing.
         self._at_rest: tuple[PlantNumbers, State, float, float, bool] | None = None
 
     @property
@@ -57,7 +57,7 @@ class Simulator:
 
     @property
     def held(self) -> Held:
-        """What held during the last tick."""
+        """Valve targets and Venturi state during the last tick."""
         memory = self._memory
         return Held(memory.evp.target, memory.dvp.target, memory.solenoid_open, memory.venturi_stalled)
 
@@ -66,7 +66,7 @@ class Simulator:
         return self._memory.evp.coil_K
 
     def advance(self, command: Inputs) -> bool:
-        """One tick, for which the firmware commands this; whether anything changed."""
+        """Run one tick with this command. True if anything changed."""
         evp, dvp, solenoid = command
         if self._evp_line:
             self._evp_line.append(evp)
@@ -79,12 +79,12 @@ class Simulator:
         if not self._steady:
             air = air_at(self.plant.ambient, self.t_s)
             during = air_between(self._air, air, self.numbers.tick_s)
-        told = bool(solenoid)
-        given = (self.numbers, self.state, evp, dvp, told)
-        # What changed nothing changes nothing again. A vine waits most of its time.
+        open_command = bool(solenoid)
+        given = (self.numbers, self.state, evp, dvp, open_command)
+        # The same inputs at rest change nothing again. This saves time, because a vine mostly waits.
         if given == self._at_rest:
             return False
-        memory, state = tick(self.numbers, during, self._memory, self.state, evp, dvp, told)
+        memory, state = tick(self.numbers, during, self._memory, self.state, evp, dvp, open_command)
         resting = self._steady and state == self.state and memory == self._memory
         self._at_rest = given if resting else None
         self._memory = memory

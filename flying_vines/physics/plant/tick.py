@@ -1,8 +1,8 @@
-"""One tick of the firmware: what the commands move, and the gas meanwhile.
+"""One tick of the firmware: moves the valves, then integrates the gas.
 
-Within a tick what the valves are driven to holds, and the gas is integrated by classical Runge–Kutta in as
-many equal steps as its quickest part needs now, more of them after a jump. Where the law has a kink or jump
-(a pouch becomes full, the Venturi stalls) the step ends there.
+The targets of the valves are constant within a tick. The gas is integrated by classical Runge-Kutta, in as
+many equal steps as the fastest rate needs; after a jump the steps are finer. A step ends at a kink or jump of
+the right-hand side (a bending pouch becomes full, the Venturi stalls).
 """
 
 from __future__ import annotations
@@ -13,45 +13,46 @@ from typing import NamedTuple
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.coil import current_A, temperature_after_K
-from flying_vines.physics.plant.motion import (
+from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
+from flying_vines.physics.plant.plant import Held
+from flying_vines.physics.plant.rates import Floats, edges, quickest_per_s, rates
+from flying_vines.physics.plant.valve_response import (
     backlash,
     dead_zone,
     opening_after,
     opening_midway,
     solenoid_after,
 )
-from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
-from flying_vines.physics.plant.plant import Held
-from flying_vines.physics.plant.rates import Floats, edges, quickest_per_s, rates
 
-_LONGEST_STEP = 2.3
-"""In quickest time constants; Runge–Kutta is stable to 2.8."""
+_MAX_STEP = 2.3
+"""Maximum step in fastest time constants; Runge-Kutta is stable up to 2.8."""
 _SHORT_STEP = 0.25
-"""So short a step needs no finer ones."""
+"""A step below this, in fastest time constants, needs no refinement."""
 _FINER = 3
+"""Refinement factor after a valve jump, a solenoid switch, or an edge."""
 _FINE_TICKS = 3
-"""So much finer, and so long, after a jump of a valve, a turn of the solenoid, or an edge."""
+"""Number of ticks with refined steps."""
 _JUMP = 0.1
-"""Of where a valve is driven to."""
+"""Change of a valve's target that counts as a jump."""
 _ARRIVED = 1e-9
-"""So near an opening is where it is driven to."""
+"""An opening nearer than this to its target is set to the target."""
 _GRAZE = 1e-7
-"""A state that passes an edge by less (kPa, kPa·L) is set onto it."""
-_MOST_PARTS = 3
-"""How often a tick is divided at edges: as often as a plant has edges."""
+"""A smaller crossing (kPa, kPa·L) is on the edge and does not count as a crossing."""
+_MAX_PARTS = 3
+"""How often a tick may be divided at edges: the number of edges of a plant."""
 
 
 class ValveMemory(NamedTuple):
-    """What one tick hands to the next."""
+    """State of a valve between ticks."""
 
     target: float
     passed_on: float
-    """By the play."""
+    """Command after the backlash."""
     coil_K: float
 
 
 class Memory(NamedTuple):
-    """What there is beside the gas."""
+    """State of everything except the gas."""
 
     evp: ValveMemory
     dvp: ValveMemory
@@ -62,7 +63,7 @@ class Memory(NamedTuple):
 
 
 def memory_at_rest(solenoid_open: bool, ambient_K: float) -> Memory:
-    """Valves shut, play closed, coils at ambient temperature."""
+    """Valves shut, backlash closed, coils at ambient temperature."""
     valve = ValveMemory(0.0, 0.0, ambient_K)
     return Memory(valve, valve, solenoid_open, 0, False, 0)
 
@@ -70,9 +71,9 @@ def memory_at_rest(solenoid_open: bool, ambient_K: float) -> Memory:
 def tick(
     numbers: PlantNumbers, air: Air, memory: Memory, state: Floats, evp: float, dvp: float, solenoid: bool
 ) -> tuple[Memory, Floats]:
-    """What is remembered and the state one tick later, for which the valves are told this.
+    """Memory and state one tick later.
 
-    Openings as they come out of their delays, `air` from the tick's start to its end.
+    `evp`, `dvp`: commands after their delays. `solenoid`: its command. `air`: ambient air during the tick.
     """
     tick_s = numbers.tick_s
     evp_now = _follow(numbers.evp, memory.evp, evp, air, tick_s)
@@ -94,7 +95,7 @@ def tick(
     ):
         fine_ticks = _FINE_TICKS
     quickest = quickest_per_s(numbers, air, state, held) * tick_s
-    steps = max(numbers.least_steps, ceil(quickest / _LONGEST_STEP))
+    steps = max(numbers.min_steps, ceil(quickest / _MAX_STEP))
     if fine_ticks > 0 and quickest > _SHORT_STEP * steps:
         steps *= _FINER
     step_s = tick_s / steps
@@ -105,14 +106,14 @@ def tick(
     else:
         divided = 0
         done_s = 0.0
-        # What is left of rounding is no step.
+        # A remainder below this is rounding error.
         while tick_s - done_s > 1e-9 * tick_s:
             part_s = min(step_s, tick_s - done_s)
             after = runge_kutta(numbers, air, done_s, state, held, part_s)
             found = edges(numbers, air, done_s + part_s, after)
             share = _first_crossing(seen, found)
-            # Runge–Kutta over a jump is no better than Euler.
-            if share < 1.0 and divided < _MOST_PARTS:
+            # Runge-Kutta over a jump is only as accurate as Euler.
+            if share < 1.0 and divided < _MAX_PARTS:
                 divided += 1
                 fine_ticks = _FINE_TICKS
                 # Just beyond the edge, so that the next step is on the other side.
@@ -138,7 +139,7 @@ def tick(
 
 
 def _follow(valve: ValveNumbers, memory: ValveMemory, command: float, air: Air, tick_s: float) -> ValveMemory:
-    """Where a valve is driven to during a tick."""
+    """The target of a valve during a tick."""
     coil_K = memory.coil_K
     if valve.stuck_opening >= 0.0:
         return ValveMemory(valve.stuck_opening, memory.passed_on, coil_K)
@@ -152,7 +153,7 @@ def _follow(valve: ValveNumbers, memory: ValveMemory, command: float, air: Air, 
 
 
 def _first_crossing(before: tuple[float, float, float], after: tuple[float, float, float]) -> float:
-    """The share of a step at which the first edge is crossed; 1 when none is."""
+    """The share of a step at which the first edge is crossed; 1 if none is."""
     share = 1.0
     for index in range(3):
         a, b = before[index], after[index]
@@ -164,9 +165,9 @@ def _first_crossing(before: tuple[float, float, float], after: tuple[float, floa
 def runge_kutta(
     numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held, dt_s: float
 ) -> Floats:
-    """The classical step of the gas; openings with a lag are exact.
+    """The classical Runge-Kutta step of the gas; openings with a lag are exact.
 
-    Written out: loops over the numbers cost more than the numbers.
+    It is written out because loops would be slower.
     """
     h = dt_s / 2.0
     s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state

@@ -1,18 +1,18 @@
-"""A rig file that also tells what is really there: believed numbers, and causes and effects beside them.
+"""A rig file that also describes the real rig: nominal numbers, causes and effects.
 
-    [cv]                                        what is believed, as in any rig.toml
+    [cv]                                        nominal numbers, as in any rig.toml
     volume_L = 0.1
-    [causes.cv_leak]                            a cause of the rig-data format, by its name
+    [causes.cv_leak]                            a cause of the rig-data format, by name
     flow_resistance_kPa_s_per_SL = 300
     [effects]
-    likely = true                               everything that a real one probably has, sensors too …
-    without = ["cv_shape"]                      … but this
-    [effects.evp_law]                           one effect; `kind` where there are several
+    likely = true                               all probable effects of a real rig, with its sensors …
+    without = ["cv_shape"]                      … except these
+    [effects.evp_law]                           one effect; `kind` if there are several kinds
     kind = "iso6358"
     sonic_conductance_SL_per_s_kPa = 4.95e-4
 
-Without `[causes]` and `[effects]` it is a plain rig file, and the believed numbers are all there is. An empty
-`[causes]` says that somebody has looked, and found none.
+Without `[causes]` and `[effects]` it is a plain rig file: the real rig is nominal. An empty `[causes]` means
+that a diagnosis has found no cause.
 """
 
 from __future__ import annotations
@@ -38,35 +38,35 @@ _EFFECTS: dict[str, dict[str, type]] = {
     name: {kind.__name__.lower(): kind for kind in get_args(hint) if kind is not types.NoneType}
     for name, hint in get_type_hints(Effects).items()
 }
-"""Name by name, what an effect may be, by kind."""
+"""For each effect: its types, by kind."""
 _NEEDS_CV = ("cv_", "dead_volume")
 _POSITIVE = ("gain", "scale")
 
 
 @dataclass(frozen=True)
 class TrueRig:
-    """What a rig is believed to be, and what is really there. `setup` is the latter.
+    """A nominal rig, and the causes and effects of the real one. `setup` is the real rig.
 
-    `effects` are those that are given one by one, instead of the likely ones of the same names; a cause
-    changes what it speaks of in an effect that is there already.
+    `effects` are those that are given one by one; they replace the likely ones of the same names. A cause
+    only changes its own parameters of an existing effect.
     """
 
-    believed: Rig = field(default_factory=Rig)
+    nominal: Rig = field(default_factory=Rig)
     causes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     effects: Effects = field(default_factory=Effects)
     likely: bool = False
     without: tuple[str, ...] = ()
-    """Likely effects that are not there."""
+    """Likely effects that this rig does not have."""
     none_found: bool = False
-    """There are no causes because none was found, and not because nobody has looked."""
+    """True if a diagnosis has found no cause; False if there was no diagnosis."""
 
     @property
     def complete(self) -> bool:
-        """Whether this says what is really there, and not only what is believed."""
+        """True if this describes the real rig, and not only the nominal one."""
         return bool(self.causes or self.likely or self.none_found or self.effects != Effects())
 
     def __post_init__(self) -> None:
-        # What cannot be made is found out here.
+        # Impossible combinations raise their error here.
         _ = self.setup
 
     @cached_property
@@ -76,9 +76,9 @@ class TrueRig:
         try:
             if self.likely:
                 own = {**vars(likely_effects()), **dict.fromkeys(self.without), **own}
-            made = perfect(self.believed, Effects(**own))
+            made = perfect(self.nominal, Effects(**own))
             if self.likely:
-                made = Setup(made.plant, *likely_sensors(self.believed.sensors))
+                made = Setup(made.plant, *likely_sensors(self.nominal.sensors))
         except ValueError as error:
             raise RigError(f"effects: {error}.") from None
         for name, parameters in self.causes.items():
@@ -87,7 +87,7 @@ class TrueRig:
 
 
 def likely_sensors(noise: Sensors, bits: int = 12) -> tuple[Sensor, Sensor]:
-    """The control volume's and the reservoir's, behind the converter that the firmware will use."""
+    """Sensors of control volume and reservoir, with the firmware's converter."""
     adc = Adc(bits)
     return (
         replace(HONEYWELL_30PSI, noise_std_kPa=noise.cv_noise_std_kPa, adc=adc),
@@ -96,31 +96,30 @@ def likely_sensors(noise: Sensors, bits: int = 12) -> tuple[Sensor, Sensor]:
 
 
 def load_true_rig(path: Path | str) -> TrueRig:
-    """The rig in a TOML file, with what is really there.
+    """The nominal and the real rig in a TOML file.
 
-    RigError when the file cannot be read, names something unknown, or holds an impossible number.
+    RigError if the file cannot be read, or has an unknown key or an impossible number.
     """
     return read_rig(path, true_rig_from)
 
 
 def true_rig_from(content: Mapping[str, Any]) -> TrueRig:
-    """The rig in a decoded TOML file, as `load_true_rig`."""
-    believed = {key: value for key, value in content.items() if key not in ("causes", "effects")}
-    rig = rig_from(believed)
+    """The rig in a decoded TOML file; see `load_true_rig`."""
+    rig = rig_from({key: value for key, value in content.items() if key not in ("causes", "effects")})
     causes = _table(content.get("causes", {}), "causes")
     effects = dict(_table(content.get("effects", {}), "effects"))
     likely, without = effects.pop("likely", False), effects.pop("without", [])
     if not isinstance(likely, bool):
-        raise RigError("effects.likely is true or false.")
+        raise RigError("effects.likely must be true or false.")
     if not (isinstance(without, list) and all(str(name) in _EFFECTS for name in without)):
-        raise RigError(f"effects.without is a list of effects: {', '.join(_EFFECTS)}.")
+        raise RigError(f"effects.without must be a list of effects: {', '.join(_EFFECTS)}.")
     if without and not likely:
-        raise RigError("effects.without takes away from the likely effects: it needs likely = true.")
+        raise RigError("effects.without removes likely effects: it needs likely = true.")
     for name in effects:
         if name not in _EFFECTS:
-            raise RigError(f"effects.{name} is no effect: the effects are {', '.join(_EFFECTS)}.")
+            raise RigError(f"effects.{name} is not an effect: the effects are {', '.join(_EFFECTS)}.")
     return TrueRig(
-        believed=rig,
+        nominal=rig,
         causes={name: _numbers(value, f"causes.{name}") for name, value in causes.items()},
         effects=_checked_effects({name: _effect(name, value) for name, value in effects.items()}),
         likely=likely,
@@ -130,9 +129,9 @@ def true_rig_from(content: Mapping[str, Any]) -> TrueRig:
 
 
 def true_rig_text(rig: TrueRig) -> str:
-    """The file of a rig: what `load_true_rig` makes into the same rig again."""
+    """The rig as a file that `load_true_rig` reads."""
     tables = [
-        (name, value) for name, value in asdict(rig.believed).items() if value is not None and value != {}
+        (name, value) for name, value in asdict(rig.nominal).items() if value is not None and value != {}
     ]
     tables += [(f"causes.{name}", dict(parameters)) for name, parameters in rig.causes.items()]
     if rig.none_found:
@@ -148,19 +147,19 @@ def true_rig_text(rig: TrueRig) -> str:
 
 
 def _caused(made: Setup, name: str, parameters: Mapping[str, float]) -> Setup:
-    """What a cause adds to what is there already."""
+    """The setup with a cause."""
     where = f"causes.{name}"
     try:
         cause = cause_named(name)
     except KeyError:
         names = ", ".join(cause.name for cause in (NONE, *catalogue()))
-        raise RigError(f"{where} is no cause: the causes are {names}.") from None
+        raise RigError(f"{where} is not a cause: the causes are {names}.") from None
     if made.plant.rig.cv is None and name.startswith(_NEEDS_CV):
         raise RigError(f"{where} needs a control volume, and the rig has no [cv].")
     known = [parameter.name for parameter in cause.parameters]
     for parameter, value in parameters.items():
         if parameter not in known:
-            raise RigError(f"{where}.{parameter} is no parameter: {_listed(known)}.")
+            raise RigError(f"{where}.{parameter} is not a parameter: {_listed(known)}.")
         if parameter in _POSITIVE and not value > 0.0:
             raise RigError(f"{where}.{parameter} is {value:g}, and must be above 0.")
     for parameter in known:
@@ -168,11 +167,11 @@ def _caused(made: Setup, name: str, parameters: Mapping[str, float]) -> Setup:
             raise RigError(f"{where}.{parameter} is missing.")
     try:
         caused = cause.put_into(made, parameters)
-        # Its own numbers are in range; those of the rig need not be any more.
+        # The cause may have moved numbers of the rig out of their range.
         msgspec.convert(asdict(caused.plant.rig), Rig)
         return caused
     except msgspec.ValidationError:
-        raise RigError(f"{where} makes the rig impossible: {_said(parameters)}.") from None
+        raise RigError(f"{where} makes the rig impossible: {_as_text(parameters)}.") from None
     except ValueError as error:
         raise RigError(f"{where}: {error}.") from None
 
@@ -182,12 +181,12 @@ def _effect(name: str, value: Any) -> Any:
     table = dict(_table(value, where))
     kind = table.pop("kind", None) if len(kinds) > 1 else next(iter(kinds))
     if str(kind) not in kinds:
-        raise RigError(f"{where}.kind is one of {', '.join(kinds)}.")
+        raise RigError(f"{where}.kind must be one of {', '.join(kinds)}.")
     described = kinds[kind]
     known = {f.name: f for f in fields(described)}
     for key in table:
         if key not in known:
-            raise RigError(f"{where}.{key} is no parameter: {_listed(list(known))}.")
+            raise RigError(f"{where}.{key} is not a parameter: {_listed(list(known))}.")
     for key, parameter in known.items():
         if key not in table and parameter.default is MISSING:
             raise RigError(f"{where}.{key} is missing.")
@@ -211,7 +210,7 @@ def _checked_effects(effects: dict[str, Any]) -> Effects:
 
 def _table(value: Any, where: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise RigError(f"{where} is a table.")
+        raise RigError(f"{where} must be a table.")
     return value
 
 
@@ -219,7 +218,7 @@ def _numbers(value: Any, where: str) -> dict[str, float]:
     table = _table(value, where)
     for key, number in table.items():
         if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
-            raise RigError(f"{where}.{key} is a number, not {number!r}.")
+            raise RigError(f"{where}.{key} must be a number, not {number!r}.")
     return {key: float(value) for key, value in table.items()}
 
 
@@ -227,7 +226,7 @@ def _listed(names: Sequence[str]) -> str:
     return f"the parameters are {', '.join(names)}" if names else "there are none"
 
 
-def _said(parameters: Mapping[str, float]) -> str:
+def _as_text(parameters: Mapping[str, float]) -> str:
     return ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
 
 

@@ -1,6 +1,6 @@
-"""The Venturi: how deep its vacuum is, how much it draws, and what its supply does to both.
+"""The Venturi: its vacuum and its suction, and their dependence on the supply.
 
-The baseline's Venturi makes P_vac = full_vacuum · u_d · min(1, P_r / rated_supply) whatever it has to draw.
+The Venturi of the baseline gives P_vac = full_vacuum · u_d · min(1, P_r / rated_supply) at any suction flow.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ class Suction(NamedTuple):
     rated_supply_kPa: float
     stall_supply_kPa: float
     nozzle_SL_per_s_kPa: float
-    """0: it follows the supply valve as in the baseline."""
+    """0: no nozzle, as in the baseline."""
     unlimited: bool
-    """Draws whatever there is to draw."""
+    """True if the suction flow does not reduce the vacuum."""
     free_per_motive: float
     passage_resistance_kPa_s_per_SL: float
     scales_with_ambient: bool
@@ -31,17 +31,17 @@ class Suction(NamedTuple):
 
 @dataclass(frozen=True)
 class Ejector:
-    """What a Venturi does beyond the baseline's; as it stands it is the baseline's.
+    """Effects of a Venturi. With the defaults it is the baseline's.
 
     `stall_supply_kPa`: below this supply (gauge) P_vac = 0.
-    `nozzle_conductance_SL_per_s_kPa`: its nozzle in series with the supply valve, which then follows
-    ISO 6358. The vacuum follows the pressure before it: P_vac = full_vacuum · min(1, P_n / rated_supply).
-    `free_suction_per_motive`: at no vacuum it draws this share of its motive flow, falling straight to
-    nothing at full vacuum: Q = Q_free (1 − vacuum at the port / P_vac). What is pushed out beyond Q_free, or
-    comes back through a Venturi at rest, meets `passage_resistance_kPa_s_per_SL`.
-    `scales_with_ambient`: thin air makes less vacuum, P_vac · p_a / 101.325.
+    `nozzle_conductance_SL_per_s_kPa`: the nozzle in series with the supply valve, which then follows ISO
+    6358. The vacuum follows the pressure before the nozzle: P_vac = full_vacuum · min(1, P_n / rated_supply).
+    `free_suction_per_motive`: suction without vacuum, as a share of the motive flow. It falls linearly to 0
+    at full vacuum: Q = Q_free (1 − vacuum at the port / P_vac).
+    `passage_resistance_kPa_s_per_SL`: resistance for flow beyond Q_free, and for backflow while it is off.
+    `scales_with_ambient`: thin air gives less vacuum, P_vac · p_a / 101.325.
 
-    Straight characteristic and passage are assumptions; makers' curves are nearly straight.
+    The linear characteristic and the passage are assumptions; manufacturers' curves are nearly linear.
     """
 
     stall_supply_kPa: float = 0.0
@@ -52,14 +52,14 @@ class Ejector:
 
     def __post_init__(self) -> None:
         if not self.stall_supply_kPa >= 0.0:
-            raise ValueError("a stalling supply pressure is not negative")
+            raise ValueError("a stalling supply pressure must not be negative")
         for what in (
             self.nozzle_conductance_SL_per_s_kPa,
             self.free_suction_per_motive,
             self.passage_resistance_kPa_s_per_SL,
         ):
             if what is not None and not what > 0.0:
-                raise ValueError("a nozzle, a suction and a passage are positive")
+                raise ValueError("nozzle, suction and passage must be positive")
 
     def numbers(self, venturi: Venturi) -> Suction:
         return Suction(
@@ -77,7 +77,7 @@ class Ejector:
 COVAL_VR09 = Ejector(
     nozzle_conductance_SL_per_s_kPa=1.185e-3, free_suction_per_motive=0.6, scales_with_ambient=True
 )
-"""A 0.9 mm nozzle (45.7 SLPM from 643 kPa abs), free suction 0.4 to 0.8 of the consumption. Assumption."""
+"""0.9 mm nozzle (45.7 SLPM from 643 kPa absolute), free suction 0.4 to 0.8 of the consumption. Assumption."""
 
 
 def nozzle_supply(
@@ -86,14 +86,14 @@ def nozzle_supply(
     """Motive flow in SL/s (at standard temperature) and absolute pressure before the nozzle, kPa.
 
     Two openings in series, each with Q = C √(p₁² − p₂²), which is ISO 6358 with b = 0:
-    Q² = (p₁² − p_a²) / (1/C_v² + 1/C_n²), p_n² = p_a² + Q²/C_n². Assumption: against b = 0.3 it passes 7 %
-    less at 690 kPa, and it is smooth down to no pressure at all.
+    Q² = (p₁² − p_a²) / (1/C_v² + 1/C_n²), p_n² = p_a² + Q²/C_n². Assumption: the flow is 7 % lower than with
+    b = 0.3 at 690 kPa, but the law is smooth down to zero pressure.
     """
     if valve_SL_per_s_kPa <= 0.0 or supply_kPa_abs <= ambient_kPa:
         return 0.0, ambient_kPa
     valve, nozzle = valve_SL_per_s_kPa * valve_SL_per_s_kPa, nozzle_SL_per_s_kPa * nozzle_SL_per_s_kPa
     drop = supply_kPa_abs * supply_kPa_abs - ambient_kPa * ambient_kPa
-    # Not as sums of 1/C²: a valve may be open by next to nothing.
+    # No sums of 1/C²: they overflow if a valve is almost shut.
     return (
         sqrt(drop * nozzle / (valve + nozzle) * valve),
         sqrt(ambient_kPa * ambient_kPa + drop * valve / (valve + nozzle)),
@@ -109,7 +109,7 @@ def supply(
     ratio: float,
     ambient_ratio: float,
 ) -> tuple[float, float]:
-    """Motive flow in SL/s, and how deep the vacuum can be, kPa below ambient, at an opening above 0."""
+    """Motive flow in SL/s, and maximum vacuum in kPa below ambient, at an opening above 0."""
     if venturi.nozzle_SL_per_s_kPa == 0.0:
         motive = opening * flow_SL_per_s(valve, supply_kPa_abs, ambient_kPa, ratio, ambient_ratio)
         vacuum = opening * min(1.0, (supply_kPa_abs - ambient_kPa) / venturi.rated_supply_kPa)
@@ -122,7 +122,7 @@ def supply(
         )
         motive /= sqrt(ratio)
         vacuum = min(1.0, (before - ambient_kPa) / venturi.rated_supply_kPa)
-    # The lowest ratio of pressures stays as it is.
+    # The lowest pressure ratio does not depend on ambient pressure.
     if venturi.scales_with_ambient:
         vacuum *= ambient_kPa / STANDARD_PRESSURE_KPA
     return motive, venturi.full_vacuum_kPa * vacuum
@@ -138,10 +138,9 @@ def outlet_SL_per_s(
     vacuum_kPa: float,
     motive_SL_per_s: float,
 ) -> float:
-    """Out of the control volume (at absolute pressure `p`) through the open solenoid and the ejector.
+    """Flow out of the control volume (absolute pressure `p`) through the open solenoid and the ejector.
 
-    Both flows are the same and the pressure between them follows; with Ohm's solenoid that is two straight
-    lines.
+    Both flows are equal, which gives the pressure between them. With an ohmic solenoid both are linear.
     """
     if venturi.unlimited:
         return flow_SL_per_s(solenoid, p, ambient_kPa - vacuum_kPa, ratio, ambient_ratio)
@@ -174,9 +173,9 @@ def _elliptic(
     vacuum_kPa: float,
     free: float,
 ) -> float:
-    """With m = 1/2 the law is an ellipse in r and the ejector a straight line: where they cross."""
+    """The flow where the ISO 6358 law with m = 1/2, an ellipse in r, crosses the line of the ejector."""
     b, laminar = solenoid.critical_pressure_ratio, solenoid.laminar_ratio
-    # The line has its corner at ambient pressure. It is start + slope · r, r the pressure between over p.
+    # The line, start + slope · r, has a kink at ambient pressure; r is the pressure between the two over p.
     if vacuum_kPa <= 0.0 or (
         p > ambient_kPa and flow_SL_per_s(solenoid, p, ambient_kPa, ratio, ambient_ratio) > free
     ):
@@ -203,7 +202,7 @@ def _elliptic(
 
 
 def _elliptic_back(venturi: Suction, solenoid: Opening, p: float, near: float, ambient_ratio: float) -> float:
-    """The same backwards: through the passage from a pressure `near`, then the solenoid into less."""
+    """The backflow through the passage, from a pressure `near`, and then through the solenoid to `p`."""
     if solenoid.one_way:
         return 0.0
     b, laminar = solenoid.critical_pressure_ratio, solenoid.laminar_ratio
@@ -239,9 +238,9 @@ def _port(
     vacuum_kPa: float,
     free: float,
 ) -> float:
-    """The pressure between solenoid and ejector, where both pass the same."""
+    """The pressure between solenoid and ejector at which both flows are equal."""
     a, b = ambient_kPa - vacuum_kPa, p
-    # The ejector's line has its corner at ambient pressure: the root is on one side of it.
+    # The line of the ejector has a kink at ambient pressure: find the side with the root.
     if a < ambient_kPa < b:
         if (
             _surplus(venturi, solenoid, ambient_kPa, p, ratio, ambient_kPa, ambient_ratio, vacuum_kPa, free)
@@ -256,7 +255,7 @@ def _port(
         return a
     if at_b == 0.0:
         return b
-    # Regula falsi as Illinois does it.
+    # Regula falsi, Illinois variant.
     x = a
     side = 0
     for _ in range(60):
@@ -292,7 +291,7 @@ def _surplus(
     vacuum_kPa: float,
     free: float,
 ) -> float:
-    """What the solenoid passes beyond what the ejector draws from the port."""
+    """Flow through the solenoid minus the suction of the ejector at this port pressure."""
     near, gauge = ambient_kPa - vacuum_kPa, port - ambient_kPa
     if p <= near:
         drawn = (port - near) / venturi.passage_resistance_kPa_s_per_SL

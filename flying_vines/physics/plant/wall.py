@@ -2,58 +2,79 @@
 
     m c_v dT/dt |heat = hA (T_w − T)         C_w dT_w/dt = hA (T − T_w) + h_o A_o (T_a − T_w)
 
-Two ways to say how much: a conductance hA in W/K that stays as it is, or a time constant τ = m c_v / hA that
-stays as it is (hA then goes with the mass of gas inside). Both may be given; they add.
+The exchange is either a constant conductance hA in W/K, or a constant time constant τ = m c_v / hA (hA is
+then proportional to the mass of the gas). If both are given, they add.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_TEMPERATURE_K
 
+if TYPE_CHECKING:
+    from flying_vines.physics.arrays import Array
+
+Number = TypeVar("Number", float, "Array")
 _G1 = GAMMA - 1.0
 _PER_G1 = 1.0 / _G1
 _PER_K = 1.0 / STANDARD_TEMPERATURE_K
 
 
+COOLING_K = _G1 * STANDARD_TEMPERATURE_K
+"""(γ−1) T: how far gas cools for each share of it that flows out."""
+
+
+def heat_capacity_J_per_K(kPa_abs: Number, volume_L: float) -> Number:
+    """m c_v = p V / ((γ−1) T) of gas near ambient temperature."""
+    return kPa_abs * volume_L / COOLING_K
+
+
+class HeatRates(NamedTuple):
+    """dg/dt = −gas (g − w), dw/dt = wall (g − w) − outer w: gas and wall are g and w below ambient."""
+
+    gas_per_s: float
+    wall_per_s: float
+    outer_per_s: float
+
+
 class Heat(NamedTuple):
-    """The numbers of a wall, and those of isothermal gas."""
+    """The numbers of a wall. The defaults are isothermal gas."""
 
     own_temperature: bool = False
-    """Whether the gas has one."""
+    """False for isothermal gas."""
     per_air: float = 0.0
     """kPa·L/s for each SL and each 293.15 K."""
     fixed: float = 0.0
     """kPa·L/s for each 293.15 K."""
     per_capacity_K_per_J: float = 0.0
-    """0: the wall is at ambient temperature."""
+    """Inverse heat capacity of the wall; 0: the wall is at ambient temperature."""
     outer_conductance_W_per_K: float = 0.0
     wall_per_s: float = 0.0
-    """How quickly the wall follows."""
+    """Rate constant of the wall's temperature."""
     inflow_at_ambient: bool = False
 
 
 def heat_kPa_L_per_s(heat: Heat, air_SL: float, ratio: float, wall_K: float, ambient_ratio: float) -> float:
-    """Into the gas; temperatures as ratios to 293.15 K where they are called so."""
+    """Heat flow into the gas; a `ratio` is a temperature over 293.15 K."""
     wall_ratio = wall_K * _PER_K if heat.per_capacity_K_per_J > 0.0 else ambient_ratio
     return (heat.per_air * air_SL + heat.fixed) * (wall_ratio - ratio)
 
 
 def wall_K_per_s(heat: Heat, into_gas_kPa_L_per_s: float, wall_K: float, ambient_ratio: float) -> float:
-    """How quickly the wall warms."""
+    """Rate of the wall's temperature."""
     from_outside_W = heat.outer_conductance_W_per_K * (ambient_ratio * STANDARD_TEMPERATURE_K - wall_K)
     return (from_outside_W - into_gas_kPa_L_per_s * _PER_G1) * heat.per_capacity_K_per_J
 
 
 @dataclass(frozen=True)
 class Wall:
-    """A wall; as it stands it passes no heat (adiabatic). A volume without a wall is isothermal.
+    """A wall. With the defaults it is adiabatic. A volume without a wall is isothermal.
 
-    With an infinite capacity the wall is at ambient temperature. `inflow_at_ambient`: valve and tubing have
-    brought to ambient temperature what flows in.
+    A wall with an infinite capacity is at ambient temperature. `inflow_at_ambient`: inflowing gas has ambient
+    temperature, from valve and tubing.
     """
 
     time_constant_s: float = inf
@@ -64,9 +85,22 @@ class Wall:
 
     def __post_init__(self) -> None:
         if not (self.time_constant_s > 0.0 and self.capacity_J_per_K > 0.0):
-            raise ValueError("a wall's time constant and capacity are positive")
+            raise ValueError("a wall's time constant and capacity must be positive")
         if not (self.conductance_W_per_K >= 0.0 and self.outer_conductance_W_per_K >= 0.0):
-            raise ValueError("a wall's conductances are not negative")
+            raise ValueError("a wall's conductances must not be negative")
+
+    def inner_W_per_K(self, gas_J_per_K: float, scale: float = 1.0) -> float:
+        """Conductance between the wall and gas of this heat capacity. `scale` multiplies hA."""
+        return scale * self.conductance_W_per_K + gas_J_per_K / self.time_constant_s
+
+    def rates(self, gas_J_per_K: float, scale: float = 1.0) -> HeatRates:
+        """How quickly gas of this heat capacity and the wall exchange heat."""
+        inner_W_per_K = self.inner_W_per_K(gas_J_per_K, scale)
+        return HeatRates(
+            inner_W_per_K / gas_J_per_K,
+            inner_W_per_K / self.capacity_J_per_K,
+            scale * self.outer_conductance_W_per_K / self.capacity_J_per_K,
+        )
 
     def numbers(self) -> Heat:
         return Heat(
@@ -81,4 +115,4 @@ class Wall:
 
 
 PET_BOTTLE_2L = Wall(conductance_W_per_K=1.0, capacity_J_per_K=70.0, outer_conductance_W_per_K=1.0)
-"""A 2 L bottle: natural convection inside 0.6 W/K at 2 bar to 1.4 at 8; 45 to 70 g of PET. Assumption."""
+"""A 2 L PET bottle of 45 to 70 g. Natural convection inside: 0.6 W/K at 2 bar, 1.4 W/K at 8. Assumption."""

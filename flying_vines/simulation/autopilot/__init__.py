@@ -1,13 +1,13 @@
-"""A fake ArduPilot or PX4 copter that speaks MAVLink, without IO.
+"""A simulated ArduPilot or PX4 copter with MAVLink, without I/O.
 
-    autopilot = Autopilot("ardupilot", mission=read_waypoints("bridge.waypoints"))
+    autopilot = FakeAutopilot("ardupilot", mission=read_waypoints("bridge.waypoints"))
     autopilot.start_mission()
     while flying:
         autopilot.receive(t, "companion", what_the_companion_sent)
         for link, frame in autopilot.advance(t):
             ...
 
-It behaves as the real ones were recorded to, traps included: see the recordings that its tests replay.
+It behaves like recordings of real autopilots, including their traps. Its tests replay these recordings.
 """
 
 from flying_vines.simulation.autopilot.autopilot import FakeAutopilot

@@ -1,4 +1,4 @@
-"""What is to happen when: timed callbacks without a clock."""
+"""Timed callbacks without a clock."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class AgendaEntry:
-    """One thing on the agenda; `cancel` it and it will not happen."""
+    """One scheduled callback; `cancel` removes it."""
 
     callback: Callable[[], None]
     cancelled: bool = False
@@ -20,10 +20,10 @@ class AgendaEntry:
 
 
 class Agenda:
-    """Runs callbacks in order of their time; `now_s` is the time of the one that is running.
+    """Runs callbacks in order of time; `now_s` is the time of the running one.
 
-    Callbacks due at the same time run in the order in which they were put down, so a run is
-    reproducible however time is cut into calls of `run_until`.
+    Callbacks of the same time run in the order in which they were scheduled. So a run is reproducible for any
+    division of the time into calls of `run_until`.
     """
 
     def __init__(self) -> None:
@@ -50,5 +50,5 @@ class Agenda:
         self.now_s = max(self.now_s, t_s)
 
     def clear(self) -> None:
-        """Forget everything that was to come."""
+        """Remove all callbacks."""
         self._heap.clear()

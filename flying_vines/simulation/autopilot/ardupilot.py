@@ -1,4 +1,4 @@
-"""How ArduCopter runs a mission, quirks included."""
+"""Runs a mission like ArduCopter, including its quirks."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ _REACHED_WITH_TEXT = {16, 17, 18, 19, 82}
 
 
 class ArduPilotMission:
-    """A nav command and, beside it, a queue of DO commands.
+    """One navigation command and, in parallel, a queue of DO commands.
 
-    The first DO item after a nav command starts in the same loop and before the next nav command; the
-    others follow one by one, after that nav command's text. Item 0 is home and never runs.
+    The first DO item after a navigation command starts in the same loop, before the next navigation command.
+    The others follow one by one, after that command's text. Item 0 is home and never runs.
     """
 
     def __init__(self, host: Host) -> None:
@@ -75,7 +75,7 @@ class ArduPilotMission:
 
     def enter(self) -> None:
         if self._from_the_start and len(self._host.items) > 1:
-            # As recorded after somebody set the first item as current: it runs twice.
+            # As recorded: after MISSION_SET_CURRENT to the first item, the mission starts twice.
             self._from_the_start = False
             self._start()
             self._start()
@@ -92,7 +92,7 @@ class ArduPilotMission:
             self._leg = None
 
     def disarmed(self) -> None:
-        # The real one resets and restarts the mission on the ground; a payload item in front runs twice.
+        # ArduPilot resets and restarts the mission on the ground; a payload item at the start runs twice.
         first = self._host.items[1] if len(self._host.items) > 1 else None
         self._start()
         if first is not None and not is_nav(first.command) and first.command != JUMP:
@@ -129,7 +129,7 @@ class ArduPilotMission:
         self._advance(item.seq + 1)
 
     def _advance(self, seq: int) -> None:
-        """Go on from item `seq`: start the first DO, find and start the next nav command, queue the rest."""
+        """Continue at item `seq`: start the first DO and the next navigation command, queue the other DOs."""
         self._drop_dos()
         items = self._host.items
         dos: list[int] = []
@@ -161,12 +161,12 @@ class ArduPilotMission:
     def _start_nav(self, seq: int) -> None:
         item = self._host.items[seq]
         self._nav_seq = seq
-        self._say(item)
+        self._announce(item)
         if item.command == DELAY:
             self._host.text(f"Delaying {int(item.params[0])} sec")
         self._leg = Leg(self._host.flight, item, self._host.agenda.now_s)
 
-    def _say(self, item: MissionItem) -> None:
+    def _announce(self, item: MissionItem) -> None:
         name = _NAMES.get(item.command, "?")
         tag = f" {int(item.params[0])}" if item.command == _TAG else ""
         self._host.text(f"Mission: {item.seq} {name}{tag}")
@@ -193,7 +193,7 @@ class ArduPilotMission:
 
     def _start_do(self, seq: int, in_nav_loop: bool) -> None:
         item = self._host.items[seq]
-        self._say(item)
+        self._announce(item)
         if self._start_condition(item):
             return
         self._host.executed(item)
@@ -203,7 +203,7 @@ class ArduPilotMission:
             self._host.text(f"Winch: lowering {item.params[2]:4.1f}m to {item.params[2]:4.1f}m")
         if item.command in _DO_REACHED:
             if not in_nav_loop:
-                # Verified one loop later, so the text is out before it.
+                # ArduPilot verifies the item one loop later, so the text is sent first.
                 self._host.flush()
             self._host.reached(seq)
 

@@ -1,4 +1,4 @@
-"""The fake autopilot itself: links in, frames out, stimuli by method."""
+"""The simulated autopilot: bytes in, frames out, stimuli by methods."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from flying_vines.simulation.autopilot.forwarding import Forwarder
 from flying_vines.simulation.autopilot.mission_protocol import MissionStorage
 from flying_vines.simulation.autopilot.modes import FlightMode, mission_mode, mode_named, mode_numbered
 from flying_vines.simulation.autopilot.parameters import ParameterServer
-from flying_vines.simulation.autopilot.port import COMPANION, KNOWN, PX4_ALSO_KNOWS, Port
+from flying_vines.simulation.autopilot.port import COMPANION, KNOWN, PX4_EXTRA_MESSAGES, Port
 from flying_vines.simulation.autopilot.px4 import CommandLong, CommandSender, Px4Mission
 from flying_vines.simulation.autopilot.rc_input import ArduPilotRc, RcInput, rc_input
 from flying_vines.simulation.autopilot.receiver import RcLoss, RcSource, Receiver
@@ -46,8 +46,8 @@ _UNIX_AT_START_S = 1_795_211_406.0
 _WARNING, _INFO = 4, 6
 _GCS = 6
 _LINKS = 255
-_KEPT = 10_000
-"""Of what ran: more than any mission, and an end to it, for a fake may fly for days."""
+_MAX_LOGGED = 10_000
+"""Maximum entries of the logs of executed items: more than any mission, but bounded for flights of days."""
 _MAVLINK_CAMERA, _CAMERA_ITEMS = 5, (202, 203)
 
 _MISSION_MESSAGES = frozenset(
@@ -67,7 +67,7 @@ _PARAMETER_MESSAGES = frozenset({"PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PA
 
 @dataclass(slots=True)
 class _Stall:
-    """A link that holds back what is sent on it."""
+    """A link that delays its frames."""
 
     both_ways: bool
     until_s: float = 0.0
@@ -76,13 +76,13 @@ class _Stall:
 
 
 class FakeAutopilot:
-    """An ArduCopter or PX4 copter as a companion computer and a ground station hear it.
+    """A simulated ArduCopter or PX4 copter, seen from a companion computer and a ground station.
 
-    Sans-IO: `receive` what came in on a link, `advance` to a time and send what comes back. Times are
-    seconds of any clock that does not run backwards; the first one given is the start. Stimuli (`arm`,
-    `set_rc`, …) act at the latest time given so far; those given before the first time act at the start.
+    Sans-IO: pass received bytes to `receive`, call `advance`, and send the frames that it returns. Times are
+    seconds of any monotonic clock; the first one is the start. Stimuli (`arm`, `set_rc`, …) act at the latest
+    time so far, or at the start.
 
-    The vehicle has been up for 30 s at the start, so nothing of its boot is seen before `reboot`.
+    At the start the vehicle has been up for 30 s, so its boot is visible only after `reboot`.
     """
 
     def __init__(
@@ -103,14 +103,16 @@ class FakeAutopilot:
     ) -> None:
         """A disarmed vehicle on the ground at `home`.
 
-        `mission` is stored as an upload would be (MissionRefused if it holds what the autopilot does not
-        take); on ArduPilot its item 0 is home. `links` are those that hear heartbeats from the start; others
-        appear when they are first heard. `receiver` is how the pilot's sticks get there: on PX4 by overrides
-        of a ground station unless it is given. `rc_failsafe_mode` is the mode after RC loss in flight, None
-        to stay; PX4 without a receiver of its own always stays. `parameters` are those that differ from the
-        factory's, such as PX4's MIS_COMMAND_TOUT. With a `signing_key` (32 bytes) it signs what it sends, and
-        hears only what is signed with it, except on a link named "usb". `unix_s` is what its clock says at
-        the start. `seed` decides how late PX4 tells of each loss.
+        Args:
+            mission: stored like an upload; raises `MissionRefused` if the autopilot would refuse it. On
+            ArduPilot
+                item 0 is home.
+            links: get heartbeats from the start; other links appear with their first message. receiver: the
+            RC input; default on PX4: overrides by a ground station. rc_failsafe_mode: mode after RC loss in
+            flight; None: no change. PX4 without an own receiver never changes. parameters: values that differ
+            from the factory's, e.g. PX4's MIS_COMMAND_TOUT. signing_key: 32 bytes; it signs its messages, and
+            accepts only signed ones, except on a link "usb". unix_s: its clock at the start. seed: determines
+            the delay of PX4's loss reports.
         """
         self.kind: AutopilotKind = kind
         self.system_id = system_id
@@ -131,7 +133,7 @@ class FakeAutopilot:
         self.mode: FlightMode = mode_named(kind, "STABILIZE" if kind == "ardupilot" else "HOLD")
         self._failsafe_mode = mode_named(kind, rc_failsafe_mode) if rc_failsafe_mode is not None else None
         self._mode_before: FlightMode | None = None
-        """PX4 goes back to it when its failsafe is over."""
+        """The mode to which PX4 returns after its failsafe."""
         self._unix_s = unix_s
         self._key = signing_key
         self._epoch_s: float | None = None
@@ -168,7 +170,7 @@ class FakeAutopilot:
             self._storage.load(mission)
         self._come_up()
 
-    # What is known about it
+    # State
 
     @property
     def receiver(self) -> Receiver:
@@ -176,7 +178,8 @@ class FakeAutopilot:
 
     @property
     def tells_rc_lost(self) -> bool:
-        """A failsafe of ArduPilot; of PX4 a health report that calls a receiver of its own lost."""
+        """True if RC loss is reported: ArduPilot by its failsafe, PX4 by its health report about an own
+        receiver."""
         rc = self._rc
         return rc.failsafe if isinstance(rc, ArduPilotRc) else rc.has_driver and not rc.reported_good
 
@@ -205,9 +208,9 @@ class FakeAutopilot:
     # Links
 
     def add_link(self, name: str) -> None:
-        """Make a link known, so that it hears heartbeats."""
+        """Add a link, so that it gets heartbeats."""
         if name not in self._ports:
-            known = KNOWN if self.kind == "ardupilot" else KNOWN | PX4_ALSO_KNOWS
+            known = KNOWN if self.kind == "ardupilot" else KNOWN | PX4_EXTRA_MESSAGES
             port = Port(name, self.system_id, len(self._ports) % _LINKS, self._key, known)
             port.forwards = self._forwards(name)
             self._ports[name] = port
@@ -215,7 +218,7 @@ class FakeAutopilot:
                 self._streams.begin(port)
 
     def receive(self, t: float, link: str, data: bytes) -> None:
-        """Bytes that arrived on `link` at `t`. Never raises, whatever the bytes."""
+        """Bytes that arrived on `link` at `t`. Never raises, for any bytes."""
         self._run_to(t)
         stall = self._stalls.get(link)
         if stall is not None and stall.both_ways:
@@ -228,15 +231,15 @@ class FakeAutopilot:
             return
         self.add_link(link)
         port = self._ports[link]
-        port.tell_time(self._unix_now_s)
+        port.set_time(self._unix_now_s)
         for message in port.decode(data):
-            self._hear(port, message)
+            self._handle(port, message)
             self.flush()
             if not self._running:
                 return
 
     def advance(self, t: float) -> list[tuple[str, bytes]]:
-        """Everything sent since the last call, up to and including `t`: (link, one frame), in order."""
+        """Advance to `t`. Returns the frames sent since the last call as (link, frame), in order."""
         self._run_to(t)
         for link, stall in list(self._stalls.items()):
             if self.agenda.now_s >= stall.until_s:
@@ -265,7 +268,7 @@ class FakeAutopilot:
         self.flush()
 
     def disarm(self) -> None:
-        """Motors off; in the air, that is the end of the flight."""
+        """Motors off; this also ends a flight in the air."""
         if not self.armed:
             return
         self.armed = False
@@ -279,7 +282,7 @@ class FakeAutopilot:
         self.flush()
 
     def takeoff(self, altitude_m: float) -> None:
-        """Guided take-off to a height above home; arms first if need be."""
+        """Guided take-off to a height above home; arms first."""
         self.set_mode("GUIDED" if self.kind == "ardupilot" else "TAKEOFF")
         self.arm()
         self._take_off(altitude_m)
@@ -288,9 +291,9 @@ class FakeAutopilot:
         self.set_mode("LAND")
 
     def set_mode(self, name: str) -> None:
-        """Select a mode by name; ValueError if there is none.
+        """Select a mode by name. Raises `ValueError` if it does not exist.
 
-        Without a mission the mission mode is refused with a status text, as an autopilot does.
+        Without a mission the mission mode is refused with a status text, as on an autopilot.
         """
         self._select(mode_named(self.kind, name))
         self.flush()
@@ -302,21 +305,21 @@ class FakeAutopilot:
         self.arm()
 
     def set_mission(self, items: Sequence[MissionItem]) -> None:
-        """Put another mission in place at once, as an upload would; MissionRefused if it would be refused."""
+        """Replace the mission at once. Raises `MissionRefused` if an upload would be refused."""
         self._storage.load(items)
         self.flush()
 
     def replace_mission(self, items: Sequence[MissionItem], link: str = "gcs") -> None:
-        """Somebody on another link uploads a mission; MissionRefused if it would be refused."""
+        """Simulate an upload on another link. Raises `MissionRefused` if it would be refused."""
         self.add_link(link)
         self._storage.replace(link, items)
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Somebody changes a parameter; ValueError if there is none of that name."""
+        """Change a parameter. Raises `ValueError` if it does not exist."""
         self.parameters.change(name, value)
 
     def set_current(self, seq: int) -> None:
-        """Go on with mission item `seq`; on a DO item, it runs (again). ValueError if there is none."""
+        """Continue at item `seq`; a DO item runs (again). Raises `ValueError` if it does not exist."""
         if not 0 <= seq < len(self.items):
             raise ValueError(f"the mission has no item {seq}, only 0 to {len(self.items) - 1}")
         self._runner.set_current(seq)
@@ -327,20 +330,20 @@ class FakeAutopilot:
         self.receiver.move(channel, us)
 
     def lose_rc(self, how: RcLoss | None = None, preset: Mapping[int, int] | None = None) -> None:
-        """The RC link is lost, by default as the receiver is most often seen to do it.
+        """Lose the RC link; default: the receiver's most common kind of loss.
 
-        "frozen": RC_CHANNELS goes on with the last values. "jump": it goes on with the receiver's failsafe
-        values, which are those of `preset` (channel: us) on its channels. "silent": no more RC_CHANNELS.
-        ValueError if this receiver does no such thing.
+        "frozen": RC_CHANNELS continues with the last values. "jump": it continues with the receiver's
+        failsafe values, with `preset` (channel: µs). "silent": RC_CHANNELS stops. Raises `ValueError` if this
+        receiver has no such loss.
         """
         self._rc.lose(how, preset)
 
     def return_rc(self) -> None:
-        """The RC link is back, with the sticks as they are now."""
+        """The RC link returns, with the present sticks."""
         self._rc.restore()
 
     def reboot(self) -> None:
-        """Restart on the ground: silence for 1.25 s, then as if never spoken to; the mission is kept."""
+        """Restart on the ground: silent for 1.25 s; then all learnt state is lost, but not the mission."""
         self.agenda.clear()
         self._running = False
         for port in self._ports.values():
@@ -369,22 +372,19 @@ class FakeAutopilot:
             self.agenda.at(self._ready_s + _ORIGIN_S, self._tell_home)
 
     def stir_health(self) -> None:
-        """Something that is no RC changes in PX4's health: it is reported now, and nothing else for 2 s."""
+        """PX4's health changes for another reason than RC: it is reported now, and then not again for 2 s."""
         if not isinstance(self._rc, ArduPilotRc):
             self._rc.report()
 
     def mute(self, seconds: float) -> None:
-        """Cut all links: nothing is sent or heard for so long, while the vehicle flies on."""
+        """Cut all links for this time; the vehicle continues to fly."""
         self._muted_until_s = self.agenda.now_s + seconds
 
     def stall(self, seconds: float, link: str = COMPANION, *, both_ways: bool = False) -> None:
-        """What is sent on a link is held back for so long, and then comes all at once; nothing is lost.
-
-        With `both_ways` what comes in is held back as well.
-        """
+        """Delay frames (`both_ways`: also received bytes) on a link; then all arrive together."""
         self._stalls.setdefault(link, _Stall(both_ways)).until_s = self.agenda.now_s + seconds
 
-    # The mission runner's host
+    # Host of the mission runner
 
     def text(self, text: str, severity: int = _INFO) -> None:
         self._texts.append((text, severity))
@@ -394,7 +394,7 @@ class FakeAutopilot:
 
     def executed(self, item: MissionItem) -> None:
         self.payload_log.append((self.now_s, item))
-        del self.payload_log[:-_KEPT]
+        del self.payload_log[:-_MAX_LOGGED]
         hands_on = self.kind == "ardupilot" and self.parameters["CAM1_TYPE"] == _MAVLINK_CAMERA
         if hands_on and item.command in _CAMERA_ITEMS:
             self._tell(mavlink.MAVLink_command_long_message(0, 0, item.command, 0, *item.params))
@@ -410,7 +410,7 @@ class FakeAutopilot:
                 if port.active if self.kind == "ardupilot" else port.hears_gcs:
                     self._send(port, message)
 
-    # Inside
+    # Internals
 
     def _new_runner(self) -> Runner:
         if self.kind == "ardupilot":
@@ -430,7 +430,7 @@ class FakeAutopilot:
         self._schedule_tick()
 
     def _schedule_tick(self) -> None:
-        # Counted, not added up, so that the grid does not drift.
+        # Computed from a count, so that rounding errors do not add up.
         self._ticks += 1
         self.agenda.at(self._first_tick_s + self._ticks * _TICK_S, self._tick)
 
@@ -444,7 +444,8 @@ class FakeAutopilot:
         self.flush()
 
     def _forwards(self, link: str) -> bool:
-        """PX4 reads at boot whether a link takes part in forwarding; ArduPilot's all do."""
+        """True if a link takes part in forwarding: on PX4 by a parameter read at boot, on ArduPilot
+        always."""
         if self.kind == "ardupilot":
             return True
         return bool(self.parameters["MAV_1_FORWARD" if link == COMPANION else "MAV_0_FORWARD"])
@@ -507,7 +508,7 @@ class FakeAutopilot:
     def _rc_failsafe_changed(self, on: bool) -> None:
         in_flight = self.armed and self.flight.airborne
         if self.kind == "ardupilot":
-            self.text("Radio Failsafe" + self._goes_on if on else "Radio Failsafe Cleared", _WARNING)
+            self.text("Radio Failsafe" + self._continuing_text if on else "Radio Failsafe Cleared", _WARNING)
         elif self._mode_before is not None and not on:
             self._select(self._mode_before)
             self._mode_before = None
@@ -517,8 +518,8 @@ class FakeAutopilot:
         self.flush()
 
     @property
-    def _goes_on(self) -> str:
-        """What ArduPilot says where it stays in its mode."""
+    def _continuing_text(self) -> str:
+        """The end of ArduPilot's failsafe text if it stays in its mode."""
         in_flight = self.armed and self.flight.airborne
         if self._failsafe_mode is not None or not in_flight or self.mode.name not in ("AUTO", "GUIDED"):
             return ""
@@ -552,7 +553,7 @@ class FakeAutopilot:
     def _send(self, port: Port, message: Any) -> None:
         if not self._running:
             return
-        port.tell_time(self._unix_now_s)
+        port.set_time(self._unix_now_s)
         self._put_out(port, port.encode(message))
 
     def _put_out(self, port: Port, frame: bytes) -> None:
@@ -598,31 +599,31 @@ class FakeAutopilot:
             mission_id=self._storage.mission_id,
         )
 
-    # Hearing
+    # Receiving
 
-    def _hear(self, port: Port, message: Any) -> None:
+    def _handle(self, port: Port, message: Any) -> None:
         self._streams.activate(port)
         kind, frame = message.get_type(), bytes(message.get_msgbuf())
         if kind not in KNOWN:
             for other in self._ports.values():
-                self._forwarder.pass_on(port, other, frame)
+                self._forwarder.forward(port, other, frame)
             return
         source = message.get_srcSystem(), message.get_srcComponent()
         self._routes.learn(*source, port.name)
         if kind == "HEARTBEAT":
             port.hears_gcs |= message.type == _GCS
             for other in self._ports.values():
-                self._forwarder.pass_on(port, other, frame)
+                self._forwarder.forward(port, other, frame)
             return
         system = getattr(message, "target_system", 0)
         component = getattr(message, "target_component", 0)
         decision = self._routes.decide(port.name, system, component)
         for link in decision.forward:
-            self._forwarder.pass_on(port, self._ports[link], frame)
+            self._forwarder.forward(port, self._ports[link], frame)
         if decision.local:
-            self._obey(port, message, kind)
+            self._handle_local(port, message, kind)
 
-    def _obey(self, port: Port, message: Any, kind: str) -> None:
+    def _handle_local(self, port: Port, message: Any, kind: str) -> None:
         if kind in ("COMMAND_LONG", "COMMAND_INT"):
             self._command(port, message)
         elif kind == "COMMAND_ACK":
@@ -639,7 +640,7 @@ class FakeAutopilot:
         elif kind == "RC_CHANNELS_OVERRIDE":
             self._override_rc(message)
         elif kind == "NAMED_VALUE_FLOAT" and self.kind == "px4":
-            self._streams.hear_value(message)
+            self._streams.take_value(message)
         elif kind == "FILE_TRANSFER_PROTOCOL":
             reply = files.answer(message)
             if reply is not None:
@@ -671,7 +672,7 @@ class FakeAutopilot:
             self.reboot()
 
     def _answer(self, port: Port, command: int, params: tuple[float, ...]) -> None:
-        """What was asked for, behind the acknowledgement."""
+        """Send the requested message after the acknowledgement."""
         match command:
             case commands.REQUEST_MESSAGE:
                 self._streams.once(port, commands.whole(params[0]))
@@ -721,7 +722,7 @@ class FakeAutopilot:
                 return commands.ACCEPTED if params[0] == 1.0 and not self.armed else commands.DENIED
             case _ if command in commands.PAYLOAD[self.kind]:
                 self.performed.append((self.now_s, command))
-                del self.performed[:-_KEPT]
+                del self.performed[:-_MAX_LOGGED]
                 return commands.ACCEPTED
             case _:
                 return commands.UNSUPPORTED

@@ -1,4 +1,4 @@
-"""Commands by number, and what the autopilot itself can do."""
+"""Command numbers, and the commands that the autopilot carries out itself."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PAYLOAD: dict[AutopilotKind, frozenset[int]] = {
 
 _CUSTOM_MODE_FLAG = 1
 
-# REQUEST_DATA_STREAM's groups; 0 is all of them.
+# Groups of REQUEST_DATA_STREAM; 0 means all.
 _GROUPS: dict[int, tuple[int, ...]] = {
     2: (SYS_STATUS, MISSION_CURRENT),
     3: (RC_CHANNELS,),
@@ -64,7 +64,7 @@ def parameters(message: Any) -> tuple[float, ...]:
 
 
 def requested_mode(kind: AutopilotKind, params: tuple[float, ...]) -> FlightMode | None:
-    """The mode that DO_SET_MODE asks for, None if there is none like it."""
+    """The mode that DO_SET_MODE requests; None if it does not exist."""
     if not whole(params[0], 0) & _CUSTOM_MODE_FLAG:
         return None
     if kind == "ardupilot":

@@ -1,4 +1,4 @@
-"""MAVLink FTP of an autopilot that has no files: every request is answered, so that nobody waits."""
+"""MAVLink FTP of an autopilot without files. Every request is answered, so that no client waits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _HEADER_BYTES, _PAYLOAD_BYTES = 12, 251
 
 
 def answer(message: Any) -> Any | None:
-    """The answer to a FILE_TRANSFER_PROTOCOL request; None if it is none."""
+    """The answer to a FILE_TRANSFER_PROTOCOL request; None for other messages."""
     request = bytes(message.payload)
     operation = request[3]
     if operation in (0, _ACK, _NAK):

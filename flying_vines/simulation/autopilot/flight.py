@@ -14,10 +14,7 @@ from flying_vines.vehicle.mission.reference_vehicle import (
 
 
 class CopterMotion:
-    """Position and velocity; told where to go, moved by `step`.
-
-    It moves only while it is airborne; `take_off_to` and the ground are the only ways between both.
-    """
+    """Position and velocity. `step` moves it to its target while it is airborne."""
 
     def __init__(self, home: Home) -> None:
         self.home = home
@@ -46,7 +43,7 @@ class CopterMotion:
         return self._target or self.here
 
     def distance_to_target_m(self) -> float:
-        """Along the ground."""
+        """Horizontal distance."""
         if self._target is None:
             return 0.0
         return math.hypot(self._target[0] - self.north_m, self._target[1] - self.east_m)
@@ -69,7 +66,7 @@ class CopterMotion:
         self._target = None
 
     def step(self, dt_s: float) -> None:
-        """Move for `dt_s`; a target that lies within reach is met exactly."""
+        """Move for `dt_s`; a target within reach is reached exactly."""
         self.north_m_s = self.east_m_s = self.climb_m_s = 0.0
         if not self.airborne:
             return

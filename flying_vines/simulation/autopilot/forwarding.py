@@ -1,4 +1,4 @@
-"""Passing messages on from link to link: at once on ArduPilot, through a buffer for two on PX4."""
+"""Forwards messages between links: at once on ArduPilot, through a buffer of two on PX4."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _PX4_EVERY_S = 0.01
 
 
 class Forwarder:
-    """Puts frames out on other links as they are.
+    """Sends frames unchanged on other links, if both links take part in forwarding.
 
-    PX4 sends one forwarded message in each loop of a link, every 10 ms as on a slow one; what comes while
-    its buffer is full is lost. Both links must take part in forwarding.
+    PX4 sends one forwarded message per loop of a link, here every 10 ms as on a slow link. Frames that arrive
+    while its buffer is full are lost.
     """
 
     def __init__(self, kind: AutopilotKind, agenda: Agenda, put_out: Callable[[Port, bytes], None]) -> None:
@@ -29,7 +29,7 @@ class Forwarder:
     def reboot(self) -> None:
         self._buffers.clear()
 
-    def pass_on(self, source: Port, port: Port, frame: bytes) -> None:
+    def forward(self, source: Port, port: Port, frame: bytes) -> None:
         if not (source.forwards and port.forwards and port.active and port is not source):
             return
         if self._kind == "ardupilot":

@@ -1,4 +1,4 @@
-"""One navigation command being flown."""
+"""Flies one navigation command."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ _RETURN_HOLD_S = 5.0
 
 
 class Leg:
-    """Flies one item from its start; call `update` often, then ask `done` and `arrived`.
+    """Flies one item. Call `update` often, then read `arrived` (at the place) and `done` (with hold time).
 
-    LAND and RTL are never done: it is the disarming that ends them. `arrived` is about the place, `done`
-    about everything, the hold time included.
+    LAND and RTL are never done: disarming ends them.
     """
 
     def __init__(self, flight: CopterMotion, item: MissionItem, now_s: float) -> None:

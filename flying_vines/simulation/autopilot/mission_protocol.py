@@ -1,4 +1,4 @@
-"""The mission protocol's vehicle side: uploads and downloads on any link."""
+"""The vehicle side of the mission protocol: uploads and downloads on any link."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from flying_vines.vehicle.mission.storage import (
     MissionRefused,
 )
 
-_ASK_AGAIN_S = 1.0
+_REQUEST_AGAIN_S = 1.0
 _GIVE_UP_S = 8.0
 _TRANSFER_S = 5.0
-_WRITTEN_EVERY_S = 0.008
-"""As recorded, an item of an upload on ArduPilot."""
+_WRITE_PERIOD_S = 0.008
+"""Time per uploaded item on ArduPilot, as recorded."""
 _CRITICAL, _INFO = 2, 6
 _UNEXPECTED = b"WPM: REJ. CMD: Req. WP was unexpected\t"
 
@@ -49,18 +49,19 @@ class _Upload:
 
 @dataclass(slots=True)
 class _Download:
-    """Of PX4: to whom, which item is next, and when it was last asked."""
+    """A download from PX4: receiver, next item, and time of the last request."""
 
     partner: tuple[int, int]
     next_seq: int
-    heard_s: float
+    requested_s: float
 
 
 class MissionStorage:
-    """The items the autopilot has, and the conversation that changes and reads them.
+    """The autopilot's mission items, and the protocol that changes and reads them.
 
-    ArduPilot writes item by item, so that a refused upload leaves a mixed mission; PX4 keeps the old mission
-    until the new one is complete. `mission_id` is a checksum of the items, 0 without any; only PX4 tells it.
+    ArduPilot writes each item at once, so a refused upload leaves a mix of old and new items. PX4 replaces
+    the mission when the upload is complete. `mission_id` is a checksum of the items, 0 without items; only
+    PX4 sends it.
     """
 
     def __init__(
@@ -84,30 +85,30 @@ class MissionStorage:
         self._download: _Download | None = None
 
     def load(self, items: Sequence[MissionItem]) -> None:
-        """Put a whole mission in place; MissionRefused if the autopilot would not take an item."""
-        self.items = [self._kept(replace(item, seq=seq)) for seq, item in enumerate(items)]
+        """Store a whole mission. Raises `MissionRefused` if the autopilot would refuse an item."""
+        self.items = [self._stored(replace(item, seq=seq)) for seq, item in enumerate(items)]
         self._change()
 
     def replace(self, link: str, items: Sequence[MissionItem]) -> None:
-        """What somebody else's upload on `link` does; MissionRefused if an item is not taken."""
-        kept = [self._kept(replace(item, seq=seq)) for seq, item in enumerate(items)]
-        upload = _Upload(link, 0, 0, len(kept), math.inf)
+        """Simulate an upload by another sender on `link`. Raises `MissionRefused` if an item is refused."""
+        stored = [self._stored(replace(item, seq=seq)) for seq, item in enumerate(items)]
+        upload = _Upload(link, 0, 0, len(stored), math.inf)
         if self._kind == "ardupilot":
-            if len(self.items) > len(kept):
-                del self.items[len(kept) :]
+            if len(self.items) > len(stored):
+                del self.items[len(stored) :]
                 self._change()
-            for item in kept:
-                self._agenda.after((item.seq + 1) * _WRITTEN_EVERY_S, partial(self._write, item))
+            for item in stored:
+                self._agenda.after((item.seq + 1) * _WRITE_PERIOD_S, partial(self._write, item))
         else:
-            self._incoming = kept
-        self._agenda.after((len(kept) + 1) * _WRITTEN_EVERY_S, lambda: self._finish(upload))
+            self._incoming = stored
+        self._agenda.after((len(stored) + 1) * _WRITE_PERIOD_S, lambda: self._finish(upload))
 
     def reboot(self) -> None:
         self._upload = self._download = None
         self._incoming = []
 
     def handle(self, link: str, message: Any, has_space: bool) -> None:
-        """A message of the mission protocol that is for the autopilot."""
+        """Handle a message of the mission protocol to the autopilot."""
         if getattr(message, "mission_type", 0):
             self._handle_other_type(link, message)
             return
@@ -120,17 +121,17 @@ class MissionStorage:
                 self._download = _Download(_reply(message), 0, self._agenda.now_s)
                 self._send(link, mavlink.MAVLink_mission_count_message(*_reply(message), len(self.items)))
             case "MISSION_REQUEST" | "MISSION_REQUEST_INT":
-                if self._kind == "ardupilot" or self._in_turn(link, message):
+                if self._kind == "ardupilot" or self._is_expected(link, message):
                     self._give(link, message)
             case "MISSION_CLEAR_ALL":
                 self.items = []
                 self._change()
                 self._ack(link, *_reply(message), ACCEPTED)
             case "MISSION_ACK":
-                self._heed(link, message)
+                self._handle_ack(link, message)
 
     def _handle_other_type(self, link: str, message: Any) -> None:
-        """Fences and rally points: none, and none can be stored."""
+        """Fences and rally points: there are none, and none can be stored."""
         to, kind = _reply(message), message.mission_type
         if message.get_type() == "MISSION_REQUEST_LIST":
             self._send(link, mavlink.MAVLink_mission_count_message(*to, 0, mission_type=kind))
@@ -161,17 +162,17 @@ class MissionStorage:
         if message.count == 0:
             self._finish(self._upload)
         else:
-            self._ask()
+            self._request_item()
 
-    def _heed(self, link: str, message: Any) -> None:
-        """Whoever uploads may give up; ArduPilot does not listen and goes on asking."""
+    def _handle_ack(self, link: str, message: Any) -> None:
+        """The uploader may cancel. ArduPilot ignores that and continues its requests."""
         upload = self._upload
         if upload is None or self._kind == "ardupilot" or message.type != CANCELLED:
             return
         if (upload.link, upload.system, upload.component) == (link, *_reply(message)):
             self._stop()
 
-    def _ask(self) -> None:
+    def _request_item(self) -> None:
         upload = self._upload
         if upload is None:
             return
@@ -180,9 +181,9 @@ class MissionStorage:
             self._send(upload.link, mavlink.MAVLink_mission_request_message(*to))
         else:
             self._send(upload.link, mavlink.MAVLink_mission_request_int_message(*to))
-        upload.entry = self._agenda.after(_ASK_AGAIN_S, self._ask_again)
+        upload.entry = self._agenda.after(_REQUEST_AGAIN_S, self._request_again)
 
-    def _ask_again(self) -> None:
+    def _request_again(self) -> None:
         upload = self._upload
         if upload is None:
             return
@@ -190,7 +191,7 @@ class MissionStorage:
             self._stop()
             self._ack(upload.link, upload.system, upload.component, CANCELLED)
         else:
-            self._ask()
+            self._request_item()
 
     def _stop(self) -> None:
         if self._upload is not None and self._upload.entry is not None:
@@ -207,7 +208,7 @@ class MissionStorage:
                 self._ack(link, *_reply(message), INVALID_SEQUENCE)
             return
         try:
-            item = self._kept(_item_of(message))
+            item = self._stored(_item_of(message))
         except MissionRefused as refused:
             self._stop()
             self._ack(link, upload.system, upload.component, refused.result)
@@ -220,7 +221,7 @@ class MissionStorage:
         if upload.next_seq == upload.count:
             self._finish(upload)
         else:
-            self._ask()
+            self._request_item()
 
     def _write(self, item: MissionItem) -> None:
         if self._kind == "px4":
@@ -238,23 +239,27 @@ class MissionStorage:
             self.items = self._incoming
             self._change()
         else:
-            # Only the one that uploaded hears it.
+            # Sent only to the uploader.
             self._send(upload.link, mavlink.MAVLink_statustext_message(_INFO, b"Flight plan received"))
         self._ack(upload.link, upload.system, upload.component, ACCEPTED)
 
-    def _kept(self, item: MissionItem) -> MissionItem:
+    def _stored(self, item: MissionItem) -> MissionItem:
         if self._kind == "ardupilot" and item.seq == 0:
             home = self._home
             place = home.latitude_deg, home.longitude_deg, whole_centimetres(home.altitude_amsl_m)
             return MissionItem(0, 16, (0.0, 0.0, 0.0, 0.0, *place))
         return AUTOPILOTS[self._kind].store(item)
 
-    def _in_turn(self, link: str, message: Any) -> bool:
-        """PX4 gives the next item or the last one again; any other request ends the transfer."""
+    def _is_expected(self, link: str, message: Any) -> bool:
+        """PX4 sends the next item, or the last one again. Any other request ends the transfer."""
         now_s, transfer = self._agenda.now_s, self._download
-        if transfer is None or now_s - transfer.heard_s > _TRANSFER_S or transfer.partner != _reply(message):
+        if (
+            transfer is None
+            or now_s - transfer.requested_s > _TRANSFER_S
+            or transfer.partner != _reply(message)
+        ):
             return False
-        transfer.heard_s = now_s
+        transfer.requested_s = now_s
         if message.seq == transfer.next_seq:
             transfer.next_seq += 1
         elif message.seq != transfer.next_seq - 1:

@@ -47,16 +47,12 @@ _PX4_ALIASES = {"AUTO": "MISSION", "GUIDED": "HOLD", "LOITER": "HOLD"}
 
 
 def modes_of(kind: AutopilotKind) -> dict[str, FlightMode]:
-    """All modes that the autopilot has here, by name."""
+    """The simulated modes of the autopilot, by name."""
     return dict(_ARDUPILOT if kind == "ardupilot" else _PX4)
 
 
 def mode_named(kind: AutopilotKind, name: str) -> FlightMode:
-    """The mode of that name.
-
-    On PX4 AUTO, GUIDED and LOITER mean MISSION, HOLD and HOLD, so that one script can fly both.
-    ValueError if there is none.
-    """
+    """The mode of this name; PX4 accepts AUTO, GUIDED and LOITER, too. Raises `ValueError`."""
     modes = modes_of(kind)
     key = name.upper()
     if kind == "px4":

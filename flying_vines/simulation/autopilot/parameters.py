@@ -1,4 +1,4 @@
-"""The parameters: a small set that is true of this autopilot, in the encoding of its kind."""
+"""A small set of parameters, in the encoding of the autopilot's kind."""
 
 from __future__ import annotations
 
@@ -69,12 +69,12 @@ _FACTORY = {
     "NAV_RCL_ACT": 2.0,
     "SYS_AUTOSTART": 4001.0,
 }
-_OWN = {"SYSID_THISMAV", "MAV_SYS_ID", "MIS_TOTAL", "STAT_BOOTCNT", "STAT_RUNTIME"}
-"""Those that only the autopilot itself changes here; a set of one is answered with the value kept."""
+_READ_ONLY = {"SYSID_THISMAV", "MAV_SYS_ID", "MIS_TOTAL", "STAT_BOOTCNT", "STAT_RUNTIME"}
+"""Only the autopilot changes these; PARAM_SET of one is answered with the old value."""
 
 
 class _RawValue(mavlink.MAVLink_param_value_message):  # type: ignore[misc]
-    """PARAM_VALUE whose value is four given bytes: bytes that look like a NaN would not survive."""
+    """PARAM_VALUE with four given bytes as value, because a float would change bytes that look like a NaN."""
 
     def __init__(self, name: str, raw: bytes, kind: int, count: int, index: int) -> None:
         super().__init__(name.encode(), struct.unpack("<f", raw)[0], kind, count, index)
@@ -88,17 +88,17 @@ class _RawValue(mavlink.MAVLink_param_value_message):  # type: ignore[misc]
 
 
 def _first_four_bytes(message: Any) -> bytes:
-    """The value as it was sent; of short MAVLink 2 payloads zeros at the end are left out."""
+    """The value's bytes as sent, padded: MAVLink 2 omits zeros at the end of a payload."""
     frame = bytes(message.get_msgbuf())
     header = 10 if frame[0] == mavlink.PROTOCOL_MARKER_V2 else 6
     return frame[header : header + min(4, frame[1])].ljust(4, b"\0")
 
 
 class ParameterServer:
-    """The parameter protocol's vehicle side.
+    """The vehicle side of the parameter protocol.
 
-    ArduPilot writes integers as the number (a C cast), PX4 as their bytes. ArduPilot does not answer for a
-    name that it does not have, PX4 says so in a status text. A value that changes is told to everyone.
+    ArduPilot sends integers as float numbers (C cast), PX4 as their bytes. For an unknown name ArduPilot does
+    not answer, and PX4 sends a status text. Changes are sent to all links.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class ParameterServer:
         tell: Callable[[Any], None],
         say: Callable[[str], None],
     ) -> None:
-        """`values` differ from the factory's; `send` goes to one link, `tell` and `say` (a text) to all."""
+        """`values` replace factory values; `send` sends to one link, `tell` and `say` (a text) to all."""
         self._kind = kind
         self._types = _TYPES[kind]
         self._values = {name: float(values.get(name, _FACTORY.get(name, 0.0))) for name in self._types}
@@ -125,14 +125,14 @@ class ParameterServer:
         return self._values[name]
 
     def change(self, name: str, value: float) -> None:
-        """The autopilot itself, or whoever flies it, changes a value, and everyone is told."""
+        """Change a value and send it to all links."""
         if name not in self._values:
             raise ValueError(f"{self._kind} has no parameter {name} here")
         self._values[name] = value
         self._tell(self._message(name, NO_INDEX))
 
     def reboot(self) -> None:
-        """Values are kept; a list that was under way is not."""
+        """Values survive; running list transfers end."""
         self._lists.clear()
         if self._kind == "ardupilot":
             self._values["STAT_BOOTCNT"] += 1
@@ -181,13 +181,13 @@ class ParameterServer:
     def _set(self, link: str, message: Any) -> None:
         name = message.param_id
         if name == HASH_CHECK and self._kind == "px4":
-            self._stop(link)  # the ground station has this very set in its cache
+            self._stop(link)  # the ground station has this set in its cache
             return
         if name not in self._values:
             self._unknown(name)
             return
         value = self._sent(message)
-        if math.isfinite(value) and name not in _OWN:
+        if math.isfinite(value) and name not in _READ_ONLY:
             self._values[name] = value
         self._tell(self._message(name, NO_INDEX if self._kind == "ardupilot" else self._names.index(name)))
 
@@ -215,7 +215,7 @@ class ParameterServer:
         return struct.pack("<i", int(self._values[name]))
 
     def _hash(self) -> Any:
-        """A checksum of names and values, by which a ground station may use its cache."""
+        """Checksum of names and values; a ground station compares it with its cache."""
         crc = 0xFFFFFFFF
         for name in sorted(self._names):
             crc = zlib.crc32(self._bytes(name), zlib.crc32(name.encode(), crc))

@@ -1,4 +1,4 @@
-"""One link of the autopilot: its codec, its counters, the streams it asked for."""
+"""One link of the autopilot: codec, counters and requested streams."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from flying_vines.simulation.autopilot.agenda import AgendaEntry
 COMPANION = "companion"
 USB = "usb"
 KNOWN = frozenset(message_class.msgname for message_class in mavlink.mavlink_map.values())
-PX4_ALSO_KNOWS = frozenset({"UNKNOWN_371"})
-"""FUEL_STATUS is in PX4's dialect but not in this one: known enough to be passed on."""
+PX4_EXTRA_MESSAGES = frozenset({"UNKNOWN_371"})
+"""FUEL_STATUS is in PX4's dialect but not in this one: PX4 forwards it."""
 _SIGNING_EPOCH_S = 1_420_070_400
 _RADIO_STATUS = {109, 166}
 
 
 @dataclass(slots=True)
 class PortStream:
-    """One message sent again and again."""
+    """One periodic message."""
 
     interval_s: float
     entry: AgendaEntry
@@ -28,11 +28,11 @@ class PortStream:
 
 @dataclass(slots=True)
 class Port:
-    """A link as the autopilot knows it.
+    """A link of the autopilot.
 
-    Each port counts its own MAVLink sequence. `active` means that something was heard on it, `hears_gcs` that
-    it was a ground station's heartbeat. With a `key` what it sends is signed, and what comes in must be,
-    except on USB. A port named "companion" is PX4's MAV_1, in its onboard mode.
+    Each port has its own MAVLink sequence. `active`: it has received a message; `hears_gcs`: also a ground
+    station's heartbeat. With a `key` it signs its messages, and accepts only signed ones, except on USB. A
+    port named "companion" is PX4's MAV_1 in onboard mode.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Port:
         self.reboot()
 
     def reboot(self) -> None:
-        """Everything learnt is forgotten; the sequence restarts at 0."""
+        """Forget all learnt state; the sequence restarts at 0."""
         for stream in self.streams.values():
             stream.entry.cancel()
         self.streams = {}
@@ -67,8 +67,8 @@ class Port:
             self._encoder.signing.link_id = self.number
             self._decoder.signing.allow_unsigned_callback = self._may_be_unsigned
 
-    def tell_time(self, unix_s: float) -> None:
-        """For signatures, which carry it; it never runs backwards."""
+    def set_time(self, unix_s: float) -> None:
+        """Set the time for signatures; it never decreases."""
         self._advance_signing(int((unix_s - _SIGNING_EPOCH_S) * 1e5))
 
     def _advance_signing(self, timestamp: int) -> None:
@@ -81,9 +81,9 @@ class Port:
         return frame
 
     def decode(self, data: bytes) -> list[Any]:
-        """The good messages in `data`; what is damaged or unknown is dropped, as a CRC failure would be."""
+        """The valid messages in `data`. Damaged and unknown ones are dropped."""
         messages = self._decoder.parse_buffer(data) or []
-        # What is believed moves the clock that it signs with.
+        # Accepted signatures advance the signing clock.
         self._advance_signing(self._decoder.signing.timestamp)
         return [message for message in messages if message.get_type() in self.known]
 

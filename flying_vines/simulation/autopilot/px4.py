@@ -1,4 +1,4 @@
-"""How PX4 runs a mission: every DO item goes out as a command to whoever feels addressed."""
+"""Runs a mission like PX4: every DO item is sent as a command to all components."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _NAN = float("nan")
 
 @dataclass(frozen=True, slots=True)
 class CommandLong:
-    """A COMMAND_LONG that PX4 sends of its own accord."""
+    """A COMMAND_LONG that PX4 itself sends."""
 
     command: int
     params: tuple[float, float, float, float, float, float, float]
@@ -45,18 +45,19 @@ class CommandLong:
 
 @dataclass(slots=True)
 class _Sent:
-    """A command until it is repeated for the last time, or its turn to be repeated comes and it is known."""
+    """A sent command, until its last repeat, or until a repeat is due and it is acknowledged."""
 
     command: CommandLong
     acknowledged: bool = False
 
 
 class CommandSender:
-    """Sends commands and repeats them, confirmation rising, until somebody acknowledges.
+    """Sends commands and repeats them with rising confirmation until they are acknowledged.
 
-    The first repeat comes after 1 s and two more after 0.5 s each, as recorded. An acknowledgement goes to
-    the oldest command of that number, which is kept until its next repeat would be due. So the second of two
-    is repeated although it was acknowledged, and one that was lost may be ended by another's acknowledgement.
+    As recorded, the first repeat comes after 1 s and two more after 0.5 s each. An acknowledgement counts for
+    the oldest command of this number, which stays in the list until its next repeat is due. So of two equal
+    commands the second is repeated although it was acknowledged, and an acknowledgement may end a lost
+    command.
     """
 
     def __init__(self, agenda: Agenda, send: Callable[[CommandLong, int], None]) -> None:
@@ -89,10 +90,10 @@ class CommandSender:
 
 
 class Px4Mission:
-    """One index over all items, DO items included.
+    """One index over all items, including DO items.
 
-    Items 211 and 42600 hold the mission for `command_timeout_s` (MIS_COMMAND_TOUT) even when acknowledged;
-    other DO items are over at once, so that a burst of them shows only the last as reached.
+    Items 211 and 42600 stop the mission for `command_timeout_s` (MIS_COMMAND_TOUT) even if they are
+    acknowledged. Other DO items end at once, so of a burst only the last one is reported as reached.
     """
 
     def __init__(self, host: Host, sender: CommandSender, command_timeout_s: Callable[[], float]) -> None:
@@ -114,7 +115,7 @@ class Px4Mission:
             total = TOTAL_BEFORE_FIRST_UPLOAD
         state = self._state if self._host.items else NO_MISSION
         mode = _SUBMODE_IN_MISSION if in_mission_mode else _SUBMODE_SUSPENDED
-        # After a jump it tells the item before, until the next one is reached.
+        # After a jump it reports the item before the jump, until the next one is reached.
         seq = self._seq if self._stale_seq is None else self._stale_seq
         return MissionStatus(seq, total, state, mode)
 
@@ -165,7 +166,7 @@ class Px4Mission:
         leg, had_arrived = self._leg, self._leg.arrived
         leg.update(self._host.agenda.now_s, self._host.armed)
         if leg.item.command in (LAND, RETURN_HOME):
-            # Shown as reached over the place, before the descent.
+            # Reported as reached above the place, before the descent.
             if leg.arrived and not had_arrived:
                 self._host.reached(leg.item.seq)
         elif leg.done:
@@ -223,7 +224,7 @@ class Px4Mission:
             self._pictures |= item.command == _START_PICTURES
             if reached:
                 self._host.reached(item.seq)
-        # Only so many fit into the queue between navigator and MAVLink.
+        # Size of the queue between navigator and MAVLink.
         for item in burst[-_QUEUE:]:
             first = item.params[0]
             target = int(first) if item.command in _TO_PARAM1 and 0.0 <= first < 256.0 else 0

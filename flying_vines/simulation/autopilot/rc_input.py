@@ -1,4 +1,4 @@
-"""RC as the autopilot lives with it: the receiver, its losses, and what a ground station sends instead."""
+"""The autopilot's RC input: the receiver, its losses, and overrides by a ground station."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ _IGNORE_OVERRIDES, _IGNORE_RECEIVER_FAILSAFE = 2, 4
 _PX4_OVERRIDE_S = 0.5
 _RSSI_GONE_S, _RSSI_BACK_S = 0.5, 0.03
 REPORTS_APART_S = 2.0
-"""PX4 reports its health no more often, whatever changes."""
+"""Minimum time between two health reports of PX4."""
 
 
 def _loss(receiver: Receiver, how: RcLoss | None) -> RcLoss:
     possible = LOSSES[receiver.source]
     if how is not None and how not in possible:
-        raise ValueError(f"with {receiver.source!r} lose_rc takes {' or '.join(map(repr, possible))}")
+        raise ValueError(f"with {receiver.source!r} lose_rc accepts {' or '.join(map(repr, possible))}")
     return how or possible[0]
 
 
 class ArduPilotRc:
-    """Tells a loss by its failsafe, if its parameters let it.
+    """Reports RC loss by its failsafe, if its parameters allow it.
 
-    No pulses: after RC_FS_TIMEOUT. Values of a receiver in failsafe: only a low throttle tells.
-    `failsafe_changed(on)` is called when the failsafe begins and ends.
+    Without pulses the failsafe starts after RC_FS_TIMEOUT. If a receiver in failsafe sends preset values,
+    only a low throttle shows the loss. `failsafe_changed(on)` is called when the failsafe begins and ends.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class ArduPilotRc:
         self._recover()
 
     def override(self, channels_us: Sequence[int]) -> None:
-        """Kept for RC_OVERRIDE_TIME; below 0 is for ever."""
+        """Overrides hold for RC_OVERRIDE_TIME; below 0: without limit."""
         if self._option(_IGNORE_OVERRIDES):
             return
         self.receiver.override(channels_us)
@@ -82,8 +82,8 @@ class ArduPilotRc:
         self.failsafe = False
 
     @property
-    def _tells(self) -> bool:
-        """Whether its parameters let it see this loss."""
+    def _detects_loss(self) -> bool:
+        """True if its parameters let it detect this loss."""
         if not self._parameter("FS_THR_ENABLE"):
             return False
         if self.receiver.lost == "jump":
@@ -99,7 +99,7 @@ class ArduPilotRc:
             self._fail()
 
     def _fail(self) -> None:
-        if self._tells:
+        if self._detects_loss:
             self.failsafe = True
             self._failsafe_changed(True)
 
@@ -116,10 +116,10 @@ class ArduPilotRc:
 
 
 class Px4Rc:
-    """Tells a loss by the health that it reports, late, and no oftener than each 2 s.
+    """Reports RC loss by its health report: late, and at most every 2 s.
 
-    `reported_good` is that report: only a receiver of its own makes it true. `failsafe_changed(on)` is called
-    when its failsafe acts, and when that is over.
+    `reported_good` is that report; it is true only with a receiver on PX4's own driver.
+    `failsafe_changed(on)` is called when the failsafe begins and ends.
     """
 
     _DETECTS_S = (0.85, 1.1)
@@ -180,7 +180,7 @@ class Px4Rc:
             self.receiver.has_rssi = self._good
 
     def report(self) -> None:
-        """Health has changed somewhere: it is reported as it is now, or as it will be when the time is up."""
+        """Health has changed: report it now, or as soon as the minimum time is over."""
         if self._report_due is not None:
             return
         wait_s = self._reported_s + REPORTS_APART_S - self._agenda.now_s
@@ -195,7 +195,7 @@ class Px4Rc:
         self.reported_good = self._good
 
     def _then(self, *steps: tuple[float, Callable[[], None]]) -> None:
-        """These, instead of what was still to come of a loss or return before."""
+        """Schedule these steps, and cancel pending ones of an earlier loss or return."""
         for entry in self._due:
             entry.cancel()
         self._due = [self._agenda.after(delay_s, step) for delay_s, step in steps]
@@ -234,7 +234,7 @@ def rc_input(
     parameter: Callable[[str], float],
     failsafe_changed: Callable[[bool], None],
 ) -> RcInput:
-    """What that kind of autopilot has."""
+    """The RC input of this kind of autopilot."""
     if kind == "ardupilot":
         if source not in (None, "pulses"):
             raise ValueError(f"ardupilot has no receiver {source!r} here")

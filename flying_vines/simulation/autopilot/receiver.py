@@ -1,4 +1,4 @@
-"""The RC receiver: sticks, what a ground station says instead, and what the autopilot sees of both."""
+"""The RC receiver: sticks, overrides by a ground station, and the resulting channels."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LOSSES: dict[RcSource, tuple[RcLoss, ...]] = {
     "overrides": ("silent",),
     "joystick": ("silent",),
 }
-"""What a loss can look like; the first one is the usual one."""
+"""Possible kinds of loss; the first one is the default."""
 
 CHANNELS = 16
 THROTTLE = 3
@@ -32,12 +32,12 @@ _UNCHANGED_US, _RELEASED_US = (0, 65535), 65534
 
 
 class Receiver:
-    """Sticks and overrides in, channel values out.
+    """Converts sticks and overrides to channel values.
 
-    `values_us` is what the autopilot has: the sticks; while lost the last values ("frozen") or the receiver's
-    own failsafe values ("jump"); nothing at all before the first pulse, or once it is "silent". Channels that
-    a ground station overrides (RC_CHANNELS_OVERRIDE) have its values instead. On PX4 overrides are an RC
-    input of their own, which is there while they come.
+    `values_us` are the autopilot's channels: the sticks; during a loss the last values ("frozen") or the
+    receiver's failsafe values ("jump"); empty before the first pulse and in a "silent" loss. Channels
+    overridden by a ground station (RC_CHANNELS_OVERRIDE) have its values. On PX4, overrides are a separate RC
+    input while they arrive.
     """
 
     def __init__(self, kind: AutopilotKind, present: bool = True, source: RcSource | None = None) -> None:
@@ -48,9 +48,9 @@ class Receiver:
         self.lost: RcLoss | None = None
         self.overridden = False
         self.updates = 0
-        """Counts the overrides that came; PX4 tells its channels once for each."""
+        """Number of received overrides; PX4 sends its channels once per override."""
         self.has_rssi = True
-        """CRSF tells the link's quality, but not in a loss."""
+        """CRSF reports the link quality, but not during a loss."""
         self._received_us: tuple[int, ...] = tuple(self.sticks_us)
         self._overrides_us: dict[int, int] = {}
         if not present or self.source == "joystick":
@@ -59,7 +59,7 @@ class Receiver:
 
     @property
     def values_us(self) -> tuple[int, ...]:
-        """Channel 1 first; empty while there are none."""
+        """The channels, from channel 1; empty if there are none."""
         received_us = () if self.lost == "silent" else self._received_us
         if not self._overrides_us:
             return received_us
@@ -69,7 +69,7 @@ class Receiver:
         return tuple(values_us)
 
     def move(self, channel: int, us: int) -> None:
-        """Move a stick or switch; seen at once if the link stands, on its return otherwise."""
+        """Move a stick or switch. During a loss it becomes visible when RC returns."""
         if not 1 <= channel <= CHANNELS:
             raise ValueError(f"RC channel must be 1 to {CHANNELS}, not {channel}")
         if not 0 <= us <= 65535:
@@ -79,7 +79,7 @@ class Receiver:
             self._received_us = tuple(self.sticks_us)
 
     def override(self, channels_us: Sequence[int]) -> None:
-        """What a ground station sends in RC_CHANNELS_OVERRIDE, channel 1 first."""
+        """Apply RC_CHANNELS_OVERRIDE, from channel 1."""
         for index, us in enumerate(channels_us[:CHANNELS]):
             if us == _RELEASED_US:
                 self._overrides_us.pop(index, None)
@@ -89,12 +89,12 @@ class Receiver:
         self.updates += 1
 
     def release(self) -> None:
-        """No override holds any longer."""
+        """End all overrides."""
         self._overrides_us.clear()
         self.overridden = False
 
     def lose(self, how: RcLoss, preset: Mapping[int, int] | None) -> None:
-        """The link is lost. In a "jump" the channels of `preset` have these values, the others stay."""
+        """Lose the link. In a "jump" the channels of `preset` get its values; the others stay."""
         self.lost = how
         if how == "jump" and preset is None:
             self._received_us = _JUMP_US
@@ -104,7 +104,7 @@ class Receiver:
 
     @property
     def throttle_us(self) -> int:
-        """As received; 0 where nothing ever was."""
+        """The received throttle; 0 if nothing was received."""
         return self._received_us[THROTTLE - 1] if self._received_us else 0
 
     def restore(self) -> None:
@@ -112,7 +112,7 @@ class Receiver:
         self._received_us = tuple(self.sticks_us)
 
     def reboot(self) -> None:
-        """The autopilot forgets what it has seen."""
+        """The autopilot reboots and forgets received values."""
         self.release()
         if self.lost != "jump":
             self._received_us = () if self.lost else tuple(self.sticks_us)

@@ -1,4 +1,4 @@
-"""Which link a message goes on to, learnt from whom each link was heard."""
+"""Routes messages to links, learnt from the senders on each link."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _CAPACITY = 20
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """Links to pass a message on to, and whether the autopilot takes it itself."""
+    """Links to forward a message to, and True if the autopilot handles it itself."""
 
     forward: tuple[str, ...]
     local: bool
@@ -40,9 +40,9 @@ class Routes:
         local = ours and component in (0, AUTOPILOT_COMPONENT)
         if local and system and component:
             return Route((), True)
-        forward = self._links(source, self._concerned(system, component, ours))
+        forward = self._links(source, self._filter(system, component, ours))
         if not forward and ours and self._kind == "ardupilot":
-            # The trap: what is for a component that was never heard, ArduPilot does itself.
+            # Trap: ArduPilot itself handles messages for an unknown component.
             local = True
         return Route(forward, local)
 
@@ -50,7 +50,7 @@ class Routes:
         found = (link for address, link in self._link_of.items() if link != source and concerned(address))
         return tuple(dict.fromkeys(found))
 
-    def _concerned(self, system: int, component: int, ours: bool) -> Callable[[tuple[int, int]], bool]:
+    def _filter(self, system: int, component: int, ours: bool) -> Callable[[tuple[int, int]], bool]:
         def concerned(address: tuple[int, int]) -> bool:
             if system == 0:
                 return True

@@ -1,4 +1,4 @@
-"""What runs a mission, and what it needs from the autopilot around it."""
+"""Interfaces of a mission runner and of the autopilot around it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NO_MISSION, NOT_STARTED, ACTIVE, PAUSED, COMPLETE = 1, 2, 3, 4, 5
 
 @dataclass(frozen=True, slots=True)
 class MissionStatus:
-    """What MISSION_CURRENT says."""
+    """The content of MISSION_CURRENT."""
 
     seq: int
     total: int
@@ -33,20 +33,20 @@ class Host(Protocol):
     @property
     def armed(self) -> bool: ...
     def text(self, text: str, severity: int = 6) -> None:
-        """Say it to everyone who may hear status texts."""
+        """Send a status text to all links that get texts."""
 
     def reached(self, seq: int) -> None:
-        """MISSION_ITEM_REACHED: one slot, sent at the end of the loop, so the last of a loop wins."""
+        """Set MISSION_ITEM_REACHED. It is sent at the end of the loop, so the last one of a loop wins."""
 
     def executed(self, item: MissionItem) -> None:
         """A DO item really ran."""
 
     def flush(self) -> None:
-        """The end of a loop outside the autopilot's own ticks."""
+        """End a loop outside the autopilot's own ticks."""
 
 
 class Runner(Protocol):
-    """A mission runner; all methods are cheap and may be called at any time."""
+    """Runs a mission. All methods may be called at any time."""
 
     def enter(self) -> None:
         """The mission mode was selected."""
@@ -55,10 +55,10 @@ class Runner(Protocol):
         """Another mode was selected."""
 
     def update(self) -> None:
-        """Once per loop while the mission mode is on."""
+        """Called once per loop in the mission mode."""
 
     def disarmed(self) -> None:
-        """The vehicle disarmed while the mission mode was on."""
+        """The vehicle was disarmed in the mission mode."""
 
     def replaced(self) -> None:
         """Another mission was loaded."""

@@ -1,4 +1,4 @@
-"""What the sensors say: GPS, barometer, battery, motors, and where the vehicle wants to go."""
+"""Sensor messages: GPS, barometer, battery, motors, and the position target."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def gps_global_origin(now: AutopilotSnapshot) -> Any:
 
 
 def position_target(now: AutopilotSnapshot) -> Any | None:
-    """Where the position controller wants to be; none is at work while disarmed."""
+    """The position controller's target; None while disarmed."""
     if not now.armed:
         return None
     flight = now.flight
@@ -100,5 +100,5 @@ def position_target(now: AutopilotSnapshot) -> Any | None:
 
 
 def ping(now: AutopilotSnapshot) -> Any:
-    """PX4's own request, once a second; whoever likes answers it."""
+    """PX4's own PING request, once per second."""
     return mavlink.MAVLink_ping_message(int(now.boot_s * 1e6), int(now.boot_s) & 0xFFFFFFFF, 0, 0)

@@ -1,4 +1,4 @@
-"""Everything that telemetry is made of, at one instant."""
+"""The autopilot's state for telemetry, at one instant."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class AutopilotSnapshot:
     calibrating: bool
     rc_failsafe: bool
     rc_reported: bool
-    """PX4's health report calls RC good."""
+    """PX4's health report says that RC is good."""
     boot_s: float
     unix_s: float
     flight: CopterMotion

@@ -1,4 +1,4 @@
-"""What goes out again and again on a link: what was asked for, and what an autopilot sends of itself."""
+"""Periodic messages on a link: requested ones, and those that an autopilot sends by default."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NAMED_VALUE_FLOAT = 251
 _NAME_BYTES = 9
 _TIMESYNC_S = 10.0
 
-# What PX4 sends unasked: on the onboard link as recorded, on the others as its "normal" mode has it.
+# Default rates of PX4: on the onboard link as recorded, on the others those of its "normal" mode.
 _ONBOARD_HZ = {telemetry.ATTITUDE: 98.0, telemetry.MISSION_CURRENT: 1.0, _NAMED_VALUE_FLOAT: 10.0}
 _NORMAL_HZ = {
     telemetry.ATTITUDE: 15.0,
@@ -35,10 +35,7 @@ _NORMAL_HZ = {
 
 
 class StreamSender:
-    """Sends telemetry on ports, once or at a rate.
-
-    A port that was never heard on gets heartbeats and TIMESYNC alone.
-    """
+    """Sends telemetry. A port that has received nothing yet gets only heartbeats and TIMESYNC."""
 
     def __init__(
         self,
@@ -58,14 +55,14 @@ class StreamSender:
         self._named_value = None
 
     def begin(self, port: Port) -> None:
-        """What goes out on a port from boot on."""
+        """Start the messages that a port sends from boot on."""
         self.every(port, telemetry.HEARTBEAT, 1.0, first_s=0.0)
         if self._kind == "ardupilot":
             first_s = max(0.0, _TIMESYNC_S - self._snapshot().boot_s)
             self.every(port, telemetry.TIMESYNC, _TIMESYNC_S, first_s)
 
     def activate(self, port: Port) -> None:
-        """Something was heard on the port."""
+        """A message was received on the port: start PX4's default streams."""
         if port.active:
             return
         port.active = True
@@ -74,7 +71,7 @@ class StreamSender:
                 self.every(port, message_id, 1 / rate_hz)
 
     def every(self, port: Port, message_id: int, interval_s: float, first_s: float | None = None) -> None:
-        """Send it every `interval_s` from now on; 0 to stop."""
+        """Send a message every `interval_s` from now on; 0 stops it."""
         stream = port.streams.pop(message_id, None)
         if stream is not None:
             stream.entry.cancel()
@@ -84,7 +81,7 @@ class StreamSender:
         begin_s = self._agenda.now_s + (interval_s if first_s is None else first_s)
 
         def send(count: int = 1) -> None:
-            # Counted, not added up, so that the rate is exact for hours.
+            # Computed from a count, so that rounding errors do not add up.
             entry = self._agenda.at(begin_s + count * interval_s, lambda: send(count + 1))
             port.streams[message_id] = PortStream(interval_s, entry)
             self.once(port, message_id)
@@ -92,7 +89,7 @@ class StreamSender:
         port.streams[message_id] = PortStream(interval_s, self._agenda.at(begin_s, send))
 
     def once(self, port: Port, message_id: int) -> None:
-        """Send it now, if there is anything to say in it."""
+        """Send a message now, if it has content."""
         if not port.active and message_id not in (telemetry.HEARTBEAT, telemetry.TIMESYNC):
             return
         if message_id == _NAMED_VALUE_FLOAT:
@@ -107,8 +104,9 @@ class StreamSender:
         if message is not None:
             self._send(port, message)
 
-    def hear_value(self, message: Any) -> None:
-        """A NAMED_VALUE_FLOAT that PX4 was sent: it streams the latest as its own, with a shorter name."""
+    def take_value(self, message: Any) -> None:
+        """A NAMED_VALUE_FLOAT that PX4 received: PX4 streams the latest one as its own, with a shorter
+        name."""
         self._named_value = message
         self._named_values += 1
 

@@ -1,4 +1,4 @@
-"""The messages that tell the state of the vehicle, as both autopilots fill them."""
+"""Messages about the vehicle's state, as both autopilots fill them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HOME_POSITION, EXTENDED_SYS_STATE = 242, 245
 
 RC_RECEIVER = 0x10000
 
-# As recorded: a quad with its usual sensors; PX4 shows an RC receiver only while it is good.
+# As recorded from a quadcopter with usual sensors. PX4 reports an RC receiver only while it is good.
 _ARDUPILOT_PRESENT, _ARDUPILOT_ENABLED, _ARDUPILOT_HEALTH = 0x5371FC2F, 0x5361FC2F, 0x5771FC2F
 _ARDUPILOT_DISARMED = 0x01000000
 _PX4_PRESENT, _PX4_ENABLED, _PX4_HEALTH = 0x0300402F, 0x0301402F, 0x1320C83F
@@ -39,13 +39,13 @@ _PARAM_ENCODING: dict[AutopilotKind, int] = {
     "px4": mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE,
 }
 _UID = 0x5F1E5
-# What each of PX4's RC inputs fills in: channel count, rssi, and the two channels behind the sticks.
+# Values of PX4's RC inputs: channel count, rssi, and the two channels after the sticks.
 _PX4_RC = {"overrides": (18, 100, 1500), "sbus": (18, 255, 998), "crsf": (16, 61, 65535)}
 _NO_RSSI = 255
 
 
 class Px4MissionCurrent(mavlink.MAVLink_mission_current_message):  # type: ignore[misc]
-    """MISSION_CURRENT with the plan ids that PX4 appends and that this dialect does not know."""
+    """MISSION_CURRENT with the plan ids that PX4 appends; this dialect does not have them."""
 
     def __init__(self, status: MissionStatus, mission_id: int) -> None:
         super().__init__(status.seq, status.total, status.state, status.mode)
@@ -57,13 +57,13 @@ class Px4MissionCurrent(mavlink.MAVLink_mission_current_message):  # type: ignor
 
 
 def telemetry(message_id: int, now: AutopilotSnapshot) -> Any | None:
-    """The message of that id as of `now`; None if the autopilot has nothing to say in it."""
+    """The message of this id at `now`; None if it has no content now."""
     make = _MAKERS.get(message_id)
     return make(now) if make is not None else None
 
 
 def streamable(message_id: int) -> bool:
-    """Whether SET_MESSAGE_INTERVAL and REQUEST_MESSAGE know the message."""
+    """True if SET_MESSAGE_INTERVAL and REQUEST_MESSAGE accept the message."""
     return message_id in _MAKERS
 
 

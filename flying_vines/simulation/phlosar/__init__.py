@@ -2,4 +2,4 @@
 
 
 class FirmwareBuildError(Exception):
-    """The firmware's core could not be built or loaded here; says why in a sentence."""
+    """The firmware's core cannot be built or loaded here; the text says why."""

@@ -1,4 +1,4 @@
-"""What a board does, and a board in the place of another."""
+"""The interface of a board, and a wrapper for one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from flying_vines.simulation.phlosar.regulator import Drive
 
 
 class Board(Protocol):
-    """Firmware, whatever runs it. `step` a thousand times a second; bytes and pressures at any time."""
+    """A board with firmware. Call `step` at 1 kHz; the other methods at any time."""
 
     @property
     def mode(self) -> Mode: ...
@@ -30,7 +30,7 @@ class Board(Protocol):
 
 
 class Between:
-    """A board in the place of another: hands everything on, for whoever wants to see some of it."""
+    """A wrapper that forwards everything to a board. Subclasses observe or change a part of it."""
 
     def __init__(self, board: Board) -> None:
         self._board = board

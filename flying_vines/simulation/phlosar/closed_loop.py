@@ -1,8 +1,8 @@
-"""The firmware's regulator and a plant in a closed loop, compiled: a minute in some thousandths of one.
+"""The firmware's regulator and a plant in a closed loop, compiled: some thousand times faster than real time.
 
-What `SimulatedPhlosar` does with bytes and in real time, as one call: sensors are read and the valves told
-anew at 1 kHz by the firmware's own regulator. No protocol, no faults: whether a pressure was too
-high is for the caller to see in the table. Needs numba: pip install 'flying-vines[analysis]'.
+One call simulates what `SimulatedPhlosar` does with bytes: at 1 kHz the firmware's own regulator reads the
+sensors and commands the valves. No protocol and no faults: the caller must check the table for too high
+pressures. Needs numba: pip install 'flying-vines[analysis]'.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from flying_vines.simulation.phlosar.regulator import SAFE, Regulator, Tuning
 
 regulator_begin = external(load().phlosar_regulator_begin, "void(intp, f8)")
 regulator_step = external(load().phlosar_regulator_step, "void(intp, f8, f8, f8, f8, voidptr)")
-"""For compiled loops. Both take a `Regulator.address`; a step fills evp, dvp, solenoid (0 or 1), setpoint."""
+"""For compiled loops, by `Regulator.address`. A step writes evp, dvp, solenoid (0/1), setpoint."""
 
 
 class SetpointChange(NamedTuple):
-    """From when on which pressure is to be held, and how fast to go there. NaN kPa: vent."""
+    """A new target pressure from a time on, with its rate limit. NaN kPa: vent."""
 
     from_s: float
     target_kPa: float
@@ -58,18 +58,18 @@ def closed_loop(
     seed: int | None = None,
     record_every: int = 10,
 ) -> CompiledRun:
-    """The plant from `state` (default: `at_rest`) under the regulator for so long.
+    """Simulate the plant from `state` (default: `at_rest`) with the regulator for `seconds`.
 
-    `setpoints` in the order of their times, each until the next one; before the first the plant is vented,
-    as the firmware does. Sensors are perfect unless given, and without noise unless there is a `seed`. A row
-    of the table tells of the start of every `record_every`-th tick of 1 ms: the default is the firmware's
-    telemetry of 100 Hz. Times are nearest ticks.
+    `setpoints` are in order of time; each lasts until the next one. Before the first one the plant is vented,
+    as in the firmware. Default: perfect sensors. Without `seed` there is no noise. The table has one row for
+    the start of every `record_every`-th tick of 1 ms; the default is the firmware's telemetry at 100 Hz.
+    Times are rounded to ticks.
     """
     n_ticks = round(seconds / TICK_S)
     orders = np.array([tuple(setpoint) for setpoint in setpoints], np.float64).reshape(-1, 3)
     orders[:, 0] = np.round(orders[:, 0] / TICK_S)
     if (np.diff(orders[:, 0]) <= 0.0).any():
-        raise ValueError("setpoints come one after the other: their times must rise, by a tick at least")
+        raise ValueError("times of setpoints must increase by at least one tick")
     table = empty_table(n_ticks, record_every)
     regulator = Regulator(tuning)
     final = compiled(run_regulated, APART)(
@@ -101,8 +101,10 @@ def run_regulated(
     every: int,
     table: Table,
 ) -> Floats:
-    """The state at the end; `told` (EVP, DVP, solenoid, setpoint: a row a tick) is for the valves' delays.
-    Else as `run_openings`."""
+    """Returns the final state. `told` stores EVP, DVP, solenoid and setpoint of each tick for the delays.
+
+    EVP: inflation valve. DVP: the Venturi's supply valve. All else as `run_openings`.
+    """
     s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state
     now: Floats = (s0, s1, s2, s3, s4, s5, s6, s7, s8, s9)
     air = weather_at(weather, 0)
@@ -123,7 +125,7 @@ def run_regulated(
         while order < len(orders) and orders[order, 0] <= index:
             target_kPa, rate_kPa_per_s = orders[order, 1], orders[order, 2]
             order += 1
-            # As in the firmware: a regulation begins with what was read last.
+            # As in the firmware: the regulator starts at the last reading.
             if not regulating:
                 regulator_begin(regulator, cv_kPa if index == 0 else cv_before_kPa)
             regulating = target_kPa == target_kPa

@@ -1,9 +1,9 @@
-"""The firmware's C++ core as a library of this machine.
+"""Loads the firmware's C++ core as a shared library.
 
-It comes prebuilt for the usual Linux machines, so that nobody needs a compiler. A library says of which
-sources it was built. Where these have changed, and on other machines, it is built anew and kept in the user's
-cache. `python -m flying_vines.simulation.phlosar.core_library` renews the prebuilt ones, with the compiler of
-the package `ziglang`: pip install 'flying-vines[firmware]'.
+Prebuilt libraries for the usual Linux computers need no compiler. Each has a digest of its sources. If the
+sources have changed, and on other computers, the library is compiled into the user's cache. `python -m
+flying_vines.simulation.phlosar.core_library` renews the prebuilt ones with the compiler of the package
+`ziglang`: pip install 'flying-vines[firmware]'.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SOURCES = Path(__file__).parents[3] / "firmware_link" / "firmware"
 PREBUILT = SOURCES / "host" / "prebuilt"
 WHAT_TO_INSTALL = "a C++ compiler: sudo apt install g++"
 TARGETS = ("x86_64-linux-gnu", "aarch64-linux-gnu", "arm-linux-gnueabihf")
-"""The machines of the prebuilt libraries."""
+"""The targets of the prebuilt libraries."""
 _OLDEST_GLIBC = "2.17"
 _FLAGS = (
     "-std=c++17", "-O2", "-shared", "-fPIC", "-fvisibility=hidden", "-fno-exceptions", "-fno-rtti",
@@ -39,7 +39,7 @@ _FLOAT, _DOUBLE, _FLAG, _TEXT = ctypes.c_float, ctypes.c_double, ctypes.c_bool, 
 
 
 class Outputs(ctypes.Structure):
-    """Duty cycles of 65535."""
+    """Duty cycles, 0 … 65535."""
 
     _fields_ = (("evp_duty", _U16), ("dvp_duty", _U16), ("solenoid", _FLAG))
 
@@ -82,12 +82,12 @@ _SIGNATURES = {
 
 @cache
 def load() -> ctypes.CDLL:
-    """The functions of the library. FirmwareBuildError if none fits this machine and none can be built."""
+    """The library. Raises `FirmwareBuildError` if none fits this computer and none can be built."""
     return _prebuilt() or opened(build())
 
 
 def opened(path: Path) -> ctypes.CDLL:
-    """A library's functions. FirmwareBuildError for a file that this machine cannot load."""
+    """Load a library. Raises `FirmwareBuildError` if this computer cannot load the file."""
     try:
         library = ctypes.CDLL(str(path))
     except OSError as error:
@@ -100,9 +100,9 @@ def opened(path: Path) -> ctypes.CDLL:
 
 
 def _prebuilt() -> ctypes.CDLL | None:
-    """The prebuilt library for this machine; None if there is none, or if the sources have changed since."""
+    """The prebuilt library for this computer; None if there is none, or if its sources have changed."""
     for target in TARGETS:
-        # Another machine's does not load.
+        # A library for another processor does not load.
         with contextlib.suppress(FirmwareBuildError):
             library = opened(prebuilt(target))
             return library if library.phlosar_sources() == sources_digest().encode() else None
@@ -114,7 +114,7 @@ def prebuilt(target: str) -> Path:
 
 
 def compiler() -> str | None:
-    """The C++ compiler of this machine ($CXX comes first), or None."""
+    """The C++ compiler of this computer ($CXX first), or None."""
     for name in (os.environ.get("CXX"), "c++", "g++", "clang++"):
         if name and (path := shutil.which(name)):
             return path
@@ -122,7 +122,7 @@ def compiler() -> str | None:
 
 
 def build() -> Path:
-    """The library, built unless it is in the cache. FirmwareBuildError when that fails."""
+    """The library from the cache; built if it is missing. Raises `FirmwareBuildError`."""
     command = compiler()
     if command is None:
         raise FirmwareBuildError(f"the firmware cannot be built here without {WHAT_TO_INSTALL}")
@@ -151,27 +151,28 @@ def _flags() -> tuple[str, ...]:
 
 
 def built(command: Sequence[str], files: Sequence[Path], name: str) -> Path:
-    """The file that the command builds from these sources and headers, in the cache.
+    """The file in the cache that the command builds from these sources and headers; built if it is missing.
 
-    Its name has a digest of the command and the sources. FirmwareBuildError if it cannot be built or stored.
+    Its name contains a digest of command and sources. Raises `FirmwareBuildError` if it cannot be built or
+    stored.
     """
     made_of = hashlib.sha256("\0".join(command).encode())
     for file in files:
         made_of.update(file.read_bytes())
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "flying-vines"
-    kept = folder / f"{Path(name).stem}-{made_of.hexdigest()[:16]}{Path(name).suffix}"
+    path = folder / f"{Path(name).stem}-{made_of.hexdigest()[:16]}{Path(name).suffix}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if not kept.exists():
-            compile_to(kept, command, files)
+        if not path.exists():
+            compile_to(path, command, files)
     except OSError as error:
-        raise FirmwareBuildError(f"the firmware cannot be kept in {folder}: {error.strerror}") from None
-    return kept
+        raise FirmwareBuildError(f"the firmware cannot be stored in {folder}: {error.strerror}") from None
+    return path
 
 
 def compile_to(path: Path, command: Sequence[str], files: Sequence[Path]) -> None:
     sources = [str(file) for file in files if file.suffix == ".cpp"]
-    # Under a name of its own until it is whole: two processes may build at once.
+    # Build under a temporary name, because two processes may build at the same time.
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         fresh = Path(folder) / path.name
         made = subprocess.run(
@@ -183,7 +184,7 @@ def compile_to(path: Path, command: Sequence[str], files: Sequence[Path]) -> Non
 
 
 def prebuild(target: str, path: Path) -> None:
-    """The library for one of the usual machines, with the compiler of the package `ziglang`."""
+    """Build the library for a target with the compiler of the package `ziglang`."""
     zig = (
         sys.executable,
         "-m",

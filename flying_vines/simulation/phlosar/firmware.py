@@ -1,7 +1,7 @@
-"""The firmware that a lab flashes: its C++ core, run on this machine.
+"""Runs the C++ core of the real firmware on this computer.
 
-Only the board is not there: pressures become the counts of its converter, duty cycles the openings of its
-valves.
+Only the board is simulated: pressures become converter counts, and duty cycles become valve openings (EVP:
+inflation valve, DVP: the Venturi's supply valve).
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from flying_vines.simulation.phlosar.core_library import Openings, Outputs, load
 from flying_vines.simulation.phlosar.regulator import Drive
 
 CV_SENSOR_SPAN_kPa = 206.84
-"""Of the sensor that is soldered in, whatever the firmware is told: 30 psi."""
+"""Span of the fitted sensor, independent of the firmware's settings: 30 psi."""
 RESERVOIR_SENSOR_SPAN_kPa = 1500.0
-"""15 bar."""
+"""Span of the fitted sensor: 15 bar."""
 _BUILD = "1.0 host"
 _FULL_SCALE = 65535
 _SUPPLY_COUNTS = 59578
-"""5 V through the divider of 0.6 into the converter of 3.3 V."""
+"""5 V through a 0.6 divider into a 3.3 V converter."""
 _OUTPUT_BYTES = 1024
 
 Settings = Mapping[str, float]
 
 
 class SettingRow(NamedTuple):
-    """A setting that is kept over power cycles. No message gets it beyond `least` … `most`."""
+    """A setting that survives power cycles. Messages can change it only within `least` … `most`."""
 
     number: int
     standard: float
@@ -40,23 +40,23 @@ class SettingRow(NamedTuple):
 
 @cache
 def setting_rows() -> dict[str, SettingRow]:
-    """The settings of the firmware by their names, in their order."""
+    """The firmware's settings by name, in its order."""
     library = load()
     rows: dict[str, SettingRow] = {}
     while row := library.phlosar_setting_row(len(rows)):
-        told = row.contents
-        rows[told.name.decode()] = SettingRow(len(rows), told.standard, told.least, told.most)
+        found = row.contents
+        rows[found.name.decode()] = SettingRow(len(rows), found.standard, found.least, found.most)
     return rows
 
 
 class Firmware:
-    """One board, from power-up on. Call `step` a thousand times a second; `now_us` never goes back.
+    """One board from power-up on. Call `step` at 1 kHz; `now_us` must not decrease.
 
-    `step` takes what the sensors that are soldered in say: out of their range where a wire is broken.
-    `settings` has what differs from the standard. `directly` goes past converter and drivers: the firmware
-    reads the pressures themselves, and `step` returns the openings of its telemetry.
-    Settings that the host changed outlive a reset. Bytes that arrive before the first step are lost, as on a
-    board that is still booting. ValueError for settings that the firmware does not have, or does not take.
+    `step` takes the readings of the fitted sensors, which are out of range if a wire is broken. `settings`
+    has the values that differ from the standard. `directly` bypasses converter and drivers: the firmware
+    reads pressures, and `step` returns the openings as in telemetry. Settings that the host changed survive a
+    reset. Bytes before the first step are lost, as on a booting board. Raises `ValueError` for unknown or
+    invalid settings.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Firmware:
     ) -> None:
         self.boot_id = boot_id & 0xFFFFFFFF
         self.supply_share = 1.0
-        """Of the sensors' 5 V; what the board measures of it."""
+        """The sensors' supply as a share of 5 V; the board measures it."""
         self._start = dict(settings or {})
         self._library = load()
         self._directly = directly
@@ -86,7 +86,7 @@ class Firmware:
 
     @property
     def settings(self) -> dict[str, float]:
-        """As they are now: a host may have changed them."""
+        """The present settings; a host may have changed them."""
         setting = self._library.phlosar_setting
         return {name: setting(self._firmware, row.number) for name, row in setting_rows().items()}
 
@@ -96,37 +96,37 @@ class Firmware:
 
     @property
     def faults(self) -> Fault:
-        """The latched ones."""
+        """The latched faults."""
         return Fault(self._library.phlosar_faults(self._firmware))
 
     @property
     def number(self) -> int:
-        """Of the last setpoint or vent accepted; 0 before the first."""
+        """Number of the last accepted setpoint or vent; 0 before the first."""
         return int(self._library.phlosar_number(self._firmware))
 
     def reset(self, *, watchdog: bool = False) -> None:
-        """A power cycle, or a watchdog's reset: everything but the kept settings is forgotten."""
+        """A power cycle or watchdog reset: only stored settings survive."""
         self.boot_id = (self.boot_id + 1) & 0xFFFFFFFF
         if self._library.phlosar_unsaved(self._firmware, self._image):
             self._stored = self._image.raw
         self._power_up(watchdog)
 
     def receive(self, data: bytes) -> None:
-        """Bytes from the host. Acted upon at once, as of the last step's time."""
+        """Bytes from the host. They are handled at once, with the time of the last step."""
         self._library.phlosar_receive(self._firmware, data, len(data))
 
     def take_output(self) -> bytes:
-        """What is to be sent to the host, once."""
+        """The bytes to send to the host; each is returned once."""
         count = self._library.phlosar_take_output(self._firmware, self._buffer, _OUTPUT_BYTES)
         return ctypes.string_at(self._buffer, count)
 
     def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
-        """What the valves are told from now on, given what the sensors say."""
+        """The valve commands for these sensor readings."""
         now_us &= 0xFFFFFFFF
         if self._directly:
-            told = self._openings
-            self._library.phlosar_control(self._firmware, now_us, cv_kPa, reservoir_kPa, True, told)
-            return Drive(told.evp, told.dvp, told.solenoid)
+            found = self._openings
+            self._library.phlosar_control(self._firmware, now_us, cv_kPa, reservoir_kPa, True, found)
+            return Drive(found.evp, found.dvp, found.solenoid)
         supply = self.supply_share * _SUPPLY_COUNTS
         outputs = self._outputs
         self._library.phlosar_step(
@@ -148,8 +148,8 @@ class Firmware:
             if name not in rows:
                 raise ValueError(f"the firmware has no setting {name}")
             if not self._stored and not library.phlosar_set(self._firmware, rows[name].number, value):
-                raise ValueError(f"the firmware does not take {name} {value}")
-        # What the valves are wired for: a duty that the host sets later changes their currents.
+                raise ValueError(f"the firmware does not accept {name} {value}")
+        # The duty cycles at which the simulated valves are fully open; later settings do not change these.
         self._full_evp, self._full_dvp = (
             math.floor(self._start.get(name, rows[name].standard) * _FULL_SCALE + 0.5)
             for name in ("evp_full_duty", "dvp_full_duty")
@@ -157,7 +157,7 @@ class Firmware:
 
 
 def _counts(kPa: float, span_kPa: float, supply: float) -> int:
-    """What the board's converter makes of a ratiometric sensor: 10 … 90 % of its supply over the span."""
+    """Converter counts of a ratiometric sensor: 10 … 90 % of its supply over the span."""
     if not math.isfinite(kPa):
         return 0 if not kPa > 0.0 else _FULL_SCALE
     counts = round((0.1 + 0.8 * kPa / span_kPa) * supply)

@@ -1,8 +1,8 @@
-"""What can go wrong with the hardware of a phloSAR: each kind a description, and where it may happen.
+"""Hardware failures (mishaps) of a phloSAR: the kinds, and the places where they may occur.
 
-A kind is a frozen dataclass that prints as what makes it again. `Mishaps` says what is wrong at present,
-place by place; a `Mishap` is one with its times, and `draw_mishap` thinks one up. Nothing here acts:
-`SimulatedPhlosar` makes its rig, its readings and its board so.
+A kind is a frozen dataclass; its repr creates it again. `Mishaps` has the present failures by place; a
+`Mishap` has also its times; `draw_mishap` draws a random one. `SimulatedPhlosar` applies them. EVP: inflation
+valve. DVP: the Venturi's supply valve.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from flying_vines.physics.plant.flow import Iso6358, Ohm, Opening, flow_SL_per_s
 from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
 
 OPEN_SHARE = -0.125
-"""What a ratiometric sensor of 0.5 to 4.5 V reads of its span at 0 V …"""
+"""Reading of a ratiometric 0.5 … 4.5 V sensor at 0 V, as a share of its span."""
 SHORTED_SHARE = 1.125
-"""… and at its supply of 5 V."""
+"""Reading of this sensor at its supply voltage of 5 V."""
 _STUB_L = 0.004
-"""Of a rig without tubing: what of the actuator's volume stays with the valves when the two are parted."""
+"""In a rig without tubing: volume that stays at the valves when the hose comes off."""
 WATCHDOG_MS = 256
-"""For so long a board may hang."""
+"""The watchdog resets a hanging board after this time."""
 _SONIC_SL_PER_S_KPA_MM2 = 1.27e-3
-"""Choked flow of air at 20 °C through 1 mm², of which 0.65 count: a sharp-edged hole. Assumption."""
+"""Choked flow of air at 20 °C per mm² of a sharp-edged hole (discharge coefficient 0.65). Assumption."""
 _FULL_BOTTLE_KPA = 690.0
 _BENT_VINE_KPA = 20.0
 
@@ -37,24 +37,24 @@ def _check(holds: bool, sentence: str) -> None:
 
 
 class Reading(NamedTuple):
-    """A reading that a sensor is about to give, and what its mishap may go by."""
+    """A sensor reading, and the data that a mishap may use to change it."""
 
     kPa: float
-    """If it were well."""
+    """The reading without the mishap."""
     last_well_kPa: float
-    """The last one that was."""
+    """The last good reading."""
     for_ms: int
-    """Since then."""
+    """Time since then."""
     normal: Callable[[], float]
     """A standard normal number."""
 
 
-# Sensors. What comes of each is kept within what its wire can carry.
+# Sensors. Readings are limited to the voltage range of the wire.
 
 
 @dataclass(frozen=True)
 class Stuck:
-    """It reads what it read last."""
+    """It repeats its last reading."""
 
     def read(self, reading: Reading) -> float:
         return reading.last_well_kPa
@@ -62,7 +62,7 @@ class Stuck:
 
 @dataclass(frozen=True)
 class Drifting:
-    """It goes astray."""
+    """Its error grows with time."""
 
     kPa_per_s: float
 
@@ -72,7 +72,7 @@ class Drifting:
 
 @dataclass(frozen=True)
 class Open:
-    """A broken wire: 0 V."""
+    """Broken wire: 0 V."""
 
     def read(self, reading: Reading) -> float:
         return -inf
@@ -80,7 +80,7 @@ class Open:
 
 @dataclass(frozen=True)
 class Shorted:
-    """To its supply."""
+    """Short circuit to its supply."""
 
     def read(self, reading: Reading) -> float:
         return inf
@@ -88,12 +88,12 @@ class Shorted:
 
 @dataclass(frozen=True)
 class Noisy:
-    """So much noise beside its own."""
+    """Additional noise."""
 
     std_kPa: float
 
     def __post_init__(self) -> None:
-        _check(self.std_kPa >= 0.0, "noise is not negative")
+        _check(self.std_kPa >= 0.0, "noise must not be negative")
 
     def read(self, reading: Reading) -> float:
         return reading.kPa + self.std_kPa * reading.normal()
@@ -101,7 +101,7 @@ class Noisy:
 
 @dataclass(frozen=True)
 class Gain:
-    """It reads so many times what it should; 0 is a dead one."""
+    """Its reading is multiplied by `factor`; 0: dead sensor."""
 
     factor: float
 
@@ -111,13 +111,13 @@ class Gain:
 
 @dataclass(frozen=True)
 class Glitching:
-    """One reading is this, at once and then every so often."""
+    """Single wrong readings: the first at once, then one every `every_ms`."""
 
     kPa: float
     every_ms: float = 100.0
 
     def __post_init__(self) -> None:
-        _check(self.every_ms >= 1.0, "glitches come every 1 ms or more")
+        _check(self.every_ms >= 1.0, "every_ms must be at least 1 ms")
 
     def read(self, reading: Reading) -> float:
         return self.kPa if (reading.for_ms - 1) % self.every_ms < 1.0 else reading.kPa
@@ -131,12 +131,12 @@ SensorMishap = Stuck | Drifting | Open | Shorted | Noisy | Gain | Glitching
 
 @dataclass(frozen=True)
 class StuckAt:
-    """A valve goes to this opening, 0…1, and stays whatever it is told. A solenoid is open from 0.5 on."""
+    """A valve is stuck at this opening, 0…1. A solenoid is open from 0.5 on."""
 
     opening: float
 
     def __post_init__(self) -> None:
-        _check(0.0 <= self.opening <= 1.0, "an opening lies in 0…1")
+        _check(0.0 <= self.opening <= 1.0, "an opening must be in 0…1")
 
 
 # What holds air.
@@ -144,53 +144,53 @@ class StuckAt:
 
 @dataclass(frozen=True)
 class Hole:
-    """A round hole to ambient: a slow leak of 0.1 to 0.5 mm, a burst of several."""
+    """A round hole to ambient. 0.1 … 0.5 mm is a slow leak, several mm a burst."""
 
     bore_mm: float
 
     def __post_init__(self) -> None:
-        _check(self.bore_mm > 0.0, "a hole is larger than 0 mm")
+        _check(self.bore_mm > 0.0, "a hole must be larger than 0 mm")
 
     @property
     def opening(self) -> Opening:
         area_mm2 = pi * self.bore_mm**2 / 4.0
-        # A wider straight end than a valve's, which a small volume could not follow in few steps.
+        # A wider laminar range than a valve's, otherwise a small volume would need very short time steps.
         return Iso6358(_SONIC_SL_PER_S_KPA_MM2 * area_mm2, laminar_ratio=0.98).numbers()
 
 
 @dataclass(frozen=True)
 class HoseOff:
-    """The hose is off at the valves: they and the actuator end in the open."""
+    """The hose is off at the valves: valves and actuator are open to ambient."""
 
 
 @dataclass(frozen=True)
 class Kinked:
-    """The hose passes little, or nothing: this is all of its resistance from then on."""
+    """The hose is kinked and has this total flow resistance."""
 
     flow_resistance_kPa_s_per_SL: float = inf
 
     def __post_init__(self) -> None:
-        _check(self.flow_resistance_kPa_s_per_SL > 0.0, "a flow resistance is positive")
+        _check(self.flow_resistance_kPa_s_per_SL > 0.0, "a flow resistance must be positive")
 
 
 @dataclass(frozen=True)
 class Filled:
-    """Someone fills the bottle to this pressure, or empties it to there, at once."""
+    """The bottle is filled or emptied to this pressure at once."""
 
     kPa: float
 
     def __post_init__(self) -> None:
-        _check(self.kPa >= 0.0, "a bottle is not filled below ambient pressure")
+        _check(self.kPa >= 0.0, "a bottle's pressure must not be below ambient")
 
 
 @dataclass(frozen=True)
 class Heated:
-    """The bottle and its air are so much warmer, at once."""
+    """Bottle and air become warmer by this at once."""
 
     kelvin: float
 
     def __post_init__(self) -> None:
-        _check(self.kelvin > -100.0, "a bottle is not cooled by 100 K")
+        _check(self.kelvin > -100.0, "a bottle must not be cooled by 100 K or more")
 
 
 # The board.
@@ -198,22 +198,22 @@ class Heated:
 
 @dataclass(frozen=True)
 class Unpowered:
-    """No power: nothing is heard or said, and springs close all valves, the outlet too. Then it boots."""
+    """No power: no communication; springs close all valves, the outlet too. It boots when power returns."""
 
 
 @dataclass(frozen=True)
 class Hanging:
-    """No step is made and the valves stay as they are, until the watchdog resets it after 256 ms."""
+    """The firmware stops and the valves stay, until the watchdog resets the board after 256 ms."""
 
 
 @dataclass(frozen=True)
 class Reset:
-    """The power blinks."""
+    """A short power loss."""
 
 
 @dataclass(frozen=True)
 class WatchdogReset:
-    """The watchdog barks."""
+    """A watchdog reset."""
 
 
 MishapKind = (
@@ -230,15 +230,12 @@ MishapKind = (
     | WatchdogReset
 )
 Momentary = Filled | Heated | Reset | WatchdogReset
-"""What happens, and is over."""
+"""Mishaps without duration."""
 
 
 @dataclass
 class Mishaps:
-    """What is wrong at present. None is well.
-
-    What a hole in the bottle lets out, and one in the actuator, comes beside the leaks that the rig has.
-    """
+    """The present mishaps by place. Holes are in addition to the rig's own leaks."""
 
     cv_sensor: SensorMishap | None = None
     reservoir_sensor: SensorMishap | None = None
@@ -253,7 +250,7 @@ class Mishaps:
 
 @dataclass(frozen=True)
 class Mishap:
-    """A kind at a place, from one time on and to another; None: it stays."""
+    """A mishap at a place, with begin and end; `ends_s` None: it stays."""
 
     place: str
     kind: MishapKind
@@ -261,12 +258,12 @@ class Mishap:
     ends_s: float | None = None
 
     def __post_init__(self) -> None:
-        _check(self.place in PLACES, f"{self.place} is no place: the places are {', '.join(PLACES)}")
+        _check(self.place in PLACES, f"{self.place} is not a place; the places are {', '.join(PLACES)}")
         _check(
             isinstance(self.kind, tuple(PLACES[self.place].values())),
-            f"{self.place} cannot suffer {self.kind}",
+            f"{self.place} cannot have {self.kind}",
         )
-        _check(self.ends_s is None or self.ends_s >= self.begins_s, "a mishap ends after it begins")
+        _check(self.ends_s is None or self.ends_s >= self.begins_s, "a mishap must end after its begin")
 
 
 _SENSOR: Mapping[str, type[Any]] = {
@@ -290,27 +287,27 @@ PLACES: Mapping[str, Mapping[str, type[Any]]] = {
     "bottle": {"hole": Hole, "filled": Filled, "heated": Heated},
     "board": {"unpowered": Unpowered, "hanging": Hanging, "reset": Reset, "watchdog": WatchdogReset},
 }
-"""What each place may suffer, by the words for it."""
+"""The possible mishaps of each place, by their typed words."""
 
 
 def words_for(place: str, word: str) -> str:
-    """How a person says it: the word, and the numbers that it takes; [those] may be left out."""
+    """The typed form: the word and its numbers; those in [] are optional."""
     numbers = (f.name if f.default is MISSING else f"[{f.name}]" for f in fields(PLACES[place][word]))
     return " ".join([word, *numbers])
 
 
 def kind_from(place: str, words: list[str]) -> MishapKind:
-    """What a person's words mean: `hole 0.3`. ValueError, with a sentence, where they mean nothing."""
+    """The mishap for typed words (`hole 0.3`). Raises `ValueError` with a sentence."""
     known = PLACES[place]
     if not words or words[0] not in known:
-        raise ValueError(f"{place} may suffer: {', '.join(words_for(place, word) for word in known)}")
+        raise ValueError(f"{place} may have: {', '.join(words_for(place, word) for word in known)}")
     word, *numbers = words
     try:
         values = [float(number) for number in numbers]
     except ValueError as error:
         raise ValueError(f"{' '.join(words)}: {error}") from None
     if not all(map(isfinite, values)):
-        raise ValueError(f"{' '.join(words)}: numbers are finite")
+        raise ValueError(f"{' '.join(words)}: numbers must be finite")
     try:
         made: MishapKind = known[word](*values)
     except TypeError:
@@ -320,14 +317,14 @@ def kind_from(place: str, words: list[str]) -> MishapKind:
 
 DRAWN: tuple[tuple[str, Callable[[Random], MishapKind]], ...] = (
     ("cv_sensor", lambda _: Stuck()),
-    ("cv_sensor", lambda r: Drifting(_either_way(r, 0.2, 20.0))),
+    ("cv_sensor", lambda r: Drifting(_either_sign(r, 0.2, 20.0))),
     ("cv_sensor", lambda _: Open()),
     ("cv_sensor", lambda _: Shorted()),
     ("cv_sensor", lambda r: Noisy(_log_uniform(r, 0.5, 10.0))),
     ("cv_sensor", lambda r: Gain(r.choice([0.0, r.uniform(0.5, 1.5)]))),
     ("cv_sensor", lambda r: Glitching(r.uniform(-20.0, 200.0), _log_uniform(r, 5.0, 5000.0))),
     ("reservoir_sensor", lambda _: Stuck()),
-    ("reservoir_sensor", lambda r: Drifting(_either_way(r, 2.0, 200.0))),
+    ("reservoir_sensor", lambda r: Drifting(_either_sign(r, 2.0, 200.0))),
     ("reservoir_sensor", lambda _: Open()),
     ("reservoir_sensor", lambda _: Shorted()),
     ("reservoir_sensor", lambda r: Noisy(_log_uniform(r, 3.0, 50.0))),
@@ -354,11 +351,11 @@ DRAWN: tuple[tuple[str, Callable[[Random], MishapKind]], ...] = (
     ("board", lambda _: Reset()),
     ("board", lambda _: WatchdogReset()),
 )
-"""What `draw_mishap` draws from, each as likely as the others."""
+"""The mishaps that `draw_mishap` draws from, with equal probability."""
 
 
 def draw_mishap(random: Random, within_s: float) -> Mishap:
-    """One that begins within so long, and in half of the draws ends within it."""
+    """A random mishap that begins within `within_s`; in half of the draws it also ends within it."""
     place, make = random.choice(DRAWN)
     kind = make(random)
     begins_s = random.uniform(0.0, within_s)
@@ -370,7 +367,7 @@ _HOSE_BORE = Hole(4.0)
 
 
 def with_mishaps(well: PlantNumbers, mishaps: Mishaps) -> PlantNumbers:
-    """The plant as it is with all this wrong with it."""
+    """The plant's numbers with these mishaps."""
     numbers = well._replace(evp=_stuck(well.evp, mishaps.evp), dvp=_stuck(well.dvp, mishaps.dvp))
     if mishaps.bottle is not None:
         leak = _beside(well.reservoir_leak, mishaps.bottle.opening, _FULL_BOTTLE_KPA)
@@ -384,7 +381,7 @@ def with_mishaps(well: PlantNumbers, mishaps: Mishaps) -> PlantNumbers:
         numbers = numbers._replace(cv_leak=leak)
     match mishaps.hose:
         case HoseOff():
-            # The actuator empties through what is left on it.
+            # The actuator empties through the rest of its hose.
             tube = Ohm(1.0 / well.line_SL_per_s_kPa).numbers() if well.has_tubing else _HOSE_BORE.opening
             leak = _beside(numbers.cv_leak, tube, _BENT_VINE_KPA)
             numbers = _parted(numbers)._replace(line_hole=_HOSE_BORE.opening, cv_leak=leak)
@@ -398,7 +395,7 @@ def _stuck(valve: ValveNumbers, mishap: StuckAt | None) -> ValveNumbers:
 
 
 def _parted(numbers: PlantNumbers) -> PlantNumbers:
-    """Nothing passes between valves and actuator."""
+    """Valves and actuator without a connection."""
     if numbers.has_tubing:
         return numbers._replace(line_SL_per_s_kPa=0.0)
     cv = numbers.cv
@@ -415,7 +412,7 @@ def _parted(numbers: PlantNumbers) -> PlantNumbers:
 
 
 def _beside(own: Opening, hole: Opening, at_kPa: float) -> Opening:
-    """Both as one hole, which passes at this pressure what they pass."""
+    """One hole with the same flow as both at this pressure."""
     inside, outside = at_kPa + STANDARD_PRESSURE_KPA, STANDARD_PRESSURE_KPA
     already = flow_SL_per_s(own, inside, outside, 1.0, 1.0) / flow_SL_per_s(hole, inside, outside, 1.0, 1.0)
     return hole._replace(
@@ -424,9 +421,9 @@ def _beside(own: Opening, hole: Opening, at_kPa: float) -> Opening:
     )
 
 
-def _log_uniform(random: Random, least: float, most: float) -> float:
-    return float(least * (most / least) ** random.random())
+def _log_uniform(random: Random, low: float, high: float) -> float:
+    return float(low * (high / low) ** random.random())
 
 
-def _either_way(random: Random, least: float, most: float) -> float:
-    return random.choice([-1.0, 1.0]) * _log_uniform(random, least, most)
+def _either_sign(random: Random, low: float, high: float) -> float:
+    return random.choice([-1.0, 1.0]) * _log_uniform(random, low, high)

@@ -1,4 +1,8 @@
-"""A phloSAR that is not there: firmware, the high-fidelity plant, its sensors, mishaps, and a serial port."""
+"""A simulated phloSAR: firmware, detailed plant, sensors, hardware failures (mishaps), and a serial port.
+
+The phloSAR has a bottle, valves, a Venturi and a Teensy. EVP: inflation valve. DVP: the Venturi's supply
+valve.
+"""
 
 from __future__ import annotations
 
@@ -48,18 +52,18 @@ _UNPOWERED = Drive(0.0, 0.0, False)
 
 
 class SimulatedPhlosar:
-    """Firmware and plant, stepped together at 1 kHz. Time starts at 0 and is what `advance` says.
+    """Firmware and plant, stepped together at 1 kHz. Time starts at 0; `advance` sets it.
 
-    A rig is as it probably is: with all its effects, and sensors behind a converter of 12 bits. With
-    `effects` it has these and perfect sensors but for the noise: `Effects()` is the paper's ideal one, and
-    quick. A `TrueRig` says everything itself. The firmware has these settings,
-    unless a board is given.
+    `rig` alone: all typical effects, and sensors behind a 12-bit converter. `rig` with `effects`: only these
+    effects, and ideal sensors with noise; `Effects()` is the paper's ideal rig, and fast. A `TrueRig`
+    specifies everything. `firmware` has settings for the simulated firmware, or is a board.
 
-    What goes wrong with the hardware is said to `mishaps`, from the next `advance` on, or beforehand to
-    `suffer`: `phlosar.mishaps.evp = StuckAt(1.0)`, and None for what is well again.
+    To simulate a hardware failure, set it in `mishaps`, e.g. `phlosar.mishaps.evp = StuckAt(1.0)`; it acts
+    from the next `advance` on. None repairs it. `suffer` plans failures.
 
-    The same seed, bytes and times give the same bytes and pressures. `reservoir_kPa` and `cv_kPa` are the
-    true pressures; the firmware sees them with noise, and the control volume's at the near end of its tube.
+    Equal seeds, bytes and times give equal bytes and pressures. `reservoir_kPa` and `cv_kPa` are the true
+    pressures. The firmware reads them with noise, and the control volume's pressure at the valve end of its
+    tube.
     """
 
     def __init__(
@@ -86,11 +90,11 @@ class SimulatedPhlosar:
         self._steps = 0
         self._hangs_until: int | None = None
         self._random = random.Random(seed)
-        # Of its own, so that a mishap leaves the rest of the noise as it is.
+        # An own generator, so that a mishap does not change the other noise.
         noise = partial(random.Random(f"mishaps of {seed}").gauss, 0.0, 1.0)
-        self._cv_sensor = _Wire(setup.cv_sensor, cv_kPa, noise)
-        self._reservoir_sensor = _Wire(setup.reservoir_sensor, reservoir_kPa, noise)
-        # At time 0 the board has booted and listens.
+        self._cv_sensor = _SensorChannel(setup.cv_sensor, cv_kPa, noise)
+        self._reservoir_sensor = _SensorChannel(setup.reservoir_sensor, reservoir_kPa, noise)
+        # At time 0 the board has booted and receives.
         self._step_firmware()
 
     @property
@@ -107,12 +111,12 @@ class SimulatedPhlosar:
 
     @property
     def line_kPa(self) -> float:
-        """At the valves' end of the control volume's tube, where its sensor is."""
+        """Pressure at the valve end of the control volume's tube, where its sensor is."""
         return self._conditions.line_kPa
 
     @property
     def state(self) -> State:
-        """Of the plant: where all the air is."""
+        """The plant's state."""
         return self._simulator.state
 
     def receive(self, data: bytes) -> None:
@@ -121,13 +125,13 @@ class SimulatedPhlosar:
             self.firmware.receive(data)
 
     def advance(self, to_t_s: float) -> bytes:
-        """Live until `to_t_s`; what the firmware sent on the way. A time in the past changes nothing."""
+        """Simulate until `to_t_s`; a past time changes nothing. Returns the firmware's bytes."""
         last = round(to_t_s * 1e6) // STEP_US
         sent: list[bytes] = []
         self._suffer_now()
         while self._steps < last:
             while self._planned and self._planned[0][0] <= self._steps:
-                # What was said before goes out, whatever becomes of the board.
+                # Collect earlier output first: the mishap may reset the board.
                 sent.append(self.firmware.take_output())
                 _, place, kind = self._planned.pop(0)
                 self.befall(place, kind)
@@ -142,7 +146,7 @@ class SimulatedPhlosar:
         return b"".join(sent)
 
     def suffer(self, planned: Iterable[Mishap]) -> None:
-        """Let these happen, each at its time, or at once where that is over."""
+        """Plan mishaps, each at its time. One with a past time happens at once."""
         for mishap in planned:
             self._planned.append((round(mishap.begins_s / TICK_S), mishap.place, mishap.kind))
             if mishap.ends_s is not None:
@@ -150,7 +154,7 @@ class SimulatedPhlosar:
         self._planned.sort(key=lambda change: change[0])
 
     def befall(self, place: str, kind: MishapKind | None) -> None:
-        """Let this happen there, now; what lasts is from now on in `mishaps`. None: it is well again."""
+        """Apply a mishap at a place now; a lasting one is stored in `mishaps`. None repairs it."""
         match kind:
             case Filled(kPa):
                 self.fill(kPa)
@@ -162,10 +166,7 @@ class SimulatedPhlosar:
                 setattr(self.mishaps, place, kind)
 
     def fill(self, reservoir_kPa: float) -> None:
-        """Someone opens the filling valve, or another one, until the reservoir has this pressure.
-
-        Its temperature stays as it is.
-        """
+        """Fill or empty the reservoir to this pressure, at constant temperature."""
         now = self._conditions
         ratio = (reservoir_kPa + now.ambient_kPa) / (now.reservoir_kPa + now.ambient_kPa)
         state = self.state
@@ -179,10 +180,7 @@ class SimulatedPhlosar:
         )
 
     def heat_bottle(self, kelvin: float) -> None:
-        """Bottle and air become so much warmer, and cool as they do.
-
-        Gas without a temperature of its own has the higher pressure by more air.
-        """
+        """Heat bottle and gas by `kelvin`. In an isothermal model, added air makes the pressure rise."""
         now = self._conditions
         ratio = 1.0 + kelvin / now.reservoir_K
         if not self._well.reservoir_heat.own_temperature:
@@ -197,7 +195,7 @@ class SimulatedPhlosar:
         )
 
     def reset_firmware(self, *, watchdog: bool = False) -> None:
-        """The board's power blinks, or its watchdog barks; the air stays where it is."""
+        """Reset the firmware by a short power loss, or by its watchdog."""
         self.firmware.reset(watchdog=watchdog)
         self._step_firmware()
 
@@ -206,7 +204,7 @@ class SimulatedPhlosar:
         self._conditions = self._simulator.conditions
 
     def _suffer_now(self) -> None:
-        """Make everything as `mishaps` says."""
+        """Apply all changes of `mishaps`."""
         now, before = self.mishaps, self._suffered
         if now == before:
             return
@@ -240,12 +238,12 @@ class SimulatedPhlosar:
         gauss = self._random.gauss
         cv_kPa = self._cv_sensor.read(self.line_kPa, gauss(0.0, 1.0))
         reservoir_kPa = self._reservoir_sensor.read(self.reservoir_kPa, gauss(0.0, 1.0))
-        if self._suffered.board is not None and not self._woken():
+        if self._suffered.board is not None and not self._reset_by_watchdog():
             return
         self.drive = self.firmware.step(self._steps * STEP_US, cv_kPa, reservoir_kPa)
 
-    def _woken(self) -> bool:
-        """Whether the watchdog has just ended what the board suffers."""
+    def _reset_by_watchdog(self) -> bool:
+        """Reset a hanging board if its watchdog time is over. Returns True if so."""
         if self._hangs_until is None or self._steps < self._hangs_until:
             return False
         self.mishaps.board = self._suffered.board = self._hangs_until = None
@@ -253,8 +251,8 @@ class SimulatedPhlosar:
         return True
 
 
-class _Wire:
-    """A sensor and its wire, of which either may have a mishap."""
+class _SensorChannel:
+    """A sensor with its wire; it may have a mishap."""
 
     def __init__(self, sensor: Sensor, kPa: float, noise: Callable[[], float]) -> None:
         self._numbers = sensor.numbers
@@ -270,7 +268,7 @@ class _Wire:
             self._for_ms = 0
 
     def read(self, true_kPa: float, standard_normal: float) -> float:
-        """What the board sees, a tick after it looked last."""
+        """The board's reading, one tick after the last one."""
         self._seen, kPa = reading(self._numbers, self._seen, true_kPa, TICK_S, standard_normal)
         if self._mishap is None:
             self._last_kPa = kPa
@@ -282,7 +280,8 @@ class _Wire:
 
 
 def _with_stub(numbers: PlantNumbers, state: State, now: Conditions) -> State:
-    """The air at the valves parted from that of an actuator without tubing, or made one with it again."""
+    """Splits the control volume's air into line and actuator when a line volume appears; merges it when it
+    goes."""
     ratio = now.ambient_K / STANDARD_TEMPERATURE_K
     into_SL = -state.line_air_SL
     if numbers.has_tubing:
@@ -299,17 +298,16 @@ def _true(rig: Rig, effects: Effects | None) -> TrueRig:
 
 
 _TICK_S = 0.005
-_MOST_BEHIND_S = 0.5
+_MAX_LAG_S = 0.5
 _READ_SIZE = 4096
 
 
 class PtyPhlosar:
     """A simulated phloSAR behind a pseudo-terminal, in real time.
 
-    `path` is the port to open, from construction on: `symlink`, made anew when it is a leftover link
-    (FileExistsError when it is anything else), or the terminal's number, which the next terminal on this
-    machine may have as soon as this one is closed. Hosts may close and open the port as they like. What
-    no host reads is dropped, and counted, as on a wire. Use as a context manager, or call `close`.
+    `path` is the port to open: `symlink` if given (an old link is replaced; other files raise
+    `FileExistsError`), else /dev/pts/N. After `close` another terminal may get the same N. Hosts may close
+    and reopen the port. Unread bytes are dropped and counted. Use as a context manager, or call `close`.
     """
 
     def __init__(
@@ -321,7 +319,7 @@ class PtyPhlosar:
         self.phlosar = phlosar
         self.dropped_bytes = 0
         self._clock = clock
-        # Our own hold on the host's end: without it the first host to leave would end the terminal.
+        # Keep the host side open, otherwise the terminal closes when the first host disconnects.
         self._ours, self._hosts = os.openpty()
         self._symlink: Path | None = None
         try:
@@ -341,10 +339,10 @@ class PtyPhlosar:
         self.close()
 
     def close(self) -> None:
-        """Unplug it."""
+        """Close the terminal, as if unplugged."""
         if self._ours < 0:
             return
-        # The name goes first, or it could lead to the terminal of somebody else.
+        # Remove the link first, because it could soon point to a foreign terminal.
         if self._symlink is not None:
             with contextlib.suppress(OSError):
                 if str(self._symlink.readlink()) == self._terminal:
@@ -354,11 +352,11 @@ class PtyPhlosar:
         self._ours = self._hosts = -1
 
     async def run(self) -> None:
-        """Live in real time until cancelled. After a stall of this process the board's time stands still."""
+        """Run in real time until cancelled. A long pause of this process also pauses the board."""
         began_s = self._clock() - self.phlosar.now_s
         while self._ours >= 0:
             now_s = self._clock() - began_s
-            behind_s = now_s - self.phlosar.now_s - _MOST_BEHIND_S
+            behind_s = now_s - self.phlosar.now_s - _MAX_LAG_S
             if behind_s > 0:
                 began_s += behind_s
                 now_s -= behind_s
@@ -380,6 +378,6 @@ class PtyPhlosar:
         if symlink.is_symlink():
             symlink.unlink()
         elif symlink.exists():
-            raise FileExistsError(f"{symlink} is not a link and stays as it is")
+            raise FileExistsError(f"{symlink} is not a link and is not replaced")
         symlink.symlink_to(self._terminal)
         self._symlink, self.path = symlink, str(symlink)

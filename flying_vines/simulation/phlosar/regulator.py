@@ -1,6 +1,6 @@
 """The firmware's regulator alone, with any tuning and in double precision.
 
-It is the core's own C++; see `regulator.h` there for how it regulates and what each value of the tuning is.
+It is the C++ code of the firmware's core. `regulator.h` there describes it and its tuning.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from flying_vines.simulation.phlosar.core_library import load
 
 
 class Drive(NamedTuple):
-    """What the valves are told: openings 0…1, solenoid open or not."""
+    """Valve commands: openings 0…1 of EVP (inflation valve) and DVP (Venturi's supply valve); solenoid
+    open or not."""
 
     evp: float
     dvp: float
@@ -42,10 +43,10 @@ def standard_tuning() -> dict[str, float]:
 
 
 class Regulator:
-    """One regulation. Call `step` every millisecond, with the pressures just read.
+    """One regulator. Call `step` every millisecond with the present pressures.
 
-    `tuning` has what differs from the standard; ValueError for an unknown name. `address` is for loops that
-    numba compiles: see `closed_loop`.
+    `tuning` has the values that differ from the standard; raises `ValueError` for an unknown name. `address`
+    is for loops compiled by numba: see `closed_loop`.
     """
 
     def __init__(self, tuning: Tuning | None = None, *, cv_kPa: float = 0.0) -> None:
@@ -55,24 +56,24 @@ class Regulator:
         self._library = load()
         self._memory = ctypes.create_string_buffer(self._library.phlosar_regulator_size())
         self.address = ctypes.addressof(self._memory)
-        self._told = (ctypes.c_double * 4)()
+        self._outputs = (ctypes.c_double * 4)()
         values = (ctypes.c_double * len(self.tuning))(*self.tuning.values())
         self._library.phlosar_regulator_start(self.address, values)
         self.begin(cv_kPa)
 
     @property
     def setpoint_kPa(self) -> float:
-        """What the last step held, on its way to the target."""
-        return self._told[3]
+        """The setpoint of the last step, on its way to the target."""
+        return self._outputs[3]
 
     def begin(self, cv_kPa: float) -> None:
-        """A regulation begins: the setpoint is the measured pressure, so that nothing jumps."""
+        """Start at the measured pressure, so that the setpoint does not jump."""
         self._library.phlosar_regulator_begin(self.address, cv_kPa)
 
     def step(self, target_kPa: float, rate_kPa_per_s: float, cv_kPa: float, reservoir_kPa: float) -> Drive:
-        """The valves for the next millisecond. The setpoint goes towards the target, at most at this rate."""
-        told = self._told
+        """Valve commands for the next millisecond; the setpoint moves to the target at this rate."""
+        outputs = self._outputs
         self._library.phlosar_regulator_step(
-            self.address, target_kPa, rate_kPa_per_s, cv_kPa, reservoir_kPa, told
+            self.address, target_kPa, rate_kPa_per_s, cv_kPa, reservoir_kPa, outputs
         )
-        return Drive(told[0], told[1], told[2] > 0.0)
+        return Drive(outputs[0], outputs[1], outputs[2] > 0.0)

@@ -1,4 +1,4 @@
-"""The simulated rig through a scenario, recorded as a real one would be.
+"""Simulates a rig in a scenario, and records it like a real rig.
 
     scenario = load_scenario("case")                        a file, or an example by its name
     run = simulate(rig, scenario.runs[0], seed=1)           one run, as arrays
@@ -6,7 +6,8 @@
     write_case(runs, rig_toml, folder)                      a case folder
     picture.draw_runs(runs, path, title)                    a picture (needs matplotlib)
 
-A `Rig` is simulated by the baseline, a `TrueRig` with what it says is really there. `simulate` needs numpy.
+A `Rig` is simulated with the baseline model, a `TrueRig` with its true numbers and effects. `simulate` needs
+numpy.
 """
 
 from __future__ import annotations

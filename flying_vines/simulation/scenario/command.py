@@ -1,4 +1,4 @@
-"""What a run asks for over time: a pressure from the regulator, or openings from the valves."""
+"""The commands of a run over time: setpoints for the regulator, or valve openings."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from flying_vines.simulation.scenario.kinds import (
 )
 
 OpeningOverTime = Callable[[float], float]
-"""From time in s to the setpoint in kPa gauge."""
+"""Setpoint (kPa gauge) as a function of time (s)."""
 ValveCommand = Callable[[float, float], Drive]
-"""From time in s and the control volume's reading in kPa to the openings. Asked once a sample, in order."""
+"""Openings as a function of time (s) and the control volume's reading (kPa). Called once per sample."""
 
 _SLACK_S = 1e-9
-"""So that a change that falls on a sample is there in that sample."""
+"""Tolerance, so that a change at the time of a sample acts in this sample."""
 _VENTURI_LEVELS = (0.0, 0.5, 1.0)
 
 
 def command_of(run: RunKind, pattern: random.Random) -> OpeningOverTime | None:
-    """The setpoint of a run that regulates; None of one that does not."""
+    """The setpoint of a run; None if the run does not regulate."""
     match run:
         case StepsRun():
             return _held(run.pressures_kPa, run.holds_s)
@@ -53,7 +53,7 @@ def command_of(run: RunKind, pattern: random.Random) -> OpeningOverTime | None:
 
 
 def valves_of(run: RunKind, pattern: random.Random) -> ValveCommand | None:
-    """The openings of a run that does not regulate; None of one that does."""
+    """The openings of a run; None if the run regulates."""
     match run:
         case DischargeRun():
             drive = Drive(run.opening, 0.0, True) if run.valve == "evp" else Drive(0.0, run.opening, False)
@@ -66,7 +66,7 @@ def valves_of(run: RunKind, pattern: random.Random) -> ValveCommand | None:
 
 
 def chirp_cycles(run: ChirpRun, t_s: float) -> float:
-    """How many cycles a chirp has made: the integral of its frequency."""
+    """Number of cycles of a chirp: the integral of its frequency."""
     ratio = run.to_Hz / run.from_Hz
     if run.sweep == "linear" or math.isclose(ratio, 1.0, rel_tol=1e-9):
         return run.from_Hz * t_s + 0.5 * (run.to_Hz - run.from_Hz) * t_s**2 / run.duration_s
@@ -87,7 +87,7 @@ def _held(
 
 
 def _draw(run: PrbsRun, levels: tuple[float, ...], pattern: random.Random) -> Iterator[tuple[float, float]]:
-    """Levels and how long each is held, until the run is full; no level follows itself."""
+    """Random levels and hold times until the end of the run; no level twice in a row."""
     level = None
     begin_s = 0.0
     while begin_s < run.duration_s:
@@ -98,7 +98,7 @@ def _draw(run: PrbsRun, levels: tuple[float, ...], pattern: random.Random) -> It
 
 
 class _Sequence:
-    """One set of openings after the other."""
+    """A sequence of openings."""
 
     def __init__(self, valves: tuple[Valves, ...]) -> None:
         self._valves = valves
@@ -119,7 +119,7 @@ class _Sequence:
 
 
 class _RandomValves:
-    """Moves drawn one by one, for what is next depends on how full the control volume is."""
+    """Random moves, drawn one by one, because the next one depends on the control volume's pressure."""
 
     def __init__(self, run: PrbsRun, pattern: random.Random) -> None:
         self._run = run
@@ -138,7 +138,7 @@ class _RandomValves:
 
     def _next(self, full: bool) -> Drive:
         run, pattern, last = self._run, self._pattern, self._drive
-        # Drawn in any case, so that one reading more or less does not change all later moves.
+        # Always draw all numbers, so that one reading does not change all later moves.
         vent = pattern.random() < run.vent_share
         venturi = pattern.choice(_VENTURI_LEVELS)
         level = pattern.choice([other for other in run.levels_opening if other != last.evp or last.solenoid])

@@ -1,4 +1,4 @@
-"""The kinds of run that a scenario is made of, as they stand in its file."""
+"""The kinds of run in a scenario file. EVP: inflation valve. DVP: the Venturi's supply valve."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from msgspec import Meta
 
 from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.motion import Motion, plan
-from flying_vines.vine.profile import MOST_PIECES, HoldFor, Ramp, Step
+from flying_vines.vine.profile import MAX_PIECES, HoldFor, Ramp, Step
 from flying_vines.vine.profile import Sine as Swing
 
 LONGEST_S = 3600.0
 MOST_KPA = 150.0
-"""Of a command: what the control volume's sensor reads with room for an overshoot."""
+"""Maximum setpoint, gauge: the control volume's sensor range minus a margin for overshoot."""
 FIRMWARE_HZ = 1000
 _NO_CURVE = BendCurve(((0.0, 0.0), (1.0, 0.0)))
-"""Profiles are in kPa here."""
+"""A dummy: profiles in scenarios are in kPa."""
 
 Pressure = Annotated[float, Meta(ge=0, le=MOST_KPA)]
 OpeningFraction = Annotated[float, Meta(ge=0, le=1)]
@@ -34,12 +34,12 @@ class Common(
     tag_field="kind",
     omit_defaults=True,
 ):
-    """What every kind of run has. A run starts at rest: the control volume at ambient pressure."""
+    """Keys of all kinds of run. A run starts at rest, with the control volume at ambient pressure."""
 
     name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}\Z")] | None = None
-    """In the name of its file; the kind unless given."""
+    """Part of the file's name; default: the kind."""
     reservoir_kPa: Annotated[float, Meta(gt=0, le=900)] = 690.0
-    """At the start."""
+    """Gauge, at the start."""
     sample_rate_Hz: Annotated[int, Meta(ge=10, le=FIRMWARE_HZ)] = 50
 
     def __post_init__(self) -> None:
@@ -50,7 +50,7 @@ class Common(
         self.check()
 
     def check(self) -> None:
-        """Raise ValueError where keys do not fit each other."""
+        """Raises `ValueError` if keys contradict each other."""
         if not self.length_s <= LONGEST_S:
             raise ValueError(f"a run of {self.length_s:g} s is longer than {LONGEST_S:.0f} s")
 
@@ -76,11 +76,11 @@ class _Lasting(Common, frozen=True, kw_only=True):
 
 
 class StepsRun(Common, tag="steps", frozen=True, kw_only=True):
-    """Pressures to go to at once, each held for its time."""
+    """Pressure steps, each held for its time."""
 
     pressures_kPa: Annotated[tuple[Pressure, ...], Meta(min_length=1, max_length=1000)]
     hold_s: Duration | tuple[Duration, ...]
-    """One time for all, or as many as there are pressures."""
+    """One time for all, or one per pressure."""
 
     @property
     def holds_s(self) -> tuple[float, ...]:
@@ -95,7 +95,9 @@ class StepsRun(Common, tag="steps", frozen=True, kw_only=True):
     def check(self) -> None:
         if len(self.holds_s) != len(self.pressures_kPa):
             count = len(self.pressures_kPa)
-            raise ValueError(f"hold_s: {len(self.holds_s)} times for {count} pressures; give as many, or one")
+            raise ValueError(
+                f"hold_s: {len(self.holds_s)} times for {count} pressures; give one time, or one per pressure"
+            )
         super().check()
 
 
@@ -118,7 +120,7 @@ class _Swinging(_Lasting, frozen=True, kw_only=True):
 
 
 class SineRun(_Swinging, tag="sine", frozen=True, kw_only=True):
-    """A swing that starts at its low end."""
+    """A sine that starts at its low end."""
 
     frequency_Hz: Frequency
 
@@ -128,7 +130,7 @@ class SineRun(_Swinging, tag="sine", frozen=True, kw_only=True):
 
 
 class ChirpRun(_Swinging, tag="chirp", frozen=True, kw_only=True):
-    """A swing whose frequency moves evenly from one to another, by octaves (log) or by hertz (linear)."""
+    """A sine whose frequency changes from `from_Hz` to `to_Hz`, evenly in octaves (log) or hertz (linear)."""
 
     from_Hz: Frequency
     to_Hz: Frequency
@@ -140,10 +142,10 @@ class ChirpRun(_Swinging, tag="chirp", frozen=True, kw_only=True):
 
 
 class PrbsRun(_Lasting, tag="prbs", frozen=True, kw_only=True):
-    """Levels drawn at random, each held for a random time; the seed decides.
+    """Random levels, each held for a random time; determined by the seed.
 
-    Of pressures, the regulator follows them. Of openings there is no regulation: a share of the moves lets
-    air out instead, with the Venturi shut, half or fully open, and above `most_kPa` nothing more goes in.
+    The regulator follows `levels_kPa`. `levels_opening` are valve openings without regulation: `vent_share`
+    of the moves vent instead, with the Venturi shut, half or fully open. Above `most_kPa` no air is let in.
     """
 
     levels_kPa: tuple[Pressure, ...] = ()
@@ -166,7 +168,7 @@ class PrbsRun(_Lasting, tag="prbs", frozen=True, kw_only=True):
 
 
 class DischargeRun(_Lasting, tag="discharge", frozen=True, kw_only=True):
-    """A valve is held open, and nothing regulates. What passes the EVP leaves by the solenoid."""
+    """One valve stays open without regulation. Air from the EVP leaves by the solenoid."""
 
     valve: Literal["evp", "dvp"] = "evp"
     opening: Annotated[float, Meta(gt=0, le=1)] = 1.0
@@ -177,7 +179,7 @@ class DischargeRun(_Lasting, tag="discharge", frozen=True, kw_only=True):
 
 
 class BendsRun(Common, tag="bends", frozen=True, kw_only=True):
-    """Inflate, hold, deflate, rest; again and again."""
+    """Cycles of inflation, hold, deflation and rest."""
 
     cycles: Times
     bend_kPa: Pressure = 20.7
@@ -190,7 +192,7 @@ class BendsRun(Common, tag="bends", frozen=True, kw_only=True):
 
 
 class Valves(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Openings for a time, or until the control volume reads a pressure if that is earlier."""
+    """Openings for a time, or until the control volume reaches `until_kPa`, whichever is first."""
 
     for_s: Duration
     evp: OpeningFraction = 0.0
@@ -200,7 +202,7 @@ class Valves(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class OpeningsRun(Common, tag="openings", frozen=True, kw_only=True):
-    """Valve openings over time, nothing regulates. The last ones stay for what others left early."""
+    """Valve openings over time, without regulation. The last ones also fill time that others left early."""
 
     valves: Annotated[tuple[Valves, ...], Meta(min_length=1, max_length=10_000)]
 
@@ -217,31 +219,29 @@ ScenarioSegment = Step | Ramp | HoldFor | Swing
 
 
 class ProfileRun(Common, tag="profile", frozen=True, kw_only=True):
-    """A pressure profile by its segments, as in the configuration's profiles, in kPa."""
+    """A pressure profile of segments as in the configuration's profiles, in kPa."""
 
     segments: Annotated[tuple[ScenarioSegment, ...], Meta(min_length=1, max_length=1000)]
     repeat: Times = 1
     rate_kPa_per_s: Annotated[float, Meta(gt=0, le=2000)] = 60.0
     settle_s: Annotated[float, Meta(ge=0, le=LONGEST_S)] = 0.0
-    """How long the last value is held."""
+    """Hold time of the last value."""
 
     @property
     def length_s(self) -> float:
         return self.motion().duration_s + self.settle_s
 
     def motion(self) -> Motion:
-        """The profile from rest, made definite."""
+        """The planned motion of the profile, from rest."""
         return plan(self.segments * self.repeat, _NO_CURVE, 0.0, self.rate_kPa_per_s, MOST_KPA)
 
     def check(self) -> None:
-        if len(self.segments) * self.repeat > MOST_PIECES:
-            raise ValueError(f"repeat: unrolls the profile to more than {MOST_PIECES} segments")
+        if len(self.segments) * self.repeat > MAX_PIECES:
+            raise ValueError(f"repeat: unrolls the profile to more than {MAX_PIECES} segments")
         for index, segment in enumerate(self.segments):
             for key in ("to", "from"):
                 if getattr(segment, f"{key}_deg", None) is not None:
-                    raise ValueError(
-                        f"segments[{index}].{key}_deg: there is no vine here that bends; give kPa"
-                    )
+                    raise ValueError(f"segments[{index}].{key}_deg: a scenario has no bend curve; give kPa")
                 kPa = getattr(segment, f"{key}_kPa", None)
                 if kPa is not None and not 0.0 <= kPa <= MOST_KPA:
                     raise ValueError(f"segments[{index}].{key}_kPa: {kPa:g} is outside 0…{MOST_KPA:g} kPa")

@@ -1,4 +1,4 @@
-"""Runs as a picture: what was asked, what the sensors read, what the valves were told."""
+"""Draws runs: setpoints, sensor readings, valve openings (EVP: inflation, DVP: Venturi supply)."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from matplotlib import pyplot as plt
 from flying_vines.plots.style import BLUE, GREEN, GREY, ORANGE, RED, plain
 from flying_vines.simulation.scenario.run import ScenarioRun
 
-_MOST_ACROSS = 2
-_LEAST_SPAN_KPA = 40.0
+_MAX_ACROSS = 2
+_MIN_SPAN_KPA = 40.0
 
 
 def draw_runs(runs: Sequence[ScenarioRun], path: Path, title: str) -> None:
     """Draw each run into a PNG: pressures, openings and reservoir over time."""
-    across = min(_MOST_ACROSS, len(runs))
+    across = min(_MAX_ACROSS, len(runs))
     down = -(-len(runs) // across)
     figure = plt.figure(
         figsize=(6.4 * across + (3.0 if across == 1 else 0.0), 0.4 + 4.6 * down), layout="constrained"
@@ -27,7 +27,7 @@ def draw_runs(runs: Sequence[ScenarioRun], path: Path, title: str) -> None:
     blocks = figure.subfigures(down, across, squeeze=False).flat
     for number, (run, block) in enumerate(zip(runs, blocks, strict=False), start=1):
         _draw(run, block, f"{number}  {run.label}")
-    # Without the name and version of what drew it, the same runs are the same bytes.
+    # Without the software's name and version, equal runs give equal bytes.
     figure.savefig(path, dpi=110, metadata={"Software": None})
     plt.close(figure)
 
@@ -69,10 +69,8 @@ def _openings(run: ScenarioRun, axis: Any) -> None:
 def _reservoir(run: ScenarioRun, axis: Any) -> None:
     axis.plot(run.time_s, run.reservoir_pressure_kPa, color=BLUE, lw=1.0)
     middle_kPa = (run.reservoir_pressure_kPa.min() + run.reservoir_pressure_kPa.max()) / 2.0
-    # So wide that noise on a reservoir that loses nothing looks like noise.
-    axis.update_datalim(
-        [(0.0, middle_kPa - _LEAST_SPAN_KPA / 2.0), (0.0, middle_kPa + _LEAST_SPAN_KPA / 2.0)]
-    )
+    # Wide enough that mere noise looks like noise.
+    axis.update_datalim([(0.0, middle_kPa - _MIN_SPAN_KPA / 2.0), (0.0, middle_kPa + _MIN_SPAN_KPA / 2.0)])
     axis.autoscale_view(scalex=False)
     axis.set_ylabel("reservoir,\nkPa gauge")
     axis.set_xlabel("time, s")

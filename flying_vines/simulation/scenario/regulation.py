@@ -1,7 +1,7 @@
-"""How the regulator is tuned for valves that move only once a sample.
+"""Tunes the regulator for valves that move only once per sample.
 
-At the firmware's own rate it has its standard tuning. A valve that stays as it is for 20 ms moves the vine's
-0.1 L by 7 kPa meanwhile; with gains for 1 ms it would only swing about the setpoint.
+At the firmware's own rate it has the standard tuning. A valve that is constant for 20 ms changes the pressure
+of a 0.1 L vine by 7 kPa; with the gains for 1 ms the pressure would oscillate.
 """
 
 from __future__ import annotations
@@ -12,17 +12,18 @@ from flying_vines.simulation.phlosar.regulator import Tuning, standard_tuning
 from flying_vines.simulation.scenario.kinds import FIRMWARE_HZ
 
 FASTEST_KPA_PER_S = 1e6
-"""So that a step is a step."""
+"""Practically no rate limit, so that a step stays a step."""
 _OF_THE_ERROR = 0.4
-"""How much of an error one hold may make good."""
+"""Share of the error that one sample may correct."""
 _HOLDS_OF_FULL_OPENING = 1.5
-"""How far from the setpoint the valves still go fully open."""
+"""From this error on, in pressure changes per sample, the valves open fully."""
 _TOLERATED_HOLDS = 0.09
-"""How far above the setpoint the solenoid stays shut: one hold of it lets out much more than noise."""
+"""Error above the setpoint, in pressure changes per sample, at which the solenoid stays shut."""
 
 
 def tuning_for(rig: Rig, cv: ControlVolume, reservoir_kPa: float, sample_rate_Hz: int) -> Tuning:
-    """For a valve that stays as it is for a sample, and moves the pressure by up to `hold_kPa` meanwhile."""
+    """Tuning for valves that are constant during a sample, in which the pressure changes by up to
+    `hold_kPa`."""
     if sample_rate_Hz >= FIRMWARE_HZ:
         return {}
     hold_s = 1.0 / sample_rate_Hz

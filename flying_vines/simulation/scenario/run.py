@@ -1,10 +1,9 @@
-"""A run: the firmware's regulator at 1 kHz, the plant, its sensors, and a recorder.
+"""Simulates a run: the firmware's regulator at 1 kHz, the plant, its sensors, and a recorder.
 
-The valves take a new word only when a sample is recorded, rounded as it is written. So a recorded opening
-is what the valve was told from its own sample until the next, all the time, and the openings of the file,
-replayed through the same plant, give the true pressures again. At `sample_rate_Hz = 1000` that is every
-step of the firmware; below, it is tuned by `regulation`. A recorded reading is the very one
-on which the firmware acted.
+Valve commands change only at recorded samples, with the rounding of the file. So the recorded openings,
+replayed through the same plant, give the true pressures again. At `sample_rate_Hz = 1000` each step of the
+firmware is a sample; at lower rates `regulation` tunes the regulator. A recorded reading is the one that the
+firmware used.
 """
 
 from __future__ import annotations
@@ -31,18 +30,18 @@ from flying_vines.simulation.scenario.regulation import FASTEST_KPA_PER_S, tunin
 from flying_vines.simulation.scenario.scenario import Scenario, ScenarioError
 
 OPENING_DIGITS = 4
-"""After the point: of what is told to a valve, and of what is written."""
+"""Decimal places of valve commands and of the file."""
 _LIMIT_KPA = 200.0
 _READINGS_OVER = 3
-"""In a row count, as in the firmware."""
+"""Overpressure is this number of readings above the limit in a row, as in the firmware."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScenarioRun:
-    """What a run recorded, an element a sample; gauge pressures.
+    """The recorded run, one element per sample; gauge pressures.
 
-    Openings hold from their sample until the next. `command_kPa` is NaN where nothing regulated, the control
-    volume's pressures where the rig has none. The true pressures are what a real rig would not tell.
+    An opening holds until the next sample. `command_kPa` is NaN without regulation. The control volume's
+    pressures are NaN if the rig has none. A real rig cannot measure the true pressures.
     """
 
     label: str
@@ -56,22 +55,22 @@ class ScenarioRun:
     true_cv_kPa: Array
     true_reservoir_kPa: Array
     faults: str
-    """What the run ended for, and vented from then on; empty if nothing."""
+    """The fault that ended the run and vented the vine; empty if none."""
 
 
 def simulate(rig: Rig | TrueRig, run: RunKind, seed: int = 1, *, index: int = 0) -> ScenarioRun:
     """One run of a scenario, from rest. The same arguments give the same numbers.
 
     Args:
-        rig: what is simulated; of a `Rig` the baseline, with the rig's noise.
-        run: what to do.
-        seed: of the noise and of what is drawn at random.
-        index: the run's place in its scenario, so that runs of one seed differ.
+        rig: the simulated rig; a `Rig` uses the baseline model with the rig's noise.
+        run: the run to simulate.
+        seed: of all random numbers.
+        index: the run's index in its scenario, so that runs with the same seed differ.
 
-    Raises ScenarioError when the run needs a control volume and the rig has none.
+    Raises `ScenarioError` if the run needs a control volume and the rig has none.
     """
     rig = rig if isinstance(rig, TrueRig) else TrueRig(rig)
-    believed, there = rig.believed, rig.setup
+    believed, there = rig.nominal, rig.setup
     pattern = random.Random(f"{seed} {index} pattern")
     command = command_of(run, pattern)
     if believed.cv is None and run.needs_cv:
@@ -92,8 +91,12 @@ def simulate(rig: Rig | TrueRig, run: RunKind, seed: int = 1, *, index: int = 0)
     for sample in range(max(1, round(run.length_s * run.sample_rate_Hz))):
         first = sample * steps
         t_s = first / FIRMWARE_HZ
-        wanted_kPa, told = controller.sample(t_s, reading)
-        drive = Drive(round(told.evp, OPENING_DIGITS), round(told.dvp, OPENING_DIGITS), told.solenoid)
+        wanted_kPa, command_drive = controller.sample(t_s, reading)
+        drive = Drive(
+            round(command_drive.evp, OPENING_DIGITS),
+            round(command_drive.dvp, OPENING_DIGITS),
+            command_drive.solenoid,
+        )
         rows.append((t_s, wanted_kPa, *drive, *reading, true.cv_kPa, true.reservoir_kPa))
         inputs = Inputs(*drive)
         for step in range(first + 1, first + steps + 1):
@@ -127,7 +130,7 @@ class _Reading(NamedTuple):
 
 
 class _Senses:
-    """The sensors, asked once a tick."""
+    """The sensors, read once per tick."""
 
     def __init__(self, there: Setup, noise: random.Random, true: Conditions) -> None:
         self._cv, self._reservoir = there.cv_sensor, there.reservoir_sensor
@@ -143,7 +146,7 @@ class _Senses:
 
 
 class _Controller(Protocol):
-    """What tells the valves: once a sample, and shown each reading in between."""
+    """Commands the valves once per sample, and sees each reading in between."""
 
     @property
     def faults(self) -> str: ...
@@ -178,7 +181,7 @@ class _ClosedLoop:
 
     def sample(self, t_s: float, reading: _Reading) -> tuple[float, Drive]:
         wanted_kPa = self._command(t_s)
-        # A frame carries it in single precision.
+        # The serial protocol sends single precision.
         self._wanted_kPa = float(np.float32(wanted_kPa))
         return wanted_kPa, self._step(reading)
 

@@ -1,4 +1,4 @@
-"""A scenario: the runs of one file, checked."""
+"""Reads and checks scenario files."""
 
 from __future__ import annotations
 
@@ -21,31 +21,28 @@ _SEGMENTS = tuple(str(segment.__struct_config__.tag) for segment in get_args(Sce
 
 
 class ScenarioError(ValueError):
-    """A scenario that cannot be run; its text is one line, `file: key: reason`."""
+    """A scenario is invalid; the text is one line, `file: key: reason`."""
 
     def __init__(self, text: str) -> None:
         super().__init__(one_line(text))
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Runs, each from rest, in their order."""
+    """Runs in order; each starts at rest."""
 
     runs: Annotated[tuple[RunKind, ...], Meta(min_length=1, max_length=20)]
     name: Annotated[str, Meta(max_length=100)] = ""
-    """For people: the picture's title."""
+    """The picture's title."""
 
 
 def examples() -> tuple[str, ...]:
-    """The names of the scenarios that come along."""
+    """The names of the built-in scenarios."""
     names = (entry.name for entry in _EXAMPLES.iterdir())
     return tuple(sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml")))
 
 
 def load_scenario(source: Path | str) -> Scenario:
-    """The scenario in a TOML file; where there is no such file, the example of that name.
-
-    ScenarioError when the file cannot be read, or holds what cannot be run.
-    """
+    """The scenario in a TOML file, or the built-in one of this name. Raises `ScenarioError`."""
     path = Path(source)
     if not path.exists() and str(source) in examples():
         return parse_scenario((_EXAMPLES / f"{source}.toml").read_text(encoding="utf-8"), str(source))
@@ -54,7 +51,7 @@ def load_scenario(source: Path | str) -> Scenario:
 
 
 def parse_scenario(text: str, source: str) -> Scenario:
-    """Check a scenario's text; `source` is what errors call it."""
+    """Check a scenario's text; errors name it as `source`."""
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -81,7 +78,7 @@ def _explained(content: dict[str, Any], error: str) -> str:
             near = difflib.get_close_matches(named[1], _keys_of_run(content, key), n=1)
             reason = "unknown key" + (f"; did you mean '{near[0]}'?" if near else "")
     elif own := re.match(r"([a-z]\w*(?:\[\d+\])?(?:\.\w+)?): (.+)", reason):
-        # A check of ours names the key inside the run.
+        # Our own checks put the key first.
         key, reason = f"{key}.{own[1]}".removeprefix("."), own[2]
     elif reason.startswith("Invalid value") and key.endswith("].kind"):
         choices = _KINDS if key.count("[") == 1 else _SEGMENTS
@@ -91,7 +88,7 @@ def _explained(content: dict[str, Any], error: str) -> str:
 
 
 def _keys_of_run(content: dict[str, Any], key: str) -> tuple[str, ...]:
-    """The keys that may stand where `key` does, of the kinds that a run has."""
+    """The valid keys at the place of `key`."""
     at = re.fullmatch(r"runs\[(\d+)\]\.(?:(valves|segments)\[\d+\]\.)?[^.\[]+", key)
     if at is None:
         return Scenario.__struct_fields__

@@ -1,4 +1,4 @@
-"""How far a vine bends: its actuator's pull against its body, over the actuator's pressure. Needs numpy.
+"""The bend of a vine over its actuator's pressure: the actuator's pull against the body. Needs numpy.
 
 vine = load_vine("pouch")                   or load_vine(Path("my-vine.toml"))
 found = bend(vine)                          arrays over the actuator's pressure

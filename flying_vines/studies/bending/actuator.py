@@ -1,12 +1,11 @@
-"""What a contracting actuator is to a vine: a force against a contraction, and the air that it holds.
+"""A contracting actuator: force over contraction, and the air in it.
 
-An inflated actuator bulges, and as it bulges it shortens. Each kind describes itself by its bulge, 0…1,
-from barely filled to the shape it takes when nothing pulls on it: there force, length, volume and film
-stretch are closed forms, while force against contraction is not. The functions below turn one into the
-other.
+An inflated actuator bulges and becomes shorter. Each kind is described by its bulge, 0…1, from barely filled
+to its free shape without load. Force, length, volume and film stretch are closed forms of the bulge; force
+over contraction is not. The functions below convert one to the other.
 
-All kinds keep the balance of virtual work: what the gas does, p dV, is what the load receives and what the
-film stores, p dV = −F dL + dU, so that F = (dU − p dV)/dL at constant pressure.
+All kinds satisfy virtual work: the work of the gas p dV goes into the load and the film, p dV = −F dL + dU.
+So F = (dU − p dV)/dL at constant pressure.
 """
 
 from __future__ import annotations
@@ -21,27 +20,25 @@ from numpy.typing import ArrayLike, NDArray
 from flying_vines.physics.arrays import Array
 
 Size = Annotated[float, Meta(ge=0.1, le=10000)]
-"""mm."""
-
-
+"""A size within plausible bounds, in the unit of its name."""
 HALVINGS = 60
-"""Of an interval of bulges: down to the rounding of a float."""
-MOST_KPA = 1000.0
-"""Where the search for a bursting pressure ends."""
+"""Bisection steps, down to the rounding of a float."""
+MAX_KPA = 1000.0
+"""Upper end of the search for a bursting pressure, gauge."""
 
 
 class ActuatorState(NamedTuple):
     """An actuator at a pressure and a bulge."""
 
     contraction: Array
-    """Share of the length at rest; below 0 the film is stretched beyond it."""
+    """Share of the flat length; negative if the film is stretched beyond it."""
     force_N: Array
-    """With which it pulls its ends together."""
+    """Pull on its ends."""
     volume_L: Array
     elastic_J: Array
-    """U, stored in its film."""
+    """U, the elastic energy of the film."""
     film_N_per_m: Array
-    """The greatest tension in the film, per length across it."""
+    """Maximum film tension per width."""
 
 
 class Actuator(Protocol):
@@ -49,20 +46,20 @@ class Actuator(Protocol):
 
     @property
     def length_m(self) -> float:
-        """Of the whole series, flat."""
+        """Flat length of the whole series."""
 
     @property
     def strength_N_per_mm(self) -> float:
-        """The film tension that its seams bear."""
+        """Maximum film tension of its seams."""
 
     def state(self, pressure_kPa: ArrayLike, bulge: ArrayLike) -> ActuatorState:
-        """At a gauge pressure and a bulge in (0, 1]. Force falls and contraction rises with the bulge."""
+        """State at a gauge pressure and a bulge in (0, 1]: more bulge is less force and more contraction."""
 
 
 def bulge_where(
     crossed: Callable[[Array], NDArray[np.bool_]], shape: tuple[int, ...], from_: float = 0.0
 ) -> Array:
-    """The bulge from which on `crossed` holds, by bisection; 1 where it never does."""
+    """The smallest bulge for which `crossed` is true, by bisection; 1 if it never is."""
     low, high = np.full(shape, from_), np.ones(shape)
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
@@ -72,13 +69,7 @@ def bulge_where(
 
 
 def held_at(actuator: Actuator, pressure_kPa: ArrayLike, contraction: ArrayLike) -> ActuatorState:
-    """The actuator at a gauge pressure, its ends held at a contraction; beyond the free one, free.
-
-    Args:
-        actuator: of any kind.
-        pressure_kPa: gauge.
-        contraction: share of its length at rest.
-    """
+    """The actuator at a gauge pressure, held at a contraction, or free if that contraction is smaller."""
     kPa, held = np.broadcast_arrays(np.asarray(pressure_kPa, float), np.asarray(contraction, float))
     bulge = bulge_where(lambda x: actuator.state(kPa, x).contraction >= held, kPa.shape)
     return actuator.state(kPa, bulge)
@@ -95,17 +86,17 @@ def volume_L(actuator: Actuator, pressure_kPa: ArrayLike, contraction: ArrayLike
 
 
 def free(actuator: Actuator, pressure_kPa: ArrayLike) -> ActuatorState:
-    """The actuator when nothing pulls on it: the greatest contraction that a pressure brings."""
+    """The actuator without load, at its maximum contraction."""
     kPa = np.asarray(pressure_kPa, float)
     return actuator.state(kPa, bulge_where(lambda x: actuator.state(kPa, x).force_N <= 0.0, kPa.shape))
 
 
 def burst_kPa(actuator: Actuator) -> float:
-    """The gauge pressure at which the film of a free actuator bears no more; an estimate, thin-walled.
+    """The gauge pressure at which the film of a free actuator tears; a thin-wall estimate.
 
-    Held back it bears less: its film is flatter there, and a flat film is under more tension.
+    A loaded actuator tears at a lower pressure: its film is flatter and so has more tension.
     """
-    low, high = 0.0, MOST_KPA
+    low, high = 0.0, MAX_KPA
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         torn = float(free(actuator, middle).film_N_per_m) >= 1000.0 * actuator.strength_N_per_mm

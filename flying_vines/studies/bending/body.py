@@ -1,17 +1,16 @@
 """The vine's body: a thin tube under pressure, as a beam that wrinkles before it folds.
 
-The wall bears tension only, in proportion to its strain. Under a bending moment the tension of the inner
-side falls; where it is gone the wall wrinkles, from the inner side up to an angle φ₀, and less and less
-wall bears the moment. With N the axial force that the wall holds, curvature κ and ν = π − φ₀ (Comer and
-Levy 1963):
+The wall only carries tension, in proportion to its strain. A bending moment reduces the tension of the inner
+side. Where the tension is zero the wall wrinkles, from the inner side up to an angle φ₀, and the rest of the
+wall carries the moment. N is the axial force in the wall, κ the curvature, ν = π − φ₀ (Comer and Levy 1963):
 
     M = N r (ν − sin ν cos ν) / (2 (sin ν − ν cos ν)),    N = 2 E t r² κ (sin ν − ν cos ν)
 
-Until it wrinkles M = π E t r³ κ; wrinkling begins at M = N r/2 and the tube folds at M = N r. Alone it
-holds N = π r² p, hence the known π p r³/2 and π p r³. An actuator that pulls with F at a distance d from
-the axis bends the tube with F d and takes its pull off the wall: N = π r² p − F. So it folds the tube at F
-= π p r³/(r + d), well before F = π p r² would crush it; that far the pull never comes by itself, because it
-falls with the contraction.
+Before it wrinkles, M = π E t r³ κ. Wrinkling starts at M = N r/2, and the tube folds at M = N r. Without an
+actuator N = π r² p, which gives the known π p r³/2 and π p r³. An actuator that pulls with F at a distance d
+from the axis gives the moment F d and reduces N to π r² p − F. So the tube folds at F = π p r³/(r + d), well
+before F = π p r² would crush it. The actuator cannot reach that pull, because its pull falls with
+contraction.
 """
 
 from __future__ import annotations
@@ -29,17 +28,17 @@ from flying_vines.physics.arrays import Array
 from flying_vines.studies.bending.actuator import Size
 
 _TAUT = np.geomspace(1.0, 3e-3, 3000) * math.pi
-"""ν: how far around the wall is still taut, from where wrinkling begins."""
+"""ν: half angle of the taut part of the wall, from the start of wrinkling on."""
 
 
 class Yielding(NamedTuple):
-    """A tube that yields to an actuator, from straight to sharply bent; all rise from 0."""
+    """The bend of a tube under an actuator's pull, from straight to sharply bent; all arrays rise from 0."""
 
     contraction: Array
-    """Of the line along which the actuator lies, share of its length."""
+    """Contraction along the actuator, as a share of its length."""
     curvature_per_m: Array
     force_N: Array
-    """That the actuator must pull with."""
+    """The pull that is needed."""
 
 
 class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
@@ -51,7 +50,7 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
     film_um: Size
     modulus_MPa: Size
     offset_mm: Annotated[float, Meta(ge=0, le=1000)] = 0.0
-    """How far outside the wall the actuator pulls."""
+    """Distance of the actuator's pull from the wall, outwards."""
 
     @property
     def radius_m(self) -> float:
@@ -69,22 +68,22 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
 
     @property
     def axial_N(self) -> float:
-        """π p r²: the pull along the axis that takes all tension off the wall."""
+        """π p r²: the axial pull at which the wall has no tension."""
         return 1000.0 * self.pressure_kPa * math.pi * self.radius_m**2
 
     @property
     def wrinkling_Nm(self) -> float:
-        """π p r³/2: the moment from which the inner side wrinkles, nothing else pulling."""
+        """π p r³/2: the moment at which the inner side wrinkles, without an actuator's pull."""
         return 0.5 * self.axial_N * self.radius_m
 
     @property
     def collapse_Nm(self) -> float:
-        """π p r³: the moment at which the tube folds, nothing else pulling."""
+        """π p r³: the moment at which the tube folds, without an actuator's pull."""
         return self.axial_N * self.radius_m
 
     @property
     def wrinkling_N(self) -> float:
-        """The actuator's pull from which the inner side wrinkles."""
+        """The actuator's pull at which the inner side wrinkles."""
         return self.axial_N * self.radius_m / (self.radius_m + 2.0 * self.lever_m)
 
     @property
@@ -93,16 +92,16 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
         return self.axial_N * self.radius_m / (self.radius_m + self.lever_m)
 
     def spare_Nm(self, force_N: ArrayLike) -> Array:
-        """What is left of the moment that folds the tube, under an actuator's pull."""
+        """The additional moment that folds the tube, under an actuator's pull."""
         pull = np.asarray(force_N, float)
         return (self.axial_N - pull) * self.radius_m - pull * self.lever_m
 
     def tip_load_N(self, length_m: float, force_N: ArrayLike = 0.0) -> Array:
-        """The load across the tip that folds the tube at its base; π p r³/L, nothing else pulling."""
+        """The load across the tip that folds the tube at its base; π p r³/L without an actuator's pull."""
         return self.spare_Nm(force_N) / length_m
 
     def moment_Nm(self, curvature_per_m: ArrayLike) -> Array:
-        """The moment at a curvature, nothing else pulling."""
+        """The moment at a curvature, without an actuator's pull."""
         lever, held = _wrinkled()
         curvature = self.axial_N / (self.stiffness_N_per_m * self.radius_m**2 * held)
         moment = self.axial_N * self.radius_m * lever
@@ -111,7 +110,7 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
 
     @cached_property
     def yielding(self) -> Yielding:
-        """How it yields to an actuator: solved once for all forces, since each ν has one."""
+        """The bend under an actuator's pull; each ν has one force, so it is solved once for all forces."""
         lever, held = _wrinkled()
         r, d, stiffness = self.radius_m, self.lever_m, self.stiffness_N_per_m
         force = self.axial_N * lever * r / (d + lever * r)

@@ -1,18 +1,17 @@
 """The cylindrical (series) pneumatic artificial muscle, cPAM or sPAM: a film tube gathered at regular necks.
 
-A film that does not stretch and is gathered into pleats bears tension along its meridians only. With the
-meridians' tension 𝒯 in all, balance along the axis is 𝒯 cos ψ = F + p π y² at radius y. From the neck (y =
-0) to the widest place R that is the curve of a mylar balloon, in complete elliptic integrals of m = p π
-R²/(2 𝒯):
+A pleated, inextensible film only carries tension along its meridians. With the total tension 𝒯 of the
+meridians, axial balance at radius y is 𝒯 cos ψ = F + p π y². From the neck (y = 0) to the widest radius R
+this is the curve of a mylar balloon, with complete elliptic integrals of m = p π R²/(2 𝒯):
 
     arc length σ R, σ = K/(2 √m)        shortened by δ R, δ = (K − E)/√m
     F = p π R² (1/(2m) − 1)             volume π R³ ((1−m) K − (1−2m) E)/(6 m^1.5)
 
-so the force vanishes at m = 1/2. Until the film's own radius r₀ is reached each half chamber is one such
-curve, then a cylinder of r₀ grows between two of them. A chamber that never gets there shortens by 54 % at
-most, one of r₀ by 1.424 r₀ per length: 30 to 40 % for the usual 0.21 to 0.28 (Greer et al. 2017 describe
-the sPAM, Kübler et al. 2023 compare it as cPAM; the shape is computed here, not taken from them). The
-meridians stretch by 𝒯/k.
+The force is zero at m = 1/2. Up to the film's own radius r₀ each half chamber is one such curve; then a
+cylinder of r₀ grows between the two halves. A chamber that does not reach r₀ shortens by at most 54 %; one
+that reaches it by 1.424 r₀ over its length, which is 30 to 40 % for the usual 0.21 to 0.28. The meridians
+stretch by 𝒯/k. Greer et al. 2017 describe the sPAM, Kübler et al. 2023 compare it as cPAM; the shape is
+computed here.
 """
 
 from __future__ import annotations
@@ -33,9 +32,9 @@ class Cpam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="cpam", 
     """Chambers in a row, all of one size."""
 
     chamber_length_mm: Size
-    """Flat, along the vine, from neck to neck."""
+    """Flat length along the vine, from neck to neck."""
     flat_width_mm: Size
-    """Of the tube laid flat: half its circumference."""
+    """Width of the flat tube: half its circumference."""
     count: Annotated[int, Meta(ge=1, le=1000)]
     film_um: Size
     modulus_MPa: Size
@@ -53,8 +52,8 @@ class Cpam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="cpam", 
         first, second = complete_elliptic(m)
         root = np.sqrt(m)
         sigma, delta = first / (2.0 * root), (first - second) / root
-        # Both halves of a chamber without a cylinder, 2 σ R, are as long as its stretched meridian,
-        # flat (1 + 𝒯/k): the smaller root of a quadratic in R; none where the film would stretch without end.
+        # Without a cylinder both halves, 2 σ R, are as long as the stretched meridian, flat (1 + 𝒯/k): the
+        # smaller root of a quadratic in R. Without a root the film would stretch without limit.
         pull = p * math.pi / (2.0 * m * stiffness)
         inside = sigma**2 - pull * flat**2
         balloon = flat / (sigma + np.sqrt(np.maximum(inside, 0.0)))

@@ -23,7 +23,7 @@ _EXAMPLES = resources.files("flying_vines.studies.bending") / "examples"
 
 
 class VineError(ValueError):
-    """A description that cannot be used; its text is one line, `file:line: key: reason`."""
+    """A description cannot be used; the text is one line, `file:line: key: reason`."""
 
     def __init__(self, text: str) -> None:
         super().__init__(one_line(text))
@@ -34,9 +34,9 @@ class BendingVine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     name: Annotated[str, Meta(min_length=1, max_length=60)]
     max_kPa: Annotated[float, Meta(ge=0.1, le=1000)]
-    """The most that the supply gives the actuator, gauge."""
+    """Maximum supply pressure of the actuator, gauge."""
     tip_load_N: Annotated[float, Meta(ge=0, le=1000)] = 0.0
-    """What the tip is to bear, across its direction."""
+    """Required load of the tip, across its direction."""
     ambient_kPa: Annotated[float, Meta(ge=20, le=120)] = STANDARD_PRESSURE_KPA
     """Absolute."""
     body: Body
@@ -44,7 +44,7 @@ class BendingVine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def examples() -> tuple[str, ...]:
-    """The names of the vines that come along, the paper's first."""
+    """The names of the built-in vines, the paper's first."""
     names = (entry.name for entry in _EXAMPLES.iterdir())
     found = sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml"))
     return tuple(sorted(found, key=lambda name: name != "pouch"))
@@ -56,9 +56,9 @@ def example_text(name: str) -> str:
 
 
 def load_vine(source: Path | str) -> BendingVine:
-    """The vine in a TOML file; where there is no such file, the example of that name.
+    """The vine in a TOML file, or the example of this name if there is no such file.
 
-    Raises `VineError` when the file cannot be read, or describes no vine.
+    Raises `VineError` if the file cannot be read, or is not a valid vine.
     """
     path = Path(source)
     if not path.exists() and str(source) in examples():
@@ -68,7 +68,7 @@ def load_vine(source: Path | str) -> BendingVine:
 
 
 def parse_vine(text: str, source: str) -> BendingVine:
-    """Check the text of a description; `source` is what errors call it."""
+    """The vine in the text of a description; `source` is its name in errors."""
     try:
         content = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:

@@ -1,4 +1,4 @@
-"""The pictures of bending: angle and air over pressure, pull against contraction, and the vine itself."""
+"""Draws bending: angle and air over pressure, pull over contraction, and the vine itself."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from flying_vines.studies.bending.equilibrium import BendingCurve
 
 COLORS = (BLUE, GREEN, PURPLE, ORANGE, RED)
 SHARES = (0.0, 0.25, 0.5, 1.0)
-"""Of the usable pressure, at which the vine is drawn."""
+"""Shares of the usable pressure at which the vine is drawn."""
 
 
 def draw(found: Sequence[BendingCurve], folder: Path) -> list[Path]:
-    """Draw three PNGs into a folder that exists: where they are."""
+    """Draw three PNGs into an existing folder. Returns their paths."""
     return save({"bend": _bend(found), "pull": _pull(found), "shape": _shape(found)}, folder, "vine")
 
 
@@ -58,7 +58,7 @@ def _bend(found: Sequence[BendingCurve]) -> Any:
     air.set_ylabel("air in the actuator, SL")
     air.set_ylim(bottom=0)
     air.set_xlim(left=0)
-    return finish(figure, "How far a pressure bends the vine, and the air that a bend takes")
+    return finish(figure, "Bend over pressure, and air for a bend")
 
 
 def _pull(found: Sequence[BendingCurve]) -> Any:
@@ -100,7 +100,7 @@ def _pull(found: Sequence[BendingCurve]) -> Any:
         axis.set_xlabel("contraction, %")
         axis.legend(frameon=False, fontsize=8, loc="upper right")
     axes[0][0].set_ylabel("pull, N")
-    return finish(figure, "Where the actuator's pull meets what the body yields to")
+    return finish(figure, "Balance of the actuator's pull and the body's resistance")
 
 
 def _shape(found: Sequence[BendingCurve]) -> Any:
@@ -135,7 +135,7 @@ def _shape(found: Sequence[BendingCurve]) -> Any:
         axis.set_title(b.vine.name, fontsize=10, color=color)
         axis.set_xlabel("m")
     axes[0][0].set_ylabel("m, below the drone")
-    return finish(figure, "The vine under the drone, to scale, up to where it can be used")
+    return finish(figure, "The vine under the drone, to scale, within its usable range")
 
 
 def _colors(found: Sequence[BendingCurve]) -> list[str]:

@@ -1,11 +1,11 @@
 """The fabric pneumatic artificial muscle (fPAM): a tube of bias-cut fabric, a McKibben without a braid.
 
-The threads keep their length and cross each other at an angle α to the axis; as the tube widens it
-shortens. With α₀ and r₀ when attached, virtual work of V = π r₀² L₀ (1−ε) (1 − (1−ε)² cos² α₀)/sin² α₀
-gives F = π r₀² p [a (1−ε)² − b], a = 3/tan² α₀, b = 1/sin² α₀ (Chou and Hannaford 1996; Tondu 2012 reviews
-it), which vanishes at 1 − 1/(√3 cos α₀): 18.4 % from 45°, a third from 30°. Fabric cut at 45° is therefore
-attached stretched. What the coated fabric itself takes is an elastic force, linear here, as in models of
-the fPAM (Naclerio and Hawkes 2020); its stiffness is to be measured, the examples' is a guess.
+The threads have a constant length and an angle α to the axis, so the tube shortens as it widens. With α₀ and
+r₀ as attached, virtual work with V = π r₀² L₀ (1−ε) (1 − (1−ε)² cos² α₀)/sin² α₀ gives F = π r₀² p [a (1−ε)²
+− b], a = 3/tan² α₀, b = 1/sin² α₀ (Chou and Hannaford 1996; review: Tondu 2012). It is zero at ε = 1 − 1/(√3
+cos α₀): 18.4 % from 45°, a third from 30°. So fabric cut at 45° is attached stretched. The elastic force of
+the coated fabric is linear here, as in models of the fPAM (Naclerio and Hawkes 2020). Measure its stiffness:
+that of the examples is a guess.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ class Fpam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="fpam", 
 
     tube_length_mm: Size
     radius_mm: Size
-    """Inflated, at the length at which it is attached."""
+    """Inflated radius at the length as attached."""
     angle_deg: Annotated[float, Meta(ge=5, le=54)]
-    """Between threads and axis, as attached. From 54.7° on it would not shorten."""
+    """Angle between threads and axis, as attached. It does not shorten from 54.7° on."""
     strength_N_per_mm: Size
     stiffness_N: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
-    """Elastic force per contraction: at a contraction of 0.1, a tenth of it."""
+    """Elastic force over contraction: at a contraction of 0.1 the force is a tenth of it."""
 
     @property
     def length_m(self) -> float:
@@ -39,7 +39,7 @@ class Fpam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="fpam", 
 
     @property
     def ideal_contraction(self) -> float:
-        """Where the pressure's force vanishes."""
+        """The contraction at which the force of the pressure is zero."""
         return 1.0 - 1.0 / (math.sqrt(3.0) * math.cos(math.radians(self.angle_deg)))
 
     def state(self, pressure_kPa: ArrayLike, bulge: ArrayLike) -> ActuatorState:

@@ -1,12 +1,11 @@
-"""The series pouch motor: two flat films sealed into pouches, which shorten as they fill.
+"""The series pouch motor: two flat films sealed into bending pouches, which shorten as they fill.
 
-Inflated, each film is an arc of half angle θ and length s. With the chord L = s sin θ/θ and the area
-between the arcs s² (θ − sin θ cos θ)/(2 θ²), virtual work gives F = p w s cos θ/θ: no force at θ = 90°,
-where an inextensible film (s = L₀) has shortened by 1 − 2/π = 36.3 % (Niiyama et al. 2015, "Pouch motors";
-the equations are given here as virtual work yields them, and tests hold them to it).
+Each inflated film is an arc of half angle θ and length s. With the chord L = s sin θ/θ and the area between
+the arcs s² (θ − sin θ cos θ)/(2 θ²), virtual work gives F = p w s cos θ/θ. The force is zero at θ = 90°,
+where an inextensible film (s = L₀) has shortened by 1 − 2/π = 36.3 % (Niiyama et al. 2015, "Pouch motors").
 
-The film's tension T = p s/(2 θ) grows without bound as the pouch flattens, so that a film which does not
-stretch would pull with any force at the least pressure. A real one stretches: s = L₀ (1 + T/(E t)).
+The film tension T = p s/(2 θ) has no bound as the pouch becomes flat, so an inextensible film would have any
+force at the lowest pressure. A real film stretches: s = L₀ (1 + T/(E t)).
 """
 
 from __future__ import annotations
@@ -27,14 +26,14 @@ class PouchMotor(
     """Pouches in a row, all of one size."""
 
     pouch_length_mm: Size
-    """Flat, along the vine, between its seams."""
+    """Flat length along the vine, between the seams."""
     width_mm: Size
-    """Between the seams at its sides, across the vine."""
+    """Width across the vine, between the side seams."""
     count: Annotated[int, Meta(ge=1, le=1000)]
     film_um: Size
     modulus_MPa: Size
     strength_N_per_mm: Size
-    """Of film or seam, whichever is weaker."""
+    """Strength of film or seam, whichever is weaker."""
 
     @property
     def length_m(self) -> float:
@@ -50,7 +49,7 @@ class PouchMotor(
         tension = p * arc / (2.0 * theta)
         sin, cos = np.sin(theta), np.cos(theta)
         area = arc**2 * (theta - sin * cos) / (2.0 * theta**2)
-        # Where no tension balances the pressure, the film would stretch without end.
+        # If no tension balances the pressure, the film would stretch without limit.
         return ActuatorState(
             contraction=np.where(left > 0.0, 1.0 - arc * sin / (theta * flat), -np.inf),
             force_N=np.where(left > 0.0, 2.0 * tension * width * cos, np.inf),

@@ -1,4 +1,4 @@
-"""How a vine bends, on a terminal and as plain data."""
+"""The bend of a vine on a terminal, and as plain data."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from flying_vines.studies.bending.actuator import burst_kPa
 from flying_vines.studies.bending.equilibrium import BendingCurve, Limit
 
 ROWS = 9
-"""Pressures that the table shows, evenly from 0 to the supply's most."""
+"""Rows of the table, evenly from 0 to the maximum supply pressure."""
 
 
 def show(found: BendingCurve, console: Console) -> None:
-    """Print the curve, the limits and what ends the vine's use."""
+    """Print the curve, the limits and the usable range."""
     vine, body = found.vine, found.vine.body
     console.print(Text(vine.name, style="bold"))
     console.print(
@@ -33,16 +33,17 @@ def show(found: BendingCurve, console: Console) -> None:
 
 def words(limit: Limit) -> str:
     """A limit in one line."""
-    at = "not met" if limit.pressure_kPa is None else f"from {limit.pressure_kPa:.1f} kPa"
+    at = "not reached" if limit.pressure_kPa is None else f"from {limit.pressure_kPa:.1f} kPa"
     return f"{limit.name} {at}: {limit.reason}"
 
 
 def verdict(found: BendingCurve) -> str:
-    """How far the vine can be used, and why not further."""
+    """The usable range of the vine, and what ends it."""
     deg = found.at(found.angle_deg, found.usable_kPa)
-    why = f"{found.end.name} ends it" if found.end else "the supply ends it, no limit"
+    why = found.end.name if found.end else "the maximum supply pressure"
     return (
-        f"Bends by {deg:.0f}° at {found.usable_kPa:.1f} kPa, hardly before {found.dead_zone_kPa:.1f}; {why}."
+        f"Bends by {deg:.0f}° at {found.usable_kPa:.1f} kPa, starting at {found.dead_zone_kPa:.1f} kPa; "
+        f"limited by {why}."
     )
 
 

@@ -1,9 +1,9 @@
-"""The paper's design guide as a tool: what a phloSAR of given parts does for a robot, and which to take.
+"""The paper's design guide as a tool: evaluates and chooses the parts of a phloSAR for a robot.
 
 robot = demonstration()                     or robot.load(path)
 parts = catalogue()                         or catalogue(folder, ...)
 evaluation = evaluate(robot, parts.choose(robot.parts))
-front = search(robot, parts)                least mass for most cycles, as evaluations
+front = search(robot, parts)                Pareto front of mass and cycles, as evaluations
 """
 
 from flying_vines.studies.design.evaluate import Evaluation, evaluate

@@ -15,11 +15,11 @@ from flying_vines.studies.design.evaluate import Evaluation
 from flying_vines.studies.design.reading import decode
 
 METRICS = ("cost", "weight", "size", "speed", "range", "air_supply", "renewability")
-"""Worth more the further out: a high rating for cost is a low cost."""
+"""A higher rating is better: a high rating for cost means a low cost."""
 
 
 class Rating(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """1 (worst) to 5 (best), with the sentence of the paper that it rests on, or why it is judged so."""
+    """1 (worst) to 5 (best), with the paper's sentence that supports it, or the reason of a judgement."""
 
     value: Annotated[float, Meta(ge=1, le=5)]
     says: Annotated[str, Meta(min_length=1)]
@@ -28,11 +28,11 @@ class Rating(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         if self.judgement == bool(self.place):
-            raise ValueError("a rating has the place of what it quotes, or is a judgement")
+            raise ValueError("a rating needs either the place of its quotation, or judgement = true")
 
 
 class Solution(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A way to supply or regulate pressure. None: it has no value, as the paper says of regulators."""
+    """A way to supply or regulate pressure. None: no value (the paper gives none for regulators)."""
 
     label: str
     cost: Rating
@@ -51,14 +51,14 @@ class Solution(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 @dataclass(frozen=True)
 class Compass:
-    """The paper's six solutions, and the ratings of a design beside them."""
+    """The paper's six solutions, and the ratings of a design."""
 
     solutions: Mapping[str, Solution]
     design: Mapping[str, float]
 
 
 def solutions() -> dict[str, Solution]:
-    """The six that the paper compares, from `compass.toml`."""
+    """The six solutions that the paper compares, from `compass.toml`."""
     text = resources.files("flying_vines.studies.design").joinpath("compass.toml").read_text(encoding="utf-8")
     found: Any = decode(text, "compass.toml", dict[str, Solution])
     return {name: solution for name, solution in found.items() if isinstance(solution, Solution)}
@@ -67,12 +67,12 @@ def solutions() -> dict[str, Solution]:
 def compass(design: Evaluation, prototype: Evaluation) -> Compass:
     """A design among the paper's solutions.
 
-    It has the phloSAR's ratings, one step up or down for each factor of two that it is lighter, smaller
-    (bottle volume), faster (flow into the control volume) or works longer on one filling (air held, for
-    air supply) than the prototype. Cost, range and renewability stay: nothing in a choice of parts says more.
+    It has the phloSAR's ratings, moved by one step for each factor of two against the prototype: in weight,
+    size (reservoir volume), speed (inflation) and air supply (air in the reservoir). Cost, range and
+    renewability stay, because a choice of parts does not determine them.
 
     Args:
-        design: what is to be placed.
+        design: the evaluated design.
         prototype: the paper's parts, for the same robot.
     """
     all_six = solutions()
@@ -83,12 +83,11 @@ def compass(design: Evaluation, prototype: Evaluation) -> Compass:
         assert rating is not None
         return min(max(rating.value + math.log2(factor), 1.0), 5.0) if factor > 0.0 else 1.0
 
-    ours, theirs = design.parts, prototype.parts
-    air = (ours.reservoir_volume_L * design.fill_kPa) / (theirs.reservoir_volume_L * prototype.fill_kPa)
+    volume_L, prototype_L = design.parts.reservoir_volume_L, prototype.parts.reservoir_volume_L
     factors = {
         "weight": prototype.mass_kg / design.mass_kg,
-        "size": theirs.reservoir_volume_L / ours.reservoir_volume_L,
+        "size": prototype_L / volume_L,
         "speed": design.inflation_kPa_per_s / prototype.inflation_kPa_per_s,
-        "air_supply": air,
+        "air_supply": (volume_L * design.fill_kPa) / (prototype_L * prototype.fill_kPa),
     }
     return Compass(all_six, {metric: moved(metric, factors.get(metric, 1.0)) for metric in METRICS})

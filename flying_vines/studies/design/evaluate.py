@@ -1,4 +1,4 @@
-"""One robot on one choice of parts: how fast, how often, how heavy, by the paper's equations and beyond."""
+"""Evaluates a choice of parts for a robot: speed, cycles, mass and power, mostly by the paper's equations."""
 
 from __future__ import annotations
 
@@ -13,50 +13,50 @@ from flying_vines.studies.design.parts import Origin, Part, PartsChoice, ValvePa
 from flying_vines.studies.design.robot import Robot
 
 DEFLATED = 0.05
-"""What is left of the swing when a deflation counts as done: passive venting never quite ends."""
-
+"""Remaining share of the swing at which a deflation counts as finished: passive venting is exponential."""
 POINTS = 60
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a phloSAR of these parts does for a robot. Speeds are means over a full swing, kPa/s.
+    """A phloSAR of these parts, evaluated for a robot. Speeds are means over a full swing, kPa/s.
 
-    The arrays run over `reservoir_kPa`, from empty to `fill_kPa`.
+    The arrays have a value for each `reservoir_kPa`, from empty to `fill_kPa` (gauge). EVP is the inflation
+    valve, DVP the valve that supplies the Venturi, a pouch the bending pouch of an actuator.
     """
 
     robot: Robot
     parts: PartsChoice
     fill_kPa: float
-    """What the robot asks for, or the least that one of the parts bears."""
+    """The robot's fill pressure, limited by the weakest part."""
 
     reservoir_kPa: Array
     inflation_curve_kPa_per_s: Array
-    """Eq. 4; for a pouch, by the air that it takes."""
+    """Eq. 4; for a pouch, scaled to the air that it needs."""
     deflation_curve_kPa_per_s: Array
-    """With the Venturi where it helps."""
+    """With the Venturi where it is faster."""
     passive_kPa_per_s: float
-    """Deflation by the solenoid alone, whatever the reservoir holds."""
+    """Deflation by the solenoid alone, at any reservoir pressure."""
     bandwidth_curve_Hz: Array
-    """Eq. 7 with the curve of inflation."""
+    """Eq. 7 with the inflation curve."""
 
     least_kPa: float
-    """The reservoir pressure below which the wanted inflation is out of reach (Sec. VI-B)."""
+    """Minimum reservoir pressure for the wanted inflation speed (Sec. VI-B)."""
     cycles_rigid: float
-    """Eq. 8: a rigid control volume, and a Venturi that takes as much air again. 0 if out of reach."""
+    """Eq. 8: a rigid control volume, and a Venturi that uses the same air again. 0 if too slow."""
     cycles_pouch_air: float
-    """Eq. 8 with its air scaled to that of a pouch, its least pressure as it is."""
+    """Eq. 8 with the air of a pouch, but the minimum pressure of a rigid control volume."""
     cycles_pouch: float
-    """The same, and the pouch still filled as fast as wanted."""
+    """Eq. 8 with the air of a pouch, also for the minimum pressure."""
     cycles_passive: float
-    """This robot's, if it is always vented passively: the Venturi takes nothing."""
+    """Cycles of this robot if it is always vented passively: the Venturi uses no air."""
 
     full_open_s: float
-    """Eq. 3 down to `least_kPa`: the inflation valve open all the time, the paper's conservative estimate."""
+    """Eq. 3 down to `least_kPa`: the paper's conservative estimate, with the EVP always open."""
     mass_kg: float
     mass_by_origin_kg: dict[Origin, float]
     power_W: float
-    """Mean over a cycle whose half inflates and whose half deflates, the valves fully on."""
+    """Mean over a cycle: half inflation, half deflation, with the valves fully on."""
 
     @property
     def inflation_kPa_per_s(self) -> float:
@@ -75,46 +75,46 @@ class Evaluation:
 
     @property
     def passive_is_enough(self) -> bool:
-        """Whether the wanted deflation needs no Venturi."""
+        """True if the wanted deflation needs no Venturi."""
         return self.passive_kPa_per_s >= self.robot.wanted_deflation_kPa_per_s
 
     @property
     def least_for_deflation_kPa(self) -> float | None:
-        """The reservoir pressure below which the wanted deflation is out of reach; None if it always is.
+        """Minimum reservoir pressure for the wanted deflation; None if no pressure is enough.
 
-        0 if passive venting is enough. To within a step of the curve, on the safe side.
+        0 if passive venting is enough. Rounded up to a point of the curve.
         """
         enough = self.deflation_curve_kPa_per_s >= self.robot.wanted_deflation_kPa_per_s
         return float(self.reservoir_kPa[int(np.argmax(enough))]) if enough.any() else None
 
     @property
     def cycles(self) -> float:
-        """Of this robot on these parts: with the Venturi's air wherever there is a Venturi."""
+        """Cycles of this robot on these parts, including the Venturi's air if there is a Venturi."""
         if self.parts.venturi is None:
             return self.cycles_passive
         return self.cycles_pouch if self.robot.cv_kind == "pouch" else self.cycles_rigid
 
     @property
     def operating_s(self) -> float:
-        """The time that those cycles last when one follows the other."""
+        """Duration of these cycles without pauses."""
         return self.cycles / self.robot.cycle_rate_Hz
 
     @property
     def total_kg(self) -> float:
-        """With what else the vehicle carries."""
+        """Total mass, with the robot's other mass."""
         return self.mass_kg + self.robot.other_mass_kg
 
     @property
     def missed(self) -> dict[str, str]:
-        """Which wishes these parts do not meet, each with by how much; none if they meet them all."""
+        """The requirements that these parts do not meet, each with the numbers; empty if they meet all."""
         robot = self.robot
         found = {}
-        for name, has, wish in (
+        for name, has, wanted in (
             ("inflation", self.inflation_kPa_per_s, robot.wanted_inflation_kPa_per_s),
             ("deflation", self.deflation_kPa_per_s, robot.wanted_deflation_kPa_per_s),
         ):
-            if has < wish:
-                found[name] = f"{name} {has:.3g} of {wish:.3g} kPa/s"
+            if has < wanted:
+                found[name] = f"{name} {has:.3g} of {wanted:.3g} kPa/s"
         if self.fill_kPa <= robot.pressure_kPa:
             found["fill"] = f"a fill of {self.fill_kPa:.3g} kPa is not above {robot.pressure_kPa:.3g} kPa"
         if self.cycles < robot.least_cycles:
@@ -125,15 +125,15 @@ class Evaluation:
 
     @property
     def shortfalls(self) -> tuple[str, ...]:
-        """What `missed` says, as phrases."""
+        """The texts of `missed`."""
         return tuple(self.missed.values())
 
 
 def evaluate(robot: Robot, parts: PartsChoice) -> Evaluation:
-    """Compute what a choice of parts does for a robot.
+    """Evaluate a choice of parts for a robot.
 
-    Inflation, bandwidth, operating time and cycles are the paper's Eq. 3, 4, 7 and 8. Deflation is not
-    modelled there; see `_deflation_curve`.
+    Inflation, bandwidth, operating time and cycles are the paper's Eq. 3, 4, 7 and 8. The paper has no model
+    of deflation; see `_deflation_curve`.
     """
     fill_kPa = min(robot.fill_kPa, *_limits_kPa(parts))
     reservoir_kPa = np.linspace(0.0, fill_kPa, POINTS)
@@ -143,7 +143,7 @@ def evaluate(robot: Robot, parts: PartsChoice) -> Evaluation:
     more_air = robot.fill_SL / robot.rigid_fill_SL
     pouch_air = robot.pouch_fill_SL / robot.rigid_fill_SL
 
-    rigid_least_kPa = paper.least_reservoir_kPa(wanted, resistance, robot.cv_volume_L)
+    rigid_min_kPa = paper.min_reservoir_kPa(wanted, resistance, robot.cv_volume_L)
     inflation = paper.inflation_rate_kPa_per_s(reservoir_kPa, resistance, robot.cv_volume_L) / more_air
     cycles_rigid = paper.n_cycles(
         fill_kPa,
@@ -153,7 +153,7 @@ def evaluate(robot: Robot, parts: PartsChoice) -> Evaluation:
         rate_kPa_per_s=wanted,
         flow_resistance_kPa_s_per_SL=resistance,
     )
-    # A pouch takes more air for the same swing: as Eq. 8 with that much more rate and swing.
+    # A pouch needs more air for the same swing: Eq. 8 with rate and swing scaled by this factor.
     cycles_pouch = paper.n_cycles(
         fill_kPa,
         reservoir_volume_L=volume_L,
@@ -163,7 +163,7 @@ def evaluate(robot: Robot, parts: PartsChoice) -> Evaluation:
         flow_resistance_kPa_s_per_SL=resistance,
     )
     own_cycles = cycles_pouch if robot.cv_kind == "pouch" else cycles_rigid
-    least_kPa = rigid_least_kPa * more_air
+    least_kPa = rigid_min_kPa * more_air
     tau_s = paper.discharge_time_constant_s(resistance, volume_L)
     deflation, passive = _deflation_curve(robot, parts, reservoir_kPa, more_air)
     return Evaluation(
@@ -197,12 +197,12 @@ def _limits_kPa(parts: PartsChoice) -> list[float]:
 def _deflation_curve(
     robot: Robot, parts: PartsChoice, reservoir_kPa: Array, more_air: float
 ) -> tuple[Array, float]:
-    """Mean speed of a deflation to `DEFLATED` of the swing, kPa/s: over P_r, and passively.
+    """Mean speed of a deflation to `DEFLATED` of the swing, kPa/s: for each P_r, and passively.
 
-    Ohm's law of flow (paper, Eq. 2) makes passive venting exponential, with τ = R_s V_cv / α of the solenoid.
-    A Venturi draws Q_s from atmosphere and, linearly, nothing at its greatest vacuum b; behind the solenoid
-    that is the same law towards −b through R_s + b / Q_s. The firmware uses it where it is faster. Whatever
-    a pouch holds beyond a rigid volume takes its share of time at the same flow.
+    With Ohm's law of flow (paper, Eq. 2) passive venting is exponential, with τ = R_s V_cv / α of the
+    solenoid. The suction of a Venturi falls linearly from Q_s at atmospheric pressure to 0 at its maximum
+    vacuum b. Behind the solenoid this is the same law towards −b, through R_s + b / Q_s. The firmware uses
+    the Venturi where it is faster. The additional air of a pouch increases the time in proportion.
     """
     high, low = robot.pressure_kPa, robot.pressure_kPa - (1.0 - DEFLATED) * robot.swing_kPa
     solenoid = parts.solenoid.flow_resistance_kPa_s_per_SL.value
@@ -224,15 +224,15 @@ def _deflation_curve(
 def _suction(
     dvp: ValvePart, venturi: VenturiPart, supply_kPa: float, ambient_kPa: float
 ) -> tuple[float, float]:
-    """Greatest vacuum (kPa below ambient) and free suction (SL/s) of a Venturi behind a fully open DVP.
+    """Maximum vacuum (kPa below ambient) and free suction (SL/s) of a Venturi behind a fully open DVP.
 
-    The flows of two restrictions in series add as 1/Q², which is nearer to choked flow than adding R_v.
+    The flows of two restrictions in series combine as 1/Q², which is nearer to choked flow than a sum of R_v.
     """
     nozzle = venturi.resistance_kPa_s_per_SL
     both = math.hypot(dvp.resistance_kPa_s_per_SL, nozzle)
     motive_kPa = supply_kPa * nozzle / both
     share = min(1.0, motive_kPa / venturi.full_vacuum_from_kPa.value)
-    # Even a perfect vacuum is no lower than ambient pressure.
+    # A vacuum cannot be deeper than ambient pressure.
     vacuum_kPa = min(venturi.max_vacuum_fraction.value, 0.99) * ambient_kPa * share
     return vacuum_kPa, venturi.suction_per_consumption.value * paper.flow_SL_per_s(supply_kPa, both)
 

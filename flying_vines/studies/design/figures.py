@@ -23,13 +23,12 @@ def draw(
     compared: Compass,
     folder: Path,
 ) -> list[Path]:
-    """Draw three PNGs into a folder that exists: where they are.
+    """Draw three PNGs into an existing folder. Returns their paths.
 
     Args:
-        evaluation: the choice that the profile names.
+        evaluation: the choice of the profile.
         tried: every choice of the catalogue.
         compared: the design among the paper's solutions.
-        folder: where the pictures go.
     """
     figures = {
         "speed": _speed(evaluation),
@@ -105,7 +104,7 @@ def _search(chosen: Evaluation, tried: Sequence[Evaluation]) -> Any:
     )
     for axis, (by, label) in zip(axes, scales, strict=True):
         for venturi, color, name in ((True, BLUE, "with a Venturi"), (False, PURPLE, "passive venting")):
-            for meets, says in ((False, "a wish is not met"), (True, "meets every wish")):
+            for meets, text in ((False, "misses a requirement"), (True, "meets all requirements")):
                 some = [
                     e
                     for e in tried
@@ -121,7 +120,7 @@ def _search(chosen: Evaluation, tried: Sequence[Evaluation]) -> Any:
                     mec=color,
                     mew=0.7,
                     alpha=0.7 if meets else 0.45,
-                    label=f"{name}, {says} ({len(some)})",
+                    label=f"{name}, {text} ({len(some)})",
                 )
         found = front(tried, by)
         axis.plot(
@@ -180,7 +179,7 @@ def _compass(compared: Compass) -> Any:
                 BLUE,
             )
         )
-    # A design moves the phloSAR's ratings: what is judged there is judged here.
+    # A design moves the phloSAR's ratings, so the same ratings are judgements.
     columns.append(("your design", compared.design, judgements["phlosar"], ORANGE))
     figure, axes = plt.subplots(1, len(columns), figsize=(12, 3.8), sharey=True, layout="constrained")
     for axis, (label, values, judged, color) in zip(axes, columns, strict=True):
@@ -198,8 +197,8 @@ def _compass(compared: Compass) -> Any:
     axes[0].invert_yaxis()
     figure.supxlabel(
         "1 worst … 5 best (of cost, weight and size, less is better). "
-        "Filled: from a sentence of the paper; open: a judgement of ours. "
-        "Your design: the phloSAR's, moved",
+        "Filled: from a sentence of the paper; open: our judgement. "
+        "Your design: the phloSAR's ratings, scaled",
         fontsize=9,
     )
     return finish(figure, "Pressure supplies and regulators (after the paper's Fig. 2)")

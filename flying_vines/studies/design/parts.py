@@ -1,4 +1,4 @@
-"""The catalogue of parts: one TOML file each, and for every number where it is from."""
+"""The catalogue of parts: one TOML file for each part, with the source of every number."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Origin = Literal["printed", "computed", "assumed"]
 
 
 class Number(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A number not below 0 with its source, or marked as assumed with a note that says why."""
+    """A number of at least 0, with its source; or assumed, with a note that gives the reason."""
 
     value: Annotated[float, Meta(ge=0, le=1e6)]
     source: str = ""
@@ -33,15 +33,15 @@ class Number(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if not math.isfinite(self.value):
             raise ValueError("value is not a finite number")
         if self.assumed and self.source.strip():
-            raise ValueError("has a source and is assumed: it is one or the other")
+            raise ValueError("has a source and assumed = true: remove one")
         if self.assumed and not self.note.strip():
-            raise ValueError("an assumed number needs a note that says why")
+            raise ValueError("an assumed number needs a note with the reason")
         if not self.assumed and not self.source.strip():
-            raise ValueError("source is missing; without one it is assumed = true, with a note")
+            raise ValueError("source is missing; without a source set assumed = true, with a note")
 
     @property
     def origin(self) -> Origin:
-        """Whether a source prints it, it is computed from what sources print, or it is assumed."""
+        """`printed` in a source, `computed` from printed numbers, or `assumed`."""
         if self.assumed:
             return "assumed"
         return "computed" if self.source.startswith("computed from") else "printed"
@@ -60,21 +60,21 @@ class _Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     name: str
     mass_g: Number
     power_W: Number | None = None
-    """While it is switched on."""
+    """Power while it is on."""
     length_mm: Number | None = None
     cost_USD: Number | None = None
     note: str = ""
 
 
 class ValvePart(_Part, frozen=True, tag="valve"):
-    """A proportional valve: an EVP, or the DVP before a Venturi."""
+    """A proportional valve: EVP (inflation valve), or DVP (supply of the Venturi)."""
 
     flow_SLPM: PositiveNumber
-    """At `at_kPa` to atmosphere."""
+    """Flow from `at_kPa` (gauge) to atmosphere."""
     at_kPa: PositiveNumber
     max_inlet_kPa: PositiveNumber
     flow_resistance_kPa_s_per_SL: PositiveNumber | None = None
-    """The least R_v; without it, the rated flow's."""
+    """Minimum R_v; default: from the rated flow."""
 
     @property
     def resistance_kPa_s_per_SL(self) -> float:
@@ -85,28 +85,28 @@ class ValvePart(_Part, frozen=True, tag="valve"):
 
 
 class ReservoirPart(_Part, frozen=True, tag="reservoir"):
-    """A vessel for compressed air; `max_kPa` is what it may be filled to, not what bursts it."""
+    """A vessel for compressed air; `max_kPa` is its permitted pressure (gauge), not its burst pressure."""
 
     volume_L: PositiveNumber
     max_kPa: PositiveNumber
 
 
 class VenturiPart(_Part, frozen=True, tag="venturi"):
-    """A Venturi pump: what it consumes, and what it draws for that."""
+    """A Venturi pump."""
 
     consumption_SLPM: PositiveNumber
-    """At `at_kPa`."""
+    """Consumption at `at_kPa` (gauge)."""
     at_kPa: PositiveNumber
     suction_per_consumption: PositiveNumber
-    """Flow that is drawn from atmosphere, per flow consumed."""
+    """Suction from atmospheric pressure over consumption."""
     max_vacuum_fraction: PositiveNumber
-    """Of ambient pressure."""
+    """Maximum vacuum over ambient pressure."""
     full_vacuum_from_kPa: PositiveNumber
     """Below this motive pressure the vacuum falls in proportion to it."""
 
     @property
     def resistance_kPa_s_per_SL(self) -> float:
-        """Of its nozzle, as R_v of a valve, kPa·s/SL (paper, Eq. 2)."""
+        """R_v of its nozzle, kPa·s/SL (paper, Eq. 2)."""
         return paper.flow_resistance_kPa_s_per_SL(self.at_kPa.value, self.consumption_SLPM.value)
 
 
@@ -117,7 +117,7 @@ class SolenoidPart(_Part, frozen=True, tag="solenoid"):
 
 
 class Fixed(_Part, frozen=True, tag="fixed"):
-    """What every phloSAR needs one set of: of each `role`, the search takes the lightest."""
+    """A part that every phloSAR needs; of each `role` the search uses the lightest."""
 
     role: str
     count: Annotated[int, Meta(ge=1, le=1000)] = 1
@@ -129,7 +129,7 @@ P = TypeVar("P", ValvePart, ReservoirPart, VenturiPart, SolenoidPart, Fixed)
 
 @dataclass(frozen=True)
 class PartsChoice:
-    """One choice of parts. `venturi` and `dvp` are both there, or neither: then it vents passively."""
+    """One choice of parts. Without `venturi` and `dvp` it vents passively."""
 
     evp: ValvePart
     reservoir: ReservoirPart
@@ -148,7 +148,7 @@ class PartsChoice:
         return self.reservoirs * self.reservoir.volume_L.value
 
     def each(self) -> Iterable[tuple[Part, int]]:
-        """Every part, and how many of it."""
+        """Every part and its count."""
         yield self.evp, 1
         if self.dvp is not None and self.venturi is not None:
             yield self.dvp, 1
@@ -161,16 +161,16 @@ class PartsChoice:
 
 @dataclass(frozen=True)
 class Catalogue:
-    """Parts by the name of their file without `.toml`."""
+    """Parts by their file name without `.toml`."""
 
     parts: Mapping[str, Part]
 
     def all(self, kind: type[P]) -> list[P]:
-        """Every part of a kind, in the order of their names."""
+        """Every part of a kind, sorted by name."""
         return [part for _, part in sorted(self.parts.items()) if isinstance(part, kind)]
 
     def fixed(self) -> tuple[Fixed, ...]:
-        """The lightest of each role."""
+        """The lightest part of each role."""
         lightest: dict[str, Fixed] = {}
         for part in self.all(Fixed):
             best = lightest.get(part.role)
@@ -179,13 +179,13 @@ class Catalogue:
         return tuple(lightest.values())
 
     def choose(self, names: PartNames | None = None, source: str = "robot") -> PartsChoice:
-        """The parts that are named, by default the paper's.
+        """The named parts; default: the paper's.
 
         Args:
-            names: of files, without `.toml`.
-            source: what the error calls the file with the names.
+            names: file names without `.toml`.
+            source: name of the profile in errors.
 
-        Raises `ConfigError` where a name is in no file, or in one of another kind.
+        Raises `ConfigError` if a name is unknown, or is a part of another kind.
         """
         names = names or PartNames()
         without = not names.venturi
@@ -204,11 +204,11 @@ class Catalogue:
         if isinstance(part, kind):
             return part
         of_kind = sorted(name for name, part in self.parts.items() if isinstance(part, kind))
-        raise ConfigError(f"{key}: '{name}' is none of the catalogue's: {', '.join(of_kind)}")
+        raise ConfigError(f"{key}: '{name}' is not in the catalogue: {', '.join(of_kind)}")
 
 
 def catalogue(*folders: Path) -> Catalogue:
-    """The parts that ship, and those in further folders; a file of the same name replaces.
+    """The built-in parts and those in further folders; a file replaces an earlier one of the same name.
 
     Raises `ConfigError` with one line that names file, line and key.
     """
@@ -225,7 +225,7 @@ def catalogue(*folders: Path) -> Catalogue:
 
 
 def parse(text: str, source: str) -> Part:
-    """Check the text of a part's file; `source` is what errors call it."""
+    """The part in the text of a file; `source` is its name in errors."""
     known = {"kind", *Number.__struct_fields__}
     for kind in (ValvePart, ReservoirPart, VenturiPart, SolenoidPart, Fixed):
         known.update(kind.__struct_fields__)

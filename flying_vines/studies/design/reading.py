@@ -1,4 +1,4 @@
-"""TOML files of the design guide, checked: what is wrong is one line that names file, line and key."""
+"""Reads the TOML files of the design guide. An error is one line that names file, line and key."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def decode(text: str, source: str, kind: Any, known: Sequence[str] = ()) -> Any:
 
     Args:
         text: TOML.
-        source: what errors call it.
-        kind: a type that msgspec converts to; the caller knows what comes back.
-        known: keys that a mistyped one may have meant.
+        source: its name in errors.
+        kind: a type that msgspec converts to.
+        known: keys to suggest for a mistyped one.
 
     Raises `ConfigError`.
     """

@@ -1,4 +1,4 @@
-"""What the robot wants of its air: one TOML profile, by default the paper's demonstration."""
+"""The requirements of a robot: one TOML profile, by default the paper's demonstration."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ NotNegativeNumber = Annotated[float, Meta(ge=0, le=1e6)]
 
 
 class PartNames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The choice of parts to evaluate, by the names of their files; by default the paper's prototype.
+    """The parts to evaluate, by file name; default: the paper's prototype.
 
-    An empty `venturi` is a phloSAR that vents passively: it has no DVP either.
+    With an empty `venturi` the phloSAR vents passively and has no DVP (the Venturi's supply valve).
     """
 
     evp: str = "clippard-evp"
@@ -36,10 +36,10 @@ class PartNames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Robot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A pneumatic soft robot as the design guide needs to know it (paper, Sec. VI).
+    """A pneumatic soft robot for the design guide (paper, Sec. VI). Pressures are gauge.
 
-    `frequency_Hz` or `inflation_rate_kPa_per_s` says how fast it is to be: one of them.
-    `peak_to_peak_kPa` is the swing of a cycle, by default from 0 to `pressure_kPa`; the paper calls it A.
+    Its speed is given by either `frequency_Hz` or `inflation_rate_kPa_per_s`. `peak_to_peak_kPa` is the swing
+    of a cycle, by default from 0 to `pressure_kPa`; the paper calls it A.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Robot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         if self.swing_kPa > self.pressure_kPa:
             raise ValueError("peak_to_peak_kPa is above pressure_kPa")
         if self.cv_kind == "pouch" and self.swing_kPa != self.pressure_kPa:
-            raise ValueError("a pouch lies flat at first: peak_to_peak_kPa must be pressure_kPa")
+            raise ValueError("a pouch is flat at first: peak_to_peak_kPa must be pressure_kPa")
 
     @property
     def swing_kPa(self) -> float:
@@ -77,7 +77,7 @@ class Robot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     @property
     def wanted_inflation_kPa_per_s(self) -> float:
-        """The wanted dP_cv/dt, kPa/s: as said, or what the wave needs (paper, Eq. 5)."""
+        """The wanted dP_cv/dt, kPa/s: as given, or as the wave needs it (paper, Eq. 5)."""
         if self.inflation_rate_kPa_per_s is not None:
             return self.inflation_rate_kPa_per_s
         assert self.frequency_Hz is not None
@@ -87,12 +87,12 @@ class Robot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     @property
     def wanted_deflation_kPa_per_s(self) -> float:
-        """As fast down as up, unless the profile says otherwise, kPa/s."""
+        """The wanted deflation rate, kPa/s; default: the inflation rate."""
         return self.deflation_rate_kPa_per_s or self.wanted_inflation_kPa_per_s
 
     @property
     def cycle_rate_Hz(self) -> float:
-        """Cycles per second when they follow each other without a pause."""
+        """Cycles per second without pauses."""
         if self.frequency_Hz is not None:
             return self.frequency_Hz
         up, down = self.wanted_inflation_kPa_per_s, self.wanted_deflation_kPa_per_s
@@ -105,12 +105,12 @@ class Robot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     @property
     def pouch_fill_SL(self) -> float:
-        """The air that one inflation takes if the control volume lies flat before it, standard litres."""
+        """The air for one inflation of a pouch that is flat before it, standard litres."""
         return paper.pouch_fill_SL(self.pressure_kPa, self.cv_volume_L, self.ambient_kPa)
 
     @property
     def fill_SL(self) -> float:
-        """The air that one inflation takes, for the kind of control volume that it is, standard litres."""
+        """The air for one inflation of this control volume, standard litres."""
         return self.pouch_fill_SL if self.cv_kind == "pouch" else self.rigid_fill_SL
 
 
@@ -126,12 +126,12 @@ def demonstration() -> Robot:
 
 
 def load(path: Path) -> Robot:
-    """Read and check a profile; `ConfigError` says in one line which file, line and key is wrong."""
+    """The robot in a profile. `ConfigError`: one line that names file, line and key."""
     return parse(read_text(path, ConfigError), str(path))
 
 
 def parse(text: str, source: str) -> Robot:
-    """Check the text of a profile; `source` is what errors call it."""
+    """The robot in the text of a profile; `source` is its name in errors."""
     known = [*Robot.__struct_fields__, *PartNames.__struct_fields__]
     robot: Any = decode(text, source, Robot, known)
     if not isinstance(robot, Robot):

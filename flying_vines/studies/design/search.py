@@ -1,4 +1,4 @@
-"""Every choice that a catalogue allows, and the Pareto front of mass against performance."""
+"""Searches all choices of a catalogue for the Pareto front of mass and performance."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from flying_vines.studies.design.robot import Robot
 
 Performance = Literal["cycles", "inflation", "deflation"]
 
-MOST_RESERVOIRS = 2
-"""Bottles of one kind, side by side."""
+MAX_RESERVOIRS = 2
+"""Maximum number of equal reservoirs in parallel."""
 
 
 def choices(catalogue: Catalogue) -> Iterator[PartsChoice]:
-    """Every choice of valves, Venturi (or none), solenoid and one or two bottles, with the lightest rest."""
+    """Every choice of valves, Venturi (or none), solenoid and reservoirs, with the lightest fixed parts."""
     fixed = catalogue.fixed()
     valves = catalogue.all(ValvePart)
     pumps: list[tuple[ValvePart | None, VenturiPart | None]] = [(None, None)]
@@ -32,27 +32,24 @@ def choices(catalogue: Catalogue) -> Iterator[PartsChoice]:
         for dvp, venturi in pumps:
             for solenoid in catalogue.all(SolenoidPart):
                 for reservoir in catalogue.all(ReservoirPart):
-                    for count in range(1, MOST_RESERVOIRS + 1):
+                    for count in range(1, MAX_RESERVOIRS + 1):
                         yield PartsChoice(evp, reservoir, solenoid, fixed, dvp, venturi, count)
 
 
 def evaluate_all(robot: Robot, catalogue: Catalogue) -> list[Evaluation]:
-    """Every choice evaluated, also those that do not meet the wishes."""
+    """Evaluations of all choices, including those that miss a requirement."""
     return [evaluate(robot, parts) for parts in choices(catalogue)]
 
 
 def performance(evaluation: Evaluation, by: Performance) -> float:
-    """The number that more of is better: cycles, or kPa/s from a full reservoir."""
+    """The performance: cycles, or kPa/s from a full reservoir."""
     if by == "cycles":
         return evaluation.cycles
     return evaluation.inflation_kPa_per_s if by == "inflation" else evaluation.deflation_kPa_per_s
 
 
 def front(evaluations: Sequence[Evaluation], by: Performance = "cycles") -> list[Evaluation]:
-    """Those that meet the wishes and that none beats in both mass and performance, lightest first.
-
-    Of equals, the first.
-    """
+    """The Pareto front among evaluations that meet all requirements, lightest first; of equals the first."""
     meeting = [evaluation for evaluation in evaluations if not evaluation.shortfalls]
     meeting.sort(key=lambda evaluation: (evaluation.mass_kg, -performance(evaluation, by)))
     found: list[Evaluation] = []
@@ -63,13 +60,8 @@ def front(evaluations: Sequence[Evaluation], by: Performance = "cycles") -> list
 
 
 def search(robot: Robot, catalogue: Catalogue, by: Performance = "cycles") -> list[Evaluation]:
-    """The Pareto front of mass against performance among the choices that meet a robot's wishes.
+    """The Pareto front of mass and performance among the choices that meet a robot's requirements.
 
-    Empty if none meets them: `evaluate_all` with `Evaluation.shortfalls` says why.
-
-    Args:
-        robot: what is wanted.
-        catalogue: the parts to choose from.
-        by: what performance is.
+    Empty if no choice meets them; then see `Evaluation.shortfalls` of `evaluate_all`.
     """
     return front(evaluate_all(robot, catalogue), by)

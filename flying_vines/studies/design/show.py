@@ -1,4 +1,4 @@
-"""The design guide's answer on a terminal, and as plain data."""
+"""The result of the design guide on a terminal, and as plain data."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def show(
     console.print(
         Text(f"Does not meet: {'; '.join(short)}.", style="red")
         if short
-        else Text("Meets every wish of the profile.", style="green")
+        else Text("Meets all requirements of the profile.", style="green")
     )
     for note in notes(evaluation):
         console.print(Text(f"· {note}"))
     for by, found in fronts.items():
         console.print()
         console.print(
-            Text(f"Least mass for most {WHAT[by]}: {len(found)} of {len(tried)} choices", style="bold")
+            Text(f"Pareto front of mass and {WHAT[by]}: {len(found)} of {len(tried)} choices", style="bold")
         )
         if found:
             console.print(_front(found))
@@ -54,10 +54,10 @@ def show(
             counts = Counter(name for e in tried for name in e.missed)
             missed = ", ".join(f"{name} by {count}" for name, count in counts.most_common())
             console.print(
-                Text(f"No choice of the catalogue meets every wish. Missed: {missed}.", style="red")
+                Text(f"No choice of the catalogue meets all requirements. Missed: {missed}.", style="red")
             )
     console.print()
-    console.print(Text("Compared, 1 (worst) to 5 (best), j: a judgement of ours", style="bold"))
+    console.print(Text("Comparison, 1 (worst) to 5 (best), j: our judgement", style="bold"))
     console.print(_compass(compared))
 
 
@@ -71,66 +71,66 @@ def words(parts: PartsChoice) -> str:
 
 
 def notes(evaluation: Evaluation) -> list[str]:
-    """What the numbers do not say by themselves."""
+    """Remarks on the numbers."""
     robot, e = evaluation.robot, evaluation
     found = []
     if e.fill_kPa < robot.fill_kPa:
-        found.append(f"The parts bear a fill of {e.fill_kPa:.0f} kPa, not of {robot.fill_kPa:.0f} kPa.")
+        found.append(f"The parts permit a fill of {e.fill_kPa:.0f} kPa, not {robot.fill_kPa:.0f} kPa.")
     if e.least_kPa < 3.0 * robot.pressure_kPa:
         found.append(
-            f"Eq. 4 and 8 take P_r ≫ P_cv, but the least P_r is {e.least_kPa / robot.pressure_kPa:.1f} P_cv: "
-            "the last cycles will be slower."
+            "Eq. 4 and 8 assume P_r ≫ P_cv, but the minimum P_r is "
+            f"{e.least_kPa / robot.pressure_kPa:.1f} P_cv: the last cycles will be slower."
         )
-    least = e.least_for_deflation_kPa
-    if least is not None and least > e.least_kPa:
+    min_kPa = e.least_for_deflation_kPa
+    if min_kPa is not None and min_kPa > e.least_kPa:
         found.append(
-            f"Below {least:.0f} kPa deflation is slower than wanted; Eq. 8 counts cycles down to "
+            f"Below {min_kPa:.0f} kPa deflation is slower than wanted; Eq. 8 counts cycles down to "
             f"{e.least_kPa:.0f} kPa."
         )
     if e.parts.venturi is not None and e.passive_is_enough:
-        found.append("The solenoid alone is fast enough (its R_v is assumed): the Venturi adds speed only.")
+        found.append("The solenoid alone is fast enough (its R_v is assumed): the Venturi only adds speed.")
     shares = e.mass_by_origin_kg
     if shares["computed"] + shares["assumed"] > 0.0:
         found.append(
-            f"Of the mass, {shares['printed']:.3f} kg has a printed source, {shares['computed']:.3f} kg is "
-            f"computed, {shares['assumed']:.3f} kg assumed."
+            f"Mass: {shares['printed']:.3f} kg has a printed source, {shares['computed']:.3f} kg is "
+            f"computed, {shares['assumed']:.3f} kg is assumed."
         )
     coils = [part.power_W for part, _ in e.parts.each() if part.power_W is not None]
     if any(power.assumed for power in coils):
-        found.append("The power sums assumed powers; no data sheet was at hand.")
+        found.append("The power includes assumed powers; no data sheet was available.")
     return found
 
 
 def rows(evaluation: Evaluation) -> list[tuple[str, str, float, float | None, str]]:
-    """Quantity, unit, value, the wish if there is one, and where it is from."""
+    """Quantity, unit, value, wanted value or None, and source."""
     e, robot = evaluation, evaluation.robot
-    least = robot.least_cycles or None
+    wanted_cycles = robot.least_cycles or None
     pouch = robot.cv_kind == "pouch"
     active = e.parts.venturi is not None
     kind = f"{robot.cv_kind} {robot.cv_volume_L:g} L"
-    wishes = {
-        "rigid": least if active and not pouch else None,
-        "pouch": least if active and pouch else None,
-        "passive": None if active else least,
+    wanted = {
+        "rigid": wanted_cycles if active and not pouch else None,
+        "pouch": wanted_cycles if active and pouch else None,
+        "passive": None if active else wanted_cycles,
     }
     up, down = robot.wanted_inflation_kPa_per_s, robot.wanted_deflation_kPa_per_s
     left = f"to {100 * DEFLATED:.0f} % left, not in the paper"
     swing = f"Eq. 7, {robot.swing_kPa:g} kPa peak to peak"
     return [
-        ("filled to", "kPa", e.fill_kPa, None, "profile, or what parts bear"),
+        ("filled to", "kPa", e.fill_kPa, None, "profile, or limit of the parts"),
         ("inflation speed", "kPa/s", e.inflation_kPa_per_s, up, f"Eq. 4, {kind}"),
         ("deflation speed", "kPa/s", e.deflation_kPa_per_s, down, left),
-        ("deflation speed, passive", "kPa/s", e.passive_kPa_per_s, None, "solenoid alone, the same"),
+        ("deflation speed, passive", "kPa/s", e.passive_kPa_per_s, None, "same, solenoid alone"),
         ("bandwidth", "Hz", e.bandwidth_Hz, robot.frequency_Hz, swing),
-        ("least reservoir pressure", "kPa", e.least_kPa, None, "Eq. 4, wanted inflation"),
-        ("cycles, rigid", "", e.cycles_rigid, wishes["rigid"], "Eq. 8"),
+        ("min. reservoir pressure", "kPa", e.least_kPa, None, "Eq. 4, wanted inflation"),
+        ("cycles, rigid", "", e.cycles_rigid, wanted["rigid"], "Eq. 8"),
         ("cycles, pouch's air", "", e.cycles_pouch_air, None, "Eq. 8, air of V (P_a + P)"),
-        ("cycles, pouch, fast enough", "", e.cycles_pouch, wishes["pouch"], "least P_r by that air too"),
-        ("cycles, venting passively", "", e.cycles_passive, wishes["passive"], "no air for the Venturi"),
+        ("cycles, pouch, fast enough", "", e.cycles_pouch, wanted["pouch"], "minimum P_r with that air too"),
+        ("cycles, passive venting", "", e.cycles_passive, wanted["passive"], "no air for the Venturi"),
         ("operating time, cycling", "s", e.operating_s, None, f"{robot.cycle_rate_Hz:.3g} cycles a second"),
-        ("operating time, fully open", "s", e.full_open_s, None, "Eq. 3 to least pressure"),
+        ("operating time, fully open", "s", e.full_open_s, None, "Eq. 3 to minimum pressure"),
         ("mass", "kg", e.mass_kg, None, "of the parts"),
-        ("mass with the robot", "kg", e.total_kg, robot.payload_kg, f"and {robot.other_mass_kg:g} kg else"),
+        ("mass with the robot", "kg", e.total_kg, robot.payload_kg, f"plus {robot.other_mass_kg:g} kg"),
         ("power, mean", "W", e.power_W, None, "valves on; the paper: 3 W"),
     ]
 
@@ -142,10 +142,10 @@ def _table(evaluation: Evaluation) -> Table:
     for heading in ("value", "wanted"):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("by", overflow="fold")
-    for quantity, unit, value, wish, by in rows(evaluation):
+    for quantity, unit, value, wanted, by in rows(evaluation):
         sign = "≤" if quantity.startswith("mass") else "≥"
-        wanted = "" if wish is None else f"{sign} {_number(wish)}"
-        table.add_row(quantity, unit, _number(value), wanted, Text(by))
+        limit = "" if wanted is None else f"{sign} {_number(wanted)}"
+        table.add_row(quantity, unit, _number(value), limit, Text(by))
     return table
 
 

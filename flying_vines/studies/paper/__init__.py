@@ -1,4 +1,4 @@
-"""The paper "phloSAR" reproduced: every number and curve that it prints beside ours, in one call.
+"""Reproduces the paper "phloSAR": compares every number and curve that it prints with ours.
 
     comparison = compare()
     comparison.rows         the table
@@ -6,8 +6,8 @@
     as_json(comparison)     both, for other programs
     figures.draw(comparison.curves, folder)     the pictures (needs matplotlib)
 
-"Ours" is the paper's own equation, or a plant under the firmware's regulator: the baseline, or the
-high-fidelity one as a real rig probably is.
+"Ours" is the paper's equation, or a plant with the firmware's regulator: the baseline, or the high-fidelity
+plant, which is like a probable real rig.
 """
 
 from __future__ import annotations
@@ -32,18 +32,17 @@ class PaperComparison:
 
     rows: tuple[PaperRow, ...]
     findings: tuple[str, ...]
-    """What disagrees in the paper itself."""
+    """Contradictions within the paper."""
     curves: Curves
 
 
 def compare(bench: Bench | None = None, likely: Bench = LIKELY) -> PaperComparison:
-    """Reproduce the paper on two benches, by default the nominal rig's and that of a likely one (seconds).
-
-    Notes and findings that explain the plant's numbers speak of the nominal rig.
+    """Reproduce the paper on two benches (takes seconds). Notes and findings refer to the default benches.
 
     Args:
-        bench: rig, effects, sensors and regulator; its volumes and pressures are set test by test.
-        likely: likewise, in place of the high-fidelity plant.
+        bench: rig, effects, sensors and regulator; default: the nominal rig. Each test sets its volumes and
+            pressures.
+        likely: the same for the high-fidelity plant.
     """
     found = curves(bench, likely)
     rows = table(found)

@@ -1,8 +1,8 @@
-"""The paper's bench in a loop: the firmware's regulator and a plant.
+"""The paper's bench in closed loop: the firmware's regulator and a plant.
 
-No frames and no host: the command reaches the regulator at every step, as it did on the paper's bench, where
-the microcontroller itself made it. The firmware's limits are left out, for the vine's (30 kPa, 200 kPa/s)
-would end every test of the paper. Compiled: it needs numba.
+There are no frames and no host. The regulator gets the command at every step, as on the paper's bench, where
+the microcontroller generated it. The firmware's limits are left out, because the vine's limits (30 kPa, 200
+kPa/s) would end every test of the paper. Compiled: it needs numba.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_l
 from flying_vines.simulation.phlosar.regulator import Tuning
 
 AT_ONCE_KPA_PER_S = 1e6
-"""So that a step is a step."""
+"""Setpoint rate, so fast that a step stays a step."""
 
 FIXED_SOURCE = Reservoir(volume_L=1e9)
-"""The pressure of a supply that no flow moves (Sec. V-C)."""
+"""A supply with a constant pressure (Sec. V-C)."""
 
 
 PAPERS_TUNING: Tuning = {
@@ -40,19 +40,19 @@ PAPERS_TUNING: Tuning = {
     "warming_s": 0.0,
     "waiting_s": 0.0,
 }
-"""As the paper has it: on-off beyond 1 kPa, at once and without a look ahead, and PID within."""
+"""The paper's regulator: on-off control beyond 1 kPa without prediction, and PID within 1 kPa."""
 
 
 @dataclass(frozen=True)
 class Bench:
-    """What a test is run on: by default the baseline plant, with sensors that are perfect."""
+    """The bench of a test; default: the baseline plant with perfect sensors."""
 
     rig: Rig = field(default_factory=Rig)
     effects: Effects = field(default_factory=Effects)
     sensors: tuple[Sensor, Sensor] = (Sensor(), Sensor())
-    """The control volume's, the reservoir's."""
+    """Sensors of control volume and reservoir."""
     noise_seed: int | None = None
-    """Of the sensors' noise; None: none."""
+    """Seed of the sensor noise; None: no noise."""
     tuning: Tuning = field(default_factory=lambda: PAPERS_TUNING)
 
     def with_cv(self, volume_L: float) -> Bench:
@@ -65,15 +65,18 @@ class Bench:
 
 
 LIKELY = Bench(effects=likely_effects(pouch=False), sensors=likely_sensors(Sensors()), noise_seed=1)
-"""The high-fidelity plant: all that a real one probably has, and rigid vessels as control volumes."""
+"""The high-fidelity plant: all probable effects of a real rig, with rigid control volumes."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """What a test recorded."""
+    """The record of a test."""
 
     table: Array
-    """A column a millisecond: time, command, the control volume's reading, reservoir, EVP, DVP, solenoid."""
+    """Rows: time, command, control volume's reading, reservoir, EVP, DVP, solenoid; a column a millisecond.
+
+    EVP is the inflation valve, DVP the valve that supplies the Venturi.
+    """
 
     @property
     def time_s(self) -> Array:
@@ -85,7 +88,7 @@ class Trace:
 
     @property
     def cv_kPa(self) -> Array:
-        """As the sensor reads it."""
+        """The sensor's reading."""
         return self.table[2, :]
 
     @property
@@ -94,7 +97,7 @@ class Trace:
 
     @property
     def openings(self) -> Array:
-        """EVP, DVP and solenoid, each holding from its sample to the next."""
+        """EVP, DVP and solenoid; each value holds until the next sample."""
         return self.table[4:, :]
 
 
@@ -106,16 +109,16 @@ def run(
     duration_s: float,
     cv_kPa: float = 0.0,
 ) -> Trace:
-    """Follow a command from rest, closed loop.
+    """Follow a command from rest, in closed loop.
 
     Args:
         command_kPa: the setpoint over time in s, kPa gauge.
-        reservoir_kPa: at the start, kPa gauge.
-        duration_s: how long, s.
-        cv_kPa: control volume at the start, kPa gauge.
+        reservoir_kPa: start pressure of the reservoir, kPa gauge.
+        duration_s: length of the test.
+        cv_kPa: start pressure of the control volume, kPa gauge.
     """
     if not (duration_s > 0.0 and math.isfinite(duration_s)):
-        raise ValueError(f"a test lasts a positive time, not {duration_s} s")
+        raise ValueError(f"the length of a test must be positive, not {duration_s} s")
     if bench.rig.cv is None:
         raise ValueError("a test in closed loop needs a control volume")
     plant = Plant(bench.rig, bench.effects)
@@ -148,21 +151,21 @@ def follow_sine(
     settle_s: float = 3.0,
     measure_s: float = 3.0,
 ) -> Trace:
-    """The response to a sine that starts at its least value, 0 kPa (Sec. V-C), in whole cycles.
+    """The response to a sine that starts at its minimum, 0 kPa (Sec. V-C), in whole cycles (to 0.5 ms).
 
-    Whole to half a millisecond. What is settling is cut away, and at least one cycle is kept; a command so
-    slow that no cycle ends within `settle_s` is followed from its start on, and has nothing to settle.
+    Settling cycles are cut off, and at least one cycle remains. A slow command that completes no cycle within
+    `settle_s` is recorded from its start.
 
     Args:
-        frequency_Hz: of the command, Hz.
-        peak_to_peak_kPa: of the command, kPa.
-        reservoir_kPa: of the supply, kPa gauge.
-        settle_s: cut away, to whole cycles, s.
-        measure_s: kept at least, s.
+        frequency_Hz: frequency of the command.
+        peak_to_peak_kPa: peak to peak of the command.
+        reservoir_kPa: supply pressure, kPa gauge.
+        settle_s: settling time that is cut off, in whole cycles.
+        measure_s: minimum time that remains.
     """
     if not frequency_Hz > 0.0:
-        raise ValueError(f"a sine has a positive frequency, not {frequency_Hz} Hz")
-    # So that a cycle that ends on the mark counts as ended.
+        raise ValueError(f"the frequency of a sine must be positive, not {frequency_Hz} Hz")
+    # The margins make a cycle that ends exactly at the limit count.
     settle = math.floor(settle_s * frequency_Hz + 1e-9)
     keep = max(1, math.ceil(measure_s * frequency_Hz - 1e-9))
     half = 0.5 * peak_to_peak_kPa
@@ -181,7 +184,7 @@ def gain(trace: Trace, cycles: int) -> float:
 
     Args:
         trace: whole cycles, as from `follow_sine`.
-        cycles: how many they are.
+        cycles: their number.
     """
     response = np.fft.rfft(trace.cv_kPa)[cycles]
     command = np.fft.rfft(trace.command_kPa)[cycles]

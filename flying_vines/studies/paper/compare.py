@@ -1,4 +1,4 @@
-"""The paper's curves and the plant's answers to the same tests, as arrays."""
+"""The paper's curves, and the responses of the plants to the same tests, as arrays."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from flying_vines.studies.paper.bench import LIKELY, Bench, Trace, follow_sine, 
 from flying_vines.studies.paper.data import Condition, Curve, condition, curve, stated
 
 STEP_TEST_S = 2.5
-"""Enough for TC1 to TC3 to arrive and stand still; how long the paper's time series are is not stated."""
+"""Long enough for TC1 to TC3 to settle. The paper does not state the length of its time series."""
 
 NEAR_KPA = 1.0
-"""A step has arrived when it is this near: where the paper's on-off control ends."""
+"""A step has arrived if it is nearer to its target: here the paper's on-off control ends."""
 
 DISCHARGE_STEP_S = 0.05
 
 HIGH_RESISTANCE = "4L_highRv"
-"""The series for which the paper closed the valve somewhat …"""
+"""The series for which the paper closed the valve partly."""
 HIGH_RESISTANCE_RATIO = 105.0188 / 80.6138
-"""… by the drawn curves to this many times the resistance."""
+"""Resistance of this valve setting over that of the other series, from the drawn curves."""
 
 BAND = 3.0
 
@@ -44,30 +44,30 @@ class DischargeCurve:
     reservoir_volume_L: float
     measured: Curve
     model: Curve
-    """As the paper draws it."""
+    """The drawn curve of the paper."""
     time_constant_s: float
     """τ of the drawn model."""
     flow_resistance_kPa_s_per_SL: float
-    """What τ implies for R_v."""
+    """R_v that follows from τ."""
     best_time_constant_s: float
-    """τ of the exponential that is nearest to the measured points."""
+    """τ of the exponential with the least squared error."""
     nrmse_percent: float
-    """The drawn model against the measured points, of P_r0."""
+    """Error of the drawn model at the measured points, relative to P_r0."""
     nrmse_grid_percent: float
-    """The same on the logger's own uniform grid, between the points by linear interpolation."""
+    """The same error on the logger's uniform grid, with linear interpolation."""
     nrmse_best_percent: float
-    """With `best_time_constant_s`."""
+    """Error with `best_time_constant_s`."""
     plant_time_s: Array
     plant_kPa: Array
-    """The baseline plant with the implied R_v."""
+    """The baseline plant with this R_v."""
     nrmse_plant_percent: float
     likely_kPa: Array
-    """The high-fidelity plant, at the same times; nothing in it is fitted to the measurement."""
+    """The high-fidelity plant, at the same times; it is not fitted to the measurement."""
     nrmse_likely_percent: float
 
     @property
     def likely_is_fast(self) -> bool:
-        """Whether the high-fidelity plant lies below the measured points on the whole."""
+        """True if the high-fidelity plant is on average below the measured points."""
         return bool(
             np.mean(np.interp(self.measured.x, self.plant_time_s, self.likely_kPa) - self.measured.y) < 0
         )
@@ -79,24 +79,25 @@ class StepResponse:
 
     condition: Condition
     model_rate_kPa_per_s: float
-    """By Eq. 4, with the R_v that the discharge at low R_v implies."""
+    """Eq. 4 with the R_v of the discharge at low R_v."""
     rated_rate_kPa_per_s: float
-    """By Eq. 4, with the EVP's rated flow."""
+    """Eq. 4 with the rated flow of the EVP (inflation valve)."""
     faster_kPa_per_s: float
-    """What the paper measured, if its error means faster than the model."""
+    """The measured rate, if the paper's error means faster than the model."""
     slower_kPa_per_s: float
-    """What the paper measured, if its error means slower."""
+    """The measured rate, if the paper's error means slower than the model."""
     window_if_faster_s: float
-    """How long the paper's time series was, if both its errors are those of two ramps."""
+    """Length of the paper's time series, if its errors are those of two ramps, the measured one faster."""
     window_if_slower_s: float
+    """The same, if the measured ramp is slower."""
     trace: Trace
     rate_kPa_per_s: float
-    """The plant's, on average until it has arrived, or else to the end."""
+    """Mean rate of the plant until it has arrived, or to the end."""
     rise_s: float
-    """Until it has arrived; NaN when it does not within `STEP_TEST_S`."""
+    """Time until it has arrived; NaN if longer than `STEP_TEST_S`."""
     overshoot_kPa: float
     nrmse_percent: float
-    """The plant against the paper's two straight lines, of ΔP_cv, over `STEP_TEST_S`."""
+    """Error of the plant against the paper's two straight lines over `STEP_TEST_S`, relative to ΔP_cv."""
 
 
 @dataclass(frozen=True)
@@ -107,17 +108,19 @@ class FrequencyResponse:
     supply_kPa: float
     measured: Curve
     cutoff_Hz: float
-    """Of the paper's model, as drawn."""
+    """Drawn cut-off of the paper's model."""
     model_gain: Array
     """The paper's model at the measured frequencies."""
     plant_gain: Array
-    """The plant's in closed loop there."""
+    """The plant in closed loop at the measured frequencies."""
     model_rms_dB: float
+    """Distance of the model to the measured gain, over all points."""
     plant_rms_dB: float
-    """Distances to the measured gain, over all points."""
+    """Distance of the plant to the measured gain, over all points."""
     model_band_rms_dB: float
+    """Distance of the model up to `BAND` times the drawn cut-off: the useful band."""
     plant_band_rms_dB: float
-    """Likewise, up to `BAND` times the drawn cut-off: the band that is meant to be used."""
+    """Distance of the plant in this band."""
     measured_crosses_1_Hz: float
     measured_3dB_Hz: float
     plant_3dB_Hz: float
@@ -135,45 +138,46 @@ class SineSeries:
 
 @dataclass(frozen=True)
 class CycleComparison:
-    """Eq. 8 for the demonstration, and the plant at the same task."""
+    """Eq. 8 for the demonstration, and the plant with the same task."""
 
     reservoir_kPa: Array
     rigid: Array
-    """Eq. 8; the rate is a triangle's."""
+    """Eq. 8 with the rate of a triangle."""
     rigid_sine: Array
-    """Eq. 8; the rate is a sine's greatest."""
+    """Eq. 8 with the maximum rate of a sine."""
     pouch: Array
-    """Eq. 8 scaled to the air that a flat pouch takes."""
+    """Eq. 8 scaled to the air of a bending pouch that is flat at first."""
     plant_kPa: Array
-    """Reservoir pressures at which the plant's cost of a cycle was found."""
+    """Reservoir pressures at which a cycle of the plant was simulated."""
     plant_cost_kPa: Array
-    """What a cycle takes from the reservoir there."""
+    """Pressure loss of the reservoir in this cycle."""
     plant_cycles: Array
-    """Cycles left from there."""
+    """Cycles left from this pressure."""
 
 
 @dataclass(frozen=True)
 class Curves:
-    """Everything that is compared."""
+    """All compared curves."""
 
     discharges: tuple[DischargeCurve, ...]
     steps: tuple[StepResponse, ...]
     likely_steps: tuple[StepResponse, ...]
     """TC1 to TC3 on the high-fidelity plant."""
     vine_step: StepResponse
-    """TC1 on it with the vine's regulator, which looks ahead."""
+    """TC1 on the high-fidelity plant with the vine's predictive regulator."""
     frequencies: tuple[FrequencyResponse, ...]
     """TC4; TC5 on 345 kPa; TC5 on 690 kPa."""
     likely_frequencies: tuple[FrequencyResponse, ...]
-    """The same on the high-fidelity plant."""
+    """On the high-fidelity plant."""
     baselines: tuple[Curve, Curve]
     sines: tuple[SineSeries, ...]
     """On 690 kPa; on half of it."""
     likely_sines: tuple[SineSeries, ...]
+    """On the high-fidelity plant."""
     rated_sines: tuple[SineSeries, ...]
-    """The same with the EVP's rated flow instead of the resistance that the discharge implies."""
+    """With the EVP's rated flow instead of the R_v of the discharge."""
     low_supply_kPa: float
-    """On which the plant's peak to peak is the paper's for "low P_r"."""
+    """Supply for which the plant has the paper's peak to peak at "low P_r"."""
     cycles: CycleComparison
 
 
@@ -190,7 +194,7 @@ def curves(bench: Bench | None = None, likely: Bench = LIKELY) -> Curves:
     rated = replace(bench, rig=replace(bench.rig, evp=Evp(rated_resistance_kPa_s_per_SL())))
     vines = replace(likely, noise_seed=None, tuning={})
 
-    # Noise at the top would pass for an overshoot.
+    # Noise at the top would look like an overshoot.
     quiet = replace(likely, noise_seed=None)
 
     def steps(on: Bench) -> tuple[StepResponse, ...]:
@@ -238,7 +242,7 @@ def discharge(name: str, label: str, reservoir_volume_L: float, likely: Bench) -
     grid_s = np.arange(0.0, measured.x[-1] + 0.01, np.diff(measured.x).min())
     plant_s, plant_kPa = plant_discharge(resistance, reservoir_volume_L, initial_kPa, float(measured.x[-1]))
     at_points = np.interp(measured.x, plant_s, plant_kPa)
-    # How far the valve was closed is not stated; as the paper's own curves have it.
+    # The paper does not state how far the valve was closed: the ratio is from its curves.
     closed = HIGH_RESISTANCE_RATIO if name == HIGH_RESISTANCE else 1.0
     likely_kPa = likely_discharge(likely, reservoir_volume_L, initial_kPa, len(plant_s), closed)
     likely_at_points = np.interp(measured.x, plant_s, likely_kPa)
@@ -263,13 +267,13 @@ def discharge(name: str, label: str, reservoir_volume_L: float, likely: Bench) -
 
 
 def fit_time_constant_s(time_s: Array, pressure_kPa: Array) -> float:
-    """τ of rows that are an exponential from their first pressure on: least squares of the logarithm, s."""
+    """τ of an exponential through the first pressure, by least squares of the logarithm, s."""
     fall = np.log(pressure_kPa / pressure_kPa[0])
     return float(-(time_s @ time_s) / (time_s @ fall))
 
 
 def nearest_time_constant_s(time_s: Array, pressure_kPa: Array) -> float:
-    """τ of the exponential from the first pressure on that is nearest in least squares of pressure, s."""
+    """τ of an exponential through the first pressure, by least squares of the pressure, s."""
     rate = 1.0 / fit_time_constant_s(time_s, pressure_kPa)
     for _ in range(50):
         model = pressure_kPa[0] * np.exp(-rate * time_s)
@@ -281,7 +285,7 @@ def nearest_time_constant_s(time_s: Array, pressure_kPa: Array) -> float:
 def plant_discharge(
     flow_resistance_kPa_s_per_SL: float, volume_L: float, initial_kPa: float, duration_s: float
 ) -> tuple[Array, Array]:
-    """The baseline plant emptying to atmosphere through the fully open EVP: times s, pressures kPa gauge."""
+    """Discharge of the baseline plant to atmosphere through the open EVP: times s, pressures kPa gauge."""
     rig = Rig(reservoir=Reservoir(volume_L), cv=None, evp=Evp(flow_resistance_kPa_s_per_SL))
     state, wide_open = BaselineState(initial_kPa, 0.0), Inputs(1.0, 0.0, False)
     pressures = [initial_kPa]
@@ -292,14 +296,14 @@ def plant_discharge(
 
 
 def likely_discharge(bench: Bench, volume_L: float, initial_kPa: float, samples: int, closed: float) -> Array:
-    """The high-fidelity plant emptying to atmosphere through the EVP, `DISCHARGE_STEP_S` apart, kPa gauge.
+    """Discharge of the high-fidelity plant to atmosphere through the EVP, kPa gauge.
 
     Args:
-        bench: its effects; its wall is that of one bottle of 2 L, of which there may be more.
-        volume_L: of all bottles, L.
-        initial_kPa: at the start, kPa gauge.
-        samples: how many.
-        closed: how many times the rated valve's resistance the valve has.
+        bench: its effects; its wall is that of one 2 L bottle.
+        volume_L: volume of all bottles.
+        initial_kPa: start pressure, kPa gauge.
+        samples: number of pressures, one every `DISCHARGE_STEP_S`.
+        closed: resistance of the valve over that of the rated valve.
     """
     effects = bench.effects
     law, wall = effects.evp_law, effects.reservoir_wall
@@ -324,14 +328,14 @@ def likely_discharge(bench: Bench, volume_L: float, initial_kPa: float, samples:
 
 
 def rated_resistance_kPa_s_per_SL() -> float:
-    """R_v of the EVP by its rated flow (Sec. III-A) at the pressure up to which it may be used."""
+    """R_v of the EVP from its rated flow (Sec. III-A) at its maximum pressure."""
     return paper.flow_resistance_kPa_s_per_SL(
         stated()["reservoir.pressure"].value, stated()["evp.flow"].value
     )
 
 
 def step_response(bench: Bench, test: Condition, flow_resistance_kPa_s_per_SL: float) -> StepResponse:
-    """One step of Sec. V-B by Eq. 4 and by the plant, with the bottle as the supply."""
+    """One step of Sec. V-B by Eq. 4 and by the plant, supplied by the reservoir."""
     volume_L, target_kPa = test.cv_volume_L, test.swing_kPa
     rate = paper.inflation_rate_kPa_per_s(test.reservoir_kPa, flow_resistance_kPa_s_per_SL, volume_L)
     rated = rated_resistance_kPa_s_per_SL()
@@ -364,17 +368,17 @@ def step_response(bench: Bench, test: Condition, flow_resistance_kPa_s_per_SL: f
 
 
 def window_s(model_rise_s: float, speed_ratio: float, nrmse: float) -> float:
-    """How long two ramps to one target were compared, if their nRMSE is this, s.
+    """The time for which two ramps to one target were compared, from their nRMSE, s.
 
-    NaN when they would have to be compared for less time than the slower one needs.
+    NaN if this would be less than the rise time of the slower ramp.
 
     Args:
-        model_rise_s: how long the model's ramp takes, s.
-        speed_ratio: the other's speed over the model's.
-        nrmse: of the target, as a part of 1.
+        model_rise_s: rise time of the model's ramp.
+        speed_ratio: speed of the other ramp over that of the model.
+        nrmse: error relative to the target.
     """
     slow, fast = sorted((1.0, 1.0 / speed_ratio), reverse=True)
-    # In units of the model's rise: apart while both rise, then while only the slower one does.
+    # In units of the model's rise time: the error while both rise, and while only the slower one rises.
     both = (1.0 / fast - 1.0 / slow) ** 2 * fast**3 / 3.0
     one = (1.0 - fast / slow) ** 3 * slow / 3.0
     window = (both + one) / nrmse**2
@@ -421,12 +425,12 @@ def plant_gain(bench: Bench, frequency_Hz: float, peak_to_peak_kPa: float, suppl
 
 
 def last_crossing_Hz(frequency_Hz: Array, gains: Array, level: float) -> float:
-    """Where gain falls below a level for good, Hz; on straight lines in log-log. NaN where it never does.
+    """Frequency above which the gain stays below a level, Hz; linear in log-log. NaN if there is none.
 
     Args:
-        frequency_Hz: in any order; of equal frequencies the mean gain counts.
-        gains: there.
-        level: of gain.
+        frequency_Hz: in any order; gains at equal frequencies are averaged.
+        gains: gain at each frequency.
+        level: gain level.
     """
     x = np.unique(frequency_Hz)
     y = np.array([gains[frequency_Hz == f].mean() for f in x])
@@ -439,7 +443,7 @@ def last_crossing_Hz(frequency_Hz: Array, gains: Array, level: float) -> float:
 
 
 def sine_series(bench: Bench, supply_kPa: float, cv_volume_L: float = 0.5) -> SineSeries:
-    """The plant's answer to 1.2 Hz (Fig. 6); the paper states neither volume nor low supply."""
+    """The plant's response to 1.2 Hz (Fig. 6); the paper states neither volume nor low supply."""
     numbers = stated()
     trace = follow_sine(
         bench.with_cv(cv_volume_L).with_fixed_source(),
@@ -451,7 +455,7 @@ def sine_series(bench: Bench, supply_kPa: float, cv_volume_L: float = 0.5) -> Si
 
 
 def supply_for(bench: Bench, peak_to_peak_kPa: float) -> float:
-    """The supply pressure on which the plant's answer to 1.2 Hz has this peak to peak, kPa gauge."""
+    """The supply pressure at which the plant's response to 1.2 Hz has this peak to peak, kPa gauge."""
     low, high = 50.0, 690.0
     for _ in range(10):
         middle = 0.5 * (low + high)
@@ -463,7 +467,7 @@ def supply_for(bench: Bench, peak_to_peak_kPa: float) -> float:
 
 
 def cycles(bench: Bench, flow_resistance_kPa_s_per_SL: float) -> CycleComparison:
-    """Eq. 8 over reservoir pressure for the demonstration (Sec. VII), and the plant at the same task."""
+    """Eq. 8 over reservoir pressure for the demonstration (Sec. VII), and the plant with the same task."""
     numbers = stated()
     volume_L, swing_kPa = numbers["cycles.cv_volume"].value, numbers["cycles.swing"].value
     frequency, full_kPa = numbers["cycles.frequency"].value, numbers["reservoir.pressure"].value
@@ -487,7 +491,7 @@ def cycles(bench: Bench, flow_resistance_kPa_s_per_SL: float) -> CycleComparison
         *(plant_cycle(bench.with_cv(volume_L), p, swing_kPa, frequency) for p in plant_kPa), strict=True
     )
     cost_kPa, part = np.array(costs), np.array(reached)
-    # A cycle that does not reach its swing is none.
+    # A cycle that does not reach its swing does not count.
     per_kPa = np.where(part >= 0.95, 1.0 / cost_kPa, 0.0)
     left = np.concatenate(([0.0], np.cumsum(np.diff(plant_kPa) * 0.5 * (per_kPa[1:] + per_kPa[:-1]))))
     return CycleComparison(
@@ -504,7 +508,7 @@ def cycles(bench: Bench, flow_resistance_kPa_s_per_SL: float) -> CycleComparison
 def plant_cycle(
     bench: Bench, reservoir_kPa: float, swing_kPa: float, frequency_Hz: float
 ) -> tuple[float, float]:
-    """A triangle's cost to the reservoir, kPa a cycle, and the part of its swing that is reached."""
+    """Pressure loss of the reservoir in a triangle cycle, kPa, and the reached share of the swing."""
     period_s, counted = 1.0 / frequency_Hz, 3
 
     def triangle(t: float) -> float:
@@ -516,12 +520,12 @@ def plant_cycle(
 
 
 def distance_dB(measured: Curve, frequency_Hz: Array, gains: Array) -> float:
-    """How far gains are from measured ones at other frequencies, dB rms; on straight lines in log-log.
+    """Distance of gains from measured ones at other frequencies, dB rms; linear in log-log.
 
     Args:
         measured: Hz, gain.
-        frequency_Hz: of the gains, in any order.
-        gains: there.
+        frequency_Hz: frequencies of the gains, in any order.
+        gains: gain at each frequency.
     """
     order = np.argsort(frequency_Hz)
     at = np.interp(np.log(measured.x), np.log(frequency_Hz[order]), decibel(gains[order]))

@@ -1,4 +1,4 @@
-"""The paper's figures again, each with the measurement, the paper's model and ours."""
+"""Draws the paper's figures with the measurement, the paper's model and ours."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LIKELY: dict[str, Any] = {"color": PURPLE, "lw": 1.4, "label": "ours (high-fidel
 
 
 def draw(curves: Curves, folder: Path) -> list[Path]:
-    """Draw five PNGs into a folder that exists: where they are, in the paper's order."""
+    """Draw five PNGs into an existing folder. Returns their paths, in the paper's order."""
     plots = {
         "discharge": _discharge,
         "inflation": _inflation,

@@ -1,4 +1,4 @@
-"""The table: every number of the paper beside ours, and whether the two agree."""
+"""The table: every number of the paper, our number, and whether they agree."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ RowVerdict = Literal["agrees", "differs", "undecided"]
 By = Literal["equation", "data", "plant", "high-fidelity", "text"]
 
 PLANT_TOLERANCE = 0.1
-"""The plant agrees with a measured number to within this part of it."""
+"""Maximum relative difference of a plant's number that agrees with a measured one."""
 FIT_TOLERANCE_PERCENT = 2.0
-"""A discharge agrees with a measured one when its nRMSE is at most this."""
+"""Maximum nRMSE of a discharge that agrees with a measured one."""
 FIT_TOLERANCE_DB = 1.0
-"""A curve agrees with measured gains when its rms distance is at most this."""
+"""Maximum rms distance of a curve that agrees with measured gains."""
 
 
 @dataclass(frozen=True)
@@ -38,28 +38,28 @@ class PaperRow:
     """One line of the table."""
 
     key: str
-    """Stable; its first word is the chapter."""
+    """Stable key; its first word is the chapter."""
     quantity: str
     unit: str
     paper: float | None
-    """As the paper states it, or as follows from what it prints; None where it says nothing."""
+    """Stated by the paper, or computed from its numbers; None if it has none."""
     paper_to: float | None
-    """The upper end, where the paper names a range."""
+    """The upper end if the paper gives a range."""
     ours: float | None
-    """None where nothing of ours computes it."""
+    """None if we do not compute it."""
     by: By
-    """What ours comes from: the paper's equation, its printed data, a plant in closed loop, its text."""
+    """Source of our number: the paper's equation, its printed data, a plant in closed loop, its text."""
     verdict: RowVerdict
     place: str
     note: str
     comparable: bool = True
-    """False where the two numbers are errors, whose ratio says nothing."""
+    """False if the two numbers are errors, whose ratio has no meaning."""
     bound: Literal["", ">", "<"] = ""
-    """The paper says more than its number, or less."""
+    """The paper's number is a lower (>) or upper (<) bound."""
 
     @property
     def relative_difference(self) -> float | None:
-        """(ours − paper) / paper; towards the nearer end of a range, 0 within. None without both."""
+        """(ours − paper) / paper; for a range, from its nearer end, and 0 within. None without both."""
         if not self.comparable or self.paper is None or self.ours is None or self.paper == 0.0:
             return None
         if self.paper_to is not None:
@@ -71,7 +71,7 @@ class PaperRow:
 
 
 def table(curves: Curves) -> tuple[PaperRow, ...]:
-    """The whole table, chapter by chapter in the paper's order."""
+    """The whole table, in the paper's order of chapters."""
     chapters: tuple[Callable[[Curves], Iterator[PaperRow]], ...] = (
         _alpha,
         _discharge,
@@ -119,7 +119,7 @@ def _row(
 
 
 def _near(ours: float, paper_value: float, tolerance: float) -> RowVerdict:
-    # A hair more, for halves of digits that binary fractions cannot hold.
+    # The margin is for rounding errors of binary fractions.
     return "agrees" if abs(ours - paper_value) <= tolerance * (1.0 + 1e-9) else "differs"
 
 
@@ -176,7 +176,7 @@ def _discharge(curves: Curves) -> Iterator[PaperRow]:
             "equation",
             "agrees" if low.value - 0.1 <= d.nrmse_grid_percent <= high.value + 0.1 else "differs",
             low.place,
-            "Between the printed points by linear interpolation, which is good for 0.1 points.",
+            "Linear interpolation between the printed points, with an error of up to 0.1 percentage points.",
             paper_to=high.value,
         )
         yield _row(
@@ -188,7 +188,7 @@ def _discharge(curves: Curves) -> Iterator[PaperRow]:
             "plant",
             _near(d.nrmse_plant_percent, d.nrmse_percent, 0.001),
             low.place,
-            "The plant integrates what Eq. 3 solves; with the same R_v it is the same curve.",
+            "The plant integrates the equation that Eq. 3 solves; with the same R_v the curves are the same.",
         )
         yield _row(
             f"{key}.nrmse_likely",
@@ -199,12 +199,10 @@ def _discharge(curves: Curves) -> Iterator[PaperRow]:
             "high-fidelity",
             "agrees" if d.nrmse_likely_percent <= FIT_TOLERANCE_PERCENT else "differs",
             low.place,
-            f"Paper: its model; the agreement asked of ours is {FIT_TOLERANCE_PERCENT:g} %. Ours has the "
-            "EVP's rated flow"
-            + (", reduced as the drawn curves are," if d.name == HIGH_RESISTANCE else "")
-            + " and is "
-            + ("too fast" if d.likely_is_fast else "too slow")
-            + " on the whole.",
+            f"Paper: its model; ours agrees up to {FIT_TOLERANCE_PERCENT:g} %. Ours has the EVP's rated flow"
+            + (", reduced by the ratio of the drawn curves," if d.name == HIGH_RESISTANCE else "")
+            + " and is on average "
+            + ("too fast." if d.likely_is_fast else "too slow."),
         )
         yield _row(
             f"{key}.tau_best",
@@ -218,16 +216,16 @@ def _discharge(curves: Curves) -> Iterator[PaperRow]:
             f"With it the nRMSE is {d.nrmse_best_percent:.2f} %. No measured point lies above the drawn "
             "model.",
         )
-    # The text's range ends on tests of which only thinned rows are printed.
-    least, most = (f(d.nrmse_percent for d in curves.discharges) for f in (min, max))
+    # The paper only prints some rows of the tests at the ends of its range.
+    lowest, highest = (f(d.nrmse_percent for d in curves.discharges) for f in (min, max))
     why = (
-        "The printed points are a part of the logged ones, unevenly thinned; on the logger's grid by "
-        "interpolation ours is {:.2f} %. To a tenth it cannot be decided."
+        "Only some logged points are printed, at uneven distances; interpolated on the logger's grid ours is "
+        "{:.2f} %. It cannot be decided to a tenth."
     )
     grid = [d.nrmse_grid_percent for d in curves.discharges]
     for name, number, ours, on_grid in (
-        ("least", low, least, min(grid)),
-        ("most", high, most, max(grid)),
+        ("least", low, lowest, min(grid)),
+        ("most", high, highest, max(grid)),
     ):
         yield _row(
             f"discharge.nrmse_{name}",
@@ -244,11 +242,11 @@ def _discharge(curves: Curves) -> Iterator[PaperRow]:
     for d in curves.discharges:
         low_resistance = "low" in d.name
         best = d.best_time_constant_s * ALPHA_KPA / d.reservoir_volume_L
-        note = "How far the valve was closed for this test is not stated."
+        note = "The paper does not state how far the valve was closed for this test."
         if low_resistance:
             note = (
-                f"Implied: {_full_flow_SLPM(d.flow_resistance_kPa_s_per_SL):.1f} SLPM. The exponential "
-                f"that is nearest to the measurement has {_full_flow_SLPM(best):.1f} SLPM."
+                f"Ours means {_full_flow_SLPM(d.flow_resistance_kPa_s_per_SL):.1f} SLPM. The exponential "
+                f"nearest to the measurement has {_full_flow_SLPM(best):.1f} SLPM."
             )
         yield _row(
             f"discharge.{d.name}.resistance",
@@ -259,7 +257,7 @@ def _discharge(curves: Curves) -> Iterator[PaperRow]:
             "data",
             _near(d.flow_resistance_kPa_s_per_SL, rated, 0.05 * rated) if low_resistance else "undecided",
             "Sec. III-A, Fig. 3",
-            f"The paper prints no R_v; its column is the EVP's rated 23.5 SLPM at 690 kPa. {note}",
+            f"The paper prints no R_v; its column is from the EVP's rated 23.5 SLPM at 690 kPa. {note}",
         )
 
 
@@ -290,7 +288,7 @@ def _inflation(curves: Curves) -> Iterator[PaperRow]:
         "high-fidelity",
         "undecided",
         "Sec. V-B",
-        "Not the paper's: it looks ahead, and opens the valve more gently. It arrives after "
+        "Not the paper's regulator: it is predictive, and opens the valve more slowly. It arrives after "
         f"{vine.rise_s:.2f} s instead of {curves.likely_steps[0].rise_s:.2f} s.",
     )
 
@@ -307,8 +305,8 @@ def _likely_step(s: StepResponse) -> Iterator[PaperRow]:
         "high-fidelity",
         _near(s.rate_kPa_per_s, nearer, PLANT_TOLERANCE * nearer),
         "Sec. V-B",
-        "Paper: the nearer of its two readings. Choked flow does not fall with the back pressure, and gas "
-        "that is compressed warms: both make the plant faster than Eq. 4.",
+        "Paper: the nearer one of its two possible rates. Choked flow does not fall with the back pressure, "
+        "and compressed gas warms: both make the plant faster than Eq. 4.",
     )
     yield _row(
         f"{key}.overshoot_likely",
@@ -319,8 +317,9 @@ def _likely_step(s: StepResponse) -> Iterator[PaperRow]:
         "high-fidelity",
         "undecided",
         "Sec. V-B",
-        "Of what the sensor at the valves reads, which is ahead of the vessel while air flows, so that the "
-        "valve closes early. The paper names an overshoot for TC1 without a number.",
+        "Overshoot of the sensor's reading. The sensor is at the valves: while air flows it reads more than "
+        "the vessel's pressure, so the valve closes early. The paper names an overshoot for TC1 without a "
+        "number.",
     )
 
 
@@ -337,7 +336,7 @@ def _step(s: StepResponse) -> Iterator[PaperRow]:
         "equation",
         "undecided",
         "Sec. V-B, Fig. 4",
-        "With the R_v that the discharge implies; the paper prints no rate. With the EVP's rated flow: "
+        "With the R_v of the discharge; the paper prints no rate. With the EVP's rated flow: "
         f"{s.rated_rate_kPa_per_s:.1f} kPa/s.",
     )
     for sign, rate in (("faster", s.faster_kPa_per_s), ("slower", s.slower_kPa_per_s)):
@@ -350,7 +349,7 @@ def _step(s: StepResponse) -> Iterator[PaperRow]:
             "plant",
             _near(s.rate_kPa_per_s, rate, PLANT_TOLERANCE * rate),
             "Sec. V-B",
-            f"The paper states an error of {error.value:g} % of the model's speed, and not its sign. Ours is "
+            f"The paper states an error of {error.value:g} % of the model's speed, but not its sign. Ours is "
             "the plant's average rate until it is within 1 kPa.",
         )
     own_error = 100.0 * (s.rate_kPa_per_s / s.model_rate_kPa_per_s - 1.0)
@@ -363,9 +362,9 @@ def _step(s: StepResponse) -> Iterator[PaperRow]:
         "plant",
         _near(abs(own_error), error.value, 1.0),
         error.place,
-        f"The plant: {own_error:+.1f} %, because Eq. 4 leaves out the back pressure and the bottle's fall. "
+        f"The plant: {own_error:+.1f} %, because Eq. 4 leaves out the back pressure and the falling supply. "
         + (
-            "These alone are more than the stated error, so that something else made up for them."
+            "These alone are more than the stated error, so another effect must have compensated them."
             if error.value < 5.0
             else "Nothing in the baseline makes an error as large as the paper's."
         ),
@@ -380,9 +379,9 @@ def _step(s: StepResponse) -> Iterator[PaperRow]:
         "plant",
         "undecided",
         nrmse.place,
-        f"Depends on how long the series are: ours {STEP_TEST_S:g} s, the paper's not stated. "
+        f"It depends on the length of the series: ours is {STEP_TEST_S:g} s, the paper's is not stated. "
         + (
-            "An error of 0.24 % in speed cannot make 2.3 %: the shape (the overshoot) does."
+            "An error of 0.24 % in speed cannot give 2.3 %; the shape (the overshoot) can."
             if error.value < 5.0
             else f"Two ramps with the paper's errors give its nRMSE over {s.window_if_faster_s:.1f} s if "
             f"faster, {s.window_if_slower_s:.1f} s if slower."
@@ -448,9 +447,7 @@ def _cutoffs(f: FrequencyResponse) -> Iterator[PaperRow]:
         "data",
         rounded,
         text.place,
-        ""
-        if rounded == "agrees"
-        else f"The text cut off the digits of {drawn.value:g}; it rounds to {drawn.value:.2f}.",
+        "" if rounded == "agrees" else f"The text truncates {drawn.value:g}; it rounds to {drawn.value:.2f}.",
     )
     yield _row(
         f"{key}.crosses_1",
@@ -461,7 +458,7 @@ def _cutoffs(f: FrequencyResponse) -> Iterator[PaperRow]:
         "data",
         _near(f.measured_crosses_1_Hz, measured.value, measured.half_digit),
         measured.place,
-        "So this is what the paper means by a measured cut-off; interpolated on log axes.",
+        "This is the paper's definition of a measured cut-off; interpolated on log axes.",
     )
     yield _row(
         f"{key}.measured_3dB",
@@ -472,7 +469,7 @@ def _cutoffs(f: FrequencyResponse) -> Iterator[PaperRow]:
         "data",
         "differs",
         measured.place,
-        "What is commonly called the cut-off.",
+        "This is the usual definition of a cut-off.",
     )
 
 
@@ -482,7 +479,7 @@ def _line_cutoff_Hz(name: str) -> float:
 
 
 class _Plant(NamedTuple):
-    """How the rows of one of the two plants are called, and what is said of them."""
+    """Texts for the rows of one of the two plants."""
 
     source: By
     named: str
@@ -500,11 +497,10 @@ _BASELINE = _Plant(
     three_dB="plant_3dB",
     suffix="",
     distance="distance to measured",
-    note_3dB="The plant's gain starts at 1 and never rises above it, "
-    "so that it has no crossing of 1 to compare.",
-    note=f"Paper: its model; the agreement asked of ours is {FIT_TOLERANCE_DB:g} dB. "
+    note_3dB="The plant's gain starts at 1 and never rises above it, so it has no crossing of 1 to compare.",
+    note=f"Paper: its model; ours agrees up to {FIT_TOLERANCE_DB:g} dB. "
     "The model is fitted (its rate is measured in this test), the plant is not.",
-    note_far=" Far above the cut-off the measured gain stays at 0.16 to 0.25, theirs does not.",
+    note_far=" Far above the cut-off the measured gain stays at 0.16 to 0.25; both models fall further.",
 )
 _LIKELY = _Plant(
     source="high-fidelity",
@@ -512,9 +508,8 @@ _LIKELY = _Plant(
     three_dB="likely_3dB",
     suffix="_likely",
     distance="high-fidelity plant's distance",
-    note_3dB="Nothing in the plant is fitted to the measurement.",
-    note="Paper: its model, which is fitted; the agreement asked of ours, which is not, is "
-    f"{FIT_TOLERANCE_DB:g} dB.",
+    note_3dB="The plant is not fitted to the measurement.",
+    note=f"Paper: its fitted model. Ours is not fitted, and agrees up to {FIT_TOLERANCE_DB:g} dB.",
     note_far="",
 )
 
@@ -562,7 +557,7 @@ def _other_regulator(f: FrequencyResponse, curves: Curves, regulator: Curve) -> 
         "high-fidelity",
         "undecided",
         "Fig. 5",
-        "Paper: its model of the phloSAR. That regulator is another device: a plant of the phloSAR should "
+        "Paper: its model of the phloSAR. This regulator is another device, so a plant of the phloSAR should "
         "be far from it.",
     )
 
@@ -578,15 +573,15 @@ def _flows(f: FrequencyResponse) -> Iterator[PaperRow]:
         if meaning == "amplitude":
             verdict: RowVerdict = "differs"
             note = (
-                "What the valve would have to pass at the drawn cut-off; it cannot. So A is peak to peak (as "
-                "the text has it for 1.2 Hz), and Eq. 5 and 7 want half of it."
+                "The valve would need this flow at the drawn cut-off, which is impossible. So A is peak to "
+                "peak (as in the text for 1.2 Hz), and Eq. 5 and 7 need half of it."
             )
         else:
             verdict = _near(flow, rated.value, 0.15 * rated.value)
             note = (
-                "Within 15 % of the rated flow; gas that warms as it is compressed needs less than by Eq. 1."
+                "Within 15 % of the rated flow; compressed gas warms, so it needs less flow than by Eq. 1."
                 if name == "tc4"
-                else "Within reach on 690 kPa. On 345 kPa Ohm's law lets through half of the rated flow, too "
+                else "Possible on 690 kPa. On 345 kPa Ohm's law gives half of the rated flow, which is too "
                 "little: see the supply."
             )
         yield _row(
@@ -598,7 +593,7 @@ def _flows(f: FrequencyResponse) -> Iterator[PaperRow]:
             "equation",
             verdict,
             "Sec. III-A, V-C",
-            f"Paper: the EVP's greatest flow. {rate:.1f} kPa/s. {note}",
+            f"Paper: the EVP's maximum flow. {rate:.1f} kPa/s. {note}",
         )
 
 
@@ -614,8 +609,8 @@ def _rate(curves: Curves) -> Iterator[PaperRow]:
         "data",
         _near(rate, tc1.faster_kPa_per_s, PLANT_TOLERANCE * rate),
         "Sec. V-B, V-C",
-        "Paper: TC1's average rate, within 0.24 % of Eq. 4; ours: what TC4's drawn cut-off means for A peak "
-        "to peak. Volume and supply are the same; the back pressure explains 5 to 6 %, and not 31 %.",
+        "Paper: TC1's average rate, within 0.24 % of Eq. 4; ours: the rate for TC4's drawn cut-off, with A "
+        "as peak to peak. Volume and supply are the same; the back pressure explains 5 to 6 %, but not 31 %.",
     )
 
 
@@ -629,8 +624,8 @@ def _supply(curves: Curves, low: FrequencyResponse, full: FrequencyResponse) -> 
         "text",
         "differs",
         "Sec. V-C",
-        "The list of test conditions says 345 kPa, the text below it a fixed source of 690 kPa for the "
-        "frequency response. Which it was the paper does not tell.",
+        "The list of test conditions has 345 kPa; the text below it has a fixed source of 690 kPa for the "
+        "frequency response. The paper does not state which one was used.",
     )
     resistance = curves.discharges[1].flow_resistance_kPa_s_per_SL
     tc4 = curves.frequencies[0]
@@ -639,11 +634,11 @@ def _supply(curves: Curves, low: FrequencyResponse, full: FrequencyResponse) -> 
         ours = paper.cutoff_Hz(rate, f.condition.swing_kPa / 2.0)
         note = {
             "tc4": "The paper used a measured rate, 31 % above what Eq. 4 gives with the discharge's R_v.",
-            "tc5_345": "Half of what was drawn: speaks against a supply of 345 kPa, ",
-            "tc5_690": "Speaks for a supply of 690 kPa, ",
+            "tc5_345": "Half of the drawn cut-off, which contradicts a supply of 345 kPa; ",
+            "tc5_690": "This supports a supply of 690 kPa; ",
         }[key]
         if f is not tc4:
-            note += "but the rate used was measured, and in TC2 and TC3 it was 45 % off Eq. 4."
+            note += "but the paper used a measured rate, and in TC2 and TC3 that differed from Eq. 4 by 45 %."
         yield _row(
             f"frequency.{key}.cutoff_eq4",
             f"{key.split('_')[0].upper()} cut-off by Eq. 4 and 7 on {f.supply_kPa:.0f} kPa",
@@ -678,8 +673,8 @@ def _sine(curves: Curves) -> Iterator[PaperRow]:
             + (
                 ""
                 if name == "phlosar"
-                else " How low the supply was is not stated either: 345 kPa is a guess after TC3 and TC5, "
-                f"and with the discharge's R_v the paper's 20 kPa need {curves.low_supply_kPa:.0f} kPa."
+                else " The supply is not stated either: 345 kPa is a guess from TC3 and TC5. With the "
+                f"discharge's R_v the paper's 20 kPa need {curves.low_supply_kPa:.0f} kPa."
             ),
         )
     baseline = curves.baselines[1]
@@ -714,8 +709,8 @@ def _sine(curves: Curves) -> Iterator[PaperRow]:
         "equation",
         _near(by_model, number.value, PLANT_TOLERANCE * number.value),
         number.place,
-        "With TC4's rate. Limited in slope the wave is a triangle, not the sine of Sec. IV-C, and a "
-        f"triangle of that slope reaches {min(command, by_model * math.pi / 2.0):.0f} kPa.",
+        "With TC4's rate. A slope limit makes the wave a triangle, not the sine of Sec. IV-C. A triangle "
+        f"with this slope reaches {min(command, by_model * math.pi / 2.0):.0f} kPa.",
     )
 
 
@@ -734,16 +729,16 @@ def _likely_sines(curves: Curves) -> Iterator[PaperRow]:
             else "undecided",
             number.place,
             f"The volume is not stated; with {series.cv_volume_L:g} L."
-            + ("" if name == "phlosar" else " How low the supply was is not stated either."),
+            + ("" if name == "phlosar" else " The supply is not stated either."),
         )
 
 
 def _cycles(curves: Curves) -> Iterator[PaperRow]:
     c, numbers = curves.cycles, stated()
-    least = numbers["cycles.least"]
+    stated_cycles = numbers["cycles.least"]
 
     def more(ours: float) -> RowVerdict:
-        return "agrees" if ours > least.value else "differs"
+        return "agrees" if ours > stated_cycles.value else "differs"
 
     for key, quantity, ours, note in (
         (
@@ -756,25 +751,25 @@ def _cycles(curves: Curves) -> Iterator[PaperRow]:
             "sine",
             "n_cycles by Eq. 8, greatest rate of a sine",
             c.rigid_sine[-1],
-            "At 35.8 kPa/s. Which rate was meant is not stated: a triangle's fits.",
+            "At 35.8 kPa/s. The paper does not state which rate it means; that of a triangle fits.",
         ),
         (
             "pouch",
             "n_cycles of a flat pouch",
             c.pouch[-1],
-            "Eq. 8 takes the control volume as rigid. A pouch that lies flat is filled from nothing, which "
-            "takes 5.9 times as much air; the 30 cycles that were flown cannot tell.",
+            "Eq. 8 assumes a rigid control volume. A flat bending pouch needs 5.9 times as much air. The 30 "
+            "cycles of the test are too few to show the difference.",
         ),
     ):
         yield _row(
             f"cycles.{key}",
             quantity,
             "cycles",
-            least.value,
+            stated_cycles.value,
             float(ours),
             "equation",
             more(ours),
-            least.place,
+            stated_cycles.place,
             note,
             bound=">",
         )
@@ -782,13 +777,13 @@ def _cycles(curves: Curves) -> Iterator[PaperRow]:
         "cycles.plant",
         "n_cycles of the plant, rigid",
         "cycles",
-        least.value,
+        stated_cycles.value,
         float(c.plant_cycles[-1]),
         "plant",
         more(float(c.plant_cycles[-1])),
-        least.place,
-        "About twice Eq. 8, because at 0.55 Hz 0.1 L empties by itself and the Venturi never runs; Eq. 8 "
-        "counts as much air for it as for the inflation, which Sec. VI-B calls conservative.",
+        stated_cycles.place,
+        "About twice Eq. 8: at 0.55 Hz 0.1 L vents without the Venturi. Eq. 8 counts as much air for the "
+        "Venturi as for the inflation, which Sec. VI-B calls conservative.",
         bound=">",
     )
     performed = numbers["cycles.performed"]
@@ -819,8 +814,8 @@ def _mass(_: Curves) -> Iterator[PaperRow]:
         "text",
         "undecided",
         phlosar.place,
-        f"EVP 77 g, DVP 139 g and bottle 70 g are printed; {1000 * (phlosar.value - known):.0f} g of other "
-        "parts only in the chart of Fig. 1d, which is a picture.",
+        f"EVP 77 g, DVP 139 g and bottle 70 g are printed. The other {1000 * (phlosar.value - known):.0f} g "
+        "are only in the chart of Fig. 1d, which is a picture.",
     )
     yield _row(
         "mass.total",
@@ -845,5 +840,5 @@ def _mass(_: Curves) -> Iterator[PaperRow]:
         "text",
         "undecided",
         power.place,
-        "Under which use is not stated, and the coils' data are not printed.",
+        "The paper states neither the conditions nor the data of the coils.",
     )

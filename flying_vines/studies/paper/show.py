@@ -15,7 +15,7 @@ STYLES = {"agrees": "green", "differs": "red", "undecided": "yellow"}
 
 
 def show(rows: tuple[PaperRow, ...], findings: tuple[str, ...], console: Console) -> None:
-    """Print the table, what disagrees in the paper itself, and why rows do not agree."""
+    """Print the table, the contradictions within the paper, and the reasons of disagreeing rows."""
     console.print(_table(rows))
     counts = Counter(row.verdict for row in rows)
     console.print(
@@ -32,7 +32,7 @@ def show(rows: tuple[PaperRow, ...], findings: tuple[str, ...], console: Console
 
 
 def reasons(rows: tuple[PaperRow, ...]) -> dict[str, list[str]]:
-    """Note by note, the quantities that do not agree for it."""
+    """For each note, the quantities that disagree for this reason."""
     found: dict[str, list[str]] = {}
     for row in rows:
         if row.verdict != "agrees":
@@ -78,5 +78,5 @@ def _table(rows: tuple[PaperRow, ...]) -> Table:
 def _number(value: float | None, row: PaperRow) -> str:
     if value is None:
         return "–"
-    # The paper's time constants are known to five digits.
+    # The paper's time constants have five digits.
     return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.{5 if row.unit == 's' else 4}g}"

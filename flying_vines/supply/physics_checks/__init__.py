@@ -1,7 +1,7 @@
-"""Does the physics answer as predicted? What is wrong with the hardware and no sensor reports.
+"""Finds hardware faults that no sensor reports: the physics differs from the prediction.
 
-`expected` is what the rig does at least and at most. There is one file for each thing that is checked:
-`filling`, `venting`, `vine_sensor`, `reservoir`, `leak`. `checks` runs them all.
+`expected` has the bounds of a healthy rig. `filling`, `venting`, `vine_sensor`, `reservoir` and `leak` each
+hold one kind of check. `checks` runs them all. EVP: inflation valve. DVP: valve that supplies the Venturi.
 """
 
 from flying_vines.supply.physics_checks.checks import CHECKS, PhysicsChecks, PhysicsFinding

@@ -17,24 +17,25 @@ from flying_vines.supply.physics_checks.venting import VentingCheck
 from flying_vines.supply.physics_checks.vine_sensor import SuddenFall, Unsteady, Zero
 
 BRIDGING = ("filling",)
-"""These checks count only air that has gone in for sure, so they continue over a gap. If a fifth of 10 Hz
-telemetry is lost, all others start again twice a second."""
+"""These checks count only air that certainly went in, so they continue over a gap. All others restart at each
+gap: twice a second if a fifth of 10 Hz telemetry is lost."""
 
 FindingSeverity = Literal["fault", "warn"]
 
 
 @dataclass(frozen=True, slots=True)
 class PhysicsFinding:
-    """Something is physically wrong from now on."""
+    """A check has begun to find a fault."""
 
     name: str
-    """As in `[checks]`."""
+    """The key in `[checks]`."""
     sentence: str
     level: FindingSeverity
 
 
 class _Check(Protocol):
-    def look(self, now: Features) -> str | None: ...
+    def look(self, now: Features) -> str | None:
+        """Take in one telemetry message. Returns the finding while it is present."""
 
 
 CHECKS: dict[str, Callable[[Expected], _Check]] = {
@@ -49,32 +50,32 @@ CHECKS: dict[str, Callable[[Expected], _Check]] = {
     "vine_leak": VineLeak,
     "unsteady": lambda _: Unsteady(),
 }
-"""By their keys in `[checks]`."""
+"""The checks by their keys in `[checks]`."""
 
 
 class PhysicsChecks:
-    """Give `take` every telemetry message. What is wrong just now is in `present`."""
+    """Pass every telemetry message to `take`. `present` has the present findings."""
 
     def __init__(self, belief: Belief, checks: ChecksConfig) -> None:
         self._rig = expected(belief, checks)
         self._levels: dict[str, FindingSeverity] = {name: getattr(checks, name) for name in CHECKS}
         self.present: dict[str, PhysicsFinding] = {}
         self.counts: Counter[str] = Counter()
-        """How often each one has begun."""
+        """The number of findings of each check."""
         self.restart()
 
     def restart(self) -> None:
-        """Start again: what happened meanwhile is not known."""
-        self._checks = {name: made_of(self._rig) for name, made_of in CHECKS.items()}
+        """Start again, because the time before is unknown."""
+        self._checks = {name: check(self._rig) for name, check in CHECKS.items()}
         self.present = {}
 
     def take(self, now: Features) -> list[PhysicsFinding]:
-        """Take in one telemetry message. Returns what has just become wrong."""
+        """Take in one telemetry message. Returns the new findings."""
         if now.continuity == "broken":
             self.restart()
         if now.continuity in ("none", "broken"):
             return []
-        begun: list[PhysicsFinding] = []
+        new: list[PhysicsFinding] = []
         for name, check in self._checks.items():
             if now.continuity == "gap" and name not in BRIDGING:
                 self._checks[name] = CHECKS[name](self._rig)
@@ -87,10 +88,10 @@ class PhysicsChecks:
                 finding = PhysicsFinding(name, sentence, self._levels[name])
                 self.present[name] = finding
                 self.counts[name] += 1
-                begun.append(finding)
-        return begun
+                new.append(finding)
+        return new
 
     @property
     def faults(self) -> dict[str, str]:
-        """The present findings with which the vine must not move: name and sentence."""
+        """The sentences of the present findings with which the vine must not bend, by name."""
         return {name: found.sentence for name, found in self.present.items() if found.level == "fault"}

@@ -1,7 +1,7 @@
-"""Does it cost air to hold the vine?
+"""Checks that it costs no air to hold the vine.
 
-How often the inflation valve opens says little, since most of a short opening is within its dead zone. The
-bottle shows it: its pressure falls faster while the vine is held than while the vine was vented.
+The openings of the inflation valve show little, because most of a short opening is within its dead zone. The
+reservoir shows a leak: its pressure falls faster while the vine is held than while the vine is vented.
 """
 
 from __future__ import annotations
@@ -10,16 +10,16 @@ from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.supply.features import Features
 from flying_vines.supply.physics_checks.expected import Expected
 
+# Time in which the gas in the filled vine cools, and that in the reservoir warms. It grows with the vine.
 SETTLED_S = 2.0
 SETTLED_S_PER_L = 2.0
-"""After the vine was filled, its gas has cooled, and the bottle's has warmed: a larger vine takes longer."""
 WATCHED_S = 4.0
-MOST_SL_PER_S = 0.015
-"""Three times what the largest leak of a vine takes that is still of use."""
+MAX_SL_PER_S = 0.015
+"""Three times the largest leak of a vine that is still usable."""
 
 
 class _Slope:
-    """How fast the bottle's pressure falls during a state: a line through each `WATCHED_S`."""
+    """The fall of the reservoir's pressure during a state: a line fitted over each `WATCHED_S`."""
 
     def __init__(self, settled_s: float) -> None:
         self._settled_s = settled_s
@@ -32,7 +32,7 @@ class _Slope:
         self._t = self._kPa = self._tt = self._t_kPa = 0.0
 
     def take(self, lasting_s: float, dt_s: float, kPa: float) -> bool:
-        """Take in a reading. Returns whether a new slope is known."""
+        """Take in a reading. Returns True if a new slope is known."""
         if lasting_s < self._settled_s:
             self._begin()
             return False
@@ -52,22 +52,22 @@ class _Slope:
 
 
 class VineLeak:
-    """Finds what the bottle loses to a held vine, in addition to what it loses anyway."""
+    """Finds air that the reservoir loses to a held vine, in addition to its own leak."""
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig
-        settled_s = SETTLED_S + SETTLED_S_PER_L * rig.vine_most_L
+        settled_s = SETTLED_S + SETTLED_S_PER_L * rig.vine_max_L
         self._rest = _Slope(settled_s)
         self._hold = _Slope(settled_s)
-        self._said: str | None = None
+        self._finding: str | None = None
 
     def look(self, now: Features) -> str | None:
-        """What is wrong, until a hold without it."""
+        """The finding, until a hold without a leak."""
         self._rest.take(now.resting_s, now.device_dt_s, now.telemetry.reservoir_kPa)
         complete = self._hold.take(now.holding_s, now.device_dt_s, now.telemetry.reservoir_kPa)
         held, rested = self._hold.falls_kPa_per_s, self._rest.falls_kPa_per_s
         if complete and held is not None and rested is not None:
             leak_SL_per_s = (held - rested) * self._rig.bottle_L / ALPHA_KPA
-            leaks = leak_SL_per_s > MOST_SL_PER_S
-            self._said = f"vine leaks {60.0 * leak_SL_per_s:.1f} SL/min while held" if leaks else None
-        return self._said
+            leaks = leak_SL_per_s > MAX_SL_PER_S
+            self._finding = f"vine leaks {60.0 * leak_SL_per_s:.1f} SL/min while held" if leaks else None
+        return self._finding

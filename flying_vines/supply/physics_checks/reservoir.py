@@ -1,4 +1,4 @@
-"""Does the bottle lose what the valves take, no more and no less?"""
+"""Checks that the reservoir loses as much air as the valves take."""
 
 from __future__ import annotations
 
@@ -9,84 +9,84 @@ from flying_vines.supply.features import Features
 from flying_vines.supply.physics_checks.expected import Expected
 
 BLOCK_S = 0.2
-"""What a reading of the bottle is averaged over."""
-LOOKS_BACK_BLOCKS = (5, 20)
-"""One second for what is quick, four for what is not: noise counts less over the longer time."""
-SURE_KPA = 2.0
+"""Averaging time of a reading of the reservoir."""
+SPANS_BLOCKS = (5, 20)
+"""One second for fast losses, four for slow ones: noise matters less over the longer time."""
+MARGIN_KPA = 2.0
 """Margin above the noise of two blocks. A block is never noisier than the mean difference of two readings."""
 NOISE_S = 1.0
 SHARE_OF_EVP = 1.0 / 3.0
-"""Of the wide open inflation valve's flow: a greater loss is more than a leak."""
+"""A loss above this share of the fully open inflation valve's flow is a fault."""
 HOT = 1.06
-"""Of the full bottle's pressure; a sound sensor's error band ends below it."""
+"""Limit as a share of the full reservoir's pressure. The error band of a good sensor ends below it."""
 HIGH_S = 1.0
 STUCK_KPA = 1.5
-"""How far the bottle should have fallen while its reading has not changed at all …"""
+"""Expected fall while the reading has not changed at all."""
 BLIND_KPA = 15.0
-"""… and while it has fallen by less than a fifth of that."""
+"""Expected fall while the reading has fallen by less than a fifth of it."""
 TURN_KPA = 2.0
 """A smaller fall is noise, not a turn."""
 VINE_FILTER_S = 0.1
-FORGETS_S = 120.0
-"""Warming by the sun may hide a fall that is slower."""
+RESTART_S = 120.0
+"""Restart after this time, because warming by the sun may hide a slower fall."""
 
 
 class ReservoirLoss:
-    """Finds air that leaves the bottle though no valve is commanded open."""
+    """Finds air that leaves the reservoir although no valve is commanded open."""
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig
-        self._blocks: deque[tuple[float, float]] = deque(maxlen=LOOKS_BACK_BLOCKS[-1] + 1)
-        """Mean reading, and the most that was taken in all up to its middle."""
-        self._told_SL = 0.0
+        self._blocks: deque[tuple[float, float]] = deque(maxlen=SPANS_BLOCKS[-1] + 1)
+        """Mean reading of each block, and the maximum commanded outflow up to its middle."""
+        self._outflow_SL = 0.0
+        """Maximum commanded outflow since the start."""
         self._sum_kPa_s = self._block_s = 0.0
-        self._begun_SL = 0.0
+        self._block_began_SL = 0.0
         self._reading_kPa: float | None = None
         self._noise_kPa = 0.0
-        self._said: str | None = None
+        self._finding: str | None = None
 
     def look(self, now: Features) -> str | None:
-        """What is wrong, while it is."""
-        self._told_SL += self._rig.most_outflow_SL(now)
+        self._outflow_SL += self._rig.max_outflow_SL(now)
         if self._reading_kPa is not None:
-            differs_kPa = abs(now.telemetry.reservoir_kPa - self._reading_kPa)
-            self._noise_kPa += (differs_kPa - self._noise_kPa) * min(1.0, now.device_dt_s / NOISE_S)
+            difference_kPa = abs(now.telemetry.reservoir_kPa - self._reading_kPa)
+            self._noise_kPa += (difference_kPa - self._noise_kPa) * min(1.0, now.device_dt_s / NOISE_S)
         self._reading_kPa = now.telemetry.reservoir_kPa
         self._sum_kPa_s += now.telemetry.reservoir_kPa * now.device_dt_s
         self._block_s += now.device_dt_s
         if self._block_s >= BLOCK_S - 1e-6:
-            told_SL = 0.5 * (self._begun_SL + self._told_SL)
-            self._blocks.append((self._sum_kPa_s / self._block_s, told_SL))
+            middle_SL = 0.5 * (self._block_began_SL + self._outflow_SL)
+            self._blocks.append((self._sum_kPa_s / self._block_s, middle_SL))
             self._sum_kPa_s = self._block_s = 0.0
-            self._begun_SL = self._told_SL
-            self._said = self._judge()
-        return self._said
+            self._block_began_SL = self._outflow_SL
+            self._finding = self._judge()
+        return self._finding
 
     def _judge(self) -> str | None:
-        kPa, told_SL = self._blocks[-1]
+        kPa, outflow_SL = self._blocks[-1]
         open_kPa_per_s = self._rig.bottle_fall_kPa(self._rig.open_evp_SL_per_s(kPa))
-        for blocks in LOOKS_BACK_BLOCKS:
+        for blocks in SPANS_BLOCKS:
             if len(self._blocks) <= blocks:
                 continue
             before_kPa, before_SL = self._blocks[-1 - blocks]
             seconds = blocks * BLOCK_S
-            # At once it falls γ times as far as when it is warm again.
-            told_kPa = GAMMA * self._rig.bottle_fall_kPa(told_SL - before_SL)
-            lost_kPa = before_kPa - kPa - told_kPa
-            if lost_kPa > SURE_KPA + self._noise_kPa + SHARE_OF_EVP * open_kPa_per_s * seconds:
-                return f"bottle loses {lost_kPa / seconds:.0f} kPa/s unasked"
+            # A quick (adiabatic) fall is γ times the isothermal one.
+            expected_kPa = GAMMA * self._rig.bottle_fall_kPa(outflow_SL - before_SL)
+            lost_kPa = before_kPa - kPa - expected_kPa
+            if lost_kPa > MARGIN_KPA + self._noise_kPa + SHARE_OF_EVP * open_kPa_per_s * seconds:
+                return f"bottle loses {lost_kPa / seconds:.0f} kPa/s too much"
         return None
 
 
 class BottleSensor:
-    """Finds a reading that stays while the vine's rises must have cost air."""
+    """Finds a stuck or blind sensor: the vine filled, and the reading did not fall."""
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig
         self._cv_kPa = self._top_kPa = 0.0
         self._reading_kPa: float | None = None
         self._unchanged_kPa = 0.0
-        """How far the bottle should have fallen since its reading last changed."""
+        """Expected fall since the reading last changed."""
         self._begin(0.0)
 
     def _begin(self, bottle_kPa: float) -> None:
@@ -95,27 +95,26 @@ class BottleSensor:
         self._first_kPa = self._smooth_kPa = bottle_kPa
 
     def look(self, now: Features) -> str | None:
-        """What is wrong, while it is."""
         bottle_kPa = now.telemetry.reservoir_kPa
         if self._reading_kPa is None:
             self._begin(bottle_kPa)
             self._cv_kPa = self._top_kPa = now.cv_median_kPa
         self._since_s += now.device_dt_s
         self._smooth_kPa += (bottle_kPa - self._smooth_kPa) * min(1.0, now.device_dt_s / BLOCK_S)
-        expected_kPa = self._rig.bottle_fall_kPa(self._rig.least_air_SL(self._follow_vine(now)))
+        expected_kPa = self._rig.bottle_fall_kPa(self._rig.min_air_SL(self._follow_vine(now)))
         self._expected_kPa += expected_kPa
         self._unchanged_kPa = self._unchanged_kPa + expected_kPa if bottle_kPa == self._reading_kPa else 0.0
         self._reading_kPa = bottle_kPa
         if self._unchanged_kPa > STUCK_KPA:
             return f"bottle sensor stuck at {bottle_kPa:.0f} kPa"
         if self._expected_kPa > BLIND_KPA and self._first_kPa - self._smooth_kPa < 0.2 * self._expected_kPa:
-            return "bottle keeps its air as vine fills: sensor or kink"
-        if self._expected_kPa > BLIND_KPA or self._since_s > FORGETS_S:
+            return "bottle reading stays as vine fills: sensor or kink"
+        if self._expected_kPa > BLIND_KPA or self._since_s > RESTART_S:
             self._begin(self._smooth_kPa)
         return None
 
     def _follow_vine(self, now: Features) -> float:
-        """Take in the vine's pressure; by how much it rose."""
+        """Take in the vine's pressure. Returns its rise."""
         self._cv_kPa += (now.cv_median_kPa - self._cv_kPa) * min(1.0, now.device_dt_s / VINE_FILTER_S)
         rise_kPa = max(0.0, self._cv_kPa - self._top_kPa)
         self._top_kPa = self._cv_kPa if rise_kPa else min(self._top_kPa, self._cv_kPa + TURN_KPA)
@@ -123,15 +122,14 @@ class BottleSensor:
 
 
 class Hot:
-    """Finds more pressure than a full bottle has: it is hot, or overfilled."""
+    """Finds more pressure than in a full reservoir: it is hot, or overfilled."""
 
     def __init__(self, rig: Expected) -> None:
-        self._most_kPa = HOT * rig.full_kPa
+        self._max_kPa = HOT * rig.full_kPa
         self._high_s = 0.0
 
     def look(self, now: Features) -> str | None:
-        """What is wrong, while it is."""
-        self._high_s = self._high_s + now.device_dt_s if now.telemetry.reservoir_kPa > self._most_kPa else 0.0
+        self._high_s = self._high_s + now.device_dt_s if now.telemetry.reservoir_kPa > self._max_kPa else 0.0
         if self._high_s < HIGH_S:
             return None
         return f"bottle at {now.telemetry.reservoir_kPa:.0f} kPa: hot or overfilled"

@@ -1,8 +1,9 @@
-"""Does the vine lose its pressure while its outlet is commanded open?
+"""Checks that the vine loses its pressure while its outlet is commanded open.
 
-It must lose a quarter of its gauge pressure within twice the time that the largest, softest vine takes behind
-the narrowest outlet, and again until it is down. If it does not, the outlet stays shut or the inflation valve
-stays open. An open valve lets the bottle's pressure fall; this does not show while the Venturi takes air too.
+The largest, softest vine behind the narrowest outlet loses a quarter of its gauge pressure in some time. The
+vine must do so within twice that time, and again until it is vented. If it does not, the outlet stays shut or
+the inflation valve stays open. An open valve also lowers the reservoir's pressure. This does not show while
+the Venturi takes air, too.
 """
 
 from __future__ import annotations
@@ -11,16 +12,16 @@ from flying_vines.supply.features import VALVE_LAG_S, Features
 from flying_vines.supply.physics_checks.expected import Expected
 
 DOWN_KPA = 3.0
-"""Above the largest zero that a sound sensor has; nearer to ambient its zero is what is looked at."""
+"""This far above the largest zero of a good sensor the vine counts as vented. Below, its zero is checked."""
 SHARE_LEFT = 0.75
 OUTLET_LAG_S = 0.15
-"""Of solenoid, tube and sensor."""
+"""Total lag of solenoid, tube and sensor."""
 LENIENCE = 2.0
 LN_4_3 = 0.288
 
 
 class VentingCheck:
-    """Times how long ago the vine last lost a quarter."""
+    """Measures the time since the vine last lost a quarter of its pressure."""
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig
@@ -31,7 +32,6 @@ class VentingCheck:
         self._bottle_kPa = 0.0
 
     def look(self, now: Features) -> str | None:
-        """What is wrong, while it is."""
         above_kPa = now.cv_median_kPa - self._rig.zero_kPa
         if now.venting_s == 0.0 or above_kPa < DOWN_KPA:
             self._above_kPa = None
@@ -42,8 +42,8 @@ class VentingCheck:
             self._venturi = False
             self._bottle_kPa = now.telemetry.reservoir_kPa
         self._waited_s += now.device_dt_s
-        # An earlier command to the inflation valve still counts for a while.
-        if now.venting_s > 2.0 * VALVE_LAG_S and self._rig.most_outflow_SL(now) > 0.0:
+        # The valves need some time to follow their commands.
+        if now.venting_s > 2.0 * VALVE_LAG_S and self._rig.max_outflow_SL(now) > 0.0:
             self._venturi = True
         return self._sentence(now) if self._waited_s > self._due_s else None
 

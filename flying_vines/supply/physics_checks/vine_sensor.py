@@ -1,4 +1,4 @@
-"""Are the readings of the vine's sensor possible?"""
+"""Checks that the readings of the vine's sensor are physically possible."""
 
 from __future__ import annotations
 
@@ -8,43 +8,43 @@ from flying_vines.supply.features import Features
 from flying_vines.supply.physics_checks.expected import Expected
 
 RESTED_S = 2.0
-"""After the vine had all the time that it needs to come down."""
+"""Additional time after the maximum time that a vine needs to vent."""
 REFILLED_S = 0.7
-"""Until ambient air is where the Venturi has sucked."""
+"""Time in which ambient air fills the vacuum of the Venturi."""
 BLOCK_S = 0.5
-"""Readings are averaged over this time."""
+"""Averaging time of readings."""
 SEALED_S = 0.15
 FELL_KPA = 5.0
 TOLERATED_KPA = 0.3
-"""Above its setpoint the regulator leaves a vine alone."""
+"""Up to this far above its setpoint the regulator does not vent the vine."""
 AT_ONCE_S = 0.035
-"""A few readings: a fall in this time is no leak."""
+"""The time of a few readings. A fall in this time is not a leak."""
 NEIGHBOURS_S = 0.05
-"""Further apart two readings differ because a vine comes down, or settles."""
+"""Two readings further apart may also differ because the vine vents or settles."""
 UNSTEADY_S = 1.0
+
+# Limits of the mean difference between successive readings: four times that of a good sensor.
 VINE_UNSTEADY_KPA = 1.2
 BOTTLE_UNSTEADY_KPA = 9.0
-"""The mean difference of readings that follow each other; a sound sensor's is a quarter of it."""
 
 
 class Zero:
-    """Checks the sensor's zero: the reading of a vine that has been vented for long.
+    """Checks the sensor's zero: the reading of a vine after a long vent.
 
-    A sensor that reads too little is dangerous, because the vine gets more pressure than requested. It shows
-    soon, because nothing sucks on a vented vine.
+    A sensor that reads too low is dangerous, because the vine gets more pressure than requested. It is found
+    earlier than one that reads too high, because a vented vine is never below ambient pressure.
     """
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig
         self._after_s = RESTED_S + 3.0 * rig.slowest_vent_s
         self._sum_kPa_s = self._block_s = 0.0
-        self._said: str | None = None
+        self._finding: str | None = None
 
     def look(self, now: Features) -> str | None:
-        """What is wrong, while it is."""
         if now.resting_s < REFILLED_S:
             self._sum_kPa_s = self._block_s = 0.0
-            self._said = None
+            self._finding = None
             return None
         self._sum_kPa_s += now.cv_median_kPa * now.device_dt_s
         self._block_s += now.device_dt_s
@@ -54,27 +54,27 @@ class Zero:
             wrong = zero_kPa < -self._rig.zero_kPa or (
                 zero_kPa > self._rig.zero_kPa and now.resting_s > self._after_s
             )
-            self._said = f"vine sensor reads {zero_kPa:.1f} kPa at rest" if wrong else None
-        return self._said
+            self._finding = f"vine sensor reads {zero_kPa:.1f} kPa at rest" if wrong else None
+        return self._finding
 
 
 class SuddenFall:
-    """Finds a vine behind shut valves that loses its pressure from one reading to the next.
+    """Finds a vine that suddenly loses its pressure although all valves are shut.
 
-    It burst, its hose came off, or its sensor jumps, which would fill the vine beyond its limit.
+    It burst, its hose came off, or its sensor jumps, which would overfill the vine.
 
-    Above its setpoint, or on the way down, the regulator may have let air out too briefly for telemetry to
-    show, and a small vine falls far meanwhile.
+    Above its setpoint, or while the setpoint falls, the regulator may vent too briefly for telemetry to show.
+    A small vine falls far in that time, so such falls do not count.
     """
 
     def __init__(self) -> None:
-        self._lately: deque[tuple[float, float]] = deque()
+        self._recent: deque[tuple[float, float]] = deque()
         self._t = 0.0
         self._setpoint_kPa = 0.0
         self._fell_kPa: float | None = None
 
     def look(self, now: Features) -> str | None:
-        """What is wrong; held until the vine is vented."""
+        """The finding, until the vine is vented."""
         self._t += now.device_dt_s
         if now.resting_s > 0.0:
             self._fell_kPa = None
@@ -82,12 +82,12 @@ class SuddenFall:
         may_vent = setpoint_kPa < self._setpoint_kPa or now.cv_median_kPa > setpoint_kPa + TOLERATED_KPA
         self._setpoint_kPa = setpoint_kPa
         if now.sealed_s < SEALED_S or may_vent:
-            self._lately.clear()
+            self._recent.clear()
         else:
-            self._lately.append((self._t, now.cv_median_kPa))
-            while self._lately[0][0] < self._t - AT_ONCE_S:
-                self._lately.popleft()
-            fell_kPa = self._lately[0][1] - now.cv_median_kPa
+            self._recent.append((self._t, now.cv_median_kPa))
+            while self._recent[0][0] < self._t - AT_ONCE_S:
+                self._recent.popleft()
+            fell_kPa = self._recent[0][1] - now.cv_median_kPa
             if fell_kPa > FELL_KPA:
                 self._fell_kPa = fell_kPa
         if self._fell_kPa is None:
@@ -96,15 +96,13 @@ class SuddenFall:
 
 
 class Unsteady:
-    """Finds readings that differ by more than noise while nothing moves: a loose contact."""
+    """Finds a loose contact: readings vary by more than noise while the vine is at rest."""
 
     def __init__(self) -> None:
         self._before: tuple[float, float] | None = None
         self._vine_kPa = self._bottle_kPa = 0.0
-        self._seen_s = 0.0
 
     def look(self, now: Features) -> str | None:
-        """What is wrong, while it is."""
         if max(now.resting_s, now.sealed_s) < SEALED_S or now.device_dt_s > NEIGHBOURS_S:
             self._before = None
             return self._sentence()

@@ -1,4 +1,4 @@
-"""The autopilots that we know. To add one: a subclass of `Autopilot` in its own module, and its row here."""
+"""The known autopilots. To add one: a subclass of `Autopilot` in its own module, and its row here."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _OF_HEARTBEAT = {autopilot.mav_autopilot: autopilot for autopilot in AUTOPILOTS.
 
 
 def of_heartbeat(mav_autopilot: int) -> Autopilot:
-    """The autopilot that a HEARTBEAT names (MAV_AUTOPILOT)."""
+    """The autopilot for the MAV_AUTOPILOT of a HEARTBEAT."""
     return _OF_HEARTBEAT.get(mav_autopilot, OTHER)
 
 
@@ -22,5 +22,4 @@ _OF_NAME = {autopilot.kind: autopilot for autopilot in AUTOPILOTS.values()}
 
 
 def of_name(kind: str) -> Autopilot:
-    """The autopilot of this name."""
     return _OF_NAME.get(kind, OTHER)

@@ -38,7 +38,7 @@ STREAM_GROUPS = {
     "SYSTEM_TIME": "EXTRA3",
     "SCALED_PRESSURE": "RAW_SENS",
 }
-"""Which of its stream rates carries a message."""
+"""The stream rate parameter of each message."""
 
 
 class ArduPilot(Autopilot):
@@ -100,12 +100,12 @@ class ArduPilot(Autopilot):
         if item.command in _DO:
             return _stored(item, _cast(params, _DO[item.command]), frame=0)
         p1, p2, p3, p4, latitude, longitude, z = params
-        # Latitude and longitude are integers of 1e-7 degrees there, which a double holds well enough.
+        # ArduPilot stores latitude and longitude as integers of 1e-7 degrees; a double is precise enough.
         place = latitude, longitude, whole_centimetres(z)
         return _stored(item, (_f32(p1), _f32(p2), _f32(p3), _f32(p4), *place), frame=_frame(item))
 
 
-# What its storage makes of a number.
+# A number after ArduPilot's storage.
 
 
 def _u8(value: float) -> float:
@@ -135,9 +135,9 @@ def _f32(value: float) -> float:
 
 
 def whole_centimetres(altitude_m: float) -> float:
-    """An altitude after ArduPilot's storage, which counts centimetres in 32 bits."""
-    highest = float((1 << 31) - 1)
-    centimetres = int(max(-highest, min(highest, _f32(altitude_m * 100.0))))
+    """An altitude after ArduPilot's storage in centimetres with 32 bits."""
+    max_cm = float((1 << 31) - 1)
+    centimetres = int(max(-max_cm, min(max_cm, _f32(altitude_m * 100.0))))
     return _f32(centimetres * _f32(0.01))
 
 
@@ -147,7 +147,7 @@ def _none(value: float) -> float:
 
 _Cast = Callable[[float], float]
 
-# Casts of param1..4, x, y, z; what is missing at the end is not stored.
+# Casts of param1..4, x, y, z. Values missing at the end are not stored.
 _DO: dict[int, tuple[_Cast, ...]] = {
     112: (_f32,),
     114: (_f32,),

@@ -1,4 +1,4 @@
-"""Which mission items ArduPilot runs: from its status texts, or from mission progress if a text was lost."""
+"""Detects the mission items that ArduPilot runs: by status texts, or by progress if a text was lost."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from flying_vines.config.config import CARRIERS
 from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import AutopilotClock, Mark
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.book import MOST_ITEMS, MissionBook, item_of
+from flying_vines.vehicle.mission.book import MAX_ITEMS, MissionBook, item_of
 from flying_vines.vehicle.mission.execution import Execution, same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
+from flying_vines.vehicle.mission.jumps import JUMP
 
 ITEM_TEXT = re.compile(r"Mission: (\d{1,5}) (\S+)")
 REACHED_TEXT = re.compile(r"Reached command #(\d{1,5})")
@@ -35,7 +36,7 @@ COMMAND_OF_NAME = {
     "Land": 21,
     "Delay": 93,
 }
-"""What ArduPilot calls an item in its status text (AP_Mission, Mission_Command::type())."""
+"""The command for each name in ArduPilot's status text (AP_Mission, Mission_Command::type())."""
 
 NAMED_COMMANDS = set(COMMAND_OF_NAME.values())
 
@@ -43,31 +44,31 @@ ASK_AGAIN_S = 0.2
 GIVE_UP_S = 0.8
 """An ArduPilot answers within 6 ms."""
 SAME_SCRIPT_ITEM_S = 3.0
-"""A script on the autopilot sent an item's numbers 5 to 17 ms after the item's text. Our script repeats
-unacknowledged numbers for two seconds."""
+"""A script on the autopilot sent an item's params 5 to 17 ms after the item's text. Our script repeats
+unacknowledged params for two seconds."""
 SCRIPT_MESSAGE = 217
 WAIT_FOR_TEXT_S = 0.5
 TEXT_LATE_S = 1.0
 """A text that arrives within this time after its item was inferred belongs to that item."""
-LATEST_S = 0.5
-"""The maximum difference in delay between two frames sent at the same time."""
+MAX_DELAY_DIFFERENCE_S = 0.5
+"""Maximum difference in delay between two frames."""
 COPIES_WITHIN_S = 2.0
 """A frame with the same sequence number and text within this time is a copy."""
 REACHED_AGAIN_S = 3.0
 PROGRESS_AFTER_REACHED_S = 3.0
-"""MISSION_CURRENT arrives at 1 Hz or faster: a later change is a commanded jump, not the waypoint's end."""
+"""MISSION_CURRENT arrives at 1 Hz or faster. A change after this time is a commanded jump, not the end of the
+waypoint."""
 CONDITIONAL = {112, 113, 114, 115, 177, 601}
-"""CONDITION_* and jumps: the items after them may not run although the mission moves on."""
-JUMP = 177
+"""CONDITION_* and jumps. The mission may move on without the items after them."""
 FLYING = {0, 3}
-"""MISSION_CURRENT.mission_state of a mission that runs; older releases leave it at 0."""
-MOST_WAITING = 64
-MOST_ASKED = 8
+"""MISSION_CURRENT.mission_state of a running mission; older releases leave it at 0."""
+MAX_WAITING = 64
+MAX_REQUESTED = 8
 
 
 @dataclass(slots=True)
 class _Waiting:
-    """An item that ran and whose numbers are not certain yet."""
+    """An item that ran, whose params are not confirmed yet."""
 
     seq: int
     name: str | None
@@ -77,32 +78,32 @@ class _Waiting:
     """The item in the book, if it was known."""
     mark: Mark
     late_s: float = 0.0
-    """The delay of the mark after the item."""
+    """The item ran this long before the mark."""
     item: MissionItem | None = None
     """The autopilot's answer."""
     asked_at: float = -math.inf
 
 
 class _Suspect(NamedTuple):
-    """An item that should have run at `since`, detected at `t`, without a text."""
+    """An item that should have run at `since`. Detected at `t`; its text was not received."""
 
     t: float
     since: float
     item: MissionItem
     before: int
     certain_while_at: int | None
-    """Certain only if the mission is at this waypoint for long enough; None: certain anyway."""
+    """The item ran only if the mission is still at this waypoint after the wait; None: it ran anyway."""
 
 
 class ArduPilotWatch(MissionWatch):
     """Detects the executions of mission items whose command is one of `commands`.
 
-    Each text is one execution. An item without a text is inferred to have run if the waypoint before it was
-    reached, the mission moved on to the next waypoint, frames were lost meanwhile, and no conditional item
-    stands before it. It is not inferred if a later item has run since. If a script on the autopilot sends the
-    item as a command as well, text and command are one execution.
+    Each text is one execution. An execution without a text is inferred if the waypoint before the item was
+    reached, the mission moved on to the next waypoint, frames were lost in that time, and no conditional item
+    is before it. It is not inferred if a later item has run since. If a script on the autopilot also sends
+    the item as a command, text and command are one execution.
 
-    No message shows that the mission was replaced by another of the same length. So each item that runs is
+    No message shows that the mission was replaced by another of the same length. So each item that ran is
     requested again (`asks`), and only an answer after the execution counts.
     """
 
@@ -115,17 +116,17 @@ class ArduPilotWatch(MissionWatch):
         self.restarted()
 
     def restarted(self) -> None:
-        self._waiting: deque[_Waiting] = deque(maxlen=MOST_WAITING)
+        self._waiting: deque[_Waiting] = deque(maxlen=MAX_WAITING)
         self._frames: dict[int, tuple[float, int]] = {}
-        self._told: dict[int, float] = {}
-        self._ran: deque[tuple[float, int | None]] = deque(maxlen=MOST_WAITING)
+        self._ran_at: dict[int, float] = {}
+        self._ran: deque[tuple[float, int | None]] = deque(maxlen=MAX_WAITING)
         self._reached: dict[int, float] = {}
         self._current: int | None = None
         self._flying = False
-        self._suspects: deque[_Suspect] = deque(maxlen=MOST_WAITING)
-        self._made_up: dict[int, float] = {}
-        self._run_by_text = _Numbers()
-        self._handed = _Numbers()
+        self._suspects: deque[_Suspect] = deque(maxlen=MAX_WAITING)
+        self._inferred_at: dict[int, float] = {}
+        self._text_numbers = _Numbers()
+        self._script_numbers = _Numbers()
 
     def command(
         self, t: float, command: int, params: tuple[float, ...], confirmation: int
@@ -135,14 +136,14 @@ class ArduPilotWatch(MissionWatch):
         return self._handed_over(t, params[:4])
 
     def _handed_over(self, t: float, params: tuple[float, ...]) -> Execution | None:
-        """The execution behind numbers from a script on the autopilot; None if it was detected already."""
+        """The execution behind params from a script on the autopilot; None if it was detected already."""
         for waiting in self._waiting:
             if waiting.command == SCRIPT_MESSAGE:
                 self._waiting.remove(waiting)
                 return Execution(SCRIPT_MESSAGE, waiting.seq, None, params)
-        if self._run_by_text.take(t, params):
+        if self._text_numbers.take(t, params):
             return None
-        self._handed.put(t, params)
+        self._script_numbers.put(t, params)
         item = self._book.only(SCRIPT_MESSAGE, params)
         seq = item.seq if item else None
         self._note(t, seq)
@@ -152,7 +153,7 @@ class ArduPilotWatch(MissionWatch):
         kind = message.get_type()
         if kind == "STATUSTEXT":
             if match := ITEM_TEXT.match(message.text):
-                self._tell(t, message.get_seq(), int(match[1]), match[2])
+                self._take_text(t, message.get_seq(), int(match[1]), match[2])
             elif match := REACHED_TEXT.match(message.text):
                 self._reach(t, int(match[1]))
         elif kind == "MISSION_ITEM_REACHED":
@@ -167,7 +168,7 @@ class ArduPilotWatch(MissionWatch):
 
     def asks(self, t: float) -> list[int]:
         asks = []
-        for waiting in islice(self._waiting, MOST_ASKED):
+        for waiting in islice(self._waiting, MAX_REQUESTED):
             if waiting.item is None and not self._book.is_given and t - waiting.asked_at >= ASK_AGAIN_S:
                 waiting.asked_at = t
                 asks.append(waiting.seq)
@@ -177,24 +178,24 @@ class ArduPilotWatch(MissionWatch):
         for waiting in self._waiting:
             if waiting.seq != item.seq or waiting.item is not None:
                 continue
-            # An inferred item ran some time ago: other numbers may belong to a newer mission.
+            # An inferred item ran some time ago. Other params may belong to a newer mission.
             guess = waiting.before if waiting.name is None else None
             if _same(item, guess) if guess else _fits(waiting.name, item.command, confirmed=True):
                 waiting.item = item
 
-    def _tell(self, t: float, sequence: int, seq: int, name: str) -> None:
+    def _take_text(self, t: float, sequence: int, seq: int, name: str) -> None:
         copied_at, copied_seq = self._frames.get(sequence, (-math.inf, seq))
-        if seq > MOST_ITEMS or (copied_seq == seq and t - copied_at < COPIES_WITHIN_S):
+        if seq > MAX_ITEMS or (copied_seq == seq and t - copied_at < COPIES_WITHIN_S):
             return
         self._frames[sequence] = (t, seq)
-        if t - self._made_up.pop(seq, -math.inf) < TEXT_LATE_S:
+        if t - self._inferred_at.pop(seq, -math.inf) < TEXT_LATE_S:
             return
-        self._told[seq] = t
+        self._ran_at[seq] = t
         command = COMMAND_OF_NAME.get(name)
         item = self._book.items.get(seq) if self._book.fresh else None
         if self._book.fresh:
             if item is None or not _fits(name, item.command):
-                self._book.doubt(t)
+                self._book.mark_outdated(t)
             elif command is None:
                 command = item.command
         if command is None or command in self._commands:
@@ -203,11 +204,11 @@ class ArduPilotWatch(MissionWatch):
 
     def _note(self, t: float, seq: int | None) -> None:
         if seq is not None:
-            self._told[seq] = t
+            self._ran_at[seq] = t
         self._ran.append((t, seq))
 
     def _reach(self, t: float, seq: int) -> None:
-        if seq > MOST_ITEMS or t - self._reached.get(seq, -math.inf) < REACHED_AGAIN_S:
+        if seq > MAX_ITEMS or t - self._reached.get(seq, -math.inf) < REACHED_AGAIN_S:
             return
         self._reached[seq] = t
         item = self._book.items.get(seq)
@@ -215,7 +216,7 @@ class ArduPilotWatch(MissionWatch):
             self._suspects.append(_Suspect(t, t, item, seq - 1, None))
 
     def _suspect_between(self, t: float, before: int | None, now: int) -> None:
-        """The mission went on from waypoint `before` to `now`: texts of items between them may be lost."""
+        """The mission moved on from waypoint `before` to `now`. Texts of items between them may be lost."""
         reached_at = self._reached.get(before or 0, -math.inf)
         if before is None or not self._book.fresh or t - reached_at > PROGRESS_AFTER_REACHED_S:
             return
@@ -225,7 +226,7 @@ class ArduPilotWatch(MissionWatch):
             self._suspects.append(_Suspect(t, reached_at, item, before, None if first else now))
 
     def _certain(self, before: int, now: int) -> list[MissionItem]:
-        """The items that certainly run when waypoint `before` ends; none if that does not lead to `now`."""
+        """The items that certainly run after waypoint `before`; none if `now` cannot be the next waypoint."""
         items = self._book.items
         certain: list[MissionItem] = []
         conditional = False
@@ -255,7 +256,7 @@ class ArduPilotWatch(MissionWatch):
         return not (self._waiting or self._suspects)
 
     def due(self, t: float) -> list[Execution]:
-        self._make_up(t)
+        self._infer(t)
         executions = []
         while self._waiting:
             waiting = self._waiting[0]
@@ -266,39 +267,39 @@ class ArduPilotWatch(MissionWatch):
                 item = item or (known if known and _fits(waiting.name, known.command) else None)
             age_s = self._clock.age_s(waiting.mark, t)
             if age_s is None or (item is None and not gave_up and not self._book.is_given):
-                break  # nothing overtakes an item that waits for its numbers
+                break  # later items wait, to keep the order
             self._waiting.popleft()
             command = item.command if item else waiting.command
             params = item.params if item else None
             if command is None or command not in self._commands:
                 continue
             if command == SCRIPT_MESSAGE:
-                if self._handed.take(t, params):
+                if self._script_numbers.take(t, params):
                     continue
                 if params is not None:
-                    self._run_by_text.put(t, params)
+                    self._text_numbers.put(t, params)
             before = waiting.before
-            anew = bool(item and before and not _same(item, before))
-            executions.append(Execution(command, waiting.seq, item, params, age_s + waiting.late_s, anew))
+            changed = bool(item and before and not _same(item, before))
+            executions.append(Execution(command, waiting.seq, item, params, age_s + waiting.late_s, changed))
         return executions
 
-    def _make_up(self, t: float) -> None:
-        """Infer executions whose texts were lost; they wait for their numbers."""
+    def _infer(self, t: float) -> None:
+        """Infer executions whose texts were lost. They then wait for their params."""
         while self._suspects and t - self._suspects[0].t >= WAIT_FOR_TEXT_S:
             suspect = self._suspects.popleft()
-            if self._has_run_untold(t, suspect):
+            if self._ran_without_text(t, suspect):
                 item = suspect.item
                 self._note(t, item.seq)
-                self._made_up[item.seq] = t
+                self._inferred_at[item.seq] = t
                 waiting = _Waiting(item.seq, None, item.command, item, Mark(t), t - suspect.since)
                 self._waiting.append(waiting)
 
-    def _has_run_untold(self, t: float, suspect: _Suspect) -> bool:
-        since, item = suspect.since - LATEST_S, suspect.item
+    def _ran_without_text(self, t: float, suspect: _Suspect) -> bool:
+        since, item = suspect.since - MAX_DELAY_DIFFERENCE_S, suspect.item
         book = self._book
         if not book.fresh or book.items.get(item.seq) != item or self._clock.lost_at < since:
             return False
-        if self._told.get(item.seq, -math.inf) >= since:
+        if self._ran_at.get(item.seq, -math.inf) >= since:
             return False
         if any(ran_at >= since and not self._is_before(seq, suspect) for ran_at, seq in self._ran):
             return False
@@ -310,16 +311,16 @@ class ArduPilotWatch(MissionWatch):
 
 
 class _Numbers:
-    """The numbers of recent script messages; each can be taken once."""
+    """The params of recent script messages. Each can be taken once."""
 
     def __init__(self) -> None:
-        self._seen: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=MOST_WAITING)
+        self._seen: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=MAX_WAITING)
 
     def put(self, t: float, params: tuple[float, ...]) -> None:
         self._seen.append((t, params[:4]))
 
     def take(self, t: float, params: tuple[float, ...] | None) -> bool:
-        """Whether these numbers (None: any) came recently; if so, remove them."""
+        """Remove these params (None: any). Returns True if they came recently."""
         while self._seen and t - self._seen[0][0] > SAME_SCRIPT_ITEM_S:
             self._seen.popleft()
         for entry in self._seen:
@@ -330,7 +331,7 @@ class _Numbers:
 
 
 def _fits(name: str | None, command: int, confirmed: bool = False) -> bool:
-    """Whether the name fits the command. Other releases may have other names, if `confirmed`."""
+    """True if the name fits the command. `confirmed`: an unknown name fits, it may be of another release."""
     expected = COMMAND_OF_NAME.get(name or "")
     if expected is not None:
         return expected == command

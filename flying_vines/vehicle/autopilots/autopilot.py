@@ -1,7 +1,7 @@
-"""Everything that differs from one autopilot to the next. Nothing else in this package asks which one it is.
+"""All differences between autopilots. No other code in this package depends on the kind of autopilot.
 
-The clock and the streams are not here: both autopilots stamp their messages with the time since boot, and
-send a stream when SET_MESSAGE_INTERVAL asks for it.
+Clock and streams are the same for all: every autopilot stamps its messages with the time since boot, and
+sends a stream after SET_MESSAGE_INTERVAL.
 """
 
 from __future__ import annotations
@@ -19,87 +19,87 @@ from flying_vines.vehicle.mission.item import MissionItem, is_nav
 from flying_vines.vehicle.mission.reference_vehicle import Home
 
 LOSS_SHOWN_WITHIN_S = 2.0
-"""A loss of RC that shows later than this can hide a move of the switch."""
+"""If a loss of RC is reported later than this, a false move of the switch may count as the pilot's."""
 
 
 class MissionWatch:
-    """Sees that mission items ran. This one knows only the items that the autopilot sends as commands."""
+    """Detects mission items that ran. This base class detects only items that arrive as commands."""
 
     publishes_items = True
-    """Items are sent as commands to no component in particular. Where they are told in another way, a command
-    to no component (ArduPilot's to a camera) is not for us."""
+    """True: the autopilot sends mission items as commands to component 0. False: ignore commands to component
+    0; an ArduPilot sends such commands to a camera."""
 
     def __init__(
         self, book: MissionBook, commands: Container[int] = (), clock: AutopilotClock | None = None
     ) -> None:
-        """`commands` are those of items for the vine."""
+        """`commands` are the command numbers of items for the vine."""
         self._book = book
         self._commands = commands
         self._clock = clock or AutopilotClock()
 
     def handle(self, t: float, message: MavlinkMessage) -> None:
-        """Read a message of the autopilot, after the book and the clock have read it."""
+        """Take in a message of the autopilot, after the book and the clock have handled it."""
 
     @property
     def idle(self) -> bool:
-        """Whether nothing can be due or asked for before the next `handle`."""
+        """True if `due` and `asks` return nothing until the next `handle`."""
         return True
 
     def due(self, t: float) -> list[Execution]:
-        """The executions that are certain by now."""
+        """The executions that have become certain."""
         return []
 
     def asks(self, t: float) -> list[int]:
-        """The numbers of the items that the autopilot shall be asked for now."""
+        """The seqs of the items to request from the autopilot now."""
         return []
 
     def command(
         self, t: float, command: int, params: tuple[float, ...], confirmation: int
     ) -> Execution | None:
-        """The item behind a command of the autopilot; None where that item was acted on already."""
+        """The execution behind a command of the autopilot; None if it was handled already."""
         return Execution(command, None, None, params)
 
     def forget(self, t: float) -> None:
-        """Drop older items: a person has requested something, or we have just begun to listen."""
+        """Drop older items: a person has made a request, or we have just begun to listen."""
 
     def restarted(self) -> None:
-        """The autopilot has booted again."""
+        """The autopilot rebooted."""
 
 
 class Autopilot:
-    """An autopilot that we do not know. Subclasses know one; none of them has a state."""
+    """An unknown autopilot. There is a subclass for each known one. They have no state."""
 
     kind = "other"
     """Its name in profiles, missions and on the command line."""
     title = "the autopilot"
     mav_autopilot: int = mavlink.MAV_AUTOPILOT_GENERIC
     simulator_home: Home
-    """Where its simulator is switched on."""
+    """Home position of its simulator."""
 
     rc_parameters: tuple[str, ...] = ()
-    """Its parameters that say whether a lost transmitter shows."""
+    """Its parameters that affect whether a loss of RC can be detected."""
     needs_rc_status = False
-    """RC counts only after SYS_STATUS has shown a good receiver, or when rssi says that it comes from a
-    ground station. RC_CHANNELS alone may be what a receiver made up."""
+    """RC counts only after SYS_STATUS has shown a good receiver, or if rssi shows that it comes from a ground
+    station. RC_CHANNELS alone may hold the receiver's failsafe values."""
 
     mission_watch: type[MissionWatch] = MissionWatch
     """Detects which mission items ran."""
     begins_with_home = False
     """Item 0 of a mission is the home position."""
     carriers: tuple[str, ...] = ()
-    """Which mission items carry an action of ours best: those first that move nothing but the vine."""
+    """Mission commands that can carry a vine action, best first. The best ones move nothing but the vine."""
     carrier_match = ""
-    """What an `[[items]]` rule has to match, too, so that the first of them moves nothing else."""
+    """An extra match for an `[[items]]` rule. With it the first carrier moves nothing but the vine."""
     gives_items_in_any_order = False
     """It answers a request for any item at any time."""
     own_rates_Hz: ClassVar[Mapping[str, float]] = {}
-    """Messages that it sends at a rate of its own, and cannot be asked for."""
+    """Messages with a fixed rate, which cannot be requested."""
     rc_remedies: ClassVar[Mapping[str, str]] = {}
-    """What to do about each parameter that hides a lost transmitter."""
+    """What to do about each parameter that hides a loss of RC."""
     unseen_loss_remedy = "was it this transmitter? Then set the receiver's failsafe to no pulses"
-    """What to do where nothing tells of a lost transmitter."""
+    """What to do if a loss of RC is not detected."""
     hides_our_parameters = False
-    """QGroundControl reads its parameters as a file, and then asks no other component for its own."""
+    """QGroundControl loads this autopilot's parameters as a file, and then requests no other component's."""
 
     def mode_name(self, custom_mode: int) -> str:
         """The flight mode in HEARTBEAT."""
@@ -110,25 +110,25 @@ class Autopilot:
         return float(message.param_value)
 
     def hides_rc_loss(self, values: Mapping[str, float]) -> str:
-        """Which of its parameters hides a lost transmitter; empty if none is known to."""
+        """The parameter, with its value, that makes a loss of RC undetectable; empty if there is none."""
         return ""
 
     def rc_loss_shows_within_s(self, values: Mapping[str, float]) -> float:
-        """By when SYS_STATUS has told of a lost transmitter; 0 where RC_CHANNELS shows it at once."""
+        """Maximum delay until SYS_STATUS reports a loss of RC; 0 if RC_CHANNELS shows it at once."""
         return 0.0
 
     def override_lasts_s(self, values: Mapping[str, float]) -> float:
-        """How long a ground station's RC override holds; 0 if it takes none, or drops it without a jump."""
+        """Time until an RC override expires; 0 if overrides are refused, or end without a step."""
         return 0.0
 
     def how_to_set_stream(self, message: str, rate_Hz: int) -> str:
-        """What to set on it where a message does not come although it is asked for."""
+        """What to set on it if a requested message does not arrive."""
         return f"have it send {message} {rate_Hz} times a second"
 
     def store(self, item: MissionItem) -> MissionItem:
-        """The item as the autopilot would give it back; MissionRefused if it would not take it."""
+        """The item as the autopilot would store and return it. Raises `MissionRefused` if it refuses it."""
         return item
 
     def waits_for(self, item: MissionItem) -> bool:
-        """Whether the mission goes on only when this item is done."""
+        """True if the mission continues only after this item is done."""
         return is_nav(item.command)

@@ -25,11 +25,11 @@ MAIN_MODES = {1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "O
 AUTO, AUTO_MODES = 4, {1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6: "LAND"}
 
 RECEIVER_NOT_USED = {1: "joystick only", 4: "stick input disabled"}
-"""Values of COM_RC_IN_MODE with which the RC status says nothing about the receiver."""
+"""Values of COM_RC_IN_MODE with which the RC status does not cover the receiver."""
 DEFAULT_LOSS_S = 0.5
 STATUS_AFTER_S = 1.1
-"""From the end of COM_RC_LOSS_T to the status in SYS_STATUS. Measured: the status changes 0.8 to 1.4 s
-after a loss with COM_RC_LOSS_T = 0.5 s."""
+"""Maximum time from the end of COM_RC_LOSS_T to the status in SYS_STATUS. Measured: the status changes 0.8 to
+1.4 s after a loss with COM_RC_LOSS_T = 0.5 s."""
 
 CONDITION_DELAY = 112
 _NAV = {16, 17, 19, 20, 21, 22, 84, 85}
@@ -38,7 +38,7 @@ _MISSION_FRAME = {
     *(530, 531, 532, 534, 1000, 1001, 2000, 2001, 2003, 2500, 2501, 3000, 42600),
 }
 _GLOBAL_FRAMES = {0: 5, 5: 5, 3: 6, 6: 6}
-"""What it gives back: the frames of integer coordinates."""
+"""The frames in which it returns items: those of integer coordinates."""
 
 
 class Px4(Autopilot):
@@ -60,7 +60,7 @@ class Px4(Autopilot):
         return f"{name}.{AUTO_MODES.get(sub, sub)}" if main == AUTO else name
 
     def parameter_value(self, message: MavlinkMessage) -> float:
-        """An integer's bytes stand in the place of the float."""
+        """PX4 puts the bytes of an integer into the float field."""
         if message.param_type == mavlink.MAV_PARAM_TYPE_INT32:
             return float(struct.unpack("<i", struct.pack("<f", message.param_value))[0])
         return float(message.param_value)
@@ -93,5 +93,5 @@ class Px4(Autopilot):
         return replace(item, frame=_GLOBAL_FRAMES[item.frame], current=False)
 
     def waits_for(self, item: MissionItem) -> bool:
-        """For CONDITION_DELAY, too, where ArduPilot flies on."""
+        """PX4 also waits for CONDITION_DELAY; ArduPilot flies on."""
         return super().waits_for(item) or item.command == CONDITION_DELAY

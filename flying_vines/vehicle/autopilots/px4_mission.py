@@ -1,4 +1,4 @@
-"""Which mission items PX4 runs: it sends them as COMMAND_LONG, and reports that they were reached."""
+"""Detects the mission items that PX4 runs: it sends them as COMMAND_LONG, and reports them as reached."""
 
 from __future__ import annotations
 
@@ -15,30 +15,29 @@ from flying_vines.vehicle.mission.execution import Execution, same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
 from flying_vines.vehicle.repeats import LATE_S, PX4_REPEAT_S
 
-SHORTEST_REPEAT_S = 0.5
-"""The first repeat comes 0.5 s, at times 1 s, after its item, and may be delayed as well."""
+MIN_REPEAT_S = 0.5
+"""The first repeat comes 0.5 s, sometimes 1 s, after its item, plus the link's delay."""
 FIRST_REPEAT_LATER_S = 0.25
-"""The first repeat comes 0.5 or 1 s after the item: half the difference. A third copy is over 1 s old."""
+"""The first repeat is 0.5 or 1 s old: 0.5 s plus this is the middle. A third copy is over 1 s old."""
 BEFORE_A_REPEAT_S = 0.4
-"""At least half a second, less a link's delay, lies between an item and its first repeat: an item that ran
-since then ran later."""
+"""A repeat is at least 0.5 s old, less jitter of the link. So an item seen within this time ran after it."""
 SAME_BURST_S = 3.0
-"""The last repeat of an item comes two seconds after it, the items behind it within milliseconds."""
+"""PX4 sends the following items within milliseconds, and the last repeat of an item 2 s after it."""
 
 WAIT_FOR_COMMAND_S = 0.3
 """MISSION_ITEM_REACHED was seen up to 20 ms after its command, and once before it."""
 LAST_REPEAT_S = 2.5
-"""A command, which has its own numbers, may arrive within this time."""
+"""Wait this long for a repeat of the command: it has its own params, so the book is not needed."""
 REACHED_WITHIN_S = 3.0
-"""It is repeated each second."""
+"""PX4 repeats MISSION_ITEM_REACHED every second. It counts up to this time after the command."""
 GRIPPER, WINCH = 211, 42600
 TIMEOUT_S = 60.0
 """For a gripper and a winch PX4 waits for MIS_COMMAND_TOUT before it reports them as reached."""
 REPEATED_WITHIN_S = 2.5
-"""A second report within this time is a repeat of the first, overtaken by another item's."""
-MOST_PAST = 8
+"""A second report for an item within this time is a repeat, even after another item's report."""
+MAX_PAST = 8
 HISTORY_S = 2.0
-"""A report within this time after our first message may be a repeat."""
+"""A report within this time after our first message may be a repeat of an older one."""
 
 
 @dataclass(slots=True)
@@ -50,19 +49,19 @@ class _Ran:
 
 @dataclass(slots=True)
 class _Reached:
-    """A vine item that was reached, but whose command has not arrived."""
+    """A vine item that was reached, and whose command has not arrived."""
 
     item: MissionItem
     mark: Mark
     late_s: float
-    """The maximum delay of the mark after the item."""
+    """The item ran at most this long before the mark."""
 
 
 class Px4Watch(MissionWatch):
-    """Detects the executions of mission items, which PX4 sends as COMMAND_LONG with their numbers.
+    """Detects the executions of mission items, which PX4 sends as COMMAND_LONG with their params.
 
-    If the command was lost, MISSION_ITEM_REACHED shows the execution; its numbers come from the book, if that
-    certainly holds the running mission. Of several items at one waypoint only the last is reported so.
+    If the command was lost, MISSION_ITEM_REACHED shows the execution. Its params then come from the book, if
+    that certainly holds the running mission. PX4 reports only the last of several items at one waypoint.
     """
 
     def __init__(
@@ -70,53 +69,54 @@ class Px4Watch(MissionWatch):
     ) -> None:
         super().__init__(book, commands, clock)
         self._current = 0
-        self._past: deque[_Ran] = deque(maxlen=MOST_PAST)
+        self._past: deque[_Ran] = deque(maxlen=MAX_PAST)
         self._forgotten_at = -math.inf
         self._begun_at: float | None = None
         self._reached: int | None = None
         self._reached_at: dict[int, float] = {}
         self._waiting: _Reached | None = None
-        self._made_up: Execution | None = None
-        self._made_up_at = -math.inf
-        self._stood_at = 0.0
-        self._has_moved = False
+        self._inferred: Execution | None = None
+        self._inferred_at = -math.inf
+        self._complete_until = 0.0
+        """No item that ran before this time was missed."""
+        self._current_changed = False
 
     def forget(self, t: float) -> None:
-        """A repeat of an item that ran before now is not carried out."""
+        """From now on ignore repeats of items that ran before now."""
         self._forgotten_at = t
         self._waiting = None
 
     def handle(self, t: float, message: MavlinkMessage) -> None:
         kind = message.get_type()
         if self._begun_at is None:
-            self._begun_at = self._stood_at = t
+            self._begun_at = self._complete_until = t
         if kind == "MISSION_CURRENT":
-            self._has_moved = self._has_moved or message.seq != self._current
-            if not self._has_moved:
-                self._stood_at = t  # no unknown item ran before now
+            self._current_changed = self._current_changed or message.seq != self._current
+            if not self._current_changed:
+                self._complete_until = t
             self._current = message.seq
         elif kind == "MISSION_ITEM_REACHED":
             self._reach(t, message.seq)
 
     def _reach(self, t: float, seq: int) -> None:
         known, self._reached = self._reached, seq
-        lost = self._clock.lost_at > self._stood_at
-        late_s = t - self._stood_at if lost else 0.0
-        self._stood_at, self._has_moved = t, False
-        again = seq == known or t - self._reached_at.pop(seq, -math.inf) < REPEATED_WITHIN_S
+        lost = self._clock.lost_at > self._complete_until
+        late_s = t - self._complete_until if lost else 0.0
+        self._complete_until, self._current_changed = t, False
+        repeated = seq == known or t - self._reached_at.pop(seq, -math.inf) < REPEATED_WITHIN_S
         self._reached_at[seq] = t
-        if len(self._reached_at) > MOST_PAST:
+        if len(self._reached_at) > MAX_PAST:
             del self._reached_at[next(iter(self._reached_at))]
         item = self._book.items.get(seq) if self._book.fresh else None
         if item is None or item.command not in self._commands:
             return
-        if again or (known is None and t - (self._begun_at or 0.0) < HISTORY_S):
+        if repeated or (known is None and t - (self._begun_at or 0.0) < HISTORY_S):
             return
-        if not self._has_run(t, item) and not self._ran_later(t, item):
+        if not self._has_run(t, item) and not self._later_item_ran(t, item):
             self._waiting = _Reached(item, self._clock.mark(t), late_s)
 
     def _has_run(self, t: float, item: MissionItem) -> bool:
-        """Whether its command has arrived; each command belongs to one item."""
+        """True if its command has arrived. Each command belongs to one item."""
         within_s = TIMEOUT_S if item.command in (GRIPPER, WINCH) else REACHED_WITHIN_S
         for ran in reversed(self._past):
             fits = ran.execution.seq in (None, item.seq) and _same(ran.execution, _of(item))
@@ -125,8 +125,8 @@ class Px4Watch(MissionWatch):
                 return True
         return False
 
-    def _ran_later(self, t: float, item: MissionItem) -> bool:
-        """Whether an item after it has run already, at the same waypoint."""
+    def _later_item_ran(self, t: float, item: MissionItem) -> bool:
+        """True if an item after it, at the same waypoint, has run already."""
         return any(
             other.seq > item.seq and not self._flies_between(item.seq, other.seq)
             for ran in self._past
@@ -139,17 +139,17 @@ class Px4Watch(MissionWatch):
     ) -> Execution | None:
         """The execution behind a command of the autopilot, with its mission item if that is known.
 
-        None for a repeat without its first frames if a later item has run already, or `forget` was called.
-        None as well for a command whose item was inferred already.
+        None if the execution was inferred already. Also None for a repeat whose earlier copies were lost, if
+        a later item already ran or `forget` was called.
         """
         item = self._book.only(command, params) if self._book.is_running else None
-        age_s = confirmation * SHORTEST_REPEAT_S + (FIRST_REPEAT_LATER_S if confirmation else 0.0)
+        age_s = confirmation * MIN_REPEAT_S + (FIRST_REPEAT_LATER_S if confirmation else 0.0)
         execution = Execution(command, item.seq if item else None, item, params, age_s)
-        made_up_s = (confirmation + 1) * PX4_REPEAT_S + LATE_S
-        if self._made_up and t - self._made_up_at < made_up_s and _same(self._made_up, execution):
+        max_age_s = (confirmation + 1) * PX4_REPEAT_S + LATE_S
+        if self._inferred and t - self._inferred_at < max_age_s and _same(self._inferred, execution):
             return None
-        begun_at_soonest = t - (confirmation + 1) * SHORTEST_REPEAT_S - LATE_S
-        if confirmation and (begun_at_soonest < self._forgotten_at or self._overtaken(t, execution)):
+        ran_at = t - (confirmation + 1) * MIN_REPEAT_S - LATE_S
+        if confirmation and (ran_at < self._forgotten_at or self._overtaken(t, execution)):
             return None
         was_reached = False
         if self._waiting and _same(_of(self._waiting.item), execution):
@@ -165,7 +165,7 @@ class Px4Watch(MissionWatch):
         return self._waiting is None
 
     def due(self, t: float) -> list[Execution]:
-        """An item whose command was certainly lost."""
+        """The item whose command was certainly lost, if there is one."""
         waiting = self._waiting
         wait_s = WAIT_FOR_COMMAND_S if self._book.is_running else LAST_REPEAT_S
         if waiting is None or t - waiting.mark.t < wait_s:
@@ -180,7 +180,7 @@ class Px4Watch(MissionWatch):
         execution = replace(_of(item), age_s=age_s + waiting.late_s)
         if not self._book.is_running:
             return [replace(execution, item=None, params=None)]
-        self._made_up, self._made_up_at = execution, t
+        self._inferred, self._inferred_at = execution, t
         self._past.append(_Ran(t, execution, True))
         return [execution]
 
@@ -196,7 +196,7 @@ class Px4Watch(MissionWatch):
         return ran_seq > seq and not self._flies_between(seq, ran_seq)
 
     def _nearest(self, execution: Execution) -> int | None:
-        """The matching item nearest to the current one; of two equally near, the later one."""
+        """The matching item nearest to the current one; the later of two that are equally near."""
         if execution.seq is not None:
             return execution.seq
         seqs = [item.seq for item in self._book.alike(execution.command, execution.params or ())]
@@ -212,6 +212,6 @@ def _of(item: MissionItem) -> Execution:
 
 
 def _same(a: Execution, b: Execution) -> bool:
-    # x and y are left out: an item's are a scaled place, a command's can be any numbers.
+    # x and y are left out: an item may have scaled coordinates there, a command any numbers.
     one, other = ((*params[:4], *params[6:]) for params in (a.params or (), b.params or ()))
     return a.command == b.command and len(one) == len(other) and same_numbers(one, other)

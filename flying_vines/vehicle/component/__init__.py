@@ -1,4 +1,4 @@
-"""We as a component of the vehicle: what ground stations expect of one, and the manners that go with it."""
+"""Our MAVLink component on the vehicle, with everything that ground stations expect of a component."""
 
 from flying_vines.vehicle.component.component import Component
 

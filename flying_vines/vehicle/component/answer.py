@@ -13,7 +13,7 @@ def acknowledgement(command: MavlinkMessage, result: int, percent: int = 0) -> M
     Args:
         command: the command.
         result: MAV_RESULT.
-        percent: how much of it is done, where the result is IN_PROGRESS.
+        percent: progress, for the result IN_PROGRESS.
     """
     return mavlink.MAVLink_command_ack_message(
         command.command, result, percent, 0, command.get_srcSystem(), command.get_srcComponent()

@@ -35,7 +35,7 @@ class Component:
         self._fuel = FuelGauge()
         self._texts = Texts()
         self._requests = Requests(self._component_id, self._heartbeat, self._values)
-        self._key_told = bool(profile.vehicle.signing_key)
+        self._key_reported = bool(profile.vehicle.signing_key)
         self._clash = Clash(self._component_id)
         self._stations = Stations()
         self._queue = TransmitQueue()
@@ -52,9 +52,9 @@ class Component:
 
         Args:
             t: now.
-            message: as it arrived.
-            vehicle: our vehicle, which has handled the message already.
-            may_change: whether the vine is vented, so that parameters which steer it may be changed.
+            message: as received.
+            vehicle: our vehicle, which has already handled the message.
+            may_change: the vine is vented, so parameters that affect its motion may change.
         """
         if not vehicle.found:
             return None
@@ -76,15 +76,14 @@ class Component:
         return None
 
     def is_station(self, message: MavlinkMessage, vehicle: VehicleState) -> bool:
-        """Whether a ground station sent it."""
         own = message.get_srcSystem() == vehicle.system_id
         return not own and self._stations.sent(message)
 
     def _without_key(self, t: float, message: MavlinkMessage, system_id: int) -> list[ParameterOutput]:
-        """Say once that we ignore a signing key that is sent to the vehicle."""
-        if self._key_told or message.target_system not in (0, system_id):
+        """Report once that we ignore a signing key that is sent to the vehicle."""
+        if self._key_reported or message.target_system not in (0, system_id):
             return []
-        self._key_told = True
+        self._key_reported = True
         return [Notice(t, Severity.NOTICE, "Vine: SETUP_SIGNING ignored: no key in profile")]
 
     def greet(self) -> None:
@@ -92,11 +91,9 @@ class Component:
         self._heartbeat.now()
 
     def say(self, t: float, severity: int, text: str) -> None:
-        """Send a status text."""
         self._texts.say(t, severity, text)
 
     def send(self, message: MavlinkMessage) -> None:
-        """Queue a message."""
         self._queue.put(message)
 
     def due(

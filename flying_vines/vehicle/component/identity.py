@@ -15,7 +15,7 @@ CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
 )
-"""Parameters are floats, which both encodings write alike; one of the two has to be claimed."""
+"""Our parameters are floats, which are equal in both encodings. We must claim one of the two."""
 
 _STAGES = {"a": 64, "b": 128, "rc": 192}
 _DEVELOPMENT, _RELEASE = 0, 255
@@ -23,19 +23,19 @@ _DEVELOPMENT, _RELEASE = 0, 255
 
 
 def packed_version(text: str) -> int:
-    """A version such as 1.2.3 or 1.2.3rc1 as MAVLink has it: a byte each, then how finished it is."""
+    """A version such as 1.2.3 or 1.2.3rc1 in MAVLink's form: one byte each, then FIRMWARE_VERSION_TYPE."""
     found = re.match(r"(\d+)\.(\d+)(?:\.(\d+))?(a|b|rc)?", text)
     if found is None:
         return 0
     major, minor, patch = (min(int(part or 0), 255) for part in found.groups()[:3])
-    finished = _STAGES.get(found[4], _RELEASE)
+    stage = _STAGES.get(found[4], _RELEASE)
     if ".dev" in text or "+" in text:
-        finished = _DEVELOPMENT
-    return major << 24 | minor << 16 | patch << 8 | finished
+        stage = _DEVELOPMENT
+    return major << 24 | minor << 16 | patch << 8 | stage
 
 
 def autopilot_version() -> MavlinkMessage:
-    """Our version and what we can do. There is no hardware id: the vehicle's is the autopilot's."""
+    """Our version and capabilities. The hardware id is empty: the autopilot sends that of the vehicle."""
     try:
         ours = packed_version(version("flying-vines"))
     except PackageNotFoundError:
@@ -45,7 +45,7 @@ def autopilot_version() -> MavlinkMessage:
 
 
 class ProtocolVersion(mavlink.MAVLink_message):  # type: ignore[misc]
-    """PROTOCOL_VERSION, which the dialect lacks: MAVLink 2, and the older one is understood."""
+    """PROTOCOL_VERSION, which the dialect lacks: we send MAVLink 2 and also read MAVLink 1."""
 
     id = 300
     msgname = "PROTOCOL_VERSION"

@@ -1,7 +1,7 @@
 """The file of the parameters that were set in the field.
 
-It holds only values that differ from the profile, so that all others still follow the profile. A file that
-cannot be read is never overwritten, so that nothing in it is lost.
+It holds only values that differ from the profile. All others follow the profile. A file that cannot be read
+is never overwritten, so its content is not lost.
 """
 
 from __future__ import annotations
@@ -14,26 +14,32 @@ from typing import Any
 from flying_vines.config import on_disk
 from flying_vines.config.config import Config
 from flying_vines.config.toml_text import one_line, parsed, place, read_text
-from flying_vines.vehicle.component.settings import BY_NAME, SETTINGS, ParameterRefused, changed, value_of
+from flying_vines.vehicle.component.parameter_table import (
+    BY_NAME,
+    SETTINGS,
+    ParameterRefused,
+    changed,
+    value_of,
+)
 
 HEADING = """\
-# Vine parameters set from a ground station: they go before the profile.
-# Take a line out and start the service again: its parameter is the profile's once more.
+# Vine parameters set from a ground station. They override the profile.
+# To use the profile's value again, delete the line and restart the service.
 """
 
-_GONE = {"VINE_AP_ACTION": "a lost autopilot always vents, as the altitude is lost with it"}
-"""Parameters of earlier versions."""
+_REMOVED = {"VINE_AP_ACTION": "a lost autopilot always vents, because the altitude is lost, too"}
+"""Parameters of earlier versions, and why they were removed."""
 
 
 class ParameterFileError(Exception):
-    """The file cannot be used; the text is one line that says which file and line, and what to do."""
+    """The file cannot be used. The text is one line with file, line number and what to do."""
 
     def __init__(self, text: str) -> None:
         super().__init__(one_line(text))
 
 
 def read(path: Path, profile: Config) -> dict[str, float]:
-    """The values of a file, all allowed by the profile; none where there is no file yet.
+    """The values of a file, all allowed by the profile. Empty if there is no file yet.
 
     Raises:
         ParameterFileError: the file is damaged, or has a value that the profile does not allow.
@@ -48,15 +54,15 @@ def read(path: Path, profile: Config) -> dict[str, float]:
             config = changed(profile, config, name, value)
         except ParameterRefused as refusal:
             where = place(text, str(path), (name,))
-            raise ParameterFileError(f"{where}: {refusal}: correct the line or take it out") from None
+            raise ParameterFileError(f"{where}: {refusal}: correct the line or delete it") from None
     return values
 
 
 def write(path: Path, values: Mapping[str, float], profile: Config) -> None:
-    """Put these values, and only these, in the file: all of it or nothing, whatever happens meanwhile.
+    """Replace the file by these values, atomically.
 
     Raises:
-        ParameterFileError: where what stands there now is no parameter file, or nothing can be written.
+        ParameterFileError: the present file is not a parameter file, or it cannot be written.
     """
     try:
         if path.exists():
@@ -76,18 +82,18 @@ def _text(values: Mapping[str, float], profile: Config) -> str:
 
 
 def _parsed(text: str, path: Path) -> dict[str, float]:
-    """The numbers by name, of parameters that we have."""
+    """The numbers of known parameters, by name."""
     raw = parsed(text, str(path), ParameterFileError)
     return {name: _number(name, value, place(text, str(path), (name,))) for name, value in raw.items()}
 
 
 def _number(name: str, value: Any, where: str) -> float:
-    if name in _GONE:
-        raise ParameterFileError(f"{where}: {name}: take the line out: {_GONE[name]}")
+    if name in _REMOVED:
+        raise ParameterFileError(f"{where}: {name}: delete the line: {_REMOVED[name]}")
     if name not in BY_NAME:
         near = difflib.get_close_matches(name, BY_NAME, n=1)
-        meant = f"; did you mean {near[0]}?" if near else ": take the line out"
-        raise ParameterFileError(f"{where}: {name}: there is no such parameter{meant}")
+        hint = f"; did you mean {near[0]}?" if near else ": delete the line"
+        raise ParameterFileError(f"{where}: {name}: there is no such parameter{hint}")
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ParameterFileError(f"{where}: {name}: it must be a number")
     return float(value)

@@ -1,6 +1,6 @@
-"""The settings of `settings.py` as a MAVLink parameter set: listed, read and set by any ground station.
+"""The parameters as a MAVLink parameter set: listed, read and set by any ground station.
 
-All are 32-bit floats, which ground stations write in the same way for both autopilots. The answer is always
+All are 32-bit floats, which ground stations encode in the same way for both autopilots. The answer is always
 the value in force. A parameter that we do not have (QGroundControl's `_HASH_CHECK`) is not answered.
 """
 
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config.config import Config
-from flying_vines.vehicle.component.settings import (
+from flying_vines.vehicle.component.parameter_table import (
     BY_NAME,
     SETTINGS,
     ParameterRefused,
@@ -27,12 +27,12 @@ from flying_vines.vehicle.notice import Notice, Severity
 
 LIST_SPACING_S = 0.1
 _BY_NAME = -1
-"""The index of a request that goes by the name."""
+"""Index in a request by name."""
 
 
 @dataclass(frozen=True, slots=True)
 class Changed:
-    """A parameter has a new value; the configuration in force is now `config`."""
+    """A parameter has a new value. `config` is the configuration now in force."""
 
     t: float
     name: str
@@ -70,14 +70,14 @@ class Parameters:
     def handle(
         self, t: float, message: MavlinkMessage, system_id: int, component_id: int, may_change: bool
     ) -> list[ParameterOutput]:
-        """What follows from a request.
+        """The outputs for a request.
 
         Args:
             t: now, in seconds.
-            message: one of `MESSAGES`, of anyone.
-            system_id: of the vehicle that we belong to.
+            message: one of `MESSAGES`, of any sender.
+            system_id: that of our vehicle.
             component_id: ours.
-            may_change: whether the vine is vented, so that what steers it may be changed.
+            may_change: the vine is vented, so parameters that affect its motion may change.
         """
         kind = message.get_type()
         target = (message.target_system, message.target_component)
@@ -93,15 +93,14 @@ class Parameters:
 
     @property
     def showing(self) -> bool:
-        """Whether the list is under way."""
+        """True while the list is being sent."""
         return self._next is not None
 
     def show(self) -> None:
-        """Send all of them, from the first on, whether or not that is under way already."""
+        """Send the whole list. A list that is being sent starts again."""
         self._next = 0
 
     def due(self, t: float) -> list[MavlinkMessage]:
-        """The next of the list, when its time has come."""
         if self._next is None or t - self._listed_at < LIST_SPACING_S:
             return []
         self._listed_at = t

@@ -1,6 +1,6 @@
-"""Requests that any component has to answer: identity, messages, message rates, pings.
+"""Requests that every component must answer: identity, messages, message rates, pings.
 
-Answers go to the sender of the request. All other commands are answered elsewhere.
+Answers go to the sender of the request. `vehicle/commands.py` answers all other commands.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.vehicle.component.answer import acknowledgement
 from flying_vines.vehicle.component.identity import ProtocolVersion, autopilot_version
 from flying_vines.vehicle.component.telemetry import (
-    FASTEST_S,
     HEARTBEAT_S,
-    SLOWEST_S,
+    MAX_PERIOD_S,
+    MIN_PERIOD_S,
     Heartbeat,
     NamedValues,
 )
@@ -28,19 +28,20 @@ ACCEPTED, DENIED, UNSUPPORTED = (
     mavlink.MAV_RESULT_DENIED,
     mavlink.MAV_RESULT_UNSUPPORTED,
 )
-"""DENIED: known, but not with these numbers. UNSUPPORTED: not with any numbers."""
+"""DENIED: known, but not with these params. UNSUPPORTED: unknown."""
 
 HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 NAMED_VALUE = mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT
 INTERVAL = mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL
 AUTOPILOT_VERSION = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
 NOT_SENT_US, OFF_US, USUAL_US = 0, -1, 0
-"""In MESSAGE_INTERVAL: we do not have this message; it is off. In a request: the usual rate."""
+"""In MESSAGE_INTERVAL 0 means that we do not have this message, -1 that it is off. In a request 0 means the
+usual rate."""
 
-REMEMBERED_PINGS = 16
+MAX_PINGS = 16
 
 RequestOutcome = tuple[int, list[MavlinkMessage]]
-"""MAV_RESULT, and what is sent besides it."""
+"""MAV_RESULT, and the messages that follow it."""
 
 
 class Requests:
@@ -60,7 +61,7 @@ class Requests:
         self._component_id = component_id
         self._heartbeat = heartbeat
         self._values = values
-        self._pinged: deque[tuple[object, object]] = deque(maxlen=REMEMBERED_PINGS)
+        self._pinged: deque[tuple[object, object]] = deque(maxlen=MAX_PINGS)
         self._clock_answers = TokenBuckets()
         self._commands: dict[int, Callable[[float, MavlinkMessage], RequestOutcome]] = {
             mavlink.MAV_CMD_REQUEST_MESSAGE: self._request,
@@ -71,12 +72,12 @@ class Requests:
         }
 
     def handle(self, t: float, message: MavlinkMessage, system_id: int) -> list[MavlinkMessage] | None:
-        """The acknowledgement and then what was asked for; None where this is not ours to answer.
+        """The acknowledgement and then the requested messages. None: the message is not ours to answer.
 
         Args:
             t: now, in seconds.
-            message: one of `MESSAGES`, of anyone.
-            system_id: of the vehicle that we belong to.
+            message: one of `MESSAGES`, of any sender.
+            system_id: that of our vehicle.
         """
         kind = message.get_type()
         if kind == "PING":
@@ -112,15 +113,15 @@ class Requests:
         if wanted is None or not math.isfinite(interval_us):
             return DENIED, []
         if wanted == HEARTBEAT:
-            as_it_is = interval_us in (USUAL_US, HEARTBEAT_S * 1e6)
-            return (ACCEPTED if as_it_is else DENIED), []
+            unchanged = interval_us in (USUAL_US, HEARTBEAT_S * 1e6)
+            return (ACCEPTED if unchanged else DENIED), []
         if wanted != NAMED_VALUE:
             return UNSUPPORTED, []
         if interval_us == USUAL_US:
             self._values.ask(None)
         elif interval_us == OFF_US:
             self._values.ask(math.inf)
-        elif FASTEST_S <= interval_us / 1e6 <= SLOWEST_S:
+        elif MIN_PERIOD_S <= interval_us / 1e6 <= MAX_PERIOD_S:
             self._values.ask(interval_us / 1e6)
         else:
             return DENIED, []
@@ -147,7 +148,7 @@ class Requests:
         return (ACCEPTED, [autopilot_version()]) if message.param1 == 1 else (DENIED, [])
 
     def _ping(self, message: MavlinkMessage, system_id: int) -> list[MavlinkMessage]:
-        """A ping to all or to us, sent back; never the same twice, or two that do so would never stop."""
+        """Send a ping to all or to us back, but never twice: two such components would loop for ever."""
         sender = (message.get_srcSystem(), message.get_srcComponent())
         ping = (message.time_usec, message.seq)
         target = (message.target_system, message.target_component)
@@ -159,7 +160,7 @@ class Requests:
         return [mavlink.MAVLink_ping_message(*ping, *sender)]
 
     def _timesync(self, t: float, message: MavlinkMessage, system_id: int) -> list[MavlinkMessage]:
-        """The autopilot asks for our clock; what is an answer itself gets none."""
+        """Answer a request of the autopilot for our clock. TIMESYNC answers (`tc1` not 0) get no answer."""
         asker = (message.get_srcSystem(), message.get_srcComponent())
         autopilot = (system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
         to_us = target_of(message) in ((0, 0), (system_id, 0), (system_id, self._component_id))
@@ -169,5 +170,5 @@ class Requests:
 
 
 def _whole(number: float) -> int | None:
-    """A message id; None where a number is none."""
+    """A float as a message id; None if it is not a whole number."""
     return int(number) if math.isfinite(number) and number == int(number) else None

@@ -1,12 +1,12 @@
-"""Which senders are ground stations, and which of them have not received our parameters yet.
+"""Recognises ground stations, and finds those that need our parameters.
 
 A ground station is recognised by the type in its HEARTBEAT. Scripts send no HEARTBEAT, and some autopilots do
-not forward it to a companion. A sender without a HEARTBEAT is recognised by its ids. Ids and types can be
+not forward it to a companion. So a sender without a HEARTBEAT is recognised by its ids. Ids and types can be
 forged; only signing proves the sender.
 
-QGroundControl reads an ArduPilot's parameters as a file, and then asks no other component for parameters. But
-it accepts parameters that arrive unasked. So each station gets them once, after it has had time to read the
-autopilot's.
+QGroundControl reads an ArduPilot's parameters as a file, and then requests no other component's parameters.
+But it accepts parameters that it did not request. So each station gets ours once, after it has had time to
+read the autopilot's.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 SETTLED_S = 7.0
 GONE_S = 60.0
-MOST_REMEMBERED = 256
+MAX_SENDERS = 256
 STATION_SYSTEMS = range(240, 256)
-"""Vehicles are numbered from 1 up, ground stations from 255 down; mavsdk takes 245."""
+"""Vehicles have system ids from 1 up, ground stations from 255 down. mavsdk uses 245."""
 STATION_COMPONENTS = (
-    mavlink.MAV_COMP_ID_ALL,  # pymavlink, where nothing is given
+    mavlink.MAV_COMP_ID_ALL,  # pymavlink's default
     mavlink.MAV_COMP_ID_MISSIONPLANNER,  # QGroundControl, Mission Planner, mavsdk
     230,  # MAVProxy
 )
@@ -41,7 +41,7 @@ class Stations:
         sender = _sender(heartbeat)
         self._type_of.pop(sender, None)
         self._type_of[sender] = heartbeat.type
-        if len(self._type_of) > MOST_REMEMBERED:
+        if len(self._type_of) > MAX_SENDERS:
             del self._type_of[next(iter(self._type_of))]
         if not show or heartbeat.type != mavlink.MAV_TYPE_GCS:
             return
@@ -51,14 +51,13 @@ class Stations:
         self._heard_at[system_id] = t
 
     def sent(self, message: MavlinkMessage) -> bool:
-        """Whether a ground station sent it."""
         sender = _sender(message)
         if sender in self._type_of:
             return sender[0] != 0 and self._type_of[sender] == mavlink.MAV_TYPE_GCS
         return sender[0] in STATION_SYSTEMS and sender[1] in STATION_COMPONENTS
 
     def due(self, t: float) -> bool:
-        """Whether a station needs our parameters now. True once for each station."""
+        """True, once for each station, if it needs our parameters now."""
         waiting = [system_id for system_id, show_at in self._show_at.items() if t >= show_at]
         for system_id in waiting:
             del self._show_at[system_id]

@@ -12,13 +12,13 @@ from flying_vines.vehicle.mavlink.fuel_status import fuel_status
 
 HEARTBEAT_S = 1.0
 SILENCE_S = 1.2
-"""An autopilot that was silent for longer than this between two heartbeats may have started anew."""
-SLOWEST_S, FASTEST_S = 10.0, 0.1
-"""What a ground station may ask for, of each value."""
+"""An autopilot with a longer time between two heartbeats may have rebooted."""
+MIN_PERIOD_S, MAX_PERIOD_S = 0.1, 10.0
+"""The periods that a ground station may request for the named values."""
 ONCE_SPACING_S = 0.1
 FUEL_S = 10.0
 LATE_S = 0.1
-"""A value that is later than this is skipped, so that a stall is not followed by a burst."""
+"""A value that is later than this is skipped. So no burst follows a stall."""
 _TICK_GRAIN_S = 0.001
 
 
@@ -26,7 +26,7 @@ class Heartbeat:
     """HEARTBEAT once a second.
 
     It is also sent at once when the autopilot appears, or is back after a silence. Until an ArduPilot has
-    received our heartbeat, it carries out commands to us by itself; a reboot makes it forget us.
+    received our heartbeat, it executes commands meant for us. After a reboot it does not know us.
     """
 
     def __init__(self) -> None:
@@ -40,7 +40,7 @@ class Heartbeat:
         self._autopilot_at = t
 
     def now(self) -> None:
-        """The next one is due."""
+        """Make the next heartbeat due now."""
         self._sent_at = -math.inf
 
     def due(self, t: float, system_status: int) -> list[MavlinkMessage]:
@@ -55,41 +55,41 @@ class Heartbeat:
 
 
 class NamedValues:
-    """Each value at the same rate, spread evenly over time. A value that is not known is not sent.
+    """Sends each value at the same rate, evenly spread over time. An unknown value is not sent.
 
     We ignore incoming NAMED_VALUE_FLOAT: PX4 sends our own back to us under its id, shortened and late.
     """
 
     def __init__(self, usual_s: float) -> None:
         self.usual_s = usual_s
-        self._asked_s: float | None = None
-        self._wanted_at = -math.inf
+        self._requested_s: float | None = None
+        self._once_at = -math.inf
         self._last_at = -math.inf
         self._due_at: dict[str, float] = {}
-        """When the last one of each was due: the next one is timed from here, not from the tick."""
+        """When each value was last due. The next one is timed from here, not from the tick."""
 
     @property
     def period_s(self) -> float:
-        """Between two messages of the same value; infinite if a ground station switched them off."""
-        return self.usual_s if self._asked_s is None else self._asked_s
+        """Period of each value; infinite if a ground station switched them off."""
+        return self.usual_s if self._requested_s is None else self._requested_s
 
     def ask(self, period_s: float | None) -> None:
-        """Set the period that a ground station asks for; None restores the usual period."""
-        self._asked_s = period_s
+        """Set the period that a ground station requests; None restores the usual period."""
+        self._requested_s = period_s
 
     def once(self, t: float) -> None:
         """Send each value once, now."""
-        self._wanted_at = t
+        self._once_at = t
 
     def due(self, t: float, time_boot_ms: int, values: Mapping[str, float]) -> list[MavlinkMessage]:
-        """At most one message, of the value that is most overdue: this spreads them over time."""
+        """At most one message a call, of the most overdue value. This spreads them over time."""
         sent = {name: self._due_at.get(name, -math.inf) for name in values if math.isfinite(values[name])}
         name = min(sent, key=lambda name: sent[name], default=None)
         if name is None:
             return []
         spacing_s = self.period_s / len(values)
-        if sent[name] < self._wanted_at:
-            due_at = max(self._wanted_at, self._last_at + min(spacing_s, ONCE_SPACING_S))
+        if sent[name] < self._once_at:
+            due_at = max(self._once_at, self._last_at + min(spacing_s, ONCE_SPACING_S))
         elif self.period_s == math.inf:
             return []
         else:
@@ -103,13 +103,13 @@ class NamedValues:
 
 
 class FuelGauge:
-    """The reservoir as FUEL_STATUS, at the low rate that MAVLink suggests."""
+    """Sends the reservoir as FUEL_STATUS, at the low rate that MAVLink suggests."""
 
     def __init__(self) -> None:
         self._sent_at = -math.inf
 
     def due(self, t: float, reservoir_kPa: float, full_kPa: float) -> list[MavlinkMessage]:
-        """Gauge pressures. Nothing is sent while the reservoir's pressure is not known."""
+        """Pressures are gauge. Nothing is sent while the reservoir's pressure is unknown."""
         if t - self._sent_at < FUEL_S - _TICK_GRAIN_S or not math.isfinite(reservoir_kPa):
             return []
         self._sent_at = t

@@ -1,8 +1,8 @@
 """Status texts, changed and cut so that no other program acts on them.
 
-Ground stations and autopilots parse each other's texts: some words mean a version, a failed check or a step
-of the mission to them. The name of a profile or of a firmware build may contain such a word. So every text is
-made harmless before it leaves, and stays readable.
+Ground stations and autopilots parse status texts: some words mean a version, a failed check or a step of the
+mission to them. The name of a profile or of a firmware build may contain such a word. So such words are
+broken up before a text is sent. It stays readable.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 OURS = "Vine:"
 """The prefix of every text. Other programs look for other prefixes."""
 CHUNK_LENGTH = 50
-LONGEST_TEXT = 4 * CHUNK_LENGTH - 1
-"""Longer texts are cut, so that a text does not take long to arrive."""
+MAX_TEXT_LENGTH = 4 * CHUNK_LENGTH - 1
+"""Longer texts are cut, so that a text arrives soon."""
 SPACING_S = 0.1
-MOST_WAITING = 30
-"""Texts: some seconds of them. Older ones are dropped."""
+MAX_WAITING = 30
+"""Texts in the queue, which takes some seconds to send. The oldest are dropped first."""
 SAME_AGAIN_S = 5.0
-"""The same text is not sent again within this time: ground stations speak texts aloud."""
+"""The same text is not sent again within this time, because ground stations speak texts aloud."""
 
 _WRITTEN_OUT = str.maketrans(
     {
@@ -36,18 +36,18 @@ _WRITTEN_OUT = str.maketrans(
 )  # fmt: skip
 
 _WORDS = re.compile(
-    "(cop)(ter)|(ro)(ver)|(pla)(ne)|(fra)(me)"  # Mission Planner takes a text with one of these for a version
-    "|(pre)(arm)"  # a failed check: put on the screen
-    "|(radio fail)(safe)|(flight plan re)(ceived)|(ardupilot rea)(dy)",  # said by the autopilot alone
+    "(cop)(ter)|(ro)(ver)|(pla)(ne)|(fra)(me)"  # Mission Planner reads a text with one of these as a version
+    "|(pre)(arm)"  # shown on the screen as a failed check
+    "|(radio fail)(safe)|(flight plan re)(ceived)|(ardupilot rea)(dy)",  # reserved for the autopilot
     re.IGNORECASE,
 )
 _LABELS = re.compile("(arm|tuning|mission):", re.IGNORECASE)
 
 
 def harmless(text: str) -> str:
-    """One line of printable ASCII that no other program acts upon; the same again when given its own result.
+    """The text as one line of printable ASCII that no other program acts on. The function is idempotent.
 
-    Signs that MAVLink lacks are written out; a word that other programs look for is broken ("cop-ter").
+    Characters outside ASCII are written out. A word that other programs look for is broken ("cop-ter").
     """
     plain = unicodedata.normalize("NFKD", text.translate(_WRITTEN_OUT)).translate(_WRITTEN_OUT)
     plain = "".join(_sign(sign) for sign in plain if not unicodedata.combining(sign))
@@ -56,7 +56,7 @@ def harmless(text: str) -> str:
         plain = f"{OURS} {plain}".rstrip()
     plain = _LABELS.sub(r"\1 :", plain)
     plain = _WORDS.sub(lambda found: "-".join(part for part in found.groups() if part), plain)
-    return plain if len(plain) <= LONGEST_TEXT else plain[: LONGEST_TEXT - 2].rstrip() + ".."
+    return plain if len(plain) <= MAX_TEXT_LENGTH else plain[: MAX_TEXT_LENGTH - 2].rstrip() + ".."
 
 
 def _sign(sign: str) -> str:
@@ -66,28 +66,27 @@ def _sign(sign: str) -> str:
 
 
 class Texts:
-    """Status texts that wait to be sent, one chunk after another, spaced so that people can follow."""
+    """The queue of status texts. Chunks are spaced, so that people can read them."""
 
     def __init__(self) -> None:
         self._texts: deque[deque[MavlinkMessage]] = deque()
-        self._said: dict[str, float] = {}
+        self._queued_at: dict[str, float] = {}
         self._sent_at = -math.inf
         self._identity = 0
 
     def say(self, t: float, severity: int, text: str) -> None:
-        """Queue a text, made harmless; not again within a short time."""
+        """Queue a text, made harmless. The same text within `SAME_AGAIN_S` is dropped."""
         text = harmless(text)
-        while self._said and t - next(iter(self._said.values())) >= SAME_AGAIN_S:
-            del self._said[next(iter(self._said))]
-        if text in self._said:
+        while self._queued_at and t - next(iter(self._queued_at.values())) >= SAME_AGAIN_S:
+            del self._queued_at[next(iter(self._queued_at))]
+        if text in self._queued_at:
             return
-        self._said[text] = t
+        self._queued_at[text] = t
         self._texts.append(self._chunks(severity, text.encode("ascii")))
-        if len(self._texts) > MOST_WAITING:
-            del self._texts[1]  # the first may be half told
+        if len(self._texts) > MAX_WAITING:
+            del self._texts[1]  # some chunks of the first may have been sent
 
     def due(self, t: float) -> list[MavlinkMessage]:
-        """The next chunk, when its time has come."""
         if not self._texts or t - self._sent_at < SPACING_S:
             return []
         self._sent_at = t
@@ -101,7 +100,7 @@ class Texts:
         if len(parts) == 1:
             return deque([mavlink.MAVLink_statustext_message(severity, data, 0, 0)])
         if len(parts[-1]) == CHUNK_LENGTH:
-            parts.append(b"")  # a text of several chunks ends with one that is not full
+            parts.append(b"")  # MAVLink: the last chunk is one that is not full
         self._identity = self._identity % 0xFFFF + 1
         return deque(
             mavlink.MAVLink_statustext_message(severity, part, self._identity, number)

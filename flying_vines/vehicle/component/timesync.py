@@ -1,6 +1,6 @@
 """TIMESYNC answers: only to the sender of the request, and at a limited rate.
 
-PX4 forwards a TIMESYNC without target fields to every link, and asks ten times a second.
+PX4 forwards a TIMESYNC without target fields to every link, and requests one ten times a second.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 RATE_HZ = 1.0
 BURST = 4
 MAX_ASKERS = 16
-"""More links than any autopilot has. When all are taken, the oldest is forgotten."""
+"""More links than any autopilot has. If there are more, the oldest is forgotten."""
 
 _TARGET = struct.Struct("<qqBB")
 _TARGET_AT = 16
-"""Where the target fields begin in the payload. A frame without them is shorter, or zero there."""
+"""Offset of the target fields in the payload. A frame without them is shorter, or has zeros there."""
 
 
 class Timesync(mavlink.MAVLink_timesync_message):  # type: ignore[misc]
@@ -35,23 +35,23 @@ class Timesync(mavlink.MAVLink_timesync_message):  # type: ignore[misc]
 
 
 def target_of(message: MavlinkMessage) -> tuple[int, int]:
-    """System and component that a received TIMESYNC is for; zeros where it is for everybody."""
+    """Target system and component of a received TIMESYNC; zeros if it is a broadcast."""
     system, component = (message.get_payload() or b"")[_TARGET_AT:].ljust(2, b"\0")[:2]
     return system, component
 
 
 class TokenBuckets:
-    """A token bucket for each asker: `BURST` answers at once, `RATE_HZ` in the long run."""
+    """A token bucket for each asker: `BURST` answers at once, `RATE_HZ` on average."""
 
     def __init__(self) -> None:
         self._tokens: dict[tuple[int, int], tuple[float, float]] = {}
 
     def take(self, t: float, asker: tuple[int, int]) -> bool:
-        """Whether `asker` gets an answer at time `t`."""
+        """Take a token. True: `asker` gets an answer at time `t`."""
         left, at = self._tokens.pop(asker, (float(BURST), t))
         left = min(float(BURST), left + (t - at) * RATE_HZ)
-        may = left >= 1.0
+        granted = left >= 1.0
         if len(self._tokens) >= MAX_ASKERS:
             del self._tokens[next(iter(self._tokens))]
-        self._tokens[asker] = (left - 1.0 if may else left, t)
-        return may
+        self._tokens[asker] = (left - 1.0 if granted else left, t)
+        return granted

@@ -1,7 +1,7 @@
-"""All messages to the vehicle wait here for their turn, the most important first.
+"""The queue of all messages to the vehicle, the most important first.
 
-PX4 forwards our messages through a buffer that holds two, and drops the rest. So at most two messages leave
-within 20 ms, and at most one of them ranks below an answer: the other place is kept for an answer or a
+PX4 forwards our messages through a buffer for two messages, and drops the rest. So at most two messages leave
+within 20 ms, and at most one of them ranks below an answer. The other place is reserved for an answer or a
 heartbeat.
 """
 
@@ -17,19 +17,19 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mavlink.fuel_status import FuelStatus
 from flying_vines.vehicle.mission.book import ItemRequest
 
-_WINDOW_S = 0.02 - 1e-6  # of clocks that count in floating point
-MOST_IN_WINDOW = 2
-MOST_WAITING = 50
-"""Maximum length: one second of low-ranking messages, half a second of others. Later ones would be out of
-date, and the sender of a command has repeated it by then."""
+_WINDOW_S = 0.02 - 1e-6  # less the rounding of clocks
+MAX_IN_WINDOW = 2
+MAX_WAITING = 50
+"""Queue length: one second of low-ranking messages, half a second of others. A message that waits longer is
+out of date, and the sender of a command has repeated it by then."""
 
 
 class Rank(IntEnum):
     """The order in which messages leave. Messages of one rank leave in the order in which they came."""
 
     HEARTBEAT = 0
-    """Before the answers, so that a flood of commands cannot silence us. There is one a second: it delays an
-    answer by one place at most."""
+    """Before the answers, so that a flood of commands cannot stop it. At 1 Hz it delays answers by one place
+    at most."""
     ANSWER = 1
     TEXT = 2
     REQUEST = 3
@@ -58,7 +58,7 @@ class TransmitQueue:
         self.dropped = 0
         self._count = 0
         self._waiting: dict[Rank, deque[MavlinkMessage]] = {rank: deque() for rank in Rank}
-        self._left_at: deque[float] = deque(maxlen=MOST_IN_WINDOW)
+        self._left_at: deque[float] = deque(maxlen=MAX_IN_WINDOW)
         self._low_rank_left_at = -math.inf
 
     def put(self, message: MavlinkMessage) -> None:
@@ -66,9 +66,9 @@ class TransmitQueue:
         rank = _RANKS.get(message.get_msgId(), Rank.ANSWER)
         self._waiting[Rank.ANSWER if isinstance(message, ItemRequest) else rank].append(message)
         self._count += 1
-        if self._count > MOST_WAITING:
-            least = max(rank for rank, queue in self._waiting.items() if queue)
-            self._waiting[least].popleft()
+        if self._count > MAX_WAITING:
+            lowest = max(rank for rank, queue in self._waiting.items() if queue)
+            self._waiting[lowest].popleft()
             self._count -= 1
             self.dropped += 1
 
@@ -89,4 +89,4 @@ class TransmitQueue:
     def _has_room(self, t: float, rank: Rank) -> bool:
         if rank > Rank.ANSWER and t - self._low_rank_left_at < _WINDOW_S:
             return False
-        return len(self._left_at) < MOST_IN_WINDOW or t - self._left_at[0] >= _WINDOW_S
+        return len(self._left_at) < MAX_IN_WINDOW or t - self._left_at[0] >= _WINDOW_S

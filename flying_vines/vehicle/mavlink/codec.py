@@ -13,16 +13,16 @@ from flying_vines.vehicle.mavlink.signing import Signing
 __all__ = ["MavlinkCodec", "MavlinkMessage"]
 
 REMEMBERED_FRAMES = 32
-"""Frames remembered per sender to recognise copies: far fewer than 256, where the sequence repeats."""
+"""Frames stored per sender to recognise copies. Far fewer than 256, after which the sequence repeats."""
 
 REMEMBERED_SENT = 128
-"""Our own frames remembered to recognise their echoes: some seconds of all that we send."""
+"""Our own frames stored to recognise their echoes: those of some seconds."""
 
-MOST_SENDERS = 64
-"""More components than any vehicle has. A limit, so that invented senders cannot fill the memory."""
+MAX_SENDERS = 64
+"""More components than any vehicle has. The limit keeps forged senders from filling the memory."""
 
 _WITH_KEY = mavlink.MAVLINK_MSG_ID_SETUP_SIGNING
-"""Its secret key is removed at decoding: our key comes from a file, and no log may show another one."""
+"""Decoding removes its secret key: our key comes from a file, and no log may contain a key."""
 
 
 class MavlinkCodec:
@@ -49,17 +49,17 @@ class MavlinkCodec:
 
     @property
     def bad_frames(self) -> int:
-        """Frames with a wrong checksum, and stretches of bytes that are not frames."""
+        """The number of frames with a wrong checksum and of byte sequences that are not frames."""
         return self._frames.bad_frames
 
     def decode(self, data: bytes) -> list[MavlinkMessage]:
-        """The messages that `data` completes, in order; known types with a good checksum only."""
+        """The messages that `data` completes, in order. Only known types with a good checksum."""
         return self._admitted(self._frames.take(data))
 
     def decode_stranger(self, data: bytes) -> tuple[list[MavlinkMessage], bool]:
-        """The messages in one datagram of a new sender, and whether they prove that it is an autopilot.
+        """The messages in one datagram of a new sender, and True if a signature proves it an autopilot.
 
-        Half a frame is dropped: other senders' frames must not wait for its end. Only a signature is a proof.
+        An incomplete frame at the end is dropped, so that it does not mix with other senders' bytes.
         """
         messages = self._admitted(Frames().take(data))
         proven = self._signing is not None and any(
@@ -104,8 +104,8 @@ class MavlinkCodec:
         return (frame.system, frame.sequence, frame.message_id, frame.checksum) in self._sent
 
     def _meet(self, frame: Frame) -> _Sender:
-        if len(self._senders) >= MOST_SENDERS:
-            # The sender with the fewest frames goes, so that many strangers cannot replace a busy one.
+        if len(self._senders) >= MAX_SENDERS:
+            # Drop the sender with the fewest frames, so that many new senders cannot replace a busy one.
             del self._senders[min(self._senders, key=lambda sender: self._senders[sender].frames)]
         sender = _Sender(frame.sequence)
         self._senders[frame.system, frame.component] = sender
@@ -131,12 +131,12 @@ class _Sender:
         self._recent: deque[tuple[int, int, int]] = deque(maxlen=REMEMBERED_FRAMES)
 
     def is_copy(self, frame: Frame) -> bool:
-        # The sequence of a partly forwarded sender repeats soon. A copy is never ahead of its frame.
+        # If only some frames are forwarded, the sequence repeats soon. A copy is never ahead of its frame.
         behind = (self._sequence - frame.sequence) & 0xFF
         return behind < 128 and (frame.sequence, frame.message_id, frame.checksum) in self._recent
 
     def take(self, frame: Frame) -> int:
-        """The number of newly lost frames; -1 if a frame counted as lost was only late."""
+        """The number of newly lost frames; -1 if this frame was counted as lost before."""
         self.frames += 1
         if frame.known:
             self._recent.append((frame.sequence, frame.message_id, frame.checksum))

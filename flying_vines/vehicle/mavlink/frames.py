@@ -1,12 +1,12 @@
-"""MAVLink frames in a stream of bytes: where each begins and ends, and whether its checksum fits.
+"""Finds MAVLink frames in a stream of bytes, and checks their checksums.
 
-Message types, checksums and packing are pymavlink's. Its parser is not used, for three reasons: it accepts a
-stream's signing timestamp before it has checked the signature, so that one forged frame locks the real sender
-out; it loses good frames next to a damaged one; and it is too slow for a small board.
+Message types, checksums and packing are pymavlink's. Its parser is not used, for three reasons. It accepts a
+stream's signing timestamp before it has checked the signature, so one forged frame locks out the real sender.
+It loses good frames next to a damaged one. It is too slow for a small board.
 
-After a false or damaged frame of a known message the search goes on at its second byte. So good frames within
-the length that it claims are found. The checksum of a message that the dialect lacks cannot be checked: it
-counts as a frame if another frame begins where it ends.
+After a damaged frame of a known message the search continues at its second byte. So good frames within its
+claimed length are found. The checksum of a message that the dialect lacks cannot be checked. It counts as a
+frame if another frame begins at its end.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ SIGNATURE_SIZE: int = mavlink.MAVLINK_SIGNATURE_BLOCK_LEN
 _TAIL_SIZE = _CHECKSUM_SIZE + SIGNATURE_SIZE
 _AUTOPILOT: int = mavlink.MAV_COMP_ID_AUTOPILOT1
 _SIGNED: int = mavlink.MAVLINK_IFLAG_SIGNED
-LONGEST_FRAME = _HEADER_SIZE_2 + 255 + _TAIL_SIZE
+MAX_FRAME_SIZE = _HEADER_SIZE_2 + 255 + _TAIL_SIZE
 
 _CRC_EXTRA = {number: bytes((kind.crc_extra,)) for number, kind in mavlink.mavlink_map.items()}
-"""What enters the checksum of each message that the dialect knows."""
+"""CRC_EXTRA of each message in the dialect: an additional byte of its checksum."""
 
 _checksum: Callable[[bytes], int] = getattr(mavlink, "mcrf4xx", None) or (
     lambda data: int(mavlink.x25crc(data).crc)
 )
-"""The compiled function if it is installed: pymavlink's class around it is three times slower."""
+"""The compiled function, if installed. pymavlink's class around it is three times slower."""
 
 
 class Frame(NamedTuple):
-    """One frame. If the dialect does not know it (`known` is false), its checksum was not checked."""
+    """One frame. If the dialect lacks its message (`known` is false), its checksum was not checked."""
 
     raw: bytes
     payload: bytes
@@ -61,11 +61,11 @@ class Frame(NamedTuple):
 
 
 class Frames:
-    """Cuts a stream of bytes into frames, however it is chunked."""
+    """Splits a stream of bytes into frames. The result does not depend on its chunks."""
 
     def __init__(self) -> None:
         self.bad_frames = 0
-        """Frames with a wrong checksum, and stretches of other bytes."""
+        """The number of frames with a wrong checksum and of byte sequences that are not frames."""
         self._rest = b""
         self._bad_until = -1
 
@@ -85,7 +85,7 @@ class Frames:
             if frame.known:
                 good = _fits(frame)
             elif stop == end:
-                break  # the next byte decides; the result must not depend on how the stream is cut
+                break  # wait for the next byte: the result must not depend on how the stream is split
             else:
                 good = data[stop] in _MARKERS
             if good:
@@ -99,13 +99,13 @@ class Frames:
         return frames
 
     def _count_bad(self, at: int, stop: int) -> None:
-        """Count a bad stretch once, even with several false headers in it."""
+        """Count a bad byte sequence once, even with several false headers in it."""
         if at >= self._bad_until:
             self.bad_frames += 1
             self._bad_until = stop
 
     def _skip_noise(self, data: bytes, at: int) -> int:
-        """Where the next frame may begin."""
+        """The index of the next possible begin of a frame."""
         if at > self._bad_until:
             self.bad_frames += 1
         found = _ANY_MARKER.search(data, at)
@@ -115,7 +115,7 @@ class Frames:
 
 
 def from_autopilot(data: bytes) -> bool:
-    """Whether these bytes hold a whole frame that says it comes from an autopilot."""
+    """True if these bytes contain a complete frame with the component id of an autopilot."""
     return any(frame.known and frame.component == _AUTOPILOT for frame in Frames().take(data))
 
 
@@ -146,6 +146,5 @@ def _frame_at(data: bytes, at: int) -> Frame | None:
 
 
 def _fits(frame: Frame) -> bool:
-    """Whether the checksum is the one of such a message."""
     covered = frame.raw[1 : -_TAIL_SIZE if frame.flags else -_CHECKSUM_SIZE]
     return _checksum(covered + _CRC_EXTRA[frame.message_id]) == frame.checksum

@@ -1,6 +1,6 @@
-"""FUEL_STATUS: how full the reservoir is, in MAVLink's message for fuel tanks.
+"""FUEL_STATUS: the reservoir's level in MAVLink's message for fuel tanks.
 
-pymavlink's dialects lack this message, so its class is written here; nothing reads it back.
+pymavlink's dialects lack this message, so its class is here. We only send it.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class FuelStatus(mavlink.MAVLink_message):  # type: ignore[misc]
     ) -> None:
         super().__init__(self.id, self.msgname)
         self._fieldnames = self.fieldnames
-        self.id = 0  # of the only tank; pymavlink's own classes cover the message's number up in the same way
+        self.id = 0  # the tank's; it hides the message's number, as in pymavlink's own classes
         self.maximum_fuel = maximum_fuel
-        self.consumed_fuel = math.nan  # only what was measured may be said; this would be inferred
+        self.consumed_fuel = math.nan  # the field is for measured values only; we could only infer it
         self.remaining_fuel = remaining_fuel
         self.flow_rate = flow_rate
         self.temperature = temperature
@@ -57,9 +57,9 @@ class FuelStatus(mavlink.MAVLink_message):  # type: ignore[misc]
 def fuel_status(
     reservoir_kPa: float, full_kPa: float, flow_ml_per_s: float = math.nan, temperature_K: float = math.nan
 ) -> MavlinkMessage:
-    """The reservoir as a tank of gas. Pressures are gauge, as in our named values; NaN: not known.
+    """The reservoir as a tank of gas. Pressures are gauge, as in our named values. NaN: unknown.
 
-    The flow is positive while air is taken.
+    The flow is positive while air leaves the reservoir.
     """
     percent = _PERCENT_NOT_KNOWN
     if math.isfinite(reservoir_kPa) and full_kPa > 0.0:

@@ -1,6 +1,6 @@
-"""The messages that anything here acts on: most of what an autopilot streams is for others.
+"""The messages that this package uses. Most messages of an autopilot are for others.
 
-Whoever looks for one more adds it here; a test finds those that were forgotten.
+If your code handles one more message, add it here. A test finds forgotten ones.
 """
 
 from __future__ import annotations
@@ -19,5 +19,5 @@ QUESTIONS = frozenset({
 COMMANDS = frozenset({"COMMAND_INT", "COMMAND_LONG"})
 ANSWERS = frozenset({"COMMAND_ACK"})
 OVERRIDES = frozenset({"RC_CHANNELS_OVERRIDE"})
-"""From ground stations."""
+"""Sent by ground stations."""
 ALL = STATE | RADIO | MISSION | QUESTIONS | ANSWERS | OVERRIDES

@@ -1,7 +1,7 @@
-"""Transports for MAVLink: UDP, TCP and serial. Each reopens by itself when it is lost.
+"""Transports for MAVLink: UDP, TCP and serial. Each reopens by itself after a loss.
 
-All have the shape of `firmware_link.serial_port.SerialPort`: `run()` until cancelled, `write()` that never
-blocks, `on_bytes` called from the event loop, `on_state(up, why)` when the link comes or goes.
+All have the interface of `firmware_link.serial_port.SerialPort`: `run()` runs until cancelled. `write()`
+never blocks. `on_bytes` is called from the event loop. `on_state(up, why)` is called at each change.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from flying_vines.config.address import DEFAULT_BAUD, Address, NetworkAddress, S
 from flying_vines.vehicle.mavlink.frames import from_autopilot
 
 RETRY_S = 1.0
-MOST_PEERS = 4
+MAX_PEERS = 4
 PEER_FORGOTTEN_S = 30.0
 PEER_REPLACED_S = 3.0
-"""A new peer may replace one that was silent for this long: a restarted router has another port."""
-MOST_OF_STRANGERS = 2048
-"""Maximum bytes in the first datagram of a new sender. A frame has up to 280, an Ethernet packet 1500."""
+"""A new peer may replace one that was silent for this time: a restarted router has another port."""
+MAX_FIRST_DATAGRAM_BYTES = 2048
+"""Maximum size of a new sender's first datagram. A frame has up to 280 bytes, an Ethernet packet 1500."""
 MAX_QUEUED_BYTES = 64 * 1024
 
 OnBytes = Callable[[bytes], None]
@@ -32,17 +32,17 @@ OnState = Callable[[bool, str], None]
 
 
 class Link(Protocol):
-    """Bytes to and from somewhere."""
+    """A transport of bytes in both directions."""
 
     @property
     def dropped_bytes(self) -> int:
-        """Bytes that could not be sent."""
+        """The number of bytes that could not be sent."""
 
     async def run(self) -> None:
         """Keep the link open until cancelled."""
 
     def write(self, data: bytes) -> bool:
-        """Send, or drop and say False."""
+        """Send, or drop and return False."""
 
 
 def open_link(
@@ -64,12 +64,12 @@ def open_link(
 
 
 def unread_from(link: Link) -> str:
-    """The latest IP address whose datagrams were ignored because the link names another peer."""
+    """The latest IP address that was ignored because the link's setting names another one."""
     return link.unread_from if isinstance(link, UdpLink) else ""
 
 
 class _NetworkLink:
-    """Common to the network links: the address, and reporting each change once."""
+    """Base of the network links: it has the address, and reports each change once."""
 
     def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
         self._address = address
@@ -89,7 +89,7 @@ class _NetworkLink:
             self._on_state(False, why)
 
     def write(self, data: bytes) -> bool:
-        """Send, or drop and say False."""
+        """Send, or drop and return False."""
         sent = self._send(data)
         if not sent:
             self.dropped_bytes += len(data)
@@ -100,11 +100,11 @@ class _NetworkLink:
 
 
 Source = tuple[str, int]
-"""IP address and port of who sent a datagram; IPv6 has more behind them."""
+"""IP address and port of a datagram's sender. For IPv6 the tuple has more elements."""
 
 
 class Peers:
-    """The peers that get our messages. A peer that sends keeps its place, however many others come."""
+    """The peers that get our messages. A peer that sends regularly is never replaced by a new one."""
 
     def __init__(self) -> None:
         self._heard_at: dict[Source, float] = {}
@@ -113,15 +113,15 @@ class Peers:
         return len(self._heard_at)
 
     def heard(self, source: Source, t: float) -> bool:
-        """Note a datagram of `source`; whether it is a peer."""
+        """Note a datagram of `source`. Returns True if it is a peer."""
         if source not in self._heard_at:
             return False
         self._heard_at[source] = t
         return True
 
     def enter(self, source: Source, t: float) -> bool:
-        """Make `source` a peer, if there is room."""
-        if source not in self._heard_at and len(self._heard_at) >= MOST_PEERS:
+        """Make `source` a peer. Returns False if there is no room."""
+        if source not in self._heard_at and len(self._heard_at) >= MAX_PEERS:
             most_silent = min(self._heard_at, key=lambda peer: self._heard_at[peer])
             if t - self._heard_at[most_silent] <= PEER_REPLACED_S:
                 return False
@@ -130,7 +130,6 @@ class Peers:
         return True
 
     def present(self, t: float) -> list[Source]:
-        """The present peers."""
         for peer, heard_at in list(self._heard_at.items()):
             if t - heard_at > PEER_FORGOTTEN_S:
                 del self._heard_at[peer]
@@ -201,7 +200,7 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
         elif self._address.kind == "udpout" or self._on_stranger is None:
             self._peers.enter(addr, now)
             self._on_bytes(data)
-        elif len(data) > MOST_OF_STRANGERS:
+        elif len(data) > MAX_FIRST_DATAGRAM_BYTES:
             return
         elif not self._address.is_open and from_autopilot(data) and self._peers.enter(addr, now):
             self._on_bytes(data)
@@ -212,19 +211,17 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
         self._peers.enter(source, asyncio.get_running_loop().time())
 
     def pause_writing(self) -> None:
-        """64 KiB are queued. Stop here: asyncio itself would queue any amount."""
+        """64 KiB are queued. Drop from now on: asyncio itself has no limit."""
         self._full = True
 
     def resume_writing(self) -> None:
         self._full = False
 
     def error_received(self, exc: Exception) -> None:
-        """Ignored: nobody listens on the other side yet, but somebody may later."""
+        """Ignore the ICMP error: the receiver may start later."""
 
 
 class TcpLink(_NetworkLink, asyncio.Protocol):
-    """A TCP client."""
-
     def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
         super().__init__(address, on_bytes, on_state)
         self._transport: asyncio.Transport | None = None
@@ -266,7 +263,7 @@ class TcpLink(_NetworkLink, asyncio.Protocol):
 
 
 def _reason(error: OSError | UnicodeError) -> str:
-    """The operating system's name for it. An invalid host name raises a `UnicodeError`."""
+    """The operating system's text for the error. An invalid host name raises a `UnicodeError`."""
     if isinstance(error, OSError) and error.errno and not isinstance(error, socket.gaierror):
         return os.strerror(error.errno)
     return getattr(error, "strerror", None) or str(error)

@@ -1,6 +1,6 @@
 """Frame payloads to message objects of the dialect: the same result as pymavlink's decoding, but faster.
 
-Arrays, texts and the order of the fields are worked out once for each message type, not for each frame.
+The layout of arrays, texts and fields is computed once for each message type, not for each frame.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.vehicle.mavlink.frames import Frame
 
 MavlinkMessage = Any
-"""A message object of the pymavlink dialect; pymavlink carries no types."""
+"""A message object of the pymavlink dialect. pymavlink has no type annotations."""
 
 
 class _Layout:
-    """How the payloads of one type of message become that type's fields."""
+    """Converts the payloads of one message type to its fields."""
 
     def __init__(self, kind: Any) -> None:
         self.build: Callable[..., MavlinkMessage] = kind
@@ -52,7 +52,7 @@ _LAYOUTS = {number: _Layout(kind) for number, kind in mavlink.mavlink_map.items(
 def message_of(frame: Frame) -> MavlinkMessage:
     """The message in a frame that the dialect knows."""
     layout = _LAYOUTS[frame.message_id]
-    # Version 2 cuts trailing zeros off, and newer dialects may have appended fields.
+    # MAVLink 2 cuts trailing zeros off. A newer dialect may have appended fields.
     payload = frame.payload.ljust(layout.size, b"\0")[: layout.size]
     message = layout.build(*layout.arrange(layout.unpack(payload)))
     header = message._header

@@ -1,15 +1,15 @@
-"""MAVLink 2 message signing: which frames are accepted, and the timestamps of our own.
+"""MAVLink 2 message signing: accepts or refuses frames, and gives our own frames their timestamps.
 
-Sans-IO: the edge gives the time and saves `SigningMemory` (`signing_key.TimestampFile`). The key
-comes only from a file on this computer: SETUP_SIGNING is ignored.
+Sans-IO: the caller gives the time and saves `SigningMemory` (`signing_key.TimestampFile`). The key comes only
+from a file on this computer. SETUP_SIGNING is ignored.
 
-Recorded frames can be replayed, so the timestamps of each stream (link, system, component) must rise, over
-our restarts as well. MAVLink does not define the start of a new stream: here, frames up to a minute old are
-accepted, each once.
+Recorded frames can be replayed. So the timestamps of each stream (link, system, component) must rise, also
+over our restarts. MAVLink does not define the start of a new stream. Here its first frame may be up to a
+minute old.
 
 MAVLink's clock never goes back: one frame dated 2040, from a sender with the key, would lock out all senders
 with the right time. So our signing clock stays near this computer's clock. A frame too far ahead of it is
-refused, a saved timestamp too far ahead is dropped, and a large jump of that clock is not followed.
+refused. A saved timestamp too far ahead is dropped. A large jump of this computer's clock is ignored.
 """
 
 from __future__ import annotations
@@ -24,59 +24,59 @@ from flying_vines.vehicle.mavlink.frames import SIGNATURE_SIZE, Frame
 
 KEY_SIZE = 32
 UNITS_PER_S = 100_000
-"""A timestamp counts tens of microseconds."""
+"""The unit of a timestamp is 10 µs."""
 
 UNIX_TIME_OF_ZERO_S = 1_420_070_400
 """Timestamps count from 1 January 2015."""
 
 NEW_STREAM_MAY_LAG = 60 * UNITS_PER_S
-MOST_STREAMS = 64
-"""More components than any vehicle has; only a sender with the key can make an entry."""
+MAX_STREAMS = 64
+"""More components than any vehicle has. Only a sender with the key can add one."""
 
 DAY = 24 * 3600 * UNITS_PER_S
 MAY_BE_AHEAD = DAY
-"""Ahead of a synchronised clock: enough for a wrong time zone, not for a wrong year."""
+"""Allowed lead over a synchronised clock: enough for a wrong time zone, not for a wrong year."""
 
 MAY_BE_AHEAD_UNSYNCHRONISED = 731 * DAY
-"""Ahead of a clock that was not set since this computer was last used."""
+"""Allowed lead over an unsynchronised clock, which may be up to two years behind."""
 
 CLOCK_SET_UNIX_S = 1_735_689_600
-"""The beginning of 2025: an earlier clock was never set."""
+"""The beginning of 2025. A clock with an earlier time was never set."""
 
 _CLOCK_SET = (CLOCK_SET_UNIX_S - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S
-_LARGEST = 2**47
-"""In the year 2059; the frame has room for twice as much."""
+_MAX_TIMESTAMP = 2**47
+"""In the year 2059. The field has 48 bits; this leaves a reserve."""
 
-_MOST_TOLD = 8
+_MAX_REPORTED = 8
 
 _DIGEST_SIZE = 6
 _STAMP_SIZE = SIGNATURE_SIZE - _DIGEST_SIZE
-"""One byte of link, six of timestamp."""
+"""One byte for the link, six for the timestamp."""
 
 _RADIO = mavlink.MAV_COMP_ID_TELEMETRY_RADIO
 _RADIO_MESSAGES = {mavlink.MAVLINK_MSG_ID_RADIO_STATUS, mavlink.MAVLINK_MSG_ID_RADIO}
-"""A telemetry radio's messages about itself: it has no key, and they have no effect here."""
+"""A telemetry radio sends these without a signature, because it has no key. They have no effect here."""
 
 
 @dataclass(slots=True)
 class RefusedFrames:
-    """Refused frames, by reason."""
+    """Numbers of refused frames, by reason."""
 
     unsigned: int = 0
     forged: int = 0
     replayed: int = 0
-    """Their timestamp was used before, or is of a new stream and too old."""
+    """The timestamp was used before, or is too old for a new stream."""
 
     ahead: int = 0
-    """Their timestamp is too far ahead of this computer's clock."""
+    """The timestamp is too far ahead of this computer's clock."""
 
     @property
     def total(self) -> int:
         return self.unsigned + self.forged + self.replayed + self.ahead
 
     def __str__(self) -> str:
-        told = f"{self.unsigned} unsigned, {self.forged} forged, {self.replayed} replayed"
-        return f"{told}, {self.ahead} dated ahead" if self.ahead else told
+        text = f"{self.unsigned} unsigned, {self.forged} forged, {self.replayed} replayed"
+        return f"{text}, {self.ahead} dated ahead" if self.ahead else text
 
 
 SigningStream = tuple[int, int, int]
@@ -89,7 +89,7 @@ class SigningMemory:
 
     timestamp: int = 0
     link_id: int | None = None
-    """Ours; None where nothing was kept."""
+    """Our link id; None if none was saved."""
     streams: tuple[tuple[SigningStream, int], ...] = ()
     """The last accepted timestamp of each stream."""
 
@@ -97,8 +97,8 @@ class SigningMemory:
 class Signing:
     """Signs and checks with one key on one link.
 
-    `timestamp` is the last one used. It never falls on one link id. If it was far ahead of the time and must
-    fall, the link id changes, which makes a new stream.
+    `timestamp` is the last one used. It only rises for one link id. If it is far ahead and must be lowered,
+    the link id changes, which makes a new stream.
     """
 
     def __init__(self, key: bytes, link_id: int = 0, memory: SigningMemory = SigningMemory()) -> None:
@@ -112,49 +112,49 @@ class Signing:
         """Texts about clocks. The reader empties the list."""
         self._streams: dict[SigningStream, int] = dict(memory.streams)
         self._host: int | None = None
-        """This computer's clock, without jumps that are not followed."""
+        """This computer's clock, without large jumps."""
         self._followed: tuple[int, float | None] | None = None
-        """The last reading that was as expected, and the monotonic time then."""
+        """The last accepted reading of this computer's clock, and its monotonic time."""
         self._synchronised = False
-        self._told_jump = False
-        self._told_ahead: set[tuple[int, int]] = set()
+        self._jump_reported = False
+        self._ahead_reported: set[tuple[int, int]] = set()
 
     @property
     def memory(self) -> SigningMemory:
         return SigningMemory(self.timestamp, self.link_id, tuple(self._streams.items()))
 
     def advance(self, unix_time_s: float, at_s: float | None = None, synchronised: bool = False) -> None:
-        """Set the time. A clock that was set back, or never set, blocks nothing.
+        """Set the time. A clock that was set back, or never set, does not cause refused frames.
 
         Args:
             unix_time_s: this computer's clock.
-            at_s: a monotonic clock: without it no jump is detected.
-            synchronised: whether the kernel reports the clock as synchronised.
+            at_s: a monotonic clock; without it no jump is detected.
+            synchronised: the kernel reports the clock as synchronised.
         """
-        reading = min(_LARGEST, int((unix_time_s - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S))
+        reading = min(_MAX_TIMESTAMP, int((unix_time_s - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S))
         self._host = self._follow(reading, at_s, synchronised)
         if self.timestamp > self._latest:
             by = (self.timestamp - self._host) / DAY
-            self.news.append(f"signing clock was {by:.0f} days ahead: set right")
+            self.news.append(f"signing clock was {by:.0f} days ahead: corrected")
             self.timestamp = max(0, self._host)
             self.link_id = (self.link_id + 1) % 256
             self._streams = {known: at for known, at in self._streams.items() if at <= self._latest}
         self.timestamp = max(self.timestamp, self._host)
 
     def _follow(self, reading: int, at_s: float | None, synchronised: bool) -> int:
-        """The clock's reading, or its expected value if it jumped too far."""
+        """The clock's reading; after a large jump its expected value."""
         first = synchronised and not self._synchronised
         if self._followed is not None and at_s is not None and not first:
             followed, then_s = self._followed
             expected = followed + (0 if then_s is None else int((at_s - then_s) * UNITS_PER_S))
             jump = reading - expected
             if expected >= _CLOCK_SET and abs(jump) > self._may_be_ahead:
-                if not self._told_jump:
-                    self._told_jump = True
-                    self.news.append(f"own clock jumped {jump / DAY:+.0f} days: not followed")
-                return min(_LARGEST, expected)
+                if not self._jump_reported:
+                    self._jump_reported = True
+                    self.news.append(f"own clock jumped {jump / DAY:+.0f} days: ignored")
+                return min(_MAX_TIMESTAMP, expected)
         self._followed = (reading, at_s)
-        self._told_jump = False
+        self._jump_reported = False
         self._synchronised |= synchronised
         return reading
 
@@ -166,23 +166,23 @@ class Signing:
     def _latest(self) -> int:
         """The largest timestamp that is accepted."""
         if self._host is None or self._host < _CLOCK_SET:
-            return _LARGEST
-        return min(_LARGEST, self._host + self._may_be_ahead)
+            return _MAX_TIMESTAMP
+        return min(_MAX_TIMESTAMP, self._host + self._may_be_ahead)
 
     @property
     def _oldest(self) -> int:
-        """The smallest timestamp that a new stream may begin with."""
+        """The smallest timestamp that is accepted for the start of a new stream."""
         if self._synchronised and self._host is not None:
             return self._host - NEW_STREAM_MAY_LAG
         return self.timestamp - NEW_STREAM_MAY_LAG
 
     def next_timestamp(self) -> int:
-        """The timestamp of the next frame: each frame has its own."""
+        """The timestamp of the next frame. Each frame has its own."""
         self.timestamp += 1
         return self.timestamp
 
     def admits(self, frame: Frame) -> bool:
-        """Whether a frame is accepted; then its timestamp cannot be used again."""
+        """True if a frame is accepted. Then its timestamp cannot be used again."""
         if not frame.signed:
             if frame.message_id in _RADIO_MESSAGES and frame.component == _RADIO:
                 return True
@@ -196,7 +196,7 @@ class Signing:
         link_id, timestamp = signed[-_STAMP_SIZE], int.from_bytes(signed[1 - _STAMP_SIZE :], "little")
         if timestamp > self._latest:
             self.refused.ahead += 1
-            self._tell_ahead(frame, timestamp)
+            self._report_ahead(frame, timestamp)
             return False
         if not self._is_new((link_id, frame.system, frame.component), timestamp):
             self.refused.replayed += 1
@@ -204,12 +204,13 @@ class Signing:
         self.timestamp = max(self.timestamp, timestamp)
         return True
 
-    def _tell_ahead(self, frame: Frame, timestamp: int) -> None:
+    def _report_ahead(self, frame: Frame, timestamp: int) -> None:
         sender = (frame.system, frame.component)
-        if self._host is not None and sender not in self._told_ahead and len(self._told_ahead) < _MOST_TOLD:
-            self._told_ahead.add(sender)
-            by = (timestamp - self._host) / DAY
-            self.news.append(f"{sender[0]}/{sender[1]} signs {by:.0f} days ahead of our clock")
+        if self._host is None or sender in self._ahead_reported or len(self._ahead_reported) >= _MAX_REPORTED:
+            return
+        self._ahead_reported.add(sender)
+        by = (timestamp - self._host) / DAY
+        self.news.append(f"{sender[0]}/{sender[1]} signs {by:.0f} days ahead of our clock")
 
     def _is_new(self, stream: SigningStream, timestamp: int) -> bool:
         last = self._streams.get(stream)
@@ -217,10 +218,10 @@ class Signing:
             oldest = self._oldest
             if timestamp < oldest:
                 return False
-            if stream not in self._streams and len(self._streams) >= MOST_STREAMS:
-                # Copies of the streams forgotten here are refused: they are too old for a new stream.
+            if stream not in self._streams and len(self._streams) >= MAX_STREAMS:
+                # These streams are safe to forget: replayed frames of them are too old for a new stream.
                 self._streams = {known: at for known, at in self._streams.items() if at >= oldest}
-            if stream not in self._streams and len(self._streams) >= MOST_STREAMS:
+            if stream not in self._streams and len(self._streams) >= MAX_STREAMS:
                 return False
         elif timestamp <= last:
             return False

@@ -1,4 +1,4 @@
-"""The signing key's file, and the file that keeps the signing timestamps over restarts."""
+"""The signing key's file, and the file that saves the signing timestamps over restarts."""
 
 from __future__ import annotations
 
@@ -11,44 +11,45 @@ from pathlib import Path
 from flying_vines.config import on_disk
 from flying_vines.vehicle.mavlink.signing import KEY_SIZE, UNITS_PER_S, SigningMemory
 
-SHORTEST_PASSPHRASE = 8
+MIN_PASSPHRASE_LENGTH = 8
 _PASSPHRASE = b"passphrase:"
 _HEX = re.compile(rb"[0-9a-fA-F]+")
 _FORMS = '64 hexadecimal digits, 32 raw bytes, or a line "passphrase: ..."'
 
 SAVE_AFTER = 30 * UNITS_PER_S
 AHEAD_AFTER_RESTART = 60 * UNITS_PER_S
-"""Longer than between two savings, so that no timestamp is used twice; ArduPilot does the same."""
+"""Longer than the time between two saves, so that no timestamp is used twice. ArduPilot does the same."""
 _FILE = re.compile(r"\d{15}(?: \d{3})?\n(?:\d{3} \d{3} \d{3} \d{15}\n)*")
-"""Ours: timestamp and link id; then each stream's link id, system, component and last timestamp. Earlier
-versions saved only the first number. All numbers have a fixed length, so that a cut file is detected."""
-_LARGEST = 2**48 - 1 - AHEAD_AFTER_RESTART
+"""First line: our timestamp and link id. Then each stream's link id, system, component and last timestamp.
+Earlier versions saved only the first number. All numbers have a fixed length, so that a cut file is
+detected."""
+_MAX_TIMESTAMP = 2**48 - 1 - AHEAD_AFTER_RESTART
 
 
 class SigningKeyError(Exception):
-    """The key's or the timestamp's file cannot be used; the text says which one, why and what to do."""
+    """The file of the key or of the timestamps cannot be used. The text has path, reason and what to do."""
 
 
 def read_key(path: Path) -> bytes:
-    """The key in a file that nobody else may read: hexadecimal, raw, or a passphrase.
+    """The key in a file that only its owner may read: hexadecimal, raw, or a passphrase.
 
-    A passphrase becomes a key as in Mission Planner and MAVProxy, by SHA-256; QGroundControl has its own way.
+    A passphrase becomes a key by SHA-256, as in Mission Planner and MAVProxy. QGroundControl differs.
     """
     content = _read_private(path)
     text = content.strip()
     if text.startswith(_PASSPHRASE):
         passphrase = text.removeprefix(_PASSPHRASE).strip()
-        if len(passphrase) < SHORTEST_PASSPHRASE:
-            raise SigningKeyError(f"{path}: the passphrase has less than {SHORTEST_PASSPHRASE} characters")
+        if len(passphrase) < MIN_PASSPHRASE_LENGTH:
+            raise SigningKeyError(f"{path}: the passphrase has less than {MIN_PASSPHRASE_LENGTH} characters")
         return hashlib.sha256(passphrase).digest()
     if _HEX.fullmatch(text) and len(text) == 2 * KEY_SIZE:
         key = bytes.fromhex(text.decode("ascii"))
     elif len(content) == KEY_SIZE and not (content.isascii() and text.decode("ascii").isprintable()):
         key = content
     else:
-        raise SigningKeyError(f"{path}: no signing key in it: write {_FORMS}")
+        raise SigningKeyError(f"{path}: no signing key in the file: write {_FORMS}")
     if not any(key):
-        raise SigningKeyError(f"{path}: a key of zeros is no key: write {_FORMS}")
+        raise SigningKeyError(f"{path}: the key is all zeros: write {_FORMS}")
     return key
 
 
@@ -56,7 +57,7 @@ def _read_private(path: Path) -> bytes:
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
-            raise SigningKeyError(f"{path}: not a file; the signing key is to be in one: {_FORMS}")
+            raise SigningKeyError(f"{path}: not a file; put the signing key in a file: {_FORMS}")
         if status.st_mode & 0o077:
             raise SigningKeyError(f"{path}: others may read or change the signing key: chmod 600 {path}")
         return path.read_bytes()
@@ -67,7 +68,7 @@ def _read_private(path: Path) -> bytes:
 
 
 class TimestampFile:
-    """Keeps the signing timestamps over restarts and power cuts, also where the clock starts in the past."""
+    """Saves the signing timestamps over restarts and power cuts, even if the clock then starts too early."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -86,19 +87,19 @@ class TimestampFile:
             return SigningMemory(), self._clock_alone("damaged")
         (timestamp, *link_id), *lines = (tuple(map(int, line.split())) for line in text.splitlines())
         streams = tuple(((link, system, component), at) for link, system, component, at in lines)
-        if max(timestamp, *(at for _, at in streams), 0) > _LARGEST:
+        if max(timestamp, *(at for _, at in streams), 0) > _MAX_TIMESTAMP:
             return SigningMemory(), self._clock_alone("damaged")
         return SigningMemory(timestamp + AHEAD_AFTER_RESTART, link_id[0] if link_id else None, streams), ""
 
     def _clock_alone(self, why: str) -> str:
-        return f"{self._path}: {why}; the signing timestamp goes on from the clock alone"
+        return f"{self._path}: {why}; the signing timestamp continues from the clock alone"
 
     def due(self, timestamp: int) -> bool:
-        """Whether to save: at the start, then every 30 s and after a jump of the clock."""
+        """True if it is time to save: at the start, every 30 s, and after a jump of the clock."""
         return self._saved is None or not 0 <= timestamp - self._saved < SAVE_AFTER
 
     def save(self, memory: SigningMemory) -> None:
-        """Write the file; a power cut leaves the old or the new one. Blocks on a slow disk."""
+        """Write the file atomically. Blocks on a slow disk."""
         self._saved = memory.timestamp
         lines = [f"{memory.timestamp:015d} {memory.link_id or 0:03d}\n"]
         for (link_id, system, component), timestamp in memory.streams:

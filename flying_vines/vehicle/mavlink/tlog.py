@@ -1,4 +1,4 @@
-"""Recorded MAVLink streams (.tlog): each frame behind its time, 8 bytes of microseconds, big-endian."""
+"""Recorded MAVLink streams (.tlog): each frame follows its time, in microseconds as 8 bytes, big-endian."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ _V1, _V2 = 0xFE, 0xFD
 _HEADER_SIZE = {_V1: 6, _V2: 10}
 _CHECKSUM_SIZE = 2
 _SIGNATURE_SIZE = 13
-_EARLIEST_US = 946_684_800_000_000  # the year 2000: before it no MAVLink was recorded
+_EARLIEST_US = 946_684_800_000_000  # the year 2000, before MAVLink existed
 _LATEST_US = 4_102_444_800_000_000
 
 
 class TlogError(Exception):
-    """The file is not a recording; the text says what is wrong."""
+    """The file is not a recording; the text is the reason."""
 
 
 class TlogWriter:
-    """Writes frames, which wait in memory until `sync`; a context, which closes the file."""
+    """Writes frames. They stay in memory until `sync`. Leaving the context closes the file."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("wb")
@@ -39,11 +39,11 @@ class TlogWriter:
         self._file.close()
 
     def write(self, time_us: int, frame: bytes) -> None:
-        """At this unix time."""
+        """Add a frame of this unix time."""
         self._waiting.append(_TIME.pack(time_us) + frame)
 
     def sync(self) -> None:
-        """Onto the disk, for good."""
+        """Write all frames to the disk (fsync)."""
         self._file.write(b"".join(self._waiting))
         self._waiting.clear()
         self._file.flush()
@@ -51,9 +51,9 @@ class TlogWriter:
 
 
 class TlogReader:
-    """Reads the frames of a .tlog in order, over damaged places.
+    """Reads the frames of a .tlog in order, and skips damaged parts.
 
-    `skipped_bytes` counts what was not part of a frame, a truncated end included.
+    `skipped_bytes` counts the bytes that are not part of a frame, including a truncated end.
     """
 
     def __init__(self, path: Path) -> None:
@@ -67,7 +67,7 @@ class TlogReader:
         self.skipped_bytes = 0
 
     def frames(self) -> Iterator[tuple[float, bytes]]:
-        """(unix time in s, raw frame); raises `TlogError` when there is none at all."""
+        """(unix time in s, raw frame). Raises `TlogError` if there is no frame."""
         data, at, found = self._data, 0, False
         while at < len(data):
             size = self._record_size(at)
@@ -80,10 +80,10 @@ class TlogReader:
             yield time_us / 1e6, data[at + _TIME.size : at + size]
             at += size
         if not found:
-            raise TlogError(f"{self._path}: no MAVLink frame in it: is it a .tlog?")
+            raise TlogError(f"{self._path}: no MAVLink frame in the file: is it a .tlog?")
 
     def _record_size(self, at: int) -> int | None:
-        """The size of the record that starts here, or None when none does."""
+        """The size of the record that starts at `at`; None if none does."""
         data, frame = self._data, at + _TIME.size
         if frame + 3 > len(data) or data[frame] not in _HEADER_SIZE:
             return None

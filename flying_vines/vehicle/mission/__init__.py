@@ -1,1 +1,1 @@
-"""Mission items: what they are, what an autopilot keeps of them, and seeing that one ran."""
+"""Mission items: their form, their storage in the autopilot, and their execution."""

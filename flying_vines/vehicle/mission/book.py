@@ -12,28 +12,27 @@ from flying_vines.vehicle.mission.execution import same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, has_place, is_nav
 
 RETRY_S = 0.8
-MOST_ATTEMPTS = 6
+MAX_ATTEMPTS = 6
 TRY_AGAIN_S = 20.0
 QUIET_BEFORE_READING_S = 0.5
-"""The total changes during an upload: reading waits until it is stable."""
+"""The total changes during an upload. Reading waits until the total is stable."""
 SAME_CHANGE_S = 5.0
-"""A total that is reported this soon after a reading, and agrees with it, is not a change."""
-MOST_ITEMS = 5000
+"""A total that agrees with a reading of at most this age is not a change."""
+MAX_ITEMS = 5000
 
 
 class ItemRequest(mavlink.MAVLink_mission_request_int_message):  # type: ignore[misc]
-    """MISSION_REQUEST_INT for an item that has run and needs its numbers."""
+    """MISSION_REQUEST_INT for an item that ran and whose params must be confirmed."""
 
 
 class MissionBook:
-    """Reads the mission (MAVLink mission protocol, download side) and detects when it must be read again.
+    """Reads the mission (MAVLink mission protocol, download side), again after each change.
 
-    A download that somebody else requested is read as well. So a recording of a companion's link fills the
-    book although nobody answers our requests.
+    It also reads downloads that another component requested. So a recording of a companion's link fills the
+    book although no autopilot answers our requests.
 
-    ArduPilot may have no mission id: if a mission is replaced by another of the same length, none of its
-    messages shows that. So an item that runs there is requested again, and `is_running` says when the book's
-    own numbers are enough.
+    ArduPilot may have no mission id. If a mission is replaced by another of the same length, none of its
+    messages shows the change. So each item that runs there is requested again, unless `is_running`.
     """
 
     def __init__(self, items: Sequence[MissionItem] = ()) -> None:
@@ -52,12 +51,12 @@ class MissionBook:
         self._owes_ack = False
         self._current: int | None = None
         self._read_id = self._arriving_id = 0
-        self._told_anew = self._is_anew = False
+        self._change_reported = self._has_changed = False
         self.fresh = bool(items)
 
     @property
     def arriving(self) -> bool:
-        """Whether the autopilot is sending its mission now."""
+        """True while the autopilot sends its mission."""
         return self._expected is not None
 
     @property
@@ -66,16 +65,16 @@ class MissionBook:
 
     @property
     def is_given(self) -> bool:
-        """Whether the mission was known beforehand, and none has been read since."""
+        """True if the mission was given at the start, and none has been read since."""
         return self._given
 
     @property
     def is_running(self) -> bool:
-        """Whether the book certainly holds the autopilot's present mission."""
+        """True if the book certainly holds the autopilot's present mission."""
         return self._given or (self.fresh and self._read_id != 0 and self._read_id == self._mission_id)
 
     def alike(self, command: int, params: Sequence[float]) -> list[MissionItem]:
-        """The items with this command and these first four numbers."""
+        """The items with this command and these first four params."""
         return [
             item
             for item in self._items.values()
@@ -83,30 +82,30 @@ class MissionBook:
         ]
 
     def only(self, command: int, params: Sequence[float]) -> MissionItem | None:
-        """The only item with these numbers; None if there is no such item, or more than one."""
+        """The only item with this command and these params; None if there is none, or more than one."""
         alike = self.alike(command, params)
         return alike[0] if len(alike) == 1 else None
 
-    def tell_anew(self) -> bool:
-        """Whether a different mission was read and nobody was told yet."""
-        anew, self._is_anew = self._is_anew, False
-        return anew
+    def take_change(self) -> bool:
+        """True, once, after a different mission was read, if the pilot does not know it yet."""
+        changed, self._has_changed = self._has_changed, False
+        return changed
 
-    def told_anew(self) -> None:
-        """The pilot has been told that this mission is a different one."""
-        self._told_anew = True
+    def note_change_reported(self) -> None:
+        """The pilot has been informed that the mission changed."""
+        self._change_reported = True
 
-    def doubt(self, t: float) -> None:
+    def mark_outdated(self, t: float) -> None:
         """The mission has probably changed: do not trust the book, read it again."""
         if not self._given:
             self.fresh = False
-        self._arriving, self._expected = {}, None  # what has arrived is of the mission before
+        self._arriving, self._expected = {}, None  # these items are of the previous mission
         self._changed_at = t
         self._attempts = 0
         self._gave_up_at = None
 
     def refresh(self, t: float) -> None:
-        """Read the mission again, but trust the book meanwhile: not every change is announced."""
+        """Read the mission again, because not every change is announced. Trust the book until then."""
         self._changed_at = t
         self._attempts = 0
         self._gave_up_at = None
@@ -118,17 +117,17 @@ class MissionBook:
             self._current = message.seq
             self._watch_for_change(t, message)
         elif kind == "STATUSTEXT" and message.text.startswith("Flight plan received"):
-            self.doubt(t)
+            self.mark_outdated(t)
         elif kind == "PARAM_VALUE" and message.param_id == "MIS_TOTAL":
-            # ArduPilot sends it with every item that an upload adds or takes away.
+            # ArduPilot sends it with every item that an upload adds or removes.
             if message.param_value != len(self._items):
-                self.doubt(t)
+                self.mark_outdated(t)
         elif kind == "MISSION_ACK" and message.mission_type == 0 and self._asking:
             if message.type == mavlink.MAV_MISSION_DENIED:
-                self.doubt(t)  # somebody is uploading
+                self.mark_outdated(t)  # somebody is uploading
             elif message.type != mavlink.MAV_MISSION_ACCEPTED:
-                self._arriving, self._expected = {}, None  # the transfer is over; begin again
-        elif kind == "MISSION_COUNT" and message.mission_type == 0 and message.count <= MOST_ITEMS:
+                self._arriving, self._expected = {}, None  # the transfer was cancelled; begin again
+        elif kind == "MISSION_COUNT" and message.mission_type == 0 and message.count <= MAX_ITEMS:
             self._expected, self._arriving = message.count, {}
             self._arriving_id = _mission_id(message, 5) or self._mission_id or 0
             self._progress(t)
@@ -140,7 +139,7 @@ class MissionBook:
         same = known is not None and known.command == item.command and same_numbers(known.params, item.params)
         reading = self._expected is not None
         if self.fresh and not same and not (self._given and reading):
-            self.doubt(t)
+            self.mark_outdated(t)
         elif reading and item.seq < (self._expected or 0):
             self._arriving[item.seq] = item
             self._progress(t)
@@ -149,16 +148,16 @@ class MissionBook:
         self._asked_at, self._attempts = t - RETRY_S, 0
         if self._expected is None or len(self._arriving) < self._expected:
             return
-        self._is_anew = bool(self._items) and not self._told_anew and self._acts_differ()
+        self._has_changed = bool(self._items) and not self._change_reported and self._actions_differ()
         self._items, self._arriving, self._expected = self._arriving, {}, None
         self._complete_at, self._changed_at = t, None
         self._read_id = self._arriving_id
-        self._given = self._told_anew = False
+        self._given = self._change_reported = False
         self.fresh = True
         self._owes_ack = self._asking
 
-    def _acts_differ(self) -> bool:
-        """Whether the arriving mission has other actions. Item 0 may be home, which changes every flight."""
+    def _actions_differ(self) -> bool:
+        """True if the arriving mission has other actions. Waypoints and home (item 0) do not count."""
         before, now = (
             {seq: (item.command, *item.params) for seq, item in items.items() if not is_nav(item.command)}
             for items in (self._items, self._arriving)
@@ -171,20 +170,20 @@ class MissionBook:
         if first or (total, mission_id) == (self._total, self._mission_id):
             self._total, self._mission_id = total, mission_id
             if first and mission_id and self._complete_at is not None and mission_id != self._read_id:
-                self.refresh(t)  # it was read before we knew what identity it has
+                self.refresh(t)  # it was read before its id was known
             return
         same_id = mission_id == self._mission_id
         self._total, self._mission_id = total, mission_id
         just_read = self._complete_at is not None and t - self._complete_at < SAME_CHANGE_S
         if just_read and same_id and total == len(self._items) - 1:
-            return  # ArduPilot, which does not count the home item, and has no id
-        self.doubt(t)
+            return  # ArduPilot: its total leaves out the home item, and it has no id
+        self.mark_outdated(t)
 
     def requests(self, t: float, system_id: int, in_any_order: bool = False) -> list[MavlinkMessage]:
         """The next request to the autopilot; at most one message a call.
 
-        `in_any_order`: it gives any item at any time, as ArduPilot does. PX4 ends the transfer if an item is
-        neither the next one nor the last one again, and tells the pilot.
+        `in_any_order`: the autopilot sends any item at any time, like ArduPilot. PX4 ends the transfer with a
+        text to the pilot, unless the request is for the next item or the previous one again.
         """
         if self._gave_up_at is not None and t - self._gave_up_at < TRY_AGAIN_S:
             return []
@@ -194,7 +193,7 @@ class MissionBook:
             return []
         if t - self._asked_at < RETRY_S:
             return []
-        if self._attempts >= MOST_ATTEMPTS:
+        if self._attempts >= MAX_ATTEMPTS:
             self._gave_up_at, self._attempts, self._expected = t, 0, None
             return []
         self._asked_at, self._asking = t, True
@@ -203,16 +202,16 @@ class MissionBook:
             return [mavlink.MAVLink_mission_request_list_message(system_id, 1, 0)]
         here = self._current or 0 if in_any_order else 0
         missing = (seq for seq in range(self._expected) if seq not in self._arriving)
-        first = min(missing, key=lambda seq: (seq < here, seq))  # what runs soon is needed first
+        first = min(missing, key=lambda seq: (seq < here, seq))  # items that run soon come first
         return [mavlink.MAVLink_mission_request_int_message(system_id, 1, first, 0)]
 
     def ask(self, seq: int, system_id: int) -> MavlinkMessage:
-        """The request for one item, which ArduPilot gives at any time."""
+        """The request for one item. ArduPilot answers it at any time."""
         self._asking = True
         return ItemRequest(system_id, 1, seq, 0)
 
     def acknowledgement(self, system_id: int) -> list[MavlinkMessage]:
-        """The MISSION_ACK that ends a download that we asked for, once it is complete."""
+        """The MISSION_ACK that ends a complete download that we requested."""
         if not self._owes_ack:
             return []
         self._owes_ack = self._asking = False
@@ -220,7 +219,7 @@ class MissionBook:
 
 
 def item_of(message: MavlinkMessage) -> MissionItem:
-    """The item that MISSION_ITEM_INT or MISSION_ITEM carries."""
+    """The item in a MISSION_ITEM_INT or MISSION_ITEM."""
     whole_numbers = message.get_type() == "MISSION_ITEM_INT"
     scale = 1e-7 if whole_numbers and has_place(message.command, message.frame) else 1.0
     params = (
@@ -238,8 +237,10 @@ def item_of(message: MavlinkMessage) -> MissionItem:
 
 
 def _mission_id(message: MavlinkMessage, at: int) -> int:
-    """PX4's checksum of the mission: an extension of MISSION_CURRENT and of MISSION_COUNT that the dialect
-    does not name, at this place in the payload."""
+    """PX4's checksum of the mission, an extension field of MISSION_CURRENT and MISSION_COUNT.
+
+    The dialect lacks it. `at` is its position in the payload.
+    """
     frame = message.get_msgbuf()
     if not frame or frame[0] != 0xFD:
         return 0

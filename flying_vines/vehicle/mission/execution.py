@@ -11,7 +11,7 @@ from flying_vines.vehicle.mission.item import MissionItem
 
 @dataclass(frozen=True, slots=True)
 class Execution:
-    """A mission item ran. `seq` and `params` are None where its place or its numbers are not certain."""
+    """A mission item ran. `seq` and `params` are None if they are not certain."""
 
     command: int
     seq: int | None
@@ -19,12 +19,12 @@ class Execution:
     params: tuple[float, ...] | None
     age_s: float = 0.0
     """The minimum time since it ran."""
-    anew: bool = False
-    """The autopilot gave other numbers than those in the book."""
+    changed: bool = False
+    """The autopilot sent other params than those in the book."""
 
 
 def same_numbers(a: Sequence[float], b: Sequence[float]) -> bool:
-    """Equal as far as 32-bit floats and text files carry them."""
+    """Equal within the precision of 32-bit floats and text files."""
     return all(
         math.isclose(x, y, rel_tol=1e-5, abs_tol=1e-6) or (math.isnan(x) and math.isnan(y))
         for x, y in zip(a, b, strict=True)

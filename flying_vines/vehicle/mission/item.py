@@ -1,4 +1,4 @@
-"""One item of a mission, as MAVLink's MISSION_ITEM_INT carries it and QGC WPL 110 files store it."""
+"""One item of a mission, as in MAVLink's MISSION_ITEM_INT and in QGC WPL 110 files."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 class MissionItem:
     """A mission item.
 
-    `params` holds param1…param4 and then x, y, z; for items with a position x and y are degrees
-    (latitude, longitude), z is metres. NaN means "not given", as in MAVLink.
+    `params` is param1…param4, x, y, z. For items with a position, x and y are latitude and longitude in
+    degrees, z is in metres. NaN means "not given", as in MAVLink.
     """
 
     seq: int
@@ -26,7 +26,7 @@ _LAST_NAV = 95
 
 
 def is_nav(command: int) -> bool:
-    """Whether the vehicle flies (or waits) for it before the mission goes on."""
+    """True if the vehicle flies (or waits) for it before the mission continues."""
     return command <= _LAST_NAV or command == NAV_SCRIPT_TIME
 
 
@@ -36,6 +36,6 @@ _PLAIN_FRAMES = {1, 2}
 
 
 def has_place(command: int, frame: int) -> bool:
-    """Whether x and y are a latitude and a longitude (1e-7 degrees in MISSION_ITEM_INT), or plain numbers."""
+    """True if x and y are a latitude and a longitude (1e-7 degrees in MISSION_ITEM_INT)."""
     placed = command not in _NAV_WITHOUT_PLACE if is_nav(command) else command in _DO_WITH_PLACE
     return placed and frame not in _PLAIN_FRAMES

@@ -1,4 +1,4 @@
-"""DO_JUMP: where a mission goes on."""
+"""DO_JUMP: the item with which a mission continues."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ FOR_EVER = -1
 
 
 class Jumps:
-    """Counts how often each DO_JUMP was taken."""
+    """Counts the repetitions of each DO_JUMP."""
 
     def __init__(self) -> None:
         self._taken: dict[int, int] = {}
 
     def take(self, item: MissionItem) -> int:
-        """The seq to go on with: the jump's target, or the item after it once it is used up."""
+        """The seq of the next item: the jump's target, or the item after the jump once it is used up."""
         target, times = item.params[0], item.params[1]
         taken = self._taken.get(item.seq, 0)
         if not (math.isfinite(target) and target >= 0) or (times != FOR_EVER and not taken < times):

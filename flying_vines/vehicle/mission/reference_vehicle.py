@@ -1,4 +1,4 @@
-"""The vehicle that time and air are planned for, and that the stand-ins fly: its home and its speeds."""
+"""Home and speeds of the vehicle that mission planning assumes and that the stand-ins fly."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _METRES_PER_DEGREE = 111_318.84
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """Where the vehicle was switched on, and the origin of its local coordinates."""
+    """The place where the vehicle was switched on: the origin of its local coordinates."""
 
     latitude_deg: float
     longitude_deg: float
@@ -39,6 +39,6 @@ class Home:
 
 
 ARDUPILOT_HOME = Home(-35.363262, 149.165237, 584.09)
-"""Where ArduPilot's SITL is switched on."""
+"""Home of ArduPilot's SITL."""
 PX4_HOME = Home(47.3977431, 8.5455944, 489.443)
-"""Where PX4's SITL is switched on."""
+"""Home of PX4's SITL."""

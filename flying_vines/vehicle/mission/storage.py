@@ -1,4 +1,4 @@
-"""What autopilots' mission storages have in common. What each makes of an item: `autopilots`."""
+"""Common parts of all autopilots' mission storages. `autopilots` has the differences."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Params = tuple[float, float, float, float, float, float, float]
 
 
 class MissionRefused(ValueError):
-    """The autopilot does not take this item; `result` is the MAV_MISSION_RESULT."""
+    """The autopilot refuses this item; `result` is the MAV_MISSION_RESULT."""
 
     def __init__(self, item: MissionItem, result: int) -> None:
         super().__init__(f"item {item.seq} (command {item.command}) refused with MAV_MISSION_RESULT {result}")

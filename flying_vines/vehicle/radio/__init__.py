@@ -1,1 +1,1 @@
-"""RC: whether it can be trusted, and what the pilot's switch asks for."""
+"""RC: checks the radio link, and turns moves of the pilot's switch into requests."""

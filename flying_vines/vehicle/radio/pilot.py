@@ -1,4 +1,4 @@
-"""The pilot's switch: which of its moves are made by the pilot, and what they ask for.
+"""The pilot's switch: which of its moves the pilot made, and what they request.
 
 A move that straightens the vine counts at once. A move that bends it counts only if the pilot made it.
 """
@@ -18,9 +18,9 @@ from flying_vines.vehicle.radio.switch import MovedUnseen, SwitchMove, SwitchRea
 from flying_vines.vehicle.triggers import Rules, Trigger
 
 CONFIRMED_WITHIN_S = 4.0
-"""A move that is not confirmed within this time after the earliest possible confirmation is refused."""
+"""A move is refused if it is not confirmed within this time after the earliest possible confirmation."""
 HEALTH_REPORTS_APART_S = 2.0
-"""PX4 reports health at most this often (min_reporting_interval): a loss of RC may be reported late."""
+"""PX4's minimum time between two health reports (min_reporting_interval). It can delay that of an RC loss."""
 OVERRIDE_SLACK_S = 0.7
 """Uncertainty of the time at which an override ends."""
 RELEASED_US = 65534
@@ -29,7 +29,7 @@ IGNORED_US = (0, 65535)
 
 @dataclass(frozen=True, slots=True)
 class Straightened:
-    """The pilot straightened the vine while RC was good: clears the faults that had latched by `seen_at`."""
+    """The pilot straightened the vine while RC was good. This clears the faults latched up to `seen_at`."""
 
     seen_at: float
 
@@ -39,21 +39,21 @@ PilotOutput = Trigger | Notice | Straightened
 
 @dataclass(slots=True)
 class _Waiting:
-    """A move that waits until RC has been good for long enough after it."""
+    """A move that waits for its confirmation: RC must stay good for some time."""
 
     move: SwitchMove
     before: int
     seen_at: float
     since_s: float | None
-    """Since when the switch has read this position, by the autopilot's clock; None while it reads another."""
+    """When the switch came to this position, by the autopilot's clock; None while it is elsewhere."""
 
 
 class Pilot:
     """Turns moves of the pilot's switch into requests. Sans-IO; all times are seconds of one clock.
 
-    PX4's RC status reports a loss more than a second late, and a short loss never; meanwhile the switch's
-    channel may have any value. So a bend waits until the status would have reported a loss at the time of the
-    move, and is carried out if the status is still good.
+    PX4's RC status reports a loss more than a second late, and never reports a short one. During a loss the
+    switch's channel may have any value. So a bend waits for the maximum delay of the report, and is carried
+    out if the RC status is still good then.
     """
 
     def __init__(self, config: Config, rules: Rules) -> None:
@@ -63,20 +63,21 @@ class Pilot:
         self.switch = _switch(config)
         self.parameters = RadioParameters()
         self._waiting: _Waiting | None = None
-        self._stood: set[int] = set()
-        """The positions since the last confirmed move. A return to one of them is not a move."""
+        self._positions: set[int] = set()
+        """Positions since the last confirmed move. A return to one of them does not bend the vine."""
         self._hides_loss = ""
         self._by_station = False
         self._override_ends_at = -math.inf
-        self._position_overruled: int | None = None
-        self._left_it_at = math.inf
+        self._overruled_position: int | None = None
+        """The bending position of the switch in which somebody else straightened the vine."""
+        self._left_overruled_at = math.inf
 
     @property
     def channel(self) -> int:
         return self._config.switch.channel
 
     def configure(self, config: Config) -> None:
-        """A parameter of ours has changed."""
+        """One of our parameters has changed."""
         self.radio.configure(config.switch, config.losses.rc_s)
         if config.switch != self._config.switch:
             self.switch = _switch(config)
@@ -84,49 +85,48 @@ class Pilot:
         self._config = config
 
     def forget(self) -> None:
-        """Forget the state of the radio: the switch waits for a fresh move."""
+        """Forget the state of the radio. The switch acts only after a new move."""
         self.radio.forget()
         self._lose()
 
     def restarted(self) -> None:
-        """The autopilot booted again."""
         self.forget()
         self.parameters.forget()
 
     def overtaken(self) -> None:
-        """Drop a waiting move, because something else has happened after it."""
+        """Drop a waiting move, because something newer has happened."""
         if self._waiting is not None:
-            self._stood.add(self._waiting.move.position)
+            self._positions.add(self._waiting.move.position)
         self._waiting = None
 
     def others_asked(self, straightened: bool) -> None:
         """Somebody other than the pilot moved the vine.
 
-        The end of an RC override looks like a return of the switch to its position. After somebody else has
-        straightened the vine, that alone must not bend it again.
+        The end of an RC override looks as if the switch returns to its position. If somebody else has
+        straightened the vine, this must not bend it again.
         """
         self.overtaken()
         position = self.switch.position
         if not straightened:
-            self._position_overruled = None
+            self._overruled_position = None
         elif position is not None and self._rules.bends(position):
-            self._position_overruled, self._left_it_at = position, math.inf
+            self._overruled_position, self._left_overruled_at = position, math.inf
 
     def handle(
         self, t: float, message: MavlinkMessage, autopilot: Autopilot, vented: bool = False
     ) -> list[PilotOutput]:
         """Take in a message of our autopilot.
 
-        `vented`: the vine is straight and nothing moves it.
+        `vented`: the vine is vented and no motion runs.
         """
         self.radio.autopilot = autopilot
         kind = message.get_type()
         if kind == "PARAM_VALUE":
-            return self._tell_parameters(t) if self.parameters.handle(autopilot, message) else []
+            return self._report_parameters(t) if self.parameters.handle(autopilot, message) else []
         self.radio.handle(t, message)
         if kind == "RC_CHANNELS":
             return self._sample(t, vented)
-        return [*self._tell_source(t), *self._confirm(t)] if kind == "SYS_STATUS" else []
+        return [*self._report_source(t), *self._confirm(t)] if kind == "SYS_STATUS" else []
 
     def override(self, t: float, message: MavlinkMessage) -> None:
         """A ground station's RC_CHANNELS_OVERRIDE, if the autopilot forwards it to us."""
@@ -138,7 +138,6 @@ class Pilot:
             self._override_ends_at = t + self._override_lasts_s
 
     def tick(self, t: float) -> list[PilotOutput]:
-        """Let time pass."""
         if self.radio.problem(t) is not None:
             self._lose()
         waiting = self._waiting
@@ -150,12 +149,11 @@ class Pilot:
         return [self._refused(t, waiting.move, "the autopilot does not confirm RC, move it again")]
 
     def requests(self, t: float, system_id: int, autopilot: Autopilot) -> list[MavlinkMessage]:
-        """What to ask the autopilot next."""
         return self.parameters.requests(t, system_id, autopilot)
 
     @property
     def hides_loss(self) -> str:
-        """The parameter or receiver that hides a lost transmitter; empty if none is known."""
+        """The setting that makes a loss of RC undetectable; empty if there is none."""
         if self._config.switch.receiver_failsafe == "hidden":
             return "switch.receiver_failsafe"
         if self.radio.autopilot.needs_rc_status and not self.radio.by_receiver:
@@ -173,18 +171,18 @@ class Pilot:
     def _lose(self) -> None:
         self.switch.lose()
         self._waiting = None
-        self._position_overruled = None
+        self._overruled_position = None
 
-    def _tell_parameters(self, t: float) -> list[PilotOutput]:
+    def _report_parameters(self, t: float) -> list[PilotOutput]:
         hides, before = self.hides_loss, self._hides_loss
         self._hides_loss = hides
         if hides == before:
             return []
         if hides:
             return [Notice(t, Severity.WARNING, f"Vine: {hides} hides RC loss: switch cannot bend")]
-        return [Notice(t, Severity.NOTICE, "Vine: RC loss shows again: the switch can bend")]
+        return [Notice(t, Severity.NOTICE, "Vine: RC loss is detectable again: switch can bend")]
 
-    def _tell_source(self, t: float) -> list[PilotOutput]:
+    def _report_source(self, t: float) -> list[PilotOutput]:
         by_station, before = self.radio.by_station, self._by_station
         self._by_station = by_station
         if not by_station or before:
@@ -204,7 +202,7 @@ class Pilot:
         if isinstance(seen, SwitchMove):
             return self._moved(t, seen, vented)
         if seen is not None:
-            self._stood = {seen.position}
+            self._positions = {seen.position}
         return [self._move_again(t, "moved while RC was lost")] if isinstance(seen, MovedUnseen) else []
 
     def _keep_waiting(self, waiting: _Waiting) -> None:
@@ -220,34 +218,35 @@ class Pilot:
         bends = self._rules.bends(move.position)
         if move.position == origin and (bends or vented):
             hold_s = self._loss_shows_within_s
-            return [Notice(t, Severity.INFO, f"Vine: hold switch ch{self.channel} {hold_s:.1f} s to bend")]
-        if move.before == self._position_overruled:
-            self._left_it_at = t
+            text = f"Vine: hold switch ch{self.channel} for {hold_s:.1f} s to bend"
+            return [Notice(t, Severity.INFO, text)]
+        if move.before == self._overruled_position:
+            self._left_overruled_at = t
         must_wait = self._must_wait(move.position)
-        if bends and (why := self._not_the_pilots(t, move)):
-            self._position_overruled = None
+        if bends and (why := self._why_not_the_pilots(t, move)):
+            self._overruled_position = None
             return [self._move_again(t, why)]
         if bends and (hides := self.hides_loss):
             return [self._refused(t, move, f"{hides} hides a lost transmitter")]
         if must_wait:
             self._waiting = _Waiting(move, origin, t, self.radio.stamp_s)
         if bends:
-            self._position_overruled = None
-            return [] if must_wait else self._for_sure(t, move)
+            self._overruled_position = None
+            return [] if must_wait else self._bend(t, move)
         if not must_wait:
-            self._stood = {move.position}
-        return self._asks(t, move, by_person=not (must_wait or move.jumped))
+            self._positions = {move.position}
+        return self._request(t, move, by_person=not (must_wait or move.jumped))
 
-    def _for_sure(self, t: float, move: SwitchMove) -> list[PilotOutput]:
+    def _bend(self, t: float, move: SwitchMove) -> list[PilotOutput]:
         """Act on a bending move that is confirmed or needs no confirmation."""
-        was_there = move.position in self._stood
-        self._stood = {move.position}
+        was_there = move.position in self._positions
+        self._positions = {move.position}
         if was_there:
             return [self._move_again(t, "is back where it was")]
-        return self._asks(t, move, by_person=True)
+        return self._request(t, move, by_person=True)
 
-    def _not_the_pilots(self, t: float, move: SwitchMove) -> str:
-        """What other than the pilot may have made this move; empty if nothing."""
+    def _why_not_the_pilots(self, t: float, move: SwitchMove) -> str:
+        """Why this move may not be the pilot's; empty if it is."""
         if move.jumped:
             return "moved with other channels"
         lasts_s = self._override_lasts_s
@@ -255,8 +254,8 @@ class Pilot:
             return ""
         if abs(t - self._override_ends_at) < OVERRIDE_SLACK_S:
             return "moved as an override ended"
-        away_s = t - self._left_it_at
-        if move.position == self._position_overruled and away_s > lasts_s - OVERRIDE_SLACK_S:
+        away_s = t - self._left_overruled_at
+        if move.position == self._overruled_position and away_s > lasts_s - OVERRIDE_SLACK_S:
             return "is back where it was"
         return ""
 
@@ -273,7 +272,7 @@ class Pilot:
 
     @property
     def _confirmed_after_s(self) -> float:
-        """Measured from the time at which the move was debounced."""
+        """Time from the debounced move to the earliest confirmation."""
         return self._loss_shows_within_s - self._config.switch.debounce_s
 
     def _confirm(self, t: float) -> list[PilotOutput]:
@@ -281,20 +280,20 @@ class Pilot:
         if waiting is None or waiting.since_s is None:
             return []
         wait_s = self._confirmed_after_s
-        # After a change of health PX4 may report a loss this much later. A loss report is a change, too:
-        # it prolongs the wait, and then the loss drops the move.
+        # After a health report PX4 may delay the next one by this time, so wait longer. The report of a loss
+        # also prolongs the wait, and then the loss drops the move.
         if self.radio.health_changed_since(waiting.since_s - HEALTH_REPORTS_APART_S):
             wait_s += HEALTH_REPORTS_APART_S
         if self.radio.stamp_s - waiting.since_s < wait_s:
             return []
         self._waiting = None
         if self._waits_to_bend(waiting):
-            return self._for_sure(t, waiting.move)
-        was_there = waiting.move.position in self._stood
-        self._stood = {waiting.move.position}
+            return self._bend(t, waiting.move)
+        was_there = waiting.move.position in self._positions
+        self._positions = {waiting.move.position}
         return [] if was_there else [Straightened(waiting.seen_at)]
 
-    def _asks(self, t: float, move: SwitchMove, *, by_person: bool) -> list[PilotOutput]:
+    def _request(self, t: float, move: SwitchMove, *, by_person: bool) -> list[PilotOutput]:
         intent = self._rules.for_position(move.position)
         if intent is None:
             return []

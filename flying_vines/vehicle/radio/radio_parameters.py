@@ -1,4 +1,4 @@
-"""Reads the parameters of the autopilot that say whether a lost transmitter shows."""
+"""Reads the autopilot's parameters that affect whether a loss of RC can be detected."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 ASK_SPACING_S = 0.2
 ASK_AGAIN_S = 2.0
-MOST_ATTEMPTS = 5
+MAX_ATTEMPTS = 5
 """An autopilot without the parameter does not answer."""
 
 
@@ -25,24 +25,24 @@ class RadioParameters:
         self._round_at = -math.inf
 
     def forget(self) -> None:
-        """Forget the values: the autopilot has booted again."""
+        """Forget the values: the autopilot rebooted."""
         self.values = {}
         self.refresh()
 
     def refresh(self) -> None:
-        """Ask for all of them again."""
+        """Request all of them again."""
         self._attempts = {}
         self._asked_at = self._round_at = -math.inf
 
     def handle(self, autopilot: Autopilot, message: MavlinkMessage) -> bool:
-        """Take in a PARAM_VALUE of our autopilot; whether it changed anything."""
+        """Take in a PARAM_VALUE of our autopilot. Returns True if it changed a value."""
         name = message.param_id
         if name not in autopilot.rc_parameters:
             return False
         value = autopilot.parameter_value(message)
         if not math.isfinite(value):
             return False
-        self._attempts[name] = MOST_ATTEMPTS
+        self._attempts[name] = MAX_ATTEMPTS
         changed = self.values.get(name) != value
         self.values[name] = value
         return changed
@@ -51,7 +51,7 @@ class RadioParameters:
         """At most one request a call."""
         if t - self._asked_at < ASK_SPACING_S:
             return []
-        due = [name for name in autopilot.rc_parameters if self._attempts.get(name, 0) < MOST_ATTEMPTS]
+        due = [name for name in autopilot.rc_parameters if self._attempts.get(name, 0) < MAX_ATTEMPTS]
         if not due:
             return []
         name = min(due, key=lambda name: self._attempts.get(name, 0))

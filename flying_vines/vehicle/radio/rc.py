@@ -1,7 +1,7 @@
-"""Whether the radio link to the pilot is good.
+"""Checks the radio link to the pilot.
 
-After a loss of RC an autopilot goes on sending RC_CHANNELS, with the last values or the receiver's preset. So
-several signs are checked, and one that says "lost" is enough.
+After a loss of RC an autopilot continues to send RC_CHANNELS, with the last values or the receiver's preset.
+So several signs are checked, and one sign of a loss is enough.
 """
 
 from __future__ import annotations
@@ -16,21 +16,22 @@ from flying_vines.vehicle.autopilots import OTHER
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
-LOWEST_US, HIGHEST_US = 800, 2200
+MIN_US, MAX_US = 800, 2200
 CHANNELS = 18
 _PULSES_US = attrgetter(*(f"chan{number}_raw" for number in range(1, CHANNELS + 1)))
 TEXT_OUTLIVED_BY_HEALTH_S = 1.5
-"""If good health is reported this long after "Radio Failsafe", the text "Cleared" was lost."""
+"""The text "Cleared" may be lost. Good health this long after "Radio Failsafe" also clears it."""
 
 JUMP_US = 150
-JUMPED_WITH_IT = 2
 """A receiver's preset moves a channel this far within one period of RC_CHANNELS; a stick does not."""
+MIN_JUMPED = 2
+"""This many other channels must jump with the switch."""
 
 OVERRIDE_RSSI = 100
-"""What PX4 gives as rssi for a ground station's RC_CHANNELS_OVERRIDE."""
+"""PX4's rssi while RC comes from a ground station's RC_CHANNELS_OVERRIDE."""
 NO_SIGNAL, NO_RSSI = 0, 255
 RSSI_WARNS_FOR_S = 3.0
-"""A missing rssi counts as a loss for this long. After that, PX4's RC status is up to date."""
+"""A missing rssi (255) counts as a loss for this time. After that, PX4's RC status is up to date."""
 
 
 class RadioLink:
@@ -39,8 +40,8 @@ class RadioLink:
     `autopilot` is the sender of these messages, if it is known.
 
     PX4's RC status (present, enabled, health) is (1, 1, 1) while a receiver is good, (0, 1, 0) after a loss.
-    If RC comes from a ground station it is always (0, 1, 0) and says nothing; then RC_CHANNELS stops when the
-    ground station does.
+    If RC comes from a ground station the status is always (0, 1, 0), so it is ignored. A loss of such RC
+    shows because RC_CHANNELS stops.
     """
 
     def __init__(self, switch: SwitchConfig, silent_after_s: float) -> None:
@@ -50,7 +51,7 @@ class RadioLink:
         self.stamp_s = 0.0
         """When the autopilot sent the latest RC_CHANNELS, by its own clock."""
         self.jumped = False
-        """Whether several other channels jumped in the latest RC_CHANNELS, too."""
+        """Several other channels jumped in the latest RC_CHANNELS."""
         self.forget()
 
     def configure(self, switch: SwitchConfig, silent_after_s: float) -> None:
@@ -61,7 +62,7 @@ class RadioLink:
         self._silent_after_s = silent_after_s
 
     def forget(self) -> None:
-        """Forget everything: the autopilot rebooted or vanished."""
+        """Forget everything: the autopilot rebooted or was lost."""
         self._heard_at: float | None = None
         self._interrupted = False
         self._channels_us: tuple[int, ...] = ()
@@ -71,20 +72,20 @@ class RadioLink:
         self._rssi_lost_at: float | None = None
         self._status: bool | None = None
         self._unhealthy = False
-        self._status_told_good = False
+        self._status_was_good = False
         self._health: tuple[int, ...] | None = None
         self._health_stamp_s = -math.inf
         self._failsafe_text_at: float | None = None
 
     @property
     def by_receiver(self) -> bool:
-        """Whether the RC status has shown a good receiver since the autopilot booted."""
-        return self._status_told_good
+        """True if the RC status has shown a good receiver since the autopilot booted."""
+        return self._status_was_good
 
     @property
     def by_station(self) -> bool:
-        """Whether RC comes from a ground station, which PX4's RC status does not cover."""
-        no_receiver = self.autopilot.needs_rc_status and not self._status_told_good
+        """True if RC comes from a ground station, which PX4's RC status does not cover."""
+        no_receiver = self.autopilot.needs_rc_status and not self._status_was_good
         return no_receiver and self._heard_at is not None and self._rssi == OVERRIDE_RSSI
 
     def handle(self, t: float, message: MavlinkMessage) -> None:
@@ -99,11 +100,11 @@ class RadioLink:
             self._failsafe_text_at = None if "Cleared" in message.text else t
 
     def health_changed_since(self, stamp_s: float) -> bool:
-        """Whether SYS_STATUS has changed since then for any sensor, by the autopilot's clock."""
+        """True if SYS_STATUS has changed for any sensor since `stamp_s` of the autopilot's clock."""
         return self._health_stamp_s >= stamp_s
 
     def take_interruption(self) -> bool:
-        """Whether RC was lost for a moment since the last call, even if it is good again."""
+        """True if RC was lost since the last call, even if it is good again."""
         interrupted, self._interrupted = self._interrupted, False
         return interrupted
 
@@ -119,19 +120,19 @@ class RadioLink:
             return "the autopilot reports RC lost"
         if self._receiver_hears_nothing(t):
             return "the receiver hears no transmitter"
-        if self.autopilot.needs_rc_status and not (self._status_told_good or self.by_station):
+        if self.autopilot.needs_rc_status and not (self._status_was_good or self.by_station):
             return "no RC status yet" if self._status is None else "the autopilot reports no receiver"
         if self._chancount == 0:
             return "the receiver has no channels"
-        if not LOWEST_US <= self.switch_us <= HIGHEST_US:
-            return f"channel {self._channel_number} is not there ({self.switch_us})"
+        if not MIN_US <= self.switch_us <= MAX_US:
+            return f"channel {self._channel_number} has no valid pulse ({self.switch_us})"
         throttle_us = self._channels_us[self._throttle_channel - 1] if self._throttle_channel else 0
         if 0 < throttle_us < self._throttle_failsafe_us:
             return f"throttle at {throttle_us}: receiver in failsafe"
         return None
 
     def _take_channels(self, t: float, message: MavlinkMessage) -> None:
-        # `problem` is not called while our process stands still: the gap itself counts as a loss.
+        # While our process stalls, nobody calls `problem`. So a long gap itself counts as a loss.
         if self._heard_at is not None and t - self._heard_at > self._silent_after_s:
             self._interrupted = True
         channels_us: tuple[int, ...] = _PULSES_US(message)
@@ -149,13 +150,13 @@ class RadioLink:
         jumped = 0
         for number, (now_us, before_us) in enumerate(zip(channels_us, self._channels_us, strict=False), 1):
             if abs(now_us - before_us) >= JUMP_US and number != self._channel_number:
-                jumped += min(now_us, before_us) >= LOWEST_US
-        return jumped >= JUMPED_WITH_IT
+                jumped += min(now_us, before_us) >= MIN_US
+        return jumped >= MIN_JUMPED
 
     def _take_rssi(self, t: float, rssi: int) -> None:
-        """A receiver with rssi shows a loss sooner than the RC status, or is the only one to show it."""
+        """A receiver's rssi shows a loss earlier than the RC status. Sometimes it is the only sign."""
         if rssi not in (NO_SIGNAL, NO_RSSI):
-            self._rssi_known = self._status_told_good
+            self._rssi_known = self._status_was_good
             self._rssi_lost_at = None
         elif self._rssi_known and rssi != self._rssi:
             self._rssi_lost_at = t
@@ -182,13 +183,13 @@ class RadioLink:
         enabled = bool(message.onboard_control_sensors_enabled & RC_BIT)
         health = bool(message.onboard_control_sensors_health & RC_BIT)
         self._status = good = present and enabled and health
-        self._unhealthy = not good and ((present and enabled) or self._status_told_good)
+        self._unhealthy = not good and ((present and enabled) or self._status_was_good)
         if not good:
             return
-        if not self._status_told_good:
-            self._status_told_good = True
-            # Earlier values came from no receiver, or from one in failsafe.
+        if not self._status_was_good:
+            self._status_was_good = True
+            # Channel values before the first good status may be failsafe values.
             self._interrupted |= self.autopilot.needs_rc_status
-        said_at = self._failsafe_text_at
-        if said_at is not None and t - said_at > TEXT_OUTLIVED_BY_HEALTH_S:
+        text_at = self._failsafe_text_at
+        if text_at is not None and t - text_at > TEXT_OUTLIVED_BY_HEALTH_S:
             self._failsafe_text_at = None

@@ -1,4 +1,4 @@
-"""A switch on an RC channel. Only a move that was observed counts."""
+"""A switch on an RC channel. Only observed moves count."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ BOUNDARIES_US = {
     3: (1300.0, 1700.0),
     6: (1230.5, 1360.5, 1490.5, 1620.5, 1749.5),
 }
-"""Boundaries between positions; for six positions they are those of ArduPilot's flight mode channel."""
+"""Boundaries between positions. Those for six positions are from ArduPilot's flight mode channel."""
 
 SAMPLING_SLACK_S = 0.01
-"""Samples jitter: a debounce time of three sample periods must not wait for a fourth sample."""
+"""Allowance for jitter: a debounce time of three sample periods must not wait for a fourth sample."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class SwitchMove:
 
 @dataclass(frozen=True, slots=True)
 class MovedUnseen:
-    """After a loss the switch stands in another position. The move was not observed, so it does not count."""
+    """After a loss the switch is in another position. The move was not observed, so it does not count."""
 
     position: int
     before: int
@@ -35,15 +35,15 @@ class MovedUnseen:
 
 @dataclass(frozen=True, slots=True)
 class SwitchReady:
-    """The switch is trusted from now on: its next move counts."""
+    """The switch has settled: its next move counts."""
 
     position: int
 
 
 class SwitchReader:
-    """Debounce, hysteresis, and no action after a loss until a fresh move.
+    """Debounce and hysteresis. After a loss the switch acts only after a new move.
 
-    Call `sample` with the pulse width while the radio link is good, and `lose` when it is not. After the
+    Call `sample` with the pulse width while the radio link is good, and `lose` when it is lost. After the
     start and after each loss the pulse width must stay in one position for `settle_s` before moves count.
     """
 
@@ -89,8 +89,7 @@ class SwitchReader:
     def reads(self, pulse_us: float) -> int:
         """The position of a pulse width, not debounced. The present position is wider by the hysteresis.
 
-        The settled position is checked first, so that a glitch does not move a switch that rests near a
-        boundary.
+        The settled position is checked first, so a glitch does not move a switch that rests near a boundary.
         """
         for here in (self.position, self._candidate):
             if here is None:

@@ -1,5 +1,5 @@
-// What the board layer uses of Teensyduino, declared as Teensyduino declares it for a Teensy LC, and nothing
-// behind it: a compiler that checks the layer's syntax and types needs no more. It cannot be run.
+// What the board layer uses of Teensyduino, declared as Teensyduino declares it. simulated_teensy.cpp is behind
+// it: pins, converter, timer, memory, USB buffers and watchdogs, as the maker's core and the chips' manuals say.
 #pragma once
 
 #include <stddef.h>
@@ -8,6 +8,8 @@
 #define HIGH 1
 #define LOW 0
 #define OUTPUT 1
+#define INPUT_DISABLE 5
+#define FLASHMEM
 
 void pinMode(uint8_t pin, uint8_t mode);
 void digitalWrite(uint8_t pin, uint8_t value);
@@ -20,25 +22,61 @@ uint32_t analogWriteRes(uint32_t bits);
 #define analogWriteResolution(bits) analogWriteRes(bits)
 void analogWriteFrequency(uint8_t pin, float frequency);
 uint32_t micros(void);
+uint32_t millis(void);
+extern "C" void yield(void);
 
-#define __disable_irq() __asm__ volatile("" ::: "memory")
-#define __enable_irq() __asm__ volatile("" ::: "memory")
+void sim_interrupts(bool on);
+#define __disable_irq() sim_interrupts(false)
+#define __enable_irq() sim_interrupts(true)
 
-extern volatile uint32_t SIM_SCGC5, SIM_COPC, SIM_SRVCOP, GPIOC_PCOR, GPIOC_PSOR, GPIOC_PDDR;
-extern volatile uint32_t CORE_PIN9_CONFIG, CORE_PIN10_CONFIG, CORE_PIN11_CONFIG;
-extern volatile uint8_t RCM_SRS0, RCM_SRS1;
+void sim_idle();
+#define PHLOSAR_IDLE() sim_idle()
+
+// A register: what a write does depends on its kind and pin.
+enum class Kind { kPlain, kPortClear, kPortSet, kDirection, kConfig, kWatchdog, kFeed, kResetCause };
+struct Register {
+    Kind kind;
+    uint8_t pin;
+    uint32_t value;
+    Register& operator=(uint32_t written);
+    Register& operator|=(uint32_t bits) { return *this = value | bits; }
+    operator uint32_t() const { return value; }
+};
+
+#define SIM_PIN(n)                                                                                             \
+    extern Register CORE_PIN##n##_PORTCLEAR, CORE_PIN##n##_PORTSET, CORE_PIN##n##_DDRREG, CORE_PIN##n##_CONFIG
+SIM_PIN(6);
+SIM_PIN(9);
+SIM_PIN(11);
+#define CORE_PIN6_BITMASK (1 << 6)
+#define CORE_PIN9_BITMASK (1 << 9)
+#define CORE_PIN11_BITMASK (1 << 11)
+
+#if defined(__MKL26Z64__)
+extern Register SIM_SCGC5, SIM_COPC, SIM_SRVCOP, RCM_SRS0, RCM_SRS1;
 #define RCM_SRS0_WDOG ((uint8_t)0x20)
 #define SIM_SCGC5_PORTC ((uint32_t)0x00000800)
+#define SIM_SCGC5_PORTD ((uint32_t)0x00001000)
 #define PORT_PCR_MUX(n) ((uint32_t)(((n) & 7) << 8))
-#define CORE_PIN9_BITMASK (1 << 3)
-#define CORE_PIN10_BITMASK (1 << 4)
-#define CORE_PIN11_BITMASK (1 << 6)
+#else
+extern Register IOMUXC_GPR_GPR27, CCM_CCGR3, WDOG1_WCR, WDOG1_WSR, SRC_SRSR;
+extern Register SNVS_LPSRTCLR, ARM_DWT_CYCCNT, HW_OCOTP_MAC0;
+extern void (*volatile _VectorsRam[176])(void);
+#define CCM_CCGR_ON 3
+#define CCM_CCGR3_WDOG1(n) ((uint32_t)(((n) & 0x03) << 16))
+#define SRC_SRSR_WDOG_RST_B ((uint32_t)(1 << 4))
+#define WDOG_WCR_WDBG ((uint16_t)(1 << 1))
+#define WDOG_WCR_WDE ((uint16_t)(1 << 2))
+#define WDOG_WCR_SRS ((uint16_t)(1 << 4))
+#define WDOG_WCR_WDA ((uint16_t)(1 << 5))
+#define WDOG_WCR_WT(n) ((uint16_t)(((n) & 0xFF) << 8))
+#endif
 
 class usb_serial_class {
 public:
-    virtual int available();
-    virtual size_t write(const uint8_t* buffer, size_t size);
-    virtual int availableForWrite();
+    int available();
+    size_t write(const uint8_t* buffer, size_t size);
+    int availableForWrite();
     size_t readBytes(char* buffer, size_t length);
     void send_now(void);
     uint32_t baud(void);
@@ -46,5 +84,7 @@ public:
 };
 extern usb_serial_class Serial;
 
+extern "C" void startup_early_hook();
+extern "C" void systick_isr();
 void setup();
 void loop();

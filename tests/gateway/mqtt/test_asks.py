@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flying_vines.gateway.mqtt.asks import LONGEST_ASK, MOST_WAITING, Asks
+from flying_vines.gateway.mqtt.asks import MAX_REQUEST_LENGTH, MAX_WAITING, Asks
 from flying_vines.gateway.mqtt.payloads import AnswerPayload
 from flying_vines.gateway.mqtt.teller import Now
 from flying_vines.vine.intent import CommandName
@@ -31,21 +31,21 @@ def waiting(asks: Asks) -> list[list[str]]:
 
 
 def refusal(asks: Asks, payload: bytes, retained: bool = False, now: Now = NOW) -> str:
-    (answer,) = asks.hear(now, payload, retained)
+    (answer,) = asks.receive(now, payload, retained)
     assert answer.safety == "refused"
     assert not asks.next()
     return answer.reason
 
 
 def test_nothing_may_be_asked_for_unless_it_is_listed() -> None:
-    assert "the profile lists nothing" in refusal(Asks((), 5.0), ask(command="vent"))
-    assert "'bend' may not be asked for" in refusal(Asks(("vent",), 5.0), ask(command="bend", value=30))
+    assert "the profile permits nothing" in refusal(Asks((), 5.0), ask(command="vent"))
+    assert "'bend' is not permitted" in refusal(Asks(("vent",), 5.0), ask(command="bend", value=30))
 
 
 def test_what_is_listed_is_handed_on_with_its_value() -> None:
     asks = Asks(ALL, 5.0)
-    assert asks.hear(NOW, ask("1", "bend", value=30), False) == []
-    assert asks.hear(NOW, ask("2", "profile", name="wave"), False) == []
+    assert asks.receive(NOW, ask("1", "bend", value=30), False) == []
+    assert asks.receive(NOW, ask("2", "profile", name="wave"), False) == []
     (bend,), (profile,) = asks.next(), asks.next()
     assert (bend.ask.command, bend.ask.value) == ("bend", 30.0)
     assert (profile.ask.command, profile.ask.name) == ("profile", "wave")
@@ -55,18 +55,18 @@ def test_what_is_listed_is_handed_on_with_its_value() -> None:
 @pytest.mark.parametrize("command", ["vent", "hold"])
 def test_what_was_asked_for_long_ago_is_refused(command: str) -> None:
     asks = Asks(ALL, 5.0)
-    assert "asked 5.1 s ago by this vehicle's clock" in refusal(asks, ask("1", command, 5.1))
-    assert "asked 60.0 s from now" in refusal(asks, ask("2", command, -60.0))
+    assert "requested 5.1 s ago by this vehicle's clock" in refusal(asks, ask("1", command, 5.1))
+    assert "requested 60.0 s in the future" in refusal(asks, ask("2", command, -60.0))
     assert "a retained message" in refusal(asks, ask("3", command), retained=True)
-    assert asks.hear(NOW, ask("4", command, 4.9), False) == []
+    assert asks.receive(NOW, ask("4", command, 4.9), False) == []
 
 
 @pytest.mark.parametrize("command", ["vent", "hold"])
 def test_what_is_asked_for_twice_is_done_once(command: str) -> None:
     asks = Asks(ALL, 5.0)
-    assert asks.hear(NOW, ask("1", command), False) == []
-    (answer,) = asks.hear(NOW, ask("1", command), False)
-    assert "asked before" in answer.reason
+    assert asks.receive(NOW, ask("1", command), False) == []
+    (answer,) = asks.receive(NOW, ask("1", command), False)
+    assert "repeated: " in answer.reason
     assert waiting(asks) == [["1"]]
     # As long as it is young enough to be done, its id is known; after that it is too old.
     for later_s in (1.0, 4.9, 5.1, 400.0):
@@ -79,8 +79,8 @@ def test_what_is_asked_for_twice_is_done_once(command: str) -> None:
     [
         (b"", "truncated"),
         (b"vent", "malformed"),
-        (b"[" * 1000, "not understood"),
-        (b'{"id": "\xff"}', "not understood"),
+        (b"[" * 1000, "invalid request"),
+        (b'{"id": "\xff"}', "invalid request"),
         (ask(command="explode"), "Invalid enum value 'explode'"),
         (ask(surprise=1), "unknown field `surprise`"),
         (ask(id=""), "length >= 1"),
@@ -89,11 +89,11 @@ def test_what_is_asked_for_twice_is_done_once(command: str) -> None:
         (ask(command="bend"), "'bend' takes a value"),
         (ask(command="bend", value=30, name="wave"), "'bend' takes a value"),
         (ask(command="profile", value=3), "'profile' takes a name"),
-        (ask(command="hold", value=3), "'hold' takes nothing"),
+        (ask(command="hold", value=3), "'hold' takes no value"),
         (b'{"id": "1", "command": "hold"}', "unix_s"),
-        (b'{"id": "1", "command": "hold", "unix_s": 1e999}', "not understood"),
-        (b'{"id": "1", "command": "bend", "value": 1e999, "unix_s": 1700000000}', "not understood"),
-        (ask() + b" " * LONGEST_ASK, "longer than"),
+        (b'{"id": "1", "command": "hold", "unix_s": 1e999}', "invalid request"),
+        (b'{"id": "1", "command": "bend", "value": 1e999, "unix_s": 1700000000}', "invalid request"),
+        (ask() + b" " * MAX_REQUEST_LENGTH, "longer than"),
     ],
 )
 def test_what_cannot_be_done_is_refused_with_the_reason(payload: bytes, said: str) -> None:
@@ -102,51 +102,51 @@ def test_what_cannot_be_done_is_refused_with_the_reason(payload: bytes, said: st
 
 def test_a_vent_overtakes_what_waits_and_that_is_not_done_afterwards() -> None:
     asks = Asks(ALL, 5.0)
-    asks.hear(NOW, ask("1", "bend", value=30), False)
-    asks.hear(NOW, ask("2", "hold"), False)
-    overtaken = asks.hear(NOW, ask("3", "vent"), False)
+    asks.receive(NOW, ask("1", "bend", value=30), False)
+    asks.receive(NOW, ask("2", "hold"), False)
+    overtaken = asks.receive(NOW, ask("3", "vent"), False)
     assert [(answer.id, answer.reason) for answer in overtaken] == [
         ("1", "overtaken by a vent"),
         ("2", "overtaken by a vent"),
     ]
-    asks.hear(NOW, ask("4", "vent"), False)
-    asks.hear(NOW, ask("5", "bend", value=30), False)
+    asks.receive(NOW, ask("4", "vent"), False)
+    asks.receive(NOW, ask("5", "bend", value=30), False)
     assert waiting(asks) == [["3", "4"], ["5"]]
 
 
 def test_whoever_asks_too_often_is_not_answered_but_may_vent() -> None:
     asks = Asks(ALL, 5.0)
-    answers = [answer for number in range(5000) for answer in asks.hear(NOW, ask(str(number)), False)]
-    answers += [answer for _ in range(5000) for answer in asks.hear(NOW, b"{", False)]
+    answers = [answer for number in range(5000) for answer in asks.receive(NOW, ask(str(number)), False)]
+    answers += [answer for _ in range(5000) for answer in asks.receive(NOW, b"{", False)]
     assert len(answers) + len(waiting(asks)) == 10
     assert asks.ignored == 9990
-    assert asks.hear(NOW, ask("vent", "vent"), False) == []
+    assert asks.receive(NOW, ask("vent", "vent"), False) == []
     assert waiting(asks) == [["vent"]]
     later = Now(NOW.t + 1.0, NOW.unix_s + 1.0)
-    assert asks.hear(later, ask("later", age_s=-1.0), False) == []
+    assert asks.receive(later, ask("later", age_s=-1.0), False) == []
     assert waiting(asks) == [["later"]]
 
 
 def test_a_flood_of_vents_is_one_vent() -> None:
     asks = Asks(ALL, 5.0)
     for number in range(20_000):
-        assert asks.hear(NOW, ask(str(number), "vent"), False) == []
+        assert asks.receive(NOW, ask(str(number), "vent"), False) == []
     (together,) = waiting(asks)
-    assert len(together) == MOST_WAITING
+    assert len(together) == MAX_WAITING
 
 
 def test_what_waits_when_the_broker_goes_is_not_done_when_it_is_back() -> None:
     asks = Asks(ALL, 5.0)
-    asks.hear(NOW, ask("1", "bend", value=30), False)
+    asks.receive(NOW, ask("1", "bend", value=30), False)
     asks.disconnected()
     assert waiting(asks) == []
-    assert "asked before" in refusal(asks, ask("1", "bend", value=30))
+    assert "repeated: " in refusal(asks, ask("1", "bend", value=30))
 
 
 def test_what_waits_grows_old_whatever_its_senders_clock_says() -> None:
     asks = Asks(ALL, 5.0)
-    asks.hear(NOW, ask("1", "bend", 3.0, value=30), False)
-    asks.hear(NOW, ask("2", "bend", -3.0, value=30), False)
+    asks.receive(NOW, ask("1", "bend", 3.0, value=30), False)
+    asks.receive(NOW, ask("2", "bend", -3.0, value=30), False)
     (old,), (of_the_future,) = asks.next(), asks.next()
     assert (old.made_at, of_the_future.made_at) == (NOW.t - 3.0, NOW.t)
 
@@ -154,7 +154,7 @@ def test_what_waits_grows_old_whatever_its_senders_clock_says() -> None:
 @given(st.binary(max_size=200) | st.text(max_size=50).map(str.encode), st.booleans())
 def test_no_bytes_make_it_fail(payload: bytes, retained: bool) -> None:
     asks = Asks(ALL, 5.0)
-    for answer in asks.hear(NOW, payload, retained):
+    for answer in asks.receive(NOW, payload, retained):
         assert isinstance(answer, AnswerPayload)
         assert answer.safety == "refused"
         assert answer.reason
@@ -181,7 +181,7 @@ def test_whoever_asks_how_nothing_is_done_twice_or_late(said: list[tuple[str, in
         now = Now(now.t + after_s, now.unix_s + after_s)
         value = {"value": 30.0} if command == "bend" else {}
         asked = {"id": str(id), "unix_s": now.unix_s - age_s, "command": command, **value}
-        asks.hear(now, msgspec.json.encode(asked), False)
+        asks.receive(now, msgspec.json.encode(asked), False)
         for one, made_at in asks.next():
             assert now.unix_s - one.unix_s <= now.t - made_at + 1e-6
             assert made_at <= now.t

@@ -9,8 +9,8 @@ import msgspec
 
 from flying_vines.gateway.messages import COMMANDS
 from flying_vines.gateway.mqtt import health
-from flying_vines.gateway.mqtt.asks import MOST_AT_ONCE, MOST_PER_S
-from flying_vines.gateway.mqtt.connection import LONGEST_PACKET
+from flying_vines.gateway.mqtt.asks import MAX_AT_ONCE, MAX_PER_S
+from flying_vines.gateway.mqtt.connection import MAX_PACKET
 from flying_vines.gateway.mqtt.payloads import PAYLOADS, SCHEMA_VERSION, schemas
 from flying_vines.gateway.mqtt.teller import RESERVOIR_S
 from flying_vines.gateway.mqtt.topics import Topics
@@ -56,13 +56,13 @@ def test_its_numbers_and_commands_are_the_code_s() -> None:
         f"`mqtt.rate_Hz`, {mqtt.rate_Hz:g} a second",
         f"{mqtt.kept_events} of them (`mqtt.kept_events`)",
         f"`mqtt.asked_within_s` ({mqtt.asked_within_s:g} s)",
-        f"longer than {LONGEST_PACKET // 1024} kB",
-        f"shorter than {health.TOLD_AFTER_S:g} s",
+        f"longer than {MAX_PACKET // 1024} kB",
+        f"shorter than {health.REPORT_AFTER_S:g} s",
         f"after {health.FIRST_WAIT_REFUSED_S:g} s",
         health.THROWN_OUT.text,
     ):
         assert said in " ".join(PAGE.split()), said
-    assert (MOST_AT_ONCE, MOST_PER_S, health.LONGEST_WAIT_S, health.LONGEST_WAIT_REFUSED_S) == (
+    assert (MAX_AT_ONCE, MAX_PER_S, health.MAX_WAIT_S, health.MAX_WAIT_REFUSED_S) == (
         10,
         5,
         60,

@@ -6,15 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flying_vines.gateway.mqtt.health import (
-    LONGEST_WAIT_REFUSED_S,
-    LONGEST_WAIT_S,
+    MAX_WAIT_REFUSED_S,
+    MAX_WAIT_S,
     THROWN_OUT,
     BrokerProblem,
     Health,
 )
 
 AWAY = BrokerProblem("nothing answers there")
-LOGIN = BrokerProblem("it does not know this user and password", needs_person=True)
+LOGIN = BrokerProblem("it does not accept this user and password", needs_person=True)
 
 
 def test_a_broker_that_is_there_is_not_worth_a_word() -> None:
@@ -44,7 +44,7 @@ def test_a_short_interruption_is_nobody_s_trouble() -> None:
 
 def test_what_a_person_must_mend_is_told_at_once_and_tried_more_rarely() -> None:
     health = Health(0.0, "mqtt://b")
-    assert health.failed(0.1, LOGIN) == "MQTT: mqtt://b: it does not know this user and password"
+    assert health.failed(0.1, LOGIN) == "MQTT: mqtt://b: it does not accept this user and password"
     assert health.wait_s(1.0) == 15.0
     assert health.failed(15.0, LOGIN) is None
     assert health.wait_s(1.0) == 30.0
@@ -58,8 +58,8 @@ def test_one_that_is_let_in_and_thrown_out_again_and_again_is_no_good_connection
     for t in range(0, 200, 10):
         health.connected(float(t))
         told += [health.lasts(t + 0.5), health.failed(t + 1.0, LOGIN)]
-    assert [text for text in told if text] == ["MQTT: mqtt://b: it does not know this user and password"]
-    assert health.wait_s(1.0) == LONGEST_WAIT_REFUSED_S
+    assert [text for text in told if text] == ["MQTT: mqtt://b: it does not accept this user and password"]
+    assert health.wait_s(1.0) == MAX_WAIT_REFUSED_S
 
 
 @given(st.lists(st.sampled_from([AWAY, LOGIN]), min_size=1, max_size=80), st.floats(0, 1))
@@ -69,7 +69,7 @@ def test_waits_grow_to_a_bound_and_differ_from_vehicle_to_vehicle(
     health = Health(0.0, "mqtt://b")
     for t, problem in enumerate(said):
         health.failed(float(t), problem)
-        longest_s = LONGEST_WAIT_REFUSED_S if problem.needs_person else LONGEST_WAIT_S
+        longest_s = MAX_WAIT_REFUSED_S if problem.needs_person else MAX_WAIT_S
         assert 0.5 <= health.wait_s(luck) <= longest_s
         assert health.wait_s(0.0) <= health.wait_s(luck) <= health.wait_s(1.0) == 2 * health.wait_s(0.0)
 

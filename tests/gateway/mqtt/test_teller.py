@@ -13,7 +13,7 @@ from flying_vines.core.events import Action, Asked, Decision
 from flying_vines.gateway.messages import Happened, SnapshotMessage, raw
 from flying_vines.gateway.mqtt.home_assistant import discovery
 from flying_vines.gateway.mqtt.payloads import PAYLOADS, EventPayload, LostEvent, NoticeEvent
-from flying_vines.gateway.mqtt.teller import RESERVOIR_S, SILENT_S, Events, Now, Publication, Teller
+from flying_vines.gateway.mqtt.teller import RESERVOIR_S, SILENT_S, Events, Now, Publication, Publisher
 from flying_vines.gateway.mqtt.topics import Topics
 from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.vehicle.notice import Notice
@@ -29,8 +29,8 @@ def now(t: float) -> Now:
     return Now(t, UNIX_S + t)
 
 
-def teller(**mqtt: Any) -> Teller:
-    return Teller(profile(**mqtt), TOPICS)
+def teller(**mqtt: Any) -> Publisher:
+    return Publisher(profile(**mqtt), TOPICS)
 
 
 def read(publication: Publication) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def tell_all(events: Events, t: float = 10.0) -> list[EventPayload]:
     while pending := events.first(now(t)):
         event: EventPayload = msgspec.json.decode(pending.publication.payload, type=EventPayload)
         told.append(event)
-        events.told(pending)
+        events.published(pending)
     return told
 
 
@@ -104,7 +104,7 @@ def test_every_kind_of_event_is_told_with_its_time_and_number() -> None:
     while pending := vehicle.events.first(now(4.0)):
         assert (pending.publication.topic, pending.publication.qos) == (TOPICS.event, 1)
         told.append(read(pending.publication))
-        vehicle.events.told(pending)
+        vehicle.events.published(pending)
     assert [event["event"] for event in told] == ["decision", "notice"]
     assert [event["unix_s"] - UNIX_S for event in told] == [1.0, 2.0]
     assert [event["number"] for event in told] == [1, 2]
@@ -129,7 +129,7 @@ def test_an_event_is_told_again_until_the_broker_has_it() -> None:
     first = events.first(now(1.0))
     assert first is not None
     assert first == events.first(now(1.0))
-    events.told(first)
+    events.published(first)
     assert events.first(now(1.0)) is None
 
 
@@ -168,7 +168,7 @@ def test_whatever_happens_every_event_is_told_once_in_order_or_counted(steps: li
                 lost += event.count
             else:
                 told.append(event.number)
-            events.told(pending)
+            events.published(pending)
 
     for step in steps:
         if step == "happens":

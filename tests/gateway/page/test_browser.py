@@ -23,7 +23,7 @@ from flying_vines.gateway import page_token
 if TYPE_CHECKING:
     from playwright.async_api import Browser, Page
 
-pytestmark = real_time
+pytestmark = [real_time, pytest.mark.long]
 
 PHONE: dict[str, Any] = {
     "viewport": {"width": 360, "height": 640},

@@ -15,8 +15,8 @@ from flying_vines.gateway.page.connections import (
     MAX_VIEWERS,
     Connections,
 )
-from flying_vines.gateway.page.history import KEPT_S, History
-from flying_vines.gateway.page.request import MOST_AT_ONCE, MOST_PER_S, PageRequest, read_request
+from flying_vines.gateway.page.history import HISTORY_S, History
+from flying_vines.gateway.page.request import MAX_AT_ONCE, MAX_PER_S, PageRequest, read_request
 from flying_vines.gateway.token_bucket import TokenBucket
 
 
@@ -68,13 +68,13 @@ def test_of_too_many_pilots_the_oldest_goes() -> None:
 
 
 def test_patience_is_for_thumbs_not_for_floods() -> None:
-    bucket = TokenBucket(0.0, MOST_AT_ONCE, MOST_PER_S)
+    bucket = TokenBucket(0.0, MAX_AT_ONCE, MAX_PER_S)
     assert all(bucket.take(0.1 * i) for i in range(1000))
-    bucket = TokenBucket(0.0, MOST_AT_ONCE, MOST_PER_S)
-    assert [bucket.take(0.0) for _ in range(int(MOST_AT_ONCE) + 1)] == [True] * int(MOST_AT_ONCE) + [False]
-    bucket = TokenBucket(0.0, MOST_AT_ONCE, MOST_PER_S)
+    bucket = TokenBucket(0.0, MAX_AT_ONCE, MAX_PER_S)
+    assert [bucket.take(0.0) for _ in range(int(MAX_AT_ONCE) + 1)] == [True] * int(MAX_AT_ONCE) + [False]
+    bucket = TokenBucket(0.0, MAX_AT_ONCE, MAX_PER_S)
     borne = sum(bucket.take(0.001 * i) for i in range(1000))
-    assert borne <= MOST_AT_ONCE + MOST_PER_S
+    assert borne <= MAX_AT_ONCE + MAX_PER_S
 
 
 @pytest.mark.parametrize(
@@ -119,8 +119,8 @@ def test_two_minutes_are_remembered_five_times_a_second() -> None:
     for i in range(3000):
         history.take(SnapshotMessage(raw(snapshot(0.1 * i, cv_kPa=math.nan if i % 2 else 0.123456))))
     times = [sample.t for sample in history.samples]
-    assert times[-1] - times[0] == pytest.approx(KEPT_S, abs=0.5)
-    assert len(times) == pytest.approx(5 * KEPT_S, abs=3)
+    assert times[-1] - times[0] == pytest.approx(HISTORY_S, abs=0.5)
+    assert len(times) == pytest.approx(5 * HISTORY_S, abs=3)
     assert history.samples[-1].cv_kPa == 0.12
     assert len(msgspec.json.encode(tuple(history.samples))) < 25_000
 

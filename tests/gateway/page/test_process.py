@@ -41,7 +41,7 @@ async def test_it_bends_and_vents_the_vine_and_its_process_may_die(tmp_path: Pat
         assert f"Page {served.url}" in served.said.read_text()
         async with session.ws_connect(served.url + "live") as viewing:
             await ready(viewing)
-            only_there = ("refused", "the page bends in bench mode only")
+            only_there = ("refused", "the page can bend the vine only in bench mode")
             assert await ask(viewing, "bend", value=50) == only_there
             assert await ask(viewing, "start_bench") == ("accepted", "")
             assert await ask(viewing, "profile", name="nothing") == (
@@ -105,7 +105,7 @@ async def test_no_page_bends_the_vine_of_an_armed_vehicle(tmp_path: Path) -> Non
         served.bench.autopilot.arm()
         while not (await heard(viewing, "snapshot"))["snapshot"]["armed"]:
             pass
-        refused = ("refused", "the page bends nothing while the vehicle is armed")
+        refused = ("refused", "the page cannot bend the vine while the vehicle is armed")
         assert await ask(viewing, "bend", value=50) == refused
         assert await ask(viewing, "pressure", value=12) == refused
         assert await ask(viewing, "profile", name="bend-half") == refused
@@ -132,7 +132,7 @@ async def test_what_was_not_answered_is_not_done_when_the_service_wakes(tmp_path
             if told["what"] == "decision" and told["fields"]["intent"] == "bend 50°":
                 break
         assert told["fields"]["safety"] == "refused"
-        assert told["fields"]["reason"].startswith("too late: asked ")
+        assert told["fields"]["reason"].startswith("too late: requested ")
         await asyncio.sleep(1.0)
         assert not served.bench.bent()
         shown = await _all_well(viewing)

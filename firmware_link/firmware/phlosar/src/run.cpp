@@ -1,64 +1,98 @@
 #include "run.h"
 
 #include "board/board.h"
+#include "byte_ring.h"
 #include "core/firmware.h"
+#include "settings_memory.h"
 #include "status_light.h"
-#include "step_clock.h"
+#include "step_monitor.h"
 
 namespace phlosar {
 
 namespace {
 
-// More at a time would keep a step waiting: of a host that asks without end, too. What is left waits in the port.
-constexpr size_t kIncoming = 32;
 // One USB packet.
-constexpr size_t kOutgoing = 64;
+constexpr size_t kChunk = 64;
+// In one step. Twice as much can keep a Teensy LC busy for a millisecond, if a host asks without end.
+constexpr size_t kReceived = 32;
 
+ByteRing<256> to_core;
+ByteRing<256> to_host;
+StepMonitor monitor;
 uint8_t image[Settings::kImageSize];
-uint8_t outgoing[kOutgoing];
-size_t outgoing_size = 0;
-size_t outgoing_sent = 0;
-StepClock steps;
+
+// Written by one side each: the main loop sets the first two, the step sets the last one and the loop clears it.
+volatile bool loop_turned = false;
+volatile bool flashing = false;
+volatile bool storing = false;
 
 Firmware& firmware() {
     static Firmware one(board::kBuild);
     return one;
 }
 
-void converse() {
-    uint8_t incoming[kIncoming];
-    firmware().receive(incoming, board::serial_read(incoming, sizeof incoming));
-    if (outgoing_sent == outgoing_size) {
-        outgoing_size = firmware().take_output(outgoing, sizeof outgoing);
-        outgoing_sent = 0;
+void exchange() {
+    uint8_t chunk[kChunk];
+    // Nothing that could start a regulation while the loop stores.
+    if (!storing) firmware().receive(chunk, to_core.take(chunk, kReceived));
+    const size_t room = to_host.room();
+    to_host.put(chunk, firmware().take_output(chunk, room < sizeof chunk ? room : sizeof chunk));
+}
+
+// Writing stops the interrupts for a while, so the valves have to be vented. It needs a good supply.
+bool may_store() { return firmware().mode() != Mode::kRegulate && (firmware().faults() & kSupply) == 0; }
+
+void step() {
+    const uint32_t now_us = board::now_us();
+    if (flashing) {
+        board::drive(outputs(firmware().settings(), kSafe));
+        return;
     }
-    outgoing_sent += board::serial_write(outgoing + outgoing_sent, outgoing_size - outgoing_sent);
+    board::drive(firmware().step(now_us, board::read()));
+    board::light(light_on(firmware().mode(), firmware().faults(), firmware().time_ms()));
+    exchange();
+    if (!storing && may_store() && firmware().unsaved(image)) storing = true;
+    const bool turned = loop_turned;
+    loop_turned = false;
+    monitor.step(now_us, turned);
+    if (monitor.healthy()) board::feed_watchdog();
+}
+
+void move_bytes() {
+    static uint8_t outgoing[kChunk];
+    static size_t size = 0;
+    static size_t written = 0;
+    uint8_t incoming[kChunk];
+    const size_t room = to_core.room();
+    to_core.put(incoming, board::serial_read(incoming, room < sizeof incoming ? room : sizeof incoming));
+    if (written == size) {
+        size = to_host.take(outgoing, sizeof outgoing);
+        written = 0;
+    }
+    written += board::serial_write(outgoing + written, size - written);
 }
 
 }  // namespace
 
-void begin() {
+void setup() {
     board::begin();
-    const size_t stored = board::load(image, sizeof image);
+    const size_t stored = settings_memory::load(image);
     firmware().start(Boot{board::boot_id(), board::reset_by_watchdog(), image, stored});
-    steps.start(board::now_us());
+    board::every_millisecond(step);
 }
 
-void turn() {
-    if (board::bootloader_asked()) {
-        board::drive(outputs(firmware().settings(), kSafe));
-        board::enter_bootloader();
+void loop() {
+    loop_turned = true;
+    if (board::bootloader_requested()) {
+        flashing = true;
+        board::wait_for_bootloader();
         return;
     }
-    converse();
-    const uint32_t now_us = board::now_us();
-    if (!steps.due(now_us)) return;
-    board::drive(firmware().step(now_us, board::read()));
-    board::light(light_on(firmware().mode(), firmware().faults(), firmware().time_ms()));
-    if (!steps.steady()) return;
-    board::feed_watchdog();
-    // Right after the watchdog was fed, for it may take half of its time; the valves stay vented meanwhile.
-    if (firmware().mode() != Mode::kRegulate && firmware().unsaved(image)) board::store(image, sizeof image);
+    move_bytes();
+    if (storing) {
+        settings_memory::store(image);
+        storing = false;
+    }
 }
 
 }  // namespace phlosar

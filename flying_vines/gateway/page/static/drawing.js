@@ -1,10 +1,10 @@
-// The vine and the last two minutes, drawn.
+// Draws the vine and the last two minutes.
 
 const LENGTH = 100;
 const HALF_WIDTH = 6;
 const PIECES = 24;
 
-// The angle at a pressure, by the calibrated pairs of the profile.
+// The angle at a pressure, from the calibrated pairs of the profile.
 export function angleAt(curve, kPa) {
   let [before, angle] = curve[0];
   for (const [pressure, degrees] of curve) {
@@ -14,7 +14,7 @@ export function angleAt(curve, kPa) {
   return angle;
 }
 
-// An arc of even curvature, from the base straight down: the way, and its sides at a distance from it.
+// An arc of constant curvature that starts straight down: its axis, and its sides at a distance from the axis.
 function points(degrees, across) {
   return Array.from({ length: PIECES + 1 }, (_, i) => {
     const length = (LENGTH * i) / PIECES;

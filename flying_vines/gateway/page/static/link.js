@@ -1,6 +1,6 @@
-// The link to the drone: one socket, opened again whenever it is lost. It knows how old all is that came by it.
+// The link to the drone: one WebSocket, which reconnects. It knows the age of the received data.
 
-const SILENT_S = 2.0; // something comes every second, so by then nothing will
+const SILENT_S = 2.0; // a message comes every second, so the link is lost after this time
 const OPENS_WITHIN_S = 3.0;
 const FIRST_PATIENCE_S = 0.25;
 const LONGEST_PATIENCE_S = 4.0;
@@ -15,15 +15,15 @@ const WHY_NOT = {
 export const now = () => performance.now() / 1000;
 
 export class Link {
-  // `take` gets each message, `look` is called some times a second, to show how the link is.
+  // `take` gets each message. `look` is called some times a second to show the state of the link.
   constructor(take, look) {
     this.take = take;
     this.open = false;
     this.refused = "";
     this.lostAt = now();
-    this.shownAt = null; // the latest snapshot's time, by the drone's clock
-    this.told = null; // the latest that the drone told of its clock, and when it came by ours
-    this.offset = Infinity; // of our clock from the drone's, the least that was seen
+    this.shownAt = null; // time of the latest snapshot, on the drone's clock
+    this.told = null; // the drone's latest clock time, and its time of arrival on our clock
+    this.offset = Infinity; // our clock minus the drone's: the minimum so far
     this.patience = FIRST_PATIENCE_S;
     this.answers = new Map();
     this.number = 0;
@@ -32,17 +32,17 @@ export class Link {
       this.watch();
       look();
     }, 1000 * LOOK_S);
-    // A phone that wakes up has been away without noticing.
+    // A phone that wakes up did not notice the pause.
     document.addEventListener("visibilitychange", () => document.hidden || this.hurry());
     window.addEventListener("online", () => this.hurry());
   }
 
-  // By the drone's clock, as far as it is known.
+  // The present time on the drone's clock, if it is known.
   get droneNow() {
     return now() - this.offset;
   }
 
-  // Of what is shown, in seconds.
+  // Age of the shown data, in seconds.
   get age() {
     return this.shownAt === null ? Infinity : Math.max(0, this.droneNow - this.shownAt);
   }
@@ -97,7 +97,7 @@ export class Link {
     this.connect();
   }
 
-  // A socket that is refused does not say why; a request does.
+  // A refused WebSocket has no reason; a plain request has one.
   async askWhy() {
     try {
       const response = await fetch("live");
@@ -107,13 +107,13 @@ export class Link {
     }
   }
 
-  // By the drone's clock, and too early rather than too late: what took long to come here counts as old.
+  // Time on the drone's clock. Delays of the link make it too early, never too late.
   get madeAt() {
     return this.told && this.told.t + (now() - this.told.at);
   }
 
-  // What safety makes of it: accepted, limited, refused, or unanswered. What it is told late it does not do, but
-  // for a vent. `seenAt` is the time of what was shown: no fault that came later is cleared.
+  // Returns safety's ruling: accepted, limited, refused, or unanswered. Late requests are refused, except vents.
+  // `seenAt` is the time of the shown data: newer faults are not cleared.
   ask(command, value = null, name = null, seenAt = this.shownAt) {
     if (!this.open) return Promise.resolve({ safety: "unanswered", reason: "no link" });
     const id = this.number++;
@@ -130,7 +130,7 @@ export class Link {
   }
 }
 
-// Asks to vent until it is confirmed, over any loss of the link, or until a person gives up.
+// Repeats a vent request until it is confirmed or cancelled, also after a link loss.
 export class Vent {
   constructor(link) {
     this.link = link;
@@ -145,7 +145,7 @@ export class Vent {
 
   press() {
     this.since = now();
-    this.seenAt = this.link.shownAt; // whatever comes to light while it tries was not seen
+    this.seenAt = this.link.shownAt; // later faults were not seen by the person
     this.confirmedAfter = null;
     this.attempt();
   }

@@ -1,4 +1,4 @@
-// What the drone tells is shown, what people press is asked for. Nothing is shown that did not come from there.
+// Shows the drone's data and sends requests. It shows only data from the drone.
 
 import { angleAt, drawChart, drawVine, SHOWN_S } from "./drawing.js";
 import { Link, Vent } from "./link.js";
@@ -19,10 +19,10 @@ let drawnAt = 0;
 let told = "";
 let ventTold = "";
 
-// The token is in a cookie by now, and need not stand where others can read it.
+// The token is now in a cookie: remove it from the address bar, where others could read it.
 if (location.search) history.replaceState(null, "", location.pathname);
 
-// What comes.
+// Receiving.
 
 function take(message) {
   if (message.kind === "hello") welcome(message);
@@ -34,7 +34,7 @@ function take(message) {
 function welcome(hello) {
   vine = hello.vine;
   page.toggle("watching", !hello.may_ask);
-  // What was seen before the service's other end was started anew is still true.
+  // After a restart of the gateway process, earlier events are still valid.
   const first = hello.history.length ? hello.history[0][0] : hello.t;
   samples = [...samples.filter(([t]) => t < first), ...hello.history];
   $("events").replaceChildren();
@@ -79,7 +79,7 @@ function show(s) {
 }
 
 function write(id, text) {
-  // Only what changes, for whoever has it read aloud.
+  // Write only changes, because a screen reader reads them aloud.
   if ($(id).textContent !== text) $(id).textContent = text;
 }
 
@@ -124,7 +124,7 @@ function button(text, press) {
   return made;
 }
 
-// How the link is.
+// State of the link.
 
 function look() {
   const stale = !link.open || link.age > STALE_S;
@@ -156,7 +156,7 @@ function look() {
   }
 }
 
-// What people want.
+// Requests.
 
 const link = new Link(take, look);
 const vent = new Vent(link);
@@ -188,7 +188,7 @@ function showAngle() {
   $("angle-shown").textContent = `${$("angle").value}°`;
 }
 
-// Pressed twice within a few seconds, for what must not happen by a slip of the thumb.
+// Two presses within a few seconds, for buttons that must not be pressed by mistake.
 function surely(pressed, question, act) {
   let sure = null;
   const calm = () => {
@@ -253,7 +253,7 @@ $("stop-trying").onclick = () => {
   vent.giveUp();
   showVent();
 };
-// Also where a button has the focus: Enter presses it, space vents.
+// Also if a button has the focus: Enter presses the button, space vents.
 for (const kind of ["keydown", "keyup"]) window.addEventListener(kind, onKey, { capture: true });
 
 function onKey(event) {

@@ -1,4 +1,4 @@
-// Plain sentences for what the drone tells.
+// Texts for the drone's data.
 
 export const number = (value, digits = 1) => {
   if (value === null) return "–";
@@ -10,7 +10,7 @@ export const sentence = (text) => text && text[0].toUpperCase() + text.slice(1);
 
 export const plain = (name) => name.replaceAll("_", " ");
 
-// A trigger's source, for people.
+// A trigger's source as text.
 function source(what) {
   if ("channel" in what) return `ch${what.channel} position ${what.position}`;
   if ("loss" in what) return plain(what.loss);
@@ -22,12 +22,12 @@ function source(what) {
   return parts.join(" ");
 }
 
-// [text, the style of the whole or of the verdict, the verdict, the reason]; null for what nobody reads.
+// Text, severity or verdict, and reason of an event; null if the event is not shown.
 export function eventWords({ what, fields }) {
   if (what === "decision") {
-    const asked = [plain(fields.trigger), source(fields.what)].filter(Boolean).join(" ");
+    const request = [plain(fields.trigger), source(fields.what)].filter(Boolean).join(" ");
     const reason = fields.reason ? ` (${fields.reason})` : "";
-    return { text: `${asked} → ${fields.intent ?? "?"}: `, verdict: fields.safety, reason };
+    return { text: `${request} → ${fields.intent ?? "?"}: `, verdict: fields.safety, reason };
   }
   if (what === "notice" && !fields.of_decision) {
     const severity = fields.severity <= 3 ? "error" : fields.severity === 4 ? "warning" : "notice";

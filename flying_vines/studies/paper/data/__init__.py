@@ -1,7 +1,7 @@
-"""What the paper "phloSAR" prints: the curves of its figures, and the numbers that its text states.
+"""Data of the paper "phloSAR": the curves of its figures, and the numbers of its text.
 
-The CSV files hold every number of Fig. 3 and 5, unchanged, one curve each; `stated.toml` the numbers of the
-text, with their place in the paper. The time series of Fig. 4 and 6 are not printed as numbers.
+The CSV files have every number of Fig. 3 and 5, unchanged, one curve each. `stated.toml` has the numbers of
+the text, with their place. The paper does not print the time series of Fig. 4 and 6 as numbers.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ CURVES = (
 
 
 class PaperDataError(ValueError):
-    """Something that the paper does not print, or a file that is damaged; one sentence."""
+    """The paper does not print this, or a file is damaged; one sentence."""
 
 
 @dataclass(frozen=True)
@@ -46,21 +46,21 @@ class Curve:
     x: NDArray[np.float64]
     y: NDArray[np.float64]
     std: NDArray[np.float64] | None = None
-    """One standard deviation of `y`, where the paper draws error bars."""
+    """One standard deviation of `y`, if the paper draws error bars."""
 
 
 @dataclass(frozen=True)
 class Stated:
-    """A number that the text states."""
+    """A number in the paper's text."""
 
     key: str
     value: float
-    """In `unit`; NaN where the paper names the quantity without a number."""
+    """In `unit`; NaN if the paper names the quantity without a number."""
     unit: str
     place: str
     """Section or figure."""
     half_digit: float
-    """Half of the last printed digit: what rounding may hide."""
+    """Half of the last printed digit: the rounding error."""
     says: str
 
 
@@ -76,7 +76,7 @@ class Condition:
 
 
 def curve(name: str) -> Curve:
-    """A printed curve by its name, one of `CURVES`. PaperDataError for any other."""
+    """The printed curve with a name from `CURVES`. PaperDataError for another name."""
     if name not in CURVES:
         raise PaperDataError(f"the paper prints no curve {name!r}; it prints {', '.join(CURVES)}.")
     return parse_curve(name, resources.files(__name__).joinpath(f"{name}.csv").read_text(encoding="utf-8"))
@@ -88,20 +88,20 @@ def parse_curve(name: str, text: str) -> Curve:
     try:
         table = np.array(rows, dtype=np.float64)
     except ValueError:
-        raise PaperDataError(f"{name}: a row that is no row of numbers.") from None
+        raise PaperDataError(f"{name}: a row has a cell that is not a number.") from None
     if table.ndim != 2 or table.shape[1] != len(header) or len(header) < 2 or not np.isfinite(table).all():
-        raise PaperDataError(f"{name}: rows of two numbers or more are needed, all finite.")
+        raise PaperDataError(f"{name}: each row needs two or more finite numbers.")
     return Curve(name, table[:, 0], table[:, 1], table[:, 2] if len(header) > 2 else None)
 
 
 @cache
 def stated() -> Mapping[str, Stated]:
-    """The numbers that the text states, by key such as `tc4.cutoff_measured`."""
+    """The numbers of the text, by keys such as `tc4.cutoff_measured`."""
     return MappingProxyType({number.key: number for number in _numbers(_tables(), "")})
 
 
 def condition(name: str) -> Condition:
-    """One of `tc1` … `tc5`. PaperDataError for any other."""
+    """The test condition `tc1` … `tc5`. PaperDataError for another name."""
     table = _tables().get(name, {})
     if "swing_kPa" not in table:
         raise PaperDataError(f"the paper has no test condition {name!r}; it has tc1 to tc5.")

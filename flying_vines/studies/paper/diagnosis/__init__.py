@@ -1,10 +1,10 @@
-"""The paper's own data, diagnosed: what its measurements say the baseline gets wrong, and how surely.
+"""Diagnoses the paper's data: finds the causes of the difference between its measurements and the baseline.
 
 diagnosis = diagnose_paper()
-diagnosis.discharges    Fig. 3: every set of causes that was tried, with its evidence
-diagnosis.proposal      the minute at the bench that would settle what is open
-diagnosis.responses     Fig. 5: which cause would account for the gains
-verdict.findings(diagnosis)     all of it in plain words
+diagnosis.discharges    Fig. 3: every tested set of causes, with its evidence
+diagnosis.proposal      an experiment of one minute that separates the remaining explanations
+diagnosis.responses     Fig. 5: the causes that can explain the gains
+verdict.findings(diagnosis)     everything in words
 """
 
 from __future__ import annotations
@@ -23,21 +23,17 @@ __all__ = ["PaperDiagnosis", "diagnose_paper"]
 
 @dataclass(frozen=True)
 class PaperDiagnosis:
-    """What the paper's measurements say."""
+    """The results of the diagnosis."""
 
     discharges: Discharges
     flow_laws: tuple[FlowLawFit, FlowLawFit]
-    """At the ratio of the valve's settings that the paper uses, and at another."""
+    """With the paper's ratio of the valve's settings, and with another ratio."""
     proposal: ExperimentProposal
     responses: Responses
 
 
 def diagnose_paper(progress: Callable[[str], None] = lambda step: None) -> PaperDiagnosis:
-    """Confront all that the paper measured with the baseline and its possible causes (half a minute).
-
-    Args:
-        progress: is told what is being done.
-    """
+    """Diagnose the paper's measurements (takes half a minute); `progress` is called with each step."""
     discharges = analyse(progress)
     progress("flow laws")
     laws = flow_laws(discharges, HIGH_RESISTANCE_RATIO)

@@ -1,8 +1,8 @@
-"""A case whose readings are few and whose noise is correlated, in the engine's own terms.
+"""A fit problem with few readings and correlated noise.
 
-The engine minimises sums of squared residuals. Multiplied by the inverse of a Cholesky factor of their
-covariance, correlated residuals become independent ones of variance 1, and everything that the engine does
-with residuals holds for them. Only the reservoir's readings are looked at: a discharge has no others.
+The fit minimises sums of squared residuals. Correlated residuals are multiplied by the inverse of a Cholesky
+factor of their covariance, so they become independent with variance 1. Only the reservoir's readings are
+used: a discharge has no others.
 """
 
 from __future__ import annotations
@@ -19,21 +19,20 @@ from flying_vines.physics.arrays import Array
 from flying_vines.studies.paper.diagnosis.evidence import Linear, Noise, UnexplainedLevel
 
 RESERVOIR = 1
-"""The row of a run's readings."""
+"""Row of the reservoir in a run's readings."""
 START_SD_KPA = 50.0
-"""Of what is expected of a pressure at the start, about its first reading: any."""
+"""Prior standard deviation of an initial pressure about its first reading; so large that it has no effect."""
 _NUDGE = 1e-3
 _NUDGE_KPA = 0.1
 
 
 class Correlated(FitProblem):
-    """A case of discharges; residuals are in units of their standard deviations and independent.
+    """A case of discharges with independent residuals, in standard deviations.
 
     Args:
-        case: the data.
-        noise: what may be in the readings beside the model.
-        level: how much of it.
-        used: as the engine has it; all readings if not given.
+        noise: noise and model error of the readings.
+        level: its level.
+        used: as in `FitProblem`; default: all readings.
     """
 
     def __init__(
@@ -51,7 +50,7 @@ class Correlated(FitProblem):
         ]
 
     def residuals(self, point: FitPoint, runs: Sequence[int] | None = None) -> list[Array]:
-        """Of these runs (all if not given): (2, n) as in `Fit`, independent."""
+        """Independent residuals of these runs (default: all), (2, n) as in `Fit`."""
         every = range(len(self.data)) if runs is None else runs
         found = []
         for i, left in zip(every, super().residuals(point, runs), strict=True):
@@ -62,12 +61,11 @@ class Correlated(FitProblem):
         return found
 
     def pressures_kPa(self, point: FitPoint) -> Array:
-        """What the reservoir's sensor would have read, run after run."""
+        """Simulated readings of the reservoir's sensor, run after run."""
         return np.concatenate([readings[RESERVOIR] for readings in self.simulated(point)])
 
     def linear(self, point: FitPoint) -> Linear:
-        """The model about a place: believed numbers that are free, causes' parameters, pressures at the
-        start."""
+        """The model linearised at a point: free rig numbers, parameters of causes, initial pressures."""
         here = self.pressures_kPa(point)
         measured = np.concatenate([data[RESERVOIR] for data in self.data])
         traces, away, spread = [], [], []
@@ -75,22 +73,22 @@ class Correlated(FitProblem):
             moved = {**point.deviation, key: share + _NUDGE}
             traces.append((self.pressures_kPa(replace(point, deviation=moved)) - here) / _NUDGE)
             away.append(share)
-            spread.append(self.spread(key))
+            spread.append(self.prior_std(key))
         for i, (cause, values) in enumerate(zip(point.causes, point.values, strict=True)):
             for j, parameter in enumerate(cause.parameters):
                 if parameter.typical is None:
                     raise ValueError(f"{cause.name}: {parameter.name} needs a typical value")
                 mean, sd = parameter.typical
-                inner = parameter.inner(values[j])
+                searched = parameter.to_search(values[j])
                 nudge = _NUDGE * sd
-                if parameter.outer(inner + nudge) > parameter.high:
+                if parameter.to_model(searched + nudge) > parameter.high:
                     nudge = -nudge
                 changed = list(values)
-                changed[j] = parameter.outer(inner + nudge)
+                changed[j] = parameter.to_model(searched + nudge)
                 every = list(point.values)
                 every[i] = tuple(changed)
                 traces.append((self.pressures_kPa(replace(point, values=tuple(every))) - here) / nudge)
-                away.append(inner - mean)
+                away.append(searched - mean)
                 spread.append(sd)
         for k, first in enumerate(self.start().initial[:, 0]):
             initial = point.initial.copy()
@@ -108,7 +106,7 @@ class Correlated(FitProblem):
         )
 
     def _scaled(self, index: int) -> Array:
-        """Derivative of a run by the logarithm of its flow: of an exponential with the run's mean rate."""
+        """Derivative of a run by the logarithm of its flow, for an exponential with the run's mean rate."""
         time_s, kPa = self.after_s[index], self.data[index][RESERVOIR]
         rate_per_s = np.log(kPa[0] / kPa[-1]) / time_s[-1]
         return np.asarray(-kPa[0] * rate_per_s * time_s * np.exp(-rate_per_s * time_s))

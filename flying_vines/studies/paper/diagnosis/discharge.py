@@ -1,9 +1,9 @@
-"""The paper's three discharges against the baseline, and the causes that the readings speak for.
+"""Compares the paper's three discharges with the baseline, and finds the causes that explain the readings.
 
-The engine has one rig in a case; the paper has bottles of 4 and of 2 litres, and a valve in two settings. All
-that counts in a discharge is flow over volume, so a run of 4 litres is a run of 2 with half the opening, and
-heat and leaks are meant a bottle of 2 litres. Openings are therefore no commands, and causes that say what a
-valve does with a command are not asked; the paper's valve stood still.
+A case has one rig, but the paper has bottles of 4 and 2 litres, and a valve in two settings. Only flow over
+volume matters in a discharge: a run with 4 litres is a run with 2 litres and half the opening. Heat and leaks
+are per bottle of 2 litres. So openings are not commands here, and causes that change how a valve follows a
+command are not tested: the paper's valve did not move.
 """
 
 from __future__ import annotations
@@ -33,19 +33,18 @@ BOTTLE_L = 2.0
 VOLUME_L = {"4L_highRv": 4.0, "4L_lowRv": 4.0, "2L_lowRv": 2.0}
 FLOW = "evp.flow_resistance_kPa_s_per_SL"
 COARSEST_KPA, FINEST_KPA = 3.0, 0.5
-"""Of the steps that a logger's readings may have."""
+"""Range of possible steps of a logger's readings."""
 
 DISCREPANCY_KPA = (1.5, 3.0, 6.0, 12.0, 24.0)
 LENGTH_S = (5.0, 20.0, 80.0, 320.0)
 BETWEEN_SERIES = (0.01, 0.03, 0.1)
-"""From a valve that is set to 1 % to one with its data sheet's hysteresis of 10 %."""
+"""Scatter of the valve's flow between series: from 1 % up to the data sheet's hysteresis of 10 %."""
 NOISES = ("rough", "smooth", "from anywhere")
-"""Three ways to be wrong: a discrepancy that begins at 0 and wanders, one that is smooth, and one that is
-there from the first reading on."""
+"""Three kinds of model error: rough and 0 at the start, smooth, and present from the first reading on."""
 LEAST_SQUARES = UnexplainedLevel(5.0, 1e-3, 0.0)
-"""Errors that have nothing to do with each other: a fit by least squares, through the first readings …"""
+"""Independent errors: a least-squares fit through the first readings."""
 PINNED_KPA = 0.01
-"""… to within so much."""
+"""Standard deviation with which such a fit passes the first readings."""
 _FIRST_LEVEL = UnexplainedLevel(6.0, 80.0, 0.03)
 
 _TYPICAL = {
@@ -56,7 +55,7 @@ _TYPICAL = {
     "reservoir_sensor_offset": (0.0, 11.0),  # total error band ±22.5 kPa
     "reservoir_sensor_gain": (0.0, 0.015),  # total error band ±1.5 %
 }
-"""Mean and standard deviation, as the fit moves the parameter, before any reading."""
+"""Prior mean and standard deviation of each parameter, on the search scale."""
 
 SETS = (
     (),
@@ -86,17 +85,17 @@ SETS = (
     ("evp_restriction", "reservoir_wall", "sensor_line"),
     ("evp_restriction", "valve_settles", "sensor_line"),
 )
-"""What is tried: none, every cause that can act in a discharge, and what physics puts together."""
+"""The tested sets: none, every cause that can act in a discharge, and physically likely combinations."""
 ALIKE = 9.2
-"""2 ln 100. What is nearer than this to the best by any kind of noise is not told apart from it."""
+"""2 ln 100. A candidate nearer than this to the best, for any kind of noise, is not separated from it."""
 HEAT = ("reservoir_cooling", "reservoir_wall")
-"""Gas in the reservoir has a temperature of its own."""
+"""Causes with a gas temperature in the reservoir."""
 MORE_AIR = ("evp_restriction", "reservoir_volume", "reservoir_leak")
-"""More air leaves, or less is there."""
+"""Causes with more flow out of the reservoir, or less air in it."""
 
 
 def causes() -> dict[str, Cause]:
-    """Those that can act in a discharge, each with what is typical of its parameters."""
+    """The causes that can act in a discharge, with priors for their parameters."""
     known = {cause.name: cause for cause in catalogue()}
     chosen = {name: _with_typical(known[name], typical) for name, typical in _TYPICAL.items()}
     chosen["compressible_flow"] = known["compressible_flow"]
@@ -109,10 +108,10 @@ def _with_typical(cause: Cause, typical: tuple[float, float]) -> Cause:
 
 
 def paper_case(settings_ratio: float = HIGH_RESISTANCE_RATIO) -> Case:
-    """The three runs, as 2 litre bottles emptying through a valve that is as far open.
+    """The three runs, converted to 2 litre bottles and equivalent openings.
 
     Args:
-        settings_ratio: how many times the valve resists in its one setting what it does in the other.
+        settings_ratio: ratio of the valve's resistances in its two settings.
     """
     return Case(Path("paper"), Rig(cv=None), tuple(_run(name, settings_ratio) for name in DISCHARGES), ())
 
@@ -130,9 +129,9 @@ def discharge_run(name: str, time_s: Array, opening: Array, reservoir_kPa: Array
 
 
 def step_kPa(case: Case) -> tuple[float, float]:
-    """Of the grid that all readings lie on: its step, and how well they do (1: exactly).
+    """Step of the grid on which all readings lie, and how well they lie on it (1: exactly).
 
-    The length of the mean of all readings as angles, a step being a full turn.
+    Each reading is an angle, with one step as a full turn; the result is the length of the mean vector.
     """
     readings = np.concatenate([run.reservoir_kPa for run in case.runs])
     steps = np.linspace(FINEST_KPA, COARSEST_KPA, 5_001)
@@ -142,33 +141,34 @@ def step_kPa(case: Case) -> tuple[float, float]:
 
 
 def noises(rounding_kPa: float) -> tuple[Noise, Noise, Noise]:
-    """As `NOISES` has them."""
+    """The three kinds of `NOISES`."""
     rough = Noise(rounding_kPa, DISCREPANCY_KPA, LENGTH_S, BETWEEN_SERIES)
     return rough, replace(rough, smooth=True), replace(rough, from_start=False)
 
 
 @dataclass(frozen=True)
 class DischargeModel:
-    """Some causes (or none), and what the readings say of them."""
+    """A model with some causes (or none), fitted to the readings."""
 
     names: tuple[str, ...]
     problem: Correlated
-    """At the level of the first kind of noise that fits best."""
+    """The problem at the best level of the first kind of noise."""
     point: FitPoint
-    """The likeliest there."""
+    """The most likely point of this problem."""
     worths: tuple[Worth, ...]
-    """By kind of noise, as `NOISES`."""
+    """For each kind of noise in `NOISES`."""
     estimates: dict[str, dict[str, ParameterEstimate]]
-    """Over all levels of the first kind of noise."""
+    """Averaged over all levels of the first kind of noise."""
     plain: Correlated
-    """For least squares."""
+    """The least-squares problem."""
     nearest: FitPoint
-    """By least squares."""
+    """The least-squares fit."""
     rms_kPa: float
+    """Error of the least-squares fit."""
     nrmse_percent: tuple[float, ...]
-    """Of the nearest, run by run, of the first reading."""
+    """Error of the least-squares fit for each run, relative to its first reading."""
     predicted_percent: tuple[float, ...]
-    """Likewise, of each run as a fit to the two others predicts it."""
+    """Error of each run predicted by a fit to the two others, relative to its first reading."""
 
     @property
     def label(self) -> str:
@@ -177,7 +177,7 @@ class DischargeModel:
 
 @dataclass(frozen=True)
 class Discharges:
-    """All that was tried, the best first."""
+    """All tested models, the best first."""
 
     case: Case
     kinds: tuple[Noise, ...]
@@ -191,7 +191,7 @@ class Discharges:
         return next(c for c in self.candidates if set(c.names) == set(names))
 
     def above(self, candidate: DischargeModel) -> tuple[float, ...]:
-        """−2 ln of its evidence, above the best, by kind of noise."""
+        """−2 ln of its evidence relative to the best, for each kind of noise."""
         return tuple(
             w.minus_2_ln - min(c.worths[i].minus_2_ln for c in self.candidates)
             for i, w in enumerate(candidate.worths)
@@ -203,17 +203,17 @@ class Discharges:
 
     @property
     def named(self) -> DischargeModel:
-        """The best of those that are not told apart from the best and have the fewest causes."""
+        """Of the candidates that are not separated from the best: the best with the fewest causes."""
         possible = self.open()
         fewest = min(len(c.names) for c in possible)
         return next(c for c in possible if len(c.names) == fewest)
 
     def open(self) -> tuple[DischargeModel, ...]:
-        """Those that the readings do not tell apart from the best."""
+        """The candidates that the readings do not separate from the best."""
         return tuple(c for c in self.candidates if min(self.above(c)) < ALIKE)
 
     def missed(self, has: Callable[[DischargeModel], bool]) -> tuple[float, ...]:
-        """How far the best without something lies above the best with it, by kind of noise."""
+        """−2 ln of the evidence: best candidate without a property minus best with it, for each noise."""
         differences = []
         for i in range(len(NOISES)):
             without, with_it = (
@@ -226,13 +226,12 @@ class Discharges:
 
 @dataclass(frozen=True)
 class Alike:
-    """Two causes on these readings."""
+    """Similarity of two causes in these readings."""
 
     first: str
     second: str
     correlation: float
-    """Of what each does to the curves, beside what free pressures at the start do; NaN: one does nothing
-    else."""
+    """Correlation of their traces without the effect of initial pressures; NaN if nothing else is left."""
 
 
 def analyse(
@@ -263,12 +262,12 @@ def _analyse(case: Case, progress: Callable[[str], None], sets: Sequence[tuple[s
 
 
 def candidate(case: Case, kinds: Sequence[Noise], causes: Sequence[Cause]) -> DischargeModel:
-    """One set of causes, fitted."""
+    """Fit one set of causes."""
     plain = Correlated(case, replace(kinds[0], rounding=PINNED_KPA), LEAST_SQUARES)
     starts = seeded(start_of(plain), causes)
     nearest = best_fit(plain, starts)
     starts, level = [nearest, starts[len(starts) // 2]], _FIRST_LEVEL
-    # The level of the noise and the fit depend on each other; twice is enough.
+    # The level of the noise and the fit depend on each other; two iterations are enough.
     for _ in range(2):
         problem = Correlated(case, kinds[0], level)
         point = best_fit(problem, starts)
@@ -294,7 +293,7 @@ def candidate(case: Case, kinds: Sequence[Noise], causes: Sequence[Cause]) -> Di
 
 
 def start_of(problem: Correlated) -> FitPoint:
-    """The believed rig; the first readings are the pressures at the start."""
+    """The nominal rig, with the first readings as initial pressures."""
     start = problem.start().freed((FLOW,))
     initial = start.initial.copy()
     initial[:, 0] = [data[RESERVOIR, 0] for data in problem.data]
@@ -302,7 +301,7 @@ def start_of(problem: Correlated) -> FitPoint:
 
 
 def seeded(start: FitPoint, causes: Sequence[Cause]) -> list[FitPoint]:
-    """Where fits with these causes begin: all at their first seeds, all at their second …"""
+    """Starting points of fits with these causes: all at their first seeds, all at their second seeds, …"""
     starts = []
     for number in range(max((len(cause.seeds()) for cause in causes), default=1)):
         point = start
@@ -313,12 +312,12 @@ def seeded(start: FitPoint, causes: Sequence[Cause]) -> list[FitPoint]:
 
 
 def best_fit(problem: Correlated, starts: Sequence[FitPoint]) -> FitPoint:
-    """The best that fits from these places come to."""
+    """The best of the fits from these points."""
     return min((problem.fit(start) for start in starts), key=lambda fit: fit.cost).point
 
 
 def _predicted_percent(plain: Correlated, nearest: FitPoint) -> tuple[float, ...]:
-    """Each run from a fit to the two others by least squares, and from its own first reading."""
+    """Error of each run, predicted by a least-squares fit to the two others and its own first reading."""
     runs = plain.case.runs
     errors = []
     for index, run in enumerate(runs):
@@ -353,22 +352,22 @@ def _estimates(point: FitPoint, found: Worth) -> dict[str, dict[str, ParameterEs
 
 
 def _estimate(parameter: Parameter, value: float, shift: float, sd: float) -> ParameterEstimate:
-    inner = parameter.inner(value) + shift
-    return ParameterEstimate(*(parameter.within(inner + move) for move in (0.0, -1.96 * sd, 1.96 * sd)))
+    searched = parameter.to_search(value) + shift
+    return ParameterEstimate(*(parameter.within(searched + move) for move in (0.0, -1.96 * sd, 1.96 * sd)))
 
 
 def _alike(null: DischargeModel, causes: Sequence[Cause]) -> list[Alike]:
-    """How the traces of single causes look beside each other, about the baseline nearest to the readings."""
+    """Correlations of the traces of single causes, around the baseline's least-squares fit."""
     problem = null.plain
     base = null.nearest.freed(())
     free = problem.linear(base).traces
     basis, _ = np.linalg.qr(free)
 
-    def beside(trace: Array) -> Array:
+    def orthogonal_part(trace: Array) -> Array:
         return np.asarray(trace - basis @ (basis.T @ trace))
 
     raw = {cause.name: _trace(problem, base, cause) for cause in causes}
-    own = {name: beside(trace) for name, trace in raw.items()}
+    own = {name: orthogonal_part(trace) for name, trace in raw.items()}
     pairs = []
     names = list(raw)
     for i, first in enumerate(names):
@@ -385,10 +384,10 @@ def _alike(null: DischargeModel, causes: Sequence[Cause]) -> list[Alike]:
 
 
 def _trace(problem: Correlated, base: FitPoint, cause: Cause) -> Array:
-    """What a little of a cause does to all readings."""
+    """The effect of a weak cause on all readings."""
     (parameter,) = cause.parameters
     assert parameter.typical is not None
     mean, sd = parameter.typical
-    inner = mean + 0.01 * sd
-    with_it = problem.pressures_kPa(base.with_cause(cause, (parameter.outer(inner),)))
+    searched = mean + 0.01 * sd
+    with_it = problem.pressures_kPa(base.with_cause(cause, (parameter.to_model(searched),)))
     return with_it - problem.pressures_kPa(base)

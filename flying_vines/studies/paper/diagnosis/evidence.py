@@ -1,16 +1,16 @@
-"""What a model of few, correlated readings is worth: its marginal likelihood, with what no model has in it.
+"""Marginal likelihood of a model with few, correlated readings.
 
-Every model of a real rig leaves something out, and what it leaves out is alike from reading to reading. So a
-reading is the model's, plus rounding (independent), plus a discrepancy δ along the series (after Kennedy &
-O'Hagan 2001), plus what differs between series of the same set-up. δ is a Gaussian process with
+Every model of a real rig is incomplete, and its errors are correlated from reading to reading. So a reading
+is the model's value, plus independent rounding, plus a discrepancy δ along the series (after Kennedy &
+O'Hagan 2001), plus a difference between series of the same set-up. δ is a Gaussian process with
 
-    cov(δ(x), δ(x')) = s² [k(|x − x'|) − k(x) k(x')],   k(d) = exp(−d/ℓ), or exp(−d²/2ℓ²),
+    cov(δ(x), δ(x')) = s² [k(|x − x'|) − k(x) k(x')],   k(d) = exp(−d/ℓ), or exp(−d²/2ℓ²)
 
-which is 0 at x = 0, for a model begins where the series begins (`from_start`), or else s² k(|x − x'|). How
-large s, ℓ and the difference between series are is unknown: the likelihood is averaged over a grid of them,
-equally likely along their logarithms. The parameters are averaged over their priors, with the model taken as
-linear about its best fit (Laplace). So a model with more freedom pays for it, and one that leaves a little
-less, where δ might as well have been there, gains little.
+which is 0 at x = 0 (`from_start`: the model starts at the first reading); otherwise with cov = s² k(|x −
+x'|). The sizes of s, ℓ and of the difference between series are unknown. So the likelihood is averaged over a
+grid of them that is uniform in their logarithms. The parameters are averaged over their priors, with the
+model linearised at its best fit (Laplace). So a model with more freedom gets a penalty, and a small
+improvement that δ could also give counts little.
 """
 
 from __future__ import annotations
@@ -26,40 +26,40 @@ from flying_vines.physics.arrays import Array
 
 
 class UnexplainedLevel(NamedTuple):
-    """How much no model explains, in the unit of the readings and of x."""
+    """Level of the unexplained error, in the units of the readings and of x."""
 
     discrepancy: float
     length: float
     between_series: float
-    """Standard deviation of the logarithm of what scales each series."""
+    """Standard deviation of the logarithm of each series' scale factor."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """What may be in the readings beside the model."""
+    """Noise and model error of the readings."""
 
     rounding: float
-    """Standard deviation of a reading by itself."""
+    """Standard deviation of the independent error of a reading."""
     discrepancies: tuple[float, ...]
     lengths: tuple[float, ...]
     between_series: tuple[float, ...]
     from_start: bool = True
     smooth: bool = False
-    """The Gaussian kernel instead of the exponential one."""
+    """True for the Gaussian kernel, False for the exponential one."""
 
     def levels(self) -> list[UnexplainedLevel]:
-        """All that are equally likely before any data."""
+        """All levels of the grid, with equal prior probability."""
         return [
             UnexplainedLevel(*each) for each in product(self.discrepancies, self.lengths, self.between_series)
         ]
 
     def covariance(self, levels: Sequence[UnexplainedLevel], x: Array, scaled: Array) -> Array:
-        """Of the readings of one series, (levels, n, n).
+        """Covariance of the readings of one series, (levels, n, n).
 
         Args:
-            levels: how much no model explains.
-            x: (n,) where the readings are.
-            scaled: (n,) their derivative by the logarithm of what scales the series.
+            levels: levels of the unexplained error.
+            x: (n,) positions of the readings.
+            scaled: (n,) derivatives of the readings by the logarithm of the series' scale factor.
         """
         each = np.array(levels)[:, :, None, None]
         discrepancy, length, between_series = each[:, 0], each[:, 1], each[:, 2]
@@ -76,39 +76,39 @@ class Noise:
 
 @dataclass(frozen=True)
 class Linear:
-    """A model about its best fit, and the readings."""
+    """A model linearised at its best fit, and the readings."""
 
     series: tuple[Array, ...]
     """x of each series."""
     scaled: tuple[Array, ...]
-    """As in `Noise.covariance`."""
+    """See `Noise.covariance`."""
     residual: Array
-    """(n,) measured less modelled, series after series."""
+    """(n,) measured minus modelled, series after series."""
     traces: Array
-    """(n, k) derivatives of what is modelled by the parameters."""
+    """(n, k) derivatives of the model by the parameters."""
     away: Array
-    """(k,) how far the best fit is from what was expected …"""
+    """(k,) best fit minus prior mean."""
     spread: Array
-    """… and the standard deviation of that."""
+    """(k,) prior standard deviations."""
 
 
 class Worth(NamedTuple):
-    """What the readings say of a model."""
+    """The evidence for a model, and its parameters."""
 
     minus_2_ln: float
-    """Of the marginal likelihood."""
+    """−2 ln of the marginal likelihood."""
     level: UnexplainedLevel
-    """The likeliest."""
+    """The most likely level."""
     shift: Array
-    """(k,) by how much the parameters differ from where the model was linearised, over all levels …"""
+    """(k,) posterior mean minus linearisation point, averaged over all levels."""
     sd: Array
-    """… and how well they are known then."""
+    """(k,) posterior standard deviations."""
 
 
 def worth(noise: Noise, model: Linear) -> Worth:
-    """The marginal likelihood of the readings under a model, and what they say of its parameters."""
+    """The marginal likelihood of the readings under a model, and the posterior of its parameters."""
     levels = noise.levels()
-    # In units of what was expected of each parameter, and from there.
+    # Relative to the prior means, in prior standard deviations.
     expected = model.residual + model.traces @ model.away
     columns = np.column_stack((expected, model.traces * model.spread))
     gram = np.zeros((len(levels), columns.shape[1], columns.shape[1]))
@@ -127,12 +127,12 @@ def worth(noise: Noise, model: Linear) -> Worth:
     heights = (
         gram[:, 0, 0] - np.einsum("li,li->l", slope, moved) + logarithm + np.linalg.slogdet(information)[1]
     )
-    likeliest = int(np.argmin(heights))
-    weights = np.exp(-0.5 * (heights - heights[likeliest]))
-    averaged = float(heights[likeliest] - 2.0 * np.log(np.mean(weights)))
+    best = int(np.argmin(heights))
+    weights = np.exp(-0.5 * (heights - heights[best]))
+    averaged = float(heights[best] - 2.0 * np.log(np.mean(weights)))
     weights /= weights.sum()
     shifts = moved * model.spread - model.away
     variances = np.einsum("lii->li", inverse) * model.spread**2
     shift = weights @ shifts
     variance = weights @ (variances + (shifts - shift) ** 2)
-    return Worth(averaged, levels[likeliest], shift, np.sqrt(variance))
+    return Worth(averaged, levels[best], shift, np.sqrt(variance))

@@ -1,10 +1,10 @@
-"""Which minute at the bench would settle what the paper's discharges leave open.
+"""Proposes an experiment of one minute that separates the explanations of the paper's discharges.
 
-Each explanation that is still possible is simulated in each experiment, with the parameters that the paper's
-readings give it, as the paper's sensor and logger would record it. Each other explanation is then fitted to
-that record, all its parameters free. The χ² of its best fit is how well the experiment tells the two apart:
-with the rounding of the readings alone, and with as much besides as no model explained in the paper's series.
-The best experiment is the one whose worst pair is told apart best.
+Each possible explanation is simulated in each experiment, with its parameters from the paper's readings, and
+with the paper's sensor and logger. Each other explanation is then fitted to that record, with all its
+parameters free. The χ² of its best fit is the separation of the two: once with the rounding of the readings
+alone, and once with the unexplained error of the paper's series. The best experiment has the largest
+separation of its worst pair.
 """
 
 from __future__ import annotations
@@ -44,20 +44,20 @@ RIVALS = (
     ("evp_restriction", "valve_settles", "sensor_line"),
     ("reservoir_leak", "reservoir_cooling"),
 )
-"""What is still possible: heat with either law of flow, what could pass for heat, a leak."""
+"""Possible explanations: heat with either law of flow, an imitation of heat, a leak."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A minute with the 2 litre bottle, filled as the paper filled it, and the valve as far open."""
+    """One minute with the 2 litre bottle, with the paper's filling pressure and valve opening."""
 
     name: str
     how: str
     open_s: tuple[tuple[float, float], ...]
-    """When the valve is open."""
+    """Intervals in which the valve is open."""
 
     def run(self, period_s: float) -> tuple[Array, Array]:
-        """Times of the logger's readings, and openings from each on."""
+        """Times of the logger's readings, and the opening from each time on."""
         time_s = np.arange(0.0, MINUTE_S, period_s)
         opening = np.zeros(len(time_s))
         for begins, ends in self.open_s:
@@ -78,24 +78,24 @@ EXPERIMENTS = (
 
 @dataclass(frozen=True)
 class RivalPair:
-    """If one explanation is true, the other's best fit."""
+    """The best fit of one explanation if another is true."""
 
     true: tuple[str, ...]
     fitted: tuple[str, ...]
     delta_chi2_rounding: float
-    """χ² with the rounding of the readings alone …"""
+    """χ² with the rounding of the readings alone."""
     delta_chi2: float
-    """… and with what no model explained in the paper."""
+    """χ² with the unexplained error of the paper's series."""
 
 
 @dataclass(frozen=True)
 class ExperimentOutcome:
-    """What an experiment tells apart."""
+    """The separations of all pairs in an experiment."""
 
     experiment: Experiment
     time_s: Array
     expected_kPa: dict[tuple[str, ...], Array]
-    """Explanation by explanation, what would be read."""
+    """Expected readings for each explanation."""
     pairs: tuple[RivalPair, ...]
 
     @property
@@ -105,21 +105,21 @@ class ExperimentOutcome:
 
 @dataclass(frozen=True)
 class Sharing:
-    """Bottle and vessel joined: tells a valve that passes more from a bottle that holds less."""
+    """Reservoir and vessel connected: separates a larger valve flow from a smaller reservoir."""
 
     reservoir_kPa: float
     vessel_L: float
     delta_chi2_rounding: float
-    """If the valve is off and the volume is fitted, by the rounding of both sensors' readings."""
+    """Δχ² if the valve is the cause and the volume is fitted, with the rounding of both sensors."""
     ends_kPa: tuple[float, float]
-    """The bottle's reading at the end, if it is the valve, and if it is the volume."""
+    """Final reading of the reservoir if the valve is the cause, and if the volume is."""
     discharge_delta_chi2: float
-    """The same for the best of the discharges."""
+    """The same Δχ² in the best discharge experiment."""
 
 
 @dataclass(frozen=True)
 class ExperimentProposal:
-    """What to do next."""
+    """The proposed experiments."""
 
     outcomes: tuple[ExperimentOutcome, ...]
     sharing: Sharing
@@ -134,7 +134,7 @@ def propose(
     progress: Callable[[str], None] = lambda step: None,
     experiments: Sequence[Experiment] = EXPERIMENTS,
 ) -> ExperimentProposal:
-    """Simulate the experiments with what the discharges left open; `found` has all of `RIVALS`."""
+    """Simulate the experiments with all explanations of `RIVALS`, which `found` must contain."""
     level = found.candidates[0].problem.level
     rounding = found.candidates[0].problem.noise.rounding
     noise = Noise(rounding, (level.discrepancy,), (level.length,), (0.0,))
@@ -174,7 +174,7 @@ def _outcome(
 
 
 def _expected_kPa(case: Case, candidate: DischargeModel, noise: Noise) -> Array:
-    """What the sensor would read, if the candidate is true as it was fitted."""
+    """Expected readings if the candidate is true as fitted."""
     problem = Correlated(case, noise, LEAST_SQUARES)
     point = candidate.point
     initial = np.array([[case.runs[0].reservoir_kPa[0], 0.0]])
@@ -183,7 +183,7 @@ def _expected_kPa(case: Case, candidate: DischargeModel, noise: Noise) -> Array:
 
 
 def _starts(problem: Correlated, candidate: DischargeModel) -> list[FitPoint]:
-    """Where a rival's fit begins: as the paper has it, and at its seeds."""
+    """Starting points of a rival's fit: as fitted to the paper, and at its seeds."""
     start = start_of(problem)
     acting = [_here(cause, problem.case) for cause in candidate.point.causes]
     as_fitted = replace(
@@ -196,7 +196,7 @@ def _starts(problem: Correlated, candidate: DischargeModel) -> list[FitPoint]:
 
 
 def _here(cause: Cause, case: Case) -> Cause:
-    """The cause as it acts in this experiment, in which air does not always flow."""
+    """The cause for this experiment, in which air does not always flow."""
     if cause.name != "sensor_line":
         return cause
     (run,) = case.runs
@@ -210,23 +210,23 @@ def _case(time_s: Array, opening: Array, reservoir_kPa: Array) -> Case:
 
 
 def _period_s() -> float:
-    """The logger's, where it was quickest."""
+    """The shortest period of the paper's logger."""
     return float(np.diff(curve("discharge_2L_lowRv_measured").x).min())
 
 
 SHARED_KPA = 200.0
-"""So little that the vessel's sensor can read where it ends."""
+"""Low enough that the final pressure is within the range of the vessel's sensor."""
 VESSEL_L = 1.0
 VESSEL_STEP_KPA = 0.167
-"""Of the vessel's 30 psi sensor, at 10 bits."""
+"""Step of the vessel's 30 psi sensor at 10 bits."""
 
 
 def _sharing(found: Discharges, experiment: Experiment, noise: Noise) -> Sharing:
-    """The bottle at a moderate pressure into the paper's vessel of 1 litre, both shut off from outside."""
+    """The reservoir at a moderate pressure, connected to the paper's vessel of 1 litre; both are closed."""
     known = causes()
     scale = found.of("evp_restriction", "reservoir_cooling").estimates["evp_restriction"]["scale"].estimate
     valve, volume = known["evp_restriction"], known["reservoir_volume"]
-    # However unlikely such a bottle is: the readings alone are to tell.
+    # No prior: only the readings shall decide, even if such a volume is unlikely.
     volume = replace(volume, parameters=(replace(volume.parameters[0], typical=None),))
     time_s = np.arange(0.0, MINUTE_S, _period_s())
     zero, start = np.zeros(len(time_s)), np.array([[SHARED_KPA, 0.0]])

@@ -1,4 +1,4 @@
-"""The diagnosis as pictures: what was measured, simulated, and left; the minute to come; the gains."""
+"""Draws the diagnosis: measured and simulated discharges, the proposed experiment, the gains."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COLORS = (PURPLE, GREEN, RED, ORANGE, GREY)
 
 
 def draw(diagnosis: PaperDiagnosis, folder: Path) -> list[Path]:
-    """Draw three PNGs into a folder that exists: where they are."""
+    """Draw three PNGs into an existing folder. Returns their paths."""
     plots = {
         "discharge": _discharge(diagnosis.discharges),
         "experiment": _experiment(diagnosis.proposal),
@@ -56,7 +56,7 @@ def _discharge(found: Discharges) -> Any:
     axes[0, 0].set_ylabel("reservoir, kPa gauge")
     axes[1, 0].set_ylabel("measured − simulated,\n% of the first reading")
     axes[0, 2].legend(frameon=False, fontsize=9)
-    return finish(figure, "The paper's discharges: measured, simulated, and what is left")
+    return finish(figure, "The paper's discharges: measured, simulated, residuals")
 
 
 def _nearest_kPa(candidate: DischargeModel, index: int) -> Any:
@@ -82,13 +82,13 @@ def _experiment(proposal: ExperimentProposal) -> Any:
     off.set_ylabel("off the first, kPa")
     off.set_xlabel("time, s (grey: valve open)")
     experiments = [outcome.experiment.name for outcome in proposal.outcomes]
-    least = [outcome.worst.delta_chi2 for outcome in proposal.outcomes]
-    bars = apart.barh(experiments, least, color=[PURPLE if o is best else GREY for o in proposal.outcomes])
+    lowest = [outcome.worst.delta_chi2 for outcome in proposal.outcomes]
+    bars = apart.barh(experiments, lowest, color=[PURPLE if o is best else GREY for o in proposal.outcomes])
     apart.bar_label(bars, fmt="%.1f", padding=3, fontsize=9)
     apart.invert_yaxis()
-    apart.set_xlabel("least Δχ² of any two")
-    apart.set_xlim(0, 1.2 * max(least))
-    return finish(figure, "What would be read in the minute that tells the explanations apart")
+    apart.set_xlabel("lowest Δχ² of all pairs")
+    apart.set_xlim(0, 1.2 * max(lowest))
+    return finish(figure, "Expected readings in the experiment that separates the explanations")
 
 
 def _frequency(responses: Responses) -> Any:
@@ -110,10 +110,10 @@ def _frequency(responses: Responses) -> Any:
             off = 20.0 * np.log10(measured.y / gains)
             below.plot(measured.x[order], off[order], color=color, lw=1.2, marker="o", ms=3)
         above.plot(measured.x, measured.y, "o", color=BLUE, ms=4, label="measured")
-        asked = condition(test)
+        tested = condition(test)
         above.set_title(
-            f"{test.upper()}: {asked.swing_kPa:.0f} kPa peak to peak, {asked.cv_volume_L:g} L on "
-            f"{asked.reservoir_kPa:.0f} kPa",
+            f"{test.upper()}: {tested.swing_kPa:.0f} kPa peak to peak, {tested.cv_volume_L:g} L on "
+            f"{tested.reservoir_kPa:.0f} kPa",
             loc="left",
             fontsize=10,
         )

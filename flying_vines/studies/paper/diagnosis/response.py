@@ -1,9 +1,9 @@
-"""The paper's frequency responses against the baseline in closed loop, and which cause comes nearer.
+"""Compares the paper's frequency responses with the baseline in closed loop, and with each cause.
 
-Each cause is set in the plant, the plant put under the regulator as the paper describes it, and its gains are
-held against those of TC4 and TC5, in dB. What the paper leaves out stays open: the regulator's PID, how the
-valves are driven, tubes, the outlet, and phase, of which it prints nothing. So a cause that comes nearer
-would account for the difference; it is not shown to be there.
+Each cause is put into the plant, with the regulator that the paper describes. Its gains are compared with
+those of TC4 and TC5 in dB. The paper does not state the regulator's PID, the valve drivers, tubes, the
+outlet, or any phase. So a cause that comes nearer could explain the difference, but this does not prove that
+it is there.
 """
 
 from __future__ import annotations
@@ -32,42 +32,42 @@ from flying_vines.studies.paper.diagnosis.evidence import Linear, Noise, worth
 
 TESTS = ("tc4", "tc5")
 SUPPLY_KPA = {"tc4": 690.0, "tc5": 345.0}
-"""TC5's as the list of test conditions has it …"""
+"""Supplies (gauge); TC5's is from the paper's list of test conditions."""
 OTHER_SUPPLY_KPA = {**SUPPLY_KPA, "tc5": 690.0}
-"""… and as the text below it says."""
+"""TC5's is from the text below that list."""
 BASE = Rig(cv=ControlVolume(1.0))
-"""What the paper leaves open of valves and outlet is as our nominal rig has it."""
+"""The default rig, for what the paper does not state of valves and outlet."""
 
 SETTLE_S = 1.0
 MEASURE_S = 1.5
 CORNERS = 64
-"""Of the polygon that a cycle of the command is."""
+"""Corners of the polygon that approximates a cycle of the command."""
 READINGS = 1000
-"""Of a cycle, at most: where the command is slow, not every tick has to be looked at."""
+"""Maximum readings in a cycle: a slow command does not need every tick."""
 TUBE_L = 0.0126
-"""A metre of 4 mm tube."""
+"""Volume of a metre of 4 mm tube."""
 
 DISCREPANCIES_DB = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0)
 LENGTHS = (0.2, 0.7, 2.0)
-"""Along the logarithm of frequency."""
+"""Correlation lengths in the logarithm of frequency."""
 SCALES = (0.001, 0.03, 0.1)
-"""Of the evaluation: what multiplies all gains of a test, logarithm."""
+"""Standard deviations of the logarithm of a factor on all gains of a test."""
 DB = 20.0 / log(10.0)
 
 
 @dataclass(frozen=True)
 class Suspect:
-    """What may be different on the bench, with one parameter."""
+    """A possible difference of the bench, with one parameter."""
 
     name: str
     parameter: str
     values: tuple[float, ...]
-    """Where it is looked, all equally likely beforehand."""
+    """Tested values, with equal prior probability."""
     made: Callable[[Rig, float], Setup] | None = None
     """None: the cause of that name."""
 
     def on(self, rig: Rig, value: float) -> Setup:
-        """The bench with it."""
+        """The bench with this difference."""
         return self.made(rig, value) if self.made else setup(rig, self.name, **{self.parameter: value})
 
 
@@ -103,25 +103,25 @@ SUSPECTS = (
 )
 FLOOR = "gain_floor"
 FLOORS = (0.1, 0.15, 0.2, 0.25)
-"""Of the evaluation, not the rig: what an FFT of few cycles leaves of drift and offset, added in squares."""
+"""Error of the evaluation, not of the rig: drift and offset in an FFT of few cycles; added in squares."""
 WITH_TUBE = ("compressible_flow", "cv_heating")
 AGAIN = ("evp_restriction", "cv_heating", "tube")
-"""Looked at on TC5's other supply as well."""
+"""Also tested on TC5's other supply."""
 
 
 @dataclass(frozen=True)
 class Account:
-    """What one suspect, or two, would make of the measured gains."""
+    """The gains with one or two suspects, compared with the measured ones."""
 
     names: tuple[str, ...]
     best: dict[str, float]
-    """Name by name, the likeliest of the values that were looked at."""
+    """The most likely tested value of each suspect."""
     minus_2_ln: float
-    """Of the evidence, averaged over all the values."""
+    """−2 ln of the evidence, averaged over all values."""
     rms_dB: tuple[float, ...]
-    """Off the measured gains, test by test, over all points …"""
+    """Distance of the best values from the measured gains for each test, over all points."""
     band_rms_dB: tuple[float, ...]
-    """… and up to `BAND` drawn cut-offs; of the likeliest."""
+    """The same up to `BAND` drawn cut-offs."""
     gains: tuple[Array, ...]
 
     @property
@@ -131,21 +131,21 @@ class Account:
 
 @dataclass(frozen=True)
 class Responses:
-    """All that was tried, the best first."""
+    """All tested accounts, the best first."""
 
     scatter_dB: float
-    """Of one gain, by the error bars of the off-the-shelf regulator."""
+    """Scatter of one gain, from the error bars of the off-the-shelf regulator."""
     accounts: tuple[Account, ...]
     """TC5 on 345 kPa."""
     other: tuple[Account, ...]
     """TC5 on 690 kPa."""
 
     def of(self, *names: str) -> Account:
-        """On 345 kPa."""
+        """The account with these suspects, with TC5 on 345 kPa."""
         return next(a for a in self.accounts if set(a.names) == set(names))
 
     def above(self, account: Account) -> float:
-        """−2 ln of its evidence, above the best of all on either supply."""
+        """−2 ln of its evidence relative to the best on either supply."""
         return account.minus_2_ln - min(a.minus_2_ln for a in (*self.accounts, *self.other))
 
 
@@ -155,12 +155,12 @@ def account_for(
     with_tube: Sequence[str] = WITH_TUBE,
     again: Sequence[str] = AGAIN,
 ) -> Responses:
-    """Suspects against the measured gains.
+    """Compare the suspects with the measured gains.
 
     Args:
-        suspects: by themselves, with and without a floor; one of them is the tube.
-        with_tube: those that are looked at with a tube as well.
-        again: those that are looked at on TC5's other supply as well.
+        suspects: tested alone, with and without a floor; one of them must be the tube.
+        with_tube: suspects that are also tested with a tube.
+        again: suspects that are also tested on TC5's other supply.
     """
     by_name = {suspect.name: suspect for suspect in suspects}
     with threadpool_limits(1):
@@ -189,7 +189,7 @@ def _ordered(accounts: list[Account]) -> tuple[Account, ...]:
 
 
 def scatter_dB() -> float:
-    """The median error bar of the off-the-shelf regulator where it still follows, gain above −3 dB."""
+    """The median error bar of the off-the-shelf regulator at gains above −3 dB."""
     bars = []
     for number in (1, 2):
         regulator = curve(f"frequency_baseline{number}")
@@ -200,7 +200,7 @@ def scatter_dB() -> float:
 
 
 class _Trials:
-    """Benches against the measured gains, on given supplies."""
+    """Compares benches with the measured gains, on given supplies."""
 
     def __init__(self, supply_kPa: Mapping[str, float]) -> None:
         self.scatter_dB = scatter_dB()
@@ -209,7 +209,7 @@ class _Trials:
         self._noise = Noise(self.scatter_dB, DISCREPANCIES_DB, LENGTHS, SCALES, from_start=False)
 
     def explained(self, names: tuple[str, ...], benches: Mapping[tuple[float, ...], Setup]) -> list[Account]:
-        """Without a floor and with it; a bench for each of the parameters' values."""
+        """The accounts without and with a floor; `benches` has one bench for each set of values."""
         plain = {
             values: [gains(bench, test, self._supply_kPa[test]) for test in TESTS]
             for values, bench in benches.items()
@@ -253,21 +253,21 @@ class _Trials:
 
 
 def gains(made: Setup, test: str, supply_kPa: float) -> Array:
-    """Response over command at each measured frequency, in closed loop on a supply that does not change."""
-    asked = condition(test)
+    """Response over command at each measured frequency, in closed loop on a constant supply."""
+    tested = condition(test)
     rig = made.plant.rig
     assert rig.cv is not None
     assert BASE.cv is not None
     added_L = rig.cv.volume_L - BASE.cv.volume_L
-    rig = replace(rig, reservoir=FIXED_SOURCE, cv=ControlVolume(asked.cv_volume_L + added_L))
+    rig = replace(rig, reservoir=FIXED_SOURCE, cv=ControlVolume(tested.cv_volume_L + added_L))
     made = replace(made, plant=Plant(rig, made.plant.effects))
     measured = curve(f"frequency_measured_{test}").x.tolist()
-    found = {f: _gain(made, f, asked.swing_kPa, supply_kPa) for f in set(measured)}
+    found = {f: _gain(made, f, tested.swing_kPa, supply_kPa) for f in set(measured)}
     return np.array([found[f] for f in measured])
 
 
 def _gain(made: Setup, frequency_Hz: float, peak_to_peak_kPa: float, supply_kPa: float) -> float:
-    """At one frequency, over whole cycles after some that settle; the command is a polygon."""
+    """The gain at one frequency, over whole cycles after settling; the command is a polygon."""
     settle = ceil(SETTLE_S * frequency_Hz) if frequency_Hz > 1.0 / SETTLE_S else 0
     cycles = settle + max(1, ceil(MEASURE_S * frequency_Hz))
     ticks = round(cycles / frequency_Hz / TICK_S)

@@ -1,7 +1,7 @@
-"""What else could make a discharge fast at first and slow later: causes that only this bench can have.
+"""Other causes of a discharge that is fast at first and slow later, which only this bench can have.
 
-They are no part of the catalogue, which knows a rig with a vine; here they have to lose, or to be named.
-`RESERVOIR_WALL` is the catalogue's cooling with another law of heat: a fixed hA.
+They are not in the catalogue, which is for a rig with a vine. `RESERVOIR_WALL` is the catalogue's reservoir
+cooling with another law of heat: a fixed hA.
 """
 
 from __future__ import annotations
@@ -19,16 +19,12 @@ from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.wall import PET_BOTTLE_2L
 
 SETTLED = 5.0
-"""Time constants after which a valve has settled."""
+"""Number of time constants after which a valve has settled."""
 _STAIRS = 40
 
 
 def sensor_line(flows: Callable[[int], BoolArray]) -> Cause:
-    """The sensor sits where air flows.
-
-    Args:
-        flows: whether it does at each of so many readings.
-    """
+    """The sensor is in the flow; `flows(n)` gives for each of n readings if air flows."""
 
     def readings(readings: ModelReadings, x: Values) -> ModelReadings:
         less = x[0] * flows(len(readings.reservoir_kPa))
@@ -36,7 +32,7 @@ def sensor_line(flows: Callable[[int], BoolArray]) -> Cause:
 
     return Cause(
         name="sensor_line",
-        what="The sensor sits where air flows, and reads a share less as long as it does.",
+        what="The sensor is in the flow, and reads a share less while air flows.",
         parameters=(
             Parameter(
                 "share",
@@ -45,32 +41,32 @@ def sensor_line(flows: Callable[[int], BoolArray]) -> Cause:
                 seeds=(0.01,),
                 neutral=0.0,
                 typical=(0.0, 0.03),
-                source="a metre of 4 mm tube takes 2 kPa at 20 SLPM, a fitting more: some 1 %",
+                source="a metre of 4 mm tube loses 2 kPa at 20 SLPM, a fitting more: about 1 %",
             ),
         ),
-        experiment="Shut the valve during a discharge: the reading jumps back at once.",
+        experiment="Shut the valve during a discharge: the reading jumps back immediately.",
         readings=readings,
     )
 
 
 SENSOR_LINE = sensor_line(lambda count: np.arange(count) > 0)
-"""In a discharge: the first reading is taken before the valve opens."""
+"""For a discharge, whose first reading is taken before the valve opens."""
 
 
 def _settling(commands: Commands, x: Values) -> Commands:
-    """As told, but for what it passes more, in stairs, since the run began."""
+    """The commands with the additional opening since the start, in steps."""
     share, time_constant_s = x
-    told = commands.evp
+    evp = commands.evp
     after_s = np.linspace(0.0, SETTLED * time_constant_s, _STAIRS, endpoint=False)
-    time_s = np.union1d(told.time_s, told.time_s[0] + after_s)
-    opening = told.value[np.searchsorted(told.time_s, time_s, side="right") - 1]
-    middle_s = time_s - told.time_s[0] + 0.5 * after_s[1]
+    time_s = np.union1d(evp.time_s, evp.time_s[0] + after_s)
+    opening = evp.value[np.searchsorted(evp.time_s, time_s, side="right") - 1]
+    middle_s = time_s - evp.time_s[0] + 0.5 * after_s[1]
     return commands._replace(evp=Steps(time_s, opening * (1.0 + share * np.exp(-middle_s / time_constant_s))))
 
 
 VALVE_SETTLES = Cause(
     name="valve_settles",
-    what="The valve passes more at first, and settles: its coil warms, its seat creeps.",
+    what="The valve has more flow at first and settles: its coil warms, its seat creeps.",
     parameters=(
         Parameter(
             "share",
@@ -92,7 +88,7 @@ VALVE_SETTLES = Cause(
             source="seats and coils: seconds to minutes",
         ),
     ),
-    experiment="Shut the valve during a discharge, wait, and open it again: it passes more again.",
+    experiment="Shut the valve during a discharge, wait, and open it again: the flow is larger again.",
     commands=_settling,
 )
 
@@ -103,7 +99,7 @@ def _wall(base: Setup, conductance_W_per_K: float) -> Setup:
 
 RESERVOIR_WALL = Cause(
     name="reservoir_wall",
-    what="Gas in the reservoir cools as it expands; a fixed hA warms it, from a wall that cools as well.",
+    what="Gas in the reservoir cools as it expands; a wall, which also cools, warms it through a fixed hA.",
     parameters=(
         Parameter(
             "conductance_W_per_K",

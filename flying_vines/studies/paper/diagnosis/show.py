@@ -17,27 +17,27 @@ from flying_vines.studies.paper.diagnosis.verdict import findings
 
 ACCOUNTS = 6
 SHOWN = {("gain_floor",), ("tube",), ("cv_heating",), ("evp_restriction",), ()}
-"""Accounts that are shown however far down they are."""
+"""Accounts that are shown whatever their rank is."""
 
 
 def show(diagnosis: PaperDiagnosis, console: Console) -> None:
-    """Print what the evidence says, and the evidence."""
-    console.print("What the paper's measurements say the baseline gets wrong", style="bold")
+    """Print the findings and the evidence."""
+    console.print("What the baseline gets wrong, by the paper's measurements", style="bold")
     for number, text in enumerate(findings(diagnosis), 1):
         item = Table.grid(padding=(0, 1))
         item.add_row(f"{number}.", Text(text))
         console.print(Padding(item, (0, 0, 0, 1)))
     console.print(_candidates(diagnosis.discharges))
     console.print(
-        "−2 ln of the evidence above the best, by kind of error assumed; green: named, yellow: not told "
-        "apart from the best. Rms by least squares. Predicted: each series from the two others."
+        "−2 ln of the evidence relative to the best, for each kind of assumed error; green: named, yellow: "
+        "not separated from the best. Rms: least squares. Predicted: each series from the two others."
     )
     console.print(_experiments(diagnosis.proposal))
     console.print(_accounts(diagnosis.responses))
 
 
 def _table(title: str, columns: Sequence[str], words: Sequence[int] = (0,)) -> Table:
-    """Columns of numbers, but for those of words, which may take several lines."""
+    """A table with columns of numbers; columns in `words` may use several lines."""
     table = Table(box=None, padding=(0, 1), pad_edge=False, title=title, title_justify="left")
     for number, heading in enumerate(columns):
         is_words = number in words
@@ -60,7 +60,7 @@ def _candidates(found: Discharges) -> Table:
 
 
 def _experiments(proposal: ExperimentProposal) -> Table:
-    columns = ("experiment", "least Δχ²", "by rounding", "if true", "taken for")
+    columns = ("experiment", "lowest Δχ²", "with rounding only", "if true", "fitted")
     table = _table("\nA minute at the bench", columns, words=(0, 3, 4))
     for outcome in proposal.outcomes:
         worst = outcome.worst

@@ -1,4 +1,4 @@
-"""What the evidence says, in plain words with its numbers, and as plain numbers for other programs."""
+"""The findings in words with their numbers, and as plain numbers for other programs."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from flying_vines.studies.paper.diagnosis.flow_law import FlowLawFit
 from flying_vines.studies.paper.diagnosis.response import FLOOR, Account, Responses
 
 SAME = 0.999
-"""A correlation of traces from which on no reading of these tells two causes apart."""
+"""From this correlation of traces on, these readings cannot separate two causes."""
 
 WANDERING_S = 10.0
 
 
 def has_heat(candidate: DischargeModel) -> bool:
-    """Whether gas in the reservoir has a temperature of its own in it."""
+    """True if the candidate has a gas temperature in the reservoir."""
     return any(name in HEAT for name in candidate.names)
 
 
 def has_more_air(candidate: DischargeModel) -> bool:
-    """Whether more air leaves in it than is believed, or less is there."""
+    """True if the candidate has more flow than nominal, or less air in the reservoir."""
     return any(name in MORE_AIR for name in candidate.names)
 
 
 def findings(diagnosis: PaperDiagnosis) -> tuple[str, ...]:
-    """What the evidence names, how sure it is, what stays open, what would settle it: one text each."""
+    """The named causes, their confidence, the open questions, and the experiments for them: one text each."""
     found = diagnosis.discharges
     return (
         _named(found),
@@ -65,15 +65,15 @@ def _named(found: Discharges) -> str:
         "Two causes together: air leaves faster than Ohm's law with the paper's R_v has it, and gas in the "
         f"bottle cools as it leaves. R_v is {scale.estimate:.2f} ({scale.low:.2f} … {scale.high:.2f}) of "
         f"the paper's: {_flow_SLPM(scale.estimate):.1f} SLPM at 690 kPa, where the EVP is rated for "
-        f"{stated()['evp.flow'].value:g}. Heat comes back through hA = {wall.estimate:.1f} ({wall.low:.1f} … "
-        f"{wall.high:.1f}) W/K a bottle. The baseline lies {_range(_beyond(found, found.null, named))} above "
-        "that in −2 ln of the evidence, by kind of error assumed; more flow alone "
-        f"{_range(_beyond(found, flow_only, named))}."
+        f"{stated()['evp.flow'].value:g}. The wall warms the gas with hA = {wall.estimate:.1f} "
+        f"({wall.low:.1f} … {wall.high:.1f}) W/K for each bottle. In −2 ln of the evidence the baseline is "
+        f"{_range(_beyond(found, found.null, named))} worse, depending on the assumed error; more flow alone "
+        f"is {_range(_beyond(found, flow_only, named))} worse."
     )
 
 
 def _flow_SLPM(scale: float) -> float:
-    """Of the believed valve with its resistance so scaled."""
+    """Flow of the nominal valve with a scaled resistance."""
     return 60.0 * stated()["reservoir.pressure"].value / (scale * Rig().evp.flow_resistance_kPa_s_per_SL)
 
 
@@ -84,8 +84,8 @@ def _sure(found: Discharges) -> str:
         "How sure: the best set of causes in which R_v and volume are right and nothing leaks lies "
         f"{_range(more)} above the best of all, the best with R_v right (a leak instead) {_range(flow)}. The "
         "best without gas that cools (the valve settles, and the sensor sits in the line) lies "
-        f"{_range(heat)} above the best with it: odds of {_odds(heat)} to 1 for heat. That holds if the "
-        "truth is among what was tried; three series without a repetition cannot show that it is."
+        f"{_range(heat)} above the best with it: odds of {_odds(heat)} to 1 for heat. This is only valid if "
+        "one of the tested explanations is true; three series without repetition cannot show this."
     )
 
 
@@ -93,7 +93,7 @@ def _possible(found: Discharges) -> str:
     possible = [c for c in found.open() if c is not found.named]
     cold = [c.label for c in possible if not has_heat(c)]
     texts = [f"{c.label} ({_range(found.above(c))})" for c in possible]
-    without = f"Without heat: {'; '.join(cold)}." if cold else "None of them does without gas that cools."
+    without = f"Without heat: {'; '.join(cold)}." if cold else "All of them need gas that cools."
     return (
         f"Not told apart from the best, at less than {ALIKE:g} above it by one kind of error or another: "
         f"{'; '.join(texts)}. {without}"
@@ -108,7 +108,7 @@ def _identical(found: Discharges) -> str:
     return (
         "What no discharge can tell: "
         f"{'; '.join(f'{a.first} from {a.second} (traces correlate {a.correlation:+.3f})' for a in same)}; "
-        f"{', '.join(blind)} leaves no trace beside the pressures at the start. Hard to tell: "
+        f"{', '.join(blind)} has no effect that initial pressures cannot imitate. Hard to separate: "
         f"{'; '.join(f'{a.first} from {a.second} ({a.correlation:+.2f})' for a in near)}."
     )
 
@@ -123,11 +123,11 @@ def _flow_law(laws: tuple[FlowLawFit, FlowLawFit]) -> str:
     return (
         "Whether the valve chokes stays open. With the paper's ratio of the valve's two settings, "
         f"{papers.settings_ratio:.3f}, choked flow and heat lie {_range(papers.choked_above)} above Ohm's "
-        f"law and heat, and the flow at 690 kPa is then as the paper has it (R_v × {scale:.2f}): what "
-        f"was missing is the law's. With a ratio of {other.settings_ratio:.2f} they lie "
-        f"{_range(other.choked_above)} above, but are nearer by least squares "
-        f"({other.choked.rms_kPa:.1f} against {other.ohm.rms_kPa:.1f} kPa rms). A smaller R_v and another "
-        "law of flow are two names of one finding until flow itself is measured."
+        f"law and heat, and the flow at 690 kPa is then that of the paper (R_v × {scale:.2f}): the flow law "
+        f"explains the difference. With a ratio of {other.settings_ratio:.2f} they lie "
+        f"{_range(other.choked_above)} above, but their least-squares error is smaller "
+        f"({other.choked.rms_kPa:.1f} against {other.ohm.rms_kPa:.1f} kPa rms). Only a measurement of the "
+        "flow can separate a smaller R_v from another flow law."
     )
 
 
@@ -147,9 +147,9 @@ def _unexplained(found: Discharges) -> str:
     wanders_kPa = level.discrepancy * sqrt(2.0 * (1.0 - exp(-WANDERING_S / level.length)))
     return (
         f"No model is complete: this one leaves {found.named.rms_kPa:.1f} kPa rms, where the logger's steps "
-        f"of {found.step_kPa:.3f} kPa account for {rounding:.2f}. What is left wanders by "
-        f"{wanders_kPa:.1f} kPa in {WANDERING_S:g} s, and series differ by {100.0 * level.between_series:g} "
-        "% in flow. Each finding above has paid for that."
+        f"of {found.step_kPa:.3f} kPa account for {rounding:.2f}. The rest drifts by {wanders_kPa:.1f} kPa "
+        f"in {WANDERING_S:g} s, and the flow of the series differs by {100.0 * level.between_series:g} %. "
+        "The evidence of each finding above takes this into account."
     )
 
 
@@ -159,10 +159,10 @@ def _experiment(diagnosis: PaperDiagnosis) -> str:
     worst = best.worst
     return (
         "A minute that would tell heat, valve or sensor line, leak and law of flow apart: fill 2 litres as "
-        f"before. {best.experiment.how} With the paper's sensor and logger every two of them are then at "
-        f"least Δχ² = {worst.delta_chi2:.0f} apart ({' + '.join(worst.true)} taken for "
-        f"{' + '.join(worst.fitted)}), although as much may be unexplained as before; by rounding alone "
-        f"{worst.delta_chi2_rounding:.0f}. Left open for a minute, as the paper did, the least is "
+        f"before. {best.experiment.how} With the paper's sensor and logger all pairs then differ by at least "
+        f"Δχ² = {worst.delta_chi2:.0f} ({' + '.join(worst.true)} is true, {' + '.join(worst.fitted)} is "
+        "fitted), with the same unexplained error as before; with rounding alone it is "
+        f"{worst.delta_chi2_rounding:.0f}. With the valve open for a minute, as in the paper, the lowest is "
         f"{papers.worst.delta_chi2:.1f}."
     )
 
@@ -172,10 +172,10 @@ def _sharing(diagnosis: PaperDiagnosis) -> str:
     valve_kPa, volume_kPa = sharing.ends_kPa
     return (
         f"R_v or volume: no discharge tells (Δχ² = {sharing.discharge_delta_chi2:.0f} in that minute, too). "
-        f"Weigh the bottle full of water; or fill it to {sharing.reservoir_kPa:g} kPa, let it into an empty "
-        f"vessel of {sharing.vessel_L:g} L and wait a minute: it ends at {valve_kPa:.1f} kPa if R_v is off, "
-        f"at {volume_kPa:.1f} if it is the volume (Δχ² = {sharing.delta_chi2_rounding:,.0f} by rounding; "
-        "the sensor's zero has to be read first)."
+        f"Weigh the bottle full of water. Or fill it to {sharing.reservoir_kPa:g} kPa, connect it to an "
+        f"empty vessel of {sharing.vessel_L:g} L and wait a minute: it ends at {valve_kPa:.1f} kPa if R_v is "
+        f"wrong, at {volume_kPa:.1f} if the volume is (Δχ² = {sharing.delta_chi2_rounding:,.0f} with "
+        "rounding alone; read the sensor's zero first)."
     )
 
 
@@ -187,18 +187,18 @@ def _responses(responses: Responses) -> tuple[str, ...]:
     return (
         "Frequency responses: the baseline under the paper's regulator is "
         f"{_dB(null.rms_dB)} dB rms off TC4 and TC5, {_dB(null.band_rms_dB)} up to three cut-offs. The "
-        f"difference is the flat tail. A least gain of {floor.best[FLOOR]:g}, as an FFT over few cycles "
-        f"leaves of drift, makes it {_dB(floor.rms_dB)}; pressure lost in a tube of {tube.best['tube']:g} "
-        f"kPa·s/SL between sensor and vessel {_dB(tube.rms_dB)}. Of the catalogue's causes by "
-        f"themselves the best, {best.label}, gains {null.minus_2_ln - best.minus_2_ln:.0f} in −2 ln of the "
-        f"evidence, the floor {null.minus_2_ln - floor.minus_2_ln:.0f}, the tube "
-        f"{null.minus_2_ln - tube.minus_2_ln:.0f}. TC5's supply is stated twice; on 690 kPa the floor alone "
-        f"lies {other.minus_2_ln - floor.minus_2_ln:.0f} above what it does on 345.",
+        f"difference is the flat tail. With a minimum gain of {floor.best[FLOOR]:g}, from drift in an FFT "
+        f"over few cycles, it is {_dB(floor.rms_dB)}; with a tube of {tube.best['tube']:g} kPa·s/SL between "
+        f"sensor and vessel it is {_dB(tube.rms_dB)}. The best single cause of the catalogue, {best.label}, "
+        f"gains {null.minus_2_ln - best.minus_2_ln:.0f} in −2 ln of the evidence, the floor "
+        f"{null.minus_2_ln - floor.minus_2_ln:.0f}, the tube {null.minus_2_ln - tube.minus_2_ln:.0f}. TC5's "
+        "supply is stated twice; on 690 kPa the floor alone is "
+        f"{other.minus_2_ln - floor.minus_2_ln:.0f} worse than on 345 kPa.",
         f"With the floor, {_count_alike(responses)} accounts are within {ALIKE:g} of the best: lag, delay, "
-        "dead zone, slow outlet, heating and flow law cannot be told apart by these gains. The regulator's "
-        "PID, how valves are driven, the tubes and the outlet are not printed, nor any phase. A record over "
-        "time of one test, over many whole cycles, would tell a floor from a tube; its phase a delay from "
-        "a lag.",
+        "dead zone, slow outlet, heating and flow law cannot be separated by these gains. The paper prints "
+        "neither the regulator's PID, the valve drivers, the tubes and the outlet, nor any phase. A record "
+        "of one test over many whole cycles would separate a floor from a tube; its phase a delay from a "
+        "lag.",
     )
 
 
@@ -216,7 +216,7 @@ def _range(values: Sequence[float]) -> str:
 
 
 def _odds(above: Sequence[float]) -> str:
-    """Of −2 ln of the evidence."""
+    """Odds from differences in −2 ln of the evidence."""
     return _range([exp(0.5 * each) for each in above])
 
 
@@ -225,7 +225,7 @@ def _dB(values: Sequence[float]) -> str:
 
 
 def as_json(diagnosis: PaperDiagnosis) -> dict[str, Any]:
-    """Plain lists, numbers and texts."""
+    """The findings and numbers as plain lists, numbers and texts."""
     found, proposal, responses = diagnosis.discharges, diagnosis.proposal, diagnosis.responses
     best, sharing = proposal.best, proposal.sharing
     return {

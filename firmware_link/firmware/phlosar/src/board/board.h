@@ -1,7 +1,7 @@
-// What the firmware needs of its board, and all of it: the thin layer between the portable core and a chip.
+// Everything that the firmware needs of its board.
 //
-// None of these waits for anybody outside the board. A board's valves are vented from its first instruction
-// on, and its watchdog runs from then on: neither depends on the code above.
+// No function here waits for anybody outside the board. The valves are vented and a watchdog runs from the chip's
+// first instructions on, before this layer's `begin`.
 #pragma once
 
 #include <stddef.h>
@@ -10,41 +10,53 @@
 #include "../core/sensors.h"
 #include "../core/valves.h"
 
-// Told to the host as the build, with the board layer's name. At most 16 characters together.
-#define PHLOSAR_VERSION "1.0"
+#define PHLOSAR_VERSION "1.1"
 
 namespace board {
 
+// The version and the board's name, at most 16 characters. The host shows it as the build.
 extern const char kBuild[];
 
 void begin();
 
+// Calls `step` each millisecond from a timer's interrupt.
+void every_millisecond(void (*step)());
+
 // Wraps after 71 minutes.
 uint32_t now_us();
 
+// Only the step calls these three.
 phlosar::Readings read();
-// Until the next call, whatever the processor does meanwhile.
 void drive(const phlosar::Outputs& outputs);
 void light(bool on);
 
-// The number of bytes that were there, or that were taken: at once, and perhaps none.
-size_t serial_read(uint8_t* into, size_t most);
+// Only the main loop calls these two. They return how many bytes were read or written, at once, perhaps 0.
+// Without a program at the other end what is written is lost.
+size_t serial_read(uint8_t* into, size_t size);
 size_t serial_write(const uint8_t* data, size_t size);
 
-// What was stored last, or none of it; at most 128 bytes. Storing may take a tenth of a second.
-size_t load(uint8_t* into, size_t most);
-void store(const uint8_t* data, size_t size);
+// Memory that keeps its bytes without power. Byte i of a copy is at
+// (i / share) * row + copy * share + i % share: writing one copy never erases a part of another.
+struct MemoryLayout {
+    uint16_t row;
+    uint16_t share;
+    uint8_t copies;
+};
+extern const MemoryLayout kMemory;
+uint8_t memory_read(size_t at);
+// May stop the interrupts for as long as half a second: only while the valves are vented. Feeds the watchdog.
+void memory_write(size_t at, uint8_t value);
 
-// Differs after every reset.
+// Differs after every reset. Only before the first step.
 uint32_t boot_id();
-// Or a crash that a reset ended at once.
+// True after a crash as well: it ends by the watchdog.
 bool reset_by_watchdog();
-// Resets the board a quarter of a second after it was last fed. Nothing can stop it.
+// Without this call the chip is reset. Nothing can stop the watchdog.
 void feed_watchdog();
 
-// A host opened the port at 134 baud: it wants to flash. The valves must be safe before `enter_bootloader`,
-// which stops the processor but not its outputs.
-bool bootloader_asked();
-void enter_bootloader();
+// True if a host opened the port at 134 baud: it is going to flash.
+bool bootloader_requested();
+// Waits for the bootloader; if it does not come the watchdog resets the chip. The valves keep their state.
+void wait_for_bootloader();
 
 }  // namespace board

@@ -4,6 +4,11 @@
 #include <stdint.h>
 #include <string.h>
 
+// Every board rounds alike: no product and sum in one instruction.
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC optimize("fp-contract=off")
+#endif
+
 #ifndef PHLOSAR_REAL
 // Single precision is what the chip can afford. Studies on a host run the regulator in double precision.
 #define PHLOSAR_REAL float

@@ -1,0 +1,195 @@
+"""Carries out what a calibrator asks for. `real_rig` and `simulated_rig` connect it to a rig."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from flying_vines.calibration.calibrator import (
+    Calibrator,
+    Ended,
+    EvaluationTask,
+    OperatorRequest,
+    Output,
+    Question,
+)
+from flying_vines.calibration.findings import Chart, Findings
+from flying_vines.calibration.plan import CalibrationPlan, CalibrationRequest, plan
+from flying_vines.calibration.terminal import CalibrationTerminal
+from flying_vines.config import config as configuration
+from flying_vines.config.config import Config, PneumaticsConfig
+from flying_vines.config.config_text import profile_text
+from flying_vines.core.events import Action, Snapshot
+from flying_vines.record import recorder
+from flying_vines.service.persistent_state import PersistentState
+from flying_vines.supply import Belief
+from flying_vines.supply.known_rig import load_calibration
+from flying_vines.vehicle.component.parameters import Parameters
+from flying_vines.vehicle.mavlink.signing import Signing
+from flying_vines.vine.intent import Intent
+
+STEP_S = 0.02
+VENT_TIMEOUT_S = 5.0
+VENTED_KPA = 1.0
+INTERRUPTED = "interrupted"
+
+
+class CalibrateError(Exception):
+    """The request cannot be met; the text is one sentence."""
+
+
+@dataclass(frozen=True)
+class UserProfile:
+    """The profile of the rig."""
+
+    text: str
+    path: Path | None
+    """None: the built-in profile."""
+    config: Config
+
+    @property
+    def name(self) -> str:
+        return str(self.path or "the built-in profile")
+
+
+@dataclass(frozen=True)
+class CalibrationContext:
+    """What is known of the rig beyond its profile."""
+
+    belief: Belief | None = None
+    rig_text: str = ""
+    """Content of the rig file."""
+    disarmed: bool = False
+    """True if the pneumatics are disarmed."""
+    signing: Signing | None = None
+    state: PersistentState | None = None
+
+
+def load_context(profile: UserProfile) -> tuple[Config, CalibrationContext]:
+    """The profile as `run` would fly it, with the saved parameters and the rig file.
+
+    Raises `ParameterFileError`, `SigningKeyError` or `RigError`: one line.
+    """
+    path, config = profile.path, profile.config
+    if path is None:
+        return config, CalibrationContext()
+    state = PersistentState.of(path, config)
+    flown = Parameters(config, state.read_parameters(config)).config
+    signing, _ = state.read_signing(config)
+    belief, rig_text = None, ""
+    if rig := configuration.rig_named(config, path):
+        belief = load_calibration(rig, config.pneumatics).belief
+        rig_text = rig.read_text(encoding="utf-8")
+        flown = msgspec.structs.replace(flown, pneumatics=belief.pneumatics)
+    return flown, CalibrationContext(belief, rig_text, state.disarmed, signing, state)
+
+
+def planned(config: Config, request: CalibrationRequest) -> CalibrationPlan:
+    """Raises `CalibrateError` if the request cannot be met."""
+    try:
+        return plan(config, request)
+    except ValueError as error:
+        raise CalibrateError(str(error)) from None
+
+
+class CalibrationOutcome(NamedTuple):
+    folder: Path
+    """Folder of the flight."""
+    ended: Ended
+    findings: Findings
+    charts: tuple[Chart, ...]
+    log_problem: str
+    """One sentence if the log is incomplete."""
+
+
+@dataclass(frozen=True)
+class CalibrationRun:
+    """The outcome, and the proposed settings of the firmware."""
+
+    outcome: CalibrationOutcome
+    believed: PneumaticsConfig
+    """From the rig file if the profile names one."""
+    interrupted: bool
+    firmware: Mapping[str, float]
+    """Proposed settings."""
+    is_set: bool
+    """True if the proposed settings are saved in the firmware."""
+
+    @property
+    def done(self) -> bool:
+        return self.outcome.ended.outcome == "done"
+
+
+@dataclass
+class CalibrationDriver:
+    """`actions`: those of the core, in order, that the calibrator has not taken yet."""
+
+    calibrator: Calibrator
+    terminal: CalibrationTerminal
+    ask: Callable[[Intent], None]
+    question: Callable[[Question], None]
+    evaluate: Callable[[EvaluationTask], None]
+    actions: deque[Action] = field(default_factory=deque)
+    _outputs: deque[Output] = field(default_factory=deque)
+    """The first is being carried out."""
+
+    def step(self, t: float, snapshot: Snapshot) -> None:
+        """Take all actions until `t`, and let time pass."""
+        self._take_actions()
+        self.carry_out(self.calibrator.tick(t, snapshot))
+        self._take_actions()
+        self.terminal.progress(self.calibrator.progress)
+
+    def carry_out(self, outputs: Sequence[Output]) -> None:
+        """In order; outputs that result from them come after them."""
+        self._outputs.extend(outputs)
+        if len(self._outputs) > len(outputs):
+            return
+        while self._outputs:
+            match self._outputs[0]:
+                case OperatorRequest(intent):
+                    self.ask(intent)
+                case Question() as question:
+                    self.question(question)
+                case EvaluationTask() as task:
+                    self.evaluate(task)
+                case shown:
+                    self.terminal.show(shown)
+            self._outputs.popleft()
+
+    def outcome(self, folder: Path, log_problem: str) -> CalibrationOutcome:
+        """Call it after the end."""
+        calibrator = self.calibrator
+        assert calibrator.ended is not None
+        return CalibrationOutcome(
+            folder, calibrator.ended, calibrator.findings, calibrator.charts, log_problem
+        )
+
+    def _take_actions(self) -> None:
+        while self.actions:
+            self.carry_out(self.calibrator.take(self.actions.popleft()))
+
+
+def result_of(task: EvaluationTask) -> object:
+    """Its result or its exception: a failed evaluation ends only its stage."""
+    try:
+        return task.run()
+    except Exception as error:
+        return error
+
+
+def vented(snapshot: Snapshot) -> bool:
+    """True also if nobody knows the pressure."""
+    return snapshot.doing == "vented" and not snapshot.cv_kPa >= VENTED_KPA
+
+
+def flight_start(plan: CalibrationPlan, context: CalibrationContext) -> recorder.FlightStart:
+    """The begin of the flight's log, with which it can be replayed."""
+    numbers = context.belief.pneumatics if context.belief else plan.config.pneumatics
+    text = profile_text(plan.config)
+    return recorder.FlightStart(text, numbers, context.rig_text, disarmed=context.disarmed)

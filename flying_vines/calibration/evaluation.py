@@ -1,0 +1,96 @@
+"""The evaluation of a stage: from its telemetry to its results."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from flying_vines.calibration import air, angle, outlet, valve, zero
+from flying_vines.calibration.findings import Estimate, Findings, MeasuredQuantity, Result
+from flying_vines.calibration.plan import CalibrationPlan
+from flying_vines.calibration.readings import Readings
+from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
+
+
+@dataclass(frozen=True)
+class StageRecording:
+    """The data of a stage."""
+
+    plan: CalibrationPlan
+    stage: str
+    readings: Readings
+    """All since the reservoir or the vine was last changed; for a stage of rest only its own."""
+    findings: Findings
+    ambient_kPa: float
+    """Absolute; NaN if nobody measures it."""
+
+    def result(self) -> Result:
+        """Evaluate the stage; takes up to some seconds of CPU time."""
+        match self.stage:
+            case "empty":
+                return zero.reservoir_zero(self.readings)
+            case "zero":
+                return zero.cv_zero(self.readings)
+            case "angle":
+                return angle.curve(self._pairs)
+            case "vessel":
+                litres = self.plan.request.vessel_L
+                assert litres is not None
+                believed_L = self.plan.believed.pneumatics.reservoir_volume_L
+                return air.vessel_volume(self._vine, litres, believed_L)
+        vine = self._vine
+        results = [Result((self._reservoir_volume,)), air.bottle_leak(vine)]
+        if self.stage != "bottle_leak":
+            results += [air.volumes(vine), air.vine_leak(vine)]
+        if self.stage in ("vine_leak", "valve"):
+            results.append(outlet.outlet(self._less_zero, vine))
+        if self.stage == "valve":
+            ran_s = float(np.sum(self.readings.dvp)) * self.readings.step_s
+            results.append(valve.inflation_valve(self._less_zero, vine))
+            results.append(Result((air.venturi(vine, ran_s),)))
+        return _together(results)
+
+    @property
+    def _less_zero(self) -> Readings:
+        zero_kPa = self.findings.estimate("cv_zero_kPa")
+        return self.readings.less_zero(zero_kPa.value if zero_kPa else 0.0)
+
+    @property
+    def _vine(self) -> air.VineAir:
+        plan = self.plan
+        ambient_kPa = self.ambient_kPa if np.isfinite(self.ambient_kPa) else STANDARD_PRESSURE_KPA
+        volume = self._reservoir_volume
+        known = Estimate(volume.believed or 1.0, 0.0)
+        if volume.value is not None and volume.low is not None and volume.high is not None:
+            known = Estimate.of_interval(volume.value, volume.low, volume.high)
+        return air.vine_air(
+            self._less_zero,
+            air.AirInputs(plan.believed.pneumatics, known, plan.top_kPa, plan.settling_s, ambient_kPa),
+        )
+
+    @property
+    def _reservoir_volume(self) -> MeasuredQuantity:
+        """As measured, given, or believed."""
+        believed_L = self.plan.believed.pneumatics.reservoir_volume_L
+        found = self.findings.get("reservoir_volume_L")
+        if found is not None:
+            return found
+        given_L = self.plan.request.bottle_volume_L
+        return air.believed_volume(believed_L) if given_L is None else air.given_volume(given_L, believed_L)
+
+    @property
+    def _pairs(self) -> tuple[tuple[float, float], ...]:
+        pairs = self.plan.request.angles
+        if pairs is None:
+            return self.findings.pairs
+        return tuple(zip(pairs.pressure_kPa.tolist(), pairs.angle_deg.tolist(), strict=True))
+
+
+def _together(results: list[Result]) -> Result:
+    return Result(
+        tuple(finding for result in results for finding in result.findings),
+        tuple(proposal for result in results for proposal in result.proposals),
+        tuple(remark for result in results for remark in result.remarks),
+        tuple(chart for result in results for chart in result.charts),
+    )

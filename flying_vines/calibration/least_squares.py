@@ -1,0 +1,44 @@
+"""Nonlinear least squares with numpy alone: a calibration has to run without scipy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from flying_vines.physics.arrays import Array
+
+MAX_STEPS = 20
+MAX_DAMPING = 1e4
+MIN_GAIN = 1e-2
+"""A step that lowers χ² by less ends the fit."""
+
+
+def least_squares(
+    residual: Callable[[Array], Array], start: Array, low: Array, high: Array, difference: Array
+) -> tuple[Array, Array]:
+    """The minimum of |residual|² within bounds near `start`, and the residual's Jacobian there.
+
+    Method of Levenberg and Marquardt; `difference`: step of each parameter for its derivative.
+    """
+    place, damping = start, 1e-2
+    left = residual(place)
+
+    def jacobian() -> Array:
+        return np.array([(residual(place + d) - left) / d.sum() for d in np.diag(difference)]).T
+
+    slopes = jacobian()
+    for _ in range(MAX_STEPS):
+        normal = slopes.T @ slopes
+        move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slopes.T @ left)
+        tried = np.clip(place - move, low, high)
+        tried_left = residual(tried)
+        gained = float(left @ left - tried_left @ tried_left)
+        if gained > 0.0:
+            place, left, damping = tried, tried_left, 0.1 * damping
+            slopes = jacobian()
+        else:
+            damping *= 10.0
+        if damping > MAX_DAMPING or 0.0 < gained < MIN_GAIN:
+            break
+    return place, slopes

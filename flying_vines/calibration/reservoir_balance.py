@@ -1,0 +1,256 @@
+"""Mass and heat balance of the reservoir: how much air each consumer took, from the reservoir's pressure.
+
+Each consumer j has a column F_j(t): the fall of the reservoir's pressure that it has caused by then, per unit
+of its parameter θ_j, if the gas stayed at ambient temperature. But outflow cools the gas, and the cold wall
+recovers slowly. With the deviations of gas and wall from ambient temperature, ϑ and ϑ_w, as shares of it, and
+p the absolute pressure at ambient temperature:
+
+    P_r = P_0 − Σ θ_j F_j + p ϑ
+    dϑ/dt = −(γ−1) (1+ϑ)/p Σ θ_j dF_j/dt − a (ϑ − ϑ_w)
+    dϑ_w/dt = b (ϑ − ϑ_w) − c ϑ_w                           a, b, c: `Wall.rates`
+
+The model is linear in the θ_j, in P_0 and in both temperatures at the start. It is nonlinear in the two
+conductances and the heat capacity of the wall; the usual values of a bottle are their prior. All are fitted
+together to means over `BIN_S`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from flying_vines.calibration.findings import Estimate
+from flying_vines.calibration.least_squares import least_squares
+from flying_vines.calibration.readings import Readings, smooth
+from flying_vines.physics.arrays import Array, BoolArray
+from flying_vines.physics.constants import GAMMA, STANDARD_PRESSURE_KPA
+from flying_vines.physics.plant.wall import Wall, heat_capacity_J_per_K
+from flying_vines.supply.belief import bottle_wall
+
+BIN_S = 0.2
+BLOCK = 25
+"""Bins (5 s). Residuals that are alike within a block widen the intervals."""
+MIN_SD_KPA = 1e-3
+_HEAT_SD = np.array([0.6, 0.4, 0.6])
+"""Prior of ln conductance, ln capacity, ln outer conductance."""
+_HEAT_RANGE = 4.0
+"""Bound of the same logarithms around the usual values. A very large conductance is isothermal gas."""
+_START_SD = np.array([0.03, 0.02])
+"""Prior of ϑ and ϑ_w at the start: a reservoir that was just filled is warm."""
+ISOTHERMAL_CHI2 = 10.0
+"""Maximum increase of χ² for which the model without heat is preferred: three parameters fit some noise."""
+_ROUNDS = 3
+"""Iterations of the gas temperature, on which the mass and so the cooling depends."""
+_STEP = 1e-4
+
+
+class BalancePrior(NamedTuple):
+    """Mean and standard deviation of a parameter before the measurement."""
+
+    mean: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class Bins:
+    """Means over `BIN_S`, (n,) each. Bins without rows are omitted."""
+
+    t_s: Array
+    cv_kPa: Array
+    reservoir_kPa: Array
+    columns: Mapping[str, Array]
+    """Cumulative, kPa per unit of the parameter."""
+    counts: BoolArray
+    """Bins that are fitted. In the others the gas of the vine is still warm, and its air is not known."""
+    noise_kPa: float
+    """Standard deviation of a mean."""
+
+
+@dataclass(frozen=True)
+class Balance:
+    """A fitted balance."""
+
+    bins: Bins
+    values: Mapping[str, Estimate]
+    """The parameters of the columns."""
+    fitted_kPa: Array
+    cold_kPa: Array
+    """p ϑ: change of the reading by the gas temperature; negative if the gas is cold."""
+
+    covariance: Array
+    """Of all parameters, in the order of the columns."""
+
+    def weighted_sum(self, weights: Mapping[str, float]) -> Estimate:
+        names = list(self.bins.columns)
+        w = np.array([weights.get(name, 0.0) for name in names])
+        value = sum(weight * self.values[name].value for name, weight in weights.items())
+        return Estimate(float(value), float(np.sqrt(w @ self.covariance @ w)))
+
+    def without(self, *names: str) -> Array:
+        """The reservoir's pressure at ambient temperature if these consumers had taken nothing."""
+        taken = sum(self.values[name].value * self.bins.columns[name] for name in names)
+        return self.bins.reservoir_kPa - self.cold_kPa + taken
+
+
+def binned(readings: Readings, columns: Mapping[str, Array], counts: BoolArray, noise_kPa: float) -> Bins:
+    """Means of rows. A bin is fitted if all its rows count. `noise_kPa`: of a single reading."""
+    index = np.floor((readings.t_s - readings.t_s[0]) / BIN_S).astype(int)
+    rows = np.bincount(index)
+    used = rows > 0
+
+    def mean(column: Array) -> Array:
+        return np.asarray(np.bincount(index, weights=column)[used] / rows[used])
+
+    return Bins(
+        mean(readings.t_s),
+        mean(readings.cv_kPa),
+        mean(readings.reservoir_kPa),
+        {name: mean(column) for name, column in columns.items()},
+        mean(counts.astype(float)) > 1.0 - 1e-9,
+        max(MIN_SD_KPA, noise_kPa / float(np.sqrt(np.median(rows[used])))),
+    )
+
+
+def fit_balance(
+    bins: Bins,
+    priors: Mapping[str, BalancePrior],
+    reservoir_L: float,
+    ambient_kPa: float = STANDARD_PRESSURE_KPA,
+) -> Balance:
+    """Fit all parameters; ambient pressure is absolute."""
+    # Smoothed, because a factor with the noise of the readings would explain that noise.
+    read_kPa = np.maximum(smooth(bins.reservoir_kPa, BLOCK), 0.0) + ambient_kPa
+    wall = bottle_wall(reservoir_L)
+    usual = heat = np.log([wall.conductance_W_per_K, wall.capacity_J_per_K, wall.outer_conductance_W_per_K])
+    ratio = np.ones_like(read_kPa)
+    for _ in range(_ROUNDS):
+        fit = _BalanceFit(bins, priors, usual, reservoir_L, read_kPa / ratio, ratio)
+        heat, _ = least_squares(
+            lambda heat, fit=fit: fit.solved(heat)[1],  # type: ignore[misc]
+            heat, usual - _HEAT_RANGE, usual + _HEAT_RANGE, np.full(3, _STEP),
+        )  # fmt: skip
+        ratio = 1.0 + fit.gas(heat)
+    # A simulated reservoir may be isothermal.
+    isothermal = _BalanceFit(bins, priors, usual, reservoir_L, read_kPa, np.ones_like(read_kPa))
+    if isothermal.chi2(None) < fit.chi2(heat) + ISOTHERMAL_CHI2:
+        return isothermal.balance(None)
+    return fit.balance(heat)
+
+
+class _BalanceFit:
+    """The linear least squares for given heat parameters, linearised about the gas temperature ratio 1 + ϑ.
+
+    Heat parameters: ln conductance, ln capacity, ln outer conductance; None for isothermal gas.
+    """
+
+    def __init__(
+        self,
+        bins: Bins,
+        priors: Mapping[str, BalancePrior],
+        usual_heat: Array,
+        reservoir_L: float,
+        p_kPa: Array,
+        ratio: Array,
+    ) -> None:
+        self._bins = bins
+        self._usual = usual_heat
+        self._p_kPa = p_kPa
+        self._capacity_J_per_K = heat_capacity_J_per_K(p_kPa, reservoir_L)
+        self._names = names = list(bins.columns)
+        self._columns = np.array([bins.columns[name] for name in names]).reshape(len(names), len(p_kPa))
+        self._cooling = np.zeros_like(self._columns)
+        self._cooling[:, 1:] = -(GAMMA - 1.0) * np.diff(self._columns, axis=1) * (ratio / p_kPa)[1:]
+        known = [name for name in names if name in priors]
+        self._priors = np.zeros((len(known) + 2, len(names) + 3))
+        for row, name in enumerate(known):
+            self._priors[row, names.index(name)] = 1.0 / priors[name].sd
+        self._priors[-2:, -2:] = np.diag(1.0 / _START_SD)
+        expected = [priors[name].mean / priors[name].sd for name in known]
+        read = bins.reservoir_kPa[bins.counts] / bins.noise_kPa
+        self._target = np.concatenate([read, expected, [0.0, 0.0]])
+
+    def solved(self, heat: Array | None) -> tuple[Array, Array]:
+        """The best linear parameters, and the residual with the prior of the heat parameters."""
+        design = self._design(heat)
+        best = np.linalg.lstsq(design, self._target, rcond=None)[0]
+        unusual = np.zeros(3) if heat is None else (self._usual - heat) / _HEAT_SD
+        return best, np.concatenate([self._target - design @ best, unusual])
+
+    def chi2(self, heat: Array | None) -> float:
+        """With the priors."""
+        residual = self.solved(heat)[1]
+        return float(residual @ residual)
+
+    def gas(self, heat: Array | None) -> Array:
+        """The fitted ϑ, (bins,)."""
+        best, _ = self.solved(heat)
+        n = len(self._names)
+        return np.asarray(self._temperatures(heat).T @ np.concatenate([best[:n], best[n + 1 :]]))
+
+    def balance(self, heat: Array | None) -> Balance:
+        """All results with their covariance."""
+        best, _ = self.solved(heat)
+        design = self._design(heat)
+        whole = design
+        if heat is not None:
+            slopes = [(self._design(heat + d) - design) @ best / _STEP for d in _STEP * np.eye(3)]
+            prior = np.hstack([np.zeros((3, design.shape[1])), np.diag(1.0 / _HEAT_SD)])
+            whole = np.vstack([np.hstack([design, np.array(slopes).T]), prior])
+        fitted = self._model(heat) @ best
+        residual = (self._bins.reservoir_kPa - fitted)[self._bins.counts] / self._bins.noise_kPa
+        n = len(self._names)
+        # Scaled, because the parameters differ by orders of magnitude.
+        unit = 1.0 / np.linalg.norm(whole, axis=0)
+        scaled = whole * unit
+        covariance = np.outer(unit, unit) * np.linalg.pinv(scaled.T @ scaled) * _variance_factor(residual)
+        covariance = covariance[:n, :n]
+        values = {
+            name: Estimate(float(value), float(sd))
+            for name, value, sd in zip(self._names, best, np.sqrt(np.diag(covariance)), strict=False)
+        }
+        return Balance(self._bins, values, fitted, self._p_kPa * self.gas(heat), covariance)
+
+    def _design(self, heat: Array | None) -> Array:
+        bins = self._bins
+        return np.vstack([self._model(heat)[bins.counts] / bins.noise_kPa, self._priors])
+
+    def _model(self, heat: Array | None) -> Array:
+        """Factors of the columns' parameters, of P_0 and of both temperatures at the start, (bins, …)."""
+        n = len(self._names)
+        warmth = self._p_kPa * self._temperatures(heat)
+        return np.vstack([warmth[:n] - self._columns, np.ones((1, len(self._p_kPa))), warmth[n:]]).T
+
+    def _temperatures(self, heat: Array | None) -> Array:
+        """ϑ per unit of each column, then per unit of ϑ and of ϑ_w at the start: (columns + 2, bins)."""
+        n = len(self._names)
+        found = np.zeros((n + 2, len(self._p_kPa)))
+        if heat is None:
+            return found
+        conductance, capacity, outer = np.exp(heat).tolist()
+        rates = Wall(
+            conductance_W_per_K=conductance, capacity_J_per_K=capacity, outer_conductance_W_per_K=outer
+        ).rates(1.0)
+        steps_s = np.diff(self._bins.t_s, prepend=self._bins.t_s[0])
+        # Implicit Euler, because gas that a wall warms very fast must not need short steps.
+        into_gas = (steps_s * rates.gas_per_s / self._capacity_J_per_K).tolist()
+        into_wall, lost = (steps_s * rates.wall_per_s).tolist(), (steps_s * rates.outer_per_s).tolist()
+        gas, wall = np.zeros(n + 2), np.zeros(n + 2)
+        gas[n] = wall[n + 1] = 1.0
+        for k, (a, b, c) in enumerate(zip(into_gas, into_wall, lost, strict=True)):
+            after = 1.0 + b + c
+            gas[:n] += self._cooling[:, k]
+            gas = (gas + a / after * wall) / (1.0 + a - a * b / after)
+            wall = (wall + b * gas) / after
+            found[:, k] = gas
+        return found
+
+
+def _variance_factor(residual: Array) -> float:
+    """How much larger the variance of the results is than with independent noise."""
+    white = float(np.mean(residual**2))
+    blocks = residual[: len(residual) // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
+    common = BLOCK * float(np.mean(blocks**2)) if len(blocks) > 2 else white
+    return max(1.0, white, common)

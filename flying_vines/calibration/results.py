@@ -1,0 +1,184 @@
+"""The results of a calibration on the terminal and as files, in the folder `calibration` of its flight.
+
+findings.json        every quantity with its interval; the typed angles; the proposals for the firmware
+calibrated.toml      the user's profile with the measured values; believed.toml: the profile as it was
+calibration.html     table and pictures in one page; each picture as SVG and PNG beside it
+believed-rig.toml    the measured numbers as a rig file; rig.toml: with the causes that the diagnosis names
+diagnosis/           the report of the diagnosis
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from flying_vines.calibration.driver import CalibrationOutcome, CalibrationRun, UserProfile
+from flying_vines.calibration.findings import Findings
+from flying_vines.calibration.profile import ProfileChange, calibrated, changes, is_precise, with_numbers
+from flying_vines.calibration.terminal import CalibrationTerminal
+from flying_vines.config import on_disk
+from flying_vines.config.config import ConfigError, PneumaticsConfig
+from flying_vines.config.extras import lacks
+from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
+from flying_vines.supply import nominal_rig
+
+FOLDER = "calibration"
+MIN_TOLERANCE_PERCENT, MAX_TOLERANCE_PERCENT = 1.0, 10.0
+RIG_KEYS = {
+    "reservoir_volume_L": "reservoir.volume_L",
+    "cv_volume_L": "cv.volume_L",
+    "evp_flow_resistance_kPa_s_per_SL": "evp.flow_resistance_kPa_s_per_SL",
+    "dvp_flow_resistance_kPa_s_per_SL": "dvp.flow_resistance_kPa_s_per_SL",
+}
+"""Keys of a rig file by the names of the findings and of `[pneumatics]`."""
+NUMBERS = tuple(f"pneumatics.{name}" for name in RIG_KEYS)
+NOISE = {"cv_noise_kPa": "cv_noise_std_kPa", "reservoir_noise_kPa": "reservoir_noise_std_kPa"}
+
+
+def write_results(
+    run: CalibrationRun,
+    profile: UserProfile,
+    terminal: CalibrationTerminal,
+    diagnose: bool,
+    in_place: bool,
+) -> None:
+    """Raises `OSError` if a file cannot be written.
+
+    Args:
+        in_place: write the calibrated profile also to the place of the user's.
+    """
+    outcome = run.outcome
+    folder = outcome.folder / FOLDER
+    folder.mkdir()
+    findings = outcome.findings
+    terminal.results(findings)
+    if outcome.log_problem:
+        terminal.warn(outcome.log_problem)
+    ended = outcome.ended
+    content = {"outcome": ended.outcome, "sentence": ended.sentence, **findings.as_json()}
+    _write(folder / "findings.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
+    _write(folder / "believed.toml", profile.text)
+    changed = list(changes(findings, profile.config.limits.max_kPa))
+    for finding in findings.findings:
+        if finding.key in NUMBERS and finding.value is not None and not is_precise(finding):
+            terminal.warn(f"{finding.what}: not precise enough; the profile keeps its value")
+    if changed and profile.config.pneumatics.rig:
+        changed = [*_instead_of_rig(profile.config.pneumatics.rig, run.believed, changed), *changed]
+    numbers = with_numbers(profile.config, changed).pneumatics
+    rig_file = folder / "believed-rig.toml"
+    _write(rig_file, rig_text(numbers, findings))
+    places = [folder / "calibrated.toml"]
+    if in_place and profile.path is not None:
+        places.append(profile.path)
+    if changed:
+        _write_profiles(profile, changed, None, places, terminal)
+    if outcome.charts:
+        _draw(outcome, folder, terminal)
+    extended = _diagnose(outcome, rig_file, numbers, terminal) if diagnose else None
+    if extended is not None:
+        _write_profiles(profile, changed, extended, places, terminal)
+    if changed:
+        for place in places:
+            terminal.line("Profile", place)
+    terminal.line("Log", outcome.folder)
+
+
+def rig_text(numbers: PneumaticsConfig, findings: Findings) -> str:
+    """A rig file with the measured numbers (`numbers`), and their intervals as tolerances."""
+    rig = nominal_rig(numbers)
+    noise = {}
+    for name, key in NOISE.items():
+        found = findings.get(name)
+        if found is not None and found.value is not None:
+            noise[key] = float(f"{found.value:.3g}")
+    tolerances = dict(_tolerances(findings))
+    return true_rig_text(
+        TrueRig(replace(rig, sensors=replace(rig.sensors, **noise), tolerance_percent=tolerances))
+    )
+
+
+def _tolerances(findings: Findings) -> Iterator[tuple[str, float]]:
+    for name, key in RIG_KEYS.items():
+        found = findings.get(name)
+        if found and found.value and found.low is not None and found.high is not None:
+            percent = 50.0 * (found.high - found.low) / found.value
+            yield key, round(min(max(percent, MIN_TOLERANCE_PERCENT), MAX_TOLERANCE_PERCENT), 1)
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def _draw(outcome: CalibrationOutcome, folder: Path, terminal: CalibrationTerminal) -> None:
+    try:
+        from flying_vines.calibration.page import page, pictures
+    except ModuleNotFoundError as error:
+        terminal.warn(f"No pictures: {lacks(error)}")
+        return
+    drawn = pictures(outcome.charts, folder)
+    path = folder / "calibration.html"
+    _write(path, page(f"Calibration {outcome.folder.name}", outcome, drawn))
+    terminal.line("Page", path)
+
+
+def _diagnose(
+    outcome: CalibrationOutcome, believed: Path, numbers: PneumaticsConfig, terminal: CalibrationTerminal
+) -> Path | None:
+    """The rig file that the profile should name; None if there is none."""
+    command = f"flying-vines diagnose --from-log {outcome.folder} --rig {believed}"
+    try:
+        from flying_vines.calibration.diagnosis import diagnosed
+        from flying_vines.identification.recording import CaseError
+    except ModuleNotFoundError as error:
+        terminal.warn(f"No diagnosis: {lacks(error)}. Then: {command}")
+        return None
+    try:
+        with terminal.working() as progress:
+            diagnosis = diagnosed(outcome.folder, believed, numbers, progress)
+    except CaseError as error:
+        terminal.warn(f"No diagnosis: {error}")
+        return None
+    except KeyboardInterrupt:
+        terminal.warn(f"No diagnosis now; later: {command}")
+        return None
+    terminal.diagnosis(diagnosis)
+    return diagnosis.rig if diagnosis.helps else None
+
+
+def _write_profiles(
+    profile: UserProfile,
+    changed: list[ProfileChange],
+    rig: Path | None,
+    places: list[Path],
+    terminal: CalibrationTerminal,
+) -> None:
+    for place in places:
+        wanted = list(changed)
+        if rig is not None:
+            where = os.path.relpath(rig, place.parent)
+            wanted.append(
+                ProfileChange("pneumatics", "rig", where, "with the causes that the diagnosis names")
+            )
+        try:
+            text, left_out = calibrated(profile.text, profile.name, wanted, time.strftime("%Y-%m-%d"))
+        except ConfigError as error:
+            terminal.warn(str(error))
+            return
+        if left_out and place is places[0]:
+            terminal.warn(left_out)
+        on_disk.put(place, text)
+
+
+def _instead_of_rig(
+    name: str, believed: PneumaticsConfig, changed: list[ProfileChange]
+) -> Iterator[ProfileChange]:
+    """A rig file has priority over the profile: remove it, and keep its other numbers in the profile."""
+    yield ProfileChange("pneumatics", "rig", "", "it would have priority over these numbers")
+    measured = {change.name for change in changed}
+    for key in RIG_KEYS:
+        if key not in measured:
+            yield ProfileChange("pneumatics", key, getattr(believed, key), f"as in {name}")

@@ -1,0 +1,102 @@
+"""Jacobian of the residuals, with the initial pressures eliminated.
+
+An initial pressure only acts up to the next start, and almost linearly. So each stretch is projected
+orthogonally to the effect of its two initial pressures: its residuals, and its derivatives by all other
+numbers (variable projection, Golub & Pereyra 2003). A fit with hundreds of starts stays a small problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flying_vines.physics.arrays import Array
+
+_RIDGE = 1e-12
+
+
+class RunJacobian:
+    """Jacobian of one run.
+
+    Args:
+        initial: (2, 2, n), derivatives of both channels by the initial pressures (reservoir, control volume).
+            One array serves all starts, because each start only acts on its own stretch.
+        residuals: (2, n).
+        common: (numbers, 2, n), derivatives by the numbers that all runs share.
+        start: (starts,) rising sample numbers at which stretches start; the first is 0.
+    """
+
+    def __init__(self, initial: Array, residuals: Array, common: Array, start: NDArray[np.intp]) -> None:
+        ends = np.append(start[1:], residuals.shape[1])
+        self._stretches = [slice(b, e) for b, e in zip(start.tolist(), ends.tolist(), strict=True)]
+        self._inverses = [_inverse(initial[:, :, stretch].reshape(2, -1)) for stretch in self._stretches]
+        self._initial = initial
+        self._common = common
+        self._residuals = residuals
+
+    def _shares(self, columns: Array) -> list[Array]:
+        """For each stretch (columns, 2): the change of its two pressures that best fits each column."""
+        return [
+            columns[:, :, stretch].reshape(len(columns), -1) @ inverse
+            for stretch, inverse in zip(self._stretches, self._inverses, strict=True)
+        ]
+
+    def orthogonal_part(self, columns: Array) -> Array:
+        """(columns, 2 n): the part of (columns, 2, n) orthogonal to the effect of the initial pressures."""
+        left = columns.copy()
+        for stretch, shares in zip(self._stretches, self._shares(columns), strict=True):
+            left[:, :, stretch] -= np.tensordot(shares, self._initial[:, :, stretch], 1)
+        return left.reshape(len(columns), -1)
+
+    @cached_property
+    def reduced(self) -> Array:
+        """(numbers, 2 n): derivatives by the shared numbers, initial pressures eliminated."""
+        if not len(self._common):
+            return np.zeros((0, self._residuals.size))
+        return self.orthogonal_part(self._common)
+
+    @cached_property
+    def reduced_residuals(self) -> Array:
+        """(2 n,): residuals, initial pressures eliminated."""
+        left: Array = self.orthogonal_part(self._residuals[None])[0]
+        return left
+
+    def initial_step(self, step: Array) -> Array:
+        """(starts, 2): the best step of the initial pressures for this step of the shared numbers."""
+        there = self._residuals + np.tensordot(step, self._common, 1) if len(step) else self._residuals
+        return -np.concatenate(self._shares(there[None]))
+
+
+def _inverse(initial: Array) -> Array:
+    """(readings, 2): pseudo-inverse of (2, readings); a pressure without a reading is not moved."""
+    square = initial @ initial.T
+    scale = np.sqrt(np.diag(square))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    square = square / np.outer(scale, scale) + _RIDGE * np.eye(2)
+    square[np.diag_indices(2)] += np.diag(square) < 0.5
+    inverse: Array = np.linalg.solve(square, initial / scale[:, None]).T / scale
+    return inverse
+
+
+class Jacobian:
+    """Jacobian of all runs."""
+
+    def __init__(self, runs: Sequence[RunJacobian]) -> None:
+        self.runs = runs
+        self.reduced = np.concatenate([run.reduced for run in runs], axis=1)
+        """(numbers, readings): see `RunJacobian.reduced`."""
+        self.reduced_residuals = np.concatenate([run.reduced_residuals for run in runs])
+        """(readings,): see `RunJacobian.reduced_residuals`."""
+
+    def initial_step(self, step: Array) -> Array:
+        """The step of all initial pressures, flattened in the order of `FitPoint.initial`."""
+        return np.concatenate([run.initial_step(step).ravel() for run in self.runs])
+
+    def orthogonal_part(self, trace: Sequence[Array]) -> Array:
+        """The part of a trace, (2, n) a run, orthogonal to the effect of the initial pressures; flattened."""
+        return np.concatenate(
+            [run.orthogonal_part(t[None])[0] for run, t in zip(self.runs, trace, strict=True)]
+        )

@@ -1,0 +1,77 @@
+"""Finds which causes these data can tell apart, whatever the verdict is.
+
+Each cause is added to the best fit with the value of its seed, or removed if it is in it. The change of the
+readings, in units of noise, is its trace. Free initial pressures, and rig numbers within their tolerances,
+can imitate a part of a trace. That part is no evidence and is removed. F has one row for each rig number (its
+effect if it moves by one prior standard deviation, Λ = 1) and for each initial pressure (Λ = 0). The inner
+products of the remaining traces T are
+
+    G = T Tᵀ − T Fᵀ (F Fᵀ + Λ)⁻¹ F Tᵀ
+
+The root of a diagonal element tells how clearly the data show a cause. The cosine of two traces tells how
+similar two causes are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from flying_vines.identification.fit import Fit, FitPoint, FitProblem
+from flying_vines.physics.arrays import Array
+from flying_vines.physics.cause import Cause, Values
+
+_UNSEEN = 1e-6
+_OF_RANGE = 0.03
+"""A cause whose seed has no effect is shifted by this share of its range."""
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """Cosine similarity of the causes' traces, without the part that the baseline can imitate."""
+
+    causes: tuple[str, ...]
+    cosine: Array
+    """(causes, causes), 0…1; 1 if these data cannot tell the two causes apart."""
+    seen: Array
+    """(causes,) length of each trace, in standard deviations of noise."""
+
+
+def similarity(problem: FitProblem, fit: Fit, causes: Sequence[Cause], keys: Sequence[str]) -> Similarity:
+    """The similarity of these causes around a fit, with the rig numbers of `keys` free."""
+    jacobian = problem.jacobian(replace(fit, point=fit.point.freed(keys)))
+    spreads = np.array([problem.prior_std(key) for key in keys])
+    f = jacobian.reduced[: len(keys)] * spreads[:, None]
+
+    def trace(point: FitPoint) -> Array:
+        residuals = zip(problem.residuals(point), fit.residuals, strict=True)
+        whole = [there - here for there, here in residuals]
+        return jacobian.orthogonal_part([np.where(np.isfinite(run), run, 0.0) for run in whole])
+
+    traces = [max(map(trace, _changed(fit.point, cause)), key=lambda t: float(t @ t)) for cause in causes]
+    t = np.array(traces).reshape(len(causes), f.shape[1])
+    shared = t @ f.T
+    left = t @ t.T - shared @ np.linalg.inv(f @ f.T + np.eye(len(f))) @ shared.T
+    seen = np.sqrt(np.maximum(np.diag(left), 0.0))
+    length = np.maximum(seen, _UNSEEN)
+    cosine = np.clip(np.abs(left / np.outer(length, length)), 0.0, 1.0)
+    return Similarity(tuple(cause.name for cause in causes), cosine, seen)
+
+
+def _changed(point: FitPoint, cause: Cause) -> Iterator[FitPoint]:
+    """The point without the cause if the cause is in it; otherwise with the cause at each of its seeds."""
+    if cause in point.causes:
+        yield point.without(point.causes.index(cause))
+        return
+    for seed in cause.seeds():
+        yield point.with_cause(cause, _at_work(cause, seed))
+
+
+def _at_work(cause: Cause, seed: Values) -> Values:
+    """The seed, or a value near it if the cause has no effect at the seed."""
+    parameter = cause.parameters[0]
+    if seed[0] != parameter.neutral:
+        return seed
+    return (parameter.to_model(parameter.to_search(seed[0]) + _OF_RANGE * parameter.range), *seed[1:])

@@ -1,0 +1,97 @@
+"""How a valve follows its command: delay, backlash, dead zone, lag, in this order; and a solenoid's delays.
+
+The first three change once a tick of the firmware; delays are whole ticks. The lag dx/dt = (target − x) / τ
+is exact for any step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, expm1
+
+
+@dataclass(frozen=True)
+class ValveMotion:
+    """Motion of a proportional valve. With the defaults the opening is the command.
+
+    `backlash_width` is the full width of the backlash as a share of full command; a command of 0 shuts the
+    valve and resets the backlash. `dead_opening` is the command up to which the valve stays shut.
+    """
+
+    delay_s: float = 0.0
+    backlash_width: float = 0.0
+    dead_opening: float = 0.0
+    time_constant_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.delay_s >= 0.0 and self.backlash_width >= 0.0 and self.time_constant_s >= 0.0):
+            raise ValueError("delay, backlash and lag must not be negative")
+        if not 0.0 <= self.dead_opening < 1.0:
+            raise ValueError("a dead zone must be in 0…1")
+
+
+CLIPPARD_EVP = ValveMotion(delay_s=0.003, backlash_width=0.1, dead_opening=0.3, time_constant_s=0.010)
+"""Hysteresis from the manufacturer (10 % nominal); dead zone, lag and delay are assumptions."""
+CLIPPARD_DVP = ValveMotion(delay_s=0.004, backlash_width=0.1, dead_opening=0.3, time_constant_s=0.020)
+"""As the EVP, but slower. Assumption."""
+
+
+@dataclass(frozen=True)
+class SolenoidTiming:
+    """Delays of a solenoid: it only switches after the command has lasted for this time."""
+
+    opening_s: float = 0.0
+    closing_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.opening_s >= 0.0 and self.closing_s >= 0.0):
+            raise ValueError("a solenoid's delays must not be negative")
+
+
+HUAMEI_12V = SolenoidTiming(opening_s=0.010, closing_s=0.020)
+"""Usual values of small solenoids. Assumption."""
+
+
+def backlash(held: float, command: float, width: float) -> float:
+    """The play operator: the value within width/2 of the command that is nearest to `held`."""
+    if command <= 0.0:
+        return 0.0
+    half = width / 2.0
+    return max(command - half, min(command + half, held))
+
+
+def dead_zone(command: float, dead_opening: float) -> float:
+    """max(0, (u − u₀) / (1 − u₀)), at most 1: a full command still opens fully."""
+    return min(1.0, max(0.0, (command - dead_opening) / (1.0 - dead_opening)))
+
+
+def ticks(delay_s: float, tick_s: float) -> int:
+    """A delay, rounded to whole ticks."""
+    return round(delay_s / tick_s)
+
+
+def solenoid_after(
+    is_open: bool, waited_ticks: int, told_open: bool, opening_ticks: int, closing_ticks: int
+) -> tuple[bool, int]:
+    """True if the solenoid is open during this tick; and for how many ticks the command has differed."""
+    if told_open == is_open:
+        return is_open, 0
+    if waited_ticks >= (opening_ticks if told_open else closing_ticks):
+        return told_open, 0
+    return is_open, waited_ticks + 1
+
+
+def opening_after(per_s: float, opening: float, target: float, dt_s: float) -> float:
+    """The opening of a valve `dt_s` later; `per_s` is 1/τ, 0 without a lag."""
+    if per_s == 0.0:
+        return target
+    return target + (opening - target) * exp(-dt_s * per_s)
+
+
+def opening_midway(per_s: float, opening: float, target: float, dt_s: float) -> float:
+    """The opening at half a step for which Simpson's rule gives the exact mean over the step."""
+    steps = dt_s * per_s
+    if steps < 1e-6:
+        return opening_after(per_s, opening, target, 0.5 * dt_s)
+    mean = -expm1(-steps) / steps
+    return target + (opening - target) * (6.0 * mean - 1.0 - exp(-steps)) / 4.0

@@ -1,0 +1,179 @@
+"""The settings that a pilot may change in the field: one row each, with the limits of its value.
+
+For a setting that keeps people or hardware safe, the profile's value is the maximum or minimum: a pilot may
+make the vine weaker or slower, never stronger or faster. A pressure profile that exceeds the new limits is
+clipped or slowed; safety reports the clipping.
+"""
+
+from __future__ import annotations
+
+import math
+from ctypes import c_float
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal, get_type_hints
+
+import msgspec
+from msgspec import inspect
+
+from flying_vines.config.config import Config
+
+Guard = Literal["none", "max", "min"]
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRow:
+    """One parameter: a float over MAVLink, and the profile's key for it."""
+
+    name: str
+    """At most 16 characters (MAVLink)."""
+    table: str
+    key: str
+    doc: str
+    guard: Guard = "none"
+    """ "max": the profile's value is the maximum that may be set; "min": the minimum."""
+    min: float = -math.inf
+    """Lower limit; used if it is narrower than the configuration's."""
+    max: float = math.inf
+    """Upper limit; used if it is narrower than the configuration's."""
+    choices: tuple[str | bool, ...] = ()
+    """The values for the numbers 0, 1 …; empty if the number itself is the value."""
+    in_flight: bool = False
+    """It does not affect motion, so it may change while the vine is bent."""
+
+
+VENT_OR_HOLD = ("vent", "hold")
+OFF_OR_ON = (False, True)
+
+SETTINGS = (
+    ParameterRow("VINE_SW_CHAN", "switch", "channel", "RC channel of the switch"),
+    ParameterRow("VINE_SW_DEBOUNCE", "switch", "debounce_s", "s for which a new switch position must last"),
+    ParameterRow(
+        "VINE_SW_HYST_US", "switch", "hysteresis_us", "us past a boundary until the position changes"
+    ),
+    ParameterRow("VINE_RC_LOSS_S", "losses", "rc_s", "s without RC_CHANNELS until RC is lost", "max"),
+    ParameterRow("VINE_RC_ACTION", "losses", "on_rc_loss", "RC lost: 0 vent, 1 hold", choices=VENT_OR_HOLD),
+    ParameterRow(
+        "VINE_AP_LOSS_S", "losses", "autopilot_s", "s without a message until the autopilot is lost", "max"
+    ),
+    ParameterRow(
+        "VINE_HOLD_MAX_S", "losses", "hold_at_most_s", "s of hold after RC losses, then vent", "max", 0.5
+    ),
+    ParameterRow("VINE_MAX_KPA", "limits", "max_kPa", "maximum setpoint, gauge kPa", "max", 0.5),
+    ParameterRow("VINE_MAX_RATE", "limits", "max_rate_kPa_per_s", "maximum rate, kPa/s", "max", 1.0),
+    ParameterRow(
+        "VINE_MAX_BENT_S", "limits", "max_bent_s", "maximum s bent after a trigger, then vent", "max", 1.0
+    ),
+    ParameterRow(
+        "VINE_MIN_ALT_M", "interlocks", "min_altitude_m", "minimum m above home to bend", "min", max=1000.0
+    ),
+    ParameterRow(
+        "VINE_RESERVE_KPA",
+        "interlocks",
+        "reserve_kPa",
+        "minimum pressure in the bottle, gauge kPa",
+        "min",
+        max=2000.0,
+    ),
+    ParameterRow("VINE_RATE_HZ", "telemetry", "rate_Hz", "Hz of each named value", in_flight=True),
+    ParameterRow(
+        "VINE_FUEL_STATUS",
+        "telemetry",
+        "fuel_status",
+        "1: also send FUEL_STATUS",
+        choices=OFF_OR_ON,
+        in_flight=True,
+    ),
+    ParameterRow(
+        "VINE_LOW_CYCLES",
+        "telemetry",
+        "low_reservoir_cycles",
+        "warn below this number of cycles left",
+        max=1000.0,
+        in_flight=True,
+    ),
+)
+"""In the order of their MAVLink index, which is constant while the service runs."""
+
+BY_NAME = {setting.name: setting for setting in SETTINGS}
+
+
+class ParameterRefused(Exception):
+    """The value is not allowed; `reason` is a text for people."""
+
+    def __init__(self, name: str, reason: str) -> None:
+        super().__init__(f"{name}: {reason}")
+        self.name = name
+        self.reason = reason
+
+
+def value_of(setting: ParameterRow, config: Config) -> float:
+    """The parameter's number in a configuration."""
+    value = getattr(getattr(config, setting.table), setting.key)
+    return float(setting.choices.index(value)) if setting.choices else float(value)
+
+
+def bounds(setting: ParameterRow, profile: Config) -> tuple[float, float]:
+    """The minimum and maximum that may be set: the narrowest of configuration, row and profile."""
+    lower, upper = setting.min, setting.max
+    kind = _type(setting)
+    if setting.choices:
+        lower, upper = 0.0, len(setting.choices) - 1.0
+    elif isinstance(kind, inspect.FloatType | inspect.IntType):
+        lower = max(lower, -math.inf if kind.ge is None else kind.ge)
+        upper = min(upper, math.inf if kind.le is None else kind.le)
+    # The profile's own value is always allowed.
+    own = value_of(setting, profile)
+    lower = max(lower, own) if setting.guard == "min" else min(lower, own)
+    upper = min(upper, own) if setting.guard == "max" else max(upper, own)
+    return lower, upper
+
+
+def changed(profile: Config, config: Config, name: str, value: float) -> Config:
+    """The configuration with a new value. Raises `ParameterRefused` if the profile does not allow it.
+
+    Args:
+        profile: without any parameters.
+        config: the profile with the values in force.
+        name: of the parameter.
+        value: as received; it may not be finite.
+    """
+    setting = BY_NAME[name]
+    table = getattr(config, setting.table)
+    table = msgspec.structs.replace(table, **{setting.key: _checked(setting, profile, value)})
+    return msgspec.structs.replace(config, **{setting.table: table})
+
+
+def decimal(value: float) -> float:
+    """The shortest decimal number for this 32-bit float: 0.15, not 0.15000000596."""
+    for digits in range(6, 9):
+        short = float(f"{value:.{digits}g}")
+        if same(short, value):
+            return short
+    return value
+
+
+def same(one: float, other: float) -> bool:
+    """True if two numbers are equal as 32-bit floats."""
+    return c_float(one).value == c_float(other).value
+
+
+def _checked(setting: ParameterRow, profile: Config, value: float) -> float | str | bool:
+    """The value for the configuration, after all checks."""
+    if not math.isfinite(value):
+        raise ParameterRefused(setting.name, "it must be a number")
+    lower, upper = bounds(setting, profile)
+    if not lower <= value <= upper:
+        raise ParameterRefused(setting.name, f"{value:g} is outside {lower:g} to {upper:g}")
+    if not setting.choices and not isinstance(_type(setting), inspect.IntType):
+        return value
+    if value != int(value):
+        raise ParameterRefused(setting.name, f"{value:g} is not a whole number")
+    return setting.choices[int(value)] if setting.choices else int(value)
+
+
+@cache
+def _type(setting: ParameterRow) -> inspect.Type:
+    info = inspect.type_info(get_type_hints(Config)[setting.table])
+    assert isinstance(info, inspect.StructType)
+    return next(field.type for field in info.fields if field.name == setting.key)

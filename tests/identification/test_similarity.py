@@ -1,0 +1,70 @@
+"""Similarity of causes: equal effects are similar, and rig numbers' effects are no evidence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hidden_truth import draw, write
+
+from flying_vines.identification.case import Case, read_case
+from flying_vines.identification.fit import FitProblem
+from flying_vines.identification.similarity import Similarity, similarity
+from flying_vines.identification.simulate import rig_number_keys
+from flying_vines.physics.cause import Cause
+from flying_vines.physics.effects import catalogue
+
+BY_NAME = {cause.name: cause for cause in catalogue()}
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    folder = tmp_path_factory.mktemp("short") / "case"
+    write(folder, draw("short", 1))
+    return read_case(folder)
+
+
+def found(case: Case, *causes: Cause, there: str | None = None) -> Similarity:
+    problem = FitProblem(case, (0.15, 1.2))
+    start = problem.start()
+    if there is not None:
+        start = start.with_cause(BY_NAME[there], BY_NAME[there].seeds()[0])
+    return similarity(problem, problem.fit(start, 2), causes, rig_number_keys(case.rig))
+
+
+def with_tolerance(case: Case, key: str, percent: float) -> Case:
+    return replace(case, rig=replace(case.rig, tolerance_percent={key: percent}))
+
+
+def test_a_twin_is_alike_and_a_stranger_is_not(case: Case) -> None:
+    lag = BY_NAME["evp_lag"]
+    alike = found(case, lag, replace(lag, name="twin"), BY_NAME["reservoir_leak"])
+    assert alike.causes == ("evp_lag", "twin", "reservoir_leak")
+    assert alike.cosine[0, 1] == pytest.approx(1.0, abs=1e-6)
+    assert alike.cosine[0, 2] < 0.5
+    assert np.allclose(alike.cosine, alike.cosine.T) and (alike.seen > 5.0).all()
+
+
+def test_what_a_number_may_do_within_its_tolerance_is_no_evidence(case: Case) -> None:
+    scale, key = BY_NAME["evp_restriction"], "evp.flow_resistance_kPa_s_per_SL"
+    sure, unsure = (found(with_tolerance(case, key, percent), scale).seen[0] for percent in (0.1, 100.0))
+    assert sure > 10.0 and sure > 3.0 * unsure
+
+
+def test_what_is_there_is_taken_out(case: Case) -> None:
+    cause = BY_NAME["dead_volume"]
+    weaker = replace(cause.parameters[0], seeds=(1e-5,))
+    assert found(case, cause, there="dead_volume").seen[0] > 10.0
+    assert found(case, replace(cause, parameters=(weaker,))).seen[0] < 1.0
+
+
+def test_a_cause_that_nothing_shows_has_no_trace(tmp_path: Path) -> None:
+    time_s = np.arange(0.0, 6.0, 0.1)
+    rows = "\n".join(f"{t:.2f},{600.0 - 3.0 * t:.2f}" for t in time_s)
+    (tmp_path / "rig.toml").write_text("")
+    (tmp_path / "bottle.csv").write_text(f"time_s,reservoir_pressure_kPa\n{rows}\n")
+    alike = found(read_case(tmp_path), BY_NAME["cv_leak"], BY_NAME["reservoir_leak"])
+    assert alike.seen[0] == 0.0 and alike.cosine[0, 1] == 0.0
+    assert alike.seen[1] > 0.0
