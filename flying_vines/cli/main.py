@@ -17,6 +17,7 @@ from flying_vines.cli import (
     diagnose,
     doctor,
     fake,
+    import_,
     install,
     link,
     log,
@@ -33,7 +34,7 @@ from flying_vines.config.config import ConfigError
 from flying_vines.simulation.phlosar import FirmwareBuildError
 
 COMMANDS = (
-    *(demo, run, replay, buttons, config, paper, simulate, diagnose, design, vine),
+    *(demo, run, replay, buttons, config, paper, simulate, import_, diagnose, design, vine),
     *(doctor, calibrate, mission, log, watch, install, link, fake),
 )
 """In the order of the help page."""

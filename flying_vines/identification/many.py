@@ -19,6 +19,7 @@ from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.cores import THREADS, cores
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.from_log import is_flight, read_flight
+from flying_vines.identification.importing.runs import is_foreign, read_imported
 from flying_vines.identification.recording import CaseError
 from flying_vines.identification.verdict import Verdict
 
@@ -36,8 +37,11 @@ class ClusterError(ValueError):
 
 
 def read_any(path: Path | str, rig: Path | str | None = None) -> Case:
-    """The case in a folder of runs, a CSV file or a flight log; see `read_case` and `read_flight`."""
-    return read_flight(path, rig) if is_flight(Path(path)) else read_case(path, rig)
+    """The case in a folder of runs, a CSV file of any layout, or a flight log."""
+    path = Path(path)
+    if is_flight(path):
+        return read_flight(path, rig)
+    return read_imported(path, rig) if is_foreign(path) else read_case(path, rig)
 
 
 def diagnose_all(

@@ -27,6 +27,11 @@ def stated_noise_kPa(rig: Rig) -> tuple[float, float]:
     return sensors.cv_noise_std_kPa or MIN_KPA, sensors.reservoir_noise_std_kPa or MIN_KPA
 
 
+def resolution(readings: Array) -> float:
+    """Smallest difference between readings, which are finite; infinite if all are equal."""
+    return float(np.min(np.diff(np.unique(readings)), initial=np.inf))
+
+
 def noise_kPa(residuals: Sequence[Array], stated_kPa: float) -> float:
     """Standard deviation of a sensor's noise, from the residuals of a fit.
 

@@ -1,0 +1,113 @@
+"""`flying-vines import`: recordings of any layout as a case for `diagnose`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flying_vines.cli.common import fail, file_errors, needs_analysis
+
+if TYPE_CHECKING:
+    from flying_vines.identification.importing.answers import Answers, ImportQuestion
+    from flying_vines.identification.importing.runs import Proposal
+
+
+def add(commands: Any) -> None:
+    """Add `import` to the parsers of the command line."""
+    command = commands.add_parser("import", help="recordings of any layout as a case for diagnose")
+    command.add_argument("files", type=Path, nargs="+", metavar="FILE", help="a text file of numbers")
+    command.add_argument("--to", type=Path, metavar="FOLDER", help="the case folder (default: NAME-case)")
+    again = {"action": "append", "default": []}
+    what = "what column N is, as 3=cv_pressure:psi; may be given again"
+    command.add_argument("--column", metavar="N=MEANING[:UNIT]", help=what, **again)
+    what = "volume of the measured vessel, or of cv= or reservoir=; may be given again"
+    command.add_argument("--volume-L", dest="volume_L", metavar="[VESSEL=]L", help=what, **again)
+    command.set_defaults(run=_import)
+
+
+def _import(arguments: argparse.Namespace) -> int:
+    with needs_analysis():
+        from flying_vines.identification.case import CaseError, read_case
+        from flying_vines.identification.importing.runs import write_case
+    files: list[Path] = arguments.files
+    folder: Path = arguments.to or files[0].with_name(f"{files[0].stem}-case")
+    with file_errors(folder, CaseError):
+        proposals: list[Proposal] = []
+        for path in files:
+            proposals.append(_proposal(path, proposals[0] if proposals else None, arguments, folder))
+        runs = write_case(proposals, folder)
+        for proposal in proposals:
+            _draw(proposal, folder)
+        for run in runs:
+            print(f"Run      {run}")
+        try:
+            read_case(folder)
+        except CaseError as error:
+            fail(f"the case is written, but diagnose refuses it: {error}")
+    print(f"Next     flying-vines diagnose {folder}")
+    return 0
+
+
+def _proposal(path: Path, first: Proposal | None, options: argparse.Namespace, folder: Path) -> Proposal:
+    """How a file is imported: by its kept answers, the options, and what a person says on the terminal."""
+    from rich.console import Console
+
+    from flying_vines.identification.importing import answers as answers_file
+    from flying_vines.identification.importing.runs import answers_of_similar, propose
+    from flying_vines.identification.importing.show import show
+
+    kept = answers_file.answers_path(path)
+    if not kept.exists() and (folder / kept.name).exists():
+        kept = folder / kept.name
+    said = answers_of_similar(path, first) if first and not kept.exists() else answers_file.read_answers(kept)
+    for text in options.column:
+        answers_file.with_column(said, answers_file.column_said(text))
+    proposal = propose(path, said, dict(answers_file.volume_said(text) for text in options.volume_L))
+    show(proposal, Console())
+    while proposal.questions and sys.stdin.isatty():
+        for question in proposal.questions:
+            _ask(path, question, proposal.answers)
+        proposal = propose(path, proposal.answers)
+        show(proposal, Console())
+    if not kept.exists() or not answers_file.same_answers(proposal.answers, answers_file.read_answers(kept)):
+        try:
+            answers_file.write_answers(kept, proposal.answers, proposal.missing)
+        except OSError:
+            kept = folder / kept.name
+            answers_file.write_answers(kept, proposal.answers, proposal.missing)
+    if proposal.missing:
+        fail(answers_file.missing_line(path, proposal.missing[0], kept))
+    print(f"Answers  {kept}")
+    return proposal
+
+
+def _ask(path: Path, question: ImportQuestion, answers: Answers) -> None:
+    """Ask until the answer can be used."""
+    from flying_vines.identification.importing.answers import with_answer
+    from flying_vines.identification.recording import CaseError
+
+    guess = f" [{question.guess}]" if question.guess else ""
+    while True:
+        try:
+            said = input(f"{path.name}: {question.text}{guess}: ").strip()
+            return with_answer(answers, question.key, said or question.guess)
+        except EOFError:
+            fail(f"{path}: no answer to: {question.text}")
+        except CaseError as error:
+            print(error)
+
+
+def _draw(proposal: Proposal, folder: Path) -> None:
+    """Draw the runs beside the data, or in the case folder if that is not possible."""
+    if find_spec("matplotlib") is None:
+        return
+    from flying_vines.identification.importing.show import draw
+
+    try:
+        path = draw(proposal, proposal.path.parent)
+    except OSError:
+        path = draw(proposal, folder)
+    print(f"Picture  {path}")

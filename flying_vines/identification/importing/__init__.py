@@ -1,0 +1,1 @@
+"""Imports recordings of any layout as a case that can be diagnosed."""

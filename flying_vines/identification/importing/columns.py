@@ -1,0 +1,309 @@
+"""What each column of a foreign table means: words of its name, its unit and its values give points.
+
+Each pair of a column and a meaning has a score. The best pair is taken, then the best of the rest, and each
+meaning once. A column that has no score above zero is ignored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from flying_vines.identification.importing.layout import ForeignTable
+from flying_vines.identification.importing.units import (
+    Quantity,
+    Unit,
+    as_absolute,
+    guess_opening,
+    guess_pressure,
+    guess_time,
+    parse_unit,
+    unit_in,
+    words_of,
+)
+from flying_vines.identification.noise import resolution
+from flying_vines.identification.plausible import is_ambient
+from flying_vines.identification.recording import CaseError
+from flying_vines.physics.arrays import Array
+
+IGNORED = "ignored"
+WORDS: Mapping[str, Mapping[str, float]] = {
+    "time": {"time": 4, "timestamp": 4, "t": 3, "zeit": 4, "temps": 4, "tiempo": 4, "tempo": 4, "elapsed": 3,
+             "clock": 2, "date": 1, "millis": 3, "micros": 3, "index": -3, "sample": -3},
+    "run": {"run": 4, "trial": 4, "test": 3, "experiment": 3, "rep": 3, "repeat": 3, "cycle": 2},
+    "command_kPa": {"target": 5, "setpoint": 5, "set": 2, "sp": 3, "reference": 4, "ref": 4, "desired": 5,
+                    "command": 4, "cmd": 4, "goal": 4, "soll": 5, "sollwert": 5, "consigne": 5, "demand": 4,
+                    "wanted": 4, "pressure": 1},
+    "cv_pressure": {"cv": 6, "chamber": 4, "actuator": 4, "vine": 4, "feedback": 4, "bladder": 4, "muscle": 4,
+                    "finger": 4, "gripper": 4, "balloon": 4, "soft": 3, "volume": 1, "output": 2, "out": 2,
+                    "downstream": 3, "measured": 2, "actual": 2, "ist": 2, "istwert": 2, "p2": 2,
+                    "pressure": 3, "press": 3, "p": 2, "druck": 3, "pression": 3, "presion": 3, "presión": 3,
+                    "kammer": 4, "kammerdruck": 5, "pressione": 3},
+    "reservoir_pressure": {"reservoir": 6, "tank": 5, "bottle": 5, "supply": 5, "source": 4, "plenum": 5,
+                           "accumulator": 5, "cylinder": 4, "vessel": 4, "inlet": 3, "upstream": 4, "line": 2,
+                           "p1": 2, "in": 1, "pressure": 3, "press": 3, "p": 2, "druck": 3, "pression": 3,
+                           "presion": 3, "presión": 3, "behälter": 5, "behälterdruck": 5, "pressione": 3},
+    "evp_opening": {"evp": 7, "ev": 5, "inflation": 4, "inflate": 4, "fill": 4, "pump": 4, "pwm": 3,
+                    "duty": 3, "valve": 3, "opening": 3, "inlet": 3, "main": 1, "ventil": 3, "vanne": 3,
+                    "motor": 2, "proportional": 3, "control": 1, "u": 1, "in": 1},
+    "dvp_opening": {"dvp": 7, "venturi": 6, "vacuum": 4, "ejector": 5, "suction": 4, "pwm": 1, "valve": 2,
+                    "opening": 2, "duty": 1},
+    "solenoid": {"solenoid": 7, "sv": 4, "outlet": 5, "vent": 5, "exhaust": 5, "release": 4, "deflate": 4,
+                 "out": 2, "valve": 1, "state": 1, "open": 1},
+    "ambient_pressure": {"ambient": 5, "atmospheric": 5, "atmosphere": 5, "barometric": 5, "baro": 5,
+                         "barometer": 5, "atm": 3, "pressure": 1},
+    "ambient_temperature": {"temperature": 5, "temp": 5, "temperatur": 5, "ambient": 1, "room": 1},
+}  # fmt: skip
+"""Points that a word of a column's name gives to a meaning."""
+_NOT_READ = frozenset({"error", "err", "norm", "integral", "derivative", "flow", "current", "angle",
+                       "force", "position", "displacement", "kp", "ki", "kd", "std", "noise"})  # fmt: skip
+"""A name with such a word is of none of these meanings."""
+QUANTITIES: Mapping[str, Quantity] = {
+    "time": "time",
+    "command_kPa": "pressure",
+    "cv_pressure": "pressure",
+    "reservoir_pressure": "pressure",
+    "evp_opening": "opening",
+    "dvp_opening": "opening",
+    "solenoid": "opening",
+    "ambient_pressure": "pressure",
+    "ambient_temperature": "temperature",
+}
+MEANINGS = (*WORDS, IGNORED)
+
+
+class ImportedColumn(msgspec.Struct, forbid_unknown_fields=True):
+    """One column of a file; a part of the answers file."""
+
+    number: int
+    """From 1."""
+    meaning: str
+    unit: str = ""
+    name: str = ""
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class _Signal:
+    """A column, as the evidence sees it."""
+
+    name: str
+    values: Array
+    unit: Unit | None
+    is_clock: bool
+    number: int
+
+    @property
+    def readings(self) -> Array:
+        return self.values[np.isfinite(self.values)]
+
+    @property
+    def levels(self) -> int:
+        return len(np.unique(self.readings))
+
+    def is_rising(self) -> bool:
+        """True for time: nearly all steps go up, but for the start of another run."""
+        steps = np.diff(self.readings)
+        return (
+            len(steps) > 0
+            and bool(np.mean(steps > 0.0) > 0.9 or np.mean(steps >= 0.0) > 0.98)
+            and (self.levels > 0.2 * len(steps))
+        )
+
+    def is_count(self) -> bool:
+        """True for 0, 1, 2, …: the numbers of the rows."""
+        return bool(np.all(np.diff(self.readings) == 1.0))
+
+    def is_switched(self) -> bool:
+        """True for whole numbers between 0 and a full scale that are often at one of these two."""
+        x = self.readings
+        top = float(np.max(x, initial=0.0))
+        ends = np.mean((x == 0.0) | (x == top)) if len(x) else 0.0
+        return top in (1.0, 100.0, 255.0, 1023.0, 4095.0) and bool(
+            ends > 0.3 and np.all(x >= 0.0) and np.all(x % 1 == 0)
+        )
+
+    def is_held(self) -> bool:
+        """True for a signal that changes seldom, as a target does."""
+        return bool(np.mean(np.diff(self.readings) == 0.0) > 0.9) if len(self.readings) > 1 else False
+
+
+def _known(name: str) -> bool:
+    """True if a word of a name is a word of a meaning."""
+    return any(word in words for word in words_of(name) for words in WORDS.values())
+
+
+_Test = Callable[[_Signal], bool]
+EVIDENCE: tuple[tuple[str, _Test, Mapping[str, float]], ...] = (
+    ("clock times", lambda s: s.is_clock, {"time": 8}),
+    ("rises all the time", lambda s: s.is_rising() and not s.is_count(), {"time": 4}),
+    ("rises all the time", lambda s: s.is_rising() and s.is_count(), {"time": 1.5}),
+    ("does not rise all the time", lambda s: not s.is_rising(), {"time": -20}),
+    ("rises all the time", _Signal.is_rising, dict.fromkeys((m for m in WORDS if m != "time"), -4.0)),
+    ("the first column", lambda s: s.number == 1, {"time": 1}),
+    ("changes seldom", _Signal.is_held, {"command_kPa": 1, "run": 0.5, "solenoid": 0.5}),
+    ("always the same", lambda s: s.levels <= 1, {"evp_opening": -6, "dvp_opening": -12, "solenoid": -12,
+                                                  "cv_pressure": -3, "reservoir_pressure": -3}),
+    ("only two values", lambda s: s.levels == 2, {"solenoid": 1}),
+    ("more than two values", lambda s: s.levels > 2, {"solenoid": -8, "evp_opening": 0.5}),
+    ("negative values", lambda s: bool(np.any(s.readings < 0.0)),
+     {"evp_opening": -8, "dvp_opening": -8, "solenoid": -8}),
+    ("no known word, but on and off", lambda s: s.is_switched() and not _known(s.name),
+     {"evp_opening": 3, "cv_pressure": -6, "reservoir_pressure": -6}),
+    ("not a whole number", lambda s: bool(np.any(s.readings % 1.0 != 0.0)), {"run": -9}),
+)  # fmt: skip
+"""Evidence in the values: what to say, the test, and its points for meanings."""
+_UNIT_FITS, _UNIT_CONTRADICTS = 3.0, -9.0
+_UNNAMED = {"cv_pressure": 1.0, "reservoir_pressure": 1.0}
+"""Points of a column without a name and a unit."""
+
+
+def guess_columns(table: ForeignTable, given: Sequence[ImportedColumn] = ()) -> list[ImportedColumn]:
+    """What each column is; meanings and units of `given` columns stay."""
+    fixed = {column.number: column for column in given}
+    if unknown := sorted(n for n in fixed if not 1 <= n <= len(table.cells)):
+        raise CaseError(f"{table.path}: there is no column {unknown[0]}; it has {len(table.cells)} columns")
+    signals = [_signal(table, number) for number in range(1, len(table.cells) + 1)]
+    taken = {column.meaning for column in given if column.meaning}
+    copies = _copies(signals)
+    scores: dict[tuple[int, str], float] = {}
+    reasons: dict[tuple[int, str], str] = {}
+    for signal in signals:
+        if signal.number in fixed and fixed[signal.number].meaning:
+            continue
+        for meaning in WORDS:
+            if meaning not in taken and signal.number not in copies:
+                scores[signal.number, meaning], reasons[signal.number, meaning] = _score(signal, meaning)
+    _compare_pressures(signals, scores, "command_kPa" in taken or "evp_opening" in taken)
+    meanings: dict[int, str] = {}
+    while scores and scores[best := max(scores, key=lambda pair: scores[pair])] > 0.0:
+        number, meanings[number] = best[0], best[1]
+        scores = {
+            pair: points for pair, points in scores.items() if pair[0] != best[0] and pair[1] != best[1]
+        }
+    found = []
+    for signal in signals:
+        known = fixed.get(signal.number) or ImportedColumn(signal.number, "")
+        meaning = known.meaning or meanings.get(signal.number, IGNORED)
+        why = (known.why or "as answered") if known.meaning else reasons.get((signal.number, meaning), "")
+        if signal.number in copies and not known.meaning:
+            why = f"the same signal as column {copies[signal.number]}"
+        unit, reason = (known.unit, "") if known.unit else _unit(signal, meaning)
+        if unit:
+            parse_unit(unit)
+        why = "; ".join(part for part in (why, reason) if part)
+        found.append(ImportedColumn(signal.number, meaning, unit, signal.name, why))
+    return found
+
+
+def _signal(table: ForeignTable, number: int) -> _Signal:
+    name, at = table.names[number - 1], number - 1
+    unit = unit_in(name) or unit_in(f"({table.unit_text(at)})")
+    return _Signal(name, table.numbers(at), unit, table.is_clock(at), number)
+
+
+def _score(signal: _Signal, meaning: str) -> tuple[float, str]:
+    """Points of a column for a meaning, and the strongest reasons."""
+    if len(signal.readings) == 0:
+        return -1.0, ""
+    names = words_of(signal.name)
+    points = {f"“{word}”": WORDS[meaning][word] for word in names if word in WORDS[meaning]}
+    if _NOT_READ & set(names):
+        points["not read"] = -20.0
+    elif signal.unit and meaning in QUANTITIES:
+        fits = signal.unit.quantity == QUANTITIES[meaning]
+        fits |= signal.unit.quantity == "raw" and QUANTITIES[meaning] == "pressure"
+        points[f"in {signal.unit.name}"] = _UNIT_FITS if fits else _UNIT_CONTRADICTS
+    elif signal.unit:
+        points[f"in {signal.unit.name}"] = _UNIT_CONTRADICTS
+    elif not signal.name:
+        points["no name"] = _UNNAMED.get(meaning, 0.0)
+    named = any(value > 0.0 for value in points.values())
+    for text, test, worth in EVIDENCE:
+        # Without a known word or unit, only strong evidence counts.
+        if (
+            meaning in worth
+            and (named or meaning == "time" or not -3.0 < worth[meaning] < 3.0)
+            and test(signal)
+        ):
+            points[text] = points.get(text, 0.0) + worth[meaning]
+    reasons = sorted((text for text in points if points[text] > 0.0), key=lambda text: -points[text])
+    return sum(points.values()), ", ".join(reasons[:3])
+
+
+def _copies(signals: Sequence[_Signal]) -> dict[int, int]:
+    """Columns that another column repeats in another unit, as a sensor's voltage beside its pressure."""
+    copies = {}
+    for at, one in enumerate(signals):
+        for other in signals[at + 1 :]:
+            if _NOT_READ & {*words_of(one.name), *words_of(other.name)}:
+                continue  # an error is the reading with another sign while its target is constant
+            both = np.isfinite(one.values) & np.isfinite(other.values)
+            x, y = one.values[both], other.values[both]
+            if len(x) < 8 or one.levels < 8 or one.is_rising() or np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
+                continue
+            slope, offset = np.polyfit(x, y, 1)
+            step = max(abs(slope) * resolution(x), resolution(y))
+            if np.max(np.abs(y - slope * x - offset)) <= 1.1 * step and np.corrcoef(x, y)[0, 1] > 0.98:
+                first_is_pressure = one.unit is not None and one.unit.quantity == "pressure"
+                if first_is_pressure and (other.unit is None or other.unit.quantity != "pressure"):
+                    copies[other.number] = one.number
+                else:
+                    copies[one.number] = other.number
+    return copies
+
+
+def _compare_pressures(
+    signals: Sequence[_Signal], scores: dict[tuple[int, str], float], driven: bool
+) -> None:
+    """The higher of two pressures is the reservoir's; a single one is the chamber's if it is driven."""
+    pairs = ("cv_pressure", "reservoir_pressure")
+    best = {s.number: max(WORDS, key=lambda meaning: scores.get((s.number, meaning), -1.0)) for s in signals}
+    best = {number: meaning for number, meaning in best.items() if scores.get((number, meaning), 0.0) > 0.0}
+    driven = driven or not {"command_kPa", "evp_opening"}.isdisjoint(best.values())
+    level = {s.number: float(np.median(s.readings)) * (s.unit.factor if s.unit else 1.0) for s in signals
+             if best.get(s.number) in pairs}  # fmt: skip
+    for number in level:
+        p = signals[number - 1].readings
+        falls = float(np.median(p[-len(p) // 10 :])) < 0.5 * float(np.median(p[: len(p) // 10 + 1]))
+        reservoir = level[number] == max(level.values()) if len(level) > 1 else falls or not driven
+        scores[number, pairs[int(reservoir)]] += 1.5
+
+
+def _unit(signal: _Signal, meaning: str) -> tuple[str, str]:
+    """The unit of a column and why; empty if its meaning has none."""
+    quantity = QUANTITIES.get(meaning)
+    if quantity is None or len(signal.readings) == 0:
+        return "", ""
+    if signal.is_clock:
+        return "clock", ""
+    named = signal.unit if signal.unit and signal.unit.quantity in (quantity, "raw") else None
+    if quantity == "temperature":
+        return (named.name if named else "C"), ""
+    if quantity == "opening":
+        if named and named.name not in ("0-255",):
+            return named.name, ""
+        doubt = guess_opening(signal.values, signal.name)
+    elif named:
+        return _gauge_or_absolute(signal, named, meaning)
+    else:
+        doubt = guess_time(signal.values) if quantity == "time" else guess_pressure(signal.values, meaning)
+        if quantity == "pressure":
+            name, why = _gauge_or_absolute(signal, doubt.unit, meaning)
+            doubt = doubt._replace(unit=parse_unit(name), why="; ".join(filter(None, (doubt.why, why))))
+    return doubt.unit.name, doubt.why + (f"; or {doubt.other}" if doubt.other else "")
+
+
+def _gauge_or_absolute(signal: _Signal, unit: Unit, meaning: str) -> tuple[str, str]:
+    """An absolute sensor rests at ambient pressure and hardly ever reads less."""
+    if unit.quantity != "pressure" or unit.absolute or meaning not in ("cv_pressure", "reservoir_pressure"):
+        return unit.name, ""
+    kPa = np.sort(signal.readings * unit.factor + unit.offset)
+    low = float(kPa[len(kPa) // 100])
+    at_rest = float(np.mean(kPa < low + 2.0))
+    if is_ambient(low) and 85.0 < low < 106.0 and at_rest > 0.04 and kPa[-1] > low + 5.0:
+        return as_absolute(unit).name, f"rests at {low:.4g} kPa, as an absolute sensor does"
+    return unit.name, ""

@@ -1,0 +1,423 @@
+"""From a foreign table to recorded runs and a rig: the guess, what is missing, and the case folder.
+
+proposal = propose(path, read_answers(answers_path(path)))
+if not proposal.missing:
+    write_case([proposal], folder)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import sqrt
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from flying_vines.config.toml_edit import value_text
+from flying_vines.identification.case import MIN_S, MIN_SAMPLES, RIG, Case, read_case
+from flying_vines.identification.importing.answers import (
+    Answers,
+    ImportQuestion,
+    answers_path,
+    missing_line,
+    read_answers,
+)
+from flying_vines.identification.importing.columns import IGNORED, QUANTITIES, guess_columns
+from flying_vines.identification.importing.layout import ForeignTable, read_foreign
+from flying_vines.identification.importing.units import parse_unit, psi_instead
+from flying_vines.identification.noise import MIN_KPA, noise_kPa, resolution
+from flying_vines.identification.recording import CaseError
+from flying_vines.physics.arrays import Array
+from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.rig import rig_from
+
+_CASE_COLUMNS = {
+    "time": "time_s",
+    "command_kPa": "command_kPa",
+    "evp_opening": "evp_opening",
+    "dvp_opening": "dvp_opening",
+    "solenoid": "solenoid",
+    "cv_pressure": "cv_pressure_kPa",
+    "reservoir_pressure": "reservoir_pressure_kPa",
+    "ambient_pressure": "ambient_pressure_kPa",
+    "ambient_temperature": "ambient_temperature_C",
+}
+_PRESSURES = {"cv_pressure": "cv", "reservoir_pressure": "reservoir"}
+_VALVES = ("evp_opening", "dvp_opening", "solenoid")
+_PUMP_VOLUME_L = 1000.0
+"""Of the vessel that stands for a pump: its pressure hardly changes."""
+_RESISTANCE_TOLERANCE_PERCENT = 30.0
+"""Of an outlet's flow resistance that was estimated from the time in which the pressure falls."""
+_MAX_VALVE_S = 3.0
+"""Time constant up to which a fall is taken for an outlet that was opened; slower ones are leaks."""
+_EPOCH_S = 1e8
+"""A time that begins later is a date; runs then begin at zero."""
+
+Run = dict[str, Array]
+"""Converted columns of a run, by meaning."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """How a file would be imported."""
+
+    path: Path
+    table: ForeignTable
+    answers: Answers
+    """Complete, but for the questions."""
+    questions: tuple[ImportQuestion, ...]
+    """What a person should say; some have a guess."""
+    notes: tuple[str, ...]
+    runs: Mapping[str, Run]
+    """By name."""
+
+    @property
+    def missing(self) -> tuple[ImportQuestion, ...]:
+        """Questions without a guess."""
+        return tuple(question for question in self.questions if not question.guess)
+
+
+def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = None) -> Proposal:
+    """Read a file and guess what `said` leaves open.
+
+    Args:
+        path: the file.
+        said: answers so far; they are not changed.
+        volume_L: volumes by vessel, `cv` or `reservoir`; with an empty name, of the vessel that was measured.
+
+    Raises CaseError if the file cannot be read, or has no pressure.
+    """
+    table = read_foreign(path, said.text)
+    columns = guess_columns(table, said.columns)
+    answers = Answers(table.layout, msgspec.structs.replace(said.setup), {**said.rig}, columns)
+    meanings = [column.meaning for column in columns if column.meaning != IGNORED]
+    for meaning in meanings:
+        if meanings.count(meaning) > 1:
+            raise CaseError(f"{path}: two columns are {meaning}; write {IGNORED} for one of them")
+    if not set(_PRESSURES) & set(meanings):
+        raise CaseError(f"{path}: no column looks like a pressure; say which is: --column N=cv_pressure:kPa")
+    notes = list(table.remarks)
+    questions = []
+    for c in columns:
+        if c.unit and parse_unit(c.unit).quantity == "raw" and QUANTITIES.get(c.meaning) == "pressure":
+            points = f"{c.unit} (0.5=0, 4.5=1000)"
+            text = f"two points of its calibration, as {points}: readings and kPa gauge"
+            option = f"--column {c.number}={c.meaning}:'{points}'"
+            questions.append(ImportQuestion(f"columns.{c.number}.unit", text, option))
+    if "time" not in meanings and said.setup.sample_Hz is None:
+        text = "there is no time column: how many rows were recorded in a second?"
+        questions.append(ImportQuestion("setup.sample_Hz", text, "--column N=time:s"))
+    runs = {} if questions else dict(_runs(table, answers, notes))
+    if runs:
+        questions += _doubtful_units(answers, said, runs)
+        runs = _drives(path, answers, runs, notes)
+        measured = "cv" if "cv_pressure" in next(iter(runs.values())) else "reservoir"
+        for vessel, litres in (volume_L or {}).items():
+            table_of = answers.rig.get(vessel or measured, {})
+            answers.rig[vessel or measured] = {**table_of, "volume_L": litres}
+        questions += [*_missing_volumes(answers, runs), *_guessed_setup(said, answers)]
+    return Proposal(path, table, answers, tuple(questions), tuple(notes), runs)
+
+
+def answers_of_similar(path: Path, before: Proposal) -> Answers:
+    """The answers of another file for this one, if its columns have the same names; else none."""
+    table = read_foreign(path)
+    if table.names != before.table.names:
+        return Answers()
+    answers = msgspec.convert(msgspec.to_builtins(before.answers), Answers)
+    answers.text = None
+    answers.setup.outlet = None
+    return answers
+
+
+def is_foreign(path: Path) -> bool:
+    """True for a file that is not a run of a case as it stands, or was imported before."""
+    if not path.is_file() or path.suffix.casefold() == ".toml":
+        return False
+    try:
+        return answers_path(path).exists() or b"time_s" not in path.read_bytes()
+    except OSError:
+        return False
+
+
+def read_imported(path: Path, rig: Path | str | None = None) -> Case:
+    """The case in a file of any layout, by its kept answers. CaseError if an answer is missing."""
+    kept = answers_path(path)
+    proposal = propose(path, read_answers(kept))
+    if proposal.missing:
+        raise CaseError(missing_line(path, proposal.missing[0]._replace(option=f"import {path}"), kept))
+    with TemporaryDirectory() as folder:
+        write_case([proposal], Path(folder))
+        try:
+            case = read_case(folder, rig)
+        except CaseError as error:
+            raise CaseError(str(error).replace(folder, str(path))) from None
+    return replace(case, path=path, remarks=(*proposal.notes, *case.remarks))
+
+
+def write_case(proposals: Sequence[Proposal], folder: Path) -> list[Path]:
+    """Write rig.toml and one CSV for each run. The paths of the runs.
+
+    Raises CaseError if the files disagree about the rig, or the folder has other runs.
+    """
+    rigs = [_rig_tables(proposal) for proposal in proposals]
+    for proposal, rig in zip(proposals, rigs, strict=True):
+        for vessel in ("cv", "reservoir"):
+            if rig.get(vessel) != rigs[0].get(vessel):
+                raise CaseError(
+                    f"{proposal.path}: its {vessel} is not that of {proposals[0].path}; import it alone"
+                )
+    texts = {f"{name}.csv": _csv(run) for p in proposals for name, run in p.runs.items()}
+    if len(texts) < sum(len(p.runs) for p in proposals):
+        raise CaseError(f"{folder}: two runs have the same name; rename one of the files")
+    folder.mkdir(parents=True, exist_ok=True)
+    if other := sorted(p.name for p in folder.glob("*.csv") if p.name not in texts):
+        raise CaseError(f"{folder}: contains {other[0]}, which is not from this import; use another --to")
+    lines = ["# Written by flying-vines import from the answers in *.import.toml."]
+    for name, numbers in rigs[0].items():
+        rows = (f"{value_text(k) if '.' in k else k} = {value_text(float(v))}" for k, v in numbers.items())
+        lines += ["", f"[{name}]", *rows]
+    (folder / RIG).write_text("\n".join([*lines, ""]), encoding="utf-8")
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return [folder / name for name in texts]
+
+
+def _runs(table: ForeignTable, answers: Answers, notes: list[str]) -> Iterator[tuple[str, Run]]:
+    """The runs of a file: they end where the run column changes or the time jumps back."""
+    values: Run = {}
+    for column in answers.columns:
+        if column.meaning != IGNORED:
+            raw = table.numbers(column.number - 1)
+            unit = parse_unit(column.unit) if column.unit else None
+            values[column.meaning] = raw if unit is None else raw * unit.factor + unit.offset
+    length = len(table.cells[0])
+    number = values.pop("run", np.zeros(length))
+    if answers.setup.sample_Hz and "time" not in values:
+        values["time"] = np.arange(length) / answers.setup.sample_Hz
+    order = np.flatnonzero(np.isfinite(values["time"]))
+    time_s, number = values["time"][order], number[order]
+    steps = np.diff(time_s)
+    usual_s = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 1.0
+    again = (steps < -10.0 * usual_s) | (np.diff(np.nan_to_num(number, nan=-1.0)) != 0.0)
+    edges = [0, *(np.flatnonzero(again) + 1).tolist(), len(order)]
+    parts = [order[first:last] for first, last in pairwise(edges)]
+    kept = [part for part in parts if _long_enough(values["time"][part])]
+    if dropped := len(parts) - len(kept):
+        notes.append(f"{dropped} runs with less than {MIN_SAMPLES} rows or {MIN_S:g} s are left out")
+    if not kept:
+        raise CaseError(f"{table.path}: its {length} rows are too few or too short in time for a run")
+    for count, rows in enumerate(kept, start=1):
+        run = {meaning: column[rows] for meaning, column in values.items()}
+        run["time"] = _in_order(run, notes)
+        yield (table.path.stem if len(kept) == 1 else f"{table.path.stem}_{count}"), run
+
+
+def _long_enough(time_s: Array) -> bool:
+    return len(time_s) >= MIN_SAMPLES and float(np.ptp(time_s)) >= MIN_S
+
+
+def _in_order(run: Run, notes: list[str]) -> Array:
+    """Time in rising order; rows with one time stamp, as of a clock without fractions, are spread evenly."""
+    order = np.argsort(run["time"], kind="stable")
+    if (order != np.arange(len(order))).any():
+        notes.append("some rows were not in order of time; sorted")
+        run.update({meaning: column[order] for meaning, column in run.items()})
+    time_s = run["time"] - (run["time"][0] if run["time"][0] > _EPOCH_S else 0.0)
+    stamps, first = np.unique(time_s, return_index=True)
+    if len(time_s) - len(stamps) > 0.2 * len(time_s) and len(stamps) > 2:
+        notes.append("several rows have the same time stamp; they are spread evenly until the next one")
+        end = len(time_s), stamps[-1] + float(np.median(np.diff(stamps)))
+        time_s = np.interp(np.arange(len(time_s)), [*first, end[0]], [*stamps, end[1]])
+    return time_s
+
+
+def _doubtful_units(answers: Answers, said: Answers, runs: Mapping[str, Run]) -> Iterator[ImportQuestion]:
+    """Pressures in kPa by the file's own words that behave like psi. What a person said is not doubted."""
+    sure = {column.number for column in said.columns if column.unit}
+    for column in answers.columns:
+        if column.meaning not in _PRESSURES or column.number in sure or column.unit != "kPa":
+            continue
+        reasons = [psi_instead(run["time"], run[column.meaning]) for run in runs.values()]
+        if all(reasons):
+            column.unit = ""
+            text = f"psi or kPa? Its heading says kPa, but {reasons[0]}"
+            yield ImportQuestion(
+                f"columns.{column.number}.unit", text, f"--column {column.number}={column.meaning}:psi"
+            )
+
+
+def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]) -> dict[str, Run]:
+    """The runs with what the case format needs to know about valves; guesses the outlet and the source."""
+    has = set(next(iter(runs.values())))
+    setup, name = answers.setup, path.name
+    if setup.gas and setup.gas.casefold() != "air":
+        notes.append(f"{name}: the rig file cannot say {setup.gas} yet; the simulation takes air")
+    if has & set(_VALVES) and "cv_pressure" not in has:
+        if "evp_opening" not in has and "solenoid" in has:
+            notes.append(f"{name}: the outlet of the vessel is written as evp_opening")
+            return {
+                k: {"evp_opening" if m == "solenoid" else m: v for m, v in run.items()}
+                for k, run in runs.items()
+            }
+        return runs
+    if has & set(_VALVES):
+        if "reservoir_pressure" not in has:
+            setup.source = setup.source or "pump"
+        if setup.source == "pump":
+            notes.append(
+                f"{name}: a pump is written as an inflation valve at a {_PUMP_VOLUME_L:g} L reservoir of "
+                "unknown pressure, the nearest that a rig file can say today"
+            )
+        return runs
+    if "reservoir_pressure" in has and "cv_pressure" in has:
+        raise CaseError(f"{path}: no column is the inflation valve; say which is: --column N=evp_opening")
+    if "cv_pressure" in has:
+        if any(_rises(run["cv_pressure"]) for run in runs.values()):
+            raise CaseError(
+                f"{path}: the chamber is filled, but no column looks like its pump or valve; say which is: "
+                "--column N=evp_opening"
+            )
+        notes.append(
+            f"{name}: a chamber alone is written as a reservoir; the rig file has no other vessel for it"
+        )
+        for column in answers.columns:
+            column.meaning = "reservoir_pressure" if column.meaning == "cv_pressure" else column.meaning
+    return {run_name: _alone(run, answers, notes, run_name) for run_name, run in runs.items()}
+
+
+def _rises(pressure_kPa: Array) -> bool:
+    p = pressure_kPa[np.isfinite(pressure_kPa)]
+    gain_kPa = float(np.median(np.sort(p)[-5:]) - np.median(p[:5])) if len(p) else 0.0
+    return gain_kPa > 1.0 + 0.15 * float(np.ptp(p))
+
+
+def _alone(run: Run, answers: Answers, notes: list[str], name: str) -> Run:
+    """A vessel of which only the pressure was recorded, with the opening of its outlet."""
+    run = {**run, "reservoir_pressure": run.get("cv_pressure", run.get("reservoir_pressure", run["time"]))}
+    run.pop("cv_pressure", None)
+    time_s, p = run["time"], run["reservoir_pressure"]
+    opens_s = _opening_time(time_s, p)
+    if answers.setup.outlet is None:
+        fall_s = _fall_s({**run, "evp_opening": np.where(time_s >= (opens_s or 0.0), 1.0, 0.0)})
+        leaks = opens_s is None or fall_s is None or fall_s > _MAX_VALVE_S
+        answers.setup.outlet = "shut" if leaks else "opens"
+    outlet = answers.setup.outlet
+    shut = np.zeros_like(time_s)
+    if outlet == "open":
+        return run
+    if outlet == "shut" and opens_s is not None:
+        notes.append(
+            f"{name}: the pressure is held by a supply until {opens_s:.6g} s; these rows are left out"
+        )
+        later = time_s >= opens_s
+        run, shut = {meaning: column[later] for meaning, column in run.items()}, shut[later]
+    if outlet == "opens" and opens_s is None:
+        opens_s = float(time_s[0])
+    if isinstance(outlet, float | int):
+        opens_s = float(outlet)
+    opening = shut if outlet == "shut" or opens_s is None else (time_s >= opens_s).astype(float)
+    if opening.any():
+        notes.append(f"{name}: the outlet (written as evp_opening) opens at {opens_s:.6g} s")
+    return {**run, "evp_opening": opening, "dvp_opening": shut, "solenoid": shut}
+
+
+def _opening_time(time_s: Array, pressure_kPa: Array) -> float | None:
+    """When a held pressure begins to fall; None if it never does, or falls from its first reading."""
+    there = np.isfinite(pressure_kPa)
+    t, p = time_s[there], pressure_kPa[there]
+    if len(p) < MIN_SAMPLES or float(p[0] - np.min(p)) < 0.5 * abs(float(p[0])):
+        return None
+    rates = np.diff(p) / np.maximum(np.diff(t), 1e-9)
+    steepest = float(np.min(rates))
+    first = int(np.argmax(rates < 0.4 * steepest))
+    return float(t[first]) if first >= 3 and np.median(rates[:first]) > 0.1 * steepest else None
+
+
+def _missing_volumes(answers: Answers, runs: Mapping[str, Run]) -> Iterator[ImportQuestion]:
+    measured = set(next(iter(runs.values())))
+    needed = {vessel for pressure, vessel in _PRESSURES.items() if pressure in measured}
+    if answers.setup.source == "reservoir":
+        needed.add("reservoir")
+    for vessel in sorted(needed):
+        if "volume_L" not in answers.rig.get(vessel, {}):
+            what = {"cv": "chamber that is inflated", "reservoir": "vessel that supplies the air"}[vessel]
+            if "cv_pressure" not in measured:
+                what = "vessel"
+            yield ImportQuestion(
+                f"rig.{vessel}.volume_L", f"the volume of the {what} in litres", f"--volume-L {vessel}=L"
+            )
+
+
+def _guessed_setup(said: Answers, answers: Answers) -> Iterator[ImportQuestion]:
+    """What drives what, as far as it is a guess."""
+    if said.setup.outlet is None and answers.setup.outlet is not None:
+        text = "its outlet: shut (it leaks), open, opens (when the pressure begins to fall), or the time in s"
+        yield ImportQuestion("setup.outlet", text, "", str(answers.setup.outlet))
+    if said.setup.source is None and answers.setup.source is not None:
+        text = "what fills the chamber: pump, or reservoir (through a valve)"
+        yield ImportQuestion("setup.source", text, "", answers.setup.source)
+
+
+def _rig_tables(proposal: Proposal) -> dict[str, Any]:
+    """The tables of rig.toml: what was said, the noise of the readings, and the resistance of an outlet."""
+    tables: dict[str, Any] = {name: dict(table) for name, table in proposal.answers.rig.items()}
+    if "tolerance_percent" in tables:
+        tables["tolerance_percent"] = dict(rig_from(proposal.answers.rig).tolerance_percent)
+    if proposal.answers.setup.source == "pump":
+        tables.setdefault("reservoir", {"volume_L": _PUMP_VOLUME_L})
+    sensors = tables.setdefault("sensors", {})
+    for pressure, vessel in _PRESSURES.items():
+        readings = [run[pressure] for run in proposal.runs.values() if pressure in run]
+        if readings and f"{vessel}_noise_std_kPa" not in sensors:
+            sensors[f"{vessel}_noise_std_kPa"] = float(f"{_noise_kPa(readings):.3g}")
+    if all("cv_pressure" not in run for run in proposal.runs.values()):
+        tables.pop("cv", None)
+        said = "flow_resistance_kPa_s_per_SL" in tables.get("evp", {})
+        seconds = [s for run in proposal.runs.values() if (s := _fall_s(run)) is not None]
+        if seconds and not said:
+            R = float(np.median(seconds)) * ALPHA_KPA / tables["reservoir"]["volume_L"]
+            tables["evp"] = {"flow_resistance_kPa_s_per_SL": float(f"{R:.4g}")}
+            tolerance = {"evp.flow_resistance_kPa_s_per_SL": _RESISTANCE_TOLERANCE_PERCENT}
+            tables["tolerance_percent"] = {**tolerance, **tables.get("tolerance_percent", {})}
+    return tables
+
+
+def _noise_kPa(readings: Sequence[Array]) -> float:
+    """Standard deviation of a sensor's noise, at least that of its resolution."""
+    steps = [step for x in readings if np.isfinite(step := resolution(x[np.isfinite(x)]))]
+    return max(noise_kPa(readings, 0.0), min(steps, default=0.0) / sqrt(12.0), MIN_KPA)
+
+
+def _fall_s(run: Run) -> float | None:
+    """Time constant of the pressure while the outlet is open; None if it is shut or the fall too short."""
+    p = run["reservoir_pressure"]
+    use = np.isfinite(p) & (run.get("evp_opening", np.ones_like(p)) > 0.0)
+    use &= p > 0.1 * np.nanmax(p, initial=0.0)
+    first_gap = np.flatnonzero(np.diff(use.astype(int)) < 0)
+    if len(first_gap):
+        use[first_gap[0] + 1 :] = False
+    if use.sum() < 5 or p[use][-1] > 0.7 * p[use][0]:
+        return None
+    slope = float(np.polyfit(run["time"][use], np.log(p[use]), 1)[0])
+    return -1.0 / slope if slope < 0.0 else None
+
+
+def _csv(run: Run) -> str:
+    names = [meaning for meaning in _CASE_COLUMNS if meaning in run]
+    cells = [[_cell(meaning, value) for value in run[meaning].tolist()] for meaning in names]
+    head = ",".join(_CASE_COLUMNS[name] for name in names)
+    return "\n".join([head, *map(",".join, zip(*cells, strict=True)), ""])
+
+
+def _cell(meaning: str, value: float) -> str:
+    if value != value:
+        return ""
+    if meaning == "solenoid":
+        return str(int(value >= 0.5))
+    return f"{value:.6f}" if meaning == "time" else f"{value:.7g}"
