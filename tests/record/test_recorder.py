@@ -401,7 +401,7 @@ def test_little_room_ends_the_log_before_the_disk_is_full(
         "the flight log ends here: the disk has 150 MB left, and log.least_free_MB is 200"
     )
     log = FlightLog(recorder.folder)
-    assert len(list(log.entries())) > 500
+    assert len(list(log.entries())) > 100  # what 20 kB hold, at least
     assert not log.damage, "it was brought to its end"
 
 
