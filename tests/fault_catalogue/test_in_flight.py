@@ -11,6 +11,8 @@ from .catalogue import ROWS, UNPOWERED, Cleared, Row
 from .injections import INJECTIONS, Injection
 from .watched import HALF_BENT_KPA, Watched
 
+pytestmark = pytest.mark.long
+
 MID_INFLATION_KPA, BENT_AT_LEAST_KPA = 8.0, 15.0
 
 DEAD_MAN_S = 0.3

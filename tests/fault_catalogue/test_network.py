@@ -16,7 +16,7 @@ from real_time import real_time
 from .catalogue import ROWS
 from .served import Served, on_bench
 
-pytestmark = real_time
+pytestmark = [real_time, pytest.mark.long]
 
 
 @pytest.fixture

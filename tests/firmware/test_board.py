@@ -496,6 +496,7 @@ MUTANTS = {
 """Mistakes in the layer that a lab would not see: file, what is right, what is wrong. LC: on a Teensy LC."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", MUTANTS)
 def test_a_mistake_in_the_layer_is_found(what: str, tmp_path: Path) -> None:
     """By at least one of the tests above, on a Teensy 4.0 or LC."""

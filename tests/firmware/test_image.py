@@ -19,6 +19,8 @@ from flying_vines.install import files
 from .conftest import BOARDS
 from .native import FIRMWARE, STACK_TOOL, STRICT
 
+pytestmark = pytest.mark.long
+
 SKETCH = FIRMWARE / "phlosar"
 GUIDE = Path(__file__).parents[2] / "docs" / "firmware.md"
 WIRING = GUIDE.with_name("wiring.md")

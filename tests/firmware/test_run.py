@@ -439,6 +439,7 @@ MISTAKES = {
 """In what the board layer does not know: file, what is right, what is wrong."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", MISTAKES)
 def test_a_mistake_is_found(what: str, tmp_path: Path) -> None:
     name, right, wrong = MISTAKES[what]

@@ -10,6 +10,8 @@ from needed import need
 
 from .native import FIRMWARE
 
+pytestmark = pytest.mark.long
+
 STUB = Path(__file__).with_name("arduino_stub")
 CHECKS = (
     "-*",

@@ -24,6 +24,8 @@ from flying_vines.studies.paper.compare import last_crossing_Hz, window_s
 from flying_vines.studies.paper.figures import draw
 from flying_vines.studies.paper.show import show
 
+pytestmark = pytest.mark.long
+
 PAGE = Path(__file__).parents[2] / "docs" / "paper.md"
 TABLE = Path(__file__).with_name("paper_table.txt")
 PNG = b"\x89PNG\r\n\x1a\n"
