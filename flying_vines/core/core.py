@@ -482,7 +482,7 @@ class Core:
     def _clear_faults(self, t: float, seen_at: float = math.inf) -> bool:
         """Clear what a person may clear. Returns True if there was a fault, cleared or not."""
         now = self._conditions(t)
-        had_faults = bool(self._safety.reasons or now.faults)
+        had_faults = bool(self._safety.reasons)
         cleared = self._safety.clear(now, seen_at)
         if now.faults and self._safety.firmware_faults_seen(seen_at):
             self._to_firmware(self._firmware.clear_faults(t, now.faults))
