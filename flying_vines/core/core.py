@@ -78,9 +78,6 @@ SPEAK_FIRST_S = 1.5
 CYCLES_EVERY_S = 2.0
 """The cycles left are predicted at this interval. A prediction takes milliseconds of the loop."""
 
-NO_FAULT = "no fault was latched"
-"""The reason of a request to clear faults that changes nothing."""
-
 AIR_UNKNOWN = AirNeeded(math.inf, math.inf)
 """No reservoir has so much: nothing bends after the estimate has failed."""
 
@@ -431,8 +428,9 @@ class Core:
             case ClearLatchedFaults() | ArmPneumatics() | StartBench() if not trigger.by_person:
                 return Ruling("refused", "only a person may do that")
             case ClearLatchedFaults():
-                had_faults = self._clear_faults(t, trigger.seen_at)
-                return Ruling("accepted", "" if had_faults else NO_FAULT)
+                if self._clear_faults(t, trigger.seen_at):
+                    return Ruling("accepted")
+                return Ruling("accepted", "no fault was latched", has_effect=False)
             case ArmPneumatics():
                 self._pneumatics_armed = True
                 self._actions.append(KeepDisarmed(t, False))
@@ -493,7 +491,7 @@ class Core:
     def _record(self, t: float, trigger: Trigger, ruling: Ruling) -> Decision:
         motion = self._motion
         # A switch move that waits for its confirmation stays valid if nothing has happened since.
-        is_newer = ruling.verdict != "refused" and ruling.reason != NO_FAULT
+        is_newer = ruling.verdict != "refused" and ruling.has_effect
         if is_newer:
             self._requested_at = max(self._requested_at, t - trigger.age_s)
         decision = Decision(

@@ -78,11 +78,13 @@ class SafetyInputs:
 
 @dataclass(frozen=True, slots=True)
 class Ruling:
-    """Safety's answer to a motion. `rate_scale` is the allowed share of its rate, 0…1."""
+    """The answer to a request. `rate_scale` is the allowed share of a motion's rate, 0…1."""
 
     verdict: Literal["accepted", "limited", "refused"]
     reason: str = ""
     rate_scale: float = 1.0
+    has_effect: bool = True
+    """False: accepted, but there was nothing to do."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -120,7 +120,8 @@ def read_rig(path: Path | str, made_of: Callable[[Mapping[str, Any]], R]) -> R:
     try:
         content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise RigError(f"{path} cannot be read: {error}") from None
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise RigError(f"{path} cannot be read: {reason}") from None
     try:
         return made_of(content)
     except RigError as error:

@@ -7,7 +7,6 @@ from mission_storm import SCRIPT, WP
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
-from flying_vines.core.core import NO_FAULT
 from flying_vines.core.events import Action, Decision
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.mishaps import Reset
@@ -166,7 +165,7 @@ def test_clearing_no_fault_does_not_overtake_a_move_that_waits_for_its_confirmat
     actions = run_for(flight, 0.5)
     assert decisions(actions) == []
     (cleared,) = decisions(ground_command(flight, mavlink.MAV_CMD_USER_5, 1.0))
-    assert (cleared.safety, cleared.reason) == ("accepted", NO_FAULT)
+    assert (cleared.safety, cleared.reason) == ("accepted", "no fault was latched")
     assert [d.trigger for d in decisions(run_for(flight, 2.5))] == ["switch"]
     assert flight.phlosar.cv_kPa > 15.0
 

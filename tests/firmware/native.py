@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import shutil
 import subprocess
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import NamedTuple, TypeVar
 
+import pytest
 from needed import host_compiler
 
 from flying_vines.simulation.phlosar.core_library import SOURCES
@@ -13,6 +17,10 @@ from flying_vines.simulation.phlosar.core_library import SOURCES
 FIRMWARE = SOURCES
 STACK_TOOL = FIRMWARE / "stack.py"
 LIBRARY = "firmware.so"
+SUPPLY_COUNTS = 59578
+"""3.0 V of 3.3 V: the sensors' 5 V through the divider."""
+AT_REST = round(0.1 * SUPPLY_COUNTS)
+HALF_FULL = round(0.5 * SUPPLY_COUNTS)
 STRICT = ("-Wall", "-Wextra", "-Werror", "-Wconversion", "-Wshadow", "-fno-exceptions", "-fno-rtti")
 
 
@@ -34,3 +42,34 @@ def library(folder: Path, *sources: Path, flags: tuple[str, ...] = ()) -> ctypes
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return ctypes.CDLL(str(made))
+
+
+class Mistake(NamedTuple):
+    """A mistake to put into the sources: where, what is right, and what is wrong."""
+
+    file: str
+    right: str
+    wrong: str
+
+
+_Subject = TypeVar("_Subject")
+
+
+def with_mistake(sources: Path, mistake: Mistake, to: Path) -> Path:
+    """A copy of a folder of sources with the mistake in it, at `to`."""
+    shutil.copytree(sources, to)
+    (file,) = to.glob(f"**/{mistake.file}")
+    text = file.read_text()
+    assert mistake.right in text
+    file.write_text(text.replace(mistake.right, mistake.wrong, 1))
+    return to
+
+
+def assert_found(tests: Iterable[Callable[[_Subject], object]], subject: Callable[[], _Subject]) -> None:
+    """At least one of the tests fails on a fresh `subject`."""
+    for test in tests:
+        try:
+            test(subject())
+        except (AssertionError, StopIteration, IndexError, ValueError):
+            return
+    pytest.fail("no test finds the mistake")

@@ -26,16 +26,21 @@ from firmware_link.protocol import (
     Welcome,
 )
 
-from .native import FIRMWARE, STRICT
+from .native import (
+    AT_REST,
+    FIRMWARE,
+    HALF_FULL,
+    STRICT,
+    SUPPLY_COUNTS,
+    Mistake,
+    assert_found,
+    with_mistake,
+)
 
 SKETCH = FIRMWARE / "phlosar"
 STUB = Path(__file__).with_name("arduino_stub")
 EVP, DVP, SOLENOID, LIGHT = 9, 6, 11, 13
 CV, RESERVOIR, SUPPLY = 19, 18, 15
-SUPPLY_COUNTS = 59578
-"""3.0 V of 3.3 V: the sensors' 5 V through the divider."""
-AT_REST = round(0.1 * SUPPLY_COUNTS)
-HALF_FULL = round(0.5 * SUPPLY_COUNTS)
 
 
 class Model(NamedTuple):
@@ -410,103 +415,105 @@ def test_a_request_to_flash_vents_first_and_leaves_the_bootloader_its_time(teens
 
 
 MUTANTS = {
-    "EVP high at reset": ("board/chip.h", "CORE_PIN9_PORTCLEAR = CORE", "CORE_PIN9_PORTSET = CORE"),
-    "outputs before their levels": (
+    "EVP high at reset": Mistake("board/chip.h", "CORE_PIN9_PORTCLEAR = CORE", "CORE_PIN9_PORTSET = CORE"),
+    "outputs before their levels": Mistake(
         "board/chip.h",
         "        CORE_PIN9_PORTCLEAR = CORE_PIN9_BITMASK;     \\\n",
         "        CORE_PIN9_DDRREG |= CORE_PIN9_BITMASK;       \\\n"
         "        CORE_PIN9_PORTCLEAR = CORE_PIN9_BITMASK;     \\\n",
     ),
-    "no watchdog at reset": ("board/teensy4.cpp", "    WDOG1_WCR = PHLOSAR_WATCHDOG(kSlow);\n", ""),
-    "a watchdog of 2 s": ("board/teensy4.cpp", "kRunning = 0", "kRunning = 3"),
-    "the watchdog not shortened again": (
+    "no watchdog at reset": Mistake("board/teensy4.cpp", "    WDOG1_WCR = PHLOSAR_WATCHDOG(kSlow);\n", ""),
+    "a watchdog of 2 s": Mistake("board/teensy4.cpp", "kRunning = 0", "kRunning = 3"),
+    "the watchdog not shortened again": Mistake(
         "board/teensy4.cpp",
         "end_slow_work() { set_watchdog(kRunning); }",
         "end_slow_work() {}",
     ),
-    "nothing fed while storing": (
+    "nothing fed while storing": Mistake(
         "board/teensy4.cpp",
         "{ set_watchdog(kSlow); }\nvoid end_slow_work() { set_watchdog(kRunning); }",
         "{}\nvoid end_slow_work() {}",
     ),
-    "a crash that keeps the valves": (
+    "a crash that keeps the valves": Mistake(
         "board/teensy4.cpp",
         "    __disable_irq();\n    PHLOSAR_VENT(kGpio);\n    board",
         "    __disable_irq();\n    board",
     ),
-    "crashes that are Teensyduino's": ("board/teensy4.cpp", "_VectorsRam[fault] = crash;", "(void)crash;"),
-    "a full duty cycle that wraps": (
+    "crashes that are Teensyduino's": Mistake(
+        "board/teensy4.cpp", "_VectorsRam[fault] = crash;", "(void)crash;"
+    ),
+    "a full duty cycle that wraps": Mistake(
         "board/teensy4.cpp",
         "{ return duty; }",
         "{ return duty + (duty >> 15); }",
     ),
-    "one conversion of 12 bits": ("board/teensy4.cpp", "kConversions = 16", "kConversions = 1"),
-    "off by PWM": ("board/teensyduino.cpp", "if (duty > 0) {", "if (true) {"),
-    "the usual PWM frequency": ("board/teensyduino.cpp", "    analogWriteFrequency(kEvpPin, kPwm_Hz);\n", ""),
-    "writing without room": (
+    "one conversion of 12 bits": Mistake("board/teensy4.cpp", "kConversions = 16", "kConversions = 1"),
+    "off by PWM": Mistake("board/teensyduino.cpp", "if (duty > 0) {", "if (true) {"),
+    "the usual PWM frequency": Mistake(
+        "board/teensyduino.cpp", "    analogWriteFrequency(kEvpPin, kPwm_Hz);\n", ""
+    ),
+    "writing without room": Mistake(
         "board/teensyduino.cpp",
         "int room = Serial.availableForWrite();",
         "int room = 64;",
     ),
-    "frames kept for nobody": ("board/teensyduino.cpp", "    if (!Serial.dtr()) return size;\n", ""),
-    "reading more than is there": ("board/teensyduino.cpp", "static_cast<size_t>(available) < size", "false"),
-    "steps not from a timer": (
+    "frames kept for nobody": Mistake("board/teensyduino.cpp", "    if (!Serial.dtr()) return size;\n", ""),
+    "reading more than is there": Mistake(
+        "board/teensyduino.cpp", "static_cast<size_t>(available) < size", "false"
+    ),
+    "steps not from a timer": Mistake(
         "board/teensyduino.cpp",
         "    timer->begin(step, kStep_us);\n",
         "    (void)step;\n",
     ),
-    "valves kept while flashing": (
+    "valves kept while flashing": Mistake(
         "run.cpp",
         "        board::drive(outputs(firmware().settings(), kSafe));\n",
         "",
     ),
-    "a watchdog that each step feeds": ("run.cpp", "if (monitor.healthy()) board", "board"),
-    "a loop that nobody watches": (
+    "a watchdog that each step feeds": Mistake("run.cpp", "if (monitor.healthy()) board", "board"),
+    "a loop that nobody watches": Mistake(
         "run.cpp",
         "monitor.step(now_us, turned)",
         "monitor.step(now_us, true || turned)",
     ),
-    "the watchdog's reset not told": ("run.cpp", "board::reset_by_watchdog()", "false"),
-    "settings not stored": ("run.cpp", "        settings_memory::store(image);\n", ""),
-    "no guard behind the watchdog": (
+    "the watchdog's reset not told": Mistake("run.cpp", "board::reset_by_watchdog()", "false"),
+    "settings not stored": Mistake("run.cpp", "        settings_memory::store(image);\n", ""),
+    "no guard behind the watchdog": Mistake(
         "board/teensy4.cpp",
         "    _VectorsRam[kSysTick] = guard;\n",
         "    (void)guard;\n",
     ),
-    "a guard that nobody feeds": ("board/teensy4.cpp", "    unfed_ms = 0;\n", ""),
-    "a guard that stops the clock": ("board/teensy4.cpp", "    systick_isr();\n    if", "    if"),
-    "LC: the usual hook, which ends the watchdog": (
+    "a guard that nobody feeds": Mistake("board/teensy4.cpp", "    unfed_ms = 0;\n", ""),
+    "a guard that stops the clock": Mistake("board/teensy4.cpp", "    systick_isr();\n    if", "    if"),
+    "LC: the usual hook, which ends the watchdog": Mistake(
         "board/teensy_lc.cpp",
         "    PHLOSAR_VENT(PORT_PCR_MUX(1));\n}\n\nextern",
         "    PHLOSAR_VENT(PORT_PCR_MUX(1));\n    SIM_COPC = 0;\n}\n\nextern",
     ),
-    "LC: the watchdog left at a second": ("board/teensy_lc.cpp", "    SIM_COPC = kCop_256_ms;\n", ""),
-    "LC: a crash that keeps the valves": (
+    "LC: the watchdog left at a second": Mistake("board/teensy_lc.cpp", "    SIM_COPC = kCop_256_ms;\n", ""),
+    "LC: a crash that keeps the valves": Mistake(
         "board/teensy_lc.cpp",
         "    PHLOSAR_VENT(PORT_PCR_MUX(1));\n    SIM_SRVCOP",
         "    SIM_SRVCOP",
     ),
-    "LC: nothing fed while storing": (
+    "LC: nothing fed while storing": Mistake(
         "board/teensy_lc.cpp",
         "void begin_slow_work() { feed_watchdog(); }\nvoid end_slow_work() { feed_watchdog(); }",
         "void begin_slow_work() {}\nvoid end_slow_work() {}",
     ),
-    "LC: a lockup that is not told": ("board/teensy_lc.cpp", "(RCM_SRS0 & RCM_SRS0_WDOG) != 0 || ", ""),
+    "LC: a lockup that is not told": Mistake(
+        "board/teensy_lc.cpp", "(RCM_SRS0 & RCM_SRS0_WDOG) != 0 || ", ""
+    ),
 }
-"""Mistakes in the layer that a lab would not see: file, what is right, what is wrong. LC: on a Teensy LC."""
+"""Mistakes in the board layer that a lab would not see. LC: on a Teensy LC."""
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("what", MUTANTS)
 def test_a_mistake_in_the_layer_is_found(what: str, tmp_path: Path) -> None:
     """By at least one of the tests above, on a Teensy 4.0 or LC."""
-    name, right, wrong = MUTANTS[what]
-    sketch = tmp_path / "phlosar"
-    shutil.copytree(SKETCH, sketch)
-    source = sketch / "src" / name
-    text = source.read_text()
-    assert right in text
-    source.write_text(text.replace(right, wrong, 1))
+    sketch = with_mistake(SKETCH, MUTANTS[what], tmp_path / "phlosar")
     model = BOARDS[2 if what.startswith("LC") else 0]
     made = compiled(model, tmp_path, sketch)
     tests = (
@@ -527,9 +534,4 @@ def test_a_mistake_in_the_layer_is_found(what: str, tmp_path: Path) -> None:
         ),
         test_a_request_to_flash_vents_first_and_leaves_the_bootloader_its_time,
     )
-    for test in tests:
-        try:
-            test(fresh(model, made, tmp_path))
-        except (AssertionError, StopIteration, IndexError, ValueError):
-            return
-    pytest.fail(f"no test sees: {what}")
+    assert_found(tests, lambda: fresh(model, made, tmp_path))

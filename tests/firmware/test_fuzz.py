@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +11,8 @@ from needed import host_compiler, needs_compiler
 
 from flying_vines.simulation.phlosar.core_library import SOURCES
 
+from .native import Mistake, with_mistake
+
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
 from fuzz import FuzzError, drive, driver, listen
@@ -19,13 +20,15 @@ from fuzz import FuzzError, drive, driver, listen
 pytestmark = pytest.mark.long
 
 WORSE = {
-    "no dead-man": ("firmware.cpp", "now_us - commanded_us_ >= holds_us_", "false"),
-    "no handshake": ("firmware.cpp", "if (!greeted_) {\n        *reason", "if (false) {\n        *reason"),
-    "faults that regulate on": ("firmware.cpp", "faults);\n    regulating_ = false;", "faults);"),
-    "a limit that nobody minds": ("firmware.cpp", "if (present != kNoFault) latch(present);", ""),
-    "openings beyond the full current": ("valves.cpp", "settings[SettingId::kEvpFullDuty]", "Real(1)"),
-    "settings without ends": ("settings.cpp", "!(value >= row->least && value <= row->most)", "false"),
-    "readings that nobody doubts": ("firmware.cpp", "if (cv_good) cv_kPa_ = ", "cv_kPa_ = "),
+    "no dead-man": Mistake("firmware.cpp", "now_us - commanded_us_ >= holds_us_", "false"),
+    "no handshake": Mistake(
+        "firmware.cpp", "if (!greeted_) {\n        *reason", "if (false) {\n        *reason"
+    ),
+    "faults that regulate on": Mistake("firmware.cpp", "faults);\n    regulating_ = false;", "faults);"),
+    "a limit that nobody minds": Mistake("firmware.cpp", "if (present != kNoFault) latch(present);", ""),
+    "openings beyond the full current": Mistake("valves.cpp", "settings[SettingId::kEvpFullDuty]", "Real(1)"),
+    "settings without ends": Mistake("settings.cpp", "!(value >= row->least && value <= row->most)", "false"),
+    "readings that nobody doubts": Mistake("firmware.cpp", "if (cv_good) cv_kPa_ = ", "cv_kPa_ = "),
 }
 """What a mistake might look like in the core's files."""
 
@@ -56,12 +59,8 @@ def objects(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @needs_compiler
 @pytest.mark.parametrize("what", WORSE)
 def test_a_worse_core_is_found_out(what: str, objects: dict[str, Path], tmp_path: Path) -> None:
-    name, right, wrong = WORSE[what]
-    core = tmp_path / "core"
-    shutil.copytree(SOURCES / "phlosar" / "src" / "core", core)
-    text = (core / name).read_text()
-    assert right in text
-    (core / name).write_text(text.replace(right, wrong))
+    name = WORSE[what].file
+    core = with_mistake(SOURCES / "phlosar" / "src" / "core", WORSE[what], tmp_path / "core")
     worse = objects | {name: compiled(core / name, tmp_path / "worse.o")}
     program = tmp_path / "fuzz"
     subprocess.run([host_compiler(), "-o", program, *worse.values()], check=True)

@@ -357,7 +357,10 @@ def _missing_volumes(answers: Answers, runs: Mapping[str, Run]) -> Iterator[Impo
 def _guessed_setup(said: Answers, answers: Answers) -> Iterator[ImportQuestion]:
     """What drives what, as far as it is a guess."""
     if said.setup.outlet is None and answers.setup.outlet is not None:
-        text = "its outlet: shut (it leaks), open, opens (when the pressure begins to fall), or the time in s"
+        text = (
+            "what the outlet does: shut (the vessel leaks), open, opens (where the pressure begins to fall), "
+            "or the time in s at which it opens"
+        )
         yield ImportQuestion("setup.outlet", text, "", str(answers.setup.outlet))
     if said.setup.source is None and answers.setup.source is not None:
         text = "what fills the chamber: pump, or reservoir (through a valve)"

@@ -23,7 +23,7 @@ def show(proposal: Proposal, console: Console) -> None:
     console.print(f"[bold]{proposal.path.name}[/bold]  {rows} rows, {_SEPARATORS[text.separator]}, "
                   f"decimal “{text.decimal}”, {text.encoding}, {header}", highlight=False)  # fmt: skip
     for title in ("column", "meaning", "unit", "factor", "first values, converted", "why"):
-        table.add_column(title, overflow="fold")
+        table.add_column(title, overflow="fold", no_wrap=title == "meaning")
     for column in proposal.answers.columns:
         unit = parse_unit(column.unit) if column.unit else None
         values = proposal.table.numbers(column.number - 1)[:3]
@@ -59,11 +59,17 @@ def draw(proposal: Proposal, folder: Path) -> Path:
     )
     for row, colours, unit in kinds:
         axes[row].set_ylabel(unit)
+        style = "steps-post" if row else "default"  # a command holds until the next one
         for run in proposal.runs.values():
             for meaning, colour in colours.items():
                 if meaning in run:
                     axes[row].plot(
-                        run["time"], run[meaning], color=colour, lw=1, label=meaning.removesuffix("_kPa")
+                        run["time"],
+                        run[meaning],
+                        color=colour,
+                        lw=1,
+                        label=meaning.removesuffix("_kPa"),
+                        drawstyle=style,
                     )
         handles = dict(zip(*reversed(axes[row].get_legend_handles_labels()), strict=True))
         if handles:
