@@ -28,6 +28,7 @@ import flying_vines.identification
 from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.fit import FitProblem
+from flying_vines.identification.noise import independent_noise
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "tests"))
@@ -114,7 +115,7 @@ def _look(by: str) -> Callable[[Case], dict[str, Any]]:
 
 def _compile(case: Case) -> None:
     """The first simulation of a process compiles it, or loads what was kept."""
-    problem = FitProblem(case, (1.0, 1.0))
+    problem = FitProblem(case, independent_noise(1.0, 1.0))
     problem.residuals(problem.start())
 
 

@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_limits
 
 from flying_vines.identification.case import Case, RecordedRun
 from flying_vines.identification.fit import FitPoint, FitProblem
-from flying_vines.identification.noise import stated_noise_kPa
+from flying_vines.identification.noise import stated_noise
 from flying_vines.identification.simulate import rig_number_keys
 from flying_vines.identification.verdict import NONE, UNEXPLAINED
 from flying_vines.physics.arrays import Array
@@ -78,7 +78,7 @@ Lacks = tuple[Lack, Lack]
 
 
 def look(case: Case) -> dict[str, Any]:
-    problem = FitProblem(case, stated_noise_kPa(case.rig))
+    problem = FitProblem(case, stated_noise(case.rig))
     with threadpool_limits(1):
         null = problem.fit(problem.start().freed(rig_number_keys(case.rig))).point
         rows = _rows(problem, null)
@@ -135,7 +135,7 @@ def _held_out(problem: FitProblem, null: FitPoint, lacks: Lacks | None) -> dict[
         beginning = run.time_s - run.time_s[0] < SHOWN_S
         used = [np.ones(len(other.time_s), dtype=np.bool_) for other in case.runs]
         used[i] = beginning
-        point = FitProblem(case, problem.noise_kPa, used).fit(null).point
+        point = FitProblem(case, problem.noise, used).fit(null).point
         baseline = with_it = problem.simulated(point, [i])[0]
         if lacks is not None:
             others = [row for k, row in enumerate(_rows(problem, point)) if k != i]

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from flying_vines.identification.case import Case
 from flying_vines.identification.fit import FitPoint, FitProblem
-from flying_vines.identification.noise import stated_noise_kPa
+from flying_vines.identification.noise import stated_noise
 from flying_vines.identification.verdict import NONE
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Values
@@ -38,7 +38,7 @@ class Fit(NamedTuple):
 
 
 def look(case: Case) -> dict[str, Any]:
-    problem = FitProblem(case, stated_noise_kPa(case.rig))
+    problem = FitProblem(case, stated_noise(case.rig))
     with threadpool_limits(1):
         point = _selected(problem)
     names = [cause.name for cause in point.causes]

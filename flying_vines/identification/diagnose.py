@@ -13,12 +13,26 @@ from flying_vines.identification.case import Case
 from flying_vines.identification.cores import mapped
 from flying_vines.identification.evidence import evidence
 from flying_vines.identification.fit import FitProblem
-from flying_vines.identification.held_out import HeldOut, Split, held_out, splits_for, unseen_error
-from flying_vines.identification.intervals import LikelihoodProfile, profile
-from flying_vines.identification.noise import noise_kPa, stated_noise_kPa
+from flying_vines.identification.held_out import (
+    HeldOut,
+    Prediction,
+    held_out,
+    predictions_for,
+    unseen_error,
+)
+from flying_vines.identification.intervals import LikelihoodProfile, profile, widening
+from flying_vines.identification.noise import Noise, SensorNoise, measured_noise, stated_noise
 from flying_vines.identification.plan import recommend
 from flying_vines.identification.search import CLAIM, Candidate, Progress, Search, SearchResult, silent
-from flying_vines.identification.verdict import NONE, UNEXPLAINED, Named, ParameterEstimate, Tried, Verdict
+from flying_vines.identification.verdict import (
+    NONE,
+    UNEXPLAINED,
+    Named,
+    ParameterEstimate,
+    Remainder,
+    Tried,
+    Verdict,
+)
 from flying_vines.physics.cause import Cause
 from flying_vines.physics.effects import catalogue
 
@@ -30,12 +44,14 @@ _MISSED_CAUSE = 0.1
 """Probability that an unexplained remainder is a cause of the catalogue that the search has missed."""
 _SCORED = 4
 """Number of best candidates that are tested on unseen data."""
-_ON_BOUND = 1e-6
-"""A parameter nearer than this share of its range to a bound is on the bound."""
+_HELPS = 0.5
+"""Causes that leave a remainder are named if they remove this share of the squared error on unseen data."""
+_OTHER_NOISE = 0.1
+"""The search is repeated if the noise that it leaves differs by more."""
 
 
 def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progress = silent) -> Verdict:
-    """Finds the cause of the difference between simulation and data, and measures it.
+    """Finds the causes of the difference between simulation and data, and measures them.
 
     Args:
         case: the recorded runs and the nominal rig.
@@ -45,71 +61,114 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
     every = catalogue() if causes is None else causes
     # The fits already use all cores: more BLAS threads would only slow the small matrices down.
     with threadpool_limits(1):
-        stated = stated_noise_kPa(case.rig)
-        found = Search(FitProblem(case, stated), every).best(progress)
-        noise = _noise_left(found.chosen)
+        stated = stated_noise(case.rig, [np.stack((run.cv_kPa, run.reservoir_kPa)) for run in case.runs])
+        search = Search(FitProblem(case, stated), every)
+        noise = _noise_left(search.null, stated, may_correlate=False)
         if noise != stated:
+            search = Search(FitProblem(case, noise), every)
+        found = search.best(progress)
+        left = _noise_left(found.chosen, stated, may_correlate=True)
+        if any(
+            abs(a.slow_std_kPa / b.slow_std_kPa - 1.0) > _OTHER_NOISE
+            for a, b in zip(left, noise, strict=True)
+        ):
             progress("again, with the noise of the data", 0.0)
-            found = Search(FitProblem(case, noise), every).best(progress)
+            found = Search(FitProblem(case, left), every).best(progress)
         return _verdict(found, progress)
 
 
-def _noise_left(chosen: Candidate) -> tuple[float, float]:
+def _noise_left(candidate: Candidate, stated: Noise, *, may_correlate: bool) -> Noise:
     """Stated noise of the sensors; if the residuals contradict it, the noise estimated from them."""
-    problem = chosen.problem
+    problem = candidate.problem
     found = []
-    for row, stated_kPa in enumerate(problem.noise_kPa):
+    for row, unit_kPa in enumerate(problem.noise_kPa):
         residuals = [
-            np.where(w[row] > 0.0, r[row] * stated_kPa, np.nan)
-            for r, w in zip(chosen.fit.residuals, problem.weights, strict=True)
+            np.where(w[row] > 0.0, r[row] * unit_kPa, np.nan)
+            for r, w in zip(candidate.fit.residuals, problem.weights, strict=True)
         ]
-        found.append(noise_kPa(residuals, stated_kPa))
+        found.append(measured_noise(residuals, stated[row], may_correlate=may_correlate))
     return found[0], found[1]
 
 
 def _verdict(found: SearchResult, progress: Progress) -> Verdict:
     chosen, problem = found.chosen, found.chosen.problem
     progress("intervals", 0.85)
+    wider = widening(chosen)
     parameters = [(i, n) for i, cause in enumerate(chosen.causes) for n in range(len(cause.parameters))]
-    profiles = mapped(lambda parameter: profile(chosen, *parameter), parameters)
+    profiles = mapped(lambda parameter: profile(chosen, *parameter, wider), parameters)
     progress("unseen data", 0.9)
-    splits = splits_for(problem, chosen.fit.point, profiles)
+    predictions = predictions_for(problem, chosen.fit.point, profiles)
     null = found.search.null
-    errors = held_out(problem, splits, None if chosen is null else null.fit.point)
-    left = None if chosen.adequate else chosen.patterns[0]
-    unexplained = Verdict(
+    errors = held_out(problem, predictions, None if chosen is null else null.fit.point)
+    nothing = Verdict(
         cause=UNEXPLAINED,
         confidence=1.0 - _MISSED_CAUSE,
         indistinguishable=(),
         parameters={},
+        share=0.0,
         also=(),
         numbers={},
         held_out=errors,
-        ranking=_ranking(found, splits, errors),
+        ranking=_ranking(found, predictions, errors),
         next_experiment="Repeat the run that fits worst with one valve moved at a time.",
-        remainder=f"{left.channel}: {left.feature}" if left else "",
+        remainder=_remainder(null, null),
         remarks=(*problem.case.remarks, *_noise_remarks(problem)),
         evidence=evidence(found, profiles),
     )
-    if left is not None:
-        return unexplained
-    known = replace(unexplained, numbers=problem.moved(chosen.fit.point), next_experiment="")
+    known = replace(
+        nothing,
+        numbers=problem.moved(chosen.fit.point),
+        next_experiment="",
+        remainder=_remainder(chosen, null),
+    )
     if not chosen.causes:
-        others = [c.score - chosen.score for c in found.tried if c.causes]
+        if not chosen.adequate:
+            return nothing
+        others = [found.score(c) - found.score(chosen) for c in found.tried if c.causes]
         doubt = sum(exp(-0.5 * max(0.0, d)) for d in others[:5]) * 0.05
         return replace(known, cause=NONE, confidence=1.0 / (1.0 + doubt + _UNKNOWN_CAUSE))
-    main, further = _main_first(chosen, found)
+    if not chosen.adequate and not (errors.gain[0] > 0.0 and errors.explained > _HELPS):
+        return nothing
+    shares = _shares(found)
+    main, *further = sorted(shares, key=lambda name: -shares[name])
     doubts = _doubts(chosen, (main, *further), found)
     named = {cause.name: _measured(cause.name, profiles) for cause in chosen.causes}
     return replace(
         known,
         cause=main,
-        confidence=_confidence(chosen, main, found),
+        confidence=_confidence(chosen, main, found, known.remainder),
         indistinguishable=tuple(dict.fromkeys(name for others in doubts.values() for name in others)),
         parameters=named[main],
-        also=tuple(Named(name, named[name]) for name in further),
+        share=shares[main],
+        also=tuple(Named(name, named[name], shares[name]) for name in further),
         next_experiment=_next_experiment(problem.case, doubts),
     )
+
+
+def _shares(found: SearchResult) -> dict[str, float]:
+    """For each cause: the rise of χ² without it, over what all causes together remove."""
+    chosen = found.chosen
+    if len(chosen.causes) == 1:
+        return {chosen.names[0]: 1.0}
+    removed = found.search.null.fit.chi2 - chosen.fit.chi2
+    return {
+        name: max(0.0, less.fit.chi2 - chosen.fit.chi2) / removed
+        for name, less in zip(chosen.names, found.without, strict=True)
+    }
+
+
+def _remainder(chosen: Candidate, null: Candidate) -> Remainder | None:
+    """What a candidate leaves of the null model's misfit above noise; None if that is noise."""
+    if chosen.adequate:
+        return None
+    noise = sum(
+        np.count_nonzero(w[row]) * (sensor.std_kPa / sensor.slow_std_kPa) ** 2
+        for w in chosen.problem.weights
+        for row, sensor in enumerate(chosen.problem.noise)
+    )
+    pattern = chosen.patterns[0]
+    share = max(0.0, chosen.fit.chi2 - noise) / max(1.0, null.fit.chi2 - noise)
+    return Remainder(min(1.0, share), f"{pattern.channel}: {pattern.feature}")
 
 
 def _noise_remarks(problem: FitProblem) -> list[str]:
@@ -120,31 +179,35 @@ def _noise_remarks(problem: FitProblem) -> list[str]:
         "reservoir_noise_std_kPa": sensors.reservoir_noise_std_kPa,
     }
     return [
-        f"{key} is {value:g} in the rig file; the data give {used:.3g}, which is used"
-        for (key, value), used in zip(stated.items(), problem.noise_kPa, strict=True)
-        if used != value
+        f"{key} is {value:g} in the rig file; the data give {used.std_kPa:.3g}{_correlated(used)}: used"
+        for (key, value), used in zip(stated.items(), problem.noise, strict=True)
+        if used.std_kPa != value or used.correlation
     ]
 
 
-def _ranking(found: SearchResult, splits: Sequence[Split], errors: HeldOut) -> tuple[Tried, ...]:
+def _correlated(noise: SensorNoise) -> str:
+    return f" with a correlation of {noise.correlation:.2f} between readings" if noise.correlation else ""
+
+
+def _ranking(found: SearchResult, predictions: Sequence[Prediction], errors: HeldOut) -> tuple[Tried, ...]:
     best: dict[frozenset[str], Candidate] = {}
     for candidate in found.tried:
-        if not isfinite(candidate.score):
+        if not isfinite(candidate.fit.chi2):
             continue
         key = frozenset(candidate.names)
-        if key not in best or candidate.score < best[key].score:
+        if key not in best or found.score(candidate) <= found.score(best[key]):
             best[key] = candidate
-    ranked = sorted(best.values(), key=lambda candidate: candidate.score)
+    ranked = sorted(best.values(), key=found.score)
     known = {(): errors.nrmse_before, found.chosen.names: errors.nrmse_after}
     for candidate in ranked[:_SCORED]:
         if candidate.names not in known:
-            known[candidate.names] = unseen_error(candidate.problem, splits, candidate.fit.point)
+            known[candidate.names] = unseen_error(candidate.problem, predictions, candidate.fit.point)
     return tuple(
         Tried(
-            named=tuple(Named(cause.name, _roughly(candidate, cause)) for cause in candidate.causes),
-            on_bound=_on_bound(candidate),
+            named=tuple(Named(cause.name, _roughly(candidate, cause), None) for cause in candidate.causes),
+            on_bound=candidate.on_bound,
             chi2_per_reading=candidate.fit.chi2 / candidate.problem.readings,
-            score=candidate.score - ranked[0].score,
+            score=found.score(candidate) - found.score(ranked[0]),
             unseen_nrmse=known.get(candidate.names),
         )
         for candidate in ranked
@@ -166,23 +229,6 @@ def _roughly(candidate: Candidate, cause: Cause) -> dict[str, ParameterEstimate]
     return estimates
 
 
-def _on_bound(candidate: Candidate) -> tuple[str, ...]:
-    point = candidate.fit.point
-    return tuple(
-        parameter.name
-        for cause, values in zip(point.causes, point.values, strict=True)
-        for parameter, value in zip(cause.parameters, values, strict=True)
-        if parameter.share(value) < _ON_BOUND or parameter.share(value) > 1.0 - _ON_BOUND
-    )
-
-
-def _main_first(chosen: Candidate, found: SearchResult) -> tuple[str, list[str]]:
-    """The cause that alone gives the lowest χ², and the others."""
-    alone = {c.names[0]: c.fit.chi2 for c in found.tried if len(c.names) == 1}
-    names = sorted(chosen.names, key=lambda name: alone[name])
-    return names[0], names[1:]
-
-
 def _instead(chosen: Candidate, cause: str, found: SearchResult) -> dict[str, float]:
     """Score increase if `cause` is replaced by another cause; key: the name of the other cause."""
     rest = set(chosen.names) - {cause}
@@ -191,7 +237,7 @@ def _instead(chosen: Candidate, cause: str, found: SearchResult) -> dict[str, fl
         others = set(candidate.names) - rest
         if rest <= set(candidate.names) and len(others) == 1:
             (name,) = others
-            worse[name] = min(candidate.score - chosen.score, worse.get(name, np.inf))
+            worse[name] = min(found.score(candidate) - found.score(chosen), worse.get(name, np.inf))
     return worse
 
 
@@ -209,13 +255,14 @@ def _doubts(chosen: Candidate, names: Sequence[str], found: SearchResult) -> dic
     return doubts
 
 
-def _confidence(chosen: Candidate, main: str, found: SearchResult) -> float:
+def _confidence(chosen: Candidate, main: str, found: SearchResult, left: Remainder | None) -> float:
     """Probability that the true cause is the main cause or one that the data cannot tell apart from it."""
     worse = _instead(chosen, main, found)
-    worse[NONE] = max(0.0, found.search.null.score - CLAIM - chosen.score)
+    worse[NONE] = max(0.0, found.score(found.search.null) - CLAIM - found.score(chosen))
     weight = {name: exp(-0.5 * by) for name, by in worse.items()}
     inside = sum(weight[name] for name, by in worse.items() if name != NONE and by < INDISTINGUISHABLE)
-    return inside / sum(weight.values()) * (1.0 - _UNKNOWN_CAUSE)
+    known = 1.0 - _UNKNOWN_CAUSE if left is None else 1.0 - sqrt(left.share)
+    return inside / sum(weight.values()) * known
 
 
 def _next_experiment(case: Case, doubts: Mapping[str, Sequence[str]]) -> str:

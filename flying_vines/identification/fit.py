@@ -25,6 +25,7 @@ from scipy.optimize import lsq_linear
 
 from flying_vines.identification.case import Case
 from flying_vines.identification.jacobian import Jacobian, RunJacobian
+from flying_vines.identification.noise import Noise
 from flying_vines.identification.simulate import Simulation, prior_std
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Values
@@ -136,18 +137,18 @@ class FitProblem:
     """A case to be fitted.
 
     Args:
-        noise_kPa: standard deviations of control volume's and reservoir's readings.
+        noise: of control volume's and reservoir's readings.
         used: for each run a boolean (n,), the samples that count; default: all.
     """
 
-    def __init__(
-        self, case: Case, noise_kPa: tuple[float, float], used: Sequence[Bools] | None = None
-    ) -> None:
+    def __init__(self, case: Case, noise: Noise, used: Sequence[Bools] | None = None) -> None:
         self.case = case
-        self.noise_kPa = noise_kPa
+        self.noise = noise
+        self.noise_kPa = noise[0].slow_std_kPa, noise[1].slow_std_kPa
+        """Residuals are in units of these."""
         self.simulation = Simulation(case)
         self.data = [np.stack((run.cv_kPa, run.reservoir_kPa)) for run in case.runs]
-        self.weights = [np.isfinite(data) / np.array(noise_kPa)[:, None] for data in self.data]
+        self.weights = [np.isfinite(data) / np.array(self.noise_kPa)[:, None] for data in self.data]
         if used is not None:
             self.weights = [weight * mask for weight, mask in zip(self.weights, used, strict=True)]
         self.data = [np.nan_to_num(data) for data in self.data]

@@ -2,6 +2,9 @@
 
 In the 95 % interval the cost (χ² plus priors) is less than 3.84 above its minimum (Wilks 1938). The curvature
 at the minimum gives the first guess. The interval is not symmetric if the profile is not a parabola.
+
+Residuals that are more than noise widen it: 3.84 is multiplied by the ratio of the parameter's variance from
+the residuals themselves, block by block (White 1982), over that from noise.
 """
 
 from __future__ import annotations
@@ -11,8 +14,10 @@ from dataclasses import dataclass
 from math import inf, isfinite, sqrt
 
 import numpy as np
+from scipy import stats
 
 from flying_vines.identification.search import Candidate
+from flying_vines.identification.unseen import blocks
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Parameter
 
@@ -20,10 +25,10 @@ ABOVE = 3.84
 NEAR_ENOUGH = 0.25
 MAX_FITS = 8
 STEPS = 6
-FLAT = 0.04
-"""From a smaller rise of the profile the crossing cannot be extrapolated."""
-WALL = 10.0
-"""If the root of the rise is larger, the search bisects."""
+FLAT = 0.01
+"""From a smaller share of the limit the crossing cannot be extrapolated."""
+WALL = 5.0
+"""If the root of the rise is so many times that of the limit, the search bisects."""
 BLIND = 1e-4
 """First step if the curvature is zero, as a share of the parameter's range."""
 
@@ -41,16 +46,36 @@ class LikelihoodProfile:
     """(n,) rising values at which the profile was computed."""
     above: Array
     """(n,) rise of the cost above its minimum."""
+    limit: float
+    """Rise at the ends of the interval."""
 
 
-def profile(candidate: Candidate, index: int, number: int) -> LikelihoodProfile:
-    """The profile of the parameter `number` of the cause `index`."""
+def widening(candidate: Candidate) -> Array:
+    """(numbers,) factor of `ABOVE` for each free rig number and parameter; 1 if the residuals are noise."""
+    problem, fit = candidate.problem, candidate.fit
+    covariance = candidate.covariance
+    if candidate.adequate:
+        return np.ones(len(covariance))
+    scores = []
+    for run, jacobian in zip(problem.case.runs, problem.jacobian(fit).runs, strict=True):
+        block = np.tile(blocks(run.time_s), 2)
+        products = jacobian.reduced * jacobian.reduced_residuals
+        scores.append(np.stack([np.bincount(block, row) for row in products], axis=1))
+    by_block = np.concatenate(scores)
+    spread = np.einsum("ij,bj,bk,ki->i", covariance, by_block, by_block, covariance)
+    few = stats.t.ppf(0.975, max(1, len(by_block) - len(covariance))) ** 2 / ABOVE
+    return np.maximum(1.0, few * spread / np.diag(covariance))
+
+
+def profile(candidate: Candidate, index: int, number: int, wider: Array) -> LikelihoodProfile:
+    """The profile of the parameter `number` of the cause `index`; `wider` as from `widening`."""
     problem, point = candidate.problem, candidate.fit.point
     cause = point.causes[index]
     parameter, best = cause.parameters[number], point.values[index][number]
     at = len(point.deviation) + sum(len(c.parameters) for c in point.causes[:index]) + number
     # The curvature is zero if the parameter only changes the data in jumps.
-    sd = float(np.sqrt(candidate.covariance[at, at])) or BLIND * parameter.range
+    limit = ABOVE * float(wider[at])
+    sd = float(np.sqrt(candidate.covariance[at, at] * wider[at])) or BLIND * parameter.range
     seen = {best: 0.0}
 
     def above(x: float) -> float:
@@ -61,18 +86,20 @@ def profile(candidate: Candidate, index: int, number: int) -> LikelihoodProfile:
     least = candidate.fit.cost
     low, high = (
         parameter.to_model(
-            _crossing(above, parameter.to_search(best), side * 1.96 * sd, parameter.to_search(bound))
+            _crossing(above, parameter.to_search(best), side * 1.96 * sd, parameter.to_search(bound), limit)
         )
         for side, bound in ((-1.0, parameter.low), (1.0, parameter.high))
     )
     values = sorted(seen)
     return LikelihoodProfile(
-        cause.name, parameter, best, low, high, np.array(values), np.array([seen[v] for v in values])
+        cause.name, parameter, best, low, high, np.array(values), np.array([seen[v] for v in values]), limit
     )
 
 
-def _crossing(above: Callable[[float], float], best: float, step: float, bound: float) -> float:
-    """The value at which a profile rises to `ABOVE`, or the bound if that is nearer.
+def _crossing(
+    above: Callable[[float], float], best: float, step: float, bound: float, limit: float = ABOVE
+) -> float:
+    """The value at which a profile rises to `limit`, or the bound if that is nearer.
 
     If the profile is a parabola, √χ² is linear. If not, the crossing is bracketed.
     """
@@ -83,20 +110,22 @@ def _crossing(above: Callable[[float], float], best: float, step: float, bound: 
     for _ in range(MAX_FITS):
         where = min(where, bound) if outward > 0.0 else max(where, bound)
         height = above(where)
-        if where == bound and height < ABOVE:
+        if where == bound and height < limit:
             return bound
-        if abs(height / ABOVE - 1.0) < NEAR_ENOUGH:
-            where = best + (where - best) * sqrt(ABOVE / height)
+        if abs(height / limit - 1.0) < NEAR_ENOUGH:
+            where = best + (where - best) * sqrt(limit / height)
             break
         root = sqrt(max(height, 0.0))
-        if height < ABOVE:
+        if height < limit:
             under, under_root = where, root
         else:
             over, over_root = where, root
         if isfinite(over):
-            share = (sqrt(ABOVE) - under_root) / (over_root - under_root)
-            where = under + (over - under) * (0.5 if over_root > WALL else min(0.9, max(0.1, share)))
+            share = (sqrt(limit) - under_root) / (over_root - under_root)
+            where = under + (over - under) * (
+                0.5 if over_root > WALL * sqrt(limit) else min(0.9, max(0.1, share))
+            )
         else:
-            most = 30.0 if height < FLAT else 3.0
-            where = best + (under - best) * min(most, max(1.1, sqrt(ABOVE) / max(under_root, 1e-3)))
+            most = 30.0 if height < FLAT * limit else 3.0
+            where = best + (under - best) * min(most, max(1.1, sqrt(limit) / max(under_root, 1e-3)))
     return min(where, bound) if outward > 0.0 else max(where, bound)

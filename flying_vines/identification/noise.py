@@ -1,9 +1,15 @@
-"""Noise of the sensors: as stated in the rig file, unless the data contradict it."""
+"""Noise of the sensors: as stated in the rig file, unless the data contradict it.
+
+The noise is independent from reading to reading, or has the correlation exp(−t/T) of a filter in the sensor.
+A converter rounds the readings; rounding errors are noise where the pressure changes by more than a step from
+reading to reading, and stay where it does not.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,17 +20,57 @@ MIN_KPA = 1e-3
 """Noise of a sensor whose stated noise is 0: recorded values are rounded."""
 SURE = 6.0
 """The stated noise is used if the estimate differs from it by a share of less than SURE / √(differences)."""
-_GAUSS = 1.4826
-"""Standard deviation of a Gaussian over its median absolute deviation."""
-_SECOND_DIFFERENCE = 6.0
-"""Variance of second differences over that of the independent samples."""
+_KEPT = 0.8
+"""Share of the differences that are used, the smallest: the largest are where a valve moves."""
+_KEPT_VARIANCE = 0.4377
+"""Variance of the smallest 80 % (by size) of a Gaussian, over that of all."""
 _MIN_DIFFERENCES = 100
+_NEIGHBOURS = 17
+_MAX_CORRELATION = 0.97
+_STEP_QUANTILE = 0.25
+_MANY_EQUAL = 0.5
+"""Readings are rounded if they have fewer levels than this share of their number."""
 
 
-def stated_noise_kPa(rig: Rig) -> tuple[float, float]:
-    """Standard deviations of control volume's and reservoir's readings, from the rig file."""
+class SensorNoise(NamedTuple):
+    """Noise of one sensor."""
+
+    std_kPa: float
+    correlation: float = 0.0
+    """Between successive readings, 0…1."""
+    step_kPa: float = 0.0
+    """The readings are rounded to multiples of this; 0 if they are not."""
+
+    @property
+    def slow_std_kPa(self) -> float:
+        """Standard deviation of independent noise with as much error in a mean over many readings."""
+        return self.std_kPa * sqrt((1.0 + self.correlation) / (1.0 - self.correlation))
+
+
+Noise = tuple[SensorNoise, SensorNoise]
+"""Of control volume and reservoir."""
+
+
+def independent_noise(cv_kPa: float, reservoir_kPa: float) -> Noise:
+    """Noise of these standard deviations, independent from reading to reading."""
+    return SensorNoise(cv_kPa), SensorNoise(reservoir_kPa)
+
+
+def stated_noise(rig: Rig, readings: Sequence[Array] = ()) -> Noise:
+    """The noise in the rig file, and at least that of rounding.
+
+    Args:
+        readings: for each run (2, n) kPa, control volume and reservoir; NaN where nothing was read.
+    """
     sensors = rig.sensors
-    return sensors.cv_noise_std_kPa or MIN_KPA, sensors.reservoir_noise_std_kPa or MIN_KPA
+    stated = (sensors.cv_noise_std_kPa or MIN_KPA, sensors.reservoir_noise_std_kPa or MIN_KPA)
+    steps = [
+        rounding_step(np.concatenate([run[row] for run in readings])) if readings else 0.0 for row in (0, 1)
+    ]
+    cv, reservoir = (
+        SensorNoise(max(std, step / sqrt(12.0)), 0.0, step) for std, step in zip(stated, steps, strict=True)
+    )
+    return cv, reservoir
 
 
 def resolution(readings: Array) -> float:
@@ -32,21 +78,63 @@ def resolution(readings: Array) -> float:
     return float(np.min(np.diff(np.unique(readings)), initial=np.inf))
 
 
-def noise_kPa(residuals: Sequence[Array], stated_kPa: float) -> float:
-    """Standard deviation of a sensor's noise, from the residuals of a fit.
+def rounding_step(readings: Array) -> float:
+    """The step to which readings were rounded; 0 if too few are equal to tell. NaN is ignored.
 
-    Errors of the model hardly change second differences, and the median ignores the few samples at which a
-    valve moves. All samples are used: a regulator only leaves the valves shut while the noise happens to be
-    small. If most differences are zero, the resolution is too coarse and the stated noise is returned.
+    A quarter of the neighbouring levels are nearer than this to each other. Readings in other units may have
+    been rounded twice, so the smallest difference may be less than the step of the converter.
+    """
+    read = readings[np.isfinite(readings)]
+    levels = np.unique(read)
+    if not 1 < len(levels) < _MANY_EQUAL * len(read):
+        return 0.0
+    return float(np.quantile(np.diff(levels), _STEP_QUANTILE))
+
+
+def measured_noise(
+    residuals: Sequence[Array], stated: SensorNoise, *, may_correlate: bool = True
+) -> SensorNoise:
+    """The noise of a sensor, from the residuals of a fit.
+
+    Errors of the model hardly change the differences of successive readings, and the few readings at which a
+    valve moves are left out. All other samples are used: a regulator only leaves the valves shut while the
+    noise happens to be small. If most differences are zero, the steps are too coarse, and the stated noise is
+    returned.
 
     Args:
         residuals: for each run (n,) kPa, NaN where nothing was read.
+        may_correlate: False if the model may have large errors, which look like correlated noise.
     """
-    differences = np.concatenate([np.diff(r, 2) for r in residuals])
-    differences = np.abs(differences[np.isfinite(differences)])
-    if len(differences) < _MIN_DIFFERENCES:
-        return stated_kPa
-    found = _GAUSS * float(np.median(differences)) / sqrt(_SECOND_DIFFERENCE)
-    if found == 0.0 or (stated_kPa > 0.0 and abs(found / stated_kPa - 1.0) < SURE / sqrt(len(differences))):
-        return stated_kPa
-    return float(found)
+    second, count = _mean_square([np.diff(r, 2) for r in residuals])
+    if count < _MIN_DIFFERENCES or second == 0.0:
+        return stated
+    sure, correlation = SURE / sqrt(count), 0.0
+    std = sqrt(second / 6.0)
+    if may_correlate:
+        first, count = _mean_square([_about_mean(np.diff(r)) for r in residuals])
+        # Var Δ = 2 (1 − ρ) σ², Var Δ² = (6 − 8 ρ + 2 ρ²) σ²: their ratio is 3 − ρ.
+        if count > _MIN_DIFFERENCES and 3.0 - second / first > 3.0 * SURE / sqrt(count):
+            correlation = min(3.0 - second / first, _MAX_CORRELATION)
+            std = sqrt(first / (2.0 * (1.0 - correlation)))
+    std = max(std, stated.step_kPa / sqrt(12.0))
+    if correlation == 0.0 and abs(std - stated.std_kPa) < sure * stated.std_kPa:
+        return stated
+    return stated._replace(std_kPa=std, correlation=correlation)
+
+
+def _about_mean(differences: Array) -> Array:
+    """Differences about their mean over neighbours: a slope of the residuals is an error of the model."""
+    if len(differences) < _NEIGHBOURS:
+        return differences[:0]
+    mean = np.convolve(differences, np.full(_NEIGHBOURS, 1.0 / _NEIGHBOURS), mode="valid")
+    half = _NEIGHBOURS // 2
+    about: Array = differences[half:-half] - mean
+    return about
+
+
+def _mean_square(differences: Sequence[Array]) -> tuple[float, int]:
+    """Mean square and number of differences; from the smaller ones, as if all were Gaussian."""
+    size = np.concatenate(differences)
+    size = np.sort(np.abs(size[np.isfinite(size)]))
+    kept = size[: round(_KEPT * len(size))]
+    return float(np.mean(kept**2)) / _KEPT_VARIANCE if len(kept) else 0.0, len(size)

@@ -2,8 +2,9 @@
 
 If the model lacks an effect, successive residuals are correlated, and their sum of squares alone does not
 show it. So samples are put into groups by one feature: an interval of time, the time since a valve moved, a
-pressure, an opening. With noise alone, the mean of n residuals has the variance 1/n, and the sum of n·mean²
-over g groups is χ² with g degrees of freedom.
+pressure, an opening. With noise alone, the mean of n residuals has the variance 1/n. Rounding to steps q adds
+(q²/12)/(1 + c) if the rounded reading changes c times in the group: a constant rounding error does not
+average out. The sum of mean²/variance over g groups is χ² with g degrees of freedom.
 
 A low reading makes the regulator open a valve. So the feature of a sample only uses valve movements before
 it: a movement that the sample's own noise has caused would make noise look like an effect.
@@ -11,11 +12,12 @@ it: a movement that the sample's own noise has caused would make noise look like
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import log
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from flying_vines.identification.fit import Fit, FitProblem
@@ -27,6 +29,7 @@ SINCE_S = (0.0, 0.025, 0.05, 0.08, 0.15, 0.3, 0.7, 1.5, 5.0, np.inf)
 MIN_SAMPLES = 4
 """Minimum samples in a group."""
 CLASSES = 8
+IN_STRETCHES = "time in stretches of"
 LN10 = log(10.0)
 
 
@@ -45,6 +48,8 @@ class Pattern:
     """(groups,) samples."""
     log_p: float
     """−log₁₀ p: p is the probability that noise alone gives means as large as these."""
+    strength: float
+    """Mean square of the means, over that of noise alone."""
 
 
 def patterns(problem: FitProblem, fit: Fit) -> list[Pattern]:
@@ -52,30 +57,48 @@ def patterns(problem: FitProblem, fit: Fit) -> list[Pattern]:
     found = []
     for row, channel in enumerate(CHANNELS):
         residual = np.concatenate([r[row] for r in fit.residuals])
+        changes = np.concatenate([np.diff(data[row], prepend=np.nan) != 0.0 for data in problem.data])
+        rounding = (problem.noise[row].step_kPa / problem.noise_kPa[row]) ** 2 / 12.0
         measured = np.concatenate([w[row] > 0.0 for w in problem.weights])
         if np.count_nonzero(measured) < 2 * MIN_SAMPLES:
             continue
         for feature, unit, value, group in _features(problem, fit):
-            pattern = _pattern(channel, feature, unit, residual, value, np.where(measured, group, -1))
-            if pattern is not None:
-                found.append(pattern)
+            kept = measured & (group >= 0)
+            groups = _grouped(residual[kept], value[kept], group[kept], changes[kept], rounding)
+            if groups is not None:
+                found.append(Pattern(channel, feature, unit, *groups))
     return sorted(found, key=lambda pattern: -pattern.log_p)
 
 
-def _pattern(
-    channel: str, feature: str, unit: str, residual: Array, value: Array, group: Array
-) -> Pattern | None:
-    kept = group >= 0
-    _, index = np.unique(group[kept], return_inverse=True)
+def excess(found: Sequence[Pattern]) -> tuple[float, float]:
+    """For control volume and reservoir: how much larger slow residuals are than noise, as a ratio of squares.
+
+    1 where they are noise. A cause that is not there lowers χ² by this factor more than noise allows.
+    """
+    slow = [pattern for pattern in found if pattern.feature.startswith(IN_STRETCHES)]
+    cv, reservoir = (
+        max([1.0, *(pattern.strength for pattern in slow if pattern.channel == channel)])
+        for channel in CHANNELS
+    )
+    return cv, reservoir
+
+
+def _grouped(
+    residual: Array, value: Array, group: Array, changes: NDArray[np.bool_], rounding: float
+) -> tuple[Array, Array, Array, float, float] | None:
+    """Means of feature and residuals, samples, −log₁₀ p and strength; None if there is no group."""
+    _, index = np.unique(group, return_inverse=True)
     count = np.bincount(index).astype(float)
     enough = count >= MIN_SAMPLES
     if np.count_nonzero(enough) < 1:
         return None
-    mean = np.bincount(index, residual[kept])[enough] / count[enough]
-    centre = np.bincount(index, value[kept])[enough] / count[enough]
+    mean = np.bincount(index, residual)[enough] / count[enough]
+    centre = np.bincount(index, value)[enough] / count[enough]
+    changed = np.bincount(index, changes)[enough]
     count = count[enough]
-    log_p = -float(stats.chi2.logsf(float(count @ mean**2), len(count))) / LN10
-    return Pattern(channel, feature, unit, centre, mean, count, log_p)
+    squares = float(np.sum(mean**2 / (1.0 / count + rounding / (1.0 + changed))))
+    log_p = -float(stats.chi2.logsf(squares, len(count))) / LN10
+    return centre, mean, count, log_p, squares / len(count)
 
 
 def _features(problem: FitProblem, fit: Fit) -> Iterator[tuple[str, str, Array, Array]]:
@@ -85,7 +108,7 @@ def _features(problem: FitProblem, fit: Fit) -> Iterator[tuple[str, str, Array, 
     since_start = np.concatenate(times)
     offsets = np.repeat(np.arange(len(times)) * 10_000_000, [len(t) for t in times])
     for stretch_s in STRETCHES_S:
-        yield f"time in stretches of {stretch_s:g} s", "s", since_start, offsets + (since_start // stretch_s)
+        yield f"{IN_STRETCHES} {stretch_s:g} s", "s", since_start, offsets + (since_start // stretch_s)
     for name in ("evp_opening", "dvp_opening", "solenoid"):
         label = {"evp_opening": "inflation valve", "dvp_opening": "Venturi's valve"}.get(name, name)
         for what, sign in (("opened", 1.0), ("closed", -1.0)):

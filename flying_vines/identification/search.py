@@ -1,13 +1,17 @@
-"""Searches the causes that explain the data: none, then each alone, then several, while the score improves.
+"""Searches the causes that explain the data: none, then each alone, then several, while more causes pay.
 
 Every candidate is fitted twice: with nominal rig numbers, and with all of them free within their tolerances.
 The data decide between both. The free fit gets a penalty: the logarithm of prior volume over posterior
 volume of these numbers.
+
+A further cause pays if the score falls by `CLAIM`. While the residuals are more than noise, any cause can
+imitate a part of an effect that the catalogue lacks. So χ² is then divided by the residuals' excess over
+noise (`residuals.excess`), and the error on unseen data must fall for sure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf
@@ -16,18 +20,24 @@ import numpy as np
 
 from flying_vines.identification.cores import mapped
 from flying_vines.identification.fit import Fit, FitProblem, Tangents
-from flying_vines.identification.residuals import Pattern, patterns
+from flying_vines.identification.residuals import Pattern, excess, patterns
 from flying_vines.identification.simulate import rig_number_keys
+from flying_vines.identification.unseen import Unseen
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.cause import Cause
+from flying_vines.physics.cause import Cause, Parameter
 
 CLAIM = 25.0
 """Minimum score gain of a cause. By chance, the best of 20 wrong causes gains 20 in 1 of 10,000 cases."""
+CLAIM_LEFT = 10.0
+MIN_GAIN = 0.02
+"""If the residuals are more than noise, a cause needs this gain, and this error reduction on unseen data."""
 STRUCTURE = 6.0
 """−log₁₀ p: from this value on, a pattern in the residuals is not noise."""
-MAX_CAUSES = 3
+MAX_CAUSES = 9
 FIRSTS = 5
 """Number of best single causes that are tried with a second one: one may hide another."""
+BEAM = 2
+"""Number of best sets of two or more causes that are tried with a further one."""
 PROMISING = 4
 """Number of further causes that are fitted: those with the largest expected gain."""
 LEADERS = 6
@@ -35,6 +45,8 @@ LEADERS = 6
 REACH, REACH_SHARE = 2000.0, 0.1
 """An unfinished fit may still lower χ² by 2000 + 10 % of the null model's excess. Others are dropped."""
 OF_RANGE = 1e-3
+ON_BOUND = 1e-6
+"""A parameter nearer than this share of its range to a bound is on the bound."""
 
 
 Progress = Callable[[str, float], None]
@@ -65,14 +77,47 @@ class Candidate:
         """See `FitProblem.covariance`."""
         return self.problem.covariance(self.fit)
 
-    @cached_property
+    @property
     def score(self) -> float:
+        """The score if the residuals of the best fit are noise; see `score_at`."""
+        return self.score_at((1.0, 1.0))
+
+    def score_at(self, excess: tuple[float, float]) -> float:
         """−2 ln of the evidence, up to a constant.
 
         χ², plus the penalty of free rig numbers, plus ln(number of readings) for each parameter (BIC).
+
+        Args:
+            excess: of the residuals of control volume and reservoir over noise; divides their χ².
         """
+        if not self.possible:
+            return inf
         parameters = sum(len(cause.parameters) for cause in self.causes)
-        return self.fit.chi2 + self.freedom + parameters * float(np.log(self.problem.readings))
+        chi2 = sum(chi2 / over for chi2, over in zip(self.channels, excess, strict=True))
+        return chi2 + self.freedom + parameters * float(np.log(self.problem.readings))
+
+    @cached_property
+    def channels(self) -> tuple[float, float]:
+        """χ² of control volume and reservoir."""
+        cv, reservoir = (sum(float(r[row] @ r[row]) for r in self.fit.residuals) for row in (0, 1))
+        return cv, reservoir
+
+    @property
+    def on_bound(self) -> tuple[str, ...]:
+        """Parameters on a bound of their physical range."""
+        return tuple(parameter.name for parameter in self._bounded())
+
+    @property
+    def possible(self) -> bool:
+        """True if every parameter is inside its physical range."""
+        return all(parameter.typical is not None for parameter in self._bounded())
+
+    def _bounded(self) -> Iterator[Parameter]:
+        point = self.fit.point
+        for cause, values in zip(point.causes, point.values, strict=True):
+            for parameter, value in zip(cause.parameters, values, strict=True):
+                if not ON_BOUND < parameter.share(value) < 1.0 - ON_BOUND:
+                    yield parameter
 
     @cached_property
     def freedom(self) -> float:
@@ -96,6 +141,11 @@ class Candidate:
         """True if the residuals are noise."""
         return not self.patterns or self.patterns[0].log_p < STRUCTURE
 
+    @cached_property
+    def excess(self) -> tuple[float, float]:
+        """Excess of the residuals over noise, for control volume and reservoir; 1 if they are noise."""
+        return (1.0, 1.0) if self.adequate else excess(self.patterns)
+
 
 class Search:
     """The search for one fit problem; `nulls` are the baseline with fixed and with free rig numbers."""
@@ -109,6 +159,7 @@ class Search:
         moved = problem.fit(exact.point.freed(self.keys))
         self.nulls = (Candidate(problem, exact), Candidate(problem, moved))
         self.null = min(self.nulls, key=lambda c: c.score)
+        self.unseen = Unseen(problem)
 
     def singles(self) -> list[Candidate]:
         """Fits of each cause alone, the best first."""
@@ -136,14 +187,19 @@ class Search:
         return first.fit.chi2 + REACH + REACH_SHARE * (self.null.fit.chi2 - first.fit.chi2)
 
     def _leaders(self, bases: Sequence[Candidate]) -> list[Candidate]:
-        """The best few, settled."""
+        """The best few, settled; the best first."""
         reach = self._reach(bases[0]) if bases else inf
-        return mapped(self.settled, [base for base in bases[:FIRSTS] if base.fit.chi2 < reach])
+        settled = mapped(self.settled, [base for base in bases[:FIRSTS] if base.fit.chi2 < reach])
+        if not settled:
+            return []
+        over = min(settled, key=lambda c: c.fit.chi2).excess
+        return sorted(settled, key=lambda c: c.score_at(over))
 
     def settled(self, candidate: Candidate) -> Candidate:
         """The same causes, with nominal rig numbers if these explain the data as well."""
         exact = Candidate(self.problem, self.problem.fit(candidate.fit.point.freed(())))
-        return min(exact, candidate, key=lambda c: c.score)
+        over = candidate.excess
+        return min(exact, candidate, key=lambda c: c.score_at(over))
 
     def further(self, bases: Sequence[Candidate]) -> list[Candidate]:
         """Fits of the bases with one more cause, the best first; only the most promising are fitted."""
@@ -178,35 +234,63 @@ class Search:
         bases = self.singles()
         leaders = self._leaders(bases)
         tried = [*self.nulls, *bases, *leaders]
-        chosen = min([self.null, *leaders], key=lambda c: c.score)
-        if chosen.score > self.null.score - CLAIM:
-            chosen = self.null
-        for count in range(2, MAX_CAUSES + 1):
-            if chosen.adequate:
+        chosen = self.null
+        while True:
+            better = self._first_that_pays(leaders, chosen)
+            if better is None:
                 break
-            progress(f"{count} causes together", 0.2 * count)
-            firsts = bases[:FIRSTS] if count == 2 else bases[:1]
+            chosen = better
+            chosen, fewer = self._pruned(chosen)
+            tried += fewer
+            count = len(chosen.causes) + 1
+            if chosen.adequate or count > MAX_CAUSES:
+                break
+            progress(f"{count} causes together", min(0.75, 0.15 * count))
+            firsts = bases[:FIRSTS] if count == 2 else _distinct([chosen, *leaders])[:BEAM]
             bases = self.further(firsts)
             leaders = self._leaders(bases)
             tried += leaders
-            better = min((chosen, *leaders), key=lambda c: c.score)
-            if better.score > chosen.score - CLAIM:
-                break
-            chosen = better
-        while len(chosen.causes) > 1:
-            fewer = [self._without(chosen, index) for index in range(len(chosen.causes))]
+        without = self._fewer(chosen) if len(chosen.causes) > 1 else []
+        return SearchResult(self, [*tried, *without], chosen, tuple(without))
+
+    def _first_that_pays(self, leaders: Sequence[Candidate], chosen: Candidate) -> Candidate | None:
+        """The best leader that pays in comparison with the chosen candidate; None if none does."""
+        return next((leader for leader in leaders if self._pays(leader, chosen)), None)
+
+    def _pays(self, more: Candidate, less: Candidate) -> bool:
+        """True if the further causes pay: on the data, and on unseen data if something remains."""
+        gain = less.score_at(more.excess) - more.score_at(more.excess)
+        if more.adequate:
+            return gain > CLAIM
+        return gain > CLAIM_LEFT and self.unseen.gain(less.fit.point, more.fit.point)[0] > MIN_GAIN
+
+    def _pruned(self, candidate: Candidate) -> tuple[Candidate, list[Candidate]]:
+        """The candidate without causes that no longer pay, and all candidates that were tried."""
+        tried: list[Candidate] = []
+        while len(candidate.causes) > 1:
+            fewer = self._fewer(candidate)
             tried += fewer
-            simpler = min(fewer, key=lambda c: c.score)
-            if simpler.score > chosen.score + CLAIM:
+            over = candidate.excess
+            simpler = min(fewer, key=lambda c: c.score_at(over))
+            if simpler.score_at(over) > candidate.score_at(over) + CLAIM:
                 break
-            chosen = simpler
-        return SearchResult(self, tried, chosen)
+            candidate = simpler
+        return candidate, tried
+
+    def _fewer(self, candidate: Candidate) -> list[Candidate]:
+        """The candidate, refitted without each of its causes in turn."""
+        return mapped(lambda index: self._without(candidate, index), range(len(candidate.causes)))
 
     def _without(self, candidate: Candidate, index: int) -> Candidate:
         """The candidate refitted without one of its causes."""
         return self.settled(
             Candidate(self.problem, self.problem.fit(candidate.fit.point.freed(self.keys).without(index)))
         )
+
+
+def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The first candidate of each set of causes."""
+    return list({frozenset(c.names): c for c in reversed(candidates)}.values())[::-1]
 
 
 @dataclass(frozen=True)
@@ -216,3 +300,9 @@ class SearchResult:
     search: Search
     tried: list[Candidate]
     chosen: Candidate
+    without: tuple[Candidate, ...]
+    """The chosen candidate without each of its causes in turn; empty if it has none or one."""
+
+    def score(self, candidate: Candidate) -> float:
+        """The score, with χ² over what the chosen candidate leaves."""
+        return candidate.score_at(self.chosen.excess)

@@ -17,9 +17,12 @@ def show(verdict: Verdict, console: Console) -> None:
     facts.add_column(style="bold")
     facts.add_column(overflow="fold")
     facts.add_row("Verdict", in_words(verdict))
+    several = len(verdict.named) > 1
     for named in verdict.named:
+        if several:
+            facts.add_row(named.cause, _what(named.cause))
         for parameter, estimate in named.parameters.items():
-            facts.add_row(named.cause, f"{parameter}  {_estimate(estimate)}")
+            facts.add_row("" if several else named.cause, f"{parameter}  {_estimate(estimate)}")
     facts.add_row("Confidence", f"{verdict.confidence:.0%}")
     if verdict.indistinguishable:
         facts.add_row("Or", ", ".join(verdict.indistinguishable))
@@ -30,7 +33,7 @@ def show(verdict: Verdict, console: Console) -> None:
         f"noise alone {errors.noise_floor:.2%}",
     )
     if verdict.remainder:
-        facts.add_row("Residuals", f"depend most on {verdict.remainder}")
+        facts.add_row("Residuals", f"depend most on {verdict.remainder.depends_on}")
     if verdict.next_experiment:
         facts.add_row("Next", verdict.next_experiment)
     for cause in catalogue():
@@ -48,8 +51,22 @@ def in_words(verdict: Verdict) -> str:
         return "The baseline explains the data to within noise and tolerances."
     if verdict.cause == UNEXPLAINED:
         return "No known cause explains the difference between data and simulation." + _nearest(verdict)
-    what = {cause.name: cause.what for cause in catalogue()}
-    return " And: ".join(what[named.cause] for named in verdict.named)
+    main, *further = verdict.named
+    if not further:
+        text = _what(main.cause)
+    else:
+        also = ", then ".join(f"{named.cause} ({named.share:.0%})" for named in further)
+        text = f"Mostly {main.cause} ({main.share:.0%}), then {also}."
+    return text + (f" {_percent(verdict.remainder.share)} of the error remains." if verdict.remainder else "")
+
+
+def _what(name: str) -> str:
+    """The difference in the rig, in words; the name itself for a cause from elsewhere."""
+    return next((cause.what for cause in catalogue() if cause.name == name), name)
+
+
+def _percent(share: float) -> str:
+    return "Less than 1 %" if share < 0.01 else f"{share:.0%}"
 
 
 def _nearest(verdict: Verdict) -> str:

@@ -28,6 +28,18 @@ class Named:
 
     cause: str
     parameters: dict[str, ParameterEstimate]
+    share: float | None
+    """See `Verdict.share`; None if it was not computed."""
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What the named causes leave unexplained."""
+
+    share: float
+    """Of the null model's squared misfit above noise, 0…1."""
+    depends_on: str
+    """Channel, and the feature on which its residuals depend most."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +73,11 @@ class Verdict:
     indistinguishable: tuple[str, ...]
     """Other causes that these data cannot tell apart from `cause`, or from one in `also`."""
     parameters: dict[str, ParameterEstimate]
+    share: float
+    """How much of the squared misfit comes back if `cause` is left out and the rest refitted, over what all
+    causes together remove. Shares do not add up to 1."""
     also: tuple[Named, ...]
-    """Further causes that still improve held-out data."""
+    """Further causes that still improve held-out data, the largest share first."""
     numbers: dict[str, float]
     """Fitted rig numbers within their tolerances, by key; empty if nominal numbers explain the data."""
     held_out: HeldOut
@@ -70,8 +85,8 @@ class Verdict:
     """All candidates, the best evidence first."""
     next_experiment: str
     """What to record to answer the open question; empty if there is none."""
-    remainder: str
-    """The feature on which the residuals depend most; empty if they are noise."""
+    remainder: Remainder | None
+    """None if the residuals are noise."""
     remarks: tuple[str, ...]
     evidence: Evidence
 
@@ -80,7 +95,7 @@ class Verdict:
         """The main cause and the further ones; empty if no cause is named."""
         if self.cause in (NONE, UNEXPLAINED):
             return ()
-        return (Named(self.cause, self.parameters), *self.also)
+        return (Named(self.cause, self.parameters, self.share), *self.also)
 
     def as_json(self) -> dict[str, Any]:
         """The verdict in the rig-data format."""
@@ -90,6 +105,7 @@ class Verdict:
             "indistinguishable": list(self.indistinguishable),
             "also": [_named(named) for named in self.also],
             "parameters": parameters_json(self.parameters),
+            "share": round(self.share, 4),
             "numbers": self.numbers,
             "held_out": {
                 "nrmse_before": self.held_out.nrmse_before,
@@ -99,7 +115,7 @@ class Verdict:
             },
             "ranking": [_tried(tried) for tried in self.ranking],
             "next_experiment": self.next_experiment,
-            "remainder": self.remainder,
+            "remainder": None if self.remainder is None else vars(self.remainder),
             "remarks": list(self.remarks),
         }
 
@@ -110,7 +126,7 @@ def parameters_json(parameters: Mapping[str, ParameterEstimate]) -> dict[str, di
 
 
 def _named(named: Named) -> dict[str, Any]:
-    return {"cause": named.cause, "parameters": parameters_json(named.parameters)}
+    return {"cause": named.cause, "parameters": parameters_json(named.parameters), "share": named.share}
 
 
 def _tried(tried: Tried) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import pytest
 
 from flying_vines.identification.case import Case, RecordedRun
 from flying_vines.identification.fit import Fit, FitProblem
+from flying_vines.identification.noise import independent_noise
 from flying_vines.identification.residuals import patterns
 from flying_vines.identification.search import STRUCTURE
 from flying_vines.identification.simulate import Simulation
@@ -37,7 +38,7 @@ def fitted(seed: int) -> tuple[FitProblem, Fit]:
         cv_kPa=clean.cv_kPa + random.normal(0.0, NOISE_KPA[0], len(time_s)),
         reservoir_kPa=clean.reservoir_kPa + random.normal(0.0, NOISE_KPA[1], len(time_s)),
     )
-    problem = FitProblem(Case(Path("memory"), rig, (run,), ()), NOISE_KPA)
+    problem = FitProblem(Case(Path("memory"), rig, (run,), ()), independent_noise(*NOISE_KPA))
     return problem, problem.fit(problem.start())
 
 
@@ -79,5 +80,5 @@ def test_without_a_thermometer_there_is_no_such_pattern() -> None:
     problem, fit = fitted(2)
     (run,) = problem.case.runs
     case = replace(problem.case, runs=(replace(run, ambient_C=None),))
-    features = {pattern.feature for pattern in patterns(FitProblem(case, NOISE_KPA), fit)}
+    features = {pattern.feature for pattern in patterns(FitProblem(case, independent_noise(*NOISE_KPA)), fit)}
     assert "temperature around" not in features and "opening of the inflation valve" in features

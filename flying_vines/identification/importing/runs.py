@@ -30,7 +30,7 @@ from flying_vines.identification.importing.answers import (
 from flying_vines.identification.importing.columns import IGNORED, QUANTITIES, guess_columns
 from flying_vines.identification.importing.layout import ForeignTable, read_foreign
 from flying_vines.identification.importing.units import parse_unit, psi_instead
-from flying_vines.identification.noise import MIN_KPA, noise_kPa, resolution
+from flying_vines.identification.noise import MIN_KPA, SensorNoise, measured_noise, rounding_step
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
@@ -393,8 +393,8 @@ def _rig_tables(proposal: Proposal) -> dict[str, Any]:
 
 def _noise_kPa(readings: Sequence[Array]) -> float:
     """Standard deviation of a sensor's noise, at least that of its resolution."""
-    steps = [step for x in readings if np.isfinite(step := resolution(x[np.isfinite(x)]))]
-    return max(noise_kPa(readings, 0.0), min(steps, default=0.0) / sqrt(12.0), MIN_KPA)
+    least = SensorNoise(MIN_KPA, 0.0, rounding_step(np.concatenate(readings)))
+    return max(measured_noise(readings, least).std_kPa, least.step_kPa / sqrt(12.0))
 
 
 def _fall_s(run: Run) -> float | None:

@@ -34,7 +34,7 @@ class Check:
     def apart(self, there: int, fitted: int) -> float:
         """Δχ² if `there` is in the rig and `fitted` is fitted; both are column numbers of the matrix."""
         layout = self._layout
-        problem = FitProblem(self._case(there), layout.noise_kPa)
+        problem = FitProblem(self._case(there), layout.noise)
         start = replace(problem.start().freed(layout.keys), initial=np.concatenate(self._initial))
         if fitted < len(layout.causes):
             cause = layout.causes[fitted]

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.identification.case import Case
-from flying_vines.identification.noise import stated_noise_kPa
+from flying_vines.identification.noise import Noise, stated_noise
 from flying_vines.identification.plan.library import CandidateRun
 from flying_vines.identification.plan.rehearsal import rehearsed
 from flying_vines.identification.plan.strengths import strengths, typical
@@ -52,7 +52,7 @@ class Layout:
     usual: NDArray[np.intp]
     """Row of each cause at its typical strength."""
     keys: tuple[str, ...]
-    noise_kPa: tuple[float, float]
+    noise: Noise
 
     @property
     def traces(self) -> int:
@@ -97,7 +97,7 @@ def layout_of(rig: Rig, causes: Sequence[Cause]) -> Layout:
         first=first,
         usual=first + np.array(usual),
         keys=rig_number_keys(rig),
-        noise_kPa=stated_noise_kPa(rig),
+        noise=stated_noise(rig),
     )
 
 
@@ -121,7 +121,7 @@ def _traces(layout: Layout, run: RecordedRun, reservoir_kPa: float) -> tuple[Arr
     """(rows, 2, n): traces of G's rows, then of both initial pressures; and the reservoir's baseline, kPa."""
     simulation = Simulation(Case(Path(run.name), layout.rig, (run,), ()))
     start = np.array([[reservoir_kPa, 0.0]])
-    noise = np.array(layout.noise_kPa)[:, None]
+    noise = np.array([sensor.std_kPa for sensor in layout.noise])[:, None]
     if run.to_atmosphere:
         noise[0] = np.inf
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from flying_vines.identification.case import Case
 from flying_vines.identification.evidence import Compared
-from flying_vines.identification.held_out import STRETCH_S
 from flying_vines.identification.intervals import ABOVE
 from flying_vines.identification.report.canvas import channels, models, residuals
 from flying_vines.identification.report.figures import ALIKE, SEEN, alike_pairs
@@ -22,6 +21,7 @@ from flying_vines.identification.residuals import CHANNELS, Pattern
 from flying_vines.identification.search import CLAIM, STRUCTURE
 from flying_vines.identification.show import in_words
 from flying_vines.identification.simulate import rig_number_keys
+from flying_vines.identification.unseen import STRETCHES
 from flying_vines.identification.verdict import NONE, UNEXPLAINED, Verdict
 
 _CONSTANTS = {
@@ -29,7 +29,7 @@ _CONSTANTS = {
     "ALIKE": ALIKE,
     "CLAIM": CLAIM,
     "NONE": NONE,
-    "STRETCH_S": STRETCH_S,
+    "STRETCHES": STRETCHES,
     "STRUCTURE": STRUCTURE,
     "UNEXPLAINED": UNEXPLAINED,
 }

@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from flying_vines.identification.case import Case, RecordedRun
 from flying_vines.identification.fit import FitPoint, FitProblem
+from flying_vines.identification.noise import independent_noise
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
@@ -237,7 +238,7 @@ def _sharing(found: Discharges, experiment: Experiment, noise: Noise) -> Sharing
             "sharing", time_s, None, zero + 1.0, zero, zero, vessel_kPa, bottle_kPa, None, None, False
         )
         case = Case(Path("sharing"), rig, (run,), ())
-        return FitProblem(case, (VESSEL_STEP_KPA / float(np.sqrt(12.0)), noise.rounding))
+        return FitProblem(case, independent_noise(VESSEL_STEP_KPA / float(np.sqrt(12.0)), noise.rounding))
 
     def with_cause(cause: Cause) -> FitPoint:
         return FitPoint((cause,), ((scale,),), {}, start)
