@@ -1,6 +1,6 @@
-"""Flow through an opening: Ohm's law, or ISO 6358.
+"""Flow through an opening: Ohm's law, ISO 6358, or (of a leak) viscous flow.
 
-`numbers()` converts each law to the same plain numbers, with which `flow_SL_per_s` computes.
+`numbers()` converts Ohm's law and ISO 6358 to the same plain numbers, with which `flow_SL_per_s` computes.
 """
 
 from __future__ import annotations
@@ -136,7 +136,31 @@ class Iso6358:
         )
 
 
+@dataclass(frozen=True)
+class Viscous:
+    """Q = (p₁² − p₂²) / C, absolute pressures: laminar flow of a gas through a long, narrow gap.
+
+    Isothermal Hagen-Poiseuille flow of an ideal gas, which EN 1779 uses for viscous leaks.
+    """
+
+    conductance_constant_kPa2_s_per_SL: float
+
+    def __post_init__(self) -> None:
+        if not self.conductance_constant_kPa2_s_per_SL > 0.0:
+            raise ValueError("a conductance constant must be positive")
+
+
 FlowLaw = Ohm | Iso6358
+LeakLaw = Ohm | Iso6358 | Viscous
+
+
+ORIFICE_CRITICAL_RATIO = 0.5
+"""Critical pressure ratio of a hole in a wall. ISO 6358."""
+
+
+def orifice(sonic_conductance_SL_per_s_kPa: float) -> Iso6358:
+    """A hole in a wall."""
+    return Iso6358(sonic_conductance_SL_per_s_kPa, ORIFICE_CRITICAL_RATIO)
 
 
 def conductance_from_rating_SL_per_s_kPa(flow_SLPM: float, supply_kPa: float) -> float:

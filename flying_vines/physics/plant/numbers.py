@@ -11,6 +11,7 @@ from typing import NamedTuple
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA
 from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, Opening
+from flying_vines.physics.plant.leak import Leak, leak_of
 from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.valve_response import ValveMotion, ticks
 from flying_vines.physics.plant.venturi import Ejector, Suction
@@ -40,7 +41,7 @@ class PlantNumbers(NamedTuple):
     """Minimum integration steps in a tick."""
     reservoir_per_L: float
     reservoir_heat: Heat
-    reservoir_leak: Opening
+    reservoir_leak: Leak
     evp: ValveNumbers
     dvp: ValveNumbers
     venturi: Suction
@@ -50,7 +51,7 @@ class PlantNumbers(NamedTuple):
     has_cv: bool
     cv: Chamber
     cv_heat: Heat
-    cv_leak: Opening
+    cv_leak: Leak
     has_tubing: bool
     line_kPa_per_SL: float
     line_SL_per_s_kPa: float
@@ -76,7 +77,7 @@ def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
     reservoir_heat = effects.reservoir_wall.numbers() if effects.reservoir_wall else Heat()
     cv_heat = effects.cv_wall.numbers() if effects.cv_wall and rig.cv else Heat()
     cv = plant.shape.numbers(plant.cv_volume_L, GAMMA - 1.0 if cv_heat.own_temperature else 0.0)
-    reservoir_leak = effects.reservoir_leak.numbers() if effects.reservoir_leak else Opening()
+    reservoir_leak = leak_of(effects.reservoir_leaks)
     reservoir_gas = GAMMA if effects.reservoir_wall else 1.0
     steepest = evp.law.steepest_SL_per_s_kPa + dvp.law.steepest_SL_per_s_kPa
     standing_per_s = max(
@@ -104,7 +105,7 @@ def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
         has_cv=rig.cv is not None,
         cv=cv,
         cv_heat=cv_heat,
-        cv_leak=effects.cv_leak.numbers() if effects.cv_leak else Opening(),
+        cv_leak=leak_of(effects.cv_leaks),
         has_tubing=tubing is not None,
         line_kPa_per_SL=ALPHA_KPA / tubing.volume_L if tubing else 0.0,
         line_SL_per_s_kPa=1.0 / tubing.flow_resistance_kPa_s_per_SL if tubing else 0.0,

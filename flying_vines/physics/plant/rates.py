@@ -20,6 +20,7 @@ from typing import NamedTuple
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.flow import flow_SL_per_s
+from flying_vines.physics.plant.leak import leak_SL_per_s
 from flying_vines.physics.plant.numbers import PlantNumbers
 from flying_vines.physics.plant.plant import Conditions, Held
 from flying_vines.physics.plant.venturi import outlet_SL_per_s, supply
@@ -127,7 +128,7 @@ def _balance(
         e_r = ALPHA_KPA * n_r * ratio_a
     p_r = e_r * numbers.reservoir_per_L
 
-    leak_r = flow_SL_per_s(numbers.reservoir_leak, p_r, ambient, ratio_r, ratio_a)
+    leak_r = leak_SL_per_s(numbers.reservoir_leak, p_r, ambient, ratio_r, ratio_a)
     motive = vacuum = 0.0
     if x_d > 0.0:
         motive, vacuum = supply(numbers.venturi, numbers.dvp.law, x_d, p_r, ambient, ratio_r, ratio_a)
@@ -160,7 +161,7 @@ def _balance(
             outlet = outlet_SL_per_s(
                 numbers.venturi, numbers.solenoid, near, ratio_near, ambient, ratio_a, vacuum, motive
             )
-        leak_c = flow_SL_per_s(numbers.cv_leak, p_c, ambient, ratio_c, ratio_a)
+        leak_c = leak_SL_per_s(numbers.cv_leak, p_c, ambient, ratio_c, ratio_a)
     return (
         evp, ratio_r if evp >= 0.0 else ratio_near,
         motive, ratio_r if motive >= 0.0 else ratio_a,

@@ -39,7 +39,7 @@ _EFFECTS: dict[str, dict[str, type]] = {
     for name, hint in get_type_hints(Effects).items()
 }
 """For each effect: its types, by kind."""
-_NEEDS_CV = ("cv_", "dead_volume")
+_NEEDS_CV = ("cv_", "dead_volume", "viscous_leak", "orifice_leak")
 _POSITIVE = ("gain", "scale")
 
 
