@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from flying_vines.physics.gas import AIR, GasProperties
 from flying_vines.physics.plant.flow import Iso6358, LeakLaw, Ohm, Opening, flow_SL_per_s
 
 _TOP_KPA = 1000.0
@@ -34,7 +35,7 @@ def leak_SL_per_s(leak: Leak, p: float, ambient_kPa: float, ratio: float, ambien
     return flow
 
 
-def leak_of(laws: Iterable[LeakLaw | None]) -> Leak:
+def leak_of(laws: Iterable[LeakLaw | None], gas: GasProperties = AIR) -> Leak:
     """The leaks of a volume together. ValueError if two of them are orifices."""
     ohmic = viscous = 0.0
     orifice = Opening()
@@ -44,7 +45,7 @@ def leak_of(laws: Iterable[LeakLaw | None]) -> Leak:
         elif isinstance(law, Iso6358):
             if orifice != Opening():
                 raise ValueError("a volume can have one orifice leak, not two")
-            orifice = law.numbers()
+            orifice = law.numbers(gas)
         elif law is not None:
             viscous += 1.0 / law.conductance_constant_kPa2_s_per_SL
     steepest = ohmic + 2.0 * _TOP_KPA * viscous + orifice.steepest_SL_per_s_kPa

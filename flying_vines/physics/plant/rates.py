@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.flow import flow_SL_per_s
 from flying_vines.physics.plant.leak import leak_SL_per_s
@@ -29,8 +29,6 @@ from flying_vines.physics.plant.wall import heat_kPa_L_per_s, wall_K_per_s
 
 Floats = tuple[float, ...]
 """The numbers of a state, without names."""
-_G1 = GAMMA - 1.0
-_GAMMA_ALPHA = GAMMA * ALPHA_KPA
 
 
 class Flows(NamedTuple):
@@ -58,7 +56,8 @@ class Flows(NamedTuple):
 def flows(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held) -> Flows:
     """All flows at time `at_s` after the start of `air`."""
     found = _balance(numbers, air, at_s, state, held)
-    return Flows._make((*found[:12], found[12] / _G1, found[13] / _G1))
+    g = numbers.gamma - 1.0
+    return Flows._make((*found[:12], found[12] / g, found[13] / g))
 
 
 def rates(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held) -> Floats:
@@ -71,7 +70,7 @@ def rates(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Hel
     reservoir_pV = reservoir_wall = cv_energy = cv_wall = cv_air = line_air = 0.0
     vented = motive + outlet + leak_r + leak_c + lost
     if numbers.reservoir_heat.own_temperature:
-        reservoir_pV = heat_r - _GAMMA_ALPHA * (
+        reservoir_pV = heat_r - numbers.gamma * ALPHA_KPA * (
             evp_ratio * evp + motive_ratio * motive + leak_r_ratio * leak_r
         )
         reservoir_wall = wall_K_per_s(numbers.reservoir_heat, heat_r, state[2], ratio_a)
@@ -88,7 +87,11 @@ def rates(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Hel
                 evp_ratio = ratio_a
             enthalpy = evp_ratio * evp - outlet_ratio * outlet - leak_c_ratio * leak_c
         if numbers.cv_heat.own_temperature:
-            cv_energy = _GAMMA_ALPHA * enthalpy + heat_c + _G1 * (volume - numbers.cv.flat_L) * air.kPa_per_s
+            cv_energy = (
+                numbers.gamma * ALPHA_KPA * enthalpy
+                + heat_c
+                + (numbers.gamma - 1.0) * (volume - numbers.cv.flat_L) * air.kPa_per_s
+            )
             cv_wall = wall_K_per_s(numbers.cv_heat, heat_c, state[5], ratio_a)
     return (
         -(evp + motive + leak_r),
@@ -218,7 +221,7 @@ def quickest_per_s(numbers: PlantNumbers, air: Air, state: Floats, held: Held) -
     through = max(state[7], held.evp_target) * numbers.evp.law.steepest_SL_per_s_kPa
     if held.solenoid_open:
         through += numbers.solenoid.steepest_SL_per_s_kPa
-    energy, gas = state[4], GAMMA
+    energy, gas = state[4], numbers.gamma
     if not numbers.cv_heat.own_temperature:
         energy, gas = ALPHA_KPA * state[3] * air.ratio, 1.0
     per_litre = gas / pressure_and_volume(numbers.cv, energy, air.kPa)[1]

@@ -13,7 +13,7 @@ from math import inf, isfinite, pi
 from random import Random
 from typing import Any, NamedTuple
 
-from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_PRESSURE_KPA
+from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.plant.flow import Iso6358, Ohm, Opening, flow_SL_per_s
 from flying_vines.physics.plant.leak import Leak
 from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
@@ -373,7 +373,9 @@ def with_mishaps(well: PlantNumbers, mishaps: Mishaps) -> PlantNumbers:
     if mishaps.bottle is not None:
         leak = _with_hole(well.reservoir_leak, mishaps.bottle.opening, _FULL_BOTTLE_KPA)
         through = well.evp.law.steepest_SL_per_s_kPa + well.dvp.law.steepest_SL_per_s_kPa
-        quickest_per_s = GAMMA * ALPHA_KPA * well.reservoir_per_L * (through + leak.steepest_SL_per_s_kPa)
+        quickest_per_s = (
+            well.gamma * ALPHA_KPA * well.reservoir_per_L * (through + leak.steepest_SL_per_s_kPa)
+        )
         numbers = numbers._replace(
             reservoir_leak=leak, standing_per_s=max(well.standing_per_s, quickest_per_s)
         )
