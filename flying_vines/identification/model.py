@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
 from flying_vines.physics.plant.plant import Held
@@ -47,7 +47,7 @@ def pressurised(
     line_SL = (cv_kPa + air.kPa) / (air.ratio * numbers.line_kPa_per_SL) if numbers.has_tubing else 0.0
     return (
         reservoir_pV / (ALPHA_KPA * ratio_r), reservoir_pV, wall_r,
-        cv_pV / (ALPHA_KPA * ratio_c), cv_pV + (GAMMA - 1.0) * work_J, wall_c,
+        cv_pV / (ALPHA_KPA * ratio_c), cv_pV + (numbers.gamma - 1.0) * work_J, wall_c,
         line_SL, evp, dvp, vented,
     )  # fmt: skip
 

@@ -16,11 +16,12 @@ from flying_vines.identification.model import APART, run
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, ModelReadings, Values
 from flying_vines.physics.compiler import compiled, record
-from flying_vines.physics.constants import ALPHA_KPA, GAMMA
+from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.commands import Commands, followed, steps_of, together
 from flying_vines.physics.plant.compiled import weather_at
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Opening
+from flying_vines.physics.plant.leak import Leak
 from flying_vines.physics.plant.numbers import PlantNumbers, heat_per_s, numbers_of
 from flying_vines.physics.plant.sensors import Sensor
 from flying_vines.physics.plant.setup import Setup, perfect
@@ -221,6 +222,12 @@ def _starts(run: RecordedRun) -> NDArray[np.intp]:
     return np.concatenate(([0], np.flatnonzero(again) + 1))
 
 
+def _leak_SL_per_s_kPa(leak: Leak, sensor: Sensor) -> float:
+    """Change of a leak's flow per kPa, at most over the sensor's span."""
+    viscous = 2.0 * (sensor.span_kPa + ALPHA_KPA) * leak.viscous_SL_per_s_kPa2
+    return leak.ohmic_SL_per_s_kPa + viscous + leak.orifice.conductance_SL_per_s_kPa
+
+
 def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> float:
     """The inverse of the fastest time constant that an explicit integrator must resolve."""
     n = numbers
@@ -228,12 +235,17 @@ def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> f
     evp = n.evp.law.conductance_SL_per_s_kPa
     at_the_valves = evp + (n.solenoid if lagging else solenoid).conductance_SL_per_s_kPa
     out_of_reservoir = evp + n.dvp.law.conductance_SL_per_s_kPa
-    rates = [GAMMA * ALPHA_KPA * out_of_reservoir * n.reservoir_per_L]
+    out_of_reservoir += _leak_SL_per_s_kPa(n.reservoir_leak, setup.reservoir_sensor)
+    rates = [n.gamma * ALPHA_KPA * out_of_reservoir * n.reservoir_per_L]
+    leak = _leak_SL_per_s_kPa(n.cv_leak, setup.cv_sensor)
     if n.has_tubing:
         line = n.line_SL_per_s_kPa
-        rates += [(at_the_valves + line) * n.line_kPa_per_SL, GAMMA * ALPHA_KPA * line / n.cv.flat_L]
+        rates += [
+            (at_the_valves + line) * n.line_kPa_per_SL,
+            n.gamma * ALPHA_KPA * (line + leak) / n.cv.flat_L,
+        ]
     elif n.has_cv:
-        rates.append(GAMMA * ALPHA_KPA * at_the_valves / n.cv.flat_L)
+        rates.append(n.gamma * ALPHA_KPA * (at_the_valves + leak) / n.cv.flat_L)
     if lagging:
         # The sensor model takes the pressure as linear over a step, so steps must be short.
         rates.append(10.0 * max(rates))

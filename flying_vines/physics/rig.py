@@ -11,9 +11,12 @@ from typing import Annotated, Any, TypeVar
 
 import msgspec
 
+from flying_vines.physics.gas import Gas
+
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 R = TypeVar("R")
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+_AIR = Gas()
 
 
 class RigError(ValueError):
@@ -86,6 +89,7 @@ class Rig:
     solenoid: Solenoid = Solenoid()
     venturi: Venturi = Venturi()
     sensors: Sensors = Sensors()
+    gas: Gas = _AIR
     tolerance_percent: dict[str, NotNegative] = field(default_factory=dict)
 
     def tolerance(self, key: str) -> float:
@@ -134,7 +138,7 @@ def rig_from(content: Mapping[str, Any]) -> Rig:
         if table not in _TABLES:
             raise RigError(f"unknown table {table!r} of a rig: the tables are {', '.join(_TABLES)}.")
     for key, value in _flat(content):
-        if key.removeprefix("tolerance_percent.") not in _KEYS:
+        if key not in _KEYS and key.removeprefix("tolerance_percent.") not in _MEASURED:
             raise RigError(f"unknown key {key!r} of a rig: the keys are {', '.join(_KEYS)}.")
         if isinstance(value, float) and not math.isfinite(value):
             raise RigError(f"{key} is {value}, which is not a number.")
@@ -158,3 +162,5 @@ def _flat(tables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 
 _TABLES = tuple(field.name for field in fields(Rig))
 _KEYS = tuple(key for key, _ in _flat(asdict(Rig())))
+_MEASURED = tuple(key for key in _KEYS if not key.startswith("gas."))
+"""Keys that may have a tolerance."""

@@ -9,6 +9,7 @@ the actuator.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +17,8 @@ import msgspec
 
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA
-from flying_vines.physics.plant.flow import FlowLaw, Ohm, flow_SL_per_s
+from flying_vines.physics.plant.flow import FlowLaw, LeakLaw, Ohm, flow_SL_per_s
+from flying_vines.physics.plant.leak import leak_of, leak_SL_per_s
 from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_from
@@ -132,8 +134,8 @@ def _known(p: PneumaticsConfig, setup: Setup) -> Belief:
         rise_kPa = max(rise_kPa, p.cycle_swing_kPa - VENTURI_ENDS_KPA)
     evp = effects.evp_law or Ohm(p.evp_flow_resistance_kPa_s_per_SL)
     motive = _motive_SL_per_s(p, plant, half_kPa) * kPa_per_SL / (half_kPa + AMBIENT_KPA)
-    leak = _leak_SL_per_s_kPa(effects.reservoir_leak, half_kPa) * kPa_per_SL
-    cv_leak = _leak_SL_per_s_kPa(effects.cv_leak, top_kPa) * kPa_per_SL / gain
+    leak = _leak_SL_per_s_kPa(effects.reservoir_leaks, half_kPa) * kPa_per_SL
+    cv_leak = _leak_SL_per_s_kPa(effects.cv_leaks, top_kPa) * kPa_per_SL / gain
     return Belief(
         pneumatics=p,
         rise=Prior(rise, CHANGED * rise),
@@ -199,7 +201,7 @@ def _venturi_s(p: PneumaticsConfig, plant: Plant, offset_kPa: float) -> float:
     adds to this difference.
     """
     law = plant.effects.solenoid_law or Ohm(plant.rig.solenoid.flow_resistance_kPa_s_per_SL)
-    leaves_per_s = _leak_SL_per_s_kPa(law, p.cycle_swing_kPa) * ALPHA_KPA / p.cv_volume_L
+    leaves_per_s = _flow_SL_per_s(law, p.cycle_swing_kPa) / p.cycle_swing_kPa * ALPHA_KPA / p.cv_volume_L
     behind_kPa = min(p.cycle_rate_kPa_per_s / leaves_per_s / math.e, p.cycle_swing_kPa)
     if behind_kPa + offset_kPa < VENTURI_STARTS_KPA:
         return 0.0
@@ -208,9 +210,9 @@ def _venturi_s(p: PneumaticsConfig, plant: Plant, offset_kPa: float) -> float:
     return math.log(max(1.0, (behind_kPa + vacuum_kPa) / stops_kPa)) / leaves_per_s
 
 
-def _leak_SL_per_s_kPa(law: FlowLaw | None, at_kPa: float) -> float:
-    """Flow through an opening to ambient, per kPa of gauge pressure."""
-    return _flow_SL_per_s(law, at_kPa) / at_kPa if law else 0.0
+def _leak_SL_per_s_kPa(laws: Iterable[LeakLaw | None], at_kPa: float) -> float:
+    """Flow through leaks to ambient, per kPa of gauge pressure."""
+    return leak_SL_per_s(leak_of(laws), AMBIENT_KPA + at_kPa, AMBIENT_KPA, 1.0, 1.0) / at_kPa
 
 
 def _flow_SL_per_s(law: FlowLaw, supply_kPa: float) -> float:

@@ -15,7 +15,7 @@ nor numbers with `flying_vines`: where the two agree, they agree because both ar
 | `plans` | what is done in a run: steps, random openings, bends, hold, discharge |
 | `truth`, `recording` | what is hidden · the runs that come of it |
 | `gap` | how far the best fit of the baseline stays behind the truth |
-| `draw` | the tiers: clear, subtle, faint, worn, holes, short, pair, null, outside, hard |
+| `draw` | the tiers: clear, subtle, faint, worn, holes, short, pair, null, outside, hard, several, … |
 | `files` | the public format |
 """
 

@@ -12,8 +12,14 @@
 | `null` | none: clean, worn, or with holes |
 | `outside` | an effect that is not in the table, clear or a third of that |
 | `hard` | uneven samples, a column missing, only a discharge, noise misstated; a clear cause, or none (1/4) |
+| `several` | three to six causes at once, their strengths spread from clear to a tenth of that |
+| `several_outside` | two to four causes, spread likewise, and a clear effect that is not in the table |
+| `rounded` | readings rounded, or noise correlated; one clear cause, or none in a quarter |
 
-What is hidden shows: its gap is above `SHOWS` (of a pair: the gap of the fit that has either cause alone).
+What is hidden shows: its gap is above `SHOWS`, and of several effects the gap of each: that of the fit that
+has all others. So two that are the same by symmetry are never hidden together. Where readings are rounded or
+noise is correlated, a gap counts for as much less as the readings tell less. The largest of several is at
+least `LEADS` times the next one.
 A draw in which it does not is drawn again, as where the Venturi stalls only at pressures that no run came
 down to.
 """
@@ -34,7 +40,21 @@ from hidden_truth.recording import WITHOUT, make
 from hidden_truth.rig import TOLERANCE_PERCENT, draw_rig, worn
 from hidden_truth.truth import Truth
 
-TIERS = ("clear", "subtle", "faint", "worn", "holes", "short", "pair", "null", "outside", "hard")
+TIERS = (
+    "clear",
+    "subtle",
+    "faint",
+    "worn",
+    "holes",
+    "short",
+    "pair",
+    "null",
+    "outside",
+    "hard",
+    "several",
+    "several_outside",
+    "rounded",
+)
 SHOWS = 3_000.0
 FAINT = (300.0, 3_000.0)
 FAINT_AIM = (400.0, 2_500.0)
@@ -43,8 +63,22 @@ WORN_PERCENT = 2.5
 SHORT_S = 20.0
 HOLES = ("cells", "held", "lost")
 STATED_OFF = ((0.4, 0.7), (1.5, 2.5))
+SPREAD = 0.1
+"""The weakest of several strengths, over a clear one."""
+LEADS = 1.25
+CONVERTER_STEPS = (0.5, 5.0)
+"""In standard deviations of the noise."""
+CORRELATION_S = (0.02, 0.2)
+NOT_REPLAYED = "x_repeats"
+"""What it does is not in the inputs, so that nothing can be fitted beside it."""
+_VISCOUS = {"cv_leak": "viscous_leak", "reservoir_leak": "reservoir_viscous_leak"}
+_DRAWN = tuple(name for name in CAUSES if name not in _VISCOUS.values())
+"""Of which half of the leaks then are viscous."""
+_GAINS = {"cv_sensor_gain", "reservoir_sensor_gain"}
 _ATTEMPTS = 60
 _FADINGS = 16
+_LEAKS = 90
+"""Random numbers of their own; those of the runs count from 1."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +110,7 @@ def _candidate(tier: str, seed: int, stream: tuple[int, ...], rng: Generator) ->
         "null": lambda: str(rng.choice(("clean", "worn", *HOLES), p=(0.4, 0.3, 0.1, 0.1, 0.1))),
         "hard": lambda: str(rng.choice(("uneven", "discharge", "noise", *WITHOUT))),
         "outside": lambda: str(rng.choice(("clear", "subtle"), p=(0.7, 0.3))),
+        "rounded": lambda: str(rng.choice(("rounded", "correlated"))),
     }.get(tier, lambda: "")()
     if variant == "discharge":
         rig = replace(rig, cv_L=None)
@@ -90,18 +125,27 @@ def _candidate(tier: str, seed: int, stream: tuple[int, ...], rng: Generator) ->
         )
     names: list[str] = []
     if tier == "pair":
-        names = [str(name) for name in rng.choice(CAUSES, 2, replace=False)]
+        names = [str(name) for name in rng.choice(_DRAWN, 2, replace=False)]
+    elif tier == "several":
+        names = _together(rng, int(rng.integers(3, 7)))
+    elif tier == "several_outside":
+        names = _together(rng, int(rng.integers(2, 5)))
+        names.append(str(rng.choice([name for name in OUTSIDE if name != NOT_REPLAYED])))
     elif tier == "outside":
         names = [str(rng.choice(OUTSIDE))]
-    elif tier != "null" and not (tier in ("worn", "hard") and rng.random() < 0.25):
+    elif tier != "null" and not (tier in ("worn", "hard", "rounded") and rng.random() < 0.25):
         able = [
             name
-            for name in CAUSES
+            for name in _DRAWN
             if (variant != "discharge" or EFFECTS[name].seen_without_cv)
             and (tier not in ("subtle", "faint") or EFFECTS[name].weaken is not None)
         ]
         names = [str(rng.choice(able))]
+    leaks = np.random.default_rng([*stream, _LEAKS])
+    names = [_VISCOUS[name] if name in _VISCOUS and leaks.random() < 0.5 else name for name in names]
     hidden = [Hidden(name, EFFECTS[name].draw(rng, rig)) for name in names]
+    if tier in ("several", "several_outside"):
+        hidden = [_spread(one, rng) for one in hidden]
     if tier == "subtle" or (variant == "subtle" and hidden[0].effect.weaken is not None):
         hidden = [one.weaker(SUBTLE) for one in hidden]
     return Truth(
@@ -116,7 +160,28 @@ def _candidate(tier: str, seed: int, stream: tuple[int, ...], rng: Generator) ->
         stated=stated,
         plans=_plans(tier, variant, rng),
         stream=stream,
+        converter_step=_between(rng, CONVERTER_STEPS) if variant == "rounded" else 0.0,
+        correlation_s=_between(rng, CORRELATION_S) if variant == "correlated" else 0.0,
     )
+
+
+def _together(rng: Generator, number: int) -> list[str]:
+    """Causes that differ; of the sensors' gains, which are the same without the Venturi, one at most."""
+    while True:
+        names = [str(name) for name in rng.choice(_DRAWN, number, replace=False)]
+        if not set(names) >= _GAINS:
+            return names
+
+
+def _spread(one: Hidden, rng: Generator) -> Hidden:
+    """At a share of its strength, of what can be weaker and is in the table."""
+    share = _between(rng, (SPREAD, 1.0))
+    return one.weaker(share) if one.effect.in_table and one.effect.weaken is not None else one
+
+
+def _between(rng: Generator, bounds: tuple[float, float]) -> float:
+    low, high = np.log(bounds)
+    return float(np.exp(rng.uniform(low, high)))
 
 
 def _plans(tier: str, variant: str, rng: Generator) -> tuple[Plan, ...]:
@@ -137,17 +202,26 @@ def _plans(tier: str, variant: str, rng: Generator) -> tuple[Plan, ...]:
 
 
 def _shown(truth: Truth) -> Truth | None:
-    """With its gap, and the cause that explains more first; None if a cause does not show."""
+    """With its gap and shares, and the effect that explains most first; None if one does not show."""
     runs = make(truth)
     if not truth.hidden:
         return replace(truth, gap=gap(truth, runs))
-    if len(truth.hidden) == 2:
-        left = {one: gap(truth, runs, known=(one,)) for one in truth.hidden}
-        if min(left.values()) < SHOWS:
+    shows = SHOWS / truth.independent_share
+    found = gap(truth, runs, below=shows)
+    if found < shows:
+        return None
+    if len(truth.hidden) == 1:
+        return replace(truth, gap=found, shares=(1.0,))
+    back: dict[Hidden, float] = {}
+    for one in truth.hidden:
+        others = tuple(other for other in truth.hidden if other is not one)
+        back[one] = gap(truth, runs, known=others, below=shows)
+        if back[one] < shows:
             return None
-        truth = replace(truth, hidden=tuple(sorted(truth.hidden, key=left.__getitem__)))
-    found = gap(truth, runs)
-    return replace(truth, gap=found) if found >= SHOWS else None
+    hidden = tuple(sorted(truth.hidden, key=back.__getitem__, reverse=True))
+    if truth.tier != "pair" and back[hidden[0]] < LEADS * back[hidden[1]]:
+        return None
+    return replace(truth, hidden=hidden, gap=found, shares=tuple(back[one] / found for one in hidden))
 
 
 def _faded(truth: Truth, rng: Generator) -> Truth | None:
@@ -160,7 +234,7 @@ def _faded(truth: Truth, rng: Generator) -> Truth | None:
         faded = replace(truth, hidden=(strong.weaker(share),))
         found = gap(faded, make(faded))
         if FAINT[0] <= found <= FAINT[1]:
-            return replace(faded, gap=found)
+            return replace(faded, gap=found, shares=(1.0,))
         if found < aim:
             low = share
         else:

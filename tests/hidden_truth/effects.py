@@ -3,7 +3,7 @@
 A clear strength is drawn log-uniformly from what real rigs show, so far as that is known:
 
 - leaks: a bottle that loses 0.5 to 10 kPa/s, a vine that halves its pressure in a fraction of a second to
-  seconds;
+  seconds; a viscous leak loses as much as a leak by Ohm's law at 500 kPa in a bottle, at 35 kPa in a vine;
 - flow: critical ratios 0.2 to 0.5 of valves with fittings; resistances that are off by 8 to 40 % (the
   paper's are by 15 %);
 - heat: a bottle settles in about 10 s, half a litre of cloth or plastic within seconds;
@@ -96,6 +96,7 @@ def _times(field: str) -> Apply:
 
 
 RESISTANCE, TIME, SCALE = "flow_resistance_kPa_s_per_SL", "time_constant_s", "scale"
+VISCOUS = "conductance_constant_kPa2_s_per_SL"
 
 _ALL = (
     Effect(
@@ -189,6 +190,23 @@ _ALL = (
         0.03,
         0.18,
         _set("ambient_drop_kPa_per_s"),
+        seen_without_cv=True,
+    ),
+    Effect(
+        "viscous_leak",
+        VISCOUS,
+        5e4,
+        3.5e5,
+        lambda p, value: p._replace(cv_viscous_leak_SL_per_s_kPa2=1.0 / value),
+        _wider,
+    ),
+    Effect(
+        "reservoir_viscous_leak",
+        VISCOUS,
+        2e6,
+        1.4e7,
+        lambda p, value: p._replace(reservoir_viscous_leak_SL_per_s_kPa2=1.0 / value),
+        _wider,
         seen_without_cv=True,
     ),
     # Outside the table: resistance R (1 + k w), dw/dt = u − w/τ, of a coil that warms up while it is driven.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +20,23 @@ ANSWERS = "answers.json"
 def answer(truth: Truth) -> dict[str, Any]:
     """What a verdict is to be held against, names and parameters as in the table of causes.
 
-    `effect` is the one that explains most, `also` the other of a pair; `nominal` are the rig's true numbers.
+    `effect` is the one that explains most, `also` are the others; `share` is what of the baseline's misfit
+    comes back without it; `nominal` are the rig's true numbers.
     """
     first, *others = truth.hidden or (None,)
-    rig = truth.rig
+    rig, shares = truth.rig, truth.shares
     return {
         "effect": "none" if first is None else first.name,
         "tier": truth.tier,
         "variant": truth.variant,
         "seed": truth.seed,
         "parameters": {} if first is None else _parameters(first),
-        "also": [{"effect": one.name, "parameters": _parameters(one)} for one in others if one],
+        "share": shares[0] if shares else None,
+        "also": [
+            {"effect": one.name, "parameters": _parameters(one), "share": share}
+            for one, share in zip_longest(others, shares[1:])
+            if one
+        ],
         "gap": truth.gap,
         "nominal": {
             "Vr": rig.reservoir_L,

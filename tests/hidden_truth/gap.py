@@ -28,7 +28,7 @@ _NUDGE, _NUDGE_KPA = 1e-3, 0.1
 _ROUNDS = 4
 _SHARES = (1.0, 0.3, 0.05)
 """Of a step, until one leads down."""
-_KNOWN = (-0.7, 1.0)
+KNOWN = (-0.7, 1.0)
 """How far, of itself, the strength of a known effect may move."""
 _ENOUGH, _ENOUGH_SHARE = 1.0, 0.01
 """Of chi-square, and of how far it is above the truth's: a round that gains less is the last."""
@@ -39,8 +39,13 @@ def chi_square(truth: Truth, recordings: Sequence[Recording]) -> float:
     return sum(float(np.sum(misfit(truth, one, one.clean) ** 2)) for one in recordings)
 
 
-def gap(truth: Truth, recordings: Sequence[Recording], known: tuple[Hidden, ...] = ()) -> float:
-    """Chi-square of the baseline's best fit above the truth; `known` effects are fitted as well."""
+def gap(
+    truth: Truth, recordings: Sequence[Recording], known: tuple[Hidden, ...] = (), below: float = -np.inf
+) -> float:
+    """Chi-square of the baseline's best fit above the truth; `known` effects are fitted as well.
+
+    A gap that gets `below` what is asked is not looked for any further.
+    """
     numbers = [name for name in NUMBERS if getattr(truth.believed, name) is not None]
     runs = len(recordings)
 
@@ -64,11 +69,13 @@ def gap(truth: Truth, recordings: Sequence[Recording], known: tuple[Hidden, ...]
         bound[len(numbers) + 1 : len(numbers) + 2 * runs : 2] = 0.0
     low, high = -bound, bound
     if known:
-        low[-len(known) :], high[-len(known) :] = _KNOWN
+        low[-len(known) :], high[-len(known) :] = KNOWN
     noise = chi_square(truth, recordings)
     x = np.zeros(n)
     parts = residuals(x)
     best = np.concatenate(parts)
+    if float(best @ best) - noise < below:
+        return float(best @ best) - noise
     problem = _Linear(residuals, x, parts, len(numbers))
     for _ in range(_ROUNDS):
         before = float(best @ best)
@@ -80,7 +87,7 @@ def gap(truth: Truth, recordings: Sequence[Recording], known: tuple[Hidden, ...]
                 best, x = now, x + share * step
                 break
         after = float(best @ best)
-        if before - after < max(_ENOUGH, _ENOUGH_SHARE * (after - noise)):
+        if after - noise < below or before - after < max(_ENOUGH, _ENOUGH_SHARE * (after - noise)):
             break
         if known:
             problem = _Linear(residuals, x, parts, len(numbers))

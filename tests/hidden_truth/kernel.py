@@ -23,6 +23,7 @@ What the words leave open, and how it is read here:
 - `cv_compliance` conserves mass: d(P_abs V)/dt = αΣQ. Together with `cv_heating` the wall's work enters the
   energy: V dP_abs/dt + γ P_abs dV/dt = γα(Q_in − T Q_out) − P_abs V/T (T − 1)/τ, which is either alone when
   the other is off.
+- A viscous leak ends in the ambient of its moment, and lets air in where the pressure is below that.
 - What leaks out or in counts as any other flow: out at the gas's temperature, in at ambient temperature.
 - "Never backwards while the Venturi's supply valve is open" goes by the valve's command.
 
@@ -89,6 +90,8 @@ class Physics(NamedTuple):
     reservoir_offset_kPa: float = 0.0
     reservoir_gain: float = 1.0
     ambient_drop_kPa_per_s: float = 0.0
+    cv_viscous_leak_SL_per_s_kPa2: float = 0.0
+    reservoir_viscous_leak_SL_per_s_kPa2: float = 0.0
 
     # Outside the table.
     coil_per_s: float = 0.0
@@ -208,7 +211,9 @@ def _rates(p: Physics, t: float, y: Array, u: float, d: float, s: bool, out: Arr
     rise = p.ambient_drop_kPa_per_s
 
     reservoir, warmth = y[0], y[4]
-    spent = ALPHA_KPA * (q_e + q_m + p.reservoir_leak_SL_per_s_kPa * reservoir) / p.reservoir_L
+    q_leak = p.reservoir_leak_SL_per_s_kPa * reservoir
+    q_leak += p.reservoir_viscous_leak_SL_per_s_kPa2 * ((reservoir + ambient) ** 2 - ambient**2)
+    spent = ALPHA_KPA * (q_e + q_m + q_leak) / p.reservoir_L
     if p.reservoir_wall_s > 0.0:
         absolute = reservoir + ambient
         back = (1.0 - warmth) / p.reservoir_wall_s
@@ -220,6 +225,7 @@ def _rates(p: Physics, t: float, y: Array, u: float, d: float, s: bool, out: Arr
 
     cv, warmth = y[1], y[5]
     q_leak = p.cv_leak_SL_per_s_kPa * cv + max(0.0, cv - p.relief_kPa) / p.relief_kPa_s_per_SL
+    q_leak += p.cv_viscous_leak_SL_per_s_kPa2 * ((cv + ambient) ** 2 - ambient**2)
     q_second = 0.0
     if p.second_L > 0.0:
         q_second = (cv - y[7]) / p.second_kPa_s_per_SL

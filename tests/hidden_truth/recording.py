@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,10 +55,22 @@ def make(truth: Truth) -> tuple[Recording, ...]:
     return tuple(_record(truth, i, plan) for i, plan in enumerate(truth.plans))
 
 
+def _correlated(white: Array, time_s: Array, correlation_s: float) -> Array:
+    """Noise of the same variance whose correlation falls by e within the time given."""
+    if correlation_s == 0.0:
+        return white
+    noise = white.copy()
+    stays = np.exp(-np.diff(time_s) / correlation_s)
+    for i, share in enumerate(stays, start=1):
+        noise[i] = share * noise[i - 1] + math.sqrt(1.0 - share * share) * white[i]
+    return noise
+
+
 def _record(truth: Truth, index: int, plan: Plan) -> Recording:
     rng = np.random.default_rng([*truth.stream, 1 + index])
     n = plan.time_s.size
-    noise = rng.standard_normal((n, 2)) * (truth.noise.cv_kPa, truth.noise.reservoir_kPa)
+    std_kPa = np.array([truth.noise.cv_kPa, truth.noise.reservoir_kPa])
+    noise = _correlated(rng.standard_normal((n, 2)), plan.time_s, truth.correlation_s) * std_kPa
     chance = rng.random(n)
     hole = int(rng.integers(n // 10, n - n // 4))
     hole_samples = round(HOLE_S / np.median(np.diff(plan.time_s)))
@@ -65,7 +78,11 @@ def _record(truth: Truth, index: int, plan: Plan) -> Recording:
         plan = hanging(plan, hole, hole_samples)
     start = (plan.reservoir_kPa, 0.0)
     flown = fly(truth.physics, plan.control, start, plan.time_s, plan.rows, noise, chance, TOLERANCE_KPA)
-    read = np.column_stack([flown[:, 5].round(CV_DECIMALS), flown[:, 6].round(RESERVOIR_DECIMALS)])
+    exact = flown[:, 5:7]
+    if truth.converter_step > 0.0:
+        step_kPa = truth.converter_step * std_kPa
+        exact = (exact / step_kPa).round() * step_kPa
+    read = np.column_stack([exact[:, 0].round(CV_DECIMALS), exact[:, 1].round(RESERVOIR_DECIMALS)])
     kept = np.ones(n, dtype=bool)
     inputs = flown[:, :3].copy()
     if truth.variant == "cells":

@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from hidden_truth import draw, make
-from hidden_truth.draw import FAINT, SHOWS, TIERS, _candidate
+from hidden_truth.draw import FAINT, LEADS, SHOWS, TIERS, _candidate
 from hidden_truth.effects import CAUSES, EFFECTS, OUTSIDE, Hidden
 from hidden_truth.examples import example
 from hidden_truth.gap import chi_square, gap
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.long
 
 @cache
 def drawn(tier: str) -> tuple[Truth, ...]:
-    return tuple(draw(tier, seed) for seed in range(1 if tier == "pair" else 2))
+    return tuple(draw(tier, seed) for seed in range(1 if tier == "pair" or "several" in tier else 2))
 
 
 def readings(truth: Truth) -> int:
@@ -38,10 +38,13 @@ def test_the_truth_leaves_noise_and_what_is_hidden_shows(tier: str) -> None:
         runs = make(truth)
         n = readings(truth)
         assert truth.hidden == () or truth.gap >= FAINT[0]
+        told = truth.independent_share
         if not truth.hidden:
-            assert -80.0 < truth.gap < 30.0
-        if truth.hidden == () or truth.hidden[0].name != "x_ceiling":
-            assert chi_square(truth, runs) / n == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / n))
+            assert -80.0 / told < truth.gap < 30.0 / told
+        if "x_ceiling" not in [one.name for one in truth.hidden]:
+            rounding = truth.converter_step**2 / 12.0
+            spread = 5.0 * np.sqrt(2.0 / (n * told))
+            assert chi_square(truth, runs) / n == pytest.approx(1.0 + rounding, abs=spread)
 
 
 @pytest.mark.parametrize("tier", ["faint", "outside", "holes"])
@@ -75,6 +78,8 @@ def test_what_the_other_tiers_hide() -> None:
     assert all(truth.hidden == () for truth in drawn("null"))
     assert all(truth.hidden[0].name in OUTSIDE and len(truth.hidden) == 1 for truth in drawn("outside"))
     assert all(truth.hidden[0].name != truth.hidden[1].name for truth in drawn("pair"))
+    assert all(len(truth.hidden) <= 1 for truth in drawn("rounded"))
+    assert all((truth.converter_step > 0.0) != (truth.correlation_s > 0.0) for truth in drawn("rounded"))
 
 
 def test_both_of_a_pair_show_and_the_first_explains_more() -> None:
@@ -226,3 +231,59 @@ def test_a_tier_that_is_not_there() -> None:
 def test_what_cannot_be_weakened() -> None:
     with pytest.raises(ValueError, match="nothing in between"):
         Hidden("compressible_flow", 0.3).weaker(0.5)
+
+
+def test_several_effects_have_a_share_each_and_the_first_the_largest() -> None:
+    for tier in ("several", "several_outside"):
+        for truth in drawn(tier):
+            names = [one.name for one in truth.hidden]
+            inside = [name for name in names if name in CAUSES]
+            low, high = (3, 6) if tier == "several" else (2, 4)
+            assert low <= len(inside) <= high
+            assert len(names) - len(inside) == (tier == "several_outside")
+            assert len({_element(name) for name in names}) == len(names)
+            assert list(truth.shares) == sorted(truth.shares, reverse=True)
+            assert truth.shares[0] >= LEADS * truth.shares[1]
+            assert truth.shares[-1] * truth.gap >= SHOWS
+            others = truth.hidden[1:]
+            assert truth.shares[0] == gap(truth, make(truth), known=others) / truth.gap
+
+
+def _element(name: str) -> str:
+    """Of what looks alike, only one is hidden: a leak has one law, and of two sensors one gain is off."""
+    if name.endswith("_gain"):
+        return "gain"
+    return name.removeprefix("cv_").replace("viscous_", "")
+
+
+def test_readings_are_rounded_by_a_converter_and_hold_their_noise_otherwise() -> None:
+    plain = example("cv_leak")
+    step = replace(plain, variant="rounded", converter_step=3.0)
+    for run in make(step):
+        for column, std_kPa in enumerate((plain.noise.cv_kPa, plain.noise.reservoir_kPa)):
+            steps = run.read[:, column] / (3.0 * std_kPa)
+            assert steps == pytest.approx(steps.round(), abs=0.005 / std_kPa)
+            off = (run.read[:, column] - run.clean[:, column]) / std_kPa
+            assert np.abs(off).max() < 1.5 + 5.0
+
+
+def test_correlated_noise_is_as_large_as_white_noise_and_lasts_as_long_as_said() -> None:
+    for correlation_s in (0.05, 0.2):
+        truth = replace(example("cv_leak"), variant="correlated", correlation_s=correlation_s)
+        noise = [(run.read - run.clean) / (0.15, 1.2) for run in make(truth)]
+        assert np.std(np.concatenate(noise)) == pytest.approx(1.0, abs=0.1)
+        now, later = (np.concatenate([one[part] for one in noise]) for part in (slice(-5), slice(5, None)))
+        expected = np.exp(-0.1 / correlation_s)
+        assert np.corrcoef(now.ravel(), later.ravel())[0, 1] == pytest.approx(expected, abs=0.1)
+
+
+def test_half_of_the_leaks_are_viscous() -> None:
+    names = [
+        one.name
+        for seed in range(300)
+        for one in _candidate("pair", seed, (0, seed, 0), np.random.default_rng(seed)).hidden
+        if "leak" in one.name
+    ]
+    viscous = sum("viscous" in name for name in names)
+    assert len(names) > 30
+    assert 0.25 < viscous / len(names) < 0.75

@@ -47,6 +47,8 @@ STRENGTHS = {
     "reservoir_sensor_offset": -12.0,
     "reservoir_sensor_gain": 0.96,
     "ambient_drop": 0.15,
+    "viscous_leak": 70_000.0,
+    "reservoir_viscous_leak": 3e6,
     "x_valve_heating": 0.04,
     "x_evp_power": 1.7,
     "x_evp_lifting_force": 3e-4,
@@ -67,6 +69,7 @@ TOGETHER = [
     ("line_delay", "evp_hysteresis", "evp_dead_zone", "evp_lag"),
     ("cv_heating", "cv_compliance", "ambient_drop", "cv_leak"),
     ("compressible_flow", "reservoir_cooling", "ambient_drop", "reservoir_leak"),
+    ("viscous_leak", "reservoir_viscous_leak", "ambient_drop", "cv_heating"),
     ("venturi_stall", "solenoid_slow_close", "cv_sensor_lag", "cv_sensor_offset", "cv_sensor_gain"),
 ]
 
@@ -158,7 +161,7 @@ def test_it_is_as_accurate_as_an_implicit_integrator(names: tuple[str, ...]) -> 
 
 def test_every_effect_has_a_strength_here() -> None:
     assert set(STRENGTHS) == set(EFFECTS)
-    assert len(CAUSES) == 21
+    assert len(CAUSES) == 23
     assert len(OUTSIDE) >= 10
 
 
@@ -171,6 +174,19 @@ def test_what_leaks_out_decays() -> None:
     read = replay(p, held_inputs(), TIME, (600.0, 40.0))
     assert read[:, 1] == pytest.approx(600.0 * np.exp(-ALPHA * TIME / (1.0 * 900.0)), abs=1e-5)
     assert read[:, 0] == pytest.approx(40.0 * np.exp(-ALPHA * TIME / (0.25 * 300.0)), abs=1e-5)
+
+
+def test_a_viscous_leak_follows_the_difference_of_squares() -> None:
+    p = hiding("viscous_leak", "reservoir_viscous_leak")
+    read = replay(p, held_inputs(), TIME, (600.0, 40.0))
+    for column, start, volume_L, name in (
+        (1, 600.0, 1.0, "reservoir_viscous_leak"),
+        (0, 40.0, 0.25, "viscous_leak"),
+    ):
+        # dP/dt = -k P (P + 2 ambient), separated and integrated.
+        k = ALPHA / (volume_L * STRENGTHS[name])
+        closed_form = 2.0 * AMBIENT / ((1.0 + 2.0 * AMBIENT / start) * np.exp(2.0 * AMBIENT * k * TIME) - 1.0)
+        assert read[:, column] == pytest.approx(closed_form, abs=1e-5)
 
 
 def test_a_baseline_discharge_is_exponential() -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from hidden_truth.effects import Hidden, with_effects
 from hidden_truth.kernel import Physics
-from hidden_truth.plans import Plan
+from hidden_truth.plans import PERIOD_S, Plan
 from hidden_truth.rig import Noise, Rig
 
 
@@ -19,7 +20,7 @@ class Truth:
     single ones at random at which nothing was moved, and 2 s during which the host hung and the inputs
     stood still: what the files' rule says of them is true), `lost` (the same rows are missing for the
     record only: the rig was flown on, and the rule misleads), `uneven`, `discharge`, `noise` (stated
-    wrongly), `without_…` (a column).
+    wrongly), `without_…` (a column), `rounded` (by a converter), `correlated` (noise).
     """
 
     tier: str
@@ -37,6 +38,22 @@ class Truth:
     """Seed of the random numbers for noise and lost data."""
     gap: float = 0.0
     """Chi-square of the baseline's best fit minus that of the truth, on the recorded data."""
+    shares: tuple[float, ...] = ()
+    """Of each hidden effect: what of `gap` comes back when it alone is left out and the rest is fitted again,
+    each strength within `gap.KNOWN` of itself."""
+    converter_step: float = 0.0
+    """Step of both converters in standard deviations of the noise; 0: as fine as the files."""
+    correlation_s: float = 0.0
+    """Correlation time of the noise, first-order autoregressive; 0: white."""
+
+    @property
+    def independent_share(self) -> float:
+        """How much a reading tells, over what it would if its noise were white and nothing were rounded."""
+        rounding = 1.0 / (1.0 + self.converter_step**2 / 12.0)
+        if self.correlation_s == 0.0:
+            return rounding
+        repeated = math.exp(-PERIOD_S / self.correlation_s)
+        return rounding * (1.0 - repeated) / (1.0 + repeated)
 
     @property
     def physics(self) -> Physics:

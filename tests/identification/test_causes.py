@@ -31,6 +31,10 @@ TABLE = {
     "reservoir_sensor_offset": "offset_kPa",
     "reservoir_sensor_gain": "gain",
     "ambient_drop": "rate_kPa_per_s",
+    "viscous_leak": "conductance_constant_kPa2_s_per_SL",
+    "reservoir_viscous_leak": "conductance_constant_kPa2_s_per_SL",
+    "orifice_leak": "sonic_conductance_SL_per_s_kPa",
+    "reservoir_orifice_leak": "sonic_conductance_SL_per_s_kPa",
 }
 """Names of the rig-data format."""
 

@@ -31,6 +31,7 @@ from flying_vines.identification.importing.units import UNITS, Unit, parse_unit,
 from flying_vines.identification.many import read_any
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
+from flying_vines.physics.gas import GASES
 
 HERE = Path(__file__).parents[1]
 EXCERPTS = HERE / "data" / "measured"
@@ -302,6 +303,18 @@ def test_a_valve_needs_the_volume_of_its_reservoir(tmp_path: Path) -> None:
     assert pump.missing == () and [question.key for question in pump.questions] == ["setup.source"]
     with_answer(pump.answers, "setup.source", "reservoir")
     assert [question.key for question in propose(path, pump.answers).missing] == ["rig.reservoir.volume_L"]
+
+
+def test_the_gas_is_that_of_the_rig_file(tmp_path: Path) -> None:
+    proposal = proposed(
+        tmp_path / "a.csv", "t (s),tank kPa\n" + "\n".join(f"{i},{600 - i}" for i in range(40))
+    )
+    with_answer(proposal.answers, "setup.gas", "CO2")
+    write_case([propose(tmp_path / "a.csv", proposal.answers, BOTH)], tmp_path / "case")
+    assert read_case(tmp_path / "case").rig.gas.properties == GASES["CO2"]
+    (tmp_path / "b.import.toml").write_text('[setup]\ngas = "laughing"\n')
+    with pytest.raises(CaseError, match="'laughing' is not a known gas"):
+        read_answers(tmp_path / "b.import.toml")
 
 
 def test_the_outlet_of_a_vessel_alone(tmp_path: Path) -> None:

@@ -23,6 +23,8 @@ RIG = Rig(cv=ControlVolume(0.25))
 START_KPA = (640.0, 0.0)
 STARTS = np.array([START_KPA])
 LENGTH_S = 12.0
+KNOWN_TO_BOTH = [cause for cause in catalogue() if cause.name in EFFECTS]
+"""Causes that the independent simulator has, too."""
 
 
 def random_run(seed: int) -> RecordedRun:
@@ -55,7 +57,7 @@ def strength(name: str) -> float:
     return effect.value(math.sqrt(effect.low * effect.high), TrueRig(cv_L=0.25))
 
 
-@pytest.mark.parametrize("cause", catalogue(), ids=lambda cause: cause.name)
+@pytest.mark.parametrize("cause", KNOWN_TO_BOTH, ids=lambda cause: cause.name)
 @pytest.mark.parametrize("seed", (1, 2))
 def test_a_cause_is_what_the_truth_says_it_is(cause: Cause, seed: int) -> None:
     run = random_run(seed)
@@ -168,7 +170,9 @@ def test_without_causes_it_is_the_baseline() -> None:
 
 def test_all_causes_together_are_what_the_truth_says_they_are() -> None:
     """In the order in which the effects of one part act."""
-    names = [cause.name for cause in catalogue() if cause.name not in ("compressible_flow", "venturi_stall")]
+    names = [
+        cause.name for cause in KNOWN_TO_BOTH if cause.name not in ("compressible_flow", "venturi_stall")
+    ]
     run = random_run(4)
     hidden = [Hidden(name, strength(name)) for name in names]
     physics = with_effects(TrueRig(cv_L=0.25), hidden)

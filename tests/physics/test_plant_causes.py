@@ -61,8 +61,8 @@ def plain(
     vr: float = VR,
     vc: float = VC,
     re: float = RE,
-    leak_r: float = math.inf,
-    leak_c: float = math.inf,
+    leak_r: Callable[[float], float] = lambda p: 0.0,
+    leak_c: Callable[[float], float] = lambda p: 0.0,
     rise: float = 0.0,
 ) -> Ode:
     """The baseline with one changed number or one additional term."""
@@ -72,25 +72,36 @@ def plain(
         q_e = u_e * (p_r - p_c) / re
         q_o = outlet(p_c, p_r, u_d, s)
         return [
-            -A * (q_e + u_d * p_r / RD + p_r / leak_r) / vr + rise,
-            A * (q_e - q_o - p_c / leak_c) / vc + rise,
+            -A * (q_e + u_d * p_r / RD + leak_r(p_r)) / vr + rise,
+            A * (q_e - q_o - leak_c(p_c)) / vc + rise,
         ]
 
     return ode
 
 
-def compressible(b: float) -> Ode:
-    def phi(r: float) -> float:
-        if r <= b:
-            return 1.0
-        return math.sqrt(max(0.0, 1.0 - ((r - b) / (1.0 - b)) ** 2)) if r < 1.0 else 0.0
+def phi(r: float, b: float) -> float:
+    if r <= b:
+        return 1.0
+    return math.sqrt(max(0.0, 1.0 - ((r - b) / (1.0 - b)) ** 2)) if r < 1.0 else 0.0
 
+
+def gap(p: float, constant: float) -> float:
+    return ((p + P0) ** 2 - P0**2) / constant
+
+
+def hole(p: float, conductance: float) -> float:
+    if p < 0.0:
+        return -conductance * P0 * phi((p + P0) / P0, 0.5)
+    return conductance * (p + P0) * phi(P0 / (p + P0), 0.5)
+
+
+def compressible(b: float) -> Ode:
     def ode(t: float, y: Any, u_e: float, u_d: float, s: bool) -> list[float]:
         p_r, p_c = y
         up = p_r + P0
-        share = phi(P0 / (690.0 + P0)) * (690.0 + P0)
-        q_e = u_e * 690.0 / RE / share * up * phi((p_c + P0) / up)
-        q_m = u_d * 690.0 / RD / share * up * phi(P0 / up)
+        share = phi(P0 / (690.0 + P0), b) * (690.0 + P0)
+        q_e = u_e * 690.0 / RE / share * up * phi((p_c + P0) / up, b)
+        q_m = u_d * 690.0 / RD / share * up * phi(P0 / up, b)
         return [-A * (q_e + q_m) / VR, A * (q_e - outlet(p_c, p_r, u_d, s)) / VC]
 
     return ode
@@ -247,8 +258,37 @@ def simulate(made: Setup) -> Iterator[tuple[int, Pair, Pair]]:
 
 STANDING: dict[str, tuple[dict[str, float], Ode, list[Row], list[float]]] = {
     "none": ({}, plain(), SCHEDULE, []),
-    "reservoir_leak": ({"flow_resistance_kPa_s_per_SL": 900.0}, plain(leak_r=900.0), SCHEDULE, []),
-    "cv_leak": ({"flow_resistance_kPa_s_per_SL": 300.0}, plain(leak_c=300.0), SCHEDULE, []),
+    "reservoir_leak": (
+        {"flow_resistance_kPa_s_per_SL": 900.0},
+        plain(leak_r=lambda p: p / 900.0),
+        SCHEDULE,
+        [],
+    ),
+    "cv_leak": ({"flow_resistance_kPa_s_per_SL": 300.0}, plain(leak_c=lambda p: p / 300.0), SCHEDULE, []),
+    "viscous_leak": (
+        {"conductance_constant_kPa2_s_per_SL": 7e4},
+        plain(leak_c=lambda p: gap(p, 7e4)),
+        SCHEDULE,
+        [],
+    ),
+    "reservoir_viscous_leak": (
+        {"conductance_constant_kPa2_s_per_SL": 8e5},
+        plain(leak_r=lambda p: gap(p, 8e5)),
+        SCHEDULE,
+        [],
+    ),
+    "orifice_leak": (
+        {"sonic_conductance_SL_per_s_kPa": 3e-4},
+        plain(leak_c=lambda p: hole(p, 3e-4)),
+        SCHEDULE,
+        [],
+    ),
+    "reservoir_orifice_leak": (
+        {"sonic_conductance_SL_per_s_kPa": 1e-3},
+        plain(leak_r=lambda p: hole(p, 1e-3)),
+        SCHEDULE,
+        [],
+    ),
     "compressible_flow": ({"critical_pressure_ratio": 0.4}, compressible(0.4), SCHEDULE, []),
     "reservoir_cooling": ({"time_constant_s": 6.0}, cooling(6.0), SCHEDULE, [1.0]),
     "cv_heating": ({"time_constant_s": 1.5}, heating(1.5), SCHEDULE, [1.0]),

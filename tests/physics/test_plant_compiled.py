@@ -62,6 +62,10 @@ CAUSE_NUMBERS: dict[str, dict[str, float]] = {
     "reservoir_sensor_offset": {"offset_kPa": -12.0},
     "reservoir_sensor_gain": {"gain": 0.97},
     "ambient_drop": {"rate_kPa_per_s": 0.3},
+    "viscous_leak": {"conductance_constant_kPa2_s_per_SL": 7e4},
+    "reservoir_viscous_leak": {"conductance_constant_kPa2_s_per_SL": 8e5},
+    "orifice_leak": {"sonic_conductance_SL_per_s_kPa": 5e-4},
+    "reservoir_orifice_leak": {"sonic_conductance_SL_per_s_kPa": 1e-3},
 }
 
 

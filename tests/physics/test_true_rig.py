@@ -45,6 +45,10 @@ EVERY_CAUSE = {
     "reservoir_sensor_offset": {"offset_kPa": -5.0},
     "reservoir_sensor_gain": {"gain": 0.98},
     "ambient_drop": {"rate_kPa_per_s": 0.02},
+    "viscous_leak": {"conductance_constant_kPa2_s_per_SL": 1e5},
+    "reservoir_viscous_leak": {"conductance_constant_kPa2_s_per_SL": 1e7},
+    "orifice_leak": {"sonic_conductance_SL_per_s_kPa": 1e-5},
+    "reservoir_orifice_leak": {"sonic_conductance_SL_per_s_kPa": 1e-5},
 }
 EVERYTHING = """
 [reservoir]

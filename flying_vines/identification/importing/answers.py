@@ -37,6 +37,7 @@ class ImportSetup(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True
     sample_Hz: Positive | None = None
     """Of a file without a time column."""
     gas: str | None = None
+    """Its name in a rig.toml; air unless given."""
 
 
 class Answers(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
@@ -88,6 +89,8 @@ def read_answers(path: Path) -> Answers:
         for column in answers.columns:
             check_column(column)
         rig_from(answers.rig)
+        if answers.setup.gas:
+            rig_from({"gas": {"name": answers.setup.gas}})
     except msgspec.ValidationError as error:
         key, reason = explained(str(error), lambda _: Answers.__struct_fields__)
         raise CaseError(located(text, str(path), key, reason)) from None

@@ -167,7 +167,7 @@ def write_case(proposals: Sequence[Proposal], folder: Path) -> list[Path]:
     """
     rigs = [_rig_tables(proposal) for proposal in proposals]
     for proposal, rig in zip(proposals, rigs, strict=True):
-        for vessel in ("cv", "reservoir"):
+        for vessel in ("cv", "reservoir", "gas"):
             if rig.get(vessel) != rigs[0].get(vessel):
                 raise CaseError(
                     f"{proposal.path}: its {vessel} is not that of {proposals[0].path}; import it alone"
@@ -180,7 +180,10 @@ def write_case(proposals: Sequence[Proposal], folder: Path) -> list[Path]:
         raise CaseError(f"{folder}: contains {other[0]}, which is not from this import; use another --to")
     lines = ["# Written by flying-vines import from the answers in *.import.toml."]
     for name, numbers in rigs[0].items():
-        rows = (f"{value_text(k) if '.' in k else k} = {value_text(float(v))}" for k, v in numbers.items())
+        rows = (
+            f"{value_text(k) if '.' in k else k} = {value_text(v if isinstance(v, str) else float(v))}"
+            for k, v in numbers.items()
+        )
         lines += ["", f"[{name}]", *rows]
     (folder / RIG).write_text("\n".join([*lines, ""]), encoding="utf-8")
     for name, text in texts.items():
@@ -256,8 +259,6 @@ def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]
     """The runs with what the case format needs to know about valves; guesses the outlet and the source."""
     has = set(next(iter(runs.values())))
     setup, name = answers.setup, path.name
-    if setup.gas and setup.gas.casefold() != "air":
-        notes.append(f"{name}: the rig file cannot say {setup.gas} yet; the simulation takes air")
     if has & set(_VALVES) and "cv_pressure" not in has:
         if "evp_opening" not in has and "solenoid" in has:
             notes.append(f"{name}: the outlet of the vessel is written as evp_opening")
@@ -370,6 +371,8 @@ def _guessed_setup(said: Answers, answers: Answers) -> Iterator[ImportQuestion]:
 def _rig_tables(proposal: Proposal) -> dict[str, Any]:
     """The tables of rig.toml: what was said, the noise of the readings, and the resistance of an outlet."""
     tables: dict[str, Any] = {name: dict(table) for name, table in proposal.answers.rig.items()}
+    if proposal.answers.setup.gas:
+        tables.setdefault("gas", {"name": proposal.answers.setup.gas})
     if "tolerance_percent" in tables:
         tables["tolerance_percent"] = dict(rig_from(proposal.answers.rig).tolerance_percent)
     if proposal.answers.setup.source == "pump":

@@ -14,6 +14,8 @@ from flying_vines.physics.plant.setup import Setup
 
 
 def apply(base: Setup, critical_pressure_ratio: float) -> Setup:
+    rig = base.plant.rig
+
     def law(flow_resistance_kPa_s_per_SL: float) -> Iso6358:
         return iso6358_matching(
             flow_resistance_kPa_s_per_SL,
@@ -21,9 +23,9 @@ def apply(base: Setup, critical_pressure_ratio: float) -> Setup:
             laminar_ratio=1.0,
             temperature_dependent=False,
             one_way=True,
+            gas=rig.gas.properties,
         )
 
-    rig = base.plant.rig
     return base.with_effects(
         evp_law=law(rig.evp.flow_resistance_kPa_s_per_SL),
         dvp_law=law(rig.dvp.flow_resistance_kPa_s_per_SL),

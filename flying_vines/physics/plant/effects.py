@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from flying_vines.physics.plant.ambient import Ambient
 from flying_vines.physics.plant.coil import Coil
-from flying_vines.physics.plant.flow import FlowLaw, Iso6358
+from flying_vines.physics.plant.flow import FlowLaw, Iso6358, LeakLaw, Viscous
+from flying_vines.physics.plant.leak import leak_of
 from flying_vines.physics.plant.tubing import Tubing
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.venturi import Ejector
@@ -19,8 +20,8 @@ class Effects:
     """Effects of a rig; each one may be left out.
 
     `*_law`: flow of a fully open valve (None: Ohm's law with the rig's resistance). `*_wall`: heat between
-    wall and gas (None: isothermal gas). `*_motion`, `*_coil`: how a valve follows its command. `*_leak`: a
-    permanent opening to ambient. `ambient`: None is 101.325 kPa absolute and 293.15 K.
+    wall and gas (None: isothermal gas). `*_motion`, `*_coil`: how a valve follows its command. `*_leak`:
+    permanent openings to ambient; those of one volume add up. `ambient`: None is 101.325 kPa and 293.15 K.
     """
 
     evp_law: FlowLaw | None = None
@@ -36,11 +37,28 @@ class Effects:
     solenoid_timing: SolenoidTiming | None = None
     tubing: Tubing | None = None
     cv_shape: Shape | None = None
-    reservoir_leak: FlowLaw | None = None
-    cv_leak: FlowLaw | None = None
+    reservoir_leak: LeakLaw | None = None
+    cv_leak: LeakLaw | None = None
+    reservoir_viscous_leak: Viscous | None = None
+    cv_viscous_leak: Viscous | None = None
+    reservoir_orifice_leak: Iso6358 | None = None
+    cv_orifice_leak: Iso6358 | None = None
     ambient: Ambient | None = None
 
     def __post_init__(self) -> None:
         nozzle = self.ejector is not None and self.ejector.nozzle_conductance_SL_per_s_kPa is not None
         if nozzle and not isinstance(self.dvp_law, Iso6358):
             raise ValueError("a nozzle in series needs a supply valve that follows ISO 6358")
+        # Two orifices in one volume raise their error here.
+        leak_of(self.reservoir_leaks)
+        leak_of(self.cv_leaks)
+
+    @property
+    def reservoir_leaks(self) -> tuple[LeakLaw | None, ...]:
+        """All leaks of the reservoir."""
+        return self.reservoir_leak, self.reservoir_viscous_leak, self.reservoir_orifice_leak
+
+    @property
+    def cv_leaks(self) -> tuple[LeakLaw | None, ...]:
+        """All leaks of the control volume."""
+        return self.cv_leak, self.cv_viscous_leak, self.cv_orifice_leak

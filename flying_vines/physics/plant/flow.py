@@ -1,6 +1,6 @@
-"""Flow through an opening: Ohm's law, or ISO 6358.
+"""Flow through an opening: Ohm's law, ISO 6358, or (of a leak) viscous flow.
 
-`numbers()` converts each law to the same plain numbers, with which `flow_SL_per_s` computes.
+`numbers()` converts Ohm's law and ISO 6358 to the same plain numbers, with which `flow_SL_per_s` computes.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from math import sqrt
 from typing import NamedTuple
 
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
+from flying_vines.physics.gas import AIR, GasProperties, nozzle_critical_ratio, sonic_conductance_ratio
 
 _ANR_SL = STANDARD_PRESSURE_KPA / 100.0
 """ISO 6358 counts volumes at 100 kPa and 20 °C, this project at 101.325 kPa and 20 °C."""
@@ -72,7 +73,7 @@ def choked_share(law: Opening, upstream: float, downstream: float) -> float:
 
 @dataclass(frozen=True)
 class Ohm:
-    """Q = (p₁ − p₂) / R, the paper's Eq. 2."""
+    """Q = (p₁ − p₂) / R, the paper's Eq. 2. R is that of the rig's gas."""
 
     flow_resistance_kPa_s_per_SL: float
 
@@ -80,7 +81,7 @@ class Ohm:
         if not self.flow_resistance_kPa_s_per_SL > 0.0:
             raise ValueError("a flow resistance must be positive")
 
-    def numbers(self) -> Opening:
+    def numbers(self, gas: GasProperties = AIR) -> Opening:
         per_kPa = 1.0 / self.flow_resistance_kPa_s_per_SL
         return Opening(conductance_SL_per_s_kPa=per_kPa, steepest_SL_per_s_kPa=per_kPa)
 
@@ -96,6 +97,7 @@ class Iso6358:
 
     ISO 6358-1:2013 as in MathWorks' "Orifice ISO 6358 (G)" and MapleSim's "Air Orifice ISO6358"; the role of
     the cracking pressure Δp_c is from memory of the standard. `temperature_dependent=False` leaves out √θ₁.
+    C is given for air, as in a data sheet; `numbers` converts it to the rig's gas.
     """
 
     sonic_conductance_SL_per_s_kPa: float
@@ -114,7 +116,8 @@ class Iso6358:
         if not self.subsonic_index > 0.0 or not self.cracking_kPa >= 0.0:
             raise ValueError("a subsonic index must be positive, a cracking pressure not negative")
 
-    def numbers(self) -> Opening:
+    def numbers(self, gas: GasProperties = AIR) -> Opening:
+        conductance = self.sonic_conductance_SL_per_s_kPa * sonic_conductance_ratio(gas)
         b = self.critical_pressure_ratio
 
         def share(r: float) -> float:
@@ -124,7 +127,7 @@ class Iso6358:
         laminar = min(self.laminar_ratio, 0.999)
         return Opening(
             False,
-            self.sonic_conductance_SL_per_s_kPa,
+            conductance,
             b,
             self.subsonic_index,
             self.cracking_kPa,
@@ -132,11 +135,37 @@ class Iso6358:
             self.temperature_dependent,
             self.one_way,
             share(self.laminar_ratio),
-            self.sonic_conductance_SL_per_s_kPa * max(1.0, share(laminar) / (1.0 - laminar)),
+            conductance * max(1.0, share(laminar) / (1.0 - laminar)),
         )
 
 
+@dataclass(frozen=True)
+class Viscous:
+    """Q = (p₁² − p₂²) / C, absolute pressures: laminar flow of a gas through a long, narrow gap.
+
+    Isothermal Hagen-Poiseuille flow of an ideal gas, which EN 1779 uses for viscous leaks. C is that of the
+    rig's gas.
+    """
+
+    conductance_constant_kPa2_s_per_SL: float
+
+    def __post_init__(self) -> None:
+        if not self.conductance_constant_kPa2_s_per_SL > 0.0:
+            raise ValueError("a conductance constant must be positive")
+
+
 FlowLaw = Ohm | Iso6358
+LeakLaw = Ohm | Iso6358 | Viscous
+
+
+ORIFICE_CRITICAL_RATIO = 0.5
+"""Critical pressure ratio of a hole in a wall, for air. ISO 6358."""
+
+
+def orifice(sonic_conductance_SL_per_s_kPa: float, gas: GasProperties = AIR) -> Iso6358:
+    """A hole in a wall. Its critical ratio changes with the gas as that of an ideal nozzle."""
+    share = nozzle_critical_ratio(gas.gamma) / nozzle_critical_ratio(AIR.gamma)
+    return Iso6358(sonic_conductance_SL_per_s_kPa, ORIFICE_CRITICAL_RATIO * share)
 
 
 def conductance_from_rating_SL_per_s_kPa(flow_SLPM: float, supply_kPa: float) -> float:
@@ -158,8 +187,9 @@ def iso6358_matching(
     laminar_ratio: float = 0.995,
     temperature_dependent: bool = True,
     one_way: bool = False,
+    gas: GasProperties = AIR,
 ) -> Iso6358:
-    """The ISO 6358 valve with the flow of Ohm's law from `at_kPa` (gauge) to atmosphere."""
+    """The ISO 6358 valve with the flow of Ohm's law from `at_kPa` (gauge) to atmosphere, with this gas."""
     shape = Iso6358(
         1.0,
         critical_pressure_ratio,
@@ -170,6 +200,7 @@ def iso6358_matching(
     )
     supply_kPa_abs = at_kPa + STANDARD_PRESSURE_KPA
     unit = supply_kPa_abs * choked_share(shape.numbers(), supply_kPa_abs, STANDARD_PRESSURE_KPA)
+    unit *= sonic_conductance_ratio(gas)
     return Iso6358(
         at_kPa / flow_resistance_kPa_s_per_SL / unit,
         critical_pressure_ratio,

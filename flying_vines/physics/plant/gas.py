@@ -26,13 +26,15 @@ def isothermal_choked_discharge_kPa_abs(start_kPa_abs: float, t_s: float, time_c
     return start_kPa_abs * math.exp(-t_s / time_constant_s)
 
 
-def adiabatic_choked_discharge_kPa_abs(start_kPa_abs: float, t_s: float, time_constant_s: float) -> float:
+def adiabatic_choked_discharge_kPa_abs(
+    start_kPa_abs: float, t_s: float, time_constant_s: float, gamma: float = GAMMA
+) -> float:
     """p = p₀ [1 + (γ−1)/2 · t/τ]^(−2γ/(γ−1)): absolute pressure with choked flow ∝ 1/√T and adiabatic gas.
 
     Textbook vessel blow-down, e.g. aefarrell.github.io/2025/01/24/vessel_blowdown_ideal_gases.
     """
-    exponent = -2.0 * GAMMA / (GAMMA - 1.0)
-    return start_kPa_abs * float((1.0 + (GAMMA - 1.0) / 2.0 * t_s / time_constant_s) ** exponent)
+    exponent = -2.0 * gamma / (gamma - 1.0)
+    return start_kPa_abs * float((1.0 + (gamma - 1.0) / 2.0 * t_s / time_constant_s) ** exponent)
 
 
 def polytropic_temperature_K(

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from flying_vines.physics.constants import ALPHA_KPA, GAMMA
+from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import GasProperties
 from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, Opening
+from flying_vines.physics.plant.leak import Leak, leak_of
 from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.valve_response import ValveMotion, ticks
 from flying_vines.physics.plant.venturi import Ejector, Suction
@@ -38,9 +40,10 @@ class PlantNumbers(NamedTuple):
     tick_s: float
     min_steps: int
     """Minimum integration steps in a tick."""
+    gamma: float
     reservoir_per_L: float
     reservoir_heat: Heat
-    reservoir_leak: Opening
+    reservoir_leak: Leak
     evp: ValveNumbers
     dvp: ValveNumbers
     venturi: Suction
@@ -50,7 +53,7 @@ class PlantNumbers(NamedTuple):
     has_cv: bool
     cv: Chamber
     cv_heat: Heat
-    cv_leak: Opening
+    cv_leak: Leak
     has_tubing: bool
     line_kPa_per_SL: float
     line_SL_per_s_kPa: float
@@ -65,19 +68,30 @@ class PlantNumbers(NamedTuple):
 def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
     """The numbers of a plant."""
     rig, effects = plant.rig, plant.effects
+    gas = rig.gas.properties
     evp = _valve(
-        effects.evp_law, rig.evp.flow_resistance_kPa_s_per_SL, effects.evp_motion, effects.evp_coil, tick_s
+        effects.evp_law,
+        rig.evp.flow_resistance_kPa_s_per_SL,
+        effects.evp_motion,
+        effects.evp_coil,
+        tick_s,
+        gas,
     )
     dvp = _valve(
-        effects.dvp_law, rig.dvp.flow_resistance_kPa_s_per_SL, effects.dvp_motion, effects.dvp_coil, tick_s
+        effects.dvp_law,
+        rig.dvp.flow_resistance_kPa_s_per_SL,
+        effects.dvp_motion,
+        effects.dvp_coil,
+        tick_s,
+        gas,
     )
     timing, tubing = effects.solenoid_timing, effects.tubing if rig.cv else None
-    venturi = (effects.ejector or Ejector()).numbers(rig.venturi)
-    reservoir_heat = effects.reservoir_wall.numbers() if effects.reservoir_wall else Heat()
-    cv_heat = effects.cv_wall.numbers() if effects.cv_wall and rig.cv else Heat()
-    cv = plant.shape.numbers(plant.cv_volume_L, GAMMA - 1.0 if cv_heat.own_temperature else 0.0)
-    reservoir_leak = effects.reservoir_leak.numbers() if effects.reservoir_leak else Opening()
-    reservoir_gas = GAMMA if effects.reservoir_wall else 1.0
+    venturi = (effects.ejector or Ejector()).numbers(rig.venturi, gas)
+    reservoir_heat = effects.reservoir_wall.numbers(gas.gamma) if effects.reservoir_wall else Heat()
+    cv_heat = effects.cv_wall.numbers(gas.gamma) if effects.cv_wall and rig.cv else Heat()
+    cv = plant.shape.numbers(plant.cv_volume_L, gas.gamma - 1.0 if cv_heat.own_temperature else 0.0)
+    reservoir_leak = leak_of(effects.reservoir_leaks, gas)
+    reservoir_gas = gas.gamma if effects.reservoir_wall else 1.0
     steepest = evp.law.steepest_SL_per_s_kPa + dvp.law.steepest_SL_per_s_kPa
     standing_per_s = max(
         ALPHA_KPA
@@ -92,19 +106,20 @@ def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
     return PlantNumbers(
         tick_s=tick_s,
         min_steps=1,
+        gamma=gas.gamma,
         reservoir_per_L=1.0 / rig.reservoir.volume_L,
         reservoir_heat=reservoir_heat,
         reservoir_leak=reservoir_leak,
         evp=evp,
         dvp=dvp,
         venturi=venturi,
-        solenoid=_opening(effects.solenoid_law, rig.solenoid.flow_resistance_kPa_s_per_SL),
+        solenoid=_opening(effects.solenoid_law, rig.solenoid.flow_resistance_kPa_s_per_SL, gas),
         solenoid_opening_ticks=ticks(timing.opening_s, tick_s) if timing else 0,
         solenoid_closing_ticks=ticks(timing.closing_s, tick_s) if timing else 0,
         has_cv=rig.cv is not None,
         cv=cv,
         cv_heat=cv_heat,
-        cv_leak=effects.cv_leak.numbers() if effects.cv_leak else Opening(),
+        cv_leak=leak_of(effects.cv_leaks, gas),
         has_tubing=tubing is not None,
         line_kPa_per_SL=ALPHA_KPA / tubing.volume_L if tubing else 0.0,
         line_SL_per_s_kPa=1.0 / tubing.flow_resistance_kPa_s_per_SL if tubing else 0.0,
@@ -114,16 +129,21 @@ def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
     )
 
 
-def _opening(law: FlowLaw | None, flow_resistance_kPa_s_per_SL: float) -> Opening:
-    return (Ohm(flow_resistance_kPa_s_per_SL) if law is None else law).numbers()
+def _opening(law: FlowLaw | None, flow_resistance_kPa_s_per_SL: float, gas: GasProperties) -> Opening:
+    return (Ohm(flow_resistance_kPa_s_per_SL) if law is None else law).numbers(gas)
 
 
 def _valve(
-    law: FlowLaw | None, resistance: float, motion: ValveMotion | None, coil: Coil | None, tick_s: float
+    law: FlowLaw | None,
+    resistance: float,
+    motion: ValveMotion | None,
+    coil: Coil | None,
+    tick_s: float,
+    gas: GasProperties,
 ) -> ValveNumbers:
     motion = motion or ValveMotion()
     return ValveNumbers(
-        _opening(law, resistance),
+        _opening(law, resistance, gas),
         motion,
         ticks(motion.delay_s, tick_s),
         1.0 / motion.time_constant_s if motion.time_constant_s > 0.0 else 0.0,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from flying_vines.physics.constants import GAMMA
 from flying_vines.physics.plant.ambient import Ambient, Steady
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.gas import air_SL
@@ -95,9 +94,9 @@ def at_rest(
 
     `pouch_volume_L` is the volume of the actuator's bending pouch at 0 kPa; default: flat.
     """
-    effects = plant.effects
+    effects, g = plant.effects, plant.rig.gas.properties.gamma - 1.0
     ambient_kPa, ambient_K, _ = plant.ambient.at(t_s)
-    chamber = plant.shape.numbers(plant.cv_volume_L, GAMMA - 1.0)
+    chamber = plant.shape.numbers(plant.cv_volume_L, g)
     volume_L, work_J = volume_and_work(chamber, cv_kPa, ambient_kPa, pouch_volume_L or 0.0)
     reservoir_kPa_abs, cv_kPa_abs = reservoir_kPa + ambient_kPa, cv_kPa + ambient_kPa
     line_L = effects.tubing.volume_L if effects.tubing else 0.0
@@ -106,7 +105,7 @@ def at_rest(
         reservoir_kPa_abs * plant.rig.reservoir.volume_L,
         ambient_K,
         air_SL(cv_kPa_abs, volume_L, ambient_K),
-        cv_kPa_abs * volume_L + (GAMMA - 1.0) * work_J,
+        cv_kPa_abs * volume_L + g * work_J,
         ambient_K,
         air_SL(cv_kPa_abs, line_L, ambient_K),
         0.0,

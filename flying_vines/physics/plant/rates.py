@@ -17,9 +17,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.flow import flow_SL_per_s
+from flying_vines.physics.plant.leak import leak_SL_per_s
 from flying_vines.physics.plant.numbers import PlantNumbers
 from flying_vines.physics.plant.plant import Conditions, Held
 from flying_vines.physics.plant.venturi import outlet_SL_per_s, supply
@@ -28,8 +29,6 @@ from flying_vines.physics.plant.wall import heat_kPa_L_per_s, wall_K_per_s
 
 Floats = tuple[float, ...]
 """The numbers of a state, without names."""
-_G1 = GAMMA - 1.0
-_GAMMA_ALPHA = GAMMA * ALPHA_KPA
 
 
 class Flows(NamedTuple):
@@ -57,7 +56,8 @@ class Flows(NamedTuple):
 def flows(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held) -> Flows:
     """All flows at time `at_s` after the start of `air`."""
     found = _balance(numbers, air, at_s, state, held)
-    return Flows._make((*found[:12], found[12] / _G1, found[13] / _G1))
+    g = numbers.gamma - 1.0
+    return Flows._make((*found[:12], found[12] / g, found[13] / g))
 
 
 def rates(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held) -> Floats:
@@ -70,7 +70,7 @@ def rates(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Hel
     reservoir_pV = reservoir_wall = cv_energy = cv_wall = cv_air = line_air = 0.0
     vented = motive + outlet + leak_r + leak_c + lost
     if numbers.reservoir_heat.own_temperature:
-        reservoir_pV = heat_r - _GAMMA_ALPHA * (
+        reservoir_pV = heat_r - numbers.gamma * ALPHA_KPA * (
             evp_ratio * evp + motive_ratio * motive + leak_r_ratio * leak_r
         )
         reservoir_wall = wall_K_per_s(numbers.reservoir_heat, heat_r, state[2], ratio_a)
@@ -87,7 +87,11 @@ def rates(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Hel
                 evp_ratio = ratio_a
             enthalpy = evp_ratio * evp - outlet_ratio * outlet - leak_c_ratio * leak_c
         if numbers.cv_heat.own_temperature:
-            cv_energy = _GAMMA_ALPHA * enthalpy + heat_c + _G1 * (volume - numbers.cv.flat_L) * air.kPa_per_s
+            cv_energy = (
+                numbers.gamma * ALPHA_KPA * enthalpy
+                + heat_c
+                + (numbers.gamma - 1.0) * (volume - numbers.cv.flat_L) * air.kPa_per_s
+            )
             cv_wall = wall_K_per_s(numbers.cv_heat, heat_c, state[5], ratio_a)
     return (
         -(evp + motive + leak_r),
@@ -127,7 +131,7 @@ def _balance(
         e_r = ALPHA_KPA * n_r * ratio_a
     p_r = e_r * numbers.reservoir_per_L
 
-    leak_r = flow_SL_per_s(numbers.reservoir_leak, p_r, ambient, ratio_r, ratio_a)
+    leak_r = leak_SL_per_s(numbers.reservoir_leak, p_r, ambient, ratio_r, ratio_a)
     motive = vacuum = 0.0
     if x_d > 0.0:
         motive, vacuum = supply(numbers.venturi, numbers.dvp.law, x_d, p_r, ambient, ratio_r, ratio_a)
@@ -160,7 +164,7 @@ def _balance(
             outlet = outlet_SL_per_s(
                 numbers.venturi, numbers.solenoid, near, ratio_near, ambient, ratio_a, vacuum, motive
             )
-        leak_c = flow_SL_per_s(numbers.cv_leak, p_c, ambient, ratio_c, ratio_a)
+        leak_c = leak_SL_per_s(numbers.cv_leak, p_c, ambient, ratio_c, ratio_a)
     return (
         evp, ratio_r if evp >= 0.0 else ratio_near,
         motive, ratio_r if motive >= 0.0 else ratio_a,
@@ -217,7 +221,7 @@ def quickest_per_s(numbers: PlantNumbers, air: Air, state: Floats, held: Held) -
     through = max(state[7], held.evp_target) * numbers.evp.law.steepest_SL_per_s_kPa
     if held.solenoid_open:
         through += numbers.solenoid.steepest_SL_per_s_kPa
-    energy, gas = state[4], GAMMA
+    energy, gas = state[4], numbers.gamma
     if not numbers.cv_heat.own_temperature:
         energy, gas = ALPHA_KPA * state[3] * air.ratio, 1.0
     per_litre = gas / pressure_and_volume(numbers.cv, energy, air.kPa)[1]

@@ -39,7 +39,7 @@ _EFFECTS: dict[str, dict[str, type]] = {
     for name, hint in get_type_hints(Effects).items()
 }
 """For each effect: its types, by kind."""
-_NEEDS_CV = ("cv_", "dead_volume")
+_NEEDS_CV = ("cv_", "dead_volume", "viscous_leak", "orifice_leak")
 _POSITIVE = ("gain", "scale")
 
 
@@ -130,8 +130,11 @@ def true_rig_from(content: Mapping[str, Any]) -> TrueRig:
 
 def true_rig_text(rig: TrueRig) -> str:
     """The rig as a file that `load_true_rig` reads."""
+    nominal, default = asdict(rig.nominal), asdict(Rig())
     tables = [
-        (name, value) for name, value in asdict(rig.nominal).items() if value is not None and value != {}
+        (name, {key: number for key, number in table.items() if number is not None})
+        for name, table in nominal.items()
+        if table and not (name == "gas" and table == default[name])
     ]
     tables += [(f"causes.{name}", dict(parameters)) for name, parameters in rig.causes.items()]
     if rig.none_found:

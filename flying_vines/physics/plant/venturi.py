@@ -10,6 +10,7 @@ from math import sqrt
 from typing import NamedTuple
 
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
+from flying_vines.physics.gas import AIR, GasProperties, sonic_conductance_ratio
 from flying_vines.physics.plant.flow import Opening, flow_SL_per_s
 from flying_vines.physics.rig import Venturi
 
@@ -61,12 +62,12 @@ class Ejector:
             if what is not None and not what > 0.0:
                 raise ValueError("nozzle, suction and passage must be positive")
 
-    def numbers(self, venturi: Venturi) -> Suction:
+    def numbers(self, venturi: Venturi, gas: GasProperties = AIR) -> Suction:
         return Suction(
             venturi.full_vacuum_kPa,
             venturi.rated_supply_kPa,
             self.stall_supply_kPa,
-            self.nozzle_conductance_SL_per_s_kPa or 0.0,
+            (self.nozzle_conductance_SL_per_s_kPa or 0.0) * sonic_conductance_ratio(gas),
             self.free_suction_per_motive is None,
             self.free_suction_per_motive or 0.0,
             self.passage_resistance_kPa_s_per_SL,

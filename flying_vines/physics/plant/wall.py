@@ -18,17 +18,15 @@ if TYPE_CHECKING:
     from flying_vines.physics.arrays import Array
 
 Number = TypeVar("Number", float, "Array")
-_G1 = GAMMA - 1.0
-_PER_G1 = 1.0 / _G1
 _PER_K = 1.0 / STANDARD_TEMPERATURE_K
 
 
-COOLING_K = _G1 * STANDARD_TEMPERATURE_K
-"""(γ−1) T: how far gas cools for each share of it that flows out."""
+COOLING_K = (GAMMA - 1.0) * STANDARD_TEMPERATURE_K
+"""(γ−1) T of air: how far it cools for each share of it that flows out."""
 
 
 def heat_capacity_J_per_K(kPa_abs: Number, volume_L: float) -> Number:
-    """m c_v = p V / ((γ−1) T) of gas near ambient temperature."""
+    """m c_v = p V / ((γ−1) T) of air near ambient temperature."""
     return kPa_abs * volume_L / COOLING_K
 
 
@@ -55,6 +53,8 @@ class Heat(NamedTuple):
     wall_per_s: float = 0.0
     """Rate constant of the wall's temperature."""
     inflow_at_ambient: bool = False
+    per_g1: float = 0.0
+    """1/(γ−1): J for each kPa·L."""
 
 
 def heat_kPa_L_per_s(heat: Heat, air_SL: float, ratio: float, wall_K: float, ambient_ratio: float) -> float:
@@ -66,7 +66,7 @@ def heat_kPa_L_per_s(heat: Heat, air_SL: float, ratio: float, wall_K: float, amb
 def wall_K_per_s(heat: Heat, into_gas_kPa_L_per_s: float, wall_K: float, ambient_ratio: float) -> float:
     """Rate of the wall's temperature."""
     from_outside_W = heat.outer_conductance_W_per_K * (ambient_ratio * STANDARD_TEMPERATURE_K - wall_K)
-    return (from_outside_W - into_gas_kPa_L_per_s * _PER_G1) * heat.per_capacity_K_per_J
+    return (from_outside_W - into_gas_kPa_L_per_s * heat.per_g1) * heat.per_capacity_K_per_J
 
 
 @dataclass(frozen=True)
@@ -102,15 +102,16 @@ class Wall:
             scale * self.outer_conductance_W_per_K / self.capacity_J_per_K,
         )
 
-    def numbers(self) -> Heat:
+    def numbers(self, gamma: float = GAMMA) -> Heat:
         return Heat(
             True,
             ALPHA_KPA / self.time_constant_s,
-            _G1 * self.conductance_W_per_K * STANDARD_TEMPERATURE_K,
+            (gamma - 1.0) * self.conductance_W_per_K * STANDARD_TEMPERATURE_K,
             1.0 / self.capacity_J_per_K,
             self.outer_conductance_W_per_K,
             (self.conductance_W_per_K + self.outer_conductance_W_per_K) / self.capacity_J_per_K,
             self.inflow_at_ambient,
+            1.0 / (gamma - 1.0),
         )
 
 

@@ -13,8 +13,9 @@ from math import inf, isfinite, pi
 from random import Random
 from typing import Any, NamedTuple
 
-from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_PRESSURE_KPA
+from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.plant.flow import Iso6358, Ohm, Opening, flow_SL_per_s
+from flying_vines.physics.plant.leak import Leak
 from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
 
 OPEN_SHARE = -0.125
@@ -370,20 +371,22 @@ def with_mishaps(well: PlantNumbers, mishaps: Mishaps) -> PlantNumbers:
     """The plant's numbers with these mishaps."""
     numbers = well._replace(evp=_stuck(well.evp, mishaps.evp), dvp=_stuck(well.dvp, mishaps.dvp))
     if mishaps.bottle is not None:
-        leak = _beside(well.reservoir_leak, mishaps.bottle.opening, _FULL_BOTTLE_KPA)
+        leak = _with_hole(well.reservoir_leak, mishaps.bottle.opening, _FULL_BOTTLE_KPA)
         through = well.evp.law.steepest_SL_per_s_kPa + well.dvp.law.steepest_SL_per_s_kPa
-        quickest_per_s = GAMMA * ALPHA_KPA * well.reservoir_per_L * (through + leak.steepest_SL_per_s_kPa)
+        quickest_per_s = (
+            well.gamma * ALPHA_KPA * well.reservoir_per_L * (through + leak.steepest_SL_per_s_kPa)
+        )
         numbers = numbers._replace(
             reservoir_leak=leak, standing_per_s=max(well.standing_per_s, quickest_per_s)
         )
     if mishaps.actuator is not None:
-        leak = _beside(well.cv_leak, mishaps.actuator.opening, _BENT_VINE_KPA)
+        leak = _with_hole(well.cv_leak, mishaps.actuator.opening, _BENT_VINE_KPA)
         numbers = numbers._replace(cv_leak=leak)
     match mishaps.hose:
         case HoseOff():
             # The actuator empties through the rest of its hose.
             tube = Ohm(1.0 / well.line_SL_per_s_kPa).numbers() if well.has_tubing else _HOSE_BORE.opening
-            leak = _beside(numbers.cv_leak, tube, _BENT_VINE_KPA)
+            leak = _with_hole(numbers.cv_leak, tube, _BENT_VINE_KPA)
             numbers = _parted(numbers)._replace(line_hole=_HOSE_BORE.opening, cv_leak=leak)
         case Kinked(flow_resistance_kPa_s_per_SL):
             numbers = _parted(numbers)._replace(line_SL_per_s_kPa=1.0 / flow_resistance_kPa_s_per_SL)
@@ -411,14 +414,22 @@ def _parted(numbers: PlantNumbers) -> PlantNumbers:
     )
 
 
-def _beside(own: Opening, hole: Opening, at_kPa: float) -> Opening:
-    """One hole with the same flow as both at this pressure."""
+def _with_hole(own: Leak, hole: Opening, at_kPa: float) -> Leak:
+    """The leaks and one more hole; two orifices become one with the same flow at this pressure."""
+    steepest = own.steepest_SL_per_s_kPa + hole.steepest_SL_per_s_kPa
+    if hole.ohmic:
+        ohmic = own.ohmic_SL_per_s_kPa + hole.conductance_SL_per_s_kPa
+        return own._replace(ohmic_SL_per_s_kPa=ohmic, steepest_SL_per_s_kPa=steepest)
+    if own.orifice.conductance_SL_per_s_kPa == 0.0:
+        return own._replace(orifice=hole, steepest_SL_per_s_kPa=steepest)
     inside, outside = at_kPa + STANDARD_PRESSURE_KPA, STANDARD_PRESSURE_KPA
-    already = flow_SL_per_s(own, inside, outside, 1.0, 1.0) / flow_SL_per_s(hole, inside, outside, 1.0, 1.0)
-    return hole._replace(
+    already = flow_SL_per_s(own.orifice, inside, outside, 1.0, 1.0)
+    already /= flow_SL_per_s(hole, inside, outside, 1.0, 1.0)
+    both = hole._replace(
         conductance_SL_per_s_kPa=(1.0 + already) * hole.conductance_SL_per_s_kPa,
         steepest_SL_per_s_kPa=(1.0 + already) * hole.steepest_SL_per_s_kPa,
     )
+    return own._replace(orifice=both, steepest_SL_per_s_kPa=steepest + already * hole.steepest_SL_per_s_kPa)
 
 
 def _log_uniform(random: Random, low: float, high: float) -> float:

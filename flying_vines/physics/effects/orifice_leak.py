@@ -1,0 +1,34 @@
+"""The control volume leaks through a hole: ISO 6358 with the critical ratio 0.5 of an orifice."""
+
+from __future__ import annotations
+
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.flow import orifice
+from flying_vines.physics.plant.setup import Setup
+
+
+def apply(base: Setup, sonic_conductance_SL_per_s_kPa: float) -> Setup:
+    if sonic_conductance_SL_per_s_kPa == 0.0:
+        return base
+    return base.with_effects(
+        cv_orifice_leak=orifice(sonic_conductance_SL_per_s_kPa, base.plant.rig.gas.properties)
+    )
+
+
+CAUSE = Cause(
+    name="orifice_leak",
+    what="The control volume loses air through a hole: the flow chokes.",
+    parameters=(
+        Parameter(
+            "sonic_conductance_SL_per_s_kPa",
+            low=1e-9,
+            high=0.03,
+            seeds=(1e-7, 3e-6, 1e-4),
+            neutral=0.0,
+            logarithmic=True,
+            source="1.3e-3 for each mm² of a sharp hole: from 1 µm across to 5 mm",
+        ),
+    ),
+    experiment="Inflate the control volume to its highest pressure, shut all valves, and let it empty.",
+    apply=apply,
+)

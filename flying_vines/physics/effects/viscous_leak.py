@@ -1,0 +1,33 @@
+"""The control volume leaks through a narrow gap: a flow (p² − p_a²) / C, absolute pressures, laminar."""
+
+from __future__ import annotations
+
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.flow import Viscous
+from flying_vines.physics.plant.setup import Setup
+
+
+def apply(base: Setup, conductance_constant_kPa2_s_per_SL: float) -> Setup:
+    return base.with_effects(cv_viscous_leak=Viscous(conductance_constant_kPa2_s_per_SL))
+
+
+CAUSE = Cause(
+    name="viscous_leak",
+    what="The control volume loses air through a narrow gap: laminar flow.",
+    parameters=(
+        Parameter(
+            "conductance_constant_kPa2_s_per_SL",
+            low=5e3,
+            high=5e10,
+            seeds=(1e5, 3e6, 3e8),
+            neutral=float("inf"),
+            logarithmic=True,
+            source=(
+                "the leaks of cv_leak, 25 to 1e8 kPa·s/SL, times the sum of pressures, 200 kPa near ambient "
+                "and 500 in a chamber at 3 bar"
+            ),
+        ),
+    ),
+    experiment="Inflate the control volume to its highest pressure, shut all valves, and let it empty.",
+    apply=apply,
+)

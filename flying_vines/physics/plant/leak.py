@@ -1,0 +1,52 @@
+"""All leaks of one volume to ambient, which may follow different flow laws at once:
+
+    Q = (p − p_a) (1/R + (p + p_a)/C) + the flow of an orifice
+
+Ohm's law and viscous flow add up exactly. A volume has at most one orifice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from flying_vines.physics.gas import AIR, GasProperties
+from flying_vines.physics.plant.flow import Iso6358, LeakLaw, Ohm, Opening, flow_SL_per_s
+
+_TOP_KPA = 1000.0
+"""Absolute pressure up to which the steepest flow of a viscous leak is computed."""
+
+
+class Leak(NamedTuple):
+    """The numbers of a volume's leaks. The defaults are no leak."""
+
+    ohmic_SL_per_s_kPa: float = 0.0
+    viscous_SL_per_s_kPa2: float = 0.0
+    orifice: Opening = Opening()
+    steepest_SL_per_s_kPa: float = 0.0
+    """Maximum change of the flow per kPa."""
+
+
+def leak_SL_per_s(leak: Leak, p: float, ambient_kPa: float, ratio: float, ambient_ratio: float) -> float:
+    """Flow to ambient from the absolute pressure `p`; a `ratio` is a temperature over 293.15 K."""
+    flow = (p - ambient_kPa) * (leak.ohmic_SL_per_s_kPa + leak.viscous_SL_per_s_kPa2 * (p + ambient_kPa))
+    if leak.orifice.conductance_SL_per_s_kPa > 0.0:
+        flow += flow_SL_per_s(leak.orifice, p, ambient_kPa, ratio, ambient_ratio)
+    return flow
+
+
+def leak_of(laws: Iterable[LeakLaw | None], gas: GasProperties = AIR) -> Leak:
+    """The leaks of a volume together. ValueError if two of them are orifices."""
+    ohmic = viscous = 0.0
+    orifice = Opening()
+    for law in laws:
+        if isinstance(law, Ohm):
+            ohmic += 1.0 / law.flow_resistance_kPa_s_per_SL
+        elif isinstance(law, Iso6358):
+            if orifice != Opening():
+                raise ValueError("a volume can have one orifice leak, not two")
+            orifice = law.numbers(gas)
+        elif law is not None:
+            viscous += 1.0 / law.conductance_constant_kPa2_s_per_SL
+    steepest = ohmic + 2.0 * _TOP_KPA * viscous + orifice.steepest_SL_per_s_kPa
+    return Leak(ohmic, viscous, orifice, steepest)
