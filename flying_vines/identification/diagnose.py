@@ -64,6 +64,8 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
         stated = stated_noise(case.rig, [np.stack((run.cv_kPa, run.reservoir_kPa)) for run in case.runs])
         search = Search(FitProblem(case, stated), every)
         noise = _noise_left(search.null, stated, may_correlate=False)
+        # Errors of the null model may look like more noise, but not like less.
+        noise = min(noise[0], stated[0]), min(noise[1], stated[1])
         if noise != stated:
             search = Search(FitProblem(case, noise), every)
         found = search.best(progress)
@@ -73,7 +75,7 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
             for a, b in zip(left, noise, strict=True)
         ):
             progress("again, with the noise of the data", 0.0)
-            found = Search(FitProblem(case, left), every).best(progress)
+            found = Search(FitProblem(case, left), every).resumed(found, progress)
         return _verdict(found, progress)
 
 
@@ -124,7 +126,7 @@ def _verdict(found: SearchResult, progress: Progress) -> Verdict:
     if not chosen.causes:
         if not chosen.adequate:
             return nothing
-        others = [found.score(c) - found.score(chosen) for c in found.tried if c.causes]
+        others = [found.score(c) - found.score(chosen) for c in found.tried if c.causes and c.possible]
         doubt = sum(exp(-0.5 * max(0.0, d)) for d in others[:5]) * 0.05
         return replace(known, cause=NONE, confidence=1.0 / (1.0 + doubt + _UNKNOWN_CAUSE))
     if not chosen.adequate and not (errors.gain[0] > 0.0 and errors.explained > _HELPS):
@@ -235,7 +237,7 @@ def _instead(chosen: Candidate, cause: str, found: SearchResult) -> dict[str, fl
     worse: dict[str, float] = {}
     for candidate in found.tried:
         others = set(candidate.names) - rest
-        if rest <= set(candidate.names) and len(others) == 1:
+        if candidate.possible and rest <= set(candidate.names) and len(others) == 1:
             (name,) = others
             worse[name] = min(found.score(candidate) - found.score(chosen), worse.get(name, np.inf))
     return worse

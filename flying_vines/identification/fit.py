@@ -41,7 +41,7 @@ THEN_STEPS = 2
 MAX_SEEDS = 3
 """If there are more seeds, only those with the lowest χ² are used."""
 MIN_GAIN = 0.02
-"""A step that lowers χ² by less ends the fit."""
+"""A step that lowers χ² by less ends the fit; by more if χ² is far above that of noise."""
 SHORTER = 0.3
 """Factor for a step of initial pressures that increases χ² on its own stretch."""
 _DEVIATION = 1e-5
@@ -110,13 +110,17 @@ class Fit:
 
 
 class Tangents:
-    """The directions in which a fit can step its residuals, and the residuals orthogonal to them."""
+    """The directions in which a fit can step its residuals, and the residuals orthogonal to them.
 
-    def __init__(self, jacobian: Jacobian, residuals: Sequence[Array]) -> None:
+    Args:
+        free: (numbers,) False where a number is on its bound.
+    """
+
+    def __init__(self, jacobian: Jacobian, residuals: Sequence[Array], free: Bools) -> None:
         self._jacobian = jacobian
-        free = jacobian.reduced.T
-        scale = np.linalg.norm(free, axis=0)
-        self._basis, _ = np.linalg.qr(free / np.where(scale > 0.0, scale, 1.0))
+        directions = jacobian.reduced[free].T
+        scale = np.linalg.norm(directions, axis=0)
+        self._basis, _ = np.linalg.qr(directions / np.where(scale > 0.0, scale, 1.0))
         self._residual = self.orthogonal_part(residuals)
 
     def gain(self, trace: Sequence[Array]) -> float:
@@ -205,7 +209,9 @@ class FitProblem:
 
     def tangents(self, fit: Fit) -> Tangents:
         """The directions in which this fit can step its residuals."""
-        return Tangents(self.jacobian(fit), fit.residuals)
+        space = _Space(self, fit.point)
+        place = space.to_search(fit.point)
+        return Tangents(space.jacobian(place, fit.residuals), fit.residuals, space.inside(place))
 
     def jacobian(self, fit: Fit) -> Jacobian:
         """Derivatives of the residuals by everything that is free, at a fit."""
@@ -225,11 +231,12 @@ class FitProblem:
         return covariance
 
     def begun(self, base: FitPoint, cause: Cause) -> Fit:
-        """The first steps of a fit with a further cause: its own parameters from each seed, then all."""
+        """The first steps with a further cause: its own parameters from each seed, then those of all."""
         starts = [self._well_begun(base.with_cause(cause, values)) for values in cause.seeds()]
         nearest = sorted(starts, key=lambda start: start[0])[:MAX_SEEDS]
         alone = (self.fit(start, FIRST_STEPS, moving=len(cause.parameters)) for _, start in nearest)
-        return self.fit(min(alone, key=lambda fit: fit.chi2).point, THEN_STEPS)
+        best = min(alone, key=lambda fit: fit.chi2).point
+        return self.fit(best, THEN_STEPS, moving=sum(map(len, best.values)))
 
     def fit(self, start: FitPoint, max_steps: int = MAX_STEPS, moving: int | None = None) -> Fit:
         """The local minimum of the cost near `start`.
@@ -263,7 +270,7 @@ class FitProblem:
             gained, cost = cost - lower, lower
             place, residuals = there, tried
             damping *= 0.1
-            if gained < MIN_GAIN:
+            if gained < MIN_GAIN * max(1.0, cost / self.readings):
                 break
         return Fit(space.to_model(place), _chi2(residuals), cost, tuple(residuals))
 
@@ -331,6 +338,11 @@ class _Space:
             deviation=dict(zip(self._keys, place[:keys].tolist(), strict=True)),
             initial=place[self._common :].reshape(-1, 2),
         )
+
+    def inside(self, place: Array) -> Bools:
+        """(numbers,) False where a number that all runs share is on its bound."""
+        common = slice(self._common)
+        return (place[common] > self._low[common]) & (place[common] < self._high[common])
 
     def prior(self, place: Array) -> float:
         """The prior term of the cost."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf
 
 import numpy as np
@@ -33,6 +33,8 @@ MIN_GAIN = 0.02
 """If the residuals are more than noise, a cause needs this gain, and this error reduction on unseen data."""
 STRUCTURE = 6.0
 """−log₁₀ p: from this value on, a pattern in the residuals is not noise."""
+SURELY = 4.0
+"""A cause surely pays if its parameter is so far from neutral that χ² would rise by this times `CLAIM`."""
 MAX_CAUSES = 9
 FIRSTS = 5
 """Number of best single causes that are tried with a second one: one may hide another."""
@@ -40,8 +42,9 @@ BEAM = 2
 """Number of best sets of two or more causes that are tried with a further one."""
 PROMISING = 4
 """Number of further causes that are fitted: those with the largest expected gain."""
-LEADERS = 6
-"""Number of fits that are completed: those with the lowest χ² after their first steps."""
+LEADERS, LEADERS_LEFT = 6, 3
+"""Number of fits that are completed: those with the lowest χ² after their first steps. Fewer of several
+causes while even the best leaves more than noise: the next cause decides then."""
 REACH, REACH_SHARE = 2000.0, 0.1
 """An unfinished fit may still lower χ² by 2000 + 10 % of the null model's excess. Others are dropped."""
 OF_RANGE = 1e-3
@@ -72,6 +75,28 @@ class Candidate:
     def names(self) -> tuple[str, ...]:
         return tuple(cause.name for cause in self.causes)
 
+    def doubtful(self) -> list[int]:
+        """The causes whose parameters may be neutral, by the curvature of χ²; the others surely pay."""
+        found, at = [], len(self.fit.point.deviation)
+        spread = max(self.excess) * np.diag(self.covariance)
+        for index, (cause, values) in enumerate(zip(self.causes, self.fit.point.values, strict=True)):
+            sure = (
+                parameter.distance(value) ** 2 > SURELY * CLAIM * variance
+                for parameter, value, variance in zip(cause.parameters, values, spread[at:], strict=False)
+            )
+            at += len(values)
+            if not any(sure):
+                found.append(index)
+        return found
+
+    def in_units_of(self, problem: FitProblem) -> Candidate:
+        """The same fit, in units of the noise of another problem with the same data."""
+        ratio = np.array(self.problem.noise_kPa)[:, None] / np.array(problem.noise_kPa)[:, None]
+        residuals = tuple(r * ratio for r in self.fit.residuals)
+        chi2 = sum(float(np.vdot(r, r)) for r in residuals)
+        prior = self.fit.cost - self.fit.chi2
+        return Candidate(problem, Fit(self.fit.point, chi2, chi2 + prior, residuals))
+
     @cached_property
     def covariance(self) -> Array:
         """See `FitProblem.covariance`."""
@@ -90,8 +115,6 @@ class Candidate:
         Args:
             excess: of the residuals of control volume and reservoir over noise; divides their χ².
         """
-        if not self.possible:
-            return inf
         parameters = sum(len(cause.parameters) for cause in self.causes)
         chi2 = sum(chi2 / over for chi2, over in zip(self.channels, excess, strict=True))
         return chi2 + self.freedom + parameters * float(np.log(self.problem.readings))
@@ -175,8 +198,12 @@ class Search:
         begun = mapped(lambda pair: self.problem.begun(pair[0].fit.point, pair[1]), pairs)
         first, *others = sorted(begun, key=lambda fit: fit.chi2)
         first = self.problem.fit(first.point)
-        reach = self._reach(Candidate(self.problem, first))
-        near = [fit for fit in others[: LEADERS - 1] if fit.chi2 < reach]
+        best = Candidate(self.problem, first)
+        reach, leaders = (
+            self._reach(best),
+            LEADERS if best.adequate or len(best.causes) == 1 else LEADERS_LEFT,
+        )
+        near = [fit for fit in others[: leaders - 1] if fit.chi2 < reach]
         fits = [first, *mapped(lambda fit: self.problem.fit(fit.point), near), *others[len(near) :]]
         return [Candidate(self.problem, fit) for fit in sorted(fits, key=lambda fit: fit.chi2)]
 
@@ -193,10 +220,15 @@ class Search:
         if not settled:
             return []
         over = min(settled, key=lambda c: c.fit.chi2).excess
-        return sorted(settled, key=lambda c: c.score_at(over))
+        return sorted(settled, key=lambda c: (not c.possible, c.score_at(over)))
 
     def settled(self, candidate: Candidate) -> Candidate:
-        """The same causes, with nominal rig numbers if these explain the data as well."""
+        """The same causes, with nominal rig numbers if these explain the data as well.
+
+        A candidate that leaves more than noise keeps its rig numbers free.
+        """
+        if not candidate.adequate:
+            return candidate
         exact = Candidate(self.problem, self.problem.fit(candidate.fit.point.freed(())))
         over = candidate.excess
         return min(exact, candidate, key=lambda c: c.score_at(over))
@@ -233,24 +265,39 @@ class Search:
         progress("single causes", 0.1)
         bases = self.singles()
         leaders = self._leaders(bases)
-        tried = [*self.nulls, *bases, *leaders]
+        return self._grown([*self.nulls, *bases, *leaders], bases[:FIRSTS], leaders, progress)
+
+    def resumed(self, earlier: SearchResult, progress: Progress = silent) -> SearchResult:
+        """Go on from the result of an earlier search of the same data with another noise."""
+        tried = [*self.nulls, *(c.in_units_of(self.problem) for c in earlier.tried if c.causes)]
+        begun = self.problem.fit(earlier.chosen.fit.point.freed(self.keys))
+        chosen = self.settled(Candidate(self.problem, begun))
+        return self._grown([*tried, chosen], [chosen], [chosen], progress)
+
+    def _grown(
+        self,
+        tried: list[Candidate],
+        firsts: Sequence[Candidate],
+        leaders: Sequence[Candidate],
+        progress: Progress,
+    ) -> SearchResult:
+        """Add causes to the leaders, and exchange them, while that pays."""
         chosen = self.null
-        while True:
-            better = self._first_that_pays(leaders, chosen)
-            if better is None:
-                break
-            chosen = better
-            chosen, fewer = self._pruned(chosen)
+        while (better := self._first_that_pays(leaders, chosen)) is not None:
+            chosen, fewer = self._pruned(better)
             tried += fewer
             count = len(chosen.causes) + 1
             if chosen.adequate or count > MAX_CAUSES:
                 break
             progress(f"{count} causes together", min(0.75, 0.15 * count))
-            firsts = bases[:FIRSTS] if count == 2 else _distinct([chosen, *leaders])[:BEAM]
-            bases = self.further(firsts)
-            leaders = self._leaders(bases)
+            firsts = firsts if count == 2 else _distinct([chosen, *leaders])[:BEAM]
+            leaders = self._leaders(self.further(firsts))
             tried += leaders
-        without = self._fewer(chosen) if len(chosen.causes) > 1 else []
+            if self._first_that_pays(leaders, chosen) is None and count > 2:
+                leaders = self._leaders(self.further(self._vacancies(chosen)))
+                tried += leaders
+        several = range(len(chosen.causes)) if len(chosen.causes) > 1 else ()
+        without = mapped(partial(self._without, chosen), several)
         return SearchResult(self, [*tried, *without], chosen, tuple(without))
 
     def _first_that_pays(self, leaders: Sequence[Candidate], chosen: Candidate) -> Candidate | None:
@@ -259,27 +306,38 @@ class Search:
 
     def _pays(self, more: Candidate, less: Candidate) -> bool:
         """True if the further causes pay: on the data, and on unseen data if something remains."""
+        if not more.possible:
+            return False
         gain = less.score_at(more.excess) - more.score_at(more.excess)
         if more.adequate:
-            return gain > CLAIM
+            return gain > (CLAIM if len(more.causes) > len(less.causes) else 0.0)
         return gain > CLAIM_LEFT and self.unseen.gain(less.fit.point, more.fit.point)[0] > MIN_GAIN
 
     def _pruned(self, candidate: Candidate) -> tuple[Candidate, list[Candidate]]:
         """The candidate without causes that no longer pay, and all candidates that were tried."""
         tried: list[Candidate] = []
-        while len(candidate.causes) > 1:
-            fewer = self._fewer(candidate)
+        while len(candidate.causes) > 1 and (doubtful := candidate.doubtful()):
+            fewer = mapped(partial(self._without, candidate), doubtful)
             tried += fewer
             over = candidate.excess
             simpler = min(fewer, key=lambda c: c.score_at(over))
-            if simpler.score_at(over) > candidate.score_at(over) + CLAIM:
+            if simpler.score_at(over) > candidate.score_at(over) + (
+                CLAIM if candidate.adequate else CLAIM_LEFT
+            ):
                 break
             candidate = simpler
         return candidate, tried
 
-    def _fewer(self, candidate: Candidate) -> list[Candidate]:
-        """The candidate, refitted without each of its causes in turn."""
-        return mapped(lambda index: self._without(candidate, index), range(len(candidate.causes)))
+    def _vacancies(self, candidate: Candidate) -> list[Candidate]:
+        """The candidate without each of its causes in turn, not refitted: another may take its place."""
+
+        def vacant(index: int) -> Candidate:
+            point = candidate.fit.point.freed(self.keys).without(index)
+            residuals = tuple(self.problem.residuals(point))
+            chi2 = sum(float(np.vdot(r, r)) for r in residuals)
+            return Candidate(self.problem, Fit(point, chi2, chi2, residuals))
+
+        return mapped(vacant, range(len(candidate.causes)))
 
     def _without(self, candidate: Candidate, index: int) -> Candidate:
         """The candidate refitted without one of its causes."""

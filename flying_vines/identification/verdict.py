@@ -28,7 +28,7 @@ class Named:
 
     cause: str
     parameters: dict[str, ParameterEstimate]
-    share: float | None
+    share: float | None = None
     """See `Verdict.share`; None if it was not computed."""
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import exp, log
+from math import exp, inf, log
 from typing import TYPE_CHECKING, NamedTuple
 
 from flying_vines.physics.plant.setup import Setup
@@ -66,6 +66,14 @@ class Parameter:
     def share(self, value: float) -> float:
         """Position of a value within its range, 0…1."""
         return (self.to_search(value) - self.to_search(self.low)) / self.range if self.range > 0.0 else 0.5
+
+    def distance(self, value: float) -> float:
+        """Distance from neutral on the search scale; 1 if that is infinitely far, 0 if nothing is neutral."""
+        if self.neutral is None:
+            return 0.0
+        if self.logarithmic and not 0.0 < self.neutral < inf:
+            return 1.0
+        return abs(self.to_search(value) - self.to_search(self.neutral))
 
     def prior_penalty(self, searched: float) -> float:
         """Squared distance from the prior's mean, in standard deviations."""

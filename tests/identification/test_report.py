@@ -30,7 +30,7 @@ from flying_vines.identification.report.runs import draw_run
 from flying_vines.identification.report.words import label_and_unit, numbers, share
 from flying_vines.identification.report.write import svg
 from flying_vines.identification.show import in_words
-from flying_vines.identification.verdict import NONE, UNEXPLAINED, ParameterEstimate, Verdict
+from flying_vines.identification.verdict import NONE, UNEXPLAINED, ParameterEstimate, Remainder, Verdict
 from flying_vines.physics.effects import catalogue
 
 HOSTILE = """<script>alert("1")</script><img src=http://example.org/x> & '$x_{'"""
@@ -82,7 +82,7 @@ def unexplained(found: Diagnosed) -> Diagnosed:
             found.verdict,
             cause=UNEXPLAINED,
             parameters={},
-            remainder="reservoir: time since the solenoid closed",
+            remainder=Remainder(0.07, "reservoir: time since the solenoid closed"),
             next_experiment="Repeat it with one valve at a time.",
         ),
     )
@@ -202,7 +202,7 @@ def test_no_name_of_a_case_becomes_part_of_the_page(found: Diagnosed) -> None:
     hostile = replace(
         found.verdict,
         remarks=(HOSTILE,),
-        remainder=HOSTILE,
+        remainder=Remainder(0.07, HOSTILE),
         next_experiment=HOSTILE,
         evidence=replace(evidence, runs=tuple(replace(run, run=HOSTILE) for run in evidence.runs)),
     )
@@ -227,7 +227,8 @@ def test_what_is_left_unexplained_stands_in_front(unexplained: Diagnosed) -> Non
     text = page_of(unexplained, "unseen", "run-1").text
     front = text[: text.index("Measured and simulated")]
     assert in_words(verdict) in front
-    assert verdict.remainder in front and verdict.next_experiment in front
+    assert verdict.remainder is not None and verdict.remainder.depends_on in front
+    assert verdict.next_experiment in front
     assert "not measurements" in front
     _, low, high = numbers(next(iter(verdict.ranking[0].named[0].parameters.values())))
     assert f"{low} … {high}" not in front
