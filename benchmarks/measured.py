@@ -32,7 +32,7 @@ from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.importing.answers import answers_path, read_answers
 from flying_vines.identification.importing.runs import Proposal, answers_of_similar, propose, write_case
-from flying_vines.identification.verdict import Verdict
+from flying_vines.identification.verdict import NONE, UNEXPLAINED, Verdict
 
 DATA = Path(__file__).parents[1] / "tests" / "data" / "measured"
 GROUPS = ("leaking_chambers", "plenum_discharge", "pump_and_chamber")
@@ -40,7 +40,7 @@ ONE_RIG = {
     "plenum_discharge": "*.csv",
     "pump_and_chamber": "sweep_kp_*.csv",
 }
-"""Recordings of a folder that are of one rig in one state, and so a case together."""
+"""Recordings of a folder that are of one rig, and so a case together."""
 
 POSSIBLE: Mapping[str, tuple[float, float]] = {
     "flow_resistance_kPa_s_per_SL": (0.0, float("inf")),
@@ -80,7 +80,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--only", choices=GROUPS, action="append", help="one folder; may be given again")
     arguments = parser.parse_args(argv)
-    console = Console(highlight=False, soft_wrap=True, width=200)
+    console = Console(highlight=False, soft_wrap=True, width=400)
     looked = []
     for name, files in cases(arguments.only or GROUPS):
         looked.append(look(name, files))
@@ -173,20 +173,16 @@ def _readings(case: Case, channel: str) -> list[Readings]:
 
 
 def named(said: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The causes with their parameters and shares, the first first."""
-    first = [] if said["cause"] in ("none", "unexplained") else [said]
+    """The causes with their parameters and shares, the first first; of `unexplained` what fitted best."""
+    if said["cause"] == UNEXPLAINED:
+        tried = said["ranking"][0]["parameters"] if said.get("ranking") else {}
+        return [{"cause": cause, "parameters": parameters} for cause, parameters in tried.items()]
+    first = [] if said["cause"] == NONE else [said]
     return [*first, *said.get("also", ())]
 
 
-def best_tried(said: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The candidate of the best evidence, which is not the verdict where that is `unexplained`."""
-    ranking = said.get("ranking") or [{}]
-    found: Mapping[str, Any] = ranking[0]
-    return found
-
-
 def impossible(said: Mapping[str, Any]) -> list[str]:
-    """Named parameters that no rig in a room can have, and intervals that are none."""
+    """Parameters that no rig in a room can have, and intervals that are none."""
     found = []
     for one in named(said):
         for name, value in one.get("parameters", {}).items():
@@ -216,6 +212,8 @@ SAME = {
 def compared(said: Mapping[str, Any], fits: Sequence[Fitted]) -> Iterator[str]:
     """Each named parameter with its interval and, of the same law, the independent number."""
     by_law = {fit.law: fit.parameters for fit in fits}
+    if "ohm, cooling" in by_law and "reservoir_cooling" in [one["cause"] for one in named(said)]:
+        by_law = {"ohm": by_law["ohm, cooling"], "choked, cooling": by_law["ohm, cooling"]}
     for one in named(said):
         for name, value in one.get("parameters", {}).items():
             law, other = SAME.get((one["cause"], name), ("", ""))
@@ -258,7 +256,7 @@ def _causes(said: Mapping[str, Any]) -> str:
         return one["cause"] if share is None else f"{one['cause']} {share:.0%}"
 
     names = ", ".join(text(one) for one in named(said))
-    return names or f"(best tried: {best_tried(said).get('cause', '')})"
+    return f"(best tried: {names})" if said["cause"] == UNEXPLAINED else names
 
 
 def _remainder(remainder: Any) -> str:

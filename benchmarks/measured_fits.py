@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import odeint, solve_ivp
+from scipy.integrate import odeint
 from scipy.optimize import least_squares
 
 Array = NDArray[np.float64]
@@ -21,6 +21,7 @@ ALPHA_KPA = 101.325
 """Pressure rise of 1 SL in 1 L."""
 AMBIENT_KPA = 101.325
 ORIFICE_CRITICAL_RATIO = 0.5
+AIR_GAMMA = 1.4
 CO2_GAMMA, CO2_KG_PER_MOL = 1.289, 0.04401
 GAS_CONSTANT, ROOM_K = 8.314, 293.15
 NOZZLE_M = 0.6e-3
@@ -70,11 +71,17 @@ LEAKS: dict[str, Callable[[float, float], float]] = {"ohm": ohm, "viscous": visc
 
 
 def leak(run: Readings, volume_L: float) -> list[Fitted]:
-    """Each law of a leak fitted to a closed vessel that is left alone; the best first."""
-    return sorted((_leak(run, volume_L, law) for law in LEAKS), key=lambda one: one.rms_kPa)
+    """Each law of a leak fitted to a closed vessel that is left alone; the best first.
+
+    Of a vessel that empties quickly Ohm's law is fitted with gas that cools, as well.
+    """
+    fits = [_leak(run, volume_L, law) for law in LEAKS]
+    if run.pressure_kPa.min() < _LOW_KPA:
+        fits.append(_leak(run, volume_L, "ohm", cooling=True))
+    return sorted(fits, key=lambda one: one.rms_kPa)
 
 
-def _leak(run: Readings, volume_L: float, law: str) -> Fitted:
+def _leak(run: Readings, volume_L: float, law: str, cooling: bool = False) -> Fitted:
     time_s, read = run.time_s - run.time_s[0], run.pressure_kPa
     flow = LEAKS[law]
     offset_kPa = 10.0 if read.min() < _LOW_KPA else 1e-6
@@ -83,23 +90,24 @@ def _leak(run: Readings, volume_L: float, law: str) -> Fitted:
     guess = first * max(float(time_s[fallen]), 1.0) / max(float(read[0] - read[fallen]), 0.1)
 
     def model(x: Array) -> Array:
-        strength = math.exp(x[0])
-        solved = solve_ivp(
-            lambda _, p: [-ALPHA_KPA * flow(max(float(p[0]), 0.0), strength) / volume_L],
-            (0.0, float(time_s[-1])),
-            [x[1]],
-            t_eval=time_s,
-            rtol=1e-7,
-            atol=1e-5,
-        )
-        drawn: Array = solved.y[0] + x[2]
+        strength, wall_s = math.exp(x[0]), math.exp(x[3])
+
+        def rate(_: float, y: Array) -> list[float]:
+            air, warmth = float(y[0]), float(y[1])
+            gone = ALPHA_KPA * flow(max(air * warmth - AMBIENT_KPA, 0.0), strength) / volume_L
+            if not cooling:
+                return [-gone, 0.0]
+            return [-gone, -(AIR_GAMMA - 1.0) * warmth * gone / air + (1.0 - warmth) / wall_s]
+
+        solved = odeint(rate, [x[1] + AMBIENT_KPA, 1.0], time_s, tfirst=True, rtol=1e-8, atol=1e-7)
+        drawn: Array = solved[:, 0] * solved[:, 1] - AMBIENT_KPA + x[2]
         return drawn
 
     fit = least_squares(
         lambda x: model(x) - read,
-        [math.log(guess), float(read[0]), 0.0],
-        bounds=([-np.inf, 0.0, -offset_kPa], [np.inf, np.inf, offset_kPa]),
-        x_scale=[1.0, 10.0, 1.0],
+        [math.log(guess), float(read[0]), 0.0, 0.0],
+        bounds=([-np.inf, 0.0, -offset_kPa, -5.0], [np.inf, np.inf, offset_kPa, 7.0]),
+        x_scale=[1.0, 10.0, 1.0, 1.0],
         diff_step=1e-5,
     )
     name = {
@@ -111,7 +119,9 @@ def _leak(run: Readings, volume_L: float, law: str) -> Fitted:
     found = {name: strength, "volume_times_it": strength * volume_L}
     if offset_kPa > 1.0:
         found["offset_kPa"] = float(fit.x[2])
-    return Fitted(law, found, _rms(fit.fun))
+    if cooling:
+        found["time_constant_s"] = math.exp(fit.x[3])
+    return Fitted(law + (", cooling" if cooling else ""), found, _rms(fit.fun))
 
 
 def discharge(

@@ -132,6 +132,12 @@ def test_a_parameter_stands_beside_the_independent_one_of_the_same_law() -> None
     assert second == "ambient_drop 0.3 (0.2 … 0.4)"
 
 
+def test_of_an_unexplained_case_the_best_try_is_shown() -> None:
+    tried = {"cv_leak": {"flow_resistance_kPa_s_per_SL": interval(300.0, 290.0, 310.0)}}
+    said = {"cause": "unexplained", "also": [], "ranking": [{"cause": "cv_leak", "parameters": tried}]}
+    assert list(measured.compared(said, [])) == ["cv_leak 300 (290 … 310)"]
+
+
 def test_every_recording_is_imported_by_its_answers(tmp_path: Path) -> None:
     names = []
     for name, files in measured.cases(measured.GROUPS):
