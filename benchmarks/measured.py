@@ -182,13 +182,14 @@ def named(said: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def impossible(said: Mapping[str, Any]) -> list[str]:
-    """Parameters that no rig in a room can have, and intervals that are none."""
+    """Parameters whose whole interval no rig in a room can have, and intervals that are none."""
     found = []
     for one in named(said):
         for name, value in one.get("parameters", {}).items():
             low, high = POSSIBLE.get(name, (-float("inf"), float("inf")))
             ordered = value["low"] <= value["estimate"] <= value["high"]
-            if not (low <= value["estimate"] <= high and isfinite(value["estimate"]) and ordered):
+            overlaps = value["low"] <= high and value["high"] >= low
+            if not (overlaps and isfinite(value["estimate"]) and ordered):
                 found.append(f"{one['cause']} {name} {value['estimate']:.4g}")
     return found
 
