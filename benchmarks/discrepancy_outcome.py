@@ -20,6 +20,8 @@ class Hidden(msgspec.Struct, frozen=True):
 
     effect: str
     parameters: dict[str, float]
+    share: float | None = None
+    """Of the baseline's misfit, what comes back without it; None in results from before it was asked."""
 
 
 class Truth(msgspec.Struct, frozen=True):
@@ -32,6 +34,7 @@ class Truth(msgspec.Struct, frozen=True):
     parameters: dict[str, float]
     also: tuple[Hidden, ...]
     gap: float
+    share: float | None = None
 
     @property
     def hidden(self) -> dict[str, dict[str, float]]:
@@ -41,9 +44,25 @@ class Truth(msgspec.Struct, frozen=True):
         return {self.effect: self.parameters} | {one.effect: one.parameters for one in self.also}
 
     @property
+    def shares(self) -> dict[str, float]:
+        """Of each hidden cause of the catalogue, the largest first, where shares are known."""
+        every = {self.effect: self.share} | {one.effect: one.share for one in self.also}
+        known = {name: share for name, share in every.items() if share is not None and not _outside(name)}
+        return dict(sorted(known.items(), key=lambda one: -one[1]))
+
+    @property
     def outside(self) -> bool:
-        """Whether the catalogue lacks what is hidden."""
-        return self.effect.startswith("x_")
+        """Whether the catalogue lacks all that is hidden."""
+        return all(map(_outside, self.hidden)) and bool(self.hidden)
+
+    @property
+    def partly_outside(self) -> bool:
+        """Whether the catalogue lacks something that is hidden beside what it holds."""
+        return any(map(_outside, self.hidden)) and not self.outside
+
+
+def _outside(effect: str) -> bool:
+    return effect.startswith("x_")
 
 
 class Interval(msgspec.Struct, frozen=True):
@@ -59,6 +78,7 @@ class Named(msgspec.Struct, frozen=True):
 
     cause: str
     parameters: dict[str, Interval] = {}
+    share: float | None = None
 
 
 class HeldOut(msgspec.Struct, frozen=True):
@@ -76,6 +96,8 @@ class Said(msgspec.Struct, frozen=True):
     confidence: float | None = None
     indistinguishable: tuple[str, ...] = ()
     parameters: dict[str, Interval] = {}
+    share: float | None = None
+    """Of the first cause: of the misfit that all remove, what comes back without it."""
     also: tuple[Named, ...] = ()
     held_out: HeldOut | None = None
 

@@ -22,6 +22,12 @@ CONFIDENT = 0.5
 """A cause that is named with more is claimed."""
 NEAR = 0.1
 """A parameter is right within this share of its distance from neutral."""
+SEVERAL = ("several", "several_outside")
+"""Tiers that hide three effects or more, whose verdict is to order the causes by what they explain."""
+LARGE = 0.1
+"""A cause with a larger share of the misfit is to be listed."""
+NEAR_NOISE = 2.0
+"""Of several effects an error on unseen data is low enough up to so many times noise's own."""
 AT_NOISE = 1.2
 """An error on unseen data is noise's own up to so many times that."""
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 1.0)
@@ -50,7 +56,9 @@ def wilson(count: int, of: int) -> tuple[float, float]:
 
 def judge(truth: Truth, said: Said) -> Judgement:
     """RIGHT: `none` of a rig that hides nothing, `unexplained` of what the catalogue lacks, the cause of what
-    it holds; where two are hidden, both, in any order."""
+    it holds; where two are hidden, both, in any order; of several the largest in the catalogue, first."""
+    if truth.tier in SEVERAL:
+        return _judge_first(truth, said)
     if truth.outside:
         return Judgement.RIGHT if said.cause == UNEXPLAINED else Judgement.WRONG
     hidden = set(truth.hidden)
@@ -65,6 +73,15 @@ def judge(truth: Truth, said: Said) -> Judgement:
     if said.cause == UNEXPLAINED or (said.cause == NONE and said.confidence and said.confidence < UNSURE):
         return Judgement.OPEN
     return Judgement.WRONG
+
+
+def _judge_first(truth: Truth, said: Said) -> Judgement:
+    largest = next(iter(truth.shares))
+    if said.cause == largest:
+        return Judgement.RIGHT
+    if largest in said.indistinguishable:
+        return Judgement.ALIKE
+    return Judgement.OPEN if said.cause == UNEXPLAINED else Judgement.WRONG
 
 
 def judgement(outcome: Outcome) -> Judgement:
@@ -83,6 +100,17 @@ def counts(outcome: Outcome) -> bool:
 def false_names(truth: Truth, said: Said) -> list[str]:
     """Causes that are claimed and not there."""
     return [name for name in said.named if name not in truth.hidden]
+
+
+def large(truth: Truth) -> list[str]:
+    """Causes of the catalogue that a list is to contain."""
+    return [name for name, share in truth.shares.items() if share > LARGE]
+
+
+def share_errors(truth: Truth, said: Said) -> list[float]:
+    """Stated minus true share of each rightly named cause that has both."""
+    stated = {said.cause: said.share} | {one.cause: one.share for one in said.also}
+    return [share - truth.shares[n] for n, share in stated.items() if share is not None and n in truth.shares]
 
 
 @dataclass(frozen=True)
@@ -119,7 +147,7 @@ def off(one: Measured, neutral: Neutral) -> float:
 
 def holds(truth: Truth, said: Said) -> bool:
     """Whether what the confidence is about came true; of two hidden causes either is one."""
-    if truth.outside:
+    if truth.outside or (truth.partly_outside and said.cause == UNEXPLAINED):
         return said.cause == UNEXPLAINED
     return not set(truth.hidden or {NONE}).isdisjoint(said.candidates)
 

@@ -22,10 +22,12 @@ from discrepancy_scores import (  # noqa: E402
     false_names,
     holds,
     judge,
+    large,
     measured,
     off,
     over_noise,
     reliability,
+    share_errors,
     wilson,
 )
 
@@ -39,6 +41,7 @@ def row(effect: str, cause: str, tier: str = "clear", seed: int = 0, **said: Any
     by, also = said.pop("by", "diagnose"), said.pop("truly_also", [])
     truth = {"effect": effect, "tier": tier, "variant": "", "seed": seed, "gap": 5000.0}
     truth |= {"parameters": said.pop("true", {}), "also": also, "nominal": {"Vr": 2.0}}
+    truth |= {"share": said.pop("true_share", None)}
     verdict = {"cause": cause, "confidence": 0.97, "ranking": []} | said
     return {
         "by": by,
@@ -95,6 +98,42 @@ def test_of_two_causes_both_have_to_be_named_in_any_order() -> None:
     assert judged("cv_leak", "evp_lag", also=[{"cause": "cv_leak"}], **two) is Judgement.RIGHT
     assert judged("cv_leak", "cv_leak", **two) is Judgement.WRONG
     assert judged("cv_leak", "cv_leak", indistinguishable=["evp_lag"], **two) is Judgement.ALIKE
+
+
+THREE: dict[str, Any] = {
+    "tier": "several",
+    "true_share": 0.6,
+    "truly_also": [
+        {"effect": "evp_lag", "parameters": {}, "share": 0.2},
+        {"effect": "dead_volume", "parameters": {}, "share": 0.03},
+    ],
+}
+
+
+def test_of_several_effects_the_largest_is_first_and_the_large_ones_are_listed() -> None:
+    assert judged("cv_leak", "cv_leak", **THREE) is Judgement.RIGHT
+    assert judged("cv_leak", "evp_lag", also=[{"cause": "cv_leak"}], **THREE) is Judgement.WRONG
+    assert judged("cv_leak", "viscous_leak", indistinguishable=["cv_leak"], **THREE) is Judgement.ALIKE
+    assert judged("cv_leak", "unexplained", **THREE) is Judgement.OPEN
+    one = outcome("cv_leak", "cv_leak", share=0.7, also=[{"cause": "line_delay", "share": 0.1}], **THREE)
+    assert one.said is not None
+    assert large(one.truth) == ["cv_leak", "evp_lag"]
+    assert share_errors(one.truth, one.said) == pytest.approx([0.1])
+    assert false_names(one.truth, one.said) == ["line_delay"]
+
+
+def test_beside_an_effect_outside_the_catalogue_the_largest_of_it_is_to_be_first() -> None:
+    beside = {
+        "tier": "several_outside",
+        "true_share": 0.7,
+        "truly_also": [{"effect": "evp_lag", "parameters": {}, "share": 0.2}],
+    }
+    assert judged("x_seam", "evp_lag", **beside) is Judgement.RIGHT
+    assert judged("x_seam", "cv_leak", **beside) is Judgement.WRONG
+    one = outcome("x_seam", "unexplained", **beside)
+    assert one.truth.partly_outside and not one.truth.outside
+    assert one.said is not None and holds(one.truth, one.said)
+    assert large(one.truth) == ["evp_lag"]
 
 
 def test_only_a_short_run_may_be_left_open() -> None:
@@ -213,6 +252,15 @@ def test_the_tables_come_from_a_file_alone(tmp_path: Path, capsys: pytest.Captur
         row("x_seam", "cv_leak", tier="outside", seed=1),
         row("cv_leak", "dead_volume", seed=1, by="pysindy", also=[{"cause": "evp_lag"}], confidence=None),
         row("none", "dead_volume", tier="null", seed=1, by="pysindy", confidence=None),
+        row(
+            "cv_leak",
+            "cv_leak",
+            seed=9,
+            confidence=None,
+            held_out=errors,
+            also=[{"cause": "line_delay"}],
+            **THREE,
+        ),
         row("cv_leak", "none", tier="hard", seed=1) | {"said": None, "error": "ValueError: broken"},
     ]
     for one in rows:
@@ -223,6 +271,8 @@ def test_the_tables_come_from_a_file_alone(tmp_path: Path, capsys: pytest.Captur
     assert "clear 2/3 66.7% 21% … 94% 98% 2 0 0 1" in lines
     assert "clear 1 100.0% 21% … 100% 5.00% 0.0% 0% … 79% 0/1" in lines
     assert "evp_lag 1 1 cv_leak + line_delay" in lines
+    of = "several 1 1/1 (21% … 100%) 1/2 (9% … 91%) 1/2 (9% … 91%) 1/1 (21% … 100%) – – 4 s"
+    assert of in lines
     assert "a cause 50% to 80% 1 55.0% 0.0% 0% … 79% 0.3113" in lines
     assert "a cause with more than 50%: 1/1 (21% … 100%); with `none`: 0/1" in report
     assert "something is seen where nothing is 0/1 (0% … 79%) 1/1 (21% … 100%)" in lines
