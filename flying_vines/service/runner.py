@@ -83,11 +83,11 @@ async def serve(
         screen.start()
     try:
         while not serving.done():
-            snapshot = service.core.snapshot(service.now)
             if log_reported != log.news:
                 log_reported = log.news
                 service.say(Severity.WARNING, log_reported)
             if screen:
+                snapshot = service.core.snapshot(service.now)
                 try:
                     screen.update(view.render(snapshot, problems=service.link_problems))
                 except Exception as error:
