@@ -32,6 +32,7 @@ from rich.table import Table
 from flying_vines.config import config
 from flying_vines.core.core import Core
 from flying_vines.core.events import VehicleMessage
+from flying_vines.vehicle.mavlink import handled_messages
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.frames import Frame, Frames
 from flying_vines.vehicle.mavlink.signing import Signing
@@ -108,16 +109,20 @@ def bare(feeds: Sequence[Feed], with_key: bool) -> None:
             parser.parse_buffer(data)
 
 
+def service_codec(with_key: bool) -> MavlinkCodec:
+    return MavlinkCodec(0, 191, Signing(KEY) if with_key else None, handled_messages.NUMBERS)
+
+
 def codec_alone(feeds: Sequence[Feed], with_key: bool) -> None:
     for feed in feeds:
-        codec = MavlinkCodec(0, 191, Signing(KEY) if with_key else None)
+        codec = service_codec(with_key)
         for _, data in feed:
             codec.decode(data)
 
 
 def whole(feeds: Sequence[Feed], with_key: bool) -> None:
     for feed in feeds:
-        codec = MavlinkCodec(0, 191, Signing(KEY) if with_key else None)
+        codec = service_codec(with_key)
         core = Core(config.default())
         for t, data in feed:
             for message in codec.decode(data):
@@ -154,7 +159,7 @@ def measure(name: str, feeds: Sequence[Feed], with_key: bool, messages: int, rep
 
 def growth_MB(feeds: Sequence[Feed]) -> float:
     """How much more memory a long run takes at its end than after its first tenth."""
-    codec, core = MavlinkCodec(0, 191), Core(config.default())
+    codec, core = service_codec(with_key=False), Core(config.default())
     seen, now_s, early_MB = 0, 0.0, 0.0
     while seen < LONG_RUN:
         for feed in feeds:

@@ -39,7 +39,7 @@ from flying_vines.core.events import (
 from flying_vines.record.schema import Schema, merged, obj, of_dataclass, of_mavlink, of_type
 from flying_vines.vehicle.mavlink import handled_messages as handled
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mavlink.frames import Frame, Frames
+from flying_vines.vehicle.mavlink.frames import Frame, Frames, frame_in
 from flying_vines.vehicle.mavlink.payloads import message_of
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vine.intent import Intent, name_of
@@ -238,7 +238,7 @@ def _known(value: Any) -> Any:
 
 
 def _mavlink(t: float, raw: bytes) -> bytes:
-    frame = frame_of(raw)
+    frame = frame_in(raw)
     entry: dict[str, Any] = {
         "t": t,
         "name": f"UNKNOWN_{frame.message_id}",
@@ -247,9 +247,9 @@ def _mavlink(t: float, raw: bytes) -> bytes:
         "frame": binascii.b2a_base64(raw, newline=False).decode("ascii"),
     }
     if frame.known:
-        message = message_of(frame)
-        name = entry["name"] = message.get_type()
+        name = entry["name"] = mavlink.mavlink_map[frame.message_id].msgname
         if name in DECODED:
+            message = message_of(frame)
             entry[name] = {field: getattr(message, field) for field in message.fieldnames}
     return _without_nulls(_encode(entry))
 

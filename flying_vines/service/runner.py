@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import signal
+import sys
 from dataclasses import dataclass
 
 from rich.console import Console
@@ -24,6 +25,11 @@ from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vehicle.notice import Severity
 
 SNAPSHOT_S = 0.05
+NEWS_S = 0.2
+"""Without a screen only news of the log and of the links is looked for."""
+SWITCH_S = 0.0005
+"""Maximum time that the recorder's thread keeps the interpreter while the loop waits for it. Python's own
+5 ms is longer than the recorder ever works at a time: the loop would wait for all of it."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,7 @@ async def serve(
     # Modules stay until the end: exclude them from garbage collection, which would pause the loop in flight.
     gc.collect()
     gc.freeze()
+    sys.setswitchinterval(SWITCH_S)
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(name, service.stop)
     if page:
@@ -83,11 +90,11 @@ async def serve(
         screen.start()
     try:
         while not serving.done():
-            snapshot = service.core.snapshot(service.now)
             if log_reported != log.news:
                 log_reported = log.news
                 service.say(Severity.WARNING, log_reported)
             if screen:
+                snapshot = service.core.snapshot(service.now)
                 try:
                     screen.update(view.render(snapshot, problems=service.link_problems))
                 except Exception as error:
@@ -98,7 +105,7 @@ async def serve(
                 problems = dict(service.link_problems)
                 for link, why in problems.items():
                     console.print(f"{link} link: {why or 'open'}", soft_wrap=True)
-            await asyncio.wait([serving], timeout=SNAPSHOT_S)
+            await asyncio.wait([serving], timeout=SNAPSHOT_S if screen else NEWS_S)
         await serving
     finally:
         if screen:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 from firmware_link.protocol import Fault, Mode, Telemetry
@@ -98,19 +99,18 @@ class _States:
         while self.openings[0][0] < earliest_s:
             self.openings.popleft()
 
-        def lasting(seconds: float, present: bool, bridged: bool = False) -> float:
-            if not present:
-                return 0.0
-            return JUST_S if gap and not (bridged and seconds > 0.0) else seconds + dt_s
-
         solenoid, shut = telemetry.solenoid, evp == dvp == 0.0
         setpoint = telemetry.mode is Mode.REGULATE and telemetry.setpoint_kPa > 0.0
         steady = setpoint and telemetry.setpoint_kPa == self.setpoint_kPa
-        self.venting_s = lasting(self.venting_s, solenoid and evp == 0.0)
-        self.sealed_s = lasting(self.sealed_s, not solenoid and shut)
-        self.outlet_shut_s = lasting(self.outlet_shut_s, not solenoid, bridged=True)
-        self.resting_s = lasting(self.resting_s, solenoid and shut and not setpoint)
-        self.holding_s = lasting(self.holding_s, steady and dvp == 0.0)
+        if gap:
+            self.venting_s = self.sealed_s = self.resting_s = self.holding_s = 0.0
+        step_s = JUST_S if gap else dt_s
+        self.venting_s = self.venting_s + step_s if solenoid and evp == 0.0 else 0.0
+        self.sealed_s = self.sealed_s + step_s if shut and not solenoid else 0.0
+        self.resting_s = self.resting_s + step_s if shut and solenoid and not setpoint else 0.0
+        self.holding_s = self.holding_s + step_s if steady and dvp == 0.0 else 0.0
+        outlet_step_s = dt_s if self.outlet_shut_s > 0.0 else step_s
+        self.outlet_shut_s = 0.0 if solenoid else self.outlet_shut_s + outlet_step_s
         self.setpoint_kPa = telemetry.setpoint_kPa
 
 
@@ -140,10 +140,11 @@ class TelemetryReader:
             self._complete_at = t
         continuity, device_dt_s = self._read_clock(telemetry)
         states = self._states
-        evps, dvps = [0.0], [0.0]
+        evps: Sequence[float] = (0.0,)
+        dvps: Sequence[float] = (0.0,)
         if continuity in ("gap", "follows"):
             states.update(device_dt_s, telemetry, continuity == "gap")
-            evps, dvps = [evp for _, evp, _ in states.openings], [dvp for _, _, dvp in states.openings]
+            _, evps, dvps = zip(*states.openings, strict=True)
         return Features(
             t=t,
             telemetry=telemetry,

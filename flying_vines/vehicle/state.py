@@ -120,10 +120,9 @@ class VehicleState:
 
     def is_ours(self, message: MavlinkMessage) -> bool:
         """True if the message comes from the autopilot that we serve."""
-        header = message.get_header()
-        return bool(
-            header.srcComponent == _AUTOPILOT and header.srcSystem == self.system_id and self.system_id
-        )
+        if message.get_srcComponent() != _AUTOPILOT:
+            return False
+        return self.system_id != 0 and self.system_id == message.get_srcSystem()
 
     def handle(self, t: float, message: MavlinkMessage) -> list[VehicleEvent]:
         """Take in one message of any sender."""

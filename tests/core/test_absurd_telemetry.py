@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import random
 from collections.abc import Iterator
@@ -28,13 +29,17 @@ SAID = {
 
 
 class Spoiled:
-    """The wire from the board; it puts `values` into the next `frames` of telemetry."""
+    """The wire from the board."""
 
-    def __init__(self, flight: SimulatedFlight, frames: int, values: dict[str, float]) -> None:
-        self.frames = frames
-        self.values = values
+    def __init__(self, flight: SimulatedFlight) -> None:
+        self.frames = 0
+        self.values: dict[str, float] = {}
         self._decoder, self._encoder = protocol.Codec(), protocol.Codec()
         flight.world.from_phlosar = self.spoil
+
+    def spoil_next(self, frames: int, values: dict[str, float]) -> None:
+        """Put `values` into the next `frames` of telemetry."""
+        self.frames, self.values = frames, values
 
     def spoil(self, data: bytes) -> bytes:
         return b"".join(map(self._encoder.encode, map(self._spoiled, self._decoder.decode(data))))
@@ -47,15 +52,18 @@ class Spoiled:
 
 
 @pytest.mark.parametrize("bends", [False, True])
-@pytest.mark.parametrize("field", PLAUSIBLE_KPA)
-@pytest.mark.parametrize("value", ABSURD)
-def test_one_absurd_frame_changes_nothing(bends: bool, field: str, value: float) -> None:
+def test_one_absurd_frame_changes_nothing(bends: bool) -> None:
     flight = bent() if bends else airborne()
-    Spoiled(flight, 1, {field: value})
+    wire = Spoiled(flight)
+    for field, value in itertools.product(PLAUSIBLE_KPA, ABSURD):
+        wire.spoil_next(1, {field: value})
+        actions = run_for(flight, 0.2)
+        assert decisions(actions) == [] and notices(actions) == [], (field, value)
+        assert flight.core.snapshot(flight.world.now).safe_state == {}
     actions = run_for(flight, 2.0)
     assert decisions(actions) == [] and notices(actions) == []
-    now = flight.core.snapshot(flight.world.now)
-    assert now.safe_state == {} and now.cycles is not None and math.isfinite(now.cycles.expected)
+    cycles = flight.core.snapshot(flight.world.now).cycles
+    assert cycles is not None and math.isfinite(cycles.expected)
     assert (flight.phlosar.cv_kPa > 15.0) is bends
 
 
@@ -63,7 +71,7 @@ def test_one_absurd_frame_changes_nothing(bends: bool, field: str, value: float)
 @pytest.mark.parametrize("value", [1e30, -1e30, math.nan])
 def test_a_sensor_that_says_what_none_can_is_a_fault_that_a_person_clears(field: str, value: float) -> None:
     flight = bent()
-    Spoiled(flight, 10, {field: value})
+    Spoiled(flight).spoil_next(10, {field: value})
     actions = run_for(flight, 1.0)
     (lost,) = decisions(actions)
     assert lost.what == {"loss": "sensor"} and lost.t - 10.0 < 0.05
@@ -95,7 +103,7 @@ def test_whatever_else_a_frame_says_the_flight_goes_on_or_the_vine_is_vented(
     frames: int, values: dict[str, float]
 ) -> None:
     flight = bent()
-    Spoiled(flight, frames, values)
+    Spoiled(flight).spoil_next(frames, values)
     run_for(flight, 3.0)
     assert flight.core.internal_error is False
     if flight.core.snapshot(flight.world.now).doing == "vented":
@@ -107,11 +115,13 @@ def test_readings_within_reach_of_a_sensor_never_spoil_an_estimate() -> None:
     for seed in range(8):
         reader, reservoir = TelemetryReader(believed), ReservoirEstimate(believed)
         checks = PhysicsChecks(believed, config.default().checks)
-        for t, telemetry in hostile(random.Random(seed)):
+        for i, (t, telemetry) in enumerate(hostile(random.Random(seed))):
             features = reader.read(t, telemetry)
             reservoir.update(features)
             checks.take(features)
             assert math.isfinite(reservoir.spending_kPa(20.0))
+            if i % 8:
+                continue  # a prediction takes milliseconds, and spoils nothing itself
             if (left := reservoir.cycles_left()) is not None:
                 assert 0.0 <= left.low <= left.expected <= left.high < math.inf
             if reservoir.bottle is not None:

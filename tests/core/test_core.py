@@ -7,11 +7,9 @@ import itertools
 import math
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from firmware_link.protocol import ClearFaults, Fault, Setpoint, Vent
+from firmware_link.protocol import ClearFaults, Fault, Setpoint
 from flying_vines.config import config
 from flying_vines.core.events import (
     Action,
@@ -548,75 +546,3 @@ def test_a_missing_stream_is_named() -> None:
         for message in MavlinkCodec(1, 191).decode(codec.encode(beat, 1)):
             texts += notices(flight.feed(VehicleMessage(float(second), message)))
     assert any("does not send" in text and "GLOBAL_POSITION_INT" in text for text in texts)
-
-
-STIMULI = st.lists(
-    st.tuples(
-        st.sampled_from(
-            [
-                "low",
-                "middle",
-                "high",
-                "lose",
-                "jump",
-                "back",
-                "mute",
-                "reboot",
-                "land",
-                "fly",
-                "unplug",
-                "plug",
-                "reset",
-            ]
-        ),
-        st.floats(0.05, 2.5),
-    ),
-    min_size=1,
-    max_size=14,
-)
-
-
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(STIMULI)
-def test_whatever_happens_the_vine_stays_below_its_limit_and_vents_when_refused(
-    stimuli: list[tuple[str, float]],
-) -> None:
-    flight = airborne()
-    pilot = flight.autopilot
-    plugged = True
-    for what, wait_s in stimuli:
-        match what:
-            case "low" | "middle" | "high":
-                pilot.set_rc(9, {"low": LOW, "middle": MIDDLE, "high": HIGH}[what])
-            case "lose" | "jump":
-                pilot.lose_rc("frozen" if what == "lose" else "jump")
-            case "back":
-                pilot.return_rc()
-            case "mute":
-                pilot.mute(1.0)
-            case "reboot":
-                pilot.reboot()
-            case "land":
-                pilot.land()
-            case "fly":
-                pilot.takeoff(10.0)
-            case "unplug" | "plug":
-                plugged = what == "plug"
-                flight.feed(LinkChanged(flight.world.now, "firmware", plugged, what))
-            case "reset":
-                flight.phlosar.reset_firmware()
-        seen = run_for(flight, wait_s)
-        assert flight.phlosar.cv_kPa < 25.0
-        for sent in setpoints(seen):
-            assert 0.0 <= sent.target_kPa <= 20.7
-    snapshot = flight.core.snapshot(flight.world.now)
-    if snapshot.safe_state:
-        run_for(flight, 0.5)
-        if flight.core.snapshot(flight.world.now).safe_state:
-            assert flight.phlosar.drive.evp == 0.0
-    vents = [
-        a
-        for a in run_for(flight, 0.1)
-        if isinstance(a, ToFirmware) and isinstance(a.message, Vent | Setpoint)
-    ]
-    assert vents or not plugged or flight.core.snapshot(flight.world.now).firmware != "ready"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import subprocess
 import sys
@@ -12,6 +11,7 @@ import pytest
 from needed import ARM_TOOLS, need
 
 from .native import FIRMWARE
+from .once import made_once
 
 BOARDS = ("teensy40", "teensy41", "teensylc")
 HOW_TO_GET_CORES = "git clone https://github.com/PaulStoffregen/cores ../shared/teensy-cores"
@@ -31,15 +31,12 @@ def cores() -> Path:
 
 @pytest.fixture(scope="session")
 def images(cores: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the sketch for each board; built once, also when several processes run the tests."""
+    """A folder with the sketch for each board."""
     need("make", ARM_TOOLS)
     need("arm-none-eabi-g++", ARM_TOOLS)
-    ours = tmp_path_factory.getbasetemp()
-    folder = (ours.parent if "PYTEST_XDIST_WORKER" in os.environ else ours) / "firmware-images"
-    folder.mkdir(exist_ok=True)
-    command = ["make", "--silent", "-C", str(FIRMWARE), "image", f"CORES={cores}", f"BUILD={folder}"]
-    with (folder / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+
+    def make(folder: Path) -> None:
+        command = ["make", "--silent", "-C", str(FIRMWARE), "image", f"CORES={cores}", f"BUILD={folder}"]
         # Without the options of a make that runs the tests.
         done = subprocess.run(
             [*command, f"PYTHON={sys.executable}"],
@@ -47,5 +44,6 @@ def images(cores: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
             text=True,
             env={**os.environ, "MAKEFLAGS": ""},
         )
-    assert done.returncode == 0, done.stderr
-    return folder
+        assert done.returncode == 0, done.stderr
+
+    return made_once(tmp_path_factory, "firmware-images", make)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from .golden_run import Done, PowerUp, Told
 
+MADE = "emulated.elf"
 _PROGRAM = Path(__file__).parents[2] / "firmware_link" / "firmware" / "qemu"
 _EMULATOR = (
     *("qemu-system-arm", "-nographic", "-monitor", "none", "-serial", "none"),
@@ -66,7 +67,7 @@ def build(chip: Chip, folder: Path) -> Program:
         text=True,
         env={**os.environ, "MAKEFLAGS": ""},
     )
-    return Program(chip, folder / "emulated.elf")
+    return Program(chip, folder / MADE)
 
 
 class Run(NamedTuple):

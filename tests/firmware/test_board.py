@@ -36,6 +36,7 @@ from .native import (
     assert_found,
     with_mistake,
 )
+from .once import made_once
 
 SKETCH = FIRMWARE / "phlosar"
 STUB = Path(__file__).with_name("arduino_stub")
@@ -181,8 +182,12 @@ class Teensy:
         return [message for message in self.run(25) if isinstance(message, Telemetry)][-1]
 
 
+def made_in(folder: Path, model: Model) -> Path:
+    return folder / f"{model.name}.so"
+
+
 def compiled(model: Model, folder: Path, sketch: Path = SKETCH) -> Path:
-    made = folder / f"{model.name}.so"
+    made = made_in(folder, model)
     sources = [*sorted((sketch / "src").rglob("*.cpp")), Path(__file__).with_name("simulated_teensy.cpp")]
     units = [*map(str, sources), "-x", "c++", str(sketch / "phlosar.ino")]
     flags = ["-std=gnu++17", "-O1", *STRICT, "-Wno-unused-function", "-DARDUINO=10819", model.define]
@@ -194,7 +199,9 @@ def compiled(model: Model, folder: Path, sketch: Path = SKETCH) -> Path:
 
 @pytest.fixture(scope="module", params=BOARDS, ids=lambda model: model.name)
 def built(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Model, Path]:
-    return request.param, compiled(request.param, tmp_path_factory.mktemp(request.param.name))
+    model: Model = request.param
+    folder = made_once(tmp_path_factory, model.name, lambda folder: compiled(model, folder))
+    return model, made_in(folder, model)
 
 
 _COPIES = itertools.count()

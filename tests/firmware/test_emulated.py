@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 from needed import ARM_TOOLS, need
 
-from .emulated import CHIPS, Instructions, Program, Run, build, results, run, trace
+from .emulated import CHIPS, MADE, Chip, Instructions, Program, Run, build, results, run, trace
 from .golden_frames import VECTORS, answers_in, frames, of_host_frame, to_device_frame
 from .golden_run import PACKET, Part, Step, difference, read
+from .once import made_once
 
 PARTS = read()
 STEPS = [step for part in PARTS for step in part.steps]
@@ -22,12 +23,16 @@ MAX_INSTRUCTIONS = {"m0plus": 12000, "m7": 6000}
 def program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Program:
     for tool in ("make", "arm-none-eabi-g++", "qemu-system-arm"):
         need(tool, ARM_TOOLS)
-    return build(request.param, tmp_path_factory.mktemp("emulated"))
+    chip: Chip = request.param
+    folder = made_once(tmp_path_factory, f"emulated-{chip.name}", lambda folder: build(chip, folder))
+    return Program(chip, folder / MADE)
 
 
 @pytest.fixture(scope="module")
 def golden(program: Program, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    return run(program, (one for part in PARTS for one in part.told), tmp_path_factory.mktemp("golden"))
+    chip, told = program.chip, (one for part in PARTS for one in part.told)
+    folder = made_once(tmp_path_factory, f"golden-{chip.name}", lambda folder: run(program, told, folder))
+    return results(chip, folder)
 
 
 @pytest.mark.parametrize("part", PARTS, ids=lambda part: part.name)

@@ -18,6 +18,8 @@ from firmware_link.link import FirmwareLink
 from firmware_link.protocol import Fault, GetSetting, Message, Mode, SetSetting, Setting, Telemetry
 from flying_vines.simulation.phlosar.core_library import SOURCES
 
+from .once import made_once
+
 pytestmark = real_time
 
 
@@ -25,12 +27,13 @@ pytestmark = real_time
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     host_compiler()
     make = need("make", "sudo apt install make")
-    folder = tmp_path_factory.mktemp("pty")
-    made = subprocess.run(
-        [make, "-C", str(SOURCES / "host"), f"BUILD={folder}"], capture_output=True, text=True, check=False
-    )
-    assert made.returncode == 0, made.stderr
-    return folder / "phlosar-pty"
+
+    def build(folder: Path) -> None:
+        command = [make, "-C", str(SOURCES / "host"), f"BUILD={folder}"]
+        made = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert made.returncode == 0, made.stderr
+
+    return made_once(tmp_path_factory, "pty", build) / "phlosar-pty"
 
 
 @contextlib.asynccontextmanager

@@ -37,6 +37,7 @@ from .native import (
     library,
     with_mistake,
 )
+from .once import made_once
 
 SOURCE = FIRMWARE / "phlosar" / "src"
 TURN_US = 50
@@ -141,12 +142,12 @@ def build(folder: Path, copies: int, source: Path = SOURCE) -> Path:
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build(tmp_path_factory.mktemp("run"), copies=2)
+    return made_once(tmp_path_factory, "run", lambda folder: build(folder, copies=2)) / LIBRARY
 
 
 @pytest.fixture(scope="module")
 def built_with_one_copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build(tmp_path_factory.mktemp("one"), copies=1)
+    return made_once(tmp_path_factory, "run-one-copy", lambda folder: build(folder, copies=1)) / LIBRARY
 
 
 _COPIES = itertools.count()

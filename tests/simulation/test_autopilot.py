@@ -171,17 +171,6 @@ def test_px4_tells_a_mission_id_that_changes_with_the_mission() -> None:
 # PX4
 
 
-def test_px4_repeats_a_command_until_it_is_acknowledged() -> None:
-    mission = [item(0, 22, 0, 0, 0, 0, 0, 0, 5), item(1, 187, 0.5, frame=2), item(2, 93, 20, frame=2)]
-    world = World(FakeAutopilot("px4", mission=mission))
-    world.companion.hello()
-    world.autopilot.start_mission()
-    world.on(15.0)
-    sent = [message for message in world.companion.of("COMMAND_LONG") if message.command == 187]
-    assert [message.confirmation for message in sent] == [0, 1, 2, 3]
-    assert {(message.target_system, message.target_component) for message in sent} == {(1, 0)}
-
-
 def test_a_burst_of_more_than_eight_items_loses_the_first() -> None:
     burst = [item(seq, 187, seq / 100, frame=2) for seq in range(1, 11)]
     mission = [item(0, 22, 0, 0, 0, 0, 0, 0, 5), *burst, item(11, 93, 20, frame=2)]

@@ -124,7 +124,7 @@ def test_a_mishap_is_found_in_time(
     place: str, kind: MishapKind, when: str, name: str, within_s: float
 ) -> None:
     flying = Flying(likely(), checks_of())
-    flying.run(8.0, None)
+    flying.run(8.0 if name == "vine_leak" else 2.0, None)  # only this check compares a hold with a rest
     if when in (HOLD, RELEASE):
         flying.run(1.5, TOP_KPA)
     assert flying.found == []
@@ -142,11 +142,11 @@ def slowly_told(seed: int, loses: float, cv_volume_L: float = 0.1) -> Flying:
     )
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(5))
 def test_a_hose_off_is_found_within_1_s_at_10_Hz_of_which_a_fifth_is_lost(seed: int) -> None:
     flying = slowly_told(seed, 0.2)
     flying.run(2.0, None)
-    flying.run(1.4 + 0.02 * (seed % 5), TOP_KPA)
+    flying.run(1.4 + 0.02 * seed, TOP_KPA)
     assert flying.found == []
     flying.phlosar.befall("hose", HoseOff())
     assert "filling" in [finding.name for _, finding in flying.run(1.0, TOP_KPA)]

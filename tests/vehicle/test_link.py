@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import tracemalloc
 import tty
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -161,6 +162,22 @@ async def test_udp_that_listens_answers_whom_it_hears() -> None:
             assert watched.link.write(b"to all")
             assert (await one.next())[0] == b"to all"
             assert (await two.next())[0] == b"to all"
+
+
+async def test_a_read_takes_little_memory_and_the_longest_datagram_arrives_whole() -> None:
+    port = free_port()
+    async with running(NetworkAddress("udpin", HOST, port)) as watched:
+        await watched.until(lambda: watched.up)
+        async with udp_peer((HOST, port)) as (_, to_us, _):
+            tracemalloc.start()
+            try:
+                to_us.sendto(b"short")
+                await watched.until(lambda: watched.data == b"short")
+                assert tracemalloc.get_traced_memory()[1] < 100_000
+            finally:
+                tracemalloc.stop()
+            to_us.sendto(b"x" * 65507)
+            await watched.until(lambda: len(watched.data) == 5 + 65507)
 
 
 def frame_of(component: int, system: int = 1) -> bytes:

@@ -8,17 +8,19 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.frames import Frames
-from flying_vines.vehicle.mavlink.payloads import MavlinkMessage, message_of
+from flying_vines.vehicle.mavlink.payloads import HeaderOnly, MavlinkMessage, message_of
 
 TYPES = sorted(mavlink.mavlink_map)
 
 
-def frame_of(message_id: int, payload: bytes, version_1: bool = False) -> bytes:
+def frame_of(
+    message_id: int, payload: bytes, version_1: bool = False, sender: tuple[int, int] = (1, 1)
+) -> bytes:
     """A frame with a good checksum around any payload."""
     if version_1:
-        head = bytes((0xFE, len(payload), 17, 1, 1, message_id))
+        head = bytes((0xFE, len(payload), 17, *sender, message_id))
     else:
-        head = bytes((0xFD, len(payload), 0, 0, 17, 1, 1)) + message_id.to_bytes(3, "little")
+        head = bytes((0xFD, len(payload), 0, 0, 17, *sender)) + message_id.to_bytes(3, "little")
     extra = bytes((mavlink.mavlink_map[message_id].crc_extra,))
     crc: int = mavlink.x25crc(head[1:] + payload + extra).crc
     return head + payload + crc.to_bytes(2, "little")
@@ -59,6 +61,16 @@ def test_version_1(message_id: int) -> None:
 def test_the_payload_itself() -> None:
     raw = frame_of(0, bytes(range(1, 10)))
     assert ours(raw).get_payload() == bytes(range(1, 10))
+
+
+def test_a_header_alone_says_the_same_as_the_whole_message() -> None:
+    methods = [name for name in vars(HeaderOnly) if name.startswith("get_")]
+    assert len(methods) == 6
+    for message_id in TYPES:
+        (frame,) = Frames().take(frame_of(message_id, b"\x01", sender=(7, 190)))
+        header, whole = HeaderOnly(frame), message_of(frame)
+        for name in methods:
+            assert getattr(header, name)() == getattr(whole, name)(), name
 
 
 def test_a_decoded_message_packs_to_the_same_frame() -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Container
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.frames import Frame, Frames
-from flying_vines.vehicle.mavlink.payloads import MavlinkMessage, message_of
+from flying_vines.vehicle.mavlink.payloads import HeaderOnly, MavlinkMessage, message_of
 from flying_vines.vehicle.mavlink.signing import Signing
 
 __all__ = ["MavlinkCodec", "MavlinkMessage"]
@@ -31,9 +32,17 @@ class MavlinkCodec:
     A frame that arrives twice (the same sequence number and checksum from the same sender, due to routers and
     retries) is decoded once. Our own frames that a router sends back are dropped. With `signing`, only frames
     signed with its key are accepted, and ours are signed. No input raises.
+
+    With `read`, only messages with these ids get their fields; the others are `HeaderOnly`, which costs less.
     """
 
-    def __init__(self, system_id: int, component_id: int, signing: Signing | None = None) -> None:
+    def __init__(
+        self,
+        system_id: int,
+        component_id: int,
+        signing: Signing | None = None,
+        read: Container[int] = mavlink.mavlink_map,
+    ) -> None:
         self.lost_frames = 0
         self.repeated_frames = 0
         self.echoes = 0
@@ -41,6 +50,7 @@ class MavlinkCodec:
         self._senders: dict[tuple[int, int], _Sender] = {}
         self._component_id = component_id
         self._signing = signing
+        self._read = read
         self._sent: deque[tuple[int, int, int, int]] = deque(maxlen=REMEMBERED_SENT)
         self._out = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         if signing is not None:
@@ -85,8 +95,12 @@ class MavlinkCodec:
                 sender = self._meet(frame)
             if lost := sender.take(frame):
                 self.lost_frames = max(0, self.lost_frames + lost)
-            if frame.known:
-                messages.append(_without_key(frame) if frame.message_id == _WITH_KEY else message_of(frame))
+            if not frame.known:
+                continue
+            if frame.message_id == _WITH_KEY:
+                messages.append(_without_key(frame))
+            else:
+                messages.append(message_of(frame) if frame.message_id in self._read else HeaderOnly(frame))
         return messages
 
     def encode(self, message: MavlinkMessage, system_id: int) -> bytes:

@@ -119,6 +119,13 @@ def from_autopilot(data: bytes) -> bool:
     return any(frame.known and frame.component == _AUTOPILOT for frame in Frames().take(data))
 
 
+def frame_in(raw: bytes) -> Frame:
+    """The frame in `raw`, which was whole and right when it was received or sent. Checks nothing again."""
+    frame = _frame_at(raw, 0)
+    assert frame is not None
+    return frame
+
+
 def _frame_at(data: bytes, at: int) -> Frame | None:
     """The frame whose header is at `at`; None until all of its bytes have arrived."""
     end = len(data)

@@ -5,6 +5,8 @@ If your code handles one more message, add it here. A test finds forgotten ones.
 
 from __future__ import annotations
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 CLOCK = frozenset({"ATTITUDE", "GLOBAL_POSITION_INT", "RC_CHANNELS", "SYSTEM_TIME"})
 STATE = CLOCK | {"HEARTBEAT", "SCALED_PRESSURE", "STATUSTEXT"}
 RADIO = frozenset({"PARAM_VALUE", "RC_CHANNELS", "STATUSTEXT", "SYS_STATUS"})
@@ -21,3 +23,5 @@ ANSWERS = frozenset({"COMMAND_ACK"})
 OVERRIDES = frozenset({"RC_CHANNELS_OVERRIDE"})
 """Sent by ground stations."""
 ALL = STATE | RADIO | MISSION | QUESTIONS | ANSWERS | OVERRIDES
+NUMBERS = frozenset(number for number, kind in mavlink.mavlink_map.items() if kind.msgname in ALL)
+"""Their message ids."""

@@ -10,7 +10,7 @@ import asyncio
 import os
 import socket
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 from firmware_link.find import UsbBoard
 from flying_vines.config.address import DEFAULT_BAUD, Address, NetworkAddress, SerialAddress
@@ -24,6 +24,8 @@ PEER_REPLACED_S = 3.0
 MAX_FIRST_DATAGRAM_BYTES = 2048
 """Maximum size of a new sender's first datagram. A frame has up to 280 bytes, an Ethernet packet 1500."""
 MAX_QUEUED_BYTES = 64 * 1024
+MAX_READ_BYTES = 64 * 1024
+"""No datagram is longer."""
 
 OnBytes = Callable[[bytes], None]
 OnStranger = Callable[[bytes, Callable[[], None]], None]
@@ -172,6 +174,7 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
                 self._down(_reason(error))
                 await asyncio.sleep(RETRY_S)
                 continue
+            _limit_reads(transport)
             self._transport, self._full = transport, False
             self._up()
             try:
@@ -238,6 +241,7 @@ class TcpLink(_NetworkLink, asyncio.Protocol):
                 self._down(_reason(error))
                 await asyncio.sleep(RETRY_S)
                 continue
+            _limit_reads(transport)
             self._transport = transport
             self._up()
             try:
@@ -260,6 +264,14 @@ class TcpLink(_NetworkLink, asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         if self._lost is not None and not self._lost.done():
             self._lost.set_result(None)
+
+
+def _limit_reads(transport: Any) -> None:
+    """Give each read a smaller buffer than asyncio's 256 KiB.
+
+    The C library maps such a buffer anew for each datagram. That takes ten times as long as the read itself.
+    """
+    transport.max_size = MAX_READ_BYTES
 
 
 def _reason(error: OSError | UnicodeError) -> str:

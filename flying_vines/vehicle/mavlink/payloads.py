@@ -15,7 +15,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.vehicle.mavlink.frames import Frame
 
 MavlinkMessage = Any
-"""A message object of the pymavlink dialect. pymavlink has no type annotations."""
+"""A message object of the pymavlink dialect, or `HeaderOnly`. pymavlink has no type annotations."""
+
+_NAMES: dict[int, str] = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
 
 
 class _Layout:
@@ -47,6 +49,34 @@ def _arrange_arrays_and_texts(kind: Any) -> Callable[[tuple[Any, ...]], list[Any
 
 
 _LAYOUTS = {number: _Layout(kind) for number, kind in mavlink.mavlink_map.items()}
+
+
+class HeaderOnly:
+    """A message whose fields nobody reads. Its methods are named as pymavlink's; it has no fields."""
+
+    __slots__ = ("_frame",)
+
+    def __init__(self, frame: Frame) -> None:
+        """`frame`: its message is one of the dialect's."""
+        self._frame = frame
+
+    def get_type(self) -> str:
+        return _NAMES[self._frame.message_id]
+
+    def get_msgId(self) -> int:
+        return self._frame.message_id
+
+    def get_srcSystem(self) -> int:
+        return self._frame.system
+
+    def get_srcComponent(self) -> int:
+        return self._frame.component
+
+    def get_seq(self) -> int:
+        return self._frame.sequence
+
+    def get_msgbuf(self) -> bytes:
+        return self._frame.raw
 
 
 def message_of(frame: Frame) -> MavlinkMessage:
