@@ -38,8 +38,12 @@ def pressurised(
     reservoir_K: float,
     cv_K: float,
 ) -> Floats:
-    """The state with other gauge pressures and gas temperatures; walls and openings stay as they are."""
+    """The state with other gauge pressures and gas temperatures; walls and openings stay as they are.
+
+    A rig with a pump has no reservoir: the one of the state then is at ambient pressure."""
     _, _, wall_r, _, _, wall_c, _, evp, dvp, vented = state
+    if numbers.pump_stall_kPa > 0.0:
+        reservoir_kPa = 0.0
     ratio_r, ratio_c = reservoir_K / STANDARD_TEMPERATURE_K, cv_K / STANDARD_TEMPERATURE_K
     reservoir_pV = (reservoir_kPa + air.kPa) / numbers.reservoir_per_L
     volume_L, work_J = volume_and_work(numbers.cv, cv_kPa, air.kPa, 0.0)

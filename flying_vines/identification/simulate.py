@@ -27,10 +27,10 @@ from flying_vines.physics.plant.sensors import Sensor
 from flying_vines.physics.plant.setup import Setup, perfect
 from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
-from flying_vines.physics.rig import ControlVolume, Rig, with_numbers
+from flying_vines.physics.rig import WITHOUT_PUMP, ControlVolume, Rig, with_numbers
 
 MAX_STEP_S = 0.05
-QUICK_WALL_S = 0.002
+QUICK_S = 0.002
 _STEP = 0.25
 """Step over the fastest time constant. Fourth-order Runge-Kutta then errs by 1e-5 of the remaining change."""
 
@@ -51,13 +51,23 @@ RIG_NUMBERS = (
     "solenoid.flow_resistance_kPa_s_per_SL",
     "venturi.full_vacuum_kPa",
     "venturi.rated_supply_kPa",
+    "pump.free_flow_SL_per_s",
+    "pump.stall_pressure_kPa",
+    "hose.volume_L",
+    "hose.flow_resistance_kPa_s_per_SL",
 )
 """Keys of the rig file's numbers that a fit may move within their tolerances."""
 
 
 def rig_number_keys(rig: Rig) -> tuple[str, ...]:
     """Keys of the numbers that this rig has."""
-    return tuple(key for key in RIG_NUMBERS if rig.cv is not None or key != "cv.volume_L")
+    absent = WITHOUT_PUMP if rig.pump else ()
+    tables = (key.partition(".")[0] for key in RIG_NUMBERS)
+    return tuple(
+        key
+        for key, table in zip(RIG_NUMBERS, tables, strict=True)
+        if table not in absent and getattr(rig, table) is not None
+    )
 
 
 def prior_std(rig: Rig, key: str) -> float:
@@ -241,7 +251,7 @@ def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> f
     if n.has_tubing:
         line = n.line_SL_per_s_kPa
         rates += [
-            (at_the_valves + line) * n.line_kPa_per_SL,
+            _slaved_per_s(1.0 / ((at_the_valves + line) * n.line_kPa_per_SL)),
             n.gamma * ALPHA_KPA * (line + leak) / n.cv.flat_L,
         ]
     elif n.has_cv:
@@ -252,7 +262,14 @@ def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> f
     walls = ((n.reservoir_heat, 1.0 / n.reservoir_per_L), (n.cv_heat, n.cv.flat_L))
     for wall_per_s in (heat_per_s(heat, volume_L) for heat, volume_L in walls):
         if wall_per_s > 0.0:
-            # If heat exchange takes milliseconds, the gas stays near ambient temperature.
-            wall_s = 1.0 / wall_per_s
-            rates.append(_STEP / max(_STEP * wall_s, min(wall_s, QUICK_WALL_S)))
+            rates.append(_slaved_per_s(1.0 / wall_per_s))
     return max(rates)
+
+
+def _slaved_per_s(time_s: float) -> float:
+    """The rate to resolve for a time constant of heat exchange or of a hose.
+
+    If it is some milliseconds, gas stays near ambient temperature, and a hose near the pressure of the
+    control volume: the step then only has to be stable.
+    """
+    return _STEP / max(_STEP * time_s, min(time_s, QUICK_S))

@@ -35,7 +35,7 @@ def test_the_choked_flow_of_a_nozzle_per_area() -> None:
     def flow_m3_per_s(gamma: float, molar_mass_g_per_mol: float) -> float:
         R = 8.314462618 / (molar_mass_g_per_mol / 1000.0)
         mass = math.sqrt(gamma / (R * 293.15)) * (2 / (gamma + 1)) ** ((gamma + 1) / (2 * (gamma - 1)))
-        return mass / (101325.0 / (R * 293.15))
+        return float(mass / (101325.0 / (R * 293.15)))
 
     for name, gas in GASES.items():
         expected = flow_m3_per_s(*gas) / flow_m3_per_s(*AIR)
