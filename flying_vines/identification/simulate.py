@@ -93,6 +93,8 @@ class Made(NamedTuple):
     cv_sensor: np.void
     reservoir_sensor: np.void
     effects: Effects
+    drift_kPa_per_s: tuple[float, float]
+    """Drift of the readings of control volume and reservoir."""
     longest_s: tuple[float, float]
     """Maximum step with the solenoid shut, and with it open."""
 
@@ -145,6 +147,7 @@ class Simulation:
             made.longest_s,
             out,
         )
+        out += np.outer(run.time_s - run.time_s[0], made.drift_kPa_per_s)
         readings = ModelReadings(out[:, 0], out[:, 1])
         for cause, x in causes:
             if cause.readings is not None:
@@ -160,7 +163,7 @@ class Simulation:
         own: tuple[tuple[Callable[[Commands, Values], Commands], Values], ...],
     ) -> tuple[Array, Array]:
         """Switching times of a run's valves, and the openings from each time on."""
-        commands = followed(self.runs[index].commands, evp, dvp, solenoid)
+        commands = followed(self.runs[index].commands, evp, dvp, solenoid, self.runs[index].time_s[-1])
         for change, values in own:
             commands = change(commands, values)
         return together(commands)
@@ -188,7 +191,9 @@ class Simulation:
             for law in (Opening(), numbers.solenoid)
         )
         sensors = (_sensor(setup.cv_sensor), _sensor(setup.reservoir_sensor))
-        return Made(record(numbers), *sensors, effects, (shut_s, open_s))
+        cv, reservoir = setup.cv_sensor, setup.reservoir_sensor
+        drift = (cv.gain * cv.drift_kPa_per_min / 60.0, reservoir.gain * reservoir.drift_kPa_per_min / 60.0)
+        return Made(record(numbers), *sensors, effects, drift, (shut_s, open_s))
 
 
 @cache
@@ -198,8 +203,9 @@ def _compiled() -> Callable[..., None]:
 
 
 def _sensor(sensor: Sensor) -> np.void:
-    # Converter steps have no derivative, and the noise hides them.
-    return record(replace(sensor, adc=None).numbers)
+    # Converter steps have no derivative, and the noise hides them. The model does not know the time since the
+    # start of the run: `readings` adds the drift.
+    return record(replace(sensor, adc=None, drift_kPa_per_min=0.0).numbers)
 
 
 def _prepared(run: RecordedRun) -> Prepared:
