@@ -27,7 +27,7 @@ from flying_vines.physics.plant.sensors import Sensor
 from flying_vines.physics.plant.setup import Setup, perfect
 from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
-from flying_vines.physics.rig import WITHOUT_PUMP, ControlVolume, Rig, with_numbers
+from flying_vines.physics.rig import ControlVolume, Rig, with_numbers
 
 MAX_STEP_S = 0.05
 QUICK_S = 0.002
@@ -61,13 +61,7 @@ RIG_NUMBERS = (
 
 def rig_number_keys(rig: Rig) -> tuple[str, ...]:
     """Keys of the numbers that this rig has."""
-    absent = WITHOUT_PUMP if rig.pump else ()
-    tables = (key.partition(".")[0] for key in RIG_NUMBERS)
-    return tuple(
-        key
-        for key, table in zip(RIG_NUMBERS, tables, strict=True)
-        if table not in absent and getattr(rig, table) is not None
-    )
+    return tuple(key for key in RIG_NUMBERS if rig.has(key.partition(".")[0]))
 
 
 def prior_std(rig: Rig, key: str) -> float:

@@ -120,6 +120,10 @@ class Rig:
     gas: Gas = _AIR
     tolerance_percent: dict[str, NotNegative] = field(default_factory=dict)
 
+    def has(self, table: str) -> bool:
+        """True if the rig has this part."""
+        return getattr(self, table) is not None and not (self.pump and table in WITHOUT_PUMP)
+
     def tolerance(self, key: str) -> float:
         """Tolerance of the number at `key` in percent; default 1."""
         return self.tolerance_percent.get(key, 1.0)

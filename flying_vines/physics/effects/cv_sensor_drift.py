@@ -27,4 +27,5 @@ CAUSE = Cause(
     ),
     experiment="Vent the control volume, switch the sensor on, and record it for some minutes.",
     apply=apply,
+    needs=("cv",),
 )

@@ -21,7 +21,7 @@ CAUSE = Cause(
         Parameter(
             "share",
             low=0.0,
-            high=0.8,
+            high=0.6,
             seeds=(0.02, 0.2),
             neutral=0.0,
             source="copper 0.39 % per K: 20 % less current at 50 K, which is up to twice that of the opening",

@@ -21,14 +21,15 @@ CAUSE = Cause(
     parameters=(
         Parameter(
             "scale",
-            low=0.1,
-            high=10.0,
+            low=0.2,
+            high=5.0,
             seeds=(1.0,),
             neutral=1.0,
             logarithmic=True,
-            source="from a worn or clogged pump to one of the next larger types",
+            source="from a worn pump or half its voltage to the largest pump of a series",
         ),
     ),
     experiment="Run the pump into the empty control volume from rest, several times.",
     apply=apply,
+    needs=("pump",),
 )

@@ -21,14 +21,15 @@ CAUSE = Cause(
     parameters=(
         Parameter(
             "scale",
-            low=0.1,
-            high=10.0,
+            low=0.2,
+            high=5.0,
             seeds=(1.0,),
             neutral=1.0,
             logarithmic=True,
-            source="leaking membrane valves to a pump of another type, at another supply voltage",
+            source="from leaking membrane valves to the strongest pump of a series",
         ),
     ),
     experiment="Run the pump until the pressure rises no more.",
     apply=apply,
+    needs=("pump",),
 )

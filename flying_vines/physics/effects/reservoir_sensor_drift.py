@@ -27,4 +27,5 @@ CAUSE = Cause(
     ),
     experiment="Empty the reservoir, switch the sensor on, and record it for some minutes.",
     apply=apply,
+    needs=("reservoir",),
 )

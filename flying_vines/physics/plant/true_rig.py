@@ -39,7 +39,6 @@ _EFFECTS: dict[str, dict[str, type]] = {
     for name, hint in get_type_hints(Effects).items()
 }
 """For each effect: its types, by kind."""
-_NEEDS_CV = ("cv_", "dead_volume", "viscous_leak", "orifice_leak", "hose", "pump_")
 _POSITIVE = ("gain", "scale")
 
 
@@ -159,10 +158,10 @@ def _caused(made: Setup, name: str, parameters: Mapping[str, float]) -> Setup:
     except KeyError:
         names = ", ".join(cause.name for cause in (NONE, *catalogue()))
         raise RigError(f"{where} is not a cause: the causes are {names}.") from None
-    if made.plant.rig.cv is None and name.startswith(_NEEDS_CV):
-        raise RigError(f"{where} needs a control volume, and the rig has no [cv].")
-    if made.plant.rig.pump is None and name.startswith("pump_"):
-        raise RigError(f"{where} needs a pump, and the rig has no [pump].")
+    for table in cause.needs:
+        if not made.plant.rig.has(table):
+            what = {"cv": "a control volume"}.get(table, f"a {table}")
+            raise RigError(f"{where} needs {what}, and the rig has no [{table}].")
     known = [parameter.name for parameter in cause.parameters]
     for parameter, value in parameters.items():
         if parameter not in known:
