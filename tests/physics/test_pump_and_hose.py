@@ -11,7 +11,9 @@ import pytest
 from flying_vines.physics.baseline import BaselineState, Inputs, step
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.effects import setup
+from flying_vines.physics.plant.ambient import Recorded
 from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.flow import Ohm
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.simulator import Simulator
 from flying_vines.physics.plant.true_rig import true_rig_from, true_rig_text
@@ -52,7 +54,9 @@ def test_the_pumps_causes_scale_its_two_numbers() -> None:
 
 def test_a_pump_takes_its_air_from_ambient() -> None:
     """Also where gas has its own temperature: it enters at ambient temperature."""
-    plant = Plant(replace(PUMPED, hose=Hose(0.05, 20.0)), Effects(reservoir_wall=Wall(), cv_wall=Wall(2.0)))
+    warming = Recorded((0.0, 2.0), (101.3, 101.0), (290.0, 310.0))
+    effects = Effects(reservoir_wall=Wall(), reservoir_leak=Ohm(100.0), cv_wall=Wall(2.0), ambient=warming)
+    plant = Plant(replace(PUMPED, hose=Hose(0.05, 20.0)), effects)
     start = at_rest(plant)
     end = run(run(Simulator(plant), 1.0, pump=1.0), 0.5, vent=True).state
     gained = sum(end[i] - start[i] for i in (0, 3, 6))

@@ -70,8 +70,7 @@ class PlantNumbers(NamedTuple):
 def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
     """The numbers of a plant."""
     rig, effects = plant.rig, plant.effects
-    gas = rig.gas.properties
-    pump = rig.pump if rig.cv else None
+    gas, pump = rig.gas.properties, rig.pump if rig.cv else None
     evp = _valve(
         Ohm(pump.flow_resistance_kPa_s_per_SL) if pump else effects.evp_law,
         rig.evp.flow_resistance_kPa_s_per_SL,
@@ -90,11 +89,13 @@ def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
     )
     timing, tubing = effects.solenoid_timing, plant.tubing if rig.cv else None
     venturi = (effects.ejector or Ejector()).numbers(rig.venturi, gas)
-    reservoir_heat = effects.reservoir_wall.numbers(gas.gamma) if effects.reservoir_wall else Heat()
+    # The reservoir of a rig with a pump stays at ambient pressure and temperature.
+    reservoir_wall = None if pump else effects.reservoir_wall
+    reservoir_heat = reservoir_wall.numbers(gas.gamma) if reservoir_wall else Heat()
     cv_heat = effects.cv_wall.numbers(gas.gamma) if effects.cv_wall and rig.cv else Heat()
     cv = plant.shape.numbers(plant.cv_volume_L, gas.gamma - 1.0 if cv_heat.own_temperature else 0.0)
-    reservoir_leak = leak_of(effects.reservoir_leaks, gas)
-    reservoir_gas = gas.gamma if effects.reservoir_wall else 1.0
+    reservoir_leak = Leak() if pump else leak_of(effects.reservoir_leaks, gas)
+    reservoir_gas = gas.gamma if reservoir_wall else 1.0
     steepest = evp.law.steepest_SL_per_s_kPa + dvp.law.steepest_SL_per_s_kPa
     standing_per_s = max(
         ALPHA_KPA

@@ -166,7 +166,6 @@ def _balance(
                 # From ambient: what the reservoir loses is taken from there, see `rates`.
                 left_kPa = max(0.0, numbers.pump_stall_kPa - (near - ambient))
                 evp = x_e * left_kPa * numbers.evp.law.conductance_SL_per_s_kPa
-                ratio_r = ratio_a
             else:
                 evp = x_e * flow_SL_per_s(numbers.evp.law, p_r, near, ratio_r, ratio_near)
         # As in the baseline: no backflow while the Venturi runs, free flow both ways while it is off.

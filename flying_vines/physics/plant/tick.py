@@ -151,11 +151,12 @@ def _follow(valve: ValveNumbers, memory: ValveMemory, command: float, air: Air, 
         ambient_K = air.ratio * STANDARD_TEMPERATURE_K
         coil_K = temperature_after_K(valve.coil, coil_K, current, ambient_K, tick_s)
         command = current / valve.coil.full_current_A
-    warmth = 0.0
+    warmth = midway = 0.0
     if valve.motion.heating_share > 0.0:
         warmth = warmth_after(valve.motion, memory.warmth, command, tick_s)
+        midway = 0.5 * (memory.warmth + warmth)
     command = backlash(memory.passed_on, command, valve.motion.backlash_width)
-    target = dead_zone(command, valve.motion.dead_opening) * (1.0 - valve.motion.heating_share * warmth)
+    target = dead_zone(command, valve.motion.dead_opening) * (1.0 - valve.motion.heating_share * midway)
     return ValveMemory(target, command, coil_K, warmth)
 
 
