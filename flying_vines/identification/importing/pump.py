@@ -22,8 +22,8 @@ _FURTHEST = 3.0
 def guessed_pump(runs: Sequence[Mapping[str, Array]], volume_L: float) -> dict[str, float]:
     """The numbers of `[pump]`, from runs with `time`, `cv_pressure` and `evp_opening` (the pump's signal).
 
-    Least squares of dP/dt = a u − b u P − c P, a = α Q_max/V, b = a/P_max; c is a leak. Without a rise the
-    numbers are those of a small pump.
+    Least squares of dP/dt = a u − b u P while the pump runs, a = α Q_max/V, b = a/P_max. A leak lowers both,
+    as the tolerance allows. Without a rise the numbers are those of a small pump.
     """
     rows, rates, top_kPa = [], [], 0.0
     for run in runs:
@@ -35,12 +35,12 @@ def guessed_pump(runs: Sequence[Mapping[str, Array]], volume_L: float) -> dict[s
             last = int(np.searchsorted(t, t[first] + _SPAN_S))
             if last < len(t) and t[last] < t[first] + 3.0 * _SPAN_S and shut[first:last].all():
                 mean_u, mean_kPa = float(u[first:last].mean()), float(p[first : last + 1].mean())
-                rows.append((mean_u, -mean_u * mean_kPa, -mean_kPa))
+                rows.append((mean_u, -mean_u * mean_kPa))
                 rates.append(float(p[last] - p[first]) / float(t[last] - t[first]))
     default = Pump()
     numbers = default.free_flow_SL_per_s, max(default.stall_pressure_kPa, top_kPa)
     if rows and top_kPa > 0.0:
-        (rise, falls, _), _ = nnls(np.array(rows), np.array(rates))
+        (rise, falls), _ = nnls(np.array(rows), np.array(rates))
         if rise > 0.0:
             stall_kPa = rise / falls if falls > 0.0 else np.inf
             numbers = rise * volume_L / ALPHA_KPA, min(max(stall_kPa, top_kPa), _FURTHEST * top_kPa)
