@@ -141,7 +141,8 @@ class Simulation:
             made.longest_s,
             out,
         )
-        out += np.outer(run.time_s - run.time_s[0], made.drift_kPa_per_s)
+        if any(made.drift_kPa_per_s):
+            out += np.outer(run.time_s - run.time_s[0], made.drift_kPa_per_s)
         readings = ModelReadings(out[:, 0], out[:, 1])
         for cause, x in causes:
             if cause.readings is not None:
